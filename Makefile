@@ -1,0 +1,36 @@
+# Every target works in a fresh clone; .ci/setup makes .venv where it is missing.
+.PHONY: demo test check setup bench faults fuzz clean
+PY := .venv/bin/python
+export PYTHON
+
+demo:
+	@.ci/setup
+	@$(PY) -m tests.demo
+
+setup:
+	@.ci/setup dev
+
+check: setup
+	@.venv/bin/ruff format --check .
+	@.venv/bin/ruff check .
+	@.venv/bin/mypy
+
+test: check
+	@.ci/need-faults
+	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m pytest tests --ignore=tests/benchmarks
+
+bench: setup
+	@.ci/need-sshd
+	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.benchmarks
+
+# The whole fault matrix on real hosts; make faults SEED=7 draws other moments and bytes.
+faults: setup
+	@.ci/need-faults
+	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.faults --seed $(or $(SEED),1)
+
+# At least 100,000 damaged inputs to every decoder together; make fuzz SEED=7 damages them otherwise.
+fuzz: setup
+	@$(PY) -m tests.fuzz --seed $(or $(SEED),1)
+
+clean:
+	rm -rf .venv .pytest_cache .mypy_cache .ruff_cache .hypothesis dist build

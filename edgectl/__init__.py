@@ -1,0 +1,3 @@
+"""edgectl: utility-based placement of robot tasks on edge computers, from a terminal, over SSH."""
+
+__version__ = "0.1.0"

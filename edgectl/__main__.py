@@ -1,0 +1,7 @@
+"""``python -m edgectl``: the same command."""
+
+import sys
+
+from edgectl.cli.main import main
+
+sys.exit(main())

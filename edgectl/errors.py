@@ -1,0 +1,160 @@
+"""Every exception that edgectl raises on purpose.
+
+    EdgectlError                    anything a user may be told; carries a hint and an exit code
+    ├── InputError                 one or more mistakes in a file, each with its position (exit 64)
+    ├── UsageError                  a call that cannot be carried out as given (exit 64)
+    ├── FileError                   a file that cannot be read or written (exit 1)
+    ├── StateError                  the manager's own state is damaged or of a newer version (exit 1)
+    ├── LockBusyError               another edgectl holds the lock (exit 75)
+    ├── StalePlanError              the world moved since the plan was made (exit 75)
+    └── HostError                   one host did not do what was asked; costs that host, never the run
+        ├── ConnectError            no TCP or SSH session (off, refused, no route, name unknown)
+        ├── HostKeyError            host key unknown, changed or revoked: nothing was sent
+        ├── AuthError               the host knows us, but not this key or password
+        ├── DeadlineError           connected, but no answer within the deadline
+        ├── NoPythonError           the host has no usable python3
+        ├── ReplyError              an answer that is not ours: noise, truncated, wrong digest or types
+        └── RefusedError            the agent understood and declined (reason given)
+
+Expected outcomes (unplaced, unreachable, deferred) are values, not exceptions.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+
+
+class ExitCode(IntEnum):
+    """Exit status of the command, DESIGN section 7."""
+
+    DONE = 0
+    FAILED = 1
+    CHANGES = 2
+    UNPLACED = 3
+    PARTLY = 4
+    USAGE = 64
+    TRY_AGAIN = 75
+    INTERRUPTED = 130
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Problem:
+    """One mistake in an input file, or a warning about something legal but suspicious.
+
+    ``line`` and ``column`` count from 1; 0 means that the file as a whole is meant.
+    ``source`` is the offending line as it stands in the file, ``length`` how many columns the caret marks.
+    ``code`` is stable ("EC012"); ``hint``, applied, mends the mistake.
+    """
+
+    file: str
+    line: int
+    column: int
+    code: str
+    message: str
+    hint: str = ""
+    source: str = ""
+    length: int = 1
+    warning: bool = False
+
+
+class EdgectlError(Exception):
+    """Root of the tree: a one-line message, a hint that mends it, and the exit code it ends in."""
+
+    exit_code = ExitCode.FAILED
+
+    def __init__(self, message: str, *, hint: str = "") -> None:
+        super().__init__(message)
+        self.message = message
+        self.hint = hint
+
+
+class InputError(EdgectlError):
+    """All mistakes found in the input files at once."""
+
+    exit_code = ExitCode.USAGE
+
+    def __init__(self, problems: Sequence[Problem]) -> None:
+        super().__init__(f"{len(problems)} problem(s) in the input")
+        self.problems = tuple(problems)
+
+
+class UsageError(EdgectlError):
+    """The call cannot be carried out as given."""
+
+    exit_code = ExitCode.USAGE
+
+
+class FileError(EdgectlError):
+    """A file cannot be read or written."""
+
+
+class StateError(EdgectlError):
+    """The manager's own state is damaged, or was written by a newer edgectl."""
+
+
+class LockBusyError(EdgectlError):
+    """Another edgectl is changing this fleet."""
+
+    exit_code = ExitCode.TRY_AGAIN
+
+
+class StalePlanError(EdgectlError):
+    """The saved plan no longer describes the world; ``changes`` lists what moved."""
+
+    exit_code = ExitCode.TRY_AGAIN
+
+    def __init__(self, changes: Sequence[str]) -> None:
+        super().__init__("saved plan is stale: " + "; ".join(changes), hint="make a new plan: edgectl plan --out PLAN")
+        self.changes = tuple(changes)
+
+
+class HostError(EdgectlError):
+    """One host did not do what was asked. ``kind`` is the stable word for JSON."""
+
+    kind = "failed"
+
+    def __init__(self, message: str, *, hint: str = "", host: str = "") -> None:
+        super().__init__(message, hint=hint)
+        self.host = host
+
+
+class ConnectError(HostError):
+    """No session: the host is off, refuses, has no route or no known name."""
+
+    kind = "connect"
+
+
+class HostKeyError(HostError):
+    """The host key is unknown, changed or revoked; nothing was sent."""
+
+    kind = "host-key"
+
+
+class AuthError(HostError):
+    """The host refused every key (or the password) we were allowed to offer."""
+
+    kind = "auth"
+
+
+class DeadlineError(HostError):
+    """Connected, but not answered in time."""
+
+    kind = "deadline"
+
+
+class NoPythonError(HostError):
+    """The host has no python3 of at least version 3.6."""
+
+    kind = "no-python"
+
+
+class ReplyError(HostError):
+    """The answer is not a valid document of ours."""
+
+    kind = "bad-reply"
+
+
+class RefusedError(HostError):
+    """The agent understood the request and declined it."""
+
+    kind = "refused"

@@ -1,0 +1,139 @@
+"""Quantities as people write them: cores, bytes, bytes per second, shares, durations, instants.
+
+Parsers take what YAML gave (a number or a string) and raise ``ValueError`` with a message that names the accepted forms.
+"""
+
+import math
+import re
+from datetime import UTC, datetime
+
+_BYTE_UNITS = {
+    "": 1, "B": 1,
+    "k": 10**3, "K": 10**3, "M": 10**6, "G": 10**9, "T": 10**12,
+    "kB": 10**3, "KB": 10**3, "MB": 10**6, "GB": 10**9, "TB": 10**12,
+    "Ki": 2**10, "Mi": 2**20, "Gi": 2**30, "Ti": 2**40,
+    "KiB": 2**10, "MiB": 2**20, "GiB": 2**30, "TiB": 2**40,
+}  # fmt: skip
+_BIT_UNITS = {"bit": 1, "kbit": 10**3, "Kbit": 10**3, "Mbit": 10**6, "Gbit": 10**9}
+_SECONDS = {"ms": 0.001, "s": 1.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
+_NUMBER = r"([0-9]+(?:\.[0-9]+)?(?:[eE][+-]?[0-9]{1,3})?)"
+_WITH_UNIT = re.compile(_NUMBER + r"\s*([A-Za-z/]*)")
+_DURATION = re.compile(r"(?:[0-9]+(?:\.[0-9]+)?(?:ms|s|m|h|d))+")
+_DURATION_PART = re.compile(r"([0-9]+(?:\.[0-9]+)?)(ms|s|m|h|d)")
+_INSTANT = re.compile(r"\d{4}-\d{2}-\d{2}[Tt]\d{2}:\d{2}:\d{2}(?:\.\d{1,6})?(?:[Zz]|[+-]\d{2}:\d{2})")
+
+
+def _checked(value: float, forms: str) -> float:
+    if not math.isfinite(value) or value < 0:
+        raise ValueError(f"must be a finite number, 0 or more, got {value!r}; {forms}")
+    return value
+
+
+def _number(raw: object, forms: str) -> float | None:
+    if isinstance(raw, bool):
+        raise ValueError(f"must not be true or false; {forms}")
+    if not isinstance(raw, int | float):
+        return None
+    try:
+        return _checked(float(raw), forms)
+    except OverflowError:
+        raise ValueError(f"is too large; {forms}") from None
+
+
+def _scaled(raw: object, units: dict[str, float], forms: str) -> float:
+    number = _number(raw, forms)
+    if number is not None:
+        return number
+    match = _WITH_UNIT.fullmatch(str(raw).strip()) if isinstance(raw, str) else None
+    if match is None or match[2] not in units:
+        raise ValueError(f"cannot be read as a quantity: {raw!r}; {forms}")
+    return _checked(float(match[1]) * units[match[2]], forms)
+
+
+def parse_cores(raw: object) -> float:
+    """Cores from ``0.5``, ``"0.5"`` or ``"500m"``."""
+    return _scaled(raw, {"": 1.0, "m": 0.001}, "write cores as 0.5 or 500m")
+
+
+def parse_bytes(raw: object) -> float:
+    """Bytes from a number or a string such as ``90Mi``, ``1.5G`` or ``800MiB``."""
+    return _scaled(raw, dict(_BYTE_UNITS), "write bytes as 90Mi, 1.5G or 800MiB")
+
+
+def parse_rate(raw: object) -> float:
+    """Bytes per second from a number or a string such as ``12MB/s``, ``300kB/s`` or ``96Mbit/s``."""
+    units = {"": 1.0}
+    units |= {f"{unit}/s": float(scale) for unit, scale in _BYTE_UNITS.items() if unit}
+    units |= {f"{unit}/s": scale / 8 for unit, scale in _BIT_UNITS.items()}
+    return _scaled(raw, units, "write rates as 12MB/s, 300kB/s or 96Mbit/s")
+
+
+def is_percent(raw: object) -> bool:
+    """Whether ``raw`` is written as a percentage."""
+    return isinstance(raw, str) and raw.strip().endswith("%")
+
+
+def parse_share(raw: object) -> float:
+    """A share in 0..1 (or above, for overcommit) from ``"35.2%"``."""
+    match = re.fullmatch(_NUMBER + r"\s*%", raw.strip()) if isinstance(raw, str) else None
+    if match is None:
+        raise ValueError(f"cannot be read as a percentage: {raw!r}; write 80%")
+    return _checked(float(match[1]) / 100.0, "write 80%")
+
+
+def parse_duration(raw: object) -> float:
+    """Seconds from a number of seconds or a string such as ``20s``, ``2m``, ``1h30m`` or ``500ms``."""
+    forms = "write durations as 20s, 2m or 1h30m"
+    number = _number(raw, forms)
+    if number is not None:
+        return number
+    text = str(raw).strip()
+    if not isinstance(raw, str) or _DURATION.fullmatch(text) is None:
+        raise ValueError(f"cannot be read as a duration: {raw!r}; {forms}")
+    return _checked(sum(float(n) * _SECONDS[unit] for n, unit in _DURATION_PART.findall(text)), forms)
+
+
+def parse_instant(raw: object) -> float:
+    """Seconds since 1970 (UTC) from an RFC 3339 string."""
+    if not isinstance(raw, str) or _INSTANT.fullmatch(raw) is None:
+        raise ValueError(f"cannot be read as an instant: {raw!r}; write 2026-11-21T08:00:00Z")
+    return datetime.fromisoformat(raw.upper()).timestamp()
+
+
+def format_instant(epoch_s: float) -> str:
+    """RFC 3339 in UTC, milliseconds only where there are any: ``2026-11-21T08:00:00Z``."""
+    instant = datetime.fromtimestamp(round(epoch_s, 3), UTC)
+    precision = "milliseconds" if instant.microsecond else "seconds"
+    return instant.isoformat(timespec=precision).replace("+00:00", "Z")
+
+
+def format_bytes(value: float) -> str:
+    """Bytes for people, binary units, three significant digits: ``90.0Mi``."""
+    for unit, scale in (("Ti", 2**40), ("Gi", 2**30), ("Mi", 2**20), ("Ki", 2**10)):
+        if abs(value) >= scale:
+            return f"{value / scale:.1f}{unit}"
+    return f"{value:.0f}B"
+
+
+def format_rate(value: float) -> str:
+    """Bytes per second for people, decimal units: ``12.0MB/s``."""
+    for unit, scale in (("GB/s", 1e9), ("MB/s", 1e6), ("kB/s", 1e3)):
+        if abs(value) >= scale:
+            return f"{value / scale:.1f}{unit}"
+    return f"{value:.0f}B/s"
+
+
+def format_cores(value: float) -> str:
+    """Cores for people: ``0.52``."""
+    return f"{value:.2f}"
+
+
+def format_duration(seconds: float) -> str:
+    """A duration or age for people, two units at most: ``3m12s``, ``1h03m``, ``0.4s``."""
+    if seconds < 10:
+        return f"{seconds:.1f}s"
+    whole = round(seconds)
+    for (unit, scale), (lower, step) in zip((("d", 86400), ("h", 3600), ("m", 60)), (("h", 3600), ("m", 60), ("s", 1)), strict=True):
+        if whole >= scale:
+            return f"{whole // scale}{unit}{whole % scale // step:02d}{lower}"
+    return f"{whole}s"

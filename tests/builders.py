@@ -1,0 +1,115 @@
+"""Builders with defaults, so that a test case shows only what it is about. Quantities: cores, bytes, bytes/s."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+
+from edgectl.model.inventory import Host, Inventory, Limits, Role
+from edgectl.model.memory import Memory
+from edgectl.model.order import natural_key
+from edgectl.model.policy import Policy
+from edgectl.model.snapshot import Cpu, HostSample, HostStatus, LinkSample, MemoryUse, Snapshot, TaskSample, TaskState
+from edgectl.model.task import Demand, HostRules, Need, Quantity, Task, Tasks, Until
+
+NOW = 1_763_690_000.0
+GI = float(2**30)
+
+
+def an_edge(name: str = "edge1", *, cpu_limit: float = 1.0, memory_limit: float = 1.0, **fields: object) -> Host:
+    """An edge of the inventory."""
+    host = Host(name=name, role=Role.EDGE, host=f"{name}.lab", limits=Limits(cpu=cpu_limit, memory=memory_limit))
+    return replace(host, **fields)  # type: ignore[arg-type]
+
+
+def a_robot(name: str = "robot1", **fields: object) -> Host:
+    """A robot of the inventory."""
+    return replace(Host(name=name, role=Role.ROBOT, host=f"{name}.lab"), **fields)  # type: ignore[arg-type]
+
+
+def an_inventory(*hosts: Host, links: Mapping[tuple[str, str], float] | None = None) -> Inventory:
+    """The fleet, in natural order of names."""
+    ordered = sorted(hosts, key=lambda host: natural_key(host.name))
+    return Inventory(hosts={host.name: host for host in ordered}, links=links or {}, digest="inventory-digest")
+
+
+def a_quantity(value: float | str | None) -> Quantity | None:
+    """``0.5`` is absolute, ``"35%"`` a share."""
+    if isinstance(value, str):
+        return Quantity(value=float(value.removesuffix("%")) / 100.0, relative=True)
+    return None if value is None else Quantity(value=value)
+
+
+def a_task(
+    name: str = "slam",
+    *,
+    cpu: float | str | None = 0.0,
+    memory: float | str | None = 0.0,
+    throughput: float | str | None = 0.0,
+    robots: Iterable[str] = (),
+    needs: Iterable[str | Need] = (),
+    only: Iterable[str] = (),
+    never: Iterable[str] = (),
+    labels: Mapping[str, str] | None = None,
+    pin: str | None = None,
+    **fields: object,
+) -> Task:
+    """A task; ``needs`` are names or Needs."""
+    task = Task(
+        name=name,
+        template=name,
+        command=f"run {name}",
+        spec_hash=f"hash-{name}",
+        demand=Demand(cpu=a_quantity(cpu), memory=a_quantity(memory), throughput=a_quantity(throughput)),
+        robots=tuple(robots),
+        needs=tuple(need if isinstance(need, Need) else Need(task=need, until=Until.READY) for need in needs),
+        hosts=HostRules(only=tuple(only), never=tuple(never), labels=labels or {}, pin=pin),
+    )
+    return replace(task, **fields)  # type: ignore[arg-type]
+
+
+def some_tasks(*tasks: Task, policy: Policy | None = None) -> Tasks:
+    """A task file after expansion."""
+    ordered = sorted(tasks, key=lambda task: natural_key(task.name))
+    return Tasks(tasks={task.name: task for task in ordered}, policy=policy or Policy(), digest="tasks-digest")
+
+
+def a_link(capacity: float = 10e6, used: float = 0.0) -> LinkSample:
+    """One edge-robot link, 10 MB/s and idle."""
+    return LinkSample(capacity_bytes_per_s=capacity, used_bytes_per_s=used)
+
+
+def a_run(state: TaskState = TaskState.READY, **fields: object) -> TaskSample:
+    """A task found on a host: ready, old enough to be moved, of the present specification where the test gives it."""
+    return replace(TaskSample(state=state, pid=4242, started_at=NOW - 3600.0, instance="instance-1"), **fields)  # type: ignore[arg-type]
+
+
+def a_sample(
+    *,
+    cores: float = 4.0,
+    used: float = 0.0,
+    memory: float = 4 * GI,
+    used_memory: float = 0.0,
+    links: Mapping[str, LinkSample] | None = None,
+    tasks: Mapping[str, TaskSample] | None = None,
+    role: Role = Role.EDGE,
+    age: float = 0.0,
+) -> HostSample:
+    """A host that answered: 4 cores, 4 GiB, idle."""
+    return HostSample(
+        role=role,
+        status=HostStatus.OK,
+        sample_age_s=age,
+        cpu=Cpu(cores=cores, used_cores=used),
+        memory=MemoryUse(total_bytes=memory, used_bytes=used_memory),
+        links=links or {},
+        tasks=tasks or {},
+    )
+
+
+def silent(role: Role = Role.EDGE) -> HostSample:
+    """A host that did not answer."""
+    return HostSample(role=role, status=HostStatus.UNREACHABLE, error="connection refused", error_kind="connect")
+
+
+def a_snapshot(*, taken_at: float = NOW, memory: Memory | None = None, **hosts: HostSample) -> Snapshot:
+    """The fleet at one instant, hosts by name: ``a_snapshot(edge1=a_sample(used=1.0))``."""
+    return Snapshot(taken_at=taken_at, hosts=hosts, memory=memory)
