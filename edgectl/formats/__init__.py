@@ -1,0 +1,1 @@
+"""The JSON documents that other programs may rely on: snapshot and plan, to and from the model. Pure."""

@@ -1,0 +1,231 @@
+"""Plan to and from JSON (DESIGN section 4): what was decided with every number, and the snapshot it was decided from."""
+
+from edgectl.formats import snapshot as snapshot_format
+from edgectl.formats.base import FORMAT_VERSION, Document, number, optional, without_none
+from edgectl.formats.reader import Reader, close_document, open_document
+from edgectl.model.assignment import Decision, ExpectedLoad, MoveCost, RankedHost, Reason, Rejection, Resource, Rule, Terms, Verdict
+from edgectl.model.plan import Action, Plan, Step
+from edgectl.model.policy import Policy, PolicyName, SequenceRule, Weights
+from edgectl.units import format_instant
+
+
+def encode(plan: Plan) -> Document:
+    """The JSON form. What the format does not name (options of the policy, instances) stands in keys of its own."""
+    document: Document = {
+        "format_version": FORMAT_VERSION,
+        "created_at": format_instant(plan.created_at),
+        "policy": plan.policy.name.value,
+        "weights": _weights(plan.policy.weights),
+        "options": _options(plan.policy),
+        "inventory_digest": plan.inventory_digest,
+        "tasks_digest": plan.tasks_digest,
+        "settled": plan.settled,
+        "frozen": plan.frozen,
+        "unseen": list(plan.unseen),
+        "decisions": [_step(step) for step in plan.steps],
+        "expected": {name: _expected(load) for name, load in plan.expected.items()},
+        "summary": {action.value: count for action, count in plan.summary.items()},
+        "snapshot": snapshot_format.encode(plan.snapshot),
+    }
+    return document
+
+
+def _weights(weights: Weights) -> Document:
+    return {name: number(getattr(weights, name)) for name in ("cpu", "memory", "network", "task")}
+
+
+def _options(policy: Policy) -> Document:
+    return {
+        "sequence": policy.sequence.value,
+        "move_margin": number(policy.move_margin),
+        "min_dwell_s": number(policy.min_dwell),
+        "max_moves": policy.max_moves,
+        "attended": policy.attended,
+        "best_effort": policy.best_effort,
+        "full": policy.full,
+        "without": sorted(policy.without),
+    }
+
+
+def _step(step: Step) -> Document:
+    decision = step.decision
+    document: Document = {
+        "task": decision.task,
+        "host": decision.host,
+        "previous_host": decision.previous_host,
+        "action": step.action.value,
+        "verdict": decision.verdict.value,
+        "reason": decision.reason.value,
+        "total": optional(decision.total),
+        "lead": optional(decision.lead),
+    }
+    document |= without_none(
+        challenger=decision.challenger,
+        subject=decision.subject,
+        amount=optional(decision.amount),
+        cost=None if decision.cost is None else _cost(decision.cost),
+        nearest=decision.nearest,
+        overcommitted=decision.overcommitted or None,
+        instances=dict(step.instances) or None,
+        stop=list(step.stop) or None,
+        changed=list(step.changed) or None,
+        rejection_counts=dict(decision.rejection_counts) or None,
+    )
+    document["ranking"] = [_ranked(host) for host in decision.ranking]
+    return document
+
+
+def _ranked(ranked: RankedHost) -> Document:
+    terms = ranked.terms
+    return {
+        "host": ranked.host,
+        "rank": ranked.rank,
+        "total": optional(ranked.total),
+        "terms": {
+            "cpu": optional(terms.cpu),
+            "memory": optional(terms.memory),
+            "network": optional(terms.network),
+            "task": optional(terms.task),
+        },
+        "affinity": ranked.affinity,
+        "feasible": ranked.feasible,
+        "rejections": [_rejection(rejection) for rejection in ranked.rejections],
+    }
+
+
+def _rejection(rejection: Rejection) -> Document:
+    return without_none(
+        rule=rejection.rule.value,
+        resource=None if rejection.resource is None else rejection.resource.value,
+        robot=rejection.robot,
+        demand=optional(rejection.demand),
+        used=optional(rejection.used),
+        capacity=optional(rejection.capacity),
+    )
+
+
+def _cost(cost: MoveCost) -> Document:
+    return {"stay_s": number(cost.stay_s), "downtime_s": number(cost.downtime_s), "per_s": number(cost.per_s)}
+
+
+def _expected(load: ExpectedLoad) -> Document:
+    return {
+        "used_cores": number(load.used_cores),
+        "used_bytes": number(load.used_bytes),
+        "links": {robot: {"used_bytes_per_s": number(rate)} for robot, rate in load.links.items()},
+    }
+
+
+def decode(raw: object) -> Plan:
+    """The plan in a JSON document.
+
+    Raises:
+        FormatErrors: everything that is wrong with it.
+    """
+    reader = open_document(raw, "plan")
+    for key in ("decisions", "expected"):
+        reader.require(key)
+    plan = Plan(
+        created_at=reader.instant("created_at"),
+        policy=_read_policy(reader),
+        inventory_digest=reader.text("inventory_digest"),
+        tasks_digest=reader.text("tasks_digest"),
+        snapshot=snapshot_format.read(reader.child("snapshot")),
+        settled=reader.flag("settled"),
+        steps=tuple(_read_step(step) for step in reader.items("decisions")),
+        expected={name: _read_expected(load) for name, load in reader.children("expected")},
+        frozen=reader.flag("frozen", default=False),
+        unseen=reader.texts("unseen"),
+    )
+    close_document(reader, "plan")
+    return plan
+
+
+def _read_policy(reader: Reader) -> Policy:
+    weights, options = reader.child("weights"), reader.child("options")
+    return Policy(
+        name=reader.choice("policy", PolicyName),
+        weights=Weights(
+            cpu=weights.number("cpu"), memory=weights.number("memory"), network=weights.number("network"), task=weights.number("task")
+        ),
+        sequence=options.choice("sequence", SequenceRule),
+        move_margin=options.number("move_margin"),
+        min_dwell=options.number("min_dwell_s"),
+        max_moves=options.integer("max_moves") if options.has("max_moves") else None,
+        attended=options.flag("attended"),
+        best_effort=options.flag("best_effort"),
+        full=options.flag("full"),
+        without=frozenset(options.texts("without")),
+    )
+
+
+def _read_step(reader: Reader) -> Step:
+    return Step(
+        decision=_read_decision(reader),
+        action=reader.choice("action", Action),
+        instances=reader.mapping("instances", Reader.text),
+        stop=reader.texts("stop"),
+        changed=reader.texts("changed"),
+    )
+
+
+def _read_decision(reader: Reader) -> Decision:
+    reader.require("ranking")
+    return Decision(
+        task=reader.text("task"),
+        verdict=reader.choice("verdict", Verdict),
+        reason=reader.choice("reason", Reason),
+        host=reader.maybe_text("host"),
+        previous_host=reader.maybe_text("previous_host"),
+        total=reader.maybe_number("total", minimum=None),
+        lead=reader.maybe_number("lead", minimum=None),
+        challenger=reader.maybe_text("challenger"),
+        subject=reader.maybe_text("subject"),
+        amount=reader.maybe_number("amount", minimum=None),
+        cost=_read_cost(reader.child("cost")) if reader.has("cost") else None,
+        nearest=reader.maybe_text("nearest"),
+        overcommitted=reader.flag("overcommitted", default=False),
+        ranking=tuple(_read_ranked(ranked) for ranked in reader.items("ranking")),
+        rejection_counts=reader.mapping("rejection_counts", Reader.integer),
+    )
+
+
+def _read_ranked(reader: Reader) -> RankedHost:
+    terms = reader.child("terms")
+    return RankedHost(
+        host=reader.text("host"),
+        rank=reader.integer("rank"),
+        total=reader.maybe_number("total", minimum=None),
+        terms=Terms(
+            cpu=terms.maybe_number("cpu", minimum=None),
+            memory=terms.maybe_number("memory", minimum=None),
+            network=terms.maybe_number("network", minimum=None),
+            task=terms.maybe_number("task", minimum=None),
+        ),
+        feasible=reader.flag("feasible"),
+        affinity=reader.integer("affinity", 0, minimum=None),
+        rejections=tuple(_read_rejection(rejection) for rejection in reader.items("rejections")),
+    )
+
+
+def _read_rejection(reader: Reader) -> Rejection:
+    return Rejection(
+        rule=reader.choice("rule", Rule),
+        resource=reader.choice("resource", Resource) if reader.has("resource") else None,
+        robot=reader.maybe_text("robot"),
+        demand=reader.maybe_number("demand", minimum=None),
+        used=reader.maybe_number("used", minimum=None),
+        capacity=reader.maybe_number("capacity", minimum=None),
+    )
+
+
+def _read_cost(reader: Reader) -> MoveCost:
+    return MoveCost(stay_s=reader.number("stay_s", positive=True), downtime_s=reader.number("downtime_s"), per_s=reader.number("per_s"))
+
+
+def _read_expected(reader: Reader) -> ExpectedLoad:
+    return ExpectedLoad(
+        used_cores=reader.number("used_cores", minimum=None),
+        used_bytes=reader.number("used_bytes", minimum=None),
+        links={robot: link.number("used_bytes_per_s", minimum=None) for robot, link in reader.children("links")},
+    )

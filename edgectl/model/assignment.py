@@ -1,0 +1,190 @@
+"""What the scheduler decided: a host, numbers and a reason for each task. Nothing is recomputed for display."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+from edgectl.model.policy import Policy
+
+
+class Resource(StrEnum):
+    """k of the paper's equations."""
+
+    CPU = "cpu"
+    MEMORY = "memory"
+    NETWORK = "network"
+
+
+class Rule(StrEnum):
+    """Why a host is not a candidate, or not feasible."""
+
+    UNREACHABLE = "unreachable"
+    CORDONED = "cordoned"
+    WITHOUT = "without"
+    STALE = "stale"
+    NOT_ONLY = "not-in-only"
+    NEVER = "never"
+    LABELS = "labels"
+    PIN = "pinned-elsewhere"
+    ONBOARD = "onboard"
+    NO_LINK = "no-link"
+    NO_CAPACITY = "no-capacity"
+    INSUFFICIENT = "insufficient"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rejection:
+    """One reason against one host. The last three fields are rho, gamma and Delta in the resource's own unit."""
+
+    rule: Rule
+    resource: Resource | None = None
+    robot: str | None = None
+    demand: float | None = None
+    used: float | None = None
+    capacity: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Terms:
+    """UT_cpu, UT_mem, UT_net (eqs. 1-3) and UT_task; at most 1, negative where overcommitted, None without capacity."""
+
+    cpu: float | None
+    memory: float | None
+    network: float | None
+    task: float | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RankedHost:
+    """One candidate of one task. ``rank`` counts from 1 over feasible hosts by total, 0 where not feasible.
+
+    ``affinity`` is a(h): predecessors here minus predecessors elsewhere.
+    """
+
+    host: str
+    rank: int
+    total: float | None
+    terms: Terms
+    feasible: bool
+    affinity: int = 0
+    rejections: tuple[Rejection, ...] = ()
+
+
+class Verdict(StrEnum):
+    """What the scheduler says of one task."""
+
+    PLACED = "placed"
+    KEPT = "kept"
+    UNPLACED = "unplaced"
+    HELD = "held"
+    COMPLETED = "completed"
+
+
+class Reason(StrEnum):
+    """Why; text for each stands once, in ``views``."""
+
+    BEST = "best-utility"
+    WITH_PREDECESSOR = "with-predecessor"
+    ONLY_FEASIBLE = "only-feasible"
+    BEST_EFFORT = "best-effort"
+    PINNED = "pinned"
+    FIRST_PLACEMENT = "first-placement"
+    ONBOARD_LOCAL = "local-execution"
+    GAIN = "gain-above-margin"
+    GAIN_OVER_COST = "gain-above-cost"
+    REPLACED = "replaced"
+    FORCED_INFEASIBLE = "present-host-infeasible"
+    FORCED_DRAIN = "present-host-drained"
+    FORCED_RULE = "present-host-excluded"
+    STILL_BEST = "still-best"
+    BELOW_MARGIN = "below-move-margin"
+    COST_ABOVE_GAIN = "cost-above-gain"
+    DWELL = "dwell"
+    MAX_MOVES = "max-moves"
+    MOVES_FROZEN = "moves-frozen"
+    UNSETTLED = "unsettled"
+    NOTHING_FITS = "nothing-fits-stays"
+    NEVER_MOVED = "never-moved"
+    UNMANAGED = "unmanaged"
+    NO_CANDIDATE = "no-candidate"
+    NO_FEASIBLE_HOST = "no-feasible-host"
+    PREDECESSOR_MISSING = "predecessor-missing"
+    PREDECESSOR_INCOMPLETE = "predecessor-incomplete"
+    HOST_SILENT = "host-silent"
+    ROBOT_SILENT = "robot-silent"
+    DONE = "done"
+    LEFT_FILE = "left-the-file"
+    DUPLICATE = "duplicate"
+    SPEC_CHANGED = "spec-changed"
+    OPERATOR = "operator"
+    ROLLBACK = "rollback"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MoveCost:
+    """What a move is expected to cost (ADR 0018): it pays if gain x ``stay_s`` > ``downtime_s`` x ``per_s``.
+
+    ``stay_s``: expected seconds on the new host (> 0). ``downtime_s``: median of the measured downtimes. ``per_s``: utility lost per
+    second of downtime.
+    """
+
+    stay_s: float
+    downtime_s: float
+    per_s: float
+
+    @property
+    def needed(self) -> float:
+        """The gain in utility that the move must exceed."""
+        return self.downtime_s * self.per_s / self.stay_s
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Decision:
+    """The verdict on one task.
+
+    ``total`` and ``lead`` are of ``host`` (lead: minus the best other feasible host's total; None where there is no other).
+    ``challenger`` is the best other host; ``subject`` names what the reason is about (predecessor, robot, silent host);
+    ``amount`` its number (gain of a move, margin, remaining dwell in s, seconds until a held task may be replaced).
+    ``cost`` is what a move was weighed against, where downtimes are measured. ``nearest`` is the nearest miss of an unplaced task.
+    ``rejection_counts`` counts the hosts that a shortened ranking left out, by rule.
+    """
+
+    task: str
+    verdict: Verdict
+    reason: Reason
+    host: str | None = None
+    previous_host: str | None = None
+    total: float | None = None
+    lead: float | None = None
+    challenger: str | None = None
+    subject: str | None = None
+    amount: float | None = None
+    cost: MoveCost | None = None
+    nearest: str | None = None
+    overcommitted: bool = False
+    ranking: tuple[RankedHost, ...] = ()
+    rejection_counts: Mapping[str, int] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExpectedLoad:
+    """gamma of one host after the whole plan: cores, bytes, and bytes/s by robot."""
+
+    used_cores: float
+    used_bytes: float
+    links: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Assignment:
+    """All decisions, in sequence order, the policy as used (weights normalised) and the expected load per host.
+
+    ``unseen`` are hosts that did not answer while nothing is remembered of them (a manager new to the fleet).
+    """
+
+    policy: Policy
+    decisions: tuple[Decision, ...]
+    expected: Mapping[str, ExpectedLoad]
+    settled: bool = True
+    frozen: bool = False
+    unseen: tuple[str, ...] = ()

@@ -1,0 +1,35 @@
+"""What a command sees on its host: the variables and the shell prelude, merged from host and task."""
+
+from collections.abc import Mapping
+
+from edgectl.model.inventory import Host
+from edgectl.model.secret import Secret
+from edgectl.model.task import Task
+
+Variables = Mapping[str, str]
+NOTHING: Variables = {}
+
+
+def environment(
+    task: Task, host: Host, hosts: Mapping[str, Host], *, host_more: Variables = NOTHING, task_more: Variables = NOTHING
+) -> dict[str, str]:
+    """Variables of ``task`` on ``host``: the host's, then edgectl's own, then the task's, the later winning; secrets are masked.
+
+    EDGECTL_ROBOT and EDGECTL_ROBOT_HOST name the first robot and its address; EDGECTL_ROBOTS all of them, separated by spaces.
+    ``host_more`` and ``task_more`` are what the two ``env_command`` printed.
+    """
+    own = {"EDGECTL_TASK": task.name, "EDGECTL_HOST": host.name, "EDGECTL_ROBOTS": " ".join(task.robots)}
+    if task.robots:
+        own["EDGECTL_ROBOT"] = task.robots[0]
+        own["EDGECTL_ROBOT_HOST"] = hosts[task.robots[0]].host if task.robots[0] in hosts else ""
+    return {**host.env, **host_more, **own, **task.env, **task_more}
+
+
+def public(variables: Variables) -> dict[str, str]:
+    """The variables without secrets: what checks and hooks get."""
+    return {name: value for name, value in variables.items() if not isinstance(value, Secret)}
+
+
+def revealed(variables: Variables) -> dict[str, str]:
+    """The variables with every secret in clear: what the request that starts a task carries."""
+    return {name: value.reveal() if isinstance(value, Secret) else value for name, value in variables.items()}

@@ -1,0 +1,93 @@
+"""What will be done: the executor's diff of an assignment against what runs."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+from edgectl.model.assignment import Decision, ExpectedLoad
+from edgectl.model.policy import Policy
+from edgectl.model.snapshot import Snapshot
+
+
+class Action(StrEnum):
+    """What happens to one task."""
+
+    START = "start"
+    STOP = "stop"
+    MOVE = "move"
+    KEEP = "keep"
+    RESTART = "restart"
+    HOLD = "hold"
+    COMPLETE = "complete"
+    UNPLACED = "unplaced"
+    DEFER = "defer"
+    NONE = "none"
+
+    @property
+    def symbol(self) -> str:
+        """One column, readable without colour."""
+        return _SYMBOLS[self]
+
+    @property
+    def changes(self) -> bool:
+        """Whether the action touches a host."""
+        return self in (Action.START, Action.STOP, Action.MOVE, Action.RESTART, Action.COMPLETE)
+
+
+_SYMBOLS = {
+    Action.START: "+", Action.STOP: "-", Action.MOVE: "~", Action.KEEP: "=", Action.RESTART: "^",
+    Action.HOLD: "?", Action.COMPLETE: "*", Action.UNPLACED: "!", Action.DEFER: ">", Action.NONE: ".",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Step:
+    """One line of a plan: the decision and the action that follows from what runs.
+
+    ``instances`` are the running instances that a stop, move, restart or complete concerns, by host. A task may
+    run where it should not even while it is kept elsewhere: ``stop`` lists those hosts.
+    ``changed`` names the fields of the spec that differ (restart), where known.
+    """
+
+    decision: Decision
+    action: Action
+    instances: Mapping[str, str] = field(default_factory=dict)
+    stop: tuple[str, ...] = ()
+    changed: tuple[str, ...] = ()
+
+    @property
+    def task(self) -> str:
+        """Name of the task."""
+        return self.decision.task
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plan:
+    """A value that can be printed, saved, compared and refused; holds no command and no secret.
+
+    ``created_at`` (s since 1970) is the snapshot's ``taken_at``. ``summary`` counts steps by action.
+    """
+
+    created_at: float
+    policy: Policy
+    inventory_digest: str
+    tasks_digest: str
+    snapshot: Snapshot
+    settled: bool
+    steps: tuple[Step, ...]
+    expected: Mapping[str, ExpectedLoad]
+    frozen: bool = False
+    unseen: tuple[str, ...] = ()
+
+    @property
+    def summary(self) -> dict[Action, int]:
+        """How many steps there are of each action, in the order of the enum."""
+        counts = dict.fromkeys(Action, 0)
+        for step in self.steps:
+            counts[step.action] += 1
+        return {action: count for action, count in counts.items() if count}
+
+    @property
+    def changes(self) -> bool:
+        """Whether applying the plan would touch any host."""
+        return any(step.action.changes or step.stop for step in self.steps)

@@ -1,0 +1,72 @@
+"""What happened when a plan was carried out."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from edgectl.model.plan import Action
+
+
+class Outcome(StrEnum):
+    """How one action ended."""
+
+    DONE = "done"
+    FAILED = "failed"
+    DEFERRED = "deferred"
+    SKIPPED = "skipped"
+
+
+class Phase(StrEnum):
+    """One step of an action, in the words of the handoff contract."""
+
+    SAFE = "safe"
+    HOLD = "hold"
+    STOP = "stop"
+    START = "start"
+    READY = "ready"
+    RELEASE = "release"
+    RESTORE = "restore"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PhaseResult:
+    """One phase on one host, with its duration in seconds."""
+
+    phase: Phase
+    host: str
+    seconds: float
+    ok: bool
+    detail: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ActionResult:
+    """One step of the plan as it went. ``downtime_s``: stop to ready of a move or restart; None where there was none.
+
+    ``host`` and ``previous_host`` are the plan's; ``located`` is where the task stands after the action (None: nowhere).
+    """
+
+    task: str
+    action: Action
+    outcome: Outcome
+    host: str | None = None
+    previous_host: str | None = None
+    phases: tuple[PhaseResult, ...] = ()
+    downtime_s: float | None = None
+    error: str = ""
+    hint: str = ""
+    located: str | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Results:
+    """All actions of one apply. ``revision`` counts applies of this fleet; ``seconds`` is the whole duration."""
+
+    revision: int
+    actions: tuple[ActionResult, ...]
+    seconds: float
+    interrupted: bool = False
+
+    @property
+    def done(self) -> bool:
+        """Whether every action was carried out."""
+        return not self.interrupted and all(action.outcome is Outcome.DONE for action in self.actions)

@@ -1,0 +1,43 @@
+"""What one apply of the past did, as the journal has it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+from edgectl.model.result import ActionResult, Results
+
+
+class Ending(StrEnum):
+    """How a revision ended: all done, some or none of it, stopped by its user, or cut off with its manager."""
+
+    DONE = "done"
+    PARTLY = "partly"
+    FAILED = "failed"
+    INTERRUPTED = "interrupted"
+    CUT_OFF = "cut off"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Revision:
+    """One numbered change of the fleet.
+
+    ``began_at``: s since 1970; ``seconds`` None where it was cut off. ``counts``: planned actions by their name.
+    ``placements``: host of every placed task afterwards; None where that was not recorded.
+    """
+
+    number: int
+    began_at: float
+    verb: str = ""
+    user: str = ""
+    ending: Ending = Ending.CUT_OFF
+    seconds: float | None = None
+    counts: Mapping[str, int] = field(default_factory=dict)
+    actions: tuple[ActionResult, ...] = ()
+    placements: Mapping[str, str] | None = None
+
+    @property
+    def results(self) -> Results:
+        """The same in the form in which an apply reports."""
+        return Results(
+            revision=self.number, actions=self.actions, seconds=self.seconds or 0.0, interrupted=self.ending is Ending.INTERRUPTED
+        )

@@ -1,0 +1,156 @@
+"""What the profilers saw: one immutable picture of the fleet at one instant.
+
+Quantities are cores, bytes and bytes per second; instants are seconds since 1970 on the manager's clock.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+from edgectl.model.inventory import Role
+from edgectl.model.memory import Memory
+
+
+class HostStatus(StrEnum):
+    """Whether the host answered."""
+
+    OK = "ok"
+    UNREACHABLE = "unreachable"
+
+
+class TaskState(StrEnum):
+    """Where a task is in its life on a host."""
+
+    STARTING = "starting"
+    RUNNING = "running"
+    READY = "ready"
+    COMPLETED = "completed"
+    FAILED = "failed"
+    CRASHLOOP = "crashloop"
+
+    @property
+    def alive(self) -> bool:
+        """Whether the task occupies its host (starting, running or ready)."""
+        return self in (TaskState.STARTING, TaskState.RUNNING, TaskState.READY)
+
+
+class CapacitySource(StrEnum):
+    """Where a link's capacity comes from, best first."""
+
+    DECLARED = "declared"
+    MEASURED = "measured"
+    NIC = "nic"
+    ASSUMED = "assumed"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cpu:
+    """Capacity and use in cores; ``cores`` > 0, before limits."""
+
+    cores: float
+    used_cores: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MemoryUse:
+    """Capacity and use in bytes; ``total_bytes`` > 0, before limits."""
+
+    total_bytes: float
+    used_bytes: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LinkSample:
+    """One edge-robot link: Delta_thp and gamma_thp in bytes/s (in plus out), round-trip time in ms where known."""
+
+    capacity_bytes_per_s: float
+    used_bytes_per_s: float
+    rtt_ms: float | None = None
+    capacity_source: CapacitySource = CapacitySource.ASSUMED
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TaskSample:
+    """One task found on a host, with the measured use of its whole process tree.
+
+    ``links``: bytes/s by robot where the kernel tells; otherwise ``used_bytes_per_s`` is split evenly over the task's links.
+    ``instance`` identifies this very start; ``spec_hash`` what was started; ``managed`` is false for tasks found by ``detect``.
+    ``fields``: short hash of each field of the spec that was started, so that a restart can say what changed.
+    ``last_exit``: exit code before the last restart. ``log_tail``: last lines of a task that failed or was given up.
+    ``limits``: "enforced", or "not enforced: why"; empty where none are stated.
+    """
+
+    state: TaskState
+    pid: int = 0
+    started_at: float = 0.0
+    used_cores: float = 0.0
+    used_bytes: float = 0.0
+    used_bytes_per_s: float = 0.0
+    links: Mapping[str, float] | None = None
+    instance: str = ""
+    spec_hash: str = ""
+    generation: int = 0
+    managed: bool = True
+    restarts: int = 0
+    exit_code: int | None = None
+    detail: str = ""
+    fields: Mapping[str, str] = field(default_factory=dict)
+    last_exit: int | None = None
+    log_tail: tuple[str, ...] = ()
+    limits: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class InterfaceSample:
+    """One network interface: bytes/s in and out, nominal speed in bytes/s where the kernel knows it."""
+
+    rx_bytes_per_s: float
+    tx_bytes_per_s: float
+    speed_bytes_per_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Device:
+    """What the device profiler says besides CPU and memory, where the host shows it."""
+
+    load_1m: float | None = None
+    temperature_c: float | None = None
+    gpu_share: float | None = None
+    boot_id: str = ""
+    clock_skew_s: float | None = None
+    interfaces: Mapping[str, InterfaceSample] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HostSample:
+    """One host's part of the snapshot. An unreachable host has only its role, status and error.
+
+    ``error`` is the cause in words, ``error_kind`` its stable word (``HostError.kind``), ``hint`` what mends it.
+    ``sample_age_s``: age of the readings when the snapshot was taken.
+    """
+
+    role: Role
+    status: HostStatus
+    error: str = ""
+    error_kind: str = ""
+    hint: str = ""
+    sample_age_s: float = 0.0
+    cpu: Cpu | None = None
+    memory: MemoryUse | None = None
+    links: Mapping[str, LinkSample] = field(default_factory=dict)
+    tasks: Mapping[str, TaskSample] = field(default_factory=dict)
+    device: Device = Device()
+
+    @property
+    def ok(self) -> bool:
+        """Whether the host answered."""
+        return self.status is HostStatus.OK
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Snapshot:
+    """The fleet at ``taken_at``. ``memory``, where present, makes the snapshot enough to repeat a decision."""
+
+    taken_at: float
+    hosts: Mapping[str, HostSample]
+    memory: Memory | None = None

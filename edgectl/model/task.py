@@ -1,0 +1,206 @@
+"""What should run: tasks with their demands, order constraints and commands."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+from edgectl.model.policy import Policy
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Quantity:
+    """A demand: absolute (cores, bytes or bytes/s), or a share of the measured capacity before limits."""
+
+    value: float
+    relative: bool = False
+
+    def of(self, capacity: float) -> float:
+        """The demand in the unit of ``capacity`` (the host's before limits, or the link's)."""
+        return self.value * capacity if self.relative else self.value
+
+
+ZERO = Quantity(value=0.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Demand:
+    """rho of one task: CPU (cores), memory (bytes), throughput (bytes/s on each of its links). None: not stated."""
+
+    cpu: Quantity | None = None
+    memory: Quantity | None = None
+    throughput: Quantity | None = None
+
+
+class Kind(StrEnum):
+    """A service runs until stopped; a job completes when it exits with 0."""
+
+    SERVICE = "service"
+    JOB = "job"
+
+
+class Until(StrEnum):
+    """How far a predecessor must be before its successor may start."""
+
+    RUNNING = "running"
+    READY = "ready"
+    COMPLETED = "completed"
+
+
+class Onboard(StrEnum):
+    """Whether the task's own robot is a candidate host."""
+
+    ALLOW = "allow"
+    NEVER = "never"
+    ONLY = "only"
+
+
+class Restart(StrEnum):
+    """When the supervisor starts the command again."""
+
+    ALWAYS = "always"
+    ON_FAILURE = "on-failure"
+    NEVER = "never"
+
+
+class Where(StrEnum):
+    """Where a check runs: on the host of the task, or on its robot."""
+
+    HOST = "host"
+    ROBOT = "robot"
+
+
+class HandoffOrder(StrEnum):
+    """Which instance goes first in a move."""
+
+    STOP_FIRST = "stop-first"
+    START_FIRST = "start-first"
+
+
+class OnUnreachable(StrEnum):
+    """What becomes of a task whose host does not answer."""
+
+    HOLD = "hold"
+    REPLACE = "replace"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Need:
+    """An order constraint: ``task`` (an expanded name) must be at least ``until``."""
+
+    task: str
+    until: Until = Until.READY
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Check:
+    """A shell command that answers by its exit status (0 = yes) within ``timeout`` seconds."""
+
+    command: str
+    on: Where = Where.HOST
+    timeout: float = 20.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stop:
+    """How a task is stopped: ``signal`` to the tree, ``grace`` seconds, then KILL. Preset ``ros``: INT to the main process first."""
+
+    signal: str = "TERM"
+    grace: float = 20.0
+    preset: str | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Handoff:
+    """The contract of a move; each hook is a command on the robot unless its ``on`` says host."""
+
+    order: HandoffOrder = HandoffOrder.STOP_FIRST
+    safe_when: Check | None = None
+    hold: Check | None = None
+    release: Check | None = None
+    timeout: float = 30.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HostRules:
+    """Which hosts may run the task. Empty ``only`` means any; every label must match; ``pin`` is a hard constraint."""
+
+    only: tuple[str, ...] = ()
+    never: tuple[str, ...] = ()
+    labels: Mapping[str, str] = field(default_factory=dict)
+    pin: str | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Detect:
+    """How a task that edgectl did not start is recognised: a regular expression over command lines, or a ROS node's name."""
+
+    cmdline: str | None = None
+    ros_node: str | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TaskLimits:
+    """Caps that the runtime enforces where it can: cores and bytes. None: no cap."""
+
+    cpu: float | None = None
+    memory: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Log:
+    """Bound of a task's log: ``files`` files of at most ``max_size`` bytes."""
+
+    max_size: float = 10 * 2**20
+    files: int = 3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Task:
+    """One task after expansion. ``template`` is its name in the file; ``spec_hash`` changes when what runs would change.
+
+    ``robots`` are the robots it serves (links count for each); ``priority`` high first; ``deadline`` in seconds.
+    Entries of ``env`` may be ``Secret``; ``env_command`` is an argument vector that prints more of them as lines NAME=value.
+    ``spec_fields``: short hash of each field that ``spec_hash`` covers.
+    ``self_fence``: its supervisor stops it when no request of a manager has reached the host for so many seconds; None: never.
+    ``downtime_cost``: utility lost per second of downtime, 0 or more; weighed once downtimes are measured.
+    """
+
+    name: str
+    template: str
+    command: str
+    spec_hash: str
+    demand: Demand = Demand()
+    robots: tuple[str, ...] = ()
+    needs: tuple[Need, ...] = ()
+    priority: float = 0.0
+    deadline: float | None = None
+    hosts: HostRules = HostRules()
+    onboard: Onboard = Onboard.ALLOW
+    managed: bool = True
+    detect: Detect | None = None
+    kind: Kind = Kind.SERVICE
+    ready: Check | None = None
+    done_when: Check | None = None
+    stop: Stop = Stop()
+    restart: Restart = Restart.ON_FAILURE
+    handoff: Handoff = Handoff()
+    env: Mapping[str, str] = field(default_factory=dict)
+    workdir: str | None = None
+    limits: TaskLimits = TaskLimits()
+    log: Log = Log()
+    on_unreachable: OnUnreachable = OnUnreachable.HOLD
+    replace_after: float = 120.0
+    self_fence: float | None = None
+    downtime_cost: float = 10.0
+    labels: Mapping[str, str] = field(default_factory=dict)
+    env_command: tuple[str, ...] = ()
+    spec_fields: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tasks:
+    """All tasks of the task files, by expanded name in natural order, and the policy that the files state."""
+
+    tasks: Mapping[str, Task]
+    policy: Policy = Policy()
+    digest: str = ""

@@ -1,0 +1,72 @@
+"""encode then decode gives the same value, and the same bytes again."""
+
+import json
+from contextlib import suppress
+
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from edgectl.formats import memory, plan, snapshot
+from edgectl.formats.base import FormatErrors, dumps
+from edgectl.model.memory import Memory
+from edgectl.model.plan import Plan
+from edgectl.model.snapshot import Snapshot
+from tests.formats.strategies import memories, plans, snapshots
+
+bounded = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
+
+
+@bounded
+@given(snapshots)
+def test_snapshot_survives(value: Snapshot) -> None:
+    text = dumps(snapshot.encode(value))
+    back = snapshot.decode(json.loads(text))
+    assert back == value
+    assert dumps(snapshot.encode(back)) == text
+
+
+@bounded
+@given(memories)
+def test_memory_survives(value: Memory) -> None:
+    text = dumps(memory.encode(value))
+    assert memory.decode(json.loads(text)) == value
+
+
+@bounded
+@given(plans)
+def test_plan_survives(value: Plan) -> None:
+    text = dumps(plan.encode(value))
+    back = plan.decode(json.loads(text))
+    assert back == value
+    assert dumps(plan.encode(back)) == text
+
+
+json_values = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=6),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=8), inner, max_size=4),
+    max_leaves=12,
+)
+
+
+@bounded
+@given(json_values)
+def test_any_json_value_is_read_or_refused(value: object) -> None:
+    for room in (snapshot, memory, plan):
+        with suppress(FormatErrors):
+            room.decode(value)
+
+
+@bounded
+@given(plans, st.data())
+def test_a_damaged_plan_is_read_or_refused(value: Plan, data: st.DataObject) -> None:
+    document = json.loads(dumps(plan.encode(value)))
+    target = document
+    while isinstance(target, dict | list) and target and data.draw(st.integers(0, 3)):
+        keys = list(target) if isinstance(target, dict) else range(len(target))
+        key = data.draw(st.sampled_from(keys))
+        if not isinstance(target[key], dict | list) or data.draw(st.booleans()):
+            target[key] = data.draw(json_values)
+            break
+        target = target[key]
+    with suppress(FormatErrors):
+        plan.decode(document)
