@@ -1,0 +1,171 @@
+"""Mappings and lists out of nodes. Tables of readers describe the mappings of the files: a key that is not in the table is a mistake."""
+
+import re
+import shlex
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from edgectl.config.node import Node, out_of_sight
+from edgectl.config.problems import Code, Problems
+from edgectl.config.scalars import INVALID, Read, any_text, flag, text, wrong_type
+from edgectl.model.secret import Secret
+
+ENV_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+_LABEL_KEY = re.compile(r"[A-Za-z0-9][A-Za-z0-9._/-]{0,62}")
+_PASSWORDS = (
+    "password",
+    "passwd",
+    "pass",
+    "passphrase",
+    "ssh_pass",
+    "ssh_password",
+    "sudo_password",
+    "ansible_password",
+    "ansible_ssh_pass",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Fields:
+    """A mapping that was read: the valid values by key, and the node for the places."""
+
+    node: Node
+    values: dict[str, Any]
+
+    def __contains__(self, key: str) -> bool:
+        return isinstance(self.node.value, dict) and key in self.node.value
+
+    def at(self, key: str) -> Node:
+        """The node under ``key``, or the mapping itself."""
+        inner = self.node.value.get(key) if isinstance(self.node.value, dict) else None
+        return inner or self.node
+
+
+def read_fields(node: Node, problems: Problems, table: Mapping[str, Read], *, required: Iterable[str] = (), what: str) -> Fields:
+    """The values of a mapping's known keys; unknown, missing and wrong ones are noted."""
+    if not isinstance(node.value, dict):
+        wrong_type(node, problems, f"{what} must be a mapping", f"write keys such as {next(iter(table))}: .. on lines of their own")
+        return Fields(node, {})
+    values = {}
+    for key, inner in node.value.items():
+        read = table.get(key)
+        if read is None:
+            _unknown_key(node, key, problems, table, what)
+            continue
+        value = read(inner, problems)
+        if value is not INVALID:
+            values[key] = value
+    for key in required:
+        if key not in node.value:
+            problems.add(node.mark, Code.MISSING, f"{what} needs {key}", f"add {key}: ..")
+    return Fields(node, values)
+
+
+def _unknown_key(node: Node, key: str, problems: Problems, table: Mapping[str, Read], what: str) -> None:
+    if key.lower() in _PASSWORDS:
+        hint = 'use a key or the agent, or: password_command: ["pass", "show", "lab/edge1"]'
+        problems.add(node.key_mark(key), Code.PASSWORD, "a password may not stand in a file", hint)
+    else:
+        problems.add(node.key_mark(key), Code.UNKNOWN_KEY, f"unknown key {key} in {what}", problems.did_you_mean(key, table, "known keys:"))
+
+
+def record(table: Mapping[str, Read], build: Callable[..., Any], what: str, required: tuple[str, ...] = ()) -> Read:
+    """A mapping with the keys of a table, built into a value; the table may be completed after this call."""
+
+    def read(node: Node, problems: Problems) -> Any:  # noqa: ANN401
+        fields = read_fields(node, problems, table, required=required, what=what)
+        complete = isinstance(node.value, dict) and all(key in fields.values for key in required)
+        return build(**fields.values) if complete else INVALID
+
+    return read
+
+
+def as_node(node: Node, _: Problems) -> Node:
+    """The node itself, to be read later."""
+    return node
+
+
+def items(read: Read) -> Read:
+    """A list whose entries are read by ``read``; given back as a tuple of the valid ones with their nodes."""
+
+    def read_list(node: Node, problems: Problems) -> Any:  # noqa: ANN401
+        if not isinstance(node.value, list):
+            hint = f"write [{node.text}]" if node.text else "write [..]"
+            return wrong_type(node, problems, "must be a list", hint)
+        values = ((read(inner, problems), inner) for inner in node.value)
+        return tuple((value, inner) for value, inner in values if value is not INVALID)
+
+    return read_list
+
+
+def bare(read: Read) -> Read:
+    """``items`` without the nodes."""
+    listed = items(read)
+
+    def read_list(node: Node, problems: Problems) -> Any:  # noqa: ANN401
+        values = listed(node, problems)
+        return values if values is INVALID else tuple(value for value, _ in values)
+
+    return read_list
+
+
+def pairs(key_form: re.Pattern[str], what: str, read: Read = any_text) -> Read:
+    """A mapping of free keys of a form to values."""
+
+    def read_mapping(node: Node, problems: Problems) -> Any:  # noqa: ANN401
+        if not isinstance(node.value, dict):
+            return wrong_type(node, problems, "must be a mapping", "write {NAME: value}")
+        result = {}
+        for key, inner in node.value.items():
+            if not key_form.fullmatch(key):
+                wished = re.sub(r"[^A-Za-z0-9_]", "_", key)
+                hint = f"write {wished}" if key_form.fullmatch(wished) else "use letters, digits and _"
+                problems.add(node.key_mark(key), Code.NAME, f"{key!r} cannot be the name of {what}", hint)
+            value = read(inner, problems)
+            if value is not INVALID:
+                result[key] = value
+        return result
+
+    return read_mapping
+
+
+def _variable(node: Node, problems: Problems) -> Any:  # noqa: ANN401
+    """A text, or ``{value: .., secret: true}``. A line on which a secret may stand is never shown."""
+    if not isinstance(node.value, dict):
+        return any_text(node, problems)
+    if not node.value.keys() <= SECRET.keys():
+        problems.add(node.mark.out_of_sight(), Code.UNKNOWN_KEY, "unknown key in an environment variable", "known keys: value, secret")
+        return INVALID
+    fields = read_fields(out_of_sight(node), problems, SECRET, required=("value", "secret"), what="an environment variable")
+    value, secret = fields.values.get("value", INVALID), fields.values.get("secret", INVALID)
+    if INVALID in (value, secret):
+        return INVALID
+    return Secret(value) if secret else value
+
+
+def _hidden_text(node: Node, problems: Problems) -> Any:  # noqa: ANN401
+    if isinstance(node.value, str) and "\0" not in node.value:
+        return node.value
+    problems.add(node.mark, Code.TYPE, "must be a string without NUL", "put it in quotes")
+    return INVALID
+
+
+SECRET: Mapping[str, Read] = {"value": _hidden_text, "secret": flag}
+environment = pairs(ENV_NAME, "an environment variable", _variable)
+labels = pairs(_LABEL_KEY, "a label", text)
+
+
+def argument_vector(node: Node, problems: Problems) -> Any:  # noqa: ANN401
+    """A program and its arguments, as a list: no shell reads it."""
+    if isinstance(node.value, str) and node.value.strip():
+        try:
+            hint = "write " + str(shlex.split(node.value)).replace("'", '"')
+        except ValueError:
+            hint = 'write ["program", "argument"]'
+        return wrong_type(node, problems, "must be a list of arguments", hint)
+    arguments = bare(text)(node, problems)
+    if arguments == ():
+        problems.add(node.mark, Code.TEXT, "must name a program", 'write ["program", "argument"], or remove the key')
+        return INVALID
+    return arguments

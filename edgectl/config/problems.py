@@ -1,0 +1,177 @@
+"""Mistakes in input files: their stable codes, their places, and the list in which they are collected."""
+
+import difflib
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+from edgectl.errors import InputError, Problem
+
+_LONGEST_LINE = 400
+_LONGEST_MESSAGE = 300
+_LONGEST_NAME = 100
+_MOST_SUGGESTIONS = 50
+_NEAR = 3
+_SECRET = re.compile(r"\b(secret|value)\W*:")
+
+
+class Code(StrEnum):
+    """Stable codes of problems; from EC101 on they are warnings, from EC201 on about JSON documents."""
+
+    UNREADABLE = "EC001"
+    ENCODING = "EC002"
+    SIZE = "EC003"
+    SYNTAX = "EC004"
+    DUPLICATE_KEY = "EC005"
+    YAML_FEATURE = "EC006"
+    BUDGET = "EC007"
+    EMPTY = "EC008"
+    TYPE = "EC010"
+    MISSING = "EC011"
+    UNKNOWN_KEY = "EC012"
+    WORD = "EC013"
+    NAME = "EC014"
+    QUANTITY = "EC015"
+    VERSION = "EC016"
+    REGEX = "EC017"
+    PASSWORD = "EC018"  # noqa: S105 - a code, not a password
+    TEXT = "EC019"
+    UNKNOWN_NAME = "EC030"
+    CYCLE = "EC031"
+    TAKEN = "EC032"
+    CONTRADICTION = "EC033"
+    TOO_MANY = "EC034"
+    PLACEHOLDER = "EC035"
+    NO_DEMAND = "EC101"
+    NEVER_ANSWERED = "EC102"
+    JSON = "EC201"
+    DOCUMENT = "EC202"
+
+
+# told once at one place, whatever the words: a template's mistake is not repeated for every robot
+_ONCE = (Code.CONTRADICTION, Code.PLACEHOLDER, Code.NEVER_ANSWERED, Code.CYCLE, Code.NAME)
+
+
+# Their messages and hints quote what stands there.
+_QUOTING = (Code.ENCODING, Code.SYNTAX, Code.YAML_FEATURE)
+_UNSEEN = "cannot be read; nothing of it is shown, because a secret stands near"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Source:
+    """One file's text: ``file`` as the user named it, ``lines`` without their ends."""
+
+    file: str
+    text: str
+    lines: tuple[str, ...]
+
+    def line(self, number: int) -> str:
+        """The line (from 1), or nothing where there is none, it is too long to show, or a secret may stand on it."""
+        line = self.lines[number - 1] if 0 < number <= len(self.lines) else ""
+        return "" if len(line) > _LONGEST_LINE or _SECRET.search(line) else line
+
+    def near_secret(self, number: int) -> bool:
+        """Whether a secret may stand on the line or beside it."""
+        return any(_SECRET.search(line) for line in self.lines[max(0, number - 1 - _NEAR) : number + _NEAR])
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """A place in a file: line and column count from 1; ``length`` is what a caret marks."""
+
+    source: Source
+    line: int
+    column: int
+    length: int = 1
+
+    def out_of_sight(self) -> "Mark":
+        """The same place, without the line that stands there."""
+        return Mark(Source(file=self.source.file, text="", lines=()), self.line, self.column, self.length)
+
+
+def mark_of(source: Source, start: int, end: int) -> Mark:
+    """The place of a span of the text (offsets in characters)."""
+    line_start = source.text.rfind("\n", 0, start) + 1
+    return Mark(source, source.text.count("\n", 0, start) + 1, start - line_start + 1, end - start)
+
+
+@dataclass(slots=True)
+class Problems:
+    """Everything found so far, each once."""
+
+    found: list[Problem] = field(default_factory=list)
+    _seen: set[tuple[str, int, int, str, str]] = field(default_factory=set)
+    _suggested: int = 0
+
+    def add(self, mark: Mark, code: Code, message: str, hint: str = "", *, warning: bool = False) -> None:
+        """Note a problem at ``mark``."""
+        key = (mark.source.file, mark.line, mark.column, code.value, "" if code in _ONCE else message)
+        if key in self._seen:
+            return
+        self._seen.add(key)
+        unseen = code in _QUOTING and mark.source.near_secret(mark.line)
+        if unseen:
+            message, hint = _UNSEEN, "check the quotes, brackets, colons and the indentation of this entry"
+        self.found.append(
+            Problem(
+                file=mark.source.file,
+                line=mark.line,
+                column=mark.column,
+                code=code.value,
+                message=one_line(message),
+                hint=one_line(hint),
+                source="" if unseen else mark.source.line(mark.line),
+                length=max(1, min(mark.length, _LONGEST_LINE)),
+                warning=warning,
+            )
+        )
+
+    def did_you_mean(self, word: str, known: Iterable[str], otherwise: str = "known are") -> str:
+        """A hint for an unknown word: the nearest known one, or the list of them.
+
+        Looking for it takes time, so after the first ``_MOST_SUGGESTIONS`` there is only the list.
+        """
+        words = list(known)
+        self._suggested += 1
+        match = nearest(word, words) if self._suggested <= _MOST_SUGGESTIONS else ""
+        if match:
+            return f"did you mean {match}?"
+        listed = ", ".join(words[:12]) + (", .." if len(words) > 12 else "")
+        return f"{otherwise} {listed}" if words else ""
+
+    @property
+    def errors(self) -> tuple[Problem, ...]:
+        """What makes the files unusable, by file, line and column."""
+        return tuple(sorted((p for p in self.found if not p.warning), key=_place))
+
+    @property
+    def warnings(self) -> tuple[Problem, ...]:
+        """What is legal but suspicious."""
+        return tuple(sorted((p for p in self.found if p.warning), key=_place))
+
+    def check(self) -> None:
+        """End of reading.
+
+        Raises:
+            InputError: anything was wrong; carries the warnings too, after the errors.
+        """
+        if self.errors:
+            raise InputError((*self.errors, *self.warnings))
+
+
+def _place(problem: Problem) -> tuple[str, int, int, str]:
+    return problem.file, problem.line, problem.column, problem.code
+
+
+def one_line(text: str) -> str:
+    """``text`` on one line of bounded length, with nothing in it that a terminal would obey."""
+    cut = text if len(text) <= _LONGEST_MESSAGE else text[: _LONGEST_MESSAGE - 2] + ".."
+    return "".join(char if char.isprintable() else repr(char)[1:-1] for char in cut)
+
+
+def nearest(word: str, known: Iterable[str]) -> str:
+    """The known word that was probably meant, or nothing."""
+    by_folded = {candidate.lower(): candidate for candidate in known}
+    matches = difflib.get_close_matches(word.lower()[:_LONGEST_NAME], list(by_folded), n=1, cutoff=0.6)
+    return by_folded[matches[0]] if matches else ""

@@ -1,0 +1,59 @@
+"""Bytes on disk to text: present, readable, bounded, UTF-8."""
+
+from pathlib import Path
+
+from edgectl.config.problems import Code, Mark, Problems, Source, nearest
+
+MAX_BYTES = 2**20
+
+
+def read_source(path: Path, problems: Problems, *, max_bytes: int = MAX_BYTES, maker: str = "edgectl init DIR") -> Source | None:
+    """The file's text, or None with the cause noted. ``maker`` is the command that writes such a file."""
+    nowhere = Mark(Source(file=str(path), text="", lines=()), 0, 0)
+    try:
+        with path.open("rb") as stream:
+            data = stream.read(max_bytes + 1)
+    except (OSError, ValueError) as error:
+        problems.add(nowhere, Code.UNREADABLE, *_unreadable(path, error, maker))
+        return None
+    if len(data) > max_bytes:
+        message = f"the file is larger than {max_bytes // 2**20} MiB"
+        problems.add(nowhere, Code.SIZE, message, "split it, or check that it is the right file")
+        return None
+    return _decoded(str(path), data, problems)
+
+
+def _unreadable(path: Path, error: Exception, maker: str) -> tuple[str, str]:
+    if isinstance(error, FileNotFoundError):
+        match = nearest(path.name, _neighbours(path.parent))
+        hint = f"did you mean {path.parent / match}?" if match else f"name an existing file, or make one: {maker}"
+        return "there is no such file", hint
+    if isinstance(error, IsADirectoryError):
+        inside = sorted(name for name in _neighbours(path) if name.endswith((".yaml", ".yml", ".json")))
+        return "is a directory, not a file", f"name a file in it: {path / inside[0]}" if inside else "name a file"
+    if isinstance(error, PermissionError):
+        return "may not be read", f"give yourself the right to read it: chmod u+r {path}"
+    reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+    return f"cannot be read: {reason}", ""
+
+
+def _neighbours(directory: Path) -> list[str]:
+    try:
+        return [entry.name for entry in directory.iterdir()]
+    except OSError:
+        return []
+
+
+def _decoded(file: str, data: bytes, problems: Problems) -> Source | None:
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        start = data.rfind(b"\n", 0, error.start) + 1
+        shown = data[start:].split(b"\n", 1)[0].decode("utf-8", "replace")
+        line = data.count(b"\n", 0, error.start) + 1
+        source = Source(file=file, text="", lines=("",) * (line - 1) + (shown,))
+        column = len(data[start : error.start].decode("utf-8", "replace")) + 1
+        message = f"byte 0x{data[error.start]:02x} is not UTF-8"
+        problems.add(Mark(source, line, column), Code.ENCODING, message, "save the file as UTF-8")
+        return None
+    return Source(file=file, text=text, lines=tuple(text.replace("\r\n", "\n").replace("\r", "\n").split("\n")))

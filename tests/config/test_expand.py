@@ -1,0 +1,207 @@
+"""What good files mean: expansion per robot, placeholders, needs, defaults, warnings."""
+
+from pathlib import Path
+
+import pytest
+
+from edgectl.config.load import load, load_inventory, load_tasks
+from edgectl.errors import InputError, Problem
+from edgectl.model.inventory import Base, Capacity, Connection, Inventory, Limits
+from edgectl.model.policy import PolicyName, SequenceRule, Weights
+from edgectl.model.task import (
+    Check,
+    Detect,
+    Handoff,
+    HandoffOrder,
+    HostRules,
+    Kind,
+    Need,
+    Onboard,
+    OnUnreachable,
+    Quantity,
+    Stop,
+    Task,
+    Tasks,
+    Until,
+    Where,
+)
+from tests.config.bad import INVENTORY, TASKS
+
+
+def loaded(directory: Path, tasks: str, inventory: str = INVENTORY) -> tuple[Inventory, Tasks, tuple[Problem, ...]]:
+    (directory / "i.yaml").write_text(inventory)
+    (directory / "t.yaml").write_text(tasks)
+    return load(directory / "i.yaml", directory / "t.yaml")
+
+
+def task(directory: Path, keys: str, name: str = "t") -> Task:
+    return loaded(directory, f"version: 1\ntasks:\n  s: {{for_each: robot, command: s}}\n  t: {{command: x, {keys}}}\n")[1].tasks[name]
+
+
+def test_hosts(tmp_path: Path) -> None:
+    inventory = loaded(tmp_path, TASKS)[0]
+    assert list(inventory.hosts) == ["edge1", "edge2", "edge3", "robot1", "robot2"]
+    assert inventory.hosts["edge1"].user == "jetson"
+    assert inventory.hosts["edge1"].env == {"ROS_DOMAIN_ID": "7"}
+    assert inventory.hosts["edge2"].limits == Limits(cpu=0.8)
+    assert inventory.hosts["edge3"].capacity == Capacity(cpu=2.0, memory=4.0 * 2**30)
+    assert inventory.hosts["edge3"].base == Base(cpu=0.5)
+    assert inventory.links == {("edge1", "robot1"): 6.75e6}
+    assert [host.onboard for host in inventory.robots] == [True, False]
+
+
+def test_defaults_are_merged_key_by_key(tmp_path: Path) -> None:
+    text = """\
+version: 1
+defaults: {env: {A: "1", B: "1"}, labels: {x: a}, limits: {cpu: 50%, memory: 60%}, identity_file: ~/.ssh/lab, port: 2222}
+edges:
+  edge10: {connection: local}
+  edge9: {host: h, env: {B: "2"}, labels: {y: b}, limits: {cpu: 120%}, port: 22}
+"""
+    (tmp_path / "i.yaml").write_text(text)
+    hosts = load_inventory(tmp_path / "i.yaml").hosts
+    assert list(hosts) == ["edge9", "edge10"]
+    assert hosts["edge9"].env == {"A": "1", "B": "2"}
+    assert hosts["edge9"].labels == {"x": "a", "y": "b"}
+    assert hosts["edge9"].limits == Limits(cpu=1.2, memory=0.6)
+    assert (hosts["edge9"].port, hosts["edge10"].port) == (22, 2222)
+    assert hosts["edge9"].identity_file == str(Path.home() / ".ssh/lab")
+    assert (hosts["edge10"].connection, hosts["edge10"].host) == (Connection.LOCAL, "127.0.0.1")
+
+
+def test_one_task_per_robot_with_placeholders(tmp_path: Path) -> None:
+    tasks = loaded(tmp_path, TASKS)[1].tasks
+    assert list(tasks) == ["map-merge", "navigation-robot1", "navigation-robot2", "pose", "slam-robot1", "slam-robot2"]
+    slam = tasks["slam-robot2"]
+    assert (slam.template, slam.robots) == ("slam", ("robot2",))
+    assert slam.command == "roslaunch slam.launch robot:=robot2"
+    assert slam.ready == Check(command="rosnode info /robot2/slam", timeout=20.0)
+    assert slam.demand.cpu == Quantity(value=35.2 / 100, relative=True)
+    assert tasks["navigation-robot1"].env == {"ROBOT": "robot1"}
+    assert tasks["navigation-robot1"].demand.memory == Quantity(value=90.0 * 2**20)
+
+
+def test_needs_are_of_the_same_robot_or_of_all(tmp_path: Path) -> None:
+    tasks = loaded(tmp_path, TASKS)[1].tasks
+    assert tasks["navigation-robot2"].needs == (Need(task="slam-robot2"),)
+    assert tasks["map-merge"].needs == (Need(task="slam-robot1"), Need(task="slam-robot2"))
+    assert tasks["map-merge"].robots == ("robot1", "robot2")
+    assert task(tmp_path, "needs: [slam2, {task: s-robot2, until: completed}]".replace("slam2, ", "")).needs == (
+        Need(task="s-robot2", until=Until.COMPLETED),
+    )
+
+
+def test_only_exact_placeholders_are_filled_in(tmp_path: Path) -> None:
+    command = "echo {robot} {robot_host} ${robot} ${HOME} {a,b} {robots} {{robot}} { robot } '{}'"
+    got = task(tmp_path, f'robot: robot1, workdir: "/srv/{{robot}}", env: {{H: "{{robot_host}}"}}, ready: "{command}"')
+    assert got.ready is not None
+    assert got.ready.command == "echo robot1 192.168.1.21 ${robot} ${HOME} {a,b} {robots} {robot1} { robot } '{}'"
+    assert (got.workdir, got.env) == ("/srv/robot1", {"H": "192.168.1.21"})
+
+
+def test_without_one_robot_shell_braces_still_survive(tmp_path: Path) -> None:
+    assert task(tmp_path, "ready: 'ls {a,b} ${robot}'").ready == Check(command="ls {a,b} ${robot}")
+
+
+def test_robots_of_a_regular_expression_are_escaped(tmp_path: Path) -> None:
+    inventory = INVENTORY.replace("robot1", "r.1")
+    tasks = "version: 1\ntasks: {t: {for_each: [r.1], managed: false, detect: {cmdline: 'node /{robot}$'}}}"
+    got = loaded(tmp_path, tasks, inventory)[1].tasks["t-r.1"]
+    assert got.detect == Detect(cmdline=r"node /r\.1$")
+    assert (got.managed, got.command) == (False, "")
+
+
+def test_short_and_long_forms(tmp_path: Path) -> None:
+    assert task(tmp_path, "stop: ros").stop == Stop(signal="INT", preset="ros")
+    assert task(tmp_path, "stop: {preset: ros, grace: 5s}").stop == Stop(signal="INT", grace=5.0, preset="ros")
+    assert task(tmp_path, "stop: {signal: HUP, grace: 0}").stop == Stop(signal="HUP", grace=0.0)
+    assert task(tmp_path, "done_when: test -f x").done_when == Check(command="test -f x")
+    assert task(tmp_path, "robot: robot1, done_when: {command: x, on: robot, timeout: 1m}").done_when == Check(
+        command="x", on=Where.ROBOT, timeout=60.0
+    )
+    replaced = task(tmp_path, "on_unreachable: {policy: replace, after: 2m}, self_fence: 5m")
+    assert (replaced.on_unreachable, replaced.replace_after) == (OnUnreachable.REPLACE, 120.0)
+    assert replaced.self_fence == 300.0
+    assert replaced.spec_hash != task(tmp_path, "on_unreachable: {policy: replace, after: 2m}, self_fence: 6m").spec_hash
+    assert task(tmp_path, "hosts: {only: [edge2, edge1], labels: {gpu: maxwell}, pin: edge1}").hosts == HostRules(
+        only=("edge1", "edge2"), labels={"gpu": "maxwell"}, pin="edge1"
+    )
+    assert task(tmp_path, "kind: job, onboard: never, priority: -2, deadline: 1h30m").deadline == 5400.0
+
+
+def test_hooks_run_on_the_robot_unless_they_say_host(tmp_path: Path) -> None:
+    got = task(tmp_path, "robot: robot1, handoff: {order: start-first, safe_when: 'a {robot}', hold: {command: b, on: host}}")
+    assert got.handoff == Handoff(
+        order=HandoffOrder.START_FIRST, safe_when=Check(command="a robot1", on=Where.ROBOT), hold=Check(command="b")
+    )
+
+
+def test_policy_keys(tmp_path: Path) -> None:
+    text = "version: 1\npolicy: static\nsequence: sensitivity\nweights: {cpu: 3, task: 1}\nmove_margin: 0\nmin_dwell: 0\nmax_moves: unlimited\n"
+    policy = loaded(tmp_path, text + "tasks: {}\n")[1].policy
+    assert (policy.name, policy.sequence, policy.weights) == (
+        PolicyName.STATIC,
+        SequenceRule.SENSITIVITY,
+        Weights(cpu=0.75, memory=0.0, network=0.0, task=0.25),
+    )
+    assert (policy.move_margin, policy.min_dwell, policy.max_moves) == (0.0, 0.0, None)
+
+
+def test_demand_left_out_is_a_warning(tmp_path: Path) -> None:
+    tasks = """\
+version: 1
+tasks:
+  a: {command: x}
+  b: {command: x, robot: robot1, demand: {cpu: 1, memory: 0}}
+  c: {command: x, demand: {cpu: 1, memory: 0}}
+  d: {managed: false, detect: {cmdline: x}}
+"""
+    warnings = loaded(tmp_path, tasks)[2]
+    assert [(p.line, p.column, p.code, p.warning) for p in warnings] == [(3, 3, "EC101", True), (4, 42, "EC101", True)]
+    assert warnings[0].message == "a states no demand for cpu, memory: counted as 0"
+    assert warnings[1].message == "b states no demand for throughput: counted as 0"
+
+
+def test_a_check_on_a_robot_that_is_never_contacted_is_a_warning(tmp_path: Path) -> None:
+    inventory = INVENTORY.replace("{host: 192.168.1.22}", "{host: 192.168.1.22, probe: false}")
+    tasks = "version: 1\ntasks: {t: {robot: robot2, command: x, demand: {cpu: 1, memory: 1, throughput: 1}, done_when: {on: robot, command: y}}}"
+    (warning,) = loaded(tmp_path, tasks, inventory)[2]
+    assert (warning.code, warning.hint) == ("EC102", "write on: host, or remove probe: false")
+
+
+def test_tasks_of_several_files_and_directories(tmp_path: Path) -> None:
+    (tmp_path / "i.yaml").write_text(INVENTORY)
+    (tmp_path / "d").mkdir()
+    (tmp_path / "d/a.yaml").write_text("version: 1\nweights: cpu\ntasks: {a: {command: x}}\n")
+    (tmp_path / "d/b.yml").write_text("version: 1\nweights: cpu\ntasks: {b: {command: x, needs: [a, c]}}\n")
+    (tmp_path / "d/notes.txt").write_text("not: [read")
+    (tmp_path / "c.yaml").write_text("version: 1\ntasks: {c: {command: x}}\n")
+    inventory = load_inventory(tmp_path / "i.yaml")
+    tasks = load_tasks([tmp_path / "d", tmp_path / "c.yaml", tmp_path / "c.yaml"], inventory)
+    assert list(tasks.tasks) == ["a", "b", "c"]
+    (tmp_path / "c.yaml").write_text("version: 1\nweights: memory\ntasks: {a: {command: x}}\n")
+    with pytest.raises(InputError) as caught:
+        load_tasks([tmp_path / "d", tmp_path / "c.yaml"], inventory)
+    assert [(p.line, p.code) for p in caught.value.problems if p.file.endswith("c.yaml")] == [(2, "EC032"), (3, "EC032")]
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match="1 problem"):
+        load_tasks(tmp_path / "empty", inventory)
+
+
+def test_shapes_of_tasks_are_checked_even_where_the_inventory_cannot_be_read(tmp_path: Path) -> None:
+    with pytest.raises(InputError) as caught:
+        loaded(tmp_path, TASKS.replace("cpu: 500m", "cpu: -1"), "edges: [")
+    assert [p.code for p in caught.value.problems] == ["EC004", "EC015"]
+
+
+def test_too_many_tasks_are_refused_before_they_are_made(tmp_path: Path) -> None:
+    inventory = "version: 1\nrobots:\n" + "".join(f"  r{i}: {{host: h}}\n" for i in range(2000))
+    with pytest.raises(InputError) as caught:
+        loaded(tmp_path, "version: 1\ntasks:\n" + "".join(f"  t{i}: {{for_each: robot, command: x}}\n" for i in range(9)), inventory)
+    assert [p.code for p in caught.value.problems] == ["EC034"]
+
+
+def test_onboard_only(tmp_path: Path) -> None:
+    assert task(tmp_path, "robot: robot1, onboard: only").onboard is Onboard.ONLY
+    assert task(tmp_path, "robot: robot1, hosts: {pin: robot1}").hosts.pin == "robot1"
+    assert task(tmp_path, "kind: job").kind is Kind.JOB

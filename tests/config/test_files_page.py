@@ -1,0 +1,129 @@
+"""docs/reference/files.md: every key that exists is documented, every documented key exists, and its examples load."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+
+from edgectl.config import fields as config_fields
+from edgectl.config import inventory, taskfields
+from edgectl.config.load import load
+from edgectl.config.problems import Code
+from edgectl.formats import plan as plan_format
+from edgectl.formats import snapshot as snapshot_format
+from edgectl.model.inventory import Host
+from edgectl.model.snapshot import Device, HostSample, InterfaceSample, Role, TaskSample, TaskState
+from edgectl.model.snapshot import HostStatus as Status
+from edgectl.model.task import Task
+from tests.config.test_bad_documents import PLAN, SNAPSHOT
+
+PAGE = (Path(__file__).parents[2] / "docs/reference/files.md").read_text()
+TABLES: Mapping[str, tuple[Mapping[str, object], ...]] = {
+    "## Inventory": (inventory.INVENTORY,),
+    "### Hosts": (inventory.EDGE, {key: None for key in inventory.ROBOT if key not in inventory.EDGE}),
+    "### Limits of a host": (inventory.LIMITS,),
+    "### Capacity": (inventory.CAPACITY,),
+    "### Base": (inventory.BASE,),
+    "### Links": (inventory.LINK,),
+    "## Tasks": (taskfields.TASKS,),
+    "### A task": (taskfields.TASK,),
+    "### Demand": (taskfields.DEMAND,),
+    "### Needs": (taskfields.NEED,),
+    "### Hosts of a task": (taskfields.HOST_RULES,),
+    "### Checks": (taskfields.CHECK,),
+    "### Detect": (taskfields.DETECT,),
+    "### Stop": (taskfields.STOP,),
+    "### Secrets": (config_fields.SECRET,),
+    "### Handoff": (taskfields.HANDOFF,),
+    "### Limits of a task": (taskfields.TASK_LIMITS,),
+    "### Log": (taskfields.LOG,),
+    "### Unreachable hosts": (taskfields.ON_UNREACHABLE,),
+}
+
+
+def section(heading: str) -> str:
+    """The text below a heading, up to the next one."""
+    assert f"\n{heading}\n" in PAGE, heading
+    return re.split(r"\n##", PAGE.split(f"\n{heading}\n", 1)[1], maxsplit=1)[0]
+
+
+def tables(heading: str) -> list[list[str]]:
+    """The first columns of the tables below a heading, without their heads."""
+    found: list[list[str]] = []
+    inside = False
+    for line in section(heading).split("\n"):
+        if line.startswith("|---"):
+            found.append([])
+            inside = True
+        elif line.startswith("| `") and inside:
+            found[-1].append(line.split("`")[1])
+        else:
+            inside = False
+    return found
+
+
+@pytest.mark.parametrize("heading", TABLES)
+def test_tables_hold_every_key_in_order(heading: str) -> None:
+    assert [sorted(keys) for keys in tables(heading)] == [sorted(table) for table in TABLES[heading]]
+
+
+def test_codes_are_complete() -> None:
+    assert tables("## Problems") == [[code.value for code in Code]]
+
+
+def test_readers_cover_the_model() -> None:
+    """A field that is added to Host or Task is readable, or made by us."""
+    assert set(inventory.ROBOT) == {field.name for field in fields(Host)} - {"name", "role"}
+    made = {"name", "template", "spec_hash", "spec_fields", "replace_after"}
+    assert set(taskfields.TASK) - {"for_each", "robot"} == {field.name for field in fields(Task)} - made
+
+
+def test_keys_of_a_snapshot_are_complete() -> None:
+    everything = TaskSample(
+        state=TaskState.FAILED, links={}, instance="i", spec_hash="s", generation=1, managed=False, restarts=1, exit_code=1, detail="d",
+        fields={"command": "c"}, last_exit=1, log_tail=("l",), limits="l",
+    )  # fmt: skip
+    device = Device(
+        load_1m=1.0,
+        temperature_c=1.0,
+        gpu_share=1.0,
+        boot_id="b",
+        clock_skew_s=1.0,
+        interfaces={"eth0": InterfaceSample(rx_bytes_per_s=1, tx_bytes_per_s=1)},
+    )
+    host = SNAPSHOT.hosts["edge1"]
+    sample = HostSample(
+        role=Role.EDGE,
+        status=Status.OK,
+        error="e",
+        error_kind="k",
+        hint="h",
+        cpu=host.cpu,
+        memory=host.memory,
+        tasks={"t": everything},
+        device=device,
+    )
+    document = snapshot_format.encode(type(SNAPSHOT)(taken_at=0.0, hosts={"h": sample}, memory=SNAPSHOT.memory))
+    encoded = document["hosts"]["h"]  # type: ignore[index]
+    assert tables("## Snapshot") == [list(document), list(encoded), list(encoded["tasks"]["t"])]
+    assert all(f"`{key}` ?" in section("## Snapshot") for key in encoded["device"])
+
+
+def test_keys_of_a_plan_are_complete() -> None:
+    document = plan_format.encode(PLAN)
+    whole, decision = tables("## Plan")
+    encoded = document["decisions"][0]  # type: ignore[index]
+    assert whole == list(document)
+    assert [key for key in decision if f"| `{key}` ? |" not in PAGE.split("Of a decision.")[1]] == list(encoded)
+    assert all(f"`{key}`" in section("## Plan") for key in encoded["ranking"][0])
+
+
+def test_the_examples_load_together(tmp_path: Path) -> None:
+    blocks = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
+    (tmp_path / "i.yaml").write_text(blocks[0])
+    (tmp_path / "t.yaml").write_text(blocks[1])
+    _, tasks, warnings = load(tmp_path / "i.yaml", tmp_path / "t.yaml")
+    assert list(tasks.tasks) == ["navigation-robot1", "slam-robot1"]
+    assert not warnings
