@@ -1,0 +1,1 @@
+"""Algorithm 1 and eqs. (1)-(5): pure functions from values to an Assignment."""

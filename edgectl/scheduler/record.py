@@ -1,0 +1,103 @@
+"""From a choice to the decision that is kept: relative to what really runs, with every number (DESIGN section 4)."""
+
+from dataclasses import replace
+
+from edgectl.model.assignment import Decision, RankedHost, Reason, Verdict
+from edgectl.model.policy import Weights
+from edgectl.model.task import Task
+from edgectl.scheduler.choice import Choice
+from edgectl.scheduler.fleet import Fleet
+from edgectl.scheduler.ranking import ranking
+from edgectl.scheduler.scan import fits
+from edgectl.scheduler.utility import EPSILON
+from edgectl.scheduler.view import View
+
+
+def relative(choice: Choice, origin: int | None, carried: Choice | None) -> Choice:
+    """The choice of a later pass, told from where the task really runs (``origin``); ``carried`` first put it where it is now."""
+    if choice.verdict is Verdict.PLACED and choice.place == origin:
+        return Choice(verdict=Verdict.KEPT, reason=Reason.STILL_BEST, place=origin)
+    if choice.verdict is Verdict.KEPT and choice.place != origin and carried is not None:
+        return replace(carried, place=choice.place)
+    return choice
+
+
+def unseen(task: Task, choice: Choice) -> Decision:
+    """A decision that looked at no host."""
+    return Decision(task=task.name, verdict=choice.verdict, reason=choice.reason, subject=choice.subject)
+
+
+def told(decision: Decision, silent: str | None) -> Decision:
+    """The decision as it is told of a task whose copy on the host ``silent`` was given up; None: of any other task."""
+    if silent is None:
+        return decision
+    if decision.verdict is Verdict.PLACED:
+        decision = replace(decision, reason=Reason.REPLACED, subject=silent)
+    return replace(decision, previous_host=silent)
+
+
+def decided(view: View, choice: Choice, origin: int | None) -> Decision:
+    """The decision on one task with its ranking. ``origin``: where it really runs."""
+    ranked, left_out = ranking(view, choice.place)
+    host = _name(view.setting.fleet, choice.place)
+    entry = next((entry for entry in ranked if entry.host == host), None)
+    other = next((entry for entry in ranked if entry.feasible and entry.host != host), None)
+    total = entry.total if entry else None
+    reason, subject = _reason(view, choice, ranked)
+    return Decision(
+        task=view.task.name,
+        verdict=choice.verdict,
+        reason=reason,
+        host=host,
+        previous_host=_name(view.setting.fleet, origin),
+        total=total,
+        lead=None if total is None or other is None or other.total is None else total - other.total,
+        challenger=other.host if other and host is not None else None,
+        subject=subject,
+        amount=_gain(view, choice, origin) if choice.voluntary else choice.amount,
+        cost=choice.cost,
+        nearest=_name(view.setting.fleet, choice.nearest),
+        overcommitted=entry is not None and _overcommitted(entry),
+        ranking=ranked,
+        rejection_counts=left_out,
+    )
+
+
+def _name(fleet: Fleet, place: int | None) -> str | None:
+    return None if place is None else fleet.places[place].name
+
+
+def _gain(view: View, choice: Choice, origin: int | None) -> float | None:
+    """By how much the chosen host beats the real one; as it was at the move where the real one no longer fits."""
+    if choice.place is None or origin is None or not fits(view.totals[origin]):
+        return choice.amount
+    return view.totals[choice.place] - view.totals[origin]
+
+
+def _overcommitted(entry: RankedHost) -> bool:
+    terms = (entry.terms.cpu, entry.terms.memory, entry.terms.network)
+    return any(term is not None and term < -EPSILON for term in terms)
+
+
+def _reason(view: View, choice: Choice, ranked: tuple[RankedHost, ...]) -> tuple[Reason, str | None]:
+    """Why the best place won: it was pinned, alone, or nearer to a predecessor."""
+    feasible = [entry for entry in ranked if entry.feasible]
+    if choice.reason is not Reason.BEST or choice.place is None:
+        return choice.reason, choice.subject
+    if view.task.hosts.pin is not None:
+        return Reason.PINNED, choice.subject
+    if len(feasible) == 1:
+        return Reason.ONLY_FEASIBLE, choice.subject
+    if choice.place in view.located and _affinity_decided(feasible, view.setting.policy.weights, view.name(choice.place)):
+        return Reason.WITH_PREDECESSOR, _predecessor_at(view, choice.place)
+    return choice.reason, choice.subject
+
+
+def _affinity_decided(feasible: list[RankedHost], weights: Weights, host: str) -> bool:
+    """Whether another host would have won on resources alone."""
+    without = {entry.host: (entry.total or 0.0) - weights.task * (entry.terms.task or 0.0) for entry in feasible}
+    return without[host] < max(without.values()) - EPSILON
+
+
+def _predecessor_at(view: View, place: int) -> str | None:
+    return next((name for name, located in view.predecessors.items() if located == place), None)

@@ -1,0 +1,110 @@
+"""Eq. (4) for one task at every edge at once: the tight loop. Its reference is ``feasibility.read``; tests compare the two.
+
+A row holds one number per edge. The scan works on shares: UT = free share - demanded share.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from edgectl.model.policy import Weights
+from edgectl.model.task import ZERO, Quantity, Task
+from edgectl.scheduler.fleet import Fleet
+from edgectl.scheduler.ledger import NOTHING, Ledger
+from edgectl.scheduler.utility import EPSILON
+
+Row = Sequence[float]
+# Taken off the total of a place where the task does not fit, so that one row says both.
+PENALTY = 1e6
+EXCLUDED = float("-inf")
+
+
+def fits(total: float) -> bool:
+    """Whether a scanned total is that of a feasible place (which is never below -1)."""
+    return total > -PENALTY / 2
+
+
+@dataclass(slots=True, kw_only=True)
+class Shares:
+    """Demands as shares of capacity, by quantity, filled as they are first asked for (a fleet has few kinds of demand)."""
+
+    fleet: Fleet
+    zeros: list[float]
+    ones: list[float]
+    cpu: dict[Quantity, list[float]] = field(default_factory=dict)
+    memory: dict[Quantity, list[float]] = field(default_factory=dict)
+    inverse_links: dict[str, list[float]] = field(default_factory=dict)
+
+    def of_cpu(self, quantity: Quantity | None) -> list[float]:
+        """rho_cpu / Delta_cpu at every edge."""
+        return _cached(self.cpu, quantity or ZERO, self.fleet.raw_cpu, self.fleet.cpu, self.fleet.edges)
+
+    def of_memory(self, quantity: Quantity | None) -> list[float]:
+        """rho_mem / Delta_mem at every edge."""
+        return _cached(self.memory, quantity or ZERO, self.fleet.raw_memory, self.fleet.memory, self.fleet.edges)
+
+    def per_byte(self, robot: str) -> list[float]:
+        """1 / Delta_thp of every edge's link to ``robot``; 0 where there is none."""
+        if robot not in self.inverse_links:
+            self.inverse_links[robot] = [1.0 / capacity if capacity else 0.0 for capacity in self.fleet.links[robot]]
+        return self.inverse_links[robot]
+
+
+def shares_of(fleet: Fleet) -> Shares:
+    """Empty shares of ``fleet``."""
+    return Shares(fleet=fleet, zeros=[0.0] * fleet.edges, ones=[1.0] * fleet.edges)
+
+
+def _cached(cache: dict[Quantity, list[float]], quantity: Quantity, raw: Row, usable: Row, edges: int) -> list[float]:
+    if quantity not in cache:
+        pairs = zip(raw[:edges], usable[:edges], strict=True)
+        cache[quantity] = [quantity.of(whole) / capacity if capacity > 0 else 0.0 for whole, capacity in pairs]
+    return cache[quantity]
+
+
+def network(ledger: Ledger, shares: Shares, task: Task) -> tuple[Row, Row, float]:
+    """Free share of the worst link at every edge, and the demanded share as a row and the factor that it is multiplied by.
+
+    Without a robot 1 is free and nothing is demanded.
+    """
+    quantity = task.demand.throughput or ZERO
+    if not task.robots:
+        return shares.ones, shares.zeros, 0.0
+    if any(robot not in ledger.free_links for robot in task.robots):
+        return [NOTHING] * ledger.fleet.edges, shares.zeros, 0.0
+    rows = [(ledger.free_links[robot], shares.ones if quantity.relative else shares.per_byte(robot)) for robot in task.robots]
+    if len(rows) == 1:
+        return *rows[0], quantity.value
+    left = [[free - quantity.value * unit for free, unit in zip(*row, strict=True)] for row in rows]
+    return [min(column) for column in zip(*left, strict=True)], shares.zeros, 0.0
+
+
+def totals(ledger: Ledger, shares: Shares, task: Task, weights: Weights, *, offset: float) -> list[float]:
+    """``offset`` plus the resource part of the total at every edge, less ``PENALTY`` where the task does not fit."""
+    free_network, units, factor = network(ledger, shares, task)
+    w_cpu, w_memory, w_network = weights.cpu, weights.memory, weights.network
+    lowest = -EPSILON
+    row: list[float] = []
+    append = row.append
+    rows = zip(
+        ledger.free_cpu, shares.of_cpu(task.demand.cpu),
+        ledger.free_memory, shares.of_memory(task.demand.memory),
+        free_network, units,
+        strict=False,  # the free rows go on to the robots
+    )  # fmt: skip
+    for free_c, need_c, free_m, need_m, free_n, unit in rows:
+        cpu = free_c - need_c
+        memory = free_m - need_m
+        link = free_n - factor * unit
+        total = w_cpu * cpu + w_memory * memory + w_network * link + offset
+        append(total if cpu >= lowest and memory >= lowest and link >= lowest else total - PENALTY)
+    return row
+
+
+def worst_terms(ledger: Ledger, shares: Shares, task: Task) -> list[float]:
+    """The least of UT_cpu, UT_mem, UT_net at every edge: how far the task is from fitting."""
+    free_network, units, factor = network(ledger, shares, task)
+    need_cpu, need_memory = shares.of_cpu(task.demand.cpu), shares.of_memory(task.demand.memory)
+    return [
+        min(ledger.free_cpu[edge] - need_cpu[edge], ledger.free_memory[edge] - need_memory[edge], free_network[edge] - factor * units[edge])
+        for edge in range(ledger.fleet.edges)
+    ]

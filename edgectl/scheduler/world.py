@@ -1,0 +1,209 @@
+"""What runs where before a pass, read from the snapshot and the memory; and which tasks no pass decides (DESIGN 5.9, 5.11, 5.12)."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+from edgectl.model.assignment import Decision, Reason, Verdict
+from edgectl.model.memory import Memory
+from edgectl.model.snapshot import TaskSample, TaskState
+from edgectl.model.task import Task, Tasks
+from edgectl.scheduler.fleet import Fleet
+from edgectl.scheduler.ledger import Ledger, Use, measured, measured_use
+from edgectl.scheduler.silence import seconds_until_replaced
+
+# With more than this share of the edges silent the manager's own link is the suspect, and nothing moves (DESIGN 5.9).
+FROZEN_ABOVE = 0.55
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Running:
+    """A task that occupies ``place`` with ``use``. ``since``: when it came there; None: this very plan puts it there."""
+
+    place: int
+    use: Use
+    since: float | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class World:
+    """The state that a pass starts from.
+
+    ``ledger``: gamma, without what is about to be stopped. ``running``: tasks that the pass may keep or move. ``located``: the place of
+    every task that counts as a predecessor. ``completed``: predecessors that need no place. ``fixed``: decisions that no pass makes.
+    ``replaced``: the silent host of every task that is placed anew although it was never seen to end.
+    """
+
+    ledger: Ledger
+    running: Mapping[str, Running]
+    located: Mapping[str, int]
+    completed: frozenset[str]
+    fixed: Mapping[str, Decision]
+    replaced: Mapping[str, str] = field(default_factory=dict)
+    frozen: bool = False
+    unseen: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sighting:
+    """One task found at one place."""
+
+    place: int
+    sample: TaskSample
+
+
+@dataclass(slots=True, kw_only=True)
+class _Builder:
+    """Collects the world task by task."""
+
+    fleet: Fleet
+    ledger: Ledger
+    memory: Memory
+    now: float
+    frozen: bool
+    running: dict[str, Running] = field(default_factory=dict)
+    located: dict[str, int] = field(default_factory=dict)
+    completed: set[str] = field(default_factory=set)
+    fixed: dict[str, Decision] = field(default_factory=dict)
+    replaced: dict[str, str] = field(default_factory=dict)
+
+
+def world_of(tasks: Tasks, memory: Memory, fleet: Fleet, now: float) -> World:
+    """The world as the snapshot (in ``fleet``) and the memory tell it."""
+    seen = _sightings(fleet)
+    builder = _Builder(fleet=fleet, ledger=measured(fleet), memory=memory, now=now, frozen=_frozen(fleet, memory))
+    # In the order of the names: sums of floats depend on their order, and the order of a file must not matter.
+    for name in sorted(tasks.tasks):
+        _add(builder, tasks.tasks[name], seen.pop(name, ()))
+    for name in sorted(seen):
+        _leave(builder, (s for s in seen[name] if s.sample.managed), ())
+    silent = [host.name for place, host in enumerate(fleet.places) if (place < fleet.edges or host.onboard) and fleet.silent(place)]
+    return World(
+        ledger=builder.ledger,
+        running=builder.running,
+        located=builder.located,
+        completed=frozenset(builder.completed),
+        fixed=builder.fixed,
+        replaced=builder.replaced,
+        frozen=builder.frozen,
+        unseen=() if memory.managed else tuple(silent),
+    )
+
+
+def _frozen(fleet: Fleet, memory: Memory) -> bool:
+    """Whether so many edges are silent that the manager's own link is the suspect. Those known to be off say nothing of the link."""
+    asked = [place for place in range(fleet.edges) if not (fleet.silent(place) and fleet.places[place].name in memory.fenced)]
+    return sum(map(fleet.silent, asked)) > FROZEN_ABOVE * len(asked)
+
+
+def _sightings(fleet: Fleet) -> dict[str, tuple[Sighting, ...]]:
+    found: dict[str, tuple[Sighting, ...]] = {}
+    for place, sample in enumerate(fleet.samples):
+        for name, task in sample.tasks.items() if sample and sample.ok else ():
+            found[name] = (*found.get(name, ()), Sighting(place=place, sample=task))
+    return found
+
+
+def _add(builder: _Builder, task: Task, sightings: tuple[Sighting, ...]) -> None:
+    """One task of the file: completed, not ours, held, running or absent."""
+    alive = [s for s in sightings if s.sample.state.alive]
+    ours = [s for s in alive if s.sample.managed and task.managed]
+    current = _newest(builder, task, ours or alive)
+    if _is_completed(builder.memory, task, sightings, current):
+        _leave(builder, ours, task.robots)
+        lingering = [s for s in sightings if s.sample.state is TaskState.COMPLETED and s.sample.pid > 0]
+        current = current or _newest(builder, task, lingering)
+        builder.completed.add(task.name)
+        builder.fixed[task.name] = Decision(
+            task=task.name, verdict=Verdict.COMPLETED, reason=Reason.DONE, previous_host=_name(builder, current)
+        )
+        return
+    away = _newest_is_silent(builder, task, ours, current)
+    left = None if away is None or builder.frozen else seconds_until_replaced(task, away, builder.memory, builder.now)
+    if away is not None and left != 0.0:
+        _leave(builder, ours, task.robots)
+        _hold(builder, task, away, Reason.HOST_SILENT, away, left)
+    elif not task.managed or (alive and not ours):
+        _keep_unmanaged(builder, task, current)
+    elif (robot := _silent_robot(builder, task)) is not None:
+        _hold(builder, task, _name(builder, current) or away, Reason.ROBOT_SILENT, robot)
+    elif current is not None:
+        _leave(builder, (s for s in ours if s is not current), task.robots)
+        _run(builder, task, current)
+    elif away is not None:
+        builder.replaced[task.name] = away
+
+
+def _run(builder: _Builder, task: Task, current: Sighting) -> None:
+    placement = builder.memory.placements.get(task.name)
+    remembered = placement is not None and placement.host == builder.fleet.places[current.place].name
+    builder.running[task.name] = Running(
+        place=current.place,
+        use=measured_use(builder.fleet, current.sample, task.robots, current.place),
+        since=placement.since if placement is not None and remembered else current.sample.started_at,
+    )
+    builder.located[task.name] = current.place
+
+
+def _newest(builder: _Builder, task: Task, sightings: Iterable[Sighting]) -> Sighting | None:
+    """Of several copies the newer assignment wins: generation, then the remembered place, then the later start."""
+    placement = builder.memory.placements.get(task.name)
+    remembered = builder.fleet.index.get(placement.host) if placement else None
+    return max(
+        sightings,
+        key=lambda s: (s.sample.generation, s.place == remembered, s.sample.started_at, -builder.fleet.order[s.place]),
+        default=None,
+    )
+
+
+def _is_completed(memory: Memory, task: Task, sightings: Iterable[Sighting], current: Sighting | None) -> bool:
+    """Marked done, or seen completed, with the specification of now; a newer instance that is alive says otherwise."""
+    if memory.done.get(task.name) == task.spec_hash:
+        return True
+    finished = [s.sample for s in sightings if s.sample.state is TaskState.COMPLETED and s.sample.spec_hash in ("", task.spec_hash)]
+    newest = max((sample.generation for sample in finished), default=None)
+    return newest is not None and (current is None or current.sample.generation <= newest)
+
+
+def _newest_is_silent(builder: _Builder, task: Task, ours: Iterable[Sighting], current: Sighting | None) -> str | None:
+    """The silent host that has the newest copy of ``task``, as far as is known.
+
+    A copy that is seen may be older: left behind by a host that went silent, was replaced, and came back after its replacement fell silent.
+    """
+    placement = builder.memory.placements.get(task.name)
+    place = builder.fleet.index.get(placement.host) if placement else None
+    if placement is None or place is None or not builder.fleet.silent(place):
+        return None
+    older = current is None or (current in ours and current.sample.generation < placement.generation)
+    return placement.host if older else None
+
+
+def _silent_robot(builder: _Builder, task: Task) -> str | None:
+    places = ((robot, builder.fleet.index.get(robot)) for robot in task.robots)
+    return next((robot for robot, place in places if place is not None and builder.fleet.silent(place)), None)
+
+
+def _hold(builder: _Builder, task: Task, host: str | None, reason: Reason, subject: str, left: float | None = None) -> None:
+    if host is not None:
+        builder.located[task.name] = builder.fleet.index[host]
+    builder.fixed[task.name] = Decision(
+        task=task.name, verdict=Verdict.HELD, reason=reason, host=host, previous_host=host, subject=subject, amount=left
+    )
+
+
+def _keep_unmanaged(builder: _Builder, task: Task, current: Sighting | None) -> None:
+    """Load and predecessor where it was found; nothing is ever done about it (ADR 0014)."""
+    host = _name(builder, current)
+    if current is not None:
+        builder.located[task.name] = current.place
+    builder.fixed[task.name] = Decision(task=task.name, verdict=Verdict.KEPT, reason=Reason.UNMANAGED, host=host, previous_host=host)
+
+
+def _leave(builder: _Builder, sightings: Iterable[Sighting], robots: tuple[str, ...]) -> None:
+    """What this plan stops is no load of its outcome; a COMPLETED sample was taken out by the gateway already."""
+    for sighting in sightings:
+        if sighting.sample.state.alive:
+            builder.ledger.take_out(sighting.place, measured_use(builder.fleet, sighting.sample, robots, sighting.place))
+
+
+def _name(builder: _Builder, sighting: Sighting | None) -> str | None:
+    return None if sighting is None else builder.fleet.places[sighting.place].name

@@ -1,0 +1,97 @@
+"""Running the scheduler in tests: shorthand, and the apply that everybody expects."""
+
+from dataclasses import replace
+
+from edgectl.model.assignment import Assignment, Decision, ExpectedLoad, RankedHost, Reason, Verdict
+from edgectl.model.inventory import Inventory
+from edgectl.model.memory import Memory, Placement
+from edgectl.model.policy import Policy
+from edgectl.model.snapshot import HostSample, Snapshot, TaskSample, TaskState
+from edgectl.model.task import ZERO, Task, Tasks
+from edgectl.scheduler.assign import assign
+from tests.builders import NOW
+
+NO_MEMORY = Memory(managed=True)
+
+
+def decide(
+    inventory: Inventory, tasks: Tasks, snapshot: Snapshot, *, memory: Memory = NO_MEMORY, policy: Policy | None = None, now: float = NOW
+) -> Assignment:
+    """``assign`` with the policy of the task file."""
+    return assign(inventory, tasks, snapshot, memory, policy or tasks.policy, now)
+
+
+def decisions(assignment: Assignment) -> dict[str, Decision]:
+    """The decisions by task."""
+    return {decision.task: decision for decision in assignment.decisions}
+
+
+def hosts(assignment: Assignment) -> dict[str, str | None]:
+    """The host of each task."""
+    return {decision.task: decision.host for decision in assignment.decisions}
+
+
+def ranked(decision: Decision) -> dict[str, RankedHost]:
+    """A decision's ranking by host."""
+    return {entry.host: entry for entry in decision.ranking}
+
+
+def terms(entry: RankedHost) -> tuple[float | None, ...]:
+    """UT_cpu, UT_mem, UT_net, UT_task and the total."""
+    return entry.terms.cpu, entry.terms.memory, entry.terms.network, entry.terms.task, entry.total
+
+
+def applied(assignment: Assignment, tasks: Tasks, snapshot: Snapshot, memory: Memory) -> tuple[Snapshot, Memory]:
+    """The world right after a perfect apply: gamma is what was expected, each placed task runs where it was put and uses its rho."""
+    samples = {name: _after(name, sample, assignment, tasks) for name, sample in snapshot.hosts.items()}
+    moved = [d for d in assignment.decisions if d.verdict is Verdict.PLACED and d.host is not None]
+    placements = {**memory.placements, **{d.task: Placement(host=str(d.host), since=snapshot.taken_at) for d in moved}}
+    first = {**{d.task: str(d.host) for d in moved}, **memory.first}
+    done = {d.task: tasks.tasks[d.task].spec_hash for d in assignment.decisions if d.verdict is Verdict.COMPLETED}
+    return replace(snapshot, hosts=samples), replace(memory, managed=True, placements=placements, first=first, done={**memory.done, **done})
+
+
+def _after(name: str, sample: HostSample, assignment: Assignment, tasks: Tasks) -> HostSample:
+    if sample.cpu is None or sample.memory is None:
+        return sample
+    unchanged = ExpectedLoad(used_cores=sample.cpu.used_cores, used_bytes=sample.memory.used_bytes)
+    load = assignment.expected.get(name, unchanged)
+    running = {
+        decision.task: _run(
+            tasks.tasks[decision.task], name, sample, snapshot_of=sample.tasks.get(decision.task), new=decision.previous_host != name
+        )
+        for decision in assignment.decisions
+        if decision.host == name and decision.verdict in (Verdict.PLACED, Verdict.KEPT) and decision.reason is not Reason.UNMANAGED
+    }
+    held = {decision.task for decision in assignment.decisions if decision.host == name and decision.verdict is Verdict.HELD}
+    left = {task: run for task, run in sample.tasks.items() if task in held or not _ours(task, run, tasks)}
+    links = {robot: replace(link, used_bytes_per_s=load.links.get(robot, link.used_bytes_per_s)) for robot, link in sample.links.items()}
+    return replace(
+        sample,
+        cpu=replace(sample.cpu, used_cores=load.used_cores),
+        memory=replace(sample.memory, used_bytes=load.used_bytes),
+        links=links,
+        tasks={**left, **running},
+    )
+
+
+def _ours(name: str, run: TaskSample, tasks: Tasks) -> bool:
+    return run.managed and (name not in tasks.tasks or tasks.tasks[name].managed)
+
+
+def _run(task: Task, host: str, sample: HostSample, *, snapshot_of: TaskSample | None, new: bool) -> TaskSample:
+    assert sample.cpu is not None
+    assert sample.memory is not None
+    rate = task.demand.throughput or ZERO
+    rates = {robot: rate.of(sample.links[robot].capacity_bytes_per_s) for robot in task.robots if robot in sample.links}
+    return TaskSample(
+        state=TaskState.READY,
+        pid=1,
+        started_at=NOW if new or snapshot_of is None else snapshot_of.started_at,
+        used_cores=(task.demand.cpu or ZERO).of(sample.cpu.cores),
+        used_bytes=(task.demand.memory or ZERO).of(sample.memory.total_bytes),
+        used_bytes_per_s=sum(rates.values()),
+        links=rates,
+        instance=f"{task.name}-on-{host}",
+        spec_hash=task.spec_hash,
+    )

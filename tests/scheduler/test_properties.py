@@ -1,0 +1,268 @@
+"""What holds for every fleet (Nomad's safety style: a bad thing never happens)."""
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from random import Random
+
+from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import strategies as st
+
+from edgectl.executor.diff import diff
+from edgectl.model.assignment import Assignment, Reason, Verdict
+from edgectl.model.inventory import Host, Inventory
+from edgectl.model.memory import Memory
+from edgectl.model.plan import Action
+from edgectl.model.policy import Policy, PolicyName, Weights
+from edgectl.model.snapshot import HostSample, Snapshot, TaskSample, TaskState
+from edgectl.model.task import Onboard, Task, Tasks
+from edgectl.scheduler.assign import assign
+from tests.builders import GI, NOW, a_link, a_robot, a_run, a_sample, a_snapshot, a_task, an_edge, an_inventory, silent, some_tasks
+from tests.scheduler.fleets import applied, decisions, hosts
+
+ROBOTS = ("robot1", "robot2")
+quick = settings(
+    max_examples=60,
+    deadline=None,
+    database=None,
+    derandomize=True,
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
+class Case:
+    """Everything that a decision is made of."""
+
+    inventory: Inventory
+    tasks: Tasks
+    snapshot: Snapshot
+    memory: Memory
+    policy: Policy
+
+    def assign(self) -> Assignment:
+        return assign(self.inventory, self.tasks, self.snapshot, self.memory, self.policy, NOW)
+
+
+shares = st.floats(0.0, 1.0, allow_nan=False).map(lambda value: round(value, 3))
+amounts = st.one_of(st.none(), shares, shares.map(lambda value: f"{value * 100}%"))
+weights = (
+    st.tuples(*[st.sampled_from([0.0, 0.1, 0.3, 1.0])] * 4)
+    .filter(any)
+    .map(lambda w: Weights(cpu=w[0], memory=w[1], network=w[2], task=w[3]))
+)
+
+
+@st.composite
+def some_task(draw: st.DrawFn, number: int) -> Task:
+    earlier = [f"task{n}" for n in range(number)]
+    memory = draw(amounts)
+    throughput = draw(amounts)
+    return a_task(
+        f"task{number}",
+        cpu=draw(amounts),
+        memory=memory * 2 * GI if isinstance(memory, float) else memory,
+        throughput=throughput * 4e6 if isinstance(throughput, float) else throughput,
+        robots=draw(st.lists(st.sampled_from(ROBOTS), unique=True, max_size=2)),
+        needs=draw(st.lists(st.sampled_from(earlier), unique=True, max_size=2)) if earlier else [],
+        never=draw(st.lists(st.sampled_from(["edge1", "edge2"]), max_size=1)),
+        onboard=draw(st.sampled_from(Onboard)),
+        priority=draw(st.sampled_from([0.0, 1.0])),
+        managed=draw(st.sampled_from([True, True, True, False])),
+        downtime_cost=draw(st.sampled_from([0.0, 1.0, 10.0])),
+    )
+
+
+@st.composite
+def a_host_sample(draw: st.DrawFn, host: Host, running: dict[str, TaskSample]) -> HostSample:
+    if draw(st.integers(0, 9)) == 0:
+        return silent(host.role)
+    links = {robot: a_link(draw(st.sampled_from([0.0, 6e6, 9e6])), draw(shares) * 6e6) for robot in ROBOTS if draw(st.integers(0, 9))}
+    return a_sample(
+        cores=draw(st.sampled_from([2.0, 4.0])), used=draw(shares) * 4, used_memory=draw(shares) * 4 * GI, links=links, tasks=running, role=host.role,
+    )  # fmt: skip
+
+
+@st.composite
+def cases(draw: st.DrawFn) -> Case:
+    edges = [an_edge(f"edge{n}", cpu_limit=draw(st.sampled_from([0.8, 1.0, 1.2]))) for n in range(1, draw(st.integers(1, 5)) + 1)]
+    robots = [a_robot(robot, onboard=draw(st.booleans())) for robot in ROBOTS]
+    tasks = [draw(some_task(n)) for n in range(draw(st.integers(1, 7)))]
+    running: dict[str, dict[str, TaskSample]] = {host.name: {} for host in (*edges, *robots)}
+    for name in [*(task.name for task in tasks), "left", "foreign"]:
+        for host in draw(st.lists(st.sampled_from(sorted(running)), max_size=2, unique=True)) if draw(st.booleans()) else ():
+            running[host][name] = a_run(
+                draw(st.sampled_from(TaskState)), used_cores=draw(shares), used_bytes=draw(shares) * GI, used_bytes_per_s=draw(shares) * 1e6,
+                managed=name != "foreign",
+            )  # fmt: skip
+    samples = {host.name: draw(a_host_sample(host, running[host.name])) for host in (*edges, *robots)}
+    memory = Memory(
+        managed=draw(st.booleans()),
+        cordons=frozenset(draw(st.sets(st.sampled_from(["edge1"])))),
+        draining=frozenset(draw(st.sets(st.sampled_from(["edge2"])))),
+        done={task.name: task.spec_hash for task in tasks if draw(st.integers(0, 9)) == 0},
+        downtimes={
+            (task.name, draw(st.sampled_from(edges)).name): (draw(st.sampled_from([0.5, 5.0])),) * draw(st.integers(4, 5)) for task in tasks
+        },
+        stays={task.name: (draw(st.sampled_from([30.0, 300.0, 3000.0])),) for task in tasks if draw(st.booleans())},
+    )
+    policy = Policy(weights=draw(weights), min_dwell=draw(st.sampled_from([0.0, 120.0])), move_margin=draw(st.sampled_from([0.0, 0.1])))
+    return Case(
+        inventory=an_inventory(*edges, *robots), tasks=some_tasks(*tasks), snapshot=a_snapshot(**samples), memory=memory, policy=policy
+    )
+
+
+@quick
+@given(cases())
+def test_no_limit_is_exceeded_by_a_placement(case: Case) -> None:
+    for decision in case.assign().decisions:
+        if decision.verdict is Verdict.PLACED:
+            chosen = next(entry for entry in decision.ranking if entry.host == decision.host)
+            values = (chosen.terms.cpu, chosen.terms.memory, chosen.terms.network)
+            assert chosen.feasible
+            assert all(value is not None and value >= -1e-9 for value in values)
+
+
+@quick
+@given(cases())
+def test_each_task_is_decided_once_and_a_total_lies_between_its_terms(case: Case) -> None:
+    found = case.assign()
+    assert sorted(decision.task for decision in found.decisions) == sorted(case.tasks.tasks)
+    for decision in found.decisions:
+        assert len({entry.host for entry in decision.ranking}) == len(decision.ranking)
+        for entry in decision.ranking:
+            values = (entry.terms.cpu, entry.terms.memory, entry.terms.network, entry.terms.task)
+            if entry.total is not None:
+                known = [value for value in values if value is not None]
+                assert min(known) - 1e-9 <= entry.total <= max(known) + 1e-9
+
+
+@quick
+@given(cases())
+def test_rank_1_is_the_argmax_and_leads_are_what_they_say(case: Case) -> None:
+    for decision in case.assign().decisions:
+        feasible = [entry for entry in decision.ranking if entry.feasible]
+        assert [entry.rank for entry in feasible] == list(range(1, len(feasible) + 1))
+        totals = [entry.total or 0.0 for entry in feasible]
+        assert all(one >= other - 1e-9 for one, other in pairwise(totals))
+        others = [entry.total or 0.0 for entry in feasible if entry.host != decision.host]
+        if decision.total is not None and others:
+            assert decision.lead is not None
+            assert abs(decision.lead - (decision.total - max(others))) < 1e-9
+
+
+@quick
+@given(cases(), st.randoms(use_true_random=False))
+def test_the_order_of_the_files_is_irrelevant(case: Case, dice: Random) -> None:
+    def shuffled(mapping: dict[str, object]) -> dict[str, object]:
+        items = list(mapping.items())
+        dice.shuffle(items)
+        return dict(items)
+
+    other = replace(
+        case,
+        inventory=replace(case.inventory, hosts=shuffled(dict(case.inventory.hosts))),
+        tasks=replace(case.tasks, tasks=shuffled(dict(case.tasks.tasks))),
+        snapshot=replace(case.snapshot, hosts=shuffled(dict(case.snapshot.hosts))),
+    )
+    assert repr(other.assign()) == repr(case.assign())
+
+
+@quick
+@given(cases(), st.sampled_from([0.5, 2.0, 8.0]))
+def test_scaled_weights_are_the_same_weights(case: Case, factor: float) -> None:
+    w = case.policy.weights
+    scaled = Weights(cpu=w.cpu * factor, memory=w.memory * factor, network=w.network * factor, task=w.task * factor)
+    assert repr(replace(case, policy=replace(case.policy, weights=scaled)).assign()) == repr(case.assign())
+
+
+@quick
+@given(cases(), st.floats(0.01, 2.0))
+def test_utility_falls_as_load_rises(case: Case, more: float) -> None:
+    tasks = some_tasks(replace(next(iter(case.tasks.tasks.values())), needs=(), managed=True))
+    one = replace(case, tasks=tasks, policy=replace(case.policy, weights=Weights(cpu=1.0, memory=0.0, network=0.0, task=0.0)))
+    sample = one.snapshot.hosts["edge1"]
+    assume(sample.cpu is not None)
+    assert sample.cpu is not None
+    heavier = replace(sample, cpu=replace(sample.cpu, used_cores=sample.cpu.used_cores + more))
+    after = replace(one, snapshot=replace(one.snapshot, hosts={**one.snapshot.hosts, "edge1": heavier}))
+    pairs = zip(_totals(one.assign(), "edge1"), _totals(after.assign(), "edge1"), strict=True)
+    # own use beyond what is measured is floored at 0, so very small loads may be equal
+    assert all(low <= high + 1e-12 for high, low in pairs)
+
+
+def _totals(assignment: Assignment, host: str) -> list[float]:
+    return [entry.terms.cpu for d in assignment.decisions for entry in d.ranking if entry.host == host and entry.terms.cpu is not None]
+
+
+@quick
+@given(cases())
+def test_a_plan_after_the_apply_of_a_settled_plan_changes_nothing(case: Case) -> None:
+    first = case.assign()
+    assume(first.settled)
+    snapshot, memory = applied(first, case.tasks, case.snapshot, case.memory)
+    again = replace(case, snapshot=snapshot, memory=memory).assign()
+    assert hosts(again) == hosts(first)
+    steps = diff(again, case.tasks, snapshot, memory)
+    assert {step.action for step in steps} <= {Action.KEEP, Action.HOLD, Action.UNPLACED, Action.NONE}
+    assert not any(step.stop for step in steps)
+
+
+@quick
+@given(cases())
+def test_nothing_unmanaged_is_ever_stopped_and_nothing_runs_twice(case: Case) -> None:
+    found = case.assign()
+    for step in diff(found, case.tasks, case.snapshot, case.memory):
+        task = case.tasks.tasks.get(step.task)
+        assert step.task != "foreign"
+        if task is not None and not task.managed:
+            assert not step.action.changes
+            assert not step.stop
+        if step.action is Action.STOP:
+            assert step.task == "left"
+        running = {
+            host
+            for host, sample in case.snapshot.hosts.items()
+            if sample.ok and step.task in sample.tasks and sample.tasks[step.task].state.alive
+        }
+        if task is not None and task.managed and step.action in (Action.START, Action.MOVE, Action.KEEP, Action.RESTART):
+            goes = {*step.stop, step.decision.previous_host if step.action is Action.MOVE else None}
+            assert running - goes <= {step.decision.host}
+
+
+@quick
+@given(cases())
+def test_held_tasks_and_frozen_fleets_do_not_move(case: Case) -> None:
+    found = case.assign()
+    for decision in decisions(found).values():
+        if found.frozen and decision.previous_host is not None and decision.verdict is not Verdict.COMPLETED:
+            assert decision.host == decision.previous_host
+        if decision.reason in (Reason.GAIN, Reason.GAIN_OVER_COST):
+            assert decision.amount is not None
+            assert (decision.cost is None) == (decision.reason is Reason.GAIN)
+
+
+@quick
+@given(cases())
+def test_what_is_kept_would_gain_no_more_than_a_move_costs(case: Case) -> None:
+    for decision in case.assign().decisions:
+        if decision.reason in (Reason.BELOW_MARGIN, Reason.COST_ABOVE_GAIN):
+            challenger = next(entry for entry in decision.ranking if entry.host == decision.challenger)
+            needed = case.policy.move_margin if decision.cost is None else decision.cost.needed
+            assert (challenger.total or 0.0) - (decision.total or 0.0) <= needed + 1e-9
+
+
+@quick
+@given(cases(), st.sampled_from(PolicyName), st.booleans(), st.booleans())
+def test_every_policy_decides_every_task(case: Case, name: PolicyName, best_effort: bool, attended: bool) -> None:
+    policy = replace(case.policy, name=name, best_effort=best_effort, attended=attended)
+    found = replace(case, policy=policy).assign()
+    assert sorted(decision.task for decision in found.decisions) == sorted(case.tasks.tasks)
+    for step in diff(found, case.tasks, case.snapshot, case.memory):
+        if step.action is Action.MOVE:
+            assert step.decision.previous_host in step.instances
+    for decision in found.decisions:
+        if decision.verdict is Verdict.PLACED:
+            assert decision.total is not None
+        moves = [d for d in found.decisions if d.reason in (Reason.GAIN, Reason.GAIN_OVER_COST)]
+        if not attended and name is PolicyName.UTILITY and found.settled:
+            assert len(moves) <= (policy.max_moves or 0)
