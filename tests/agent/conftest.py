@@ -1,0 +1,112 @@
+"""A real host on this machine: the agent through LocalTransport's session, a state directory of its own, everything ended at the end."""
+
+import os
+import shutil
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from edgectl.agent import life, proc
+from edgectl.transport.call import agent_hash, call
+from edgectl.transport.local import LocalSession
+from tests.agent.user_systemd import UserSystemd, can_be_real, user_systemd
+
+
+class AgentHost:
+    """Asks the agent of one pretend host. ``python`` is the interpreter that runs it."""
+
+    def __init__(self, name: str, state: Path, python: str = sys.executable) -> None:
+        self.name, self.state = name, state
+        self.runtime = "process"
+        self.session = LocalSession(name)
+        self.session.python = python
+
+    def ask(self, op: str, *, timeout: float = 30.0, **fields: object) -> dict[str, Any]:
+        return call(self.session, {"op": op, "host": self.name, **fields}, timeout=timeout)
+
+    def start(self, task: str, command: str, *, instance: str = "i1", generation: int = 1, **spec: object) -> dict[str, Any]:
+        return self.ask(
+            "start", task=task, instance=instance, generation=generation, spec=a_spec(command, **{"runtime": self.runtime, **spec})
+        )
+
+    def stop(self, task: str, **fields: object) -> dict[str, Any]:
+        return self.ask("stop", **{"task": task, "instance": None, "generation": None, "stop": None, **fields})
+
+    def entry(self, task: str) -> dict[str, Any] | None:
+        return self.ask("status", task=task)["tasks"].get(task)
+
+    def folder(self, task: str) -> Path:
+        return self.state / "hosts" / self.name / "tasks" / task
+
+    def supervisor(self, task: str) -> int:
+        return life.trace(str(self.folder(task))).instance["supervisor"]
+
+    def members(self, task: str) -> set[int]:
+        trace, table = life.trace(str(self.folder(task))), proc.processes()
+        return (life.members(trace, table) | life.orphans(trace, table)) - {trace.instance.get("supervisor")}
+
+    def until(self, task: str, state: str, *, seconds: float = 10.0) -> dict[str, Any]:
+        return eventually(lambda: e if (e := self.entry(task)) and e["state"] == state else None, seconds=seconds)
+
+    def end(self) -> None:
+        """Kill what a failed test left, supervisors first; only processes that carry this host's marks."""
+        for folder in (self.state / "hosts" / self.name / "tasks").glob("*"):
+            trace = life.trace(str(folder))
+            for pid in (life.supervisor(trace), *self.members(folder.name)):
+                if pid:
+                    os.kill(pid, signal.SIGKILL)
+
+
+def a_spec(command: str, **fields: object) -> dict[str, object]:
+    spec: dict[str, object] = {
+        "command": command, "prelude": "", "env": {}, "workdir": None, "kind": "service", "restart": "never",
+        "stop": {"signal": "TERM", "grace_s": 2.0, "preset": None}, "ready": None, "log": {"max_bytes": 100_000, "files": 2},
+        "limits": {"cpu": None, "memory": None}, "runtime": "auto", "spec_hash": "h1",
+    }  # fmt: skip
+    return spec | fields
+
+
+def eventually(found: Callable[[], Any], *, seconds: float = 10.0) -> Any:
+    """The first true value of ``found``, asked again and again."""
+    deadline = time.monotonic() + seconds
+    while not (value := found()):
+        assert time.monotonic() < deadline, "did not happen in time"
+        time.sleep(0.05)
+    return value
+
+
+def forget_fallback_agents() -> None:
+    """Remove the agent that a test has put into shared memory; whoever else uses it there sends it again."""
+    for path in Path(f"/dev/shm/edgectl-{os.geteuid()}/agent").glob(f"{agent_hash()}*"):
+        shutil.rmtree(path) if path.is_dir() else path.unlink()
+
+
+def is_running(pid: int) -> bool:
+    seen = proc.process(pid)
+    return seen is not None and seen.state not in "ZX"
+
+
+@pytest.fixture
+def host(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[AgentHost]:
+    """One host with an empty state directory; with parameter ``systemd`` its tasks run in scopes of a systemd --user."""
+    monkeypatch.setenv("EDGECTL_STATE_DIR", str(tmp_path / "state"))
+    agent = AgentHost("edge1", tmp_path / "state")
+    if getattr(request, "param", "process") == "systemd":
+        agent.runtime, agent.session.python = "systemd", str(request.getfixturevalue("systemd").python)
+    yield agent
+    agent.end()
+
+
+@pytest.fixture(scope="session")
+def systemd(tmp_path_factory: pytest.TempPathFactory) -> Iterator[UserSystemd]:
+    """A systemd --user; where the tests cannot have one, its stand-in."""
+    with user_systemd(tmp_path_factory.mktemp("systemd") / "user", real=can_be_real()) as found:
+        yield found
+
+
+both_runtimes = pytest.mark.parametrize("host", ["process", "systemd"], indirect=True)

@@ -1,0 +1,148 @@
+"""How the agent gets on a host: sent once, kept under its hash, checked each time, run from memory."""
+
+import hashlib
+import os
+import stat
+import subprocess
+import sys
+import time
+import zipfile
+from concurrent.futures import ThreadPoolExecutor
+from io import BytesIO
+from pathlib import Path
+
+import pytest
+
+import edgectl
+from edgectl.agent import boot
+from edgectl.transport import call as protocol
+from edgectl.transport.base import Reply
+from tests.agent.conftest import AgentHost, forget_fallback_agents
+
+AGENT = Path(edgectl.__file__).parent / "agent"
+
+
+class Counting:
+    """Notes how many round trips a call took, and how large they were."""
+
+    def __init__(self, host: AgentHost) -> None:
+        self.sizes: list[int] = []
+        self._run = host.session.run
+        host.session.run = self.run  # type: ignore[method-assign]
+
+    def run(self, command: str, stdin: bytes, *, timeout: float, limit: int = 1 << 20) -> Reply:
+        self.sizes.append(len(stdin))
+        return self._run(command, stdin, timeout=timeout, limit=limit)
+
+
+def kept(host: AgentHost) -> Path:
+    return host.state / "agent" / f"{protocol.agent_hash()}.pyz"
+
+
+def test_sent_once_then_one_small_round_trip(host: AgentHost) -> None:
+    trips = Counting(host)
+    host.ask("status", task=None)
+    host.ask("status", task=None)
+    assert len(trips.sizes) == 3
+    assert trips.sizes[1] > len(protocol.agent_bytes())
+    assert trips.sizes[0] == trips.sizes[2] < 16_000
+    assert hashlib.sha256(kept(host).read_bytes()).hexdigest() == protocol.agent_hash()
+
+
+def test_changed_agent_is_never_run(host: AgentHost) -> None:
+    host.ask("status", task=None)
+    agent = kept(host).read_bytes()
+    kept(host).write_bytes(agent.replace(b"def serve", b"def sevre"))
+    trips = Counting(host)
+    assert host.ask("status", task=None)["tasks"] == {}
+    assert len(trips.sizes) == 2
+    assert kept(host).read_bytes() == agent
+
+
+def test_agent_behind_a_link_is_never_run(host: AgentHost, tmp_path: Path) -> None:
+    host.ask("status", task=None)
+    kept(host).rename(tmp_path / "elsewhere.pyz")
+    kept(host).symlink_to(tmp_path / "elsewhere.pyz")
+    trips = Counting(host)
+    host.ask("status", task=None)
+    assert len(trips.sizes) == 2
+    assert not kept(host).is_symlink()
+
+
+def test_directory_that_others_may_write_is_not_used(host: AgentHost) -> None:
+    host.state.mkdir(mode=0o700)
+    host.state.chmod(0o777)
+    host.ask("status", task=None)
+    assert not (host.state / "agent").exists()
+    fallback = Path(f"/dev/shm/edgectl-{os.geteuid()}/agent/{protocol.agent_hash()}.pyz")
+    assert fallback.exists()
+    assert stat.S_IMODE(fallback.stat().st_mode) == 0o600
+    forget_fallback_agents()
+
+
+def test_runs_from_memory_where_nothing_can_be_kept(host: AgentHost, tmp_path: Path) -> None:
+    program = (
+        f"import sys; sys.path.insert(0, {str(AGENT)!r})\n"
+        "import boot\n"
+        "boot.state_bases = lambda: ['/proc/nowhere', '/proc/nowhere-else']\n"
+        "boot.boot(sys.stdin.buffer)\n"
+    )
+    packet = protocol._packet({"op": "probe", "host": "edge1", "window_s": 0.05}, "m" * 32, 10.0, protocol.agent_bytes())
+    packet = packet.split(b"\n", 1)[1][len((AGENT / "boot.py").read_bytes()) :]
+    done = subprocess.run([sys.executable, "-I", "-c", program], input=packet, capture_output=True, check=False, cwd=tmp_path, timeout=30)
+    assert b'"op": "probe"' in done.stdout, done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_compiled_code_is_kept_privately(host: AgentHost) -> None:
+    host.ask("status", task=None)
+    compiled = list((host.state / "agent" / protocol.agent_hash()).rglob("*.pyc"))
+    assert any(path.name.startswith("status.") for path in compiled)
+    assert not any(path.name.startswith("supervisor.") for path in compiled), "an operation loads only what it needs"
+    assert {stat.S_IMODE(path.stat().st_mode) for path in compiled} == {0o600}
+
+
+def test_agents_of_old_versions_are_removed(host: AgentHost) -> None:
+    folder = host.state / "agent"
+    folder.mkdir(parents=True, mode=0o700)
+    host.state.chmod(0o700)
+    for name, days in (("old.pyz", 31), ("recent.pyz", 29)):
+        (folder / name).touch()
+        os.utime(folder / name, (time.time() - days * 86400,) * 2)
+    host.ask("status", task=None)
+    assert not (folder / "old.pyz").exists()
+    assert (folder / "recent.pyz").exists()
+
+
+def test_first_contacts_at_the_same_time_do_no_harm(host: AgentHost) -> None:
+    with ThreadPoolExecutor(8) as pool:
+        replies = list(pool.map(lambda _: host.ask("status", task=None), range(16)))
+    assert [reply["tasks"] for reply in replies] == [{}] * 16
+    assert [path.name for path in (host.state / "agent").glob("*.pyz*")] == [kept(host).name]
+
+
+def test_archive_is_a_plain_zip_and_always_the_same() -> None:
+    agent = protocol.agent_bytes()
+    protocol.agent_bytes.cache_clear()
+    assert protocol.agent_bytes() == agent
+    with zipfile.ZipFile(BytesIO(agent)) as archive:
+        names = archive.namelist()
+        assert names == sorted(names)
+        assert {entry.date_time for entry in archive.infolist()} == {(1980, 1, 1, 0, 0, 0)}
+        assert {name: archive.read(name) for name in names} == boot.sources(agent)
+
+
+def test_no_user_code_runs_on_the_host(host: AgentHost, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("sitecustomize.py", "usercustomize.py", "json.py", "signal.py"):
+        (tmp_path / name).write_text(f"open({str(tmp_path / 'ran')!r}, 'a').write('{name}')\n")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.setenv("PYTHONSTARTUP", str(tmp_path / "json.py"))
+    monkeypatch.chdir(tmp_path)
+    host.ask("probe", window_s=0.05)
+    assert not (tmp_path / "ran").exists()
+
+
+def test_agent_needs_no_later_python_than_3_6() -> None:
+    vermin = Path(sys.executable).parent / "vermin"
+    done = subprocess.run([vermin, "-q", "--no-tips", "-t=3.6-", "--violations", AGENT], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout

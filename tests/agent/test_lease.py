@@ -1,0 +1,111 @@
+"""A host on which no manager calls any more stops its fenced tasks by itself, and only then."""
+
+import os
+import signal
+import time
+from pathlib import Path
+
+from edgectl.agent import life, proc, record
+from tests.agent.conftest import AgentHost, both_runtimes, eventually, is_running
+from tests.agent.test_supervisor import FIVE, python
+
+
+def fenced(host: AgentHost, task: str, *, seconds: float = 15.0) -> dict[str, object]:
+    """The status record of ``task`` once it has been fenced, read without a call to the host: that would be a sign of life."""
+    return dict(eventually(lambda: s if "fenced" in (s := trace_of(host, task).status).get("detail", "") else None, seconds=seconds))
+
+
+def trace_of(host: AgentHost, task: str) -> life.Trace:
+    return life.trace(str(host.folder(task)))
+
+
+@both_runtimes
+def test_silence_stops_the_whole_tree_and_nothing_starts_it_again(host: AgentHost, tmp_path: Path) -> None:
+    host.start("slam", python(FIVE, tmp_path), self_fence_s=1.5, restart="always", stop={"signal": "TERM", "grace_s": 0.5, "preset": None})
+    pids = eventually(lambda: found if len(found := host.members("slam")) >= 5 else None)
+    fenced(host, "slam")
+    eventually(lambda: not life.lock_held(str(host.folder("slam"))))
+    assert [pid for pid in pids if is_running(pid)] == []
+    entry = host.entry("slam")
+    assert entry is not None
+    assert (entry["state"], entry["pid"], entry["detail"]) == ("failed", 0, "fenced: no manager call for 1.5 s")
+    time.sleep(1.5)
+    assert host.entry("slam") == entry
+    assert host.start("slam", "exec sleep 600", instance="i2")["state"] == "started"
+    host.stop("slam")
+
+
+def test_any_call_renews_the_lease_of_every_task_of_its_host(host: AgentHost) -> None:
+    pid = host.start("slam", "exec sleep 600", self_fence_s=1.5)["pid"]
+    other = AgentHost("edge2", host.state)
+    left_alone = other.start("slam", "exec sleep 600", self_fence_s=1.5)["pid"]
+    calls = [("status", {"task": None}), ("check", {"command": "true", "timeout_s": 5}), ("logs", {"task": "nav", "tail": 1})]
+    for number in range(10):
+        op, fields = calls[number % 3]
+        host.ask(op, **fields)
+        time.sleep(0.4)
+    assert is_running(pid)
+    assert not is_running(left_alone), "a call to another host of this machine is no sign of life"
+    fenced(other, "slam", seconds=0.1)
+    host.stop("slam")
+
+
+def test_task_without_a_fence_runs_on(host: AgentHost) -> None:
+    pid = host.start("slam", "exec sleep 600")["pid"]
+    record.write(str(host.state / "hosts" / "edge1" / "contact"), {"boot_id": proc.boot_id(), "at": 1.0})
+    os.kill(host.supervisor("slam"), signal.SIGCHLD)
+    time.sleep(1.0)
+    assert is_running(pid)
+    host.stop("slam")
+
+
+def test_old_stamp_and_stamp_of_another_boot(host: AgentHost) -> None:
+    """A stamp that is old on the clock since boot ends the lease at the next look; one of another boot says nothing."""
+    host.start("slam", "exec sleep 600", self_fence_s=30)
+    stamp = str(host.state / "hosts" / "edge1" / "contact")
+    assert abs(record.read(stamp)["at"] - proc.uptime()) < 10
+    record.write(stamp, {"boot_id": "another", "at": proc.uptime() + 1e6})
+    supervisor = host.supervisor("slam")
+    time.sleep(2.5)
+    assert is_running(supervisor), "begun less than 30 s ago"
+    host.stop("slam")
+
+
+def test_waiting_for_a_restart_is_ended_too(host: AgentHost) -> None:
+    host.start("slam", "exit 3", self_fence_s=2.5, restart="always")
+    status = fenced(host, "slam")
+    assert (status["state"], status["exit_code"], status["last_exit"]) == ("failed", 3, 3)
+
+
+def test_lease_is_kept_in_shared_memory_where_the_disk_refuses(host: AgentHost) -> None:
+    host.name = f"test-{os.getpid()}"
+    fallback = Path(f"/dev/shm/edgectl-{os.geteuid()}/hosts/{host.name}")
+    pid = host.start("slam", "exec sleep 600", self_fence_s=1.5)["pid"]
+    stamp = host.state / "hosts" / host.name / "contact"
+    try:
+        stamp.unlink()
+        stamp.mkdir()
+        for _ in range(8):
+            host.ask("status", task=None)
+            time.sleep(0.4)
+        assert is_running(pid)
+        assert (fallback / "contact").is_file()
+        assert fenced(host, "slam")["state"] == "failed"
+    finally:
+        stamp.rmdir()
+        (fallback / "contact").unlink()
+        fallback.rmdir()
+
+
+def test_ros_preset_is_kept_to_when_fenced(host: AgentHost, tmp_path: Path) -> None:
+    program = f"""
+import signal, sys, time
+def end(*_):
+    open({str(tmp_path / "clean")!r}, "w").close(); sys.exit(0)
+signal.signal(signal.SIGINT, end)
+time.sleep(600)
+"""
+    command = python(program, tmp_path).removeprefix("exec ") + "; true"
+    host.start("nav", command, self_fence_s=1.5, stop={"signal": None, "grace_s": None, "preset": "ros"})
+    assert fenced(host, "nav")["exit_code"] == 0
+    assert (tmp_path / "clean").exists()

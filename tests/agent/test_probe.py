@@ -1,0 +1,309 @@
+"""The profilers on this machine: known work, known bytes, the same document with and without psutil and on old Pythons."""
+
+import contextlib
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from edgectl.agent import device, network
+from edgectl.errors import RefusedError
+from tests.agent.conftest import AgentHost, eventually
+
+# Nobody else on this machine, not even another run of these tests, has these addresses.
+NET = f"127.{100 + os.getpid() // 250 % 100}.{os.getpid() % 250}"
+ROBOT = f"{NET}.21"
+LINKS = [{"robot": "robot1", "address": ROBOT}, {"robot": "robot2", "address": f"{NET}.22"}]
+
+
+def interpreters() -> list[str]:
+    """Every Python 3.6 or later that stands beside this one or on the path."""
+    found = {version: shutil.which(f"python3.{version}") for version in range(6, 15)}
+    for path in sorted(Path(sys.base_prefix).parent.glob("3.*/bin/python3")):
+        minor = path.parent.parent.name.split(".")[1]
+        if minor.isdigit() and int(minor) >= 6:
+            found[int(minor)] = str(path)
+    usable = [
+        path for path in found.values() if path and subprocess.run([path, "-c", "0"], capture_output=True, check=False).returncode == 0
+    ]
+    return [sys.executable, *usable]
+
+
+@contextlib.contextmanager
+def connected(address: str = ROBOT) -> Iterator[tuple[socket.socket, socket.socket]]:
+    """A connection of which only the first end's remote address is the robot's."""
+    with socket.create_server((address, 0)) as server, socket.create_connection(server.getsockname()) as near:
+        far, _ = server.accept()
+        with far:
+            yield near, far
+
+
+def sent(near: socket.socket, far: socket.socket, size: int) -> None:
+    """Move exactly ``size`` bytes from ``near`` to ``far``, acknowledged."""
+    sender = threading.Thread(target=near.sendall, args=(bytes(size),))
+    sender.start()
+    while size:
+        size -= len(far.recv(min(size, 1 << 16)))
+    sender.join()
+
+
+def test_counters_of_a_connection_are_exact() -> None:
+    with connected() as (near, far):
+        sent(near, far, 5_000)
+        traffic = network.Traffic({"robot1": [ROBOT]})
+        sent(near, far, 1_000_000)
+        sent(far, near, 30_000)
+        time.sleep(0.1)
+        flows = [flow for flow in traffic.flows() if flow.remote == ROBOT]
+    assert [(flow.tx, flow.rx) for flow in flows] == [(1_000_000, 30_000)]
+    assert 0 < flows[0].rtt_ms < 1000
+
+
+def test_connection_that_appears_in_the_window_counts_in_full() -> None:
+    # An address of its own: the kernel tells of ended connections a little late, those of other tests too.
+    robot = f"{NET}.31"
+    traffic = network.Traffic({"robot1": [robot]})
+    with connected(robot) as (near, far):
+        sent(near, far, 70_000)
+        time.sleep(0.1)
+        flows = [flow for flow in traffic.flows() if flow.remote == robot]
+    # The kernel counts the opening itself as one acknowledged byte.
+    assert [(flow.tx - 1, flow.rx) for flow in flows] == [(70_000, 0)]
+
+
+def test_connections_that_end_in_the_window_count_up_to_their_end() -> None:
+    with connected() as (near, far):
+        traffic = network.Traffic({"robot1": [ROBOT]})
+        sent(near, far, 60_000)
+    with connected() as (near, far):
+        sent(near, far, 90_000)
+    time.sleep(0.2)
+    flows = [flow for flow in traffic.flows() if flow.remote == ROBOT]
+    # The kernel counts opening and closing as one acknowledged byte each.
+    assert sorted(flow.tx // 1000 for flow in flows) == [60, 90]
+
+
+def test_traffic_inside_the_host_does_not_count() -> None:
+    with connected() as (near, far):
+        traffic = network.Traffic({"robot1": [f"{NET}.22"]})
+        sent(near, far, 60_000)
+        assert not [flow for flow in traffic.flows() if flow.remote in (ROBOT, "127.0.0.1")]
+
+
+def test_v6_connections_count() -> None:
+    traffic = network.Traffic({"robot1": ["::1"]})
+    with socket.create_server(("::1", 0), family=socket.AF_INET6) as server, socket.create_connection(server.getsockname()[:2]) as near:
+        far, _ = server.accept()
+        with far:
+            sent(near, far, 40_000)
+            time.sleep(0.1)
+            assert any(flow.remote == "::1" and flow.tx >= 40_000 for flow in traffic.flows())
+
+
+def test_probe_splits_links_by_remote_address(host: AgentHost) -> None:
+    stop = threading.Event()
+    with connected() as (near, far):
+
+        def pour() -> None:
+            while not stop.wait(0.02):
+                sent(near, far, 40_000)
+
+        pouring = threading.Thread(target=pour)
+        pouring.start()
+        document = host.ask("probe", window_s=1.0, links=LINKS)
+        stop.set()
+        pouring.join()
+    link, other = document["links"]["robot1"], document["links"]["robot2"]
+    assert 0.1e6 < link["tx_bytes_per_s"] < 2.1e6
+    assert link["rx_bytes_per_s"] == 0
+    assert (link["reachable"], link["interface"]) == (True, "lo")
+    assert other["tx_bytes_per_s"] == 0
+    assert (other["reachable"], other["interface"]) == (True, "lo")
+    assert other["rtt_ms"] >= 0
+    lo = document["interfaces"]["lo"]
+    assert lo["tx_bytes_per_s"] >= link["tx_bytes_per_s"] * 0.9
+    assert lo["speed_bytes_per_s"] is None
+
+
+def test_robot_names_are_looked_up_and_unknown_ones_cost_little(host: AgentHost) -> None:
+    began = time.monotonic()
+    links = [{"robot": "robot1", "address": "localhost"}, {"robot": "robot2", "address": "no-such-robot.invalid"}]
+    document = host.ask("probe", window_s=0.1, links=links)
+    assert time.monotonic() - began < 5
+    assert document["links"]["robot1"]["interface"] == "lo"
+    unknown = document["links"]["robot2"]
+    assert (unknown["rtt_ms"], unknown["interface"], unknown["reachable"]) == (None, None, None)
+
+
+TASK = """
+import socket, sys, time
+robot = socket.create_connection((sys.argv[1], int(sys.argv[2])))
+held = bytearray(40_000_000)
+print("up", flush=True)
+while True:
+    end = time.monotonic() + 0.02
+    while time.monotonic() < end:
+        pass
+    robot.sendall(bytes(10_000))
+    time.sleep(0.02)
+"""
+
+
+def test_task_is_measured_with_its_whole_tree(host: AgentHost, tmp_path: Path) -> None:
+    (tmp_path / "task.py").write_text(TASK)
+    with socket.create_server((ROBOT, 0)) as server:
+        command = f"{sys.executable} {tmp_path}/task.py {ROBOT} {server.getsockname()[1]} & setsid sleep 600; true"
+        host.start("slam-robot1", command)
+        peer, _ = server.accept()
+        drain = threading.Thread(target=lambda: [None for _ in iter(lambda: peer.recv(1 << 16), b"")])
+        drain.start()
+        eventually(lambda: "up" in host.ask("logs", task="slam-robot1", tail=3)["text"])
+        document = host.ask("probe", window_s=1.0, links=LINKS)
+        host.stop("slam-robot1")
+        drain.join()
+        peer.close()
+    entry = document["tasks"]["slam-robot1"]
+    assert (entry["state"], entry["managed"], entry["instance"]) == ("running", True, "i1")
+    assert 0.05 < entry["used_cores"] < 0.8
+    assert 40e6 < entry["used_bytes"] < 80e6
+    assert set(entry["links"]) == {"robot1"}
+    assert entry["links"]["robot1"] == pytest.approx(entry["tx_bytes_per_s"], rel=0.01)
+    assert 10_000 < entry["tx_bytes_per_s"] < 400_000
+    assert document["cpu"]["used_cores"] >= entry["used_cores"] * 0.5
+
+
+def test_cpu_of_children_that_come_and_go_is_counted(host: AgentHost) -> None:
+    host.start("work", f"while :; do {sys.executable} -I -S -c 'for i in range(300000): pass'; done")
+    document = host.ask("probe", window_s=1.0)
+    host.stop("work")
+    assert document["tasks"]["work"]["used_cores"] > 0.1
+
+
+def test_used_cores_are_the_machine_s_without_the_agent(host: AgentHost) -> None:
+    busy = subprocess.Popen([sys.executable, "-c", "while True: pass"])
+    try:
+        document = host.ask("probe", window_s=0.5)
+    finally:
+        busy.kill()
+        busy.wait()
+    cpu = document["cpu"]
+    assert cpu["cores"] <= len(os.sched_getaffinity(0))
+    assert 0.4 <= cpu["used_cores"] <= cpu["cores"]
+
+
+def test_checks_run_beside_the_window(host: AgentHost) -> None:
+    host.start("alive", "exec sleep 600")
+    checks = [
+        {"task": "alive", "command": "echo $WHAT; exit 3", "timeout_s": 5, "env": {"WHAT": "done"}},
+        {"task": "dead", "command": "exit 0", "timeout_s": 5},
+        {"task": "slow", "command": "sleep 600 & sleep 600", "timeout_s": 0.4, "always": True},
+        {"task": "prelude", "command": "f", "prelude": "f() { echo from bash; }", "timeout_s": 5, "always": True},
+    ]
+    found = host.ask("probe", window_s=0.1, checks=checks)["checks"]
+    host.stop("alive")
+    assert found == {
+        "alive": {"exit": 3, "timed_out": False, "output": "done\n"},
+        "slow": {"exit": None, "timed_out": True, "output": ""},
+        "prelude": {"exit": 0, "timed_out": False, "output": "from bash\n"},
+    }
+
+
+def test_check_keeps_the_end_of_long_output(host: AgentHost) -> None:
+    found = host.ask("check", command="seq 100000; exit 1", prelude="", env={}, timeout_s=10)
+    assert (found["exit"], found["timed_out"], len(found["output"])) == (1, False, 2048)
+    assert found["output"].endswith("99999\n100000\n")
+
+
+def test_detect_finds_what_somebody_else_started(host: AgentHost) -> None:
+    host.start("own", "exec sleep 6543.2")
+    neighbour = AgentHost("edge2", host.state)
+    neighbour.start("theirs", "exec sleep 6543.3")
+    other = subprocess.Popen(["sleep", "6543.1"])
+    node = subprocess.Popen(["bash", "-c", "sleep 600; true", "talker", "__name:=talker"])
+    try:
+        detect = [
+            {"task": "found", "cmdline": r"sleep 6543\.\d"},
+            {"task": "ros", "ros_node": "/talker"},
+            {"task": "none", "cmdline": "no-such-thing"},
+        ]
+        tasks = host.ask("probe", window_s=0.2, detect=detect)["tasks"]
+    finally:
+        for process in (other, node):
+            process.kill()
+            process.wait()
+    host.stop("own")
+    neighbour.stop("theirs")
+    neighbour.end()
+    assert set(tasks) == {"own", "found", "ros"}
+    assert (tasks["found"]["pid"], tasks["found"]["managed"], tasks["found"]["state"]) == (other.pid, False, "running")
+    assert tasks["ros"]["pid"] == node.pid
+    assert tasks["own"]["managed"] is True
+
+
+def shape(value: Any) -> Any:
+    """The names and kinds in a document, without its numbers."""
+    if isinstance(value, dict):
+        return {name: shape(inner) for name, inner in value.items()}
+    return "number" if isinstance(value, int | float) and not isinstance(value, bool) else type(value).__name__
+
+
+@pytest.mark.parametrize("python", interpreters(), ids=lambda path: "-".join(Path(path).parts[-3::2]))
+def test_every_python_gives_the_same_document_and_supervises(host: AgentHost, python: str) -> None:
+    reference = host.ask("probe", window_s=0.1, links=LINKS)
+    host.session.python = python
+    document = host.ask("probe", window_s=0.1, links=LINKS)
+    assert shape(document) | {"temperature_c": 0, "gpu_share": 0} == shape(reference) | {"temperature_c": 0, "gpu_share": 0}
+    started = host.start("slam", "echo hello; exec sleep 600", instance="i2")
+    assert started["state"] == "started"
+    assert host.ask("wait", task="slam", instance="i2", timeout_s=5)["state"] == "running"
+    assert host.ask("logs", task="slam", tail=1)["text"] == "hello\n"
+    assert host.stop("slam")["state"] == "stopped"
+
+
+def test_memory_with_and_without_psutil_is_close() -> None:
+    psutil = device.find_psutil()
+    assert psutil is not None
+    with_it, without = device.memory(psutil), device.memory(None)
+    assert with_it["total_bytes"] == without["total_bytes"]
+    assert abs(with_it["used_bytes"] - without["used_bytes"]) < 200e6
+
+
+def test_temperature_is_plausible_or_missing() -> None:
+    for psutil in (device.find_psutil(), None):
+        found = device.temperature_c(psutil)
+        assert found is None or 0 < found < 150
+
+
+def test_bandwidth_is_measured_by_sending(host: AgentHost) -> None:
+    door = host.ask("sink", seconds=1)
+    result = host.ask("send", address="127.0.0.1", port=door["port"], token=door["token"], seconds=0.5)
+    assert result["bytes"] > 1_000_000
+    assert 0.4 < result["seconds"] < 5
+    with pytest.raises(RefusedError, match=r"cannot send to 127\.0\.0\.1"):
+        host.ask("send", address="127.0.0.1", port=door["port"], token=door["token"], seconds=0.2)
+
+
+def test_sink_serves_only_who_knows_the_token(host: AgentHost) -> None:
+    door = host.ask("sink", seconds=1)
+    with socket.create_connection(("127.0.0.1", door["port"]), timeout=5) as stranger:
+        stranger.sendall(b"x" * 32 + b"\n")
+        assert stranger.recv(10) == b""
+    assert host.ask("send", address="127.0.0.1", port=door["port"], token=door["token"], seconds=0.2)["bytes"] > 0
+
+
+def test_unknown_operation_is_refused(host: AgentHost) -> None:
+    with pytest.raises(RefusedError, match="no operation 'dance'"):
+        host.ask("dance")
+
+
+def test_mistake_in_the_agent_is_one_line(host: AgentHost) -> None:
+    with pytest.raises(RefusedError, match=r"^ValueError: .* \(probe.py:\d+\)$"):
+        host.ask("probe", window_s="soon")

@@ -1,0 +1,67 @@
+"""No signal ever goes to a process that only has the right number."""
+
+import os
+import signal
+import subprocess
+from collections.abc import Iterator
+
+import pytest
+
+from edgectl.agent import proc, record, signals
+from edgectl.agent.life import Trace, is_alive, orphans, supervisor
+from tests.agent.conftest import AgentHost, eventually, is_running
+
+
+@pytest.fixture(params=["pidfd", "kill"])
+def sleeper(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[subprocess.Popen[bytes]]:
+    if request.param == "kill":
+        monkeypatch.delattr(os, "pidfd_open")
+    process = subprocess.Popen(["sleep", "600"])
+    yield process
+    process.kill()
+    process.wait()
+
+
+def test_reused_pid_is_not_signalled(sleeper: subprocess.Popen[bytes]) -> None:
+    ticks = proc.process(sleeper.pid).ticks
+    assert not signals.send(sleeper.pid, ticks - 1, signal.SIGKILL)
+    assert is_running(sleeper.pid)
+    assert signals.send(sleeper.pid, ticks, signal.SIGKILL)
+    sleeper.wait(timeout=5)
+    assert not signals.send(sleeper.pid, ticks, signal.SIGKILL)
+
+
+@pytest.mark.parametrize(("name", "number"), [("TERM", 15), ("SIGTERM", 15), ("int", 2), ("SIGUSR1", 10)])
+def test_names_of_signals(name: str, number: int) -> None:
+    assert signals.number(name) == number
+
+
+def test_record_with_a_stranger_s_pid_is_dead(sleeper: subprocess.Popen[bytes], tmp_path_factory: pytest.TempPathFactory) -> None:
+    ticks = proc.process(sleeper.pid).ticks - 1
+    folder = tmp_path_factory.mktemp("task")
+    instance = {"instance": "i1", "boot_id": proc.boot_id(), "supervisor": sleeper.pid, "supervisor_ticks": ticks}
+    trace = Trace(str(folder), instance, {"instance": "i1", "state": "running", "pid": sleeper.pid, "ticks": ticks}, held=False)
+    assert supervisor(trace) == 0
+    assert orphans(trace, proc.processes()) == set()
+    assert not is_alive(trace)
+
+
+def test_reboot_ends_every_instance(host: AgentHost) -> None:
+    pid = host.start("slam", "exec sleep 600")["pid"]
+    for victim in (host.supervisor("slam"), pid):
+        os.kill(victim, signal.SIGKILL)
+    path = str(host.folder("slam") / "instance")
+    eventually(lambda: not is_running(pid))
+    record.write(path, dict(record.read(path), boot_id="another"))
+    entry = host.entry("slam")
+    assert entry is not None
+    assert (entry["state"], entry["pid"], entry["detail"]) == ("failed", 0, "the host was rebooted")
+    assert host.start("slam", "exec sleep 600", instance="i2")["state"] == "started"
+    host.stop("slam")
+
+
+def test_stop_clears_a_failure(host: AgentHost) -> None:
+    host.start("work", "exit 3")
+    host.until("work", "failed")
+    assert host.stop("work")["state"] == "not-running"
+    assert host.entry("work") is None

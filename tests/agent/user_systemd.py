@@ -1,0 +1,156 @@
+"""A systemd --user of our own, without a systemd as PID 1: in a mount namespace with its own /run, and control groups of its own.
+
+Where the tests are not root, or systemd is not installed, a program takes the place of systemd-run: it does what ``--scope`` does
+to the command, and nothing to control groups.
+"""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+MANAGER = Path("/lib/systemd/systemd")
+CONTROLLERS = Path("/sys/fs/cgroup")
+V1 = CONTROLLERS / "systemd" / "cgroup.procs"
+
+# Moves itself into control groups of its own first: a systemd --user takes hold of the whole group in which it is started.
+_HOLD = """
+set -e
+PATH=$PATH:/usr/sbin:/sbin
+for group in $GROUPS_; do echo $$ > $group/cgroup.procs; done
+own=$(grep :name=systemd: /proc/self/cgroup || grep ^0:: /proc/self/cgroup || true)
+case "$GROUPS_:$own" in
+    :*) ;;
+    *:/) echo "refused: still in the root group ($own)" >&2; exit 1;;
+esac
+exec unshare $UNSHARE --mount --propagation private sh -ec '
+    mount -t tmpfs tmpfs /run
+    mkdir -p /run/systemd/system /run/user/$UID_
+    chmod 700 /run/user/$UID_
+    mount -t tmpfs tmpfs /var/lib
+    mkdir -p /var/lib/systemd/linger
+    touch /var/lib/systemd/linger/$USER_
+    for hierarchy in $READ_ONLY; do mount -o bind $hierarchy $hierarchy; mount -o remount,bind,ro $hierarchy; done
+    exec setpriv --pdeathsig KILL "$@"
+' sh "$@"
+"""
+_SOCKET = "import os,socket,sys,time;s=socket.socket(socket.AF_UNIX);os.mkdir(sys.argv[1]);s.bind(sys.argv[1]+'/private');time.sleep(3600)"
+_FAKE = """#!/bin/sh
+# Stands in for systemd-run --user --scope: becomes the command, as that does.
+[ "$1" = --version ] && { echo "systemd 255 (a stand-in)"; exit 0; }
+printf '%s\\n' "$@" > "$(dirname "$0")/argv"
+[ -e "$(dirname "$0")/refuse" ] && { echo "Failed to start transient scope unit: no" >&2; exit 1; }
+while [ "$1" != -- ]; do shift; done
+shift
+exec "$@"
+"""
+
+
+@dataclass(frozen=True)
+class UserSystemd:
+    """``python`` runs an interpreter where this systemd is; ``real`` is false for the stand-in, which notes what it was asked in ``argv``."""
+
+    python: Path
+    real: bool
+    pid: int
+    folder: Path
+
+    @property
+    def argv(self) -> list[str]:
+        return (self.folder / "argv").read_text().splitlines()
+
+    def units(self) -> list[str]:
+        """The task scopes that systemd knows."""
+        words = ["nsenter", f"--mount=/proc/{self.pid}/ns/mnt", "env", f"XDG_RUNTIME_DIR=/run/user/{os.geteuid()}"]
+        command = ["systemctl", "--user", "list-units", "--all", "--plain", "--no-legend", "edgectl-*"]
+        return subprocess.run([*words, *command], capture_output=True, text=True, check=True, timeout=20).stdout.splitlines()
+
+
+def can_be_real() -> bool:
+    """Root, the programs, and control groups (v1, or v2 with controllers) in which a group of ours can be made."""
+    if os.geteuid() or not MANAGER.exists() or not shutil.which("systemd-run") or not os.access(CONTROLLERS, os.W_OK):
+        return False
+    given = CONTROLLERS / "cgroup.subtree_control"
+    return {"cpu", "memory"} <= set(given.read_text().split()) if given.exists() else V1.exists()
+
+
+@contextmanager
+def user_systemd(folder: Path, *, real: bool, read_only: tuple[str, ...] = ()) -> Iterator[UserSystemd]:
+    """``read_only``: controllers that this systemd may not write, as on hosts where they are not delegated to users."""
+    folder.mkdir()
+    groups = _groups(f"edgectl-test-{os.getpid()}-{folder.name}") if real else []
+    uid = 0 if os.geteuid() == 0 or not real else os.geteuid()
+    listener = f"/run/user/{uid}/systemd"
+    command = [str(MANAGER), "--user"] if real else [sys.executable, "-c", _SOCKET, listener]
+    env = {
+        "PATH": os.environ["PATH"], "HOME": str(folder), "XDG_RUNTIME_DIR": f"/run/user/{uid}", "UID_": str(uid), "USER_": "root",
+        "GROUPS_": " ".join(map(str, groups)), "READ_ONLY": " ".join(str(CONTROLLERS / name) for name in read_only),
+        "UNSHARE": "" if os.geteuid() == 0 else "--user --map-root-user",
+    }  # fmt: skip
+    with (folder / "log").open("wb") as log:
+        process = subprocess.Popen(["sh", "-c", _HOLD, "sh", *command], stdin=subprocess.DEVNULL, stdout=log, stderr=log, env=env)
+    try:
+        _wait_for(lambda: Path(f"/proc/{process.pid}/root{listener}/private").exists(), (folder / "log"))
+        yield UserSystemd(_wrapper(folder, process.pid, uid, fake=not real), real, process.pid, folder)
+    finally:
+        process.send_signal(signal.SIGKILL)
+        process.wait(10)
+        for group in groups:
+            _remove(group)
+
+
+def _groups(name: str) -> list[Path]:
+    """A group of that name in each hierarchy."""
+    hierarchies = [path for path in sorted(CONTROLLERS.iterdir()) if (path / "cgroup.procs").exists()] if V1.exists() else [CONTROLLERS]
+    groups = [hierarchy / name for hierarchy in hierarchies]
+    for group in groups:
+        group.mkdir()
+        for setting in ("cpuset.cpus", "cpuset.mems"):
+            if (group / setting).exists():
+                (group / setting).write_text((group.parent / setting).read_text())
+    return groups
+
+
+def _wrapper(folder: Path, pid: int, uid: int, *, fake: bool) -> Path:
+    """An interpreter inside the namespace. XDG_RUNTIME_DIR is not set: nor is it by a login without PAM."""
+    if fake:
+        (folder / "systemd-run").write_text(_FAKE)
+        (folder / "systemd-run").chmod(0o755)
+    spaces = f"--target={pid} --mount" + ("" if os.geteuid() == 0 else " --user --preserve-credentials")
+    path = f"{folder}:$PATH" if fake else "$PATH"
+    wrapper = folder / "python3"
+    wrapper.write_text(f'#!/bin/sh\nexec nsenter {spaces} --wd=/ env -u XDG_RUNTIME_DIR PATH="{path}" {sys.executable} "$@"\n')
+    wrapper.chmod(0o755)
+    assert uid == 0 or fake
+    return wrapper
+
+
+def _wait_for(found: object, log: Path) -> None:
+    deadline = time.monotonic() + 15
+    while not found():  # type: ignore[operator]
+        assert time.monotonic() < deadline, log.read_text()[-2000:]
+        time.sleep(0.05)
+
+
+def _remove(group: Path) -> None:
+    """End whatever is left in a group of ours, and remove it."""
+    for _ in range(50):
+        for inner in sorted(group.rglob("cgroup.procs"), reverse=True):
+            with suppress(OSError):
+                for pid in inner.read_text().split():
+                    os.kill(int(pid), signal.SIGKILL)
+        for folder in sorted((path for path in group.rglob("*") if path.is_dir()), reverse=True):
+            with suppress(OSError):
+                folder.rmdir()
+        with suppress(OSError):
+            group.rmdir()
+        if not group.exists():
+            return
+        time.sleep(0.1)
+    raise AssertionError(f"{group} cannot be removed")
