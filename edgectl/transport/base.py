@@ -1,0 +1,74 @@
+"""The seam between edgectl and a host: a Session runs one constant command line with bytes in and bytes out.
+
+No user data ever stands in a command line (``RELIABILITY`` verdict 2): everything else travels on standard input.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Protocol, Self
+
+from edgectl.model.inventory import Host
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reply:
+    """What one remote command gave back. ``status`` is its exit status, or -1 where the host did not say."""
+
+    stdout: bytes
+    stderr: bytes
+    status: int
+
+
+class Session(Protocol):
+    """An open way to one host. Safe to use from several threads; every call has its own hard deadline.
+
+    ``python`` is the interpreter to name in the command line (``python3``, or a path on this machine).
+    """
+
+    @property
+    def python(self) -> str:
+        """The interpreter to name in a command line."""
+        ...
+
+    def run(self, command: str, stdin: bytes, *, timeout: float, limit: int = 1 << 20) -> Reply:
+        """Run ``command``, feed it ``stdin``, return what it printed.
+
+        Raises:
+            DeadlineError: no end within ``timeout`` seconds; the channel is closed.
+            ReplyError: more than ``limit`` bytes of output.
+            ConnectError: the connection was lost.
+        """
+        ...
+
+    def stream(self, command: str, stdin: bytes, *, idle_timeout: float) -> Iterator[bytes]:
+        """Run ``command`` and yield its standard output as it comes; ends with the command, or when the iterator is closed.
+
+        Raises:
+            DeadlineError: nothing came for ``idle_timeout`` seconds.
+            ConnectError: the connection was lost.
+        """
+        ...
+
+    def close(self) -> None:
+        """Close the connection; never raises."""
+        ...
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(self, *exc: object) -> None: ...
+
+
+class Transport(Protocol):
+    """Opens sessions. One transport serves a whole run, so what is read once (known_hosts, keys) is kept in it."""
+
+    def connect(self, host: Host, *, timeout: float) -> Session:
+        """Open a session within ``timeout`` seconds, everything from name resolution to authentication.
+
+        Raises:
+            HostError: the leaf that names the cause.
+        """
+        ...
+
+    def address(self, host: Host) -> str:
+        """The network address or name under which other machines reach ``host`` (ssh_config's HostName applied)."""
+        ...

@@ -1,0 +1,104 @@
+"""A fleet without a network, for tests of ours and of users: handlers answer requests, through the same frames as a real agent.
+
+    transport = FakeTransport({"edge1": lambda request: {"v": 1, "op": request["op"]}, "edge2": ConnectError("switched off")})
+
+A handler takes the request and returns the reply; it may raise a `HostError`: `RefusedError` comes back as the agent's own refusal,
+any other one as if the connection had failed. In place of a handler an error means that the host cannot be connected to at all.
+"""
+
+import hashlib
+import json
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from typing import Self
+
+from edgectl.errors import ConnectError, HostError, RefusedError
+from edgectl.model.inventory import Host
+from edgectl.transport.base import Reply
+from edgectl.transport.call import command_line
+
+Handler = Callable[[dict[str, object]], Mapping[str, object]]
+
+
+class FakeTransport:
+    """Answers for the hosts it has handlers for; every other host is a `ConnectError`. ``requests`` holds (host, request) as they came."""
+
+    def __init__(self, handlers: Mapping[str, Handler | HostError]) -> None:
+        self._handlers = handlers
+        self._lock = threading.Lock()
+        self.requests: list[tuple[str, dict[str, object]]] = []
+
+    def connect(self, host: Host, *, timeout: float) -> "FakeSession":  # noqa: ARG002 - nothing here takes time
+        """A session, or the error that stands in the host's place."""
+        handler = self._handlers.get(host.name, ConnectError("no handler for this host"))
+        if isinstance(handler, HostError):
+            raise type(handler)(handler.message, hint=handler.hint, host=host.name)
+        return FakeSession(host.name, handler, self._note)
+
+    def address(self, host: Host) -> str:
+        """The address that the inventory states."""
+        return host.host
+
+    def _note(self, name: str, request: dict[str, object]) -> None:
+        with self._lock:
+            self.requests.append((name, request))
+
+
+class FakeSession:
+    """Takes requests apart as an agent does, and frames what the handler returns."""
+
+    python = "python3"
+
+    def __init__(self, name: str, handler: Handler, note: Callable[[str, dict[str, object]], None]) -> None:
+        self.name = name
+        self._handler = handler
+        self._note = note
+
+    def run(self, command: str, stdin: bytes, *, timeout: float, limit: int = 1 << 20) -> Reply:  # noqa: ARG002 - instant and small
+        """Answer one request (see `Session.run`)."""
+        marker, reply = self._answer(command, stdin)
+        return Reply(stdout=frame(marker, reply), stderr=b"", status=0)
+
+    def stream(self, command: str, stdin: bytes, *, idle_timeout: float) -> Iterator[bytes]:  # noqa: ARG002 - it never idles
+        """Answer ``follow``: the reply's ``text`` comes as one piece (see `Session.stream`)."""
+        marker, reply = self._answer(command, stdin)
+        if "error" in reply:
+            yield frame(marker, reply)
+            return
+        text = str(reply.get("text", "")).encode()
+        yield frame(marker, {"stream": True})
+        yield b"%d\n%s" % (len(text), text) if text else b""
+        yield b"end\n"
+
+    def close(self) -> None:
+        """Nothing to close."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    def _answer(self, command: str, stdin: bytes) -> tuple[str, Mapping[str, object]]:
+        if command != command_line(self.python):
+            raise RefusedError("only the agent's own command line can be run", host=self.name)
+        marker, request = unpack(stdin)
+        self._note(self.name, request)
+        try:
+            return marker, self._handler(request)
+        except RefusedError as error:
+            return marker, {"error": {"kind": "refused", "message": error.message, "hint": error.hint}}
+
+
+def unpack(packet: bytes) -> tuple[str, dict[str, object]]:
+    """Marker and request of what `edgectl.transport.call` sends: the boot program, a head line, the request, the agent."""
+    size, _, rest = packet.partition(b"\n")
+    head, _, body = rest[int(size) :].partition(b"\n")
+    marker, _, length, *_ = head.decode().split()
+    return marker, dict(json.loads(body[: int(length)]))
+
+
+def frame(marker: str, reply: Mapping[str, object]) -> bytes:
+    """``reply`` as an agent frames it: marker, length, digest, JSON."""
+    payload = json.dumps(reply).encode()
+    return f"\nedgectl-frame {marker} {len(payload)} {hashlib.sha256(payload).hexdigest()}\n".encode() + payload + b"\n"

@@ -1,0 +1,154 @@
+"""Hosts that are this machine (``connection: local``): the same command line, run by sh instead of sshd."""
+
+import contextlib
+import os
+import select
+import selectors
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from typing import IO, Self
+
+from edgectl.errors import ConnectError, DeadlineError, ReplyError
+from edgectl.model.inventory import Host
+from edgectl.transport.base import Reply
+
+_BLOCK = 65536
+_GRACE_S = 0.5
+
+
+class LocalTransport:
+    """Opens sessions on this machine, with the manager's own environment and interpreter."""
+
+    def connect(self, host: Host, *, timeout: float) -> "LocalSession":  # noqa: ARG002 - nothing here takes time
+        """A session; it never fails to open."""
+        return LocalSession(host.name)
+
+    def address(self, host: Host) -> str:
+        """The address that the inventory states."""
+        return host.host
+
+
+class LocalSession:
+    """Runs each command in a process group of its own, so that a deadline ends all of it."""
+
+    python = sys.executable
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def run(self, command: str, stdin: bytes, *, timeout: float, limit: int = 1 << 20) -> Reply:
+        """As ``Session.run``."""
+        with self._started(command) as process:
+            exchange = _Exchange(process, stdin, deadline=time.monotonic() + timeout, limit=limit)
+            try:
+                stdout, stderr = exchange.finish()
+                status = process.wait(timeout=max(0.1, exchange.left()))
+            except (TimeoutError, subprocess.TimeoutExpired):
+                raise DeadlineError(f"no answer within {timeout:g} s", host=self._name) from None
+            except OverflowError:
+                raise ReplyError(f"more than {limit} bytes of output", host=self._name) from None
+        return Reply(stdout=stdout, stderr=stderr, status=status)
+
+    def stream(self, command: str, stdin: bytes, *, idle_timeout: float) -> Iterator[bytes]:
+        """As ``Session.stream``."""
+        with self._started(command) as process:
+            stdout = process.stdout.fileno() if process.stdout else -1
+            if process.stdin:
+                with contextlib.suppress(BrokenPipeError), process.stdin as pipe:
+                    pipe.write(stdin)
+            while True:
+                if not select.select([stdout], [], [], idle_timeout)[0]:
+                    raise DeadlineError(f"nothing came for {idle_timeout:g} s", host=self._name)
+                data = os.read(stdout, _BLOCK)
+                if not data:
+                    return
+                yield data
+
+    @contextlib.contextmanager
+    def _started(self, command: str) -> Iterator[subprocess.Popen[bytes]]:
+        pipe = subprocess.PIPE
+        try:
+            process = subprocess.Popen(["/bin/sh", "-c", command], stdin=pipe, stdout=pipe, stderr=pipe, start_new_session=True)
+        except OSError as error:
+            raise ConnectError(f"cannot start a process: {error.strerror}", host=self._name) from None
+        try:
+            yield process
+        finally:
+            _end(process)
+
+    def close(self) -> None:
+        """Nothing is held open between commands."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """End what is left of the process group, reap it, close its pipes. TERM first: an agent then ends its checks, too."""
+    if process.poll() is None:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGTERM)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(timeout=_GRACE_S)
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+    for pipe in (process.stdin, process.stdout, process.stderr):
+        if pipe is not None:
+            with contextlib.suppress(BrokenPipeError):
+                pipe.close()
+
+
+class _Exchange:
+    """Writes all of standard input and reads both outputs at once, up to a deadline and a size."""
+
+    def __init__(self, process: subprocess.Popen[bytes], stdin: bytes, *, deadline: float, limit: int) -> None:
+        self._process = process
+        self._stdin = memoryview(stdin)
+        self._deadline = deadline
+        self._limit = limit
+        self._got: dict[str, bytearray] = {"stdout": bytearray(), "stderr": bytearray()}
+
+    def left(self) -> float:
+        """Seconds until the deadline."""
+        return self._deadline - time.monotonic()
+
+    def finish(self) -> tuple[bytes, bytes]:
+        """Standard output and error. Raises TimeoutError at the deadline, OverflowError above the limit."""
+        with selectors.DefaultSelector() as selector:
+            for name, events in (("stdin", selectors.EVENT_WRITE), ("stdout", selectors.EVENT_READ), ("stderr", selectors.EVENT_READ)):
+                os.set_blocking(getattr(self._process, name).fileno(), False)
+                selector.register(getattr(self._process, name), events, name)
+            while selector.get_map():
+                ready = selector.select(self.left())
+                if not ready and self.left() <= 0:
+                    raise TimeoutError
+                for key, _ in ready:
+                    pipe: IO[bytes] = getattr(self._process, key.data)
+                    if not (self._write(pipe) if key.data == "stdin" else self._read(pipe, key.data)):
+                        selector.unregister(pipe)
+        return bytes(self._got["stdout"]), bytes(self._got["stderr"])
+
+    def _write(self, pipe: IO[bytes]) -> bool:
+        """Whether there is more to write."""
+        try:
+            self._stdin = self._stdin[os.write(pipe.fileno(), self._stdin[:_BLOCK]) :]
+        except BrokenPipeError:
+            self._stdin = self._stdin[:0]
+        if not self._stdin:
+            with contextlib.suppress(BrokenPipeError):
+                pipe.close()
+        return bool(self._stdin)
+
+    def _read(self, pipe: IO[bytes], name: str) -> bool:
+        """Whether there may be more to read."""
+        data = os.read(pipe.fileno(), _BLOCK)
+        self._got[name] += data
+        if len(self._got["stdout"]) + len(self._got["stderr"]) > self._limit:
+            raise OverflowError
+        return bool(data)

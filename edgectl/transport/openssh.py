@@ -1,0 +1,197 @@
+"""The user's own ``ssh`` program (``connection: openssh``): for what paramiko lacks, such as certificates of hosts and security keys.
+
+Each command is a connection of its own, unless the user's ssh_config names a ControlPath on which a master listens already; edgectl
+never starts one, because one stalled master would stall every session.
+"""
+
+import contextlib
+import os
+import re
+import selectors
+import shlex
+import shutil
+import signal
+import subprocess
+import tempfile
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import IO, Self
+
+from edgectl.errors import AuthError, ConnectError, DeadlineError, HostError, HostKeyError
+from edgectl.model.inventory import Host
+from edgectl.transport.base import Reply
+from edgectl.transport.dial import CONNECT_S
+from edgectl.transport.local import LocalSession
+from edgectl.transport.sshconfig import Resolver, jump_host, options
+
+FIXED = {
+    "BatchMode": "yes",
+    "ClearAllForwardings": "yes",
+    "ControlMaster": "no",
+    "EscapeChar": "none",
+    "ForwardAgent": "no",
+    "LogLevel": "ERROR",
+    "NoHostAuthenticationForLocalhost": "no",
+    "PermitLocalCommand": "no",
+    "RemoteCommand": "none",
+    "RequestTTY": "no",
+    "ServerAliveCountMax": "3",
+    "ServerAliveInterval": "5",
+    "UpdateHostKeys": "no",
+}
+# Exit status of ssh for failures of its own.
+FAILED = 255
+_BLOCK = 65536
+# What ssh says -> our error, words, hint; the first pattern that is found counts.
+TABLE: tuple[tuple[str, type[HostError], str, str], ...] = (
+    (
+        r"REVOKED HOST KEY|revoked by file|revoked keys file",
+        HostKeyError,
+        "host key is revoked",
+        "do not use this host before it has a new key",
+    ),
+    (
+        r"IDENTIFICATION HAS CHANGED",
+        HostKeyError,
+        "host key has changed",
+        "reinstalled? remove the old key with ssh-keygen -R, then: edgectl trust {host}",
+    ),
+    (
+        r"host key is known for|Host key verification failed",
+        HostKeyError,
+        "host key is not known",
+        "compare the fingerprint, then: edgectl trust {host}",
+    ),
+    (
+        r"Permission denied|Too many authentication failures",
+        AuthError,
+        "login refused",
+        "ssh to it by hand, or name the key: identity_file: in the inventory",
+    ),
+    (
+        r"timed out during banner exchange|Connection to \S+ port \d+ timed out",
+        DeadlineError,
+        "connected, but SSH did not get ready in time",
+        "frozen or overloaded?",
+    ),
+    (r"Could not resolve|Name or service not known", ConnectError, "name unknown", "correct host: in the inventory, or ssh_config"),
+    (r"Connection refused", ConnectError, "connection refused", "is it switched on, and is its address right?"),
+    (r"timed out|No route to host|Network is unreachable", ConnectError, "no answer", "is it switched on, and is its address right?"),
+)
+
+
+class OpenSshTransport:
+    """Runs ``ssh`` for each command. Keys and agent only: there is nobody to ask (BatchMode)."""
+
+    def __init__(self, *, accept_new: bool = False) -> None:
+        self._resolver = Resolver()
+        self._strict = "accept-new" if accept_new else "yes"
+
+    def connect(self, host: Host, *, timeout: float) -> "OpenSshSession":
+        """A session. Nothing is sent yet: what is wrong with the host shows with the first command.
+
+        Raises:
+            ConnectError: no ssh program here, or no host name.
+            AuthError: the inventory wants a password.
+        """
+        if host.password_command:
+            message = "connection: openssh logs in with keys only"
+            raise AuthError(message, hint="remove password_command, or use connection: ssh", host=host.name)
+        if shutil.which("ssh") is None:
+            raise ConnectError("there is no ssh program here", hint="install openssh-client, or use connection: ssh", host=host.name)
+        return OpenSshSession(host.name, self._command(host, timeout))
+
+    def address(self, host: Host) -> str:
+        """The real address or name of ``host``, ssh_config applied."""
+        return self._resolver.resolve(host).hostname
+
+    def _command(self, host: Host, timeout: float) -> list[str]:
+        settings = FIXED | {"StrictHostKeyChecking": self._strict, "ConnectTimeout": str(max(1, int(min(CONNECT_S, timeout * 0.8))))}
+        pairs = [argument for name, value in settings.items() for argument in ("-o", f"{name}={value}")]
+        jump = self._resolver.resolve(host, timeout=timeout).proxy_jump
+        return ["ssh", *(self._through(host, jump, timeout) if jump else options(host)), *pairs, "--", host.host]
+
+    def _through(self, host: Host, jump: str, timeout: float) -> list[str]:
+        """Options for a host behind ``jump``. With ProxyJump, ssh would not pass our options on to the jump host's own ssh."""
+        *before, dashes, name = self._command(jump_host(jump), timeout)
+        inner = shlex.join([*before]).replace("%", "%%") + f" -W '[%h]:%p' {dashes} {shlex.quote(name)}"
+        return [*options(replace(host, proxy_jump="none")), "-o", f"ProxyCommand={inner}"]
+
+
+class OpenSshSession:
+    """One ssh process per command; a deadline counts its login too."""
+
+    python = "python3"
+
+    def __init__(self, name: str, command: list[str]) -> None:
+        self.name = name
+        self._command = command
+
+    def run(self, command: str, stdin: bytes, *, timeout: float, limit: int = 1 << 20) -> Reply:
+        """Run ``command`` (see `Session.run`); login errors show here."""
+        reply = LocalSession(self.name).run("exec " + shlex.join([*self._command, command]), stdin, timeout=timeout, limit=limit)
+        if reply.status == FAILED:
+            raise translate(reply.stderr, self.name)
+        return reply
+
+    def stream(self, command: str, stdin: bytes, *, idle_timeout: float) -> Iterator[bytes]:
+        """Run ``command`` and yield its output as it comes (see `Session.stream`)."""
+        with tempfile.TemporaryFile() as said, tempfile.TemporaryFile() as given:
+            given.write(stdin)
+            given.seek(0)
+            with _started([*self._command, command], given, said) as process:
+                yield from _pieces(process, idle_timeout, self.name)
+                if process.wait(timeout=idle_timeout) == FAILED:
+                    said.seek(0)
+                    raise translate(said.read(_BLOCK), self.name)
+
+    def close(self) -> None:
+        """Nothing is held open between commands."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+
+@contextlib.contextmanager
+def _started(command: list[str], stdin: IO[bytes], stderr: IO[bytes]) -> Iterator[subprocess.Popen[bytes]]:
+    with subprocess.Popen(command, stdin=stdin, stdout=subprocess.PIPE, stderr=stderr, start_new_session=True) as process:
+        try:
+            yield process
+        finally:
+            if process.poll() is None:
+                with contextlib.suppress(ProcessLookupError):
+                    os.killpg(process.pid, signal.SIGKILL)
+
+
+def _pieces(process: subprocess.Popen[bytes], idle_timeout: float, name: str) -> Iterator[bytes]:
+    if process.stdout is None:
+        return
+    with selectors.DefaultSelector() as selector:
+        selector.register(process.stdout, selectors.EVENT_READ)
+        while selector.select(idle_timeout):
+            data = os.read(process.stdout.fileno(), _BLOCK)
+            if not data:
+                return
+            yield data
+    raise DeadlineError(f"nothing came for {idle_timeout:g} s", host=name)
+
+
+def translate(stderr: bytes, name: str) -> HostError:
+    """Our error for what ssh said on its way to exit status 255."""
+    text = stderr.decode(errors="replace")
+    for pattern, kind, words, hint in TABLE:
+        if re.search(pattern, text):
+            return kind(words + (_which_key(text) if kind is HostKeyError else ""), hint=hint.format(host=name), host=name)
+    said = [line.strip() for line in text.splitlines() if line.strip()]
+    detail = "".join(char for char in (said[-1] if said else "ssh said nothing") if char.isprintable())[:200]
+    return ConnectError(f"connection lost ({detail})", hint="try: ssh " + name, host=name)
+
+
+def _which_key(text: str) -> str:
+    """Whose key ssh complains about (it may be a jump host's), and its fingerprint where ssh shows one."""
+    whose = re.search(r"host key (?:is known )?for (\S+)", text)
+    shown = re.search(r"SHA256:[A-Za-z0-9+/]{43}", text)
+    return (f": {whose[1]}" if whose else "") + (f" {shown[0]}" if shown else "")

@@ -1,0 +1,251 @@
+"""Connections that Fabric opens: its client, our socket, our host key policy, our deadline (``docs/concepts/ssh.md``)."""
+
+import logging
+import math
+import secrets
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import TypeVar
+
+import fabric
+import paramiko
+
+from edgectl.errors import AuthError, ConnectError, DeadlineError, HostError
+from edgectl.model.inventory import Host
+from edgectl.transport.dial import CONNECT_S, Line, dial, hang_up, proxy, watchdog
+from edgectl.transport.hostkeys import HostKeys
+from edgectl.transport.jumps import Jumps
+from edgectl.transport.knownhosts import Key
+from edgectl.transport.passwords import Passwords
+from edgectl.transport.ssh_auth import Keyring, Login, RefusedLoginError
+from edgectl.transport.ssh_errors import translate
+from edgectl.transport.ssh_session import SshSession
+from edgectl.transport.sshconfig import ResolvedHost, Resolver, jump_host
+
+# A server with too many logins under way (MaxStartups) hangs up before its banner: pauses before asking again, seconds, before jitter.
+PAUSES_S = (0.2, 0.5, 1.0)
+KEEPALIVE_S = 15
+T = TypeVar("T")
+# paramiko logs what it also raises; whoever wants it can still configure the logger.
+logging.getLogger("paramiko").addHandler(logging.NullHandler())
+
+
+class _BusyError(Exception):
+    """The host hung up before its banner."""
+
+
+class SshTransport:
+    """SSH to any host, keys and known_hosts read once. Safe to use from several threads.
+
+    ``accept_new`` records the keys of unknown hosts; a changed key is refused all the same. ``ask_password`` is called with a prompt,
+    once per host, where keys are refused and the host allows passwords; without it (off a terminal) nothing is asked.
+    """
+
+    def __init__(self, *, accept_new: bool = False, ask_password: Callable[[str], str] | None = None) -> None:
+        self._resolver = Resolver()
+        self._keyring = Keyring()
+        self._host_keys = HostKeys(accept_new=accept_new)
+        self._jumps = Jumps(self._open_jump)
+        self._passwords = Passwords(ask_password)
+
+    def connect(self, host: Host, *, timeout: float) -> SshSession:
+        """Open a session (see `Transport.connect`); the time that a person needs to type a password does not count."""
+        deadline = time.monotonic() + timeout
+        resolved = self._resolver.resolve(host, timeout=timeout)
+        try:
+            return self._login(resolved, deadline)
+        except AuthError as refusal:
+            password = self._passwords.get(host, f"{resolved.user}@{resolved.given}") if _takes_passwords(refusal) else None
+            if password is None:
+                raise
+        try:
+            return self._login(resolved, time.monotonic() + timeout, password)
+        except AuthError:
+            self._passwords.refused(host)
+            raise
+
+    def address(self, host: Host) -> str:
+        """The real address or name of ``host``, ssh_config applied."""
+        return self._resolver.resolve(host).hostname
+
+    def shown_key(self, host: Host, *, timeout: float) -> Key:
+        """The key that ``host`` shows now, unjudged: nothing but the handshake is done."""
+        deadline = time.monotonic() + timeout
+        resolved = self._resolver.resolve(host, timeout=timeout)
+        return _patiently(partial(self._shown_key, resolved, deadline), deadline, resolved.name)
+
+    def _shown_key(self, resolved: ResolvedHost, deadline: float) -> Key:
+        with self._line(resolved, deadline) as (line, done), self._deadline(resolved, line, deadline):
+            transport = paramiko.Transport(line)  # type: ignore[arg-type]
+            try:
+                transport.start_client(timeout=max(0.1, deadline - time.monotonic()))
+                shown = transport.get_remote_server_key()
+            except Exception as error:
+                _raise_if_busy(transport, error)
+                raise
+            finally:
+                hang_up(line)
+                transport.close()
+        done()
+        return Key(shown.get_name(), shown.asbytes())
+
+    def trust(self, host: Host, key: Key) -> Path:
+        """Record ``key`` for ``host`` in the user's known_hosts; returns the file.
+
+        Raises:
+            HostKeyError: another key is known for it, or the file cannot be written.
+        """
+        return self._host_keys.trust(self._resolver.resolve(host), key)
+
+    def _login(self, resolved: ResolvedHost, deadline: float, password: str | None = None) -> SshSession:
+        return _patiently(partial(self._attempt, resolved, deadline, password), deadline, resolved.name)
+
+    def _attempt(self, resolved: ResolvedHost, deadline: float, password: str | None) -> SshSession:
+        login = Login(resolved.user, self._keyring.keys_for(resolved), password)
+        with self._line(resolved, deadline) as (line, done), self._deadline(resolved, line, deadline):
+            connection = self._fabric(resolved, line, login)
+            try:
+                connection.open()
+                connection.transport.set_keepalive(KEEPALIVE_S)
+                if isinstance(line, Line):
+                    line.allowance = math.inf
+                return SshSession(resolved.name, connection.client, line, after=done)
+            except BaseException as error:
+                hang_up(line)
+                _raise_if_busy(connection.client.get_transport(), error)
+                raise
+            finally:
+                if not connection.is_connected:
+                    connection.client.close()
+
+    def _fabric(self, resolved: ResolvedHost, line: object, login: Login) -> "fabric.Connection":
+        # Lazy: neither ~/.fabric.py nor any other file of Fabric's is read, let alone executed. Not shared: its merging is not thread-safe.
+        config = fabric.Config(lazy=True, ssh_config=paramiko.SSHConfig())
+        connection = fabric.Connection(
+            resolved.hostname,
+            user=resolved.user,
+            port=resolved.port,
+            config=config,
+            connect_kwargs={
+                "sock": line,
+                "auth_strategy": login,
+                "transport_factory": partial(_tuned, self._host_keys.key_types(resolved)),
+            },
+        )
+        connection.client.set_missing_host_key_policy(_Policy(resolved, self._host_keys))
+        return connection
+
+    @contextmanager
+    def _line(self, resolved: ResolvedHost, deadline: float) -> Iterator[tuple[object, Callable[[], None]]]:
+        """Something to speak SSH over, and what to call when it is no longer needed. Closed where the block raises."""
+        seconds = min(CONNECT_S, resolved.connect_timeout or CONNECT_S, deadline - time.monotonic())
+        line: object
+        done: Callable[[], None] = _nothing
+        try:
+            if resolved.proxy_jump:
+                line, done = self._jumps.channel(resolved.proxy_jump, (resolved.hostname, resolved.port), deadline)
+            elif resolved.proxy_command:
+                line = proxy(resolved.proxy_command)
+            else:
+                line = dial(resolved.hostname, resolved.port, timeout=seconds)
+        except TimeoutError as error:
+            message = f"no answer from {resolved.hostname} port {resolved.port} within {seconds:.3g} s"
+            raise ConnectError(message, hint="is it switched on, and is its address right?", host=resolved.name) from error
+        except Exception as error:
+            ours = translate(error, resolved.name)
+            raise ours from (None if ours is error else error)
+        try:
+            yield line, done
+        except BaseException:
+            with suppress(Exception):
+                line.close()  # type: ignore[attr-defined]
+            done()
+            raise
+
+    @contextmanager
+    def _deadline(self, resolved: ResolvedHost, line: object, deadline: float) -> Iterator[None]:
+        """Hang up when the deadline passes, and say which error of ours it all comes to."""
+        seconds = deadline - time.monotonic()
+        with watchdog(seconds, partial(hang_up, line)) as watch:
+            try:
+                yield
+            except Exception as error:
+                if watch.expired:
+                    raise DeadlineError(
+                        "connected, but SSH did not get ready in time", hint="frozen or overloaded?", host=resolved.name
+                    ) from error
+                if isinstance(error, _BusyError):
+                    raise
+                ours = translate(error, resolved.name)
+                raise ours from (None if ours is error else error)
+
+    def _open_jump(self, jump: str, deadline: float) -> SshSession:
+        """Open the session of one jump host, by the same rules as any other host."""
+        host = jump_host(jump)
+        resolved = self._resolver.resolve(host, timeout=max(0.1, deadline - time.monotonic()))
+        if resolved.proxy_jump and resolved.proxy_jump == jump:
+            resolved = replace(resolved, proxy_jump="")
+        try:
+            return self._login(resolved, deadline)
+        except HostError as error:
+            # A jump host need not be in the inventory, so `edgectl trust` may not know it; ssh does, and asks.
+            hint = error.hint.replace("edgectl trust", "ssh")
+            raise type(error)(f"jump host {host.name}: {error.message}", hint=hint) from error
+
+
+class _Policy(paramiko.MissingHostKeyPolicy):
+    """paramiko asks this about every key, because it knows no hosts itself."""
+
+    def __init__(self, resolved: ResolvedHost, host_keys: HostKeys) -> None:
+        self._resolved = resolved
+        self._host_keys = host_keys
+
+    def missing_host_key(self, client: paramiko.SSHClient, hostname: str, key: paramiko.PKey) -> None:
+        """Raise unless known_hosts vouches for ``key``."""
+        del client, hostname
+        self._host_keys.verify(self._resolved, Key(key.get_name(), key.asbytes()))
+
+
+def _tuned(preferred: list[str], sock: object, disabled_algorithms: object = None) -> paramiko.Transport:
+    """A paramiko transport that asks first for host keys of the types that known_hosts has, as OpenSSH does."""
+    del disabled_algorithms
+    transport = paramiko.Transport(sock)  # type: ignore[arg-type]
+    offered = transport.get_security_options()
+    types = list(offered.key_types)
+    wanted = [kind for known in preferred for kind in (("rsa-sha2-512", "rsa-sha2-256") if known == "ssh-rsa" else (known,))]
+    first = [kind for kind in wanted if kind in types]
+    offered.key_types = (*first, *(kind for kind in types if kind not in first))
+    return transport
+
+
+def _takes_passwords(refusal: AuthError) -> bool:
+    cause = refusal.__cause__
+    return isinstance(cause, RefusedLoginError) and bool({"password", "keyboard-interactive"} & set(cause.allowed))
+
+
+def _raise_if_busy(transport: paramiko.Transport | None, error: BaseException) -> None:
+    """Raise if the host has not even shown its banner."""
+    if transport is not None and not transport.remote_version and isinstance(error, EOFError | OSError | paramiko.SSHException):
+        raise _BusyError from error
+
+
+def _patiently(attempt: Callable[[], T], deadline: float, name: str) -> T:
+    """Try again, a few times and not in step with others, while the host is too busy to show its banner."""
+    for pause in PAUSES_S:
+        try:
+            return attempt()
+        except _BusyError:
+            time.sleep(max(0.0, min(pause * (0.5 + secrets.randbelow(1000) / 1000), deadline - time.monotonic())))
+    try:
+        return attempt()
+    except _BusyError:
+        hint = "too many logins at once (MaxStartups), or no SSH server"
+        raise ConnectError("the host hangs up before its SSH banner", hint=hint, host=name) from None
+
+
+def _nothing() -> None:
+    """Nothing to release."""

@@ -1,0 +1,200 @@
+"""Who we are to a host: keys of the agent and of files, each read once per run; a password only where one was asked for."""
+
+import base64
+import contextlib
+import socket
+import threading
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import paramiko
+from paramiko.agent import AgentKey
+from paramiko.auth_strategy import AuthResult, AuthSource, AuthStrategy, InMemoryPrivateKey, SourceResult
+from paramiko.ssh_exception import BadAuthenticationType
+
+from edgectl.transport.sshconfig import ResolvedHost
+
+# Our bound for an agent that does not answer (it may wait for a person to touch a token), seconds.
+AGENT_S = 3.0
+_LIST, _LISTED = 11, 12
+# An answer of an agent may not be larger than this, bytes (OpenSSH's own bound).
+_LARGEST = 256 * 1024
+
+
+class BoundedAgent:
+    """An ssh-agent that is asked with a deadline; a mute one counts as empty. One connection for each question."""
+
+    def __init__(self, path: str) -> None:
+        self._path = path
+
+    def keys(self) -> list[AgentKey]:
+        """Keys in the agent, in its order. Security keys (``sk-``) are left out: paramiko cannot use them."""
+        try:
+            kind, answer = self._send_message(bytes([_LIST]))
+        except (OSError, EOFError, paramiko.SSHException):
+            return []
+        if kind != _LISTED:
+            return []
+        listed = [(answer.get_binary(), answer.get_binary()) for _ in range(min(answer.get_int(), 1000))]
+        return [AgentKey(self, blob, comment.decode(errors="replace")) for blob, comment in listed if b"sk-" not in blob[:12]]  # type: ignore[arg-type]
+
+    def _send_message(self, message: bytes | paramiko.Message) -> tuple[int, paramiko.Message]:
+        """Ask one question; the name is the one by which paramiko's AgentKey calls it."""
+        body = message if isinstance(message, bytes) else message.asbytes()
+        with socket.socket(socket.AF_UNIX) as agent:
+            agent.settimeout(AGENT_S)
+            agent.connect(self._path)
+            agent.sendall(len(body).to_bytes(4, "big") + body)
+            size = int.from_bytes(_exactly(agent, 4), "big")
+            if not 0 < size <= _LARGEST:
+                raise paramiko.SSHException("the ssh-agent speaks another protocol")
+            answer = paramiko.Message(_exactly(agent, size))
+        return answer.get_byte()[0], answer
+
+
+def _exactly(line: socket.socket, size: int) -> bytes:
+    data = b""
+    while len(data) < size:
+        piece = line.recv(size - len(data))
+        if not piece:
+            raise EOFError
+        data += piece
+    return data
+
+
+class Keyring:
+    """Keys by file and by agent, each read once per run. Safe to use from several threads."""
+
+    def __init__(self) -> None:
+        self._files: dict[str, tuple[paramiko.PKey, ...]] = {}
+        self._agents: dict[str, list[AgentKey]] = {}
+        self._lock = threading.Lock()
+
+    def keys_for(self, resolved: ResolvedHost) -> list[paramiko.PKey]:
+        """Keys to offer, in OpenSSH's order: the agent's that are named, the agent's others (unless IdentitiesOnly), named files."""
+        with self._lock:
+            agent = self._agent_keys(resolved.identity_agent)
+            named = {blob for path in resolved.identity_files if (blob := _public_blob(path))}
+            ours = [key for key in agent if key.blob in named]
+            others = [] if resolved.identities_only else [key for key in agent if key.blob not in named]
+            held = {key.blob for key in [*ours, *others]}
+            files = [key for path in resolved.identity_files for key in self._load(path, resolved.certificate_files)]
+        return [*ours, *others, *(key for key in files if key.asbytes() not in held)]
+
+    def _agent_keys(self, path: str) -> list[AgentKey]:
+        if not path:
+            return []
+        if path not in self._agents:
+            self._agents[path] = BoundedAgent(path).keys()
+        return self._agents[path]
+
+    def _load(self, path: str, certificates: Sequence[str]) -> tuple[paramiko.PKey, ...]:
+        if path not in self._files:
+            self._files[path] = _read_key(path, certificates)
+        return self._files[path]
+
+
+def _read_key(path: str, certificates: Sequence[str]) -> tuple[paramiko.PKey, ...]:
+    """The key in ``path``, with its certificate before it where there is one; nothing where the file is missing, odd or locked."""
+    try:
+        key = paramiko.PKey.from_path(path)
+    except Exception:  # cryptography raises half a dozen kinds; a file that is no usable key is not offered
+        return ()
+    if key.public_blob is not None:
+        plain = paramiko.PKey.from_path(path)
+        plain.public_blob = None
+        return key, plain
+    for certificate in certificates:
+        with contextlib.suppress(Exception):
+            other = paramiko.PKey.from_path(path)
+            other.load_certificate(certificate)
+            return other, key
+    return (key,)
+
+
+def _public_blob(path: str) -> bytes | None:
+    """The public half beside a key file, so that an agent's key can be recognised without opening a locked file."""
+    with contextlib.suppress(Exception):
+        return base64.b64decode(Path(path + ".pub").read_text().split()[1], validate=True)
+    return None
+
+
+class _Password(AuthSource):
+    def __init__(self, username: str, password: str) -> None:
+        super().__init__(username=username)
+        self._password = password
+
+    def __repr__(self) -> str:
+        return "Password"
+
+    def authenticate(self, transport: paramiko.Transport) -> list[str]:
+        """Log in by password; paramiko falls back to keyboard-interactive where the host wants that."""
+        return transport.auth_password(self.username, self._password)
+
+
+class RefusedLoginError(paramiko.AuthenticationException):
+    """Nothing that we offered was accepted. ``allowed`` are the methods that the host would take."""
+
+    def __init__(self, words: str, allowed: Sequence[str] = ()) -> None:
+        super().__init__(words)
+        self.allowed = tuple(allowed)
+
+
+class Login(AuthStrategy):
+    """Offers keys one after the other, or one password; ``offered`` counts."""
+
+    def __init__(self, user: str, keys: Sequence[paramiko.PKey], password: str | None = None) -> None:
+        super().__init__(ssh_config=paramiko.SSHConfig())
+        self._user = user
+        self._keys = keys
+        self._password = password
+        self.offered = 0
+
+    def get_sources(self) -> Iterator[AuthSource]:
+        """One password if there is one, else the keys."""
+        if self._password is not None:
+            yield _Password(self._user, self._password)
+            return
+        for key in self._keys:
+            yield InMemoryPrivateKey(self._user, key)
+
+    def authenticate(self, transport: paramiko.Transport) -> AuthResult:
+        """Try the sources until one is accepted.
+
+        Raises:
+            RefusedLoginError: none was, or the host had enough of our attempts.
+            EOFError: the line was lost at the first attempt.
+        """
+        for source in self.get_sources():
+            self.offered += 1
+            try:
+                more = source.authenticate(transport)
+            except BadAuthenticationType as error:
+                raise RefusedLoginError("the host takes " + " or ".join(error.allowed_types), error.allowed_types) from error
+            except paramiko.AuthenticationException:
+                if transport.is_active():
+                    continue
+                if self.offered == 1:
+                    raise EOFError from None
+                raise RefusedLoginError(f"the host hung up after {self.offered} keys") from None
+            if not transport.is_authenticated():
+                raise RefusedLoginError("the host wants more: " + ", ".join(more), more)
+            result = AuthResult(self)
+            result.append(SourceResult(source, more))
+            return result
+        raise RefusedLoginError(self._words(), self._allowed(transport))
+
+    def _words(self) -> str:
+        if self._password is not None:
+            return "password refused"
+        return f"{self.offered} key(s) refused" if self.offered else "no key to offer"
+
+    def _allowed(self, transport: paramiko.Transport) -> Sequence[str]:
+        """What the host would take; asked only after it has refused, so that nobody is prompted for a password in vain."""
+        try:
+            transport.auth_none(self._user)
+        except BadAuthenticationType as error:
+            return error.allowed_types
+        except (paramiko.SSHException, EOFError):
+            pass
+        return ()

@@ -1,0 +1,194 @@
+"""Operations on an open SSH connection: raw channels, bytes in and out, one hard deadline and a size cap for each.
+
+Fabric's ``Connection.run`` is not used: it polls, it decodes, and it does not end when the line does.
+"""
+
+import contextlib
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Self
+
+import paramiko
+
+from edgectl.errors import ConnectError, DeadlineError, HostError, ReplyError
+from edgectl.transport.base import Reply
+from edgectl.transport.dial import hang_up, watchdog
+from edgectl.transport.ssh_errors import translate
+
+# A connection that does not even let a channel be closed is cut this long after the deadline, seconds.
+GRACE_S = 0.5
+CHANNEL_PAUSES_S = (0.02, 0.05, 0.1, 0.3, 1.0)
+_CHUNK = 65536
+
+
+class SshSession:
+    """An open connection to one host (see `Session`)."""
+
+    def __init__(self, name: str, client: paramiko.SSHClient, line: object, *, after: Callable[[], None] | None = None) -> None:
+        """``line`` is the socket or channel underneath; ``after`` is called once when the session is closed."""
+        transport = client.get_transport()
+        if transport is None:
+            raise ConnectError("the connection was closed at once", host=name)
+        self.name = name
+        self.transport = transport
+        self._client = client
+        self._line = line
+        self._after = after
+        self._lock = threading.Lock()
+
+    @property
+    def python(self) -> str:
+        """The interpreter to name in a command line."""
+        return "python3"
+
+    def run(self, command: str, stdin: bytes, *, timeout: float, limit: int = 1 << 20) -> Reply:
+        """Run ``command`` (see `Session.run`)."""
+        deadline = time.monotonic() + timeout
+        with self._channel(command, stdin, deadline) as channel:
+            return _collect(channel, deadline, limit, timeout)
+
+    def stream(self, command: str, stdin: bytes, *, idle_timeout: float) -> Iterator[bytes]:
+        """Run ``command`` and yield its output as it comes (see `Session.stream`)."""
+        with self._errors(idle_timeout), contextlib.closing(self._open(time.monotonic() + idle_timeout)) as channel:
+            with watchdog(idle_timeout + GRACE_S, self._cut):
+                _start(channel, command, stdin, idle_timeout)
+            arrived = _arrivals(channel)
+            while True:
+                yield from _ready(channel)
+                if _ended(channel):
+                    break
+                if not arrived.wait(idle_timeout):
+                    raise DeadlineError(f"nothing came for {idle_timeout:g} s")
+            self._check(channel)
+
+    def close(self) -> None:
+        """Close the connection and what it was tunnelled through; never raises."""
+        with self._lock:
+            after, self._after = self._after, None
+        with contextlib.suppress(Exception):
+            self._cut()
+            self._client.close()
+            self.transport.join(1)
+            self._line.close()  # type: ignore[attr-defined]
+        if after is not None:
+            after()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    def _cut(self) -> None:
+        hang_up(self._line)
+
+    @contextlib.contextmanager
+    def _channel(self, command: str, stdin: bytes, deadline: float) -> Iterator[paramiko.Channel]:
+        """A channel on which ``command`` runs and has been fed; what goes wrong inside leaves as an error of ours."""
+        seconds = deadline - time.monotonic()
+        with self._errors(seconds), watchdog(seconds + GRACE_S, self._cut) as watch:
+            try:
+                with contextlib.closing(self._open(deadline)) as channel:
+                    _start(channel, command, stdin, seconds)
+                    yield channel
+                    self._check(channel)
+            except Exception as error:
+                if watch.expired or (time.monotonic() >= deadline and not isinstance(error, HostError)):
+                    raise DeadlineError(f"no answer within {seconds:.3g} s") from error
+                raise
+
+    def _open(self, deadline: float) -> paramiko.Channel:
+        """A new channel. sshd allows ten at a time (MaxSessions), and one that we have closed counts until it has noticed."""
+        for pause in CHANNEL_PAUSES_S:
+            try:
+                return self._open_once(deadline)
+            except paramiko.SSHException:
+                # Not ChannelException alone: of two threads that are refused at once, paramiko tells only one why.
+                if not self.transport.is_active() or time.monotonic() + pause >= deadline:
+                    raise
+                time.sleep(pause)
+        return self._open_once(deadline)
+
+    def _open_once(self, deadline: float) -> paramiko.Channel:
+        if not self.transport.is_active():
+            raise ConnectError("the connection was lost")
+        return self.transport.open_session(timeout=max(0.01, deadline - time.monotonic()))
+
+    def _check(self, channel: paramiko.Channel) -> None:
+        """A channel that ended without an exit status because the whole connection did."""
+        if channel.exit_status == -1 and not self.transport.is_active():
+            raise ConnectError("the connection was lost", hint="try again; the host may have restarted")
+
+    @contextlib.contextmanager
+    def _errors(self, seconds: float) -> Iterator[None]:
+        try:
+            yield
+        except TimeoutError as error:
+            raise DeadlineError(f"no answer within {seconds:.3g} s", host=self.name) from error
+        except Exception as error:
+            ours = translate(error, self.name)
+            raise ours from (None if ours is error else error)
+
+
+def _start(channel: paramiko.Channel, command: str, stdin: bytes, seconds: float) -> None:
+    """Run ``command`` and feed it. A program that ends without reading everything is no error, as in a pipe."""
+    channel.settimeout(seconds)
+    channel.exec_command(command)
+    try:
+        channel.sendall(stdin)
+        channel.shutdown_write()
+    except TimeoutError:
+        raise
+    except OSError:
+        if not channel.closed and not channel.eof_received:
+            raise
+
+
+def _collect(channel: paramiko.Channel, deadline: float, limit: int, timeout: float) -> Reply:
+    """Read both outputs to their end, then the exit status.
+
+    Raises:
+        DeadlineError: the deadline passed.
+        ReplyError: more than ``limit`` bytes came.
+    """
+    stdout, stderr, total = bytearray(), bytearray(), 0
+    arrived = _arrivals(channel)
+    while True:
+        for piece in _ready(channel, stderr):
+            stdout += piece
+            total = len(stdout) + len(stderr)
+            if total > limit:
+                raise ReplyError(f"more than {limit} bytes of output", hint="something floods the output: look at the login shell's files")
+        if _ended(channel) or not arrived.wait(max(0.0, deadline - time.monotonic())):
+            break
+    if not _ended(channel) or not channel.status_event.wait(max(0.0, deadline - time.monotonic())):
+        raise DeadlineError(f"no end within {timeout:g} s")
+    return Reply(stdout=bytes(stdout), stderr=bytes(stderr), status=channel.exit_status)
+
+
+def _arrivals(channel: paramiko.Channel) -> threading.Event:
+    """An event that is set whenever either output of ``channel`` has something, or ended: one thread can wait for both."""
+    arrived = threading.Event()
+    channel.in_buffer.set_event(arrived)
+    channel.in_stderr_buffer.set_event(arrived)
+    if channel.recv_ready() or channel.recv_stderr_ready():
+        arrived.set()
+    return arrived
+
+
+def _ready(channel: paramiko.Channel, stderr: bytearray | None = None) -> Iterator[bytes]:
+    """What has come so far: standard output in pieces (empty ones mark progress of stderr, which is added to ``stderr``)."""
+    while channel.recv_ready() or channel.recv_stderr_ready():
+        if channel.recv_stderr_ready():
+            piece = channel.recv_stderr(_CHUNK)
+            if stderr is not None:
+                stderr += piece
+                yield b""
+        if channel.recv_ready():
+            yield channel.recv(_CHUNK)
+
+
+def _ended(channel: paramiko.Channel) -> bool:
+    over = bool(channel.eof_received or channel.closed)
+    return over and not channel.recv_ready() and not channel.recv_stderr_ready()

@@ -1,0 +1,43 @@
+"""``edgectl trust HOST``: see the key that a host shows, compare, record it."""
+
+import base64
+from pathlib import Path
+
+from edgectl.errors import HostKeyError
+from edgectl.model.inventory import Connection, Host
+from edgectl.transport.knownhosts import Key, lookup_name
+
+
+def fetch_host_keys(host: Host, *, timeout: float = 15.0) -> list[tuple[str, str, str]]:
+    """Type, SHA256 fingerprint (as ``ssh-keygen -l`` prints it) and known_hosts line of each key that ``host`` shows us now.
+
+    That is the key on which a login would agree. Nothing is recorded, and no login is tried. A host that is this machine has none.
+
+    Raises:
+        HostError: no handshake within ``timeout`` seconds; the hosts on the way (ProxyJump) are verified as always.
+    """
+    if host.connection is Connection.LOCAL:
+        return []
+    from edgectl.transport.ssh import SshTransport
+    from edgectl.transport.sshconfig import Resolver
+
+    key = SshTransport().shown_key(host, timeout=timeout)
+    resolved = Resolver().resolve(host)
+    name = lookup_name(resolved.hostname, resolved.port, resolved.host_key_alias)
+    return [(key.kind, key.fingerprint, f"{name} {key.text}")]
+
+
+def trust(host: Host, line: str) -> Path:
+    """Record the key in ``line`` (from `fetch_host_keys`) for ``host`` in the user's known_hosts; returns that file.
+
+    Raises:
+        HostKeyError: another key is known for the host, this one is revoked, or the file cannot be written.
+    """
+    from edgectl.transport.ssh import SshTransport
+
+    try:
+        _, kind, encoded = line.split()[:3]
+        key = Key(kind, base64.b64decode(encoded, validate=True))
+    except ValueError:
+        raise HostKeyError("not a line of known_hosts", hint="use what fetch_host_keys gave", host=host.name) from None
+    return SshTransport().trust(host, key)

@@ -1,0 +1,85 @@
+"""A TCP relay that can go silent or break the line at a chosen byte: what a bad radio link does to a connection."""
+
+import contextlib
+import socket
+import threading
+from collections.abc import Iterator
+from enum import StrEnum
+
+
+class Fault(StrEnum):
+    """What happens once ``after`` bytes have come from the server."""
+
+    SILENCE = "silence"
+    CUT = "cut"
+
+
+class Relay:
+    """Listens on ``port`` of 127.0.0.1 and passes bytes on to ``target`` until the fault."""
+
+    def __init__(self, target: tuple[str, int], fault: Fault, after: int) -> None:
+        self._target = target
+        self._fault = fault
+        self._left = after
+        self._open: list[socket.socket] = []
+        self._threads: list[threading.Thread] = []
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.port = int(self._listener.getsockname()[1])
+        self._spawn(self._serve)
+
+    def close(self) -> None:
+        for line in [self._listener, *self._open]:
+            with contextlib.suppress(OSError):
+                line.shutdown(socket.SHUT_RDWR)
+            line.close()
+        for thread in self._threads:
+            thread.join(5)
+
+    def _spawn(self, work: object, *args: object) -> None:
+        thread = threading.Thread(target=work, args=args, daemon=True)  # type: ignore[arg-type]
+        self._threads.append(thread)
+        thread.start()
+
+    def _serve(self) -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                client, _ = self._listener.accept()
+                server = socket.create_connection(self._target)
+                self._open += [client, server]
+                self._spawn(self._forward, client, server)
+                self._spawn(self._backward, server, client)
+
+    def _forward(self, source: socket.socket, sink: socket.socket) -> None:
+        with contextlib.suppress(OSError):
+            while data := source.recv(65536):
+                if self._left > 0 or self._fault is Fault.CUT:
+                    sink.sendall(data)
+            sink.shutdown(socket.SHUT_WR)
+
+    def _backward(self, source: socket.socket, sink: socket.socket) -> None:
+        with contextlib.suppress(OSError):
+            while data := source.recv(65536):
+                if self._left > 0:
+                    sink.sendall(data[: self._left])
+                self._left -= len(data)
+                if self._left <= 0 and self._fault is Fault.CUT:
+                    sink.shutdown(socket.SHUT_RDWR)
+                    source.shutdown(socket.SHUT_RDWR)
+                    return
+
+
+@contextlib.contextmanager
+def relay(target: tuple[str, int], fault: Fault, after: int) -> Iterator[int]:
+    """Port of a running relay."""
+    running = Relay(target, fault, after)
+    try:
+        yield running.port
+    finally:
+        running.close()
+
+
+@contextlib.contextmanager
+def mute_server() -> Iterator[int]:
+    """Port of a server that accepts connections and never says a word, like a frozen host."""
+    with socket.create_server(("127.0.0.1", 0), backlog=50) as listener:
+        yield int(listener.getsockname()[1])

@@ -1,0 +1,264 @@
+"""Real OpenSSH servers on loopback addresses, each a host of its own: what the tests and the benchmarks log in to.
+
+No root is needed and no file of the system is touched, with one exception: as root, sshd refuses to start without its empty
+privilege separation directory (/run/sshd), which is made where it is missing. Every host has its own address, host key, HOME
+and XDG_STATE_HOME (through ``SetEnv``); the process list and the machine's figures are shared. ``EDGECTL_SSH_CONFIG`` names the
+configuration that knows the hosts by name, so that neither ssh nor edgectl reads the configuration of whoever runs the tests.
+"""
+
+import getpass
+import ipaddress
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat, PublicFormat
+
+from edgectl.model.inventory import Host, Role
+
+PRIVSEP = Path("/run/sshd")
+MARK = "EDGECTL_TEST_SSHD"
+# The interpreter of the tests without its virtual environment: a host has a python3 and nothing of edgectl.
+PATH = f"{sys.base_prefix}/bin:/usr/local/bin:/usr/bin:/bin"
+FIRST = ipaddress.IPv4Address("127.0.0.11")
+
+
+def program(name: str) -> str:
+    """Full path of ``name``, looked for in the system directories too; sshd insists on an absolute path."""
+    found = shutil.which(name, path=f"{os.environ.get('PATH', '')}:/usr/sbin:/sbin")
+    assert found, f"{name} is missing; install it: sudo apt-get install openssh-server"
+    return found
+
+
+def make_key(path: Path, comment: str = "edgectl-test") -> str:
+    """Write an ed25519 key pair to ``path`` and ``path``.pub; return the public line."""
+    key = Ed25519PrivateKey.generate()
+    path.touch(mode=0o600)
+    path.write_bytes(key.private_bytes(Encoding.PEM, PrivateFormat.OpenSSH, NoEncryption()))
+    public = key.public_key().public_bytes(Encoding.OpenSSH, PublicFormat.OpenSSH).decode()
+    path.with_suffix(path.suffix + ".pub").write_text(f"{public} {comment}\n")
+    return public
+
+
+@cache
+def penalties() -> tuple[str, ...]:
+    """OpenSSH 9.8 and later punish addresses that fail to log in; the tests fail on purpose, from one address."""
+    asked = subprocess.run(
+        [program("sshd"), "-T", "-f", "/dev/null", "-o", "PerSourcePenalties=no"], capture_output=True, text=True, check=False
+    )
+    return () if "Bad configuration option" in asked.stderr else ("PerSourcePenalties no",)
+
+
+@dataclass(kw_only=True)
+class Server:
+    """One sshd. ``key`` is its public host key line (type and base64), ``home`` the HOME of whoever logs in."""
+
+    name: str
+    address: str
+    port: int
+    directory: Path
+    key: str
+    home: Path
+    process: subprocess.Popen[bytes] | None = None
+    extra: tuple[str, ...] = ()
+
+    @property
+    def known_hosts_line(self) -> str:
+        return f"[{self.address}]:{self.port} {self.key}\n"
+
+    @property
+    def log(self) -> str:
+        return (self.directory / "sshd.log").read_text(errors="replace")
+
+    def start(self) -> None:
+        """Start sshd and wait until it listens (at most 10 s)."""
+        log = (self.directory / "sshd.log").open("wb")
+        with log:
+            command = [program("sshd"), "-D", "-e", "-f", str(self.directory / "sshd_config")]
+            self.process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True)
+
+    def wait(self, deadline: float) -> None:
+        assert self.process is not None
+        while "Server listening on" not in self.log:
+            assert self.process.poll() is None, self.log
+            assert time.monotonic() < deadline, f"sshd did not start: {self.log}"
+            time.sleep(0.01)
+
+    def stop(self) -> None:
+        """End the server, its open sessions, and whatever they left in the background."""
+        if self.process is not None:
+            pids = [self.process.pid, *_descendants(self.process.pid)]
+            for pid in pids:
+                with suppress(ProcessLookupError):
+                    os.kill(pid, signal.SIGKILL)
+            self.process.wait()
+            self.process = None
+        end_marked(str(self.directory))
+
+    def restart(self) -> None:
+        self.stop()
+        self.start()
+        self.wait(time.monotonic() + 10)
+
+    def change_key(self) -> None:
+        """Swap the host key, as after a reinstallation, and restart."""
+        (self.directory / "host_key").unlink()
+        self.key = make_key(self.directory / "host_key")
+        self.restart()
+
+    def configure(self, **changes: object) -> None:
+        """Write sshd_config; ``changes`` are for `write_config`."""
+        write_config(self, **changes)  # type: ignore[arg-type]
+
+
+def write_config(server: Server, *, env: Mapping[str, str], authorized: Path, extra: Sequence[str] = ()) -> None:
+    """``extra`` lines come first: sshd takes the first value it sees."""
+    set_env = " ".join(f'"{name}={value}"' for name, value in env.items())
+    lines = [
+        *extra,
+        *penalties(),
+        f"ListenAddress {server.address}",
+        f"Port {server.port}",
+        f"HostKey {server.directory / 'host_key'}",
+        "PidFile none",
+        "UsePAM no",
+        "StrictModes no",
+        "UseDNS no",
+        "PermitRootLogin prohibit-password",
+        "PasswordAuthentication no",
+        "KbdInteractiveAuthentication no",
+        f"AuthorizedKeysFile {authorized}",
+        "MaxStartups 200:30:400",
+        "PrintMotd no",
+        f"SetEnv {set_env}",
+    ]
+    (server.directory / "sshd_config").write_text("\n".join(lines) + "\n")
+
+
+def _descendants(pid: int) -> list[int]:
+    children: dict[int, list[int]] = {}
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with suppress(OSError, ValueError):
+            fields = stat.read_text(errors="replace").rpartition(")")[2].split()
+            children.setdefault(int(fields[1]), []).append(int(stat.parent.name))
+    found, todo = [], [pid]
+    while todo:
+        todo += (below := children.get(todo.pop(), []))
+        found += below
+    return found
+
+
+def end_marked(mark: str) -> None:
+    """End what logins to our servers left behind: processes that carry our mark in their environment."""
+    wanted = f"{MARK}={mark}\0".encode()
+    for environ in Path("/proc").glob("[0-9]*/environ"):
+        with suppress(OSError):
+            if wanted in environ.read_bytes() + b"\0":
+                os.kill(int(environ.parent.name), signal.SIGKILL)
+
+
+def free_port(address: str) -> int:
+    with socket.socket() as probe:
+        probe.bind((address, 0))
+        return int(probe.getsockname()[1])
+
+
+@dataclass(kw_only=True)
+class Lab:
+    """Some running servers, the key that opens them, and the ssh_config and known_hosts that know them."""
+
+    directory: Path
+    servers: dict[str, Server] = field(default_factory=dict)
+
+    @property
+    def user_key(self) -> Path:
+        return self.directory / "user_key"
+
+    @property
+    def known_hosts(self) -> Path:
+        return self.directory / "known_hosts"
+
+    @property
+    def ssh_config(self) -> Path:
+        return self.directory / "ssh_config"
+
+    @property
+    def authorized_keys(self) -> Path:
+        return self.directory / "authorized_keys"
+
+    @property
+    def environment(self) -> dict[str, str]:
+        """What a process of ours needs to find the servers."""
+        return {"EDGECTL_SSH_CONFIG": str(self.ssh_config)}
+
+    def __getitem__(self, name: str) -> Server:
+        return self.servers[name]
+
+    def add(self, name: str, *, address: str = "", extra: Sequence[str] = ()) -> Server:
+        """Make the files of one more server; it is not started yet."""
+        directory = self.directory / name
+        home = directory / "home"
+        home.mkdir(parents=True)
+        address = address or str(FIRST + len(self.servers))
+        key = make_key(directory / "host_key")
+        server = Server(name=name, address=address, port=free_port(address), directory=directory, key=key, home=home, extra=tuple(extra))
+        self.servers[name] = server
+        self.configure(server, extra)
+        return server
+
+    def configure(self, server: Server, extra: Sequence[str] = ()) -> None:
+        env = {"HOME": str(server.home), "XDG_STATE_HOME": str(server.home / "state"), MARK: str(server.directory), "PATH": PATH}
+        write_config(server, env=env, authorized=self.authorized_keys, extra=extra)
+
+    def write_files(self, *extra: str, key: Path | None = None) -> None:
+        """(Re)write known_hosts and ssh_config; ``extra`` lines are put before everything else in ssh_config, ``key`` is the user's."""
+        self.known_hosts.write_text("".join(server.known_hosts_line for server in self.servers.values()))
+        blocks = [f"Host {s.name}\n  HostName {s.address}\n  Port {s.port}\n" for s in self.servers.values()]
+        common = [
+            "Host *",
+            f"  User {getpass.getuser()}",
+            f"  IdentityFile {key or self.user_key}",
+            "  IdentitiesOnly yes",
+            "  IdentityAgent none",
+            f"  UserKnownHostsFile {self.known_hosts}",
+            "  GlobalKnownHostsFile none",
+        ]
+        self.ssh_config.write_text("\n".join([*extra, *blocks, *common]) + "\n")
+
+    def host(self, name: str, **changes: object) -> Host:
+        """The inventory's entry for server ``name``, by its ssh_config alias."""
+        values: dict[str, object] = {"name": name, "role": Role.EDGE, "host": name}
+        return Host(**(values | changes))  # type: ignore[arg-type]
+
+
+@contextmanager
+def running_lab(directory: Path, names: Sequence[str], *, extra: Sequence[str] = ()) -> Iterator[Lab]:
+    """Start one server per name; ``extra`` are sshd_config lines for all. Everything that ran on them is ended afterwards."""
+    directory.mkdir(parents=True, exist_ok=True)
+    if os.geteuid() == 0:
+        PRIVSEP.mkdir(mode=0o755, exist_ok=True)
+    lab = Lab(directory=directory)
+    lab.authorized_keys.write_text(make_key(lab.user_key) + "\n")
+    try:
+        for name in names:
+            lab.add(name, extra=extra)
+        lab.write_files()
+        for server in lab.servers.values():
+            server.start()
+        deadline = time.monotonic() + 10 + 0.2 * len(names)
+        for server in lab.servers.values():
+            server.wait(deadline)
+        yield lab
+    finally:
+        for server in lab.servers.values():
+            server.stop()

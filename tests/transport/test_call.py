@@ -1,0 +1,228 @@
+"""The framed call: noise never changes a reading, and whatever is wrong has a name."""
+
+import hashlib
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, Self
+
+import pytest
+
+from edgectl.errors import DeadlineError, NoPythonError, RefusedError, ReplyError
+from edgectl.transport.base import Reply
+from edgectl.transport.call import call, command_line, stream
+from edgectl.transport.local import LocalSession
+
+REQUEST = {"op": "status", "host": "edge1", "task": None}
+
+
+class Scripted:
+    """A session that answers with what ``answer`` makes of the marker."""
+
+    python = "python3"
+
+    def __init__(self, answer: Callable[[str], Reply | bytes]) -> None:
+        self._answer = answer
+
+    def run(self, command: str, stdin: bytes, *, timeout: float, limit: int = 1 << 20) -> Reply:
+        length, _, rest = stdin.partition(b"\n")
+        marker = rest[int(length) :].split(b" ", 1)[0].decode()
+        answer = self._answer(marker)
+        return answer if isinstance(answer, Reply) else Reply(stdout=answer, stderr=b"", status=0)
+
+    def stream(self, command: str, stdin: bytes, *, idle_timeout: float) -> Iterator[bytes]:
+        yield from [bytes([each]) for each in self.run(command, stdin, timeout=1.0).stdout]
+
+    def close(self) -> None: ...
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None: ...
+
+
+def frame(marker: str, payload: bytes, *, length: int | None = None, digest: str | None = None) -> bytes:
+    digest = digest or hashlib.sha256(payload).hexdigest()
+    return f"\nedgectl-frame {marker} {len(payload) if length is None else length} {digest}\n".encode() + payload + b"\n"
+
+
+GOOD = b'{"v": 1}'
+OTHER = "0" * 32
+
+
+def asked(answer: Callable[[str], Reply | bytes]) -> dict[str, object]:
+    return call(Scripted(answer), REQUEST, timeout=1.0)
+
+
+@pytest.mark.parametrize(
+    "noise",
+    [
+        b"",
+        b"Welcome to Ubuntu 18.04\nLast login: yesterday\n",
+        b"\x1b]0;title\x07\x1b[31mred\x1b[0m \xff\xfe\x00 not utf-8",
+        b'{"v": 2}\n',
+        frame(OTHER, b'{"v": 3}'),
+        b"\nedgectl-frame ",
+        b"\nedgectl-frame " + b"f" * 5000,
+        b"x" * 900_000,
+    ],
+)
+def test_noise_around_the_frame_changes_nothing(noise: bytes) -> None:
+    assert asked(lambda marker: noise + frame(marker, GOOD) + noise) == {"v": 1}
+
+
+def test_the_same_frame_twice_is_one_answer() -> None:
+    assert asked(lambda marker: frame(marker, GOOD) * 2) == {"v": 1}
+
+
+@pytest.mark.parametrize(
+    "broken",
+    [
+        lambda marker: b"",
+        lambda marker: b"Welcome\n",
+        lambda marker: frame(marker, GOOD)[:-4],
+        lambda marker: frame(marker, GOOD, length=7),
+        lambda marker: frame(marker, GOOD, length=10**9),
+        lambda marker: frame(marker, GOOD, digest="0" * 64),
+        lambda marker: frame(marker, GOOD).replace(b'"v"', b'"w"'),
+        lambda marker: frame(marker, GOOD) + frame(marker, b'{"v": 2}'),
+        lambda marker: frame(marker[:-1] + "x", GOOD),
+        lambda marker: frame(marker, b"[1]"),
+        lambda marker: frame(marker, b""),
+        lambda marker: frame(marker, b'{"v": NaN}'),
+        lambda marker: frame(marker, b'{"v": -Infinity}'),
+        lambda marker: frame(marker, b'{"v": 1e999}'),
+        lambda marker: frame(marker, b'{"v": 1, "v": 2}'),
+        lambda marker: frame(marker, b'{"v": "\xff"}'),
+        lambda marker: frame(marker, b'{"v": ' + b"9" * 5000 + b"}"),
+        lambda marker: frame(marker, b"[" * 100_000),
+        lambda marker: frame(marker, b'{"error": "no"}'),
+        lambda marker: frame(marker, b'{"missing": true}'),
+    ],
+)
+def test_anything_else_is_a_bad_reply(broken: Callable[[str], bytes]) -> None:
+    with pytest.raises(ReplyError) as caught:
+        asked(broken)
+    assert "\n" not in caught.value.message
+    assert len(caught.value.message) < 300
+
+
+def test_excerpt_of_noise_is_harmless() -> None:
+    with pytest.raises(ReplyError) as caught:
+        asked(lambda marker: b"\x1b[2J evil\xe2\x80\xae \x07 " + b"y" * 1000)
+    assert caught.value.message.isprintable()
+
+
+def test_error_document_is_a_refusal_with_its_hint() -> None:
+    document = {"error": {"kind": "stale-generation", "message": "too \x1b old", "hint": "plan again"}}
+    with pytest.raises(RefusedError) as caught:
+        asked(lambda marker: frame(marker, json.dumps(document).encode()))
+    assert (caught.value.message, caught.value.hint) == ("too \\x1b old", "plan again")
+
+
+@pytest.mark.parametrize(
+    ("stderr", "status"),
+    [
+        (b"sh: 1: exec: python3: not found", 127),
+        (b"bash: line 1: exec: python3: not found", 127),
+        (b"fish: Unknown command: python3", 127),
+        (b"python3: Command not found.", 1),
+        (b"sh: 1: exec: python3: Permission denied", 126),
+        (b"Unknown option: -I\nusage: python3 [option]", 2),
+    ],
+)
+def test_missing_python_has_its_own_error(stderr: bytes, status: int) -> None:
+    with pytest.raises(NoPythonError):
+        asked(lambda marker: Reply(stdout=b"Welcome\n", stderr=stderr, status=status))
+
+
+def test_old_python_says_its_version() -> None:
+    with pytest.raises(NoPythonError, match=r"3\.5\.2, 3\.6 or later"):
+        asked(lambda marker: frame(marker, b'{"python": "3.5.2", "too_old": true}'))
+
+
+def test_stream_takes_chunks_apart_whatever_their_borders() -> None:
+    def answer(marker: str) -> bytes:
+        return b"motd\n" + frame(marker, b'{"stream": true}') + b"3\na\nb0\n2\n\xff\n" + b"end\n" + b"logout\n"
+
+    assert list(stream(Scripted(answer), {**REQUEST, "op": "follow"}, idle_timeout=5.0)) == [b"a\nb", b"\xff\n"]
+
+
+def test_garbled_stream_is_a_bad_reply() -> None:
+    with pytest.raises(ReplyError):
+        list(stream(Scripted(lambda marker: frame(marker, b'{"stream": true}') + b"what\n"), {**REQUEST, "op": "follow"}, idle_timeout=5.0))
+
+
+def test_command_line_is_constant_and_survives_every_shell(tmp_path: Path) -> None:
+    line = command_line("python3")
+    assert re.fullmatch(r"exec python3 -I -S -c '[^'\\!\n]+'", line)
+    for shell in filter(None, map(shutil.which, ("sh", "bash", "dash", "zsh", "fish", "tcsh", "ksh", "busybox"))):
+        argv = [shell, "sh", "-c"] if shell.endswith("busybox") else [shell, "-c"]
+        done = subprocess.run([*argv, command_line(sys.executable)], input=b"10\nprint('x')", capture_output=True, check=False, timeout=20)
+        assert done.stdout == b"x\n", shell
+
+
+def test_page_about_hosts_shows_the_command_line() -> None:
+    page = Path(__file__).parents[2] / "docs" / "concepts" / "host.md"
+    assert f"    {command_line('python3')}\n" in page.read_text()
+
+
+@pytest.fixture
+def wrapped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], Any]:
+    """A real session whose interpreter is a shell script: what a noisy or poor host is like."""
+    monkeypatch.setenv("EDGECTL_STATE_DIR", str(tmp_path / "state"))
+
+    def session(script: str) -> LocalSession:
+        path = tmp_path / "python3"
+        path.write_text(f"#!/bin/sh\n{script}\n")
+        path.chmod(0o700)
+        made = LocalSession("edge1")
+        made.python = str(path)
+        return made
+
+    return session
+
+
+def test_noisy_login_on_a_real_agent(wrapped: Callable[[str], Any]) -> None:
+    session = wrapped(
+        f"""echo Welcome; printf '\\377\\nedgectl-frame x 1 2\\n'; echo warning >&2; {sys.executable} "$@"; echo bye; exit 3"""
+    )
+    assert call(session, REQUEST, timeout=20)["op"] == "status"
+
+
+def test_background_noise_cannot_get_into_the_frame(wrapped: Callable[[str], Any]) -> None:
+    noise = "(for i in 1 2 3 4 5 6 7 8; do echo noise; sleep 0.02; done) & "
+    session = wrapped(f'{noise} {sys.executable} "$@"; wait')
+    for _ in range(3):
+        assert call(session, REQUEST, timeout=20)["op"] == "status"
+
+
+def test_real_missing_python(wrapped: Callable[[str], Any]) -> None:
+    with pytest.raises(NoPythonError):
+        call(wrapped("exec no-such-python"), REQUEST, timeout=20)
+
+
+def test_hung_agent_ends_on_both_sides(wrapped: Callable[[str], Any]) -> None:
+    session = wrapped(f'exec {sys.executable} "$@"')
+    call(session, REQUEST, timeout=20)
+    began, mark = time.monotonic(), f"4321.{os.getpid()}"
+    request = {"op": "check", "host": "edge1", "command": f"sleep {mark}", "prelude": "", "env": {}, "timeout_s": 60}
+    with pytest.raises(DeadlineError):
+        call(session, request, timeout=1.0)
+    assert time.monotonic() - began < 5
+    time.sleep(0.5)
+    assert not any(mark.encode() in (path / "cmdline").read_bytes() for path in Path("/proc").glob("[0-9]*") if _readable(path))
+
+
+def _readable(path: Path) -> bool:
+    try:
+        (path / "cmdline").read_bytes()
+    except OSError:
+        return False
+    return True

@@ -1,0 +1,73 @@
+"""The fake fleet speaks the real protocol."""
+
+import pytest
+
+from edgectl.errors import ConnectError, DeadlineError, HostError, RefusedError
+from edgectl.model.inventory import Connection, Host, Role
+from edgectl.transport.call import call, stream
+from edgectl.transport.choose import Transports
+from edgectl.transport.fake import FakeTransport
+
+
+def a_host(name: str = "edge1") -> Host:
+    return Host(name=name, role=Role.EDGE, host="10.0.0.1")
+
+
+def echo(request: dict[str, object]) -> dict[str, object]:
+    return {"seen": request}
+
+
+def test_requests_and_replies_travel_in_frames() -> None:
+    transport = FakeTransport({"edge1": echo})
+    request = {"op": "probe", "host": "edge1", "odd": 'quotes " and ümlauts\n'}
+    with transport.connect(a_host(), timeout=1) as session:
+        assert call(session, request, timeout=1) == {"seen": request}
+    assert transport.requests == [("edge1", request)]
+    assert transport.address(a_host()) == "10.0.0.1"
+
+
+def raising(error: HostError) -> object:
+    def handler(_: dict[str, object]) -> dict[str, object]:
+        raise error
+
+    return handler
+
+
+@pytest.mark.parametrize("error", [RefusedError("no", hint="because"), DeadlineError("slow"), ConnectError("gone")])
+def test_errors_of_a_handler(error: HostError) -> None:
+    transport = FakeTransport({"edge1": raising(error)})  # type: ignore[dict-item]
+    with pytest.raises(type(error), match=error.message) as caught:
+        call(transport.connect(a_host(), timeout=1), {"op": "status"}, timeout=1)
+    assert caught.value.hint == error.hint
+
+
+def test_hosts_that_cannot_be_reached() -> None:
+    transport = FakeTransport({"edge1": DeadlineError("frozen")})
+    with pytest.raises(DeadlineError, match="frozen") as caught:
+        transport.connect(a_host(), timeout=1)
+    assert caught.value.host == "edge1"
+    with pytest.raises(ConnectError):
+        transport.connect(a_host("edge2"), timeout=1)
+
+
+def test_only_the_agents_command_line_runs() -> None:
+    with pytest.raises(RefusedError):
+        FakeTransport({"edge1": echo}).connect(a_host(), timeout=1).run("rm -rf /", b"", timeout=1)
+
+
+def test_logs_are_followed() -> None:
+    transport = FakeTransport({"edge1": lambda request: {"text": "one\ntwo\n", "tasks": {}}})
+    pieces = stream(transport.connect(a_host(), timeout=1), {"op": "follow", "host": "edge1", "task": "slam", "tail": 5}, idle_timeout=1)
+    assert b"".join(pieces) == b"one\ntwo\n"
+
+
+def test_a_local_host_needs_no_ssh() -> None:
+    import sys
+
+    transports = Transports()
+    host = Host(name="here", role=Role.EDGE, host="localhost", connection=Connection.LOCAL)
+    loaded = "paramiko" in sys.modules
+    with transports.connect(host, timeout=1) as session:
+        assert session.run("cat", b"x", timeout=5).stdout == b"x"
+    assert transports.address(host) == "localhost"
+    assert ("paramiko" in sys.modules) is loaded

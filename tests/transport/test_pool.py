@@ -1,0 +1,125 @@
+"""Sessions kept open: one login per host, a new one after a loss, no second knock after a refusal."""
+
+import threading
+import time
+from collections.abc import Iterator
+from typing import Self
+
+import pytest
+
+from edgectl.errors import AuthError, ConnectError, HostError
+from edgectl.model.inventory import Host
+from edgectl.transport.base import Reply
+from edgectl.transport.pool import SessionPool
+from tests.builders import an_edge
+
+
+class Counting:
+    """A transport that counts connections and closings; ``faults`` are raised by the next connects or runs."""
+
+    def __init__(self) -> None:
+        self.opened: list[str] = []
+        self.closed = 0
+        self.refusal: HostError | None = None
+        self.fault: HostError | None = None
+        self.busy, self.most, self.guard = 0, 0, threading.Lock()
+
+    def connect(self, host: Host, *, timeout: float) -> "Counted":
+        self.opened.append(host.name)
+        if self.refusal is not None:
+            raise self.refusal
+        return Counted(self)
+
+    def address(self, host: Host) -> str:
+        return f"address of {host.name}"
+
+
+class Counted:
+    python = "python3"
+
+    def __init__(self, transport: Counting) -> None:
+        self.transport = transport
+
+    def run(self, command: str, stdin: bytes, *, timeout: float, limit: int = 1 << 20) -> Reply:
+        with self.transport.guard:
+            self.transport.busy += 1
+            self.transport.most = max(self.transport.most, self.transport.busy)
+        time.sleep(0.02)
+        with self.transport.guard:
+            self.transport.busy -= 1
+        if self.transport.fault is not None:
+            raise self.transport.fault
+        return Reply(stdout=stdin, stderr=b"", status=0)
+
+    def stream(self, command: str, stdin: bytes, *, idle_timeout: float) -> Iterator[bytes]:
+        yield stdin
+
+    def close(self) -> None:
+        self.transport.closed += 1
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+
+def use(pool: SessionPool, name: str = "edge1") -> bytes:
+    with pool.connect(an_edge(name), timeout=1.0) as session:
+        return session.run("c", b"in", timeout=1.0).stdout
+
+
+def test_a_host_is_opened_once_and_closed_at_the_end() -> None:
+    transport = Counting()
+    with SessionPool(transport) as pool:
+        assert [use(pool), use(pool), use(pool, "edge2")] == [b"in"] * 3
+        with pool.connect(an_edge("edge1"), timeout=1.0) as session:
+            assert (session.python, b"".join(session.stream("c", b"out", idle_timeout=1.0))) == ("python3", b"out")
+        assert pool.address(an_edge("edge1")) == "address of edge1"
+        assert (transport.opened, transport.closed) == (["edge1", "edge2"], 0)
+    assert transport.closed == 2
+
+
+def test_a_lost_session_is_opened_anew_and_both_are_closed() -> None:
+    transport = Counting()
+    with SessionPool(transport) as pool:
+        use(pool)
+        transport.fault = ConnectError("lost")
+        with pytest.raises(ConnectError):
+            use(pool)
+        transport.fault = None
+        use(pool)
+        assert transport.opened == ["edge1", "edge1"]
+    assert transport.closed == 2
+
+
+def test_a_refused_login_is_not_tried_again() -> None:
+    transport = Counting()
+    transport.refusal = AuthError("no key was accepted")
+    with SessionPool(transport) as pool:
+        for _ in range(3):
+            with pytest.raises(AuthError):
+                use(pool)
+    assert transport.opened == ["edge1"]
+
+
+def test_a_host_that_was_off_is_tried_again() -> None:
+    transport = Counting()
+    transport.refusal = ConnectError("off")
+    with SessionPool(transport) as pool:
+        with pytest.raises(ConnectError):
+            use(pool)
+        transport.refusal = None
+        assert use(pool) == b"in"
+
+
+def test_threads_share_a_session_and_leave_sshd_two_channels() -> None:
+    transport = Counting()
+    with SessionPool(transport) as pool:
+        threads = [threading.Thread(target=use, args=(pool,)) for _ in range(20)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    assert transport.opened == ["edge1"]
+    assert transport.most == 8

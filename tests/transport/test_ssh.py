@@ -1,0 +1,449 @@
+"""Both ways over SSH, against real servers: what they carry, and that they name every failure alike."""
+
+import os
+import subprocess
+import threading
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+from edgectl.errors import AuthError, ConnectError, DeadlineError, HostError, HostKeyError, ReplyError
+from edgectl.model.inventory import Connection, Host
+from edgectl.transport.base import Reply, Transport
+from edgectl.transport.call import call
+from edgectl.transport.choose import Transports
+from tests.relay import Fault, mute_server, relay
+from tests.sshd import Lab, make_key, running_lab
+
+
+@pytest.fixture(params=[Connection.SSH, Connection.OPENSSH])
+def connection(request: pytest.FixtureRequest) -> Connection:
+    return Connection(request.param)
+
+
+@pytest.fixture
+def transport() -> Transport:
+    return Transports()
+
+
+def ask(
+    transport: Transport, host: Host, command: str = "echo here", stdin: bytes = b"", *, timeout: float = 10.0, limit: int = 1 << 20
+) -> Reply:
+    with transport.connect(host, timeout=timeout) as session:
+        return session.run(command, stdin, timeout=timeout, limit=limit)
+
+
+def failure(transport: Transport, host: Host, command: str = "echo here", *, timeout: float = 10.0) -> tuple[HostError, float]:
+    """The error and how long it took."""
+    start = time.monotonic()
+    with pytest.raises(HostError) as caught:
+        ask(transport, host, command, timeout=timeout)
+    assert "\n" not in caught.value.message
+    assert caught.value.host == host.name
+    return caught.value, time.monotonic() - start
+
+
+def test_bytes_go_in_and_out_unchanged(lab: Lab, transport: Transport, connection: Connection) -> None:
+    data = bytes(range(256)) * 8000
+    reply = ask(transport, lab.host("edge1", connection=connection), "cat; echo oops >&2; exit 3", data, limit=4 << 20)
+    assert (reply.stdout, reply.stderr, reply.status) == (data, b"oops\n", 3)
+
+
+def test_each_server_is_a_host_of_its_own(lab: Lab, transport: Transport, connection: Connection) -> None:
+    homes = [ask(transport, lab.host(name, connection=connection), "echo $HOME").stdout.decode().strip() for name in lab.servers]
+    assert homes == [str(server.home) for server in lab.servers.values()]
+
+
+def test_a_program_may_leave_its_input_unread(lab: Lab, transport: Transport, connection: Connection) -> None:
+    assert ask(transport, lab.host("edge1", connection=connection), "exec true", b"x" * 3_000_000).status == 0
+
+
+def test_large_stderr_does_not_block(lab: Lab, transport: Transport, connection: Connection) -> None:
+    reply = ask(transport, lab.host("edge1", connection=connection), "head -c 5000000 /dev/zero >&2; echo end", limit=8 << 20)
+    assert (len(reply.stderr), reply.stdout) == (5_000_000, b"end\n")
+
+
+def test_output_is_capped(lab: Lab, transport: Transport, connection: Connection) -> None:
+    start = time.monotonic()
+    with pytest.raises(ReplyError, match="more than 1048576 bytes"):
+        ask(transport, lab.host("edge1", connection=connection), "head -c 20000000 /dev/zero")
+    assert time.monotonic() - start < 5
+
+
+def test_deadline_of_a_command(lab: Lab, transport: Transport, connection: Connection) -> None:
+    start = time.monotonic()
+    error, seconds = failure(transport, lab.host("edge1", connection=connection), "exec sleep 30", timeout=2.0)
+    assert isinstance(error, DeadlineError)
+    assert seconds < 2.0 + 1.0 + 1.0, time.monotonic() - start
+
+
+def test_a_session_outlives_its_failures(lab: Lab, transport: Transport) -> None:
+    with transport.connect(lab.host("edge1"), timeout=10) as session:
+        with pytest.raises(ReplyError):
+            session.run("head -c 20000000 /dev/zero", b"", timeout=5)
+        with pytest.raises(DeadlineError):
+            session.run("exec sleep 30", b"", timeout=0.3)
+        assert session.run("echo still here", b"", timeout=5).stdout == b"still here\n"
+
+
+def test_noise_of_the_login_shell_changes_no_reply(
+    transport: Transport, connection: Connection, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "banner").write_text("=== Authorised use only ===\n")
+    with running_lab(tmp_path / "lab", ["edge1"], extra=[f"Banner {tmp_path / 'banner'}"]) as lab:
+        monkeypatch.setenv("EDGECTL_SSH_CONFIG", str(lab.ssh_config))
+        (lab["edge1"].home / ".bashrc").write_text(
+            "echo 'Welcome to the robot {\"v\": 1}'; printf '\\033[31m\\377\\n'; echo nonsense >&2\n"
+        )
+        reply = ask(transport, lab.host("edge1", connection=connection), "echo here")
+        with transport.connect(lab.host("edge1", connection=connection), timeout=10) as session:
+            document = call(session, {"op": "status", "host": "edge1", "task": None}, timeout=10)
+    assert reply.stdout.startswith(b"Welcome")
+    assert reply.stdout.endswith(b"here\n")
+    assert b"Authorised" not in reply.stdout
+    assert document["tasks"] == {}
+
+
+def test_a_restricted_key_is_enough(lab: Lab, transport: Transport, connection: Connection) -> None:
+    """No terminal, no forwarding: ``restrict`` in authorized_keys takes nothing away that is used."""
+    before = lab.authorized_keys.read_text()
+    lab.authorized_keys.write_text("restrict " + before)
+    try:
+        with transport.connect(lab.host("edge2", connection=connection), timeout=10) as session:
+            assert call(session, {"op": "status", "host": "edge2", "task": None}, timeout=10)["tasks"] == {}
+    finally:
+        lab.authorized_keys.write_text(before)
+
+
+def test_output_comes_as_a_stream(lab: Lab, transport: Transport, connection: Connection) -> None:
+    with transport.connect(lab.host("edge1", connection=connection), timeout=10) as session:
+        pieces = session.stream("read a; echo first $a; sleep 0.5; echo second", b"x\n", idle_timeout=5)
+        start = time.monotonic()
+        assert next(pieces) == b"first x\n"
+        assert b"".join(pieces) == b"second\n"
+        assert time.monotonic() - start > 0.4
+
+
+def test_a_silent_stream_ends(lab: Lab, transport: Transport, connection: Connection) -> None:
+    with transport.connect(lab.host("edge1", connection=connection), timeout=10) as session:
+        pieces = session.stream("echo first; sleep 30", b"", idle_timeout=1.0)
+        assert next(pieces) == b"first\n"
+        with pytest.raises(DeadlineError):
+            next(pieces)
+
+
+def test_a_stream_can_be_left(lab: Lab, transport: Transport, connection: Connection) -> None:
+    with transport.connect(lab.host("edge1", connection=connection), timeout=10) as session:
+        pieces = session.stream("yes", b"", idle_timeout=5)
+        assert next(pieces).startswith(b"y\n")
+        assert isinstance(pieces, Iterator)
+        pieces.close()  # type: ignore[attr-defined]
+        assert session.run("echo fine", b"", timeout=5).stdout == b"fine\n"
+
+
+def test_sixteen_at_once(lab: Lab, transport: Transport, connection: Connection) -> None:
+    hosts = [lab.host(name, connection=connection) for name in lab.servers] * 6
+    with ThreadPoolExecutor(16) as pool:
+        replies = list(pool.map(lambda host: ask(transport, host, "cat", host.name.encode(), timeout=30).stdout.decode(), hosts[:16]))
+    assert replies == [host.name for host in hosts[:16]]
+
+
+def test_one_session_serves_many_threads(lab: Lab, transport: Transport) -> None:
+    with transport.connect(lab.host("edge1"), timeout=10) as session, ThreadPoolExecutor(8) as pool:
+        replies = list(pool.map(lambda n: session.run("cat", b"%d" % n * 10_000, timeout=20).stdout, range(24)))
+    assert replies == [b"%d" % n * 10_000 for n in range(24)]
+
+
+# -- who the host is ---------------------------------------------------------------------------------------------------------------------
+
+
+def other_key(tmp_path: Path) -> str:
+    return make_key(tmp_path / "other_key")
+
+
+def known_hosts(kind: str, lab: Lab, name: str, other: str) -> str:
+    """known_hosts lines that make server ``name`` appear as ``kind``; the other servers stay known."""
+    server = lab[name]
+    place = f"[{server.address}]:{server.port}"
+    rest = "".join(s.known_hosts_line for s in lab.servers.values() if s is not server)
+    return (
+        rest
+        + {
+            "known": f"{place} {server.key}\n",
+            "unknown": "",
+            "changed": f"{place} {other}\n",
+            "revoked": f"{place} {server.key}\n@revoked * {server.key}\n",
+            "authority": f"@cert-authority * {other}\n{place} {server.key}\n",
+            "only authority": f"@cert-authority * {other}\n",
+        }[kind]
+    )
+
+
+@pytest.mark.parametrize("through", [None, "robot1"])
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        ("known", None),
+        ("unknown", "not known"),
+        ("changed", "changed"),
+        ("revoked", "revoked"),
+        ("authority", None),
+        ("only authority", "not known"),
+    ],
+)
+def test_host_keys(
+    lab: Lab, transport: Transport, connection: Connection, tmp_path: Path, through: str | None, kind: str, words: str | None
+) -> None:
+    """The key in question is the target's, or, with a jump host, the jump host's."""
+    lab.known_hosts.write_text(known_hosts(kind, lab, through or "edge1", other_key(tmp_path)))
+    before = lab.known_hosts.read_bytes()
+    host = lab.host("edge1", connection=connection, proxy_jump=through)
+    if words is None:
+        assert ask(transport, host).stdout == b"here\n"
+    else:
+        error, _ = failure(transport, host)
+        assert isinstance(error, HostKeyError)
+        assert words in error.message
+        assert error.hint
+        assert kind == "revoked" or ("ssh robot1" if through and connection is Connection.SSH else "edgectl trust edge1") in error.hint
+    assert lab.known_hosts.read_bytes() == before
+
+
+@pytest.mark.parametrize("form", ["list", "krl", "other", "missing"])
+def test_revoked_host_keys(lab: Lab, transport: Transport, connection: Connection, tmp_path: Path, form: str) -> None:
+    """A list or a KRL of ssh_config's RevokedHostKeys; one that cannot be read revokes everything."""
+    keys, krl = tmp_path / "revoked", tmp_path / "krl"
+    keys.write_text((lab["edge1"].key if form != "other" else other_key(tmp_path)) + "\n")
+    subprocess.run(["ssh-keygen", "-q", "-k", "-f", krl, keys], check=True, capture_output=True)
+    named = {"krl": krl, "missing": tmp_path / "missing"}.get(form, keys)
+    lab.write_files(f"RevokedHostKeys {named}")
+    host = lab.host("edge1", connection=connection)
+    if form == "other":
+        assert ask(transport, host).stdout == b"here\n"
+    else:
+        error, _ = failure(transport, host)
+        assert isinstance(error, HostKeyError)
+        assert "revoked" in error.message
+
+
+@pytest.mark.parametrize("through", [None, "robot1"])
+def test_ssh_config_cannot_switch_verification_off(lab: Lab, transport: Transport, connection: Connection, through: str | None) -> None:
+    lab.write_files("StrictHostKeyChecking no", "NoHostAuthenticationForLocalhost yes")
+    lab.known_hosts.write_text(known_hosts("unknown", lab, through or "edge1", ""))
+    error, _ = failure(transport, lab.host("edge1", connection=connection, proxy_jump=through))
+    assert isinstance(error, HostKeyError)
+
+
+def test_the_target_behind_a_jump_host_is_verified_too(lab: Lab, transport: Transport, connection: Connection, tmp_path: Path) -> None:
+    lab.known_hosts.write_text(known_hosts("changed", lab, "edge1", other_key(tmp_path)))
+    error, _ = failure(transport, lab.host("edge1", connection=connection, proxy_jump="robot1"))
+    assert isinstance(error, HostKeyError)
+
+
+def test_fingerprints_are_shown(lab: Lab, transport: Transport, connection: Connection) -> None:
+    lab.known_hosts.write_text("")
+    error, _ = failure(transport, lab.host("edge1", connection=connection))
+    # OpenSSH shows the fingerprint of a changed key only.
+    assert connection is Connection.OPENSSH or "SHA256:" in error.message
+
+
+@pytest.mark.parametrize("hashed", [False, True])
+def test_accept_new_records_unknown_keys_only(lab: Lab, connection: Connection, tmp_path: Path, hashed: bool) -> None:
+    server, other = lab["edge1"], other_key(tmp_path)
+    lab.write_files(*(["HashKnownHosts yes"] if hashed else []))
+    lab.known_hosts.unlink()
+    os.umask(0o000)
+    try:
+        assert ask(Transports(accept_new=True), lab.host("edge1", connection=connection)).stdout == b"here\n"
+    finally:
+        os.umask(0o022)
+    line = lab.known_hosts.read_text()
+    assert line.startswith("|1|") if hashed else line == server.known_hosts_line
+    # The file that ssh itself makes is 0644.
+    assert lab.known_hosts.stat().st_mode & (0o777 if connection is Connection.SSH else 0o022) == (
+        0o600 if connection is Connection.SSH else 0
+    )
+    assert ask(Transports(), lab.host("edge1", connection=connection)).stdout == b"here\n"
+    lab.known_hosts.write_text(f"[{server.address}]:{server.port} {other}\n")
+    assert isinstance(failure(Transports(accept_new=True), lab.host("edge1", connection=connection))[0], HostKeyError)
+    assert other in lab.known_hosts.read_text()
+    assert server.key not in lab.known_hosts.read_text()
+
+
+def test_a_reinstalled_host_is_refused_before_login(
+    tmp_path: Path, transport: Transport, connection: Connection, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with running_lab(tmp_path / "lab", ["edge1"]) as lab:
+        monkeypatch.setenv("EDGECTL_SSH_CONFIG", str(lab.ssh_config))
+        lab["edge1"].change_key()
+        error, _ = failure(transport, lab.host("edge1", connection=connection))
+        assert isinstance(error, HostKeyError)
+        assert "Accepted" not in lab["edge1"].log
+        assert "Failed publickey" not in lab["edge1"].log
+
+
+# -- getting there -----------------------------------------------------------------------------------------------------------------------
+
+
+def test_login_refused_once(lab: Lab, transport: Transport, connection: Connection, tmp_path: Path) -> None:
+    make_key(tmp_path / "stranger")
+    lab.write_files(key=tmp_path / "stranger")
+    before = lab["edge1"].log.count("Connection from") + lab["edge1"].log.count("Connection closed")
+    error, seconds = failure(transport, lab.host("edge1", connection=connection))
+    assert isinstance(error, AuthError)
+    assert seconds < 5
+    assert lab["edge1"].log.count("Connection closed") - before <= 1
+
+
+def test_no_key_at_all(lab: Lab, transport: Transport, connection: Connection, tmp_path: Path) -> None:
+    lab.write_files(key=tmp_path / "missing")
+    error, _ = failure(transport, lab.host("edge1", connection=connection))
+    assert isinstance(error, AuthError)
+
+
+def test_closed_port(lab: Lab, transport: Transport, connection: Connection) -> None:
+    error, seconds = failure(transport, lab.host("edge1", connection=connection, port=1))
+    assert isinstance(error, ConnectError)
+    assert "refused" in error.message
+    assert seconds < 2
+
+
+def test_closed_port_behind_a_jump_host(lab: Lab, transport: Transport, connection: Connection) -> None:
+    error, seconds = failure(transport, lab.host("edge1", connection=connection, port=1, proxy_jump="robot1"))
+    assert isinstance(error, ConnectError)
+    assert seconds < 4
+
+
+def test_unknown_name(lab: Lab, transport: Transport, connection: Connection) -> None:
+    error, _ = failure(transport, Host(name="x", role=lab.host("edge1").role, host="no-such-host.invalid", connection=connection))
+    assert isinstance(error, ConnectError)
+
+
+def test_a_name_is_no_option(lab: Lab, transport: Transport, connection: Connection, tmp_path: Path) -> None:
+    canary = tmp_path / "canary"
+    error, _ = failure(transport, lab.host("edge1", host=f"-oProxyCommand=touch {canary}", connection=connection))
+    assert isinstance(error, ConnectError)
+    assert not canary.exists()
+
+
+def test_a_mute_server(transport: Transport, connection: Connection, lab: Lab) -> None:
+    with mute_server() as port:
+        error, seconds = failure(
+            transport, Host(name="m", role=lab.host("edge1").role, host="127.0.0.1", port=port, connection=connection), timeout=2
+        )
+    assert isinstance(error, DeadlineError)
+    assert seconds < 3
+
+
+@pytest.mark.parametrize("after", [0, 500, 1200, 1700])
+def test_silence_during_login(lab: Lab, transport: Transport, connection: Connection, after: int) -> None:
+    server = lab["edge1"]
+    with relay((server.address, server.port), Fault.SILENCE, after) as port:
+        lab.known_hosts.write_text(f"[127.0.0.1]:{port} {server.key}\n")
+        error, seconds = failure(transport, lab.host("edge1", host="127.0.0.1", port=port, connection=connection), timeout=2)
+    assert isinstance(error, DeadlineError)
+    assert seconds < 3
+
+
+def test_silence_in_the_middle_of_output(lab: Lab, transport: Transport, connection: Connection) -> None:
+    server = lab["edge1"]
+    with relay((server.address, server.port), Fault.SILENCE, 200_000) as port:
+        lab.known_hosts.write_text(f"[127.0.0.1]:{port} {server.key}\n")
+        host = lab.host("edge1", host="127.0.0.1", port=port, connection=connection)
+        with transport.connect(host, timeout=5) as session:
+            start = time.monotonic()
+            with pytest.raises(DeadlineError):
+                session.run("head -c 800000 /dev/zero", b"", timeout=2)
+            assert time.monotonic() - start < 3
+
+
+def test_a_jump_host_that_falls_silent(lab: Lab, transport: Transport, connection: Connection) -> None:
+    jump = lab["robot1"]
+    with relay((jump.address, jump.port), Fault.SILENCE, 300_000) as port:
+        lab.known_hosts.write_text(lab.known_hosts.read_text() + f"[127.0.0.1]:{port} {jump.key}\n")
+        session = transport.connect(lab.host("edge1", proxy_jump=f"127.0.0.1:{port}", connection=connection), timeout=5)
+        start = time.monotonic()
+        with pytest.raises(DeadlineError):
+            session.run("head -c 900000 /dev/zero", b"", timeout=2)
+        session.close()
+        assert time.monotonic() - start < 3.5
+
+
+@pytest.mark.parametrize("after", [10, 1500, 30_000])
+def test_a_line_that_is_cut(lab: Lab, transport: Transport, connection: Connection, after: int) -> None:
+    server = lab["edge1"]
+    with relay((server.address, server.port), Fault.CUT, after) as port:
+        lab.known_hosts.write_text(f"[127.0.0.1]:{port} {server.key}\n")
+        host = lab.host("edge1", host="127.0.0.1", port=port, connection=connection)
+        error, seconds = failure(transport, host, "head -c 800000 /dev/zero; sleep 20", timeout=8)
+    assert isinstance(error, ConnectError)
+    assert seconds < 5
+
+
+def test_a_host_that_dies_during_a_stream(
+    tmp_path: Path, transport: Transport, connection: Connection, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with running_lab(tmp_path / "lab", ["edge1"]) as lab:
+        monkeypatch.setenv("EDGECTL_SSH_CONFIG", str(lab.ssh_config))
+        with transport.connect(lab.host("edge1", connection=connection), timeout=5) as session:
+            pieces = session.stream("echo first; sleep 60", b"", idle_timeout=10)
+            assert next(pieces) == b"first\n"
+            lab["edge1"].stop()
+            with pytest.raises(ConnectError):
+                list(pieces)
+
+
+# -- ways there --------------------------------------------------------------------------------------------------------------------------
+
+
+def test_two_jumps(lab: Lab, transport: Transport, connection: Connection) -> None:
+    assert ask(transport, lab.host("edge1", connection=connection, proxy_jump="edge2,robot1")).stdout == b"here\n"
+
+
+def test_proxy_jump_of_ssh_config(lab: Lab, transport: Transport, connection: Connection) -> None:
+    server = lab["edge2"]
+    lab.write_files(f"Host far\n  HostName {server.address}\n  Port {server.port}\n  ProxyJump robot1")
+    assert ask(transport, lab.host("edge2", host="far", connection=connection), "echo $HOME").stdout.decode().strip() == str(server.home)
+
+
+def test_jumpers_share_a_jump_host(lab: Lab, transport: Transport) -> None:
+    before = lab["robot1"].log.count("Accepted publickey")
+    with ThreadPoolExecutor(8) as pool:
+        hosts = [lab.host(name, proxy_jump="robot1") for name in ("edge1", "edge2")] * 4
+        sessions = list(pool.map(lambda host: transport.connect(host, timeout=20), hosts))
+        assert {session.run("echo here", b"", timeout=10).stdout for session in sessions} == {b"here\n"}
+        assert lab["robot1"].log.count("Accepted publickey") - before == 1
+    for session in sessions:
+        session.close()
+    assert not [thread for thread in threading.enumerate() if thread.daemon], "sessions of jump hosts are closed with their last user"
+
+
+def test_proxy_command(lab: Lab, transport: Transport, connection: Connection) -> None:
+    robot, edge = lab["robot1"], lab["edge1"]
+    command = f"ssh -F {lab.ssh_config} -W %h:%p robot1"
+    lab.write_files(f"Host far\n  HostName {edge.address}\n  Port {edge.port}\n  ProxyCommand {command}")
+    before = robot.log.count("Accepted publickey")
+    assert ask(transport, lab.host("edge1", host="far", connection=connection)).stdout == b"here\n"
+    assert robot.log.count("Accepted publickey") == before + 1
+
+
+@pytest.mark.parametrize("command", ["false", "sleep 0.2; exit 3", "echo this is not ssh"])
+def test_a_dead_proxy_command_costs_nothing(lab: Lab, transport: Transport, connection: Connection, command: str) -> None:
+    lab.write_files(f"Host far\n  HostName 127.0.0.1\n  ProxyCommand {command}")
+    spent = time.process_time()
+    error, seconds = failure(transport, lab.host("edge1", host="far", connection=connection))
+    assert isinstance(error, ConnectError)
+    assert seconds < 6
+    assert time.process_time() - spent < 0.8
+    assert not [pid for pid in children() if "Z" in state(pid)]
+
+
+def children() -> list[str]:
+    return Path(f"/proc/self/task/{threading.get_native_id()}/children").read_text().split()
+
+
+def state(pid: str) -> str:
+    return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]

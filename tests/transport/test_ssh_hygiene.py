@@ -1,0 +1,193 @@
+"""What the paramiko way leaves behind (nothing), runs of others' code (none), and how it treats busy servers (kindly)."""
+
+import os
+import resource
+import subprocess
+import sys
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+from edgectl.errors import ConnectError, HostError
+from edgectl.transport.dial import dial, watchdog
+from edgectl.transport.ssh import SshTransport
+from edgectl.transport.ssh_auth import Login
+from edgectl.transport.sshconfig import Resolver
+from tests.relay import mute_server
+from tests.sshd import Lab, make_key, running_lab
+
+
+def open_files() -> int:
+    return len(list(Path("/proc/self/fd").iterdir()))
+
+
+def settled(threads: int, files: int) -> bool:
+    """Whether threads and files are back to what they were, within a second."""
+    deadline = time.monotonic() + 1
+    while (threading.active_count() > threads or open_files() > files) and time.monotonic() < deadline:
+        time.sleep(0.01)
+    return threading.active_count() <= threads and open_files() <= files
+
+
+def test_nothing_is_left_open(lab: Lab, tmp_path: Path) -> None:
+    make_key(tmp_path / "stranger")
+    transport = SshTransport()
+    transport.connect(lab.host("edge1"), timeout=10).close()
+    threads, files = threading.active_count(), open_files()
+    for _ in range(5):
+        with transport.connect(lab.host("edge1", proxy_jump="robot1"), timeout=10) as session:
+            session.run("true", b"", timeout=5)
+    with mute_server() as port:
+        for host in (lab.host("edge1", port=1), lab.host("edge1", host="127.0.0.1", port=port), lab.host("edge1", proxy_jump="edge9")):
+            with pytest.raises(HostError):
+                transport.connect(host, timeout=1)
+    lab.known_hosts.write_text("")
+    with pytest.raises(HostError):
+        SshTransport().connect(lab.host("edge2"), timeout=5)
+    lab.write_files(key=tmp_path / "stranger")
+    with pytest.raises(HostError):
+        SshTransport().connect(lab.host("edge2"), timeout=5)
+    assert settled(threads, files), [thread.name for thread in threading.enumerate()]
+
+
+def test_closing_is_quick_and_can_be_repeated(lab: Lab) -> None:
+    session = SshTransport().connect(lab.host("edge1"), timeout=10)
+    start = time.monotonic()
+    session.close()
+    session.close()
+    assert time.monotonic() - start < 0.5
+    with pytest.raises(ConnectError):
+        session.run("true", b"", timeout=5)
+
+
+def test_closing_wakes_who_waits(lab: Lab) -> None:
+    session = SshTransport().connect(lab.host("edge1"), timeout=10)
+    with ThreadPoolExecutor(1) as pool:
+        waiting = pool.submit(session.run, "exec sleep 20", b"", timeout=20)
+        time.sleep(0.2)
+        session.close()
+        with pytest.raises(ConnectError):
+            waiting.result(timeout=3)
+
+
+def test_no_file_of_fabric_is_executed_or_read(lab: Lab, tmp_path: Path) -> None:
+    """A poisoned home and working directory; a process of its own, because Fabric looks around when it is imported."""
+    poison = "import pathlib; pathlib.Path(__file__).with_name('canary').touch()\nuser = 'somebody-else'\nload_ssh_configs = True\n"
+    home = tmp_path / "home"
+    for directory in (home, home / ".ssh"):
+        directory.mkdir(parents=True, exist_ok=True)
+    for name in (".fabric.py", "fabric.py", "fabfile.py", ".invoke.py", "invoke.py", "tasks.py"):
+        (home / name).write_text(poison)
+    (home / ".fabric.yaml").write_text("user: somebody-else\n")
+    (home / ".ssh/config").write_text("Host *\n  Port 1\n")
+    script = (
+        "import sys; sys.path = [p for p in sys.path if p not in ('', '.')]\n"
+        "from edgectl.transport.ssh import SshTransport; from edgectl.model.inventory import Host, Role\n"
+        "with SshTransport().connect(Host(name='edge1', role=Role.EDGE, host='edge1'), timeout=10) as s: print(s.run('echo in', b'', timeout=5).stdout)"
+    )
+    root = Path(__file__).parents[2]
+    env = {"PATH": os.environ["PATH"], "HOME": str(home), "PYTHONPATH": str(root), **lab.environment}
+    ran = subprocess.run([sys.executable, "-c", script], cwd=home, env=env, capture_output=True, text=True, timeout=60, check=False)
+    assert ran.stdout == "b'in\\n'\n", ran.stderr
+    assert not list(home.rglob("canary"))
+
+
+def test_nothing_is_printed_when_a_login_fails(lab: Lab, capfd: pytest.CaptureFixture[str]) -> None:
+    """paramiko logs tracebacks of its thread, which Python would print."""
+    with mute_server() as port, pytest.raises(HostError):
+        SshTransport().connect(lab.host("edge1", host="127.0.0.1", port=port), timeout=0.5)
+    with pytest.raises(HostError):
+        SshTransport().connect(lab.host("edge1", port=1), timeout=2)
+    captured = capfd.readouterr()
+    assert (captured.out, captured.err) == ("", "")
+
+
+def test_a_busy_server_is_asked_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """sshd that accepts two logins at a time, and hangs up on the others before its banner."""
+    with running_lab(tmp_path / "lab", ["edge1"], extra=["MaxStartups 2"]) as lab:
+        monkeypatch.setenv("EDGECTL_SSH_CONFIG", str(lab.ssh_config))
+        transport = SshTransport()
+        with ThreadPoolExecutor(6) as pool:
+            sessions = list(pool.map(lambda _: transport.connect(lab.host("edge1"), timeout=20), range(6)))
+        for session in sessions:
+            session.close()
+
+
+def test_what_is_no_ssh_server(lab: Lab, tmp_path: Path) -> None:
+    lab.write_files("Host odd\n  ProxyCommand printf 'HTTP/1.1 400 Bad Request\\r\\n\\r\\n'")
+    start = time.monotonic()
+    with pytest.raises(ConnectError, match="before its SSH banner"):
+        SshTransport().connect(lab.host("edge1", host="odd"), timeout=10)
+    assert time.monotonic() - start < 5
+
+
+def test_a_server_that_talks_without_end(lab: Lab) -> None:
+    """A proxy command that repeats one letter for ever, without a line's end: neither memory nor time is given to it."""
+    lab.write_files("Host odd\n  ProxyCommand yes | tr -d '\\n'")
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    start = time.monotonic()
+    with pytest.raises(ConnectError):
+        SshTransport().connect(lab.host("edge1", host="odd"), timeout=10)
+    assert time.monotonic() - start < 8
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 50_000
+
+
+def test_a_failed_jump_host_fails_its_hosts_at_once(lab: Lab) -> None:
+    with mute_server() as port:
+        transport = SshTransport()
+        start = time.monotonic()
+        for name in ("edge1", "edge2", "edge1", "edge2"):
+            with pytest.raises(HostError, match=r"jump host 127\.0\.0\.1"):
+                transport.connect(lab.host(name, proxy_jump=f"127.0.0.1:{port}"), timeout=1)
+        assert time.monotonic() - start < 2.5
+
+
+def test_a_second_key_type_is_no_change(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The server has ed25519 and RSA, known_hosts only RSA: asked for first, as OpenSSH does."""
+    rsa = tmp_path / "rsa"
+    subprocess.run(["ssh-keygen", "-q", "-t", "rsa", "-b", "2048", "-N", "", "-f", rsa], check=True)
+    with running_lab(tmp_path / "lab", ["edge1"], extra=[f"HostKey {rsa}"]) as lab:
+        monkeypatch.setenv("EDGECTL_SSH_CONFIG", str(lab.ssh_config))
+        server = lab["edge1"]
+        lab.known_hosts.write_text(f"[{server.address}]:{server.port} {rsa.with_suffix('.pub').read_text()}")
+        SshTransport().connect(lab.host("edge1"), timeout=10).close()
+
+
+def test_connections_are_made_in_many_threads(lab: Lab) -> None:
+    """A Config of Fabric's that connections share is cleared by one while another reads it."""
+    transport, login = SshTransport(), Login("me", ())
+    resolved = Resolver().resolve(lab.host("edge1"))
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    try:
+        with ThreadPoolExecutor(8) as pool:
+            made = list(pool.map(lambda _: transport._fabric(resolved, object(), login).user, range(400)))
+    finally:
+        sys.setswitchinterval(interval)
+    assert set(made) == {resolved.user}
+
+
+def test_address(lab: Lab) -> None:
+    assert SshTransport().address(lab.host("edge2")) == lab["edge2"].address
+
+
+def test_a_name_is_looked_up_with_a_deadline(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("socket.getaddrinfo", lambda *_, **__: time.sleep(1.5))
+    start = time.monotonic()
+    with pytest.raises(OSError, match="name service"):
+        dial("edge1.example", 22, timeout=0.2)
+    assert time.monotonic() - start < 1
+
+
+def test_watchdog() -> None:
+    bitten = threading.Event()
+    with watchdog(0.05, bitten.set) as watch:
+        bitten.wait(2)
+    assert watch.expired
+    with watchdog(5, bitten.clear) as watch:
+        pass
+    assert bitten.is_set()
+    assert not watch.expired
