@@ -1,0 +1,1 @@
+"""Fan-out over all hosts into one immutable Snapshot."""

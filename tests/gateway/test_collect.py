@@ -1,0 +1,190 @@
+"""All hosts at once; one bad host costs only itself."""
+
+import threading
+import time
+
+import pytest
+
+from edgectl.errors import AuthError, ConnectError, DeadlineError, HostError, HostKeyError, NoPythonError, ReplyError
+from edgectl.gateway.collect import ProbeOptions, probe
+from edgectl.gateway.fanout import fan_out
+from edgectl.model.inventory import Host, Inventory
+from edgectl.model.snapshot import HostSample, HostStatus, TaskState
+from edgectl.model.task import Check, Detect, Tasks, Where
+from edgectl.transport.base import Reply, Session
+from edgectl.transport.fake import FakeTransport
+from tests.builders import NOW, a_robot, a_task, an_edge, an_inventory, some_tasks
+from tests.executor.fake_fleet import FakeFleet
+
+NONE = Tasks(tasks={})
+
+
+def fleet() -> Inventory:
+    return an_inventory(an_edge("edge1"), an_edge("edge2"), an_edge("edge10"), a_robot("robot1"), a_robot("robot2", probe=False))
+
+
+def test_hosts_stand_in_the_order_of_the_inventory_and_unprobed_robots_are_left_out() -> None:
+    hosts = FakeFleet.of(["edge1", "edge2", "edge10", "robot1"])
+    snapshot = probe(fleet(), NONE, hosts.transport, clock=lambda: NOW)
+    assert list(snapshot.hosts) == ["edge1", "edge2", "edge10", "robot1"]
+    assert snapshot.taken_at == NOW
+    assert all(sample.ok for sample in snapshot.hosts.values())
+    assert list(snapshot.hosts["edge1"].links) == ["robot1", "robot2"]
+    assert snapshot.hosts["robot1"].links == {}
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        ConnectError("no route to host", hint="is it on?"),
+        HostKeyError("host key changed", hint="edgectl trust edge1"),
+        AuthError("no key was accepted"),
+        DeadlineError("no answer within 15 s"),
+        NoPythonError("no python3"),
+        ReplyError("no frame"),
+    ],
+    ids=lambda error: error.kind,
+)
+def test_a_bad_host_is_unreachable_with_its_cause_and_costs_no_other(error: HostError) -> None:
+    hosts = FakeFleet.of(["edge1", "edge2", "edge10", "robot1"])
+    transport = FakeTransport({**dict(hosts.hosts), "edge2": error})
+    snapshot = probe(fleet(), NONE, transport)
+    bad = snapshot.hosts["edge2"]
+    assert (bad.status, bad.error, bad.error_kind, bad.hint) == (HostStatus.UNREACHABLE, error.message, error.kind, error.hint)
+    assert [name for name, sample in snapshot.hosts.items() if sample.ok] == ["edge1", "edge10", "robot1"]
+
+
+def test_a_host_that_lies_is_unreachable() -> None:
+    hosts = FakeFleet.of(["edge1", "edge2", "edge10", "robot1"])
+    liar = {**hosts["edge1"](_request("edge1")), "host": "edge2", "cpu": {"cores": 64, "used_cores": 0}}
+    snapshot = probe(fleet(), NONE, FakeTransport({**dict(hosts.hosts), "edge1": lambda _request: liar}))
+    assert snapshot.hosts["edge1"].error_kind == "bad-reply"
+    assert snapshot.hosts["edge2"].ok
+
+
+def _request(host: str) -> dict[str, object]:
+    return {"op": "probe", "host": host, "links": []}
+
+
+def test_hosts_are_asked_at_once_and_each_is_told_as_it_ends() -> None:
+    hosts = FakeFleet.of([f"edge{number}" for number in range(16)])
+
+    def slow(name: str):  # noqa: ANN202
+        def answer(request: dict[str, object]) -> dict[str, object]:
+            time.sleep(0.3)
+            return hosts[name](request)
+
+        return answer
+
+    heard: list[tuple[str, bool, bool]] = []
+
+    def on_host(name: str, sample: HostSample, seconds: float) -> None:
+        heard.append((name, sample.ok, seconds >= 0.3))
+        assert threading.current_thread() is threading.main_thread()
+
+    began = time.monotonic()
+    inventory = an_inventory(*(an_edge(name) for name in hosts.hosts))
+    probe(inventory, NONE, FakeTransport({name: slow(name) for name in hosts.hosts}), options=ProbeOptions(on_host=on_host))
+    assert time.monotonic() - began < 2.0
+    assert sorted(heard) == sorted((name, True, True) for name in hosts.hosts)
+
+
+class Slow:
+    """A transport whose dead hosts answer nothing and whose living ones take their time; it notes how much each call was given."""
+
+    def __init__(self, fleet: FakeFleet, dead: set[str], *, connect_s: float = 0.0) -> None:
+        self.fleet, self.dead, self.connect_s = fleet, dead, connect_s
+        self.given: list[float] = []
+        self.at_once, self.most, self.guard = 0, 0, threading.Lock()
+
+    def connect(self, host: Host, *, timeout: float) -> Session:
+        with self.guard:
+            self.at_once += 1
+            self.most = max(self.most, self.at_once)
+        time.sleep(timeout if host.name in self.dead else self.connect_s)
+        with self.guard:
+            self.at_once -= 1
+        if host.name in self.dead:
+            raise DeadlineError(f"no answer within {timeout:g} s")
+        session = self.fleet.transport.connect(host, timeout=timeout)
+        run = session.run
+
+        def noting(command: str, stdin: bytes, *, timeout: float, limit: int = 1 << 20) -> Reply:
+            self.given.append(timeout)
+            return run(command, stdin, timeout=timeout, limit=limit)
+
+        session.run = noting  # type: ignore[method-assign]
+        return session
+
+    def address(self, host: Host) -> str:
+        return host.host
+
+
+def many(count: int) -> tuple[Inventory, FakeFleet]:
+    hosts = FakeFleet.of([f"edge{number}" for number in range(count)])
+    return an_inventory(*(an_edge(name) for name in hosts.hosts)), hosts
+
+
+def test_ten_dead_hosts_of_fifty_cost_one_deadline() -> None:
+    inventory, hosts = many(50)
+    dead = {f"edge{number}" for number in range(0, 50, 5)}
+    began = time.monotonic()
+    snapshot = probe(inventory, NONE, Slow(hosts, dead), options=ProbeOptions(timeout=1.0))
+    assert time.monotonic() - began < 2.0
+    assert {name for name, sample in snapshot.hosts.items() if not sample.ok} == dead
+    assert {snapshot.hosts[name].error_kind for name in dead} == {"deadline"}
+
+
+def test_connecting_and_calling_share_one_deadline_and_connections_are_bounded() -> None:
+    inventory, hosts = many(12)
+    transport = Slow(hosts, set(), connect_s=0.2)
+    probe(inventory, NONE, transport, options=ProbeOptions(timeout=1.0, workers=4))
+    assert transport.most == 4
+    assert len(transport.given) == 12
+    assert max(transport.given) <= 0.8
+
+
+def test_what_is_asked_depends_on_the_host() -> None:
+    hosts = FakeFleet.of(["edge1", "edge2", "edge10", "robot1"])
+    tasks = some_tasks(
+        a_task("slam", robots=["robot1"], done_when=Check(command="map is whole", timeout=60.0)),
+        a_task("mission", robots=["robot1"], done_when=Check(command="is home", on=Where.ROBOT)),
+        a_task("roscore", managed=False, detect=Detect(cmdline="rosmaster")),
+    )
+    transport = hosts.transport
+    probe(fleet(), tasks, transport, options=ProbeOptions(window=0.2))
+    asked = dict(transport.requests)
+    assert asked["edge1"]["window_s"] == 0.2
+    assert asked["edge1"]["links"] == [{"robot": "robot1", "address": "robot1.lab"}, {"robot": "robot2", "address": "robot2.lab"}]
+    assert asked["edge1"]["detect"] == [{"task": "roscore", "cmdline": "rosmaster"}]
+    (check,) = asked["edge1"]["checks"]  # type: ignore[misc]
+    assert (check["task"], check["always"], check["timeout_s"]) == ("slam", False, 10.8)  # 15 - .2 - 4: it must not cost the probe
+    assert check["env"]["EDGECTL_ROBOT"] == "robot1"
+    names = {entry["task"]: entry["always"] for entry in asked["robot1"]["checks"]}  # type: ignore[attr-defined]
+    assert names == {"slam": False, "mission": True}
+    assert asked["robot1"]["links"] == []
+
+
+def test_what_a_robot_says_is_done_is_done_where_it_runs() -> None:
+    hosts = FakeFleet.of(["edge1", "edge2", "edge10", "robot1"])
+    hosts["edge2"].runs("mission")
+    hosts["edge2"].used = 1.0
+    said = {**hosts["robot1"](_request("robot1")), "checks": {"mission": {"exit": 0, "timed_out": False, "output": ""}}}
+    tasks = some_tasks(a_task("mission", robots=["robot1"], done_when=Check(command="is home", on=Where.ROBOT)))
+    snapshot = probe(fleet(), tasks, FakeTransport({**dict(hosts.hosts), "robot1": lambda _request: said}))
+    sample = snapshot.hosts["edge2"]
+    assert (sample.tasks["mission"].state, sample.tasks["mission"].pid) == (TaskState.COMPLETED, 99)
+    assert sample.cpu is not None
+    assert sample.cpu.used_cores == pytest.approx(0.9)
+
+
+def test_a_bug_is_not_swallowed() -> None:
+    def broken(_item: int) -> int:
+        raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        list(fan_out(broken, [1, 2, 3], workers=2))
+
+
+def test_fan_out_of_nothing_is_nothing() -> None:
+    assert list(fan_out(str, [], workers=4)) == []

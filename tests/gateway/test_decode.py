@@ -1,0 +1,259 @@
+"""Documents as hosts send them -> samples; everything odd costs its host the sample."""
+
+import copy
+import json
+import math
+import random
+from collections.abc import Callable
+
+import pytest
+
+from edgectl.errors import ReplyError
+from edgectl.gateway.decode import ASSUMED_BYTES_PER_S, Context, decode
+from edgectl.model.inventory import Base, Capacity, Host
+from edgectl.model.snapshot import CapacitySource, HostSample, HostStatus, TaskState
+from tests.builders import NOW, a_robot, an_edge
+
+Document = dict[str, object]
+SLICE = an_edge("edge1", capacity=Capacity(cpu=2.0, memory=1e9), base=Base(cpu=0.25, memory=1e8))
+
+
+def a_task(**fields: object) -> Document:
+    return {
+        "state": "ready",
+        "pid": 71,
+        "age_s": 60.0,
+        "used_cores": 0.5,
+        "used_bytes": 2e8,
+        "rx_bytes_per_s": 1000.0,
+        "tx_bytes_per_s": 500.0,
+        "links": {"robot1": 1500.0},
+        "instance": "i1",
+        "spec_hash": "h1",
+        "generation": 3,
+        "managed": True,
+        "restarts": 1,
+        "exit_code": None,
+        "detail": "",
+        **fields,
+    }
+
+
+def a_document(**fields: object) -> Document:
+    return {
+        "v": 1,
+        "op": "probe",
+        "host": "edge1",
+        "python": "3.6.15",
+        "psutil": True,
+        "boot_id": "boot-1",
+        "wall": NOW + 100.0,
+        "window_s": 0.5,
+        "cpu": {"cores": 4, "used_cores": 1.5},
+        "memory": {"total_bytes": 8e9, "used_bytes": 3e9},
+        "load_1m": 0.7,
+        "temperature_c": None,
+        "gpu_share": None,
+        "interfaces": {"eth0": {"rx_bytes_per_s": 1.0, "tx_bytes_per_s": 2.0, "speed_bytes_per_s": 125e6}},
+        "links": {"robot1": {"rx_bytes_per_s": 2000.0, "tx_bytes_per_s": 600.0, "rtt_ms": 1.2, "interface": "eth0", "reachable": True}},
+        "tasks": {"slam": a_task()},
+        "checks": {},
+        **fields,
+    }
+
+
+def decoded(document: Document, host: Host | None = None, **context: object) -> HostSample:
+    settings = {"robots": ("robot1",), "answered_at": NOW, **context}
+    return decode(document, Context(host=host or an_edge("edge1"), **settings))  # type: ignore[arg-type]
+
+
+def test_a_device_is_what_it_says() -> None:
+    sample = decoded(a_document())
+    assert sample.status is HostStatus.OK
+    assert sample.cpu is not None
+    assert (sample.cpu.cores, sample.cpu.used_cores) == (4.0, 1.5)
+    assert sample.memory is not None
+    assert (sample.memory.total_bytes, sample.memory.used_bytes) == (8e9, 3e9)
+    task = sample.tasks["slam"]
+    assert (task.state, task.pid, task.started_at, task.used_bytes_per_s) == (TaskState.READY, 71, NOW - 60.0, 1500.0)
+    assert (task.instance, task.spec_hash, task.generation, task.restarts) == ("i1", "h1", 3, 1)
+
+
+def test_a_clock_is_shown_and_not_trusted() -> None:
+    for wall in (NOW + 86400.0, 0.0, NOW - 10 * 365 * 86400.0):
+        sample = decoded(a_document(wall=wall))
+        assert sample.device.clock_skew_s == wall - NOW
+        assert sample.tasks["slam"].started_at == NOW - 60.0
+
+
+def test_a_slice_is_its_base_and_its_own_tasks() -> None:
+    """cpu: .25 + .5 = .75 of 2; memory: 1e8 + 2e8 = 3e8 of 1e9; link: the task's 1500, not the machine's 2600."""
+    sample = decoded(a_document(), SLICE)
+    assert sample.cpu is not None
+    assert (sample.cpu.cores, sample.cpu.used_cores) == (2.0, 0.75)
+    assert sample.memory is not None
+    assert (sample.memory.total_bytes, sample.memory.used_bytes) == (1e9, 3e8)
+    assert sample.links["robot1"].used_bytes_per_s == 1500.0
+
+
+def test_a_task_that_is_done_keeps_its_pid_and_frees_its_load() -> None:
+    """gamma 1.5 - .5 = 1.0 cores; 3e9 - 2e8 = 2.8e9 bytes; link 2600 - 1500 = 1100."""
+    sample = decoded(a_document(checks={"slam": {"exit": 0, "timed_out": False, "output": ""}}))
+    assert (sample.tasks["slam"].state, sample.tasks["slam"].pid) == (TaskState.COMPLETED, 71)
+    assert sample.cpu is not None
+    assert sample.cpu.used_cores == 1.0
+    assert sample.memory is not None
+    assert sample.memory.used_bytes == 2.8e9
+    assert sample.links["robot1"].used_bytes_per_s == 1100.0
+
+
+@pytest.mark.parametrize("check", [{"exit": 1}, {"exit": None, "timed_out": True}, {}])
+def test_a_check_that_does_not_say_yes_changes_nothing(check: Document) -> None:
+    assert decoded(a_document(checks={"slam": check})).tasks["slam"].state is TaskState.READY
+
+
+@pytest.mark.parametrize(
+    ("context", "speed", "expected"),
+    [
+        ({"declared": {"robot1": 5e6}, "measured": {"robot1": 4e6}}, 125e6, (5e6, CapacitySource.DECLARED)),
+        ({"measured": {"robot1": 4e6}}, 125e6, (4e6, CapacitySource.MEASURED)),
+        ({}, 125e6, (125e6, CapacitySource.NIC)),
+        ({}, None, (ASSUMED_BYTES_PER_S, CapacitySource.ASSUMED)),
+        ({}, 0.0, (ASSUMED_BYTES_PER_S, CapacitySource.ASSUMED)),
+    ],
+)
+def test_a_links_capacity_is_declared_measured_nominal_or_assumed(
+    context: dict[str, object], speed: float | None, expected: tuple[float, CapacitySource]
+) -> None:
+    interfaces = {"eth0": {"rx_bytes_per_s": 0.0, "tx_bytes_per_s": 0.0, "speed_bytes_per_s": speed}}
+    link = decoded(a_document(interfaces=interfaces), **context).links["robot1"]
+    assert (link.capacity_bytes_per_s, link.capacity_source) == expected
+
+
+def test_a_robot_that_cannot_be_reached_is_a_dead_link_unless_it_is_never_asked() -> None:
+    document = a_document(links={"robot1": {"rx_bytes_per_s": 0.0, "tx_bytes_per_s": 0.0, "reachable": False}})
+    assert decoded(document, declared={"robot1": 5e6}).links["robot1"].capacity_bytes_per_s == 0.0
+    assert decoded(document, blind=frozenset({"robot1"})).links["robot1"].capacity_bytes_per_s == ASSUMED_BYTES_PER_S
+
+
+def test_a_link_that_was_not_asked_for_is_left_out_and_a_missing_one_stays_missing() -> None:
+    links = {"robot9": {"rx_bytes_per_s": 0.0, "tx_bytes_per_s": 0.0}}
+    assert decoded(a_document(links=links)).links == {}
+
+
+def test_a_robot_has_no_links() -> None:
+    assert decoded(a_document(), a_robot("edge1")).links == {}
+
+
+def test_a_bare_entry_is_enough_for_a_task_found_by_its_pattern() -> None:
+    sample = decoded(a_document(tasks={"roscore": {"state": "running", "pid": 5, "managed": False}}))
+    task = sample.tasks["roscore"]
+    assert (task.managed, task.used_cores, task.links, task.instance) == (False, 0.0, None, "")
+
+
+def test_control_characters_never_reach_a_terminal() -> None:
+    nasty = "\x1b]0;owned\x07 \u202egnp.\u2028 \x00 ok \u00e9"
+    sample = decoded(a_document(tasks={"sl\x1bam": a_task(detail=nasty)}, boot_id=nasty))
+    (name,) = sample.tasks
+    assert name == "sl\\x1bam"
+    assert sample.tasks[name].detail == "\\x1b]0;owned\\x07 \\u202egnp.\\u2028 \\x00 ok \u00e9"
+    assert sample.device.boot_id == sample.tasks[name].detail
+
+
+BAD: list[tuple[str, Callable[[Document], object]]] = [
+    ("another host", lambda d: d.update(host="edge2")),
+    ("another operation", lambda d: d.update(op="status")),
+    ("a newer version", lambda d: d.update(v=2)),
+    ("no version", lambda d: d.pop("v")),
+    ("no cpu", lambda d: d.pop("cpu")),
+    ("no memory", lambda d: d.pop("memory")),
+    ("zero cores", lambda d: d.update(cpu={"cores": 0, "used_cores": 0})),
+    ("zero bytes", lambda d: d.update(memory={"total_bytes": 0, "used_bytes": 0})),
+    ("negative cores", lambda d: d.update(cpu={"cores": -4, "used_cores": 0})),
+    ("negative use", lambda d: d.update(cpu={"cores": 4, "used_cores": -0.1})),
+    ("NaN", lambda d: d.update(cpu={"cores": math.nan, "used_cores": 0})),
+    ("infinity", lambda d: d.update(cpu={"cores": 4, "used_cores": math.inf})),
+    ("true as a number", lambda d: d.update(cpu={"cores": True, "used_cores": 0})),
+    ("text as a number", lambda d: d.update(cpu={"cores": "4", "used_cores": 0})),
+    ("cpu as a list", lambda d: d.update(cpu=[4, 0])),
+    ("tasks as a list", lambda d: d.update(tasks=[])),
+    ("a task as text", lambda d: d.update(tasks={"slam": "ready"})),
+    ("an unknown state", lambda d: d.update(tasks={"slam": a_task(state="happy")})),
+    ("a negative pid", lambda d: d.update(tasks={"slam": a_task(pid=-1)})),
+    ("a fractional pid", lambda d: d.update(tasks={"slam": a_task(pid=1.5)})),
+    ("a negative age", lambda d: d.update(tasks={"slam": a_task(age_s=-5.0)})),
+    ("an age of 1e999", lambda d: d.update(tasks={"slam": a_task(age_s=float("1e999"))})),
+    ("a text link rate", lambda d: d.update(tasks={"slam": a_task(links={"robot1": "fast"})})),
+    ("managed as text", lambda d: d.update(tasks={"slam": a_task(managed="no")})),
+    ("instance as a number", lambda d: d.update(tasks={"slam": a_task(instance=7)})),
+    ("a negative rtt", lambda d: d.update(links={"robot1": {"rtt_ms": -1.0}})),
+    ("a link as a number", lambda d: d.update(links={"robot1": 3})),
+    ("reachable as text", lambda d: d.update(links={"robot1": {"reachable": "yes"}})),
+    ("an interface rate missing", lambda d: d.update(interfaces={"eth0": {}})),
+    ("a check as text", lambda d: d.update(checks={"slam": "0"})),
+    ("a clock of NaN", lambda d: d.update(wall=math.nan)),
+    ("an exit code as text", lambda d: d.update(tasks={"slam": a_task(exit_code="0")})),
+    ("5,000 digits", lambda d: d.update(cpu={"cores": 10**400, "used_cores": 0})),
+]
+
+
+@pytest.mark.parametrize("spoil", [spoil for _, spoil in BAD], ids=[name for name, _ in BAD])
+def test_odd_documents_are_refused(spoil: Callable[[Document], object]) -> None:
+    document = a_document()
+    spoil(document)
+    with pytest.raises(ReplyError):
+        decoded(document)
+
+
+VALUES: list[object] = [
+    None,
+    True,
+    -1,
+    0,
+    2**70,
+    0.5,
+    -0.5,
+    math.nan,
+    math.inf,
+    "",
+    "x" * 9999,
+    "\x1b[2J",
+    [],
+    [1],
+    {},
+    {"a": 1},
+    {"": None},
+]
+
+
+def _paths(value: object, path: tuple[str, ...] = ()) -> list[tuple[str, ...]]:
+    if not isinstance(value, dict):
+        return [path]
+    return [path, *(deeper for key, inner in value.items() for deeper in _paths(inner, (*path, key)))]
+
+
+def test_whatever_stands_in_a_document_it_is_a_sound_sample_or_a_reply_error() -> None:
+    """20,000 documents with one to three values exchanged; a sound sample has only finite numbers and survives JSON."""
+    chance = random.Random(20261121)
+    original = a_document(checks={"slam": {"exit": 1}})
+    paths = [path for path in _paths(original) if path]
+    refused = 0
+    for _ in range(20_000):
+        document = copy.deepcopy(original)
+        for path in chance.sample(paths, chance.randint(1, 3)):
+            inner: object = document
+            for key in path[:-1]:
+                inner = inner.get(key) if isinstance(inner, dict) else None
+            if isinstance(inner, dict):
+                inner[path[-1]] = chance.choice(VALUES)
+        try:
+            sample = decoded(document)
+        except ReplyError:
+            refused += 1
+            continue
+        assert sample.cpu is not None
+        assert sample.memory is not None
+        assert all(math.isfinite(x) for x in (sample.cpu.cores, sample.cpu.used_cores, sample.memory.total_bytes, sample.memory.used_bytes))
+        assert sample.cpu.cores > 0
+        json.dumps(sample.device.boot_id, allow_nan=False)
+    assert 5_000 < refused < 20_000
