@@ -1,0 +1,95 @@
+"""One edgectl at a time changes a fleet: an advisory lock of the kernel, which dies with its process and never needs removal."""
+
+import fcntl
+import getpass
+import json
+import os
+import socket
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Self
+
+from edgectl.errors import LockBusyError
+from edgectl.state.paths import open_private
+from edgectl.state.points import reached
+from edgectl.units import format_instant
+
+_POLL_S = 0.1
+
+
+class FleetLock:
+    """Context manager around the lock file of one fleet. The file stays; only the kernel's lock counts.
+
+    ``timeout`` (s, 0 = do not wait). The holder writes who it is, so that another can be told.
+    """
+
+    def __init__(self, fleet_dir: Path, *, verb: str = "apply", timeout: float = 0.0, clock: Callable[[], float] = time.time) -> None:
+        self._path = fleet_dir / "lock"
+        self._verb = verb
+        self._timeout = timeout
+        self._clock = clock
+        self._descriptor: int | None = None
+
+    def __enter__(self) -> Self:
+        """Take the lock.
+
+        Raises:
+            LockBusyError: another process holds it; the message names it.
+        """
+        descriptor = open_private(self._path, os.O_RDWR)
+        try:
+            self._wait(descriptor)
+            self._sign(descriptor)
+            reached("lock taken")
+        except BaseException:
+            os.close(descriptor)
+            raise
+        self._descriptor = descriptor
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        if self._descriptor is not None:
+            os.ftruncate(self._descriptor, 0)
+            os.close(self._descriptor)
+            self._descriptor = None
+            reached("lock released")
+
+    def _wait(self, descriptor: int) -> None:
+        deadline = time.monotonic() + self._timeout
+        while True:
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                if time.monotonic() >= deadline:
+                    raise LockBusyError(f"lock held by {_holder(descriptor)}", hint="wait for it, or give --lock-timeout 60s") from None
+                time.sleep(_POLL_S)
+            else:
+                return
+
+    def _sign(self, descriptor: int) -> None:
+        holder = {
+            "user": user(),
+            "host": socket.gethostname(),
+            "pid": os.getpid(),
+            "verb": self._verb,
+            "since": format_instant(self._clock()),
+        }
+        os.ftruncate(descriptor, 0)
+        os.pwrite(descriptor, json.dumps(holder).encode() + b"\n", 0)
+
+
+def user() -> str:
+    """Who runs this command."""
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):
+        return str(os.getuid())
+
+
+def _holder(descriptor: int) -> str:
+    try:
+        holder = json.loads(os.pread(descriptor, 4096, 0))
+        return f"{holder['user']}@{holder['host']} (pid {holder['pid']}, {holder['verb']}, since {holder['since']})"
+    except (ValueError, KeyError, TypeError):
+        return "another edgectl"

@@ -1,0 +1,65 @@
+"""Where the manager keeps its files: one private directory per fleet, created private, never followed through a link."""
+
+import hashlib
+import os
+import stat
+from pathlib import Path
+
+import platformdirs
+
+from edgectl.errors import StateError
+
+_PRIVATE_DIR = 0o700
+PRIVATE_FILE = 0o600
+
+
+def root() -> Path:
+    """``$EDGECTL_STATE_DIR``, else the user's state directory for edgectl."""
+    named = os.environ.get("EDGECTL_STATE_DIR")
+    return Path(named) if named else Path(platformdirs.user_state_dir("edgectl", appauthor=False))
+
+
+def fleet_dir(inventory: Path) -> Path:
+    """The directory of the fleet that the file ``inventory`` describes, created where missing.
+
+    Raises:
+        StateError: it belongs to somebody else, or others may write to it.
+    """
+    resolved = inventory.resolve()
+    name = f"{resolved.stem}-{hashlib.sha256(os.fsencode(resolved)).hexdigest()[:8]}"
+    return private_dir(root() / "fleets" / name)
+
+
+def private_dir(path: Path) -> Path:
+    """Create ``path`` (0700 from the start) and its parents, and check that it is ours alone."""
+    try:
+        for parent in reversed([path, *path.parents]):
+            if not parent.exists():
+                parent.mkdir(mode=_PRIVATE_DIR, exist_ok=True)
+        status = path.lstat()
+    except OSError as error:
+        raise StateError(
+            f"cannot use state directory {path}: {error.strerror}", hint="set EDGECTL_STATE_DIR to a directory you own"
+        ) from error
+    if not stat.S_ISDIR(status.st_mode) or status.st_uid != os.getuid() or status.st_mode & 0o022:
+        raise StateError(f"state directory {path} is not private to you", hint=f"chown it to yourself and chmod 700 {path}")
+    return path
+
+
+def open_private(path: Path, flags: int) -> int:
+    """A descriptor of a file that only we may read, created so; links are not followed, children do not inherit it."""
+    try:
+        return os.open(path, flags | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, PRIVATE_FILE)
+    except OSError as error:
+        raise StateError(
+            f"cannot open {path}: {error.strerror}", hint="check that the state directory is yours and the disk is not full"
+        ) from error
+
+
+def sync_dir(path: Path) -> None:
+    """Make a rename in directory ``path`` durable."""
+    descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

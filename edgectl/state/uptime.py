@@ -1,0 +1,31 @@
+"""Time that nobody sets: how long this machine has been up, and which start of it that is."""
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+_BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Uptime:
+    """``seconds`` since the start of the machine, time asleep included where the kernel counts it; ``boot`` names the start."""
+
+    boot: str
+    seconds: float
+
+
+def uptime() -> Uptime:
+    """Now."""
+    clock = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)
+    try:
+        boot = _BOOT_ID.read_text().strip()
+    except OSError:
+        boot = ""
+    return Uptime(boot=boot, seconds=time.clock_gettime(clock))
+
+
+def elapsed(since: Uptime, now: Uptime) -> float:
+    """Seconds from ``since`` to ``now``; across a restart of the machine at least those since the restart: never too many."""
+    same = since.boot == now.boot and since.seconds <= now.seconds
+    return now.seconds - since.seconds if same else now.seconds

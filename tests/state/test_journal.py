@@ -1,0 +1,147 @@
+"""The journal: chained, synced, honest about what is torn or damaged."""
+
+import json
+import os
+import threading
+from pathlib import Path
+
+import pytest
+
+from edgectl.errors import StateError
+from edgectl.state.journal import Journal, read
+
+
+def written(directory: Path) -> Path:
+    """A journal of two applies, the second cut off while it moved slam."""
+    with Journal.open(directory, clock=lambda: 0.0) as journal:
+        journal.append("begin", revision=1, plan="plan-a")
+        journal.append("intent", task="slam", action="start")
+        journal.append("commit", task="slam", outcome="done")
+        journal.append("end", revision=1)
+        journal.append("begin", revision=2, plan="plan-b")
+        journal.append("intent", task="slam", action="move")
+        journal.append("intent", task="camera", action="start")
+        journal.append("commit", task="camera", outcome="done")
+    return directory / "journal.jsonl"
+
+
+def test_what_was_written_is_read(tmp_path: Path) -> None:
+    log = read(written(tmp_path))
+    assert [entry["event"] for entry in log.entries] == ["begin", "intent", "commit", "end", "begin", "intent", "intent", "commit"]
+    assert (log.revision, log.applied, log.unfinished) == (2, {"plan-a", "plan-b"}, ("slam",))
+    assert (log.torn, log.broken) == (0, 0)
+
+
+def test_no_journal_is_an_empty_one(tmp_path: Path) -> None:
+    log = read(tmp_path / "journal.jsonl")
+    assert (log.revision, log.applied, log.unfinished, log.entries) == (0, frozenset(), (), ())
+
+
+def test_every_truncation_is_a_torn_line_and_never_a_wrong_entry(tmp_path: Path) -> None:
+    data = written(tmp_path).read_bytes()
+    whole = read(tmp_path / "journal.jsonl").entries
+    ends = [position + 1 for position, byte in enumerate(data) if byte == ord("\n")]
+    for length in range(len(data)):
+        path = tmp_path / "cut.jsonl"
+        path.write_bytes(data[:length])
+        log = read(path)
+        sound = [end for end in ends if end <= length]
+        assert log.entries == whole[: len(sound)]
+        assert (log.size, log.torn, log.broken) == (max(sound, default=0), length - max(sound, default=0), 0)
+
+
+def test_every_flipped_bit_is_noticed_where_it_is(tmp_path: Path) -> None:
+    data = written(tmp_path).read_bytes()
+    path = tmp_path / "flipped.jsonl"
+    for position in range(0, len(data) - 1, 3):
+        flipped = bytearray(data)
+        flipped[position] ^= 1 << (position % 7)
+        path.write_bytes(flipped)
+        assert read(path).broken == data.count(b"\n", 0, position) + 1, position
+
+
+def test_a_removed_or_exchanged_line_breaks_the_chain(tmp_path: Path) -> None:
+    lines = written(tmp_path).read_bytes().splitlines(keepends=True)
+    path = tmp_path / "edited.jsonl"
+    path.write_bytes(b"".join(lines[:2] + lines[3:]))
+    assert read(path).broken == 3
+    path.write_bytes(b"".join([lines[1], lines[0], *lines[2:]]))
+    assert read(path).broken == 1
+
+
+def test_a_torn_line_is_cut_off_said_and_recorded(tmp_path: Path) -> None:
+    path = written(tmp_path)
+    with path.open("ab") as file:
+        file.write(b"deadbeef {")
+    said: list[str] = []
+    with Journal.open(tmp_path, warn=said.append) as journal:
+        journal.append("begin", revision=3, plan="plan-c")
+    log = read(path)
+    assert "unfinished last line (10 bytes) was cut off" in said[0]
+    assert [entry["event"] for entry in log.entries[-2:]] == ["torn", "begin"]
+    assert (log.torn, log.broken) == (0, 0)
+
+
+def test_a_damaged_journal_is_set_aside_and_its_plans_still_count(tmp_path: Path) -> None:
+    path = written(tmp_path)
+    path.write_bytes(path.read_bytes().replace(b'"camera"', b'"kamera"', 1))
+    said: list[str] = []
+    with Journal.open(tmp_path, warn=said.append) as journal:
+        assert journal.log.applied == {"plan-a", "plan-b"}
+        assert journal.log.revision == 2
+        journal.append("begin", revision=3, plan="plan-c")
+    assert "damaged at line 7; set aside as journal.jsonl.broken-1" in said[0]
+    again = read(path)
+    assert (again.revision, again.applied, again.broken) == (3, {"plan-a", "plan-b", "plan-c"}, 0)
+
+
+def test_a_long_journal_is_put_away_and_continued(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = written(tmp_path)
+    monkeypatch.setattr("edgectl.state.journal._LONG", 100)
+    with Journal.open(tmp_path) as journal:
+        assert not (tmp_path / "journal-2.jsonl").exists()  # slam is unfinished
+        journal.append("recovered")
+    last = read(path).last
+    with Journal.open(tmp_path) as journal:
+        assert journal.log.revision == 2
+        journal.append("begin", revision=3, plan="plan-c")
+    log = read(path)
+    assert (log.revision, log.applied, log.entries[0]["after"]) == (3, {"plan-a", "plan-b", "plan-c"}, last)
+    assert read(tmp_path / "journal-2.jsonl").last == last
+
+
+def test_a_newer_format_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr("edgectl.state.journal.FORMAT", 2)
+        written(tmp_path)
+    with pytest.raises(StateError, match="written by a newer edgectl"):
+        Journal.open(tmp_path)
+
+
+def test_a_full_disk_stops_the_caller(tmp_path: Path) -> None:
+    with Journal.open(tmp_path) as journal:
+        full = os.open("/dev/full", os.O_WRONLY)
+        kept, journal._descriptor = journal._descriptor, full
+        with pytest.raises(StateError, match="No space left"):
+            journal.append("intent", task="slam")
+        journal._descriptor = kept
+        os.close(full)
+        journal.append("intent", task="slam")
+    assert read(tmp_path / "journal.jsonl").broken == 0
+
+
+def test_threads_keep_the_chain(tmp_path: Path) -> None:
+    with Journal.open(tmp_path) as journal:
+        threads = [threading.Thread(target=lambda: [journal.append("phase", task="t") for _ in range(10)]) for _ in range(8)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    log = read(tmp_path / "journal.jsonl")
+    assert (len(log.entries), log.broken) == (80, 0)
+
+
+def test_the_file_is_private_and_plain_json(tmp_path: Path) -> None:
+    path = written(tmp_path)
+    assert path.stat().st_mode & 0o777 == 0o600
+    assert json.loads(path.read_text().splitlines()[0][65:])["at"] == "1970-01-01T00:00:00Z"
