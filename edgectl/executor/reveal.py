@@ -1,0 +1,57 @@
+"""The environment of a start with its secrets in clear: made right before the request that carries it, and kept nowhere."""
+
+import re
+import subprocess
+from collections.abc import Mapping
+
+from edgectl.errors import HostError
+from edgectl.model.environment import environment, revealed
+from edgectl.model.inventory import Host
+from edgectl.model.task import Task
+
+COMMAND_S = 10.0
+_LINE = re.compile(r"([A-Za-z_][A-Za-z0-9_]*)=(.*)")
+
+
+def reveal(task: Task, host: Host, hosts: Mapping[str, Host]) -> dict[str, str]:
+    """Variables of ``task`` on ``host``, with what the ``env_command`` of both print; each is run here, without a shell.
+
+    Raises:
+        HostError: one of them failed; the message holds nothing of what it printed.
+    """
+    of_host = printed(host.env_command, f"host {host.name}") if host.env_command else {}
+    of_task = printed(task.env_command, f"task {task.name}") if task.env_command else {}
+    return revealed(environment(task, host, hosts, host_more=of_host, task_more=of_task))
+
+
+def printed(command: tuple[str, ...], whose: str) -> dict[str, str]:
+    """The lines NAME=value that a command prints; blank lines and those that begin with ``#`` count for nothing.
+
+    Raises:
+        HostError: it cannot be run, fails, takes longer than ``COMMAND_S`` or prints something else.
+    """
+    try:
+        ran = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, timeout=COMMAND_S, check=False)
+    except subprocess.TimeoutExpired:
+        raise _failed(whose, f"did not end within {COMMAND_S:g} s") from None
+    except OSError as error:
+        raise _failed(whose, f"cannot be run: {error.strerror}") from None
+    if ran.returncode != 0:
+        raise _failed(whose, f"failed with exit code {ran.returncode}")
+    return _variables(ran.stdout, whose)
+
+
+def _variables(output: bytes, whose: str) -> dict[str, str]:
+    found = {}
+    for number, line in enumerate(output.decode(errors="replace").split("\n"), 1):
+        if not line.strip() or line.startswith("#"):
+            continue
+        match = _LINE.fullmatch(line.removesuffix("\r"))
+        if match is None or "\0" in line or "\ufffd" in line:
+            raise _failed(whose, f"printed a line {number} that is not NAME=value")
+        found[match[1]] = match[2]
+    return found
+
+
+def _failed(whose: str, why: str) -> HostError:
+    return HostError(f"env_command of {whose} {why}", hint="run it by hand; it must print lines NAME=value and exit with 0")

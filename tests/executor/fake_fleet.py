@@ -1,0 +1,221 @@
+"""A fleet of simulated hosts behind FakeTransport: they obey the agent protocol and remember what ran where."""
+
+import threading
+import time
+from collections import UserDict
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+
+from edgectl.errors import ConnectError, HostError, RefusedError
+from edgectl.transport.fake import FakeTransport, Handler
+
+Request = dict[str, object]
+
+
+@dataclass
+class World:
+    """What all hosts share: the order of events, and how many instances of a task ever ran at once."""
+
+    events: list[str] = field(default_factory=list)
+    alive: dict[str, set[str]] = field(default_factory=dict)
+    overlap: set[str] = field(default_factory=set)
+    guard: threading.Lock = field(default_factory=threading.Lock)
+
+    def note(self, event: str) -> None:
+        with self.guard:
+            self.events.append(event)
+
+    def begins(self, task: str, host: str) -> None:
+        with self.guard:
+            places = self.alive.setdefault(task, set())
+            places.add(host)
+            if len(places) > 1:
+                self.overlap.add(task)
+
+    def ends(self, task: str, host: str) -> None:
+        with self.guard:
+            self.alive.setdefault(task, set()).discard(host)
+
+
+@dataclass
+class FakeHost:
+    """One host. ``faults`` maps an operation (``start``, ``stop:slam``) to an error to raise or a function that gives the reply."""
+
+    name: str
+    world: World
+    cores: float = 4.0
+    used: float = 0.0
+    tasks: dict[str, Request] = field(default_factory=dict)
+    faults: dict[str, HostError | Callable[[Request], Request]] = field(default_factory=dict)
+    delay: float = 0.0
+    checks: dict[str, int] = field(default_factory=dict)
+    seen: dict[str, int] = field(default_factory=dict)
+
+    def __call__(self, request: Request) -> Request:
+        assert request["host"] == self.name
+        op, task = str(request["op"]), str(request.get("task"))
+        for key in (f"{op}:{task}", op):
+            fault = self.faults.get(key)
+            if isinstance(fault, HostError):
+                raise type(fault)(fault.message, hint=fault.hint)
+            if fault is not None:
+                return fault(request)
+        return getattr(self, f"_{op}")(request)
+
+    def _fence(self, request: Request) -> None:
+        """Refuse a generation older than one that was seen."""
+        name, generation = str(request["task"]), request["generation"]
+        assert isinstance(generation, int)
+        if generation < self.seen.get(name, 0):
+            raise RefusedError(f"generation {generation} of {name} is older than {self.seen[name]}, which this host has seen")
+        self.seen[name] = generation
+
+    def _start(self, request: Request) -> Request:
+        name = str(request["task"])
+        self._fence(request)
+        running = self.tasks.get(name)
+        if running and running["instance"] == request["instance"]:
+            return {**running, "state": "already-running"}
+        if running and running["pid"]:
+            raise RefusedError(f"{name} runs already")
+        self.world.note(f"start {name} {self.name}")
+        self.world.begins(name, self.name)
+        spec = request["spec"]
+        assert isinstance(spec, dict)
+        state = "running" if spec["ready"] is None else "starting"
+        entry = {
+            "state": state,
+            "pid": 100,
+            "instance": request["instance"],
+            "generation": request["generation"],
+            "spec_hash": spec["spec_hash"],
+        }
+        self.tasks[name] = entry
+        return {**entry, "state": "started"}
+
+    def _wait(self, request: Request) -> Request:
+        name = str(request["task"])
+        time.sleep(self.delay)
+        if name not in self.tasks:
+            return {"state": "failed", "exit_code": 1}
+        if self.tasks[name]["state"] == "starting":
+            self.tasks[name]["state"] = "ready"
+        self.world.note(f"ready {name} {self.name}")
+        return self.tasks[name]
+
+    def _mark(self, request: Request) -> Request:
+        self.world.note(f"mark {request['task']} {self.name}")
+        self.tasks[str(request["task"])]["state"] = "ready"
+        return {"state": "ready"}
+
+    def _stop(self, request: Request) -> Request:
+        name = str(request["task"])
+        time.sleep(self.delay)
+        self._fence(request)
+        self.world.note(f"stop {name} {self.name}")
+        self.world.ends(name, self.name)
+        return {"state": "stopped" if self.tasks.pop(name, None) else "not-running", "left": [], "seconds": 0.0}
+
+    def _status(self, request: Request) -> Request:
+        return {"tasks": {name: entry for name, entry in self.tasks.items() if request["task"] in (None, name)}}
+
+    def _check(self, request: Request) -> Request:
+        command = str(request["command"])
+        self.world.note(f"check {command} {self.name}")
+        return {"exit": self.checks.get(command, 0), "timed_out": False, "output": f"said by {command}"}
+
+    def _logs(self, request: Request) -> Request:
+        return {"text": f"{request['tail']} lines of {request['task']}\n"}
+
+    def _follow(self, request: Request) -> Request:
+        return self._logs(request)
+
+    def _probe(self, request: Request) -> Request:
+        links = [entry["robot"] for entry in request["links"]]  # type: ignore[attr-defined]
+        entries = {
+            name: {
+                "age_s": 3600.0,
+                "used_cores": 0.1,
+                "used_bytes": 1e6,
+                "rx_bytes_per_s": 0.0,
+                "tx_bytes_per_s": 0.0,
+                "links": {},
+                **entry,
+            }
+            for name, entry in self.tasks.items()
+        }
+        return {
+            "v": 1,
+            "op": "probe",
+            "host": self.name,
+            "python": "3.11.2",
+            "boot_id": "boot",
+            "wall": 0.0,
+            "cpu": {"cores": self.cores, "used_cores": self.used},
+            "memory": {"total_bytes": 4 * 2**30, "used_bytes": 0},
+            "links": {robot: {"rx_bytes_per_s": 0.0, "tx_bytes_per_s": 0.0, "rtt_ms": 1.0} for robot in links},
+            "tasks": entries,
+            "checks": {},
+        }
+
+    def runs(self, name: str, *, spec_hash: str = "", instance: str = "old", state: str = "running") -> None:
+        """Put a task there as if it ran before."""
+        self.tasks[name] = {
+            "state": state,
+            "pid": 99,
+            "instance": instance,
+            "generation": 1,
+            "spec_hash": spec_hash or f"hash-{name}",
+        }
+        self.world.begins(name, self.name)
+
+
+class _Reachable(UserDict[str, Handler | HostError]):
+    """The handlers of the hosts that are switched on at the moment of asking."""
+
+    def __init__(self, handlers: Mapping[str, Handler | HostError], down: set[str]) -> None:
+        super().__init__(handlers)
+        self._down = down
+
+    def __getitem__(self, name: str) -> Handler | HostError:
+        return ConnectError("no route to host") if name in self._down else super().__getitem__(name)
+
+
+@dataclass
+class FakeFleet:
+    """Hosts by name over one transport; ``off`` switches a host off."""
+
+    hosts: dict[str, FakeHost]
+    world: World
+    down: set[str] = field(default_factory=set)
+
+    @classmethod
+    def of(cls, names: Iterable[str]) -> "FakeFleet":
+        world = World()
+        return cls(hosts={name: FakeHost(name, world) for name in names}, world=world)
+
+    def __getitem__(self, name: str) -> FakeHost:
+        return self.hosts[name]
+
+    @property
+    def transport(self) -> FakeTransport:
+        handlers: dict[str, Handler | HostError] = {name: self._answer(host) for name, host in self.hosts.items()}
+        return FakeTransport(_Reachable(handlers, self.down))
+
+    def _answer(self, host: FakeHost) -> Callable[[Request], Request]:
+        def answer(request: Request) -> Request:
+            if host.name in self.down:
+                raise ConnectError("no route to host")
+            return host(request)
+
+        return answer
+
+    @property
+    def changes(self) -> list[str]:
+        """Starts and stops, in order."""
+        return [event for event in self.world.events if event.startswith(("start", "stop"))]
+
+    @property
+    def placed(self) -> dict[str, str]:
+        """Where each task runs."""
+        return {task: host.name for host in self.hosts.values() for task in host.tasks}

@@ -1,0 +1,92 @@
+"""What keeps further actions from beginning: a failure under --fail-fast, a deadline; what is under way is finished."""
+
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from edgectl.errors import HostError
+from edgectl.executor.brake import INTERRUPTED, Brake
+from edgectl.model.plan import Action
+from edgectl.model.result import ActionResult, Outcome, Results
+from edgectl.state.journal import Journal
+from edgectl.state.journal import read as read_journal
+from tests.builders import a_task
+from tests.executor.fake_fleet import FakeFleet
+from tests.executor.test_run import EDGES, carried_out, plan, step
+
+
+@pytest.fixture
+def journal(tmp_path: Path) -> Iterator[Journal]:
+    with Journal.open(tmp_path) as opened:
+        yield opened
+
+
+def three(fleet: FakeFleet, journal: Journal, **options: object) -> Results:
+    """Three starts, one after the other; the first fails."""
+    fleet["edge1"].faults["start:one"] = HostError("no space left")
+    steps = [step(name, Action.START, host=host) for name, host in zip(("one", "two", "three"), EDGES, strict=True)]
+    tasks = [a_task(name) for name in ("one", "two", "three")]
+    return carried_out(fleet, journal, plan(*steps), *tasks, max_parallel=1, **options)
+
+
+def outcomes(results: Results) -> list[tuple[str, Outcome, str]]:
+    return [(result.task, result.outcome, result.error) for result in results.actions]
+
+
+def test_after_a_failure_nothing_new_begins(journal: Journal, tmp_path: Path) -> None:
+    fleet = FakeFleet.of(EDGES)
+    reason = "not begun, because one failed (--fail-fast)"
+    results = three(fleet, journal, fail_fast=True)
+    assert outcomes(results) == [
+        ("one", Outcome.FAILED, "no space left"), ("two", Outcome.SKIPPED, reason), ("three", Outcome.SKIPPED, reason),
+    ]  # fmt: skip
+    assert (results.interrupted, fleet.changes) == (False, [])
+    log = read_journal(tmp_path / "journal.jsonl")
+    assert [entry["error"] for entry in log.entries if entry["event"] == "skipped"] == [reason, reason]
+    assert log.unfinished == ()
+
+
+def test_without_fail_fast_the_others_go_on(journal: Journal) -> None:
+    results = three(FakeFleet.of(EDGES), journal)
+    assert [outcome for _, outcome, _ in outcomes(results)] == [Outcome.FAILED, Outcome.DONE, Outcome.DONE]
+
+
+def test_what_was_begun_beside_the_failure_is_finished(journal: Journal) -> None:
+    fleet = FakeFleet.of(EDGES)
+    fleet["edge1"].faults["start:one"] = HostError("no space left")
+    fleet["edge2"].delay = 0.5
+    steps = [step(name, Action.START, host=host) for name, host in zip(("one", "two", "three"), EDGES, strict=True)]
+    tasks = [a_task(name) for name in ("one", "two")] + [a_task("three", needs=["two"])]
+    results = carried_out(fleet, journal, plan(*steps), *tasks, fail_fast=True)
+    assert [outcome for _, outcome, _ in outcomes(results)] == [Outcome.FAILED, Outcome.DONE, Outcome.SKIPPED]
+
+
+def test_a_stop_that_fails_keeps_the_starts_from_beginning(journal: Journal) -> None:
+    fleet = FakeFleet.of(EDGES)
+    fleet["edge1"].runs("old")
+    fleet["edge1"].faults["stop:old"] = HostError("refused")
+    made = plan(step("old", Action.STOP, previous="edge1"), step("new", Action.START, host="edge2"))
+    results = carried_out(fleet, journal, made, a_task("old"), a_task("new"), fail_fast=True)
+    assert [outcome for _, outcome, _ in outcomes(results)] == [Outcome.FAILED, Outcome.SKIPPED]
+
+
+def test_nothing_begins_after_the_deadline(journal: Journal) -> None:
+    fleet = FakeFleet.of(EDGES)
+    fleet["edge1"].delay = 0.5
+    steps = [step(name, Action.START, host="edge1") for name in ("one", "two")]
+    results = carried_out(fleet, journal, plan(*steps), a_task("one"), a_task("two"), max_parallel=1, deadline=time.monotonic() + 0.3)
+    assert outcomes(results) == [("one", Outcome.DONE, ""), ("two", Outcome.SKIPPED, "not begun before the deadline (--timeout)")]
+    assert not results.interrupted
+
+
+def test_an_interruption_is_named_before_everything_else() -> None:
+    stop = threading.Event()
+    brake = Brake(stop, fail_fast=True, deadline=0.0)
+    assert brake.reason().startswith("not begun before the deadline")
+    brake.seen(ActionResult(task="slam", action=Action.START, outcome=Outcome.FAILED))
+    assert brake.reason() == "not begun, because slam failed (--fail-fast)"
+    stop.set()
+    assert brake.reason() == INTERRUPTED

@@ -1,0 +1,36 @@
+"""A plan that replaces a silent task is refused where its host was not silent all the time."""
+
+import pytest
+
+from edgectl.executor.diff import plan_of
+from edgectl.executor.stale import moved
+from edgectl.model.assignment import Reason
+from edgectl.model.memory import Memory, Placement
+from edgectl.model.task import OnUnreachable
+from edgectl.scheduler.assign import assign
+from tests.builders import NOW, a_sample, a_snapshot, a_task, an_edge, an_inventory, silent, some_tasks
+
+INVENTORY = an_inventory(an_edge("edge1"), an_edge("edge2"))
+SNAPSHOT = a_snapshot(edge1=silent(), edge2=a_sample())
+TASKS = some_tasks(a_task(on_unreachable=OnUnreachable.REPLACE, self_fence=60.0))
+
+
+def remembered(contact: float, *fenced: str) -> Memory:
+    placements = {"slam": Placement(host="edge1", since=NOW - 900.0)}
+    return Memory(managed=True, placements=placements, contact={"edge1": NOW - contact}, fenced=frozenset(fenced))
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "refused"),
+    [
+        (remembered(500.0), remembered(500.3), False),  # the same contact, read again
+        (remembered(500.0), remembered(20.0), True),
+        (remembered(20.0, "edge1"), remembered(20.0, "edge1"), False),
+        (remembered(20.0, "edge1"), remembered(20.0), True),  # unfenced by hand
+    ],
+)
+def test_a_replacing_plan_holds_only_while_its_host_stays_silent(before: Memory, after: Memory, refused: bool) -> None:
+    plan = plan_of(INVENTORY, TASKS, SNAPSHOT, before, assign(INVENTORY, TASKS, SNAPSHOT, before, TASKS.policy, NOW))
+    assert plan.steps[0].decision.reason is Reason.REPLACED
+    changes = moved(plan, INVENTORY, TASKS, SNAPSHOT, after)
+    assert changes == (("edge1 was in touch since, or is no longer fenced",) if refused else ())
