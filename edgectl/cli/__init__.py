@@ -1,0 +1,1 @@
+"""The command line: load, use case, view, exit code."""

@@ -1,0 +1,94 @@
+"""The command: names in help groups. Only the command that is wanted is imported and has its options built."""
+
+import os
+from collections.abc import Callable, Sequence
+from importlib import import_module
+from typing import Any, NamedTuple
+
+import typer
+from typer.core import TyperGroup
+
+
+class Entry(NamedTuple):
+    """Where a command stands (``module`` of edgectl.cli), its help group and its one-line help."""
+
+    module: str
+    group: str
+    help: str
+
+
+COMMANDS = {
+    "probe": Entry("probe", "Schedule", "Measure every host and link."),
+    "plan": Entry("plan", "Schedule", "Rank the hosts for every task and show what would be done, and why."),
+    "apply": Entry("apply", "Schedule", "Make reality match: start, stop and move tasks."),
+    "status": Entry("look", "Inspect", "Show what runs where, since when, and what it uses."),
+    "logs": Entry("look", "Inspect", "Print the log of a task."),
+    "history": Entry("past", "Inspect", "List what was done to the fleet, by whom and how it ended."),
+    "show": Entry("past", "Inspect", "Print one revision of the history, or a saved plan."),
+    "rollback": Entry("past", "Fleet", "Go back to where the tasks stood after an earlier revision."),
+    "stop": Entry("tasks", "Fleet", "Stop tasks."),
+    "restart": Entry("tasks", "Fleet", "Stop a task and start it again where it runs."),
+    "trust": Entry("fleet", "Fleet", "Show a host's key and, after a yes, remember it."),
+    "cordon": Entry("fleet", "Fleet", "Close hosts to new tasks."),
+    "drain": Entry("drain", "Fleet", "Close hosts and move their tasks away now."),
+    "uncordon": Entry("fleet", "Fleet", "Open cordoned hosts again."),
+    "fence": Entry("fleet", "Fleet", "Say that a host is off, so that its tasks may start elsewhere."),
+    "unfence": Entry("fleet", "Fleet", "Take back that hosts are switched off."),
+    "done": Entry("fleet", "Fleet", "Say that tasks have completed; they are stopped by the next apply."),
+    "reopen": Entry("fleet", "Fleet", "Let completed tasks be scheduled again."),
+    "init": Entry("files", "Files", "Write a small fleet that plans and applies at once."),
+    "validate": Entry("files", "Files", "Check the inventory and the task files without touching a host."),
+    "version": Entry("files", "Settings", "Print the version."),
+    "completion": Entry("files", "Settings", "Print the completion script of a shell."),
+}
+SUMMARY = "Place robot tasks on edge computers by measured utility: probe, plan, apply, over SSH."
+EXITS = (
+    "Exit codes: 0 done; 1 failed; 2 changes pending, 3 unplaced (plan --detailed-exitcode); 4 partly done; 64 usage; "
+    "75 locked or stale, try again; 130 interrupted.\n\n"
+    "Environment: EDGECTL_INVENTORY, EDGECTL_TASKS, EDGECTL_OUTPUT, EDGECTL_STATE_DIR, EDGECTL_DEBUG, NO_COLOR, FORCE_COLOR."
+)
+SETTINGS: dict[str, Any] = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
+
+
+class Grouped(TyperGroup):
+    """Help with the commands in their groups; and examples, which keep their lines."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401, ARG002
+        """Write one section per group, in the order of ``COMMANDS``."""
+        for group in dict.fromkeys(entry.group for entry in COMMANDS.values()):
+            with formatter.section(group):
+                formatter.write_dl([(name, entry.help) for name, entry in COMMANDS.items() if entry.group == group])
+
+
+def build(words: Sequence[str]) -> typer.Typer:
+    """The application for this command line: all names, but only the wanted command with its options."""
+    completing = "_EDGECTL_COMPLETE" in os.environ
+    wanted = next((word for word in words if not word.startswith("-")), None)
+    return assemble(list(COMMANDS) if completing else [wanted], completing=completing)
+
+
+def assemble(wanted: Sequence[str | None], *, completing: bool = False) -> typer.Typer:
+    """The application with the options of the ``wanted`` commands."""
+    app = typer.Typer(
+        cls=Grouped, add_completion=completing, rich_markup_mode=None, context_settings=SETTINGS, epilog=EXITS, no_args_is_help=False,
+        pretty_exceptions_enable=False,
+    )  # fmt: skip
+    app.callback(help=SUMMARY)(_nothing)
+    for name, entry in COMMANDS.items():
+        if name in wanted:
+            function = getattr(import_module(f"edgectl.cli.{entry.module}"), f"{name}_command")
+            text, examples = described(function)
+            app.command(name, help=text, epilog=f"\b\nExamples:\n{examples}", context_settings=SETTINGS)(function)
+        else:
+            app.command(name, help=entry.help)(_nothing)
+    return app
+
+
+def _nothing() -> None:
+    """Stand where a command stands that nobody asked for."""
+
+
+def described(function: Callable[..., object]) -> tuple[str, str]:
+    """The docstring of a command: what it does, and its examples, one per line."""
+    text, _, examples = (function.__doc__ or "").partition("Examples:")
+    return text.strip(), "\n".join(f"  {line.strip()}" for line in examples.strip().splitlines())

@@ -1,0 +1,119 @@
+"""What the options of plan and apply mean: a policy, and a choice of tasks."""
+
+import dataclasses
+import sys
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+
+from edgectl.cli import console
+from edgectl.cli.inputs import known
+from edgectl.errors import UsageError
+from edgectl.model.plan import Plan
+from edgectl.model.policy import Policy, PolicyName, Weights
+from edgectl.model.task import Tasks
+from edgectl.model.weights import parse_weights
+from edgectl.usecases.fleet import Fleet
+from edgectl.usecases.plan import targeted, whole
+
+
+def policy_of(
+    fleet: Fleet,
+    *,
+    weights: str | None,
+    policy: PolicyName | None,
+    without: Sequence[str] | None,
+    best_effort: bool,
+    full: bool,
+    attended: bool = True,
+) -> Policy:
+    """The policy of the task files, with what the command line says instead.
+
+    Raises:
+        UsageError: weights that are none, or a host that does not exist.
+    """
+    known(without or (), fleet.inventory.hosts, "host")
+    stated = fleet.tasks.policy
+    return dataclasses.replace(
+        stated,
+        name=policy or stated.name,
+        weights=_weights(weights) if weights is not None else stated.weights,
+        without=frozenset(without or ()),
+        best_effort=best_effort,
+        full=full,
+        attended=attended,
+    )
+
+
+def _weights(text: str) -> Weights:
+    try:
+        return parse_weights(text)
+    except ValueError as error:
+        message, _, hint = str(error).partition("; ")
+        raise UsageError(f"--weights: {message}", hint=hint) from None
+
+
+def saved(path: Path | None, *decisions: object) -> Plan | None:
+    """The saved plan, where one is given; it is carried out as it is.
+
+    Raises:
+        UsageError: an option of ``decisions`` is given as well.
+        InputError: everything that is wrong with the file.
+    """
+    from edgectl.config.documents import load_plan
+
+    if path is None:
+        return None
+    if any(decisions):
+        raise UsageError(f"{path} is decided already, so options that decide have no effect", hint="pass them to: edgectl plan --out PLAN")
+    return load_plan(path)
+
+
+def chooser(tasks: Tasks, names: Sequence[str] | None, selector: str | None) -> Callable[[Plan], Plan]:
+    """What narrows a plan to ``--target`` and ``-l``; everything is still decided for all tasks.
+
+    Raises:
+        UsageError: a task that does not exist, or a selector that is none.
+    """
+    if not names and selector is None:
+        return whole
+    known(names or (), tasks.tasks, "task")
+    wanted = set(names or ())
+    if selector is not None:
+        wanted |= {task.name for task in tasks.tasks.values() if matches(selector, {**task.labels, "task": task.template})}
+    return partial(_narrowed, wanted=frozenset(wanted))
+
+
+def _narrowed(plan: Plan, wanted: frozenset[str]) -> Plan:
+    chosen = targeted(plan, wanted)
+    left = sum(step.action.changes for step in plan.steps) - sum(step.action.changes for step in chosen.steps)
+    if left:
+        console.tell(f"warning: {left} other changes are left out, although this plan counts on them")
+    return chosen
+
+
+def matches(selector: str, labels: dict[str, str]) -> bool:
+    """Whether labels satisfy ``a=b``, ``a!=b``, ``a`` (is there), ``!a`` (is not), joined by commas.
+
+    Raises:
+        UsageError: a part that is none of these.
+    """
+    return all(_satisfied(part.strip(), labels) for part in selector.split(","))
+
+
+def _satisfied(part: str, labels: dict[str, str]) -> bool:
+    if "!=" in part:
+        key, _, value = part.partition("!=")
+        return labels.get(key.strip()) != value.strip()
+    if "=" in part:
+        key, _, value = part.partition("=")
+        return labels.get(key.strip()) == value.strip().removeprefix("=")
+    key = part.removeprefix("!")
+    if not key or " " in key:
+        raise UsageError(f"cannot read the selector {part!r}", hint="write a=b, a!=b, a or !a, joined by commas")
+    return (key in labels) != part.startswith("!")
+
+
+def interactive() -> bool:
+    """Whether a person can be asked."""
+    return sys.stdin.isatty()

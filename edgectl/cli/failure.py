@@ -1,0 +1,76 @@
+"""How a command ends that did not go well: one form for every error, and its exit code."""
+
+import errno
+import os
+from collections.abc import Sequence
+
+from edgectl.cli import console
+from edgectl.errors import EdgectlError, ExitCode, InputError, UsageError
+
+
+def end(error: Exception, words: Sequence[str]) -> int:
+    """Say what went wrong. The result is the exit code.
+
+    Raises:
+        Exception: the error itself, where it is a bug and EDGECTL_DEBUG asks to see it.
+    """
+    known = error if isinstance(error, EdgectlError) else _usage(error)
+    if known is None:
+        if os.environ.get("EDGECTL_DEBUG"):
+            raise error
+        known = _unexpected(error)
+    report(known, words)
+    return known.exit_code
+
+
+def _usage(error: Exception) -> UsageError | None:
+    """Typer's usage errors and its aborts carry no public class, but an exit code or a name."""
+    if type(error).__name__ == "Abort":
+        return UsageError("no answer on standard input", hint="pass --yes to go on without a question")
+    if getattr(error, "exit_code", None) != ExitCode.CHANGES or not hasattr(error, "format_message"):
+        return None
+    command = getattr(getattr(error, "ctx", None), "command_path", "edgectl")
+    return UsageError(error.format_message().rstrip("."), hint=f"see {command} --help")
+
+
+def _unexpected(error: Exception) -> EdgectlError:
+    if isinstance(error, OSError) and error.strerror:
+        return _refused_by_the_system(error, error.strerror)
+    what = f"{type(error).__name__}: {error}".splitlines()[0]
+    return EdgectlError(f"unexpected {what}", hint="this is a bug in edgectl; EDGECTL_DEBUG=1 shows where it happened")
+
+
+def _refused_by_the_system(error: OSError, why: str) -> EdgectlError:
+    """A full disk or a right that is missing is no bug of ours."""
+    full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+    hint = "free some space; what runs on the hosts is not affected" if full else "EDGECTL_DEBUG=1 shows where it happened"
+    return EdgectlError(f"{error.filename}: {why}" if error.filename else why, hint=hint)
+
+
+def report(error: EdgectlError, words: Sequence[str]) -> None:
+    """Text on standard error; JSON there where ``-o json`` was asked for. On standard output: annotations for ``-o github``, and
+    what ``validate -o json`` found, which is its data.
+    """
+    from edgectl.views import errors, github
+
+    form = _form(words)
+    if form == "github" and isinstance(error, InputError):
+        console.put(github.problems(error.problems))
+    elif form == "json":
+        asked_for = isinstance(error, InputError) and "validate" in words[:1]
+        (console.put if asked_for else console.say)(errors.json(error))
+    else:
+        console.say(errors.text(error, console.error_look()))
+
+
+def _form(words: Sequence[str]) -> str:
+    """What ``-o`` says, read from the words: a usage error leaves nothing parsed."""
+    form = os.environ.get("EDGECTL_OUTPUT", "table")
+    for word, following in zip(words, [*words, ""][1:], strict=True):
+        if word in ("-o", "--output"):
+            form = following
+        elif word.startswith("--output="):
+            form = word.removeprefix("--output=")
+        elif word.startswith("-o") and not word.startswith("--"):
+            form = word.removeprefix("-o").removeprefix("=")
+    return form

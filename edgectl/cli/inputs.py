@@ -1,0 +1,111 @@
+"""Which files a command works on, and what they hold."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+from pathlib import Path
+
+from edgectl.errors import FileError, UsageError
+from edgectl.model.inventory import Inventory
+from edgectl.model.task import Tasks
+
+_SUFFIXES = (".yaml", ".yml")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Loaded:
+    """The two inputs as read, and where the inventory stands (it names the fleet's state)."""
+
+    inventory: Inventory
+    tasks: Tasks
+    path: Path
+
+
+def load(inventory: Path | None, tasks: Sequence[Path] | None) -> Loaded:
+    """Both files, given or found; warnings go to standard error.
+
+    Raises:
+        UsageError: none is given and none can be chosen.
+        InputError: everything that is wrong with them.
+    """
+    from edgectl.cli.console import warn
+    from edgectl.config.load import load as read
+
+    path, paths = inventory_file(inventory), task_files(tasks)
+    fleet, work, warnings = read(path, paths)
+    warn(warnings)
+    return Loaded(inventory=fleet, tasks=work, path=path)
+
+
+def inventory_file(given: Path | None) -> Path:
+    """The inventory that is given, or the only one in inventories/."""
+    return given if given is not None else _only("inventory", "inventories", "-i")
+
+
+def task_files(given: Sequence[Path] | None) -> list[Path]:
+    """The task files that are given (of a directory: all of its YAML files), or the only one in tasks/."""
+    if not given:
+        return [_only("task file", "tasks", "-t")]
+    return [file for path in given for file in (_within(path) if path.is_dir() else [path])]
+
+
+def _yaml_files(directory: Path) -> list[Path]:
+    return sorted(path for path in directory.glob("*") if path.suffix in _SUFFIXES and path.is_file())
+
+
+def _within(directory: Path) -> list[Path]:
+    files = _yaml_files(directory)
+    if not files:
+        raise UsageError(f"no YAML file in {directory}", hint=f"name a file, or write {directory}/tasks.yaml")
+    return files
+
+
+def _only(what: str, directory: str, option: str) -> Path:
+    files = _yaml_files(Path(directory))
+    if len(files) == 1:
+        return files[0]
+    if not files:
+        raise UsageError(
+            f"no {what} given, and there is none in {directory}/", hint=f"pass {option} FILE, or make a fleet to start from: edgectl init ."
+        )
+    names = ", ".join(file.name for file in files)
+    raise UsageError(f"no {what} given, and {directory}/ holds {len(files)}: {names}", hint=f"pass {option} {files[0]}")
+
+
+def known(names: Iterable[str], among: Iterable[str], what: str) -> None:
+    """Refuse names that do not exist.
+
+    Raises:
+        UsageError: with the closest name as hint.
+    """
+    every = list(among)
+    for name in names:
+        if name not in every:
+            close = get_close_matches(name, every, n=1, cutoff=0.5)
+            hint = f"did you mean {close[0]}?" if close else f"known: {', '.join(every[:12])}{', ..' if len(every) > 12 else ''}"
+            raise UsageError(f"unknown {what} {name!r}", hint=hint if every else f"there is no {what} at all")
+
+
+def save(path: Path, text: str) -> None:
+    """Write a file of the user, whole or not at all; through a link, and straight into a pipe or a device.
+
+    Raises:
+        FileError: it cannot be written.
+    """
+    try:
+        if path.exists() and not path.is_file():
+            path.write_text(text, encoding="utf-8")
+        else:
+            _replace(path.resolve(), text)
+    except OSError as error:
+        raise FileError(f"cannot write {path}: {error.strerror}") from error
+
+
+def _replace(path: Path, text: str) -> None:
+    partial = path.with_name(f".{path.name}.partial")
+    try:
+        partial.write_text(text, encoding="utf-8")
+        partial.replace(path)
+    except OSError:
+        partial.unlink(missing_ok=True)
+        raise

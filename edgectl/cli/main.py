@@ -1,0 +1,54 @@
+"""The entry: build the command, run it, end every way with the right exit code and never with a traceback.
+
+Nothing is imported here that ``edgectl --help`` does not need.
+"""
+
+import os
+import sys
+from collections.abc import Sequence
+
+_INTERRUPTED = 130  # ExitCode.INTERRUPTED
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line; the result is the exit code (DESIGN section 7)."""
+    words = list(sys.argv[1:] if argv is None else argv)
+    _plug_closed_streams()
+    try:
+        code = _run(words)
+    except KeyboardInterrupt:
+        code = _INTERRUPTED
+    except Exception as error:
+        from edgectl.cli.failure import end
+
+        return end(error, words)
+    if code == _INTERRUPTED:
+        sys.stderr.write("interrupted\n")
+    return code
+
+
+def _plug_closed_streams() -> None:
+    """A standard stream that the caller closed becomes /dev/null, before a file or socket of ours gets its number."""
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        if getattr(sys, name) is None:
+            nowhere = os.open(os.devnull, os.O_RDWR)
+            if nowhere != number:
+                os.dup2(nowhere, number)
+                os.close(nowhere)
+            os.set_inheritable(number, True)  # noqa: FBT003
+            setattr(sys, name, open(number, "w" if number else "r", encoding="utf-8", closefd=False))  # noqa: SIM115
+
+
+def _run(words: list[str]) -> int:
+    from typer.main import get_command
+
+    from edgectl.cli.app import build
+    from edgectl.cli.console import quiet_pipes
+
+    code: object = 0
+    with quiet_pipes():
+        try:
+            code = get_command(build(words)).main(args=words, prog_name="edgectl", standalone_mode=False)
+        except SystemExit:
+            raise BrokenPipeError from None  # the one exit that typer makes by itself: nobody reads its help any more
+    return code if isinstance(code, int) else 0

@@ -1,0 +1,72 @@
+"""The options that commands share, each defined once."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from typer import Argument, Option
+
+from edgectl.cli.complete import hosts, tasks
+from edgectl.model.policy import PolicyName
+from edgectl.views.form import Form
+
+InventoryOption = Annotated[
+    Path | None,
+    Option(
+        "--inventory",
+        "-i",
+        metavar="FILE",
+        envvar="EDGECTL_INVENTORY",
+        show_envvar=False,
+        help="$EDGECTL_INVENTORY, or the one in inventories/.",
+    ),
+]
+TasksOption = Annotated[
+    list[Path] | None,
+    Option(
+        "--tasks", "-t", metavar="PATH", envvar="EDGECTL_TASKS", show_envvar=False, help="$EDGECTL_TASKS, or the one in tasks/; repeatable."
+    ),
+]
+
+
+def output(*forms: str) -> object:
+    """``-o`` of a command that has these forms; the first is the default."""
+    text = ", ".join(forms[:-1]) + f" or {forms[-1]}"
+    return Option("--output", "-o", metavar="FORM", envvar="EDGECTL_OUTPUT", show_envvar=False, show_default=False, help=f"{text}.")
+
+
+PlanOutput = Annotated[Form, output("table", "wide", "json", "yaml", "name", "markdown")]
+FleetOutput = Annotated[Form, output("table", "wide", "json", "yaml", "name")]
+ResultOutput = Annotated[Form, output("table", "json", "yaml", "name")]
+FieldsOutput = Annotated[Form, output("table", "json", "yaml")]
+ValidateOutput = Annotated[Form, output("table", "json", "yaml", "github")]
+
+SnapshotOption = Annotated[Path | None, Option("--snapshot", metavar="FILE", help="Decide from this file; no host is contacted.")]
+WeightsOption = Annotated[
+    str | None,
+    Option("--weights", "-w", metavar="WEIGHTS", help="cpu, memory, network, task, all, or cpu=.5,task=1."),
+]
+PolicyOption = Annotated[PolicyName | None, Option("--policy", metavar="NAME", help="utility, paper, static or local.")]
+BestEffortOption = Annotated[bool, Option("--best-effort", help="Place a task even where it does not fit.")]
+FullOption = Annotated[bool, Option("--full", help="Rank every host, however many there are.")]
+WithoutOption = Annotated[
+    list[str] | None, Option("--without", metavar="HOST", autocompletion=hosts, help="What if this host were gone? Repeatable.")
+]
+TargetOption = Annotated[list[str] | None, Option("--target", metavar="TASK", autocompletion=tasks, help="Only this task; repeatable.")]
+SelectorOption = Annotated[str | None, Option("--selector", "-l", metavar="LABELS", help="Only tasks with these: a=b, a!=b, a, !a.")]
+DetailedOption = Annotated[bool, Option("--detailed-exitcode", help="Exit 2: changes pending, 3: a task is unplaced.")]
+AllowOption = Annotated[bool, Option("--allow-unreachable", help="Exit as if every host had answered.")]
+OutOption = Annotated[Path | None, Option("--out", metavar="PLAN", help="Save the plan for: edgectl apply PLAN.")]
+YesOption = Annotated[bool, Option("--yes", "-y", help="Do not ask.")]
+QuietOption = Annotated[bool, Option("--quiet", "-q", help="Print nothing where nothing had to be done.")]
+LockOption = Annotated[str, Option("--lock-timeout", metavar="TIME", help="Wait this long for another edgectl.")]
+ParallelOption = Annotated[int, Option("--max-parallel", metavar="N", min=1, help="At most N actions at once.")]
+FailFastOption = Annotated[bool, Option("--fail-fast", help="After the first failure begin nothing new.")]
+WindowOption = Annotated[str, Option("--window", metavar="TIME", help="How long use is measured.")]
+TimeoutOption = Annotated[str, Option("--timeout", metavar="TIME", help="Deadline of each host.")]
+AcceptOption = Annotated[bool, Option("--accept-new", help="Trust hosts never seen before, as OpenSSH does.")]
+
+HostsArgument = Annotated[list[str], Argument(metavar="HOST...", autocompletion=hosts, help="Names in the inventory.", show_default=False)]
+HostArgument = Annotated[str, Argument(metavar="HOST", autocompletion=hosts, help="Name in the inventory.", show_default=False)]
+TaskArgument = Annotated[str, Argument(metavar="TASK", autocompletion=tasks, help="Name of the task.", show_default=False)]
+TasksArgument = Annotated[list[str], Argument(metavar="TASK...", autocompletion=tasks, help="Names of tasks.", show_default=False)]
+Shell = Literal["bash", "zsh", "fish"]

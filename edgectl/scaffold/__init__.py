@@ -1,0 +1,1 @@
+"""The files of ``edgectl init``: links to the ones at the top of the repository, real files in a wheel."""

@@ -1,0 +1,149 @@
+"""The form for programs: the documents of ``formats``, the same bytes every time."""
+
+from collections.abc import Iterable, Mapping
+
+from edgectl.formats import plan as plan_format
+from edgectl.formats import snapshot as snapshot_format
+from edgectl.formats.base import FORMAT_VERSION, Document, dumps, number, optional, without_none
+from edgectl.model.inventory import Inventory
+from edgectl.model.plan import Plan
+from edgectl.model.result import ActionResult, PhaseResult, Results
+from edgectl.model.revision import Revision
+from edgectl.model.snapshot import Snapshot
+from edgectl.model.task import Quantity, Task, Tasks
+from edgectl.units import format_instant
+from edgectl.views.absent import Absent, absent
+from edgectl.views.text import PLAIN, Look
+
+
+def plan(value: Plan, _look: Look = PLAIN) -> str:
+    """The plan document."""
+    return dumps(plan_format.encode(value))
+
+
+def snapshot(value: Snapshot, _look: Look = PLAIN) -> str:
+    """The snapshot document."""
+    return dumps(snapshot_format.encode(value))
+
+
+def status(value: Snapshot, inventory: Inventory, tasks: Tasks, _look: Look = PLAIN) -> str:
+    """The snapshot document with the wanted tasks and their demands beside it."""
+    return dumps(status_document(value, inventory, tasks))
+
+
+def status_document(value: Snapshot, _inventory: Inventory, tasks: Tasks) -> Document:
+    """What ``status`` shows, as JSON types."""
+    document = snapshot_format.encode(value)
+    seen = {name for host in value.hosts.values() for name in host.tasks}
+    document["wanted"] = {
+        task.name: _wanted(task) | ({} if task.name in seen else _absent(absent(task, value))) for task in tasks.tasks.values()
+    }
+    return document
+
+
+def _absent(known: Absent) -> Document:
+    """Of a task that no host reports: its state, and where and when it was known last."""
+    contact = None if known.contact is None else format_instant(known.contact)
+    return without_none(state=known.state, last_host=known.host, last_contact=contact)
+
+
+def _wanted(task: Task) -> Document:
+    demand = task.demand
+    return {
+        "robots": list(task.robots),
+        "managed": task.managed,
+        "demand": {"cpu": _quantity(demand.cpu), "memory": _quantity(demand.memory), "throughput": _quantity(demand.throughput)},
+    }
+
+
+def _quantity(quantity: Quantity | None) -> Document | None:
+    return None if quantity is None else {"value": number(quantity.value), "relative": quantity.relative}
+
+
+def results(value: Results, _look: Look = PLAIN) -> str:
+    """What an apply did."""
+    return dumps(results_document(value))
+
+
+def results_document(value: Results) -> Document:
+    """What an apply did, as JSON types."""
+    return {
+        "format_version": FORMAT_VERSION,
+        "revision": value.revision,
+        "seconds": number(round(value.seconds, 3)),
+        "done": value.done,
+        "interrupted": value.interrupted,
+        "actions": [_action(action) for action in value.actions],
+    }
+
+
+def history(values: Iterable[Revision], _look: Look = PLAIN) -> str:
+    """The revisions without their actions."""
+    return dumps({"format_version": FORMAT_VERSION, "revisions": [_revision(value) for value in values]})
+
+
+def revision(value: Revision, _look: Look = PLAIN) -> str:
+    """One revision with its actions, and where every task stood afterwards."""
+    placements = None if value.placements is None else dict(value.placements)
+    actions = [_action(action) for action in value.actions]
+    return dumps({"format_version": FORMAT_VERSION, **_revision(value), "actions": actions, "placements": placements})
+
+
+def _revision(value: Revision) -> Document:
+    return {
+        "revision": value.number,
+        "began_at": format_instant(value.began_at),
+        "user": value.user,
+        "verb": value.verb,
+        "outcome": value.ending.value,
+        "seconds": optional(value.seconds),
+        "counts": dict(value.counts),
+    }
+
+
+def _action(action: ActionResult) -> Document:
+    document: Document = {
+        "task": action.task,
+        "action": action.action.value,
+        "outcome": action.outcome.value,
+        "host": action.host,
+        "previous_host": action.previous_host,
+        "located": action.located,
+        "downtime_s": optional(action.downtime_s),
+        "phases": [_phase(phase) for phase in action.phases],
+    }
+    return document | without_none(error=action.error or None, hint=action.hint or None)
+
+
+def _phase(phase: PhaseResult) -> Document:
+    document: Document = {"phase": phase.phase.value, "host": phase.host, "seconds": number(round(phase.seconds, 3)), "ok": phase.ok}
+    return document | without_none(detail=phase.detail or None)
+
+
+def validated(inventory: Inventory, tasks: Tasks, _look: Look = PLAIN) -> str:
+    """What two good files hold, with their digests."""
+    return dumps(
+        {
+            "format_version": FORMAT_VERSION,
+            "edges": [host.name for host in inventory.edges],
+            "robots": [host.name for host in inventory.robots],
+            "tasks": list(tasks.tasks),
+            "inventory_digest": inventory.digest,
+            "tasks_digest": tasks.digest,
+        }
+    )
+
+
+def commands(values: Iterable[Mapping[str, object]], _look: Look = PLAIN) -> str:
+    """What would be sent."""
+    return dumps({"format_version": FORMAT_VERSION, "requests": list(values)})
+
+
+def nothing(_look: Look = PLAIN) -> str:
+    """An apply that had nothing to do."""
+    return dumps({"format_version": FORMAT_VERSION, "done": True, "actions": []})
+
+
+def fields(values: Mapping[str, str], _look: Look = PLAIN) -> str:
+    """Names and values as one object."""
+    return dumps({"format_version": FORMAT_VERSION, **values})

@@ -1,0 +1,37 @@
+"""A plan as a comment on a pull request. The hidden marker lets a CI job edit its comment instead of adding one."""
+
+from edgectl.model.plan import Plan, Step
+from edgectl.views import sections
+from edgectl.views.reasons import reason
+from edgectl.views.sections import figure
+from edgectl.views.text import PLAIN, Look, harmless
+
+MARKER = "<!-- edgectl-plan -->"
+_HEAD = "| | task | now | next | utility | lead | reason |\n|---|---|---|---|---:|---:|---|\n"
+_SPECIAL = str.maketrans({character: f"\\{character}" for character in "\\`*_[]<>|#~"})
+
+
+def plan(value: Plan, _look: Look = PLAIN) -> str:
+    """The table form in Markdown; the expected load folded away."""
+    rows = "".join(_row(step) for step in value.steps)
+    load = sections.expected(value).replace("```", "'''")
+    folded = f"\n<details><summary>Expected load</summary>\n\n```text\n{load}```\n\n</details>\n" if load else ""
+    notes = "".join(f"\n> {_plain(line)}\n" for line in sections.notes(value).splitlines())
+    return f"{MARKER}\n**{sections.summary(value).strip()}**\n\n{_HEAD}{rows}{notes}{folded}\n{sections.header(value)}"
+
+
+def _row(step: Step) -> str:
+    decision = step.decision
+    fields = (
+        step.task,
+        decision.previous_host or "-",
+        decision.host or "-",
+        figure(decision.total),
+        figure(decision.lead, signed=True),
+        reason(step),
+    )
+    return f"| `{step.action.symbol}` | " + " | ".join(_plain(field) for field in fields) + " |\n"
+
+
+def _plain(text: str) -> str:
+    return harmless(text).translate(_SPECIAL)

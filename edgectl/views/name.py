@@ -1,0 +1,47 @@
+"""Names only, one per line, to be piped into other commands."""
+
+from collections.abc import Iterable
+
+from edgectl.model.inventory import Inventory
+from edgectl.model.plan import Plan
+from edgectl.model.result import Results
+from edgectl.model.revision import Revision
+from edgectl.model.snapshot import Snapshot
+from edgectl.model.task import Tasks
+from edgectl.views.table import found
+from edgectl.views.text import PLAIN, Look
+
+
+def plan(value: Plan, _look: Look = PLAIN) -> str:
+    """The tasks of the plan."""
+    return "".join(f"task/{step.task}\n" for step in value.steps)
+
+
+def snapshot(value: Snapshot, _look: Look = PLAIN) -> str:
+    """The hosts that answered, as edge/NAME or robot/NAME."""
+    return "".join(f"{host.role}/{name}\n" for name, host in value.hosts.items() if host.ok)
+
+
+def status(value: Snapshot, _inventory: Inventory, _tasks: Tasks, _look: Look = PLAIN) -> str:
+    """The tasks that run."""
+    return "".join(f"task/{name}\n" for name in dict.fromkeys(task for task, _, sample in found(value) if sample.state.alive))
+
+
+def nothing(_look: Look = PLAIN) -> str:
+    """No task was touched."""
+    return ""
+
+
+def history(values: Iterable[Revision], _look: Look = PLAIN) -> str:
+    """The numbers, as revision/N."""
+    return "".join(f"revision/{value.number}\n" for value in values)
+
+
+def revision(value: Revision, _look: Look = PLAIN) -> str:
+    """The tasks that were touched."""
+    return results(value.results)
+
+
+def results(value: Results, _look: Look = PLAIN) -> str:
+    """The tasks that were touched."""
+    return "".join(f"task/{action.task}\n" for action in value.actions)

@@ -1,0 +1,141 @@
+"""The parts of which every text form of a plan is made: how it was decided, expected load, notes, the line that sums up."""
+
+from collections.abc import Iterable
+
+from edgectl.model.assignment import ExpectedLoad
+from edgectl.model.memory import Memory
+from edgectl.model.order import natural_key
+from edgectl.model.plan import Action, Plan
+from edgectl.model.snapshot import HostSample, LinkSample, Snapshot
+from edgectl.units import format_bytes, format_cores, format_instant, format_rate
+from edgectl.views.absent import silence
+from edgectl.views.reasons import left_out, listed, not_found
+from edgectl.views.text import PLAIN, Cell, Look, Row, columns, harmless, paint
+
+STYLES = {
+    Action.START: "good", Action.STOP: "bad", Action.MOVE: "warn", Action.RESTART: "warn", Action.COMPLETE: "good",
+    Action.KEEP: "dim", Action.NONE: "dim", Action.HOLD: "warn", Action.UNPLACED: "bad", Action.DEFER: "warn",
+}  # fmt: skip
+
+
+def header(value: Plan) -> str:
+    """How the plan was decided: policy, weights as used, snapshot."""
+    weights = value.policy.weights
+    shown = f"cpu {weights.cpu:.3g}, memory {weights.memory:.3g}, network {weights.network:.3g}, task {weights.task:.3g}"
+    return f"Policy {value.policy.name}; weights {shown}; snapshot of {format_instant(value.created_at)}\n"
+
+
+def figure(value: float | None, *, signed: bool = False) -> str:
+    """A utility with three decimals, or a dash."""
+    if value is None:
+        return "-"
+    return f"{value:+.3f}" if signed else f"{value:.3f}"
+
+
+def expected(value: Plan, look: Look = PLAIN) -> str:
+    """Load of each host after the plan, against its measured or declared capacity."""
+    rows: list[Row] = [("HOST", "CPU", "MEMORY", "LINKS")]
+    rows += [_expected_row(name, load, value.snapshot.hosts.get(name)) for name, load in value.expected.items()]
+    return "Expected load after this plan:\n" + columns(rows, look) if value.expected else ""
+
+
+def _expected_row(name: str, load: ExpectedLoad, sample: HostSample | None) -> Row:
+    cores = sample.cpu.cores if sample and sample.cpu else None
+    total = sample.memory.total_bytes if sample and sample.memory else None
+    links = sample.links if sample else {}
+    return (
+        Cell(name, "name"),
+        _of(load.used_cores, cores, format_cores(load.used_cores)),
+        _of(load.used_bytes, total, format_bytes(load.used_bytes)),
+        ", ".join(_expected_link(robot, rate, links.get(robot)) for robot, rate in load.links.items() if rate) or "-",
+    )
+
+
+def _expected_link(robot: str, rate: float, link: LinkSample | None) -> str:
+    return f"{robot} {format_rate(rate)}" + (f" ({rate / link.capacity_bytes_per_s:.0%})" if link and link.capacity_bytes_per_s else "")
+
+
+def _of(used: float, capacity: float | None, shown: str) -> Cell:
+    if not capacity:
+        return Cell(shown)
+    share = used / capacity
+    return Cell(f"{shown} ({share:.0%})", "bad" if share > 1 else "")
+
+
+def notes(value: Plan, look: Look = PLAIN) -> str:
+    """What a reader has to know besides the table."""
+    lines = silent(value.snapshot) + closed(value.snapshot)
+    deferred = value.snapshot.memory.deferred if value.snapshot.memory else {}
+    changing = (step.task for step in value.steps if step.action.changes)
+    lines += [f"{task}: put off by the last apply, with nothing touched: {deferred[task]}" for task in changing if task in deferred]
+    if value.frozen:
+        lines.append("too many edges are silent: nothing moves, starts are still allowed")
+    if not value.settled:
+        lines.append("no settled plan exists; tasks that run stay where they are")
+    if value.unseen:
+        lines.append(f"first plan of this fleet: tasks on {listed(value.unseen)} could not be seen and count as not running")
+    return note_lines(lines, look)
+
+
+def silent(value: Snapshot) -> list[str]:
+    """One line for each host that does not answer, with what mends it."""
+    contact = value.memory.contact if value.memory else {}
+    return [
+        f"{name} does not answer: {host.error or 'no cause given'}"
+        + (f" ({host.hint})" if host.hint else "")
+        + silence(contact.get(name), value.taken_at)
+        for name, host in value.hosts.items()
+        if not host.ok
+    ]
+
+
+def closed(value: Snapshot) -> list[str]:
+    """One line for each way in which the operator closed hosts."""
+    memory = value.memory or Memory()
+    fenced, draining = sorted(memory.fenced, key=natural_key), sorted(memory.draining, key=natural_key)
+    cordoned = sorted(memory.cordons - memory.draining, key=natural_key)
+    lines = [f"cordoned, no new tasks: {listed(cordoned)} (edgectl uncordon)"] if cordoned else []
+    lines += [f"drained, its tasks leave: {listed(draining)} (edgectl uncordon)"] if draining else []
+    return lines + ([f"fenced, counts as switched off: {listed(fenced)} (edgectl unfence)"] if fenced else [])
+
+
+def note_lines(lines: Iterable[str], look: Look) -> str:
+    """Each line as a note."""
+    return "".join(f"{paint('note:', 'warn', look)} {harmless(line)}\n" for line in lines)
+
+
+def summary(value: Plan, look: Look = PLAIN) -> str:
+    """One line that counts the actions."""
+    counts = value.summary
+    aside = sum(left_out(step) for step in value.steps)
+    missing = sum(not_found(step) for step in value.steps)
+    if not value.changes and not aside and not missing and not counts.get(Action.UNPLACED) and not counts.get(Action.HOLD):
+        return paint(f"No changes. {_tasks(len(value.steps))} should be.", "good", look) + "\n"
+    text = (
+        f"Plan: {counts.get(Action.START, 0)} to start, {counts.get(Action.MOVE, 0)} to move, {_to_stop(value)} to stop, "
+        f"{counts.get(Action.KEEP, 0)} kept, {counts.get(Action.UNPLACED, 0)} unplaced"
+    )
+    rare = {**counts, Action.NONE: counts.get(Action.NONE, 0) - aside - missing}
+    extra = [f"{rare[action]} {word}" for action, word in _RARE.items() if rare.get(action)]
+    extra += [f"{missing} not managed and found nowhere"] if missing else []
+    extra += [f"{aside} left out"] if aside else []
+    return paint(", ".join([text, *extra]) + ".", "bold", look) + "\n"
+
+
+_RARE = {
+    Action.RESTART: "to restart",
+    Action.HOLD: "held",
+    Action.COMPLETE: "to complete",
+    Action.DEFER: "deferred",
+    Action.NONE: "completed before",
+}
+
+
+def _to_stop(value: Plan) -> int:
+    return value.summary.get(Action.STOP, 0) + sum(
+        1 for step in value.steps if step.stop and step.action in (Action.KEEP, Action.HOLD, Action.NONE)
+    )
+
+
+def _tasks(count: int) -> str:
+    return "1 task is where it" if count == 1 else f"{count} tasks are where they"

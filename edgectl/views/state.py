@@ -1,0 +1,17 @@
+"""How a task's state is told: one phrase, and below the table what a failed task said last and which limits do not hold."""
+
+from edgectl.model.snapshot import Snapshot, TaskSample, TaskState
+
+
+def phrase(sample: TaskSample) -> str:
+    """Such as ``ready`` or ``failed (5 restarts, last exit 1)``: given up counts as failed."""
+    if sample.state is TaskState.CRASHLOOP and sample.last_exit is not None:
+        return f"failed ({sample.restarts} restarts, last exit {sample.last_exit})"
+    return sample.state.value + (f" ({sample.detail})" if sample.detail else "")
+
+
+def remarks(value: Snapshot) -> list[str]:
+    """Of each failed task the last lines of its log, and of each task the limits that are not enforced."""
+    tasks = [(f"{name} on {host}", sample) for host, each in value.hosts.items() for name, sample in each.tasks.items()]
+    said = [f"{where} said last: {line}" for where, sample in tasks for line in sample.log_tail]
+    return said + [f"{where}: limits: {sample.limits}" for where, sample in tasks if sample.limits.startswith("not") and sample.state.alive]

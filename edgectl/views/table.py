@@ -1,0 +1,239 @@
+"""The default form: aligned columns for people, with units in the fields and a last line that sums up."""
+
+import json
+import math
+from collections.abc import Callable, Iterable, Mapping
+
+from edgectl.model.inventory import Inventory
+from edgectl.model.plan import Action, Plan, Step
+from edgectl.model.result import ActionResult, Outcome, PhaseResult, Results
+from edgectl.model.revision import Ending, Revision
+from edgectl.model.snapshot import HostSample, LinkSample, Snapshot, TaskSample, TaskState
+from edgectl.model.task import Quantity, Task, Tasks
+from edgectl.units import format_bytes, format_cores, format_duration, format_instant, format_rate
+from edgectl.views.absent import absent, silence, standing
+from edgectl.views.reasons import left_out, reason
+from edgectl.views.sections import STYLES, closed, expected, figure, header, note_lines, notes, silent, summary
+from edgectl.views.state import phrase, remarks
+from edgectl.views.text import PLAIN, Cell, Look, Row, columns, harmless, paint
+
+STATES = {
+    TaskState.READY: "good", TaskState.RUNNING: "good", TaskState.STARTING: "warn", TaskState.COMPLETED: "dim",
+    TaskState.FAILED: "bad", TaskState.CRASHLOOP: "bad",
+}  # fmt: skip
+_OUTCOMES = {Outcome.DONE: "good", Outcome.FAILED: "bad", Outcome.DEFERRED: "warn", Outcome.SKIPPED: "dim"}
+
+
+def plan(value: Plan, look: Look = PLAIN) -> str:
+    """What will be done and why, the load that is expected afterwards, and one line that sums up."""
+    rows: list[Row] = [("", "TASK", "NOW", "NEXT", "UTILITY", "LEAD", "REASON")]
+    rows += [_step_row(step) for step in value.steps]
+    table = columns(rows, look, right={4, 5}) if value.steps else ""
+    head = header(value) if value.expected else ""
+    return "\n".join(part for part in (head, table, expected(value, look), notes(value, look) + summary(value, look)) if part)
+
+
+def _step_row(step: Step) -> Row:
+    decision, style = step.decision, STYLES[step.action]
+    return (
+        Cell(step.action.symbol, style),
+        Cell(step.task, "name"),
+        decision.previous_host or "-",
+        Cell(_next(step) or "-", "bold" if step.action.changes else ""),
+        figure(decision.total),
+        figure(decision.lead, signed=True),
+        Cell(reason(step), style),
+    )
+
+
+def _next(step: Step) -> str | None:
+    """Where the task is after the plan."""
+    if left_out(step):
+        return step.decision.previous_host
+    return None if step.action in (Action.STOP, Action.COMPLETE, Action.NONE) else step.decision.host
+
+
+def snapshot(value: Snapshot, look: Look = PLAIN) -> str:
+    """One line per host: what it has, what is in use, its links and tasks."""
+    rows: list[Row] = [("NAME", "ROLE", "STATUS", "CPU", "MEMORY", "TASKS", "LINKS")]
+    rows += [_host_row(name, host, standing(name, value.memory)) for name, host in value.hosts.items()]
+    return columns(rows, look) + note_lines(silent(value), look)
+
+
+def _host_row(name: str, host: HostSample, closed: str) -> Row:
+    if not host.ok or host.cpu is None or host.memory is None:
+        return (Cell(name, "name"), host.role, Cell(_status("unreachable", closed), "bad"), "-", "-", "-", "-")
+    return (
+        Cell(name, "name"),
+        host.role,
+        Cell(_status("ok", closed), "warn" if closed else "good"),
+        _used(host.cpu.used_cores, host.cpu.cores, format_cores),
+        _used(host.memory.used_bytes, host.memory.total_bytes, format_bytes),
+        str(sum(task.state.alive for task in host.tasks.values())),
+        ", ".join(_link(robot, link) for robot, link in host.links.items()) or "-",
+    )
+
+
+def _status(word: str, closed: str) -> str:
+    return f"{word}, {closed}" if closed else word
+
+
+def _used(used: float, capacity: float, show: Callable[[float], str]) -> Cell:
+    share = used / capacity
+    return Cell(f"{show(used)}/{show(capacity)} ({share:.0%})", "bad" if share > 1 else "")
+
+
+def _link(robot: str, link: LinkSample) -> str:
+    share = f" {link.used_bytes_per_s / link.capacity_bytes_per_s:.0%}" if link.capacity_bytes_per_s else " down"
+    return f"{robot}{share}" + (f" {link.rtt_ms:.1f}ms" if link.rtt_ms is not None else "")
+
+
+def status(value: Snapshot, _inventory: Inventory, tasks: Tasks, look: Look = PLAIN) -> str:
+    """What runs where, since when, and what it uses against its demand; tasks that do not run, and silent hosts, too."""
+    rows: list[Row] = [("TASK", "HOST", "STATE", "AGE", "CPU", "DEMAND", "MEMORY", "DEMAND", "NETWORK", "DEMAND")]
+    rows += [_task_row(value.taken_at, name, host, sample, tasks.tasks.get(name), value) for name, host, sample in found(value)]
+    seen = {name for name, _, _ in found(value)}
+    rows += [_absent_row(task, value) for task in tasks.tasks.values() if task.name not in seen]
+    return columns(rows, look) + note_lines(silent(value) + closed(value) + remarks(value), look)
+
+
+def found(value: Snapshot) -> list[tuple[str, str, TaskSample]]:
+    """(task, host, sample) of every task that any host reports, by task, then host."""
+    every = [(name, host, sample) for host, each in value.hosts.items() for name, sample in each.tasks.items()]
+    return sorted(every, key=lambda entry: entry[:2])
+
+
+def _task_row(now: float, name: str, host: str, sample: TaskSample, task: Task | None, value: Snapshot) -> Row:
+    demand = task.demand if task else None
+    capacity = value.hosts[host]
+    cores = capacity.cpu.cores if capacity.cpu else 0.0
+    total = capacity.memory.total_bytes if capacity.memory else 0.0
+    state = Cell(phrase(sample), STATES[sample.state])
+    alive = sample.state.alive
+    return (
+        Cell(name, "name"),
+        host,
+        state,
+        format_duration(max(0.0, now - sample.started_at)) if sample.started_at else "-",
+        format_cores(sample.used_cores) if alive else "-",
+        _demanded(demand.cpu if demand else None, cores, format_cores),
+        format_bytes(sample.used_bytes) if alive else "-",
+        _demanded(demand.memory if demand else None, total, format_bytes),
+        format_rate(sample.used_bytes_per_s) if alive else "-",
+        _link_demand(task, capacity),
+    )
+
+
+def _absent_row(task: Task, value: Snapshot) -> Row:
+    """A task that no host reports: completed, on a host that does not answer, or not running."""
+    known = absent(task, value)
+    state = Cell(known.state + silence(known.contact, value.taken_at), "warn" if known.host else "dim")
+    return (Cell(task.name, "name"), known.host or "-", state, "-", "-", "-", "-", "-", "-", "-")
+
+
+def _demanded(quantity: Quantity | None, capacity: float, show: Callable[[float], str]) -> str:
+    return show(quantity.of(capacity)) if quantity is not None else "-"
+
+
+def _link_demand(task: Task | None, host: HostSample) -> str:
+    if task is None or task.demand.throughput is None:
+        return "-"
+    links = [host.links[robot].capacity_bytes_per_s if robot in host.links else 0.0 for robot in task.robots]
+    return format_rate(sum(task.demand.throughput.of(capacity) for capacity in links)) if links else "-"
+
+
+def results(value: Results, look: Look = PLAIN) -> str:
+    """How each action went, with its phases, and one line that sums up."""
+    rows = [_result_row(action) for action in value.actions]
+    done = sum(action.outcome is Outcome.DONE for action in value.actions)
+    text = f"Applied {done} of {len(value.actions)} in {format_duration(value.seconds)}. Revision {value.revision}."
+    stopped = " Interrupted." if value.interrupted else ""
+    return columns(rows, look) + paint(text + stopped, "bold" if value.done else "bad", look) + "\n" + hints(value.actions)
+
+
+def history(values: Iterable[Revision], look: Look = PLAIN) -> str:
+    """One line per revision, oldest first."""
+    rows: list[Row] = [("REV", "WHEN", "WHO", "VERB", "TOOK", "OUTCOME", "ACTIONS")]
+    rows += [_revision_row(value) for value in values]
+    return columns(rows, look, right={0, 4}) if len(rows) > 1 else "Nothing was applied yet.\n"
+
+
+def _revision_row(value: Revision) -> Row:
+    return (
+        Cell(str(value.number), "name"),
+        format_instant(math.floor(value.began_at)),
+        value.user or "-",
+        value.verb or "-",
+        "-" if value.seconds is None else format_duration(value.seconds),
+        Cell(value.ending.value, "good" if value.ending is Ending.DONE else "bad"),
+        ", ".join(f"{count} {action}" for action, count in value.counts.items()) or "-",
+    )
+
+
+def revision(value: Revision, look: Look = PLAIN) -> str:
+    """One revision: when, who, how, and each action with its phases."""
+    return history([value], look) + "\n" + columns([_result_row(action) for action in value.actions], look)
+
+
+def _result_row(action: ActionResult) -> Row:
+    return (
+        Cell(action.action.symbol, STYLES[action.action]),
+        Cell(action.task, "name"),
+        Cell(action.outcome.value, _OUTCOMES[action.outcome]),
+        result_text(action),
+    )
+
+
+def result_text(action: ActionResult) -> str:
+    """The phases of one action, the gap it caused, and its error."""
+    parts = [" > ".join(_phase(phase) for phase in action.phases)] if action.phases else []
+    if action.downtime_s is not None:
+        parts.append(f"gap {format_duration(action.downtime_s)}")
+    if action.error and not any(phase.detail == action.error for phase in action.phases if not phase.ok):
+        parts.append(action.error)
+    return "; ".join(parts) or str(action.action)
+
+
+def _phase(phase: PhaseResult) -> str:
+    failed = "" if phase.ok else " FAILED"
+    return f"{phase.phase} {phase.host} {format_duration(phase.seconds)}{failed}" + (
+        f" ({phase.detail})" if phase.detail and not phase.ok else ""
+    )
+
+
+def hints(actions: Iterable[ActionResult]) -> str:
+    """The hints of the actions that did not go well, each once."""
+    return "".join(f"hint: {harmless(hint)}\n" for hint in dict.fromkeys(action.hint for action in actions) if hint)
+
+
+def validated(inventory: Inventory, tasks: Tasks, look: Look = PLAIN) -> str:
+    """What two good files hold."""
+    managed = sum(task.managed for task in tasks.tasks.values())
+    unmanaged = f", {len(tasks.tasks) - managed} not managed" if managed < len(tasks.tasks) else ""
+    sizes = {"edge": len(inventory.edges), "robot": len(inventory.robots), "task": len(tasks.tasks)}
+    counts = ", ".join(f"{count} {what}{'' if count == 1 else 's'}" for what, count in sizes.items()) + unmanaged
+    return paint("ok:", "good", look) + f" {counts}\n"
+
+
+def links(values: Iterable[object], look: Look = PLAIN) -> str:
+    """What each link was measured to carry."""
+    rows: list[Row] = [("EDGE", "ROBOT", "CARRIED")]
+    for value in values:
+        edge, robot, rate, error = (getattr(value, name) for name in ("edge", "robot", "bytes_per_s", "error"))
+        rows.append((edge, robot, Cell(error, "bad") if rate is None else format_rate(rate)))
+    return columns(rows, look) + "\n"
+
+
+def commands(values: Iterable[Mapping[str, object]], look: Look = PLAIN) -> str:
+    """What would be sent: for each request a heading, the command line and its standard input."""
+    parts = []
+    for value in values:
+        heading = paint(f"# {value['host']}: {value['phase']} {value['task']}", "dim", look)
+        stdin = json.dumps(value["stdin"], ensure_ascii=True)
+        parts.append(f"{heading}\n{harmless(str(value['command']))}\n<<< {stdin}\n")
+    return "\n".join(parts) or "nothing to send\n"
+
+
+def fields(values: Mapping[str, str], look: Look = PLAIN) -> str:
+    """Names and values, one pair per line."""
+    return columns([(Cell(name, "name"), text) for name, text in values.items()], look)

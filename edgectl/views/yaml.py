@@ -1,0 +1,35 @@
+"""The JSON documents in YAML, for eyes that prefer it."""
+
+import json as json_text
+from typing import Any
+
+import yaml
+
+from edgectl.views import json as json_view
+
+__all__ = ["commands", "fields", "history", "nothing", "plan", "results", "revision", "snapshot", "status", "validated"]
+
+
+def _same(text: str) -> str:
+    document: Any = json_text.loads(text)
+    return str(yaml.dump(document, Dumper=getattr(yaml, "CSafeDumper", yaml.SafeDumper), sort_keys=False, allow_unicode=True, width=4096))
+
+
+def _of(function: Any) -> Any:  # noqa: ANN401
+    def form(*values: object) -> str:
+        return _same(function(*values))
+
+    form.__doc__ = function.__doc__
+    return form
+
+
+plan = _of(json_view.plan)
+snapshot = _of(json_view.snapshot)
+status = _of(json_view.status)
+results = _of(json_view.results)
+validated = _of(json_view.validated)
+nothing = _of(json_view.nothing)
+commands = _of(json_view.commands)
+fields = _of(json_view.fields)
+history = _of(json_view.history)
+revision = _of(json_view.revision)

@@ -1,0 +1,43 @@
+"""A scaffold to work in, and the command as a function."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+from edgectl.cli.main import main
+from edgectl.scaffold.write import write
+from tests.views.fixtures import SNAPSHOT
+
+
+class Said(NamedTuple):
+    """How one command ended."""
+
+    code: int
+    out: str
+    err: str
+
+
+Run = Callable[..., Said]
+
+
+@pytest.fixture
+def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A scaffold with a snapshot, as the working directory."""
+    write(tmp_path / "site")
+    (tmp_path / "site" / "snap.json").write_bytes(SNAPSHOT.read_bytes())
+    monkeypatch.chdir(tmp_path / "site")
+    return tmp_path / "site"
+
+
+@pytest.fixture
+def run(capfd: pytest.CaptureFixture[str]) -> Run:
+    """Run the command line in this process."""
+
+    def call(*words: str) -> Said:
+        code = main(words)
+        out, err = capfd.readouterr()
+        return Said(int(code), out, err)
+
+    return call

@@ -1,0 +1,57 @@
+"""A terminal for one command: what it shows, and what is typed."""
+
+import os
+import pty
+import select
+import subprocess
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Self
+
+
+class Terminal:
+    """Runs ``words`` with all three streams on a pseudo-terminal."""
+
+    def __init__(self, words: list[str], directory: Path, *, env: Mapping[str, str] | None = None, limit_s: float = 60.0) -> None:
+        self._ours, theirs = pty.openpty()
+        self._end = time.monotonic() + limit_s
+        self.seen = ""
+        self.process = subprocess.Popen(words, cwd=directory, env=env, stdin=theirs, stdout=theirs, stderr=theirs)
+        os.close(theirs)
+
+    def _read(self) -> bool:
+        """Take what comes; False at the end."""
+        assert time.monotonic() < self._end, self.seen
+        if not select.select([self._ours], [], [], 0.2)[0]:
+            return True
+        try:
+            data = os.read(self._ours, 65536)
+        except OSError:
+            return False
+        self.seen += data.decode("utf-8", "replace")
+        return bool(data)
+
+    def until(self, text: str) -> None:
+        """Read until ``text`` has been shown."""
+        while text not in self.seen:
+            assert self._read(), self.seen
+
+    def type(self, text: str) -> None:
+        """Press keys."""
+        os.write(self._ours, text.encode())
+
+    def wait(self) -> int:
+        """Read to the end; the exit code."""
+        while self._read():
+            pass
+        return self.process.wait(10)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        if self.process.poll() is None:
+            self.process.kill()
+            self.process.wait()
+        os.close(self._ours)

@@ -1,0 +1,183 @@
+"""Commands that change things, on one pretend edge with one small real process."""
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.cli.conftest import Run
+from tests.cli.terminal import Terminal
+from tests.docs.blocks import stopped
+
+INVENTORY = """version: 1
+edges:
+  edge1: {host: 127.0.0.1, connection: local, capacity: {cpu: 1, memory: 1Gi}}
+"""
+TASKS = """version: 1
+tasks:
+  idle: {command: "echo started; exec sleep 600", demand: {cpu: 0.1, memory: 10Mi}, stop: {grace: 2s}}
+"""
+EDGECTL = [sys.executable, "-m", "edgectl"]
+
+
+@pytest.fixture
+def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """One edge, one task; whatever was started is stopped."""
+    for name, text in (("inventories/lab.yaml", INVENTORY), ("tasks/lab.yaml", TASKS)):
+        (tmp_path / name).parent.mkdir()
+        (tmp_path / name).write_text(text)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("EDGECTL_STATE_DIR", str(tmp_path / "state"))
+    monkeypatch.setattr("sys.stdin", open(os.devnull))  # noqa: SIM115, PTH123 - closed below
+    with sys.stdin, stopped(tmp_path, dict(os.environ)):
+        yield tmp_path
+
+
+@pytest.mark.parametrize("words", [("apply",), ("stop", "--all"), ("restart", "idle"), ("apply", "--quiet")])
+def test_nobody_to_ask_means_64_and_nothing_done(run: Run, small: Path, words: tuple[str, ...]) -> None:
+    said = run(*words)
+    assert (said.code, said.out) == (64, "")
+    assert "hint: pass --yes" in said.err
+    assert not (small / "state").exists()
+
+
+def test_an_unknown_form_is_refused_before_anything_is_done(run: Run, small: Path) -> None:
+    assert run("apply", "--yes", "-o", "markdown").code == 64
+    assert run("apply", "--dry-run", "-o", "name").code == 64
+    assert not (small / "state" / "hosts").exists()
+
+
+def test_apply_status_logs_restart_stop(run: Run, small: Path) -> None:
+    said = run("apply", "--yes")
+    assert said.code == 0
+    assert "Plan: 1 to start" in said.out
+    assert said.out.splitlines()[-1].startswith("Applied 1 of 1 in ")
+    assert said.err.startswith("start idle: done")
+    assert run("apply", "--yes", "--quiet") == (0, "", "")
+    assert run("apply", "--yes").out.endswith("No changes. 1 task is where it should be.\n")
+    assert json.loads(run("apply", "--yes", "-o", "json").out)["actions"] == []
+    before = json.loads(run("status", "-o", "json").out)
+    assert before["hosts"]["edge1"]["tasks"]["idle"]["state"] == "running"
+    assert before["wanted"]["idle"]["demand"]["cpu"] == {"value": 0.1, "relative": False}
+    assert run("logs", "idle").out == "started\n"
+    assert json.loads(run("restart", "idle", "--yes", "-o", "json").out)["actions"][0]["action"] == "restart"
+    assert (
+        json.loads(run("status", "-o", "json").out)["hosts"]["edge1"]["tasks"]["idle"]["pid"]
+        != before["hosts"]["edge1"]["tasks"]["idle"]["pid"]
+    )
+    assert run("stop", "idle", "--yes", "-o", "name").out == "task/idle\n"
+    assert run("status", "-o", "name").out == ""
+
+
+def test_what_a_task_prints_cannot_steer_the_terminal(run: Run, small: Path) -> None:
+    (small / "tasks/lab.yaml").write_text(TASKS.replace("echo started", r"printf 'tab\\t\\033]0;title\\007\\377\\n'"))
+    assert run("apply", "--yes").code == 0
+    assert run("logs", "idle").out == "tab\t\\x1b]0;title\\x07\ufffd\n"
+
+
+def test_a_saved_plan_is_applied_once(run: Run, small: Path) -> None:
+    run("plan", "--out", "next.plan")
+    assert run("apply", "next.plan", "--target", "idle").code == 64
+    assert run("apply", "next.plan").code == 0
+    said = run("apply", "next.plan")
+    assert said.code == 75
+    assert (
+        said.err
+        == "error: saved plan is stale; since it was made:\n  it was applied before\nhint: make a new plan: edgectl plan --out PLAN\n"
+    )
+
+
+def test_dry_run_prints_what_would_be_sent_and_sends_nothing(run: Run, small: Path) -> None:
+    said = run("apply", "--dry-run")
+    assert said.code == 0
+    assert "# edge1: start idle\n" in said.out
+    assert '"command": "echo started; exec sleep 600"' in said.out
+    requests = json.loads(run("apply", "--dry-run", "-o", "json").out)["requests"]
+    assert [request["phase"] for request in requests] == ["start", "ready"]
+    assert run("status", "-o", "name").out == ""
+
+
+def test_done_reopen_cordon_uncordon(run: Run, small: Path) -> None:
+    assert run("done", "idle").out == "done: idle\n"
+    assert "No changes" in run("plan").out
+    assert run("reopen", "idle").out == "done: none\n"
+    assert run("cordon", "edge1").out == "cordoned: edge1\n"
+    said = run("plan", "--detailed-exitcode")
+    assert (said.code, "0/1 hosts fit: 1 cordoned" in said.out) == (3, True)
+    assert run("uncordon", "edge1").out == "cordoned: none\n"
+    assert run("cordon", "edge9").code == 64
+    assert run("done", "idel").code == 64
+
+
+def test_a_second_edgectl_waits_or_ends_with_75(run: Run, small: Path) -> None:
+    (small / "tasks" / "lab.yaml").write_text(TASKS.replace("stop:", "ready: {command: sleep 4}, stop:"))
+    with started("apply", "--yes") as first:
+        appears(small, "state/hosts/edge1/tasks/idle/log*", first)
+        said = run("apply", "--yes")
+        assert said.code == 75
+        assert f"pid {first.pid}" in said.err
+        assert run("apply", "--yes", "--lock-timeout", "30s").code == 0
+        first.communicate(timeout=30)
+    assert first.returncode == 0
+
+
+@contextlib.contextmanager
+def started(*words: str) -> Iterator["subprocess.Popen[str]"]:
+    """One edgectl in the background; never left behind."""
+    with subprocess.Popen(
+        [*EDGECTL, *words], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+def appears(root: Path, pattern: str, process: "subprocess.Popen[str]") -> None:
+    """Wait for a file that ``process`` makes."""
+    end = time.monotonic() + 30
+    while not any(root.glob(pattern)):
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < end, f"no {pattern}"
+        time.sleep(0.1)
+
+
+def test_bad_times_are_usage_errors(run: Run, small: Path) -> None:
+    for words in (("apply", "--yes", "--lock-timeout", "soon"), ("probe", "--window", "-1")):
+        said = run(*words)
+        assert (said.code, "hint: write durations as 20s" in said.err) == (64, True)
+
+
+def test_only_yes_is_a_yes(small: Path) -> None:
+    for answer in ("no", "y", "YES", ""):
+        with Terminal([*EDGECTL, "apply"], small) as terminal:
+            terminal.until('Only "yes" is accepted: ')
+            terminal.type(answer + "\n")
+            assert terminal.wait() == 1
+            assert "nothing was done" in terminal.seen
+    with Terminal([*EDGECTL, "apply"], small) as terminal:
+        terminal.until('Only "yes" is accepted: ')
+        terminal.type("yes\n")
+        assert terminal.wait() == 0
+        assert "Applied 1 of 1" in terminal.seen
+
+
+def test_ctrl_c_finishes_what_is_under_way(small: Path) -> None:
+    (small / "tasks" / "lab.yaml").write_text(
+        TASKS.replace("stop:", "ready: {command: sleep 2}, stop:") + "  next: {needs: [idle], command: sleep 600}\n"
+    )
+    with started("apply", "--yes") as process:
+        appears(small, "state/hosts/edge1/tasks/idle/log*", process)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "finishing what is under way" in err
+    assert "Interrupted." in out
+    assert "Traceback" not in err

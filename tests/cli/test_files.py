@@ -1,0 +1,117 @@
+"""init, validate, completion: files only."""
+
+import json
+import os
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from edgectl.config.load import load
+from tests.cli.conftest import Run
+from tests.views.fixtures import ROOT
+
+
+def test_init_writes_a_fleet_that_validates(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    target = tmp_path / "a b' $c: #d"
+    said = run("init", str(target))
+    assert said.code == 0
+    assert len(said.out.splitlines()) == 4
+    inventory, tasks, warnings = load(target / "inventories" / "local.yaml", [target / "tasks" / "demo.yaml"])
+    assert (len(inventory.edges), len(inventory.robots), len(tasks.tasks), warnings) == (3, 3, 10, ())
+    prelude = next(iter(inventory.hosts.values())).prelude
+    assert subprocess.run(["sh", "-c", prelude + "\npwd -P"], capture_output=True, text=True, check=True).stdout.strip() == str(
+        target.resolve()
+    )
+    monkeypatch.chdir(target)
+    assert run("validate").out == "ok: 3 edges, 3 robots, 10 tasks\n"
+
+
+def test_init_never_overwrites(run: Run, tmp_path: Path) -> None:
+    (tmp_path / "tasks").mkdir()
+    (tmp_path / "tasks" / "demo.yaml").write_text("mine")
+    said = run("init", str(tmp_path))
+    assert f"kept  {tmp_path / 'tasks' / 'demo.yaml'}\n" in said.out
+    assert (tmp_path / "tasks" / "demo.yaml").read_text() == "mine"
+
+
+def test_init_where_nothing_can_be_written(run: Run, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    said = run("init", str(tmp_path / "file" / "below"))
+    assert said.code == 1
+    assert said.err.startswith("error: cannot write ")
+
+
+def test_a_wheel_holds_the_files_themselves(tmp_path: Path) -> None:
+    """The scaffold stands in the repository as links; an installed edgectl must not need the repository."""
+    command = [
+        sys.executable,
+        "-m",
+        "pip",
+        "wheel",
+        "--quiet",
+        "--no-deps",
+        "--disable-pip-version-check",
+        "--wheel-dir",
+        str(tmp_path),
+        str(ROOT),
+    ]
+    subprocess.run(command, check=True, capture_output=True, timeout=110)
+    with zipfile.ZipFile(next(tmp_path.glob("*.whl"))) as wheel:
+        for name in ("inventories/local.yaml", "tasks/demo.yaml", "tasks/workload.py"):
+            assert wheel.read(f"edgectl/scaffold/{name}") == (ROOT / name).read_bytes()
+        assert any(name.startswith("edgectl/agent/") for name in wheel.namelist())
+
+
+def test_validate_shows_every_mistake_in_each_form(run: Run, site: Path) -> None:
+    inventory = site / "inventories" / "local.yaml"
+    inventory.write_text(inventory.read_text().replace("capacity", "capasity"))
+    said = run("validate")
+    assert (said.code, said.out) == (64, "")
+    assert said.err.count("did you mean capacity?") == 6
+    assert said.err.count("^^^^^^^^") == 6
+    problems = json.loads(run("validate", "-o", "json").out)["problems"]
+    assert [(problem["line"], problem["hint"]) for problem in problems][:1] == [(8, "did you mean capacity?")]
+    github = run("validate", "-o", "github")
+    assert github.code == 64
+    assert github.out.splitlines()[0].startswith("::error file=inventories/local.yaml,line=8,col=")
+
+
+def test_validate_of_good_files(run: Run, site: Path) -> None:
+    assert run("validate", "-o", "github") == (0, "", "")
+    assert json.loads(run("validate", "-o", "json").out)["edges"] == ["edge1", "edge2", "edge3"]
+
+
+COMPLETIONS = {
+    "edgectl pl": ["plan"],
+    "edgectl cordon edge": ["edge1", "edge2", "edge3"],
+    "edgectl plan --target nav": ["navigation-robot1", "navigation-robot2", "navigation-robot3"],
+    "edgectl logs map": ["map-merge"],
+    "edgectl plan --without robot": ["robot1", "robot2", "robot3"],
+    "edgectl apply --dry": ["--dry-run"],
+}
+
+
+@pytest.mark.parametrize("line", COMPLETIONS)
+def test_tab_offers_names_from_the_files(site: Path, line: str) -> None:
+    words = line.split(" ")
+    env = {**os.environ, "_EDGECTL_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": str(len(words) - 1)}
+    done = subprocess.run([sys.executable, "-c", "import sys; sys.argv=['edgectl']; from edgectl.cli.main import main; sys.exit(main([]))"],
+                          env=env, capture_output=True, text=True, check=False)  # fmt: skip
+    assert sorted(done.stdout.split()) == COMPLETIONS[line], done.stderr
+
+
+def test_tab_is_quiet_where_there_are_no_files(tmp_path: Path) -> None:
+    env = {**os.environ, "_EDGECTL_COMPLETE": "complete_bash", "COMP_WORDS": "edgectl cordon e", "COMP_CWORD": "2"}
+    code = "import sys; sys.argv=['edgectl']; from edgectl.cli.main import main; sys.exit(main([]))"
+    done = subprocess.run([sys.executable, "-c", code], env=env, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (done.stdout.strip(), done.stderr) == ("", "")
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_completion_scripts(run: Run, shell: str) -> None:
+    said = run("completion", shell)
+    assert said.code == 0
+    assert "_EDGECTL_COMPLETE" in said.out

@@ -1,0 +1,38 @@
+"""Help that fits a screen, one line per flag, and a reference page that is current."""
+
+import os
+import re
+import subprocess
+import sys
+
+import pytest
+
+from edgectl.cli.app import COMMANDS
+from tests.docs.reference import PAGE, page
+
+
+def shown(command: str) -> str:
+    env = {**os.environ, "COLUMNS": "80"}
+    return subprocess.run([sys.executable, "-m", "edgectl", command, "--help"], env=env, capture_output=True, text=True, check=True).stdout
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_of_each_command(command: str) -> None:
+    lines = shown(command).splitlines()
+    assert len(lines) <= 40
+    assert max(map(len, lines)) <= 80
+    options = lines[lines.index("Options:") + 1 :]
+    options = options[: options.index("")]
+    assert all(re.match(r"  -[-\w]", line) for line in options), "one line per flag"
+    examples = lines[lines.index("  Examples:") + 1 :]
+    assert 1 <= len(examples) <= 4
+    assert all(line.startswith(f"    edgectl {command}") for line in examples)
+
+
+def test_every_function_of_a_command_is_listed_once() -> None:
+    assert list(COMMANDS) == list(dict.fromkeys(COMMANDS))
+    assert all(entry.help.endswith(".") and len(entry.help) <= 70 for entry in COMMANDS.values())
+
+
+def test_the_reference_page_is_current() -> None:
+    assert PAGE.read_text() == page(), "run: python -m tests.docs.reference"

@@ -1,0 +1,110 @@
+"""history, show REV, rollback, drain, fence: the commands, on two pretend edges with one small real process."""
+
+import json
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.cli.conftest import Run
+from tests.cli.terminal import Terminal
+from tests.docs.blocks import stopped
+
+INVENTORY = """version: 1
+edges:
+  edge1: {host: 127.0.0.1, connection: local, capacity: {cpu: 1, memory: 1Gi}}
+  edge2: {host: 127.0.0.2, connection: local, capacity: {cpu: 1, memory: 1Gi}}
+"""
+SMALL = "127.0.0.2, connection: local, capacity: {cpu: 0.05,"
+EDGECTL = [sys.executable, "-m", "edgectl"]
+TASKS = """version: 1
+tasks:
+  idle: {command: "exec sleep 600", demand: {cpu: 0.1, memory: 10Mi}, stop: {grace: 2s}}
+"""
+
+
+@pytest.fixture
+def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """Two edges, one task; whatever was started is stopped."""
+    for name, text in (("inventories/lab.yaml", INVENTORY), ("tasks/lab.yaml", TASKS)):
+        (tmp_path / name).parent.mkdir()
+        (tmp_path / name).write_text(text)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("EDGECTL_STATE_DIR", str(tmp_path / "state"))
+    monkeypatch.setattr("sys.stdin", open(os.devnull))  # noqa: SIM115, PTH123 - closed below
+    with sys.stdin, stopped(tmp_path, dict(os.environ)):
+        yield tmp_path
+
+
+def where(run: Run) -> list[str]:
+    hosts = json.loads(run("status", "-o", "json").out)["hosts"]
+    return [name for name, host in hosts.items() for task in host["tasks"].values() if task["state"] == "running"]
+
+
+def test_history_show_drain_rollback(run: Run, small: Path) -> None:
+    assert run("history").out == "Nothing was applied yet.\n"
+    assert run("rollback", "--yes").code == 64
+    assert run("apply", "--yes").code == 0
+    assert where(run) == ["edge1"]
+    said = run("drain", "edge1", "--yes")
+    assert said.code == 0
+    assert "edge1 is drained" in said.out
+    assert where(run) == ["edge2"]
+    probed = run("probe").out
+    assert "ok, draining" in probed
+    assert "note: drained, its tasks leave: edge1 (edgectl uncordon)" in run("plan").out
+    assert json.loads(run("plan", "-o", "json").out)["snapshot"]["memory"]["draining"] == ["edge1"]
+    assert run("uncordon", "edge1").out == "cordoned: none\n"
+
+    rows = run("history").out.splitlines()
+    assert rows[0].split() == ["REV", "WHEN", "WHO", "VERB", "TOOK", "OUTCOME", "ACTIONS"]
+    assert [row.split()[0] for row in rows[1:]] == ["1", "2"]
+    assert rows[2].split()[-2:] == ["1", "move"]
+    assert run("history", "-o", "name").out == "revision/1\nrevision/2\n"
+    document = json.loads(run("history", "-o", "json").out)["revisions"][1]
+    assert (document["verb"], document["outcome"], document["counts"]) == ("drain", "done", {"move": 1})
+    shown = json.loads(run("show", "2", "-o", "json").out)
+    assert [phase["phase"] for phase in shown["actions"][0]["phases"]] == ["stop", "start", "ready"]
+    assert shown["placements"] == {"idle": "edge2"}
+    assert "gap " in run("show", "2").out
+    assert "outcome: done" in run("show", "2", "-o", "yaml").out
+    assert run("show", "2", "-o", "name").out == "task/idle\n"
+    assert run("show", "9").code == 64
+    assert run("show", "2", "-o", "markdown").code == 64
+
+    assert run("rollback").code == 64
+    assert "# edge1: start idle" in run("rollback", "--dry-run").out
+    assert where(run) == ["edge2"]
+    said = run("rollback", "1", "--yes")
+    assert (said.code, where(run)) == (0, ["edge1"])
+    assert "as after revision 1" in said.out
+    assert run("rollback", "3", "--yes", "--quiet") == (0, "", "")
+
+
+def test_a_drain_that_leaves_something_behind_exits_4(run: Run, small: Path) -> None:
+    run("apply", "--yes")
+    (small / "inventories" / "lab.yaml").write_text(INVENTORY.replace("127.0.0.2, connection: local, capacity: {cpu: 1,", SMALL))
+    said = run("drain", "edge1", "--yes", "--timeout", "1s")
+    assert (said.code, said.err) == (4, "still on edge1: idle\n")
+    assert where(run) == ["edge1"]
+    assert run("drain", "edge9", "--yes").code == 64
+
+
+def test_fence_takes_the_name_of_the_host_for_a_yes(run: Run, small: Path) -> None:
+    assert run("fence", "edge1").code == 64
+    assert run("fence", "edge9", "--yes").code == 64
+    with Terminal([*EDGECTL, "fence", "edge1"], small) as terminal:
+        terminal.until("Type its name if it is switched off: ")
+        terminal.type("yes\n")
+        assert terminal.wait() == 1
+    with Terminal([*EDGECTL, "fence", "edge1"], small) as terminal:
+        terminal.until("Type its name if it is switched off: ")
+        terminal.type("edge1\n")
+        assert terminal.wait() == 0
+    assert run("fence", "edge2", "--yes").out == "fenced: edge1, edge2\n"
+    assert run("unfence", "edge2").out == "fenced: edge1\n"
+    said = run("probe")
+    assert "warning: edge1 answers, so it is not switched off: its fence is lifted\n" in said.err
+    assert run("unfence", "edge1").out == "fenced: none\n"

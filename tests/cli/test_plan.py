@@ -1,0 +1,166 @@
+"""plan from a snapshot, show, and their options: no host is contacted."""
+
+import json
+import os
+from pathlib import Path
+
+import pytest
+
+from tests.cli.conftest import Run
+
+PLAN = ("plan", "--snapshot", "snap.json")
+
+
+def unreachable(site: Path, host: str) -> None:
+    document = json.loads((site / "snap.json").read_text())
+    document["hosts"][host] = {"role": "edge", "status": "unreachable", "error": "no route"}
+    (site / "snap.json").write_text(json.dumps(document))
+
+
+def test_the_same_files_give_the_same_bytes(run: Run, site: Path) -> None:
+    first = run(*PLAN, "-o", "json")
+    assert first.code == 0
+    assert first.err == ""
+    assert run(*PLAN, "-o", "json") == first
+
+
+def test_nothing_is_written_and_no_state_is_made(run: Run, site: Path, isolated: Path) -> None:
+    before = sorted(site.rglob("*"))
+    run(*PLAN)
+    assert sorted(site.rglob("*")) == before
+    assert not (isolated / "state").exists()
+
+
+def test_detailed_exit_codes(run: Run, site: Path) -> None:
+    assert run(*PLAN).code == 0
+    assert run(*PLAN, "--detailed-exitcode").code == 2
+    assert run(*PLAN, "--target", "slam-robot1", "--detailed-exitcode").code == 0
+
+
+def test_an_unplaced_task_beats_pending_changes(run: Run, site: Path) -> None:
+    tasks = site / "tasks" / "demo.yaml"
+    tasks.write_text(tasks.read_text() + "  huge: {command: 'true', demand: {cpu: 64}}\n")
+    said = run(*PLAN, "--detailed-exitcode")
+    assert said.code == 3
+    assert "unplaced: 0/3 hosts fit: 3 short of cpu (need 64.000 cores" in said.out
+
+
+def test_a_silent_host_beats_everything_unless_allowed(run: Run, site: Path) -> None:
+    unreachable(site, "edge3")
+    said = run(*PLAN, "--detailed-exitcode")
+    assert said.code == 4
+    assert run(*PLAN).code == 4
+    assert "note: edge3 does not answer: no route" in said.out
+    assert run(*PLAN, "--allow-unreachable").code == 0
+    assert run(*PLAN, "--allow-unreachable", "--detailed-exitcode").code == 2
+
+
+def test_a_saved_plan_is_shown_as_it_was_printed(run: Run, site: Path) -> None:
+    printed = run(*PLAN, "--out", "next.plan", "-o", "wide")
+    assert printed.err == "saved next.plan; carry it out with: edgectl apply next.plan\n"
+    assert run("show", "next.plan", "-o", "wide").out == printed.out
+    assert run("show", "next.plan", "--detailed-exitcode").code == 2
+    assert (site / "next.plan").read_text() == run(*PLAN, "-o", "json").out
+
+
+def test_a_plan_that_cannot_be_saved_is_an_error(run: Run, site: Path) -> None:
+    said = run(*PLAN, "--out", "no/such/dir/next.plan")
+    assert (said.code, said.out) == (1, "")
+    assert said.err == "error: cannot write no/such/dir/next.plan: No such file or directory\n"
+
+
+def test_target_and_selector_choose_what_is_done(run: Run, site: Path) -> None:
+    said = run(*PLAN, "--target", "detection-robot2")
+    assert "none: left out by --target or -l" in said.out
+    assert said.out.endswith("Plan: 0 to start, 0 to move, 0 to stop, 9 kept, 0 unplaced, 1 left out.\n")
+    assert said.err == "warning: 1 other changes are left out, although this plan counts on them\n"
+    assert "1 to move" in run(*PLAN, "-l", "task=detection").out
+    assert "1 left out" in run(*PLAN, "-l", "task!=detection").out
+
+
+def test_without_asks_what_if(run: Run, site: Path) -> None:
+    document = json.loads(run(*PLAN, "--without", "edge1", "-o", "json").out)
+    moved = {step["task"] for step in document["decisions"] if step["action"] == "move"}
+    assert moved == {"detection-robot1", "navigation-robot1"}
+
+
+def test_policy_and_weights_stand_in_the_plan(run: Run, site: Path) -> None:
+    document = json.loads(run(*PLAN, "--policy", "paper", "--weights", "cpu=1,network=3", "--best-effort", "--full", "-o", "json").out)
+    assert document["policy"] == "paper"
+    assert document["weights"] == {"cpu": 0.25, "memory": 0, "network": 0.75, "task": 0}
+    assert document["options"]["best_effort"] is True
+
+
+@pytest.mark.parametrize(
+    ("words", "error", "hint"),
+    [
+        (("--weights", "cpu=-1"), "--weights: weight cpu must be a finite number", "write one of cpu"),
+        (("--weights", "sun"), "--weights: unknown weights 'sun'", "write one of cpu"),
+        (("--without", "edgy1"), "unknown host 'edgy1'", "did you mean edge1?"),
+        (("--target", "slam"), "unknown task 'slam'", "did you mean slam-robot"),
+        (("-l", "a b"), "cannot read the selector 'a b'", "write a=b"),
+        (("--snapshot", "inventories/local.yaml"), "error[EC", "hint: "),
+    ],
+)
+def test_bad_options_say_what_to_write(run: Run, site: Path, words: tuple[str, ...], error: str, hint: str) -> None:
+    said = run(*PLAN, *words)
+    assert (said.code, said.out) == (64, "")
+    assert error in said.err
+    assert hint in said.err
+
+
+def test_files_come_from_options_environment_or_the_only_file(run: Run, site: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    plain = run(*PLAN).out
+    (site / "inventories" / "local.yaml").rename(site / "lab.yaml")
+    said = run(*PLAN)
+    assert (said.code, said.err.splitlines()[0]) == (64, "error: no inventory given, and there is none in inventories/")
+    assert run(*PLAN, "-i", "lab.yaml").out == plain
+    monkeypatch.setenv("EDGECTL_INVENTORY", "lab.yaml")
+    assert run(*PLAN, "-t", "tasks").out == plain
+    (site / "tasks" / "more.yaml").write_text("version: 1\ntasks: {extra: {command: 'true', demand: {cpu: 0.01}}}\n")
+    said = run(*PLAN)
+    assert said.err.splitlines()[0] == "error: no task file given, and tasks/ holds 2: demo.yaml, more.yaml"
+    assert "11 to start" not in run(*PLAN, "-t", "tasks").out
+    assert "extra" in run(*PLAN, "-t", "tasks/demo.yaml", "-t", "tasks/more.yaml").out
+    monkeypatch.setenv("EDGECTL_TASKS", "tasks/demo.yaml")
+    assert run(*PLAN).out == plain
+
+
+def test_the_form_comes_from_the_environment(run: Run, site: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("EDGECTL_OUTPUT", "name")
+    assert run(*PLAN).out.splitlines()[0] == "task/detection-robot1"
+    assert run(*PLAN, "-o", "markdown").out.startswith("<!-- edgectl-plan -->")
+
+
+def test_warnings_go_to_standard_error(run: Run, site: Path) -> None:
+    tasks = site / "tasks" / "demo.yaml"
+    tasks.write_text(tasks.read_text() + "  idle: {command: 'true'}\n")
+    said = run(*PLAN, "-o", "json")
+    json.loads(said.out)
+    assert said.err.startswith("warning[EC")
+
+
+def test_a_plan_is_saved_through_a_link_and_into_a_pipe(run: Run, site: Path) -> None:
+    (site / "kept").mkdir()
+    (site / "latest.plan").symlink_to("kept/1.plan")
+    assert run("plan", "--snapshot", "snap.json", "--out", "latest.plan").code == 0
+    assert (site / "latest.plan").is_symlink()
+    assert run("show", "kept/1.plan").code == 0
+    assert not list(site.rglob("*.partial"))
+    os.mkfifo(site / "pipe")
+    reader = os.open(site / "pipe", os.O_RDONLY | os.O_NONBLOCK)
+    try:
+        assert run("plan", "--snapshot", "snap.json", "--out", "pipe").code == 0
+        assert json.loads(os.read(reader, 2**20))["format_version"] == 1
+        assert (site / "pipe").is_fifo()
+    finally:
+        os.close(reader)
+
+
+def test_an_unmanaged_task_that_runs_nowhere_is_not_called_left_out_or_completed(run: Run, site: Path) -> None:
+    with (site / "tasks" / "demo.yaml").open("a") as tasks:
+        tasks.write("  pose: {managed: false, detect: {cmdline: pose_node}, demand: {cpu: 0, memory: 0}}\n")
+    said = run(*PLAN).out.splitlines()
+    assert [line[line.index("none:") :] for line in said if " pose " in line] == ["none: not managed by edgectl, and found nowhere"]
+    assert said[-1].endswith("1 not managed and found nowhere.")
+    assert "completed before" not in said[-1]

@@ -1,0 +1,32 @@
+"""A command pays for what it uses: heavy packages are imported only where they are needed."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+HEAVY = {"fabric", "paramiko", "invoke", "rich", "pydantic", "yaml", "psutil", "cryptography", "asyncio"}
+
+
+def imported(site: Path, *words: str) -> set[str]:
+    """Top-level packages that a command imports."""
+    done = subprocess.run(
+        [sys.executable, "-X", "importtime", "-m", "edgectl", *words], cwd=site, capture_output=True, text=True, check=True
+    )
+    return {line.rpartition("|")[2].strip().partition(".")[0] for line in done.stderr.splitlines() if line.startswith("import time:")}
+
+
+@pytest.mark.parametrize("words", [("--help",), ("plan", "--help"), ("apply", "--help"), ("version",), ("completion", "bash")])
+def test_help_needs_nothing_heavy(site: Path, words: tuple[str, ...]) -> None:
+    assert not imported(site, *words) & HEAVY
+
+
+def test_a_plan_from_a_snapshot_needs_no_ssh_and_no_colours(site: Path) -> None:
+    found = imported(site, "plan", "--snapshot", "snap.json")
+    assert "yaml" in found
+    assert not found & {"fabric", "paramiko", "invoke", "rich", "psutil", "cryptography"}
+
+
+def test_a_local_fleet_needs_no_ssh(site: Path) -> None:
+    assert not imported(site, "probe", "-o", "name") & {"fabric", "paramiko", "invoke", "cryptography"}

@@ -1,0 +1,96 @@
+"""The direction of imports (DESIGN section 3), asserted so that it cannot rot."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+import edgectl
+
+ROOT = Path(edgectl.__file__).parent
+PURE = {"model", "units", "errors"}
+# room -> edgectl rooms it may import besides itself
+ALLOWED = {
+    "errors": set(),
+    "units": set(),
+    "model": PURE,
+    "formats": PURE,
+    "scheduler": PURE,
+    "config": PURE | {"formats"},
+    "transport": PURE,
+    "gateway": PURE | {"transport"},
+    "state": PURE | {"formats"},
+    "executor": PURE | {"transport", "state"},
+    "usecases": PURE | {"config", "formats", "scheduler", "executor", "transport", "gateway", "state"},
+    "views": PURE | {"formats"},
+    "cli": PURE | {"usecases", "views", "config", "transport", "gateway", "state", "formats", "scaffold"},
+    "agent": set(),
+    "scaffold": set(),
+}
+# third-party package -> the only modules that may import it
+OWNERS = {
+    "typer": "cli",
+    "rich": "views",
+    "yaml": ("config", "views/yaml"),
+    "fabric": "transport/ssh",
+    "paramiko": "transport/ssh",
+    "psutil": "agent",
+    "platformdirs": "state",
+}
+PURE_ROOMS = ("model/", "scheduler/", "formats/", "executor/diff.py", "units.py", "errors.py")
+IMPURE = {"os", "time", "random", "logging", "subprocess", "pathlib", "socket", "threading", "secrets", "uuid"}
+
+
+def imports(path: Path) -> list[str]:
+    names = []
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            names += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+            names.append(node.module)
+            if node.module == "edgectl":
+                names += [f"edgectl.{alias.name}" for alias in node.names]
+    return names
+
+
+MODULES = sorted(path.relative_to(ROOT).as_posix() for path in ROOT.rglob("*.py"))
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_room_imports_only_its_neighbours(module: str) -> None:
+    room = module.split("/")[0].removesuffix(".py")
+    if room in ("__init__", "__main__"):
+        return
+    for name in imports(ROOT / module):
+        if name.startswith("edgectl."):
+            target = name.split(".")[1]
+            assert target == room or target in ALLOWED[room] or target == "__version__", f"{module} imports {name}"
+    if room == "executor" and module.endswith("diff.py"):
+        assert all(n.split(".")[1] in PURE for n in imports(ROOT / module) if n.startswith("edgectl."))
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_third_party_packages_have_one_owner(module: str) -> None:
+    for name in imports(ROOT / module):
+        owner = OWNERS.get(name.split(".")[0])
+        assert owner is None or module.startswith(owner), f"{module} imports {name}, which belongs to {owner}"
+
+
+@pytest.mark.parametrize("module", [m for m in MODULES if m.startswith(PURE_ROOMS)])
+def test_pure_rooms_do_no_io(module: str) -> None:
+    assert not {name.split(".")[0] for name in imports(ROOT / module)} & IMPURE
+
+
+def test_no_dangerous_calls() -> None:
+    """S8: no eval, exec, pickle, yaml.load, shell=True, os.system; S1: no way to switch host keys off."""
+    for path in ROOT.rglob("*.py"):
+        text = path.read_text()
+        assert "AutoAddPolicy" not in text, path
+        assert "StrictHostKeyChecking=no" not in text, path
+        tree = ast.parse(text)
+        assert not {n.split(".")[0] for n in imports(path)} & {"pickle", "shelve", "marshal"}, path
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Call):
+                called = ast.unparse(node.func)
+                assert called not in {"eval", "exec", "yaml.load", "os.system", "os.popen", "tempfile.mktemp"}, f"{path}: {called}"
+                assert not any(k.arg == "shell" and ast.unparse(k.value) == "True" for k in node.keywords), f"{path}: shell=True"

@@ -1,0 +1,177 @@
+"""Hosts that fall silent: what is remembered of them, what their tasks count as, and what the operator may say."""
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+
+from edgectl.errors import UsageError
+from edgectl.model.plan import Action
+from edgectl.model.policy import Policy
+from edgectl.model.task import OnUnreachable, Stop
+from edgectl.state.contacts import load_contacts
+from edgectl.state.uptime import Uptime
+from edgectl.usecases import marks
+from edgectl.usecases.apply import apply
+from edgectl.usecases.fleet import Fleet
+from edgectl.usecases.logs import logs
+from edgectl.usecases.plan import plan
+from edgectl.usecases.probe import probe
+from edgectl.views.absent import absent
+from tests.builders import NOW, a_robot, a_task, an_edge, an_inventory, some_tasks
+from tests.executor.fake_fleet import FakeFleet
+
+POLICY = Policy(min_dwell=0.0)
+REPLACED = a_task(
+    "slam", on_unreachable=OnUnreachable.REPLACE, replace_after=30.0, self_fence=60.0, stop=Stop(grace=20.0), restart=a_task("x").restart
+)
+HELD = a_task("camera", pin="edge1")
+
+
+class Bench:
+    """Three edges and a robot; ``wait`` lets time pass on every clock."""
+
+    def __init__(self, state: Path) -> None:
+        self.hosts = FakeFleet.of(["edge1", "edge2", "edge3", "robot1"])
+        self.now = NOW
+        self.said: list[str] = []
+        inventory = an_inventory(an_edge("edge1"), an_edge("edge2"), an_edge("edge3"), a_robot("robot1"))
+        self.fleet = Fleet(
+            inventory=inventory, tasks=some_tasks(REPLACED, HELD), transport=self.hosts.transport, state=state, clock=lambda: self.now,
+            uptime=lambda: Uptime(boot="b", seconds=self.now - NOW + 1000.0), warn=self.said.append,
+        )  # fmt: skip
+
+    def wait(self, seconds: float) -> None:
+        self.now += seconds
+
+    def actions(self) -> dict[str, Action]:
+        return {step.task: step.action for step in plan(self.fleet, POLICY).steps}
+
+    def lose(self, task: str) -> str:
+        """Switch the host of a task off; its name."""
+        host = self.hosts.placed[task]
+        self.hosts.down.add(host)
+        return host
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Bench:
+    made = Bench(tmp_path)
+    apply(made.fleet, POLICY)
+    return made
+
+
+def test_every_command_that_asks_a_host_notes_the_contact(bench: Bench) -> None:
+    bench.wait(50.0)
+    silent = bench.lose("slam")
+    snapshot = probe(bench.fleet)
+    assert snapshot.memory is not None
+    assert snapshot.memory.contact == {name: bench.now - 50.0 * (name == silent) for name in bench.hosts.hosts}
+    bench.hosts.down.clear()
+    bench.wait(10.0)
+    logs(bench.fleet, "slam")
+    assert load_contacts(bench.fleet.state).last[silent].seconds == 1060.0
+
+
+def test_a_request_whose_answer_is_lost_counts_as_contact(bench: Bench) -> None:
+    """It may have reached the host, and there it put off the task's own end."""
+    bench.wait(50.0)
+    silent = bench.hosts.placed["slam"]
+
+    def lost(_request: dict[str, object]) -> dict[str, object]:
+        raise TimeoutError
+
+    bench.hosts[silent].faults["probe"] = lost
+    with pytest.raises(TimeoutError):
+        probe(bench.fleet)
+    assert load_contacts(bench.fleet.state).last[silent].seconds == 1050.0
+
+
+def test_a_contact_is_on_disk_before_its_request_leaves(bench: Bench) -> None:
+    bench.wait(50.0)
+    seen = []
+
+    def look(_request: dict[str, object]) -> dict[str, object]:
+        seen.append(load_contacts(bench.fleet.state).last["edge1"].seconds)
+        return {}
+
+    bench.hosts["edge1"].faults["probe"] = look
+    probe(bench.fleet)
+    assert seen[0] == 1050.0
+
+
+def test_a_task_of_a_silent_host_is_unknown_since_the_last_contact(bench: Bench) -> None:
+    silent = bench.lose("slam")
+    bench.wait(20.0)
+    snapshot = probe(bench.fleet)
+    known = absent(REPLACED, snapshot)
+    assert (known.state, known.host, known.contact) == ("unknown", silent, bench.now - 20.0)
+
+
+def test_replaced_only_after_its_own_end_is_certain(bench: Bench) -> None:
+    silent = bench.lose("slam")
+    bench.wait(89.0)
+    assert bench.actions()["slam"] is Action.HOLD
+    bench.wait(1.5)
+    applied = apply(bench.fleet, POLICY)
+    assert {step.task: step.action for step in applied.plan.steps}["slam"] is Action.START
+    assert applied.results is not None
+    assert applied.results.done
+    there = [host.name for host in bench.hosts.hosts.values() if "slam" in host.tasks and host.name != silent]
+    assert len(there) == 1
+    assert bench.actions()["slam"] is Action.KEEP
+
+
+def test_the_host_comes_back_with_its_old_copy_and_the_newer_assignment_wins(bench: Bench) -> None:
+    silent = bench.lose("slam")
+    bench.wait(100.0)
+    apply(bench.fleet, POLICY)
+    bench.hosts.down.clear()
+    made = plan(bench.fleet, POLICY)
+    (step,) = (step for step in made.steps if step.task == "slam")
+    assert (step.action, step.stop) == (Action.KEEP, (silent,))
+    assert made.changes
+    applied = apply(bench.fleet, POLICY)
+    assert applied.results is not None
+    assert applied.results.done
+    assert "slam" not in bench.hosts[silent].tasks
+    assert not plan(bench.fleet, POLICY).changes
+
+
+def test_without_self_fence_it_is_held_until_the_operator_says_that_the_host_is_off(bench: Bench) -> None:
+    held = dataclasses.replace(HELD, hosts=a_task("x").hosts)
+    bench.fleet = dataclasses.replace(bench.fleet, tasks=some_tasks(REPLACED, held))
+    silent = bench.lose("camera")
+    bench.wait(100_000.0)
+    assert bench.actions()["camera"] is Action.HOLD
+    assert marks.fence(bench.fleet, [silent]) == {silent}
+    assert bench.actions()["camera"] is Action.START
+    bench.hosts.down.clear()
+    bench.actions()
+    assert bench.said[-1] == f"{silent} answers, so it is not switched off: its fence is lifted"
+    bench.hosts.down.add(silent)
+    assert bench.actions()["camera"] is Action.HOLD
+    marks.fence(bench.fleet, [silent])
+    assert marks.unfence(bench.fleet, [silent]) == frozenset()
+    with pytest.raises(UsageError, match="no host edge9"):
+        marks.fence(bench.fleet, ["edge9"])
+
+
+def test_contacts_that_are_lost_replace_nothing(bench: Bench) -> None:
+    bench.lose("slam")
+    bench.wait(1000.0)
+    (bench.fleet.state / "contacts.json").write_text("{")
+    assert bench.actions()["slam"] is Action.HOLD
+
+
+def test_a_long_apply_keeps_the_hosts_from_taking_the_manager_for_lost(bench: Bench) -> None:
+    """camera takes its time on edge1; the other hosts are asked meanwhile, and only where a task fences itself."""
+    for fence, asked in ((0.4, True), (None, False)):
+        restless = dataclasses.replace(HELD, spec_hash=f"changed {fence}")
+        bench.fleet = dataclasses.replace(
+            bench.fleet, tasks=some_tasks(dataclasses.replace(REPLACED, self_fence=fence), restless), transport=bench.hosts.transport
+        )
+        bench.hosts["edge1"].delay = 0.5
+        apply(bench.fleet, POLICY)
+        sent = {(name, request["op"]) for name, request in bench.fleet.transport.requests}  # type: ignore[attr-defined]
+        assert (("edge2", "status") in sent) is asked

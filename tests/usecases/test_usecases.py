@@ -1,0 +1,371 @@
+"""The verbs over simulated hosts, with the real scheduler, lock, journal and memory."""
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+
+from edgectl.errors import LockBusyError, StalePlanError, UsageError
+from edgectl.formats import plan as plan_form
+from edgectl.model.memory import Memory, Placement
+from edgectl.model.plan import Action, Plan
+from edgectl.model.policy import Policy
+from edgectl.model.result import Outcome
+from edgectl.model.task import Check, Kind, Tasks
+from edgectl.state import points
+from edgectl.state.journal import read as read_journal
+from edgectl.state.lock import FleetLock
+from edgectl.state.memory import kept, load_memory, save_memory
+from edgectl.transport.call import command_line
+from edgectl.usecases import marks
+from edgectl.usecases.apply import ApplyOptions, apply, apply_saved
+from edgectl.usecases.fleet import Fleet
+from edgectl.usecases.logs import follow, logs
+from edgectl.usecases.plan import commands, plan, targeted
+from edgectl.usecases.probe import probe
+from edgectl.usecases.stop import restart, stop
+from tests.builders import NOW, a_robot, a_task, an_edge, an_inventory, some_tasks
+from tests.executor.fake_fleet import FakeFleet
+
+POLICY = Policy()
+
+
+class Bench:
+    """A fleet of two edges and a robot, two tasks, and the files of its manager."""
+
+    def __init__(self, state: Path) -> None:
+        self.hosts = FakeFleet.of(["edge1", "edge2", "robot1"])
+        self.said: list[str] = []
+        self.now = NOW
+        inventory = an_inventory(an_edge("edge1"), an_edge("edge2"), a_robot("robot1"))
+        tasks = some_tasks(a_task("slam", cpu=1.0, robots=["robot1"]), a_task("navigation", cpu=0.5, robots=["robot1"], needs=["slam"]))
+        self.fleet = Fleet(
+            inventory=inventory, tasks=tasks, transport=self.hosts.transport, state=state, clock=self._tick, warn=self.said.append
+        )
+
+    def _tick(self) -> float:
+        self.now += 1.0
+        return self.now
+
+    def with_tasks(self, tasks: Tasks) -> Fleet:
+        return dataclasses.replace(self.fleet, tasks=tasks)
+
+    @property
+    def memory(self) -> Memory:
+        return load_memory(self.fleet.state)
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Bench:
+    return Bench(tmp_path)
+
+
+def actions(made: Plan) -> dict[str, Action]:
+    return {step.task: step.action for step in made.steps}
+
+
+def test_apply_starts_what_is_missing_and_a_second_one_changes_nothing(bench: Bench) -> None:
+    applied = apply(bench.fleet, POLICY)
+    assert applied.results is not None
+    assert applied.results.done
+    assert applied.results.revision == 1
+    assert bench.hosts.placed.keys() == {"slam", "navigation"}
+    assert bench.memory.managed
+    assert bench.memory.placements["slam"].host == bench.hosts.placed["slam"]
+    assert bench.memory.first == bench.hosts.placed
+    again = apply(bench.fleet, POLICY)
+    assert again.results is None
+    assert actions(again.plan) == {"slam": Action.KEEP, "navigation": Action.KEEP}
+    assert read_journal(bench.fleet.state / "journal.jsonl").revision == 1
+
+
+def test_a_declined_plan_touches_nothing(bench: Bench) -> None:
+    shown: list[Plan] = []
+    applied = apply(bench.fleet, POLICY, lambda made: bool(shown.append(made)))
+    assert applied.declined
+    assert shown[0].summary == {Action.START: 2}
+    assert bench.hosts.world.events == []
+    assert not (bench.fleet.state / "journal.jsonl").exists()
+
+
+def test_one_apply_at_a_time(bench: Bench) -> None:
+    with FleetLock(bench.fleet.state), pytest.raises(LockBusyError):
+        apply(bench.fleet, POLICY)
+
+
+def test_load_elsewhere_moves_a_task_after_its_dwell(bench: Bench) -> None:
+    apply(bench.fleet, POLICY)
+    first = bench.hosts.placed["slam"]
+    other = "edge2" if first == "edge1" else "edge1"
+    bench.hosts[first].used = 4.0
+    bench.now += 600.0
+    made = apply(bench.fleet, POLICY)
+    assert made.results is not None
+    assert made.results.done
+    assert bench.hosts.placed["slam"] == other
+    assert not bench.hosts.world.overlap
+    assert bench.memory.placements["slam"].host == other
+    assert len(bench.memory.downtimes["slam", other]) == 1
+    assert bench.memory.first["slam"] == first
+
+
+def test_a_task_that_died_is_started_again(bench: Bench) -> None:
+    apply(bench.fleet, POLICY)
+    bench.hosts[bench.hosts.placed["slam"]].tasks.pop("slam")
+    applied = apply(bench.fleet, POLICY)
+    assert actions(applied.plan)["slam"] is Action.START
+    assert "slam" in bench.hosts.placed
+
+
+def test_tasks_of_a_silent_host_are_held_and_not_doubled(bench: Bench) -> None:
+    apply(bench.fleet, POLICY)
+    silent = bench.hosts.placed["slam"]
+    bench.hosts.down.add(silent)
+    applied = apply(bench.fleet, POLICY)
+    assert actions(applied.plan)["slam"] is Action.HOLD
+    assert applied.results is None
+    assert bench.memory.placements["slam"].host == silent
+    bench.hosts.down.clear()
+    assert not plan(bench.fleet, POLICY).changes
+
+
+def test_generations_grow_even_when_the_manager_forgot(bench: Bench) -> None:
+    apply(bench.fleet, POLICY)
+    before = bench.memory.placements["slam"].generation
+    (bench.fleet.state / "memory.json").unlink()
+    stop(bench.fleet, ["slam"])
+    apply(bench.fleet, POLICY)
+    assert bench.memory.placements["slam"].generation > before >= NOW
+
+
+def test_a_manager_that_was_overtaken_is_refused_and_recovers(bench: Bench, tmp_path: Path) -> None:
+    """Two managers, each with a state of its own: the second restarts slam while the first looks at its plan."""
+    apply(bench.fleet, POLICY)
+    (tmp_path / "other").mkdir(mode=0o700)
+    other = dataclasses.replace(bench.fleet, state=tmp_path / "other")
+    changed = bench.with_tasks(some_tasks(dataclasses.replace(bench.fleet.tasks.tasks["slam"], spec_hash="new")))
+
+    def overtaken(_plan: Plan) -> bool:
+        bench.now += 100.0
+        restart(other, "slam")
+        bench.now -= 50.0
+        return True
+
+    applied = apply(changed, POLICY, overtaken)
+    assert applied.results is not None
+    (result,) = (result for result in applied.results.actions if result.task == "slam")
+    assert result.outcome is Outcome.FAILED
+    assert "is older than" in result.error
+    assert not bench.hosts.world.overlap
+    again = apply(changed, POLICY)
+    assert again.results is not None
+    assert again.results.done
+
+
+def test_a_saved_plan_is_applied_once(bench: Bench) -> None:
+    made = plan_form.decode(plan_form.encode(plan(bench.fleet, POLICY)))
+    applied = apply_saved(bench.fleet, made)
+    assert applied.results is not None
+    assert applied.results.done
+    with pytest.raises(StalePlanError, match="it was applied before"):
+        apply_saved(bench.fleet, made)
+
+
+def test_a_plan_without_changes_applies_as_often_as_one_likes(bench: Bench) -> None:
+    apply(bench.fleet, POLICY)
+    made = plan(bench.fleet, POLICY)
+    assert apply_saved(bench.fleet, made).results is None
+    assert apply_saved(bench.fleet, made).results is None
+
+
+def test_a_stale_plan_is_refused_with_all_that_moved(bench: Bench) -> None:
+    made = plan(bench.fleet, POLICY)
+    bench.hosts["edge1"].used = 0.41  # 10 % of 4 cores is 0.4
+    bench.hosts["edge2"].runs("slam")
+    bench.hosts.down.add("robot1")
+    marks.cordon(bench.fleet, ["edge2"])
+    changed = dataclasses.replace(bench.fleet, tasks=dataclasses.replace(bench.fleet.tasks, digest="other"))
+    with pytest.raises(StalePlanError) as caught:
+        apply_saved(changed, made)
+    assert caught.value.changes == (
+        "the task files changed",
+        "the cordoned hosts changed",
+        "cpu of edge1 went from 0.00 to 0.41 cores",
+        "slam runs on edge2 now",
+        "robot1 does not answer any more",
+    )
+    assert bench.hosts.changes == []
+
+
+def test_a_load_within_the_tolerance_is_no_reason_to_refuse(bench: Bench) -> None:
+    made = plan(bench.fleet, POLICY)
+    bench.hosts["edge1"].used = 0.39
+    assert apply_saved(bench.fleet, made).results is not None
+
+
+def test_a_restarted_task_makes_a_plan_stale(bench: Bench) -> None:
+    apply(bench.fleet, POLICY)
+    made = plan(bench.fleet, POLICY)
+    host = bench.hosts.placed["slam"]
+    bench.hosts[host].tasks["slam"]["instance"] = "another"
+    with pytest.raises(StalePlanError, match=f"slam was started anew on {host}"):
+        apply_saved(bench.fleet, made)
+
+
+def test_targets_act_on_a_part_of_the_plan(bench: Bench) -> None:
+    applied = apply(bench.fleet, POLICY, options=ApplyOptions(choose=lambda made: targeted(made, {"slam"})))
+    assert applied.results is not None
+    assert [result.task for result in applied.results.actions] == ["slam"]
+    assert bench.hosts.placed.keys() == {"slam"}
+
+
+def test_stop_and_apply_again(bench: Bench) -> None:
+    apply(bench.fleet, POLICY)
+    applied = stop(bench.fleet, ["navigation"])
+    assert applied.results is not None
+    assert applied.results.revision == 2
+    assert bench.hosts.placed.keys() == {"slam"}
+    assert "navigation" not in bench.memory.placements
+    apply(bench.fleet, POLICY)
+    assert bench.hosts.placed.keys() == {"slam", "navigation"}
+
+
+def test_stop_all_takes_tasks_of_other_files_too(bench: Bench) -> None:
+    apply(bench.fleet, POLICY)
+    bench.hosts["edge2"].runs("stranger")
+    applied = stop(bench.fleet, None)
+    assert applied.results is not None
+    assert applied.results.done
+    assert bench.hosts.placed == {}
+    assert stop(bench.fleet, None).results is None
+
+
+def test_stop_of_an_unknown_task_is_a_usage_error(bench: Bench) -> None:
+    with pytest.raises(UsageError, match="no task slamm"):
+        stop(bench.fleet, ["slamm"])
+    assert stop(bench.fleet, ["slam"]).results is None
+
+
+def test_restart_keeps_the_place(bench: Bench) -> None:
+    apply(bench.fleet, POLICY)
+    host = bench.hosts.placed["slam"]
+    since = bench.memory.placements["slam"].since
+    old = bench.hosts[host].tasks["slam"]["instance"]
+    applied = restart(bench.fleet, "slam")
+    assert applied.results is not None
+    assert applied.results.actions[0].outcome is Outcome.DONE
+    assert bench.hosts[host].tasks["slam"]["instance"] != old
+    assert bench.memory.placements["slam"].since == since
+    with pytest.raises(UsageError, match="camera"):
+        restart(bench.fleet, "camera")
+
+
+def test_done_stops_a_task_until_it_is_reopened(bench: Bench) -> None:
+    apply(bench.fleet, POLICY)
+    marks.done(bench.fleet, ["navigation"])
+    assert actions(apply(bench.fleet, POLICY).plan)["navigation"] is Action.COMPLETE
+    assert bench.hosts.placed.keys() == {"slam"}
+    assert not plan(bench.fleet, POLICY).changes
+    marks.reopen(bench.fleet, ["navigation"])
+    assert actions(plan(bench.fleet, POLICY))["navigation"] is Action.START
+    with pytest.raises(UsageError, match="no task nav"):
+        marks.done(bench.fleet, ["nav"])
+
+
+def test_a_job_that_ended_is_remembered(bench: Bench) -> None:
+    job = bench.with_tasks(some_tasks(a_task("job", kind=Kind.JOB)))
+    apply(job, POLICY)
+    host = bench.hosts[bench.hosts.placed["job"]]
+    host.tasks["job"] |= {"state": "completed", "pid": 0, "exit_code": 0}
+    assert not apply(job, POLICY).plan.changes
+    host.tasks.clear()
+    assert not apply(job, POLICY).plan.changes
+    assert bench.memory.done == {"job": "hash-job"}
+
+
+def test_a_reopened_job_runs_again(bench: Bench) -> None:
+    job = bench.with_tasks(some_tasks(a_task("job", kind=Kind.JOB)))
+    apply(job, POLICY)
+    host = bench.hosts[bench.hosts.placed["job"]]
+    host.tasks["job"] |= {"state": "completed", "pid": 0, "exit_code": 0}
+    apply(job, POLICY)
+    marks.reopen(job, ["job"])
+    assert actions(plan(job, POLICY))["job"] is Action.START
+
+
+def test_drained_hosts_are_left(bench: Bench) -> None:
+    apply(bench.fleet, POLICY)
+    host = bench.hosts.placed["slam"]
+    marks.cordon(bench.fleet, [host], drain=True)
+    apply(bench.fleet, POLICY)
+    assert host not in bench.hosts.placed.values()
+    marks.uncordon(bench.fleet, [host])
+    assert bench.memory.cordons == bench.memory.draining == frozenset()
+
+
+def test_logs_come_from_where_the_task_is(bench: Bench) -> None:
+    apply(bench.fleet, POLICY)
+    assert logs(bench.fleet, "slam", tail=7) == "7 lines of slam\n"
+    assert b"".join(follow(bench.fleet, "slam", tail=3)) == b"3 lines of slam\n"
+    with pytest.raises(UsageError, match="camera has not run on any host"):
+        logs(bench.fleet, "camera")
+    bench.hosts.down.update({"edge1", "edge2"})
+    with pytest.raises(UsageError, match="no answer from edge1, edge2"):
+        logs(bench.fleet, "slam")
+
+
+def test_a_probe_carries_the_memory_and_a_plan_from_it_needs_no_host(bench: Bench) -> None:
+    save_memory(bench.fleet.state, Memory(managed=True, placements={"slam": Placement(host="edge2", since=1.0)}))
+    snapshot = probe(bench.fleet)
+    assert snapshot.memory is not None
+    assert kept(snapshot.memory) == bench.memory
+    assert snapshot.memory.contact.keys() == {"edge1", "edge2", "robot1"}
+    bench.hosts.down.update(bench.hosts.hosts)
+    assert plan(bench.fleet, POLICY, snapshot=snapshot).summary == {Action.START: 2}
+
+
+def test_a_dry_run_shows_the_exact_requests_and_sends_none(bench: Bench) -> None:
+    made = plan(bench.fleet, POLICY)
+    entries = commands(bench.fleet, made)
+    assert [(entry["task"], entry["phase"]) for entry in entries] == [
+        ("slam", "start"),
+        ("slam", "ready"),
+        ("navigation", "start"),
+        ("navigation", "ready"),
+    ]
+    assert entries[0]["command"] == command_line("python3")
+    stdin = entries[0]["stdin"]
+    assert isinstance(stdin, dict)
+    assert stdin["spec"]["env"]["EDGECTL_ROBOT_HOST"] == "robot1.lab"
+    assert bench.hosts.changes == []
+
+
+def test_a_cut_off_apply_is_said_and_mended_by_the_next(bench: Bench) -> None:
+    """The manager dies after the host took the start and before it was told: nothing is started twice."""
+
+    def die(point: str) -> None:
+        if point == "start acknowledged":
+            raise KeyboardInterrupt
+
+    remove = points.install(die)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            apply(bench.fleet, POLICY)
+    finally:
+        remove()
+    assert bench.hosts.changes == [f"start slam {bench.hosts.placed['slam']}"]
+    applied = apply(bench.fleet, POLICY)
+    assert actions(applied.plan) == {"slam": Action.KEEP, "navigation": Action.START}
+    assert bench.said == ["revision 1 was cut off while it changed slam; the hosts were asked what runs now"]
+    assert not bench.hosts.world.overlap
+
+
+def test_a_failed_action_is_in_the_results_and_the_rest_goes_on(bench: Bench) -> None:
+    never = a_task("slam", ready=Check(command="never", timeout=0.1))
+    tasks = some_tasks(never, a_task("camera"))
+    for name in ("edge1", "edge2"):
+        bench.hosts[name].faults["wait:slam"] = lambda _request: {"state": "running"}
+    applied = apply(bench.with_tasks(tasks), POLICY)
+    assert applied.results is not None
+    assert {result.task: result.outcome for result in applied.results.actions} == {"slam": Outcome.FAILED, "camera": Outcome.DONE}
+    assert bench.memory.placements.keys() == {"slam", "camera"}

@@ -1,0 +1,30 @@
+"""One plan of each interesting kind, decided for real from the committed snapshot."""
+
+from functools import cache
+from pathlib import Path
+
+from edgectl.config.documents import load_snapshot
+from edgectl.config.load import load
+from edgectl.executor.diff import plan_of
+from edgectl.model.inventory import Inventory
+from edgectl.model.memory import Memory
+from edgectl.model.plan import Plan
+from edgectl.model.snapshot import Snapshot
+from edgectl.model.task import Tasks
+from edgectl.scheduler.assign import assign
+
+ROOT = Path(__file__).parents[2]
+SNAPSHOT = ROOT / "docs" / "examples" / "snapshot.json"
+
+
+@cache
+def fleet() -> tuple[Inventory, Tasks, Snapshot]:
+    inventory, tasks, _ = load(ROOT / "inventories" / "local.yaml", [ROOT / "tasks" / "demo.yaml"])
+    return inventory, tasks, load_snapshot(SNAPSHOT)
+
+
+@cache
+def plan() -> Plan:
+    inventory, tasks, snapshot = fleet()
+    memory = snapshot.memory or Memory()
+    return plan_of(inventory, tasks, snapshot, memory, assign(inventory, tasks, snapshot, memory, tasks.policy, snapshot.taken_at))

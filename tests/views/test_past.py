@@ -1,0 +1,86 @@
+"""How the history, closed hosts and silent hosts are shown."""
+
+import json
+
+import pytest
+import yaml
+
+from edgectl.cli import exits
+from edgectl.model.memory import Memory, Placement
+from edgectl.model.plan import Action
+from edgectl.model.result import ActionResult, Outcome, Phase, PhaseResult
+from edgectl.model.revision import Ending, Revision
+from edgectl.views import json as json_view
+from edgectl.views import name, sections, table
+from edgectl.views import yaml as yaml_view
+from tests.builders import NOW, a_sample, a_snapshot, a_task, an_edge, an_inventory, silent, some_tasks
+
+MOVED = ActionResult(
+    task="slam", action=Action.MOVE, outcome=Outcome.FAILED, host="edge2", previous_host="edge1", located="edge1", downtime_s=1.5,
+    phases=(PhaseResult(phase=Phase.STOP, host="edge1", seconds=0.25, ok=True), PhaseResult(phase=Phase.START, host="edge2", seconds=1.0, ok=False)),
+    error="no space\x1b[2J left; restored on edge1",
+)  # fmt: skip
+PAST = [
+    Revision(number=9, began_at=NOW, verb="apply", user="ada", ending=Ending.PARTLY, seconds=2.5, counts={"move": 1}, actions=(MOVED,)),
+    Revision(number=10, began_at=NOW + 60.0),
+]
+MEMORY = Memory(
+    managed=True, placements={"slam": Placement(host="edge1", since=NOW - 900.0)}, cordons=frozenset({"edge2", "edge3"}),
+    draining=frozenset({"edge3"}), contact={"edge1": NOW - 90.0},
+)  # fmt: skip
+SNAPSHOT = a_snapshot(edge1=silent(), edge2=a_sample(), edge3=a_sample(), memory=MEMORY)
+FLEET = an_inventory(an_edge("edge1"), an_edge("edge2"), an_edge("edge3"))
+
+
+def test_history_is_one_line_per_revision() -> None:
+    assert [line.split() for line in table.history(PAST).splitlines()] == [
+        ["REV", "WHEN", "WHO", "VERB", "TOOK", "OUTCOME", "ACTIONS"],
+        ["9", "2025-11-21T01:53:20Z", "ada", "apply", "2.5s", "partly", "1", "move"],
+        ["10", "2025-11-21T01:54:20Z", "-", "-", "-", "cut", "off", "-"],
+    ]
+    assert table.history([]) == "Nothing was applied yet.\n"
+    assert name.history(PAST) == "revision/9\nrevision/10\n"
+
+
+def test_a_revision_shows_its_phases_and_cannot_steer_the_terminal() -> None:
+    text = table.revision(PAST[0])
+    assert "slam  failed  stop edge1 0.2s > start edge2 1.0s FAILED; gap 1.5s; no space\\x1b[2J left; restored on edge1" in text
+    assert name.revision(PAST[0]) == "task/slam\n"
+
+
+def test_json_and_yaml_of_the_past_say_the_same() -> None:
+    document = json.loads(json_view.revision(PAST[0]))
+    assert yaml.safe_load(yaml_view.revision(PAST[0])) == document
+    assert yaml.safe_load(yaml_view.history(PAST)) == json.loads(json_view.history(PAST))
+    assert (document["revision"], document["outcome"], document["seconds"], document["placements"]) == (9, "partly", 2.5, None)
+    assert [phase["seconds"] for phase in document["actions"][0]["phases"]] == [0.25, 1]
+
+
+def test_closed_hosts_show_everywhere() -> None:
+    assert [line.split()[2:4] for line in table.snapshot(SNAPSHOT).splitlines()[2:4]] == [["ok,", "cordoned"], ["ok,", "draining"]]
+    assert sections.closed(SNAPSHOT) == [
+        "cordoned, no new tasks: edge2 (edgectl uncordon)", "drained, its tasks leave: edge3 (edgectl uncordon)",
+    ]  # fmt: skip
+    text = table.status(SNAPSHOT, FLEET, some_tasks(a_task("slam")))
+    assert "note: cordoned, no new tasks: edge2 (edgectl uncordon)\n" in text
+
+
+def test_a_silent_host_is_told_with_how_long() -> None:
+    tasks = some_tasks(a_task("slam"), a_task("camera"))
+    text = table.status(SNAPSHOT, FLEET, tasks)
+    assert "unknown (silent for 1m30s)" in text
+    assert "note: edge1 does not answer: connection refused (silent for 1m30s)" in text
+    wanted = json.loads(json_view.status(SNAPSHOT, FLEET, tasks))["wanted"]
+    assert (wanted["slam"]["state"], wanted["slam"]["last_host"], wanted["slam"]["last_contact"]) == (
+        "unknown",
+        "edge1",
+        "2025-11-21T01:51:50Z",
+    )
+    assert (wanted["camera"]["state"], "last_host" in wanted["camera"]) == ("not running", False)
+
+
+@pytest.mark.parametrize(("fenced", "code"), [(frozenset[str](), 4), (frozenset({"edge1"}), 0)])
+def test_a_host_that_is_declared_off_need_not_answer(fenced: frozenset[str], code: int) -> None:
+    snapshot = a_snapshot(edge1=silent(), memory=Memory(fenced=fenced))
+    assert exits.of_snapshot(snapshot, FLEET) == code
+    assert sections.closed(snapshot) == (["fenced, counts as switched off: edge1 (edgectl unfence)"] if fenced else [])
