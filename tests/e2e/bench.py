@@ -1,0 +1,117 @@
+"""A whole manager with its files, over real hosts, and what stands beside the product: a look into /proc."""
+
+import itertools
+import os
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from edgectl.gateway.collect import ProbeOptions
+from edgectl.model.inventory import Capacity, Connection, Host, Inventory
+from edgectl.model.plan import Action, Plan
+from edgectl.model.policy import Policy, Weights
+from edgectl.model.snapshot import Snapshot, TaskSample
+from edgectl.model.task import Stop, Task, Tasks
+from edgectl.transport.choose import Transports
+from edgectl.usecases.apply import Applied, ApplyOptions, apply
+from edgectl.usecases.fleet import Fleet
+from edgectl.usecases.plan import plan
+from edgectl.usecases.probe import probe
+from edgectl.usecases.stop import stop
+from tests.builders import a_task, some_tasks
+
+QUICK = ProbeOptions(window=0.2, timeout=10.0)
+EAGER = Policy(min_dwell=0.0)
+# A small margin: on a busy machine a process that takes all it can get may get little.
+BY_CPU = Policy(min_dwell=0.0, move_margin=0.01, weights=Weights(cpu=1.0, memory=0.0, network=0.0, task=0.0))
+GENTLE = Stop(grace=2.0)
+_numbers = itertools.count(1)
+
+
+def a_slice(host: Host) -> Host:
+    """``host`` as a slice of two cores and 1 GB: many may stand on one machine."""
+    return replace(host, capacity=Capacity(cpu=2.0, memory=1e9))
+
+
+def a_local(host: Host, address: str) -> Host:
+    """``host`` as a slice of this very machine."""
+    return a_slice(replace(host, host=address, connection=Connection.LOCAL))
+
+
+def a_mark() -> str:
+    """A number of seconds to sleep that no other process on this machine sleeps."""
+    return f"{100_000 + next(_numbers)}.{os.getpid()}"
+
+
+def a_sleeper(name: str, mark: str, **fields: object) -> Task:
+    """A task with a child in a session of its own, all of them asleep for ``mark`` seconds."""
+    command = f"setsid sleep {mark} & sleep {mark} & echo up; wait"
+    return replace(a_task(name, command=command, stop=GENTLE), **fields)  # type: ignore[arg-type]
+
+
+def sleeping(mark: str) -> list[int]:
+    """The processes that sleep for ``mark`` seconds."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/cmdline"):
+        with suppress(OSError):
+            if path.read_bytes() == f"sleep\0{mark}\0".encode():
+                found.append(int(path.parent.name))
+    return found
+
+
+def kill(pids: list[int]) -> None:
+    assert all(pid > 1 for pid in pids)
+    for pid in pids:
+        with suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGKILL)
+
+
+@dataclass(frozen=True)
+class Bench:
+    """One manager: its fleet, and the verbs with a short sample window."""
+
+    fleet: Fleet
+    said: list[str] = field(default_factory=list)
+
+    def using(self, *tasks: Task, inventory: Inventory | None = None) -> "Bench":
+        fleet = replace(self.fleet, tasks=some_tasks(*tasks), inventory=inventory or self.fleet.inventory)
+        return Bench(fleet, self.said)
+
+    def probe(self) -> Snapshot:
+        return probe(self.fleet, QUICK)
+
+    def plan(self, policy: Policy = EAGER) -> Plan:
+        return plan(self.fleet, policy, options=QUICK)
+
+    def actions(self, policy: Policy = EAGER) -> dict[str, Action]:
+        return {step.task: step.action for step in self.plan(policy).steps}
+
+    def apply(self, policy: Policy = EAGER) -> Applied:
+        applied = apply(self.fleet, policy, options=ApplyOptions(probe=QUICK))
+        assert applied.results is None or applied.results.done, applied.results
+        return applied
+
+    def stop(self, *names: str) -> Applied:
+        return stop(self.fleet, names or None, options=ApplyOptions(probe=QUICK))
+
+    def where(self) -> dict[str, str]:
+        """Where each living task is."""
+        return {task: host for host, sample in self.probe().hosts.items() for task, entry in sample.tasks.items() if entry.state.alive}
+
+    def sample(self, task: str) -> TaskSample:
+        return next(host.tasks[task] for host in self.probe().hosts.values() if task in host.tasks)
+
+
+@contextmanager
+def managing(inventory: Inventory, state: Path, clean: Callable[[], None] = lambda: None) -> Iterator[Bench]:
+    """A manager of ``inventory``; everything that it started is stopped at the end."""
+    state.mkdir(mode=0o700)
+    said: list[str] = []
+    bench = Bench(Fleet(inventory=inventory, tasks=Tasks(tasks={}), transport=Transports(), state=state, warn=said.append), said)
+    try:
+        yield bench
+    finally:
+        clean()
+        bench.stop()

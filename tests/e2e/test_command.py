@@ -1,0 +1,131 @@
+"""The command itself, as processes: two at once, Ctrl-C, exit codes."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.e2e.bench import a_mark, sleeping
+
+INVENTORY = """
+version: 1
+edges:
+  edge1: {host: 127.0.0.33, connection: local, capacity: {cpu: 2, memory: 1Gi}}
+  edge2: {host: 127.0.0.34, connection: local, capacity: {cpu: 2, memory: 1Gi}}
+"""
+TASKS = """
+version: 1
+tasks:
+  slam: {command: "sleep MARK", demand: {cpu: 0.5, memory: 10Mi}, stop: {grace: 2s}, ready: {command: test -e GO, timeout: 20s}}
+  navigation: {command: "sleep MARK", needs: [slam], demand: {cpu: 0.5, memory: 10Mi}, stop: {grace: 2s}}
+"""
+
+
+class Shell:
+    """A directory with a fleet in it, in which edgectl is called."""
+
+    def __init__(self, directory: Path) -> None:
+        self.directory = directory
+        self.mark = a_mark()
+        (directory / "inventory.yaml").write_text(INVENTORY)
+        (directory / "tasks.yaml").write_text(TASKS.replace("MARK", self.mark).replace("GO", str(directory / "go")))
+
+    def command(self, *words: str) -> list[str]:
+        return [sys.executable, "-m", "edgectl", *words, "-i", "inventory.yaml", "-t", "tasks.yaml"]
+
+    def run(self, *words: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            self.command(*words), cwd=self.directory, capture_output=True, text=True, check=False, timeout=60, stdin=subprocess.DEVNULL
+        )
+
+    def begin(self, *words: str) -> subprocess.Popen[str]:
+        """Start a command and wait until the first task runs, not ready yet."""
+        process = subprocess.Popen(
+            self.command(*words),
+            cwd=self.directory,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            stdin=subprocess.DEVNULL,
+            text=True,
+        )
+        deadline = time.monotonic() + 20
+        while not sleeping(self.mark):
+            assert time.monotonic() < deadline
+            assert process.poll() is None, process.communicate()
+            time.sleep(0.05)
+        return process
+
+    def go(self) -> None:
+        """Let slam become ready."""
+        (self.directory / "go").touch()
+
+
+@pytest.fixture
+def shell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Shell]:
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[2]))
+    made = Shell(tmp_path)
+    yield made
+    made.run("stop", "--all", "--yes")
+    assert sleeping(made.mark) == []
+
+
+def test_the_second_of_two_applies_exits_75(shell: Shell) -> None:
+    first = shell.begin("apply", "--yes")
+    second = shell.run("apply", "--yes")
+    assert second.returncode == 75
+    assert f"(pid {first.pid}, apply, since " in second.stderr
+    shell.go()
+    out, _ = first.communicate(timeout=30)
+    assert first.returncode == 0, out
+    assert len(sleeping(shell.mark)) == 2
+    quiet = shell.run("apply", "--yes", "--quiet")
+    assert (quiet.returncode, quiet.stdout) == (0, "")
+
+
+def test_a_lock_timeout_waits_for_the_first(shell: Shell) -> None:
+    first = shell.begin("apply", "--yes")
+    second = subprocess.Popen(
+        shell.command("apply", "--yes", "--lock-timeout", "30s"), cwd=shell.directory, stdout=subprocess.DEVNULL, stdin=subprocess.DEVNULL
+    )
+    time.sleep(0.5)
+    shell.go()
+    first.communicate(timeout=30)
+    assert (first.returncode, second.wait(timeout=30)) == (0, 0)
+    assert len(sleeping(shell.mark)) == 2
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_ctrl_c_and_sigterm_finish_what_is_under_way(shell: Shell, number: signal.Signals) -> None:
+    process = shell.begin("apply", "--yes")
+    os.kill(process.pid, number)
+    time.sleep(0.5)
+    shell.go()
+    out, errors = process.communicate(timeout=30)
+    assert process.returncode == 130, out + errors
+    assert len(sleeping(shell.mark)) == 1
+    assert "interrupted" in shell.run("history").stdout
+    again = shell.run("apply", "--yes")
+    assert again.returncode == 0, again.stderr
+    assert "cut off" not in again.stderr
+    assert len(sleeping(shell.mark)) == 2
+
+
+def test_ctrl_c_twice_stops_at_once_and_the_next_apply_goes_on(shell: Shell) -> None:
+    process = shell.begin("apply", "--yes")
+    began = time.monotonic()
+    for _ in range(2):
+        os.kill(process.pid, signal.SIGINT)
+        time.sleep(0.3)
+    process.communicate(timeout=10)
+    assert process.returncode == 130
+    assert time.monotonic() - began < 5
+    shell.go()
+    again = shell.run("apply", "--yes")
+    assert again.returncode == 0, again.stderr
+    assert "was cut off while it changed slam" in again.stderr
+    assert len(sleeping(shell.mark)) == 2

@@ -1,0 +1,146 @@
+"""The main job over real sshd: sessions that end, hosts that are gone, lie, make noise or stand behind another."""
+
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from edgectl.model.inventory import Connection, Inventory, Role
+from edgectl.model.plan import Action
+from edgectl.model.result import Outcome
+from edgectl.model.snapshot import HostStatus
+from edgectl.model.task import Check
+from edgectl.usecases.apply import ApplyOptions, apply
+from edgectl.usecases.logs import follow
+from edgectl.usecases.stop import restart
+from tests.builders import a_robot, an_inventory
+from tests.e2e.bench import EAGER, QUICK, Bench, a_mark, a_sleeper, a_slice, managing, sleeping
+from tests.sshd import Lab
+
+LINKS = {("edge1", "robot1"): 10e6, ("edge2", "robot1"): 10e6}
+Managing = Callable[..., Bench]
+
+
+def fleet(lab: Lab, **changes: object) -> Inventory:
+    """The lab's three hosts as slices, reached through their ssh_config aliases."""
+    edges = [a_slice(lab.host(name, **changes)) for name in ("edge1", "edge2")]
+    return an_inventory(*edges, a_slice(lab.host("robot1", role=Role.ROBOT)), links=LINKS)
+
+
+@pytest.fixture
+def manager(lab: Lab, tmp_path: Path) -> Iterator[Callable[[Inventory], Bench]]:
+    """Makes managers; afterwards servers and files are as they were and all tasks are stopped."""
+    made = []
+
+    def mended() -> None:
+        lab.write_files()
+        for server in lab.servers.values():
+            if server.process is None:
+                server.restart()
+
+    def manage(inventory: Inventory) -> Bench:
+        context = managing(inventory, tmp_path / f"manager{len(made)}", mended)
+        made.append(context)
+        return context.__enter__()
+
+    yield manage
+    for context in made:
+        context.__exit__(None, None, None)
+
+
+@pytest.mark.parametrize("connection", [Connection.SSH, Connection.OPENSSH])
+def test_the_main_job(lab: Lab, manager: Managing, connection: Connection) -> None:
+    slam, navigation = a_mark(), a_mark()
+    # A name of its own: a manager that is new within the same second knows nothing of the generations of the one before.
+    name = f"slam-{connection.value}"
+    ready = Check(command='test -n "$EDGECTL_ROBOT_HOST"', timeout=10.0)
+    bench = manager(fleet(lab, connection=connection)).using(
+        a_sleeper(name, slam, robots=("robot1",), ready=ready), a_sleeper(f"{name}-navigation", navigation, robots=("robot1",))
+    )
+    assert bench.apply().plan.summary == {Action.START: 2}
+    assert (len(sleeping(slam)), len(sleeping(navigation))) == (2, 2)  # every session of the apply has ended
+    assert bench.apply().results is None
+    restart(bench.fleet, name, options=ApplyOptions(probe=QUICK))
+    assert len(sleeping(slam)) == 2
+    with closing(follow(bench.fleet, name)) as printed:
+        assert next(printed).endswith(b"up\n")
+    bench.stop()
+    assert sleeping(slam) == sleeping(navigation) == []
+
+
+def test_tasks_of_a_host_that_is_gone_are_held(lab: Lab, manager: Managing) -> None:
+    mark = a_mark()
+    bench = manager(fleet(lab)).using(a_sleeper("slam", mark))
+    bench.apply()
+    assert bench.where() == {"slam": "edge1"}
+    lab["edge1"].stop()
+    sample = bench.probe().hosts["edge1"]
+    assert (sample.status, sample.error_kind) == (HostStatus.UNREACHABLE, "connect")
+    assert bench.actions() == {"slam": Action.HOLD}
+    assert bench.apply().results is None
+
+
+def test_a_changed_host_key_costs_that_host_and_no_other(lab: Lab, manager: Managing) -> None:
+    lab.known_hosts.write_text(lab.known_hosts.read_text().replace(lab["edge2"].key, lab["edge1"].key))
+    bench = manager(fleet(lab)).using(a_sleeper("slam", a_mark()))
+    hosts = bench.probe().hosts
+    assert {name: sample.error_kind for name, sample in hosts.items()} == {"edge1": "", "edge2": "host-key", "robot1": ""}
+    assert "edgectl trust" in hosts["edge2"].hint
+    bench.apply()
+    assert bench.where() == {"slam": "edge1"}
+
+
+def test_noise_around_the_answers_does_no_harm(lab: Lab, manager: Managing) -> None:
+    noise = 'printf "Welcome\\n\\033[2J{\\"cpu\\": {\\"cores\\": 99}}\\nedgectl-frame 0 2 0\\n"; echo "mail for you" >&2\n'
+    rc = lab["edge1"].home / ".bashrc"
+    rc.write_text(noise)
+    try:
+        bench = manager(fleet(lab)).using(a_sleeper("slam", a_mark()))
+        bench.apply()
+        sample = bench.probe().hosts["edge1"]
+        assert sample.cpu is not None
+        assert sample.cpu.cores == 2.0
+        assert bench.where() == {"slam": "edge1"}
+    finally:
+        rc.unlink()
+
+
+@pytest.mark.parametrize("connection", [Connection.SSH, Connection.OPENSSH])
+def test_a_host_behind_another(lab: Lab, manager: Managing, connection: Connection) -> None:
+    inventory = fleet(lab, connection=connection)
+    behind = replace(inventory.hosts["edge2"], proxy_jump="edge1")
+    bench = manager(an_inventory(inventory.hosts["edge1"], behind, a_robot("robot1", probe=False), links=LINKS))
+    task = a_sleeper("slam", a_mark())
+    bench = bench.using(replace(task, hosts=replace(task.hosts, only=("edge2",))))
+    bench.apply()
+    assert bench.where() == {"slam": "edge2"}
+
+
+def test_a_move_between_hosts(lab: Lab, manager: Managing) -> None:
+    mark = a_mark()
+    task = a_sleeper("slam", mark, robots=("robot1",))
+    bench = manager(fleet(lab)).using(task)
+    bench.apply()
+    moved = bench.using(replace(task, hosts=replace(task.hosts, never=("edge1",)))).apply()
+    assert moved.results is not None
+    assert moved.results.actions[0].located == "edge2"
+    assert len(sleeping(mark)) == 2
+
+
+def test_a_host_that_goes_between_plan_and_start_costs_its_action_only(lab: Lab, manager: Managing) -> None:
+    bench = manager(fleet(lab)).using(
+        *(
+            replace(task, hosts=replace(task.hosts, only=(host,)))
+            for task, host in ((a_sleeper("slam", a_mark()), "edge1"), (a_sleeper("camera", a_mark()), "edge2"))
+        )
+    )
+
+    def confirm(_plan: object) -> bool:
+        lab["edge1"].stop()
+        return True
+
+    applied = apply(bench.fleet, EAGER, confirm, ApplyOptions(probe=QUICK))
+    assert applied.results is not None
+    assert {result.task: result.outcome for result in applied.results.actions} == {"slam": Outcome.FAILED, "camera": Outcome.DONE}

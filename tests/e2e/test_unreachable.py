@@ -1,0 +1,115 @@
+"""A host that falls silent and comes back, over real sshd: its task is replaced when it is certainly gone, and never kept twice."""
+
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from edgectl.model.inventory import Inventory, Role
+from edgectl.model.plan import Action, Step
+from edgectl.model.snapshot import TaskState
+from edgectl.model.task import OnUnreachable
+from edgectl.usecases import marks
+from edgectl.views.reasons import reason
+from tests.builders import an_inventory
+from tests.e2e.bench import Bench, a_mark, a_sleeper, a_slice, managing, sleeping
+from tests.sshd import Lab, Server
+
+LINKS = {("edge1", "robot1"): 10e6, ("edge2", "robot1"): 10e6}
+
+
+def fleet(lab: Lab) -> Inventory:
+    edges = [a_slice(lab.host(name)) for name in ("edge1", "edge2")]
+    return an_inventory(*edges, a_slice(lab.host("robot1", role=Role.ROBOT)), links=LINKS)
+
+
+@pytest.fixture
+def bench(lab: Lab, tmp_path: Path) -> Iterator[Bench]:
+    def mended() -> None:
+        for server in lab.servers.values():
+            if server.process is None:
+                server.restart()
+
+    with managing(fleet(lab), tmp_path / "manager", mended) as made:
+        yield made
+
+
+def slam(bench: Bench) -> Step:
+    return next(step for step in bench.plan().steps if step.task == "slam")
+
+
+def cut(server: Server) -> None:
+    """Nobody reaches the host any more; what runs there goes on."""
+    assert server.process is not None
+    server.process.kill()
+    server.process.wait()
+    server.process = None
+
+
+def mend(server: Server) -> None:
+    server.start()
+    server.wait(time.monotonic() + 10)
+
+
+def wait_until(condition: Callable[[], bool], within: float) -> None:
+    deadline = time.monotonic() + within
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.3)
+
+
+def test_a_task_that_fences_itself_is_replaced_and_its_host_comes_back(lab: Lab, bench: Bench) -> None:
+    mark = a_mark()
+    bench = bench.using(a_sleeper("slam", mark, on_unreachable=OnUnreachable.REPLACE, replace_after=1.0, self_fence=3.0))
+    bench.apply()
+    assert bench.where() == {"slam": "edge1"}
+    first = sleeping(mark)
+    cut(lab["edge1"])
+    assert slam(bench).action is Action.HOLD
+    wait_until(lambda: not sleeping(mark), within=12.0)
+    assert slam(bench).action is Action.HOLD, "gone, but the manager cannot know yet"
+    wait_until(lambda: slam(bench).action is Action.START, within=20.0)
+    bench.apply()
+    assert bench.where() == {"slam": "edge2"}
+    assert len(sleeping(mark)) == 2
+    assert not set(first) & set(sleeping(mark))
+    mend(lab["edge1"])
+    assert not bench.plan().changes
+    old = bench.probe().hosts["edge1"].tasks["slam"]
+    assert (old.state, old.pid) == (TaskState.FAILED, 0)
+    assert "fenced" in old.detail
+
+
+def test_a_copy_that_outlived_the_operators_word_is_stopped_on_return(lab: Lab, bench: Bench) -> None:
+    """The host was not off at all: until it is back two copies run; then the newer assignment wins, and plan says so."""
+    mark = a_mark()
+    bench = bench.using(a_sleeper("slam", mark))
+    bench.apply()
+    old = sleeping(mark)
+    cut(lab["edge1"])
+    assert slam(bench).action is Action.HOLD
+    marks.fence(bench.fleet, ["edge1"])
+    bench.apply()
+    assert bench.where() == {"slam": "edge2"}
+    new = sorted(set(sleeping(mark)) - set(old))
+    mend(lab["edge1"])
+    step = slam(bench)
+    assert (step.action, step.stop) == (Action.KEEP, ("edge1",))
+    assert reason(step).endswith("stop the one on edge1")
+    assert bench.said[-1] == "edge1 answers, so it is not switched off: its fence is lifted"
+    bench.apply()
+    assert sorted(sleeping(mark)) == new
+    assert bench.where() == {"slam": "edge2"}
+    assert not bench.plan().changes
+
+
+def test_a_host_that_is_asked_often_enough_keeps_its_task(bench: Bench) -> None:
+    mark = a_mark()
+    bench = bench.using(a_sleeper("slam", mark, on_unreachable=OnUnreachable.REPLACE, replace_after=1.0, self_fence=3.0))
+    bench.apply()
+    before = sleeping(mark)
+    for _ in range(6):
+        time.sleep(1.0)
+        bench.probe()
+    assert sleeping(mark) == before
