@@ -1,0 +1,72 @@
+"""Fenced command blocks of a Markdown page, and how to run them in a scaffold.
+
+``console`` blocks: the lines that begin with ``$ ``. ``sh`` blocks: every line. A block that cannot run stands right after
+``<!-- not run: REASON -->``; one whose output is compared, after ``<!-- exact -->``.
+"""
+
+import contextlib
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+_BLOCK = re.compile(r"(?:<!-- (?P<mark>[^>]*?) -->\n)?^```(?P<kind>console|sh)\n(?P<text>.*?)^```$", re.MULTILINE | re.DOTALL)
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """One block: its commands with the output shown below each, and the line on which it begins."""
+
+    line: int
+    commands: tuple[tuple[str, str], ...]
+    exact: bool
+    skipped: str
+
+
+def blocks(path: Path) -> list[Block]:
+    """The command blocks of a page."""
+    text = path.read_text()
+    return [_block(match, text) for match in _BLOCK.finditer(text)]
+
+
+def _block(match: re.Match[str], text: str) -> Block:
+    mark = match["mark"] or ""
+    commands = (
+        _console(match["text"]) if match["kind"] == "console" else [(line, "") for line in match["text"].splitlines() if line.strip()]
+    )
+    skipped = mark.removeprefix("not run: ") if mark.startswith("not run: ") else ""
+    return Block(text.count("\n", 0, match.start()) + 1, tuple(commands), mark == "exact", skipped)
+
+
+def _console(text: str) -> list[tuple[str, str]]:
+    found: list[tuple[str, str]] = []
+    for line in text.splitlines(keepends=True):
+        if line.startswith("$ "):
+            found.append((line[2:].rstrip("\n"), ""))
+        elif found:
+            found[-1] = (found[-1][0], found[-1][1] + line)
+    return found
+
+
+def environment(state: Path) -> dict[str, str]:
+    """As a reader's shell, with edgectl on PATH and a state directory of its own."""
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ.get('PATH', os.defpath)}"
+    return {**os.environ, "PATH": path, "EDGECTL_STATE_DIR": str(state)}
+
+
+@contextlib.contextmanager
+def stopped(site: Path, env: Mapping[str, str]) -> Iterator[None]:
+    """Stop everything that was started in ``site``, whatever happens, and see that it is gone."""
+    try:
+        yield
+    finally:
+        subprocess.run(
+            [sys.executable, "-m", "edgectl", "stop", "--all", "--yes"], cwd=site, env=env, capture_output=True, check=False, timeout=60
+        )
+        left = subprocess.run(
+            [sys.executable, "-m", "edgectl", "status", "-o", "name"], cwd=site, env=env, capture_output=True, text=True, check=False
+        )
+        assert left.stdout == "", f"still running: {left.stdout}"

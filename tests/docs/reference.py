@@ -1,0 +1,42 @@
+"""docs/cli.md, made from the command itself: ``python -m tests.docs.reference`` writes it."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+from edgectl.cli.app import COMMANDS
+
+PAGE = Path(__file__).parents[2] / "docs" / "cli.md"
+HEAD = """# Command line
+
+Made from the command itself; a test keeps it current. All commands take `-h`. Data goes to standard output, everything else to
+standard error; piped output has no colour, no borders and is never cut.
+
+| exit code | meaning |
+|---:|---|
+| 0 | done, or nothing to do |
+| 1 | failed |
+| 2 | changes are pending (only with `--detailed-exitcode`) |
+| 3 | some task is unplaced (only with `--detailed-exitcode`; beats 2) |
+| 4 | partly: a host that should answer did not, an action failed or was deferred (beats 3) |
+| 64 | the call or a file is wrong |
+| 75 | another edgectl holds the lock, or the saved plan is stale: try again |
+| 130 | interrupted |
+
+"""
+
+
+def page() -> str:
+    """The page as it should stand."""
+    return HEAD + "\n".join(_section(words) for words in ([], *([name] for name in COMMANDS)))
+
+
+def _section(words: list[str]) -> str:
+    env = {**os.environ, "COLUMNS": "80"}
+    text = subprocess.run([sys.executable, "-m", "edgectl", *words, "--help"], env=env, capture_output=True, text=True, check=True).stdout
+    return f"## {' '.join(['edgectl', *words])}\n\n```text\n{text}```\n"
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page())

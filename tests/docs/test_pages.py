@@ -1,0 +1,105 @@
+"""Every command block of the README and the docs runs, in order, in a scaffold of its own."""
+
+import re
+import subprocess
+import textwrap
+from pathlib import Path
+
+import pytest
+import yaml
+
+from edgectl.config.load import load
+from edgectl.scaffold.write import write
+from tests.docs.blocks import Block, blocks, environment, stopped
+from tests.views.fixtures import ROOT, SNAPSHOT
+
+PAGES = [ROOT / "README.md", *sorted(path for path in (ROOT / "docs").rglob("*.md") if "adr" not in path.parts)]
+WITH_COMMANDS = [page for page in PAGES if any(not block.skipped for block in blocks(page))]
+
+
+def test_pages_are_found() -> None:
+    names = {page.name for page in WITH_COMMANDS}
+    assert {"README.md", "ci.md"} <= names
+    skipped = [block for page in PAGES for block in blocks(page) if block.skipped]
+    assert len(skipped) <= 6, "few blocks may be exempt"
+
+
+@pytest.mark.parametrize("page", WITH_COMMANDS, ids=lambda page: page.name)
+def test_every_block_runs(page: Path, tmp_path: Path) -> None:
+    site, env = tmp_path / "site", environment(tmp_path / "state")
+    write(site)
+    here = site
+    with stopped(site, env):
+        for block in blocks(page):
+            if not block.skipped:
+                here = run(block, here, tmp_path / "cwd", env, page)
+
+
+def run(block: Block, here: Path, note: Path, env: dict[str, str], page: Path) -> Path:
+    """Run one block; the directory in which it ends, where the next begins."""
+    script = "set -e\n" + "\n".join(command for command, _ in block.commands) + f"\npwd > '{note}'\n"
+    done = subprocess.run(
+        ["bash", "-c", script], cwd=here, env=env, capture_output=True, text=True, stdin=subprocess.DEVNULL, timeout=90, check=False
+    )
+    where = f"{page.name}:{block.line}"
+    assert done.returncode == 0, f"{where}: {done.stdout}{done.stderr}"
+    if block.exact:
+        assert done.stdout == "".join(output for _, output in block.commands), where
+    return Path(note.read_text().strip())
+
+
+def jobs() -> list[tuple[str, list[str]]]:
+    """The shell lines of each CI job of docs/ci.md."""
+    found = []
+    for text in re.findall(r"^```yaml\n(.*?)^```$", (ROOT / "docs" / "ci.md").read_text(), re.MULTILINE | re.DOTALL):
+        document = yaml.safe_load(text)
+        if "jobs" in document:
+            found.append(("github", [step["run"] for step in document["jobs"]["plan"]["steps"] if "run" in step]))
+        else:
+            found.append(("gitlab", list(document["fleet"]["script"])))
+    return found
+
+
+@pytest.mark.parametrize(("name", "lines"), jobs(), ids=["github", "gitlab"])
+def test_the_commands_of_each_job_run(name: str, lines: list[str], tmp_path: Path) -> None:
+    write(tmp_path / "repo")
+    (tmp_path / "repo" / "snapshots").mkdir()
+    (tmp_path / "repo" / "snapshots" / "lab.json").write_bytes(SNAPSHOT.read_bytes())
+    ours = [line for line in lines if line.startswith("edgectl ")]
+    assert len(ours) == 2
+    env = {**environment(tmp_path / "state"), "CI": "true", "GITHUB_ACTIONS": "true" if name == "github" else ""}
+    for line in ours:
+        done = subprocess.run(["bash", "-ec", line], cwd=tmp_path / "repo", env=env, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+    assert (tmp_path / "repo" / "plan.md").read_text().startswith("<!-- edgectl-plan -->\n**Plan: ")
+    assert not (tmp_path / "state").exists(), "a plan from a snapshot leaves nothing behind"
+
+
+def test_links_between_pages_lead_somewhere() -> None:
+    for page in PAGES:
+        for target in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", page.read_text()):
+            if "://" not in target:
+                assert (page.parent / target).exists(), f"{page.name}: {target}"
+
+
+def test_the_paper_table_names_real_modules() -> None:
+    for path in re.findall(r"`(edgectl/[\w/.]+)`", (ROOT / "README.md").read_text()):
+        assert (ROOT / path).exists(), path
+
+
+def test_the_files_of_the_readme_are_valid(tmp_path: Path) -> None:
+    found = re.findall(r"^ +```yaml\n(.*?)^ +```$", (ROOT / "README.md").read_text(), re.MULTILINE | re.DOTALL)
+    for name, text in zip(("lab.yaml", "tasks.yaml"), found, strict=True):
+        (tmp_path / name).write_text(textwrap.dedent(text))
+    inventory, tasks, _ = load(tmp_path / "lab.yaml", [tmp_path / "tasks.yaml"])
+    assert list(inventory.hosts) == ["edge1", "edge2", "robot1"]
+    assert list(tasks.tasks) == ["navigation-robot1", "slam-robot1"]
+
+
+def test_every_dependency_has_its_reason() -> None:
+    declared = re.findall(
+        r'^    "([a-z-]+)[<>=]', (ROOT / "pyproject.toml").read_text().split("[project.optional-dependencies]")[0], re.MULTILINE
+    )
+    page = (ROOT / "docs" / "dependencies.md").read_text()
+    assert len(declared) >= 7
+    assert all(re.search(rf"\b{name}\b", page) for name in declared)
