@@ -1,0 +1,103 @@
+"""How long a plan takes and how much memory, from a lab to a thousand hosts: ``python -m tests.benchmarks.planner``."""
+
+import gc
+import resource
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from edgectl.executor.diff import plan_of
+from edgectl.model.inventory import Inventory
+from edgectl.model.memory import Memory
+from edgectl.model.policy import Policy
+from edgectl.model.snapshot import Snapshot
+from edgectl.model.task import Tasks
+from edgectl.scheduler.assign import assign
+from tests.builders import GI, NOW, a_link, a_robot, a_sample, a_snapshot, a_task, an_edge, an_inventory, some_tasks
+
+SIZES = ((3, 10), (50, 200), (100, 1000), (1000, 10000))
+KINDS = 10
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Row:
+    """One size: CPU seconds of assign, of diff and plan (one thread, so these are wall seconds on an idle machine).
+
+    ``peak_bytes``: by how much both raised the peak of resident memory, sizes growing within one process.
+    """
+
+    hosts: int
+    tasks: int
+    assign_s: float
+    plan_s: float
+    peak_bytes: int
+    settled: bool
+
+
+def fleet(hosts: int, tasks: int) -> tuple[Inventory, Tasks, Snapshot]:
+    """Edges of three sizes, a robot for every ten of them, and tasks of ten kinds that fill about half of the fleet."""
+    robots = [f"robot{number}" for number in range(1, max(3, hosts // 10) + 1)]
+    edges = [f"edge{number}" for number in range(1, hosts + 1)]
+    inventory = an_inventory(*map(an_edge, edges), *map(a_robot, robots))
+    samples = {
+        name: a_sample(cores=float(4 + 4 * (n % 3)), used=0.1 * (n % 7), memory=(4 + 4 * (n % 3)) * GI, used_memory=0.2 * GI * (n % 5),
+                       links={robot: a_link(10e6 + 1e5 * ((n + k) % 11)) for k, robot in enumerate(robots)})
+        for n, name in enumerate(edges)
+    }  # fmt: skip
+    per_task = 4.0 * hosts / tasks
+    made = [
+        a_task(f"task{n}", cpu=per_task * (1 + n % KINDS) / KINDS, memory=per_task * GI * (KINDS - n % KINDS) / KINDS,
+               throughput=2e4 * (n % KINDS), robots=[robots[n % len(robots)]], needs=[f"task{n - 1}"] if n % 2 else [])
+        for n in range(tasks)
+    ]  # fmt: skip
+    return inventory, some_tasks(*made), a_snapshot(**samples)
+
+
+def measure(hosts: int, tasks: int) -> Row:
+    """One size from a cold start, all settling included."""
+    inventory, work, snapshot = fleet(hosts, tasks)
+    memory = Memory(managed=True)
+    gc.collect()
+    before = resident()
+    started = time.process_time()
+    assignment = assign(inventory, work, snapshot, memory, Policy(), NOW)
+    assigned = time.process_time()
+    plan_of(inventory, work, snapshot, memory, assignment)
+    ended = time.process_time()
+    return Row(
+        hosts=hosts, tasks=tasks, assign_s=assigned - started, plan_s=ended - assigned, peak_bytes=resident() - before,
+        settled=assignment.settled,
+    )  # fmt: skip
+
+
+def resident() -> int:
+    """The most memory that this process ever held, in bytes."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+
+
+def table(rows: Sequence[Row]) -> str:
+    """The rows as Markdown; growth is of the time per task-host pair from the row above."""
+    lines = [
+        "| hosts x tasks | assign CPU s | diff CPU s | us per task | ns per pair | growth | peak MiB | settled |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    previous = None
+    for row in rows:
+        pair = row.assign_s / (row.hosts * row.tasks) * 1e9
+        growth = f"{pair / previous:.2f}" if previous else "-"
+        previous = pair
+        lines.append(
+            f"| {row.hosts} x {row.tasks} | {row.assign_s:.4f} | {row.plan_s:.4f} | {row.assign_s / row.tasks * 1e6:.0f} | {pair:.0f} | {growth} "
+            f"| {row.peak_bytes / 2**20:.1f} | {'yes' if row.settled else 'no'} |"
+        )
+    return "\n".join(lines)
+
+
+def main(sizes: Sequence[tuple[int, int]] = SIZES) -> None:
+    """Print the table."""
+    print(table([measure(hosts, tasks) for hosts, tasks in sizes]))
+
+
+if __name__ == "__main__":
+    main(SIZES[: int(sys.argv[1])] if len(sys.argv) > 1 else SIZES)

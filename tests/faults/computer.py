@@ -1,0 +1,315 @@
+"""A computer of its own on this machine: namespaces, disk, sshd, power switch and cable (see `chassis`), and the manager's network.
+
+Everything is made by the tests, lives inside namespaces, and is gone once they end, also if they are killed: the outer process of each
+computer ends with its standard input.
+"""
+
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from tests import sshd
+from tests.faults import cgroup, scan
+from tests.faults.hosts import CABLE, DISK, HERE, LIMIT, MOUNTS, POWER, PYTHON, REBOOT, Host, put_programs, wait_for
+from tests.faults.network import Site, ip
+from tests.faults.scan import Canary, Process
+
+REPOSITORY = HERE.parent.parent
+USER = "edge"
+AS_USER = ["setpriv", "--reuid=4711", "--regid=4711", "--clear-groups", "env", "-i", f"HOME=/home/{USER}", "PATH=/usr/bin:/bin"]
+
+
+def missing_for_namespaces() -> str:
+    """Why computers in namespaces cannot be had here; empty if they can."""
+    if os.geteuid() != 0:
+        return "needs root"
+    if lacking := [name for name in ("unshare", "nsenter", "ip", "mount", "setpriv") if not shutil.which(name, path=sshd_path())]:
+        return f"needs {', '.join(lacking)}"
+    probe = subprocess.run(["unshare", "--mount", "--net", "--pid", "--fork", "true"], capture_output=True, text=True, check=False)
+    return f"namespaces are refused: {probe.stderr.strip()}" if probe.returncode else ""
+
+
+def sshd_path() -> str:
+    return f"{os.environ.get('PATH', '')}:/usr/sbin:/sbin"
+
+
+@dataclass(kw_only=True)
+class NamespaceHost:
+    """A computer with its own network, pid, mount, uts and ipc namespaces, disk, sshd and boot id."""
+
+    name: str
+    site: Site
+    directory: Path
+    number: int
+    user_key: str
+    cores: float | None = None
+    env: dict[str, str] = field(default_factory=dict)
+    kind: str = "namespace"
+    can: frozenset[str] = frozenset({POWER, CABLE, REBOOT, DISK, MOUNTS, PYTHON})
+    pid: int = 0
+    key: str = ""
+    read_only: bool = False
+
+    def __post_init__(self) -> None:
+        for place in ("ssh", "oracle"):
+            (self.directory / place).mkdir(parents=True)
+        put_programs(self.directory / "oracle")
+        self.group = cgroup.make(f"edgectl-faults-{os.getpid()}-{self.name}", self.cores)
+        self.can |= {LIMIT} if self.group.limited else frozenset()
+        self.key = sshd.make_key(self.directory / "ssh" / "host_key")
+        self.admit(everybody=True, settle=False)
+        self._write_sshd_config()
+        (self.directory / "config.json").write_text(json.dumps(self._config()))
+        self.chassis = subprocess.Popen(
+            [sys.executable, str(HERE / "chassis.py"), str(self.directory / "config.json")],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        assert self.chassis.stdout is not None
+        self.root = str(json.loads(self.chassis.stdout.readline())["root"])
+        self.boot()
+
+    def _config(self) -> dict[str, object]:
+        return {
+            "name": self.name,
+            "directory": str(self.directory),
+            "user": USER,
+            "home_size": "24m",
+            "hidden": [str(REPOSITORY)],
+            "oracle": str(self.directory / "oracle"),
+            "ssh": str(self.directory / "ssh"),
+            "sshd": sshd.program("sshd"),
+            "cgroups": self.group.doors,
+        }
+
+    def _write_sshd_config(self) -> None:
+        lines = [
+            *sshd.penalties(),
+            "Port 22",
+            "HostKey /etc/ssh/edgectl-faults/host_key",
+            "AuthorizedKeysFile /etc/ssh/edgectl-faults/authorized_keys",
+            "PidFile none",
+            "UsePAM no",
+            "UseDNS no",
+            "StrictModes no",
+            "PasswordAuthentication no",
+            "KbdInteractiveAuthentication no",
+            "MaxStartups 200:30:400",
+            "PrintMotd no",
+            *(["SetEnv " + " ".join(f'"{name}={value}"' for name, value in self.env.items())] if self.env else []),
+        ]
+        (self.directory / "ssh" / "sshd_config").write_text("\n".join(lines) + "\n")
+
+    def _order(self, word: str) -> int:
+        assert self.chassis.stdin is not None
+        assert self.chassis.stdout is not None
+        self.chassis.stdin.write(f"{word}\n")
+        self.chassis.stdin.flush()
+        return int(json.loads(self.chassis.stdout.readline())["pid"])
+
+    @property
+    def address(self) -> str:
+        return f"{self.site.network}.{self.number}"
+
+    @property
+    def login(self) -> tuple[str, int, str, str]:
+        return self.address, 22, USER, self.key
+
+    def path(self, inside: str) -> Path:
+        """Where the tests find a path of this computer's disk (also while it is off)."""
+        return Path(f"/proc/{self.chassis.pid}/root{self.root}") / inside.lstrip("/")
+
+    @property
+    def home(self) -> Path:
+        return self.path(f"home/{USER}")
+
+    @property
+    def records(self) -> Path:
+        return self.directory / "oracle" / "records"
+
+    @property
+    def cable(self) -> str:
+        return f"v-{self.name}"
+
+    @property
+    def boot_id(self) -> str:
+        return Path(f"/proc/{self.pid}/root/run/boot_id").read_text().strip()
+
+    def boot(self) -> None:
+        """Power on, plug in, and wait until sshd listens."""
+        if self.pid:
+            return
+        self.pid = self._order("on")
+        ip("link", "add", "name", self.cable, "type", "veth", "peer", "name", "eth0", "netns", str(self.pid), netns=self.site.process.pid)
+        ip("link", "set", self.cable, "master", "br0", "up", netns=self.site.process.pid)
+        # A real network card keeps its address over a reboot; another one would leave the manager's neighbour table wrong for seconds.
+        card = f"link set eth0 address 02:e7:00:00:00:{self.number:02x}"
+        for words in ("link set lo up", card, f"addr add {self.address}/24 dev eth0", "link set eth0 up"):
+            ip(*words.split(), netns=self.pid)
+        self._wait_for_sshd()
+
+    def _wait_for_sshd(self) -> None:
+        wait_for(self._listens, f"sshd on {self.name}: {self._console()}", 20)
+
+    def _listens(self) -> bool:
+        """Port 22 in state LISTEN, as this computer's own /proc/net/tcp has it."""
+        return bool(re.search(r":0016 00000000:0000 0A", Path(f"/proc/{self.pid}/net/tcp").read_text()))
+
+    def _console(self) -> str:
+        with suppress(OSError):
+            return (self.directory / "console.log").read_text()[-500:]
+        return ""
+
+    def power_off(self) -> None:
+        """Pull the plug: the cable goes first, so that no FIN or RST leaves; then every process dies at once."""
+        if self.pid:
+            ip("link", "del", self.cable, netns=self.site.process.pid)
+            self._order("off")
+            self.pid, self.read_only = 0, False
+
+    def cable_out(self) -> None:
+        """No carrier."""
+        ip("link", "set", self.cable, "down", netns=self.site.process.pid)
+
+    def cable_in(self) -> None:
+        if self.pid:
+            ip("link", "set", self.cable, "up", "master", "br0", netns=self.site.process.pid)
+
+    def swallow(self) -> None:
+        """The carrier stays, the packets vanish."""
+        ip("link", "set", self.cable, "nomaster", netns=self.site.process.pid)
+
+    def processes(self) -> list[Process]:
+        """All but PID 1, sshd's listener and sessions, and our canaries."""
+        if not self.pid:
+            return []
+        inode = Path(f"/proc/{self.pid}/ns/pid").stat().st_ino
+        ours = ("canary.py", "sshd")
+        return [each for each in scan.in_namespace("pid", inode) if each.pid != self.pid and not any(word in each.command for word in ours)]
+
+    def enter(self, *command: str, user: bool = True) -> list[str]:
+        """The command line that runs ``command`` on this computer."""
+        who = AS_USER if user else []
+        spaces = ["--mount", "--uts", "--ipc", "--net", "--pid", "--root", "--wd"]
+        return ["nsenter", f"--target={self.pid}", *spaces, *who, *command]
+
+    def run(self, *command: str) -> "subprocess.CompletedProcess[str]":
+        return subprocess.run(self.enter(*command), capture_output=True, text=True, timeout=60, check=False)
+
+    def canary(self, name: str, *words: str, pid: int = 0) -> Canary:
+        """A foreign process; ``pid``: the process id that it shall have on this computer, which must be free."""
+        inside = f"/home/{USER}/oracle/records/{name}.canary"
+        last = "/proc/sys/kernel/ns_last_pid"
+        if pid:  # the shell that starts it must not sit on the wanted number itself
+            subprocess.run(self.enter("sh", "-c", f"echo 20000 > {last}", user=False), timeout=60, check=True)
+        begin, after = (f"echo {pid - 1} > {last}; ", f"; echo 20000 > {last}") if pid else ("", "")
+        script = f'{begin}{" ".join(AS_USER)} python3 /home/{USER}/oracle/canary.py "$0" "$@" </dev/null >/dev/null 2>&1 & echo $!{after}'
+        done = subprocess.run(
+            self.enter("sh", "-c", script, inside, *words, user=False), capture_output=True, text=True, timeout=60, check=True
+        )
+        number = int(done.stdout)
+        assert not pid or number == pid, f"wanted pid {pid}, got {number}"
+        return scan.wait_for_canary(name, self.records / f"{name}.canary", self._outside(number))
+
+    def inner_pid(self, each: Process) -> int:
+        """The process id that the process has on this computer; 0 if it is gone."""
+        with suppress(OSError):
+            return int(re.findall(r"^NSpid:.*?(\d+)$", Path(f"/proc/{each.pid}/status").read_text(), re.MULTILINE)[0])
+        return 0
+
+    def _outside(self, inner: int) -> int:
+        for each in self._all():
+            if self.inner_pid(each) == inner:
+                return each.pid
+        raise AssertionError(f"no process {inner} on {self.name}")
+
+    def _all(self) -> list[Process]:
+        return scan.in_namespace("pid", Path(f"/proc/{self.pid}/ns/pid").stat().st_ino)
+
+    def restart_sshd(self) -> None:
+        """End the listener; PID 1 starts another, with the configuration of now. Open sessions go on."""
+        (listener,) = [each for each in self._all() if "[listener]" in each.command]
+        os.kill(listener.pid, signal.SIGKILL)
+        wait_for(lambda: not listener.alive, "sshd's end")
+        self._wait_for_sshd()
+
+    def set_env(self, **env: str) -> None:
+        self.env = env
+        self._write_sshd_config()
+        self.restart_sshd()
+
+    def change_key(self) -> None:
+        (self.directory / "ssh" / "host_key").unlink()
+        self.key = sshd.make_key(self.directory / "ssh" / "host_key")
+        self.restart_sshd()
+
+    def admit(self, *, everybody: bool, settle: bool = True) -> None:
+        path = self.directory / "ssh" / "authorized_keys"
+        path.write_text(f"{self.user_key}\n" if everybody else "")
+        path.chmod(0o644)
+
+    def home_read_only(self, *, yes: bool) -> None:
+        """Whoever opens a file below /home from now on finds it read-only; files that are open for writing stay so."""
+        home = f"{self.root}/home"
+        enter = ["nsenter", f"--target={self.pid}", "--mount", "mount"]
+        if yes and not self.read_only:
+            subprocess.run([*enter, "--rbind", home, home], check=True)
+            subprocess.run([*enter, "-o", "remount,bind,ro", home], check=True)
+        elif self.read_only and not yes:
+            subprocess.run([*enter[:-1], "umount", "-l", home], check=True)
+        self.read_only = yes
+
+    def fill_disk(self) -> None:
+        """Leave not a byte on /home."""
+        with suppress(OSError), (self.home / "fill").open("wb", buffering=0) as file:
+            while file.write(bytes(1 << 12)):
+                pass
+
+    def free_disk(self) -> None:
+        (self.home / "fill").unlink(missing_ok=True)
+
+    def hide_python(self, *, yes: bool) -> None:
+        python = self.path("usr/bin/python3")
+        hidden = python.with_name("hidden-python3")
+        if yes:
+            python.rename(hidden)
+        else:
+            hidden.rename(python)
+
+    def close(self) -> None:
+        self.power_off()
+        assert self.chassis.stdin is not None
+        assert self.chassis.stdout is not None
+        self.chassis.stdin.close()
+        self.chassis.stdout.close()
+        self.chassis.wait(10)
+        self.group.remove()
+
+
+@contextmanager
+def namespace_hosts(
+    directory: Path, names: list[str], *, cores: Mapping[str, float] | None = None
+) -> Iterator[tuple[Site, dict[str, Host]]]:
+    """Computers in namespaces, and the site of their manager; needs root."""
+    directory.mkdir(parents=True, exist_ok=True)
+    key = sshd.make_key(directory / "user_key")
+    with ExitStack() as stack:
+        site = Site.make()
+        stack.callback(site.close)
+        hosts: dict[str, Host] = {}
+        for number, name in enumerate(names, start=11):
+            host = NamespaceHost(
+                name=name, site=site, directory=directory / name, number=number, user_key=key, cores=(cores or {}).get(name)
+            )
+            stack.callback(host.close)
+            hosts[name] = host
+        yield site, hosts

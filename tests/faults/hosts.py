@@ -1,0 +1,163 @@
+"""Two kinds of real host behind one Protocol: an sshd on a loopback address, and a computer of its own in namespaces.
+
+What a host cannot do (a loopback address has no cable) it says by not having it in ``can``; nothing is emulated half.
+"""
+
+import getpass
+import shutil
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+from tests import sshd
+from tests.faults import scan
+from tests.faults.scan import Canary, Process
+
+HERE = Path(__file__).parent
+POWER, CABLE, REBOOT, DISK, MOUNTS, PYTHON, LIMIT = "power", "cable", "reboot", "disk", "mounts", "python", "limit"
+
+
+class Host(Protocol):
+    """A computer that the tests can break. Paths are as the tests see them, while the host is on."""
+
+    name: str
+    kind: str
+    can: frozenset[str]
+
+    @property
+    def login(self) -> tuple[str, int, str, str]: ...  # address, port, user, public host key line
+    @property
+    def home(self) -> Path: ...
+    @property
+    def records(self) -> Path: ...
+    def power_off(self) -> None: ...
+    def boot(self) -> None: ...
+    def processes(self) -> list[Process]: ...
+    def run(self, *command: str) -> "subprocess.CompletedProcess[str]": ...
+    def canary(self, name: str, *words: str, pid: int = 0) -> Canary: ...
+    def set_env(self, **env: str) -> None: ...
+    def change_key(self) -> None: ...
+    def admit(self, *, everybody: bool) -> None: ...
+    def close(self) -> None: ...
+
+
+def wait_for(condition: Callable[[], object], what: str, seconds: float = 10) -> None:
+    """Poll until the condition holds."""
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, f"waited {seconds} s in vain: {what}"
+        time.sleep(0.02)
+
+
+def put_programs(directory: Path) -> None:
+    """The oracle's side of a host: its programs, and records that any user may write."""
+    (directory / "records").mkdir(parents=True)
+    (directory / "records").chmod(0o777)
+    for program in ("beacon.py", "canary.py"):
+        shutil.copy(HERE / program, directory / program)
+        (directory / program).chmod(0o644)
+
+
+@dataclass(kw_only=True)
+class LoopbackHost:
+    """An unprivileged sshd on a loopback address. Its "power" ends what was started through it; the boot id stays the machine's."""
+
+    name: str
+    lab: sshd.Lab
+    env: dict[str, str] = field(default_factory=dict)
+    canaries: list["subprocess.Popen[bytes]"] = field(default_factory=list)
+    kind: str = "loopback"
+    can: frozenset[str] = frozenset()
+
+    @property
+    def server(self) -> sshd.Server:
+        return self.lab[self.name]
+
+    @property
+    def login(self) -> tuple[str, int, str, str]:
+        return self.server.address, self.server.port, getpass.getuser(), self.server.key
+
+    @property
+    def home(self) -> Path:
+        return self.server.home
+
+    @property
+    def records(self) -> Path:
+        return self.home / "oracle" / "records"
+
+    def power_off(self) -> None:
+        self.server.stop()
+
+    def boot(self) -> None:
+        if self.server.process is None:
+            self.server.start()
+            self.server.wait(time.monotonic() + 10)
+
+    def processes(self) -> list[Process]:
+        """What logins have left behind (the sessions themselves carry no mark of ours, or are the shells that sshd runs)."""
+        return scan.with_environment(sshd.MARK, str(self.server.directory))
+
+    def run(self, *command: str) -> "subprocess.CompletedProcess[str]":
+        return subprocess.run(command, capture_output=True, text=True, env=self._env(), timeout=60, check=False)
+
+    def _env(self) -> dict[str, str]:
+        return {"HOME": str(self.home), "PATH": sshd.PATH} | self.env
+
+    def canary(self, name: str, *words: str, pid: int = 0) -> Canary:
+        assert not pid, "a loopback host has no process ids of its own"
+        found, running = scan.start_canary(self.records, name, *words)
+        self.canaries.append(running)
+        return found
+
+    def set_env(self, **env: str) -> None:
+        self.env = env
+        self._configure()
+
+    def _configure(self, *extra: str) -> None:
+        standard = {
+            "HOME": str(self.home),
+            "XDG_STATE_HOME": str(self.home / "state"),
+            sshd.MARK: str(self.server.directory),
+            "PATH": sshd.PATH,
+        }
+        self.server.configure(env=standard | self.env, authorized=self.lab.authorized_keys, extra=extra)
+        self._hang_up()
+        self.server.wait(time.monotonic() + 10)
+
+    def _hang_up(self) -> None:
+        assert self.server.process is not None
+        self.server.process.send_signal(signal.SIGHUP)
+        time.sleep(0.3)
+
+    def change_key(self) -> None:
+        (self.server.directory / "host_key").unlink()
+        self.server.key = sshd.make_key(self.server.directory / "host_key")
+        self._hang_up()
+
+    def admit(self, *, everybody: bool) -> None:
+        self._configure(*([] if everybody else ["AuthorizedKeysFile none"]))
+
+    def close(self) -> None:
+        for running in self.canaries:
+            running.kill()
+            running.wait()
+
+
+@contextmanager
+def loopback_hosts(directory: Path, names: list[str]) -> Iterator[dict[str, Host]]:
+    """Hosts on loopback addresses; needs no root."""
+    with sshd.running_lab(directory, names) as lab:
+        hosts: dict[str, Host] = {}
+        for name in names:
+            put_programs(lab[name].home / "oracle")
+            hosts[name] = LoopbackHost(name=name, lab=lab)
+        try:
+            yield hosts
+        finally:
+            for host in hosts.values():
+                host.close()

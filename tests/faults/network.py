@@ -1,0 +1,52 @@
+"""The manager's network, to which the computers of the tests are cabled; needs root."""
+
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+
+from tests import sshd
+from tests.faults.hosts import wait_for
+
+
+def ip(*words: str, netns: int = 0) -> None:
+    """Run ip(8), in the network namespace of process ``netns``."""
+    prefix = ["nsenter", f"--target={netns}", "--net"] if netns else []
+    done = subprocess.run([*prefix, sshd.program("ip"), *words], capture_output=True, text=True, check=False)
+    assert not done.returncode, f"ip {' '.join(words)}: {done.stderr}"
+
+
+@dataclass(kw_only=True)
+class Site:
+    """The manager's network namespace with a bridge, to which every computer's cable leads."""
+
+    process: "subprocess.Popen[bytes]"
+    network: str
+
+    @property
+    def netns(self) -> Path:
+        return Path(f"/proc/{self.process.pid}/ns/net")
+
+    @property
+    def prefix(self) -> list[str]:
+        """What to put before a command so that it runs where the manager is."""
+        return ["nsenter", f"--net={self.netns}"]
+
+    @classmethod
+    def make(cls, network: str = "10.231.0") -> "Site":
+        process = subprocess.Popen(["unshare", "--net", "cat"], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL)
+        site = cls(process=process, network=network)
+        own = Path("/proc/self/ns/net").readlink()
+        wait_for(lambda: site.netns.readlink() != own, "a network namespace")
+        for words in (
+            "link set lo up",
+            "link add br0 type bridge forward_delay 0",
+            f"addr add {network}.1/24 dev br0",
+            "link set br0 up",
+        ):
+            ip(*words.split(), netns=process.pid)
+        return site
+
+    def close(self) -> None:
+        assert self.process.stdin is not None
+        self.process.stdin.close()
+        self.process.wait(10)

@@ -1,0 +1,178 @@
+"""The emulated computers: what can be pulled is really off, what comes back is really another boot, and nothing of them remains."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests import sshd
+from tests.faults import cgroup, scan
+from tests.faults.computer import NamespaceHost, missing_for_namespaces, namespace_hosts
+from tests.faults.hosts import LIMIT, loopback_hosts, wait_for
+from tests.faults.network import Site
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, Site, NamespaceHost]]:
+    if why := missing_for_namespaces():
+        assert os.geteuid() != 0, f"root, but no computers in namespaces: {why}"
+        pytest.skip(f"computers in namespaces: not run: {why}")
+    directory = tmp_path_factory.mktemp("computers")
+    with namespace_hosts(directory, ["edge1"], cores={"edge1": 0.8}) as (site, hosts):
+        host = hosts["edge1"]
+        assert isinstance(host, NamespaceHost)
+        yield directory, site, host
+
+
+def ssh(place: tuple[Path, Site, NamespaceHost], command: str) -> "subprocess.CompletedProcess[str]":
+    directory, site, host = place
+    address, port, user, key = host.login
+    (directory / "known").write_text(f"{address} {key}\n")
+    options = [
+        f"UserKnownHostsFile={directory}/known",
+        "BatchMode=yes",
+        "ConnectTimeout=1",
+        f"IdentityFile={directory}/user_key",
+        "IdentitiesOnly=yes",
+    ]
+    words = [word for option in options for word in ("-o", option)]
+    line = [*site.prefix, sshd.program("ssh"), "-F", "none", *words, "-p", str(port), f"{user}@{address}", command]
+    return subprocess.run(line, capture_output=True, text=True, timeout=30, check=False)
+
+
+def test_it_is_a_computer_of_its_own(place: tuple[Path, Site, NamespaceHost]) -> None:
+    answer = ssh(place, "id -un; hostname; cat /proc/sys/kernel/random/boot_id; ls ~").stdout.split()
+    assert answer == ["edge", "edge1", place[2].boot_id, "oracle"]
+    assert len(ssh(place, "ps -e").stdout.splitlines()) < 12
+
+
+def test_power(place: tuple[Path, Site, NamespaceHost]) -> None:
+    host = place[2]
+    before = host.boot_id
+    ssh(place, "echo kept > file; setsid sleep 1000 >/dev/null 2>&1 &")
+    (sleeper,) = [each for each in host.processes() if each.command == "sleep 1000"]
+    host.power_off()
+    assert not sleeper.alive
+    assert "timed out" in ssh(place, "true").stderr or "No route" in ssh(place, "true").stderr
+    host.boot()
+    assert host.boot_id != before
+    assert ssh(place, "cat file; cat /proc/sys/kernel/random/boot_id").stdout.split() == ["kept", host.boot_id]
+    assert host.processes() == []
+
+
+def test_cable(place: tuple[Path, Site, NamespaceHost]) -> None:
+    host = place[2]
+    host.cable_out()
+    assert ssh(place, "true").returncode == 255
+    host.cable_in()
+    wait_for(lambda: ssh(place, "true").returncode == 0, "the link")
+    host.swallow()
+    assert ssh(place, "true").returncode == 255
+    host.cable_in()
+    wait_for(lambda: ssh(place, "true").returncode == 0, "the link")
+
+
+def test_disk_and_mounts(place: tuple[Path, Site, NamespaceHost]) -> None:
+    host = place[2]
+    host.fill_disk()
+    assert "No space left" in ssh(place, "echo something > full").stderr
+    host.free_disk()
+    host.home_read_only(yes=True)
+    assert "Read-only" in ssh(place, "echo something > ro").stderr
+    assert ssh(place, "echo something > oracle/records/note").returncode == 0
+    host.home_read_only(yes=False)
+    assert ssh(place, "echo something > rw").returncode == 0
+
+
+def test_python_hidden(place: tuple[Path, Site, NamespaceHost]) -> None:
+    host = place[2]
+    host.hide_python(yes=True)
+    assert ssh(place, "python3 -V").returncode == 127
+    host.hide_python(yes=False)
+    assert ssh(place, "python3 -V").returncode == 0
+
+
+def test_login_and_key_and_environment(place: tuple[Path, Site, NamespaceHost]) -> None:
+    host = place[2]
+    host.admit(everybody=False)
+    assert "Permission denied" in ssh(place, "true").stderr
+    host.admit(everybody=True)
+    old = host.key
+    host.change_key()
+    assert host.key != old
+    host.set_env(LAMP="on and off")
+    assert ssh(place, 'echo "$LAMP"').stdout == "on and off\n"
+    host.set_env()
+
+
+def test_a_canary_takes_a_wanted_pid(place: tuple[Path, Site, NamespaceHost]) -> None:
+    host = place[2]
+    canary = host.canary("canary", "like", "slam", pid=4321)
+    assert canary.harm() == []
+    assert ssh(place, "kill -TERM 4321").returncode == 0
+    wait_for(canary.harm, "the canary's complaint")
+    assert host.processes() == []
+
+
+def test_cpu_limit(place: tuple[Path, Site, NamespaceHost]) -> None:
+    host = place[2]
+    if LIMIT not in host.can:
+        pytest.skip(f"CPU limit: not run: {host.group.why}")
+    loop = "python3 -c 'import os, time; end = time.monotonic() + 1\nwhile time.monotonic() < end: pass\nprint(sum(os.times()[:2]))'"
+    assert float(ssh(place, loop).stdout) < 0.95
+
+
+def test_nothing_remains(tmp_path: Path) -> None:
+    if why := missing_for_namespaces():
+        pytest.skip(f"computers in namespaces: not run: {why}")
+    with namespace_hosts(tmp_path / "c", ["edge1", "edge2"], cores={"edge1": 0.5}) as (site, hosts):
+        host = hosts["edge1"]
+        assert isinstance(host, NamespaceHost)
+        host.run("sh", "-c", "setsid sleep 1000 >/dev/null 2>&1 &")
+        spaces = [Path(f"/proc/{host.pid}/ns/{kind}").stat().st_ino for kind in ("pid", "net", "mnt")]
+        groups = host.group.directories
+        netns = site.netns.stat().st_ino
+    found = [scan.in_namespace(kind, inode) for kind, inode in zip(("pid", "net", "mnt"), spaces, strict=True)]
+    assert found == [[], [], []]
+    assert scan.in_namespace("net", netns) == []
+    assert scan.marked(str(tmp_path)) == []
+    assert str(tmp_path) not in Path("/proc/self/mounts").read_text()
+    assert not any(group.exists() for group in groups)
+
+
+def test_nothing_remains_of_a_killed_run(tmp_path: Path) -> None:
+    """The tests themselves may be killed: the computers end with them (the empty cgroup is all that stays)."""
+    if why := missing_for_namespaces():
+        pytest.skip(f"computers in namespaces: not run: {why}")
+    script = (
+        "import sys, time, pathlib; from tests.faults.computer import namespace_hosts\n"
+        "with namespace_hosts(pathlib.Path(sys.argv[1]), ['edge1']) as (site, hosts):\n"
+        "    print('up', flush=True); time.sleep(60)\n"
+    )
+    run = subprocess.Popen([sys.executable, "-c", script, str(tmp_path / "c")], stdout=subprocess.PIPE, cwd=Path(__file__).parents[2])
+    assert run.stdout is not None
+    with run.stdout:
+        assert run.stdout.readline() == b"up\n"
+        run.kill()
+        run.wait()
+    wait_for(lambda: scan.marked(str(tmp_path)) == [], "the end of the computers")
+
+
+def test_a_loopback_host(tmp_path: Path) -> None:
+    with loopback_hosts(tmp_path, ["edge1"]) as hosts:
+        host = hosts["edge1"]
+        assert (host.home / "oracle" / "beacon.py").exists()
+        assert host.canary("canary", "x").harm() == []
+        host.power_off()
+        host.boot()
+        host.set_env(LAMP="on")
+        host.admit(everybody=False)
+        host.admit(everybody=True)
+        assert host.processes() == []
+
+
+def test_no_group_where_no_limit_is_wanted() -> None:
+    assert cgroup.make("edgectl-faults-none", None).doors == []

@@ -1,0 +1,158 @@
+"""Every decoder that reads what others wrote: sound inputs to damage, and how each is read."""
+
+import contextlib
+import hashlib
+import json
+import random
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from edgectl.config.documents import load_plan, load_snapshot
+from edgectl.config.load import load
+from edgectl.formats import memory as memory_form
+from edgectl.gateway.decode import Context, decode
+from edgectl.state import journal
+from edgectl.state.memory import load_memory
+from edgectl.transport.base import Reply
+from edgectl.transport.call import call
+from tests.builders import NOW, an_edge
+from tests.config.bad import INVENTORY, TASKS
+from tests.config.test_bad_documents import TEXTS
+from tests.formats.test_complete import MEMORY
+from tests.fuzz.mutate import damaged
+from tests.gateway.test_decode import a_document, a_task
+
+Read = Callable[[bytes], object]
+SECRETS = INVENTORY.replace('env: {ROS_DOMAIN_ID: "7"}', "env: {KEY: {value: x, secret: true}}, env_command: [vault, read]")
+
+
+@dataclass(frozen=True)
+class Target:
+    """One decoder. ``read`` raises an EdgectlError or gives a value; anything else is a bug."""
+
+    name: str
+    seeds: list[bytes]
+    read: Read
+
+    def case(self, seed: int, number: int) -> bytes:
+        """The input of one case: the same for the same seed and number."""
+        return damaged(random.Random(f"{seed}:{self.name}:{number}"), self.seeds)
+
+
+@contextlib.contextmanager
+def targets(directory: Path) -> Iterator[list[Target]]:
+    """All of them; files are written into ``directory``."""
+    good_inventory, good_tasks = directory / "good-inventory", directory / "good-tasks"
+    good_inventory.write_text(INVENTORY)
+    good_tasks.write_text(TASKS)
+    path = directory / "damaged"
+    yield [
+        Target("agent document", _documents(), _as_payload),
+        Target("agent frame", [b"%s " % MARK, *(_frame(text) for text in _documents())], _as_frame),
+        Target("snapshot", [TEXTS["snapshot"].encode()], _from_file(path, load_snapshot)),
+        Target("plan", [TEXTS["plan"].encode()], _from_file(path, load_plan)),
+        Target("journal", _journals(directory / "journal"), _from_file(directory / "journal.jsonl", _read_journal)),
+        Target("memory", [json.dumps(memory_form.encode(MEMORY)).encode()], _from_file(directory / "memory.json", _read_memory)),
+        Target("inventory", [INVENTORY.encode(), SECRETS.encode()], _from_file(path, lambda file: load(file, good_tasks))),
+        Target("tasks", [TASKS.encode()], _from_file(path, lambda file: load(good_inventory, file))),
+    ]
+
+
+def _from_file(path: Path, read: Callable[[Path], object]) -> Read:
+    def from_bytes(data: bytes) -> object:
+        path.write_bytes(data)
+        return read(path)
+
+    return from_bytes
+
+
+# -- what a host answers -----------------------------------------------------------------------------------------------------------------
+
+MARK = b"@MARK@"
+
+
+def _documents() -> list[bytes]:
+    given_up = a_task(state="crashloop", last_exit=1, log_tail=["one", "two"], limits="enforced", fields={"command": "0123abcd"})
+    tasks = {"slam": a_task(), "camera": given_up}
+    whole = a_document(tasks=tasks, checks={"slam": {"exit": 0, "timed_out": False, "output": "x"}})
+    return [
+        json.dumps(document).encode()
+        for document in (whole, whole, whole, {"error": {"kind": "k", "message": "m", "hint": "h"}}, {"missing": True})
+    ]
+
+
+def _frame(payload: bytes) -> bytes:
+    """A reply as a host sends it, with noise around; the marker is put in when it is asked."""
+    return b"Last login: today\r%s %d %s\n%s\r\nbye" % (MARK, len(payload), hashlib.sha256(payload).hexdigest().encode(), payload)
+
+
+class _Host:
+    """A session to a host that answers whatever it is asked with one text."""
+
+    python = "python3"
+
+    def __init__(self, answer: bytes) -> None:
+        self.answer = answer
+
+    def run(self, command: str, stdin: bytes, *, timeout: float, limit: int = 1 << 20) -> Reply:
+        asked = re.search(rb"([0-9a-f]{32}) [0-9a-f]{64} [0-9]+ [0-9]+ ", stdin)
+        assert asked is not None
+        return Reply(stdout=self.answer.replace(MARK, b"\nedgectl-frame " + asked[1]), stderr=b"", status=0)
+
+    def stream(self, command: str, stdin: bytes, *, idle_timeout: float) -> Iterator[bytes]:
+        raise NotImplementedError
+
+    def close(self) -> None:
+        return
+
+    def __enter__(self) -> "_Host":
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        return
+
+
+def _as_payload(data: bytes) -> object:
+    return _as_frame(_frame(data))
+
+
+def _as_frame(data: bytes) -> object:
+    document = call(_Host(data), {"op": "probe", "host": "edge1"}, timeout=1.0)
+    return decode(document, Context(host=an_edge("edge1"), answered_at=NOW, robots=("robot1",)))
+
+
+# -- what stands on our own disk ---------------------------------------------------------------------------------------------------------
+
+
+def _journals(directory: Path) -> list[bytes]:
+    directory.mkdir()
+    with journal.Journal.open(directory, clock=lambda: NOW) as written:
+        for revision in (1, 2):
+            written.append("begin", revision=revision, plan=f"p{revision}", actions=1)
+            written.append("intent", task="slam", action="move", host="edge1", previous_host="edge2", generation=revision)
+            written.append("phase", task="slam", phase="hold", host="robot1")
+            written.append("commit", task="slam", outcome="done", located="edge1", error="", downtime_s=1.5, phases=[])
+            written.append("end", revision=revision, interrupted=False)
+    return [written.path.read_bytes()]
+
+
+def _read_journal(path: Path) -> object:
+    """Read it, and open it as the next apply does: a torn line is cut off, a damaged file set aside and a new one begun."""
+    try:
+        log = journal.read(path)
+        journal.Journal.open(path.parent, clock=lambda: NOW).close()
+        assert not journal.read(path).broken
+        return log.revision, log.begun, log.applied, log.unfinished, log.held, log.generations
+    finally:
+        for left in path.parent.glob("journal.jsonl*"):
+            left.unlink()
+
+
+def _read_memory(path: Path) -> object:
+    try:
+        return load_memory(path.parent)
+    finally:
+        for left in path.parent.glob("memory.json.*"):
+            left.unlink()

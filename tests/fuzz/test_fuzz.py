@@ -1,0 +1,41 @@
+"""The short form of ``make fuzz``, and a proof that it notices what it looks for."""
+
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.fuzz.run import run
+from tests.fuzz.targets import Target, targets
+
+CASES = 250
+
+
+def test_decoders_read_or_refuse_whatever_is_damaged(tmp_path: Path) -> None:
+    with targets(tmp_path) as found:
+        assert len(found) >= 7
+        for target in found:
+            tally = run(target, seed=1, cases=CASES, until=time.monotonic() + 60)
+            assert tally.bad == []
+            assert tally.cases == CASES
+            assert tally.accepted + tally.refused == CASES
+            assert tally.accepted
+
+
+@pytest.mark.parametrize("wrong", [ValueError("x"), RecursionError(), KeyError("k")])
+def test_a_foreign_exception_is_noticed(wrong: Exception) -> None:
+    def read(_data: bytes) -> object:
+        raise wrong
+
+    tally = run(Target("planted", [b"x"], read), seed=1, cases=3, until=time.monotonic() + 10)
+    assert len(tally.bad) == 3
+
+
+def test_a_slow_case_is_noticed() -> None:
+    def read(_data: bytes) -> object:
+        end = time.process_time() + 1.1
+        while time.process_time() < end:
+            pass
+        return None
+
+    assert "took 1." in run(Target("planted", [b"x"], read), seed=1, cases=1, until=time.monotonic() + 10).bad[0]
