@@ -3,7 +3,7 @@
 import sys
 import time
 
-from . import device, network, proc
+from . import device, network, proc, state, status
 from .task import TaskMeter
 
 _LONGEST_WINDOW_S = 30.0
@@ -44,8 +44,15 @@ def probe(request: dict) -> dict:
         "interfaces": network.interfaces(totals, totals_after, seconds),
         "links": network.links(addresses, flows, knocks, seconds),
         "tasks": measured,
+        "generations": _generations(request["host"], measured),
         "checks": checks.results(),
     }
+
+
+def _generations(host: str, measured: dict) -> dict:
+    """Task -> highest generation seen here, where the task's own entry does not tell: without it a manager cannot start the task again."""
+    seen = {name: status.seen_generation(host, name) for name in state.task_names(host)}
+    return {name: number for name, number in seen.items() if number > measured.get(name, {}).get("generation", 0)}
 
 
 class _Checks:

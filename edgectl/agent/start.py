@@ -12,15 +12,9 @@ _LOOKS = 10
 _LOOK_S = 0.03
 
 
-def seen_generation(host: str, task: str) -> int:
-    """The highest generation this host was ever given for the task."""
-    folders = state.task_dirs(host, task)
-    return max([record.read(os.path.join(folder, "generation")).get("generation", 0) for folder in folders] or [0])
-
-
 def check_generation(host: str, task: str, generation: int) -> None:
     """Refuse a manager that knows less than this host. Raises RefusalError."""
-    seen = seen_generation(host, task)
+    seen = status.seen_generation(host, task)
     if generation < seen:
         message = "generation %d of %s is older than %d, which this host has seen" % (generation, task, seen)
         raise RefusalError("stale-generation", message, "another manager changed this task: run edgectl probe, then plan again")

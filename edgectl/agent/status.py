@@ -18,6 +18,12 @@ def current(host: str, task: str, table=None):
     return max(found, key=lambda pair: pair[1]) if found else (None, False)
 
 
+def seen_generation(host: str, task: str) -> int:
+    """The highest generation this host was ever given for the task."""
+    folders = state.task_dirs(host, task)
+    return max([record.read(os.path.join(folder, "generation")).get("generation", 0) for folder in folders] or [0])
+
+
 def entries(host: str, task, table=None) -> dict:
     """Task -> entry of every task of this host, or of one."""
     found = {}

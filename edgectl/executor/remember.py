@@ -27,6 +27,8 @@ def generations(
     for host in snapshot.hosts.values():
         for name, sample in host.tasks.items():
             known[name] = max(known.get(name, 0), sample.generation)
+        for name, generation in host.generations.items():
+            known[name] = max(known.get(name, 0), generation)
     return {step.task: max(int(now), known.get(step.task, 0) + 1) for step in steps}
 
 

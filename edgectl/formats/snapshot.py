@@ -46,6 +46,8 @@ def _host(host: HostSample) -> Document:
         document["links"] = {robot: _link(link) for robot, link in host.links.items()}
     if host.ok or host.tasks:
         document["tasks"] = {name: _task(task) for name, task in host.tasks.items()}
+    if host.generations:
+        document["generations"] = dict(host.generations)
     device = _device(host.device)
     return document | {"device": device} if device else document
 
@@ -140,6 +142,7 @@ def _read_host(reader: Reader) -> HostSample:
         links={robot: _read_link(link) for robot, link in reader.children("links")},
         tasks={name: _read_task(task) for name, task in reader.children("tasks")},
         device=Device() if device is None else _read_device(device),
+        generations=reader.mapping("generations", Reader.integer),
     )
 
 

@@ -64,6 +64,7 @@ def decode(document: Document, context: Context) -> HostSample:
         links=_links(document, context, tasks) if context.host.role is Role.EDGE else {},
         tasks=tasks,
         device=_device(document, context.answered_at),
+        generations={printable(name): whole(table(document, "generations"), name) for name in table(document, "generations")},
     )
     return with_done(sample, checked_done(document))
 

@@ -127,6 +127,7 @@ class HostSample:
 
     ``error`` is the cause in words, ``error_kind`` its stable word (``HostError.kind``), ``hint`` what mends it.
     ``sample_age_s``: age of the readings when the snapshot was taken.
+    ``generations``: by task, the highest generation the host was ever given, where ``tasks`` does not tell.
     """
 
     role: Role
@@ -140,6 +141,7 @@ class HostSample:
     links: Mapping[str, LinkSample] = field(default_factory=dict)
     tasks: Mapping[str, TaskSample] = field(default_factory=dict)
     device: Device = Device()
+    generations: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def ok(self) -> bool:

@@ -176,6 +176,8 @@ def test_lower_generation_is_refused(host: AgentHost) -> None:
     with pytest.raises(RefusedError, match="older than 5"):
         host.start("slam", "exec sleep 600", instance="i2", generation=4)
     assert host.stop("slam", generation=6)["state"] == "stopped"
+    probed = host.ask("probe", window_s=0.05)
+    assert probed["generations"] == {"slam": 6}
     with pytest.raises(RefusedError, match="older than 6"):
         host.start("slam", "exec sleep 600", instance="i3", generation=5)
 

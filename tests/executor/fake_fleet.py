@@ -155,6 +155,7 @@ class FakeHost:
             "memory": {"total_bytes": 4 * 2**30, "used_bytes": 0},
             "links": {robot: {"rx_bytes_per_s": 0.0, "tx_bytes_per_s": 0.0, "rtt_ms": 1.0} for robot in links},
             "tasks": entries,
+            "generations": dict(self.seen),
             "checks": {},
         }
 

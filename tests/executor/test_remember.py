@@ -1,5 +1,7 @@
 """What the manager remembers after an apply, case by case."""
 
+import dataclasses
+
 from edgectl.executor.remember import generations, remember
 from edgectl.model.assignment import Decision, Reason, Verdict
 from edgectl.model.memory import Memory, Placement
@@ -110,5 +112,7 @@ def test_generations_are_above_all_that_is_known_and_never_below_the_clock() -> 
     world = a_snapshot(edge1=a_sample(tasks={"slam": a_run(TaskState.FAILED, generation=far)}))
     assert generations(Memory(), a_snapshot(), steps, NOW) == {"slam": int(NOW)}
     assert generations(Memory(), world, steps, NOW) == {"slam": far + 1}
+    stopped = a_snapshot(edge1=dataclasses.replace(a_sample(), generations={"slam": far}))
+    assert generations(Memory(), stopped, steps, NOW) == {"slam": far + 1}
     known = Memory(placements={"slam": Placement(host="edge1", since=0.0, generation=far + 7)})
     assert generations(known, world, steps, NOW) == {"slam": far + 8}

@@ -90,6 +90,7 @@ hosts = st.builds(
     links=by_name(links),
     tasks=by_name(task_samples),
     device=devices,
+    generations=by_name(counts),
 ) | st.builds(HostSample, role=st.sampled_from(Role), status=st.just(HostStatus.UNREACHABLE), error=texts, error_kind=texts, hint=texts)
 memories = st.builds(
     Memory,

@@ -138,6 +138,16 @@ def test_generations_grow_even_when_the_manager_forgot(bench: Bench) -> None:
     assert bench.memory.placements["slam"].generation > before >= NOW
 
 
+def test_a_manager_whose_clock_is_behind_takes_over_what_another_one_stopped(bench: Bench, tmp_path: Path) -> None:
+    apply(bench.fleet, POLICY)
+    stop(bench.fleet, ["slam"])
+    (tmp_path / "other").mkdir(mode=0o700)
+    bench.now -= 3600.0
+    applied = apply(dataclasses.replace(bench.fleet, state=tmp_path / "other"), POLICY)
+    assert applied.results is not None
+    assert applied.results.done, applied.results
+
+
 def test_a_manager_that_was_overtaken_is_refused_and_recovers(bench: Bench, tmp_path: Path) -> None:
     """Two managers, each with a state of its own: the second restarts slam while the first looks at its plan."""
     apply(bench.fleet, POLICY)
