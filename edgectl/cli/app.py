@@ -17,6 +17,7 @@ class Entry(NamedTuple):
     help: str
 
 
+# A name of two words is a command of the group that its first word names.
 COMMANDS = {
     "probe": Entry("probe", "Schedule", "Measure every host and link."),
     "plan": Entry("plan", "Schedule", "Rank the hosts for every task and show what would be done, and why."),
@@ -41,6 +42,8 @@ COMMANDS = {
     "version": Entry("files", "Settings", "Print the version."),
     "completion": Entry("files", "Settings", "Print the completion script of a shell."),
 }
+# First word of such names -> one line of help.
+GROUPS: dict[str, str] = {}
 SUMMARY = "Place robot tasks on edge computers by measured utility: probe, plan, apply, over SSH."
 EXITS = (
     "Exit codes: 0 done; 1 failed; 2 changes pending, 3 unplaced (plan --detailed-exitcode); 4 partly done; 64 usage; "
@@ -56,32 +59,44 @@ class Grouped(TyperGroup):
     def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401, ARG002
         """Write one section per group, in the order of ``COMMANDS``."""
         for group in dict.fromkeys(entry.group for entry in COMMANDS.values()):
+            names = dict.fromkeys(name.split()[0] for name, entry in COMMANDS.items() if entry.group == group)
             with formatter.section(group):
-                formatter.write_dl([(name, entry.help) for name, entry in COMMANDS.items() if entry.group == group])
+                formatter.write_dl([(name, GROUPS[name] if name in GROUPS else COMMANDS[name].help) for name in names])
 
 
 def build(words: Sequence[str]) -> typer.Typer:
     """The application for this command line: all names, but only the wanted command with its options."""
     completing = "_EDGECTL_COMPLETE" in os.environ
-    wanted = next((word for word in words if not word.startswith("-")), None)
+    named = [word for word in words if not word.startswith("-")]
+    wanted = " ".join(named[: 2 if named and named[0] in GROUPS else 1])
     return assemble(list(COMMANDS) if completing else [wanted], completing=completing)
 
 
-def assemble(wanted: Sequence[str | None], *, completing: bool = False) -> typer.Typer:
+def assemble(wanted: Sequence[str], *, completing: bool = False) -> typer.Typer:
     """The application with the options of the ``wanted`` commands."""
     app = typer.Typer(
         cls=Grouped, add_completion=completing, rich_markup_mode=None, context_settings=SETTINGS, epilog=EXITS, no_args_is_help=False,
         pretty_exceptions_enable=False,
     )  # fmt: skip
     app.callback(help=SUMMARY)(_nothing)
+    groups = {name: _group(app, name, text) for name, text in GROUPS.items()}
     for name, entry in COMMANDS.items():
+        first, _, second = name.partition(" ")
+        place = groups.get(first, app)
         if name in wanted:
-            function = getattr(import_module(f"edgectl.cli.{entry.module}"), f"{name}_command")
+            function = getattr(import_module(f"edgectl.cli.{entry.module}"), f"{name.replace(' ', '_')}_command")
             text, examples = described(function)
-            app.command(name, help=text, epilog=f"\b\nExamples:\n{examples}", context_settings=SETTINGS)(function)
+            place.command(second or name, help=text, epilog=f"\b\nExamples:\n{examples}", context_settings=SETTINGS)(function)
         else:
-            app.command(name, help=entry.help)(_nothing)
+            place.command(second or name, help=entry.help)(_nothing)
     return app
+
+
+def _group(app: typer.Typer, name: str, text: str) -> typer.Typer:
+    """A place for the commands whose names begin with ``name``; alone it shows what there is."""
+    group = typer.Typer(rich_markup_mode=None, context_settings=SETTINGS, no_args_is_help=True)
+    app.add_typer(group, name=name, help=text)
+    return group
 
 
 def _nothing() -> None:

@@ -29,7 +29,7 @@ standard error; piped output has no colour, no borders and is never cut.
 
 def page() -> str:
     """The page as it should stand."""
-    return HEAD + "\n".join(_section(words) for words in ([], *([name] for name in COMMANDS)))
+    return HEAD + "\n".join(_section(words) for words in ([], *(name.split() for name in COMMANDS)))
 
 
 def _section(words: list[str]) -> str:
