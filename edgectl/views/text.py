@@ -9,6 +9,8 @@ from typing import NamedTuple, TextIO
 
 _STYLES = {"good": "32", "bad": "31", "warn": "33", "dim": "2", "bold": "1", "name": "36"}
 _NARROWEST_LAST_COLUMN = 24
+_NARROWEST_COLUMN = 9
+_BELOW = 4
 
 
 class Cell(NamedTuple):
@@ -23,10 +25,11 @@ Row = Sequence[str | Cell]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Look:
-    """How text may look. ``width`` in columns; None: not a terminal, so nothing is wrapped."""
+    """How text may look. ``width`` in columns; None: not a terminal, so nothing is wrapped. ``unicode``: bars and marks beyond ASCII."""
 
     colour: bool = False
     width: int | None = None
+    unicode: bool = False
 
 
 PLAIN = Look()
@@ -35,12 +38,19 @@ PLAIN = Look()
 def look_of(stream: TextIO) -> Look:
     """The look that ``stream`` can show: NO_COLOR and TERM=dumb switch colour off, FORCE_COLOR switches it on."""
     terminal = stream.isatty()
-    width = shutil.get_terminal_size().columns if terminal else None
-    if os.environ.get("NO_COLOR"):
-        return Look(width=width)
-    if os.environ.get("FORCE_COLOR"):
-        return Look(colour=True, width=width)
-    return Look(colour=terminal and os.environ.get("TERM") != "dumb", width=width)
+    dumb = os.environ.get("TERM") == "dumb"
+    coloured = bool(os.environ.get("FORCE_COLOR")) or (terminal and not dumb)
+    return Look(
+        colour=coloured and not os.environ.get("NO_COLOR"),
+        width=shutil.get_terminal_size().columns if terminal else None,
+        unicode=not dumb and _unicode(stream),
+    )
+
+
+def _unicode(stream: TextIO) -> bool:
+    """Whether block glyphs show: NO_UNICODE switches them off, and so does a locale without them (Python itself takes C for UTF-8)."""
+    plain = os.environ.get("NO_UNICODE") or os.environ.get("LC_ALL") in ("C", "POSIX")
+    return not plain and (stream.encoding or "").lower().replace("-", "") == "utf8"
 
 
 def harmless(text: str) -> str:
@@ -63,17 +73,67 @@ def paint(text: str, style: str, look: Look) -> str:
     return f"\x1b[{_STYLES[style]}m{text}\x1b[0m" if look.colour and style and text else text
 
 
-def columns(rows: Iterable[Row], look: Look = PLAIN, *, right: Collection[int] = (), gap: str = "  ") -> str:
+def columns(
+    rows: Iterable[Row],
+    look: Look = PLAIN,
+    *,
+    right: Collection[int] = (),
+    gap: str = "  ",
+    wrap: Collection[int] = (),
+    least: Sequence[int] = (),
+) -> str:
     """Rows as aligned columns, each line ended by a newline. ``right`` lists the columns aligned to the right.
 
-    On a terminal the last column is wrapped under itself where it would pass the edge.
-    """
+    On a terminal that is too narrow the last column is wrapped, then those in ``wrap``, each under itself; where the last one has no room
+    even so, it stands on lines of its own. ``least``: widths that the columns have at least.
+    """  # fmt: skip
     cells = [[_cell(field) for field in row] for row in rows]
     if not cells:
         return ""
-    count = max(len(row) for row in cells)
-    widths = [max(len(row[i].text) if i < len(row) else 0 for row in cells) for i in range(count)]
-    return "".join(line + "\n" for row in cells for line in _lines(row, widths, look, right, gap))
+    widths, below = _fitted(_natural(cells, least), look, wrap, gap)
+    return "".join(line + "\n" for row in cells for line in _lines(row, widths, look, right, gap, below=below))
+
+
+def widths_of(rows: Iterable[Row]) -> list[int]:
+    """How wide each column is where nothing is wrapped."""
+    return _natural([[_cell(field) for field in row] for row in rows], ())
+
+
+def room_beside(rows: Iterable[Row], look: Look, gap: str = "  ") -> int:
+    """Columns that are left on the terminal for one more column; without a terminal, none."""
+    return 0 if look.width is None else max(0, look.width - sum(width + len(gap) for width in widths_of(rows)))
+
+
+def fits(rows: Iterable[Row], look: Look, gap: str = "  ") -> bool:
+    """Whether rows as columns pass no edge."""
+    widths = widths_of(rows)
+    return look.width is None or _total(widths, gap) <= look.width
+
+
+def _natural(cells: list[list[Cell]], least: Sequence[int]) -> list[int]:
+    count = max([len(least), *(len(row) for row in cells)])
+    given = [*least, *[0] * count][:count]
+    return [max([given[i], *(len(row[i].text) for row in cells if i < len(row))]) for i in range(count)]
+
+
+def _total(widths: Sequence[int], gap: str) -> int:
+    return sum(widths) + len(gap) * (len(widths) - 1)
+
+
+def _fitted(widths: list[int], look: Look, wrap: Collection[int], gap: str) -> tuple[list[int], bool]:
+    """Widths that fit the terminal, and whether the last column has to stand below."""
+    excess = _total(widths, gap) - look.width if look.width is not None else 0
+    if excess <= 0:
+        return widths, False
+    fitted = list(widths)
+    spare = widths[-1] - min(widths[-1], _NARROWEST_LAST_COLUMN)
+    for column in sorted(set(wrap) - {len(widths) - 1}, key=lambda column: -widths[column]):
+        fitted[column] -= min(max(0, excess - spare), max(0, fitted[column] - _NARROWEST_COLUMN))
+        excess -= widths[column] - fitted[column]
+    if excess > spare:
+        return fitted, True
+    fitted[-1] -= max(0, excess)
+    return fitted, False
 
 
 def _cell(field: str | Cell) -> Cell:
@@ -81,25 +141,45 @@ def _cell(field: str | Cell) -> Cell:
     return Cell(harmless(text), style)
 
 
-def _lines(row: list[Cell], widths: list[int], look: Look, right: Collection[int], gap: str) -> list[str]:
+def _lines(row: list[Cell], widths: list[int], look: Look, right: Collection[int], gap: str, *, below: bool) -> list[str]:
+    """One row, as many lines as its tallest cell has."""
     *head, last = row
-    start = "".join(_padded(cell, widths[i], look, to_right=i in right) + gap for i, cell in enumerate(head))
+    whole = len(row) == len(widths)
     indent = sum(widths[: len(head)]) + len(gap) * len(head)
-    texts = _wrapped(last.text, indent, look)
-    if len(row) == len(widths) and len(head) in right:
-        texts = [texts[0].rjust(widths[-1]), *texts[1:]]
-    first, *rest = [paint(text, last.style, look) for text in texts]
-    return [(start + first).rstrip(), *(" " * indent + text for text in rest)]
+    room = widths[-1] if whole or look.width is None else look.width - indent
+    aside = whole and below
+    tall = [_wrapped(cell.text, widths[i]) for i, cell in enumerate(head)]
+    final = [] if aside else _wrapped(last.text, room) if look.width is not None else [last.text]
+    lines = []
+    for number in range(max(len(texts) for texts in [*tall, final, [""]])):
+        start = "".join(_padded(_at(texts, number), cell, widths[i], look, to_right=i in right) + gap
+                        for i, (cell, texts) in enumerate(zip(head, tall, strict=True)))  # fmt: skip
+        end = _at(final, number)
+        ended = _padded(end, last, widths[-1] if whole and len(head) in right else len(end), look, to_right=True)
+        lines.append((start + ended).rstrip())
+    indented = " " * _BELOW
+    return lines + [indented + paint(text, last.style, look) for text in _wrapped(last.text, (look.width or 0) - _BELOW) if aside and text]
 
 
-def _padded(cell: Cell, width: int, look: Look, *, to_right: bool) -> str:
-    space = " " * (width - len(cell.text))
-    text = paint(cell.text, cell.style, look)
-    return space + text if to_right else text + space
+def _at(texts: list[str], number: int) -> str:
+    return texts[number] if number < len(texts) else ""
 
 
-def _wrapped(text: str, indent: int, look: Look) -> list[str]:
-    room = None if look.width is None else look.width - indent
-    if room is None or len(text) <= room or room < _NARROWEST_LAST_COLUMN:
+def _padded(text: str, cell: Cell, width: int, look: Look, *, to_right: bool) -> str:
+    space = " " * (width - len(text))
+    painted = paint(text, cell.style, look)
+    return space + painted if to_right else painted + space
+
+
+def _wrapped(text: str, width: int) -> list[str]:
+    if len(text) <= width or width < 1:
         return [text]
-    return textwrap.wrap(text, room, break_on_hyphens=False) or [""]
+    return textwrap.wrap(text, width, break_on_hyphens=False) or [""]
+
+
+def flowed(text: str, look: Look, indent: int = 2) -> str:
+    """One line of text, broken between words where the terminal ends; what follows is indented."""
+    if look.width is None or len(text) <= look.width:
+        return text + "\n"
+    lines = textwrap.wrap(text, look.width, subsequent_indent=" " * indent, break_on_hyphens=False, break_long_words=False)
+    return "\n".join(lines) + "\n"
