@@ -17,6 +17,7 @@ check: setup
 
 test: check
 	@.ci/need-faults
+	@.ci/need-promtool
 	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m pytest tests --ignore=tests/benchmarks
 
 bench: setup

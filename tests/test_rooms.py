@@ -21,9 +21,10 @@ ALLOWED = {
     "gateway": PURE | {"transport"},
     "state": PURE | {"formats"},
     "executor": PURE | {"transport", "state"},
+    "export": PURE | {"state", "formats"},
     "usecases": PURE | {"config", "formats", "scheduler", "executor", "transport", "gateway", "state"},
     "views": PURE | {"formats"},
-    "cli": PURE | {"usecases", "views", "config", "transport", "gateway", "state", "formats", "scaffold"},
+    "cli": PURE | {"usecases", "views", "config", "transport", "gateway", "state", "formats", "scaffold", "export"},
     "agent": set(),
     "scaffold": set(),
 }
@@ -36,6 +37,8 @@ OWNERS = {
     "paramiko": "transport/ssh",
     "psutil": "agent",
     "platformdirs": "state",
+    "prometheus_client": "export/prometheus",
+    "textual": "tui",
 }
 PURE_ROOMS = ("model/", "scheduler/", "formats/", "executor/diff.py", "units.py", "errors.py")
 IMPURE = {"os", "time", "random", "logging", "subprocess", "pathlib", "socket", "threading", "secrets", "uuid"}

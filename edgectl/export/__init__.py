@@ -1,0 +1,1 @@
+"""Export: what edgectl knows, in the words of other programs."""
