@@ -1,0 +1,82 @@
+"""Why one task goes where it goes, and what would have to change for it to go elsewhere."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from edgectl.model.assignment import Decision
+from edgectl.model.policy import Weights
+
+
+class Term(StrEnum):
+    """One of the four terms of eq. (4)."""
+
+    CPU = "cpu"
+    MEMORY = "memory"
+    NETWORK = "network"
+    TASK = "task"
+
+
+class Change(StrEnum):
+    """What a flip changes, all else staying as it is."""
+
+    LOAD_RISES = "load-rises"
+    LOAD_FALLS = "load-falls"
+    WEIGHT_RISES = "weight-rises"
+    WEIGHT_FALLS = "weight-falls"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Contribution:
+    """One term of eq. (4) at the chosen host and at the runner-up. ``lead``: weight x (here - there); the four sum up to the lead."""
+
+    term: Term
+    weight: float
+    here: float
+    there: float
+
+    @property
+    def lead(self) -> float:
+        """What the term adds to the lead over the runner-up."""
+        return self.weight * (self.here - self.there)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Flip:
+    """One change after which the task would go to ``winner`` (None: nowhere).
+
+    Of a load: ``host``, and ``amount`` in cores, bytes or bytes/s to be exceeded. Of a weight: ``amount`` is the weight to be crossed, the
+    others sharing the rest as they share it now. ``size`` compares changes: share of the capacity, or of the whole weight (0..).
+    """
+
+    change: Change
+    term: Term
+    amount: float
+    size: float
+    winner: str | None
+    host: str | None = None
+    robot: str | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Explanation:
+    """A decision taken apart.
+
+    ``runner_up``: the best other feasible host. ``slack``: by how much the chosen host's total may fall before the choice changes, None
+    where no fall changes it. ``noise``: standard deviation of the difference of the two totals over the last samples, None where too few
+    are known. ``flips``: smallest first, at most one per change, term and host. ``linear``: whether eq. (4) is linear in the load of each
+    link, which it is not for a task of several robots.
+    """
+
+    decision: Decision
+    weights: Weights
+    runner_up: str | None = None
+    contributions: tuple[Contribution, ...] = ()
+    slack: float | None = None
+    noise: float | None = None
+    flips: tuple[Flip, ...] = ()
+    linear: bool = True
+
+    @property
+    def fragile(self) -> bool:
+        """Whether the noise of the measurements alone could change the choice."""
+        return self.slack is not None and self.noise is not None and self.slack < self.noise
