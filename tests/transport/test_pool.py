@@ -103,6 +103,37 @@ def test_a_refused_login_is_not_tried_again() -> None:
     assert transport.opened == ["edge1"]
 
 
+def test_a_refusal_is_forgotten_after_a_while() -> None:
+    transport, now = Counting(), [0.0]
+    transport.refusal = AuthError("no key was accepted", hint="ssh-copy-id")
+    with SessionPool(transport, forget_s=60.0, clock=lambda: now[0]) as pool:
+        for _ in range(3):
+            with pytest.raises(AuthError) as raised:
+                use(pool)
+            assert raised.value.hint == "ssh-copy-id"
+        now[0], transport.refusal = 60.0, None
+        assert use(pool) == b"in"
+    assert transport.opened == ["edge1", "edge1"]
+
+
+def test_lost_sessions_are_closed_with_their_last_user_and_not_collected() -> None:
+    transport = Counting()
+    with SessionPool(transport) as pool:
+        held = pool.connect(an_edge("edge1"), timeout=1.0)
+        for number in range(1, 50):
+            transport.fault = ConnectError("lost")
+            with pytest.raises(ConnectError):
+                use(pool)
+            transport.fault = None
+            use(pool)
+            assert len(transport.opened) == number + 1
+        assert transport.closed == 48, "the first one is still in use"
+        held.close()
+        held.close()
+        assert transport.closed == 49
+    assert transport.closed == 50
+
+
 def test_a_host_that_was_off_is_tried_again() -> None:
     transport = Counting()
     transport.refusal = ConnectError("off")
