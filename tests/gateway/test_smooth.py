@@ -1,0 +1,108 @@
+"""Smoothing on the manager: noise is averaged, time counts, and what we start, stop or move is seen at once."""
+
+import dataclasses
+
+import pytest
+
+from edgectl.gateway.smooth import smoothed
+from edgectl.model.snapshot import Device, Snapshot, TaskState
+from tests.builders import GI, NOW, a_link, a_run, a_sample, a_snapshot, silent
+
+PERIOD = 10.0
+
+
+def fold(*snapshots: Snapshot) -> Snapshot:
+    """Each smoothed into those before it."""
+    before: Snapshot | None = None
+    for snapshot in snapshots:
+        before = smoothed(before, snapshot, period=PERIOD)
+    assert before is not None
+    return before
+
+
+def used(snapshot: Snapshot, host: str = "edge1") -> float:
+    cpu = snapshot.hosts[host].cpu
+    assert cpu is not None
+    return cpu.used_cores
+
+
+def test_the_first_snapshot_is_taken_as_it_is() -> None:
+    first = a_snapshot(edge1=a_sample(used=2.0))
+    assert fold(first) is first
+
+
+def test_a_sample_one_period_later_weighs_three_tenths() -> None:
+    link = {"robot1": a_link(used=1e6)}
+    made = fold(
+        a_snapshot(edge1=a_sample(used=1.0, used_memory=1 * GI, links=link)),
+        a_snapshot(
+            taken_at=NOW + PERIOD,
+            edge1=a_sample(used=2.0, used_memory=2 * GI, links={"robot1": a_link(used=2e6), "robot2": a_link(used=7.0)}),
+        ),
+    )
+    host = made.hosts["edge1"]
+    assert used(made) == pytest.approx(1.3)
+    assert host.memory is not None
+    assert host.memory.used_bytes == pytest.approx(1.3 * GI)
+    assert host.links["robot1"].used_bytes_per_s == pytest.approx(1.3e6)
+    assert host.links["robot2"].used_bytes_per_s == 7.0
+
+
+def test_time_counts_not_the_number_of_samples() -> None:
+    once = fold(a_snapshot(edge1=a_sample(used=1.0)), a_snapshot(taken_at=NOW + 20, edge1=a_sample(used=2.0)))
+    twice = fold(
+        a_snapshot(edge1=a_sample(used=1.0)),
+        a_snapshot(taken_at=NOW + 13, edge1=a_sample(used=2.0)),
+        a_snapshot(taken_at=NOW + 20, edge1=a_sample(used=2.0)),
+    )
+    assert used(once) == pytest.approx(used(twice)) == pytest.approx(2.0 - 0.7**2)
+
+
+def test_a_clock_that_goes_back_counts_as_one_period() -> None:
+    assert used(fold(a_snapshot(edge1=a_sample(used=1.0)), a_snapshot(taken_at=NOW - 3600, edge1=a_sample(used=2.0)))) == pytest.approx(1.3)
+
+
+def test_a_task_that_comes_or_goes_changes_the_load_at_once() -> None:
+    task = a_run(used_cores=1.0, used_bytes=GI, used_bytes_per_s=1e6, links={"robot1": 1e6})
+    idle = a_sample(used=0.5, used_memory=GI, links={"robot1": a_link(used=0.0)})
+    busy = a_sample(used=1.5, used_memory=2 * GI, links={"robot1": a_link(used=1e6)}, tasks={"slam": task})
+    for before, after, cores in ((idle, busy, 1.5), (busy, idle, 0.5)):
+        made = fold(a_snapshot(edge1=before), a_snapshot(taken_at=NOW + PERIOD, edge1=after)).hosts["edge1"]
+        assert made.cpu is not None
+        assert made.memory is not None
+        assert after.memory is not None
+        assert made.cpu.used_cores == pytest.approx(cores)
+        assert made.memory.used_bytes == pytest.approx(after.memory.used_bytes)
+        assert made.links["robot1"].used_bytes_per_s == pytest.approx(after.links["robot1"].used_bytes_per_s)
+
+
+def test_a_tasks_use_is_averaged_with_its_host_and_anew_after_a_restart() -> None:
+    task = a_run(used_cores=1.0, links={"robot1": 100.0}, used_bytes_per_s=100.0)
+    more = dataclasses.replace(task, used_cores=2.0, links={"robot1": 200.0}, used_bytes_per_s=200.0)
+    first = a_snapshot(edge1=a_sample(used=1.0, tasks={"slam": task}))
+    second = a_snapshot(taken_at=NOW + PERIOD, edge1=a_sample(used=2.0, tasks={"slam": more}))
+    made = fold(first, second).hosts["edge1"].tasks["slam"]
+    assert (made.used_cores, made.used_bytes_per_s) == pytest.approx((1.3, 130.0))
+    assert made.links == pytest.approx({"robot1": 130.0})
+    assert used(fold(first, second)) == pytest.approx(1.3)
+    for new in (dataclasses.replace(more, instance="instance-2"), dataclasses.replace(more, state=TaskState.COMPLETED)):
+        third = dataclasses.replace(second, hosts={"edge1": a_sample(used=2.0, tasks={"slam": new})})
+        assert fold(first, third).hosts["edge1"].tasks["slam"] == new
+
+
+def test_a_host_that_returns_or_was_rebooted_starts_anew() -> None:
+    first, back = a_snapshot(edge1=a_sample(used=1.0)), a_snapshot(taken_at=NOW + 2 * PERIOD, edge1=a_sample(used=3.0))
+    lost = a_snapshot(taken_at=NOW + PERIOD, edge1=silent())
+    assert not fold(first, lost).hosts["edge1"].ok
+    assert used(fold(first, lost, back)) == 3.0
+    rebooted = dataclasses.replace(back, hosts={"edge1": dataclasses.replace(a_sample(used=3.0), device=Device(boot_id="another"))})
+    assert used(fold(first, rebooted)) == 3.0
+
+
+def test_nothing_is_ever_negative() -> None:
+    task = a_run(used_cores=3.0, used_bytes=3 * GI, links={"robot1": 5e6})
+    busy = a_sample(used=0.5, used_memory=GI, links={"robot1": a_link(used=1e6)}, tasks={"slam": task})
+    made = fold(a_snapshot(edge1=busy), a_snapshot(taken_at=NOW + PERIOD, edge1=a_sample())).hosts["edge1"]
+    assert made.cpu is not None
+    assert made.memory is not None
+    assert (made.cpu.used_cores, made.memory.used_bytes, made.links) == (0.0, 0.0, {})
