@@ -1,0 +1,40 @@
+"""What happened to the fleet, one line each."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+
+class EventKind(StrEnum):
+    """What happened. The word stays the same from release to release."""
+
+    HOST_LOST = "host-lost"
+    HOST_BACK = "host-back"
+    HOST_REBOOTED = "host-rebooted"
+    TASK_STARTED = "task-started"
+    TASK_STOPPED = "task-stopped"
+    TASK_MOVED = "task-moved"
+    TASK_RESTARTED = "task-restarted"
+    TASK_READY = "task-ready"
+    TASK_COMPLETED = "task-completed"
+    TASK_FAILED = "task-failed"
+    TASK_CRASHLOOP = "task-crashloop"
+    TASK_LOST = "task-lost"
+    TASK_DEFERRED = "task-deferred"
+    TASK_UNPLACED = "task-unplaced"
+    ACTION_FAILED = "action-failed"
+    PLANNED = "planned"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Event:
+    """One thing that happened, or was first seen, at ``at`` (s since 1970, the manager's clock).
+
+    ``id`` is given by the store and grows from event to event; 0 before it is stored.
+    """
+
+    at: float
+    kind: EventKind
+    host: str | None = None
+    task: str | None = None
+    message: str = ""
+    id: int = 0

@@ -1,0 +1,241 @@
+"""The history that one looks at: samples, plans, actions, handoffs and events of one fleet, in SQLite.
+
+Best effort: nothing here fails a command. What must survive (revisions, placements) stands in the journal.
+"""
+
+import sqlite3
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Self, TypeVar
+
+from edgectl.errors import StateError
+from edgectl.model.event import Event
+from edgectl.model.plan import Plan
+from edgectl.model.point import HandoffPoint, HostPoint, LinkPoint, TaskPoint
+from edgectl.model.result import Results
+from edgectl.model.snapshot import Snapshot
+from edgectl.state import store_events as happened
+from edgectl.state import store_prune as pruning
+from edgectl.state import store_rows as rows
+from edgectl.state import store_write as write
+from edgectl.state.files import Warn, silent
+from edgectl.state.store_file import NAME, connect, identity, passing, retire
+from edgectl.state.store_rows import DamagedError, Form
+
+Value = TypeVar("Value")
+_DAY_S = 86400.0
+_PRUNE_EVERY_S = 3600.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Retention:
+    """How long samples, and plans, actions and events, are kept (s), and how large the file may become (bytes)."""
+
+    samples_s: float = 14 * _DAY_S
+    records_s: float = 90 * _DAY_S
+    max_bytes: int = 256 * 2**20
+
+
+class Store:
+    """One fleet's history; a context manager, for one thread at a time. Where it cannot be used it holds nothing and takes nothing."""
+
+    def __init__(self, path: Path, warn: Warn, retention: Retention) -> None:
+        self._path = path
+        self._warn = warn
+        self._retention = retention
+        self._connection: sqlite3.Connection | None = None
+        self._opened: tuple[int, int] | None = None
+        self._warned = False
+
+    @classmethod
+    def open(cls, fleet_dir: Path, *, warn: Warn = silent, retention: Retention | None = None) -> "Store":
+        """The history in ``fleet_dir``. What is in the way of it is said through ``warn``, once; a broken file is set aside."""
+        store = cls(fleet_dir / NAME, warn, retention or Retention())
+        store._guarded(lambda _connection: None, None)
+        return store
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the file."""
+        if self._connection is not None:
+            self._connection.close()
+            self._connection = None
+
+    # -- writing -------------------------------------------------------------------------------------------------------------------------
+
+    def record_snapshot(self, snapshot: Snapshot, *, changing: bool = False) -> None:
+        """Keep the samples, and the events that they show; the same snapshot again changes nothing.
+
+        ``changing``: another edgectl is changing the fleet now; tasks that come and go are left to its own record.
+        """
+
+        def record(connection: sqlite3.Connection) -> None:
+            write.samples(connection, snapshot)
+            known = write.known(connection)
+            events, after = happened.seen(known, snapshot, changing=changing)
+            write.events(connection, events)
+            write.learn(connection, known, after)
+
+        self._write(record)
+
+    def record_plan(self, plan: Plan) -> None:
+        """Keep what a plan would do; an event tells of it unless the plan before it would do the same."""
+
+        def record(connection: sqlite3.Connection) -> None:
+            event = happened.planned(plan)
+            if event is not None and not write.planned_before(connection, plan):
+                write.events(connection, [event])
+            write.plan(connection, plan)
+            write.news(connection, happened.unplaced(plan))
+
+        self._write(record)
+
+    def record_results(self, plan: Plan, results: Results, at: float) -> None:  # noqa: ARG002
+        """Keep what an apply that ended at ``at`` (s since 1970) did, and the events of it."""
+
+        def record(connection: sqlite3.Connection) -> None:
+            write.actions(connection, results, at)
+            known = write.known(connection)
+            events, after = happened.done(known, results, at)
+            write.news(connection, events)
+            write.learn(connection, known, after)
+
+        self._write(record)
+
+    def record_events(self, events: Iterable[Event]) -> None:
+        """Keep events that are found elsewhere."""
+        found = list(events)
+        self._write(lambda connection: write.events(connection, found))
+
+    # -- reading -------------------------------------------------------------------------------------------------------------------------
+
+    def host_points(self, host: str | None = None, *, since: float | None = None, limit: int | None = None) -> tuple[HostPoint, ...]:
+        """Samples of ``host`` or of all, oldest first; of each the newest ``limit``, not older than ``since`` (s since 1970)."""
+        return self._newest(rows.HOSTS, "host_samples", ("host",), "SELECT DISTINCT host FROM host_samples", (host,), since, limit)
+
+    def link_points(
+        self, edge: str | None = None, robot: str | None = None, *, since: float | None = None, limit: int | None = None
+    ) -> tuple[LinkPoint, ...]:
+        """Samples of the links of ``edge`` to ``robot`` or of all, oldest first; of each the newest ``limit``."""
+        every = "SELECT DISTINCT edge, robot FROM link_samples"
+        return self._newest(rows.LINKS, "link_samples", ("edge", "robot"), every, (edge, robot), since, limit)
+
+    def task_points(self, task: str | None = None, *, since: float | None = None, limit: int | None = None) -> tuple[TaskPoint, ...]:
+        """Samples of ``task`` or of all, on whatever host, oldest first; of each task the newest ``limit``."""
+        return self._newest(rows.TASKS, "task_samples", ("task",), "SELECT DISTINCT task FROM starts", (task,), since, limit)
+
+    def handoffs(self, *, since: float | None = None, limit: int | None = None) -> tuple[HandoffPoint, ...]:
+        """Moves and restarts that were carried out or failed, oldest first; the newest ``limit``."""
+        sql = rows.HANDOFFS.select("handoffs", "WHERE at >= ? ORDER BY id DESC LIMIT ?")
+        return self._select(rows.HANDOFFS, sql, (_from(since), _most(limit)))[::-1]
+
+    def events(
+        self, *, after: int = 0, since: float | None = None, host: str | None = None, task: str | None = None, limit: int | None = None
+    ) -> tuple[Event, ...]:
+        """Events with an id above ``after``, not older than ``since``, of ``host`` and ``task`` where given, oldest first."""
+        fitting = "WHERE id > ?1 AND at >= ?2 AND (?3 IS NULL OR host = ?3) AND (?4 IS NULL OR task = ?4)"
+        sql = rows.EVENTS.select("events", f"{fitting} ORDER BY id DESC LIMIT ?5")
+        return self._select(rows.EVENTS, sql, (after, _from(since), host, task, _most(limit)))[::-1]
+
+    # -- keeping it small ----------------------------------------------------------------------------------------------------------------
+
+    def prune(self, now: float) -> None:
+        """Drop what is older than the retention at ``now``, and the oldest samples while the file is larger than it may be."""
+        keep = self._retention
+        self._write(lambda connection: pruning.drop(connection, samples=now - keep.samples_s, records=now - keep.records_s))
+        self._guarded(lambda connection: pruning.shrink(connection, keep.max_bytes), None)
+        self._write(lambda connection: pruning.mark(connection, now))
+
+    def prune_due(self, now: float) -> bool:
+        """Whether an hour has passed since the last prune, by any edgectl."""
+        return self._guarded(lambda connection: abs(now - pruning.marked(connection)) >= _PRUNE_EVERY_S, default=False)
+
+    # -- the file ------------------------------------------------------------------------------------------------------------------------
+
+    def _newest(
+        self,
+        form: Form[Value],
+        table: str,
+        key: Sequence[str],
+        every: str,
+        wanted: Sequence[str | None],
+        since: float | None,
+        limit: int | None,
+    ) -> tuple[Value, ...]:
+        """Of each key that fits ``wanted`` the newest rows; oldest first in all."""
+        where = " AND ".join(f"{name} = ?" for name in key)
+        sql = form.select(table, f"WHERE {where} AND at >= ? ORDER BY at DESC LIMIT ?")
+
+        def read(connection: sqlite3.Connection) -> tuple[Value, ...]:
+            fitting = [found for found in connection.execute(every) if all(w in (None, f) for w, f in zip(wanted, found, strict=True))]
+            found = [row for names in fitting for row in connection.execute(sql, (*names, _from(since), _most(limit)))]
+            return tuple(form.read(row) for row in sorted(found, key=lambda row: row[0]))
+
+        return self._guarded(read, ())
+
+    def _select(self, form: Form[Value], sql: str, values: Sequence[object]) -> tuple[Value, ...]:
+        return self._guarded(lambda connection: tuple(form.read(row) for row in connection.execute(sql, values)), ())
+
+    def _write(self, act: Callable[[sqlite3.Connection], None]) -> None:
+        def within(connection: sqlite3.Connection) -> None:
+            connection.execute("BEGIN IMMEDIATE")
+            try:
+                act(connection)
+                connection.execute("COMMIT")
+            except BaseException:
+                if connection.in_transaction:
+                    connection.execute("ROLLBACK")
+                raise
+
+        self._guarded(within, None)
+
+    def _guarded(self, act: Callable[[sqlite3.Connection], Value], default: Value) -> Value:
+        """The value of ``act``, once more over a new file where this one turns out broken; else ``default``, and a warning."""
+        for _ in range(2):
+            try:
+                return act(self._use())
+            except (sqlite3.Error, DamagedError) as error:
+                if (isinstance(error, sqlite3.Error) and passing(error)) or not self._set_aside(error):
+                    self._say(f"history is not kept: {self._path}: {error}")
+                    return default
+            except (OSError, StateError, ValueError, OverflowError) as error:
+                self._say(f"history is not kept: {error}")
+                return default
+        return default
+
+    def _use(self) -> sqlite3.Connection:
+        if self._connection is None:
+            self._opened = identity(self._path)
+            self._connection = connect(self._path)
+            self._opened = identity(self._path)
+        return self._connection
+
+    def _set_aside(self, error: Exception) -> bool:
+        """Whether the broken file is out of the way."""
+        self.close()
+        try:
+            aside = retire(self._path, self._opened)
+        except OSError:
+            return False
+        if aside is not None:
+            self._warn(f"{self._path} is broken ({error}); set aside as {aside.name}, a new history begins")
+        return True
+
+    def _say(self, text: str) -> None:
+        if not self._warned:
+            self._warned = True
+            self._warn(text)
+
+
+def _from(since: float | None) -> float:
+    return -1e300 if since is None else since
+
+
+def _most(limit: int | None) -> int:
+    return -1 if limit is None else limit

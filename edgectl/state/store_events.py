@@ -1,0 +1,255 @@
+"""What happened between two pictures of the fleet, and by an apply. Pure: what was known, and what is seen, give events."""
+
+import dataclasses
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+
+from edgectl.model.event import Event, EventKind
+from edgectl.model.plan import Action, Plan
+from edgectl.model.result import ActionResult, Outcome, Phase, Results
+from edgectl.model.snapshot import HostSample, HostStatus, Snapshot, TaskSample, TaskState
+from edgectl.units import format_duration
+
+# A picture that is this much older than what is known (s) was overtaken by another edgectl; one that is older still says that the
+# clock was set back.
+_OVERTAKEN_S = 600.0
+_ENDINGS = {
+    TaskState.COMPLETED: EventKind.TASK_COMPLETED,
+    TaskState.FAILED: EventKind.TASK_FAILED,
+    TaskState.CRASHLOOP: EventKind.TASK_CRASHLOOP,
+}
+_DONE = {
+    Action.START: EventKind.TASK_STARTED,
+    Action.STOP: EventKind.TASK_STOPPED,
+    Action.COMPLETE: EventKind.TASK_STOPPED,
+    Action.MOVE: EventKind.TASK_MOVED,
+    Action.RESTART: EventKind.TASK_RESTARTED,
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class KnownHost:
+    """A host as last seen, at ``at``; with this status since ``since``."""
+
+    at: float
+    since: float
+    status: HostStatus
+    boot_id: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class KnownTask:
+    """A task as last seen or left by an apply. ``host`` None: it is gone. ``instance`` empty: not seen since an apply started it."""
+
+    at: float
+    host: str | None
+    state: TaskState | None = None
+    instance: str = ""
+    restarts: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Known:
+    """The last picture of every host and task ever seen."""
+
+    hosts: Mapping[str, KnownHost] = field(default_factory=dict)
+    tasks: Mapping[str, KnownTask] = field(default_factory=dict)
+
+
+def seen(known: Known, snapshot: Snapshot, *, changing: bool = False) -> tuple[tuple[Event, ...], Known]:
+    """What ``snapshot`` shows that was not known, and all that is known then. The same picture again shows nothing.
+
+    A host that was never seen before gives no event for what is well there. ``changing``: another edgectl is at work on the fleet;
+    tasks that come and go are left to its own record.
+    """
+    hosts = {name: sample for name, sample in snapshot.hosts.items() if _later(snapshot.taken_at, known.hosts.get(name))}
+    events = [event for name, sample in hosts.items() for event in _host_events(snapshot.taken_at, name, sample, known.hosts.get(name))]
+    after_hosts = {name: _host_known(snapshot.taken_at, sample, known.hosts.get(name)) for name, sample in hosts.items()}
+    after_tasks: dict[str, KnownTask] = {}
+    for name, now in _standing(snapshot, known).items():
+        before = known.tasks.get(name)
+        if _later(snapshot.taken_at, before) and not (changing and _came_or_went(before, now)):
+            new_host = now.host not in known.hosts
+            events += _task_events(name, before, now, quiet=before is None and new_host)
+            after_tasks[name] = now.known
+    return tuple(events), Known(hosts={**known.hosts, **after_hosts}, tasks={**known.tasks, **after_tasks})
+
+
+def _later(at: float, known: KnownHost | KnownTask | None) -> bool:
+    return known is None or at > known.at or known.at - at > _OVERTAKEN_S
+
+
+# -- hosts -------------------------------------------------------------------------------------------------------------------------------
+
+
+def _host_known(at: float, sample: HostSample, before: KnownHost | None) -> KnownHost:
+    since = before.since if before is not None and before.status is sample.status else at
+    boot_id = sample.device.boot_id or (before.boot_id if before else "")
+    return KnownHost(at=at, since=since, status=sample.status, boot_id=boot_id)
+
+
+def _host_events(at: float, name: str, sample: HostSample, before: KnownHost | None) -> Iterator[Event]:
+    was_ok = before is None or before.status is HostStatus.OK
+    if not sample.ok:
+        if was_ok:
+            yield Event(at=at, kind=EventKind.HOST_LOST, host=name, message=sample.error)
+        return
+    if before is not None and not was_ok:
+        yield Event(at=at, kind=EventKind.HOST_BACK, host=name, message=f"after {format_duration(max(0.0, at - before.since))}")
+    if before is not None and before.boot_id and sample.device.boot_id not in ("", before.boot_id):
+        yield Event(at=at, kind=EventKind.HOST_REBOOTED, host=name, message="it runs since another start of the machine")
+
+
+# -- tasks -------------------------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Now:
+    """One task in the picture: where it stands, or that it stands nowhere."""
+
+    at: float
+    host: str | None = None
+    sample: TaskSample | None = None
+
+    @property
+    def known(self) -> KnownTask:
+        if self.sample is None:
+            return KnownTask(at=self.at, host=None)
+        sample = self.sample
+        return KnownTask(at=self.at, host=self.host, state=sample.state, instance=sample.instance, restarts=sample.restarts)
+
+
+def _standing(snapshot: Snapshot, known: Known) -> dict[str, _Now]:
+    """Where each task stands that the picture tells of: it is there, or its host answers and it is not."""
+    found: dict[str, _Now] = {}
+    for host, sample in snapshot.hosts.items():
+        for name, task in sample.tasks.items():
+            here = _Now(at=snapshot.taken_at, host=host, sample=task)
+            best = found.get(name)
+            if best is None or _weight(here, known.tasks.get(name)) > _weight(best, known.tasks.get(name)):
+                found[name] = here
+    for name, before in known.tasks.items():
+        host = snapshot.hosts.get(before.host or "")
+        if name not in found and host is not None and host.ok:
+            found[name] = _Now(at=snapshot.taken_at)
+    return found
+
+
+def _weight(now: _Now, before: KnownTask | None) -> tuple[bool, bool, float]:
+    """Of several places of one task, the one that counts: it lives there, it was there, it began last."""
+    sample = now.sample or TaskSample(state=TaskState.COMPLETED)
+    return sample.state.alive, before is not None and before.host == now.host, sample.started_at
+
+
+def _came_or_went(before: KnownTask | None, now: _Now) -> bool:
+    if before is None or now.sample is None or before.host != now.host:
+        return True
+    return before.instance != now.sample.instance
+
+
+def _task_events(name: str, before: KnownTask | None, now: _Now, *, quiet: bool) -> Iterator[Event]:
+    if now.sample is None:
+        if before is not None and before.state is not None and before.state.alive:
+            yield Event(at=now.at, kind=EventKind.TASK_LOST, host=before.host, task=name, message="gone, and no edgectl here stopped it")
+        return
+    event = None if quiet else _arrival(before, now.host, now.sample)
+    state = before.state if before is not None else None
+    if event is not None:
+        kind, message = event
+        yield Event(at=now.at, kind=kind, host=now.host, task=name, message=message)
+        state = None
+    yield from _state_events(name, state, now, now.sample, fresh=event is not None or before is None)
+
+
+def _arrival(before: KnownTask | None, host: str | None, sample: TaskSample) -> tuple[EventKind, str] | None:
+    """How the task came to be what it is now, if it came since."""
+    if before is None or before.host is None:
+        new = sample.state.alive and (before is None or before.instance in ("", sample.instance) or bool(sample.instance))
+        return (EventKind.TASK_STARTED, "found running") if new else None
+    if before.host != host:
+        return EventKind.TASK_MOVED, f"found there; it was on {before.host}"
+    if before.instance and sample.instance and before.instance != sample.instance:
+        return EventKind.TASK_RESTARTED, "found started anew"
+    if before.instance and sample.restarts > before.restarts:
+        return EventKind.TASK_RESTARTED, _by_itself(sample, sample.restarts - before.restarts)
+    return None
+
+
+def _by_itself(sample: TaskSample, times: int) -> str:
+    often = "once" if times == 1 else f"{times} times"
+    why = "" if sample.last_exit is None else f", after exit code {sample.last_exit}"
+    return f"by its supervisor {often}{why}"
+
+
+def _state_events(name: str, state: TaskState | None, now: _Now, sample: TaskSample, *, fresh: bool) -> Iterator[Event]:
+    if sample.state is state:
+        return
+    if sample.state in _ENDINGS:
+        yield Event(at=now.at, kind=_ENDINGS[sample.state], host=now.host, task=name, message=_ending(sample))
+    elif sample.state is TaskState.READY and not fresh:
+        yield Event(at=now.at, kind=EventKind.TASK_READY, host=now.host, task=name)
+
+
+def _ending(sample: TaskSample) -> str:
+    code = "" if sample.exit_code is None else f"exit code {sample.exit_code}"
+    return "; ".join(part for part in (code, sample.detail) if part)
+
+
+# -- an apply ----------------------------------------------------------------------------------------------------------------------------
+
+
+def done(known: Known, results: Results, at: float) -> tuple[tuple[Event, ...], Known]:
+    """What an apply that ended at ``at`` did, and all that is known then."""
+    events = [event for result in results.actions for event in _result_events(result, at)]
+    after = {result.task: task for result in results.actions if (task := _left(known.tasks.get(result.task), result, at)) is not None}
+    return tuple(events), dataclasses.replace(known, tasks={**known.tasks, **after})
+
+
+def _result_events(result: ActionResult, at: float) -> Iterator[Event]:
+    host = result.host or result.previous_host
+    if result.outcome is Outcome.DONE and result.action in _DONE:
+        yield Event(at=at, kind=_DONE[result.action], host=host, task=result.task, message=_how(result))
+    elif result.outcome is Outcome.DEFERRED:
+        yield Event(at=at, kind=EventKind.TASK_DEFERRED, host=host, task=result.task, message=f"{result.action}: {result.error}")
+    elif result.outcome is Outcome.FAILED:
+        yield Event(at=at, kind=EventKind.ACTION_FAILED, host=host, task=result.task, message=f"{result.action}: {result.error}")
+
+
+def _how(result: ActionResult) -> str:
+    parts = []
+    if result.action is Action.MOVE and result.previous_host:
+        parts.append(f"from {result.previous_host}")
+    if result.action is Action.COMPLETE:
+        parts.append("it has completed")
+    if result.downtime_s is not None:
+        parts.append(f"gap {format_duration(result.downtime_s)}")
+    return ", ".join(parts)
+
+
+def _left(before: KnownTask | None, result: ActionResult, at: float) -> KnownTask | None:
+    """How the action leaves the task; None where it left it as it was."""
+    touched = result.outcome is Outcome.DONE or (result.outcome is Outcome.FAILED and bool(result.phases))
+    if not touched:
+        return None
+    if result.located is None:
+        return KnownTask(at=at, host=None, instance=before.instance if before else "")
+    ready = any(phase.phase is Phase.READY and phase.ok for phase in result.phases)
+    return KnownTask(at=at, host=result.located, state=TaskState.READY if ready else TaskState.STARTING)
+
+
+# -- a plan ------------------------------------------------------------------------------------------------------------------------------
+
+
+def planned(plan: Plan) -> Event | None:
+    """What a plan would change; None where it would change nothing."""
+    counts = [f"{count} {action}" for action, count in plan.summary.items() if action.changes]
+    return Event(at=plan.created_at, kind=EventKind.PLANNED, message=", ".join(counts)) if counts else None
+
+
+def unplaced(plan: Plan) -> tuple[Event, ...]:
+    """The tasks that have no place in ``plan``."""
+    return tuple(
+        Event(at=plan.created_at, kind=EventKind.TASK_UNPLACED, task=step.task, message=step.decision.reason.value)
+        for step in plan.steps
+        if step.action is Action.UNPLACED
+    )

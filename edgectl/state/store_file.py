@@ -1,0 +1,166 @@
+"""The database file of a fleet's history: created private, opened, and set aside where it is broken."""
+
+import contextlib
+import fcntl
+import os
+import sqlite3
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from edgectl.errors import StateError
+from edgectl.state.files import set_aside
+from edgectl.state.paths import open_private
+
+NAME = "history.db"
+SCHEMA = 1
+_BUSY_S = 5.0
+_PARTS = ("-wal", "-shm")
+# What says nothing of the file itself: another try, another disk or another hour may succeed. All else means damage.
+_PASSING = frozenset({
+    sqlite3.SQLITE_PERM, sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED, sqlite3.SQLITE_NOMEM, sqlite3.SQLITE_READONLY,
+    sqlite3.SQLITE_INTERRUPT, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_FULL, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_TOOBIG,
+    sqlite3.SQLITE_CONSTRAINT, sqlite3.SQLITE_NOLFS, sqlite3.SQLITE_AUTH,
+})  # fmt: skip
+# Rows of one host, link or start lie together, oldest first: the newest N of one are one seek. A task's names stand once per start.
+_TABLES = """
+CREATE TABLE host_samples (
+  host TEXT NOT NULL, at REAL NOT NULL, status TEXT NOT NULL, cores REAL, used_cores REAL, total_bytes REAL, used_bytes REAL,
+  rx_bytes_per_s REAL, tx_bytes_per_s REAL, PRIMARY KEY (host, at)) STRICT, WITHOUT ROWID;
+CREATE TABLE link_samples (
+  edge TEXT NOT NULL, robot TEXT NOT NULL, at REAL NOT NULL, capacity_bytes_per_s REAL NOT NULL, used_bytes_per_s REAL NOT NULL,
+  rtt_ms REAL, PRIMARY KEY (edge, robot, at)) STRICT, WITHOUT ROWID;
+CREATE TABLE starts (
+  start INTEGER PRIMARY KEY, task TEXT NOT NULL, host TEXT NOT NULL, instance TEXT NOT NULL, spec_hash TEXT NOT NULL,
+  UNIQUE (task, host, instance, spec_hash)) STRICT;
+CREATE TABLE uses (
+  start INTEGER NOT NULL, at REAL NOT NULL, state TEXT NOT NULL, used_cores REAL NOT NULL, used_bytes REAL NOT NULL,
+  used_bytes_per_s REAL NOT NULL, age_s REAL NOT NULL, links INTEGER NOT NULL, PRIMARY KEY (start, at)) STRICT, WITHOUT ROWID;
+CREATE VIEW task_samples AS
+  SELECT at, task, host, state, used_cores, used_bytes, used_bytes_per_s, instance, spec_hash, age_s, links
+  FROM starts JOIN uses USING (start);
+CREATE TABLE plans (
+  plan INTEGER PRIMARY KEY, at REAL NOT NULL, policy TEXT NOT NULL, settled INTEGER NOT NULL, summary TEXT NOT NULL) STRICT;
+CREATE TABLE steps (
+  plan INTEGER NOT NULL, task TEXT NOT NULL, action TEXT NOT NULL, reason TEXT NOT NULL, host TEXT, previous_host TEXT, total REAL,
+  PRIMARY KEY (plan, task)) STRICT, WITHOUT ROWID;
+CREATE TABLE actions (
+  id INTEGER PRIMARY KEY, at REAL NOT NULL, revision INTEGER NOT NULL, task TEXT NOT NULL, action TEXT NOT NULL, outcome TEXT NOT NULL,
+  host TEXT, previous_host TEXT, located TEXT, downtime_s REAL, seconds REAL NOT NULL, error TEXT NOT NULL) STRICT;
+CREATE VIEW handoffs AS
+  SELECT at, task, host, previous_host, outcome, downtime_s, seconds, id FROM actions
+  WHERE action IN ('move', 'restart') AND outcome IN ('done', 'failed') AND host IS NOT NULL;
+CREATE TABLE events (
+  id INTEGER PRIMARY KEY AUTOINCREMENT, at REAL NOT NULL, kind TEXT NOT NULL, host TEXT, task TEXT, message TEXT NOT NULL) STRICT;
+CREATE INDEX events_of_task ON events (task, id);
+CREATE TABLE known_hosts (
+  host TEXT PRIMARY KEY, at REAL NOT NULL, since REAL NOT NULL, status TEXT NOT NULL, boot_id TEXT NOT NULL) STRICT, WITHOUT ROWID;
+CREATE TABLE known_tasks (
+  task TEXT PRIMARY KEY, at REAL NOT NULL, host TEXT, state TEXT, instance TEXT NOT NULL, restarts INTEGER NOT NULL)
+  STRICT, WITHOUT ROWID;
+CREATE TABLE marks (name TEXT PRIMARY KEY, at REAL NOT NULL) STRICT, WITHOUT ROWID;
+"""
+
+
+class NewerSchemaError(StateError):
+    """A newer edgectl wrote the history."""
+
+
+def passing(error: sqlite3.Error) -> bool:
+    """Whether ``error`` says nothing of the file's soundness (a full or read-only disk, another writer)."""
+    return getattr(error, "sqlite_errorcode", sqlite3.SQLITE_ERROR) & 0xFF in _PASSING
+
+
+def connect(path: Path) -> sqlite3.Connection:
+    """A connection to the history at ``path``, which is made where there is none.
+
+    Raises:
+        sqlite3.Error: it is broken, or cannot be used (see ``passing``).
+        StateError: it cannot be created, or a newer edgectl wrote it.
+    """
+    if not path.exists():
+        # SQLite gives the other two files the rights of this one.
+        with contextlib.suppress(StateError):
+            os.close(open_private(path, os.O_RDWR | os.O_EXCL))
+    connection = sqlite3.connect(path, timeout=_BUSY_S, isolation_level=None, check_same_thread=False)
+    try:
+        _set_up(connection, path)
+    except BaseException:
+        connection.close()
+        raise
+    return connection
+
+
+def _set_up(connection: sqlite3.Connection, path: Path) -> None:
+    connection.text_factory = _text
+    connection.executescript("PRAGMA trusted_schema = OFF; PRAGMA cell_size_check = ON; PRAGMA synchronous = NORMAL;")
+    version = connection.execute("PRAGMA user_version").fetchone()[0]
+    if version > SCHEMA:
+        raise NewerSchemaError(f"{path} was written by a newer edgectl (schema {version})", hint="use that edgectl, or move the file away")
+    if version < SCHEMA:
+        with alone(path.parent):
+            _create(connection)
+    connection.execute("PRAGMA journal_size_limit = 4194304")
+
+
+def _create(connection: sqlite3.Connection) -> None:
+    """Make the tables, unless another edgectl has just done so."""
+    connection.execute("PRAGMA auto_vacuum = INCREMENTAL")
+    connection.execute("PRAGMA journal_mode = WAL")
+    connection.execute("BEGIN IMMEDIATE")
+    if connection.execute("PRAGMA user_version").fetchone()[0] == 0:
+        for statement in _TABLES.split(";\n"):
+            connection.execute(statement)
+        connection.execute(f"PRAGMA user_version = {SCHEMA}")
+    connection.execute("COMMIT")
+
+
+def _text(data: bytes) -> str:
+    """Text as stored; a damaged byte shall not be an exception of another kind."""
+    return data.decode("utf-8", "replace")
+
+
+@contextlib.contextmanager
+def alone(fleet_dir: Path) -> Iterator[None]:
+    """Keep every other edgectl from making or setting aside the file: a lock on the directory, waited for up to 5 s."""
+    descriptor = os.open(fleet_dir, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        deadline = time.monotonic() + _BUSY_S
+        while not _locked(descriptor) and time.monotonic() < deadline:
+            time.sleep(0.01)
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def _locked(descriptor: int) -> bool:
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
+
+
+def identity(path: Path) -> tuple[int, int] | None:
+    """Which file stands at ``path`` now; None where there is none."""
+    try:
+        status = path.stat()
+    except OSError:
+        return None
+    return status.st_dev, status.st_ino
+
+
+def retire(path: Path, opened: tuple[int, int] | None) -> Path | None:
+    """Set the broken file aside, if it is still the one that was ``opened``; its new path.
+
+    The log goes first: a log without its database would be read into the next one.
+
+    Raises:
+        OSError: the directory does not take it.
+    """
+    with alone(path.parent):
+        if opened is None or identity(path) != opened:
+            return None
+        for part in _PARTS:
+            path.with_name(path.name + part).unlink(missing_ok=True)
+        return set_aside(path)

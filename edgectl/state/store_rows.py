@@ -1,0 +1,172 @@
+"""Rows of the history to and from values. What a damaged file gives is refused, never passed on."""
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+from edgectl.model.event import Event, EventKind
+from edgectl.model.point import HandoffPoint, HostPoint, LinkPoint, TaskPoint
+from edgectl.model.result import ActionResult, Outcome
+from edgectl.model.snapshot import HostSample, HostStatus, Snapshot, TaskSample, TaskState
+
+Value = TypeVar("Value")
+Row = Sequence[Any]
+Read = Callable[[Any], Any]
+
+
+class DamagedError(ValueError):
+    """A row that edgectl did not write."""
+
+
+@dataclass(frozen=True, slots=True)
+class Form(Generic[Value]):
+    """One kind of value and the columns that hold it, in the order of a SELECT."""
+
+    kind: Callable[..., Value]
+    columns: Mapping[str, Read]
+
+    @property
+    def names(self) -> str:
+        """The columns, for a SELECT or an INSERT."""
+        return ", ".join(self.columns)
+
+    def select(self, table: str, rest: str) -> str:
+        """A query of these columns."""
+        return f"SELECT {self.names} FROM {table} {rest}"  # noqa: S608
+
+    def read(self, row: Row) -> Value:
+        """One row.
+
+        Raises:
+            DamagedError: a column does not hold what it should.
+        """
+        try:
+            return self.kind(**{name: read(value) for (name, read), value in zip(self.columns.items(), row, strict=True)})
+        except ValueError as error:
+            raise DamagedError(f"a row cannot be read: {error}") from error
+
+    def row(self, value: Value) -> tuple[object, ...]:
+        """The same as a row to write."""
+        return tuple(getattr(value, name) for name in self.columns)
+
+
+def real(value: object) -> float:
+    """A finite number."""
+    if isinstance(value, float) and math.isfinite(value):
+        return value
+    raise ValueError(f"not a number: {value!r}")
+
+
+def text(value: object) -> str:
+    """Text."""
+    if isinstance(value, str):
+        return value
+    raise ValueError(f"not text: {value!r}")
+
+
+def whole(value: object) -> int:
+    """A whole number from 0."""
+    if isinstance(value, int) and value >= 0:
+        return value
+    raise ValueError(f"not a whole number: {value!r}")
+
+
+def maybe(read: Read) -> Read:
+    """The same, or None."""
+    return lambda value: None if value is None else read(value)
+
+
+HOSTS = Form(
+    HostPoint,
+    {
+        "at": real, "host": text, "status": HostStatus, "cores": maybe(real), "used_cores": maybe(real), "total_bytes": maybe(real),
+        "used_bytes": maybe(real), "rx_bytes_per_s": maybe(real), "tx_bytes_per_s": maybe(real),
+    },
+)  # fmt: skip
+LINKS = Form(
+    LinkPoint,
+    {"at": real, "edge": text, "robot": text, "capacity_bytes_per_s": real, "used_bytes_per_s": real, "rtt_ms": maybe(real)},
+)
+TASKS = Form(
+    TaskPoint,
+    {
+        "at": real, "task": text, "host": text, "state": TaskState, "used_cores": real, "used_bytes": real, "used_bytes_per_s": real,
+        "instance": text, "spec_hash": text, "age_s": real, "links": whole,
+    },
+)  # fmt: skip
+HANDOFFS = Form(
+    HandoffPoint,
+    {
+        "at": real, "task": text, "host": text, "previous_host": maybe(text), "outcome": Outcome, "downtime_s": maybe(real),
+        "seconds": real,
+    },
+)  # fmt: skip
+EVENTS = Form(Event, {"id": whole, "at": real, "kind": EventKind, "host": maybe(text), "task": maybe(text), "message": text})
+
+
+def host_points(snapshot: Snapshot) -> Iterable[HostPoint]:
+    """Every host of a snapshot."""
+    for name, sample in snapshot.hosts.items():
+        yield _host_point(snapshot.taken_at, name, sample)
+
+
+def _host_point(at: float, name: str, sample: HostSample) -> HostPoint:
+    interfaces = sample.device.interfaces.values()
+    return HostPoint(
+        at=at,
+        host=name,
+        status=sample.status,
+        cores=sample.cpu.cores if sample.cpu else None,
+        used_cores=sample.cpu.used_cores if sample.cpu else None,
+        total_bytes=sample.memory.total_bytes if sample.memory else None,
+        used_bytes=sample.memory.used_bytes if sample.memory else None,
+        rx_bytes_per_s=sum(each.rx_bytes_per_s for each in interfaces) if interfaces else None,
+        tx_bytes_per_s=sum(each.tx_bytes_per_s for each in interfaces) if interfaces else None,
+    )
+
+
+def link_points(snapshot: Snapshot) -> Iterable[LinkPoint]:
+    """Every link of a snapshot."""
+    for edge, sample in snapshot.hosts.items():
+        for robot, link in sample.links.items():
+            yield LinkPoint(
+                at=snapshot.taken_at,
+                edge=edge,
+                robot=robot,
+                capacity_bytes_per_s=link.capacity_bytes_per_s,
+                used_bytes_per_s=link.used_bytes_per_s,
+                rtt_ms=link.rtt_ms,
+            )
+
+
+def task_points(snapshot: Snapshot) -> Iterable[TaskPoint]:
+    """Every task of a snapshot, on every host where it was found."""
+    for host, sample in snapshot.hosts.items():
+        for name, task in sample.tasks.items():
+            yield _task_point(snapshot.taken_at, host, name, task)
+
+
+def _task_point(at: float, host: str, name: str, task: TaskSample) -> TaskPoint:
+    return TaskPoint(
+        at=at,
+        task=name,
+        host=host,
+        state=task.state,
+        used_cores=task.used_cores,
+        used_bytes=task.used_bytes,
+        used_bytes_per_s=task.used_bytes_per_s,
+        instance=task.instance,
+        spec_hash=task.spec_hash,
+        age_s=max(0.0, at - task.started_at),
+        links=len(task.links or ()),
+    )
+
+
+def action_row(result: ActionResult, revision: int, at: float) -> tuple[object, ...]:
+    """One action of an apply, in the order of the table."""
+    seconds = sum(phase.seconds for phase in result.phases)
+    return (
+        at, revision, result.task, result.action, result.outcome, result.host, result.previous_host, result.located, result.downtime_s,
+        seconds, result.error,
+    )  # fmt: skip

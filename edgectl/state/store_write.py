@@ -1,0 +1,133 @@
+"""Writing the history, each within a transaction of the caller."""
+
+import json
+import sqlite3
+from collections.abc import Iterable, Sequence
+
+from edgectl.model.event import Event, EventKind
+from edgectl.model.plan import Action, Plan
+from edgectl.model.point import TaskPoint
+from edgectl.model.result import Results
+from edgectl.model.snapshot import HostStatus, Snapshot, TaskState
+from edgectl.state import store_rows as rows
+from edgectl.state.store_events import Known, KnownHost, KnownTask
+from edgectl.state.store_rows import DamagedError
+
+# What is said of a task while it is so, and need not be said again.
+_STATES = (EventKind.TASK_DEFERRED, EventKind.TASK_UNPLACED)
+
+
+def samples(connection: sqlite3.Connection, snapshot: Snapshot) -> None:
+    """Everything measured in ``snapshot``."""
+    _many(connection, "host_samples", rows.HOSTS.names, [rows.HOSTS.row(point) for point in rows.host_points(snapshot)])
+    _many(connection, "link_samples", rows.LINKS.names, [rows.LINKS.row(point) for point in rows.link_points(snapshot)])
+    _uses(connection, list(rows.task_points(snapshot)))
+
+
+def _uses(connection: sqlite3.Connection, points: Sequence[TaskPoint]) -> None:
+    names = [(point.task, point.host, point.instance, point.spec_hash) for point in points]
+    find = "SELECT start FROM starts WHERE task = ? AND host = ? AND instance = ? AND spec_hash = ?"
+    connection.executemany("INSERT OR IGNORE INTO starts (task, host, instance, spec_hash) VALUES (?, ?, ?, ?)", names)
+    starts = [connection.execute(find, name).fetchone()[0] for name in names]
+    values = [
+        (start, point.at, point.state, point.used_cores, point.used_bytes, point.used_bytes_per_s, point.age_s, point.links)
+        for start, point in zip(starts, points, strict=True)
+    ]
+    _many(connection, "uses", "start, at, state, used_cores, used_bytes, used_bytes_per_s, age_s, links", values)
+
+
+def plan(connection: sqlite3.Connection, made: Plan) -> None:
+    """A plan, and each of its steps that is more than staying as it is."""
+    counts = json.dumps({action.value: count for action, count in made.summary.items()})
+    sql = "INSERT INTO plans (at, policy, settled, summary) VALUES (?, ?, ?, ?)"
+    number = connection.execute(sql, (made.created_at, made.policy.name, made.settled, counts)).lastrowid
+    values = [
+        (number, step.task, step.action, each.reason, each.host, each.previous_host, each.total)
+        for step in made.steps
+        for each in (step.decision,)
+        if _notable(step.action)
+    ]
+    _many(connection, "steps", "plan, task, action, reason, host, previous_host, total", values)
+
+
+def planned_before(connection: sqlite3.Connection, made: Plan) -> bool:
+    """Whether the last plan would have done the same."""
+    sql = "SELECT task, action, host FROM steps WHERE plan = (SELECT max(plan) FROM plans)"
+    last = {task: (action, host) for task, action, host in connection.execute(sql)}
+    return last == {step.task: (step.action.value, step.decision.host) for step in made.steps if _notable(step.action)}
+
+
+def _notable(action: Action) -> bool:
+    return action not in (Action.KEEP, Action.NONE)
+
+
+def actions(connection: sqlite3.Connection, results: Results, at: float) -> None:
+    """Every action of an apply that ended at ``at``."""
+    columns = "at, revision, task, action, outcome, host, previous_host, located, downtime_s, seconds, error"
+    _many(connection, "actions", columns, [rows.action_row(result, results.revision, at) for result in results.actions])
+
+
+def events(connection: sqlite3.Connection, found: Iterable[Event]) -> None:
+    """What happened."""
+    columns = "at, kind, host, task, message"
+    _many(connection, "events", columns, [(event.at, event.kind, event.host, event.task, event.message) for event in found])
+
+
+def news(connection: sqlite3.Connection, found: Iterable[Event]) -> None:
+    """What happened, without what was the last thing said of its task already."""
+    events(connection, [event for event in found if not _said(connection, event)])
+
+
+def _said(connection: sqlite3.Connection, event: Event) -> bool:
+    sql = "SELECT kind, host, message FROM events WHERE task = ? ORDER BY id DESC LIMIT 1"
+    last = connection.execute(sql, (event.task,)).fetchone()
+    return event.kind in _STATES and last == (event.kind.value, event.host, event.message)
+
+
+def known(connection: sqlite3.Connection) -> Known:
+    """The last picture of the fleet.
+
+    Raises:
+        DamagedError: it is not one that edgectl wrote.
+    """
+    hosts = connection.execute("SELECT host, at, since, status, boot_id FROM known_hosts").fetchall()
+    tasks = connection.execute("SELECT task, at, host, state, instance, restarts FROM known_tasks").fetchall()
+    try:
+        return Known(hosts={row[0]: _host(row) for row in hosts}, tasks={row[0]: _task(row) for row in tasks})
+    except ValueError as error:
+        raise DamagedError(f"a row cannot be read: {error}") from error
+
+
+def _host(row: rows.Row) -> KnownHost:
+    _name, at, since, status, boot_id = row
+    return KnownHost(at=rows.real(at), since=rows.real(since), status=HostStatus(status), boot_id=rows.text(boot_id))
+
+
+def _task(row: rows.Row) -> KnownTask:
+    _name, at, host, state, instance, restarts = row
+    return KnownTask(
+        at=rows.real(at),
+        host=rows.maybe(rows.text)(host),
+        state=rows.maybe(TaskState)(state),
+        instance=rows.text(instance),
+        restarts=rows.whole(restarts),
+    )
+
+
+def learn(connection: sqlite3.Connection, before: Known, after: Known) -> None:
+    """The last picture, where it is another than ``before``."""
+    hosts = [
+        (name, each.at, each.since, each.status, each.boot_id) for name, each in after.hosts.items() if each is not before.hosts.get(name)
+    ]
+    tasks = [
+        (name, each.at, each.host, each.state, each.instance, each.restarts)
+        for name, each in after.tasks.items()
+        if each is not before.tasks.get(name)
+    ]
+    _many(connection, "known_hosts", "host, at, since, status, boot_id", hosts)
+    _many(connection, "known_tasks", "task, at, host, state, instance, restarts", tasks)
+
+
+def _many(connection: sqlite3.Connection, table: str, columns: str, values: Iterable[Sequence[object]]) -> None:
+    marks = ", ".join("?" for _ in columns.split(","))
+    connection.executemany(f"INSERT OR REPLACE INTO {table} ({columns}) VALUES ({marks})", values)  # noqa: S608

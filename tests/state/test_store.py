@@ -1,0 +1,89 @@
+"""The history in SQLite: what is recorded is read back; it keeps itself small; nothing is fatal to it."""
+
+import dataclasses
+import stat
+from pathlib import Path
+
+from edgectl.model.event import Event, EventKind
+from edgectl.model.snapshot import HostStatus, LinkSample, TaskSample, TaskState
+from edgectl.state.store import Retention, Store
+from tests.builders import NOW, a_sample, a_snapshot, silent
+
+
+def a_task(**changes: object) -> TaskSample:
+    """A ready task, 100 s old, using half a core."""
+    ready = TaskSample(state=TaskState.READY, started_at=NOW - 100, used_cores=0.5, used_bytes=1e6, instance="i1", spec_hash="s1")
+    return dataclasses.replace(ready, **changes)  # type: ignore[arg-type]
+
+
+def test_what_is_recorded_is_read_back(tmp_path: Path) -> None:
+    link = LinkSample(capacity_bytes_per_s=1e7, used_bytes_per_s=2e5, rtt_ms=1.5)
+    with Store.open(tmp_path) as store:
+        for second in range(3):
+            edge1 = a_sample(used=float(second), links={"robot1": link}, tasks={"slam": a_task()})
+            store.record_snapshot(a_snapshot(taken_at=NOW + second, edge1=edge1, edge2=silent()))
+    with Store.open(tmp_path) as store:
+        assert [point.used_cores for point in store.host_points("edge1")] == [0.0, 1.0, 2.0]
+        assert [point.used_cores for point in store.host_points("edge1", limit=2)] == [1.0, 2.0]
+        assert [point.used_cores for point in store.host_points("edge1", since=NOW + 2)] == [2.0]
+        assert {point.status for point in store.host_points("edge2")} == {HostStatus.UNREACHABLE}
+        assert len(store.host_points(limit=1)) == 2
+        assert [(point.edge, point.robot, point.rtt_ms) for point in store.link_points(limit=1)] == [("edge1", "robot1", 1.5)]
+        assert [(point.task, point.host, point.age_s, point.spec_hash) for point in store.task_points("slam", limit=1)] == [
+            ("slam", "edge1", 102.0, "s1")
+        ]
+
+
+def test_the_same_snapshot_again_changes_nothing(tmp_path: Path) -> None:
+    snapshot = a_snapshot(edge1=a_sample(tasks={"slam": a_task()}), edge2=silent())
+    with Store.open(tmp_path) as store:
+        store.record_snapshot(snapshot)
+        before = store.host_points(), store.task_points(), store.events()
+        store.record_snapshot(snapshot)
+        assert (store.host_points(), store.task_points(), store.events()) == before
+        assert [event.kind for event in store.events()] == [EventKind.HOST_LOST]
+
+
+def test_the_files_are_private(tmp_path: Path) -> None:
+    with Store.open(tmp_path) as store:
+        store.record_snapshot(a_snapshot(edge1=a_sample()))
+        modes = {path.name: stat.S_IMODE(path.stat().st_mode) for path in tmp_path.iterdir()}
+    assert modes == {"history.db": 0o600, "history.db-wal": 0o600, "history.db-shm": 0o600}
+
+
+def test_events_are_found_by_place_and_time(tmp_path: Path) -> None:
+    with Store.open(tmp_path) as store:
+        for number in range(5):
+            store.record_events([Event(at=NOW + number, kind=EventKind.HOST_LOST, host=f"edge{number % 2}", message=str(number))])
+        assert [event.message for event in store.events()] == ["0", "1", "2", "3", "4"]
+        assert [event.message for event in store.events(host="edge1")] == ["1", "3"]
+        assert [event.message for event in store.events(since=NOW + 3)] == ["3", "4"]
+        assert [event.message for event in store.events(limit=1)] == ["4"]
+        last = store.events()[-1].id
+        assert store.events(after=last) == ()
+        store.record_events([Event(at=NOW, kind=EventKind.TASK_LOST, task="slam")])
+        assert [event.task for event in store.events(after=last)] == ["slam"]
+
+
+def test_old_rows_go(tmp_path: Path) -> None:
+    with Store.open(tmp_path, retention=Retention(samples_s=10, records_s=100)) as store:
+        store.record_snapshot(a_snapshot(taken_at=NOW, edge1=silent()))
+        store.record_snapshot(a_snapshot(taken_at=NOW + 50, edge1=a_sample()))
+        assert store.prune_due(NOW)
+        store.prune(NOW + 61)
+        assert store.host_points() == ()
+        assert len(store.events()) == 2
+        assert not store.prune_due(NOW + 61)
+        store.prune(NOW + 120)
+        assert [event.kind for event in store.events()] == [EventKind.HOST_BACK]
+
+
+def test_a_broken_file_is_set_aside_and_said(tmp_path: Path) -> None:
+    (tmp_path / "history.db").write_bytes(b"not a database, but long enough to look at" * 100)
+    said: list[str] = []
+    with Store.open(tmp_path, warn=said.append) as store:
+        store.record_snapshot(a_snapshot(edge1=a_sample()))
+        assert len(store.host_points()) == 1
+    assert (tmp_path / "history.db.broken-1").exists()
+    assert len(said) == 1
+    assert "set aside as history.db.broken-1" in said[0]
