@@ -10,7 +10,7 @@ from edgectl.model.snapshot import HostSample, LinkSample, Snapshot
 from edgectl.units import format_bytes, format_cores, format_instant, format_rate
 from edgectl.views.absent import silence
 from edgectl.views.reasons import left_out, listed, not_found
-from edgectl.views.text import PLAIN, Cell, Look, Row, columns, harmless, paint
+from edgectl.views.text import PLAIN, Cell, Look, Row, columns, flowed, harmless, paint
 
 STYLES = {
     Action.START: "good", Action.STOP: "bad", Action.MOVE: "warn", Action.RESTART: "warn", Action.COMPLETE: "good",
@@ -18,11 +18,11 @@ STYLES = {
 }  # fmt: skip
 
 
-def header(value: Plan) -> str:
+def header(value: Plan, look: Look = PLAIN) -> str:
     """How the plan was decided: policy, weights as used, snapshot."""
     weights = value.policy.weights
     shown = f"cpu {weights.cpu:.3g}, memory {weights.memory:.3g}, network {weights.network:.3g}, task {weights.task:.3g}"
-    return f"Policy {value.policy.name}; weights {shown}; snapshot of {format_instant(value.created_at)}\n"
+    return flowed(f"Policy {value.policy.name}; weights {shown}; snapshot of {format_instant(value.created_at)}", look)
 
 
 def figure(value: float | None, *, signed: bool = False) -> str:
@@ -101,7 +101,7 @@ def closed(value: Snapshot) -> list[str]:
 
 def note_lines(lines: Iterable[str], look: Look) -> str:
     """Each line as a note."""
-    return "".join(f"{paint('note:', 'warn', look)} {harmless(line)}\n" for line in lines)
+    return "".join(paint("note:", "warn", look) + flowed(f"note: {harmless(line)}", look).removeprefix("note:") for line in lines)
 
 
 def summary(value: Plan, look: Look = PLAIN) -> str:
@@ -119,7 +119,7 @@ def summary(value: Plan, look: Look = PLAIN) -> str:
     extra = [f"{rare[action]} {word}" for action, word in _RARE.items() if rare.get(action)]
     extra += [f"{missing} not managed and found nowhere"] if missing else []
     extra += [f"{aside} left out"] if aside else []
-    return paint(", ".join([text, *extra]) + ".", "bold", look) + "\n"
+    return paint(flowed(", ".join([text, *extra]) + ".", look).removesuffix("\n"), "bold", look) + "\n"
 
 
 _RARE = {

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 
 from edgectl.model.inventory import Inventory
 from edgectl.model.plan import Action, Plan, Step
@@ -12,10 +12,11 @@ from edgectl.model.snapshot import HostSample, LinkSample, Snapshot, TaskSample,
 from edgectl.model.task import Quantity, Task, Tasks
 from edgectl.units import format_bytes, format_cores, format_duration, format_instant, format_rate
 from edgectl.views.absent import absent, silence, standing
+from edgectl.views.explanation import text as explanation  # noqa: F401  (a form of its own module)
 from edgectl.views.reasons import left_out, reason
 from edgectl.views.sections import STYLES, closed, expected, figure, header, note_lines, notes, silent, summary
 from edgectl.views.state import phrase, remarks
-from edgectl.views.text import PLAIN, Cell, Look, Row, columns, harmless, paint
+from edgectl.views.text import PLAIN, Cell, Look, Row, columns, fits, harmless, paint
 
 STATES = {
     TaskState.READY: "good", TaskState.RUNNING: "good", TaskState.STARTING: "warn", TaskState.COMPLETED: "dim",
@@ -28,8 +29,8 @@ def plan(value: Plan, look: Look = PLAIN) -> str:
     """What will be done and why, the load that is expected afterwards, and one line that sums up."""
     rows: list[Row] = [("", "TASK", "NOW", "NEXT", "UTILITY", "LEAD", "REASON")]
     rows += [_step_row(step) for step in value.steps]
-    table = columns(rows, look, right={4, 5}) if value.steps else ""
-    head = header(value) if value.expected else ""
+    table = columns(rows, look, right={4, 5}, wrap={1, 2, 3}) if value.steps else ""
+    head = header(value, look) if value.expected else ""
     return "\n".join(part for part in (head, table, expected(value, look), notes(value, look) + summary(value, look)) if part)
 
 
@@ -94,7 +95,17 @@ def status(value: Snapshot, _inventory: Inventory, tasks: Tasks, look: Look = PL
     rows += [_task_row(value.taken_at, name, host, sample, tasks.tasks.get(name), value) for name, host, sample in found(value)]
     seen = {name for name, _, _ in found(value)}
     rows += [_absent_row(task, value) for task in tasks.tasks.values() if task.name not in seen]
-    return columns(rows, look) + note_lines(silent(value) + closed(value) + remarks(value), look)
+    fitting = rows if fits([(*row[:2], TaskState.COMPLETED, *row[3:]) for row in rows], look) else _stacked(rows)  # a state may wrap
+    return columns(fitting, look, wrap={0, 2}) + note_lines(silent(value) + closed(value) + remarks(value), look)
+
+
+def _stacked(rows: list[Row]) -> Iterator[Row]:
+    """For a narrow terminal: the demands on a row of their own below what is used."""
+    yield (*rows[0][:4], *rows[0][4::2])
+    for row in rows[1:]:
+        yield (*row[:4], *row[4::2])
+        if any(demand != "-" for demand in row[5::2]):
+            yield ("", "", "", "demand", *row[5::2])
 
 
 def found(value: Snapshot) -> list[tuple[str, str, TaskSample]]:

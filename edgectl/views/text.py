@@ -43,7 +43,7 @@ def look_of(stream: TextIO) -> Look:
     return Look(
         colour=coloured and not os.environ.get("NO_COLOR"),
         width=shutil.get_terminal_size().columns if terminal else None,
-        unicode=not dumb and _unicode(stream),
+        unicode=terminal and not dumb and _unicode(stream),
     )
 
 
@@ -84,14 +84,14 @@ def columns(
 ) -> str:
     """Rows as aligned columns, each line ended by a newline. ``right`` lists the columns aligned to the right.
 
-    On a terminal that is too narrow the last column is wrapped, then those in ``wrap``, each under itself; where the last one has no room
-    even so, it stands on lines of its own. ``least``: widths that the columns have at least.
-    """  # fmt: skip
+    On a terminal that is too narrow the last column is wrapped, and those in ``wrap``, each under itself. Where that leaves no room for the
+    last one, what is too long of it stands on lines of its own. ``least``: widths that the columns have at least.
+    """
     cells = [[_cell(field) for field in row] for row in rows]
     if not cells:
         return ""
-    widths, below = _fitted(_natural(cells, least), look, wrap, gap)
-    return "".join(line + "\n" for row in cells for line in _lines(row, widths, look, right, gap, below=below))
+    widths = _fitted(_natural(cells, least), look, wrap, gap)
+    return "".join(line + "\n" for row in cells for line in _lines(row, widths, look, right, gap))
 
 
 def widths_of(rows: Iterable[Row]) -> list[int]:
@@ -120,20 +120,20 @@ def _total(widths: Sequence[int], gap: str) -> int:
     return sum(widths) + len(gap) * (len(widths) - 1)
 
 
-def _fitted(widths: list[int], look: Look, wrap: Collection[int], gap: str) -> tuple[list[int], bool]:
-    """Widths that fit the terminal, and whether the last column has to stand below."""
+def _fitted(widths: list[int], look: Look, wrap: Collection[int], gap: str) -> list[int]:
+    """Widths that fit the terminal as well as can be."""
     excess = _total(widths, gap) - look.width if look.width is not None else 0
     if excess <= 0:
-        return widths, False
-    fitted = list(widths)
-    spare = widths[-1] - min(widths[-1], _NARROWEST_LAST_COLUMN)
-    for column in sorted(set(wrap) - {len(widths) - 1}, key=lambda column: -widths[column]):
-        fitted[column] -= min(max(0, excess - spare), max(0, fitted[column] - _NARROWEST_COLUMN))
-        excess -= widths[column] - fitted[column]
-    if excess > spare:
-        return fitted, True
-    fitted[-1] -= max(0, excess)
-    return fitted, False
+        return widths
+    fitted, spare = list(widths), widths[-1] - min(widths[-1], _NARROWEST_LAST_COLUMN)
+    inner = sorted(set(wrap) - {len(widths) - 1}, key=lambda column: -widths[column])
+    if excess > spare + sum(max(0, widths[column] - _NARROWEST_COLUMN) for column in inner):
+        spare = widths[-1]  # the last column goes below; only the others have to fit
+    for column in inner:
+        given = min(max(0, excess - spare), max(0, fitted[column] - _NARROWEST_COLUMN))
+        fitted[column] -= given
+        excess -= given
+    return [*fitted[:-1], max(0, fitted[-1] - max(0, excess))]
 
 
 def _cell(field: str | Cell) -> Cell:
@@ -141,24 +141,23 @@ def _cell(field: str | Cell) -> Cell:
     return Cell(harmless(text), style)
 
 
-def _lines(row: list[Cell], widths: list[int], look: Look, right: Collection[int], gap: str, *, below: bool) -> list[str]:
+def _lines(row: list[Cell], widths: list[int], look: Look, right: Collection[int], gap: str) -> list[str]:
     """One row, as many lines as its tallest cell has."""
     *head, last = row
     whole = len(row) == len(widths)
     indent = sum(widths[: len(head)]) + len(gap) * len(head)
     room = widths[-1] if whole or look.width is None else look.width - indent
-    aside = whole and below
+    aside = whole and room < min(len(last.text), _NARROWEST_LAST_COLUMN)
     tall = [_wrapped(cell.text, widths[i]) for i, cell in enumerate(head)]
     final = [] if aside else _wrapped(last.text, room) if look.width is not None else [last.text]
     lines = []
     for number in range(max(len(texts) for texts in [*tall, final, [""]])):
-        start = "".join(_padded(_at(texts, number), cell, widths[i], look, to_right=i in right) + gap
-                        for i, (cell, texts) in enumerate(zip(head, tall, strict=True)))  # fmt: skip
+        padded = (_padded(_at(texts, number), head[i], widths[i], look, to_right=i in right) + gap for i, texts in enumerate(tall))
         end = _at(final, number)
-        ended = _padded(end, last, widths[-1] if whole and len(head) in right else len(end), look, to_right=True)
-        lines.append((start + ended).rstrip())
-    indented = " " * _BELOW
-    return lines + [indented + paint(text, last.style, look) for text in _wrapped(last.text, (look.width or 0) - _BELOW) if aside and text]
+        width = widths[-1] if whole and len(head) in right else len(end)
+        lines.append(("".join(padded) + _padded(end, last, width, look, to_right=True)).rstrip())
+    under = _wrapped(last.text, (look.width or 0) - _BELOW) if aside else []
+    return lines + [" " * _BELOW + paint(text, last.style, look) for text in under if text]
 
 
 def _at(texts: list[str], number: int) -> str:

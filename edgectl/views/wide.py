@@ -1,15 +1,17 @@
 """Everything the scheduler weighed: four terms of every host, losers and the rejected with what they lack."""
 
 from edgectl.model.assignment import RankedHost
+from edgectl.model.explanation import Explanation
 from edgectl.model.plan import Plan, Step
 from edgectl.model.snapshot import HostSample, InterfaceSample, LinkSample, Snapshot
 from edgectl.units import format_duration, format_rate
 from edgectl.views import sections, table
+from edgectl.views.explanation import text
 from edgectl.views.reasons import reason, rejection
 from edgectl.views.sections import STYLES, figure
 from edgectl.views.text import PLAIN, Cell, Look, Row, columns
 
-__all__ = ["plan", "snapshot"]
+__all__ = ["explanation", "plan", "snapshot"]
 
 
 def plan(value: Plan, look: Look = PLAIN) -> str:
@@ -17,9 +19,14 @@ def plan(value: Plan, look: Look = PLAIN) -> str:
     rows: list[Row] = [("", "TASK", "HOST", "CPU", "MEMORY", "NETWORK", "TASK", "TOTAL", "REASON")]
     for step in value.steps:
         rows += _rows(step)
-    body = columns(rows, look, right={3, 4, 5, 6, 7}) if value.steps else ""
+    body = columns(rows, look, right={3, 4, 5, 6, 7}, wrap={1, 2}) if value.steps else ""
     end = sections.notes(value, look) + sections.summary(value, look)
-    return "\n".join(part for part in (sections.header(value), body, sections.expected(value, look), end) if part)
+    return "\n".join(part for part in (sections.header(value, look), body, sections.expected(value, look), end) if part)
+
+
+def explanation(step: Step, value: Explanation, look: Look = PLAIN) -> str:
+    """The table form with every change that would send the task elsewhere."""
+    return text(step, value, look, every=True)
 
 
 def _rows(step: Step) -> list[Row]:

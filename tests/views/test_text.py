@@ -1,0 +1,114 @@
+"""Columns that fit the terminal, and what a stream can show."""
+
+import io
+
+import pytest
+
+from edgectl.views.text import Cell, Look, columns, fits, flowed, look_of, room_beside
+
+ROWS = [
+    ("NAME", "STATE", "N", "REASON"),
+    (Cell("slam-robot1", "name"), "failed (5 restarts, last exit 1)", "7", "it was asked to stop and did not"),
+]
+
+
+def widest(text: str) -> int:
+    return max(map(len, text.splitlines()))
+
+
+def test_nothing_is_wrapped_where_there_is_no_terminal() -> None:
+    assert columns(ROWS, right={2}).splitlines() == [
+        "NAME         STATE                             N  REASON",
+        "slam-robot1  failed (5 restarts, last exit 1)  7  it was asked to stop and did not",
+    ]
+
+
+def test_the_last_column_wraps_first() -> None:
+    assert columns(ROWS, Look(width=78), right={2}, wrap={1}).splitlines() == [
+        "NAME         STATE                             N  REASON",
+        "slam-robot1  failed (5 restarts, last exit 1)  7  it was asked to stop and did",
+        "                                                  not",
+    ]
+
+
+def test_other_columns_wrap_where_that_is_not_enough() -> None:
+    assert columns(ROWS, Look(width=61), right={2}, wrap={1}).splitlines() == [
+        "NAME         STATE                N  REASON",
+        "slam-robot1  failed (5 restarts,  7  it was asked to stop",
+        "             last exit 1)            and did not",
+    ]
+
+
+def test_what_has_no_room_stands_below() -> None:
+    assert columns(ROWS, Look(width=52), right={2}).splitlines() == [
+        "NAME         STATE                             N",
+        "    REASON",
+        "slam-robot1  failed (5 restarts, last exit 1)  7",
+        "    it was asked to stop and did not",
+    ]
+
+
+@pytest.mark.parametrize("width", range(34, 90))
+def test_a_table_with_columns_to_wrap_never_passes_the_edge(width: int) -> None:
+    text = columns(ROWS, Look(width=width), right={2}, wrap={0, 1})
+    assert widest(text) <= width
+    assert sorted("".join(text.split())) == sorted("".join(columns(ROWS).split())), "nothing is lost"
+
+
+def test_columns_keep_the_widths_they_had() -> None:
+    assert columns([("a", "b")], least=[4, 0, 0]) == "a     b\n"
+
+
+def test_room_beside() -> None:
+    assert room_beside([("abc", "de")], Look(width=20)) == 20 - 5 - 2 - 2
+    assert room_beside([("abc", "de")], Look(width=4)) == 0
+    assert room_beside([("abc", "de")], Look()) == 0
+    assert fits([("abc", "de")], Look(width=7))
+    assert not fits([("abc", "de")], Look(width=6))
+
+
+def test_a_line_flows() -> None:
+    assert flowed("one two three", Look(width=8)) == "one two\n  three\n"
+    assert flowed("one two three", Look()) == "one two three\n"
+
+
+class Stream(io.StringIO):
+    """A terminal of some encoding."""
+
+    def __init__(self, encoding: str) -> None:
+        super().__init__()
+        self._encoding = encoding
+
+    @property
+    def encoding(self) -> str:  # type: ignore[override]
+        return self._encoding
+
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.mark.parametrize(
+    ("encoding", "variables", "unicode", "colour"),
+    [
+        ("utf-8", {}, True, True),
+        ("UTF-8", {"NO_COLOR": "1", "FORCE_COLOR": "1"}, True, False),
+        ("iso8859-1", {}, False, True),
+        ("utf-8", {"NO_UNICODE": "1"}, False, True),
+        ("utf-8", {"LC_ALL": "C"}, False, True),
+        ("utf-8", {"TERM": "dumb"}, False, False),
+    ],
+)
+def test_what_a_terminal_can_show(
+    encoding: str, variables: dict[str, str], unicode: bool, colour: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("NO_COLOR", "FORCE_COLOR", "NO_UNICODE", "LC_ALL", "TERM"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value)
+    look = look_of(Stream(encoding))
+    assert (look.unicode, look.colour) == (unicode, colour)
+    assert look.width is not None
+
+
+def test_a_pipe_is_plain() -> None:
+    assert look_of(io.StringIO()) == Look()
