@@ -34,8 +34,8 @@ def test_the_last_column_wraps_first() -> None:
 def test_other_columns_wrap_where_that_is_not_enough() -> None:
     assert columns(ROWS, Look(width=61), right={2}, wrap={1}).splitlines() == [
         "NAME         STATE                N  REASON",
-        "slam-robot1  failed (5 restarts,  7  it was asked to stop",
-        "             last exit 1)            and did not",
+        "slam-robot1  failed (5 restarts,  7  it was asked to stop and",
+        "             last exit 1)            did not",
     ]
 
 
