@@ -129,8 +129,8 @@ def _standing(snapshot: Snapshot, known: Known) -> dict[str, _Now]:
             if best is None or _weight(here, known.tasks.get(name)) > _weight(best, known.tasks.get(name)):
                 found[name] = here
     for name, before in known.tasks.items():
-        host = snapshot.hosts.get(before.host or "")
-        if name not in found and host is not None and host.ok:
+        there = snapshot.hosts.get(before.host or "")
+        if name not in found and there is not None and there.ok:
             found[name] = _Now(at=snapshot.taken_at)
     return found
 
