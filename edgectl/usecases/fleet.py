@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from edgectl.model.inventory import Inventory
@@ -17,7 +17,8 @@ from edgectl.transport.base import Transport
 class Fleet:
     """Inventory and tasks as loaded, a transport, and the fleet's state directory (``state.paths.fleet_dir``).
 
-    ``clock`` gives s since 1970, ``uptime`` time that nobody sets. ``warn`` hears what a user should know although the call goes on.
+    ``clock`` gives s since 1970, ``uptime`` time that nobody sets. ``warn`` hears what a user should know although the call goes on;
+    ``said``: troubles of the history that it heard already.
     """
 
     inventory: Inventory
@@ -27,3 +28,4 @@ class Fleet:
     clock: Callable[[], float] = time.time
     warn: Warn = silent
     uptime: Callable[[], Uptime] = now_up
+    said: set[str] = field(default_factory=set)

@@ -15,6 +15,7 @@ from edgectl.model.snapshot import Snapshot
 from edgectl.scheduler.assign import assign
 from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.probe import probe
+from edgectl.usecases.record import record_plan
 
 
 def plan(fleet: Fleet, policy: Policy, *, snapshot: Snapshot | None = None, options: ProbeOptions | None = None) -> Plan:
@@ -22,7 +23,10 @@ def plan(fleet: Fleet, policy: Policy, *, snapshot: Snapshot | None = None, opti
 
     With a given snapshot no host is asked, ``now`` is its ``taken_at`` and the memory is the one in it: the same on any day.
     """
-    snapshot = snapshot or probe(fleet, options)
+    if snapshot is None:
+        made = plan(fleet, policy, snapshot=probe(fleet, options))
+        record_plan(fleet, made)
+        return made
     memory = snapshot.memory or Memory()
     assignment = assign(fleet.inventory, fleet.tasks, snapshot, memory, policy, snapshot.taken_at)
     return plan_of(fleet.inventory, fleet.tasks, snapshot, memory, assignment)

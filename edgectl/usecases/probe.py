@@ -12,6 +12,7 @@ from edgectl.state.journal import read as read_journal
 from edgectl.state.links import load_links, save_links
 from edgectl.state.reopened import load_reopened
 from edgectl.usecases.fleet import Fleet
+from edgectl.usecases.record import record_snapshot
 from edgectl.usecases.touch import in_touch, remembered
 
 
@@ -26,6 +27,7 @@ def probe(fleet: Fleet, options: ProbeOptions | None = None) -> Snapshot:
     memory = remembered(fleet)
     for host in sorted(fenced - memory.fenced):
         fleet.warn(f"{host} answers, so it is not switched off: its fence is lifted")
+    record_snapshot(fleet, snapshot)
     return dataclasses.replace(snapshot, memory=_with_starts(fleet, memory, snapshot))
 
 

@@ -1,0 +1,49 @@
+"""Keep what was seen and done for those who look back: best effort, said once where it fails, never in the way of the command."""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from edgectl.model.plan import Plan
+from edgectl.model.result import Results
+from edgectl.model.snapshot import Snapshot
+from edgectl.state.lock import held_elsewhere
+from edgectl.usecases.fleet import Fleet
+
+if TYPE_CHECKING:
+    from edgectl.state.store import Store
+
+
+def record_snapshot(fleet: Fleet, snapshot: Snapshot) -> None:
+    """Keep the samples of a probe and the events that they show."""
+    changing = held_elsewhere(fleet.state)
+    _record(fleet, lambda store: store.record_snapshot(snapshot, changing=changing))
+
+
+def record_plan(fleet: Fleet, plan: Plan) -> None:
+    """Keep a plan that was made with the hosts."""
+    _record(fleet, lambda store: store.record_plan(plan))
+
+
+def record_results(fleet: Fleet, plan: Plan, results: Results) -> None:
+    """Keep what an apply did. Call it before the lock is released, so that nobody takes its work for an event of its own."""
+    _record(fleet, lambda store: store.record_results(plan, results, fleet.clock()))
+
+
+def _record(fleet: Fleet, act: "Callable[[Store], None]") -> None:
+    from edgectl.state.store import Store
+
+    with Store.open(fleet.state, warn=_once(fleet)) as store:
+        act(store)
+        if store.prune_due(fleet.clock()):
+            store.prune(fleet.clock())
+
+
+def _once(fleet: Fleet) -> Callable[[str], None]:
+    """Say each trouble of the history once, however often it is met."""
+
+    def warn(text: str) -> None:
+        if text not in fleet.said:
+            fleet.said.add(text)
+            fleet.warn(text)
+
+    return warn
