@@ -24,6 +24,7 @@ COMMANDS = {
     "apply": Entry("apply", "Schedule", "Make reality match: start, stop and move tasks."),
     "status": Entry("look", "Inspect", "Show what runs where, since when, and what it uses."),
     "logs": Entry("look", "Inspect", "Print the log of a task."),
+    "explain": Entry("explain", "Inspect", "Say why a task goes where it goes, and what would change that."),
     "history": Entry("past", "Inspect", "List what was done to the fleet, by whom and how it ended."),
     "show": Entry("past", "Inspect", "Print one revision of the history, or a saved plan."),
     "rollback": Entry("past", "Fleet", "Go back to where the tasks stood after an earlier revision."),

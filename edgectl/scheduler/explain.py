@@ -8,11 +8,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import sqrt
 
-from edgectl.model.assignment import Assignment, Decision, RankedHost, Reason, Rule, Terms, Verdict
+from edgectl.model.assignment import Decision, RankedHost, Reason, Rule, Terms, Verdict
 from edgectl.model.explanation import Change, Contribution, Explanation, Flip, Term
 from edgectl.model.inventory import Inventory
 from edgectl.model.memory import Memory
-from edgectl.model.policy import PolicyName, Weights
+from edgectl.model.policy import Policy, PolicyName, Weights
 from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Task
 from edgectl.scheduler.cost import Handoffs, handoffs_of, move_cost
@@ -50,17 +50,10 @@ class _Case:
 
 
 def explain(
-    inventory: Inventory, task: Task, snapshot: Snapshot, assignment: Assignment, *, now: float, noise: Mapping[str, Noise] | None = None
+    inventory: Inventory, task: Task, snapshot: Snapshot, decision: Decision, policy: Policy, noise: Mapping[str, Noise] | None = None
 ) -> Explanation:  # fmt: skip
-    """The decision on ``task`` taken apart (eqs. 1-5). ``noise`` by host, where it is known.
-
-    Raises:
-        KeyError: the assignment says nothing of the task.
-    """
-    decision = next((each for each in assignment.decisions if each.task == task.name), None)
-    if decision is None:
-        raise KeyError(task.name)
-    memory, policy = snapshot.memory or Memory(), assignment.policy
+    """The decision on ``task`` taken apart (eqs. 1-5). ``policy`` with the weights as used; ``noise`` by host, where it is known."""
+    memory = snapshot.memory or Memory()
     ranked = tuple(entry for entry in decision.ranking if entry.total is not None and _only_short(entry))
     case = _Case(
         task=task,
@@ -68,7 +61,7 @@ def explain(
         weights=policy.weights,
         fleet=fleet_of(inventory, snapshot, memory, policy.without),
         ranked=ranked,
-        needed=_needed(task, decision, ranked, policy.move_margin, handoffs_of(memory), _here_s(memory, task, now)),
+        needed=_needed(task, decision, ranked, policy.move_margin, handoffs_of(memory), _here_s(memory, task, snapshot.taken_at)),
     )
     plain = Explanation(decision=decision, weights=policy.weights, linear=len(task.robots) <= 1)
     here = _entry(ranked, decision.host)

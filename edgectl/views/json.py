@@ -5,20 +5,27 @@ from collections.abc import Iterable, Mapping
 from edgectl.formats import plan as plan_format
 from edgectl.formats import snapshot as snapshot_format
 from edgectl.formats.base import FORMAT_VERSION, Document, dumps, number, optional, without_none
+from edgectl.model.explanation import Explanation
 from edgectl.model.inventory import Inventory
-from edgectl.model.plan import Plan
+from edgectl.model.plan import Plan, Step
 from edgectl.model.result import ActionResult, PhaseResult, Results
 from edgectl.model.revision import Revision
 from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Quantity, Task, Tasks
 from edgectl.units import format_instant
 from edgectl.views.absent import Absent, absent
+from edgectl.views.explanation import document as explanation_document
 from edgectl.views.text import PLAIN, Look
 
 
 def plan(value: Plan, _look: Look = PLAIN) -> str:
     """The plan document."""
     return dumps(plan_format.encode(value))
+
+
+def explanation(step: Step, value: Explanation, _look: Look = PLAIN) -> str:
+    """Why a task goes where it goes."""
+    return dumps(explanation_document(step, value))
 
 
 def snapshot(value: Snapshot, _look: Look = PLAIN) -> str:

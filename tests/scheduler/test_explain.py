@@ -28,7 +28,7 @@ def decide(inventory: Inventory, tasks: Tasks, snapshot: Snapshot, policy: Polic
 
 def explained(inventory: Inventory, tasks: Tasks, snapshot: Snapshot, policy: Policy, **noise: Noise) -> Explanation:
     assignment = decide(inventory, tasks, snapshot, policy)
-    return explain(inventory, tasks.tasks["slam"], snapshot, assignment, now=NOW, noise=noise or None)
+    return explain(inventory, tasks.tasks["slam"], snapshot, assignment.decisions[0], assignment.policy, noise or None)
 
 
 def two_edges(used1: float, used2: float, **fields: float) -> tuple[Inventory, Tasks, Snapshot]:

@@ -1,0 +1,34 @@
+"""explain: why one task goes where it goes, and what would send it elsewhere."""
+
+from collections.abc import Mapping, Sequence
+from statistics import pstdev
+
+from edgectl.model.explanation import Explanation
+from edgectl.model.plan import Plan
+from edgectl.model.point import HostPoint
+from edgectl.scheduler.explain import Noise
+from edgectl.scheduler.explain import explain as explained
+from edgectl.state.store import Store
+from edgectl.usecases.fleet import Fleet
+
+# So many of the last samples say how much the readings vary; fewer than the least say nothing.
+_SAMPLES, _LEAST = 60, 10
+
+
+def explain(fleet: Fleet, plan: Plan, task: str, noise: Mapping[str, Noise] | None = None) -> Explanation:
+    """The decision of ``plan`` on ``task`` taken apart."""
+    decision = next(step.decision for step in plan.steps if step.task == task)
+    return explained(fleet.inventory, fleet.tasks.tasks[task], plan.snapshot, decision, plan.policy, noise)
+
+
+def noise_of(fleet: Fleet) -> dict[str, Noise]:
+    """How much the readings of each host varied lately, as the history has them."""
+    with Store.open(fleet.state, warn=fleet.warn) as store:
+        points = {host: store.host_points(host, limit=_SAMPLES) for host in fleet.inventory.hosts}
+    return {host: _noise(found) for host, found in points.items() if len(found) >= _LEAST}
+
+
+def _noise(points: Sequence[HostPoint]) -> Noise:
+    cpu = [point.used_cores / point.cores for point in points if point.used_cores is not None and point.cores]
+    memory = [point.used_bytes / point.total_bytes for point in points if point.used_bytes is not None and point.total_bytes]
+    return Noise(cpu=pstdev(cpu) if cpu else 0.0, memory=pstdev(memory) if memory else 0.0)
