@@ -161,6 +161,7 @@ def entry(found: Trace, alive: bool) -> dict:
         "detail": status.get("detail", ""),
         "limits": status.get("limits", ""),
         "last_exit": status.get("last_exit"),
+        "given_up": bool(status.get("given_up")),
     }
     document.update(_living(found) if alive else _dead(found))
     if document["state"] in ("failed", "crashloop"):

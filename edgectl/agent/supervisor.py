@@ -171,7 +171,7 @@ class Supervisor:
             return self._note(state="completed", pid=0, **outcome)
         policy = self.spec.get("restart", "on-failure")
         if policy == "never" or (policy == "on-failure" and clean):
-            return self._note(state="failed", pid=0, **outcome)
+            return self._note(state="failed", pid=0, given_up=policy == "never", **outcome)
         return self._plan_restart(ran_s, outcome)
 
     def _cancel_check(self) -> None:
@@ -186,7 +186,7 @@ class Supervisor:
         pause = backoff.delay(self.history, now, _jitter())
         if pause is None:
             detail = "%s; %d restarts in 10 minutes" % (outcome["detail"], backoff.MOST)
-            return self._note(state="crashloop", pid=0, exit_code=outcome["exit_code"], detail=detail)
+            return self._note(state="crashloop", pid=0, given_up=True, exit_code=outcome["exit_code"], detail=detail)
         self.next_start = now + pause
         detail = "%s; starts again in %.1f s" % (outcome["detail"], pause)
         return self._note(state="starting", pid=0, exit_code=outcome["exit_code"], detail=detail)

@@ -123,7 +123,7 @@ def done_command(names: options.TasksArgument, inventory: options.InventoryOptio
 
 
 def reopen_command(names: options.TasksArgument, inventory: options.InventoryOption = None, tasks: options.TasksOption = None) -> None:
-    """Let completed tasks be scheduled again.
+    """Let completed tasks, and tasks that were given up, be scheduled again.
 
     Examples:
         edgectl reopen navigation-robot1

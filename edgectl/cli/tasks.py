@@ -55,7 +55,7 @@ def restart_command(
     yes: options.YesOption = False,
     lock_timeout: options.LockOption = "0s",
 ) -> None:
-    """Stop a task and start it again on the host where it runs.
+    """Stop a task and start it again on the host where it runs; or start one that was given up (status says so).
 
     Examples:
         edgectl restart slam-robot1 --yes

@@ -1,11 +1,12 @@
 """Plans that an operator asks for by name: stop these, restart that. Pure."""
 
+import dataclasses
 from collections.abc import Iterable
 
 from edgectl.model.assignment import Decision, Reason, Verdict
 from edgectl.model.inventory import Inventory
 from edgectl.model.plan import Action, Plan, Step
-from edgectl.model.snapshot import Snapshot
+from edgectl.model.snapshot import HostSample, Snapshot
 from edgectl.model.task import Tasks
 
 
@@ -36,6 +37,19 @@ def restart_plan(name: str, inventory: Inventory, tasks: Tasks, snapshot: Snapsh
     host, *others = places
     decision = Decision(task=name, verdict=Verdict.KEPT, reason=Reason.OPERATOR, host=host, previous_host=host)
     return _plan((Step(decision=decision, action=Action.RESTART, instances=places, stop=tuple(others)),), inventory, tasks, snapshot)
+
+
+def forgive(name: str, snapshot: Snapshot) -> Snapshot:
+    """``snapshot`` without the runs of a task that were given up; their generations stay known."""
+    return dataclasses.replace(snapshot, hosts={host: _forgiven(name, sample) for host, sample in snapshot.hosts.items()})
+
+
+def _forgiven(name: str, sample: HostSample) -> HostSample:
+    run = sample.tasks.get(name)
+    if run is None or not run.given_up:
+        return sample
+    others = {task: other for task, other in sample.tasks.items() if task != name}
+    return dataclasses.replace(sample, tasks=others, generations={**sample.generations, name: run.generation})
 
 
 def _plan(steps: tuple[Step, ...], inventory: Inventory, tasks: Tasks, snapshot: Snapshot) -> Plan:

@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Mapping
 
-from edgectl.model.assignment import Verdict
+from edgectl.model.assignment import Reason, Verdict
 from edgectl.model.memory import Memory, Placement
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.result import ActionResult, Outcome, Phase, Results
@@ -45,7 +45,7 @@ def remember(memory: Memory, plan: Plan, tasks: Tasks, results: Results, used: M
         elif located is not None:
             least = used.get(step.task, 0) + 1 if _restored(result) else 0
             placements[step.task] = _kept(memory, plan.snapshot, step.task, located, now, least)
-        elif result is not None or _host_answers(plan.snapshot, placements.get(step.task)):
+        elif _gone(plan.snapshot, step, result, placements.get(step.task)):
             placements.pop(step.task, None)
         if task is not None and _completed(step, result):
             done[step.task] = task.spec_hash
@@ -65,10 +65,12 @@ def _seen(snapshot: Snapshot, step: Step) -> str | None:
     return None
 
 
-def _host_answers(snapshot: Snapshot, placement: Placement | None) -> bool:
-    """Whether the host where the task was last known answered; a silent one keeps its tasks in memory."""
+def _gone(snapshot: Snapshot, step: Step, result: ActionResult | None, placement: Placement | None) -> bool:
+    """Whether the task is to be forgotten. A silent host keeps its tasks in memory, any host one that was given up there."""
+    if result is not None:
+        return True
     host = snapshot.hosts.get(placement.host) if placement else None
-    return host is not None and host.ok
+    return host is not None and host.ok and step.decision.reason is not Reason.GIVEN_UP
 
 
 def _completed(step: Step, result: ActionResult | None) -> bool:

@@ -81,6 +81,7 @@ def _task(task: TaskSample) -> Document:
         last_exit=task.last_exit,
         log_tail=list(task.log_tail) or None,
         limits=task.limits or None,
+        given_up=task.given_up or None,
     )
 
 
@@ -183,6 +184,7 @@ def _read_task(reader: Reader) -> TaskSample:
         last_exit=reader.maybe_integer("last_exit"),
         log_tail=reader.texts("log_tail"),
         limits=reader.text("limits", ""),
+        given_up=reader.flag("given_up", default=False),
     )
 
 

@@ -34,7 +34,7 @@ class ProbeOptions:
     ``workers``: connections being opened at the same time; a host's deadline begins when its turn comes.
 
     ``measured``: link capacities in bytes/s by (edge, robot), as ``probe --bandwidth`` kept them.
-    ``reopened``: instances whose completion no longer counts.
+    ``reopened``: instances whose end, completed or given up, no longer counts.
     ``on_host`` hears each host as it ends, in the caller's thread: name, sample, seconds it took.
     """
 

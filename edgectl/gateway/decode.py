@@ -33,7 +33,7 @@ class Context:
     ``answered_at`` (s since 1970, the manager's clock): when the document came.
     ``declared`` and ``measured``: bytes/s by robot of this host's links.
     ``robots``: those asked for. ``blind``: robots that are never contacted and so never count as unreachable.
-    ``reopened``: instances whose completion no longer counts.
+    ``reopened``: instances whose end, completed or given up, no longer counts.
     """
 
     host: Host
@@ -87,9 +87,13 @@ def whole_any(document: Document, key: str) -> int:
 
 
 def _tasks(document: Document, context: Context) -> dict[str, TaskSample]:
-    """The tasks of the host, without completed runs that were reopened."""
+    """The tasks of the host, without runs that are over and were reopened."""
     tasks = {name: _task(name, entry, context) for name, entry in entries(document, "tasks").items()}
-    return {name: task for name, task in tasks.items() if not (task.state is TaskState.COMPLETED and task.instance in context.reopened)}
+    return {name: task for name, task in tasks.items() if not (_over(task) and task.instance in context.reopened)}
+
+
+def _over(task: TaskSample) -> bool:
+    return task.state is TaskState.COMPLETED or task.given_up
 
 
 def _task(name: str, entry: Document, context: Context) -> TaskSample:
@@ -116,6 +120,7 @@ def _task(name: str, entry: Document, context: Context) -> TaskSample:
         last_exit=optional(entry, "last_exit", whole_any),
         log_tail=lines(entry, "log_tail"),
         limits=text(entry, "limits"),
+        given_up=flag(entry, "given_up", default=False),
     )
 
 

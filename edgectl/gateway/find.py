@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 from edgectl.errors import HostError
 from edgectl.gateway.fanout import fan_out
-from edgectl.gateway.fields import Document, entries, number, optional, text
+from edgectl.gateway.fields import Document, entries, flag, number, optional, text
 from edgectl.model.inventory import Host, Inventory
 from edgectl.transport.base import Transport
 from edgectl.transport.call import call
@@ -24,10 +24,13 @@ def find(task: str, inventory: Inventory, transport: Transport, *, timeout: floa
     return inventory.hosts[best] if best else None, _silent(answers)
 
 
-def completed(task: str, inventory: Inventory, transport: Transport, *, timeout: float) -> tuple[frozenset[str], tuple[str, ...]]:
-    """The instances of ``task`` that completed, as far as hosts know; and the hosts that did not answer."""
+def ended(task: str, inventory: Inventory, transport: Transport, *, timeout: float) -> tuple[frozenset[str], tuple[str, ...]]:
+    """The instances of ``task`` that completed or were given up, as far as hosts know; and the hosts that did not answer."""
     answers = _asked(task, inventory, transport, timeout)
-    instances = (text(entry, "instance") for entry in answers.values() if entry and text(entry, "state") == "completed")
+    over = (
+        entry for entry in answers.values() if entry and (text(entry, "state") == "completed" or flag(entry, "given_up", default=False))
+    )
+    instances = (text(entry, "instance") for entry in over)
     return frozenset(instances), _silent(answers)
 
 

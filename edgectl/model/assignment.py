@@ -144,7 +144,8 @@ class Decision:
 
     ``total`` and ``lead`` are of ``host`` (lead: minus the best other feasible host's total; None where there is no other).
     ``challenger`` is the best other host; ``subject`` names what the reason is about (predecessor, robot, silent host);
-    ``amount`` its number (gain of a move, margin, remaining dwell in s, seconds until a held task may be replaced).
+    ``amount`` its number (gain of a move, margin, remaining dwell in s, seconds until a held task may be replaced, exit code of a task
+    that was given up).
     ``cost`` is what a move was weighed against, where downtimes are measured. ``nearest`` is the nearest miss of an unplaced task.
     ``rejection_counts`` counts the hosts that a shortened ranking left out, by rule.
     """
@@ -152,6 +153,7 @@ class Decision:
     task: str
     verdict: Verdict
     reason: Reason
+    GIVEN_UP = "given-up"
     host: str | None = None
     previous_host: str | None = None
     total: float | None = None

@@ -78,6 +78,7 @@ class TaskSample:
     ``fields``: short hash of each field of the spec that was started, so that a restart can say what changed.
     ``last_exit``: exit code before the last restart. ``log_tail``: last lines of a task that failed or was given up.
     ``limits``: "enforced", or "not enforced: why"; empty where none are stated.
+    ``given_up``: it ended by itself and is not to be started again by itself: a crash loop, or a failure under ``restart: never``.
     """
 
     state: TaskState
@@ -98,6 +99,7 @@ class TaskSample:
     last_exit: int | None = None
     log_tail: tuple[str, ...] = ()
     limits: str = ""
+    given_up: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -131,6 +131,8 @@ def _add(builder: _Builder, task: Task, sightings: tuple[Sighting, ...]) -> None
         _run(builder, task, current)
     elif away is not None:
         builder.replaced[task.name] = away
+    elif (ended := _given_up(builder, task, sightings)) is not None:
+        builder.fixed[task.name] = _failed(task, ended, _name(builder, ended))
 
 
 def _run(builder: _Builder, task: Task, current: Sighting) -> None:
@@ -162,6 +164,25 @@ def _is_completed(memory: Memory, task: Task, sightings: Iterable[Sighting], cur
     finished = [s.sample for s in sightings if s.sample.state is TaskState.COMPLETED and s.sample.spec_hash in ("", task.spec_hash)]
     newest = max((sample.generation for sample in finished), default=None)
     return newest is not None and (current is None or current.sample.generation <= newest)
+
+
+def _given_up(builder: _Builder, task: Task, sightings: Iterable[Sighting]) -> Sighting | None:
+    """The last run of ``task``, if it ended by itself and must not be started again unasked (ADR 0022): the same would only happen again.
+
+    A changed specification may do better; so may a run whose host was told of a newer one since, be it only to stop it.
+    """
+    ended = [s for s in sightings if s.sample.managed and s.sample.given_up and s.sample.spec_hash in ("", task.spec_hash)]
+    last = _newest(builder, task, ended)
+    placement = builder.memory.placements.get(task.name)
+    told = [sample.generations.get(task.name, 0) for sample in builder.fleet.samples if sample is not None]
+    known = max([s.sample.generation for s in sightings] + told + [placement.generation if placement is not None else 0], default=0)
+    return last if last is not None and last.sample.generation >= known else None
+
+
+def _failed(task: Task, ended: Sighting, host: str | None) -> Decision:
+    code = ended.sample.exit_code
+    amount = None if code is None else float(code)
+    return Decision(task=task.name, verdict=Verdict.UNPLACED, reason=Reason.GIVEN_UP, subject=host, amount=amount)
 
 
 def _newest_is_silent(builder: _Builder, task: Task, ours: Iterable[Sighting], current: Sighting | None) -> str | None:

@@ -1,4 +1,4 @@
-"""Completed instances that an operator reopened: their hosts still know them, and they no longer count."""
+"""Completed or given-up instances that an operator reopened: their hosts still know them, and they no longer count."""
 
 from pathlib import Path
 

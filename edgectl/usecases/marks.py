@@ -4,7 +4,7 @@ import dataclasses
 from collections.abc import Collection, Iterable, Sequence
 
 from edgectl.errors import UsageError
-from edgectl.gateway.find import completed
+from edgectl.gateway.find import ended
 from edgectl.model.memory import Memory
 from edgectl.state import contacts
 from edgectl.state.lock import FleetLock
@@ -26,24 +26,24 @@ def done(fleet: Fleet, names: Sequence[str]) -> Memory:
 
 
 def reopen(fleet: Fleet, names: Sequence[str]) -> Memory:
-    """Take the marks of completed tasks away, and forget that their hosts saw them complete."""
+    """Take the marks of completed tasks away, and forget that their hosts saw them complete, or gave them up."""
     _check(names, fleet.tasks.tasks, "task")
     with FleetLock(fleet.state, verb="reopen", clock=fleet.clock):
-        _forget_completed(fleet, names)
+        _forget_ended(fleet, names)
         memory = load_memory(fleet.state, fleet.warn)
         kept = {name: spec for name, spec in memory.done.items() if name not in names}
         return _saved(fleet, dataclasses.replace(memory, done=kept))
 
 
-def _forget_completed(fleet: Fleet, names: Sequence[str]) -> None:
-    """Note which completed instances count no longer; a host that does not answer may bring one back."""
+def _forget_ended(fleet: Fleet, names: Sequence[str]) -> None:
+    """Note which ended instances count no longer; a host that does not answer may bring one back."""
     known = load_reopened(fleet.state, fleet.warn)
     for name in names:
         with in_touch(fleet) as near:
-            instances, silent = completed(name, fleet.inventory, near.transport, timeout=_TIMEOUT_S)
+            instances, silent = ended(name, fleet.inventory, near.transport, timeout=_TIMEOUT_S)
         known = (*known, *sorted(instances - set(known)))
         if silent:
-            fleet.warn(f"{', '.join(silent)} did not answer: if {name} completed there, reopen it again")
+            fleet.warn(f"{', '.join(silent)} did not answer: if {name} ended there, reopen it again")
     save_reopened(fleet.state, known)
 
 

@@ -150,6 +150,13 @@ def _quiet(step: Step) -> str:
     return step.decision.subject or step.decision.host or "its host"
 
 
+def _given_up(step: Step) -> str:
+    decision = step.decision
+    word = "exited by itself" if decision.amount == 0 else "failed"
+    code = f" (last exit {decision.amount:.0f})" if decision.amount is not None else ""
+    return f"{word} on {decision.subject}{code} and is given up; edgectl restart {step.task}, or a changed spec, starts it again"
+
+
 def _replaced(step: Step) -> str:
     return f"{_quiet(step)} does not answer, and what ran there is fenced off"
 
@@ -181,6 +188,7 @@ _SPECIAL: dict[Reason, Callable[[Step], str]] = {
     Reason.PREDECESSOR_INCOMPLETE: lambda step: f"its predecessor {step.decision.subject} has not completed yet; plan again once it has",
     Reason.HOST_SILENT: _silent,
     Reason.ROBOT_SILENT: _silent,
+    Reason.GIVEN_UP: _given_up,
     Reason.UNMANAGED: lambda step: "not managed by edgectl" + (", and found nowhere" if not_found(step) else ""),
     Reason.SPEC_CHANGED: _spec_changed,
     Reason.DUPLICATE: _duplicate,

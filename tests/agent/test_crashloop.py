@@ -11,7 +11,7 @@ def test_crash_loop_is_given_up_with_its_last_words(host: AgentHost) -> None:
     assert first["last_exit"] == 1
     entry = host.until("slam", "crashloop", seconds=60)
     assert (entry["restarts"], entry["exit_code"], entry["last_exit"], entry["pid"]) == (5, 1, 1, 0)
-    assert entry["detail"] == "exited with 1; 5 restarts in 10 minutes"
+    assert (entry["detail"], entry["given_up"]) == ("exited with 1; 5 restarts in 10 minutes", True)
     assert entry["log_tail"] == ["6", "7", "8", "x" * 200, "caf\ufffd"]
     assert not life.lock_held(str(host.folder("slam")))
     assert host.stop("slam")["state"] == "not-running"

@@ -190,7 +190,7 @@ def test_stop_of_another_instance_leaves_this_one_alone(host: AgentHost) -> None
 
 
 @pytest.mark.parametrize(
-    ("command", "spec", "state", "code", "detail"),
+    ("command", "spec", "state", "code", "detail", "given_up"),
     [
         ("exit 0", {"kind": "job"}, "completed", 0, "exited with 0"),
         ("exit 3", {"kind": "job"}, "failed", 3, "exited with 3"),
@@ -199,10 +199,13 @@ def test_stop_of_another_instance_leaves_this_one_alone(host: AgentHost) -> None
         ("no-such-program", {}, "failed", 127, "exited with 127"),
     ],
 )
-def test_end_is_recorded(host: AgentHost, command: str, spec: dict[str, object], state: str, code: int, detail: str) -> None:
+def test_end_is_recorded(
+    host: AgentHost, command: str, spec: dict[str, object], state: str, code: int, detail: str, given_up: bool
+) -> None:
+    """With ``restart: never``, where the spec does not say otherwise: only then, or in a crash loop, is a failure final."""
     host.start("work", command, **spec)
     entry = host.until("work", state)
-    assert (entry["exit_code"], entry["detail"], entry["pid"]) == (code, detail, 0)
+    assert (entry["exit_code"], entry["detail"], entry["pid"], entry["given_up"]) == (code, detail, 0, given_up)
     assert not life.lock_held(str(host.folder("work")))
 
 

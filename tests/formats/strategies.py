@@ -83,6 +83,7 @@ devices = st.builds(
 hosts = st.builds(
     HostSample,
     role=st.sampled_from(Role),
+    given_up=st.booleans(),
     status=st.just(HostStatus.OK),
     sample_age_s=amounts,
     cpu=st.builds(Cpu, cores=positive, used_cores=amounts),

@@ -1,5 +1,7 @@
 """DESIGN 5.11, 5.12: completed, unmanaged, held and doubled tasks; silent hosts and robots."""
 
+from dataclasses import replace
+
 import pytest
 
 from edgectl.model.assignment import Decision, Reason, Verdict
@@ -186,6 +188,40 @@ def test_a_failed_task_is_placed_anew(state: TaskState) -> None:
     snapshot = a_snapshot(edge1=a_sample(used=1.0, tasks={"slam": a_run(state)}), edge2=a_sample())
     decision = decide(TWO, some_tasks(a_task()), snapshot).decisions[0]
     assert (decision.verdict, decision.host, decision.previous_host) == (Verdict.PLACED, "edge2", None)
+
+
+GIVEN_UP = a_run(TaskState.CRASHLOOP, pid=0, given_up=True, exit_code=1, spec_hash="hash-slam", generation=5)
+
+
+@pytest.mark.parametrize("state", [TaskState.FAILED, TaskState.CRASHLOOP])
+def test_a_task_that_was_given_up_waits_for_a_word(state: TaskState) -> None:
+    """Not even the idle host gets it, although the one where it failed is busy."""
+    snapshot = a_snapshot(edge1=a_sample(used=1.0, tasks={"slam": replace(GIVEN_UP, state=state)}), edge2=a_sample())
+    found = decide(TWO, some_tasks(a_task(), a_task("nav", needs=["slam"])), snapshot, memory=remembered("slam", "edge1"))
+    assert verdict(decisions(found)["slam"]) == (Verdict.UNPLACED, Reason.GIVEN_UP, None, "edge1")
+    assert decisions(found)["slam"].amount == 1.0
+    assert verdict(decisions(found)["nav"]) == (Verdict.UNPLACED, Reason.PREDECESSOR_MISSING, None, "slam")
+
+
+@pytest.mark.parametrize(
+    ("ended", "memory", "told"),
+    [
+        ({"spec_hash": "older"}, NO_MEMORY, 0),  # it may do better now
+        ({"given_up": False}, NO_MEMORY, 0),  # it died with its host, or its supervisor was lost
+        ({}, NO_MEMORY, 6),  # started and stopped on edge2 since
+        ({}, Memory(placements={"slam": Placement(host="edge2", since=NOW, generation=6)}), 0),  # and wiped from there
+    ],
+)
+def test_when_a_task_that_ended_is_started_again(ended: dict[str, object], memory: Memory, told: int) -> None:
+    edge2 = replace(a_sample(), generations={"slam": told})
+    snapshot = a_snapshot(edge1=a_sample(used=1.0, tasks={"slam": replace(GIVEN_UP, **ended)}), edge2=edge2)  # type: ignore[arg-type]
+    assert hosts(decide(TWO, some_tasks(a_task()), snapshot, memory=memory)) == {"slam": "edge2"}
+
+
+def test_the_run_of_now_counts_and_not_the_one_that_was_given_up_before() -> None:
+    snapshot = a_snapshot(edge1=a_sample(tasks={"slam": GIVEN_UP}), edge2=a_sample(tasks={"slam": a_run(generation=6)}))
+    decision = decide(TWO, some_tasks(a_task()), snapshot).decisions[0]
+    assert (decision.verdict, decision.host) == (Verdict.KEPT, "edge2")
 
 
 def test_hosts_that_are_not_in_the_inventory_are_not_looked_at() -> None:

@@ -25,7 +25,7 @@ from edgectl.usecases.plan import commands, plan, targeted
 from edgectl.usecases.probe import probe
 from edgectl.usecases.stop import restart, stop
 from tests.builders import NOW, a_robot, a_task, an_edge, an_inventory, some_tasks
-from tests.executor.fake_fleet import FakeFleet
+from tests.executor.fake_fleet import FakeFleet, FakeHost
 
 POLICY = Policy()
 
@@ -301,6 +301,52 @@ def test_a_reopened_job_runs_again(bench: Bench) -> None:
     apply(job, POLICY)
     marks.reopen(job, ["job"])
     assert actions(plan(job, POLICY))["job"] is Action.START
+
+
+def given_up(bench: Bench) -> FakeHost:
+    """slam has crashed again and again; its host."""
+    apply(bench.fleet, POLICY)
+    host = bench.hosts[bench.hosts.placed["slam"]]
+    host.tasks["slam"] |= {"state": "crashloop", "pid": 0, "exit_code": 1, "given_up": True}
+    return host
+
+
+def test_a_crash_loop_is_not_started_again_by_every_apply(bench: Bench) -> None:
+    host = given_up(bench)
+    before = list(bench.hosts.changes)
+    for _ in range(3):
+        assert actions(apply(bench.fleet, POLICY).plan)["slam"] is Action.UNPLACED
+    bench.hosts.down.add(host.name)
+    assert actions(apply(bench.fleet, POLICY).plan)["slam"] is Action.HOLD, "nor elsewhere, when its host falls silent"
+    assert bench.hosts.changes == before
+    bench.hosts.down.clear()
+    changed = dataclasses.replace(bench.fleet.tasks.tasks["slam"], spec_hash="new")
+    assert actions(plan(bench.with_tasks(some_tasks(changed)), POLICY))["slam"] is Action.START
+
+
+def test_restart_starts_what_was_given_up(bench: Bench) -> None:
+    host = given_up(bench)
+    assert restart(bench.fleet, "slam", lambda _plan: False).declined
+    assert actions(plan(bench.fleet, POLICY))["slam"] is Action.UNPLACED, "declined, so it is still given up"
+    applied = restart(bench.fleet, "slam")
+    assert applied.results is not None
+    assert applied.results.done
+    assert [action.task for action in applied.results.actions] == ["slam"]
+    assert host.tasks["slam"]["pid"]
+    assert not plan(bench.fleet, POLICY).changes
+
+
+def test_restart_of_what_was_given_up_and_has_no_place(bench: Bench) -> None:
+    given_up(bench)
+    marks.cordon(bench.fleet, ["edge1", "edge2"])
+    with pytest.raises(UsageError, match="slam has no place now"):
+        restart(bench.fleet, "slam")
+
+
+def test_reopen_lets_the_next_apply_start_what_was_given_up(bench: Bench) -> None:
+    given_up(bench)
+    marks.reopen(bench.fleet, ["slam"])
+    assert actions(apply(bench.fleet, POLICY).plan)["slam"] is Action.START
 
 
 def test_drained_hosts_are_left(bench: Bench) -> None:

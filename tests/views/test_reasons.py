@@ -66,6 +66,14 @@ def test_a_silent_host_says_how_long_its_task_is_held() -> None:
     assert reason(step(Reason.REPLACED, Action.START, subject="e1")) == "start: e1 does not answer, and what ran there is fenced off"
 
 
+def test_a_task_that_was_given_up_says_what_starts_it_again() -> None:
+    ended = Decision(task="t", verdict=Verdict.UNPLACED, reason=Reason.GIVEN_UP, subject="e1", amount=3.0)
+    end = "and is given up; edgectl restart t, or a changed spec, starts it again"
+    assert reason(Step(decision=ended, action=Action.UNPLACED)) == f"unplaced: failed on e1 (last exit 3) {end}"
+    well = Decision(task="t", verdict=Verdict.UNPLACED, reason=Reason.GIVEN_UP, subject="e1", amount=0.0)
+    assert reason(Step(decision=well, action=Action.UNPLACED)) == f"unplaced: exited by itself on e1 (last exit 0) {end}"
+
+
 @pytest.mark.parametrize(
     ("changed", "text"),
     [(("command", "env"), "restart: command and env changed"), (("spec",), "restart: its spec changed"), ((), "restart: its spec changed")],

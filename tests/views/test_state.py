@@ -14,13 +14,14 @@ def test_crash_loop_is_a_failure_with_its_figures() -> None:
     assert phrase(given_up) == "failed (5 restarts, last exit 1)"
     assert phrase(a_run(TaskState.FAILED, detail="fenced: no manager call for 60 s")) == "failed (fenced: no manager call for 60 s)"
     assert phrase(a_run()) == "ready"
+    assert phrase(a_run(TaskState.FAILED, detail="exited with 0", exit_code=0)) == "exited (exit code 0)"
 
 
 def test_status_ends_with_last_words_and_limits_that_do_not_hold() -> None:
     inventory, tasks, snapshot = fleet()
     host = next(name for name, each in snapshot.hosts.items() if each.ok)
     runs = {
-        "broken": a_run(TaskState.CRASHLOOP, pid=0, restarts=5, last_exit=1, log_tail=("Traceback", "\x1b[31mboom")),
+        "broken": a_run(TaskState.CRASHLOOP, pid=0, restarts=5, last_exit=1, given_up=True, log_tail=("Traceback", "\x1b[31mboom")),
         "limited": a_run(limits="not enforced: lingering is off for edge"),
         "held": a_run(limits="enforced"),
     }
@@ -28,5 +29,6 @@ def test_status_ends_with_last_words_and_limits_that_do_not_hold() -> None:
     lines = table.status(snapshot, inventory, tasks).splitlines()
     assert any(line.startswith("broken") and "failed (5 restarts, last exit 1)" in line for line in lines)
     assert f"note: broken on {host} said last: Traceback" in lines
+    assert "note: broken is given up; edgectl restart broken, or a changed spec, starts it again" in lines
     assert f"note: limited on {host}: limits: not enforced: lingering is off for edge" in lines
     assert not any("\x1b" in line or "held on" in line for line in lines)
