@@ -37,6 +37,7 @@ def output(*forms: str) -> object:
 PlanOutput = Annotated[Form, output("table", "wide", "json", "yaml", "name", "markdown")]
 FleetOutput = Annotated[Form, output("table", "wide", "json", "yaml", "name")]
 ResultOutput = Annotated[Form, output("table", "json", "yaml", "name")]
+GraphOutput = Annotated[Form, output("mermaid", "dot")]
 ExplainOutput = Annotated[Form, output("table", "wide", "json", "yaml")]
 FieldsOutput = Annotated[Form, output("table", "json", "yaml")]
 ValidateOutput = Annotated[Form, output("table", "json", "yaml", "github")]

@@ -18,6 +18,8 @@ class Form(StrEnum):
     NAME = "name"
     MARKDOWN = "markdown"
     GITHUB = "github"
+    MERMAID = "mermaid"
+    DOT = "dot"
 
 
 def forms_of(what: str) -> tuple[Form, ...]:
