@@ -23,6 +23,7 @@ from edgectl.transport.pool import SessionPool
 from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.keepalive import kept_alive
 from edgectl.usecases.plan import plan_id, whole
+from edgectl.usecases.record import record_results
 from edgectl.usecases.touch import in_touch
 
 Confirm = Callable[[Plan], bool]
@@ -104,6 +105,7 @@ def carry_out(
             results = run(plan, fleet.inventory, fleet.tasks, near.transport, journal, run_options, options.progress)
         after = _remember(fleet, plan, memory, results, used)
         _record_placements(fleet, journal, results.revision, after)
+    record_results(fleet, plan, results)
     _recover(fleet, cut_off)
     return Applied(plan=plan, results=results)
 
