@@ -13,6 +13,9 @@ from edgectl.model.secret import Secret
 
 ENV_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _LABEL_KEY = re.compile(r"[A-Za-z0-9][A-Za-z0-9._/-]{0,62}")
+_SECRET_NAME = re.compile(
+    r"(?:PASSWORD|PASSWD|PASSPHRASE|(?:^|_)(?:PASS|PWD|SECRET|TOKEN|API_?KEY|SECRET_?KEY|PRIVATE_?KEY|ACCESS_?KEY|CREDENTIALS?))$"
+)
 _PASSWORDS = (
     "password",
     "passwd",
@@ -152,7 +155,25 @@ def _hidden_text(node: Node, problems: Problems) -> Any:  # noqa: ANN401
 
 
 SECRET: Mapping[str, Read] = {"value": _hidden_text, "secret": flag}
-environment = pairs(ENV_NAME, "an environment variable", _variable)
+_variables = pairs(ENV_NAME, "an environment variable", _variable)
+
+
+def environment(node: Node, problems: Problems) -> Any:  # noqa: ANN401
+    """Variables by name. One whose name says that it is a password may not stand there as a plain text; nothing of it is shown."""
+    if not isinstance(node.value, dict):
+        return _variables(node, problems)
+    clear = [name for name, inner in node.value.items() if _SECRET_NAME.search(name.upper()) and _in_clear(inner)]
+    for name in clear:
+        hint = f"use env_command, or mark it: {name}: {{value: .., secret: true}} (secret: false if it is none)"
+        problems.add(node.key_mark(name).out_of_sight(), Code.PASSWORD, f"{name} looks like a secret that stands here in clear", hint)
+    others = {name: inner for name, inner in node.value.items() if name not in clear}
+    return _variables(Node(others, node.mark, keys=node.keys), problems)
+
+
+def _in_clear(node: Node) -> bool:
+    return not isinstance(node.value, dict) and node.value not in (None, "")
+
+
 labels = pairs(_LABEL_KEY, "a label", text)
 
 

@@ -1,6 +1,7 @@
 """Bytes on disk to text: present, readable, bounded, UTF-8."""
 
 from pathlib import Path
+from stat import S_ISREG
 
 from edgectl.config.problems import Code, Mark, Problems, Source, nearest
 
@@ -11,6 +12,9 @@ def read_source(path: Path, problems: Problems, *, max_bytes: int = MAX_BYTES, m
     """The file's text, or None with the cause noted. ``maker`` is the command that writes such a file."""
     nowhere = Mark(Source(file=str(path), text="", lines=()), 0, 0)
     try:
+        if not S_ISREG(path.stat().st_mode) and not path.is_dir():
+            problems.add(nowhere, Code.UNREADABLE, "is not a regular file", "name a file; what a pipe or a device gives, save in one first")
+            return None
         with path.open("rb") as stream:
             data = stream.read(max_bytes + 1)
     except (OSError, ValueError) as error:

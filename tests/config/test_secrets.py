@@ -45,6 +45,22 @@ def test_a_value_that_is_not_secret_is_a_text(tmp_path: Path) -> None:
     assert not isinstance(task.env["TOKEN"], Secret)
 
 
+def test_names_that_only_sound_like_secrets_are_left_alone(tmp_path: Path) -> None:
+    env = {"TOKEN_LIFETIME": "60", "SECRETARY": "x", "PASSWORD_FILE": "/run/p", "COMPASS": "n", "MY_TOKEN": "", "KEYBOARD": "de"}
+    written = ", ".join(f'{name}: "{value}"' for name, value in env.items())
+    assert loaded(tmp_path, with_env(f"env: {{{written}}}"))[1].env == env
+
+
+@pytest.mark.parametrize("fix", ["{value: plain, secret: true}", "{value: plain, secret: false}"])
+def test_the_hint_for_a_secret_in_clear_mends_it(fix: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError) as raised:
+        loaded(tmp_path, with_env("env: {TOKEN: plain}"))
+    (problem,) = raised.value.problems
+    assert (problem.code, problem.source) == ("EC018", "")
+    assert "TOKEN: {value: .., secret: true} (secret: false if it is none)" in problem.hint
+    assert loaded(tmp_path, with_env(f"env: {{TOKEN: {fix}}}"))[1].env
+
+
 def test_no_digest_depends_on_a_value(tmp_path: Path) -> None:
     one, other = loaded(tmp_path, secret("one"))[1], loaded(tmp_path, secret("other"))[1]
     assert (one.spec_hash, one.spec_fields) == (other.spec_hash, other.spec_fields)
@@ -77,6 +93,9 @@ def test_secrets_and_commands_of_hosts(tmp_path: Path) -> None:
         ("env:\n      TOKEN:\n        value: x\n      canary\n        secret: true", (17, 7), "cannot be read; nothing of it is shown"),
         ("env:\n      TOKEN:\n        value: [47114711]\n        secret: true", (16, 16), "must be a string without NUL"),
         ("env: {TOKEN: {value: canary, secret: true}", (14, 10), "cannot be read; nothing of it is shown"),
+        ("env: {DB_PASSWORD: canary}", (14, 11), "DB_PASSWORD looks like a secret that stands here in clear"),
+        ('env: {api_key: "canary"}', (14, 11), "api_key looks like a secret"),
+        ("env:\n      GITHUB_TOKEN: 4711", (15, 7), "GITHUB_TOKEN looks like a secret"),
         ("env_command: vault read-env", (14, 18), "must be a list of arguments, not a string"),
         ("env_command: []", (14, 18), "must name a program"),
     ],

@@ -1,5 +1,6 @@
 """YAML 1.2 core scalars, places, and bombs that go off before anything is built."""
 
+import os
 import time
 from pathlib import Path
 
@@ -116,4 +117,6 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
     assert file_problem(tmp_path / "big.yaml")[:2] == ("EC003", "the file is larger than 1 MiB")
     assert file_problem(tmp_path / "latin.yaml") == ("EC002", "byte 0xe9 is not UTF-8", "save the file as UTF-8", 2, 9)
     assert file_problem(Path("a\0b"))[0] == "EC001"
+    os.mkfifo(tmp_path / "pipe")
+    assert file_problem(tmp_path / "pipe")[:2] == ("EC001", "is not a regular file"), "nobody writes: to read it would wait for ever"
     assert file_problem(tmp_path / "lab.yaml" / "x")[0] == "EC001"
