@@ -3,10 +3,12 @@
 import os
 from collections.abc import Callable, Sequence
 from importlib import import_module
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import typer
 from typer.core import TyperGroup
+
+from edgectl import __version__
 
 
 class Entry(NamedTuple):
@@ -31,6 +33,7 @@ COMMANDS = {
     "rollback": Entry("past", "Fleet", "Go back to where the tasks stood after an earlier revision."),
     "stop": Entry("tasks", "Fleet", "Stop tasks."),
     "restart": Entry("tasks", "Fleet", "Stop a task and start it again where it runs."),
+    "doctor": Entry("doctor", "Fleet", "Find what is wrong with hosts and links, and what mends it."),
     "trust": Entry("fleet", "Fleet", "Show a host's key and, after a yes, remember it."),
     "cordon": Entry("fleet", "Fleet", "Close hosts to new tasks."),
     "drain": Entry("drain", "Fleet", "Close hosts and move their tasks away now."),
@@ -41,11 +44,14 @@ COMMANDS = {
     "reopen": Entry("fleet", "Fleet", "Let completed tasks be scheduled again."),
     "init": Entry("files", "Files", "Write a small fleet that plans and applies at once."),
     "validate": Entry("files", "Files", "Check the inventory and the task files without touching a host."),
+    "export prometheus": Entry("export", "Files", "Say what was measured and decided as Prometheus metrics."),
     "version": Entry("files", "Settings", "Print the version."),
     "completion": Entry("files", "Settings", "Print the completion script of a shell."),
 }
 # First word of such names -> one line of help.
-GROUPS: dict[str, str] = {}
+GROUPS: dict[str, str] = {
+    "export": "Write for other programs.",
+}
 SUMMARY = "Place robot tasks on edge computers by measured utility: probe, plan, apply, over SSH."
 EXITS = (
     "Exit codes: 0 done; 1 failed; 2 changes pending, 3 unplaced (plan --detailed-exitcode); 4 partly done; 64 usage; "
@@ -80,7 +86,7 @@ def assemble(wanted: Sequence[str], *, completing: bool = False) -> typer.Typer:
         cls=Grouped, add_completion=completing, rich_markup_mode=None, context_settings=SETTINGS, epilog=EXITS, no_args_is_help=False,
         pretty_exceptions_enable=False,
     )  # fmt: skip
-    app.callback(help=SUMMARY)(_nothing)
+    app.callback(help=SUMMARY)(_root)
     groups = {name: _group(app, name, text) for name, text in GROUPS.items()}
     for name, entry in COMMANDS.items():
         first, _, second = name.partition(" ")
@@ -99,6 +105,18 @@ def _group(app: typer.Typer, name: str, text: str) -> typer.Typer:
     group = typer.Typer(rich_markup_mode=None, context_settings=SETTINGS, no_args_is_help=True)
     app.add_typer(group, name=name, help=text)
     return group
+
+
+def _say_version(wanted: bool) -> None:  # noqa: FBT001 - as typer calls it
+    if wanted:
+        typer.echo(f"edgectl {__version__}")
+        raise typer.Exit
+
+
+def _root(
+    *, _version: Annotated[bool, typer.Option("--version", callback=_say_version, is_eager=True, help="Print the version.")] = False
+) -> None:
+    """What stands before every command."""
 
 
 def _nothing() -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from edgectl.cli import console
 from edgectl.cli.inputs import known
+from edgectl.cli.selector import matches
 from edgectl.errors import UsageError
 from edgectl.model.plan import Plan
 from edgectl.model.policy import Policy, PolicyName, Weights
@@ -90,28 +91,6 @@ def _narrowed(plan: Plan, wanted: frozenset[str]) -> Plan:
     if left:
         console.tell(f"warning: {left} other changes are left out, although this plan counts on them")
     return chosen
-
-
-def matches(selector: str, labels: dict[str, str]) -> bool:
-    """Whether labels satisfy ``a=b``, ``a!=b``, ``a`` (is there), ``!a`` (is not), joined by commas.
-
-    Raises:
-        UsageError: a part that is none of these.
-    """
-    return all(_satisfied(part.strip(), labels) for part in selector.split(","))
-
-
-def _satisfied(part: str, labels: dict[str, str]) -> bool:
-    if "!=" in part:
-        key, _, value = part.partition("!=")
-        return labels.get(key.strip()) != value.strip()
-    if "=" in part:
-        key, _, value = part.partition("=")
-        return labels.get(key.strip()) == value.strip().removeprefix("=")
-    key = part.removeprefix("!")
-    if not key or " " in key:
-        raise UsageError(f"cannot read the selector {part!r}", hint="write a=b, a!=b, a or !a, joined by commas")
-    return (key in labels) != part.startswith("!")
 
 
 def interactive() -> bool:

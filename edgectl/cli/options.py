@@ -54,7 +54,7 @@ WithoutOption = Annotated[
     list[str] | None, Option("--without", metavar="HOST", autocompletion=hosts, help="What if this host were gone? Repeatable.")
 ]
 TargetOption = Annotated[list[str] | None, Option("--target", metavar="TASK", autocompletion=tasks, help="Only this task; repeatable.")]
-SelectorOption = Annotated[str | None, Option("--selector", "-l", metavar="LABELS", help="Only tasks with these: a=b, a!=b, a, !a.")]
+SelectorOption = Annotated[str | None, Option("--selector", "-l", metavar="LABELS", help="Only with these: a=b, a!=b, a in (b,c), a, !a.")]
 DetailedOption = Annotated[bool, Option("--detailed-exitcode", help="Exit 2: changes pending, 3: a task is unplaced.")]
 AllowOption = Annotated[bool, Option("--allow-unreachable", help="Exit as if every host had answered.")]
 OutOption = Annotated[Path | None, Option("--out", metavar="PLAN", help="Save the plan for: edgectl apply PLAN.")]
