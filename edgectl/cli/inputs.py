@@ -86,25 +86,34 @@ def known(names: Iterable[str], among: Iterable[str], what: str) -> None:
             raise UsageError(f"unknown {what} {name!r}", hint=hint if every else f"there is no {what} at all")
 
 
-def save(path: Path, text: str) -> None:
+def save(path: Path, text: str | Iterable[str], *, mode: int | None = None) -> None:
     """Write a file of the user, whole or not at all; through a link, and straight into a pipe or a device.
+
+    ``text`` may come in parts. ``mode``: rights of the file; as the umask has it where None.
 
     Raises:
         FileError: it cannot be written.
     """
     try:
         if path.exists() and not path.is_file():
-            path.write_text(text, encoding="utf-8")
+            _write(path, text)
         else:
-            _replace(path.resolve(), text)
+            _replace(path.resolve(), text, mode)
     except OSError as error:
         raise FileError(f"cannot write {path}: {error.strerror}") from error
 
 
-def _replace(path: Path, text: str) -> None:
+def _write(path: Path, text: str | Iterable[str]) -> None:
+    with path.open("w", encoding="utf-8", newline="") as file:
+        file.writelines([text] if isinstance(text, str) else text)
+
+
+def _replace(path: Path, text: str | Iterable[str], mode: int | None) -> None:
     partial = path.with_name(f".{path.name}.partial")
     try:
-        partial.write_text(text, encoding="utf-8")
+        _write(partial, text)
+        if mode is not None:
+            partial.chmod(mode)
         partial.replace(path)
     except OSError:
         partial.unlink(missing_ok=True)

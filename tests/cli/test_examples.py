@@ -13,6 +13,7 @@ from tests.cli.terminal import Terminal
 from tests.docs.blocks import stopped
 
 ENDLESS = ("edgectl logs slam-robot1 -f",)
+SERVING = ("edgectl export prometheus --listen 127.0.0.1:9815",)
 ASKING = ("edgectl apply", "edgectl drain edge1", "edgectl rollback")
 FULL = 4  # the other edges of the demo have no room for all that runs on edge1
 CODES = {
@@ -52,7 +53,19 @@ def run(line: str, site: Path, env: dict[str, str]) -> int:
             process.send_signal(signal.SIGINT)
             assert process.wait(30) == 130
         return 0
+    if line in SERVING:
+        return serve([word.replace(":9815", ":0") for word in words], site, env)
     return subprocess.run(words, cwd=site, env=env, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, check=False, timeout=60).returncode
+
+
+def serve(words: list[str], site: Path, env: dict[str, str]) -> int:
+    """On a free port, until it serves."""
+    process = subprocess.Popen(words, cwd=site, env=env, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    assert process.stderr is not None
+    with process.stderr as said:
+        assert b"serving http" in said.readline()
+        process.send_signal(signal.SIGINT)
+        return process.wait(30)
 
 
 @pytest.mark.timeout(180)

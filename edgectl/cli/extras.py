@@ -1,0 +1,24 @@
+"""Optional packages: imported when they are needed, and named where they are missing."""
+
+import contextlib
+from collections.abc import Iterator
+
+from edgectl.errors import UsageError
+
+
+@contextlib.contextmanager
+def extra(name: str) -> Iterator[None]:
+    """Import what belongs to the extra ``name`` within.
+
+    Raises:
+        UsageError: a package of it is not installed.
+    """
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        missing = (error.name or "").partition(".")[0]
+        if missing in ("", "edgectl"):
+            raise
+        raise UsageError(
+            f"this needs {missing}, which is not installed", hint=f'uv tool install "edgectl[{name}]", or pipx, or pip'
+        ) from None

@@ -1,0 +1,65 @@
+"""export prometheus: a picture of the fleet for metrics, and one probe for all who ask at once."""
+
+import dataclasses
+import threading
+import time
+from collections.abc import Callable
+from typing import Generic, TypeVar
+
+from edgectl import __version__
+from edgectl.export.readings import Picture
+from edgectl.gateway.collect import ProbeOptions
+from edgectl.usecases.fleet import Fleet
+from edgectl.usecases.history import history
+from edgectl.usecases.plan import plan
+from edgectl.usecases.probe import probe
+
+Value = TypeVar("Value")
+
+
+def picture(fleet: Fleet, options: ProbeOptions) -> Picture:
+    """Probe, decide as an unattended apply would, and read what was done before."""
+    snapshot = probe(fleet, options)
+    policy = dataclasses.replace(fleet.tasks.policy, attended=False)
+    return Picture(version=__version__, snapshot=snapshot, plan=plan(fleet, policy, snapshot=snapshot), revisions=history(fleet))
+
+
+class Shared(Generic[Value]):
+    """What ``make`` gives, made anew at most every ``every`` seconds, and once for all who ask while it is being made.
+
+    An error is shared like a value. ``now`` is time that nobody sets, in s.
+    """
+
+    def __init__(self, make: Callable[[], Value], *, every: float, now: Callable[[], float] = time.monotonic) -> None:
+        self._make, self._every, self._now = make, every, now
+        self._guard = threading.Lock()
+        self._made = 0
+        self._made_at = 0.0
+        self._value: Value | None = None
+        self._error: Exception | None = None
+
+    def __call__(self) -> Value:
+        """The value of now, of the call that was under way, or of at most ``every`` seconds ago.
+
+        Raises:
+            Exception: what ``make`` raised then.
+        """
+        seen = self._made
+        with self._guard:
+            if self._made == seen and not self._fresh():
+                self._renew()
+            if self._error is not None:
+                raise self._error.with_traceback(None)
+            return self._value  # type: ignore[return-value]
+
+    def _fresh(self) -> bool:
+        return self._made > 0 and self._now() - self._made_at < self._every
+
+    def _renew(self) -> None:
+        self._value = self._error = None
+        try:
+            self._value = self._make()
+        except Exception as error:  # handed to everybody who waits
+            self._error = error
+        self._made += 1
+        self._made_at = self._now()

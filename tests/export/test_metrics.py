@@ -1,0 +1,207 @@
+"""What each metric says, as Prometheus' own tools read it."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+from prometheus_client.parser import text_string_to_metric_families
+
+from edgectl.export.metrics import METRICS, Kind
+from edgectl.export.prometheus import text
+from edgectl.export.readings import BUCKETS_S, STATES, Picture
+from edgectl.model.plan import Action
+from edgectl.model.result import ActionResult, Outcome
+from edgectl.model.snapshot import TaskState
+from tests.builders import NOW
+from tests.docs.metrics import PAGE
+from tests.docs.metrics import page as listed
+from tests.export.pictures import a_move, a_revision, picture
+
+LABELS = {"host", "role", "edge", "robot", "task", "state", "action", "outcome", "version"}
+
+
+def values(seen: Picture) -> dict[str, float]:
+    """``name{label values}`` -> value, as prometheus_client's parser reads the page."""
+    found = {}
+    for family in text_string_to_metric_families(text(seen)):
+        for sample in family.samples:
+            labels = ",".join(f"{key}={value}" for key, value in sample.labels.items())
+            found[sample.name + (f"{{{labels}}}" if labels else "")] = sample.value
+    return found
+
+
+@pytest.fixture(scope="module")
+def page() -> dict[str, float]:
+    return values(picture(a_revision(1, a_move()), a_revision(2, a_move(downtime_s=3.0), a_move(outcome=Outcome.FAILED, downtime_s=None))))
+
+
+def test_hosts_and_links(page: dict[str, float]) -> None:
+    assert page["edgectl_build_info{version=1.2.3}"] == 1.0
+    assert page["edgectl_last_probe_timestamp_seconds"] == NOW
+    assert page["edgectl_host_up{host=edge1,role=edge}"] == 1.0
+    assert page["edgectl_host_up{host=edge2,role=edge}"] == 0.0
+    assert page["edgectl_host_cordoned{host=edge1}"] == 1.0
+    assert page["edgectl_host_cordoned{host=edge2}"] == 0.0
+    assert page["edgectl_host_last_contact_timestamp_seconds{host=edge2}"] == NOW - 60.0
+    assert page["edgectl_host_cpu_cores{host=edge1}"] == 4.0
+    assert page["edgectl_host_cpu_used_cores{host=edge1}"] == 0.9
+    assert page["edgectl_host_memory_bytes{host=edge1}"] == 4 * 2**30
+    assert page["edgectl_host_memory_used_bytes{host=edge1}"] == 5e8
+    assert page["edgectl_host_network_receive_bytes_per_second{host=edge1}"] == 120.0, "all interfaces but lo"
+    assert page["edgectl_host_network_transmit_bytes_per_second{host=edge1}"] == 12.0
+    assert page["edgectl_host_gpu_used_ratio{host=edge1}"] == 0.25
+    assert page["edgectl_link_capacity_bytes_per_second{edge=edge1,robot=robot1}"] == 6e6
+    assert page["edgectl_link_used_bytes_per_second{edge=edge1,robot=robot1}"] == 3e5
+    assert page["edgectl_link_round_trip_seconds{edge=edge1,robot=robot1}"] == 0.004
+
+
+def test_a_silent_host_has_no_readings(page: dict[str, float]) -> None:
+    readings = [name for name in page if "host=edge2" in name and "up{" not in name]
+    assert readings == [
+        "edgectl_host_cordoned{host=edge2}", "edgectl_host_fenced{host=edge2}", "edgectl_host_last_contact_timestamp_seconds{host=edge2}",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("task", "state"), [("slam", "ready"), ("map", "unknown"), ("camera", "stopped"), ("big", "stopped"), ("job", "completed")]
+)
+def test_a_task_is_in_one_state(page: dict[str, float], task: str, state: str) -> None:
+    assert {each: page[f"edgectl_task_state{{state={each},task={task}}}"] for each in STATES} == {each: each == state for each in STATES}
+
+
+def test_runs_and_decisions(page: dict[str, float]) -> None:
+    assert page["edgectl_task_host_info{host=edge1,task=slam}"] == 1.0
+    assert page["edgectl_task_start_timestamp_seconds{host=edge1,task=slam}"] == NOW - 3600.0
+    assert page["edgectl_task_restarts_total{host=edge1,task=slam}"] == 2.0
+    assert page["edgectl_task_cpu_used_cores{host=edge1,task=slam}"] == 0.8
+    assert page["edgectl_task_memory_used_bytes{host=edge1,task=slam}"] == 2e8
+    assert page["edgectl_task_network_used_bytes_per_second{host=edge1,task=slam}"] == 3e5
+    assert page["edgectl_task_unplaced{task=big}"] == page["edgectl_task_unplaced{task=camera}"] == 1.0
+    assert page["edgectl_task_unplaced{task=slam}"] == 0.0
+    assert page["edgectl_plan_actions{action=unplaced}"] == 2.0
+    assert page["edgectl_plan_actions{action=start}"] == 0.0
+    assert page["edgectl_plan_settled"] == 1.0
+
+
+def test_totals_are_those_of_the_plan() -> None:
+    seen = picture()
+    page = values(seen)
+    decided = [step.decision for step in seen.plan.steps]
+    totals = {each.task: each.total for each in decided if each.total is not None}
+    assert totals
+    assert {name: value for name, value in page.items() if name.startswith("edgectl_task_utility{")} == {
+        f"edgectl_task_utility{{task={task}}}": total for task, total in totals.items()
+    }
+
+
+def test_handoffs_of_the_past(page: dict[str, float]) -> None:
+    assert page["edgectl_actions_total{action=move,outcome=done}"] == 2.0
+    assert page["edgectl_actions_total{action=move,outcome=failed}"] == 1.0
+    assert page["edgectl_actions_total{action=start,outcome=done}"] == 0.0
+    assert page["edgectl_task_moves_total{task=slam}"] == 2.0
+    assert page["edgectl_task_moves_total{task=map}"] == 0.0
+    assert page["edgectl_handoff_downtime_seconds_count{action=move}"] == 2.0
+    assert page["edgectl_handoff_downtime_seconds_sum{action=move}"] == pytest.approx(3.7)
+    buckets = [page[f"edgectl_handoff_downtime_seconds_bucket{{action=move,le={bound}}}"] for bound in (*BUCKETS_S, "+Inf")]
+    assert buckets == [sum(value <= bound for value in (0.7, 3.0)) for bound in (*BUCKETS_S, float("inf"))]
+    assert page["edgectl_last_change_timestamp_seconds"] == NOW + 7200.0
+
+
+def test_a_task_that_left_the_files_leaves_the_metrics() -> None:
+    page = values(picture(a_revision(1, a_move("gone"))))
+    assert not [name for name in page if "task=gone" in name]
+    assert page["edgectl_actions_total{action=move,outcome=done}"] == 1.0
+
+
+def test_before_the_first_change_counters_stand_at_zero() -> None:
+    page = values(picture())
+    assert page["edgectl_task_moves_total{task=slam}"] == 0.0
+    assert page["edgectl_handoff_downtime_seconds_count{action=move}"] == 0.0
+    assert "edgectl_last_change_timestamp_seconds" not in page
+
+
+def growing() -> Iterator[Picture]:
+    """The same fleet over four applies."""
+    actions: list[ActionResult] = [a_move(), a_move(downtime_s=200.0), a_move(outcome=Outcome.DEFERRED, downtime_s=None), a_move("map")]
+    for count in range(len(actions) + 1):
+        yield picture(*(a_revision(number, action) for number, action in enumerate(actions[:count], 1)))
+
+
+def test_counters_never_fall() -> None:
+    counted = tuple(m.name for m in METRICS if m.kind is not Kind.GAUGE)
+    pages = [{name: value for name, value in values(each).items() if name.startswith(counted)} for each in growing()]
+    for before, after in pairwise(pages):
+        assert before.keys() == after.keys()
+        assert all(after[name] >= value for name, value in before.items())
+    assert pages[-1] != pages[0]
+
+
+def test_names_and_labels_keep_to_the_conventions() -> None:
+    assert len({metric.name for metric in METRICS}) == len(METRICS)
+    for metric in METRICS:
+        assert re.fullmatch(r"edgectl_[a-z]+(_[a-z]+)*", metric.name)
+        assert set(metric.labels) <= LABELS
+        assert metric.help.endswith(".")
+        assert metric.name.endswith("_total") == (metric.kind is Kind.COUNTER)
+    assert {state.value for state in TaskState} < set(STATES)
+    assert len(Action) == 10
+
+
+def promtool(*words: str, page: str = "") -> tuple[int, str]:
+    """What Prometheus' own tool says."""
+    beside = Path(sys.executable).parent
+    program = shutil.which("promtool", path=f"{os.environ.get('PATH', os.defpath)}{os.pathsep}{beside}")
+    assert program, "promtool is missing; run .ci/need-promtool"
+    done = subprocess.run([program, "check", *words], input=page, capture_output=True, text=True, check=False, timeout=60)
+    return done.returncode, done.stdout + done.stderr
+
+
+def test_promtool_finds_nothing_to_say() -> None:
+    page = text(picture(a_revision(1, a_move())))
+    assert promtool("metrics", page=page) == (0, "")
+
+
+def test_promtool_would_say_what_is_wrong() -> None:
+    page = text(picture()).replace("edgectl_actions_total", "edgectl_actions")
+    code, said = promtool("metrics", page=page)
+    assert code != 0
+    assert "edgectl_actions counter metrics should have" in said
+
+
+def test_every_metric_is_on_the_page() -> None:
+    seen = picture(a_revision(1, a_move()))
+    assert [metric.name for metric in METRICS if not metric.samples(seen)] == []
+    kinds = dict(re.findall(r"^# TYPE (\S+) (\S+)$", text(seen), re.MULTILINE))
+    assert kinds == {metric.name: metric.kind.value for metric in METRICS}
+
+
+def test_there_are_no_more_series_than_the_page_of_the_docs_says() -> None:
+    seen = picture(a_revision(1, a_move()))
+    lines = [line for line in text(seen).splitlines() if not line.startswith("#")]
+    hosts, links, tasks, runs = len(seen.snapshot.hosts), 2, len(seen.plan.steps), 1
+    said = PAGE.read_text()
+    assert re.search(
+        r"at most 13 series per host, 3 per link,\s+12 per task and 6 more for each host on which it runs, and 60 besides", said
+    )
+    assert len(lines) <= 13 * hosts + 3 * links + 12 * tasks + 6 * runs + 60
+
+
+def test_the_list_of_the_docs_is_current() -> None:
+    assert PAGE.read_text() == listed(), "run: python -m tests.docs.metrics"
+
+
+def test_promtool_takes_the_configuration_and_the_rules_of_the_docs(tmp_path: Path) -> None:
+    blocks = re.findall(r"^```yaml\n# (\S+)\n(.*?)^```$", PAGE.read_text(), re.MULTILINE | re.DOTALL)
+    for name, block in blocks:
+        (tmp_path / name).write_text(block)
+    code, said = promtool("config", str(tmp_path / "prometheus.yml"))
+    assert code == 0, said
+    assert "5 rules found" in said
+    named = {name for _, block in blocks for name in re.findall(r"edgectl_[a-z_]+", block)}
+    assert named <= {metric.name for metric in METRICS}

@@ -1,0 +1,105 @@
+"""One probe for all who ask at once."""
+
+import threading
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+
+from edgectl.usecases.scrape import Shared
+
+
+class Maker:
+    """Counts; fails where told to."""
+
+    def __init__(self) -> None:
+        self.made = 0
+        self.fails = False
+
+    def __call__(self) -> int:
+        self.made += 1
+        if self.fails:
+            raise ValueError(str(self.made))
+        return self.made
+
+
+def test_a_value_is_kept_for_a_while() -> None:
+    make, now = Maker(), [100.0]
+    shared = Shared(make, every=10.0, now=lambda: now[0])
+    assert [shared(), shared()] == [1, 1]
+    now[0] = 109.9
+    assert shared() == 1
+    now[0] = 110.0
+    assert shared() == 2
+
+
+def test_nothing_is_kept_where_nothing_may_be() -> None:
+    shared = Shared(Maker(), every=0.0)
+    assert [shared(), shared(), shared()] == [1, 2, 3]
+
+
+def test_an_error_is_kept_as_long_as_a_value() -> None:
+    make, now = Maker(), [100.0]
+    shared = Shared(make, every=10.0, now=lambda: now[0])
+    make.fails = True
+    for _ in range(2):
+        with pytest.raises(ValueError, match="1"):
+            shared()
+    make.fails, now[0] = False, 111.0
+    assert shared() == 2
+
+
+def test_many_at_once_share_one_call() -> None:
+    began, go = threading.Event(), threading.Event()
+    calls: list[int] = []
+
+    def make() -> int:
+        calls.append(1)
+        began.set()
+        assert go.wait(60)
+        return len(calls)
+
+    shared = Shared(make, every=600.0)
+    with ThreadPoolExecutor(8) as pool:
+        asked = [pool.submit(shared) for _ in range(8)]
+        assert began.wait(60)
+        go.set()
+        assert [each.result(60) for each in asked] == [1] * 8
+    assert calls == [1]
+
+
+def test_who_comes_while_it_is_made_does_not_ask_again() -> None:
+    """Even where nothing is kept: whoever waited behind a call takes its value."""
+    inside: list[int] = []
+    shared: Shared[int]
+
+    def make() -> int:
+        if not inside:
+            inside.append(1)
+            later.start()
+            waiting.wait(60)
+        else:
+            inside.append(2)
+        return len(inside)
+
+    got: list[int] = []
+    waiting = threading.Event()
+    later = threading.Thread(target=lambda: got.append(shared()))
+    shared = Shared(make, every=0.0)
+    guard = shared._guard
+
+    class Told:
+        """The lock of Shared, which says when somebody comes to wait at it."""
+
+        def __enter__(self) -> bool:
+            if threading.current_thread() is later:
+                waiting.set()
+            return guard.__enter__()
+
+        def __exit__(self, *exc: object) -> None:
+            guard.release()
+
+    shared._guard = Told()  # type: ignore[assignment]
+    assert shared() == 1
+    later.join(60)
+    assert got == [1]
+    assert inside == [1]
