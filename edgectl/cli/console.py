@@ -21,6 +21,16 @@ def show(form: "Form", what: str, *values: object) -> None:
     put(view(form, what)(*values, look_of(sys.stdout)))
 
 
+def show_all(form: "Form", what: str, series: Iterable[tuple[object, ...]]) -> None:
+    """Print one after the other as they come, as long as somebody reads."""
+    from edgectl.views.form import view
+    from edgectl.views.text import look_of
+
+    for values in series:
+        if not _put_more(view(form, what)(*values, look_of(sys.stdout))):
+            return
+
+
 def rendered(form: "Form", what: str, *values: object) -> str:
     """``values`` in ``form`` as they stand in a file: no colour, nothing wrapped."""
     from edgectl.views.form import view
@@ -39,8 +49,12 @@ def put_log(data: bytes) -> bool:
     """Raw bytes of a task's log to standard output, control characters written out; False once nobody reads any more."""
     from edgectl.views.text import log_text
 
+    return _put_more(log_text(data))
+
+
+def _put_more(text: str) -> bool:
     try:
-        sys.stdout.write(log_text(data))
+        sys.stdout.write(text)
         sys.stdout.flush()
     except BrokenPipeError:
         _silence(sys.stdout)

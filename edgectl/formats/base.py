@@ -46,6 +46,15 @@ def dumps(document: Mapping[str, object]) -> str:
     return json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
 
+def dump_line(document: Mapping[str, object]) -> str:
+    """The same on one line, for JSON Lines.
+
+    Raises:
+        ValueError: a number is not finite.
+    """
+    return json.dumps(document, ensure_ascii=False, allow_nan=False, separators=(",", ":")) + "\n"
+
+
 def number(value: float) -> int | float:
     """A number as JSON shows it: integral values are integers."""
     return int(value) if float(value).is_integer() else value

@@ -1,10 +1,11 @@
 """The form for programs: the documents of ``formats``, the same bytes every time."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 from edgectl.formats import plan as plan_format
 from edgectl.formats import snapshot as snapshot_format
-from edgectl.formats.base import FORMAT_VERSION, Document, dumps, number, optional, without_none
+from edgectl.formats.base import FORMAT_VERSION, Document, dump_line, dumps, number, optional, without_none
+from edgectl.model.event import Event
 from edgectl.model.explanation import Explanation
 from edgectl.model.inventory import Inventory
 from edgectl.model.plan import Plan, Step
@@ -14,6 +15,8 @@ from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Quantity, Task, Tasks
 from edgectl.units import format_instant
 from edgectl.views.absent import Absent, absent
+from edgectl.views.events import document as events_document
+from edgectl.views.events import line as event_line
 from edgectl.views.explanation import document as explanation_document
 from edgectl.views.text import PLAIN, Look
 
@@ -26,6 +29,16 @@ def plan(value: Plan, _look: Look = PLAIN) -> str:
 def explanation(step: Step, value: Explanation, _look: Look = PLAIN) -> str:
     """Why a task goes where it goes."""
     return dumps(explanation_document(step, value))
+
+
+def events(values: Sequence[Event], _look: Look = PLAIN) -> str:
+    """What happened."""
+    return dumps(events_document(values))
+
+
+def events_more(values: Iterable[Event], _head: object, _look: Look = PLAIN) -> str:
+    """What happened since, one object per line."""
+    return "".join(dump_line(event_line(value)) for value in values)
 
 
 def snapshot(value: Snapshot, _look: Look = PLAIN) -> str:

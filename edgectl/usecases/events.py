@@ -1,0 +1,45 @@
+"""events: what happened to the fleet, from the history alone. No host is asked."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+from edgectl.model.event import Event
+from edgectl.state.files import silent
+from edgectl.state.store import Store
+from edgectl.usecases.fleet import Fleet
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Wanted:
+    """Which events: not older than ``since`` (s since 1970), of one host, of one task."""
+
+    since: float | None = None
+    host: str | None = None
+    task: str | None = None
+
+
+def events(fleet: Fleet, wanted: Wanted, *, after: int = 0) -> tuple[Event, ...]:
+    """Those with an id above ``after``, oldest first; none where nothing was recorded."""
+    with Store.open(fleet.state, warn=fleet.warn) as store:
+        return store.events(after=after, since=wanted.since, host=wanted.host, task=wanted.task)
+
+
+def follow(fleet: Fleet, wanted: Wanted, told_to_end: Callable[[], bool]) -> Iterator[tuple[Event, ...]]:
+    """Those that are there (perhaps none), then batches as they come. ``told_to_end`` is asked between two looks, and may wait."""
+    last = _newest(fleet)
+    yield tuple(event for event in events(fleet, wanted) if event.id <= last)
+    while not told_to_end():
+        newest = _newest(fleet)
+        if newest < last:
+            # Another history began, whose numbers begin anew: the one before was broken, or taken away.
+            last = 0
+        found = events(fleet, wanted, after=last) if newest > last else ()
+        if found:
+            yield found
+        last = max([newest, *(event.id for event in found)])
+
+
+def _newest(fleet: Fleet) -> int:
+    """The highest id that there is, 0 for none."""
+    with Store.open(fleet.state, warn=silent) as store:
+        return max((event.id for event in store.events(limit=1)), default=0)

@@ -1,0 +1,52 @@
+"""What happened to the fleet: a table for people, an object per event for programs."""
+
+from collections.abc import Iterable, Sequence
+
+from edgectl.formats.base import FORMAT_VERSION, Document, number
+from edgectl.model.event import Event, EventKind
+from edgectl.units import format_instant
+from edgectl.views.text import PLAIN, Cell, Look, Row, columns
+
+_STYLES = {
+    EventKind.HOST_LOST: "bad", EventKind.HOST_BACK: "good", EventKind.HOST_REBOOTED: "warn", EventKind.TASK_STARTED: "good",
+    EventKind.TASK_READY: "good", EventKind.TASK_COMPLETED: "good", EventKind.TASK_RESTARTED: "warn", EventKind.TASK_FAILED: "bad",
+    EventKind.TASK_CRASHLOOP: "bad", EventKind.TASK_LOST: "bad", EventKind.TASK_DEFERRED: "warn", EventKind.TASK_UNPLACED: "warn",
+    EventKind.ACTION_FAILED: "bad", EventKind.PLANNED: "dim",
+}  # fmt: skip
+_HEAD: Row = ("AT", "KIND", "WHAT", "MESSAGE")
+# Widths that rows which come one by one keep, so that they stand below each other: an instant, the longest kind, most names.
+STEADY = (20, max(len(kind) for kind in EventKind), 24)
+
+
+def text(values: Iterable[Event], look: Look = PLAIN) -> str:
+    """One line per event, oldest first, below a head."""
+    rows = [_row(value) for value in values]
+    return columns([_HEAD, *rows], look, wrap={2}) if rows else "No events: nothing happened in this time, or no edgectl looked (edgectl probe does).\n"
+
+
+def more(values: Iterable[Event], head: object, look: Look = PLAIN) -> str:
+    """Rows to go below others; ``head``: they are the first."""
+    return columns([*([_HEAD] if head else []), *(_row(value) for value in values)], look, wrap={2}, least=STEADY)
+
+
+def _row(value: Event) -> Row:
+    at = format_instant(float(int(value.at)))
+    return (at, Cell(value.kind.value, _STYLES.get(value.kind, "")), Cell(_what(value), "name"), value.message or "-")
+
+
+def _what(value: Event) -> str:
+    """Which task on which host, as far as it concerns one."""
+    return " on ".join(name for name in (value.task, value.host) if name) or "-"
+
+
+def document(values: Sequence[Event]) -> Document:
+    """All of them, as JSON types."""
+    return {"format_version": FORMAT_VERSION, "events": [line(value) for value in values]}
+
+
+def line(value: Event) -> Document:
+    """One of them, as JSON types; its ``id`` grows from event to event."""
+    return {
+        "id": value.id, "at": format_instant(value.at), "at_s": number(round(value.at, 3)), "kind": value.kind.value,
+        "host": value.host, "task": value.task, "message": value.message,
+    }  # fmt: skip
