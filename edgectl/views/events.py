@@ -14,6 +14,7 @@ _STYLES = {
     EventKind.ACTION_FAILED: "bad", EventKind.PLANNED: "dim",
 }  # fmt: skip
 _HEAD: Row = ("AT", "KIND", "WHAT", "MESSAGE")
+_NONE = "No events: nothing happened in this time, or no edgectl looked (edgectl probe does).\n"
 # Widths that rows which come one by one keep, so that they stand below each other: an instant, the longest kind, most names.
 STEADY = (20, max(len(kind) for kind in EventKind), 24)
 
@@ -21,7 +22,7 @@ STEADY = (20, max(len(kind) for kind in EventKind), 24)
 def text(values: Iterable[Event], look: Look = PLAIN) -> str:
     """One line per event, oldest first, below a head."""
     rows = [_row(value) for value in values]
-    return columns([_HEAD, *rows], look, wrap={2}) if rows else "No events: nothing happened in this time, or no edgectl looked (edgectl probe does).\n"
+    return columns([_HEAD, *rows], look, wrap={2}) if rows else _NONE
 
 
 def more(values: Iterable[Event], head: object, look: Look = PLAIN) -> str:
