@@ -31,8 +31,10 @@ def an_inventory(*hosts: Host, links: Mapping[tuple[str, str], float] | None = N
     return Inventory(hosts={host.name: host for host in ordered}, links=links or {}, digest="inventory-digest")
 
 
-def a_quantity(value: float | str | None) -> Quantity | None:
+def a_quantity(value: float | str | Quantity | None) -> Quantity | None:
     """``0.5`` is absolute, ``"35%"`` a share."""
+    if isinstance(value, Quantity):
+        return value
     if isinstance(value, str):
         return Quantity(value=float(value.removesuffix("%")) / 100.0, relative=True)
     return None if value is None else Quantity(value=value)
@@ -41,9 +43,9 @@ def a_quantity(value: float | str | None) -> Quantity | None:
 def a_task(
     name: str = "slam",
     *,
-    cpu: float | str | None = 0.0,
-    memory: float | str | None = 0.0,
-    throughput: float | str | None = 0.0,
+    cpu: float | str | Quantity | None = 0.0,
+    memory: float | str | Quantity | None = 0.0,
+    throughput: float | str | Quantity | None = 0.0,
     robots: Iterable[str] = (),
     needs: Iterable[str | Need] = (),
     only: Iterable[str] = (),

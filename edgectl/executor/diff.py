@@ -25,6 +25,7 @@ def plan_of(inventory: Inventory, tasks: Tasks, snapshot: Snapshot, memory: Memo
         settled=assignment.settled,
         steps=diff(assignment, tasks, snapshot, memory),
         expected=assignment.expected,
+        uneven=assignment.uneven,
         frozen=assignment.frozen,
         unseen=assignment.unseen,
     )

@@ -1,8 +1,8 @@
 """Memory to and from JSON: part of a snapshot, and the manager's own cache file."""
 
-from edgectl.formats.base import FORMAT_VERSION, Document, number
+from edgectl.formats.base import FORMAT_VERSION, Document, number, without_none
 from edgectl.formats.reader import Reader, close_document, open_document
-from edgectl.model.memory import Memory, Placement
+from edgectl.model.memory import MeasuredDemand, Memory, Placement
 from edgectl.units import format_instant
 
 
@@ -24,7 +24,18 @@ def encode(memory: Memory) -> Document:
         "contact": {host: format_instant(at) for host, at in memory.contact.items()},
         "fenced": sorted(memory.fenced),
         "deferred": dict(memory.deferred),
+        "measured": [{"task": task, "class": kind} | _measured(found) for (task, kind), found in sorted(memory.measured.items())],
     }
+
+
+def _measured(found: MeasuredDemand) -> Document:
+    return without_none(
+        samples=found.samples,
+        span_s=number(found.span_s),
+        used_cores=number(found.cpu),
+        used_bytes=number(found.memory),
+        used_bytes_per_s=None if found.throughput is None else number(found.throughput),
+    )
 
 
 def _placement(placement: Placement) -> Document:
@@ -62,6 +73,17 @@ def read(reader: Reader) -> Memory:
         contact=reader.mapping("contact", Reader.instant),
         fenced=frozenset(reader.texts("fenced")),
         deferred=reader.mapping("deferred", Reader.text),
+        measured={(inner.text("task"), inner.text("class")): _read_measured(inner) for inner in reader.items("measured")},
+    )
+
+
+def _read_measured(reader: Reader) -> MeasuredDemand:
+    return MeasuredDemand(
+        samples=reader.integer("samples"),
+        span_s=reader.number("span_s"),
+        cpu=reader.number("used_cores"),
+        memory=reader.number("used_bytes"),
+        throughput=reader.maybe_number("used_bytes_per_s"),
     )
 
 

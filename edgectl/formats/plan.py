@@ -3,7 +3,21 @@
 from edgectl.formats import snapshot as snapshot_format
 from edgectl.formats.base import FORMAT_VERSION, Document, number, optional, without_none
 from edgectl.formats.reader import Reader, close_document, open_document
-from edgectl.model.assignment import Decision, ExpectedLoad, MoveCost, RankedHost, Reason, Rejection, Resource, Rule, Terms, Verdict
+from edgectl.model.assignment import (
+    Decision,
+    DemandSource,
+    ExpectedLoad,
+    MoveCost,
+    RankedHost,
+    Reason,
+    Rejection,
+    Resource,
+    Rho,
+    Rule,
+    Terms,
+    Uneven,
+    Verdict,
+)
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.policy import Policy, PolicyName, SequenceRule, Weights
 from edgectl.units import format_instant
@@ -24,6 +38,7 @@ def encode(plan: Plan) -> Document:
         "unseen": list(plan.unseen),
         "decisions": [_step(step) for step in plan.steps],
         "expected": {name: _expected(load) for name, load in plan.expected.items()},
+        "uneven": [_uneven(found) for found in plan.uneven],
         "summary": {action.value: count for action, count in plan.summary.items()},
         "snapshot": snapshot_format.encode(plan.snapshot),
     }
@@ -70,6 +85,7 @@ def _step(step: Step) -> Document:
         stop=list(step.stop) or None,
         changed=list(step.changed) or None,
         rejection_counts=dict(decision.rejection_counts) or None,
+        demand=_demand(decision.demand),
     )
     document["ranking"] = [_ranked(host) for host in decision.ranking]
     return document
@@ -90,6 +106,23 @@ def _ranked(ranked: RankedHost) -> Document:
         "affinity": ranked.affinity,
         "feasible": ranked.feasible,
         "rejections": [_rejection(rejection) for rejection in ranked.rejections],
+    } | without_none(demand=_demand(ranked.demand))
+
+
+def _demand(demand: tuple[Rho, ...]) -> Document | None:
+    return {
+        rho.resource.value: without_none(value=number(rho.value), source=rho.source.value, samples=rho.samples) for rho in demand
+    } or None
+
+
+def _uneven(found: Uneven) -> Document:
+    return {
+        "task": found.task,
+        "resource": found.resource.value,
+        "share": number(found.share),
+        "least": number(found.least),
+        "most": number(found.most),
+        "hosts": list(found.hosts),
     }
 
 
@@ -136,6 +169,7 @@ def decode(raw: object) -> Plan:
         expected={name: _read_expected(load) for name, load in reader.children("expected")},
         frozen=reader.flag("frozen", default=False),
         unseen=reader.texts("unseen"),
+        uneven=tuple(_read_uneven(found) for found in reader.items("uneven")),
     )
     close_document(reader, "plan")
     return plan
@@ -187,6 +221,7 @@ def _read_decision(reader: Reader) -> Decision:
         overcommitted=reader.flag("overcommitted", default=False),
         ranking=tuple(_read_ranked(ranked) for ranked in reader.items("ranking")),
         rejection_counts=reader.mapping("rejection_counts", Reader.integer),
+        demand=_read_demand(reader),
     )
 
 
@@ -205,6 +240,35 @@ def _read_ranked(reader: Reader) -> RankedHost:
         feasible=reader.flag("feasible"),
         affinity=reader.integer("affinity", 0, minimum=None),
         rejections=tuple(_read_rejection(rejection) for rejection in reader.items("rejections")),
+        demand=_read_demand(reader),
+    )
+
+
+def _read_demand(reader: Reader) -> tuple[Rho, ...]:
+    inner = reader.maybe_child("demand")
+    if inner is None:
+        return ()
+    return tuple(_read_rho(inner.child(resource), resource) for resource in Resource if inner.has(resource))
+
+
+def _read_rho(reader: Reader, resource: Resource) -> Rho:
+    return Rho(
+        resource=resource,
+        value=reader.number("value"),
+        source=reader.choice("source", DemandSource),
+        samples=reader.integer("samples") if reader.has("samples") else None,
+    )
+
+
+def _read_uneven(reader: Reader) -> Uneven:
+    hosts = (*reader.texts("hosts"), "", "")
+    return Uneven(
+        task=reader.text("task"),
+        resource=reader.choice("resource", Resource),
+        share=reader.number("share"),
+        least=reader.number("least"),
+        most=reader.number("most"),
+        hosts=(hosts[0], hosts[1]),
     )
 
 

@@ -32,6 +32,43 @@ class Rule(StrEnum):
     INSUFFICIENT = "insufficient"
 
 
+class DemandSource(StrEnum):
+    """Where a demand comes from. ``MEASURED_ELSEWHERE``: on another class of hosts, because nothing is known of this one."""
+
+    DECLARED = "declared"
+    MEASURED = "measured"
+    MEASURED_ELSEWHERE = "measured-elsewhere"
+    NONE = "none"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rho:
+    """One demand of a task on one host, in cores, bytes or bytes/s (network: on its largest link), as it was charged.
+
+    ``samples``: how many there are of the task on that class of hosts; None where the demand does not follow history.
+    """
+
+    resource: Resource
+    value: float
+    source: DemandSource
+    samples: int | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Uneven:
+    """A percent demand (``share``) of a task that means ``least`` on one candidate and ``most`` on another; cores or bytes.
+
+    ``task`` is its name in the file. ``hosts``: the host of the least and of the most.
+    """
+
+    task: str
+    resource: Resource
+    share: float
+    least: float
+    most: float
+    hosts: tuple[str, str]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rejection:
     """One reason against one host. The last three fields are rho, gamma and Delta in the resource's own unit."""
@@ -58,7 +95,8 @@ class Terms:
 class RankedHost:
     """One candidate of one task. ``rank`` counts from 1 over feasible hosts by total, 0 where not feasible.
 
-    ``affinity`` is a(h): predecessors here minus predecessors elsewhere.
+    ``affinity`` is a(h): predecessors here minus predecessors elsewhere. ``demand`` is told where history decides it: there it may
+    differ from host to host.
     """
 
     host: str
@@ -68,6 +106,7 @@ class RankedHost:
     feasible: bool
     affinity: int = 0
     rejections: tuple[Rejection, ...] = ()
+    demand: tuple[Rho, ...] = ()
 
 
 class Verdict(StrEnum):
@@ -113,6 +152,7 @@ class Reason(StrEnum):
     HOST_SILENT = "host-silent"
     ROBOT_SILENT = "robot-silent"
     DONE = "done"
+    GIVEN_UP = "given-up"
     LEFT_FILE = "left-the-file"
     DUPLICATE = "duplicate"
     SPEC_CHANGED = "spec-changed"
@@ -147,13 +187,13 @@ class Decision:
     ``amount`` its number (gain of a move, margin, remaining dwell in s, seconds until a held task may be replaced, exit code of a task
     that was given up).
     ``cost`` is what a move was weighed against, where downtimes are measured. ``nearest`` is the nearest miss of an unplaced task.
-    ``rejection_counts`` counts the hosts that a shortened ranking left out, by rule.
+    ``rejection_counts`` counts the hosts that a shortened ranking left out, by rule. ``demand`` is rho on ``host`` (unplaced: on the
+    nearest miss), empty where nothing was weighed.
     """
 
     task: str
     verdict: Verdict
     reason: Reason
-    GIVEN_UP = "given-up"
     host: str | None = None
     previous_host: str | None = None
     total: float | None = None
@@ -166,6 +206,7 @@ class Decision:
     overcommitted: bool = False
     ranking: tuple[RankedHost, ...] = ()
     rejection_counts: Mapping[str, int] = field(default_factory=dict)
+    demand: tuple[Rho, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -182,6 +223,7 @@ class Assignment:
     """All decisions, in sequence order, the policy as used (weights normalised) and the expected load per host.
 
     ``unseen`` are hosts that did not answer while nothing is remembered of them (a manager new to the fleet).
+    ``uneven`` are percent demands that mean different amounts on the hosts that may run the task.
     """
 
     policy: Policy
@@ -190,3 +232,4 @@ class Assignment:
     settled: bool = True
     frozen: bool = False
     unseen: tuple[str, ...] = ()
+    uneven: tuple[Uneven, ...] = ()

@@ -15,6 +15,20 @@ class Placement:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class MeasuredDemand:
+    """What one task used on one class of hosts: p95 in cores, bytes and bytes/s on each of its links, of the newest samples.
+
+    ``samples`` of them over ``span_s`` seconds. ``throughput`` is None where no traffic was seen (only TCP can be).
+    """
+
+    samples: int
+    span_s: float
+    cpu: float
+    memory: float
+    throughput: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Memory:
     """DESIGN section 5.12.
 
@@ -26,6 +40,7 @@ class Memory:
     ``contact``: when each host was last in touch (s since 1970, the manager's clock): never earlier than the last request that may have
     reached it. ``fenced``: hosts that the operator declared switched off; a host that answers is not.
     ``deferred``: tasks whose last action was put off with nothing touched, and why.
+    ``measured``: by task and class of host, of the tasks whose demand is not all declared.
     """
 
     managed: bool = False
@@ -39,3 +54,4 @@ class Memory:
     contact: Mapping[str, float] = field(default_factory=dict)
     fenced: frozenset[str] = frozenset()
     deferred: Mapping[str, str] = field(default_factory=dict)
+    measured: Mapping[tuple[str, str], MeasuredDemand] = field(default_factory=dict)

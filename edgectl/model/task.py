@@ -9,10 +9,14 @@ from edgectl.model.policy import Policy
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Quantity:
-    """A demand: absolute (cores, bytes or bytes/s), or a share of the measured capacity before limits."""
+    """A demand: absolute (cores, bytes or bytes/s), or a share of the measured capacity before limits.
+
+    ``measured``: it counts only until there is enough history of the task on that class of host (``model.demand``).
+    """
 
     value: float
     relative: bool = False
+    measured: bool = False
 
     def of(self, capacity: float) -> float:
         """The demand in the unit of ``capacity`` (the host's before limits, or the link's)."""
@@ -24,7 +28,7 @@ ZERO = Quantity(value=0.0)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Demand:
-    """rho of one task: CPU (cores), memory (bytes), throughput (bytes/s on each of its links). None: not stated."""
+    """rho of one task: CPU (cores), memory (bytes), throughput (bytes/s on each of its links). None: not stated, 0 until measured."""
 
     cpu: Quantity | None = None
     memory: Quantity | None = None

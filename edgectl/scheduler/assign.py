@@ -14,8 +14,10 @@ from edgectl.scheduler.cost import handoffs_of
 from edgectl.scheduler.fleet import fleet_of
 from edgectl.scheduler.passes import Outcome, Pass, after, moved, run
 from edgectl.scheduler.policies import RULES
+from edgectl.scheduler.rho import with_history
 from edgectl.scheduler.scan import shares_of
 from edgectl.scheduler.sequence import sequence
+from edgectl.scheduler.uneven import uneven
 from edgectl.scheduler.view import Setting
 from edgectl.scheduler.world import World, world_of
 
@@ -32,9 +34,9 @@ def assign(inventory: Inventory, tasks: Tasks, snapshot: Snapshot, memory: Memor
         ValueError: the tasks' needs form a cycle, or the weights are not usable (both are errors of the files, found by validation).
     """
     used = replace(policy, weights=normalised(policy.weights))
-    fleet = fleet_of(inventory, snapshot, memory, used.without)
+    fleet = with_history(fleet_of(inventory, snapshot, memory, used.without), tasks, memory)
     world = world_of(tasks, memory, fleet, now)
-    setting = Setting(fleet=fleet, policy=used, shares=shares_of(fleet), now=now, first=memory.first, handoffs=handoffs_of(memory))
+    setting = Setting(fleet=fleet, policy=used, shares=shares_of(fleet), now=now, first=_first(memory, world), handoffs=handoffs_of(memory))
     order = sequence(tasks.tasks.values(), used.sequence)
     how = Pass(setting=setting, order=order, rule=RULES[used.name], origin=world, letter=used.name is PolicyName.PAPER)
     outcome, settled = _settle(how, world) if used.name is PolicyName.UTILITY else _once(how, world)
@@ -45,7 +47,13 @@ def assign(inventory: Inventory, tasks: Tasks, snapshot: Snapshot, memory: Memor
         settled=settled,
         frozen=world.frozen,
         unseen=world.unseen,
+        uneven=uneven(fleet, tasks),
     )
+
+
+def _first(memory: Memory, world: World) -> dict[str, str]:
+    """First placements, without those of tasks that leave theirs because it is silent (ADR 0023)."""
+    return {task: host for task, host in memory.first.items() if task not in world.replaced}
 
 
 def _settle(how: Pass, origin: World) -> tuple[Outcome, bool]:

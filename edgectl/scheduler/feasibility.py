@@ -7,6 +7,7 @@ from edgectl.model.inventory import Host
 from edgectl.model.task import ZERO, Onboard, Quantity, Task
 from edgectl.scheduler.fleet import Fleet
 from edgectl.scheduler.ledger import Ledger
+from edgectl.scheduler.rho import demand_at
 from edgectl.scheduler.utility import EPSILON, resource_utility
 
 
@@ -42,12 +43,13 @@ def rule_against(host: Host, task: Task, *, robot: bool) -> Rule | None:
 
 def read(ledger: Ledger, task: Task, place: int) -> Reading:
     """The reference form of eqs. (1)-(3) for one task at one place; ``scan`` computes the same for all edges at once."""
-    fleet, wanted = ledger.fleet, task.demand
+    fleet = ledger.fleet
+    wanted = demand_at(fleet, task, place)
     cpu, cpu_lack = _term(Resource.CPU, fleet.cpu[place], ledger.cpu[place], (wanted.cpu or ZERO).of(fleet.raw_cpu[place]))
     memory, memory_lack = _term(
         Resource.MEMORY, fleet.memory[place], ledger.memory[place], (wanted.memory or ZERO).of(fleet.raw_memory[place])
     )
-    network, network_lack = _network(ledger, task, place)
+    network, network_lack = _network(ledger, task, place, wanted.throughput or ZERO)
     return Reading(cpu, memory, network, cpu_lack + memory_lack + network_lack)
 
 
@@ -61,13 +63,12 @@ def _term(
     return utility, (Rejection(rule=rule, resource=resource, robot=robot, demand=wanted, used=used, capacity=capacity),)
 
 
-def _network(ledger: Ledger, task: Task, place: int) -> tuple[float | None, tuple[Rejection, ...]]:
+def _network(ledger: Ledger, task: Task, place: int, throughput: Quantity) -> tuple[float | None, tuple[Rejection, ...]]:
     """UT_net, eq. (3): the worst of the task's links; 1 onboard or without a robot."""
     if place >= ledger.fleet.edges:
         return 1.0, ()
     worst: float | None = 1.0
     rejections: tuple[Rejection, ...] = ()
-    throughput = task.demand.throughput or ZERO
     for robot in task.robots:
         term, lack = _link(ledger, robot, place, throughput)
         worst = None if worst is None or term is None else min(worst, term)

@@ -1,13 +1,14 @@
 """What no placement changes: the hosts as numbered places, their capacities and who is closed to new work."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from edgectl.model.assignment import Rejection, Rule
 from edgectl.model.inventory import Host, Inventory
-from edgectl.model.memory import Memory
+from edgectl.model.memory import MeasuredDemand, Memory
 from edgectl.model.order import natural_key
 from edgectl.model.snapshot import HostSample, Snapshot
+from edgectl.model.task import Demand
 
 # Readings older than this are not trusted with new work (DESIGN 5.5 "fresh", PAPER-GAPS A26).
 MAX_SAMPLE_AGE_S = 60.0
@@ -20,7 +21,8 @@ class Fleet:
     ``raw_cpu``/``raw_memory`` are capacities before limits, ``cpu``/``memory`` after them (cores, bytes; 0 without a sample).
     ``links`` holds Delta_thp by robot and edge, None where the edge has no link to the robot. ``order`` is the position of each
     place in the natural order of all names. ``closed`` says why a place takes no new work; in ``hard`` that also drives away
-    what runs there (drained, or left out by a what-if question).
+    what runs there (drained, or left out by a what-if question). ``classes`` names the class of each place (ADR 0025), ``demands``
+    holds rho by task and class, of tasks whose history decides it, "" for a class without enough; ``history`` is what was measured.
     """
 
     places: tuple[Host, ...]
@@ -35,6 +37,9 @@ class Fleet:
     links: Mapping[str, tuple[float | None, ...]]
     closed: Mapping[int, Rejection]
     hard: frozenset[int]
+    classes: tuple[str, ...] = ()
+    demands: Mapping[str, Mapping[str, Demand]] = field(default_factory=dict)
+    history: Mapping[tuple[str, str], MeasuredDemand] = field(default_factory=dict)
 
     def silent(self, place: int) -> bool:
         """Whether the host of ``place`` should have answered and did not."""

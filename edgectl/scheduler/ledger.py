@@ -7,6 +7,7 @@ from edgectl.model.assignment import ExpectedLoad
 from edgectl.model.snapshot import TaskSample
 from edgectl.model.task import ZERO, Quantity, Task
 from edgectl.scheduler.fleet import Fleet
+from edgectl.scheduler.rho import demand_at
 
 # Free share of a place without capacity: so far below any demand that nothing ever fits.
 NOTHING = -1e300
@@ -108,11 +109,11 @@ def _link_use(fleet: Fleet, edge: int, robot: str) -> float:
 
 def demand(fleet: Fleet, task: Task, place: int) -> Use:
     """Rho of ``task`` at ``place``. A share is of the capacity before limits; a robot's own computer needs no link."""
-    throughput = task.demand.throughput or ZERO
+    wanted = demand_at(fleet, task, place)
     return Use(
-        cpu=(task.demand.cpu or ZERO).of(fleet.raw_cpu[place]),
-        memory=(task.demand.memory or ZERO).of(fleet.raw_memory[place]),
-        links=_on_links(fleet, task.robots, place, throughput),
+        cpu=(wanted.cpu or ZERO).of(fleet.raw_cpu[place]),
+        memory=(wanted.memory or ZERO).of(fleet.raw_memory[place]),
+        links=_on_links(fleet, task.robots, place, wanted.throughput or ZERO),
     )
 
 

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from edgectl.model.assignment import RankedHost, Rejection, Rule, Terms
 from edgectl.scheduler.affinity import reward
+from edgectl.scheduler.rho import demands_at
 from edgectl.scheduler.scan import PENALTY
 from edgectl.scheduler.utility import EPSILON
 from edgectl.scheduler.view import View, terms_at
@@ -83,6 +84,7 @@ def _rank(view: View, host: Weighed, position: int) -> int:
 
 
 def _entry(view: View, host: Weighed, rank: int) -> RankedHost:
+    fleet = view.setting.fleet
     return RankedHost(
         host=view.name(host.place),
         rank=rank,
@@ -91,6 +93,7 @@ def _entry(view: View, host: Weighed, rank: int) -> RankedHost:
         feasible=rank > 0,
         affinity=reward(view.located, host.place),
         rejections=host.rejections,
+        demand=demands_at(fleet, view.task, host.place) if view.task.name in fleet.demands else (),
     )
 
 

@@ -8,6 +8,7 @@ from edgectl.model.task import Task
 from edgectl.scheduler.choice import Choice
 from edgectl.scheduler.fleet import Fleet
 from edgectl.scheduler.ranking import ranking
+from edgectl.scheduler.rho import demands_at
 from edgectl.scheduler.scan import fits
 from edgectl.scheduler.utility import EPSILON
 from edgectl.scheduler.view import View
@@ -44,6 +45,7 @@ def decided(view: View, choice: Choice, origin: int | None) -> Decision:
     other = next((entry for entry in ranked if entry.feasible and entry.host != host), None)
     total = entry.total if entry else None
     reason, subject = _reason(view, choice, ranked)
+    place = choice.place if choice.place is not None else choice.nearest
     return Decision(
         task=view.task.name,
         verdict=choice.verdict,
@@ -60,6 +62,7 @@ def decided(view: View, choice: Choice, origin: int | None) -> Decision:
         overcommitted=entry is not None and _overcommitted(entry),
         ranking=ranked,
         rejection_counts=left_out,
+        demand=demands_at(view.setting.fleet, view.task, place) if place is not None else (),
     )
 
 

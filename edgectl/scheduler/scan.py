@@ -7,9 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from edgectl.model.policy import Weights
-from edgectl.model.task import ZERO, Quantity, Task
+from edgectl.model.task import ZERO, Demand, Quantity, Task
 from edgectl.scheduler.fleet import Fleet
 from edgectl.scheduler.ledger import NOTHING, Ledger
+from edgectl.scheduler.rho import demand_at
 from edgectl.scheduler.utility import EPSILON
 
 Row = Sequence[float]
@@ -25,22 +26,46 @@ def fits(total: float) -> bool:
 
 @dataclass(slots=True, kw_only=True)
 class Shares:
-    """Demands as shares of capacity, by quantity, filled as they are first asked for (a fleet has few kinds of demand)."""
+    """Demands as shares of capacity, filled as they are first asked for: by quantity, of which a fleet has few; by the task's name
+    where history decides, for there the demand may differ from edge to edge.
+    """
 
     fleet: Fleet
     zeros: list[float]
     ones: list[float]
-    cpu: dict[Quantity, list[float]] = field(default_factory=dict)
-    memory: dict[Quantity, list[float]] = field(default_factory=dict)
+    cpu: dict[Quantity | str, list[float]] = field(default_factory=dict)
+    memory: dict[Quantity | str, list[float]] = field(default_factory=dict)
     inverse_links: dict[str, list[float]] = field(default_factory=dict)
+    links: dict[tuple[str, str], list[float]] = field(default_factory=dict)
 
-    def of_cpu(self, quantity: Quantity | None) -> list[float]:
+    def of_cpu(self, task: Task) -> list[float]:
         """rho_cpu / Delta_cpu at every edge."""
-        return _cached(self.cpu, quantity or ZERO, self.fleet.raw_cpu, self.fleet.cpu, self.fleet.edges)
+        fleet = self.fleet
+        if task.name not in fleet.demands:
+            return _cached(self.cpu, task.demand.cpu or ZERO, fleet.raw_cpu, fleet.cpu, fleet.edges)
+        if task.name not in self.cpu:
+            self.cpu[task.name] = _row([wanted.cpu for wanted in self._demands(task)], fleet.raw_cpu, fleet.cpu)
+        return self.cpu[task.name]
 
-    def of_memory(self, quantity: Quantity | None) -> list[float]:
+    def of_memory(self, task: Task) -> list[float]:
         """rho_mem / Delta_mem at every edge."""
-        return _cached(self.memory, quantity or ZERO, self.fleet.raw_memory, self.fleet.memory, self.fleet.edges)
+        fleet = self.fleet
+        if task.name not in fleet.demands:
+            return _cached(self.memory, task.demand.memory or ZERO, fleet.raw_memory, fleet.memory, fleet.edges)
+        if task.name not in self.memory:
+            self.memory[task.name] = _row([wanted.memory for wanted in self._demands(task)], fleet.raw_memory, fleet.memory)
+        return self.memory[task.name]
+
+    def of_link(self, task: Task, robot: str) -> list[float]:
+        """rho_thp / Delta_thp of every edge's link to ``robot``, of a task whose history decides."""
+        key = task.name, robot
+        if key not in self.links:
+            capacities = [capacity or 0.0 for capacity in self.fleet.links[robot]]
+            self.links[key] = _row([wanted.throughput for wanted in self._demands(task)], capacities, capacities)
+        return self.links[key]
+
+    def _demands(self, task: Task) -> list[Demand]:
+        return [demand_at(self.fleet, task, edge) for edge in range(self.fleet.edges)]
 
     def per_byte(self, robot: str) -> list[float]:
         """1 / Delta_thp of every edge's link to ``robot``; 0 where there is none."""
@@ -54,11 +79,16 @@ def shares_of(fleet: Fleet) -> Shares:
     return Shares(fleet=fleet, zeros=[0.0] * fleet.edges, ones=[1.0] * fleet.edges)
 
 
-def _cached(cache: dict[Quantity, list[float]], quantity: Quantity, raw: Row, usable: Row, edges: int) -> list[float]:
+def _cached(cache: dict[Quantity | str, list[float]], quantity: Quantity, raw: Row, usable: Row, edges: int) -> list[float]:
     if quantity not in cache:
-        pairs = zip(raw[:edges], usable[:edges], strict=True)
-        cache[quantity] = [quantity.of(whole) / capacity if capacity > 0 else 0.0 for whole, capacity in pairs]
+        cache[quantity] = _row([quantity] * edges, raw, usable)
     return cache[quantity]
+
+
+def _row(quantities: Sequence[Quantity | None], raw: Row, usable: Row) -> list[float]:
+    """Each edge's quantity as a share of what is usable there; ``raw`` is the capacity that percentages are of."""
+    found = zip(quantities, raw, usable, strict=False)  # the capacities go on to the robots
+    return [(quantity or ZERO).of(whole) / capacity if capacity > 0 else 0.0 for quantity, whole, capacity in found]
 
 
 def network(ledger: Ledger, shares: Shares, task: Task) -> tuple[Row, Row, float]:
@@ -66,16 +96,24 @@ def network(ledger: Ledger, shares: Shares, task: Task) -> tuple[Row, Row, float
 
     Without a robot 1 is free and nothing is demanded.
     """
-    quantity = task.demand.throughput or ZERO
     if not task.robots:
         return shares.ones, shares.zeros, 0.0
     if any(robot not in ledger.free_links for robot in task.robots):
         return [NOTHING] * ledger.fleet.edges, shares.zeros, 0.0
-    rows = [(ledger.free_links[robot], shares.ones if quantity.relative else shares.per_byte(robot)) for robot in task.robots]
+    units, value = _demanded(shares, task)
+    rows = [(ledger.free_links[robot], unit) for robot, unit in zip(task.robots, units, strict=True)]
     if len(rows) == 1:
-        return *rows[0], quantity.value
-    left = [[free - quantity.value * unit for free, unit in zip(*row, strict=True)] for row in rows]
+        return *rows[0], value
+    left = [[free - value * unit for free, unit in zip(*row, strict=True)] for row in rows]
     return [min(column) for column in zip(*left, strict=True)], shares.zeros, 0.0
+
+
+def _demanded(shares: Shares, task: Task) -> tuple[list[list[float]], float]:
+    """The demanded share of the link to each robot: a row, and the factor that all rows are multiplied by."""
+    if task.name in shares.fleet.demands:
+        return [shares.of_link(task, robot) for robot in task.robots], 1.0
+    quantity = task.demand.throughput or ZERO
+    return [shares.ones if quantity.relative else shares.per_byte(robot) for robot in task.robots], quantity.value
 
 
 def totals(ledger: Ledger, shares: Shares, task: Task, weights: Weights, *, offset: float) -> list[float]:
@@ -86,8 +124,8 @@ def totals(ledger: Ledger, shares: Shares, task: Task, weights: Weights, *, offs
     row: list[float] = []
     append = row.append
     rows = zip(
-        ledger.free_cpu, shares.of_cpu(task.demand.cpu),
-        ledger.free_memory, shares.of_memory(task.demand.memory),
+        ledger.free_cpu, shares.of_cpu(task),
+        ledger.free_memory, shares.of_memory(task),
         free_network, units,
         strict=False,  # the free rows go on to the robots
     )  # fmt: skip
@@ -103,7 +141,7 @@ def totals(ledger: Ledger, shares: Shares, task: Task, weights: Weights, *, offs
 def worst_terms(ledger: Ledger, shares: Shares, task: Task) -> list[float]:
     """The least of UT_cpu, UT_mem, UT_net at every edge: how far the task is from fitting."""
     free_network, units, factor = network(ledger, shares, task)
-    need_cpu, need_memory = shares.of_cpu(task.demand.cpu), shares.of_memory(task.demand.memory)
+    need_cpu, need_memory = shares.of_cpu(task), shares.of_memory(task)
     return [
         min(ledger.free_cpu[edge] - need_cpu[edge], ledger.free_memory[edge] - need_memory[edge], free_network[edge] - factor * units[edge])
         for edge in range(ledger.fleet.edges)

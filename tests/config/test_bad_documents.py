@@ -78,7 +78,7 @@ CASES = {
     "true for a number": ("snapshot", '"cores": 4', '"cores": true', "true", "EC202", "must be a number, not true or false", ""),
     "part of a pid": ("snapshot", '"pid": 41', '"pid": 41.5', "41.5", "EC202", "must be a whole number", ""),
     "unknown status": ("snapshot", '"status": "ok"', '"status": "okay"', '"okay"', "EC202", "unknown status: 'okay'", "write one of ok, unreachable"),
-    "unknown source": ("snapshot", '"measured"', '"guessed"', '"guessed"', "EC202", "unknown capacity_source", "write one of declared, measured"),
+    "unknown source": ("snapshot", ': "measured"', ': "guessed"', '"guessed"', "EC202", "unknown capacity_source", "write one of declared, measured"),
     "instant": ("snapshot", '"taken_at": "2026', '"taken_at": "yesterday 2026', '"yesterday', "EC202", "taken_at: cannot be read as an instant", ""),
     "null": ("snapshot", '"cores": 4', '"cores": null', "null", "EC202", "must not be null", ""),
     "no measurements": ("snapshot", '"cpu"', '"kpu"', None, "EC202", "hosts.edge1: cpu is missing", "add cpu"),

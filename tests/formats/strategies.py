@@ -4,9 +4,23 @@ from typing import TypeVar
 
 from hypothesis import strategies as st
 
-from edgectl.model.assignment import Decision, ExpectedLoad, MoveCost, RankedHost, Reason, Rejection, Resource, Rule, Terms, Verdict
+from edgectl.model.assignment import (
+    Decision,
+    DemandSource,
+    ExpectedLoad,
+    MoveCost,
+    RankedHost,
+    Reason,
+    Rejection,
+    Resource,
+    Rho,
+    Rule,
+    Terms,
+    Uneven,
+    Verdict,
+)
 from edgectl.model.inventory import Role
-from edgectl.model.memory import Memory, Placement
+from edgectl.model.memory import MeasuredDemand, Memory, Placement
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.policy import Policy, PolicyName, SequenceRule, Weights
 from edgectl.model.snapshot import (
@@ -69,6 +83,7 @@ task_samples = st.builds(
     last_exit=maybe(st.integers(-255, 255)),
     log_tail=st.lists(texts, max_size=2).map(tuple),
     limits=texts,
+    given_up=st.booleans(),
 )
 interfaces = st.builds(InterfaceSample, rx_bytes_per_s=amounts, tx_bytes_per_s=amounts, speed_bytes_per_s=maybe(amounts))
 devices = st.builds(
@@ -83,7 +98,6 @@ devices = st.builds(
 hosts = st.builds(
     HostSample,
     role=st.sampled_from(Role),
-    given_up=st.booleans(),
     status=st.just(HostStatus.OK),
     sample_age_s=amounts,
     cpu=st.builds(Cpu, cores=positive, used_cores=amounts),
@@ -106,6 +120,11 @@ memories = st.builds(
     contact=by_name(instants),
     fenced=st.frozensets(names, max_size=3),
     deferred=by_name(texts),
+    measured=st.dictionaries(
+        st.tuples(names, names),
+        st.builds(MeasuredDemand, samples=counts, span_s=amounts, cpu=amounts, memory=amounts, throughput=maybe(amounts)),
+        max_size=2,
+    ),
 )
 snapshots = st.builds(Snapshot, taken_at=instants, hosts=by_name(hosts), memory=maybe(memories))
 
@@ -118,6 +137,11 @@ rejections = st.builds(
     used=maybe(amounts),
     capacity=maybe(amounts),
 )
+demands = st.lists(
+    st.builds(Rho, resource=st.sampled_from(Resource), value=amounts, source=st.sampled_from(DemandSource), samples=maybe(counts)),
+    unique_by=lambda rho: rho.resource,
+    max_size=3,
+).map(lambda found: tuple(sorted(found, key=lambda rho: list(Resource).index(rho.resource))))
 ranked = st.builds(
     RankedHost,
     host=names,
@@ -127,6 +151,7 @@ ranked = st.builds(
     feasible=st.booleans(),
     affinity=st.integers(-9, 9),
     rejections=st.lists(rejections, max_size=2).map(tuple),
+    demand=demands,
 )
 decisions = st.builds(
     Decision,
@@ -145,6 +170,7 @@ decisions = st.builds(
     overcommitted=st.booleans(),
     ranking=st.lists(ranked, max_size=2).map(tuple),
     rejection_counts=by_name(counts),
+    demand=demands,
 )
 steps = st.builds(
     Step,
@@ -179,4 +205,16 @@ plans = st.builds(
     expected=by_name(st.builds(ExpectedLoad, used_cores=signed, used_bytes=signed, links=by_name(signed))),
     frozen=st.booleans(),
     unseen=st.lists(names, max_size=2).map(tuple),
+    uneven=st.lists(
+        st.builds(
+            Uneven,
+            task=names,
+            resource=st.sampled_from(Resource),
+            share=amounts,
+            least=amounts,
+            most=amounts,
+            hosts=st.tuples(names, names),
+        ),
+        max_size=2,
+    ).map(tuple),
 )

@@ -8,9 +8,23 @@ from typing import Any
 import pytest
 
 from edgectl.formats import memory, plan, snapshot
-from edgectl.model.assignment import Decision, ExpectedLoad, MoveCost, RankedHost, Reason, Rejection, Resource, Rule, Terms, Verdict
+from edgectl.model.assignment import (
+    Decision,
+    DemandSource,
+    ExpectedLoad,
+    MoveCost,
+    RankedHost,
+    Reason,
+    Rejection,
+    Resource,
+    Rho,
+    Rule,
+    Terms,
+    Uneven,
+    Verdict,
+)
 from edgectl.model.inventory import Role
-from edgectl.model.memory import Memory, Placement
+from edgectl.model.memory import MeasuredDemand, Memory, Placement
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.policy import Policy, PolicyName, SequenceRule, Weights
 from edgectl.model.snapshot import (
@@ -41,10 +55,11 @@ HOST = HostSample(
     links={"r": LINK}, tasks={"t": TASK}, device=DEVICE, generations={"t": 9},
 )  # fmt: skip
 PLACEMENT = Placement(host="h", since=1.0, spec_hash="s", generation=2)
+MEASURED = MeasuredDemand(samples=60, span_s=300.5, cpu=0.25, memory=7.0, throughput=1.5)
 MEMORY = Memory(
     managed=True, placements={"t": PLACEMENT}, first={"t": "h"}, cordons=frozenset({"a"}), draining=frozenset({"b"}), done={"t": "s"},
     downtimes={("t", "h"): (1.5, 2.0)}, stays={"t": (60.0, 90.5)}, contact={"h": 1.5}, fenced=frozenset({"c"}),
-    deferred={"t": "d"},
+    deferred={"t": "d"}, measured={("t", "4c-8Gi"): MEASURED},
 )  # fmt: skip
 SNAPSHOT = Snapshot(taken_at=1.5, hosts={"h": HOST}, memory=MEMORY)
 WEIGHTS = Weights(cpu=0.1, memory=0.2, network=0.3, task=0.4)
@@ -54,21 +69,23 @@ POLICY = Policy(
 )  # fmt: skip
 REJECTION = Rejection(rule=Rule.INSUFFICIENT, resource=Resource.NETWORK, robot="r", demand=1.0, used=2.0, capacity=3.0)
 TERMS = Terms(cpu=0.1, memory=-0.2, network=0.3, task=0.4)
-RANKED = RankedHost(host="h", rank=1, total=0.5, terms=TERMS, feasible=True, affinity=-1, rejections=(REJECTION,))
+RHO = Rho(resource=Resource.NETWORK, value=1.5, source=DemandSource.MEASURED, samples=412)
+UNEVEN = Uneven(task="t", resource=Resource.MEMORY, share=0.25, least=1.5, most=3.0, hosts=("a", "b"))
+RANKED = RankedHost(host="h", rank=1, total=0.5, terms=TERMS, feasible=True, affinity=-1, rejections=(REJECTION,), demand=(RHO,))
 COST = MoveCost(stay_s=600.0, downtime_s=4.5, per_s=0.25)
 DECISION = Decision(
     task="t", verdict=Verdict.KEPT, reason=Reason.DWELL, host="h", previous_host="g", total=0.1, lead=0.2, challenger="c", subject="s",
-    amount=1.0, cost=COST, nearest="n", overcommitted=True, ranking=(RANKED,), rejection_counts={"stale": 2},
+    amount=1.0, cost=COST, nearest="n", overcommitted=True, ranking=(RANKED,), rejection_counts={"stale": 2}, demand=(RHO,),
 )  # fmt: skip
 STEP = Step(decision=DECISION, action=Action.MOVE, instances={"h": "i"}, stop=("g",), changed=("env",))
 EXPECTED = ExpectedLoad(used_cores=1.0, used_bytes=2.0, links={"r": 3.0})
 PLAN = Plan(
     created_at=1.5, policy=POLICY, inventory_digest="a", tasks_digest="b", snapshot=SNAPSHOT, settled=False, steps=(STEP,),
-    expected={"h": EXPECTED}, frozen=True, unseen=("u",),
+    expected={"h": EXPECTED}, frozen=True, unseen=("u",), uneven=(UNEVEN,),
 )  # fmt: skip
 VALUES = [
     LINK, TASK, INTERFACE, DEVICE, CPU, MEMORY_USE, HOST, PLACEMENT, MEMORY, SNAPSHOT, WEIGHTS, POLICY, REJECTION, TERMS, RANKED, COST, DECISION,
-    STEP, EXPECTED, PLAN,
+    STEP, EXPECTED, PLAN, MEASURED, RHO, UNEVEN,
 ]  # fmt: skip
 
 

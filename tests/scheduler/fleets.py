@@ -3,13 +3,15 @@
 from dataclasses import replace
 
 from edgectl.model.assignment import Assignment, Decision, ExpectedLoad, RankedHost, Reason, Verdict
-from edgectl.model.inventory import Inventory
+from edgectl.model.inventory import Inventory, Role
 from edgectl.model.memory import Memory, Placement
 from edgectl.model.policy import Policy
 from edgectl.model.snapshot import HostSample, Snapshot, TaskSample, TaskState
 from edgectl.model.task import ZERO, Task, Tasks
 from edgectl.scheduler.assign import assign
-from tests.builders import NOW
+from edgectl.scheduler.fleet import fleet_of
+from edgectl.scheduler.rho import demand_at, with_history
+from tests.builders import NOW, a_robot, an_edge, an_inventory
 
 NO_MEMORY = Memory(managed=True)
 
@@ -43,12 +45,23 @@ def terms(entry: RankedHost) -> tuple[float | None, ...]:
 
 def applied(assignment: Assignment, tasks: Tasks, snapshot: Snapshot, memory: Memory) -> tuple[Snapshot, Memory]:
     """The world right after a perfect apply: gamma is what was expected, each placed task runs where it was put and uses its rho."""
-    samples = {name: _after(name, sample, assignment, tasks) for name, sample in snapshot.hosts.items()}
+    worn = with_demands(tasks, snapshot, memory)
+    samples = {name: _after(name, sample, assignment, worn[name]) for name, sample in snapshot.hosts.items()}
     moved = [d for d in assignment.decisions if d.verdict is Verdict.PLACED and d.host is not None]
     placements = {**memory.placements, **{d.task: Placement(host=str(d.host), since=snapshot.taken_at) for d in moved}}
     first = {**{d.task: str(d.host) for d in moved}, **memory.first}
     done = {d.task: tasks.tasks[d.task].spec_hash for d in assignment.decisions if d.verdict is Verdict.COMPLETED}
     return replace(snapshot, hosts=samples), replace(memory, managed=True, placements=placements, first=first, done={**memory.done, **done})
+
+
+def with_demands(tasks: Tasks, snapshot: Snapshot, memory: Memory) -> dict[str, Tasks]:
+    """The tasks as each host sees them: with the demand that counts there."""
+    hosts = [(an_edge if sample.role is Role.EDGE else a_robot)(name) for name, sample in snapshot.hosts.items()]
+    fleet = with_history(fleet_of(an_inventory(*hosts), snapshot, memory, frozenset()), tasks, memory)
+    return {
+        host: replace(tasks, tasks={name: replace(task, demand=demand_at(fleet, task, place)) for name, task in tasks.tasks.items()})
+        for host, place in fleet.index.items()
+    }
 
 
 def _after(name: str, sample: HostSample, assignment: Assignment, tasks: Tasks) -> HostSample:

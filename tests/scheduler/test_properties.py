@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from edgectl.executor.diff import diff
 from edgectl.model.assignment import Assignment, Reason, Verdict
 from edgectl.model.inventory import Host, Inventory
-from edgectl.model.memory import Memory
+from edgectl.model.memory import MeasuredDemand, Memory
 from edgectl.model.plan import Action
 from edgectl.model.policy import Policy, PolicyName, Weights
 from edgectl.model.snapshot import HostSample, Snapshot, TaskSample, TaskState
@@ -73,6 +73,15 @@ def some_task(draw: st.DrawFn, number: int) -> Task:
 
 
 @st.composite
+def some_history(draw: st.DrawFn) -> MeasuredDemand:
+    throughput = draw(st.none() | shares)
+    return MeasuredDemand(
+        samples=draw(st.sampled_from([59, 60, 412])), span_s=draw(st.sampled_from([299.0, 300.0])), cpu=draw(shares),
+        memory=draw(shares) * 2 * GI, throughput=None if throughput is None else throughput * 4e6,
+    )  # fmt: skip
+
+
+@st.composite
 def a_host_sample(draw: st.DrawFn, host: Host, running: dict[str, TaskSample]) -> HostSample:
     if draw(st.integers(0, 9)) == 0:
         return silent(host.role)
@@ -104,6 +113,12 @@ def cases(draw: st.DrawFn) -> Case:
             (task.name, draw(st.sampled_from(edges)).name): (draw(st.sampled_from([0.5, 5.0])),) * draw(st.integers(4, 5)) for task in tasks
         },
         stays={task.name: (draw(st.sampled_from([30.0, 300.0, 3000.0])),) for task in tasks if draw(st.booleans())},
+        measured={
+            (task.name, kind): draw(some_history())
+            for task in tasks
+            if draw(st.booleans())
+            for kind in draw(st.lists(st.sampled_from(["2c-4Gi", "4c-4Gi"]), unique=True))
+        },
     )
     policy = Policy(weights=draw(weights), min_dwell=draw(st.sampled_from([0.0, 120.0])), move_margin=draw(st.sampled_from([0.0, 0.1])))
     return Case(

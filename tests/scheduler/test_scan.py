@@ -5,12 +5,13 @@ import random
 import pytest
 
 from edgectl.model.assignment import Reason
-from edgectl.model.memory import Memory
+from edgectl.model.memory import MeasuredDemand, Memory
 from edgectl.model.policy import Policy
 from edgectl.model.weights import parse_weights
 from edgectl.scheduler.cost import handoffs_of
 from edgectl.scheduler.fleet import fleet_of
 from edgectl.scheduler.ledger import measured
+from edgectl.scheduler.rho import with_history
 from edgectl.scheduler.scan import EXCLUDED, fits, shares_of
 from edgectl.scheduler.view import Setting, View, look, terms_at
 from tests.builders import GI, a_link, a_robot, a_run, a_sample, a_snapshot, a_task, an_edge, an_inventory, silent, some_tasks
@@ -24,17 +25,25 @@ def a_view(seed: int) -> View:
     inventory = an_inventory(*(an_edge(f"edge{n}", cpu_limit=dice.choice([0.0, 0.5, 1.0, 1.2])) for n in range(30)), *map(a_robot, robots))
     samples = {
         f"edge{n}": a_sample(
-            used=dice.uniform(0, 5), used_memory=dice.uniform(0, 5) * GI, age=dice.choice([0.0, 0.0, 99.0]),
+            cores=dice.choice([2.0, 4.0, 8.0]), used=dice.uniform(0, 5), used_memory=dice.uniform(0, 5) * GI, age=dice.choice([0.0, 0.0, 99.0]),
             links={robot: a_link(dice.choice([0.0, 8e6, 9e6]), dice.uniform(0, 9e6)) for robot in dice.sample(robots, dice.randint(1, 2))},
         ) if dice.random() < 0.9 else silent()
         for n in range(30)
     }  # fmt: skip
-    amounts = [0.0, "10%", "40%"]
+    amounts = [0.0, "10%", "40%", None]
     task = a_task(
         cpu=dice.choice([*amounts, 0.7]), memory=dice.choice([*amounts, GI]), throughput=dice.choice([*amounts, 1e6]),
         robots=dice.sample(robots, dice.randint(0, 2)), never=["edge3"], needs=["a", "b"],
     )  # fmt: skip
-    fleet = fleet_of(inventory, a_snapshot(**samples), Memory(cordons=frozenset({"edge4"})), frozenset({"edge5"}))
+    kinds = [f"{cores}c-4Gi" for cores in (2, 4, 8) if dice.random() < 0.7]
+    memory = Memory(
+        cordons=frozenset({"edge4"}),
+        measured={(task.name, kind): MeasuredDemand(
+            samples=dice.choice([59, 60]), span_s=300.0, cpu=dice.uniform(0, 2), memory=dice.uniform(0, 2) * GI,
+            throughput=dice.choice([None, 2e6]),
+        ) for kind in kinds if dice.random() < 0.7},
+    )  # fmt: skip
+    fleet = with_history(fleet_of(inventory, a_snapshot(**samples), memory, frozenset({"edge5"})), some_tasks(task), memory)
     policy = Policy(weights=parse_weights(dice.choice(["all", "cpu", "network", "cpu=.1,task=.9"])))
     setting = Setting(fleet=fleet, policy=policy, shares=shares_of(fleet), now=0.0, first={}, handoffs=handoffs_of(Memory()))
     places = {"a": dice.randrange(30), "b": dice.randrange(30)}

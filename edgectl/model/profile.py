@@ -1,0 +1,36 @@
+"""What a task was measured to use, in figures: of each resource the median, the 95th percentile and the most."""
+
+from dataclasses import dataclass
+
+from edgectl.model.task import Task
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Spread:
+    """Nearest-rank percentiles and the maximum, in cores, bytes or bytes/s."""
+
+    p50: float
+    p95: float
+    most: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Profile:
+    """Of ``samples`` over ``span_s`` seconds. ``throughput`` is of each link; all 0 where no traffic was seen."""
+
+    samples: int
+    span_s: float
+    cpu: Spread
+    memory: Spread
+    throughput: Spread
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClassProfile:
+    """One task on one class of hosts: ``hosts`` are those that ran it; ``enough``: there are samples enough to count."""
+
+    task: Task
+    kind: str
+    hosts: tuple[str, ...]
+    profile: Profile
+    enough: bool
