@@ -22,9 +22,10 @@ ALLOWED = {
     "state": PURE | {"formats"},
     "executor": PURE | {"transport", "state"},
     "export": PURE | {"state", "formats"},
-    "usecases": PURE | {"config", "formats", "scheduler", "executor", "transport", "gateway", "state"},
+    "evidence": PURE | {"scheduler"},
+    "usecases": PURE | {"config", "evidence", "formats", "scheduler", "executor", "transport", "gateway", "state"},
     "views": PURE | {"formats"},
-    "cli": PURE | {"usecases", "views", "config", "transport", "gateway", "state", "formats", "scaffold", "export"},
+    "cli": PURE | {"usecases", "views", "config", "evidence", "transport", "gateway", "state", "formats", "scaffold", "export"},
     "agent": set(),
     "scaffold": set(),
 }
@@ -40,7 +41,7 @@ OWNERS = {
     "prometheus_client": "export/prometheus",
     "textual": "tui",
 }
-PURE_ROOMS = ("model/", "scheduler/", "formats/", "executor/diff.py", "units.py", "errors.py")
+PURE_ROOMS = ("model/", "scheduler/", "evidence/", "formats/", "executor/diff.py", "units.py", "errors.py")
 IMPURE = {"os", "time", "random", "logging", "subprocess", "pathlib", "socket", "threading", "secrets", "uuid"}
 
 

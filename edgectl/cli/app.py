@@ -29,6 +29,7 @@ COMMANDS = {
     "explain": Entry("explain", "Inspect", "Say why a task goes where it goes, and what would change that."),
     "graph": Entry("graph", "Inspect", "Draw tasks, what they need and where the plan puts them."),
     "events": Entry("events", "Inspect", "Say what happened: hosts lost and back, tasks started, moved, failed."),
+    "replay": Entry("replay", "Evidence", "Decide what was recorded again, under other rules, side by side."),
     "history": Entry("past", "Inspect", "List what was done to the fleet, by whom and how it ended."),
     "show": Entry("past", "Inspect", "Print one revision of the history, or a saved plan."),
     "rollback": Entry("past", "Fleet", "Go back to where the tasks stood after an earlier revision."),

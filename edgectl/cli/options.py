@@ -37,6 +37,10 @@ def output(*forms: str) -> object:
 PlanOutput = Annotated[Form, output("table", "wide", "json", "yaml", "name", "markdown")]
 FleetOutput = Annotated[Form, output("table", "wide", "json", "yaml", "name")]
 ResultOutput = Annotated[Form, output("table", "json", "yaml", "name")]
+PoliciesOption = Annotated[str, Option("--policy", metavar="LIST", help="Of utility, paper, static, local.")]
+WeightsListOption = Annotated[
+    str | None, Option("--weights", "-w", metavar="LIST", help="Presets such as cpu,all; or one set: cpu=.5,task=1.")
+]
 GraphOutput = Annotated[Form, output("mermaid", "dot")]
 ExplainOutput = Annotated[Form, output("table", "wide", "json", "yaml")]
 FieldsOutput = Annotated[Form, output("table", "json", "yaml")]

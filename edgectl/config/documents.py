@@ -1,7 +1,7 @@
 """Snapshot and plan files: fast where they are right; where they are not, every mistake with its place."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
@@ -27,6 +27,16 @@ def load_snapshot(path: str | Path) -> Snapshot:
         InputError: everything that is wrong with it.
     """
     return _load(Path(path), snapshot_format.decode, _SNAPSHOT)
+
+
+def load_snapshots(paths: Iterable[Path]) -> tuple[Snapshot, ...]:
+    """The snapshots in files, and in every ``.json`` file of directories.
+
+    Raises:
+        InputError: everything that is wrong with one of them.
+    """
+    files = (file for path in paths for file in (sorted(path.glob("*.json")) if path.is_dir() else [path]))
+    return tuple(load_snapshot(file) for file in files)
 
 
 def load_plan(path: str | Path) -> Plan:

@@ -6,6 +6,7 @@ from edgectl.formats import plan as plan_format
 from edgectl.formats import snapshot as snapshot_format
 from edgectl.formats.base import FORMAT_VERSION, Document, dump_line, dumps, number, optional, without_none
 from edgectl.model.event import Event
+from edgectl.model.evidence import Replayed
 from edgectl.model.explanation import Explanation
 from edgectl.model.inventory import Inventory
 from edgectl.model.plan import Plan, Step
@@ -17,6 +18,7 @@ from edgectl.units import format_instant
 from edgectl.views.absent import Absent, absent
 from edgectl.views.events import document as events_document
 from edgectl.views.events import line as event_line
+from edgectl.views.evidence import replayed_document
 from edgectl.views.explanation import document as explanation_document
 from edgectl.views.text import PLAIN, Look
 
@@ -24,6 +26,11 @@ from edgectl.views.text import PLAIN, Look
 def plan(value: Plan, _look: Look = PLAIN) -> str:
     """The plan document."""
     return dumps(plan_format.encode(value))
+
+
+def replayed(values: Iterable[Replayed], _look: Look = PLAIN) -> str:
+    """What each variant would have done."""
+    return dumps(replayed_document(values))
 
 
 def explanation(step: Step, value: Explanation, _look: Look = PLAIN) -> str:

@@ -7,7 +7,7 @@ import yaml
 
 from edgectl.views import json as json_view
 
-__all__ = ["commands", "events", "explanation", "fields", "history", "nothing", "plan", "results", "revision", "snapshot", "status", "validated"]
+__all__ = ["commands", "events", "explanation", "fields", "history", "nothing", "plan", "replayed", "results", "revision", "snapshot", "status", "validated"]
 
 
 def _same(text: str) -> str:
@@ -24,6 +24,7 @@ def _of(function: Any) -> Any:  # noqa: ANN401
 
 
 plan = _of(json_view.plan)
+replayed = _of(json_view.replayed)
 events = _of(json_view.events)
 explanation = _of(json_view.explanation)
 snapshot = _of(json_view.snapshot)

@@ -1,0 +1,184 @@
+"""Decide recorded snapshots again under another rule. Open loop: what the tasks used and how long they ran stays as it was recorded.
+
+Each variant lives in its own world: a task that the record shows on one host and the variant on another takes its measured use along,
+and one that the record does not show running uses what it demands. The first cycle begins where the record begins.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from statistics import fmean
+
+from edgectl.model.assignment import Assignment, Verdict
+from edgectl.model.evidence import Replayed, Share, Variant
+from edgectl.model.inventory import Inventory
+from edgectl.model.memory import Memory, Placement
+from edgectl.model.snapshot import HostSample, LinkSample, Snapshot, TaskSample, TaskState
+from edgectl.model.task import Task, Tasks
+from edgectl.scheduler.assign import assign
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Use:
+    """What a task takes of one host: cores, bytes, and bytes/s by robot."""
+
+    cores: float = 0.0
+    memory: float = 0.0
+    links: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(slots=True, kw_only=True)
+class _Tally:
+    """Counts and utilisations so far."""
+
+    handoffs: int = 0
+    unplaced: int = 0
+    unsettled: int = 0
+    cpu: list[float] = field(default_factory=list)
+    memory: list[float] = field(default_factory=list)
+    network: list[float] = field(default_factory=list)
+
+
+def replay(inventory: Inventory, tasks: Tasks, snapshots: Sequence[Snapshot], variant: Variant) -> Replayed:
+    """What ``variant`` would have done at each of ``snapshots``, which stand in the order of their time."""
+    tally = _Tally()
+    placed = dict(_running(snapshots[0])) if snapshots else {}
+    memory = Memory(managed=True, first=placed, placements={task: _placement(snapshots[0], task, host) for task, host in placed.items()})
+    for snapshot in snapshots:
+        memory = _carried(memory, snapshot)
+        world = transplanted(snapshot, tasks, {task: there.host for task, there in memory.placements.items()})
+        assignment = assign(inventory, tasks, world, memory, variant.policy, snapshot.taken_at)
+        memory = _decided(memory, assignment, snapshot.taken_at, tally)
+        after = transplanted(snapshot, tasks, {task: there.host for task, there in memory.placements.items()})
+        _measure(after, tally)
+    return Replayed(
+        variant=variant,
+        cycles=len(snapshots),
+        handoffs=tally.handoffs,
+        unplaced=tally.unplaced,
+        unsettled=tally.unsettled,
+        cpu=_share(tally.cpu),
+        memory=_share(tally.memory),
+        network=_share(tally.network),
+    )
+
+
+def _running(snapshot: Snapshot) -> Iterable[tuple[str, str]]:
+    """(task, host) of each living task that is ours."""
+    for host, sample in snapshot.hosts.items():
+        yield from ((task, host) for task, found in sample.tasks.items() if found.state.alive and found.managed)
+
+
+def _placement(snapshot: Snapshot, task: str, host: str) -> Placement:
+    found = snapshot.hosts[host].tasks[task]
+    return Placement(host=host, since=found.started_at, spec_hash=found.spec_hash)
+
+
+def _carried(memory: Memory, snapshot: Snapshot) -> Memory:
+    """The variant's memory with what is recorded of operators and of missions: cordons, done marks, measured demands."""
+    recorded = snapshot.memory or Memory()
+    ended = {task for host in snapshot.hosts.values() for task, found in host.tasks.items() if found.state is TaskState.COMPLETED}
+    placements = {task: there for task, there in memory.placements.items() if task not in ended and task not in recorded.done}
+    return replace(
+        memory, placements=placements, cordons=recorded.cordons, draining=recorded.draining, done=recorded.done, measured=recorded.measured,
+        downtimes=recorded.downtimes,
+    )  # fmt: skip
+
+
+def _decided(memory: Memory, assignment: Assignment, now: float, tally: _Tally) -> Memory:
+    """The memory after the decisions were carried out at once."""
+    placements, stays = dict(memory.placements), dict(memory.stays)
+    for decision in assignment.decisions:
+        before = placements.get(decision.task)
+        if decision.verdict is Verdict.UNPLACED:
+            tally.unplaced += 1
+        if decision.verdict in (Verdict.UNPLACED, Verdict.COMPLETED):
+            placements.pop(decision.task, None)
+        elif decision.host is not None and (before is None or before.host != decision.host):
+            if before is not None:
+                tally.handoffs += 1
+                stays[decision.task] = (*stays.get(decision.task, ()), now - before.since)[-20:]
+            placements[decision.task] = Placement(host=decision.host, since=now)
+    tally.unsettled += not assignment.settled
+    first = {**{task: there.host for task, there in placements.items()}, **memory.first}
+    return replace(memory, placements=placements, stays=stays, first=first)
+
+
+def transplanted(snapshot: Snapshot, tasks: Tasks, placed: Mapping[str, str]) -> Snapshot:
+    """``snapshot`` as it would look with the managed tasks on the hosts ``placed``, their use moved along."""
+    hosts = dict(snapshot.hosts)
+    for task, host in list(_running(snapshot)):
+        if task in tasks.tasks and placed.get(task) != host:
+            found = hosts[host].tasks[task]
+            hosts[host] = _without(hosts[host], task, _measured(found, tasks.tasks[task]))
+            there = hosts.get(placed.get(task, ""))
+            if there is not None and there.ok:
+                hosts[placed[task]] = _with(there, task, found, _measured(found, tasks.tasks[task]))
+    shown = {task for task, _ in _running(snapshot)}
+    for task, host in placed.items():
+        if task not in shown and task in tasks.tasks and host in hosts and hosts[host].ok:
+            use = _demanded(tasks.tasks[task], hosts[host])
+            hosts[host] = _with(hosts[host], task, _assumed(snapshot, tasks.tasks[task], use), use)
+    return replace(snapshot, hosts=hosts)
+
+
+def _measured(found: TaskSample, task: Task) -> _Use:
+    even = {robot: found.used_bytes_per_s / len(task.robots) for robot in task.robots}
+    return _Use(cores=found.used_cores, memory=found.used_bytes, links=found.links if found.links is not None else even)
+
+
+def _demanded(task: Task, host: HostSample) -> _Use:
+    """The task's declared demand at ``host``."""
+    demand = task.demand
+    links = {} if demand.throughput is None else {
+        robot: demand.throughput.of(host.links[robot].capacity_bytes_per_s) for robot in task.robots if robot in host.links
+    }  # fmt: skip
+    return _Use(
+        cores=demand.cpu.of(host.cpu.cores) if demand.cpu and host.cpu else 0.0,
+        memory=demand.memory.of(host.memory.total_bytes) if demand.memory and host.memory else 0.0,
+        links=links,
+    )
+
+
+def _assumed(snapshot: Snapshot, task: Task, use: _Use) -> TaskSample:
+    return TaskSample(
+        state=TaskState.READY, started_at=snapshot.taken_at, used_cores=use.cores, used_bytes=use.memory,
+        used_bytes_per_s=sum(use.links.values()), links=use.links, spec_hash=task.spec_hash,
+    )  # fmt: skip
+
+
+def _without(host: HostSample, task: str, use: _Use) -> HostSample:
+    return replace(_shifted(host, use, -1.0), tasks={name: found for name, found in host.tasks.items() if name != task})
+
+
+def _with(host: HostSample, task: str, found: TaskSample, use: _Use) -> HostSample:
+    return replace(_shifted(host, use, 1.0), tasks={**host.tasks, task: found})
+
+
+def _shifted(host: HostSample, use: _Use, sign: float) -> HostSample:
+    """The load of ``host`` with the use added or taken out, never below 0."""
+    if host.cpu is None or host.memory is None:
+        return host
+    return replace(
+        host,
+        cpu=replace(host.cpu, used_cores=max(0.0, host.cpu.used_cores + sign * use.cores)),
+        memory=replace(host.memory, used_bytes=max(0.0, host.memory.used_bytes + sign * use.memory)),
+        links={robot: _link(link, sign * use.links.get(robot, 0.0)) for robot, link in host.links.items()},
+    )
+
+
+def _link(link: LinkSample, change: float) -> LinkSample:
+    return replace(link, used_bytes_per_s=max(0.0, link.used_bytes_per_s + change))
+
+
+def _measure(snapshot: Snapshot, tally: _Tally) -> None:
+    """The utilisation of every edge and link that was measured."""
+    for host in snapshot.hosts.values():
+        if host.ok and host.cpu is not None and host.memory is not None and host.role.value == "edge":
+            tally.cpu.append(host.cpu.used_cores / host.cpu.cores)
+            tally.memory.append(host.memory.used_bytes / host.memory.total_bytes)
+            links = (link for link in host.links.values() if link.capacity_bytes_per_s > 0)
+            tally.network += [link.used_bytes_per_s / link.capacity_bytes_per_s for link in links]
+
+
+def _share(values: Sequence[float]) -> Share:
+    return Share(mean=fmean(values), peak=max(values)) if values else Share(mean=0.0, peak=0.0)
