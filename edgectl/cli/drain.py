@@ -38,7 +38,8 @@ def drain_command(
     with acting.session(quiet=False, output=output, asked=asked) as act:
         chosen = act.options(lock_timeout=seconds(lock_timeout, "--lock-timeout"), max_parallel=max_parallel, fail_fast=fail_fast)
         drained = drain(fleet, loaded.tasks.policy, hosts, act.confirm, chosen, timeout=seconds(timeout, "--timeout"))
-    act.report(drained.applied)
+    passes = [each.results for each in drained.passes if each.results is not None]
+    console.show(output, "drained", passes, drained.left, drained.done) if passes else act.report(drained.applied)
     for task, host in drained.left:
         console.tell(f"still on {host}: {task}")
     code = exits.of_applied(drained.applied)

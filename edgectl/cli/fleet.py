@@ -22,7 +22,7 @@ def trust_command(
     Examples:
         edgectl trust edge1 --yes
     """
-    from edgectl.transport.trust import fetch_host_keys, trust
+    from edgectl.transport.trust import fetch_host_keys, key_file, trust
 
     loaded = load(inventory, tasks)
     known([host], loaded.inventory.hosts, "host")
@@ -32,8 +32,9 @@ def trust_command(
         return
     for kind, fingerprint, _ in keys:
         console.put(f"{host} {kind} {fingerprint}\n")
-    acting.answerable(asked=not yes, first=f"compare the fingerprint first: ssh-keygen -lf on {host}")
-    if not yes and not acting.ask('Compare with: ssh-keygen -lf on the host itself. Trust it? Only "yes" is accepted: '):
+    compare = " && ".join(f"ssh-keygen -lf {key_file(kind)}" for kind, _, _ in keys)
+    acting.answerable(asked=not yes, first=f"compare the fingerprint with what this prints on {host} itself: {compare}")
+    if not yes and not acting.ask(f'Compare with what this prints on {host} itself: {compare}\nTrust it? Only "yes" is accepted: '):
         raise Exit(ExitCode.FAILED)
     for _, _, line in keys:
         console.tell(f"remembered in {trust(loaded.inventory.hosts[host], line)}")

@@ -1,11 +1,13 @@
 """The options that commands share, each defined once."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
 from typer import Argument, Option
 
 from edgectl.cli.complete import hosts, tasks
+from edgectl.errors import UsageError
 from edgectl.model.policy import PolicyName
 from edgectl.views.form import Form
 
@@ -29,9 +31,24 @@ TasksOption = Annotated[
 
 
 def output(*forms: str) -> object:
-    """``-o`` of a command that has these forms; the first is the default."""
-    text = ", ".join(forms[:-1]) + f" or {forms[-1]}"
-    return Option("--output", "-o", metavar="FORM", envvar="EDGECTL_OUTPUT", show_envvar=False, show_default=False, help=f"{text}.")
+    """``-o`` of a command that has these forms; the first is the default. Another one is a UsageError that names them."""
+
+    def form(text: str) -> Form:
+        if text not in (*forms, Form.WIDE):  # where nothing wider exists, wide is the table
+            raise UsageError(f"no {text} form of this", hint=f"write -o {_either(forms)}")
+        return Form(text)
+
+    def beginning(incomplete: str) -> list[str]:
+        return [form for form in forms if form.startswith(incomplete)]
+
+    return Option(
+        "--output", "-o", metavar="FORM", envvar="EDGECTL_OUTPUT", show_envvar=False, show_default=False,
+        parser=form, autocompletion=beginning, help=f"{_either(forms)}.",
+    )  # fmt: skip
+
+
+def _either(words: Sequence[str]) -> str:
+    return ", ".join(words[:-1]) + f" or {words[-1]}"
 
 
 PlanOutput = Annotated[Form, output("table", "wide", "json", "yaml", "name", "markdown")]

@@ -35,12 +35,11 @@ def probe_command(
     from edgectl.views.progress import probing
 
     fleet = reach(load(inventory, tasks), accept_new=accept_new)
-    if bandwidth:
-        console.show(Form.TABLE, "links", measure_links(fleet)) if output is Form.TABLE else measure_links(fleet)
+    links = measure_links(fleet) if bandwidth else ()
     with probing(len(fleet.inventory.hosts)) as heard:
         how = ProbeOptions(window=seconds(window, "--window"), timeout=seconds(timeout, "--timeout"), on_host=heard)
         snapshot = probe(fleet, how)
     if out is not None:
         save(out, console.rendered(Form.JSON, "snapshot", snapshot))
-    console.show(output, "snapshot", snapshot)
+    console.show(output, "measured", snapshot, links) if bandwidth else console.show(output, "snapshot", snapshot)
     raise Exit(exits.of_snapshot(snapshot, fleet.inventory, allow_unreachable=allow_unreachable))

@@ -1,26 +1,16 @@
 """Measure what a link carries by really sending over it, for a bounded time, one link after the other."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 from edgectl.errors import HostError, ReplyError
 from edgectl.gateway.fields import positive, text, whole
+from edgectl.model.bandwidth import Measurement
 from edgectl.model.inventory import Host, Inventory
 from edgectl.transport.base import Transport
 from edgectl.transport.call import call
 
 _CONNECT_S = 15.0
 _MARGIN_S = 10.0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Measurement:
-    """What one link carried in bytes/s; None with the ``error`` where it could not be measured."""
-
-    edge: str
-    robot: str
-    bytes_per_s: float | None
-    error: str = ""
 
 
 def measure(inventory: Inventory, transport: Transport, *, seconds: float) -> Iterator[Measurement]:

@@ -27,6 +27,12 @@ def fetch_host_keys(host: Host, *, timeout: float = 15.0) -> list[tuple[str, str
     return [(key.kind, key.fingerprint, f"{name} {key.text}")]
 
 
+def key_file(kind: str) -> str:
+    """Where sshd keeps a public key of ``kind`` ("ssh-ed25519") unless it is told otherwise."""
+    name = next((word for word in ("ed25519", "ecdsa", "rsa", "dss") if word in kind), "*")
+    return f"/etc/ssh/ssh_host_{name.replace('dss', 'dsa')}_key.pub"
+
+
 def trust(host: Host, line: str) -> Path:
     """Record the key in ``line`` (from `fetch_host_keys`) for ``host`` in the user's known_hosts; returns that file.
 

@@ -23,10 +23,15 @@ _PAUSE_S = 2.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Drained:
-    """The last pass that did something (or the first), and what is still on the hosts, or may be: (task, host)."""
+    """Every pass that did something (else the first), in order, and what is still on the hosts, or may be: (task, host)."""
 
-    applied: Applied
+    passes: tuple[Applied, ...]
     left: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def applied(self) -> Applied:
+        """The last pass, which tells how it ended."""
+        return self.passes[-1]
 
     @property
     def done(self) -> bool:
@@ -63,14 +68,14 @@ def drain(
         made = _plan(held, policy, names, options)
         if not made.changes:
             _closed(held, names)
-        applied = carry_out(held, made, begin, options, verb="drain")
-        while _worth_another_try(applied, options, deadline):
+        passes = [carry_out(held, made, begin, options, verb="drain")]
+        while _worth_another_try(passes[-1], options, deadline):
             pause(min(_PAUSE_S, max(0.0, deadline - time.monotonic())))
             made = _plan(held, policy, names, options)
-            applied = carry_out(held, made, agreed, options, verb="drain") if made.changes else applied
             if not made.changes:
                 break
-        return Drained(applied=applied, left=() if applied.declined else _left(held, names, made, options))
+            passes.append(carry_out(held, made, agreed, options, verb="drain"))
+        return Drained(passes=tuple(passes), left=() if passes[-1].declined else _left(held, names, made, options))
 
 
 def _plan(fleet: Fleet, policy: Policy, names: Sequence[str], options: ApplyOptions) -> Plan:

@@ -4,6 +4,7 @@ import dataclasses
 
 from edgectl.gateway import bandwidth, collect
 from edgectl.gateway.collect import ProbeOptions
+from edgectl.model.bandwidth import Measurement
 from edgectl.model.memory import Memory, Placement
 from edgectl.model.snapshot import Snapshot
 from edgectl.state.contacts import load_contacts
@@ -45,7 +46,7 @@ def _with_starts(fleet: Fleet, memory: Memory, snapshot: Snapshot) -> Memory:
     return dataclasses.replace(memory, placements={**memory.placements, **started}) if started else memory
 
 
-def measure_links(fleet: Fleet, *, seconds: float = 2.0) -> tuple[bandwidth.Measurement, ...]:
+def measure_links(fleet: Fleet, *, seconds: float = 2.0) -> tuple[Measurement, ...]:
     """Measure each link's capacity by sending for ``seconds``, one link after the other, and keep what was measured."""
     with in_touch(fleet) as near:
         measurements = tuple(bandwidth.measure(fleet.inventory, near.transport, seconds=seconds))

@@ -5,9 +5,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from edgectl.formats import plan as plan_format
 from edgectl.formats import snapshot as snapshot_format
 from edgectl.formats.base import FORMAT_VERSION, Document, dump_line, dumps, number, optional, without_none
+from edgectl.model.bandwidth import Measurement
 from edgectl.model.event import Event
 from edgectl.model.evidence import Replayed
 from edgectl.model.explanation import Explanation
+from edgectl.model.finding import Diagnosis
 from edgectl.model.inventory import Inventory
 from edgectl.model.plan import Plan, Step
 from edgectl.model.result import ActionResult, PhaseResult, Results
@@ -16,6 +18,7 @@ from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Quantity, Task, Tasks
 from edgectl.units import format_instant
 from edgectl.views.absent import Absent, absent
+from edgectl.views.diagnosis import document as diagnosis_document
 from edgectl.views.events import document as events_document
 from edgectl.views.events import line as event_line
 from edgectl.views.evidence import replayed_document
@@ -36,6 +39,11 @@ def replayed(values: Iterable[Replayed], _look: Look = PLAIN) -> str:
 def explanation(step: Step, value: Explanation, _look: Look = PLAIN) -> str:
     """Why a task goes where it goes."""
     return dumps(explanation_document(step, value))
+
+
+def diagnosis(value: Diagnosis, _look: Look = PLAIN) -> str:
+    """What the doctor found."""
+    return dumps(diagnosis_document(value))
 
 
 def events(values: Sequence[Event], _look: Look = PLAIN) -> str:
@@ -102,6 +110,22 @@ def results_document(value: Results) -> Document:
         "interrupted": value.interrupted,
         "actions": [_action(action) for action in value.actions],
     }
+
+
+def drained(passes: Sequence[Results], left: Iterable[tuple[str, str]], done: bool, _look: Look = PLAIN) -> str:  # noqa: FBT001
+    """What a drain did: its last pass, whether the hosts are empty, every pass in order, and what is still on the hosts."""
+    remaining = [{"task": task, "host": host} for task, host in left]
+    every = [results_document(each) for each in passes]
+    return dumps({**every[-1], "done": done, "left": remaining, "passes": every})
+
+
+def measured(value: Snapshot, links: Iterable[Measurement], _look: Look = PLAIN) -> str:
+    """The snapshot document, with what each link was just measured to carry."""
+    return dumps({**snapshot_format.encode(value), "bandwidth": [_bandwidth(each) for each in links]})
+
+
+def _bandwidth(value: Measurement) -> Document:
+    return without_none(edge=value.edge, robot=value.robot, bytes_per_s=optional(value.bytes_per_s), error=value.error or None)
 
 
 def history(values: Iterable[Revision], _look: Look = PLAIN) -> str:

@@ -45,3 +45,13 @@ def revision(value: Revision, _look: Look = PLAIN) -> str:
 def results(value: Results, _look: Look = PLAIN) -> str:
     """The tasks that were touched."""
     return "".join(f"task/{action.task}\n" for action in value.actions)
+
+
+def drained(passes: Iterable[Results], _left: object, _done: object, _look: Look = PLAIN) -> str:
+    """The tasks that were touched, each once."""
+    return "".join(f"task/{name}\n" for name in dict.fromkeys(action.task for each in passes for action in each.actions))
+
+
+def measured(value: Snapshot, _links: object, look: Look = PLAIN) -> str:
+    """As of a snapshot."""
+    return snapshot(value, look)

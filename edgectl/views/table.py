@@ -4,6 +4,7 @@ import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 
+from edgectl.model.bandwidth import Measurement
 from edgectl.model.inventory import Inventory
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.result import ActionResult, Outcome, PhaseResult, Results
@@ -12,6 +13,7 @@ from edgectl.model.snapshot import HostSample, LinkSample, Snapshot, TaskSample,
 from edgectl.model.task import Quantity, Task, Tasks
 from edgectl.units import format_bytes, format_cores, format_duration, format_instant, format_rate
 from edgectl.views.absent import absent, silence, standing
+from edgectl.views.diagnosis import text as diagnosis  # noqa: F401  (a form of its own module)
 from edgectl.views.events import more as events_more  # noqa: F401
 from edgectl.views.events import text as events  # noqa: F401
 from edgectl.views.evidence import replayed_text as replayed  # noqa: F401
@@ -165,6 +167,11 @@ def results(value: Results, look: Look = PLAIN) -> str:
     return columns(rows, look) + paint(text + stopped, "bold" if value.done else "bad", look) + "\n" + hints(value.actions)
 
 
+def drained(passes: Iterable[Results], _left: object, _done: object, look: Look = PLAIN) -> str:
+    """Every pass of a drain."""
+    return "\n".join(results(each, look) for each in passes)
+
+
 def history(values: Iterable[Revision], look: Look = PLAIN) -> str:
     """One line per revision, oldest first."""
     rows: list[Row] = [("REV", "WHEN", "WHO", "VERB", "TOOK", "OUTCOME", "ACTIONS")]
@@ -229,13 +236,20 @@ def validated(inventory: Inventory, tasks: Tasks, look: Look = PLAIN) -> str:
     return paint("ok:", "good", look) + f" {counts}\n"
 
 
-def links(values: Iterable[object], look: Look = PLAIN) -> str:
+def measured(value: Snapshot, links: Iterable[Measurement], look: Look = PLAIN) -> str:
+    """What each link was just measured to carry, then the snapshot."""
+    return carried(links, look) + "\n" + snapshot(value, look)
+
+
+def carried(links: Iterable[Measurement], look: Look = PLAIN) -> str:
     """What each link was measured to carry."""
     rows: list[Row] = [("EDGE", "ROBOT", "CARRIED")]
-    for value in values:
-        edge, robot, rate, error = (getattr(value, name) for name in ("edge", "robot", "bytes_per_s", "error"))
-        rows.append((edge, robot, Cell(error, "bad") if rate is None else format_rate(rate)))
-    return columns(rows, look) + "\n"
+    rows += [(each.edge, each.robot, _carried(each)) for each in links]
+    return columns(rows, look)
+
+
+def _carried(value: Measurement) -> str | Cell:
+    return Cell(value.error, "bad") if value.bytes_per_s is None else format_rate(value.bytes_per_s)
 
 
 def commands(values: Iterable[Mapping[str, object]], look: Look = PLAIN) -> str:

@@ -1,6 +1,9 @@
 """Everything the scheduler weighed: four terms of every host, losers and the rejected with what they lack."""
 
+from collections.abc import Iterable
+
 from edgectl.model.assignment import RankedHost
+from edgectl.model.bandwidth import Measurement
 from edgectl.model.explanation import Explanation
 from edgectl.model.plan import Plan, Step
 from edgectl.model.snapshot import HostSample, InterfaceSample, LinkSample, Snapshot
@@ -11,7 +14,7 @@ from edgectl.views.reasons import reason, rejection
 from edgectl.views.sections import STYLES, figure
 from edgectl.views.text import PLAIN, Cell, Look, Row, columns
 
-__all__ = ["explanation", "plan", "snapshot"]
+__all__ = ["explanation", "measured", "plan", "snapshot"]
 
 
 def plan(value: Plan, look: Look = PLAIN) -> str:
@@ -71,7 +74,12 @@ def snapshot(value: Snapshot, look: Look = PLAIN) -> str:
     """The table form, then load, temperature, GPU, age of the sample, links in full and interfaces of each host."""
     rows: list[Row] = [("NAME", "AGE", "LOAD", "TEMPERATURE", "GPU", "LINKS", "INTERFACES")]
     rows += [_device_row(name, host) for name, host in value.hosts.items() if host.ok]
-    return table.snapshot(value, look) + "\n" + columns(rows, look)
+    return table.snapshot(value, look) + "\n" + columns(rows, look, wrap={5})
+
+
+def measured(value: Snapshot, links: Iterable[Measurement], look: Look = PLAIN) -> str:
+    """What each link was just measured to carry, then the wide snapshot."""
+    return table.carried(links, look) + "\n" + snapshot(value, look)
 
 
 def _device_row(name: str, host: HostSample) -> Row:

@@ -7,7 +7,23 @@ import yaml
 
 from edgectl.views import json as json_view
 
-__all__ = ["commands", "events", "explanation", "fields", "history", "nothing", "plan", "replayed", "results", "revision", "snapshot", "status", "validated"]
+__all__ = [
+    "commands",
+    "diagnosis",
+    "drained",
+    "events",
+    "explanation",
+    "fields",
+    "history",
+    "measured",
+    "nothing",
+    "plan",
+    "replayed", "results",
+    "revision",
+    "snapshot",
+    "status",
+    "validated",
+]
 
 
 def _same(text: str) -> str:
@@ -27,6 +43,7 @@ plan = _of(json_view.plan)
 replayed = _of(json_view.replayed)
 events = _of(json_view.events)
 explanation = _of(json_view.explanation)
+diagnosis = _of(json_view.diagnosis)
 snapshot = _of(json_view.snapshot)
 status = _of(json_view.status)
 results = _of(json_view.results)
@@ -36,3 +53,5 @@ commands = _of(json_view.commands)
 fields = _of(json_view.fields)
 history = _of(json_view.history)
 revision = _of(json_view.revision)
+measured = _of(json_view.measured)
+drained = _of(json_view.drained)

@@ -32,7 +32,15 @@ def imported(site: Path, *words: str) -> set[str]:
 
 @pytest.mark.parametrize(
     "words",
-    [("--help",), ("plan", "--help"), ("apply", "--help"), ("version",), ("completion", "bash"), ("export", "prometheus", "--help")],
+    [
+        ("--help",),
+        ("plan", "--help"),
+        ("apply", "--help"),
+        ("version",),
+        ("--version",),
+        ("completion", "bash"),
+        ("export", "prometheus", "--help"),
+    ],
 )
 def test_help_needs_nothing_heavy(site: Path, words: tuple[str, ...]) -> None:
     assert not imported(site, *words) & HEAVY

@@ -8,6 +8,7 @@ import pytest
 from edgectl.errors import HostError, UsageError
 from edgectl.model.plan import Action
 from edgectl.model.policy import Policy
+from edgectl.model.result import Outcome
 from edgectl.model.task import Check, Handoff, Where
 from edgectl.state.memory import load_memory
 from edgectl.usecases import marks
@@ -93,6 +94,8 @@ def test_what_is_not_safe_yet_is_tried_again(bench: Bench) -> None:
     assert drained.done
     assert bench.hosts.placed["slam"] == "edge2"
     assert len(history(bench.fleet)) == 2
+    outcomes = [[action.outcome for action in each.results.actions] for each in drained.passes if each.results]
+    assert outcomes == [[Outcome.DEFERRED], [Outcome.DONE]], "every pass is told"
 
 
 def test_at_the_deadline_it_is_said_what_is_left(bench: Bench) -> None:

@@ -11,11 +11,12 @@ import yaml
 from edgectl.errors import UsageError
 from edgectl.formats import plan as plan_format
 from edgectl.formats import snapshot as snapshot_format
+from edgectl.model.bandwidth import Measurement
 from edgectl.model.inventory import Role
 from edgectl.model.memory import Memory
 from edgectl.model.plan import Action
 from edgectl.model.result import ActionResult, Outcome, Phase, PhaseResult, Results
-from edgectl.model.snapshot import HostSample, HostStatus
+from edgectl.model.snapshot import HostSample, HostStatus, TaskState
 from edgectl.views import markdown, table
 from edgectl.views.form import Form, forms_of, view
 from edgectl.views.text import Look
@@ -149,6 +150,66 @@ def test_results_name_the_phase_that_failed_and_the_hint() -> None:
     text = table.results(RESULTS)
     assert "stop edge1 1.0s > ready edge2 3.0s FAILED (exit 1); gap 2.2s; not ready" in text
     assert text.endswith("Applied 0 of 1 in 4.0s. Revision 7.\nhint: edgectl logs detection-robot1\n")
+
+
+def test_a_drain_shows_every_pass_and_how_it_ended() -> None:
+    good = Results(revision=8, actions=(dataclasses.replace(FAILED, outcome=Outcome.DONE, error="", hint=""),), seconds=1.0)
+    document = json.loads(view(Form.JSON, "drained")([RESULTS, good], [("slam", "edge1")], False))
+    assert (document["revision"], document["done"], document["left"]) == (8, False, [{"task": "slam", "host": "edge1"}])
+    assert [(each["revision"], each["done"]) for each in document["passes"]] == [(7, False), (8, True)]
+    assert yaml.safe_load(view(Form.YAML, "drained")([RESULTS, good], [("slam", "edge1")], False)) == document
+    text = view(Form.TABLE, "drained")([RESULTS, good], [], True)
+    assert text == table.results(RESULTS) + "\n" + table.results(good)
+    assert view(Form.NAME, "drained")([RESULTS, good], [], True) == "task/detection-robot1\n"
+
+
+def test_what_links_carry_stands_in_every_form() -> None:
+    snapshot = fleet()[2]
+    links = (
+        Measurement(edge="edge1", robot="robot1", bytes_per_s=12.5e6),
+        Measurement(edge="edge2", robot="robot1", bytes_per_s=None, error="off"),
+    )
+    document = json.loads(view(Form.JSON, "measured")(snapshot, links))
+    assert document["bandwidth"] == [
+        {"edge": "edge1", "robot": "robot1", "bytes_per_s": 12500000},
+        {"edge": "edge2", "robot": "robot1", "error": "off"},
+    ]
+    assert snapshot_format.decode(document) == snapshot, "it is still a snapshot"
+    assert yaml.safe_load(view(Form.YAML, "measured")(snapshot, links)) == document
+    for form, plain in ((Form.TABLE, view(Form.TABLE, "snapshot")), (Form.WIDE, view(Form.WIDE, "snapshot"))):
+        assert view(form, "measured")(snapshot, links) == (
+            "EDGE   ROBOT   CARRIED\nedge1  robot1  12.5MB/s\nedge2  robot1  off\n\n" + plain(snapshot)
+        )
+    assert view(Form.NAME, "measured")(snapshot, links) == view(Form.NAME, "snapshot")(snapshot)
+
+
+@pytest.mark.parametrize("width", [80, 160])
+def test_no_table_passes_the_edge_of_the_terminal(width: int) -> None:
+    inventory, tasks, snapshot = fleet()
+    edge1 = snapshot.hosts["edge1"]
+    broken = dataclasses.replace(next(iter(edge1.tasks.values())), state=TaskState.CRASHLOOP, restarts=5, last_exit=1)
+    sick = dataclasses.replace(snapshot, hosts={**snapshot.hosts, "edge1": dataclasses.replace(edge1, tasks={"detection-robot1": broken})})
+    look = Look(width=width)
+    shown = {
+        "status": table.status(sick, inventory, tasks, look),
+        "plan": table.plan(plan(), look),
+        "wide plan": view(Form.WIDE, "plan")(plan(), look),
+        "probe": table.snapshot(sick, look),
+        "wide probe": view(Form.WIDE, "snapshot")(sick, look),
+        "results": table.results(RESULTS, look),
+    }
+    assert {what: line for what, text in shown.items() for line in text.splitlines() if len(line) > width} == {}
+    assert shown["status"].splitlines()[0].split()[:3] == ["TASK", "HOST", "STATE"]
+
+
+def test_a_status_on_a_narrow_terminal_has_the_demands_below() -> None:
+    inventory, tasks, snapshot = fleet()
+    lines = table.status(snapshot, inventory, tasks, Look(width=80)).splitlines()
+    whole = table.status(snapshot, inventory, tasks).splitlines()
+    assert lines[0].split() == ["TASK", "HOST", "STATE", "AGE", "CPU", "MEMORY", "NETWORK"]
+    used, demanded = lines[1].split(), lines[2].split()
+    assert demanded[0] == "demand"
+    assert whole[1].split() == [*used[:5], demanded[1], used[5], demanded[2], used[6], demanded[3]]
 
 
 def test_results_say_an_error_once() -> None:
