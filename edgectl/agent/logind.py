@@ -4,6 +4,8 @@ import os
 
 from .errors import RefusalError
 
+_FOLDERS = ("/etc/systemd", "/run/systemd", "/usr/local/lib/systemd", "/usr/lib/systemd", "/lib/systemd")
+
 
 def check_survival(root: str = "") -> None:
     """Refuse to start what the end of this login would kill. Raises RefusalError."""
@@ -18,16 +20,40 @@ def check_survival(root: str = "") -> None:
 
 
 def kills_users_processes(root: str = "") -> bool:
-    """What logind.conf and its drop-ins say last; the default is no."""
-    folder = root + "/etc/systemd/logind.conf"
-    drop_ins = sorted(os.listdir(folder + ".d")) if os.path.isdir(folder + ".d") else []
-    said = False
-    for path in [folder] + ["%s.d/%s" % (folder, name) for name in drop_ins if name.endswith(".conf")]:
+    """Whether what a user leaves running is killed; the default is no."""
+    return setting("KillUserProcesses", False, root)
+
+
+def removes_ipc(root: str = "") -> bool:
+    """Whether a user's shared memory is removed with the last login; the default is yes. Never that of root and system users."""
+    return setting("RemoveIPC", True, root)
+
+
+def is_present(root: str = "") -> bool:
+    """Whether systemd runs here, and logind with it."""
+    return os.path.isdir(root + "/run/systemd/system") and os.path.isdir(root + "/run/systemd/seats")
+
+
+def setting(wanted: str, default: bool, root: str = "") -> bool:
+    """What logind.conf and its drop-ins say last."""
+    said = default
+    for path in _files(root):
         for line in _lines(path):
             name, _, value = line.partition("=")
-            if name.strip() == "KillUserProcesses":
-                said = value.strip().lower() in ("yes", "true", "1", "on")
+            if name.strip() == wanted and value.strip():
+                said = value.strip().lower() in ("yes", "true", "1", "on", "y", "t")
     return said
+
+
+def _files(root: str) -> list:
+    """The one logind.conf that counts, then every drop-in by name; of the same name /etc counts before /run before /usr."""
+    mains = [root + folder + "/logind.conf" for folder in _FOLDERS]
+    drop_ins = {}
+    for folder in reversed(_FOLDERS):
+        path = root + folder + "/logind.conf.d"
+        names = os.listdir(path) if os.path.isdir(path) else []
+        drop_ins.update((name, os.path.join(path, name)) for name in names if name.endswith(".conf"))
+    return [path for path in mains if os.path.exists(path)][:1] + [drop_ins[name] for name in sorted(drop_ins)]
 
 
 def _lines(path: str) -> list:

@@ -62,6 +62,8 @@ def _operation(name: str):  # noqa: C901 - a table of lazy imports
         from .launch import supervise as operation
     elif name == "send":
         from .bandwidth import send as operation
+    elif name == "doctor":
+        from .doctor import doctor as operation
     else:
         raise RefusalError("unknown-op", "this agent knows no operation %r" % name, "manager and agent differ in version")
     return operation

@@ -215,13 +215,13 @@ def interfaces(before: dict, after: dict, seconds: float) -> dict:
         name: {
             "rx_bytes_per_s": round(max(0, now[0] - before.get(name, now)[0]) / seconds, 1),
             "tx_bytes_per_s": round(max(0, now[1] - before.get(name, now)[1]) / seconds, 1),
-            "speed_bytes_per_s": _speed(name),
+            "speed_bytes_per_s": speed(name),
         }
         for name, now in sorted(after.items())
     }
 
 
-def _speed(name: str):
-    """/sys says Mbit/s, -1 or nothing at all where the driver does not know (Wi-Fi, lo)."""
+def speed(name: str):
+    """Bytes/s; None: /sys says Mbit/s, -1 or nothing at all where the driver does not know (Wi-Fi, lo)."""
     text = proc.read(os.path.join("/sys/class/net", name, "speed")).decode("ascii", "replace").strip()
     return int(text) * 125000 if text.isdigit() and int(text) > 0 else None

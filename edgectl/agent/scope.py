@@ -36,7 +36,7 @@ def chosen(runtime: str, host: str, task: str, limits, root: str = "") -> Scope:
 
 def obstacle(root: str = "") -> tuple:
     """(why systemd cannot keep a task here, what mends it); empty where it can."""
-    user = _user()
+    user = user_name()
     if not program():
         return "there is no systemd-run", _HINTS
     if not runtime_dir(root):
@@ -46,7 +46,8 @@ def obstacle(root: str = "") -> tuple:
     return "", ""
 
 
-def _user() -> str:
+def user_name() -> str:
+    """The account that we run as; its number where it has no name."""
     import pwd
 
     try:
