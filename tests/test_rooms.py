@@ -20,10 +20,11 @@ ALLOWED = {
     "transport": PURE,
     "gateway": PURE | {"transport"},
     "state": PURE | {"formats"},
+    "doctor": PURE,
     "executor": PURE | {"transport", "state"},
     "export": PURE | {"state", "formats"},
     "evidence": PURE | {"scheduler"},
-    "usecases": PURE | {"config", "evidence", "formats", "scheduler", "executor", "transport", "gateway", "state"},
+    "usecases": PURE | {"config", "evidence", "formats", "scheduler", "executor", "doctor", "transport", "gateway", "state"},
     "views": PURE | {"formats"},
     "cli": PURE | {"usecases", "views", "config", "evidence", "transport", "gateway", "state", "formats", "scaffold", "export"},
     "agent": set(),
@@ -41,7 +42,7 @@ OWNERS = {
     "prometheus_client": "export/prometheus",
     "textual": "tui",
 }
-PURE_ROOMS = ("model/", "scheduler/", "evidence/", "formats/", "executor/diff.py", "units.py", "errors.py")
+PURE_ROOMS = ("model/", "scheduler/", "doctor/", "evidence/", "formats/", "executor/diff.py", "units.py", "errors.py")
 IMPURE = {"os", "time", "random", "logging", "subprocess", "pathlib", "socket", "threading", "secrets", "uuid"}
 
 

@@ -3,6 +3,7 @@
 from typing import TYPE_CHECKING
 
 from edgectl.errors import ExitCode
+from edgectl.model.finding import Diagnosis, Level
 from edgectl.model.inventory import Inventory
 from edgectl.model.plan import Action, Plan
 from edgectl.model.snapshot import Snapshot
@@ -41,3 +42,8 @@ def of_applied(applied: "Applied", *, detailed: bool = False, allow_unreachable:
         return ExitCode.INTERRUPTED if results.interrupted else ExitCode.PARTLY
     code = of_plan(applied.plan, detailed=detailed, allow_unreachable=allow_unreachable)
     return ExitCode.DONE if code is ExitCode.CHANGES else code
+
+
+def of_diagnosis(diagnosis: Diagnosis) -> ExitCode:
+    """1 where a check failed."""
+    return ExitCode.FAILED if diagnosis.worst is Level.FAILED else ExitCode.DONE

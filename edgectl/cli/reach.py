@@ -6,6 +6,7 @@ from pathlib import Path
 from edgectl.cli import console
 from edgectl.cli.inputs import Loaded
 from edgectl.errors import UsageError
+from edgectl.model.finding import Disk
 from edgectl.units import parse_duration
 from edgectl.usecases.fleet import Fleet
 
@@ -13,10 +14,23 @@ from edgectl.usecases.fleet import Fleet
 def reach(loaded: Loaded, *, accept_new: bool = False) -> Fleet:
     """The fleet with a way to its hosts and its state directory. Nothing is contacted yet."""
     from edgectl.state.paths import fleet_dir
+
+    return _fleet(loaded, fleet_dir(loaded.path), accept_new=accept_new)
+
+
+def _fleet(loaded: Loaded, state: Path, *, accept_new: bool = False) -> Fleet:
     from edgectl.transport.choose import Transports
 
     transport = Transports(accept_new=accept_new, ask_password=_ask_password if sys.stdin.isatty() else None)
-    return Fleet(inventory=loaded.inventory, tasks=loaded.tasks, transport=transport, state=fleet_dir(loaded.path), warn=warn)
+    return Fleet(inventory=loaded.inventory, tasks=loaded.tasks, transport=transport, state=state, warn=warn)
+
+
+def examined(loaded: Loaded) -> tuple[Fleet, Disk]:
+    """The fleet, also where its state directory cannot be used, and that directory as it stands."""
+    from edgectl.state.standing import standing
+
+    state = standing(loaded.path)
+    return (reach(loaded) if not state.obstacle else _fleet(loaded, Path(state.path))), state
 
 
 def offline(loaded: Loaded) -> Fleet:

@@ -65,7 +65,7 @@ def probe(
     """
     options = options or ProbeOptions()
     hosts = [host for host in inventory.hosts.values() if host.probe]
-    addresses = _addresses(inventory, transport, options.workers)
+    addresses = addresses_of(inventory, transport, options.workers)
     gate = threading.BoundedSemaphore(options.workers)
 
     def ask(host: Host) -> _Answer:
@@ -126,7 +126,7 @@ def _context(host: Host, inventory: Inventory, options: ProbeOptions, answered_a
     )
 
 
-def _addresses(inventory: Inventory, transport: Transport, workers: int) -> dict[str, str]:
+def addresses_of(inventory: Inventory, transport: Transport, workers: int) -> dict[str, str]:
     """Where each robot is found; asking ssh_config about one costs a process, so all are asked at once."""
     robots = inventory.robots
     found = dict(fan_out(lambda robot: _address(robot, transport), robots, workers=workers))

@@ -157,7 +157,7 @@ def _link(
     if context.host.capacity is not None:
         used = sum((_on_link(task, robot) for task in _alive(tasks)), 0.0)
     nic = interfaces.get(text(entry, "interface"))
-    capacity, source = _link_capacity(robot, context, nic.speed_bytes_per_s if nic else None)
+    capacity, source = link_capacity(robot, context, nic.speed_bytes_per_s if nic else None)
     if robot not in context.blind and not flag(entry, "reachable", default=True):
         capacity = 0.0
     return LinkSample(
@@ -174,7 +174,7 @@ def _on_link(task: TaskSample, robot: str) -> float:
     return (task.links or {}).get(robot, 0.0)
 
 
-def _link_capacity(robot: str, context: Context, speed: float | None) -> tuple[float, CapacitySource]:
+def link_capacity(robot: str, context: Context, speed: float | None) -> tuple[float, CapacitySource]:
     """Delta_thp of the link to ``robot`` and where it comes from: declared, measured, the interface's speed, or assumed."""
     if robot in context.declared:
         return context.declared[robot], CapacitySource.DECLARED

@@ -25,9 +25,14 @@ def fleet_dir(inventory: Path) -> Path:
     Raises:
         StateError: it belongs to somebody else, or others may write to it.
     """
+    return private_dir(fleet_path(inventory))
+
+
+def fleet_path(inventory: Path) -> Path:
+    """Where ``fleet_dir`` is, whether it is there or not."""
     resolved = inventory.resolve()
     name = f"{resolved.stem}-{hashlib.sha256(os.fsencode(resolved)).hexdigest()[:8]}"
-    return private_dir(root() / "fleets" / name)
+    return root() / "fleets" / name
 
 
 def private_dir(path: Path) -> Path:

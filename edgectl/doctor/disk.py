@@ -1,0 +1,25 @@
+"""Room for what edgectl keeps, here and on every host."""
+
+from edgectl.model.finding import NO_DIRECTORY, Disk, Finding, Level
+from edgectl.units import format_bytes
+
+# One task's log may take 30 MiB; below that a start is refused soon.
+_FULL_BYTES, _SCARCE_BYTES = 50 * 2**20, 500 * 2**20
+_FEW_FILES = 1000
+
+
+def disk_finding(host: str | None, disk: Disk) -> Finding:
+    """The state directory: whether it can be used, and what its file system has left."""
+    where = f"on {host}: " if host else ""
+    if disk.obstacle:
+        own = f"sudo mkdir -p {disk.path} && sudo chown $(id -u) {disk.path} && chmod 700 {disk.path}"
+        mend = where + (f"mv {disk.path} {disk.path}.old" if disk.obstacle == NO_DIRECTORY else own)
+        message = f"state directory {disk.path}: {disk.obstacle}"
+        return Finding(host=host, check="state", level=Level.FAILED, message=message, mend=mend)
+    scarce = disk.free_bytes < _SCARCE_BYTES
+    few = disk.files_left is not None and disk.files_left < _FEW_FILES
+    level = Level.FAILED if disk.free_bytes < _FULL_BYTES or few else Level.WARNING if scarce else Level.OK
+    left = f"{format_bytes(disk.free_bytes)} of {format_bytes(disk.total_bytes)} free for {disk.path}"
+    message = f"{left}; only {disk.files_left} more files" if few else left
+    mend = f"{where}sudo journalctl --vacuum-size=100M; sudo apt-get clean; then: sudo du -xhd2 / | sort -h | tail"
+    return Finding(host=host, check="disk", level=level, message=message, mend="" if level is Level.OK else mend)

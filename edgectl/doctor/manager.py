@@ -1,0 +1,39 @@
+"""Checks of the machine on which edgectl runs."""
+
+from edgectl.doctor.disk import disk_finding
+from edgectl.model.finding import Finding, Level, ManagerFacts
+from edgectl.model.inventory import Connection, Inventory
+
+
+def manager_findings(inventory: Inventory, facts: ManagerFacts) -> list[Finding]:
+    """State directory, known_hosts and the ssh program; the last two only where a host needs them."""
+    connections = {host.connection for host in inventory.hosts.values() if host.probe}
+    findings = [disk_finding(None, facts.state)]
+    if connections - {Connection.LOCAL}:
+        findings += _known_hosts(facts)
+    if Connection.OPENSSH in connections:
+        findings.append(_ssh(facts))
+    return findings
+
+
+def _known_hosts(facts: ManagerFacts) -> list[Finding]:
+    broken = [
+        Finding(
+            host=None, check="known_hosts", level=Level.FAILED, message=f"{path} cannot be read: {why}",
+            mend=f"sudo chown $USER {path} && chmod 600 {path}" if why == "Permission denied" else f"move it away: mv {path} {path}.old",
+        )
+        for path, why in facts.known_hosts.items()
+        if why
+    ]  # fmt: skip
+    files = ", ".join(facts.known_hosts)
+    message = f"{files} can be read" if files else "there is none yet; edgectl trust HOST writes it"
+    return broken or [Finding(host=None, check="known_hosts", level=Level.OK, message=message)]
+
+
+def _ssh(facts: ManagerFacts) -> Finding:
+    if facts.ssh:
+        return Finding(host=None, check="ssh", level=Level.OK, message="the ssh program is there")
+    mend = "sudo apt-get install openssh-client   (or connection: ssh in the inventory)"
+    return Finding(
+        host=None, check="ssh", level=Level.FAILED, message="connection: openssh needs an ssh program, and there is none", mend=mend
+    )

@@ -1,0 +1,219 @@
+"""Every check of the doctor, good and bad, on facts made by hand; every complaint with what mends it."""
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from edgectl.doctor.judge import judge
+from edgectl.model.finding import NO_DIRECTORY, Diagnosis, Finding, HostFacts, Level, ManagerFacts, NoAnswer, Surroundings
+from edgectl.model.inventory import Connection, Host
+from edgectl.model.snapshot import CapacitySource
+from tests.builders import a_robot, an_edge, an_inventory
+from tests.doctor.facts import DISK, FACTS, GI, LINK, LOGIND, MANAGER, ros
+
+OK, WARNING, FAILED = Level.OK, Level.WARNING, Level.FAILED
+EDGE, ROBOT = an_edge("edge1", prelude="source /opt/ros/noetic/setup.bash"), a_robot("robot1")
+
+
+def diagnosed(answer: HostFacts | NoAnswer, edge: Host = EDGE, robot: Host = ROBOT, manager: ManagerFacts = MANAGER) -> Diagnosis:
+    return judge(an_inventory(edge, robot), manager, {"edge1": answer})
+
+
+def only(diagnosis: Diagnosis, check: str, host: str | None = "edge1") -> Finding:
+    """The one finding of a check."""
+    (found,) = (finding for finding in diagnosis.findings if (finding.host, finding.check) == (host, check))
+    return found
+
+
+def test_all_is_well() -> None:
+    diagnosis = diagnosed(FACTS)
+    assert (diagnosis.worst, diagnosis.counts) == (OK, {OK: 11, WARNING: 0, FAILED: 0})
+    assert not any(finding.mend for finding in diagnosis.findings)
+    assert [finding.check for finding in diagnosis.findings if finding.host is None] == ["disk", "known_hosts"]
+
+
+CASES: list[tuple[str, dict[str, Any], Level, str, str]] = [
+    ("login", {"login_s": 3.0}, OK, "3.00s, host key known", ""),
+    ("login", {"login_s": 3.1}, WARNING, "3.10s, which every command pays", "UseDNS no"),
+    ("python", {"psutil": True}, OK, "3.8.10, psutil", ""),
+    ("python", {"psutil": False}, OK, "3.8.10, no psutil: /proc is read instead, nothing is lost", ""),
+    ("clock", {"skew_s": (0.4, 0.49)}, OK, "agrees with this machine's", ""),
+    ("clock", {"skew_s": (-9.0, 9.0)}, OK, "agrees with this machine's", ""),  # a slow line: nothing is certain
+    ("clock", {"skew_s": (0.6, 0.8)}, WARNING, "is 0.6s ahead of this machine's", "timedatectl set-ntp true"),
+    ("clock", {"skew_s": (-3601.0, -3600.0)}, WARNING, "is 1h00m behind this machine's", 'ssh edge1.lab sudo date -s "@$(date +%s)"'),
+    ("logind", {"logind": replace(LOGIND, present=False, lingers=False)}, OK, "no logind here", ""),
+    ("logind", {"logind": LOGIND}, OK, "jetson lingers", ""),
+    ("logind", {"logind": replace(LOGIND, lingers=False, removes_ipc=False)}, OK, "nothing of jetson ends with a login", ""),
+    ("logind", {"logind": replace(LOGIND, lingers=False)}, WARNING, "RemoveIPC=yes", "on edge1: sudo loginctl enable-linger jetson"),
+    ("logind", {"logind": replace(LOGIND, lingers=False, kills=True)}, FAILED, "starts are refused", "on edge1: sudo loginctl enable-linger jetson"),
+    ("logind", {"logind": replace(LOGIND, kills=True)}, OK, "jetson lingers", ""),
+    ("disk", {"disk": replace(DISK, free_bytes=500 * 2**20)}, OK, "500.0Mi of 28.0Gi free for /home/jetson", ""),
+    ("disk", {"disk": replace(DISK, free_bytes=499 * 2**20)}, WARNING, "499.0Mi of 28.0Gi free", "on edge1: sudo journalctl --vacuum-size=100M"),
+    ("disk", {"disk": replace(DISK, free_bytes=49 * 2**20)}, FAILED, "49.0Mi of 28.0Gi free", "sudo apt-get clean"),
+    ("disk", {"disk": replace(DISK, files_left=999)}, FAILED, "only 999 more files", "sudo apt-get clean"),
+    ("disk", {"disk": replace(DISK, files_left=None)}, OK, "10.0Gi of 28.0Gi free", ""),
+    ("state", {"disk": replace(DISK, obstacle="it cannot be written")}, FAILED, "it cannot be written", "chmod 700 /home/jetson/.local/state/edgectl"),
+    ("state", {"disk": replace(DISK, obstacle=NO_DIRECTORY)}, FAILED, "no directory", "on edge1: mv /home/jetson/.local/state/edgectl /home"),
+    ("memory", {"used_bytes": 7 * GI}, OK, "1.0Gi of 8.0Gi free", ""),
+    ("memory", {"used_bytes": 7.3 * GI}, WARNING, "716.8Mi of 8.0Gi free", "--sort=-rss"),
+    ("memory", {"used_bytes": 8 * GI - 63 * 2**20}, FAILED, "63.0Mi of 8.0Gi free", "--sort=-rss"),
+    ("prelude", {}, OK, "runs", ""),
+    ("prelude", {"surroundings": Surroundings(status=1, said="no such file")}, WARNING, "ends with status 1: no such file", "prelude: of edge1"),
+    ("prelude", {"surroundings": Surroundings(status=None, said="bye")}, FAILED, "ends the shell: bye; no task can start", "prelude: of edge1"),
+    ("prelude", {"surroundings": Surroundings(status=None, timed_out=True)}, FAILED, "does not come to its end in time", "prelude: of edge1"),
+    ("robot", {"links": {"robot1": LINK}}, OK, "robot1 answers in 1.2ms", ""),
+    ("robot", {"links": {"robot1": replace(LINK, rtt_ms=None)}}, OK, "robot1 answers", ""),
+    ("robot", {"links": {"robot1": replace(LINK, address="rosie", found=False, reachable=None)}}, FAILED, "a name that means nothing on edge1", "rosie' | sudo tee -a /etc/hosts"),
+    ("robot", {"links": {"robot1": replace(LINK, reachable=False, interface=None)}}, FAILED, "no way from edge1 to robot1", "ip route get 10.0.0.21"),
+    ("robot", {"links": {"robot1": replace(LINK, reachable=False)}}, FAILED, "cannot be reached from edge1", "ping -c3 10.0.0.21"),
+    ("robot", {"links": {"robot1": replace(LINK, reachable=None)}}, WARNING, "does not say a word to edge1", "on robot1: sudo ufw allow from edge1.lab"),
+    ("capacity", {}, OK, "robot1 12.5MB/s (nic)", ""),
+    ("capacity", {"links": {"robot1": replace(LINK, capacity_bytes_per_s=6.75e6, capacity_source=CapacitySource.ASSUMED)}}, WARNING,
+     "of the link to robot1 is not known, 6.8MB/s is assumed", "edgectl probe --bandwidth; or links: [{edge: edge1, robot: robot1, throughput: ..}]"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("check", "changes", "level", "says", "mend"), CASES)
+def test_each_check_of_a_host(check: str, changes: dict[str, Any], level: Level, says: str, mend: str) -> None:
+    diagnosis = diagnosed(replace(FACTS, **changes))
+    found = only(diagnosis, check)
+    assert (found.level, diagnosis.worst) == (level, level)
+    assert says in found.message
+    assert bool(found.mend) == (level is not OK)
+    assert mend in found.mend
+
+
+def test_a_local_host_has_no_login_and_our_clock() -> None:
+    diagnosis = diagnosed(replace(FACTS, login_s=9.0, skew_s=(5.0, 6.0)), replace(EDGE, connection=Connection.LOCAL))
+    assert diagnosis.worst is OK
+    assert "host key" not in only(diagnosis, "login").message
+
+
+def test_a_robot_that_is_never_contacted_may_be_silent_but_must_be_on_the_way() -> None:
+    blind = replace(ROBOT, probe=False)
+    assert only(diagnosed(replace(FACTS, links={"robot1": replace(LINK, reachable=None)}), robot=blind), "robot").level is OK
+    assert only(diagnosed(replace(FACTS, links={"robot1": replace(LINK, reachable=False)}), robot=blind), "robot").level is FAILED
+    assumed = replace(LINK, capacity_source=CapacitySource.ASSUMED)
+    assert "--bandwidth" not in only(diagnosed(replace(FACTS, links={"robot1": assumed}), robot=blind), "capacity").mend
+
+
+SILENT: list[tuple[str, str, str, str]] = [
+    ("connect", "", "reachability", "switch edge1 on"),
+    ("deadline", "", "reachability", "edgectl doctor edge1 --timeout 60s"),
+    ("host-key", "compare the fingerprint, then: edgectl trust edge1", "host key", "edgectl trust edge1"),
+    ("host-key", "", "host key", "edgectl trust edge1"),
+    ("auth", "", "login", "ssh-copy-id -p 2222 -i ~/.ssh/lab jetson@edge1.lab"),
+    ("no-python", "", "python", "on edge1: sudo apt-get install python3"),
+    ("bad-reply", "", "agent", "ssh -p 2222 -i ~/.ssh/lab jetson@edge1.lab python3 --version"),
+    ("refused", "do this", "agent", "do this"),
+]
+
+
+@pytest.mark.parametrize(("kind", "hint", "check", "mend"), SILENT)
+def test_a_host_that_cannot_be_asked_is_one_failed_check(kind: str, hint: str, check: str, mend: str) -> None:
+    edge = replace(EDGE, port=2222, user="jetson", identity_file="~/.ssh/lab")
+    diagnosis = diagnosed(NoAnswer(kind=kind, error="it says so", hint=hint), edge)
+    found = only(diagnosis, check)
+    assert (found.level, found.message) == (FAILED, "it says so")
+    assert mend in found.mend
+    assert [finding.host for finding in diagnosis.findings] == [None, None, "edge1"]
+
+
+MANAGERS: list[tuple[dict[str, Any], str, Level, str]] = [
+    ({}, "disk", OK, ""),
+    ({"state": replace(DISK, obstacle="is not private to you")}, "state", FAILED, "sudo chown $(id -u)"),
+    ({"state": replace(DISK, free_bytes=1.0)}, "disk", FAILED, "sudo journalctl --vacuum-size=100M"),
+    ({}, "known_hosts", OK, ""),
+    ({"known_hosts": {}}, "known_hosts", OK, ""),
+    ({"known_hosts": {"/k": "Permission denied"}}, "known_hosts", FAILED, "sudo chown $USER /k && chmod 600 /k"),
+    ({"known_hosts": {"/k": "Is a directory"}}, "known_hosts", FAILED, "mv /k /k.old"),
+    ({}, "ssh", OK, ""),
+    ({"ssh": False}, "ssh", FAILED, "sudo apt-get install openssh-client"),
+]
+
+
+@pytest.mark.parametrize(("changes", "check", "level", "mend"), MANAGERS)
+def test_each_check_of_this_machine(changes: dict[str, Any], check: str, level: Level, mend: str) -> None:
+    edge = replace(EDGE, connection=Connection.OPENSSH)
+    found = only(diagnosed(FACTS, edge, manager=replace(MANAGER, **changes)), check, None)
+    assert (found.level, bool(found.mend)) == (level, level is not OK)
+    assert mend in found.mend
+    assert not found.mend.startswith("on ")
+
+
+def test_what_no_host_needs_is_not_checked() -> None:
+    local = replace(EDGE, connection=Connection.LOCAL), replace(ROBOT, connection=Connection.LOCAL)
+    broken = replace(MANAGER, known_hosts={"/k": "Permission denied"}, ssh=False)
+    assert diagnosed(FACTS, *local, manager=broken).worst is OK
+    assert [finding.check for finding in diagnosed(FACTS, manager=replace(broken, known_hosts={})).findings][:2] == ["disk", "known_hosts"]
+    assert judge(an_inventory(EDGE, ROBOT), MANAGER, {}).counts[OK] == 2
+
+
+def compared(*hosts: tuple[Host, HostFacts]) -> dict[str, tuple[Level, str, str]]:
+    """What is said of ROS, by host: level, message, mend."""
+    diagnosis = judge(an_inventory(*(host for host, _ in hosts)), MANAGER, {host.name: facts for host, facts in hosts})
+    return {f.host: (f.level, f.message, f.mend) for f in diagnosis.findings if f.check == "ros" and f.host}
+
+
+E1, E2, E3, R1 = an_edge("edge1"), an_edge("edge2"), an_edge("edge3"), a_robot("robot1")
+MASTER = "http://10.0.0.5:11311"
+
+
+def test_without_ros_nothing_is_said() -> None:
+    assert compared((E1, ros()), (E2, ros(ROS_DOMAIN_ID="")), (R1, ros())) == {}
+
+
+def test_equal_variables_are_shown() -> None:
+    same = ros(ROS_MASTER_URI=MASTER, ROS_DOMAIN_ID="")
+    assert compared((E1, same), (R1, same)) == dict.fromkeys(("edge1", "robot1"), (OK, f"ROS_MASTER_URI={MASTER}", ""))
+
+
+def test_the_minority_is_told_and_its_mend_is_an_edit_that_has_the_last_word() -> None:
+    seven, eight = ros(ROS_DOMAIN_ID="7"), ros(ROS_DOMAIN_ID="8")
+    said = compared((E1, seven), (E2, eight), (E3, seven))
+    assert said["edge1"][0] is said["edge3"][0] is OK
+    assert said["edge2"] == (
+        FAILED,
+        "ROS_DOMAIN_ID is 8, but 7 on edge1, edge3",
+        'in the inventory, for edge2: env: {ROS_DOMAIN_ID: "7"}',
+    )
+    with_prelude = compared((E1, seven), (replace(E2, prelude="source x"), eight))["edge2"]
+    assert with_prelude[2] == "in the inventory, end the prelude of edge2 with: export ROS_DOMAIN_ID=7"
+
+
+def test_what_is_not_set_counts_as_the_default_of_ros() -> None:
+    assert {each[0] for each in compared((E1, ros(ROS_DOMAIN_ID="0")), (E2, ros())).values()} == {OK}
+    said = compared((E1, ros(ROS_DOMAIN_ID="5")), (E2, ros()))["edge2"]
+    assert (said[0], said[1]) == (FAILED, "ROS_DOMAIN_ID is not set (0 by default), but 5 on edge1")
+    assert compared((E1, ros(ROS_MASTER_URI=MASTER)), (E2, ros()))["edge2"][1] == f"ROS_MASTER_URI is not set, but {MASTER} on edge1"
+    rmw = compared((E1, ros(RMW_IMPLEMENTATION="rmw_cyclonedds_cpp")), (E2, ros()))["edge2"]
+    assert rmw[0] is WARNING
+    assert {each[0] for each in compared((E1, ros(RMW_IMPLEMENTATION="rmw_fastrtps_cpp")), (E2, ros())).values()} == {OK}
+
+
+def test_a_robot_that_sets_nothing_is_not_compared_and_one_that_differs_is_a_warning() -> None:
+    assert "robot1" not in compared((E1, ros(ROS_DOMAIN_ID="5")), (R1, ros()))
+    assert compared((E1, ros(ROS_DOMAIN_ID="5")), (replace(R1, onboard=True), ros()))["robot1"][0] is WARNING
+    assert compared((E1, ros(ROS_DOMAIN_ID="5")), (E2, ros(ROS_DOMAIN_ID="5")), (R1, ros(ROS_DOMAIN_ID="6")))["robot1"][0] is WARNING
+
+
+@pytest.mark.parametrize("uri", ["http://localhost:11311", "http://127.0.0.1:11311/"])
+def test_a_master_on_localhost_is_another_one_on_each_host(uri: str) -> None:
+    own = ros(ROS_MASTER_URI=uri)
+    said = compared((E1, own), (E2, own), (R1, own))
+    assert {name: each[0] for name, each in said.items()} == {"edge1": FAILED, "edge2": FAILED, "robot1": WARNING}
+    assert "each host has a master of its own" in said["edge1"][1]
+    assert said["edge1"][2] == 'in the inventory, for edge1: env: {ROS_MASTER_URI: "http://ADDRESS-OF-THE-MASTER:11311"}'
+
+
+def test_a_master_on_localhost_is_right_where_there_is_one_machine() -> None:
+    own = ros(ROS_MASTER_URI="http://localhost:11311")
+    assert compared((E1, own))["edge1"][0] is OK
+    local = [(replace(host, connection=Connection.LOCAL), own) for host in (E1, E2, R1)]
+    assert {each[0] for each in compared(*local).values()} == {OK}
+
+
+def test_a_uri_that_is_none_is_compared_like_any_text() -> None:
+    odd = ros(ROS_MASTER_URI="http://[::1")
+    assert compared((E1, odd), (E2, odd))["edge1"][0] is OK

@@ -1,0 +1,194 @@
+"""The doctor over real sshd: what is wrong is said, with what mends it, and the mend mends it."""
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from edgectl.model.finding import Diagnosis, Disk, Finding, Level
+from edgectl.model.inventory import Connection, Host, Inventory, Role
+from edgectl.model.task import Tasks
+from edgectl.state.contacts import load_contacts
+from edgectl.state.standing import standing
+from edgectl.transport.choose import Transports
+from edgectl.usecases.doctor import doctor
+from edgectl.usecases.fleet import Fleet
+from tests.builders import a_robot, a_task, an_inventory, some_tasks
+from tests.sshd import Lab
+
+# Nothing is ever sent there: our own kernel knows no way.
+NOWHERE = "255.255.255.255"
+LINKS = {(edge, "robot1"): 10e6 for edge in ("edge1", "edge2")}
+# Slow machines log in slowly; what the file system and the memory have left is theirs.
+OWN = ("login", "disk", "memory", "python", "logind", "clock")
+
+
+@pytest.fixture
+def inventory(lab: Lab) -> Iterator[Inventory]:
+    yield an_inventory(
+        lab.host("edge1"),
+        lab.host("edge2"),
+        lab.host("robot1", role=Role.ROBOT, host=lab["robot1"].address, port=lab["robot1"].port),
+        links=LINKS,
+    )
+    for server in lab.servers.values():
+        if server.process is None:
+            server.restart()
+
+
+@pytest.fixture
+def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Disk:
+    monkeypatch.setenv("EDGECTL_STATE_DIR", str(tmp_path / "state"))
+    return standing(tmp_path / "lab.yaml")
+
+
+def diagnosed(inventory: Inventory, state: Disk, *names: str, tasks: Tasks | None = None) -> Diagnosis:
+    fleet = Fleet(inventory=inventory, tasks=tasks or some_tasks(), transport=Transports(), state=Path(state.path))
+    return doctor(fleet, state, names, timeout=30.0)
+
+
+def complaints(diagnosis: Diagnosis) -> list[Finding]:
+    """What is wrong beside what depends on the machine that runs the tests."""
+    return [
+        finding
+        for finding in diagnosis.findings
+        if finding.level is not Level.OK and (finding.check not in OWN or finding.level is Level.FAILED)
+    ]
+
+
+def changed(inventory: Inventory, *hosts: Host) -> Inventory:
+    return replace(inventory, hosts={**inventory.hosts, **{host.name: host for host in hosts}})
+
+
+@pytest.mark.parametrize("connection", [Connection.SSH, Connection.OPENSSH])
+def test_a_fleet_on_which_all_is_well(lab: Lab, inventory: Inventory, state: Disk, connection: Connection) -> None:
+    hosts = (replace(host, connection=connection) for host in inventory.hosts.values())
+    diagnosis = diagnosed(changed(inventory, *hosts), state)
+    assert complaints(diagnosis) == []
+    said = {(finding.host, finding.check): finding.message for finding in diagnosis.findings}
+    assert said[None, "known_hosts"] == f"{lab.known_hosts} can be read"
+    assert said["edge1", "login"].endswith("s, host key known") or "every command pays" in said["edge1", "login"]
+    assert said["edge1", "robot"].startswith("robot1 answers")
+    assert said["edge1", "disk"].endswith(f"free for {lab['edge1'].home}/state/edgectl")
+    assert said["edge1", "capacity"] == "robot1 10.0MB/s (declared)"
+    assert ("robot1", "robot") not in said
+    assert [finding.host for finding in diagnosis.findings] == sorted((f.host for f in diagnosis.findings), key=lambda name: name or "")
+    assert load_contacts(Path(state.path)).instants
+
+
+def test_one_host_alone_can_be_asked(inventory: Inventory, state: Disk) -> None:
+    assert {finding.host for finding in diagnosed(inventory, state, "edge2").findings} == {None, "edge2"}
+
+
+def test_hosts_that_cannot_be_asked_cost_no_other_host_its_answer(lab: Lab, inventory: Inventory, state: Disk, tmp_path: Path) -> None:
+    lab.known_hosts.write_text("".join(server.known_hosts_line for server in lab.servers.values() if server.name != "edge1"))
+    lab["robot1"].stop()
+    diagnosis = diagnosed(inventory, state)
+    found = {finding.host: finding for finding in complaints(diagnosis) if finding.level is Level.FAILED}
+    assert (found["edge1"].check, "edgectl trust edge1" in found["edge1"].mend) == ("host key", True)
+    assert (found["robot1"].check, "switch robot1 on" in found["robot1"].mend) == ("reachability", True)
+    assert set(found) == {"edge1", "robot1"}
+    assert {finding.check for finding in diagnosis.findings if finding.host == "edge2"} >= {"login", "python", "robot", "prelude"}
+
+
+def test_a_host_without_python(lab: Lab, inventory: Inventory, state: Disk) -> None:
+    server = lab["edge1"]
+    lab.configure(server, [f'SetEnv "PATH=/nonexistent" "HOME={server.home}"'])
+    server.restart()
+    try:
+        (found,) = complaints(diagnosed(inventory, state, "edge1"))
+        assert (found.check, found.level) == ("python", Level.FAILED)
+        assert found.mend == "on edge1: sudo apt-get install python3   (3.6 or later)"
+    finally:
+        lab.configure(server)
+        server.restart()
+
+
+def test_ros_variables_that_differ_and_their_mend(inventory: Inventory, state: Disk) -> None:
+    """What the finding says to write is written, and the finding is gone: in env where there is no prelude, else at its end."""
+    edge1 = replace(inventory.hosts["edge1"], env={"ROS_DOMAIN_ID": "7"})
+    edge2 = replace(inventory.hosts["edge2"], env={"ROS_DOMAIN_ID": "7"}, prelude="export ROS_DOMAIN_ID=9")
+    (found,) = complaints(diagnosed(changed(inventory, edge1, edge2), state))
+    assert (found.host, found.check, found.level) == ("edge2", "ros", Level.FAILED)
+    assert found.message == "ROS_DOMAIN_ID is 9, but 7 on edge1"
+    assert found.mend == "in the inventory, end the prelude of edge2 with: export ROS_DOMAIN_ID=7"
+    mended = replace(edge2, prelude=f"{edge2.prelude}\n{found.mend.partition('with: ')[2]}")
+    assert complaints(diagnosed(changed(inventory, edge1, mended), state)) == []
+
+
+def test_a_prelude_that_fails(inventory: Inventory, state: Disk) -> None:
+    broken = replace(inventory.hosts["edge1"], prelude="source /opt/ros/none/setup.bash")
+    (found,) = complaints(diagnosed(changed(inventory, broken), state, "edge1"))
+    assert (found.check, found.level) == ("prelude", Level.WARNING)
+    assert "ends with status 1" in found.message
+    assert "/opt/ros/none/setup.bash" in found.message
+
+
+def test_a_robot_that_the_manager_reaches_and_an_edge_does_not(inventory: Inventory, state: Disk) -> None:
+    """The knock from the edge counts: a robot whose address leads nowhere there, and one of which no link is known."""
+    far = a_robot("robot1", host=NOWHERE, probe=False)
+    found = complaints(diagnosed(replace(changed(inventory, far), links={}), state, "edge1"))
+    assert [(each.check, each.level) for each in found] == [("robot", Level.FAILED), ("capacity", Level.WARNING)]
+    assert f"({NOWHERE})" in found[0].message
+    assert "links: [{edge: edge1, robot: robot1, throughput: ..}]" in found[1].mend
+
+
+def test_a_known_hosts_file_that_cannot_be_read_is_named(lab: Lab, inventory: Inventory, state: Disk) -> None:
+    lab.known_hosts.unlink()
+    lab.known_hosts.mkdir()
+    try:
+        found = next(each for each in complaints(diagnosed(inventory, state, "edge1")) if each.host is None)
+    finally:
+        lab.known_hosts.rmdir()
+    assert (found.check, found.message) == ("known_hosts", f"{lab.known_hosts} cannot be read: Is a directory")
+
+
+def test_a_state_directory_that_is_not_private(inventory: Inventory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The hosts are asked all the same, unless a task lives by contacts that could not be recorded; the mend mends it."""
+    monkeypatch.setenv("EDGECTL_STATE_DIR", str(tmp_path / "state"))
+    good = standing(tmp_path / "lab.yaml")
+    Path(good.path).chmod(0o777)
+    bad = standing(tmp_path / "lab.yaml")
+    (found,) = complaints(diagnosed(inventory, bad, "edge1"))
+    assert (found.host, found.check, found.level) == (None, "state", Level.FAILED)
+    assert f"chmod 700 {good.path}" in found.mend
+    fencing = some_tasks(a_task("slam", self_fence=30.0))
+    assert {(each.host, each.check) for each in complaints(diagnosed(inventory, bad, "edge1", tasks=fencing))} == {
+        (None, "state"),
+        ("edge1", "agent"),
+    }
+    Path(good.path).chmod(0o700)
+    assert standing(tmp_path / "lab.yaml").obstacle == ""
+
+
+def test_something_else_stands_in_the_place_of_the_state_directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("EDGECTL_STATE_DIR", str(tmp_path / "file"))
+    bad = standing(tmp_path / "lab.yaml")
+    assert (bad.path, "no directory" in bad.obstacle) == (str(tmp_path / "file"), True)
+    (tmp_path / "file").rename(tmp_path / "file.old")
+    assert standing(tmp_path / "lab.yaml").obstacle == ""
+
+
+def test_the_command(lab: Lab, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
+    from edgectl.cli.main import main
+
+    monkeypatch.setenv("EDGECTL_STATE_DIR", str(tmp_path / "state"))
+    (tmp_path / "lab.yaml").write_text("version: 1\nedges:\n  edge1: {host: edge1, env: {ROS_DOMAIN_ID: '7'}}\n  edge2: {host: edge2}\n")
+    (tmp_path / "tasks.yaml").write_text("version: 1\ntasks:\n  idle: {command: sleep 1, demand: {cpu: 0.1, memory: 1Mi}}\n")
+    files = ("-i", str(tmp_path / "lab.yaml"), "-t", str(tmp_path / "tasks.yaml"))
+    assert main(["doctor", *files]) == 1
+    out, err = capfd.readouterr()
+    assert err == ""
+    assert out.startswith("this machine\nok    disk ")
+    assert "\nedge2\nok    login" in out
+    assert "FAIL  ros           ROS_DOMAIN_ID is not set (0 by default), but 7 on edge1\n" in out
+    assert '                    fix: in the inventory, for edge2: env: {ROS_DOMAIN_ID: "7"}\n' in out
+    assert main(["doctor", "edge1", "-o", "json", *files]) == 0
+    document = json.loads(capfd.readouterr().out)
+    assert document["counts"]["failed"] == 0
+    assert {finding["host"] for finding in document["findings"]} == {None, "edge1"}
+    assert main(["doctor", "edge9", *files]) == 64
+    assert "edge9" in capfd.readouterr().err
