@@ -42,7 +42,7 @@ OWNERS = {
     "prometheus_client": "export/prometheus",
     "textual": "tui",
 }
-PURE_ROOMS = ("model/", "scheduler/", "doctor/", "evidence/", "formats/", "executor/diff.py", "units.py", "errors.py")
+PURE_ROOMS = ("model/", "scheduler/", "evidence/", "doctor/", "formats/", "executor/diff.py", "units.py", "errors.py")
 IMPURE = {"os", "time", "random", "logging", "subprocess", "pathlib", "socket", "threading", "secrets", "uuid"}
 
 

@@ -10,7 +10,6 @@ from edgectl.model.event import Event
 from edgectl.model.evidence import Replayed
 from edgectl.model.explanation import Explanation
 from edgectl.model.finding import Diagnosis
-from edgectl.model.finding import Diagnosis
 from edgectl.model.inventory import Inventory
 from edgectl.model.plan import Plan, Step
 from edgectl.model.result import ActionResult, PhaseResult, Results
@@ -19,7 +18,6 @@ from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Quantity, Task, Tasks
 from edgectl.units import format_instant
 from edgectl.views.absent import Absent, absent
-from edgectl.views.diagnosis import document as diagnosis_document
 from edgectl.views.diagnosis import document as diagnosis_document
 from edgectl.views.events import document as events_document
 from edgectl.views.events import line as event_line
@@ -56,11 +54,6 @@ def events(values: Sequence[Event], _look: Look = PLAIN) -> str:
 def events_more(values: Iterable[Event], _head: object, _look: Look = PLAIN) -> str:
     """What happened since, one object per line."""
     return "".join(dump_line(event_line(value)) for value in values)
-
-
-def diagnosis(value: Diagnosis, _look: Look = PLAIN) -> str:
-    """What the doctor found."""
-    return dumps(diagnosis_document(value))
 
 
 def snapshot(value: Snapshot, _look: Look = PLAIN) -> str:

@@ -17,7 +17,6 @@ from edgectl.views.diagnosis import text as diagnosis  # noqa: F401  (a form of 
 from edgectl.views.events import more as events_more  # noqa: F401
 from edgectl.views.events import text as events  # noqa: F401
 from edgectl.views.evidence import replayed_text as replayed  # noqa: F401
-from edgectl.views.diagnosis import text as diagnosis  # noqa: F401  (a form of its own module)
 from edgectl.views.explanation import text as explanation  # noqa: F401  (a form of its own module)
 from edgectl.views.reasons import left_out, reason
 from edgectl.views.sections import STYLES, closed, expected, figure, header, note_lines, notes, silent, summary
