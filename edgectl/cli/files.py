@@ -40,7 +40,7 @@ def validate_command(inventory: InventoryOption = None, tasks: TasksOption = Non
         edgectl validate -o json
         edgectl validate -o github
     """
-    loaded = load(inventory, tasks)
+    loaded = load(inventory, tasks, every_warning=True)
     if output is not Form.GITHUB:
         console.show(output, "validated", loaded.inventory, loaded.tasks)
 

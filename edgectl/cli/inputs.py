@@ -21,8 +21,8 @@ class Loaded:
     path: Path
 
 
-def load(inventory: Path | None, tasks: Sequence[Path] | None) -> Loaded:
-    """Both files, given or found; warnings go to standard error.
+def load(inventory: Path | None, tasks: Sequence[Path] | None, *, every_warning: bool = False) -> Loaded:
+    """Both files, given or found; warnings go to standard error, unless a plan says the same and knows better.
 
     Raises:
         UsageError: none is given and none can be chosen.
@@ -30,10 +30,11 @@ def load(inventory: Path | None, tasks: Sequence[Path] | None) -> Loaded:
     """
     from edgectl.cli.console import warn
     from edgectl.config.load import load as read
+    from edgectl.config.problems import Code
 
     path, paths = inventory_file(inventory), task_files(tasks)
     fleet, work, warnings = read(path, paths)
-    warn(warnings)
+    warn(warning for warning in warnings if every_warning or warning.code != Code.NO_DEMAND)
     return Loaded(inventory=fleet, tasks=work, path=path)
 
 
@@ -115,6 +116,6 @@ def _replace(path: Path, text: str | Iterable[str], mode: int | None) -> None:
         if mode is not None:
             partial.chmod(mode)
         partial.replace(path)
-    except OSError:
+    except BaseException:
         partial.unlink(missing_ok=True)
         raise

@@ -154,8 +154,8 @@ def _check_demand(draft: Draft, problems: Problems) -> None:
     left_out = [key for key in wanted if getattr(demand, key) is None and not (isinstance(stated, dict) and key in stated)]
     if left_out:
         mark = fields.at("demand").mark if "demand" in fields else draft.template.named_at
-        message = f"{draft.template.name} states no demand for {', '.join(left_out)}: counted as 0"
-        hint = f"add demand: {{{', '.join(f'{key}: ..' for key in left_out)}}}; 0 says that it is meant"
+        message = f"{draft.template.name} states no demand for {', '.join(left_out)}: counted as 0 until it is measured"
+        hint = f"add demand: {{{', '.join(f'{key}: ..' for key in left_out)}}}; 0 or measured say that it is meant"
         problems.add(mark, Code.NO_DEMAND, message, hint, warning=True)
 
 

@@ -2,7 +2,7 @@
 
 import re
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -23,6 +23,7 @@ from edgectl.model.task import (
     Need,
     Onboard,
     OnUnreachable,
+    Quantity,
     Restart,
     Stop,
     TaskLimits,
@@ -34,6 +35,7 @@ from edgectl.units import parse_bytes, parse_cores, parse_duration, parse_rate
 
 _SIGNALS = ("TERM", "INT", "HUP", "QUIT", "KILL", "USR1", "USR2")
 _DURATION = amount(parse_duration, above_zero=True)
+MEASURED_WORD, MEASURED = "measured", Quantity(value=0.0, measured=True)
 
 
 def _check(where: Where) -> Read:
@@ -152,6 +154,35 @@ def _blamed(node: Node, message: str) -> Mark:
     return node.mark
 
 
+def _demand(node: Node, problems: Problems) -> Any:  # noqa: ANN401
+    if node.value == MEASURED_WORD:
+        return Demand(cpu=MEASURED, memory=MEASURED, throughput=MEASURED)
+    return record(DEMAND, Demand, "demand")(node, problems)
+
+
+def _rho(parse: Callable[[object], Quantity]) -> Read:
+    """One demand: a quantity, the word ``measured``, or a quantity that counts until then."""
+    quantity = amount(parse)
+
+    def read(node: Node, problems: Problems) -> Any:  # noqa: ANN401
+        if node.value == MEASURED_WORD:
+            return MEASURED
+        if isinstance(node.value, str) and node.value.isalpha():
+            hint = problems.did_you_mean(node.value, [MEASURED_WORD], "write a quantity, or")
+            problems.add(node.mark, Code.WORD, f"unknown word {node.value!r}", hint)
+            return INVALID
+        if not isinstance(node.value, dict):
+            return quantity(node, problems)
+        until = record({"until_measured": quantity}, _until, "a measured demand", ("until_measured",))
+        return until(node, problems)
+
+    return read
+
+
+def _until(*, until_measured: Quantity) -> Quantity:
+    return replace(until_measured, measured=True)
+
+
 def _max_moves(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     return None if node.value == "unlimited" else integer(0, 1_000_000)(node, problems)
 
@@ -159,9 +190,9 @@ def _max_moves(node: Node, problems: Problems) -> Any:  # noqa: ANN401
 CHECK: Mapping[str, Read] = {"command": text, "on": word(Where), "timeout": _DURATION}
 NEED: Mapping[str, Read] = {"task": name, "until": word(Until)}
 DEMAND: Mapping[str, Read] = {
-    "cpu": amount(demand_parser(parse_cores, "1.5")),
-    "memory": amount(demand_parser(parse_bytes, "900Mi")),
-    "throughput": amount(demand_parser(parse_rate, "12MB/s")),
+    "cpu": _rho(demand_parser(parse_cores, "1.5")),
+    "memory": _rho(demand_parser(parse_bytes, "900Mi")),
+    "throughput": _rho(demand_parser(parse_rate, "12MB/s")),
 }
 HOST_RULES: Mapping[str, Read] = {"only": items(name), "never": items(name), "labels": labels, "pin": name}
 DETECT: Mapping[str, Read] = {"cmdline": _regex, "ros_node": text}
@@ -182,7 +213,7 @@ TASK: Mapping[str, Read] = {
     "robot": name,
     "robots": _robots,
     "needs": items(_need),
-    "demand": record(DEMAND, Demand, "demand"),
+    "demand": _demand,
     "priority": _priority,
     "deadline": _DURATION,
     "hosts": _host_rules,

@@ -10,6 +10,7 @@ from edgectl.model.inventory import Base, Capacity, Connection, Inventory, Limit
 from edgectl.model.policy import PolicyName, SequenceRule, Weights
 from edgectl.model.task import (
     Check,
+    Demand,
     Detect,
     Handoff,
     HandoffOrder,
@@ -158,8 +159,8 @@ tasks:
 """
     warnings = loaded(tmp_path, tasks)[2]
     assert [(p.line, p.column, p.code, p.warning) for p in warnings] == [(3, 3, "EC101", True), (4, 42, "EC101", True)]
-    assert warnings[0].message == "a states no demand for cpu, memory: counted as 0"
-    assert warnings[1].message == "b states no demand for throughput: counted as 0"
+    assert warnings[0].message == "a states no demand for cpu, memory: counted as 0 until it is measured"
+    assert warnings[1].message == "b states no demand for throughput: counted as 0 until it is measured"
 
 
 def test_a_check_on_a_robot_that_is_never_contacted_is_a_warning(tmp_path: Path) -> None:
@@ -205,3 +206,21 @@ def test_onboard_only(tmp_path: Path) -> None:
     assert task(tmp_path, "robot: robot1, onboard: only").onboard is Onboard.ONLY
     assert task(tmp_path, "robot: robot1, hosts: {pin: robot1}").hosts.pin == "robot1"
     assert task(tmp_path, "kind: job").kind is Kind.JOB
+
+
+def test_demands_may_be_measured(tmp_path: Path) -> None:
+    tasks = """version: 1
+tasks:
+  a: {command: x, demand: measured}
+  b: {command: x, robot: robot1, demand: {cpu: measured, memory: {until_measured: 90Mi}, throughput: {until_measured: 10%}}}
+  c: {command: x, demand: {cpu: {until_measured: 0}, memory: 1}}
+"""
+    _, read, warnings = loaded(tmp_path, tasks)
+    found = read.tasks
+    measured = Quantity(value=0.0, measured=True)
+    assert found["a"].demand == Demand(cpu=measured, memory=measured, throughput=measured)
+    assert found["b"].demand == Demand(
+        cpu=measured, memory=Quantity(value=90.0 * 2**20, measured=True), throughput=Quantity(value=0.1, relative=True, measured=True)
+    )
+    assert found["c"].demand == Demand(cpu=measured, memory=Quantity(value=1.0))
+    assert not warnings
