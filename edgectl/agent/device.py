@@ -53,22 +53,26 @@ def _own_s() -> float:
 
 
 class CpuMeter:
-    """CPU in use between its making and ``reading``, without what the agent itself and its checks used."""
+    """CPU in use between its making, or the reading before, and ``reading``, without what the agent itself and its checks used."""
 
     def __init__(self) -> None:
         self.allowed = cpu_list()
         self.limit = cgroup.cpu_limit()
         if self.limit is not None and (self.limit.value >= len(self.allowed) or cgroup.cpu_used_s(self.limit) < 0):
             self.limit = None
-        self.start = (time.monotonic(), self._used_s(), _own_s())
+        self.start = self._now()
+
+    def _now(self) -> tuple:
+        return (time.monotonic(), self._used_s(), _own_s())
 
     def _used_s(self) -> float:
         return _busy_s(self.allowed) if self.limit is None else cgroup.cpu_used_s(self.limit)
 
     def reading(self) -> dict:
         """``cores`` (the smaller of affinity and quota) and ``used_cores``, 0..cores."""
-        seconds = max(1e-3, time.monotonic() - self.start[0])
-        used = (self._used_s() - self.start[1]) - (_own_s() - self.start[2])
+        (since, used_s, own_s), self.start = self.start, self._now()
+        seconds = max(1e-3, self.start[0] - since)
+        used = (self.start[1] - used_s) - (self.start[2] - own_s)
         cores = float(len(self.allowed)) if self.limit is None else self.limit.value
         return {"cores": round(cores, 4), "used_cores": round(min(cores, max(0.0, used / seconds)), 4)}
 

@@ -77,18 +77,33 @@ def _report(data: bytes):
     return light.loads((brace + rest).decode("ascii")) if brace else None
 
 
+def apart(argv: list, env: dict, request: dict, lock: int, patience_s: float):
+    """Start this very agent on ``request`` in a session of its own, behind ``argv``; its report, or None where it gives none in time."""
+    read_end = _started(argv, env, request, lock)
+    data, _ = _heard(read_end, patience_s)
+    os.close(read_end)
+    return _report(data)
+
+
+def _started(argv: list, env: dict, request: dict, lock: int) -> int:
+    """The end of the pipe on which the report will come. The request travels on standard input: everybody can read a command line."""
+    read_end, report = os.pipe()
+    source, source_end = os.pipe()
+    packet = _packet(dict(request, lock=lock, report=report))
+    _fork(lambda: _exec(argv, env, source, report, lock), report, (lock, report, source))
+    os.close(source)
+    _feed(source_end, packet)
+    return read_end
+
+
 def _in_scope(way, order: dict) -> tuple:
-    """(report or None, complaints) by way of systemd-run. What to supervise travels on standard input: everybody can read a command line.
+    """(report or None, complaints) by way of systemd-run.
 
     Raises:
         RefusalError: it did not come, and whether it may still come is not known.
     """
-    read_end, report = os.pipe()
-    source, source_end = os.pipe()
-    packet = _packet(dict(order, op="supervise", host=order["identity"]["host"], report=report, why=""))
-    _fork(lambda: _exec(way, source, report, order["lock"]), report, (order["lock"], report, source))
-    os.close(source)
-    _feed(source_end, packet)
+    request = dict(order, op="supervise", host=order["identity"]["host"], why="")
+    read_end = _started(way.argv, way.env, request, order["lock"])
     data, ended = _heard(read_end, _SCOPE_S)
     if not ended:
         data, ended = data + b" no answer within %d s" % _SCOPE_S, _is_ended(data, read_end, order["folder"])
@@ -105,14 +120,15 @@ def _is_ended(data: bytes, read_end: int, folder: str) -> bool:
     return _heard(read_end, _KILL_S)[1] and not life.lock_holders(folder, proc.processes())
 
 
-def _exec(way, source: int, report: int, lock: int) -> None:
-    """Become systemd-run, which becomes Python; who it is and its complaints go where the report is awaited."""
+def _exec(argv: list, env: dict, source: int, report: int, lock: int) -> None:
+    """Become ``argv`` (systemd-run), which becomes Python; who it is and its complaints go where the report is awaited."""
     os.write(report, b"%d %d\n" % (os.getpid(), proc.process(os.getpid()).ticks))
     os.dup2(source, 0)
     os.dup2(report, 2)
     for fd in (lock, report):
         os.set_inheritable(fd, True)
-    os.execve(way.argv[0], [*way.argv, sys.executable, "-I", "-S", "-c", _PROGRAM], way.env)  # noqa: S606 - no text of the user's
+    argv = [*argv, sys.executable, "-I", "-S", "-c", _PROGRAM]
+    os.execve(argv[0], argv, env)  # noqa: S606 - no text of the user's
 
 
 def _packet(request: dict) -> bytes:

@@ -60,6 +60,14 @@ def _operation(name: str):  # noqa: C901 - a table of lazy imports
         from .bandwidth import sink as operation
     elif name == "supervise":
         from .launch import supervise as operation
+    elif name == "profiler-start":
+        from .reside import start as operation
+    elif name == "profiler-stop":
+        from .reside import stop as operation
+    elif name == "profiler-status":
+        from .reside import status as operation
+    elif name == "profiler-run":
+        from .resident import resident as operation
     elif name == "send":
         from .bandwidth import send as operation
     elif name == "doctor":

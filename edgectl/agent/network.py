@@ -28,11 +28,11 @@ class Flow:
 
 
 class Traffic:
-    """Counts what each connection carried between its making and ``flows``."""
+    """Counts what each connection carried between its making, or the flows before, and ``flows``."""
 
     def __init__(self, addresses: dict) -> None:
         """``addresses``: of the robots, by robot; other connections inside this host do not count."""
-        self._wanted = {sockets.packed(address) for found in addresses.values() for address in found}
+        self._wanted = _packed(addresses)
         self._farewells = sockets.Farewells(self._wanted)
         self._before = {each.key: each for each in sockets.connections(self._wanted)}
         # What ended while we were listing them ended before the window.
@@ -41,15 +41,28 @@ class Traffic:
     def flows(self) -> list:
         """A connection that appeared in the window counts in full; one that ended counts up to its end."""
         found = {each.key: each for each in self._farewells.heard()}
-        self._farewells.close()
-        found.update((each.key, each) for each in sockets.connections(self._wanted))
-        return [self._flow(each) for each in found.values()]
+        then, self._before = self._before, {each.key: each for each in sockets.connections(self._wanted)}
+        found.update(self._before)
+        return [_flow(each, then.get(key)) for key, each in found.items()]
 
-    def _flow(self, now) -> Flow:
-        then = self._before.get(now.key)
-        rx, tx = (then.rx, then.tx) if then is not None else (0, 0)
-        inode = now.inode or (then.inode if then is not None else 0)
-        return Flow(now.local[0], now.remote[0], inode, max(0, now.rx - rx), max(0, now.tx - tx), now.rtt_ms)
+    def close(self) -> None:
+        """Stop listening for connections that end."""
+        self._farewells.close()
+
+
+def since_opened(addresses: dict) -> list:
+    """Flows of the open connections with all that they ever carried; ``addresses`` as in ``Traffic``."""
+    return [_flow(each, None) for each in sockets.connections(_packed(addresses))]
+
+
+def _packed(addresses: dict) -> set:
+    return {sockets.packed(address) for found in addresses.values() for address in found}
+
+
+def _flow(now, then) -> Flow:
+    rx, tx = (then.rx, then.tx) if then is not None else (0, 0)
+    inode = now.inode or (then.inode if then is not None else 0)
+    return Flow(now.local[0], now.remote[0], inode, max(0, now.rx - rx), max(0, now.tx - tx), now.rtt_ms)
 
 
 def resolve(links: list) -> dict:
@@ -142,9 +155,14 @@ def _unanswered_neighbours() -> set:
     return {row[0] for row in rows if len(row) > 2 and int(row[2], 16) & 0x2 == 0}
 
 
-def links(addresses: dict, flows: list, knocks: Knocks, seconds: float) -> dict:
-    """Robot -> rates, round-trip time, interface and reachability."""
-    return {robot: _link(robot, found, flows, knocks, seconds) for robot, found in addresses.items()}
+def links(addresses: dict, flows: list, knocks: Knocks, seconds: float, ways: dict) -> dict:
+    """Robot -> rates, round-trip time, interface (out of ``ways``) and reachability."""
+    return {robot: dict(_link(robot, found, flows, knocks, seconds), interface=ways[robot]) for robot, found in addresses.items()}
+
+
+def ways(addresses: dict) -> dict:
+    """Robot -> the interface through which it is reached."""
+    return {robot: interface_to(found[0]) if found else None for robot, found in addresses.items()}
 
 
 def _link(robot: str, addresses: list, flows: list, knocks: Knocks, seconds: float) -> dict:
@@ -156,7 +174,6 @@ def _link(robot: str, addresses: list, flows: list, knocks: Knocks, seconds: flo
         "rx_bytes_per_s": round(sum(flow.rx for flow in own) / seconds, 1),
         "tx_bytes_per_s": round(sum(flow.tx for flow in own) / seconds, 1),
         "rtt_ms": None if rtt is None else round(rtt, 3),
-        "interface": interface_to(addresses[0]) if addresses else None,
         "reachable": True if moving else knocks.reachable.get(robot),
     }
 
@@ -209,19 +226,21 @@ def interface_bytes() -> dict:
     return found
 
 
-def interfaces(before: dict, after: dict, seconds: float) -> dict:
-    """Interface -> bytes/s in and out, and nominal speed in bytes/s where the kernel knows it."""
-    return {
-        name: {
-            "rx_bytes_per_s": round(max(0, now[0] - before.get(name, now)[0]) / seconds, 1),
-            "tx_bytes_per_s": round(max(0, now[1] - before.get(name, now)[1]) / seconds, 1),
-            "speed_bytes_per_s": speed(name),
-        }
-        for name, now in sorted(after.items())
-    }
+def rates(before: dict, after: dict, seconds: float) -> dict:
+    """Interface -> bytes/s in (``rx``) and out."""
+    found = {}
+    for name, now in sorted(after.items()):
+        then = before.get(name, now)
+        found[name] = {"rx": max(0, now[0] - then[0]) / seconds, "tx": max(0, now[1] - then[1]) / seconds}
+    return found
+
+
+def interface(rate: dict, speed_bytes_per_s) -> dict:
+    """One of ``rates`` as it stands in a reply."""
+    return {"rx_bytes_per_s": round(rate["rx"], 1), "tx_bytes_per_s": round(rate["tx"], 1), "speed_bytes_per_s": speed_bytes_per_s}
 
 
 def speed(name: str):
-    """Bytes/s; None: /sys says Mbit/s, -1 or nothing at all where the driver does not know (Wi-Fi, lo)."""
+    """Bytes/s, None where the kernel does not know: /sys says Mbit/s, -1 or nothing at all where the driver does not know (Wi-Fi, lo)."""
     text = proc.read(os.path.join("/sys/class/net", name, "speed")).decode("ascii", "replace").strip()
     return int(text) * 125000 if text.isdigit() and int(text) > 0 else None

@@ -1,5 +1,6 @@
-"""Operation ``probe``: the three profilers over one sample window, in one document."""
+"""Operation ``probe``: what the three profilers say of this host, in one document."""
 
+import os
 import sys
 import time
 
@@ -11,7 +12,39 @@ _SHORTEST_KNOCK_S = 0.02
 
 
 def probe(request: dict) -> dict:
-    """Measure this host, its links and its tasks; run the ``done_when`` checks of the tasks that are alive meanwhile."""
+    """Measure this host, its links and its tasks, and run the ``done_when`` checks of the tasks that are alive.
+
+    Where a profiler lives (``resident``) its last sample is taken; else a sample window passes, and the checks run meanwhile.
+    """
+    measured, checks = _from_profiler(request) or _over_window(request)
+    return dict(
+        {
+            "v": 1,
+            "op": "probe",
+            "host": request["host"],
+            "python": "%d.%d.%d" % sys.version_info[:3],
+            "boot_id": proc.boot_id(),
+            "wall": time.time(),
+            "load_1m": device.load_1m(),
+            "generations": _generations(request["host"], measured["tasks"]),
+            "checks": checks.results(),
+        },
+        **measured,
+    )
+
+
+def _from_profiler(request: dict):
+    """(measured part of the reply, checks under way), or None: no profiler, none that measures what is asked, or one that is late."""
+    if not any(os.path.isdir(os.path.join(levels[-1], "profiler")) for levels in state.host_places(request["host"])):
+        return None
+    from .latest import ALIVE, latest
+
+    found = latest(request)
+    return found and (found, _Checks(request.get("checks", []), {name: each["state"] in ALIVE for name, each in found["tasks"].items()}))
+
+
+def _over_window(request: dict) -> tuple:
+    """(measured part of the reply, checks under way)."""
     window = min(_LONGEST_WINDOW_S, max(0.05, float(request.get("window_s", 0.5))))
     addresses = network.resolve(request.get("links", []))
     tasks = TaskMeter(request["host"], request.get("detect", []))
@@ -24,29 +57,21 @@ def probe(request: dict) -> dict:
     knocks.wait(max(started + window, time.monotonic() + _SHORTEST_KNOCK_S))
     reading = cpu.reading()
     seconds = time.monotonic() - started
-    flows, totals_after = traffic.flows(), network.interface_bytes()
+    flows, rates = traffic.flows(), network.rates(totals, network.interface_bytes(), seconds)
+    traffic.close()
     measured = tasks.reading(flows, addresses, seconds)
     knocks.close(addresses)
     return {
-        "v": 1,
-        "op": "probe",
-        "host": request["host"],
-        "python": "%d.%d.%d" % sys.version_info[:3],
         "psutil": psutil is not None,
-        "boot_id": proc.boot_id(),
-        "wall": time.time(),
         "window_s": round(seconds, 4),
         "cpu": reading,
         "memory": device.memory(psutil),
-        "load_1m": device.load_1m(),
         "temperature_c": device.temperature_c(psutil),
         "gpu_share": device.gpu_share(),
-        "interfaces": network.interfaces(totals, totals_after, seconds),
-        "links": network.links(addresses, flows, knocks, seconds),
+        "interfaces": {name: network.interface(rate, network.speed(name)) for name, rate in rates.items()},
+        "links": network.links(addresses, flows, knocks, seconds, network.ways(addresses)),
         "tasks": measured,
-        "generations": _generations(request["host"], measured),
-        "checks": checks.results(),
-    }
+    }, checks
 
 
 def _generations(host: str, measured: dict) -> dict:

@@ -26,11 +26,7 @@ def write(path: str, document: dict, *, durable: bool = False) -> None:
     fd = open_private(path, os.O_RDWR | os.O_CREAT)
     try:
         sequence = _newest(os.pread(fd, SIZE, 0))[0] + 1
-        body = light.dumps(document).encode("ascii")
-        data = b"%020d %08x %s" % (sequence, zlib.crc32(b"%020d" % sequence + body), body)
-        if len(data) > SLOT:
-            raise ValueError("a record of %d bytes is too long" % len(data))
-        os.pwrite(fd, data.ljust(SLOT), SLOT * (sequence % 2))
+        os.pwrite(fd, sealed(sequence, document, SLOT).ljust(SLOT), SLOT * (sequence % 2))
         if durable:
             os.fdatasync(fd)
     finally:
@@ -50,10 +46,19 @@ def read(path: str) -> dict:
 
 
 def _newest(data: bytes) -> tuple:
-    return max((_slot(data[:SLOT]), _slot(data[SLOT:])), key=lambda found: found[0])
+    return max((opened(data[:SLOT]), opened(data[SLOT:])), key=lambda found: found[0])
 
 
-def _slot(data: bytes) -> tuple:
+def sealed(sequence: int, document: dict, most: int) -> bytes:
+    """What stands in a slot. ValueError where it is longer than ``most`` bytes."""
+    body = light.dumps(document).encode("ascii")
+    data = b"%020d %08x %s" % (sequence, zlib.crc32(b"%020d" % sequence + body), body)
+    if len(data) > most:
+        raise ValueError("a record of %d bytes is too long" % len(data))
+    return data
+
+
+def opened(data: bytes) -> tuple:
     """(sequence, document), or (0, {}) where the slot is empty or damaged."""
     try:
         sequence, crc, body = data.rstrip(b" \0").split(b" ", 2)

@@ -72,7 +72,7 @@ def make_task_dir(host: str, task: str) -> str:
             for level in levels:
                 private_dir(level)
             for name, size in (("lock", 0), ("instance", SIZE), ("status", SIZE), ("mark", SIZE), ("generation", SIZE)):
-                _reserve(os.path.join(levels[-1], name), size)
+                reserve(os.path.join(levels[-1], name), size)
             return levels[-1]
         except OSError as error:
             reasons.append("%s: %s" % (base, error.strerror or error))
@@ -81,7 +81,7 @@ def make_task_dir(host: str, task: str) -> str:
     )
 
 
-def _reserve(path: str, size: int) -> None:
+def reserve(path: str, size: int) -> None:
     """Create ``path`` with ``size`` bytes really allocated, so that a disk that fills up later cannot stop a rewrite."""
     fd = open_private(path, os.O_RDWR | os.O_CREAT)
     try:

@@ -8,73 +8,97 @@ from . import life, proc, sockets, state, status
 _PSS_UP_TO = 1 << 30
 
 
+class Group:
+    """One task's processes: ``pids`` its own, ``above`` its supervisor (0: none); ``entry`` is its part of a reply, without rates."""
+
+    __slots__ = ("above", "entry", "pids")
+
+    def __init__(self, pids: set, above: int, entry: dict) -> None:
+        self.pids, self.above, self.entry = pids, above, entry
+
+
+def groups(host: str, names: list, detect: list, table: dict) -> dict:
+    """Task -> Group of every task of ``names`` that lives or has ended, and of those that ``detect`` finds in ``table``."""
+    found = {}
+    for name in names:
+        trace, alive = status.current(host, name, table)
+        entry = life.entry(trace, alive) if trace is not None else {}
+        if entry:
+            found[name] = Group(life.members(trace, table), life.supervisor(trace), entry) if alive else Group(set(), 0, entry)
+    found.update(_detected(detect, table, found))
+    return found
+
+
+def _detected(detect: list, table: dict, own: dict) -> dict:
+    if not detect:
+        return {}
+    free = set(table) - _ourselves(table)
+    for group in own.values():
+        free -= group.pids | {group.above}
+    found = {}
+    for wish in detect:
+        name = str(wish["task"])
+        if name in own and own[name].entry["pid"] > 0:
+            continue
+        pids = {pid for pid in free if _matches(wish, proc.cmdline(pid)) and not life.is_marked(pid)}
+        if pids:
+            first = min(pids, key=lambda pid: (table[pid].ticks, pid))
+            found[name] = Group(proc.descendants(pids, table) & free, 0, _unmanaged(table[first]))
+    return found
+
+
 class TaskMeter:
     """Measures the tasks of one host between its making and ``reading``."""
 
     def __init__(self, host: str, detect: list) -> None:
         self.host, self.detect = host, detect
         self.names = state.task_names(host)
-        self.before = {name: _cpu(group) for name, group in self._groups().items()} if self.names or detect else {}
+        self.before = {name: cpu_s(group, table) for table, name, group in self._groups()}
 
-    def _groups(self) -> dict:
-        """Task -> (table, pids, supervisor pid, entry) of what lives, (table, (), 0, entry) of what ended."""
-        table = proc.processes()
-        groups = {}
-        for name in self.names:
-            trace, alive = status.current(self.host, name, table)
-            document = life.entry(trace, alive) if trace is not None else {}
-            if document:
-                pids = life.members(trace, table) if alive else set()
-                groups[name] = (table, pids, life.supervisor(trace) if alive else 0, document)
-        groups.update(self._detected(table, groups))
-        return groups
-
-    def _detected(self, table: dict, own: dict) -> dict:
-        ours = set().union(*(pids | {above} for _, pids, above, _ in own.values())) if own else set()
-        free = set(table) - ours - _ourselves(table)
-        found = {}
-        for wish in self.detect:
-            name = str(wish["task"])
-            if own.get(name, (0, 0, 0, {"pid": 0}))[3]["pid"] > 0:
-                continue
-            pids = {pid for pid in free if _matches(wish, proc.cmdline(pid)) and not life.is_marked(pid)}
-            if pids:
-                first = min(pids, key=lambda pid: (table[pid].ticks, pid))
-                found[name] = (table, proc.descendants(pids, table) & free, 0, _unmanaged(table[first]))
-        return found
+    def _groups(self) -> list:
+        table = proc.processes() if self.names or self.detect else {}
+        return [(table, name, group) for name, group in sorted(groups(self.host, self.names, self.detect, table).items())]
 
     def reading(self, flows: list, addresses: dict, seconds: float) -> dict:
         """Task -> entry with rates."""
-        if not self.names and not self.detect:
-            return {}
-        return {name: self._entry(name, group, flows, addresses, seconds) for name, group in sorted(self._groups().items())}
-
-    def _entry(self, name: str, group: tuple, flows: list, addresses: dict, seconds: float) -> dict:
-        table, pids, _, document = group
-        then, now = self.before.get(name, {}), _cpu(group)
-        # A process that is new brought its time with it only if it was born in the window; older ones just came into view.
-        used = sum(now.values()) - sum(then.values()) if then or document["age_s"] <= seconds else 0.0
-        document["used_cores"] = round(max(0.0, used) / seconds, 4)
-        document["used_bytes"] = _memory(table, pids)
-        document.update(_throughput(pids, flows, addresses, seconds))
-        return document
+        return {
+            name: dict(
+                group.entry,
+                used_cores=cores(group, table, self.before.get(name, {}), seconds),
+                used_bytes=memory(group, table),
+                **shown(traffic(holdings(group.pids) if flows else set(), flows, addresses, seconds)),
+            )
+            for table, name, group in self._groups()
+        }
 
 
-def _cpu(group: tuple) -> dict:
+def cpu_s(group: Group, table: dict) -> dict:
     """CPU seconds by pid; a child's time passes to whoever reaps it, so the sum over the tree only grows.
 
     The supervisor's own work is not the task's, but it reaps the task's orphans.
     """
-    table, pids, above, _ = group
-    seconds = {pid: table[pid].cpu + table[pid].child_cpu for pid in pids}
-    if above in table:
-        seconds[above] = table[above].child_cpu
+    seconds = {pid: table[pid].cpu + table[pid].child_cpu for pid in group.pids if pid in table}
+    if group.above in table:
+        seconds[group.above] = table[group.above].child_cpu
     return seconds
 
 
-def _memory(table: dict, pids: set) -> int:
+def cores(group: Group, table: dict, then: dict, seconds: float) -> float:
+    """Cores in use since ``then`` (CPU seconds by pid), which was ``seconds`` ago.
+
+    A process that was not seen then brings its time with it, but only that of the window: as much as it used on average.
+    """
+    now = cpu_s(group, table)
+    used = sum(now.values()) - sum(then.values())
+    for pid in set(now) - set(then):
+        used -= now[pid] * (1.0 - min(1.0, seconds / max(1e-3, proc.age(table[pid].ticks))))
+    return round(max(0.0, used) / seconds, 4)
+
+
+def memory(group: Group, table: dict) -> int:
     """Bytes; pages that several processes share count once where the kernel says how they are shared (PSS)."""
-    return sum((_pss(pid, table[pid].rss) if len(pids) > 1 else 0) or table[pid].rss for pid in pids)
+    seen = [table[pid] for pid in group.pids if pid in table]
+    return sum((_pss(each.pid, each.rss) if len(seen) > 1 else 0) or each.rss for each in seen)
 
 
 def _pss(pid: int, rss: int) -> int:
@@ -86,20 +110,32 @@ def _pss(pid: int, rss: int) -> int:
     return 0
 
 
-def _throughput(pids: set, flows: list, addresses: dict, seconds: float) -> dict:
-    """Bytes/s in and out over the network, and both ways by robot; traffic inside this host does not count."""
-    wanted = set().union(*(sockets.inodes(pid) for pid in pids)) if pids and flows else set()
+def holdings(pids: set) -> set:
+    """The sockets that the processes hold."""
+    return set().union(*(sockets.inodes(pid) for pid in pids))
+
+
+def traffic(held: set, flows: list, addresses: dict, seconds: float) -> dict:
+    """Bytes/s over the ``held`` sockets, in all and with each robot; what stays inside this host does not count."""
     robots = {address: robot for robot, found in addresses.items() for address in found}
-    own = [flow for flow in flows if flow.inode in wanted and (flow.remote in robots or not _internal(flow))]
+    own = [flow for flow in flows if flow.inode in held and (flow.remote in robots or not _internal(flow))]
     by_robot = {}
     for flow in own:
         if flow.remote in robots:
-            robot = robots[flow.remote]
-            by_robot[robot] = by_robot.get(robot, 0.0) + (flow.rx + flow.tx) / seconds
+            by_robot.setdefault(robots[flow.remote], []).append(flow)
+    return dict(_rates(own, seconds), robots={robot: _rates(each, seconds) for robot, each in sorted(by_robot.items())})
+
+
+def _rates(flows: list, seconds: float) -> dict:
+    return {"rx": sum(flow.rx for flow in flows) / seconds, "tx": sum(flow.tx for flow in flows) / seconds}
+
+
+def shown(rates: dict) -> dict:
+    """``traffic`` as it stands in a reply: in, out, and both ways by robot."""
     return {
-        "rx_bytes_per_s": round(sum(flow.rx for flow in own) / seconds, 1),
-        "tx_bytes_per_s": round(sum(flow.tx for flow in own) / seconds, 1),
-        "links": {robot: round(rate, 1) for robot, rate in sorted(by_robot.items())},
+        "rx_bytes_per_s": round(rates["rx"], 1),
+        "tx_bytes_per_s": round(rates["tx"], 1),
+        "links": {robot: round(each["rx"] + each["tx"], 1) for robot, each in rates["robots"].items()},
     }
 
 

@@ -58,11 +58,11 @@ def sent(near: socket.socket, far: socket.socket, size: int) -> None:
 def test_counters_of_a_connection_are_exact() -> None:
     with connected() as (near, far):
         sent(near, far, 5_000)
-        traffic = network.Traffic({"robot1": [ROBOT]})
-        sent(near, far, 1_000_000)
-        sent(far, near, 30_000)
-        time.sleep(0.1)
-        flows = [flow for flow in traffic.flows() if flow.remote == ROBOT]
+        with contextlib.closing(network.Traffic({"robot1": [ROBOT]})) as traffic:
+            sent(near, far, 1_000_000)
+            sent(far, near, 30_000)
+            time.sleep(0.1)
+            flows = [flow for flow in traffic.flows() if flow.remote == ROBOT]
     assert [(flow.tx, flow.rx) for flow in flows] == [(1_000_000, 30_000)]
     assert 0 < flows[0].rtt_ms < 1000
 
@@ -70,8 +70,7 @@ def test_counters_of_a_connection_are_exact() -> None:
 def test_connection_that_appears_in_the_window_counts_in_full() -> None:
     # An address of its own: the kernel tells of ended connections a little late, those of other tests too.
     robot = f"{NET}.31"
-    traffic = network.Traffic({"robot1": [robot]})
-    with connected(robot) as (near, far):
+    with contextlib.closing(network.Traffic({"robot1": [robot]})) as traffic, connected(robot) as (near, far):
         sent(near, far, 70_000)
         time.sleep(0.1)
         flows = [flow for flow in traffic.flows() if flow.remote == robot]
@@ -86,21 +85,24 @@ def test_connections_that_end_in_the_window_count_up_to_their_end() -> None:
     with connected() as (near, far):
         sent(near, far, 90_000)
     time.sleep(0.2)
-    flows = [flow for flow in traffic.flows() if flow.remote == ROBOT]
+    with contextlib.closing(traffic):
+        flows = [flow for flow in traffic.flows() if flow.remote == ROBOT]
     # The kernel counts opening and closing as one acknowledged byte each.
     assert sorted(flow.tx // 1000 for flow in flows) == [60, 90]
 
 
 def test_traffic_inside_the_host_does_not_count() -> None:
-    with connected() as (near, far):
-        traffic = network.Traffic({"robot1": [f"{NET}.22"]})
+    with connected() as (near, far), contextlib.closing(network.Traffic({"robot1": [f"{NET}.22"]})) as traffic:
         sent(near, far, 60_000)
         assert not [flow for flow in traffic.flows() if flow.remote in (ROBOT, "127.0.0.1")]
 
 
 def test_v6_connections_count() -> None:
-    traffic = network.Traffic({"robot1": ["::1"]})
-    with socket.create_server(("::1", 0), family=socket.AF_INET6) as server, socket.create_connection(server.getsockname()[:2]) as near:
+    with (
+        contextlib.closing(network.Traffic({"robot1": ["::1"]})) as traffic,
+        socket.create_server(("::1", 0), family=socket.AF_INET6) as server,
+        socket.create_connection(server.getsockname()[:2]) as near,
+    ):
         far, _ = server.accept()
         with far:
             sent(near, far, 40_000)
