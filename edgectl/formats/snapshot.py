@@ -37,6 +37,7 @@ def _host(host: HostSample) -> Document:
         error_kind=host.error_kind or None,
         hint=host.hint or None,
         sample_age_s=number(host.sample_age_s) if host.ok or host.sample_age_s else None,
+        resident=True if host.resident else None,
     )
     if host.cpu is not None:
         document["cpu"] = {"cores": number(host.cpu.cores), "used_cores": number(host.cpu.used_cores)}
@@ -138,6 +139,7 @@ def _read_host(reader: Reader) -> HostSample:
         error_kind=reader.text("error_kind", ""),
         hint=reader.text("hint", ""),
         sample_age_s=reader.maybe_number("sample_age_s") or 0.0,
+        resident=reader.flag("resident", default=False),
         cpu=_read_cpu(reader.child("cpu")) if measured or reader.has("cpu") else None,
         memory=_read_memory(reader.child("memory")) if measured or reader.has("memory") else None,
         links={robot: _read_link(link) for robot, link in reader.children("links")},

@@ -107,7 +107,7 @@ def _settled(answers: Mapping[str, _Answer]) -> dict[str, HostSample]:
     now = time.monotonic()
     done = frozenset[str]().union(*(answer.done for answer in answers.values() if answer.sample.role is Role.ROBOT))
     return {
-        name: with_done(dataclasses.replace(answer.sample, sample_age_s=round(now - answer.at, 3)), done)
+        name: with_done(dataclasses.replace(answer.sample, sample_age_s=round(answer.sample.sample_age_s + now - answer.at, 3)), done)
         if answer.sample.ok
         else answer.sample
         for name, answer in answers.items()

@@ -59,6 +59,8 @@ def decode(document: Document, context: Context) -> HostSample:
     sample = HostSample(
         role=context.host.role,
         status=HostStatus.OK,
+        sample_age_s=optional(document, "sample_age_s", number) or 0.0,
+        resident=flag(document, "resident", default=False),
         cpu=_cpu(document, context.host, tasks),
         memory=_memory(document, context.host, tasks),
         links=_links(document, context, tasks) if context.host.role is Role.EDGE else {},

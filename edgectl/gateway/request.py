@@ -18,17 +18,21 @@ def probe_request(
     Checks are cut short, so that a slow one says no in time instead of costing the whole probe its ``timeout_s``.
     """
     longest = max(1.0, timeout_s - window_s - _OVERHEAD_S)
-    links = [{"robot": robot, "address": address} for robot, address in addresses.items()] if host.role is Role.EDGE else []
     return {
         "op": "probe",
         "host": host.name,
         "window_s": window_s,
-        "links": links,
-        "detect": [_detect(task.name, task.detect) for task in tasks.tasks.values() if task.detect],
+        **wishes(host, tasks, addresses),
         "checks": [
             _check(task, task.done_when, host, inventory, longest) for task in tasks.tasks.values() if task.done_when and _asks(task, host)
         ],
     }
+
+
+def wishes(host: Host, tasks: Tasks, addresses: Mapping[str, str]) -> dict[str, object]:
+    """What is measured on one host besides the host itself and its own tasks: links to robots, and tasks that others started."""
+    links = [{"robot": robot, "address": address} for robot, address in addresses.items()] if host.role is Role.EDGE else []
+    return {"links": links, "detect": [_detect(task.name, task.detect) for task in tasks.tasks.values() if task.detect]}
 
 
 def _asks(task: Task, host: Host) -> bool:

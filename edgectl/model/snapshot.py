@@ -128,7 +128,8 @@ class HostSample:
     """One host's part of the snapshot. An unreachable host has only its role, status and error.
 
     ``error`` is the cause in words, ``error_kind`` its stable word (``HostError.kind``), ``hint`` what mends it.
-    ``sample_age_s``: age of the readings when the snapshot was taken.
+    ``sample_age_s``: age of the readings when the snapshot was taken. ``resident``: a profiler that stays on the host took them, so
+    rates are smoothed already.
     ``generations``: by task, the highest generation the host was ever given, where ``tasks`` does not tell.
     """
 
@@ -138,6 +139,7 @@ class HostSample:
     error_kind: str = ""
     hint: str = ""
     sample_age_s: float = 0.0
+    resident: bool = False
     cpu: Cpu | None = None
     memory: MemoryUse | None = None
     links: Mapping[str, LinkSample] = field(default_factory=dict)

@@ -100,6 +100,7 @@ hosts = st.builds(
     role=st.sampled_from(Role),
     status=st.just(HostStatus.OK),
     sample_age_s=amounts,
+    resident=st.booleans(),
     cpu=st.builds(Cpu, cores=positive, used_cores=amounts),
     memory=st.builds(MemoryUse, total_bytes=positive, used_bytes=amounts),
     links=by_name(links),

@@ -51,7 +51,8 @@ INTERFACE = InterfaceSample(rx_bytes_per_s=1.0, tx_bytes_per_s=2.0, speed_bytes_
 DEVICE = Device(load_1m=1.0, temperature_c=-2.0, gpu_share=0.5, boot_id="b", clock_skew_s=-1.5, interfaces={"eth0": INTERFACE})
 CPU, MEMORY_USE = Cpu(cores=4.0, used_cores=1.5), MemoryUse(total_bytes=5.0, used_bytes=2.0)
 HOST = HostSample(
-    role=Role.ROBOT, status=HostStatus.UNREACHABLE, error="e", error_kind="k", hint="h", sample_age_s=1.5, cpu=CPU, memory=MEMORY_USE,
+    role=Role.ROBOT, status=HostStatus.UNREACHABLE, error="e", error_kind="k", hint="h", sample_age_s=1.5, resident=True, cpu=CPU,
+    memory=MEMORY_USE,
     links={"r": LINK}, tasks={"t": TASK}, device=DEVICE, generations={"t": 9},
 )  # fmt: skip
 PLACEMENT = Placement(host="h", since=1.0, spec_hash="s", generation=2)
