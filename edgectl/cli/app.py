@@ -47,6 +47,8 @@ COMMANDS = {
     "init": Entry("files", "Files", "Write a small fleet that plans and applies at once."),
     "validate": Entry("files", "Files", "Check the inventory and the task files without touching a host."),
     "export prometheus": Entry("export", "Files", "Say what was measured and decided as Prometheus metrics."),
+    "export csv": Entry("export", "Files", "Write the history as CSV."),
+    "export jsonl": Entry("export", "Files", "Write the history as JSON Lines."),
     "version": Entry("files", "Settings", "Print the version."),
     "completion": Entry("files", "Settings", "Print the completion script of a shell."),
 }

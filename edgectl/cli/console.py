@@ -45,6 +45,13 @@ def put(text: str) -> None:
         stream.flush()
 
 
+def put_lines(lines: Iterable[str]) -> None:
+    """Data to standard output, as it comes; no more once nobody reads."""
+    with _pipe(sys.stdout) as stream:
+        stream.writelines(lines)
+        stream.flush()
+
+
 def put_log(data: bytes) -> bool:
     """Raw bytes of a task's log to standard output, control characters written out; False once nobody reads any more."""
     from edgectl.views.text import log_text

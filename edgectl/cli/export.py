@@ -1,15 +1,21 @@
 """export prometheus, csv and jsonl."""
 
+import time
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Annotated
 
-from typer import Exit, Option
+from typer import Argument, Exit, Option
 
 from edgectl.cli import console, exits, options
 from edgectl.cli.extras import extra
-from edgectl.cli.inputs import load, save
+from edgectl.cli.inputs import inventory_file, load, save
 from edgectl.errors import UsageError
+from edgectl.export.rows import Kind, Point, csv_lines, json_lines
 
+_KindArgument = Annotated[Kind, Argument(metavar="KIND", help="hosts, links, tasks, handoffs or events.", show_default=False)]
+_SinceOption = Annotated[str | None, Option("--since", metavar="TIME", help="Not older than this; else everything.")]
+_OutOption = Annotated[Path | None, Option("--out", metavar="FILE", help="Replace this file; else to standard output.")]
 # node_exporter runs as somebody else.
 _READABLE = 0o644
 
@@ -54,3 +60,45 @@ def export_prometheus_command(
     else:
         save(textfile, prometheus.text(seen), mode=_READABLE)
     raise Exit(exits.of_snapshot(seen.snapshot, fleet.inventory, allow_unreachable=allow_unreachable))
+
+
+def export_csv_command(
+    *, kind: _KindArgument, inventory: options.InventoryOption = None, since: _SinceOption = None, out: _OutOption = None
+) -> None:
+    """Write the history as CSV: what was measured of hosts, links and tasks, handoffs, or events. No host is asked.
+
+    Examples:
+        edgectl export csv tasks --since 1h
+        edgectl export csv hosts --out hosts.csv
+    """
+    _export(csv_lines, kind, inventory, since, out)
+
+
+def export_jsonl_command(
+    *, kind: _KindArgument, inventory: options.InventoryOption = None, since: _SinceOption = None, out: _OutOption = None
+) -> None:
+    """Write the history as JSON Lines: what was measured of hosts, links and tasks, handoffs, or events. No host is asked.
+
+    Examples:
+        edgectl export jsonl links --since 1h
+        edgectl export jsonl events --out events.jsonl
+    """
+    _export(json_lines, kind, inventory, since, out)
+
+
+def _export(
+    lines: Callable[[Kind, Iterable[Point]], Iterator[str]], kind: Kind, inventory: Path | None, since: str | None, out: Path | None
+) -> None:
+    from edgectl.cli.reach import seconds, warn
+    from edgectl.config.load import load_inventory
+    from edgectl.state.paths import fleet_dir
+    from edgectl.usecases.rows import points
+
+    begin = time.time() - seconds(since, "--since") if since is not None else None
+    path = inventory_file(inventory)
+    load_inventory(path)
+    text = lines(kind, points(fleet_dir(path), kind, since=begin, warn=warn))
+    if out is None:
+        console.put_lines(text)
+    else:
+        save(out, text)

@@ -4,7 +4,7 @@ Best effort: nothing here fails a command. What must survive (revisions, placeme
 """
 
 import sqlite3
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Self, TypeVar
@@ -130,6 +130,22 @@ class Store:
         """Samples of ``task`` or of all, on whatever host, oldest first; of each task the newest ``limit``."""
         return self._newest(rows.TASKS, "task_samples", ("task",), "SELECT DISTINCT task FROM starts", (task,), since, limit)
 
+    def steady_points(self, task: str, hosts: Collection[str], spec_hash: str, *, min_age_s: float, limit: int) -> tuple[TaskPoint, ...]:
+        """The newest ``limit`` samples of ``task`` on ``hosts`` with this specification, alive and older than ``min_age_s``."""
+        starts = "SELECT start, host FROM starts WHERE task = ? AND spec_hash = ? ORDER BY start DESC"
+        sql = rows.TASKS.select(
+            "task_samples", "WHERE start = ? AND state IN ('running', 'ready') AND age_s >= ? ORDER BY at DESC LIMIT ?"
+        )
+
+        def read(connection: sqlite3.Connection) -> tuple[TaskPoint, ...]:
+            found: list[tuple[object, ...]] = []
+            for start, host in connection.execute(starts, (task, spec_hash)).fetchall():
+                if host in hosts and len(found) < limit:
+                    found += connection.execute(sql, (start, min_age_s, limit - len(found)))
+            return tuple(rows.TASKS.read(row) for row in reversed(found))
+
+        return self._guarded(read, ())
+
     def handoffs(self, *, since: float | None = None, limit: int | None = None) -> tuple[HandoffPoint, ...]:
         """Moves and restarts that were carried out or failed, oldest first; the newest ``limit``."""
         sql = rows.HANDOFFS.select("handoffs", "WHERE at >= ? ORDER BY id DESC LIMIT ?")
@@ -142,6 +158,18 @@ class Store:
         fitting = "WHERE id > ?1 AND at >= ?2 AND (?3 IS NULL OR host = ?3) AND (?4 IS NULL OR task = ?4)"
         sql = rows.EVENTS.select("events", f"{fitting} ORDER BY id DESC LIMIT ?5")
         return self._select(rows.EVENTS, sql, (after, _from(since), host, task, _most(limit)))[::-1]
+
+    def stream(self, form: Form[Value], table: str, order: str, *, since: float | None = None) -> Iterator[Value]:
+        """Rows of ``table`` not older than ``since``, sorted by ``order``, one after the other: they need not fit into memory.
+
+        Raises:
+            StateError: the history cannot be read to its end.
+        """
+        try:
+            for row in self._use().execute(form.select(table, f"WHERE at >= ? ORDER BY {order}"), (_from(since),)):
+                yield form.read(row)
+        except (sqlite3.Error, DamagedError, OSError) as error:
+            raise StateError(f"the history cannot be read to its end: {self._path}: {error}") from error
 
     # -- keeping it small ----------------------------------------------------------------------------------------------------------------
 

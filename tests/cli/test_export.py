@@ -1,13 +1,19 @@
-"""Metrics as a page, as a file, and over HTTP from real probes."""
+"""Metrics as a page, as a file, and over HTTP from real probes; the history as rows."""
 
 import contextlib
+import csv
+import dataclasses
 import gzip
+import io
+import json
 import os
 import re
 import signal
+import sqlite3
 import stat
 import subprocess
 import sys
+import time
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
@@ -20,7 +26,15 @@ from prometheus_client.parser import text_string_to_metric_families
 from edgectl.cli.serve import address_of
 from edgectl.errors import UsageError
 from edgectl.export.metrics import METRICS
+from edgectl.export.rows import Kind
+from edgectl.model.event import Event, EventKind
+from edgectl.model.plan import Action
+from edgectl.model.result import ActionResult, Outcome, Results
+from edgectl.state.paths import fleet_dir
+from edgectl.state.store import Store
+from edgectl.units import parse_instant
 from tests.cli.conftest import Run
+from tests.views import fixtures
 
 
 @pytest.fixture
@@ -152,3 +166,77 @@ def test_a_missing_extra_is_named_with_what_installs_it(site: Path, state: Path,
     assert done.stderr.startswith(f"error: this needs {package}, which is not installed\nhint: ")
     assert f'"edgectl[{name}]"' in done.stderr
     assert done.stderr.count("\n") == 2
+
+
+# -- rows ---------------------------------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def recorded(site: Path, state: Path, run: Run) -> Path:
+    """The history of two real probes, an hour apart and just now, a move and an event; the file."""
+    directory = fleet_dir(site / "inventories" / "local.yaml")
+    snapshot = dataclasses.replace(fixtures.fleet()[2], memory=None)
+    with Store.open(directory) as store:
+        store.record_snapshot(dataclasses.replace(snapshot, taken_at=time.time() - 3600.0))
+        store.record_snapshot(dataclasses.replace(snapshot, taken_at=time.time()))
+        move = ActionResult(
+            task="slam-robot1", action=Action.MOVE, outcome=Outcome.DONE, host="edge2", previous_host="edge1", downtime_s=0.5, located="edge2"
+        )  # fmt: skip
+        store.record_results(fixtures.plan(), Results(revision=1, actions=(move,), seconds=1.0), time.time())
+        store.record_events([Event(at=time.time(), kind=EventKind.HOST_LOST, host="edge1", message='no "route", none')])
+    return directory / "history.db"
+
+
+@pytest.mark.parametrize("kind", Kind)
+def test_rows_as_csv_and_json_lines_are_the_same(recorded: Path, run: Run, kind: Kind) -> None:
+    table, lines = run("export", "csv", kind.value), run("export", "jsonl", kind.value)
+    assert (table.code, table.err, lines.code, lines.err) == (0, "", 0, "")
+    rows = list(csv.DictReader(io.StringIO(table.out, newline="")))
+    objects = [json.loads(line) for line in lines.out.splitlines()]
+    assert rows == [{key: "" if value is None else str(value) for key, value in each.items()} for each in objects]
+    assert rows
+    assert [parse_instant(row["at"]) for row in rows] == sorted(parse_instant(row["at"]) for row in rows)
+
+
+def test_since_leaves_out_what_is_older(recorded: Path, run: Run) -> None:
+    every = run("export", "csv", "hosts").out.splitlines()
+    newer = run("export", "csv", "hosts", "--since", "30m").out.splitlines()
+    assert newer[0] == every[0]
+    assert newer[1:] == every[len(every) // 2 + 1 :]
+    assert len(newer) == 1 + 6
+    assert run("export", "csv", "hosts", "--since", "soon").code == 64
+
+
+def test_rows_into_a_file(recorded: Path, site: Path, run: Run) -> None:
+    target = site / "hosts.csv"
+    assert run("export", "csv", "hosts", "--out", str(target)) == (0, "", "")
+    assert target.read_text() == run("export", "csv", "hosts").out
+
+
+def test_nobody_reads_to_the_end(recorded: Path, site: Path) -> None:
+    with sqlite3.connect(recorded) as database:
+        database.executemany(
+            "INSERT INTO host_samples (host, at, status) VALUES ('edge1', ?, 'unreachable')", [(float(at),) for at in range(20_000)]
+        )
+    database.close()
+    command = f"{sys.executable} -m edgectl export jsonl hosts | head -n 2; exit ${{PIPESTATUS[0]}}"
+    done = subprocess.run(["bash", "-c", command], cwd=site, capture_output=True, text=True, check=False, timeout=60)
+    assert (done.returncode, done.stdout.count("\n"), done.stderr) == (0, 2, "")
+
+
+def test_a_row_that_cannot_be_read_is_said_and_no_file_is_replaced(recorded: Path, site: Path, run: Run) -> None:
+    with sqlite3.connect(recorded) as database:
+        database.execute("UPDATE host_samples SET status = 'sideways' WHERE host = 'robot3'")
+    database.close()
+    target = site / "hosts.csv"
+    target.write_text("as before\n")
+    ended = run("export", "csv", "hosts", "--out", str(target))
+    assert ended.code == 1
+    assert "the history cannot be read to its end" in ended.err
+    assert target.read_text() == "as before\n"
+    assert [path.name for path in site.iterdir() if "hosts.csv" in path.name] == ["hosts.csv"]
+
+
+def test_a_fleet_without_a_history_has_no_rows(site: Path, state: Path, run: Run) -> None:
+    assert run("export", "csv", "handoffs") == (0, "at,task,host,previous_host,outcome,downtime_s,duration_s\n", "")
+    assert run("export", "jsonl", "handoffs") == (0, "", "")

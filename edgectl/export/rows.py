@@ -1,0 +1,80 @@
+"""History as rows for other programs: CSV and JSON Lines, with the same columns in the same order for ever. Pure.
+
+Units stand in the names of the columns; instants are RFC 3339 in UTC; what is not known is empty (null in JSON).
+"""
+
+import csv
+from collections.abc import Iterable, Iterator, Mapping
+from enum import StrEnum
+
+from edgectl.formats.base import dump_line, number
+from edgectl.model.event import Event
+from edgectl.model.point import HandoffPoint, HostPoint, LinkPoint, TaskPoint
+from edgectl.units import format_instant
+
+Point = HostPoint | LinkPoint | TaskPoint | HandoffPoint | Event
+Value = str | int | float | None
+
+
+class Kind(StrEnum):
+    """What there are rows of."""
+
+    HOSTS = "hosts"
+    LINKS = "links"
+    TASKS = "tasks"
+    HANDOFFS = "handoffs"
+    EVENTS = "events"
+
+
+# Columns by kind, each with the field that it shows. New ones are added at the end.
+COLUMNS: Mapping[Kind, Mapping[str, str]] = {
+    Kind.HOSTS: {
+        "at": "at", "host": "host", "status": "status", "cores": "cores", "used_cores": "used_cores", "total_bytes": "total_bytes",
+        "used_bytes": "used_bytes", "rx_bytes_per_s": "rx_bytes_per_s", "tx_bytes_per_s": "tx_bytes_per_s",
+    },
+    Kind.LINKS: {
+        "at": "at", "edge": "edge", "robot": "robot", "capacity_bytes_per_s": "capacity_bytes_per_s",
+        "used_bytes_per_s": "used_bytes_per_s", "rtt_ms": "rtt_ms",
+    },
+    Kind.TASKS: {
+        "at": "at", "task": "task", "host": "host", "state": "state", "used_cores": "used_cores", "used_bytes": "used_bytes",
+        "used_bytes_per_s": "used_bytes_per_s", "links": "links", "age_s": "age_s", "instance": "instance", "spec_hash": "spec_hash",
+    },
+    Kind.HANDOFFS: {
+        "at": "at", "task": "task", "host": "host", "previous_host": "previous_host", "outcome": "outcome", "downtime_s": "downtime_s",
+        "duration_s": "seconds",
+    },
+    Kind.EVENTS: {"at": "at", "id": "id", "kind": "kind", "host": "host", "task": "task", "message": "message"},
+}  # fmt: skip
+
+
+class _Line:
+    """A file for csv.writer that hands each line back."""
+
+    def write(self, line: str) -> str:
+        return line
+
+
+def csv_lines(kind: Kind, points: Iterable[Point]) -> Iterator[str]:
+    """A header, then one line each, as the csv module reads them back."""
+    writer = csv.writer(_Line(), lineterminator="\n")
+    yield writer.writerow(COLUMNS[kind])
+    for point in points:
+        yield writer.writerow(_row(kind, point).values())
+
+
+def json_lines(kind: Kind, points: Iterable[Point]) -> Iterator[str]:
+    """One JSON object per line."""
+    return (dump_line(_row(kind, point)) for point in points)
+
+
+def _row(kind: Kind, point: Point) -> dict[str, Value]:
+    return {column: _value(name, getattr(point, name)) for column, name in COLUMNS[kind].items()}
+
+
+def _value(name: str, value: Value) -> Value:
+    if name == "at" and isinstance(value, float):
+        return format_instant(value)
+    if isinstance(value, StrEnum):
+        return value.value
+    return number(value) if isinstance(value, float) else value
