@@ -8,7 +8,7 @@ from edgectl.formats.base import FormatErrors
 from edgectl.model.memory import Memory
 from edgectl.state.files import Warn, load_or_set_aside, silent, write_json
 
-_NAME = "memory.json"
+NAME = "memory.json"
 
 
 def load_memory(fleet_dir: Path, warn: Warn = silent) -> Memory:
@@ -17,7 +17,7 @@ def load_memory(fleet_dir: Path, warn: Warn = silent) -> Memory:
     Raises:
         StateError: a newer edgectl wrote it.
     """
-    return load_or_set_aside(fleet_dir / _NAME, _decode, Memory(), warn)
+    return load_or_set_aside(fleet_dir / NAME, _decode, Memory(), warn)
 
 
 def _decode(document: dict[str, object]) -> Memory:
@@ -38,4 +38,4 @@ def save_memory(fleet_dir: Path, memory: Memory) -> None:
     Raises:
         StateError: the disk does not take it.
     """
-    write_json(fleet_dir / _NAME, form.encode(kept(memory)))
+    write_json(fleet_dir / NAME, form.encode(kept(memory)))

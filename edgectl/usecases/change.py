@@ -17,6 +17,7 @@ from edgectl.model.progress import Listener, unheard
 from edgectl.model.result import Results
 from edgectl.state.journal import NAME as JOURNAL
 from edgectl.state.journal import Journal, Log
+from edgectl.state.journal import read as read_journal
 from edgectl.state.lock import FleetLock, user
 from edgectl.state.memory import kept, load_memory, save_memory
 from edgectl.transport.pool import SessionPool
@@ -27,6 +28,7 @@ from edgectl.usecases.record import record_results
 from edgectl.usecases.touch import in_touch
 
 Confirm = Callable[[Plan], bool]
+_NOTHING_DONE = Results(revision=0, actions=(), seconds=0.0)
 
 
 def agreed(_plan: Plan) -> bool:
@@ -85,7 +87,7 @@ def carry_out(
         return Applied(plan=plan, declined=True)
     cut_off = _say_unfinished(fleet)
     if not plan.changes:
-        _remember(fleet, plan, memory, Results(revision=0, actions=(), seconds=0.0), {})
+        _remember(fleet, plan, memory, _NOTHING_DONE, {})
         _recover(fleet, cut_off)
         return Applied(plan=plan)
     used = generations(memory, plan.snapshot, plan.steps, fleet.clock(), cut_off.generations)
@@ -108,6 +110,15 @@ def carry_out(
     record_results(fleet, plan, results)
     _recover(fleet, cut_off)
     return Applied(plan=plan, results=results)
+
+
+def settled(fleet: Fleet, plan: Plan) -> bool:
+    """Whether `carry_out` would do nothing at all: no action, nothing new to remember, nothing cut off to recover from."""
+    if plan.changes:
+        return False
+    memory, log = plan.snapshot.memory or Memory(), read_journal(fleet.state / JOURNAL)
+    after = remember(memory, plan, fleet.tasks, _NOTHING_DONE, {}, fleet.clock())
+    return kept(after) == load_memory(fleet.state) and not (log.unfinished or log.held or log.torn or log.broken)
 
 
 def _record_placements(fleet: Fleet, journal: Journal, revision: int, after: Memory) -> None:

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+from edgectl.model.event import Event
 from edgectl.model.plan import Plan
 from edgectl.model.result import Results
 from edgectl.model.snapshot import Snapshot
@@ -27,6 +28,23 @@ def record_plan(fleet: Fleet, plan: Plan) -> None:
 def record_results(fleet: Fleet, plan: Plan, results: Results) -> None:
     """Keep what an apply did. Call it before the lock is released, so that nobody takes its work for an event of its own."""
     _record(fleet, lambda store: store.record_results(plan, results, fleet.clock()))
+
+
+def newest_event(fleet: Fleet) -> int:
+    """The id of the newest event that is kept, 0 where there is none."""
+    return max((event.id for event in _read(fleet, lambda store: store.events(limit=1))), default=0)
+
+
+def events_after(fleet: Fleet, after: int, *, limit: int = 200) -> tuple[Event, ...]:
+    """The newest events with an id above ``after``, oldest first."""
+    return _read(fleet, lambda store: store.events(after=after, limit=limit))
+
+
+def _read(fleet: Fleet, look: "Callable[[Store], tuple[Event, ...]]") -> tuple[Event, ...]:
+    from edgectl.state.store import Store
+
+    with Store.open(fleet.state, warn=_once(fleet)) as store:
+        return look(store)
 
 
 def _record(fleet: Fleet, act: "Callable[[Store], None]") -> None:

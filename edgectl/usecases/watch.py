@@ -1,0 +1,261 @@
+"""watch: the loop. Sample, smooth, plan and, where it is allowed, carry out, over connections that stay open."""
+
+import dataclasses
+import math
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from typing import Self
+
+from edgectl.errors import EdgectlError, InputError, LockBusyError
+from edgectl.gateway.collect import ProbeOptions
+from edgectl.gateway.smooth import smoothed
+from edgectl.model.cycle import Cycle
+from edgectl.model.plan import Action, Plan
+from edgectl.model.policy import Policy
+from edgectl.model.progress import Listener, unheard
+from edgectl.model.result import Outcome, Results
+from edgectl.model.snapshot import Snapshot
+from edgectl.model.task import Tasks
+from edgectl.state.lock import FleetLock
+from edgectl.state.stamp import Stamp, stamp
+from edgectl.transport.patient import REFUSED_S, Patient
+from edgectl.transport.pool import SessionPool
+from edgectl.usecases.change import ApplyOptions, agreed, carry_out, settled
+from edgectl.usecases.control import Control, Wish
+from edgectl.usecases.fleet import Fleet
+from edgectl.usecases.keepalive import kept_alive
+from edgectl.usecases.plan import plan as make_plan
+from edgectl.usecases.plan import targeted
+from edgectl.usecases.probe import probe
+from edgectl.usecases.record import events_after, newest_event, record_plan
+from edgectl.usecases.touch import in_touch
+
+# A task whose action failed is left alone for a while, longer each time: a move that fails stops the task each time it is tried.
+_FIRST_REST_S, _LONGEST_REST_S = 30.0, 600.0
+# A host that hangs may not hold a cycle up for as long as a person would wait for a probe.
+_PROBE_S = 10.0
+
+
+Signature = tuple[tuple[str, Action, str | None], ...]
+
+
+def stated(fleet: Fleet) -> Policy:
+    """The policy of the task files."""
+    return fleet.tasks.policy
+
+
+def unchanged() -> Fleet | None:
+    """Never read the files again."""
+    return None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WatchOptions:
+    """``every``: s from the beginning of a cycle to that of the next. ``apply``: carry plans out. ``cycles``: end after so many.
+
+    ``policy``: how to decide for a fleet; nobody looks at these plans, so ``max_moves`` acts.
+    ``refresh``: a new fleet where its files changed, else None; an EdgectlError where they are broken, and the old ones are used.
+    """
+
+    every: float = 10.0
+    apply: bool = False
+    cycles: int | None = None
+    max_parallel: int = 16
+    probe: ProbeOptions = field(default_factory=lambda: ProbeOptions(timeout=_PROBE_S))
+    policy: Callable[[Fleet], Policy] = stated
+    refresh: Callable[[], Fleet | None] = unchanged
+    progress: Listener = unheard
+    control: Control = field(default_factory=Control)
+
+
+def watch(fleet: Fleet, options: WatchOptions) -> Iterator[Cycle]:
+    """One `Cycle` after the other, until ``options.control`` is told to stop. What goes wrong in a cycle is said in it; the loop goes on.
+
+    Close the iterator (``contextlib.closing``) where it is not read to its end: it holds connections.
+    """
+    with _Watch(fleet, options) as loop:
+        yield from loop.cycles()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Rest:
+    """``failures`` in a row of the actions of one task; the next one not before ``until`` (uptime, s)."""
+
+    failures: int
+    until: float
+
+
+class _Watch:
+    """What a watch keeps from cycle to cycle: nothing of it grows with their number."""
+
+    def __init__(self, fleet: Fleet, options: WatchOptions) -> None:
+        self._options = options
+        self._said: list[str] = []
+        self._resting: dict[str, _Rest] = {}
+        self._smooth: Snapshot | None = None
+        self._planned: Signature = ()
+        self._take(fleet)
+        self._heard = newest_event(self._fleet)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self._pool.close()
+
+    def _take(self, fleet: Fleet) -> None:
+        """Work on ``fleet`` from now on, over new connections."""
+        self._pool = SessionPool(fleet.transport, forget_s=REFUSED_S, clock=self._now_of(fleet))
+        self._patient = Patient(self._pool, clock=self._now_of(fleet))
+        self._fleet = dataclasses.replace(fleet, transport=self._pool, warn=self._said.append)
+
+    @staticmethod
+    def _now_of(fleet: Fleet) -> Callable[[], float]:
+        return lambda: fleet.uptime().seconds
+
+    def _now(self) -> float:
+        """Seconds on a clock that nobody sets."""
+        return self._fleet.uptime().seconds
+
+    def cycles(self) -> Iterator[Cycle]:
+        """The loop itself. A cycle that overran its time is followed by the next whole one: they do not pile up."""
+        number, wish = 0, None
+        while wish is not Wish.STOP:
+            number += 1
+            began = self._now()
+            cycle = self._cycle(number, paused=self._options.control.paused and wish is not Wish.NOW)
+            seconds = self._now() - began
+            left = self._options.every - math.fmod(seconds, self._options.every)
+            last = number == self._options.cycles or self._options.control.stop_requested.is_set()
+            yield dataclasses.replace(cycle, seconds=seconds, next_in=None if last else left)
+            if last:
+                return
+            wish = self._wait(began + seconds + left)
+
+    def _wait(self, until: float) -> Wish | None:
+        """Wait for the next cycle, or for a wish. Tasks that fence themselves hear of this manager all the while."""
+        left = max(0.0, until - self._now())
+        if self._smooth is None or not any(task.self_fence is not None for task in self._fleet.tasks.tasks.values()):
+            return self._options.control.wait(left)
+        with in_touch(self._fleet) as near, kept_alive(near, self._smooth):
+            return self._options.control.wait(left)
+
+    def _cycle(self, number: int, *, paused: bool) -> Cycle:
+        """One round. Whatever goes wrong belongs to this round alone."""
+        draft = _Draft(Cycle(number=number, at=self._fleet.clock(), paused=paused))
+        self._said.clear()
+        try:
+            self._round(draft, paused=paused)
+        except LockBusyError as error:
+            draft.put(busy=error.message)
+        except EdgectlError as error:
+            draft.put(error=_text(error))
+        except OSError as error:
+            draft.put(error=f"{error.filename}: {error.strerror}" if error.filename else str(error))
+        events = events_after(self._fleet, self._heard)
+        self._heard = max((event.id for event in events), default=self._heard)
+        return dataclasses.replace(draft.cycle, events=events, warnings=tuple(dict.fromkeys(self._said)), resting=self._at_rest())
+
+    def _round(self, draft: "_Draft", *, paused: bool) -> None:
+        self._refresh()
+        before = stamp(self._fleet.state)
+        snapshot = self._sample()
+        draft.put(snapshot=snapshot)
+        if paused or self._options.control.stop_requested.is_set():
+            return
+        plan = self._plan(snapshot)
+        draft.put(plan=plan)
+        if self._options.apply and not settled(self._fleet, plan):
+            draft.put(results=self._apply(plan, before))
+
+    def _refresh(self) -> None:
+        """Take over files that changed; broken ones are said, and those from before stay."""
+        try:
+            fleet = self._options.refresh()
+        except EdgectlError as error:
+            self._said.append(f"{_text(error)}; what was read before is used")
+            return
+        if fleet is not None:
+            self._pool.close()
+            self._take(fleet)
+            self._resting = {task: rest for task, rest in self._resting.items() if task in fleet.tasks.tasks}
+
+    def _sample(self) -> Snapshot:
+        """Measure, and let hosts that are silent rest."""
+        snapshot = probe(dataclasses.replace(self._fleet, transport=self._patient), self._options.probe)
+        self._smooth = smoothed(self._smooth, snapshot, period=self._options.every)
+        return snapshot
+
+    def _plan(self, snapshot: Snapshot) -> Plan:
+        """Decide from the smoothed loads; tasks that rest stay as they are."""
+        policy = dataclasses.replace(self._options.policy(self._fleet), attended=False)
+        plan = make_plan(self._fleet, policy, snapshot=self._smooth or snapshot)
+        signature = tuple((step.task, step.action, step.decision.host) for step in plan.steps)
+        if signature != self._planned:
+            self._planned = signature
+            record_plan(self._fleet, plan)
+        alone = _left_alone(plan, self._fleet.tasks, self._at_rest())
+        return targeted(plan, {step.task for step in plan.steps} - alone) if alone else plan
+
+    def _at_rest(self) -> tuple[str, ...]:
+        now = self._now()
+        return tuple(sorted(task for task, rest in self._resting.items() if now < rest.until))
+
+    def _apply(self, plan: Plan, before: Stamp) -> Results | None:
+        """Carry out, under the lock, unless another edgectl changed the fleet after the plan's snapshot was begun.
+
+        Raises:
+            LockBusyError: another edgectl is changing this fleet.
+        """
+        options = ApplyOptions(
+            max_parallel=self._options.max_parallel,
+            progress=self._options.progress,
+            stop_requested=self._options.control.stop_requested,
+        )
+        with FleetLock(self._fleet.state, verb="watch", clock=self._fleet.clock):
+            if stamp(self._fleet.state) != before:
+                self._said.append("another edgectl changed the fleet meanwhile; the next cycle plans anew")
+                return None
+            results = carry_out(self._fleet, plan, agreed, options, verb="watch").results
+        self._note_failures(results)
+        return results
+
+    def _note_failures(self, results: Results | None) -> None:
+        for action in results.actions if results is not None else ():
+            if action.outcome is Outcome.DONE:
+                self._resting.pop(action.task, None)
+            elif action.outcome is Outcome.FAILED:
+                failures = 1 + (self._resting[action.task].failures if action.task in self._resting else 0)
+                seconds = min(_FIRST_REST_S * 2.0 ** min(failures - 1, 10), _LONGEST_REST_S)
+                self._resting[action.task] = _Rest(failures=failures, until=self._now() + seconds)
+
+
+def _left_alone(plan: Plan, tasks: Tasks, resting: Iterable[str]) -> set[str]:
+    """Tasks that rest, and those that would start after one that would start if it did not rest."""
+    alone = set(resting)
+    starting = {step.task for step in plan.steps if step.action is Action.START}
+    for step in plan.steps:
+        needs = {need.task for need in tasks.tasks[step.task].needs} if step.task in tasks.tasks else set()
+        if step.task in starting and needs & alone & starting:
+            alone.add(step.task)
+    return alone
+
+
+class _Draft:
+    """A cycle as far as it came."""
+
+    def __init__(self, cycle: Cycle) -> None:
+        self.cycle = cycle
+
+    def put(self, **parts: object) -> None:
+        """Add what is known now."""
+        self.cycle = dataclasses.replace(self.cycle, **parts)  # type: ignore[arg-type]
+
+
+def _text(error: EdgectlError) -> str:
+    """What went wrong in one line; of broken files the first mistake with its place."""
+    if isinstance(error, InputError) and error.problems:
+        first = error.problems[0]
+        more = f" (and {len(error.problems) - 1} more)" if len(error.problems) > 1 else ""
+        return f"{first.file}:{first.line}:{first.column}: {first.message}{more}"
+    return error.message

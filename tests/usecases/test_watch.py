@@ -1,0 +1,234 @@
+"""The loop over simulated hosts, with the real scheduler, lock, journal, memory and history."""
+
+import dataclasses
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from edgectl.errors import InputError, Problem, RefusedError
+from edgectl.model.cycle import Cycle
+from edgectl.model.event import EventKind
+from edgectl.model.memory import Memory
+from edgectl.model.plan import Action
+from edgectl.model.policy import Policy
+from edgectl.model.result import Outcome
+from edgectl.model.weights import PRESETS
+from edgectl.state.journal import read as read_journal
+from edgectl.state.lock import FleetLock
+from edgectl.state.memory import load_memory
+from edgectl.usecases import marks
+from edgectl.usecases.fleet import Fleet
+from tests.builders import a_task, some_tasks
+from tests.usecases.watching import EVERY, Site
+
+
+@pytest.fixture
+def site(tmp_path: Path) -> Site:
+    return Site(tmp_path)
+
+
+def acted(cycles: list[Cycle]) -> dict[int, list[tuple[str, Action]]]:
+    """What was carried out, by the number of the cycle."""
+    return {c.number: [(a.task, a.action) for a in c.results.actions] for c in cycles if c.results is not None}
+
+
+def well(cycles: list[Cycle]) -> bool:
+    return not any(c.error or c.warnings or c.busy or c.resting for c in cycles)
+
+
+def test_it_starts_what_is_missing_and_then_changes_nothing(site: Site) -> None:
+    cycles = list(site.watch(20))
+    assert [c.number for c in cycles] == list(range(1, 21))
+    assert acted(cycles) == {1: [("slam", Action.START), ("navigation", Action.START)]}
+    assert well(cycles)
+    assert site.hosts.placed.keys() == {"slam", "navigation"}
+    assert site.transport.connected == {"edge1": 1, "edge2": 1, "robot1": 1}
+    assert [c.next_in is None for c in cycles] == [False] * 19 + [True]
+    assert cycles[-1].at - cycles[0].at == pytest.approx(19 * EVERY, abs=1.0)
+    assert load_memory(site.fleet.state).placements.keys() == {"slam", "navigation"}
+
+
+def test_without_apply_it_only_says_what_it_would_do(site: Site) -> None:
+    cycles = list(site.watch(3, apply=False))
+    assert all(c.plan is not None and c.plan.summary == {Action.START: 2} for c in cycles)
+    assert acted(cycles) == {}
+    assert site.hosts.world.events == []
+    assert not (site.fleet.state / "journal.jsonl").exists()
+
+
+def test_a_lasting_load_moves_each_task_once_after_its_dwell(tmp_path: Path) -> None:
+    tasks = some_tasks(a_task("slam", cpu=1.0), a_task("navigation", cpu=0.5), policy=Policy(weights=PRESETS["cpu"]))
+    site = Site(tmp_path, tasks=tasks)
+    site.hosts["edge1"].cores = site.hosts["edge2"].cores = 8.0
+
+    def load() -> None:
+        for name in set(site.hosts.placed.values()):
+            site.hosts[name].used = 4.0 if name == site.hosts.placed["slam"] else 0.0
+
+    cycles = list(site.watch(60, {2: load}))
+    moves = {number: each for number, each in acted(cycles).items() if number > 1}
+    assert list(moves.values()) == [[("slam", Action.MOVE)]]
+    assert 120 / EVERY <= min(moves) <= 120 / EVERY + 3, "not before min_dwell has passed"
+    assert not site.hosts.world.overlap
+    assert well(cycles)
+
+
+def test_a_dead_host_is_held_asked_ever_more_rarely_and_taken_back(site: Site) -> None:
+    lost: list[str] = []
+
+    def die() -> None:
+        lost.append(site.hosts.placed["slam"])
+        site.hosts.down.update(lost)
+
+    cycles = list(site.watch(40, {2: die, 30: site.hosts.down.clear}))
+    dead = [c for c in cycles if c.snapshot is not None and not c.snapshot.hosts[lost[0]].ok]
+    assert [c.number for c in dead][:28] == list(range(3, 31))
+    assert len(dead) <= 34, "it is found again within a minute"
+    assert all(c.plan is not None and c.plan.summary.get(Action.HOLD) == 2 for c in dead)
+    assert 5 <= site.transport.connected[lost[0]] <= 12
+    assert acted(cycles).keys() == {1}
+    assert well(cycles)
+    told = [
+        (c.number, event.kind)
+        for c in cycles
+        for event in c.events
+        if event.host in lost and event.kind in (EventKind.HOST_LOST, EventKind.HOST_BACK)
+    ]
+    assert told == [(dead[0].number, EventKind.HOST_LOST), (dead[-1].number + 1, EventKind.HOST_BACK)]
+    assert not site.hosts.world.overlap
+
+
+def test_a_failing_action_is_not_repeated_in_every_cycle(site: Site) -> None:
+    for edge in ("edge1", "edge2"):
+        site.hosts[edge].faults["start:slam"] = RefusedError("disk full")
+    cycles = list(site.watch(55, {40: lambda: [site.hosts[edge].faults.clear() for edge in ("edge1", "edge2")]}))
+    tried = [number for number, actions in acted(cycles).items() if ("slam", Action.START) in actions]
+    assert tried[0] == 1
+    assert 4 <= len(tried) <= 7, tried
+    assert [b - a for a, b in pairwise(tried)][:3] == [4, 7, 13], "30, 60, 120 s"
+    assert cycles[1].resting == ("slam",)
+    assert all(c.results is None or c.results.actions[0].outcome is Outcome.FAILED for c in cycles[:40])
+    assert all(c.results is None or c.number > 40 or c.results.actions[1].outcome is Outcome.SKIPPED for c in cycles), (
+        "nor begun without it"
+    )
+    assert site.hosts.placed.keys() == {"slam", "navigation"}
+    assert not any(c.error for c in cycles)
+
+
+def test_the_lock_is_taken_for_changes_alone(site: Site) -> None:
+    list(site.watch(1))
+    with FleetLock(site.fleet.state):
+        assert well(list(site.watch(5))), "nothing was to be done, so nobody asked for the lock"
+        site.hosts[site.hosts.placed["slam"]].tasks.pop("slam")
+        busy = list(site.watch(2))
+    assert all("lock held by" in c.busy for c in busy)
+    assert acted(busy) == {}
+    after = list(site.watch(1))
+    assert acted(after) == {1: [("slam", Action.START)]}
+
+
+def test_a_fleet_changed_by_another_edgectl_since_the_sample_is_planned_anew(site: Site) -> None:
+    list(site.watch(1))
+    away = site.hosts.placed["slam"]
+    site.hosts[away].tasks.clear()
+    other = dataclasses.replace(site.fleet, transport=site.hosts.transport)
+    policy = site.fleet.tasks.policy
+    answers = [lambda: marks.cordon(other, [away])]
+
+    def meanwhile(_fleet: Fleet) -> object:
+        if answers:
+            answers.pop()()
+        return policy
+
+    first, second = site.watch(2, policy=meanwhile)
+    assert first.results is None
+    assert "another edgectl changed the fleet meanwhile" in first.warnings[0]
+    assert second.results is not None
+    assert set(site.hosts.placed.values()) == {"edge2" if away == "edge1" else "edge1"}
+
+
+def test_completed_tasks_are_remembered_although_nothing_is_carried_out(site: Site) -> None:
+    list(site.watch(1))
+    host = site.hosts[site.hosts.placed["navigation"]]
+    host.tasks["navigation"] |= {"state": "completed", "pid": 0}
+    cycles = list(site.watch(3))
+    assert well(cycles)
+    assert acted(cycles) == {}
+    assert load_memory(site.fleet.state).done == {"navigation": "hash-navigation"}
+
+
+def test_pausing_samples_on_and_plans_nothing_until_asked(site: Site) -> None:
+    cycles = list(site.watch(8, {1: site.control.pause, 4: site.control.now, 6: site.control.pause}))
+    assert [c.plan is None for c in cycles] == [False, True, True, True, False, True, False, False]
+    assert [c.paused for c in cycles] == [c.plan is None for c in cycles]
+    assert all(c.snapshot is not None for c in cycles)
+    assert cycles[4].at - cycles[3].at < 1.0, "at once"
+    assert well(cycles)
+
+
+def test_stop_ends_it_without_beginning_anything(site: Site) -> None:
+    cycles = list(site.watch(9, {3: site.control.stop}))
+    assert len(cycles) == 3
+    site.control.stop_requested.set()
+    site.hosts["edge1"].tasks.clear()
+    site.hosts["edge2"].tasks.clear()
+    (stopped,) = site.watch(9)
+    assert (stopped.plan, stopped.results, stopped.next_in) == (None, None, None)
+    assert site.hosts.placed == {}
+
+
+def test_cycles_that_take_too_long_do_not_pile_up(site: Site) -> None:
+    list(site.watch(1))
+    site.hands.cost = 7.0
+    cycles = list(site.watch(6, apply=False))
+    begun = [c.at for c in cycles]
+    assert all(c.seconds > EVERY for c in cycles)
+    for earlier, later in pairwise(begun):
+        assert (later - earlier) / EVERY == pytest.approx(round((later - earlier) / EVERY), abs=0.1)
+
+
+def test_changed_files_are_taken_over_and_broken_ones_said(site: Site) -> None:
+    new = dataclasses.replace(site.fleet, tasks=some_tasks(a_task("slam", cpu=1.0, robots=["robot1"])), transport=site.transport)
+    mistake = InputError([Problem(file="tasks.yaml", line=3, column=5, code="EC012", message="unknown field 'demnd'")])
+    answers: list[Fleet | InputError | None] = [None, mistake, mistake, new, None]
+
+    def refresh() -> Fleet | None:
+        answer = answers.pop(0) if answers else None
+        if isinstance(answer, InputError):
+            raise answer
+        return answer
+
+    cycles = list(site.watch(6, refresh=refresh))
+    said = "tasks.yaml:3:5: unknown field 'demnd'; what was read before is used"
+    assert [c.warnings for c in cycles] == [(), (said,), (said,), (), (), ()]
+    assert acted(cycles)[4] == [("navigation", Action.STOP)]
+    assert site.hosts.placed.keys() == {"slam"}
+    assert site.transport.connected["edge1"] == 2, "new files, new connections"
+
+
+def test_an_error_belongs_to_its_cycle(site: Site) -> None:
+    list(site.watch(1))
+    path = site.fleet.state / "memory.json"
+    good = path.read_text()
+    newer = good.replace('"format_version": 1', '"format_version": 99')
+    assert newer != good
+    cycles = list(site.watch(4, {1: lambda: path.write_text(newer), 3: lambda: path.write_text(good)}))
+    assert ["newer edgectl" in c.error for c in cycles] == [False, True, True, False]
+    assert cycles[3].plan is not None
+    assert site.hosts.placed.keys() == {"slam", "navigation"}
+
+
+def test_noise_does_not_move_what_a_lasting_load_would(site: Site) -> None:
+    list(site.watch(1))
+    site.hands.seconds += 600.0
+    busy = site.hosts[site.hosts.placed["slam"]]
+    spikes = {number: (lambda n=number: setattr(busy, "used", 3.2 if n % 9 == 0 else 0.0)) for number in range(1, 80)}
+    assert acted(list(site.watch(80, spikes))) == {}
+
+
+def test_the_journal_says_who_did_it(site: Site) -> None:
+    list(site.watch(2))
+    entries = read_journal(site.fleet.state / "journal.jsonl").entries
+    assert [entry["verb"] for entry in entries if entry["event"] == "begin"] == ["watch"]
+    assert isinstance(load_memory(site.fleet.state), Memory)

@@ -1,0 +1,90 @@
+"""A watch over simulated hosts, on a clock that jumps instead of waiting."""
+
+import dataclasses
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing
+from itertools import islice
+from pathlib import Path
+
+from edgectl.model.cycle import Cycle
+from edgectl.model.inventory import Host, Inventory
+from edgectl.model.task import Tasks
+from edgectl.state.uptime import Uptime
+from edgectl.transport.fake import FakeSession, FakeTransport
+from edgectl.usecases.control import Control, Wish
+from edgectl.usecases.fleet import Fleet
+from edgectl.usecases.watch import WatchOptions, watch
+from tests.builders import NOW, a_robot, a_task, an_edge, an_inventory, some_tasks
+from tests.executor.fake_fleet import FakeFleet
+
+EVERY = 10.0
+
+
+class Hands:
+    """Wall clock and uptime in step; ``cost``: what each reading of the wall clock takes, as if the work took time."""
+
+    def __init__(self) -> None:
+        self.seconds = 0.0
+        self.cost = 0.01
+
+    def wall(self) -> float:
+        self.seconds += self.cost
+        return NOW + self.seconds
+
+    def uptime(self) -> Uptime:
+        return Uptime(boot="boot", seconds=self.seconds)
+
+
+class Hurried(Control):
+    """Waits by setting the clock; ``wishes`` are granted first."""
+
+    def __init__(self, hands: Hands) -> None:
+        super().__init__()
+        self.hands = hands
+        self.waited: list[float] = []
+
+    def wait(self, seconds: float) -> Wish | None:
+        wish = super().wait(0)
+        if wish is None:
+            self.hands.seconds += seconds
+        self.waited = [*self.waited[-9:], seconds]
+        return wish
+
+
+class Site:
+    """Two edges, a robot, two tasks and a watch over them. ``transport`` keeps no list of requests, unlike the FakeTransport below it."""
+
+    def __init__(self, state: Path, *, tasks: Tasks | None = None, inventory: Inventory | None = None) -> None:
+        inventory = inventory or an_inventory(an_edge("edge1"), an_edge("edge2"), a_robot("robot1"))
+        tasks = tasks or some_tasks(
+            a_task("slam", cpu=1.0, robots=["robot1"]), a_task("navigation", cpu=0.5, robots=["robot1"], needs=["slam"])
+        )
+        self.hosts = FakeFleet.of(inventory.hosts)
+        self.hands = Hands()
+        self.control = Hurried(self.hands)
+        self.transport = Forgetful(self.hosts.transport)
+        self.fleet = Fleet(
+            inventory=inventory, tasks=tasks, transport=self.transport, state=state, clock=self.hands.wall, uptime=self.hands.uptime
+        )
+
+    def watch(self, cycles: int, between: Mapping[int, Callable[[], object]] | None = None, **changes: object) -> Iterator[Cycle]:
+        """The cycles; after that of a number in ``between`` something happens. Changes are for `WatchOptions`."""
+        options = dataclasses.replace(WatchOptions(every=EVERY, apply=True, control=self.control, cycles=cycles), **changes)  # type: ignore[arg-type]
+        with closing(watch(self.fleet, options)) as running:
+            for cycle in islice(running, 2 * cycles):
+                yield cycle
+                (between or {}).get(cycle.number, int)()
+
+
+class Forgetful(FakeTransport):
+    """Over a FakeTransport: counts connections and forgets requests."""
+
+    def __init__(self, within: FakeTransport) -> None:
+        super().__init__({})
+        self.within = within
+        self.connected: dict[str, int] = {}
+
+    def connect(self, host: Host, *, timeout: float) -> FakeSession:
+        self.connected[host.name] = self.connected.get(host.name, 0) + 1
+        self.within.requests.clear()
+        return self.within.connect(host, timeout=timeout)
