@@ -8,8 +8,9 @@ from .errors import RefusalError
 from .start import take_lock
 
 _TRIES = 5
-_SETTLE_S, _POLL_S = 5.0, 0.02
 _REPORT_S, _GRACE_S, _KILL_S = 10.0, 2.0, 5.0
+# Longer than the agent that starts one waits for it: it holds the lock as long.
+_SETTLE_S, _POLL_S = 15.0, 0.02
 _MARGIN = 1.5
 
 
@@ -84,7 +85,7 @@ def _ended(host: str) -> list:
         for name, patience_s in (("TERM", _GRACE_S), ("KILL", _KILL_S)):
             ended += _signalled(folder, name, patience_s)
         if ended:
-            seat.leave(folder, "it was stopped")
+            seat.leave(folder, "")
         if seat.is_taken(folder):
             left = ", ".join(str(pid) for pid, _ in seat.holders(folder)) or "unknown"
             raise RefusalError("stop-incomplete", "the profiler does not end (pid %s)" % left, "look at it on the host")

@@ -49,7 +49,7 @@ def take(folder: str, fd: int) -> dict:
 
 
 def leave(folder: str, why: str) -> None:
-    """Note why nobody sits here any more."""
+    """Note why nobody sits here any more; empty: it was asked to go."""
     try:
         record.write(os.path.join(folder, _RECORD), {"ended": why[:500]})
     except (OSError, ValueError):
@@ -57,11 +57,11 @@ def leave(folder: str, why: str) -> None:
 
 
 def last_words(host: str) -> str:
-    """Why the last profiler of the host is gone; empty where there was none."""
+    """Why the last profiler of the host is gone; empty where it was asked to go, or there was none."""
     for folder in folders(host):
         known = record.read(os.path.join(folder, _RECORD))
         if known:
-            return known.get("ended") or ("it was killed" if known.get("boot_id") == proc.boot_id() else "the host was rebooted")
+            return known.get("ended", "it was killed" if known.get("boot_id") == proc.boot_id() else "the host was rebooted")
     return ""
 
 

@@ -36,6 +36,9 @@ COMMANDS = {
     "stop": Entry("tasks", "Fleet", "Stop tasks."),
     "restart": Entry("tasks", "Fleet", "Stop a task and start it again where it runs."),
     "doctor": Entry("doctor", "Fleet", "Find what is wrong with hosts and links, and what mends it."),
+    "profilers start": Entry("profilers", "Fleet", "Start a small process on each host that measures all the time."),
+    "profilers status": Entry("profilers", "Fleet", "Show which profilers run and what they cost."),
+    "profilers stop": Entry("profilers", "Fleet", "Stop the profilers."),
     "trust": Entry("fleet", "Fleet", "Show a host's key and, after a yes, remember it."),
     "cordon": Entry("fleet", "Fleet", "Close hosts to new tasks."),
     "drain": Entry("drain", "Fleet", "Close hosts and move their tasks away now."),
@@ -49,11 +52,14 @@ COMMANDS = {
     "export prometheus": Entry("export", "Files", "Say what was measured and decided as Prometheus metrics."),
     "export csv": Entry("export", "Files", "Write the history as CSV."),
     "export jsonl": Entry("export", "Files", "Write the history as JSON Lines."),
+    "export cron": Entry("export_units", "Files", "Write the crontab line that applies again and again."),
+    "export systemd": Entry("export_units", "Files", "Write the systemd units that apply again and again, or watch."),
     "version": Entry("files", "Settings", "Print the version."),
     "completion": Entry("files", "Settings", "Print the completion script of a shell."),
 }
 # First word of such names -> one line of help.
 GROUPS: dict[str, str] = {
+    "profilers": "Let hosts measure all the time, so that a probe need not wait.",
     "export": "Write for other programs.",
 }
 SUMMARY = "Place robot tasks on edge computers by measured utility: probe, plan, apply, over SSH."

@@ -1,11 +1,13 @@
 """Which exit code a result means (DESIGN section 7)."""
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from edgectl.errors import ExitCode
 from edgectl.model.finding import Diagnosis, Level
 from edgectl.model.inventory import Inventory
 from edgectl.model.plan import Action, Plan
+from edgectl.model.profiler import Profiler, ProfilerState
 from edgectl.model.snapshot import Snapshot
 
 if TYPE_CHECKING:
@@ -22,6 +24,11 @@ def _silent(snapshot: Snapshot) -> list[str]:
     """Hosts that should have answered: one that the operator declared switched off should not."""
     fenced = snapshot.memory.fenced if snapshot.memory else frozenset()
     return [name for name, host in snapshot.hosts.items() if not host.ok and name not in fenced]
+
+
+def of_profilers(profilers: Iterable[Profiler]) -> ExitCode:
+    """4 where a host did not say."""
+    return ExitCode.PARTLY if any(each.state is ProfilerState.UNREACHABLE for each in profilers) else ExitCode.DONE
 
 
 def of_plan(plan: Plan, *, detailed: bool, allow_unreachable: bool) -> ExitCode:

@@ -12,6 +12,7 @@ from edgectl.model.explanation import Explanation
 from edgectl.model.finding import Diagnosis
 from edgectl.model.inventory import Inventory
 from edgectl.model.plan import Plan, Step
+from edgectl.model.profiler import Profiler
 from edgectl.model.result import ActionResult, PhaseResult, Results
 from edgectl.model.revision import Revision
 from edgectl.model.snapshot import Snapshot
@@ -23,6 +24,7 @@ from edgectl.views.events import document as events_document
 from edgectl.views.events import line as event_line
 from edgectl.views.evidence import replayed_document
 from edgectl.views.explanation import document as explanation_document
+from edgectl.views.profilers import document as profilers_document
 from edgectl.views.text import PLAIN, Look
 
 
@@ -39,6 +41,11 @@ def replayed(values: Iterable[Replayed], _look: Look = PLAIN) -> str:
 def explanation(step: Step, value: Explanation, _look: Look = PLAIN) -> str:
     """Why a task goes where it goes."""
     return dumps(explanation_document(step, value))
+
+
+def profilers(values: Iterable[Profiler], _look: Look = PLAIN) -> str:
+    """The profilers that stay on the hosts."""
+    return dumps(profilers_document(values))
 
 
 def diagnosis(value: Diagnosis, _look: Look = PLAIN) -> str:

@@ -8,6 +8,7 @@ from edgectl.model.result import Results
 from edgectl.model.revision import Revision
 from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Tasks
+from edgectl.views.profilers import names as profilers  # noqa: F401
 from edgectl.views.table import found
 from edgectl.views.text import PLAIN, Look
 

@@ -18,15 +18,12 @@ from edgectl.views.events import more as events_more  # noqa: F401
 from edgectl.views.events import text as events  # noqa: F401
 from edgectl.views.evidence import replayed_text as replayed  # noqa: F401
 from edgectl.views.explanation import text as explanation  # noqa: F401  (a form of its own module)
+from edgectl.views.profilers import text as profilers  # noqa: F401
 from edgectl.views.reasons import left_out, reason
 from edgectl.views.sections import STYLES, closed, expected, figure, header, note_lines, notes, silent, summary
-from edgectl.views.state import phrase, remarks
+from edgectl.views.state import STATES, phrase, remarks
 from edgectl.views.text import PLAIN, Cell, Look, Row, columns, fits, harmless, paint
 
-STATES = {
-    TaskState.READY: "good", TaskState.RUNNING: "good", TaskState.STARTING: "warn", TaskState.COMPLETED: "dim",
-    TaskState.FAILED: "bad", TaskState.CRASHLOOP: "bad",
-}  # fmt: skip
 _OUTCOMES = {Outcome.DONE: "good", Outcome.FAILED: "bad", Outcome.DEFERRED: "warn", Outcome.SKIPPED: "dim"}
 
 

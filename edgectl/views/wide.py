@@ -86,7 +86,7 @@ def _device_row(name: str, host: HostSample) -> Row:
     device = host.device
     return (
         Cell(name, "name"),
-        format_duration(host.sample_age_s),
+        format_duration(host.sample_age_s) + (" profiler" if host.resident else ""),
         "-" if device.load_1m is None else f"{device.load_1m:.2f}",
         "-" if device.temperature_c is None else f"{device.temperature_c:.0f}C",
         "-" if device.gpu_share is None else f"{device.gpu_share:.0%}",

@@ -18,7 +18,9 @@ __all__ = [
     "measured",
     "nothing",
     "plan",
-    "replayed", "results",
+    "profilers",
+    "replayed",
+    "results",
     "revision",
     "snapshot",
     "status",
@@ -43,6 +45,7 @@ plan = _of(json_view.plan)
 replayed = _of(json_view.replayed)
 events = _of(json_view.events)
 explanation = _of(json_view.explanation)
+profilers = _of(json_view.profilers)
 diagnosis = _of(json_view.diagnosis)
 snapshot = _of(json_view.snapshot)
 status = _of(json_view.status)
