@@ -117,18 +117,21 @@ class Store:
 
     def host_points(self, host: str | None = None, *, since: float | None = None, limit: int | None = None) -> tuple[HostPoint, ...]:
         """Samples of ``host`` or of all, oldest first; of each the newest ``limit``, not older than ``since`` (s since 1970)."""
-        return self._newest(rows.HOSTS, "host_samples", ("host",), "SELECT DISTINCT host FROM host_samples", (host,), since, limit)
+        return self._newest(
+            rows.HOSTS, "host_samples", "host", "SELECT host, host FROM known_hosts WHERE ?1 IS NULL OR host = ?1", (host,), since, limit
+        )
 
     def link_points(
         self, edge: str | None = None, robot: str | None = None, *, since: float | None = None, limit: int | None = None
     ) -> tuple[LinkPoint, ...]:
         """Samples of the links of ``edge`` to ``robot`` or of all, oldest first; of each the newest ``limit``."""
-        every = "SELECT DISTINCT edge, robot FROM link_samples"
-        return self._newest(rows.LINKS, "link_samples", ("edge", "robot"), every, (edge, robot), since, limit)
+        links = "SELECT link, link FROM links WHERE (?1 IS NULL OR edge = ?1) AND (?2 IS NULL OR robot = ?2)"
+        return self._newest(rows.LINKS, "link_samples", "link", links, (edge, robot), since, limit)
 
     def task_points(self, task: str | None = None, *, since: float | None = None, limit: int | None = None) -> tuple[TaskPoint, ...]:
         """Samples of ``task`` or of all, on whatever host, oldest first; of each task the newest ``limit``."""
-        return self._newest(rows.TASKS, "task_samples", ("task",), "SELECT DISTINCT task FROM starts", (task,), since, limit)
+        starts = "SELECT start, task FROM starts WHERE ?1 IS NULL OR task = ?1"
+        return self._newest(rows.TASKS, "task_samples", "start", starts, (task,), since, limit)
 
     def steady_points(self, task: str, hosts: Collection[str], spec_hash: str, *, min_age_s: float, limit: int) -> tuple[TaskPoint, ...]:
         """The newest ``limit`` samples of ``task`` on ``hosts`` with this specification, alive and older than ``min_age_s``."""
@@ -190,20 +193,21 @@ class Store:
         self,
         form: Form[Value],
         table: str,
-        key: Sequence[str],
-        every: str,
+        key: str,
+        groups: str,
         wanted: Sequence[str | None],
         since: float | None,
         limit: int | None,
     ) -> tuple[Value, ...]:
-        """Of each key that fits ``wanted`` the newest rows; oldest first in all."""
-        where = " AND ".join(f"{name} = ?" for name in key)
-        sql = form.select(table, f"WHERE {where} AND at >= ? ORDER BY at DESC LIMIT ?")
+        """Of each group the newest rows, oldest first in all. ``groups`` gives the keys in ``table``, and to which group each belongs."""
+        sql = form.select(table, f"WHERE {key} = ? AND at >= ? ORDER BY at DESC LIMIT ?")
 
         def read(connection: sqlite3.Connection) -> tuple[Value, ...]:
-            fitting = [found for found in connection.execute(every) if all(w in (None, f) for w, f in zip(wanted, found, strict=True))]
-            found = [row for names in fitting for row in connection.execute(sql, (*names, _from(since), _most(limit)))]
-            return tuple(form.read(row) for row in sorted(found, key=lambda row: row[0]))
+            found: dict[object, list[rows.Row]] = {}
+            for each, group in connection.execute(groups, wanted).fetchall():
+                found.setdefault(group, []).extend(connection.execute(sql, (each, _from(since), _most(limit))))
+            kept = [row for group in found.values() for row in _last(group, limit)]
+            return tuple(form.read(row) for row in sorted(kept, key=_at))
 
         return self._guarded(read, ())
 
@@ -267,3 +271,12 @@ def _from(since: float | None) -> float:
 
 def _most(limit: int | None) -> int:
     return -1 if limit is None else limit
+
+
+def _at(row: rows.Row) -> float:
+    return rows.real(row[0])
+
+
+def _last(found: Sequence[rows.Row], limit: int | None) -> Sequence[rows.Row]:
+    """The newest ``limit`` rows of a group that may have several keys."""
+    return found if limit is None or len(found) <= limit else sorted(found, key=_at, reverse=True)[:limit]

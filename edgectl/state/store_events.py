@@ -13,6 +13,8 @@ from edgectl.units import format_duration
 # A picture that is this much older than what is known (s) was overtaken by another edgectl; one that is older still says that the
 # clock was set back.
 _OVERTAKEN_S = 600.0
+# The largest whole number that SQLite holds is far above.
+_MOST_RESTARTS = 2**31
 _ENDINGS = {
     TaskState.COMPLETED: EventKind.TASK_COMPLETED,
     TaskState.FAILED: EventKind.TASK_FAILED,
@@ -39,7 +41,7 @@ class KnownHost:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class KnownTask:
-    """A task as last seen or left by an apply. ``host`` None: it is gone. ``instance`` empty: not seen since an apply started it."""
+    """A task as it is since ``at``. ``host`` None: it is gone. ``instance`` empty: not seen since an apply started it."""
 
     at: float
     host: str | None
@@ -57,21 +59,21 @@ class Known:
 
 
 def seen(known: Known, snapshot: Snapshot, *, changing: bool = False) -> tuple[tuple[Event, ...], Known]:
-    """What ``snapshot`` shows that was not known, and all that is known then. The same picture again shows nothing.
+    """What ``snapshot`` shows that was not known, and all that is known then. The same picture again, or an older one, shows nothing.
 
     A host that was never seen before gives no event for what is well there. ``changing``: another edgectl is at work on the fleet;
     tasks that come and go are left to its own record.
     """
-    hosts = {name: sample for name, sample in snapshot.hosts.items() if _later(snapshot.taken_at, known.hosts.get(name))}
-    events = [event for name, sample in hosts.items() for event in _host_events(snapshot.taken_at, name, sample, known.hosts.get(name))]
-    after_hosts = {name: _host_known(snapshot.taken_at, sample, known.hosts.get(name)) for name, sample in hosts.items()}
+    at = snapshot.taken_at
+    hosts = {name: sample for name, sample in snapshot.hosts.items() if _later(at, known.hosts.get(name))}
+    events = [event for name, sample in hosts.items() for event in _host_events(at, name, sample, known.hosts.get(name))]
+    after_hosts = {name: _host_known(at, sample, known.hosts.get(name)) for name, sample in hosts.items()}
     after_tasks: dict[str, KnownTask] = {}
-    for name, now in _standing(snapshot, known).items():
+    for name, now in _standing(at, hosts, known).items():
         before = known.tasks.get(name)
-        if _later(snapshot.taken_at, before) and not (changing and _came_or_went(before, now)):
-            new_host = now.host not in known.hosts
-            events += _task_events(name, before, now, quiet=before is None and new_host)
-            after_tasks[name] = now.known
+        if _later(at, before) and not (changing and _came_or_went(before, now)):
+            events += _task_events(name, before, now, quiet=before is None and now.host not in known.hosts)
+            after_tasks[name] = now.known if before is None or not now.same(before) else before
     return tuple(events), Known(hosts={**known.hosts, **after_hosts}, tasks={**known.tasks, **after_tasks})
 
 
@@ -116,22 +118,27 @@ class _Now:
         if self.sample is None:
             return KnownTask(at=self.at, host=None)
         sample = self.sample
-        return KnownTask(at=self.at, host=self.host, state=sample.state, instance=sample.instance, restarts=sample.restarts)
+        restarts = min(sample.restarts, _MOST_RESTARTS)
+        return KnownTask(at=self.at, host=self.host, state=sample.state, instance=sample.instance, restarts=restarts)
+
+    def same(self, before: KnownTask) -> bool:
+        """Whether it is as it was."""
+        return dataclasses.replace(self.known, at=before.at) == before
 
 
-def _standing(snapshot: Snapshot, known: Known) -> dict[str, _Now]:
+def _standing(at: float, hosts: Mapping[str, HostSample], known: Known) -> dict[str, _Now]:
     """Where each task stands that the picture tells of: it is there, or its host answers and it is not."""
     found: dict[str, _Now] = {}
-    for host, sample in snapshot.hosts.items():
+    for host, sample in hosts.items():
         for name, task in sample.tasks.items():
-            here = _Now(at=snapshot.taken_at, host=host, sample=task)
+            here = _Now(at=at, host=host, sample=task)
             best = found.get(name)
             if best is None or _weight(here, known.tasks.get(name)) > _weight(best, known.tasks.get(name)):
                 found[name] = here
     for name, before in known.tasks.items():
-        there = snapshot.hosts.get(before.host or "")
+        there = hosts.get(before.host or "")
         if name not in found and there is not None and there.ok:
-            found[name] = _Now(at=snapshot.taken_at)
+            found[name] = _Now(at=at)
     return found
 
 
@@ -221,8 +228,8 @@ def _how(result: ActionResult) -> str:
         parts.append(f"from {result.previous_host}")
     if result.action is Action.COMPLETE:
         parts.append("it has completed")
-    if result.downtime_s is not None:
-        parts.append(f"gap {format_duration(result.downtime_s)}")
+    seconds = sum(phase.seconds for phase in result.phases)
+    parts.append(f"took {format_duration(seconds)}" if result.downtime_s is None else f"gap {format_duration(result.downtime_s)}")
     return ", ".join(parts)
 
 

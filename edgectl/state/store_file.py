@@ -22,14 +22,18 @@ _PASSING = frozenset({
     sqlite3.SQLITE_INTERRUPT, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_FULL, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_TOOBIG,
     sqlite3.SQLITE_CONSTRAINT, sqlite3.SQLITE_NOLFS, sqlite3.SQLITE_AUTH,
 })  # fmt: skip
-# Rows of one host, link or start lie together, oldest first: the newest N of one are one seek. A task's names stand once per start.
+# Rows of one host, link or start lie together, oldest first: the newest of one are one seek away, and the oldest are deleted so. Names
+# that repeat stand once, in `links` and `starts`; the views put them beside the numbers for whoever looks with SQL.
 _TABLES = """
 CREATE TABLE host_samples (
   host TEXT NOT NULL, at REAL NOT NULL, status TEXT NOT NULL, cores REAL, used_cores REAL, total_bytes REAL, used_bytes REAL,
   rx_bytes_per_s REAL, tx_bytes_per_s REAL, PRIMARY KEY (host, at)) STRICT, WITHOUT ROWID;
-CREATE TABLE link_samples (
-  edge TEXT NOT NULL, robot TEXT NOT NULL, at REAL NOT NULL, capacity_bytes_per_s REAL NOT NULL, used_bytes_per_s REAL NOT NULL,
-  rtt_ms REAL, PRIMARY KEY (edge, robot, at)) STRICT, WITHOUT ROWID;
+CREATE TABLE links (link INTEGER PRIMARY KEY, edge TEXT NOT NULL, robot TEXT NOT NULL, UNIQUE (edge, robot)) STRICT;
+CREATE TABLE loads (
+  link INTEGER NOT NULL, at REAL NOT NULL, capacity_bytes_per_s REAL NOT NULL, used_bytes_per_s REAL NOT NULL, rtt_ms REAL,
+  PRIMARY KEY (link, at)) STRICT, WITHOUT ROWID;
+CREATE VIEW link_samples AS
+  SELECT at, edge, robot, capacity_bytes_per_s, used_bytes_per_s, rtt_ms, link FROM links JOIN loads USING (link);
 CREATE TABLE starts (
   start INTEGER PRIMARY KEY, task TEXT NOT NULL, host TEXT NOT NULL, instance TEXT NOT NULL, spec_hash TEXT NOT NULL,
   UNIQUE (task, host, instance, spec_hash)) STRICT;
@@ -37,10 +41,11 @@ CREATE TABLE uses (
   start INTEGER NOT NULL, at REAL NOT NULL, state TEXT NOT NULL, used_cores REAL NOT NULL, used_bytes REAL NOT NULL,
   used_bytes_per_s REAL NOT NULL, age_s REAL NOT NULL, links INTEGER NOT NULL, PRIMARY KEY (start, at)) STRICT, WITHOUT ROWID;
 CREATE VIEW task_samples AS
-  SELECT at, task, host, state, used_cores, used_bytes, used_bytes_per_s, instance, spec_hash, age_s, links
+  SELECT at, task, host, state, used_cores, used_bytes, used_bytes_per_s, instance, spec_hash, age_s, links, start
   FROM starts JOIN uses USING (start);
 CREATE TABLE plans (
-  plan INTEGER PRIMARY KEY, at REAL NOT NULL, policy TEXT NOT NULL, settled INTEGER NOT NULL, summary TEXT NOT NULL) STRICT;
+  plan INTEGER PRIMARY KEY, at REAL NOT NULL, until REAL NOT NULL, times INTEGER NOT NULL, policy TEXT NOT NULL, summary TEXT NOT NULL)
+  STRICT;
 CREATE TABLE steps (
   plan INTEGER NOT NULL, task TEXT NOT NULL, action TEXT NOT NULL, reason TEXT NOT NULL, host TEXT, previous_host TEXT, total REAL,
   PRIMARY KEY (plan, task)) STRICT, WITHOUT ROWID;
@@ -92,7 +97,6 @@ def connect(path: Path) -> sqlite3.Connection:
 
 
 def _set_up(connection: sqlite3.Connection, path: Path) -> None:
-    connection.text_factory = _text
     connection.executescript("PRAGMA trusted_schema = OFF; PRAGMA cell_size_check = ON; PRAGMA synchronous = NORMAL;")
     version = connection.execute("PRAGMA user_version").fetchone()[0]
     if version > SCHEMA:
@@ -113,11 +117,6 @@ def _create(connection: sqlite3.Connection) -> None:
             connection.execute(statement)
         connection.execute(f"PRAGMA user_version = {SCHEMA}")
     connection.execute("COMMIT")
-
-
-def _text(data: bytes) -> str:
-    """Text as stored; a damaged byte shall not be an exception of another kind."""
-    return data.decode("utf-8", "replace")
 
 
 @contextlib.contextmanager

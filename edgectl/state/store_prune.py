@@ -2,39 +2,31 @@
 
 import sqlite3
 
-# Each kind of rows that go by age, in the order in which they make room.
-_SAMPLES = ("host_samples", "link_samples", "uses")
-_RECORDS = ("plans", "actions", "events")
+# Table of samples -> its first key, and the table that has every value of it: so the oldest are found without reading all.
+_SAMPLES = {"host_samples": ("host", "known_hosts"), "loads": ("link", "links"), "uses": ("start", "starts")}
+_RECORDS = {"plans": "until", "actions": "at", "events": "at"}
 # What is left after making room, so that not every hour begins with it again.
 _ROOM = 0.9
-_MOST_ROUNDS = 40
+_MOST_ROUNDS = 60
 
 
 def drop(connection: sqlite3.Connection, *, samples: float, records: float) -> None:
     """Delete samples older than ``samples``, and plans, actions and events older than ``records`` (s since 1970)."""
-    for table in _SAMPLES:
-        _older(connection, table, samples)
-    for table in _RECORDS:
-        _older(connection, table, records)
+    for table, (key, groups) in _SAMPLES.items():
+        connection.execute(f"DELETE FROM {table} WHERE {key} IN (SELECT {key} FROM {groups}) AND at < ?", (samples,))  # noqa: S608
+    for table, instant in _RECORDS.items():
+        connection.execute(f"DELETE FROM {table} WHERE {instant} < ?", (records,))  # noqa: S608
     connection.execute("DELETE FROM starts WHERE NOT EXISTS (SELECT 1 FROM uses WHERE uses.start = starts.start)")
+    connection.execute("DELETE FROM links WHERE NOT EXISTS (SELECT 1 FROM loads WHERE loads.link = links.link)")
     connection.execute("DELETE FROM steps WHERE plan NOT IN (SELECT plan FROM plans)")
 
 
-def _older(connection: sqlite3.Connection, table: str, at: float) -> None:
-    connection.execute(f"DELETE FROM {table} WHERE at < ?", (at,))  # noqa: S608
-
-
 def shrink(connection: sqlite3.Connection, most: int) -> None:
-    """Delete the oldest eighth until the file, given back to the disk what is free, holds at most ``most`` bytes."""
-    for _ in range(_MOST_ROUNDS):
-        if _bytes(connection) <= most:
-            break
-        most = int(most * _ROOM) if most else most
-        connection.execute("BEGIN IMMEDIATE")
-        gone = _oldest_eighth(connection, _SAMPLES) or _oldest_eighth(connection, _RECORDS)
-        connection.execute("COMMIT")
-        if not gone:
-            break
+    """Where the file holds more than ``most`` bytes, delete the oldest samples, then the oldest of the rest, and give the room back."""
+    if _bytes(connection) > most:
+        for _ in range(_MOST_ROUNDS):
+            if _bytes(connection) <= most * _ROOM or not _drop_oldest(connection):
+                break
     connection.execute("PRAGMA incremental_vacuum").fetchall()
     connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
 
@@ -45,16 +37,32 @@ def _bytes(connection: sqlite3.Connection) -> int:
     return int((pages - free) * size)
 
 
-def _oldest_eighth(connection: sqlite3.Connection, tables: tuple[str, ...]) -> bool:
-    """Delete the first eighth of the time that ``tables`` reach over; whether there was anything."""
-    spans = [connection.execute(f"SELECT min(at), max(at) FROM {table}").fetchone() for table in tables]  # noqa: S608
-    known = [span for span in spans if span[0] is not None]
-    if not known:
+def _drop_oldest(connection: sqlite3.Connection) -> bool:
+    """Delete the first eighth of the time that samples reach over, or where there are none that records do; whether there was any."""
+    samples, records = _span(connection, _OLDEST_SAMPLES), _span(connection, _OLDEST_RECORDS)
+    if samples is None and records is None:
         return False
-    first, last = min(span[0] for span in known), max(span[1] for span in known)
-    until = first + (last - first) / 8 if last > first else last + 1.0
-    drop(connection, samples=until if tables is _SAMPLES else first, records=until if tables is _RECORDS else first)
+    never = float("-inf")
+    connection.execute("BEGIN IMMEDIATE")
+    drop(connection, samples=samples or never, records=never if samples is not None or records is None else records)
+    connection.execute("COMMIT")
     return True
+
+
+_OLDEST_SAMPLES = " UNION ALL ".join(
+    f"SELECT (SELECT min(at) FROM {table} WHERE {table}.{key} = {groups}.{key}) AS first,"  # noqa: S608
+    f" (SELECT max(at) FROM {table} WHERE {table}.{key} = {groups}.{key}) AS last FROM {groups}"
+    for table, (key, groups) in _SAMPLES.items()
+)
+_OLDEST_RECORDS = " UNION ALL ".join(f"SELECT min({at}) AS first, max({at}) AS last FROM {table}" for table, at in _RECORDS.items())  # noqa: S608
+
+
+def _span(connection: sqlite3.Connection, spans: str) -> float | None:
+    """The end of the first eighth of what ``spans`` reach over, None where there is nothing."""
+    first, last = connection.execute(f"SELECT min(first), max(last) FROM ({spans})").fetchone()  # noqa: S608
+    if first is None:
+        return None
+    return float(first + (last - first) / 8) if last > first else float(last) + 1.0
 
 
 def mark(connection: sqlite3.Connection, now: float) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 
 from edgectl.model.event import Event, EventKind
 from edgectl.model.plan import Action, Plan
-from edgectl.model.point import TaskPoint
+from edgectl.model.point import LinkPoint, TaskPoint
 from edgectl.model.result import Results
 from edgectl.model.snapshot import HostStatus, Snapshot, TaskState
 from edgectl.state import store_rows as rows
@@ -20,27 +20,42 @@ _STATES = (EventKind.TASK_DEFERRED, EventKind.TASK_UNPLACED)
 def samples(connection: sqlite3.Connection, snapshot: Snapshot) -> None:
     """Everything measured in ``snapshot``."""
     _many(connection, "host_samples", rows.HOSTS.names, [rows.HOSTS.row(point) for point in rows.host_points(snapshot)])
-    _many(connection, "link_samples", rows.LINKS.names, [rows.LINKS.row(point) for point in rows.link_points(snapshot)])
+    _loads(connection, list(rows.link_points(snapshot)))
     _uses(connection, list(rows.task_points(snapshot)))
+
+
+def _loads(connection: sqlite3.Connection, points: Sequence[LinkPoint]) -> None:
+    connection.executemany("INSERT OR IGNORE INTO links (edge, robot) VALUES (?, ?)", [(point.edge, point.robot) for point in points])
+    connection.executemany(
+        "INSERT OR REPLACE INTO loads (link, at, capacity_bytes_per_s, used_bytes_per_s, rtt_ms)"
+        " SELECT link, ?, ?, ?, ? FROM links WHERE edge = ? AND robot = ?",
+        [(point.at, point.capacity_bytes_per_s, point.used_bytes_per_s, point.rtt_ms, point.edge, point.robot) for point in points],
+    )
 
 
 def _uses(connection: sqlite3.Connection, points: Sequence[TaskPoint]) -> None:
     names = [(point.task, point.host, point.instance, point.spec_hash) for point in points]
-    find = "SELECT start FROM starts WHERE task = ? AND host = ? AND instance = ? AND spec_hash = ?"
     connection.executemany("INSERT OR IGNORE INTO starts (task, host, instance, spec_hash) VALUES (?, ?, ?, ?)", names)
-    starts = [connection.execute(find, name).fetchone()[0] for name in names]
     values = [
-        (start, point.at, point.state, point.used_cores, point.used_bytes, point.used_bytes_per_s, point.age_s, point.links)
-        for start, point in zip(starts, points, strict=True)
+        (point.at, point.state, point.used_cores, point.used_bytes, point.used_bytes_per_s, point.age_s, point.links, *name)
+        for name, point in zip(names, points, strict=True)
     ]
-    _many(connection, "uses", "start, at, state, used_cores, used_bytes, used_bytes_per_s, age_s, links", values)
+    connection.executemany(
+        "INSERT OR REPLACE INTO uses (start, at, state, used_cores, used_bytes, used_bytes_per_s, age_s, links)"
+        " SELECT start, ?, ?, ?, ?, ?, ?, ? FROM starts WHERE task = ? AND host = ? AND instance = ? AND spec_hash = ?",
+        values,
+    )
 
 
 def plan(connection: sqlite3.Connection, made: Plan) -> None:
-    """A plan, and each of its steps that is more than staying as it is."""
+    """A plan, and each of its steps that is more than staying as it is. One that says the same as the last is counted there."""
+    if planned_before(connection, made):
+        sql = "UPDATE plans SET until = ?, times = times + 1 WHERE plan = (SELECT max(plan) FROM plans)"
+        connection.execute(sql, (made.created_at,))
+        return
     counts = json.dumps({action.value: count for action, count in made.summary.items()})
-    sql = "INSERT INTO plans (at, policy, settled, summary) VALUES (?, ?, ?, ?)"
-    number = connection.execute(sql, (made.created_at, made.policy.name, made.settled, counts)).lastrowid
+    sql = "INSERT INTO plans (at, until, times, policy, summary) VALUES (?, ?, 1, ?, ?)"
+    number = connection.execute(sql, (made.created_at, made.created_at, made.policy.name, counts)).lastrowid
     values = [
         (number, step.task, step.action, each.reason, each.host, each.previous_host, each.total)
         for step in made.steps
@@ -51,10 +66,13 @@ def plan(connection: sqlite3.Connection, made: Plan) -> None:
 
 
 def planned_before(connection: sqlite3.Connection, made: Plan) -> bool:
-    """Whether the last plan would have done the same."""
+    """Whether the last plan would have done the same, and nothing was done since."""
     sql = "SELECT task, action, host FROM steps WHERE plan = (SELECT max(plan) FROM plans)"
     last = {task: (action, host) for task, action, host in connection.execute(sql)}
-    return last == {step.task: (step.action.value, step.decision.host) for step in made.steps if _notable(step.action)}
+    done_since = "SELECT EXISTS (SELECT 1 FROM actions WHERE at > (SELECT max(until) FROM plans))"
+    return not connection.execute(done_since).fetchone()[0] and last == {
+        step.task: (step.action.value, step.decision.host) for step in made.steps if _notable(step.action)
+    }
 
 
 def _notable(action: Action) -> bool:

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 
-from edgectl.formats.base import FORMAT_VERSION, Document, number
+from edgectl.formats.base import FORMAT_VERSION, Document
 from edgectl.model.event import Event, EventKind
 from edgectl.units import format_instant
 from edgectl.views.text import PLAIN, Cell, Look, Row, columns
@@ -48,6 +48,6 @@ def document(values: Sequence[Event]) -> Document:
 def line(value: Event) -> Document:
     """One of them, as JSON types; its ``id`` grows from event to event."""
     return {
-        "id": value.id, "at": format_instant(value.at), "at_s": number(round(value.at, 3)), "kind": value.kind.value,
+        "id": value.id, "at": format_instant(value.at), "kind": value.kind.value,
         "host": value.host, "task": value.task, "message": value.message,
     }  # fmt: skip
