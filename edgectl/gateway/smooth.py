@@ -17,7 +17,7 @@ def smoothed(before: Snapshot | None, now: Snapshot, *, period: float, alpha: fl
     """``now`` with its loads averaged into those of ``before``, which is the smoothed snapshot of the cycle before.
 
     ``period`` (s): the nominal time between samples; a sample that comes later weighs more, ``1 - (1 - alpha) ** (elapsed / period)``.
-    Taken as they are: a host that was silent, is new or was rebooted, and a task that was started anew.
+    Taken as they are: a host that was silent, is new or was rebooted, or whose own profiler smooths; and a task that was started anew.
     """
     if before is None:
         return now
@@ -46,8 +46,8 @@ def _host(before: HostSample | None, now: HostSample, weight: float) -> HostSamp
 
 
 def _continues(before: HostSample, now: HostSample) -> bool:
-    """Whether both samples are of one life of the host."""
-    return before.ok and now.ok and before.device.boot_id == now.device.boot_id
+    """Whether both samples are of one life of the host, and its readings are not smoothed already."""
+    return before.ok and now.ok and not now.resident and before.device.boot_id == now.device.boot_id
 
 
 def _task(before: TaskSample | None, now: TaskSample, weight: float) -> TaskSample:

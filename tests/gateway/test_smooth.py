@@ -99,6 +99,11 @@ def test_a_host_that_returns_or_was_rebooted_starts_anew() -> None:
     assert used(fold(first, rebooted)) == 3.0
 
 
+def test_what_a_resident_profiler_smoothed_is_not_smoothed_again() -> None:
+    resident = dataclasses.replace(a_sample(used=3.0), resident=True)
+    assert used(fold(a_snapshot(edge1=a_sample(used=1.0)), a_snapshot(taken_at=NOW + PERIOD, edge1=resident))) == 3.0
+
+
 def test_nothing_is_ever_negative() -> None:
     task = a_run(used_cores=3.0, used_bytes=3 * GI, links={"robot1": 5e6})
     busy = a_sample(used=0.5, used_memory=GI, links={"robot1": a_link(used=1e6)}, tasks={"slam": task})
