@@ -25,11 +25,12 @@ def encode(snapshot: Snapshot) -> Document:
     document: Document = {"format_version": FORMAT_VERSION, "taken_at": format_instant(snapshot.taken_at)}
     if snapshot.memory is not None:
         document["memory"] = memory_format.encode(snapshot.memory)
-    document["hosts"] = {name: _host(host) for name, host in snapshot.hosts.items()}
+    document["hosts"] = {name: encode_host(host) for name, host in snapshot.hosts.items()}
     return document
 
 
-def _host(host: HostSample) -> Document:
+def encode_host(host: HostSample) -> Document:
+    """One host's part of a snapshot."""
     document = without_none(
         role=host.role.value,
         status=host.status.value,
@@ -44,16 +45,17 @@ def _host(host: HostSample) -> Document:
     if host.memory is not None:
         document["memory"] = {"total_bytes": number(host.memory.total_bytes), "used_bytes": number(host.memory.used_bytes)}
     if host.ok or host.links:
-        document["links"] = {robot: _link(link) for robot, link in host.links.items()}
+        document["links"] = {robot: encode_link(link) for robot, link in host.links.items()}
     if host.ok or host.tasks:
-        document["tasks"] = {name: _task(task) for name, task in host.tasks.items()}
+        document["tasks"] = {name: encode_task(task) for name, task in host.tasks.items()}
     if host.generations:
         document["generations"] = dict(host.generations)
     device = _device(host.device)
     return document | {"device": device} if device else document
 
 
-def _link(link: LinkSample) -> Document:
+def encode_link(link: LinkSample) -> Document:
+    """One link's part of a snapshot."""
     return without_none(
         capacity_bytes_per_s=number(link.capacity_bytes_per_s),
         used_bytes_per_s=number(link.used_bytes_per_s),
@@ -62,7 +64,8 @@ def _link(link: LinkSample) -> Document:
     )
 
 
-def _task(task: TaskSample) -> Document:
+def encode_task(task: TaskSample) -> Document:
+    """One task's part of a snapshot."""
     return without_none(
         state=task.state.value,
         pid=task.pid,

@@ -2,6 +2,11 @@
 
 from edgectl.model.snapshot import Snapshot, TaskSample, TaskState
 
+STATES = {
+    TaskState.READY: "good", TaskState.RUNNING: "good", TaskState.STARTING: "warn", TaskState.COMPLETED: "dim",
+    TaskState.FAILED: "bad", TaskState.CRASHLOOP: "bad",
+}  # fmt: skip
+
 
 def phrase(sample: TaskSample) -> str:
     """Such as ``ready`` or ``failed (5 restarts, last exit 1)``: given up counts as failed, a service that ended well as exited."""
