@@ -73,7 +73,7 @@ def seen(known: Known, snapshot: Snapshot, *, changing: bool = False) -> tuple[t
         before = known.tasks.get(name)
         if _later(at, before) and not (changing and _came_or_went(before, now)):
             events += _task_events(name, before, now, quiet=before is None and now.host not in known.hosts)
-            after_tasks[name] = now.known if before is None or not now.same(before) else before
+            after_tasks[name] = now.known(before)
     return tuple(events), Known(hosts={**known.hosts, **after_hosts}, tasks={**known.tasks, **after_tasks})
 
 
@@ -113,17 +113,14 @@ class _Now:
     host: str | None = None
     sample: TaskSample | None = None
 
-    @property
-    def known(self) -> KnownTask:
+    def known(self, before: KnownTask | None) -> KnownTask:
+        """What is known then; the same value where it is as it was."""
         if self.sample is None:
-            return KnownTask(at=self.at, host=None)
-        sample = self.sample
-        restarts = min(sample.restarts, _MOST_RESTARTS)
-        return KnownTask(at=self.at, host=self.host, state=sample.state, instance=sample.instance, restarts=restarts)
-
-    def same(self, before: KnownTask) -> bool:
-        """Whether it is as it was."""
-        return dataclasses.replace(self.known, at=before.at) == before
+            after = KnownTask(at=self.at, host=None, instance=before.instance if before else "")
+        else:
+            restarts = min(self.sample.restarts, _MOST_RESTARTS)
+            after = KnownTask(at=self.at, host=self.host, state=self.sample.state, instance=self.sample.instance, restarts=restarts)
+        return before if before is not None and dataclasses.replace(after, at=before.at) == before else after
 
 
 def _standing(at: float, hosts: Mapping[str, HostSample], known: Known) -> dict[str, _Now]:
@@ -133,6 +130,8 @@ def _standing(at: float, hosts: Mapping[str, HostSample], known: Known) -> dict[
         for name, task in sample.tasks.items():
             here = _Now(at=at, host=host, sample=task)
             best = found.get(name)
+            if _left_over(here, known.tasks.get(name)):
+                continue
             if best is None or _weight(here, known.tasks.get(name)) > _weight(best, known.tasks.get(name)):
                 found[name] = here
     for name, before in known.tasks.items():
@@ -140,6 +139,13 @@ def _standing(at: float, hosts: Mapping[str, HostSample], known: Known) -> dict[
         if name not in found and there is not None and there.ok:
             found[name] = _Now(at=at)
     return found
+
+
+def _left_over(now: _Now, before: KnownTask | None) -> bool:
+    """Whether this is what an earlier run left behind: dead, and not where the task is known to be, or of the run that is over."""
+    if before is None or now.sample is None or now.sample.state.alive:
+        return False
+    return before.instance == now.sample.instance if before.host is None else before.host != now.host
 
 
 def _weight(now: _Now, before: KnownTask | None) -> tuple[bool, bool, float]:
@@ -171,8 +177,7 @@ def _task_events(name: str, before: KnownTask | None, now: _Now, *, quiet: bool)
 def _arrival(before: KnownTask | None, host: str | None, sample: TaskSample) -> tuple[EventKind, str] | None:
     """How the task came to be what it is now, if it came since."""
     if before is None or before.host is None:
-        new = sample.state.alive and (before is None or before.instance in ("", sample.instance) or bool(sample.instance))
-        return (EventKind.TASK_STARTED, "found running") if new else None
+        return (EventKind.TASK_STARTED, "found running") if sample.state.alive else None
     if before.host != host:
         return EventKind.TASK_MOVED, f"found there; it was on {before.host}"
     if before.instance and sample.instance and before.instance != sample.instance:
