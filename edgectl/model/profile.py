@@ -1,8 +1,19 @@
 """What a task was measured to use, in figures: of each resource the median, the 95th percentile and the most."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from edgectl.model.task import Task
+
+
+class Use(NamedTuple):
+    """What a task used at one instant (s since 1970), in cores, bytes and bytes/s over ``links`` links (0: not known)."""
+
+    at: float
+    cores: float
+    memory: float
+    rate: float
+    links: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -27,7 +38,7 @@ class Profile:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClassProfile:
-    """One task on one class of hosts: ``hosts`` are those that ran it; ``enough``: there are samples enough to count."""
+    """One task on one class of hosts: ``hosts`` are all of that class; ``enough``: there are samples enough to count."""
 
     task: Task
     kind: str

@@ -4,27 +4,26 @@ from collections.abc import Sequence
 from math import ceil
 
 from edgectl.model.memory import MeasuredDemand
-from edgectl.model.point import TaskPoint
-from edgectl.model.profile import Profile, Spread
+from edgectl.model.profile import Profile, Spread, Use
 
 
-def profile(points: Sequence[TaskPoint], robots: int) -> Profile | None:
+def profile(uses: Sequence[Use], robots: int) -> Profile | None:
     """The figures of a task with ``robots`` links; None without a sample."""
-    if not points:
+    if not uses:
         return None
-    instants = [point.at for point in points]
+    instants = [use.at for use in uses]
     return Profile(
-        samples=len(points),
+        samples=len(uses),
         span_s=max(instants) - min(instants),
-        cpu=_spread([point.used_cores for point in points]),
-        memory=_spread([point.used_bytes for point in points]),
-        throughput=_spread([_per_link(point, robots) for point in points]),
+        cpu=_spread([use.cores for use in uses]),
+        memory=_spread([use.memory for use in uses]),
+        throughput=_spread([_per_link(use, robots) for use in uses]),
     )
 
 
-def _per_link(point: TaskPoint, robots: int) -> float:
+def _per_link(use: Use, robots: int) -> float:
     """Traffic of one link: spread evenly over those that were used, or over all where the host could not tell."""
-    return point.used_bytes_per_s / (point.links or max(1, robots))
+    return use.rate / (use.links or max(1, robots))
 
 
 def _spread(values: list[float]) -> Spread:

@@ -28,8 +28,8 @@ def _decode(document: dict[str, object]) -> Memory:
 
 
 def kept(memory: Memory) -> Memory:
-    """What this file keeps: contacts and fences stand in a file of their own (``state.contacts``)."""
-    return dataclasses.replace(memory, contact={}, fenced=frozenset())
+    """What this file keeps: contacts and fences stand in a file of their own (``state.contacts``), measured demands in the history."""
+    return dataclasses.replace(memory, contact={}, fenced=frozenset(), measured={})
 
 
 def save_memory(fleet_dir: Path, memory: Memory) -> None:

@@ -13,6 +13,7 @@ from edgectl.errors import StateError
 from edgectl.model.event import Event
 from edgectl.model.plan import Plan
 from edgectl.model.point import HandoffPoint, HostPoint, LinkPoint, TaskPoint
+from edgectl.model.profile import Use
 from edgectl.model.result import Results
 from edgectl.model.snapshot import Snapshot
 from edgectl.state import store_events as happened
@@ -133,19 +134,16 @@ class Store:
         starts = "SELECT start, task FROM starts WHERE ?1 IS NULL OR task = ?1"
         return self._newest(rows.TASKS, "task_samples", "start", starts, (task,), since, limit)
 
-    def steady_points(self, task: str, hosts: Collection[str], spec_hash: str, *, min_age_s: float, limit: int) -> tuple[TaskPoint, ...]:
-        """The newest ``limit`` samples of ``task`` on ``hosts`` with this specification, alive and older than ``min_age_s``."""
+    def steady_uses(self, task: str, hosts: Collection[str], spec_hash: str, *, min_age_s: float, limit: int) -> tuple[Use, ...]:
+        """The newest ``limit`` samples of ``task`` on ``hosts`` with this specification, up and older than ``min_age_s``; newest first."""
         starts = "SELECT start, host FROM starts WHERE task = ? AND spec_hash = ? ORDER BY start DESC"
-        sql = rows.TASKS.select(
-            "task_samples", "WHERE start = ? AND state IN ('running', 'ready') AND age_s >= ? ORDER BY at DESC LIMIT ?"
-        )
 
-        def read(connection: sqlite3.Connection) -> tuple[TaskPoint, ...]:
-            found: list[tuple[object, ...]] = []
+        def read(connection: sqlite3.Connection) -> tuple[Use, ...]:
+            found: list[Use] = []
             for start, host in connection.execute(starts, (task, spec_hash)).fetchall():
                 if host in hosts and len(found) < limit:
-                    found += connection.execute(sql, (start, min_age_s, limit - len(found)))
-            return tuple(rows.TASKS.read(row) for row in reversed(found))
+                    found += map(rows.use, connection.execute(rows.USES, (start, min_age_s, limit - len(found))))
+            return tuple(found)
 
         return self._guarded(read, ())
 

@@ -7,6 +7,7 @@ from typing import Any, Generic, TypeVar
 
 from edgectl.model.event import Event, EventKind
 from edgectl.model.point import HandoffPoint, HostPoint, LinkPoint, TaskPoint
+from edgectl.model.profile import Use
 from edgectl.model.result import ActionResult, Outcome
 from edgectl.model.snapshot import HostSample, HostStatus, Snapshot, TaskSample, TaskState
 
@@ -95,6 +96,25 @@ TASKS = Form(
         "instance": text, "spec_hash": text, "age_s": real, "links": whole,
     },
 )  # fmt: skip
+# What a demand is measured by: one seek per start. Read without a form, because there are a thousand of them per task.
+USES = (
+    "SELECT at, used_cores, used_bytes, used_bytes_per_s, links FROM uses "
+    "WHERE start = ? AND state IN ('running', 'ready') AND age_s >= ? ORDER BY at DESC LIMIT ?"
+)
+
+
+def use(row: Row) -> Use:
+    """One row of ``USES``.
+
+    Raises:
+        DamagedError: it holds what is no use.
+    """
+    at, cores, memory, rate, links = row
+    if not math.isfinite(at + cores + memory + rate) or min(cores, memory, rate, links) < 0:
+        raise DamagedError(f"a row cannot be read: {row!r}")
+    return Use(at, cores, memory, rate, links)
+
+
 HANDOFFS = Form(
     HandoffPoint,
     {

@@ -12,6 +12,7 @@ from edgectl.state.journal import NAME as JOURNAL
 from edgectl.state.journal import read as read_journal
 from edgectl.state.links import load_links, save_links
 from edgectl.state.reopened import load_reopened
+from edgectl.usecases.demands import measured_demands
 from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.record import record_snapshot
 from edgectl.usecases.touch import in_touch, remembered
@@ -29,7 +30,8 @@ def probe(fleet: Fleet, options: ProbeOptions | None = None) -> Snapshot:
     for host in sorted(fenced - memory.fenced):
         fleet.warn(f"{host} answers, so it is not switched off: its fence is lifted")
     record_snapshot(fleet, snapshot)
-    return dataclasses.replace(snapshot, memory=_with_starts(fleet, memory, snapshot))
+    memory = dataclasses.replace(_with_starts(fleet, memory, snapshot), measured=measured_demands(fleet, snapshot))
+    return dataclasses.replace(snapshot, memory=memory)
 
 
 def _with_starts(fleet: Fleet, memory: Memory, snapshot: Snapshot) -> Memory:

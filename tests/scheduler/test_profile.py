@@ -1,20 +1,12 @@
 """Percentiles over known points, worked out by hand."""
 
-from itertools import count
-
 from edgectl.model.memory import MeasuredDemand
-from edgectl.model.point import TaskPoint
-from edgectl.model.profile import Spread
-from edgectl.model.snapshot import TaskState
+from edgectl.model.profile import Spread, Use
 from edgectl.scheduler.profile import measured_demand, percentile, profile
 
 
-def points(*rates: float, links: int = 1) -> list[TaskPoint]:
-    return [
-        TaskPoint(at=10.0 * at, task="slam", host="edge1", state=TaskState.READY, used_cores=rate / 100, used_bytes=1000 + rate, used_bytes_per_s=rate,
-                  links=links)
-        for at, rate in zip(count(), rates, strict=False)
-    ]  # fmt: skip
+def uses(*rates: float, links: int = 1) -> list[Use]:
+    return [Use(10.0 * at, rate / 100, 1000 + rate, rate, links) for at, rate in enumerate(rates)]
 
 
 def test_nearest_rank() -> None:
@@ -27,7 +19,7 @@ def test_nearest_rank() -> None:
 
 
 def test_a_profile_by_hand() -> None:
-    found = profile(points(*range(20, 0, -1)), robots=1)
+    found = profile(uses(*range(20, 0, -1)), robots=1)
     assert found is not None
     assert found.cpu == Spread(p50=0.10, p95=0.19, most=0.20)
     assert found.memory == Spread(p50=1010.0, p95=1019.0, most=1020.0)
@@ -36,9 +28,9 @@ def test_a_profile_by_hand() -> None:
 
 
 def test_throughput_is_of_one_link() -> None:
-    used = profile(points(30.0, links=2), robots=3)
-    unknown = profile(points(30.0, links=0), robots=3)
-    alone = profile(points(30.0, links=0), robots=0)
+    used = profile(uses(30.0, links=2), robots=3)
+    unknown = profile(uses(30.0, links=0), robots=3)
+    alone = profile(uses(30.0, links=0), robots=0)
     assert used is not None
     assert unknown is not None
     assert alone is not None
@@ -47,6 +39,6 @@ def test_throughput_is_of_one_link() -> None:
 
 def test_no_sample_is_no_profile_and_no_traffic_is_no_throughput() -> None:
     assert profile([], robots=1) is None
-    silent = profile(points(0.0, 0.0), robots=1)
+    silent = profile(uses(0.0, 0.0), robots=1)
     assert silent is not None
     assert measured_demand(silent).throughput is None

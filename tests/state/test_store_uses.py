@@ -1,0 +1,39 @@
+"""The samples that a demand is measured by: the newest, of this specification, on these hosts, after the start."""
+
+from pathlib import Path
+
+from edgectl.model.snapshot import TaskSample, TaskState
+from edgectl.state.store import Store
+from tests.builders import NOW, a_run, a_sample, a_snapshot
+
+
+def record(store: Store, at: float, host: str, **changes: object) -> None:
+    run: TaskSample = a_run(**{"started_at": NOW, "spec_hash": "s1", **changes})  # type: ignore[arg-type]
+    store.record_snapshot(a_snapshot(taken_at=NOW + at, **{host: a_sample(tasks={"slam": run})}))
+
+
+def cores(store: Store, *hosts: str, limit: int = 100) -> list[float]:
+    return [use.cores for use in store.steady_uses("slam", hosts, "s1", min_age_s=10.0, limit=limit)]
+
+
+def test_only_steady_samples_of_this_specification_on_these_hosts(tmp_path: Path) -> None:
+    with Store.open(tmp_path) as store:
+        record(store, 9, "edge1", used_cores=1.0)
+        record(store, 10, "edge1", used_cores=2.0)
+        record(store, 20, "edge1", used_cores=3.0, state=TaskState.RUNNING)
+        record(store, 30, "edge1", used_cores=4.0, state=TaskState.STARTING)
+        record(store, 40, "edge1", used_cores=5.0, state=TaskState.FAILED)
+        record(store, 50, "edge1", used_cores=6.0, spec_hash="s2", instance="i2")
+        record(store, 60, "edge2", used_cores=7.0, instance="i3")
+        record(store, 70, "edge3", used_cores=8.0, instance="i4")
+        assert cores(store, "edge1") == [3.0, 2.0]
+        assert cores(store, "edge1", "edge2") == [7.0, 3.0, 2.0]
+        assert cores(store, "edge1", "edge2", limit=2) == [7.0, 3.0]
+        assert cores(store) == []
+
+
+def test_a_use_is_read_whole(tmp_path: Path) -> None:
+    with Store.open(tmp_path) as store:
+        record(store, 100, "edge1", used_cores=0.5, used_bytes=7.0, used_bytes_per_s=30.0, links={"robot1": 10.0, "robot2": 20.0})
+        assert store.steady_uses("slam", ["edge1"], "s1", min_age_s=10.0, limit=9) == ((NOW + 100, 0.5, 7.0, 30.0, 2),)
+        assert store.steady_uses("other", ["edge1"], "s1", min_age_s=10.0, limit=9) == ()
