@@ -2,6 +2,7 @@
 
 from edgectl.model.plan import Plan, Step
 from edgectl.views import sections
+from edgectl.views.demands import demands
 from edgectl.views.reasons import reason
 from edgectl.views.sections import figure
 from edgectl.views.text import PLAIN, Look, harmless
@@ -12,12 +13,16 @@ _SPECIAL = str.maketrans({character: f"\\{character}" for character in "\\`*_[]<
 
 
 def plan(value: Plan, _look: Look = PLAIN) -> str:
-    """The table form in Markdown; the expected load folded away."""
+    """The table form in Markdown; the expected load and the demands folded away."""
     rows = "".join(_row(step) for step in value.steps)
     load = sections.expected(value).replace("```", "'''")
-    folded = f"\n<details><summary>Expected load</summary>\n\n```text\n{load}```\n\n</details>\n" if load else ""
+    folded = _folded("Expected load", load) + _folded("Demands", demands(value).replace("```", "'''"))
     notes = "".join(f"\n> {_plain(line)}\n" for line in sections.notes(value).splitlines())
     return f"{MARKER}\n**{sections.summary(value).strip()}**\n\n{_HEAD}{rows}{notes}{folded}\n{sections.header(value)}"
+
+
+def _folded(title: str, text: str) -> str:
+    return f"\n<details><summary>{title}</summary>\n\n```text\n{text}```\n\n</details>\n" if text else ""
 
 
 def _row(step: Step) -> str:

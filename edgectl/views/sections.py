@@ -9,6 +9,7 @@ from edgectl.model.plan import Action, Plan
 from edgectl.model.snapshot import HostSample, LinkSample, Snapshot
 from edgectl.units import format_bytes, format_cores, format_instant, format_rate
 from edgectl.views.absent import silence
+from edgectl.views.demands import demand_notes
 from edgectl.views.reasons import left_out, listed, not_found
 from edgectl.views.text import PLAIN, Cell, Look, Row, columns, flowed, harmless, paint
 
@@ -74,7 +75,7 @@ def notes(value: Plan, look: Look = PLAIN) -> str:
         lines.append("no settled plan exists; tasks that run stay where they are")
     if value.unseen:
         lines.append(f"first plan of this fleet: tasks on {listed(value.unseen)} could not be seen and count as not running")
-    return note_lines(lines, look)
+    return note_lines(lines + demand_notes(value), look)
 
 
 def silent(value: Snapshot) -> list[str]:

@@ -9,6 +9,7 @@ from edgectl.model.plan import Plan, Step
 from edgectl.model.snapshot import HostSample, InterfaceSample, LinkSample, Snapshot
 from edgectl.units import format_duration, format_rate
 from edgectl.views import sections, table
+from edgectl.views.demands import demands
 from edgectl.views.explanation import text
 from edgectl.views.reasons import reason, rejection
 from edgectl.views.sections import STYLES, figure
@@ -24,7 +25,8 @@ def plan(value: Plan, look: Look = PLAIN) -> str:
         rows += _rows(step)
     body = columns(rows, look, right={3, 4, 5, 6, 7}, wrap={1, 2}) if value.steps else ""
     end = sections.notes(value, look) + sections.summary(value, look)
-    return "\n".join(part for part in (sections.header(value, look), body, sections.expected(value, look), end) if part)
+    parts = (sections.header(value, look), body, demands(value, look), sections.expected(value, look), end)
+    return "\n".join(part for part in parts if part)
 
 
 def explanation(step: Step, value: Explanation, look: Look = PLAIN) -> str:

@@ -1,0 +1,67 @@
+"""The source of every demand, in the forms for people."""
+
+from dataclasses import replace
+
+from edgectl.executor.diff import plan_of
+from edgectl.model.memory import MeasuredDemand, Memory
+from edgectl.model.plan import Plan
+from edgectl.model.policy import Policy
+from edgectl.scheduler.assign import assign
+from edgectl.views import markdown, table, wide
+from edgectl.views.text import Look
+from tests.builders import GI, NOW, a_link, a_robot, a_sample, a_snapshot, a_task, an_edge, an_inventory, some_tasks
+
+LINKS = {"robot1": a_link()}
+SNAPSHOT = a_snapshot(edge1=a_sample(links=LINKS), edge2=a_sample(cores=8.0, memory=8 * GI, used_memory=6 * GI, links=LINKS))
+MEMORY = Memory(
+    managed=True,
+    measured={
+        ("slam", "4c-4Gi"): MeasuredDemand(samples=412, span_s=900.0, cpu=1.0, memory=100 * 2.0**20, throughput=None),
+        ("map", "4c-4Gi"): MeasuredDemand(samples=12, span_s=60.0, cpu=1.0, memory=GI),
+    },
+)
+TASKS = some_tasks(
+    a_task("slam", cpu=None, memory=None, throughput=3e5, robots=["robot1"]), a_task("map", cpu=None, memory=GI), a_task("old", cpu="35.2%")
+)  # fmt: skip
+
+
+def a_plan() -> Plan:
+    inventory = an_inventory(an_edge("edge1"), an_edge("edge2"), a_robot())
+    return plan_of(inventory, TASKS, SNAPSHOT, MEMORY, assign(inventory, TASKS, SNAPSHOT, MEMORY, Policy(), NOW))
+
+
+def test_wide_tells_every_source() -> None:
+    section = wide.plan(a_plan()).split("Demands:\n")[1].split("\n\n")[0]
+    assert [line.split() for line in section.splitlines()] == [
+        ["TASK", "HOST", "CPU", "MEMORY", "THROUGHPUT"],
+        ["map", "edge1", "0.00", "none", "(12", "of", "60", "samples)", "1.0Gi", "declared", "-"],
+        ["old", "edge1", "1.41", "declared", "0B", "declared", "-"],
+        ["slam", "edge1", "1.00", "measured", "n=412", "100.0Mi", "measured", "n=412", "300.0kB/s", "declared"],
+        ["edge2", "1.00", "measured-elsewhere", "100.0Mi", "measured-elsewhere", "300.0kB/s", "declared"],
+    ]
+
+
+def test_the_table_has_a_note_for_each_thing_to_know() -> None:
+    notes = [line for line in table.plan(a_plan()).splitlines() if line.startswith("note: ")]
+    assert notes == [
+        "note: demand measured (p95): slam cpu and memory (n=412)",
+        "note: demand unknown, 0 until it is measured: map cpu (n=12)",
+        "note: percent demands mean different amounts on unlike hosts: old cpu 35.2% is 1.41 cores on edge1, 2.82 on edge2",
+    ]
+    assert "<details><summary>Demands</summary>" in markdown.plan(a_plan())
+
+
+def test_a_plan_with_declared_demands_alone_has_no_note() -> None:
+    plan = a_plan()
+    steps = tuple(replace(step, decision=replace(step.decision, demand=())) for step in plan.steps)
+    silent = replace(plan, steps=steps, uneven=())
+    assert "note:" not in table.plan(silent)
+    assert "Demands" not in wide.plan(replace(silent, steps=()))
+
+
+def test_long_lists_are_cut_and_fit_the_terminal() -> None:
+    plan = a_plan()
+    many = replace(plan, uneven=plan.uneven * 9)
+    text = table.plan(many, Look(width=80))
+    assert "and 5 more" in text
+    assert max(map(len, text.splitlines())) <= 80
