@@ -84,21 +84,24 @@ def _overcommitted(entry: RankedHost) -> bool:
 
 def _reason(view: View, choice: Choice, ranked: tuple[RankedHost, ...]) -> tuple[Reason, str | None]:
     """Why the best place won: it was pinned, alone, or nearer to a predecessor."""
-    feasible = [entry for entry in ranked if entry.feasible]
+    feasible = [entry.host for entry in ranked if entry.feasible]
     if choice.reason is not Reason.BEST or choice.place is None:
         return choice.reason, choice.subject
     if view.task.hosts.pin is not None:
         return Reason.PINNED, choice.subject
-    if len(feasible) == 1:
+    host = view.name(choice.place)
+    if feasible == [host]:
         return Reason.ONLY_FEASIBLE, choice.subject
-    if choice.place in view.located and _affinity_decided(feasible, view.setting.policy.weights, view.name(choice.place)):
+    # Policy paper places where nothing fits, so the chosen host need not be among the feasible.
+    weighed = [entry for entry in ranked if entry.feasible or entry.host == host]
+    if choice.place in view.located and _affinity_decided(weighed, view.setting.policy.weights, host):
         return Reason.WITH_PREDECESSOR, _predecessor_at(view, choice.place)
     return choice.reason, choice.subject
 
 
-def _affinity_decided(feasible: list[RankedHost], weights: Weights, host: str) -> bool:
+def _affinity_decided(weighed: list[RankedHost], weights: Weights, host: str) -> bool:
     """Whether another host would have won on resources alone."""
-    without = {entry.host: (entry.total or 0.0) - weights.task * (entry.terms.task or 0.0) for entry in feasible}
+    without = {entry.host: (entry.total or 0.0) - weights.task * (entry.terms.task or 0.0) for entry in weighed}
     return without[host] < max(without.values()) - EPSILON
 
 

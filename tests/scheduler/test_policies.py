@@ -31,6 +31,17 @@ def test_paper_counts_a_running_task_twice_and_so_hops() -> None:
     assert hosts(decide(TWO, some_tasks(a_task(cpu=1.0)), snapshot, policy=policy("utility", "cpu"))) == {"slam": "edge1"}
 
 
+@pytest.mark.parametrize("others", [1, 2])
+def test_paper_follows_a_predecessor_to_where_nothing_fits(others: int) -> None:
+    """cpu (4 - 3.9 - .5)/4 = -.1 and the reward 1 outweigh cpu .875 and the reward -1 on any other edge."""
+    edges = [f"edge{number}" for number in range(1, others + 2)]
+    full = a_sample(used=3.9, tasks={"slam": a_run()})
+    world = a_snapshot(edge1=full, **{edge: a_sample() for edge in edges[1:]})
+    tasks = some_tasks(a_task("nav", cpu=0.5, needs=["slam"]), a_task("slam", managed=False))
+    nav = decisions(decide(an_inventory(*map(an_edge, edges)), tasks, world, policy=policy("paper")))["nav"]
+    assert (nav.host, nav.reason, nav.subject, nav.overcommitted) == ("edge1", Reason.WITH_PREDECESSOR, "slam", True)
+
+
 def test_paper_rewards_only_what_already_runs_with_plus_and_minus_one() -> None:
     tasks = some_tasks(a_task("nav", needs=["slam"]), a_task("slam"))
     cold = decide(TWO, tasks, a_snapshot(edge1=a_sample(), edge2=a_sample()), policy=policy("paper"))
