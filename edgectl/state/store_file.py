@@ -16,6 +16,8 @@ NAME = "history.db"
 SCHEMA = 1
 _BUSY_S = 5.0
 _PARTS = ("-wal", "-shm")
+# Each may be as large as a history may become.
+_BROKEN_KEPT = 2
 # What says nothing of the file itself: another try, another disk or another hour may succeed. All else means damage.
 _PASSING = frozenset({
     sqlite3.SQLITE_PERM, sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED, sqlite3.SQLITE_NOMEM, sqlite3.SQLITE_READONLY,
@@ -162,4 +164,7 @@ def retire(path: Path, opened: tuple[int, int] | None) -> Path | None:
             return None
         for part in _PARTS:
             path.with_name(path.name + part).unlink(missing_ok=True)
+        aside = sorted(path.parent.glob(f"{path.name}.broken-*"), key=lambda each: each.stat().st_mtime)
+        for oldest in aside[: len(aside) + 1 - _BROKEN_KEPT]:
+            oldest.unlink(missing_ok=True)
         return set_aside(path)
