@@ -1,11 +1,6 @@
 """events."""
 
-import contextlib
-import queue
-import signal
 import time
-from collections.abc import Callable, Iterator
-from types import FrameType
 from typing import Annotated
 
 from typer import Option
@@ -13,6 +8,7 @@ from typer import Option
 from edgectl.cli import console, options
 from edgectl.cli.complete import hosts, tasks
 from edgectl.cli.inputs import known, load
+from edgectl.cli.until import told
 from edgectl.errors import UsageError
 from edgectl.views.form import Form
 
@@ -48,8 +44,8 @@ def events_command(
     fleet = reach(load(inventory, tasks))
     wanted = Wanted(since=time.time() - seconds(since, "--since"), host=host, task=task)
     if watch:
-        with _told() as told:
-            console.show_all(output, "events_more", ((found, number == 0) for number, found in enumerate(follow(fleet, wanted, told))))
+        with told(_EVERY_S) as end:
+            console.show_all(output, "events_more", ((found, number == 0) for number, found in enumerate(follow(fleet, wanted, end))))
         return
     found = events(fleet, wanted)
     if not found:
@@ -57,27 +53,3 @@ def events_command(
         known([host] if host else [], fleet.inventory.hosts, "host")
         known([task] if task else [], fleet.tasks.tasks, "task")
     console.show(output, "events", found)
-
-
-@contextlib.contextmanager
-def _told() -> Iterator[Callable[[], bool]]:
-    """A wait of a second that says whether SIGINT or SIGTERM came: how such a command ends well."""
-    # The one queue of the standard library that a signal handler may put into at any moment.
-    ends: queue.SimpleQueue[int] = queue.SimpleQueue()
-
-    def end(number: int, _frame: FrameType | None) -> None:
-        ends.put(number)
-
-    def told() -> bool:
-        try:
-            ends.get(timeout=_EVERY_S)
-        except queue.Empty:
-            return False
-        return True
-
-    before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield told
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

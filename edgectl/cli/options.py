@@ -60,6 +60,7 @@ WeightsListOption = Annotated[
 ]
 GraphOutput = Annotated[Form, output("mermaid", "dot")]
 ExplainOutput = Annotated[Form, output("table", "wide", "json", "yaml")]
+RoundsOutput = Annotated[Form, output("table", "jsonl")]
 FieldsOutput = Annotated[Form, output("table", "json", "yaml")]
 ValidateOutput = Annotated[Form, output("table", "json", "yaml", "github")]
 
@@ -85,6 +86,8 @@ LockOption = Annotated[str, Option("--lock-timeout", metavar="TIME", help="Wait 
 ParallelOption = Annotated[int, Option("--max-parallel", metavar="N", min=1, help="At most N actions at once.")]
 FailFastOption = Annotated[bool, Option("--fail-fast", help="After the first failure begin nothing new.")]
 WindowOption = Annotated[str, Option("--window", metavar="TIME", help="How long use is measured.")]
+WatchOption = Annotated[bool, Option("--watch", "-w", help="Go on, until Ctrl-C.")]
+EveryOption = Annotated[str, Option("--every", metavar="TIME", help="With -w: pause between two looks.")]
 TimeoutOption = Annotated[str, Option("--timeout", metavar="TIME", help="Deadline of each host.")]
 AcceptOption = Annotated[bool, Option("--accept-new", help="Trust hosts never seen before, as OpenSSH does.")]
 

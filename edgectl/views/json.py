@@ -24,6 +24,9 @@ from edgectl.views.events import document as events_document
 from edgectl.views.events import line as event_line
 from edgectl.views.evidence import replayed_document
 from edgectl.views.explanation import document as explanation_document
+from edgectl.views.listing import Change, Item, Listing
+from edgectl.views.listing import document as listing_document
+from edgectl.views.listing import line as change_document
 from edgectl.views.profilers import document as profilers_document
 from edgectl.views.text import PLAIN, Look
 
@@ -205,3 +208,13 @@ def nothing(_look: Look = PLAIN) -> str:
 def fields(values: Mapping[str, str], _look: Look = PLAIN) -> str:
     """Names and values as one object."""
     return dumps({"format_version": FORMAT_VERSION, **values})
+
+
+def listing(value: Listing, _look: Look = PLAIN) -> str:
+    """What is listed."""
+    return dumps(listing_document(value))
+
+
+def listing_more(value: Listing, changed: Iterable[tuple[Change, Item]], _first: Listing | None, _look: Look = PLAIN) -> str:
+    """What changed, one object per line."""
+    return "".join(dump_line(change_document(value.at, change, item)) for change, item in changed)

@@ -1,6 +1,6 @@
 """Names only, one per line, to be piped into other commands."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from edgectl.model.inventory import Inventory
 from edgectl.model.plan import Plan
@@ -8,6 +8,7 @@ from edgectl.model.result import Results
 from edgectl.model.revision import Revision
 from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Tasks
+from edgectl.views.listing import Change, Item, Listing
 from edgectl.views.profilers import names as profilers  # noqa: F401
 from edgectl.views.table import found
 from edgectl.views.text import PLAIN, Look
@@ -56,3 +57,13 @@ def drained(passes: Iterable[Results], _left: object, _done: object, _look: Look
 def measured(value: Snapshot, _links: object, look: Look = PLAIN) -> str:
     """As of a snapshot."""
     return snapshot(value, look)
+
+
+def listing(value: Listing, _look: Look = PLAIN) -> str:
+    """What is listed, as KIND/NAME."""
+    return "".join(f"{name}\n" for name in dict.fromkeys(item.name for item in value.items))
+
+
+def listing_more(_value: Listing, changed: Sequence[tuple[Change, Item]], _first: Listing | None, _look: Look = PLAIN) -> str:
+    """What changed."""
+    return "".join(f"{item.name}\n" for _, item in changed)

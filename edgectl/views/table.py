@@ -18,6 +18,8 @@ from edgectl.views.events import more as events_more  # noqa: F401
 from edgectl.views.events import text as events  # noqa: F401
 from edgectl.views.evidence import replayed_text as replayed  # noqa: F401
 from edgectl.views.explanation import text as explanation  # noqa: F401  (a form of its own module)
+from edgectl.views.listing import more_text as listing_more  # noqa: F401
+from edgectl.views.listing import text as listing  # noqa: F401
 from edgectl.views.profilers import text as profilers  # noqa: F401
 from edgectl.views.reasons import left_out, reason
 from edgectl.views.sections import STYLES, closed, expected, figure, header, note_lines, notes, silent, summary

@@ -126,7 +126,7 @@ def _fitted(widths: list[int], look: Look, wrap: Collection[int], gap: str) -> l
     if excess <= 0:
         return widths
     fitted, spare = list(widths), widths[-1] - min(widths[-1], _NARROWEST_LAST_COLUMN)
-    inner = sorted(set(wrap) - {len(widths) - 1}, key=lambda column: -widths[column])
+    inner = sorted((column for column in set(wrap) if column < len(widths) - 1), key=lambda column: -widths[column])
     if excess > spare + sum(max(0, widths[column] - _NARROWEST_COLUMN) for column in inner):
         spare = widths[-1]  # the last column goes below; only the others have to fit
     for column in inner:

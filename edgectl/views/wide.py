@@ -11,11 +11,13 @@ from edgectl.units import format_duration, format_rate
 from edgectl.views import sections, table
 from edgectl.views.demands import demands
 from edgectl.views.explanation import text
+from edgectl.views.listing import wide_more as listing_more
+from edgectl.views.listing import wide_text as listing
 from edgectl.views.reasons import reason, rejection
 from edgectl.views.sections import STYLES, figure
 from edgectl.views.text import PLAIN, Cell, Look, Row, columns
 
-__all__ = ["explanation", "measured", "plan", "snapshot"]
+__all__ = ["explanation", "listing", "listing_more", "measured", "plan", "snapshot"]
 
 
 def plan(value: Plan, look: Look = PLAIN) -> str:

@@ -15,6 +15,7 @@ __all__ = [
     "explanation",
     "fields",
     "history",
+    "listing",
     "measured",
     "nothing",
     "plan",
@@ -58,3 +59,4 @@ history = _of(json_view.history)
 revision = _of(json_view.revision)
 measured = _of(json_view.measured)
 drained = _of(json_view.drained)
+listing = _of(json_view.listing)

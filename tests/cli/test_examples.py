@@ -53,9 +53,21 @@ def run(line: str, site: Path, env: dict[str, str]) -> int:
             process.send_signal(signal.SIGINT)
             assert process.wait(30) == 130
         return 0
+    if "-w" in words:
+        return watch(words, site, env)
     if line in SERVING:
         return serve([word.replace(":9815", ":0") for word in words], site, env)
     return subprocess.run(words, cwd=site, env=env, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, check=False, timeout=60).returncode
+
+
+def watch(words: list[str], site: Path, env: dict[str, str]) -> int:
+    """Until it has shown something."""
+    process = subprocess.Popen(words, cwd=site, env=env, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+    assert process.stdout is not None
+    with process.stdout as lines:
+        assert lines.readline()
+        process.send_signal(signal.SIGINT)
+        return process.wait(30)
 
 
 def serve(words: list[str], site: Path, env: dict[str, str]) -> int:

@@ -1,0 +1,41 @@
+"""get, top and describe: what the fleet is and does, once or again and again."""
+
+import dataclasses
+from collections.abc import Callable, Iterator
+
+from edgectl.gateway.collect import ProbeOptions
+from edgectl.model.event import Event
+from edgectl.model.point import HostPoint, TaskPoint
+from edgectl.model.snapshot import Snapshot
+from edgectl.state.store import Store
+from edgectl.transport.patient import REFUSED_S, Patient
+from edgectl.transport.pool import SessionPool
+from edgectl.usecases.fleet import Fleet
+from edgectl.usecases.probe import probe
+
+
+def looks(fleet: Fleet, told_to_end: Callable[[], bool], options: ProbeOptions | None = None) -> Iterator[Snapshot]:
+    """A probe, and another one each time ``told_to_end`` (which waits in between) says no; sessions stay open."""
+    with SessionPool(fleet.transport, forget_s=REFUSED_S) as pool:
+        held = dataclasses.replace(fleet, transport=Patient(pool))
+        yield probe(held, options)
+        while not told_to_end():
+            yield probe(held, options)
+
+
+def host_history(fleet: Fleet, samples: int) -> tuple[HostPoint, ...]:
+    """The newest ``samples`` of each host, oldest first."""
+    with Store.open(fleet.state) as store:
+        return store.host_points(limit=samples)
+
+
+def task_history(fleet: Fleet, samples: int) -> tuple[TaskPoint, ...]:
+    """The newest ``samples`` of each task, oldest first."""
+    with Store.open(fleet.state) as store:
+        return store.task_points(limit=samples)
+
+
+def last_events(fleet: Fleet, count: int, *, host: str | None = None, task: str | None = None) -> tuple[Event, ...]:
+    """The newest ``count`` events of a host or a task, oldest first."""
+    with Store.open(fleet.state) as store:
+        return store.events(host=host, task=task, limit=count)
