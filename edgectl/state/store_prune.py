@@ -27,8 +27,8 @@ def shrink(connection: sqlite3.Connection, most: int) -> None:
         for _ in range(_MOST_ROUNDS):
             if _bytes(connection) <= most * _ROOM or not _drop_oldest(connection):
                 break
-    connection.execute("PRAGMA incremental_vacuum").fetchall()
-    connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
+    # A script, because a statement that gives rows without columns is left after the first of them, which is one page.
+    connection.executescript("PRAGMA incremental_vacuum; PRAGMA wal_checkpoint(TRUNCATE);")
 
 
 def _bytes(connection: sqlite3.Connection) -> int:
