@@ -1,0 +1,47 @@
+"""What cron or systemd is to run again and again."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from edgectl.units import format_duration
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Job:
+    """One fleet. All paths are absolute.
+
+    ``name`` names the units. ``program`` are the words that start edgectl, ``directory`` is where it is started.
+    ``environment``: what it needs from the environment besides HOME. ``every_s``: seconds from one start to the next; None: its own
+    default. ``user`` runs it. ``local``: a host of the fleet is this machine, so tasks run below edgectl itself.
+    """
+
+    name: str
+    program: tuple[str, ...]
+    inventory: str
+    tasks: tuple[str, ...]
+    directory: str
+    user: str
+    environment: Mapping[str, str] = field(default_factory=dict)
+    every_s: float | None = None
+    local: bool = False
+
+
+def words(job: Job, *command: str) -> tuple[str, ...]:
+    """The arguments of ``command``, without the program.
+
+    Raises:
+        ValueError: a path or a variable has characters that a crontab or a unit cannot hold the same everywhere.
+    """
+    files = ("-i", job.inventory, *(word for path in job.tasks for word in ("-t", path)))
+    for text in (*job.program, *files, job.directory, *job.environment.values()):
+        if not text.isprintable() or "\\" in text or text != text.strip():
+            raise ValueError(
+                f"cannot be written down for cron or systemd: {text!r}; rename it: no control characters, backslashes, outer blanks"
+            )
+    return (*command, *files)
+
+
+def interval(every_s: float) -> str:
+    """An interval as people write it: ``5m``, ``1h30m``, ``10s``."""
+    return re.sub(r"(?<=[dhm])00[hms]$", "", format_duration(every_s).replace(".0s", "s"))

@@ -1,0 +1,122 @@
+"""The line of a crontab: the schedule it says, and that it runs as cron runs it, whatever the paths look like."""
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from edgectl.export.cron import command, crontab, quoted, schedule
+from edgectl.export.job import Job, interval
+from tests.e2e.bench import a_mark, sleeping
+
+JOB = Job(
+    name="lab", program=("/opt/edgectl/bin/edgectl",), inventory="/srv/lab/lab.yaml", tasks=("/srv/lab/tasks",), directory="/srv/lab", user="ana"
+)  # fmt: skip
+AWKWARD = 'it\'s 100% $HOME "a b" & co; #1'
+
+
+def as_cron_reads(line: str, *, keeps_backslash: bool) -> str:
+    """The command of a crontab's line: to the first bare percent sign; the backslash before another one is taken away, or not."""
+    text, rest = "", line.split(" ", 5)[5]
+    while rest:
+        head, rest = rest[:1], rest[1:]
+        if head == "%":
+            return text
+        if head == "\\" and rest.startswith("%"):
+            text += "\\%" if keeps_backslash else "%"
+            rest = rest[1:]
+        else:
+            text += head
+    return text
+
+
+@pytest.mark.parametrize(
+    ("every_s", "fields"),
+    [
+        (60, "* * * * *"), (120, "*/2 * * * *"), (300, "*/5 * * * *"), (1800, "*/30 * * * *"), (3600, "0 * * * *"),
+        (21600, "0 */6 * * *"), (86400, "0 0 * * *"),
+    ],
+)  # fmt: skip
+def test_intervals_that_cron_can_say(every_s: float, fields: str) -> None:
+    assert schedule(every_s) == fields
+
+
+@pytest.mark.parametrize("every_s", [1, 59, 60.5, 90, 420, 5400, 18000, 172800])
+def test_intervals_that_cron_cannot_say(every_s: float) -> None:
+    with pytest.raises(ValueError, match=r"cron cannot say every .*; write one that divides"):
+        schedule(every_s)
+
+
+def test_intervals_in_words() -> None:
+    assert [interval(s) for s in (10, 60, 300, 5400, 86400, 1.5)] == ["10s", "1m", "5m", "1h30m", "1d", "1.5s"]
+
+
+def test_the_line() -> None:
+    *comments, line = crontab(JOB).splitlines()
+    assert all(comment.startswith("#") for comment in comments)
+    assert line == ("*/5 * * * * cd /srv/lab && /opt/edgectl/bin/edgectl apply --yes --quiet -i /srv/lab/lab.yaml -t /srv/lab/tasks")
+
+
+@pytest.mark.parametrize("word", [AWKWARD, "%", "a%b", "%d/%m", "plain", "", "100%"])
+@pytest.mark.parametrize("keeps_backslash", [False, True])
+def test_every_word_reaches_the_program_unchanged(word: str, keeps_backslash: bool) -> None:
+    line = as_cron_reads(f"* * * * * printf %s {quoted(word)}".replace("%s ", r"\%s ", 1), keeps_backslash=keeps_backslash)
+    assert subprocess.run(["sh", "-c", line], capture_output=True, text=True, check=True).stdout == word
+
+
+@pytest.mark.parametrize("path", ["/srv/a\nb", "/srv/a\\b", "/srv/a ", "/srv/a\x1bb"])
+def test_what_cron_cannot_hold_is_refused(path: str) -> None:
+    from dataclasses import replace
+
+    with pytest.raises(ValueError, match="rename it"):
+        command(replace(JOB, inventory=path))
+    with pytest.raises(ValueError, match="cron takes 998"):
+        command(replace(JOB, inventory="/" + "x" * 990))
+
+
+INVENTORY = "version: 1\nedges:\n  edge1: {host: 127.0.0.1, connection: local, capacity: {cpu: 1, memory: 1Gi}}\n"
+TASKS = 'version: 1\ntasks:\n  idle: {{command: "exec sleep {}", demand: {{cpu: 0.1, memory: 10Mi}}, stop: {{grace: 2s}}}}\n'
+
+
+@pytest.fixture
+def site(tmp_path: Path) -> Iterator[tuple[Path, str]]:
+    """A fleet in a directory with an awkward name, and the mark of its task's process."""
+    here, mark = tmp_path / AWKWARD, a_mark()
+    here.mkdir()
+    (here / "lab.yaml").write_text(INVENTORY)
+    (here / "tasks.yaml").write_text(TASKS.format(mark))
+    yield here, mark
+    edgectl(here, "stop", "--all", "--yes")
+    assert sleeping(mark) == []
+
+
+def edgectl(here: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    env = {**os.environ, "EDGECTL_STATE_DIR": str(here / "state")}
+    return subprocess.run(
+        [sys.executable, "-m", "edgectl", *words, "-i", "lab.yaml", "-t", "tasks.yaml"],
+        cwd=here, env=env, capture_output=True, text=True, check=False, timeout=60, stdin=subprocess.DEVNULL,
+    )  # fmt: skip
+
+
+def test_the_line_runs_as_cron_runs_it(site: tuple[Path, str], isolated: Path) -> None:
+    """An almost empty environment, no terminal, the home directory: the first run says what it did, the second nothing at all."""
+    here, mark = site
+    said = edgectl(here, "export", "cron", "--every", "10m")
+    assert (said.returncode, said.stderr) == (0, "")
+    line = as_cron_reads(said.stdout.splitlines()[-1], keeps_backslash=False)
+    env = shutil.which("env")
+    assert env
+    poor = [env, "-i", f"HOME={isolated}", "LOGNAME=ana", "PATH=/usr/bin:/bin", "SHELL=/bin/sh", "/bin/sh", "-c", line]
+    runs = [
+        subprocess.run(poor, cwd=isolated, capture_output=True, text=True, check=False, timeout=60, stdin=subprocess.DEVNULL)
+        for _ in range(2)
+    ]
+    assert (runs[0].returncode, runs[0].stderr) == (0, "")
+    assert "Applied 1 of 1" in runs[0].stdout
+    assert len(sleeping(mark)) == 1
+    assert (runs[1].returncode, runs[1].stdout, runs[1].stderr) == (0, "", "")
+    assert (here / "state").is_dir(), "the line takes the state directory along"
