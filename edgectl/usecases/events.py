@@ -4,9 +4,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from edgectl.model.event import Event
-from edgectl.state.files import silent
 from edgectl.state.store import Store
 from edgectl.usecases.fleet import Fleet
+from edgectl.usecases.record import newest_event
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,10 +26,10 @@ def events(fleet: Fleet, wanted: Wanted, *, after: int = 0) -> tuple[Event, ...]
 
 def follow(fleet: Fleet, wanted: Wanted, told_to_end: Callable[[], bool]) -> Iterator[tuple[Event, ...]]:
     """Those that are there (perhaps none), then batches as they come. ``told_to_end`` is asked between two looks, and may wait."""
-    last = _newest(fleet)
+    last = newest_event(fleet)
     yield tuple(event for event in events(fleet, wanted) if event.id <= last)
     while not told_to_end():
-        newest = _newest(fleet)
+        newest = newest_event(fleet)
         if newest < last:
             # Another history began, whose numbers begin anew: the one before was broken, or taken away.
             last = 0
@@ -37,9 +37,3 @@ def follow(fleet: Fleet, wanted: Wanted, told_to_end: Callable[[], bool]) -> Ite
         if found:
             yield found
         last = max([newest, *(event.id for event in found)])
-
-
-def _newest(fleet: Fleet) -> int:
-    """The highest id that there is, 0 for none."""
-    with Store.open(fleet.state, warn=silent) as store:
-        return max((event.id for event in store.events(limit=1)), default=0)

@@ -1,0 +1,117 @@
+"""events: the command, on the scaffold's own hosts."""
+
+import json
+import signal
+import sqlite3
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from edgectl.model.event import Event, EventKind
+from edgectl.state.paths import fleet_dir
+from edgectl.state.store import Store
+from tests.cli.conftest import Run
+
+EDGECTL = [sys.executable, "-m", "edgectl"]
+
+
+@pytest.fixture
+def state(site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The scaffold's state directory."""
+    monkeypatch.setenv("EDGECTL_STATE_DIR", str(tmp_path / "state"))
+    return fleet_dir(site / "inventories" / "local.yaml")
+
+
+def happen(state: Path, *events: Event) -> None:
+    with Store.open(state) as store:
+        store.record_events(events)
+
+
+def test_no_history_is_said_and_no_error(run: Run, state: Path) -> None:
+    assert run("events") == (0, "No events: nothing happened in this time, or no edgectl looked (edgectl probe does).\n", "")
+    assert json.loads(run("events", "-o", "json").out) == {"format_version": 1, "events": []}
+    assert run("events", "-o", "yaml").out == "format_version: 1\nevents: []\n"
+
+
+def test_events_as_a_table_and_as_documents(run: Run, state: Path) -> None:
+    now = time.time()
+    happen(
+        state,
+        Event(at=now - 90000, kind=EventKind.HOST_LOST, host="edge1", message="no route"),
+        Event(at=now - 60, kind=EventKind.TASK_MOVED, host="edge2", task="slam-robot1", message="from edge1, gap 1.2s\x1b[2J"),
+        Event(at=now - 30, kind=EventKind.PLANNED, message="1 move"),
+    )
+    rows = run("events").out.splitlines()
+    assert rows[0].split() == ["AT", "KIND", "WHAT", "MESSAGE"]
+    assert [row.split(maxsplit=1)[1].split() for row in rows[1:]] == [
+        ["task-moved", "slam-robot1", "on", "edge2", "from", "edge1,", "gap", "1.2s\\x1b[2J"],
+        ["planned", "-", "1", "move"],
+    ]
+    assert len(run("events", "--since", "2d").out.splitlines()) == 4
+    assert len(run("events", "--since", "2d", "--host", "edge1").out.splitlines()) == 2
+    (event,) = json.loads(run("events", "--task", "slam-robot1", "-o", "json").out)["events"]
+    assert (event["id"], event["kind"], event["host"], event["task"]) == (2, "task-moved", "edge2", "slam-robot1")
+    assert "kind: planned" in run("events", "-o", "yaml").out
+    assert list(state.iterdir()) == [state / "history.db"]
+
+
+def test_a_name_that_nobody_knows_is_refused_with_the_closest(run: Run, state: Path) -> None:
+    assert (run("events", "--host", "edge9").code, run("events", "--task", "slam-robt1").code) == (64, 64)
+    assert "did you mean slam-robot1?" in run("events", "--task", "slam-robt1").err
+    happen(state, Event(at=time.time(), kind=EventKind.HOST_LOST, host="edge9"))
+    assert run("events", "--host", "edge9").code == 0
+    assert run("events", "--since", "soon").code == 64
+    assert run("events", "-w", "-o", "yaml").code == 64
+
+
+@pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM])
+def test_events_are_followed_until_a_signal(state: Path, ending: signal.Signals) -> None:
+    happen(state, Event(at=time.time(), kind=EventKind.HOST_LOST, host="edge1"))
+    process = subprocess.Popen([*EDGECTL, "events", "-w", "-o", "json"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    assert process.stderr is not None
+    with process, process.stdout as out, process.stderr as err:
+        assert json.loads(out.readline())["kind"] == "host-lost"
+        happen(state, Event(at=time.time(), kind=EventKind.HOST_BACK, host="edge1", message="after 3.0s"))
+        assert json.loads(out.readline())["message"] == "after 3.0s"
+        process.send_signal(ending)
+        assert process.wait(30) == 0
+        assert (out.read(), err.read()) == ("", "")
+
+
+def test_followed_rows_stand_below_each_other_and_end_when_nobody_reads(state: Path) -> None:
+    happen(state, Event(at=time.time(), kind=EventKind.HOST_LOST, host="edge1", message="no route"))
+    process = subprocess.Popen([*EDGECTL, "events", "-w"], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    assert process.stdout is not None
+    with process:
+        rows = [process.stdout.readline() for _ in range(2)]
+        happen(state, Event(at=time.time(), kind=EventKind.TASK_CRASHLOOP, host="edge1", task="slam-robot1", message="exit code 1"))
+        rows.append(process.stdout.readline())
+        process.stdout.close()
+        happen(state, Event(at=time.time(), kind=EventKind.HOST_BACK, host="edge1"))
+        assert process.wait(30) == 0
+    places = [
+        (row.index(what), row.index(why)) for row, what, why in zip(rows, ("WHAT", "edge1", "slam"), ("MESS", "no r", "exit"), strict=True)
+    ]
+    assert len(set(places)) == 1
+
+
+def test_a_broken_history_is_said_and_the_command_goes_on(run: Run, state: Path) -> None:
+    (state / "history.db").write_bytes(b"SQLite format 3\0" + b"x" * 5000)
+    said = run("events")
+    assert said.code == 0
+    assert said.out.startswith("No events")
+    assert "warning: " in said.err
+    assert "set aside as history.db.broken-1" in said.err
+
+
+def test_the_tables_of_the_documentation_are_there(run: Run, state: Path) -> None:
+    assert run("probe", "-o", "name").code == 0
+    connection = sqlite3.connect(f"file:{state / 'history.db'}?mode=ro", uri=True)
+    names = {row[0] for row in connection.execute("SELECT name FROM sqlite_master WHERE type IN ('table', 'view')")}
+    assert {"host_samples", "link_samples", "task_samples", "plans", "steps", "actions", "handoffs", "events"} <= names
+    assert connection.execute("SELECT count(DISTINCT host) FROM host_samples").fetchone() == (6,)
+    connection.close()

@@ -1,0 +1,171 @@
+"""What the verbs leave in the history, over simulated hosts."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from edgectl.errors import ConnectError
+from edgectl.model.event import Event, EventKind
+from edgectl.state.lock import FleetLock, held_elsewhere
+from edgectl.state.store import Store
+from edgectl.usecases.apply import apply
+from edgectl.usecases.events import Wanted, events, follow
+from edgectl.usecases.plan import plan
+from edgectl.usecases.probe import probe
+from edgectl.usecases.record import record_snapshot
+from edgectl.usecases.stop import stop
+from tests.usecases.test_usecases import POLICY, Bench
+
+HOLDER = """
+import sys
+from pathlib import Path
+from edgectl.state.lock import FleetLock
+with FleetLock(Path(sys.argv[1])):
+    print("held", flush=True)
+    sys.stdin.read()
+"""
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Bench:
+    return Bench(tmp_path)
+
+
+def kinds(found: tuple[Event, ...]) -> list[tuple[str, str | None]]:
+    return [(event.kind.value, event.task or event.host) for event in found]
+
+
+def told(bench: Bench) -> list[tuple[str, str | None]]:
+    return kinds(events(bench.fleet, Wanted()))
+
+
+def test_every_probe_is_kept(bench: Bench) -> None:
+    bench.hosts["edge1"].used = 1.5
+    probe(bench.fleet)
+    probe(bench.fleet)
+    with Store.open(bench.fleet.state) as store:
+        assert [point.used_cores for point in store.host_points("edge1")] == [1.5, 1.5]
+        assert len(store.host_points()) == 6
+
+
+def test_an_apply_tells_what_it_planned_and_did_once(bench: Bench) -> None:
+    apply(bench.fleet, POLICY)
+    started = [("planned", None), ("task-started", "slam"), ("task-started", "navigation")]
+    assert told(bench) == started
+    probe(bench.fleet)
+    apply(bench.fleet, POLICY)
+    assert told(bench) == started
+    stop(bench.fleet, ["navigation"])
+    probe(bench.fleet)
+    assert told(bench) == [*started, ("task-stopped", "navigation")]
+
+
+def test_a_move_is_a_handoff_with_its_gap(bench: Bench) -> None:
+    apply(bench.fleet, POLICY)
+    first = bench.hosts.placed["slam"]
+    bench.hosts[first].used = 4.0
+    bench.now += 600.0
+    apply(bench.fleet, POLICY)
+    probe(bench.fleet)
+    with Store.open(bench.fleet.state) as store:
+        (handoff,) = (each for each in store.handoffs() if each.task == "slam")
+    assert (handoff.previous_host, handoff.host) == (first, bench.hosts.placed["slam"])
+    assert handoff.downtime_s is not None
+    moved = [event for event in events(bench.fleet, Wanted(task="slam")) if event.kind is EventKind.TASK_MOVED]
+    assert len(moved) == 1
+    assert moved[0].message.startswith(f"from {first}, gap ")
+
+
+def test_the_same_plan_again_is_told_once(bench: Bench) -> None:
+    for _ in range(3):
+        plan(bench.fleet, POLICY)
+    assert told(bench) == [("planned", None)]
+
+
+def test_a_plan_from_a_snapshot_is_not_kept(bench: Bench, tmp_path: Path) -> None:
+    snapshot = probe(bench.fleet)
+    (tmp_path / "history.db").unlink()
+    plan(bench.fleet, POLICY, snapshot=snapshot)
+    assert not (tmp_path / "history.db").exists()
+
+
+def test_a_host_that_is_lost_and_back_is_told(bench: Bench) -> None:
+    probe(bench.fleet)
+    bench.hosts["edge2"].faults["probe"] = ConnectError("connection refused", host="edge2")
+    probe(bench.fleet)
+    probe(bench.fleet)
+    del bench.hosts["edge2"].faults["probe"]
+    probe(bench.fleet)
+    assert kinds(events(bench.fleet, Wanted(host="edge2"))) == [("host-lost", "edge2"), ("host-back", "edge2")]
+
+
+def test_trouble_with_the_history_is_said_once_and_costs_nothing_else(bench: Bench, tmp_path: Path) -> None:
+    (tmp_path / "history.db").mkdir()
+    applied = apply(bench.fleet, POLICY)
+    probe(bench.fleet)
+    assert applied.results is not None
+    assert applied.results.done
+    assert len([text for text in bench.said if "history is not kept" in text]) == 1
+
+
+def test_what_another_edgectl_is_doing_is_left_to_its_own_record(bench: Bench) -> None:
+    apply(bench.fleet, POLICY)
+    before = told(bench)
+    place = bench.hosts.placed["slam"]
+    running = bench.hosts[place].tasks.pop("slam")
+    holder = subprocess.Popen(
+        [sys.executable, "-c", HOLDER, str(bench.fleet.state)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    assert holder.stdout is not None
+    assert holder.stdout.readline() == "held\n"
+    try:
+        assert held_elsewhere(bench.fleet.state)
+        probe(bench.fleet)
+        assert told(bench) == before
+    finally:
+        holder.communicate("", timeout=30)
+    assert not held_elsewhere(bench.fleet.state)
+    probe(bench.fleet)
+    assert told(bench) == [*before, ("task-lost", "slam")]
+    bench.hosts[place].tasks["slam"] = running
+    probe(bench.fleet)
+    assert told(bench)[-1] == ("task-started", "slam")
+
+
+def test_a_lock_that_nobody_holds_is_not_held(bench: Bench) -> None:
+    assert not held_elsewhere(bench.fleet.state)
+    with FleetLock(bench.fleet.state):
+        assert not held_elsewhere(bench.fleet.state)  # it is ours
+    (bench.fleet.state / "lock").write_text('{"pid": 1}')  # of one that was killed
+    assert not held_elsewhere(bench.fleet.state)
+    for text in ("[]", "no json", '{"pid": []}'):
+        (bench.fleet.state / "lock").write_text(text)
+        assert not held_elsewhere(bench.fleet.state)
+
+
+def test_events_are_followed_even_into_another_history(bench: Bench, tmp_path: Path) -> None:
+    apply(bench.fleet, POLICY)
+    snapshot = probe(bench.fleet)
+
+    def begin_anew() -> None:
+        (tmp_path / "history.db").unlink()
+        record_snapshot(bench.fleet, snapshot)
+        bench.hosts["edge1"].faults["probe"] = ConnectError("connection refused", host="edge1")
+        probe(bench.fleet)
+
+    steps = iter([lambda: None, lambda: stop(bench.fleet, ["navigation"]), begin_anew, lambda: None])
+
+    def told_to_end() -> bool:
+        step = next(steps, None)
+        if step is not None:
+            step()
+        return step is None
+
+    batches = [kinds(batch) for batch in follow(bench.fleet, Wanted(), told_to_end)]
+    assert batches == [
+        [("planned", None), ("task-started", "slam"), ("task-started", "navigation")],
+        [("task-stopped", "navigation")],
+        [("host-lost", "edge1")],
+    ]
