@@ -19,6 +19,7 @@ HEAVY = {
     "prometheus_client",
     "textual",
     "http",
+    "sqlite3",
 }
 
 
@@ -40,6 +41,7 @@ def imported(site: Path, *words: str) -> set[str]:
         ("--version",),
         ("completion", "bash"),
         ("export", "prometheus", "--help"),
+        ("events", "--help"),
     ],
 )
 def test_help_needs_nothing_heavy(site: Path, words: tuple[str, ...]) -> None:
