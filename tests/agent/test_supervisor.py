@@ -192,11 +192,11 @@ def test_stop_of_another_instance_leaves_this_one_alone(host: AgentHost) -> None
 @pytest.mark.parametrize(
     ("command", "spec", "state", "code", "detail", "given_up"),
     [
-        ("exit 0", {"kind": "job"}, "completed", 0, "exited with 0"),
-        ("exit 3", {"kind": "job"}, "failed", 3, "exited with 3"),
-        ("exit 0", {"restart": "on-failure"}, "failed", 0, "exited with 0"),
-        ("kill -SEGV $$", {}, "failed", 139, "killed by SIGSEGV"),
-        ("no-such-program", {}, "failed", 127, "exited with 127"),
+        ("exit 0", {"kind": "job"}, "completed", 0, "exited with 0", False),
+        ("exit 3", {"kind": "job"}, "failed", 3, "exited with 3", True),
+        ("exit 0", {"restart": "on-failure"}, "failed", 0, "exited with 0", False),
+        ("kill -SEGV $$", {}, "failed", 139, "killed by SIGSEGV", True),
+        ("no-such-program", {}, "failed", 127, "exited with 127", True),
     ],
 )
 def test_end_is_recorded(
