@@ -23,7 +23,7 @@ def _parts(request: dict, sample: dict, age: float) -> dict:
     rates, levels = sample["rates"], sample["levels"]
     now = _tasks(request, sample)
     alive = [rate for entry, rate in now.values() if entry["state"] in ALIVE]
-    used = max(0.0, rates["cpu"] + sum(rate["used_cores"] for rate in alive))
+    used = max(0.0, rates["cpu"]) + sum(max(0.0, rate["used_cores"]) for rate in alive)
     return {
         "resident": True,
         "sample_age_s": round(age, 3),
@@ -43,8 +43,8 @@ def _link(robot: str, rate: dict, levels: dict, alive: list) -> dict:
     """What no task moves, and what the tasks move that live now."""
     own = [each["robots"][robot] for each in alive if robot in each["robots"]]
     return {
-        "rx_bytes_per_s": round(max(0.0, rate["rx"] + sum(each["rx"] for each in own)), 1),
-        "tx_bytes_per_s": round(max(0.0, rate["tx"] + sum(each["tx"] for each in own)), 1),
+        "rx_bytes_per_s": round(max(0.0, rate["rx"]) + sum(each["rx"] for each in own), 1),
+        "tx_bytes_per_s": round(max(0.0, rate["tx"]) + sum(each["tx"] for each in own), 1),
         "rtt_ms": None if rate["rtt_ms"] is None else round(rate["rtt_ms"], 3),
         "interface": levels["ways"][robot],
         "reachable": levels["reachable"][robot],

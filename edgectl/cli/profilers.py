@@ -21,7 +21,7 @@ def profilers_start_command(
     tasks: options.TasksOption = None,
     output: options.ResultOutput = Form.TABLE,
     every: Annotated[str, Option("--every", metavar="TIME", help="From sample to sample, 100ms to 1m.")] = "1s",
-    ttl: Annotated[str, Option("--ttl", metavar="TIME", help="They end when no edgectl called for so long.")] = "1h",
+    ttl: Annotated[str, Option("--ttl", metavar="TIME", help="End after so long without a call.")] = "1h",
 ) -> None:
     """Start a small process on each host that measures all the time, so that a probe needs no sample window.
 

@@ -13,7 +13,7 @@ _STYLES = {ProfilerState.STALLED: "warn", ProfilerState.UNREACHABLE: "bad", Prof
 
 def text(values: Sequence[Profiler], look: Look = PLAIN) -> str:
     """One line per host: how long its profiler has run, how old its last sample is, what it costs (of one core) and when it would end."""
-    rows: list[Row] = [("HOST", "STATE", "PID", "AGE", "EVERY", "SAMPLES", "LAST", "CPU", "MEMORY", "TTL LEFT")]
+    rows: list[Row] = [("HOST", "STATE", "PID", "AGE", "EVERY", "LAST", "CPU", "MEMORY", "TTL LEFT")]
     rows += [_row(value) for value in values]
     return columns(rows, look) + note_lines(_notes(values), look)
 
@@ -21,14 +21,13 @@ def text(values: Sequence[Profiler], look: Look = PLAIN) -> str:
 def _row(value: Profiler) -> Row:
     state = Cell(value.state.value, _STYLES.get(value.state, "good"))
     if not value.state.alive:
-        return (Cell(value.host, "name"), state, *("-",) * 8)
+        return (Cell(value.host, "name"), state, *("-",) * 7)
     return (
         Cell(value.host, "name"),
         state,
         str(value.pid),
         format_duration(value.age),
         format_duration(value.period),
-        str(value.samples),
         "-" if value.sample_age is None else format_duration(value.sample_age),
         f"{value.used_cores:.2%}",
         format_bytes(value.used_bytes),

@@ -63,9 +63,8 @@ def stopped(site: Path, env: Mapping[str, str]) -> Iterator[None]:
     try:
         yield
     finally:
-        subprocess.run(
-            [sys.executable, "-m", "edgectl", "stop", "--all", "--yes"], cwd=site, env=env, capture_output=True, check=False, timeout=60
-        )
+        for words in (["stop", "--all", "--yes"], ["profilers", "stop"]):
+            subprocess.run([sys.executable, "-m", "edgectl", *words], cwd=site, env=env, capture_output=True, check=False, timeout=60)
         left = subprocess.run(
             [sys.executable, "-m", "edgectl", "status", "-o", "name"], cwd=site, env=env, capture_output=True, text=True, check=False
         )

@@ -257,3 +257,12 @@ def test_whatever_stands_in_a_document_it_is_a_sound_sample_or_a_reply_error() -
         assert sample.cpu.cores > 0
         json.dumps(sample.device.boot_id, allow_nan=False)
     assert 5_000 < refused < 20_000
+
+
+def test_a_profiler_s_readings_say_how_old_they_are() -> None:
+    sample = decoded(a_document(resident=True, sample_age_s=0.75))
+    assert (sample.resident, sample.sample_age_s) == (True, 0.75)
+    assert (decoded(a_document()).resident, decoded(a_document()).sample_age_s) == (False, 0.0)
+    for wrong in ({"resident": "yes"}, {"sample_age_s": -1.0}, {"sample_age_s": "old"}):
+        with pytest.raises(ReplyError):
+            decoded(a_document(**wrong))
