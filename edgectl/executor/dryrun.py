@@ -4,7 +4,7 @@ import sys
 from collections.abc import Iterator
 
 from edgectl.executor import requests
-from edgectl.executor.order import STARTING, stops
+from edgectl.executor.order import STARTING, hold_without_old, replaces, stops
 from edgectl.model.inventory import Connection, Inventory
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.result import Phase
@@ -46,6 +46,10 @@ def _change(step: Step, task: Task, inventory: Inventory) -> Iterator[_Sent]:
         stop = _stop(step, old, inventory, task)
         start_first = old != new and task.handoff.order is HandoffOrder.START_FIRST
         yield from (*start, stop) if start_first else (stop, *start)
+        yield from _hook(Phase.RELEASE, task, task.handoff.release, new, inventory)
+    elif replaces(step):
+        yield from _hook(Phase.HOLD, task, hold_without_old(task), new, inventory)
+        yield from start
         yield from _hook(Phase.RELEASE, task, task.handoff.release, new, inventory)
     else:
         yield from start

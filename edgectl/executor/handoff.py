@@ -2,6 +2,7 @@
 
 stop-first: safe? -> hold -> stop old, verified gone -> start new -> ready -> release.
 start-first: safe? -> hold -> start new -> ready -> stop old -> release.
+replacement of an instance on a silent host, which is gone for certain: hold -> start new -> ready -> release.
 
 What was told to hold is released only when an instance is ready again, new or old. Where none is, it goes on holding, the result says so,
 and the next apply that gets an instance ready releases it (``recover``).
@@ -12,6 +13,7 @@ import time
 from edgectl.errors import HostError, RefusedError
 from edgectl.executor import phases
 from edgectl.executor.act import Act
+from edgectl.executor.order import hold_without_old
 from edgectl.model.result import ActionResult, Outcome, Phase
 from edgectl.model.task import HandoffOrder, Task, Where
 
@@ -48,6 +50,31 @@ def move(act: Act, task: Task, old: str, new: str) -> ActionResult:
     except HostError as error:
         return act.end(Outcome.FAILED, located=new, downtime_s=downtime, error=error)
     return act.end(Outcome.DONE, located=new, downtime_s=downtime)
+
+
+def replace(act: Act, task: Task, host: str) -> ActionResult:
+    """Start a task whose old host is silent on ``host``, with what its handoff says as far as that can be done without the old host.
+
+    Nothing runs, so no moment is unsafe and nothing is stopped; a hold ``on: host`` has no host to run on. Deferred where the new host
+    does not answer, an ``env_command`` or the hold fails: nothing was started, and the task still counts as on its old host.
+    """
+    old = act.step.decision.previous_host
+    try:
+        phases.reach(act.run, host)
+        variables = phases.variables(act, task, host)
+        phases.hook(act, task, Phase.HOLD, hold_without_old(task), host)
+    except HostError as error:
+        return act.end(Outcome.DEFERRED, located=old, error=error)
+    try:
+        phases.await_ready(act, task, host, phases.start(act, task, host, variables))
+    except HostError as error:
+        there = old if isinstance(error, RefusedError) else host
+        return _failed(act, task, _AtError(error, there, steers=False))
+    try:
+        phases.hook(act, task, Phase.RELEASE, task.handoff.release, host)
+    except HostError as error:
+        return act.end(Outcome.FAILED, located=host, error=error)
+    return act.end(Outcome.DONE, located=host)
 
 
 def _hold(act: Act, task: Task, old: str) -> None:

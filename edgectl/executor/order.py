@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from edgectl.model.plan import Action, Step
-from edgectl.model.task import Need, Tasks
+from edgectl.model.task import Check, Need, Task, Tasks, Where
 
 STARTING = (Action.START, Action.MOVE, Action.RESTART)
 STOPPING = (Action.STOP, Action.COMPLETE)
@@ -26,6 +26,17 @@ class Waits:
     def tasks(self) -> frozenset[str]:
         """Every action that must have ended before."""
         return frozenset(need.task for need in self.needs) | frozenset(self.leaving)
+
+
+def replaces(step: Step) -> bool:
+    """Whether the step starts a task whose instance on a silent host was given up."""
+    return step.action is Action.START and step.decision.previous_host is not None
+
+
+def hold_without_old(task: Task) -> Check | None:
+    """The hold of a replacement: one ``on: host`` would run on the silent host."""
+    hold = task.handoff.hold
+    return hold if hold is not None and hold.on is Where.ROBOT else None
 
 
 def stops(step: Step) -> tuple[str, ...]:

@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Mapping
 
+from edgectl.executor.order import replaces
 from edgectl.model.assignment import Reason, Verdict
 from edgectl.model.memory import Memory, Placement
 from edgectl.model.plan import Action, Plan, Step
@@ -49,7 +50,7 @@ def remember(memory: Memory, plan: Plan, tasks: Tasks, results: Results, used: M
             placements.pop(step.task, None)
         if task is not None and _completed(step, result):
             done[step.task] = task.spec_hash
-    first = {**{name: placement.host for name, placement in placements.items()}, **memory.first}
+    first = {**{name: placement.host for name, placement in placements.items()}, **memory.first, **_replaced(plan, results)}
     return dataclasses.replace(
         memory, managed=True, placements=placements, first=first, done=done, downtimes=_downtimes(memory, results),
         stays=_stays(memory, results, now), deferred=_deferred(memory, plan, results),
@@ -63,6 +64,12 @@ def _seen(snapshot: Snapshot, step: Step) -> str | None:
         if host is not None and step.task in host.tasks and host.tasks[step.task].state.alive:
             return name
     return None
+
+
+def _replaced(plan: Plan, results: Results) -> dict[str, str]:
+    """The new place of each task that was replaced: where it is at home from now on (policy static)."""
+    started = {result.task: result.host for result in results.actions if result.host is not None and _started(result)}
+    return {step.task: started[step.task] for step in plan.steps if replaces(step) and step.task in started}
 
 
 def _gone(snapshot: Snapshot, step: Step, result: ActionResult | None, placement: Placement | None) -> bool:

@@ -9,8 +9,8 @@ from edgectl.executor import phases
 from edgectl.executor.act import Act, Run, RunOptions
 from edgectl.executor.brake import INTERRUPTED, Brake
 from edgectl.executor.crew import Crew
-from edgectl.executor.handoff import move
-from edgectl.executor.order import STARTING, STOPPING, Waits, order, stops
+from edgectl.executor.handoff import move, replace
+from edgectl.executor.order import STARTING, STOPPING, Waits, order, replaces, stops
 from edgectl.executor.predecessors import await_others, satisfied
 from edgectl.model.inventory import Inventory
 from edgectl.model.plan import Action, Plan
@@ -107,6 +107,8 @@ def _perform(act: Act, waits: Waits, results: Mapping[str, ActionResult]) -> Act
         return act.end(Outcome.DEFERRED, located=decision.previous_host, error=error)
     except StateError as error:
         return _unrecorded(act, error)
+    if replaces(act.step):
+        return replace(act, task, decision.host)
     if act.step.action is Action.START:
         return _start(act, decision.host)
     return move(act, task, decision.previous_host or decision.host, decision.host)

@@ -2,14 +2,16 @@
 
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from edgectl.model.inventory import Inventory, Role
 from edgectl.model.plan import Action, Step
+from edgectl.model.result import Phase
 from edgectl.model.snapshot import TaskState
-from edgectl.model.task import OnUnreachable
+from edgectl.model.task import Check, Handoff, OnUnreachable, Where
 from edgectl.usecases import marks
 from edgectl.views.reasons import reason
 from tests.builders import an_inventory
@@ -59,9 +61,16 @@ def wait_until(condition: Callable[[], bool], within: float) -> None:
         time.sleep(0.3)
 
 
-def test_a_task_that_fences_itself_is_replaced_and_its_host_comes_back(lab: Lab, bench: Bench) -> None:
-    mark = a_mark()
-    bench = bench.using(a_sleeper("slam", mark, on_unreachable=OnUnreachable.REPLACE, replace_after=1.0, self_fence=3.0))
+def told(robot: Path) -> Handoff:
+    """A robot that writes down what it is told."""
+    hold, release = (Check(command=f"echo {word} >> {robot}", on=Where.ROBOT) for word in ("hold", "release"))
+    return Handoff(hold=hold, release=release)
+
+
+def test_a_task_that_fences_itself_is_replaced_and_its_host_comes_back(lab: Lab, bench: Bench, tmp_path: Path) -> None:
+    mark, robot = a_mark(), tmp_path / "robot"
+    fenced = a_sleeper("slam", mark, on_unreachable=OnUnreachable.REPLACE, replace_after=1.0, self_fence=3.0)
+    bench = bench.using(replace(fenced, robots=("robot1",), handoff=told(robot)))
     bench.apply()
     assert bench.where() == {"slam": "edge1"}
     first = sleeping(mark)
@@ -70,7 +79,10 @@ def test_a_task_that_fences_itself_is_replaced_and_its_host_comes_back(lab: Lab,
     wait_until(lambda: not sleeping(mark), within=12.0)
     assert slam(bench).action is Action.HOLD, "gone, but the manager cannot know yet"
     wait_until(lambda: slam(bench).action is Action.START, within=20.0)
-    bench.apply()
+    assert not robot.exists(), "so far nobody took the wheel"
+    (replaced,) = applied.actions if (applied := bench.apply().results) else ()
+    assert [phase.phase for phase in replaced.phases] == [Phase.HOLD, Phase.START, Phase.READY, Phase.RELEASE]
+    assert robot.read_text() == "hold\nrelease\n"
     assert bench.where() == {"slam": "edge2"}
     assert len(sleeping(mark)) == 2
     assert not set(first) & set(sleeping(mark))

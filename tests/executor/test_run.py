@@ -299,6 +299,49 @@ def test_stop_first_goes_in_its_order_and_never_doubles(fleet: FakeFleet, journa
     assert 0 < result.downtime_s < 5
 
 
+def replacing(fleet: FakeFleet, journal: Journal, contract: Handoff, **fields: object) -> ActionResult:
+    """edge1 is silent and its slam gone for certain; edge2 gets a new one."""
+    fleet.down.add("edge1")
+    task = a_task("slam", robots=["robot1"], handoff=contract, **fields)  # type: ignore[arg-type]
+    return of(carried_out(fleet, journal, plan(step("slam", Action.START, host="edge2", previous="edge1")), task), "slam")
+
+
+@pytest.mark.parametrize("order", list(HandoffOrder))
+def test_a_replacement_holds_and_releases_and_asks_nothing_of_the_old_host(fleet: FakeFleet, journal: Journal, order: HandoffOrder) -> None:
+    result = replacing(fleet, journal, handoff(order))
+    assert (result.outcome, result.located, result.downtime_s) == (Outcome.DONE, "edge2", None)
+    assert [phase.phase for phase in result.phases] == [Phase.HOLD, Phase.START, Phase.READY, Phase.RELEASE]
+    events = ["check hold robot1", "start slam edge2", "ready slam edge2", "check release robot1"]
+    assert [event for event in fleet.world.events if not event.startswith("status")] == events
+
+
+def test_a_replacement_that_cannot_hold_is_deferred_and_stays_one(fleet: FakeFleet, journal: Journal) -> None:
+    fleet["robot1"].checks["hold"] = 1
+    result = replacing(fleet, journal, handoff())
+    assert (result.outcome, result.located, fleet.changes) == (Outcome.DEFERRED, "edge1", [])
+
+
+def test_a_hold_on_the_silent_host_is_left_out(fleet: FakeFleet, journal: Journal) -> None:
+    hooks = {name: Check(command=name, on=Where.HOST) for name in ("hold", "release")}
+    result = replacing(fleet, journal, handoff(**hooks))
+    assert (result.outcome, [phase.phase for phase in result.phases]) == (Outcome.DONE, [Phase.START, Phase.READY, Phase.RELEASE])
+    assert "check release edge2" in fleet.world.events
+
+
+def test_a_replacement_that_is_not_ready_goes_on_holding(fleet: FakeFleet, journal: Journal) -> None:
+    fleet["edge2"].faults["wait"] = lambda _request: {"state": "failed", "exit_code": 3}
+    result = replacing(fleet, journal, handoff())
+    assert (result.outcome, result.located) == (Outcome.FAILED, "edge2")
+    assert result.error == "slam failed (exit code 3) on edge2; robot1 STILL HOLDS: no instance of slam is ready"
+    assert "check release robot1" not in fleet.world.events
+
+
+def test_a_replacement_that_the_new_host_refuses_is_tried_again(fleet: FakeFleet, journal: Journal) -> None:
+    fleet["edge2"].faults["start"] = RefusedError("disk is full")
+    result = replacing(fleet, journal, handoff())
+    assert (result.outcome, result.located) == (Outcome.FAILED, "edge1")
+
+
 def test_start_first_overlaps_and_its_downtime_is_nothing(fleet: FakeFleet, journal: Journal) -> None:
     result = moving(fleet, journal, handoff(HandoffOrder.START_FIRST, safe_when=None, hold=None, release=None))
     assert result.outcome is Outcome.DONE

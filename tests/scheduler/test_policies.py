@@ -3,12 +3,12 @@
 import pytest
 
 from edgectl.model.assignment import Reason, Verdict
-from edgectl.model.memory import Memory
+from edgectl.model.memory import Memory, Placement
 from edgectl.model.policy import Policy, PolicyName
 from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Onboard, Task
 from edgectl.model.weights import parse_weights
-from tests.builders import a_link, a_robot, a_run, a_sample, a_snapshot, a_task, an_edge, an_inventory, silent, some_tasks
+from tests.builders import NOW, a_link, a_robot, a_run, a_sample, a_snapshot, a_task, an_edge, an_inventory, silent, some_tasks
 from tests.scheduler.fleets import NO_MEMORY, decide, decisions, hosts, ranked, terms
 
 TWO = an_inventory(an_edge("edge1"), an_edge("edge2"))
@@ -105,6 +105,24 @@ def test_static(task: Task, memory: Memory, snapshot: Snapshot, host: str | None
     found = decide(TWO, some_tasks(task), snapshot, memory=memory, policy=policy("static"))
     assert (found.decisions[0].host, found.decisions[0].reason, found.settled) == (host, reason, True)
     assert found.decisions[0].overcommitted == (task.demand.cpu is not None and reason is Reason.FIRST_PLACEMENT)
+
+
+GONE = Memory(managed=True, placements={"slam": Placement(host="edge1", since=NOW)}, first={"slam": "edge1"}, fenced=frozenset({"edge1"}))
+RETURNED = a_snapshot(edge1=a_sample(), edge2=a_sample(used=3.9, tasks={"slam": a_run()}))
+
+
+def test_static_replaces_on_the_best_other_host_and_stays_there() -> None:
+    silent_first = a_snapshot(edge1=silent(), edge2=a_sample())
+    found = decide(TWO, some_tasks(a_task()), silent_first, memory=GONE, policy=policy("static")).decisions[0]
+    assert (found.host, found.reason, found.previous_host) == ("edge2", Reason.REPLACED, "edge1")
+    back = decide(TWO, some_tasks(a_task()), RETURNED, memory=GONE, policy=policy("static")).decisions[0]
+    assert (back.host, back.reason) == ("edge2", Reason.NEVER_MOVED)
+
+
+def test_static_does_not_replace_what_is_pinned_to_the_silent_host() -> None:
+    silent_pin = a_snapshot(edge1=silent(), edge2=a_sample())
+    found = decide(TWO, some_tasks(a_task(pin="edge1")), silent_pin, memory=GONE, policy=policy("static")).decisions[0]
+    assert (found.verdict, found.reason) == (Verdict.UNPLACED, Reason.NO_CANDIDATE)
 
 
 # --- local

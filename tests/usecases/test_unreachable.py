@@ -7,7 +7,7 @@ import pytest
 
 from edgectl.errors import UsageError
 from edgectl.model.plan import Action
-from edgectl.model.policy import Policy
+from edgectl.model.policy import Policy, PolicyName
 from edgectl.model.task import OnUnreachable, Stop
 from edgectl.state.contacts import load_contacts
 from edgectl.state.uptime import Uptime
@@ -120,6 +120,20 @@ def test_replaced_only_after_its_own_end_is_certain(bench: Bench) -> None:
     there = [host.name for host in bench.hosts.hosts.values() if "slam" in host.tasks and host.name != silent]
     assert len(there) == 1
     assert bench.actions()["slam"] is Action.KEEP
+
+
+def test_a_replaced_task_is_at_home_on_its_new_host(bench: Bench) -> None:
+    """Also for policy static: a later start goes there, and not back to where it was first."""
+    bench.lose("slam")
+    bench.wait(100.0)
+    static = Policy(name=PolicyName.STATIC)
+    apply(bench.fleet, static)
+    (new,) = (name for name, host in bench.hosts.hosts.items() if "slam" in host.tasks and name not in bench.hosts.down)
+    bench.hosts.down.clear()
+    apply(bench.fleet, static)
+    bench.hosts[new].tasks.pop("slam")
+    (again,) = (step for step in plan(bench.fleet, static).steps if step.task == "slam")
+    assert (again.action, again.decision.host) == (Action.START, new)
 
 
 def test_the_host_comes_back_with_its_old_copy_and_the_newer_assignment_wins(bench: Bench) -> None:
