@@ -28,7 +28,7 @@ def test_the_table_fits_80_columns_and_says_what_to_do() -> None:
     rows, notes = table.splitlines()[:6], table.splitlines()[6:]
     assert max(map(len, rows)) <= 80
     assert rows[0].split() == ["HOST", "STATE", "PID", "AGE", "EVERY", "LAST", "CPU", "MEMORY", "TTL", "LEFT"]
-    assert rows[1].split() == ["edge1", "running", "32101", "1h02m", "1.0s", "0.4s", "0.23%", "11.0Mi", "1h00m"]
+    assert rows[1].split() == ["edge1", "running", "32101", "1h02m", "1.0s", "0.4s", "0.23%", "11.0Mi", "59m59s"]
     assert rows[4].split() == ["robot2", "not-running", *"-------"]
     assert [note.split(":")[1].strip() for note in notes] == ["edge2", "robot1", "robot2", "robot3"]
     assert "every 2.5s instead of 1.0s" in notes[0]
