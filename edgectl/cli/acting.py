@@ -56,7 +56,7 @@ class Session:
 
     def confirm(self, plan: Plan) -> bool:
         """Show the plan; where a person is asked, only ``yes`` is a yes."""
-        if self._output in _FOR_PEOPLE:
+        if self._output in _FOR_PEOPLE and (self._asked or not self._quiet):
             console.show(self._output, "plan", plan)
         count = sum(step.action.changes for step in plan.steps)
         agreed = not self._asked or ask(
@@ -69,8 +69,8 @@ class Session:
     def _hear(self, event: Progress) -> None:
         self._listener(event)
 
-    def report(self, applied: Applied) -> None:
-        """What was done. Quiet: nothing where nothing was to be done."""
+    def report(self, applied: Applied, code: ExitCode = ExitCode.DONE) -> None:
+        """What was done. Quiet: nothing where nothing was to be done and the exit code is 0; else why it is not."""
         if applied.declined:
             console.tell("nothing was done")
         elif applied.results is not None:
@@ -79,6 +79,19 @@ class Session:
             console.show(self._output, "plan", applied.plan)
         elif not self._quiet:
             console.show(self._output, "nothing")
+        if self._quiet:
+            _say_why(applied.plan, code)
+
+
+def _say_why(plan: Plan, code: ExitCode) -> None:
+    """The causes of an exit code that a plan nobody was shown accounts for."""
+    from edgectl.cli.exits import silent_hosts
+    from edgectl.views import causes
+
+    if code is ExitCode.PARTLY:
+        console.say(causes.unanswered(plan.snapshot, silent_hosts(plan.snapshot)))
+    elif code is ExitCode.UNPLACED:
+        console.say(causes.unplaced(plan))
 
 
 def ask(question: str, answer: str = "yes") -> bool:

@@ -48,8 +48,8 @@ def apply_command(
     from edgectl.usecases.apply import apply, apply_saved
 
     asked = acting.answerable(asked=plan is None and not yes and not dry_run)
-    fleet = reach(load(inventory, tasks), accept_new=accept_new)
-    choose = decide.chooser(fleet.tasks, target, selector)
+    fleet = reach(load(inventory, tasks, quiet=quiet), accept_new=accept_new)
+    choose = decide.chooser(fleet.tasks, target, selector, quiet=quiet)
     how = decide.policy_of(
         fleet, weights=weights, policy=policy, without=without, best_effort=best_effort, full=full, attended=decide.interactive()
     )
@@ -61,5 +61,6 @@ def apply_command(
             lock_timeout=seconds(lock_timeout, "--lock-timeout"), max_parallel=max_parallel, fail_fast=fail_fast, choose=choose
         )
         applied = apply(fleet, how, act.confirm, chosen) if saved is None else apply_saved(fleet, saved, chosen)
-    act.report(applied)
-    raise Exit(exits.of_applied(applied, detailed=detailed, allow_unreachable=allow_unreachable))
+    code = exits.of_applied(applied, detailed=detailed, allow_unreachable=allow_unreachable)
+    act.report(applied, code)
+    raise Exit(code)

@@ -70,8 +70,8 @@ def saved(path: Path | None, *decisions: object) -> Plan | None:
     return load_plan(path)
 
 
-def chooser(tasks: Tasks, names: Sequence[str] | None, selector: str | None) -> Callable[[Plan], Plan]:
-    """What narrows a plan to ``--target`` and ``-l``; everything is still decided for all tasks.
+def chooser(tasks: Tasks, names: Sequence[str] | None, selector: str | None, *, quiet: bool = False) -> Callable[[Plan], Plan]:
+    """What narrows a plan to ``--target`` and ``-l``; everything is still decided for all tasks. ``quiet``: without a warning of that.
 
     Raises:
         UsageError: a task that does not exist, or a selector that is none.
@@ -82,13 +82,13 @@ def chooser(tasks: Tasks, names: Sequence[str] | None, selector: str | None) -> 
     wanted = set(names or ())
     if selector is not None:
         wanted |= {task.name for task in tasks.tasks.values() if matches(selector, {**task.labels, "task": task.template})}
-    return partial(_narrowed, wanted=frozenset(wanted))
+    return partial(_narrowed, wanted=frozenset(wanted), quiet=quiet)
 
 
-def _narrowed(plan: Plan, wanted: frozenset[str]) -> Plan:
+def _narrowed(plan: Plan, wanted: frozenset[str], *, quiet: bool) -> Plan:
     chosen = targeted(plan, wanted)
     left = sum(step.action.changes for step in plan.steps) - sum(step.action.changes for step in chosen.steps)
-    if left:
+    if left and not quiet:
         console.tell(f"warning: {left} other changes are left out, although this plan counts on them")
     return chosen
 

@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 
 def of_snapshot(snapshot: Snapshot, inventory: Inventory, *, allow_unreachable: bool = False) -> ExitCode:
     """4 where a host that should answer did not."""
-    silent = any(name in inventory.hosts for name in _silent(snapshot))
+    silent = any(name in inventory.hosts for name in silent_hosts(snapshot))
     return ExitCode.PARTLY if silent and not allow_unreachable else ExitCode.DONE
 
 
-def _silent(snapshot: Snapshot) -> list[str]:
+def silent_hosts(snapshot: Snapshot) -> list[str]:
     """Hosts that should have answered: one that the operator declared switched off should not."""
     fenced = snapshot.memory.fenced if snapshot.memory else frozenset()
     return [name for name, host in snapshot.hosts.items() if not host.ok and name not in fenced]
@@ -33,7 +33,7 @@ def of_profilers(profilers: Iterable[Profiler]) -> ExitCode:
 
 def of_plan(plan: Plan, *, detailed: bool, allow_unreachable: bool) -> ExitCode:
     """4 beats 3 beats 2; 2 and 3 only where they were asked for."""
-    if not allow_unreachable and _silent(plan.snapshot):
+    if not allow_unreachable and silent_hosts(plan.snapshot):
         return ExitCode.PARTLY
     if detailed and Action.UNPLACED in plan.summary:
         return ExitCode.UNPLACED

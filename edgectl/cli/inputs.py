@@ -21,8 +21,8 @@ class Loaded:
     path: Path
 
 
-def load(inventory: Path | None, tasks: Sequence[Path] | None, *, every_warning: bool = False) -> Loaded:
-    """Both files, given or found; warnings go to standard error, unless a plan says the same and knows better.
+def load(inventory: Path | None, tasks: Sequence[Path] | None, *, every_warning: bool = False, quiet: bool = False) -> Loaded:
+    """Both files, given or found; warnings go to standard error, unless a plan says the same and knows better, or ``quiet`` is wanted.
 
     Raises:
         UsageError: none is given and none can be chosen.
@@ -34,7 +34,7 @@ def load(inventory: Path | None, tasks: Sequence[Path] | None, *, every_warning:
 
     path, paths = inventory_file(inventory), task_files(tasks)
     fleet, work, warnings = read(path, paths)
-    warn(warning for warning in warnings if every_warning or warning.code != Code.NO_DEMAND)
+    warn(warning for warning in warnings if not quiet and (every_warning or warning.code != Code.NO_DEMAND))
     return Loaded(inventory=fleet, tasks=work, path=path)
 
 

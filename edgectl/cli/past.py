@@ -98,5 +98,6 @@ def rollback_command(
     with acting.session(quiet=quiet, output=output, asked=asked) as act:
         chosen = act.options(lock_timeout=seconds(lock_timeout, "--lock-timeout"), max_parallel=max_parallel, fail_fast=fail_fast)
         applied = rollback(fleet, policy, revision, act.confirm, chosen)
-    act.report(applied)
-    raise Exit(exits.of_applied(applied, allow_unreachable=allow_unreachable))
+    code = exits.of_applied(applied, allow_unreachable=allow_unreachable)
+    act.report(applied, code)
+    raise Exit(code)
