@@ -110,7 +110,11 @@ def use(row: Row) -> Use:
         DamagedError: it holds what is no use.
     """
     at, cores, memory, rate, links = row
-    if not math.isfinite(at + cores + memory + rate) or min(cores, memory, rate, links) < 0:
+    try:
+        good = math.isfinite(at + cores + memory + rate) and min(cores, memory, rate, links) >= 0
+    except TypeError:
+        good = False
+    if not good:
         raise DamagedError(f"a row cannot be read: {row!r}")
     return Use(at, cores, memory, rate, links)
 

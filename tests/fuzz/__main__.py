@@ -5,7 +5,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from tests.fuzz.run import run
+from tests.fuzz.run import cases_of, run
 from tests.fuzz.targets import targets
 
 
@@ -25,7 +25,7 @@ def main() -> int:
             print(f"{target.name:16}{figures}", flush=True)
             bad += tally.bad
             total += tally.cases
-            short = short or tally.cases < chosen.cases
+            short = short or tally.cases < cases_of(target, chosen.cases)
     print(f"{total:,} cases, seed {chosen.seed}: {len(bad)} wrong" + ("; the time was too short for all" if short else ""))
     print("\n".join(bad[:20]))
     return 1 if bad or short else 0

@@ -24,6 +24,17 @@ def damaged(chance: random.Random, seeds: list[bytes]) -> bytes:
     return data
 
 
+def worn(chance: random.Random, seeds: list[bytes]) -> bytes:
+    """One of the seeds as a bad disk gives it: bits flipped, a stretch of zeros, the end missing; what is left stays where it was."""
+    data = bytearray(chance.choice(seeds))
+    for _ in range(chance.choice((0, 1, 1, 2, 8))):
+        data[chance.randrange(len(data))] ^= 1 << chance.randrange(8)
+    if chance.random() < 0.3:
+        start, end = _span(chance, data)
+        data[start:end] = bytes(end - start)
+    return bytes(data[: chance.randint(0, len(data))] if chance.random() < 0.3 else data)
+
+
 def _span(chance: random.Random, data: bytes) -> tuple[int, int]:
     start = chance.randint(0, len(data))
     return start, min(len(data), start + chance.choice((0, 1, 2, 4, 8, 16, 64, 256)))

@@ -33,12 +33,17 @@ def _alarm(_signal: int, _frame: FrameType | None) -> None:
     raise _Hang
 
 
+def cases_of(target: Target, cases: int) -> int:
+    """How many of ``cases`` a target is given: fewer where one is dear."""
+    return -(-cases // target.cost)
+
+
 def run(target: Target, *, seed: int, cases: int, until: float) -> Tally:
     """``cases`` cases, fewer where the monotonic clock reaches ``until`` first."""
     tally = Tally(target.name)
     before = signal.signal(signal.SIGALRM, _alarm)
     try:
-        for number in range(cases):
+        for number in range(cases_of(target, cases)):
             if time.monotonic() >= until:
                 break
             _one(target, seed, number, tally)

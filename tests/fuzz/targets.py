@@ -11,17 +11,23 @@ from pathlib import Path
 
 from edgectl.config.documents import load_plan, load_snapshot
 from edgectl.config.load import load
+from edgectl.errors import StateError
 from edgectl.formats import memory as memory_form
 from edgectl.gateway.decode import Context, decode
+from edgectl.model.plan import Action
+from edgectl.model.result import ActionResult, Outcome, Results
+from edgectl.model.snapshot import LinkSample, TaskSample, TaskState
 from edgectl.state import journal
 from edgectl.state.memory import load_memory
+from edgectl.state.store import Store
+from edgectl.state.store_file import NAME as HISTORY
 from edgectl.transport.base import Reply
 from edgectl.transport.call import call
-from tests.builders import NOW, an_edge
+from tests.builders import NOW, a_sample, a_snapshot, an_edge, silent
 from tests.config.bad import INVENTORY, TASKS
 from tests.config.test_bad_documents import TEXTS
-from tests.formats.test_complete import MEMORY
-from tests.fuzz.mutate import damaged
+from tests.formats.test_complete import MEMORY, PLAN
+from tests.fuzz.mutate import damaged, worn
 from tests.gateway.test_decode import a_document, a_task
 
 Read = Callable[[bytes], object]
@@ -30,15 +36,17 @@ SECRETS = INVENTORY.replace('env: {ROS_DOMAIN_ID: "7"}', "env: {KEY: {value: x, 
 
 @dataclass(frozen=True)
 class Target:
-    """One decoder. ``read`` raises an EdgectlError or gives a value; anything else is a bug."""
+    """One decoder. ``read`` raises an EdgectlError or gives a value; anything else is a bug. ``cost``: how many cases one of it stands for."""
 
     name: str
     seeds: list[bytes]
     read: Read
+    cost: int = 1
+    damage: Callable[[random.Random, list[bytes]], bytes] = damaged
 
     def case(self, seed: int, number: int) -> bytes:
         """The input of one case: the same for the same seed and number."""
-        return damaged(random.Random(f"{seed}:{self.name}:{number}"), self.seeds)
+        return self.damage(random.Random(f"{seed}:{self.name}:{number}"), self.seeds)
 
 
 @contextlib.contextmanager
@@ -54,6 +62,9 @@ def targets(directory: Path) -> Iterator[list[Target]]:
         Target("snapshot", [TEXTS["snapshot"].encode()], _from_file(path, load_snapshot)),
         Target("plan", [TEXTS["plan"].encode()], _from_file(path, load_plan)),
         Target("journal", _journals(directory / "journal"), _from_file(directory / "journal.jsonl", _read_journal)),
+        Target(
+            "history", [_history(directory / "history")], _from_file(directory / "history" / HISTORY, _read_history), cost=20, damage=worn
+        ),
         Target("memory", [json.dumps(memory_form.encode(MEMORY)).encode()], _from_file(directory / "memory.json", _read_memory)),
         Target("inventory", [INVENTORY.encode(), SECRETS.encode()], _from_file(path, lambda file: load(file, good_tasks))),
         Target("tasks", [TASKS.encode()], _from_file(path, lambda file: load(good_inventory, file))),
@@ -147,6 +158,43 @@ def _read_journal(path: Path) -> object:
         return log.revision, log.begun, log.applied, log.unfinished, log.held, log.generations
     finally:
         for left in path.parent.glob("journal.jsonl*"):
+            left.unlink()
+
+
+def _history(directory: Path) -> bytes:
+    directory.mkdir()
+    with Store.open(directory) as store:
+        for second in range(4):
+            tasks = {"slam": TaskSample(state=TaskState.READY, started_at=NOW, instance=f"i{second // 2}", spec_hash="s")}
+            link = {"robot1": LinkSample(capacity_bytes_per_s=1e7, used_bytes_per_s=1e6, rtt_ms=1.5)}
+            store.record_snapshot(a_snapshot(taken_at=NOW + second, edge1=a_sample(tasks=tasks, links=link), edge2=silent()))
+        moved = ActionResult(task="slam", action=Action.MOVE, outcome=Outcome.DONE, host="edge1", previous_host="edge2", downtime_s=1.0)
+        store.record_results(PLAN, Results(revision=1, actions=(moved,), seconds=1.0), NOW)
+        store.record_plan(PLAN)
+    return (directory / HISTORY).read_bytes()
+
+
+def _read_history(path: Path) -> object:
+    """Use it as the next command does; what is in the way is said, and then there is a history."""
+    said: list[str] = []
+    try:
+        with Store.open(path.parent, warn=said.append) as store:
+            found = (
+                store.host_points(),
+                store.link_points(),
+                store.task_points(limit=2),
+                store.handoffs(),
+                store.events(),
+                store.steady_uses("slam", {"edge1"}, "s", min_age_s=0.0, limit=9),
+            )
+            store.record_snapshot(a_snapshot(taken_at=NOW + 60, edge9=a_sample()))
+            store.prune(NOW + 60)
+            assert said or store.host_points("edge9")
+        if said:
+            raise StateError(said[0])
+        return found
+    finally:
+        for left in path.parent.iterdir():
             left.unlink()
 
 
