@@ -4,6 +4,7 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from edgectl.errors import ExitCode
+from edgectl.model.cycle import Cycle
 from edgectl.model.finding import Diagnosis, Level
 from edgectl.model.inventory import Inventory
 from edgectl.model.plan import Action, Plan
@@ -49,6 +50,16 @@ def of_applied(applied: "Applied", *, detailed: bool = False, allow_unreachable:
         return ExitCode.INTERRUPTED if results.interrupted else ExitCode.PARTLY
     code = of_plan(applied.plan, detailed=detailed, allow_unreachable=allow_unreachable)
     return ExitCode.DONE if code is ExitCode.CHANGES else code
+
+
+def of_cycle(cycle: Cycle) -> ExitCode:
+    """1 where it was cut short, 75 where another edgectl held the lock, 4 where an action or a host failed it."""
+    if cycle.error:
+        return ExitCode.FAILED
+    if cycle.busy:
+        return ExitCode.TRY_AGAIN
+    failed = cycle.results is not None and not cycle.results.done
+    return ExitCode.PARTLY if failed or (cycle.snapshot is not None and silent_hosts(cycle.snapshot)) else ExitCode.DONE
 
 
 def of_diagnosis(diagnosis: Diagnosis) -> ExitCode:

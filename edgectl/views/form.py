@@ -14,6 +14,7 @@ class Form(StrEnum):
     TABLE = "table"
     WIDE = "wide"
     JSON = "json"
+    JSONL = "jsonl"
     YAML = "yaml"
     NAME = "name"
     MARKDOWN = "markdown"

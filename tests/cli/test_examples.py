@@ -14,10 +14,12 @@ from tests.docs.blocks import stopped
 
 ENDLESS = ("edgectl logs slam-robot1 -f",)
 SERVING = ("edgectl export prometheus --listen 127.0.0.1:9815",)
+WATCHING = ("edgectl watch --apply --every 30s",)
 ASKING = ("edgectl apply", "edgectl drain edge1", "edgectl rollback")
 FULL = 4  # the other edges of the demo have no room for all that runs on edge1
 CODES = {
     "edgectl plan --without edge2 --detailed-exitcode": 2,
+    "edgectl profile slam-robot1 --write --yes": 1,  # too few samples after these few commands
     "edgectl drain edge1": FULL,
     "edgectl drain edge1 --yes --timeout 10m": FULL,
 }
@@ -44,6 +46,11 @@ def run(line: str, site: Path, env: dict[str, str]) -> int:
     if line in ASKING:
         with Terminal(words, site, env=env) as terminal:
             terminal.type("yes\n")
+            return terminal.wait()
+    if line in WATCHING:
+        with Terminal(words, site, env=env) as terminal:
+            terminal.until("next in")
+            terminal.type("q")
             return terminal.wait()
     if line in ENDLESS:
         process = subprocess.Popen(words, cwd=site, env=env, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
