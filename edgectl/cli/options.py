@@ -53,6 +53,7 @@ def _either(words: Sequence[str]) -> str:
 
 PlanOutput = Annotated[Form, output("table", "wide", "json", "yaml", "name", "markdown")]
 FleetOutput = Annotated[Form, output("table", "wide", "json", "yaml", "name")]
+TopOutput = Annotated[Form, output("table", "wide", "json", "yaml")]
 ResultOutput = Annotated[Form, output("table", "json", "yaml", "name")]
 PoliciesOption = Annotated[str, Option("--policy", metavar="LIST", help="Of utility, paper, static, local.")]
 WeightsListOption = Annotated[
@@ -88,6 +89,7 @@ FailFastOption = Annotated[bool, Option("--fail-fast", help="After the first fai
 WindowOption = Annotated[str, Option("--window", metavar="TIME", help="How long use is measured.")]
 WatchOption = Annotated[bool, Option("--watch", "-w", help="Go on, until Ctrl-C.")]
 EveryOption = Annotated[str, Option("--every", metavar="TIME", help="With -w: pause between two looks.")]
+InteractiveOption = Annotated[bool, Option("--interactive", "-I", help="Full screen, with keys (needs edgectl[tui]).")]
 TimeoutOption = Annotated[str, Option("--timeout", metavar="TIME", help="Deadline of each host.")]
 AcceptOption = Annotated[bool, Option("--accept-new", help="Trust hosts never seen before, as OpenSSH does.")]
 

@@ -7,14 +7,17 @@ from edgectl.formats import snapshot as snapshot_format
 from edgectl.formats.base import FORMAT_VERSION, Document, dump_line, dumps, number, optional, without_none
 from edgectl.model.bandwidth import Measurement
 from edgectl.model.event import Event
-from edgectl.model.evidence import Replayed
+from edgectl.model.evidence import Replayed, Simulated
 from edgectl.model.explanation import Explanation
 from edgectl.model.finding import Diagnosis
 from edgectl.model.inventory import Inventory
 from edgectl.model.plan import Plan, Step
+from edgectl.model.point import HostPoint, TaskPoint
+from edgectl.model.profile import ClassProfile
 from edgectl.model.profiler import Profiler
 from edgectl.model.result import ActionResult, PhaseResult, Results
 from edgectl.model.revision import Revision
+from edgectl.model.scenario import Scenario
 from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Quantity, Task, Tasks
 from edgectl.units import format_instant
@@ -22,18 +25,25 @@ from edgectl.views.absent import Absent, absent
 from edgectl.views.diagnosis import document as diagnosis_document
 from edgectl.views.events import document as events_document
 from edgectl.views.events import line as event_line
-from edgectl.views.evidence import replayed_document
+from edgectl.views.evidence import replayed_document, simulated_document
 from edgectl.views.explanation import document as explanation_document
 from edgectl.views.listing import Change, Item, Listing
 from edgectl.views.listing import document as listing_document
 from edgectl.views.listing import line as change_document
+from edgectl.views.profile import document as profile_document
 from edgectl.views.profilers import document as profilers_document
 from edgectl.views.text import PLAIN, Look
+from edgectl.views.top import hosts_document, tasks_document
 
 
 def plan(value: Plan, _look: Look = PLAIN) -> str:
     """The plan document."""
     return dumps(plan_format.encode(value))
+
+
+def simulated(scenario: Scenario, values: Iterable[Simulated], _look: Look = PLAIN) -> str:
+    """What the model says of each scheme."""
+    return dumps(simulated_document(scenario, values))
 
 
 def replayed(values: Iterable[Replayed], _look: Look = PLAIN) -> str:
@@ -205,6 +215,11 @@ def nothing(_look: Look = PLAIN) -> str:
     return dumps({"format_version": FORMAT_VERSION, "done": True, "actions": []})
 
 
+def profile(values: Iterable[ClassProfile], _look: Look = PLAIN) -> str:
+    """What tasks were measured to use."""
+    return dumps(profile_document(values))
+
+
 def fields(values: Mapping[str, str], _look: Look = PLAIN) -> str:
     """Names and values as one object."""
     return dumps({"format_version": FORMAT_VERSION, **values})
@@ -218,3 +233,23 @@ def listing(value: Listing, _look: Look = PLAIN) -> str:
 def listing_more(value: Listing, changed: Iterable[tuple[Change, Item]], _first: Listing | None, _look: Look = PLAIN) -> str:
     """What changed, one object per line."""
     return "".join(dump_line(change_document(value.at, change, item)) for change, item in changed)
+
+
+def top_hosts(value: Snapshot, inventory: Inventory, points: Iterable[HostPoint], _look: Look = PLAIN) -> str:
+    """The hosts with their use."""
+    return dumps(hosts_document(value, inventory, points))
+
+
+def top_tasks(value: Snapshot, inventory: Inventory, tasks: Tasks, points: Iterable[TaskPoint], _look: Look = PLAIN) -> str:
+    """The tasks that run, with their use and demand."""
+    return dumps(tasks_document(value, inventory, tasks, points))
+
+
+def top_hosts_line(value: Snapshot, inventory: Inventory, points: Iterable[HostPoint], _look: Look = PLAIN) -> str:
+    """The same on one line."""
+    return dump_line(hosts_document(value, inventory, points))
+
+
+def top_tasks_line(value: Snapshot, inventory: Inventory, tasks: Tasks, points: Iterable[TaskPoint], _look: Look = PLAIN) -> str:
+    """The same on one line."""
+    return dump_line(tasks_document(value, inventory, tasks, points))

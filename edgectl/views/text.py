@@ -81,16 +81,18 @@ def columns(
     gap: str = "  ",
     wrap: Collection[int] = (),
     least: Sequence[int] = (),
+    below: bool = False,
 ) -> str:
     """Rows as aligned columns, each line ended by a newline. ``right`` lists the columns aligned to the right.
 
     On a terminal that is too narrow the last column is wrapped, and those in ``wrap``, each under itself. Where that leaves no room for the
-    last one, what is too long of it stands on lines of its own. ``least``: widths that the columns have at least.
+    last one, what is too long of it stands on lines of its own; with ``below``, all of it. ``least``: widths that columns have at least.
     """
     cells = [[_cell(field) for field in row] for row in rows]
     if not cells:
         return ""
-    widths = _fitted(_natural(cells, least), look, wrap, gap)
+    natural = _natural(cells, least)
+    widths = _fitted([*natural[:-1], 0] if below else natural, look, wrap, gap)
     return "".join(line + "\n" for row in cells for line in _lines(row, widths, look, right, gap))
 
 

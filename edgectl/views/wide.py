@@ -4,20 +4,25 @@ from collections.abc import Iterable
 
 from edgectl.model.assignment import RankedHost
 from edgectl.model.bandwidth import Measurement
+from edgectl.model.evidence import Simulated
 from edgectl.model.explanation import Explanation
 from edgectl.model.plan import Plan, Step
+from edgectl.model.scenario import Scenario
 from edgectl.model.snapshot import HostSample, InterfaceSample, LinkSample, Snapshot
 from edgectl.units import format_duration, format_rate
 from edgectl.views import sections, table
 from edgectl.views.demands import demands
+from edgectl.views.evidence import simulated_text
 from edgectl.views.explanation import text
 from edgectl.views.listing import wide_more as listing_more
 from edgectl.views.listing import wide_text as listing
 from edgectl.views.reasons import reason, rejection
 from edgectl.views.sections import STYLES, figure
 from edgectl.views.text import PLAIN, Cell, Look, Row, columns
+from edgectl.views.top import wide_hosts as top_hosts
+from edgectl.views.top import wide_tasks as top_tasks
 
-__all__ = ["explanation", "listing", "listing_more", "measured", "plan", "snapshot"]
+__all__ = ["explanation", "listing", "listing_more", "measured", "plan", "simulated", "snapshot", "top_hosts", "top_tasks"]
 
 
 def plan(value: Plan, look: Look = PLAIN) -> str:
@@ -29,6 +34,11 @@ def plan(value: Plan, look: Look = PLAIN) -> str:
     end = sections.notes(value, look) + sections.summary(value, look)
     parts = (sections.header(value, look), body, demands(value, look), sections.expected(value, look), end)
     return "\n".join(part for part in parts if part)
+
+
+def simulated(scenario: Scenario, values: Iterable[Simulated], look: Look = PLAIN) -> str:
+    """The table form with every metric, each with its deviation."""
+    return simulated_text(scenario, values, look, every=True)
 
 
 def explanation(step: Step, value: Explanation, look: Look = PLAIN) -> str:

@@ -19,12 +19,16 @@ __all__ = [
     "measured",
     "nothing",
     "plan",
+    "profile",
     "profilers",
     "replayed",
     "results",
     "revision",
+    "simulated",
     "snapshot",
     "status",
+    "top_hosts",
+    "top_tasks",
     "validated",
 ]
 
@@ -44,8 +48,10 @@ def _of(function: Any) -> Any:  # noqa: ANN401
 
 plan = _of(json_view.plan)
 replayed = _of(json_view.replayed)
+simulated = _of(json_view.simulated)
 events = _of(json_view.events)
 explanation = _of(json_view.explanation)
+profile = _of(json_view.profile)
 profilers = _of(json_view.profilers)
 diagnosis = _of(json_view.diagnosis)
 snapshot = _of(json_view.snapshot)
@@ -60,3 +66,5 @@ revision = _of(json_view.revision)
 measured = _of(json_view.measured)
 drained = _of(json_view.drained)
 listing = _of(json_view.listing)
+top_hosts = _of(json_view.top_hosts)
+top_tasks = _of(json_view.top_tasks)

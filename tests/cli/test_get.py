@@ -7,8 +7,12 @@ import subprocess
 import sys
 from pathlib import Path
 
-from tests.cli.conftest import Run
+import pytest
 
+from tests.cli.conftest import Run
+from tests.cli.terminal import Terminal
+
+HOSTS = ["edge1", "edge2", "edge3", "robot1", "robot2", "robot3"]
 EDGECTL = [sys.executable, "-m", "edgectl"]
 
 
@@ -55,3 +59,39 @@ def test_a_reader_that_goes_away_ends_it(site: Path) -> None:
     with os.fdopen(writing, "wb") as nobody:
         done = subprocess.run(words, cwd=site, stdout=nobody, stderr=subprocess.PIPE, check=False, timeout=60)
     assert (done.returncode, done.stderr) == (0, b"")
+
+
+def test_top_shows_every_host_and_no_task(run: Run, site: Path) -> None:
+    assert [line.split()[0] for line in run("top", "hosts").out.splitlines()] == ["NAME", *HOSTS]
+    assert run("top", "tasks").out.startswith("No task runs.\n")
+    document = json.loads(run("top", "hosts", "-o", "json").out)
+    assert [len(host["history"]) for host in document["hosts"]] == [3] * 6, "one sample of each look"
+    assert run("top", "hosts", "-w", "-o", "yaml").code == 64
+    said = run("top", "hosts", "--interactive")
+    assert (said.code, said.err.splitlines()[0]) == (64, "error: standard output is not a terminal")
+
+
+def test_top_w_gives_programs_one_object_per_look(site: Path) -> None:
+    words = [*EDGECTL, "top", "hosts", "-w", "--every", "0.1s", "-o", "json"]
+    with subprocess.Popen(words, cwd=site, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        looks = [json.loads(process.stdout.readline()) for _ in range(3)]
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(30) == 0
+    assert [len(look["hosts"][0]["history"]) for look in looks] == [1, 2, 3]
+
+
+@pytest.mark.parametrize("end", ["q", "SIGINT", "SIGTERM"])
+def test_top_w_draws_in_place_and_leaves_the_terminal_as_it_was(site: Path, end: str) -> None:
+    env = {**os.environ, "TERM": "xterm", "LC_ALL": "C.UTF-8"}
+    with Terminal([*EDGECTL, "top", "hosts", "-w", "--every", "0.2s"], site, env=env) as terminal:
+        terminal.until("\x1b[?1049h")
+        for _ in range(2):
+            terminal.seen = terminal.seen.replace("\x1b[H", "", 1)
+            terminal.until("\x1b[J")
+            terminal.until("\x1b[H")
+        terminal.type(end) if end == "q" else terminal.process.send_signal(signal.Signals[end])
+        assert terminal.wait() == 0
+        shown, _, after = terminal.seen.rpartition("\x1b[?25h\x1b[?1049l")
+        assert "robot3" in shown
+        assert after.replace("\x1b[32mok\x1b[0m", "ok").splitlines()[0].split()[:2] == ["NAME", "STATUS"], "the last look stays"
