@@ -128,6 +128,31 @@ def format_cores(value: float) -> str:
     return f"{value:.2f}"
 
 
+def write_cores(value: float) -> str:
+    """Cores for a file, rounded up: ``1.36``."""
+    return _rounded_up(max(value, 0.001) if value > 0 else 0.0)
+
+
+def write_bytes(value: float) -> str:
+    """Bytes for a file, rounded up: ``97.3Mi``."""
+    unit, scale = next(((unit, 2.0**power) for unit, power in (("Gi", 30), ("Mi", 20), ("Ki", 10)) if value >= 2**power), ("", 1.0))
+    return _rounded_up(value / scale) + unit
+
+
+def write_rate(value: float) -> str:
+    """Bytes per second for a file, rounded up: ``127kB/s``."""
+    unit, scale = next(((unit, scale) for unit, scale in (("GB/s", 1e9), ("MB/s", 1e6), ("kB/s", 1e3)) if value >= scale), ("", 1.0))
+    return _rounded_up(value / scale) + unit
+
+
+def _rounded_up(value: float) -> str:
+    """Three significant digits, never less than ``value``; never in exponents that a unit could not follow."""
+    if value <= 0:
+        return "0"
+    digits = max(0, 2 - math.floor(math.log10(value)))
+    return f"{math.ceil(value * 10**digits - 1e-9) / 10**digits:.{digits}f}".rstrip("0").rstrip(".") if digits else f"{math.ceil(value)}"
+
+
 def format_duration(seconds: float) -> str:
     """A duration or age for people, two units at most: ``3m12s``, ``1h03m``, ``0.4s``."""
     if seconds < 10:

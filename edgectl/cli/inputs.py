@@ -4,6 +4,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
+from stat import S_IMODE
 
 from edgectl.errors import FileError, UsageError
 from edgectl.model.inventory import Inventory
@@ -104,6 +105,22 @@ def save(path: Path, text: str | Iterable[str], *, mode: int | None = None) -> N
         raise FileError(f"cannot write {path}: {error.strerror}") from error
 
 
+def replaced(path: Path, before: str, after: str) -> None:
+    """Write ``after`` to a file of the user that still holds ``before``, whole or not at all; its rights and its byte order mark stay.
+
+    Raises:
+        FileError: it holds something else by now, or cannot be written.
+    """
+    mark = "\ufeff"
+    try:
+        now, mode = path.read_bytes().decode("utf-8"), S_IMODE(path.stat().st_mode)
+    except (OSError, UnicodeDecodeError) as error:
+        raise FileError(f"cannot read {path}: {error}") from error
+    if now.removeprefix(mark) != before:
+        raise FileError(f"{path} changed meanwhile; it was left alone", hint="say it again")
+    save(path, mark * now.startswith(mark) + after, mode=mode)
+
+
 def _write(path: Path, text: str | Iterable[str]) -> None:
     with path.open("w", encoding="utf-8", newline="") as file:
         file.writelines([text] if isinstance(text, str) else text)
@@ -112,6 +129,8 @@ def _write(path: Path, text: str | Iterable[str]) -> None:
 def _replace(path: Path, text: str | Iterable[str], mode: int | None) -> None:
     partial = path.with_name(f".{path.name}.partial")
     try:
+        if mode is not None:
+            partial.touch(mode)  # never wider than it will be, not even for a moment
         _write(partial, text)
         if mode is not None:
             partial.chmod(mode)

@@ -16,7 +16,7 @@ from edgectl.config.syntax import syntax_problem
 Event: TypeAlias = Any  # the stubs of the parser's events do not know which attributes are there
 MAX_VALUES = 100_000
 MAX_DEPTH = 50
-_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _WORDS: dict[str, Scalar] = {"": None, "~": None, "null": None, "Null": None, "NULL": None,
                              "true": True, "True": True, "TRUE": True, "false": False, "False": False, "FALSE": False}  # fmt: skip
 _INT = re.compile(r"[-+]?(?:0|[1-9][0-9]{0,24})")
@@ -57,7 +57,7 @@ class _Builder:
     def __init__(self, source: Source, problems: Problems) -> None:
         self.source = source
         self.problems = problems
-        self.events: Iterator[Event] = yaml.parse(source.text, Loader=_LOADER)
+        self.events: Iterator[Event] = yaml.parse(source.text, Loader=LOADER)
         self.anchors: dict[str, Node | None] = {}
         self.values = 0
 

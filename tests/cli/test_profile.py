@@ -1,0 +1,137 @@
+"""profile: what was measured, and how it gets into the task file."""
+
+import json
+import os
+import sys
+from pathlib import Path
+
+import pytest
+
+from edgectl.config.load import load
+from edgectl.errors import FileError
+from edgectl.state.paths import fleet_dir
+from edgectl.state.store import Store
+from tests.builders import GI, NOW, a_run, a_sample, a_snapshot
+from tests.cli.conftest import Run
+from tests.cli.terminal import Terminal
+
+TASKS = """\
+version: 1  # the form
+tasks:
+  slam:     # one per robot
+    for_each: robot
+    command: run   # stays
+    demand: {cpu: 35.2%, memory: "1Gi"}   # guessed
+  idle: {command: x}
+"""
+INVENTORY = (
+    "version: 1\nedges: {edge1: {host: a}, edge2: {host: b}}\nrobots: {robot1: {host: c, probe: false}, robot2: {host: d, probe: false}}\n"
+)
+
+
+@pytest.fixture
+def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    for folder, name, text in (("inventories", "lab.yaml", INVENTORY), ("tasks", "tasks.yaml", TASKS)):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / name).write_text(text)
+    monkeypatch.setenv("EDGECTL_STATE_DIR", str(tmp_path / "state"))
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def remember(site: Path, *, samples: int = 100) -> None:
+    """slam-robot1 used up to 1 core on edge1; slam-robot2 twice that on edge2, which is of another class."""
+    _, tasks, _ = load(site / "inventories" / "lab.yaml", site / "tasks" / "tasks.yaml")
+    with Store.open(fleet_dir(site / "inventories" / "lab.yaml")) as store:
+        for n in range(samples):
+            runs = {
+                name: a_run(spec_hash=tasks.tasks[name].spec_hash, started_at=NOW - 60, used_cores=times * (n + 1) / 100, used_bytes=GI / 4)
+                for name, times in (("slam-robot1", 1), ("slam-robot2", 2))
+            }
+            store.record_snapshot(a_snapshot(
+                taken_at=NOW + 10 * n,
+                edge1=a_sample(tasks={"slam-robot1": runs["slam-robot1"]}), edge2=a_sample(cores=8.0, tasks={"slam-robot2": runs["slam-robot2"]}),
+            ))  # fmt: skip
+
+
+def test_figures_beside_what_is_declared(site: Path, run: Run) -> None:
+    remember(site)
+    said = run("profile", "slam-robot1")
+    assert [line.split() for line in said.out.splitlines()] == [
+        ["TASK", "CLASS", "RESOURCE", "DECLARED", "P50", "P95", "MAX", "SAMPLES", "SPAN", "HOSTS"],
+        ["slam-robot1", "4c-4Gi", "cpu", "35.2%", "0.50", "0.95", "1.00", "100", "16m30s", "edge1"],
+        ["memory", "1.0Gi", "256.0Mi", "256.0Mi", "256.0Mi"],
+        ["throughput", "-", "0B/s", "0B/s", "0B/s"],
+    ]
+    document = json.loads(run("profile", "slam", "-o", "json").out)
+    assert [(each["task"], each["class"], each["demand"]["cpu"]["p95"]) for each in document["profiles"]] == [
+        ("slam-robot1", "4c-4Gi", 0.95), ("slam-robot2", "8c-4Gi", 1.9),
+    ]  # fmt: skip
+    assert document["profiles"][0]["demand"]["cpu"]["declared"] == {
+        "value": pytest.approx(0.352),
+        "relative": True,
+        "until_measured": False,
+    }
+    assert run("profile", "slma").err.splitlines()[1] == "hint: did you mean slam?"
+
+
+def test_the_greatest_of_the_group_is_written_and_nothing_else(site: Path, run: Run) -> None:
+    remember(site)
+    file = site / "tasks" / "tasks.yaml"
+    file.chmod(0o640)
+    said = run("profile", "slam-robot1", "--write", "--yes")
+    assert said.code == 0
+    assert "slam is one entry for slam-robot1, slam-robot2: it gets the greatest p95 of them" in said.err
+    assert '-    demand: {cpu: 35.2%, memory: "1Gi"}   # guessed\n+    demand: {cpu: 1.9, memory: "256Mi"}   # guessed\n' in said.err
+    assert file.read_text() == TASKS.replace('{cpu: 35.2%, memory: "1Gi"}', '{cpu: 1.9, memory: "256Mi"}')
+    assert file.stat().st_mode & 0o777 == 0o640
+    assert run("profile", "slam", "--write", "--yes").err == "tasks/tasks.yaml says so already\n"
+    assert sorted(path.name for path in file.parent.iterdir()) == ["tasks.yaml"]
+
+
+def test_only_yes_is_a_yes(site: Path) -> None:
+    remember(site)
+    words = [sys.executable, "-m", "edgectl", "profile", "slam", "--write"]
+    for answer, text in (("no\n", TASKS), ("yes\n", TASKS.replace('{cpu: 35.2%, memory: "1Gi"}', '{cpu: 1.9, memory: "256Mi"}'))):
+        with Terminal(words, site, env={**os.environ, "TERM": "xterm"}) as terminal:
+            terminal.until('Only "yes" is accepted: ')
+            terminal.type(answer)
+            assert terminal.wait() == (0 if answer == "yes\n" else 1)
+        assert (site / "tasks" / "tasks.yaml").read_text() == text
+
+
+def test_too_few_samples_and_no_terminal_are_refused(site: Path, run: Run) -> None:
+    assert run("profile", "slam").out.startswith("No samples yet.")
+    remember(site, samples=12)
+    said = run("profile", "slam", "--write", "--yes")
+    assert (said.code, (site / "tasks" / "tasks.yaml").read_text()) == (1, TASKS)
+    assert "error: of slam there is 12 samples over 1m50s: too few to write a demand" in said.err
+    assert "12 of 60" in said.out
+    assert run("profile", "slam", "--write").code == 64
+
+
+def test_a_file_that_changed_meanwhile_is_left_alone(site: Path) -> None:
+    from edgectl.cli.inputs import replaced
+
+    file = site / "tasks" / "tasks.yaml"
+    with pytest.raises(FileError, match="changed meanwhile"):
+        replaced(file, TASKS + "# more\n", "version: 1\n")
+    assert file.read_text() == TASKS
+    file.write_bytes("\ufeffversion: 1\r\n".encode())
+    replaced(file, "version: 1\r\n", "version: 2\r\n")
+    assert file.read_bytes() == "\ufeffversion: 2\r\n".encode()
+    assert len(list(file.parent.iterdir())) == 1
+
+
+def test_a_line_with_a_secret_is_not_shown(site: Path, run: Run) -> None:
+    file = site / "tasks" / "tasks.yaml"
+    flow = (
+        "version: 1\ntasks:\n  slam: {for_each: robot, command: run, env: {T: {value: hush, secret: true}}, demand: {cpu: 1, memory: 1}}\n"
+    )
+    file.write_text(flow)
+    remember(site)
+    said = run("profile", "slam", "--write", "--yes")
+    assert said.code == 0
+    assert "hush" not in said.err + said.out
+    assert "(not shown)" in said.err
+    assert file.read_text() == flow.replace("{cpu: 1, memory: 1}", "{cpu: 1.9, memory: 256Mi}")
