@@ -1,7 +1,7 @@
 """The manager killed (kill -9) at every named point of what it does: before and after each journalled step, request and file.
 
-One fleet sees many kills. Each is followed by *one* plain apply, which must end with 0, and by the oracle's word. The points of an apply
-are counted by running it once, unharmed.
+One fleet sees many kills. Each is followed by the same command *once* more, which must end with 0, and by the oracle's word. The points of
+a command are counted by running it once, unharmed.
 """
 
 import signal
@@ -15,28 +15,28 @@ from tests.faults.registry import fault
 
 SAMPLE = 1
 ONE_BY_ONE = ("--max-parallel", "1")
+APPLY_ONE = (*APPLY, *ONE_BY_ONE)
 Turn = Callable[[Fleet, int], tuple[str, ...]]
-"""Gives edgectl something to do, another thing in odd turns than in even ones; returns the words of the command that does it."""
+"""Gives edgectl something to do, each number in its own kind of turn (the number modulo the kinds); returns the words of the command."""
 
 
-def every_point(fleet: Fleet, turn: Turn) -> None:
-    """Kill at each point of both kinds of turn (of each, at a few drawn at random where the fleet wants a sample)."""
-    counts = [points(fleet, turn, number) for number in (0, 1)]
-    deaths = [(number, at) for number, count in enumerate(counts) for at in chosen(fleet, count)]
-    turns = {number: [at for odd, at in deaths if odd == number] for number in (0, 1)}
-    for number in range(2 * max(map(len, turns.values()))):
-        odd = turns[number % 2]
+def every_point(fleet: Fleet, turn: Turn, kinds: int = 2) -> None:
+    """Kill at each point of every kind of turn (of each, at a few drawn at random where the fleet wants a sample)."""
+    deaths = [chosen(fleet, points(fleet, turn, kind)) for kind in range(kinds)]
+    for number in range(kinds, kinds + kinds * max(map(len, deaths))):
+        of_kind, round_number = deaths[number % kinds], number // kinds - 1
         words = turn(fleet, number)
-        if number // 2 < len(odd):
-            killed_at(fleet, words, odd[number // 2])
+        if round_number < len(of_kind):
+            killed_at(fleet, words, of_kind[round_number])
         recover(fleet, words)
 
 
 def points(fleet: Fleet, turn: Turn, number: int) -> int:
     """How many points a turn has."""
     fleet.notes.unlink(missing_ok=True)
+    words = turn(fleet, number)
     fleet.deadly = 0
-    fleet.edgectl(*turn(fleet, number), *ONE_BY_ONE).must(0)
+    fleet.edgectl(*words).must(0)
     fleet.deadly = None
     fleet.check()
     return len(armed.reached(fleet.notes))
@@ -52,7 +52,7 @@ def killed_at(fleet: Fleet, words: tuple[str, ...], at: int) -> None:
     """Run edgectl until its ``at``-th point, where it dies. Some runs have a point less than the one that was counted: no injection then."""
     fleet.notes.unlink(missing_ok=True)
     fleet.deadly = at
-    died = fleet.edgectl(*words, *ONE_BY_ONE)
+    died = fleet.edgectl(*words)
     fleet.deadly = None
     if died.code == -signal.SIGKILL:
         fleet.injected += 1
@@ -72,13 +72,13 @@ def mixed(fleet: Fleet, number: int) -> tuple[str, ...]:
     fleet.tasks["nav"]["env"] = {"TURN": str(number)}
     fleet.unwant("map") if number % 2 else fleet.want("map", on="edge1")
     fleet.write()
-    return APPLY
+    return APPLY_ONE
 
 
 def overlapping(fleet: Fleet, number: int) -> tuple[str, ...]:
     """slam moves start-first."""
     fleet.pin("slam", "edge1" if number % 2 else "edge2")
-    return APPLY
+    return APPLY_ONE
 
 
 @fault("manager killed at every point of an apply: start, stop, restart, move", quick=True)
@@ -104,9 +104,58 @@ def killed_at_points_of_drain(fleet: Fleet) -> None:
         if number % 2:
             fleet.edgectl("uncordon", "edge1").must(0)
             fleet.pin("slam", "edge1")
-            return APPLY
+            return APPLY_ONE
         fleet.pin("slam", None)
         fleet.edgectl("uncordon", "edge1").must(0)
-        return ("drain", "edge1", "--yes")
+        return ("drain", "edge1", "--yes", *ONE_BY_ONE)
+
+    every_point(fleet, turn)
+
+
+@fault("manager killed at every point of a stop", quick=True)
+def killed_at_points_of_stop(fleet: Fleet) -> None:
+    pair(fleet)
+
+    def turn(fleet: Fleet, _number: int) -> tuple[str, ...]:
+        fleet.apply().must(0)
+        fleet.expected.pop("slam", None)
+        return ("stop", "slam", "--yes", *ONE_BY_ONE)
+
+    every_point(fleet, turn, kinds=1)
+    fleet.expected["slam"] = None
+
+
+@fault("manager killed at every point of a done, and of the apply that follows", quick=True)
+def killed_at_points_of_done(fleet: Fleet) -> None:
+    """Even turns mark slam done, which touches no host; odd ones stop it, and bring it back for the next turn."""
+    pair(fleet)
+
+    def turn(fleet: Fleet, number: int) -> tuple[str, ...]:
+        if number % 2:
+            fleet.expected.pop("slam", None)
+            return APPLY_ONE
+        fleet.edgectl("reopen", "slam").must(0)
+        fleet.apply().must(0)
+        fleet.expected["slam"] = None
+        return ("done", "slam")
+
+    every_point(fleet, turn)
+
+
+@fault("manager killed at every point of a rollback", quick=True)
+def killed_at_points_of_rollback(fleet: Fleet) -> None:
+    """Back to revision 1, where slam ran on edge1 alone, and to revision 2, where it ran on edge2 beside nav."""
+    fleet.want("slam", on="edge1")
+    fleet.settle()
+    fleet.want("nav", on="edge2")
+    fleet.pin("slam", "edge2")
+    fleet.settle()
+    for task in ("slam", "nav"):
+        fleet.pin(task, None)
+
+    def turn(fleet: Fleet, number: int) -> tuple[str, ...]:
+        second = number % 2 == 1
+        fleet.expected = {"slam": "edge2", "nav": "edge2"} if second else {"slam": "edge1"}
+        return ("rollback", "2" if second else "1", "--yes", *ONE_BY_ONE)
 
     every_point(fleet, turn)
