@@ -1,0 +1,185 @@
+"""The units: systemd accepts them, reads every word back as it was, and a run in the sandbox reaches its hosts over ssh."""
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from edgectl.export.job import Job
+from edgectl.export.systemd import timer_units, unit_name, watch_unit
+from tests.agent.user_systemd import UserSystemd, can_be_real, user_systemd
+from tests.e2e.bench import a_mark, sleeping
+from tests.sshd import Lab
+
+JOB = Job(
+    name="lab", program=("/bin/true",), inventory="/srv/lab/lab.yaml", tasks=("/srv/lab/tasks",), directory="/srv/lab", user="root"
+)  # fmt: skip
+AWKWARD = 'it\'s 100% $HOME ${PATH} "a b" %h;'
+
+
+def verified(units: dict[str, str], folder: Path, *, user: bool) -> None:
+    """What systemd itself says of the units: nothing."""
+    program = shutil.which("systemd-analyze")
+    assert program, "systemd-analyze is missing; install it: sudo apt-get install systemd"
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, text in units.items():
+        (folder / name).write_text(text)
+    env = {**os.environ, "XDG_RUNTIME_DIR": str(folder)}
+    command = [program, *(["--user"] if user else []), "verify", *(str(folder / name) for name in units)]
+    done = subprocess.run(command, env=env, capture_output=True, text=True, check=False, timeout=60)
+    ours = [line for line in done.stderr.splitlines() if "edgectl" in line]
+    assert (done.returncode, ours) == (0, []), done.stderr
+
+
+@pytest.mark.parametrize("user", [False, True])
+@pytest.mark.parametrize("local", [False, True])
+def test_systemd_accepts_the_units(tmp_path: Path, user: bool, local: bool) -> None:
+    odd = tmp_path / AWKWARD
+    odd.mkdir()
+    for number, path in enumerate(("/srv/lab", str(odd))):
+        job = replace(JOB, inventory=f"{path}/lab.yaml", directory=path, environment={"EDGECTL_STATE_DIR": f"{path}/state"}, local=local)
+        verified(timer_units(job, user=user), tmp_path / f"apply{number}", user=user)
+        verified(watch_unit(replace(job, every_s=30.0), user=user), tmp_path / f"watch{number}", user=user)
+
+
+def test_verification_finds_what_is_wrong(tmp_path: Path) -> None:
+    units = {name: text.replace("KillMode=process", "KillMode=maybe") for name, text in timer_units(JOB, user=False).items()}
+    with pytest.raises(AssertionError):
+        verified(units, tmp_path / "units", user=False)
+
+
+def settings(text: str) -> dict[str, str]:
+    return dict(line.split("=", 1) for line in text.splitlines() if re.match(r"[A-Z]\w*=", line))
+
+
+def test_a_timer_and_its_service() -> None:
+    units = timer_units(replace(JOB, every_s=90.0), user=False)
+    assert list(units) == ["edgectl-lab.service", "edgectl-lab.timer"]
+    service, timer = (settings(text) for text in units.values())
+    assert service["ExecStart"] == "/bin/true apply --yes --quiet -i /srv/lab/lab.yaml -t /srv/lab/tasks"
+    assert (service["SuccessExitStatus"], service["User"], service["KillMode"]) == ("4 75 130", "root", "process")
+    assert timer["OnUnitActiveSec"] == "90s"
+    assert settings(timer_units(JOB, user=False)["edgectl-lab.timer"])["OnUnitActiveSec"] == "300s"
+    assert "User" not in settings(timer_units(JOB, user=True)["edgectl-lab.service"])
+    with pytest.raises(ValueError, match="too often"):
+        timer_units(replace(JOB, every_s=0.5), user=False)
+
+
+def test_a_watch_is_started_again_but_not_where_its_files_are_wrong() -> None:
+    unit = settings(watch_unit(replace(JOB, every_s=30.0), user=True)["edgectl-lab-watch.service"])
+    assert unit["ExecStart"].startswith("/bin/true watch --apply --every 30s -i ")
+    assert (unit["Restart"], unit["RestartPreventExitStatus"], unit["WantedBy"]) == ("always", "64", "default.target")
+    assert "--every" not in settings(watch_unit(JOB, user=False)["edgectl-lab-watch.service"])["ExecStart"]
+
+
+def test_tasks_on_this_machine_do_not_inherit_a_sandbox() -> None:
+    assert "NoNewPrivileges" in settings(timer_units(JOB, user=False)["edgectl-lab.service"])
+    assert "NoNewPrivileges" not in settings(timer_units(replace(JOB, local=True), user=False)["edgectl-lab.service"])
+
+
+def test_names_of_units_are_names() -> None:
+    assert unit_name(replace(JOB, name="our lab (new)")) == "edgectl-our_lab__new_"
+
+
+@pytest.fixture(scope="module")
+def manager(tmp_path_factory: pytest.TempPathFactory) -> Iterator[UserSystemd | None]:
+    """A real systemd to run units in; None where the tests may not have one (the units are verified all the same)."""
+    if not can_be_real():
+        yield None
+        return
+    with user_systemd(tmp_path_factory.mktemp("systemd") / "user", real=True) as found:
+        yield found
+
+
+def systemctl(manager: UserSystemd, *words: str) -> "subprocess.CompletedProcess[str]":
+    inside = ["nsenter", f"--mount=/proc/{manager.pid}/ns/mnt", "env", f"XDG_RUNTIME_DIR=/run/user/{os.geteuid()}"]
+    return subprocess.run([*inside, "systemctl", "--user", *words], capture_output=True, text=True, check=False, timeout=90)
+
+
+def started(manager: UserSystemd, units: dict[str, str], name: str) -> dict[str, str]:
+    """Start a unit, which takes until it has ended: what systemd then says of it, and whether it counts as a success (``ok``)."""
+    folder = manager.folder / ".config" / "systemd" / "user"
+    folder.mkdir(parents=True, exist_ok=True)
+    for unit, text in units.items():
+        # systemd --user runs as whoever it is; there is no journal to print into.
+        kept = "".join(line for line in text.splitlines(keepends=True) if not line.startswith("User="))
+        said = f"[Service]\nStandardOutput=append:{manager.folder}/said\nStandardError=inherit\n"
+        (folder / unit).write_text(kept.replace("[Service]\n", said))
+    systemctl(manager, "daemon-reload")
+    done = systemctl(manager, "start", name)
+    shown = dict(line.split("=", 1) for line in systemctl(manager, "show", name).stdout.splitlines() if "=" in line)
+    said = manager.folder / "said"
+    return {**shown, "ok": "yes" if done.returncode == 0 else done.stderr, "said": said.read_text() if said.exists() else ""}
+
+
+def test_systemd_hands_over_every_word_as_it_was(manager: UserSystemd | None, tmp_path: Path) -> None:
+    folder = tmp_path / AWKWARD
+    folder.mkdir()
+    script = folder / "note.py"
+    script.write_text(
+        "import json, os, sys\njson.dump([sys.argv[1:], os.getcwd(), os.environ['EDGECTL_STATE_DIR']], open(sys.argv[0] + '.json', 'w'))\nsys.exit(75)\n"
+    )
+    job = replace(
+        JOB, program=(sys.executable, str(script)), inventory=f"{folder}/lab.yaml", tasks=("$A", "${B}", "%t"), directory=str(folder),
+        environment={"EDGECTL_STATE_DIR": f"{folder}/$state"}, name="words",
+    )  # fmt: skip
+    units = timer_units(job, user=False)
+    if manager is None:
+        verified(units, tmp_path / "units", user=False)
+        return
+    shown = started(manager, units, "edgectl-words.service")
+    assert shown["ok"] == "yes", "a busy lock is no failure of the unit"
+    said, directory, state = json.loads(Path(f"{script}.json").read_text())
+    assert said == ["apply", "--yes", "--quiet", "-i", f"{folder}/lab.yaml", "-t", "$A", "-t", "${B}", "-t", "%t"]
+    assert (directory, state) == (str(folder), f"{folder}/$state")
+
+
+# Slices: a busy machine has room for them all the same.
+HOSTS = """version: 1
+edges:
+  edge1: {host: edge1, capacity: {cpu: 2, memory: 1Gi}}
+  edge2: {host: edge2, connection: openssh, capacity: {cpu: 2, memory: 1Gi}}
+"""
+
+
+def test_a_run_in_the_sandbox_reaches_its_hosts(manager: UserSystemd | None, lab: Lab, tmp_path: Path) -> None:
+    """The whole unit as exported by the command, for hosts by paramiko and by the ssh program; then a file that is wrong fails the unit."""
+    mark = a_mark()
+    (tmp_path / "lab.yaml").write_text(HOSTS)
+    tasks = [f'  {name}: {{command: "exec sleep {mark}", hosts: {{only: [{host}]}}, demand: {{cpu: 0.1, memory: 1Mi}}, stop: {{grace: 2s}}}}' for name, host in (("one", "edge1"), ("two", "edge2"))]  # fmt: skip
+    (tmp_path / "tasks.yaml").write_text("\n".join(["version: 1", "tasks:", *tasks, ""]))
+    env = {**os.environ, **lab.environment, "EDGECTL_STATE_DIR": str(tmp_path / "state")}
+    edgectl = [sys.executable, "-m", "edgectl"]
+    files = ["-i", "lab.yaml", "-t", "tasks.yaml"]
+    subprocess.run(
+        [*edgectl, "export", "systemd", "--out", "units", *files],
+        cwd=tmp_path,
+        env=env,
+        check=True,
+        capture_output=True,
+        timeout=60,
+    )
+    units = {path.name: path.read_text() for path in sorted((tmp_path / "units").iterdir())}
+    assert list(units) == ["edgectl-lab.service", "edgectl-lab.timer"]
+    if manager is None:
+        verified(units, tmp_path / "verified", user=False)
+        return
+    try:
+        shown = started(manager, units, "edgectl-lab.service")
+        assert shown["ok"] == "yes", shown
+        assert shown["NoNewPrivileges"] == "yes"
+        assert (shown["ProtectSystem"], shown["RestrictNamespaces"]) == ("full", "yes")
+        assert len(sleeping(mark)) == 2, shown["said"]
+    finally:
+        subprocess.run([*edgectl, "stop", "--all", "--yes", *files], cwd=tmp_path, env=env, check=False, capture_output=True, timeout=60)
+    assert sleeping(mark) == []
+    (tmp_path / "tasks.yaml").write_text("version: 2\n")
+    shown = started(manager, units, "edgectl-lab.service")
+    assert (shown["ActiveState"], shown["ExecMainStatus"]) == ("failed", "64")
