@@ -23,24 +23,26 @@ ALLOWED = {
     "doctor": PURE,
     "executor": PURE | {"transport", "state"},
     "export": PURE | {"state", "formats"},
-    "evidence": PURE | {"scheduler"},
-    "usecases": PURE | {"config", "evidence", "formats", "scheduler", "executor", "doctor", "transport", "gateway", "state"},
+    "evidence": PURE | {"scheduler", "executor"},
+    "usecases": PURE | {"config", "evidence", "export", "formats", "scheduler", "executor", "doctor", "transport", "gateway", "state"},
     "views": PURE | {"formats"},
-    "cli": PURE | {"usecases", "views", "config", "evidence", "transport", "gateway", "state", "formats", "scaffold", "export"},
+    "tui": PURE | {"usecases", "views", "gateway"},
+    "cli": PURE | {"usecases", "views", "config", "evidence", "transport", "gateway", "state", "formats", "scaffold", "export", "tui"},
     "agent": set(),
     "scaffold": set(),
 }
 # third-party package -> the only modules that may import it
 OWNERS = {
     "typer": "cli",
-    "rich": "views",
+    "rich": ("views", "tui/"),
     "yaml": ("config", "views/yaml"),
     "fabric": "transport/ssh",
     "paramiko": "transport/ssh",
     "psutil": "agent",
     "platformdirs": "state",
+    "simpy": "evidence/simulate",
     "prometheus_client": "export/prometheus",
-    "textual": "tui",
+    "textual": "tui/",
 }
 PURE_ROOMS = ("model/", "scheduler/", "evidence/", "doctor/", "formats/", "executor/diff.py", "units.py", "errors.py")
 IMPURE = {"os", "time", "random", "logging", "subprocess", "pathlib", "socket", "threading", "secrets", "uuid"}

@@ -1,0 +1,322 @@
+"""The live view: two tables, keys, and one thread that looks at the fleet again and again."""
+
+import asyncio
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+from rich.text import Text
+from textual.app import App, ComposeResult
+from textual.binding import Binding, BindingType
+from textual.coordinate import Coordinate
+from textual.events import Resize
+from textual.message import Message
+from textual.widgets import DataTable, Footer, Input, Static
+
+from edgectl.errors import EdgectlError
+from edgectl.tui import rows
+from edgectl.tui.rows import Frame, Line
+from edgectl.tui.screens import Question, Reader
+from edgectl.views.text import harmless
+
+_STYLES = {"good": "green", "bad": "red", "warn": "yellow", "dim": "bright_black", "bold": "bold", "name": "cyan"}
+_HELP = """\
+tab      the other table
+arrows   another line
+/        only lines with a text; Enter keeps it, Esc takes it away
+s        sort by the next column
+d        describe the line
+l        log of the task, its last lines
+c        cordon the host of the line, or open it again; asks first
+q        quit
+
+Everything is measured again every few seconds. Sparklines show
+the newest samples of the history, the newest at the right: of a
+host up to its capacity, of a task up to its own highest.
+"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Fleetwork:
+    """What the view may ask for; each is called in a thread of its own.
+
+    ``frames`` gives a picture each time that the function it is given, which waits in between, does not say to end.
+    ``cordon`` closes a host or opens it; None: nothing may be changed.
+    """
+
+    frames: Callable[[Callable[[], bool]], Iterator[Frame]]
+    logs: Callable[[str], str]
+    cordon: Callable[[str, bool], None] | None
+
+
+class Seen(Message):
+    """A new picture."""
+
+    def __init__(self, frame: Frame) -> None:
+        super().__init__()
+        self.frame = frame
+
+
+class Said(Message):
+    """Something that a user should know; empty takes it away."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.text = text
+
+
+class Came(Message):
+    """The text that a reader waits for."""
+
+    def __init__(self, reader: Reader, text: str) -> None:
+        super().__init__()
+        self.reader, self.text = reader, text
+
+
+class Top(App[None]):
+    """Hosts above, tasks below."""
+
+    CSS = """
+    #head { height: 1; color: $text-muted; }
+    #note { height: auto; max-height: 3; color: $warning; }
+    #filter { height: 1; border: none; padding: 0; display: none; }
+    #filter.asked { display: block; }
+    DataTable { background: $surface; }
+    #hosts { height: auto; max-height: 45%; margin-bottom: 1; }
+    #tasks { height: 1fr; }
+    """
+    ENABLE_COMMAND_PALETTE = False
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("q", "quit", "Quit"), Binding("ctrl+c", "quit", show=False, priority=True), Binding("slash", "filter", "Filter"),
+        Binding("s", "sort", "Sort"), Binding("d", "describe", "Describe"), Binding("l", "logs", "Logs"),
+        Binding("c", "cordon", "Cordon"), Binding("question_mark", "help", "Help"), Binding("escape", "clear", show=False),
+    ]  # fmt: skip
+
+    def __init__(self, work: Fleetwork, *, every: float, unicode: bool = True) -> None:
+        super().__init__()
+        self._work, self._every, self._unicode = work, every, unicode
+        self._frame: Frame | None = None
+        self._width = 80
+        self._wanted = ""
+        self._orders = {"hosts": rows.HOST_ORDERS[0], "tasks": rows.TASK_ORDERS[0]}
+        self._lines: dict[str, list[Line]] = {"hosts": [], "tasks": []}
+        self._shapes: dict[str, tuple[list[str], list[int]]] = {}
+        self._ended = threading.Event()
+        self._again = threading.Event()
+
+    # -- what is on the screen -----------------------------------------------------------------------------------------------------------
+
+    def compose(self) -> ComposeResult:
+        """A line of summary, two tables, a line for news, the filter, the keys."""
+        yield Static("first look ..", id="head")
+        yield DataTable(id="hosts", cursor_type="row")
+        yield DataTable(id="tasks", cursor_type="row")
+        yield Static(id="note")
+        yield Input(id="filter", placeholder="only lines with ..", select_on_focus=False)
+        yield Footer()
+
+    def on_mount(self) -> None:
+        """Begin to look."""
+        self._until_told()
+        self.query_one("#hosts").focus()
+        threading.Thread(target=self._look, daemon=True).start()
+
+    def _until_told(self) -> None:
+        """SIGTERM and SIGHUP end the view as q does, with the terminal as it was."""
+        for number in (signal.SIGTERM, signal.SIGHUP):
+            asyncio.get_running_loop().add_signal_handler(number, self.exit)
+
+    def on_unmount(self) -> None:
+        """End the thread; nobody waits for a host that hangs."""
+        self._ended.set()
+        self._again.set()
+
+    def on_resize(self, event: Resize) -> None:
+        """Sparklines take what room there is."""
+        self._width = event.size.width  # the size of the view itself still is the old one
+        self._draw()
+
+    def on_seen(self, message: Seen) -> None:
+        """Show a new picture."""
+        self._frame = message.frame
+        self._draw()
+
+    def on_said(self, message: Said) -> None:
+        """Show what is to be known."""
+        if self._stands:
+            self.query_one("#note", Static).update(Text(harmless(message.text)))
+
+    @property
+    def _stands(self) -> bool:
+        """Whether everything is there: not before the first moment, and not while the view ends."""
+        return len(self.query("#head, #hosts, #tasks, #note")) == 4
+
+    def _draw(self) -> None:
+        if self._frame is None or not self._stands:
+            return
+        self._fill("hosts", rows.HOST_TITLES, rows.host_lines(self._frame, self._width, unicode=self._unicode))
+        self._fill("tasks", rows.TASK_TITLES, rows.task_lines(self._frame, self._width, unicode=self._unicode))
+        self._summarise(self._frame)
+
+    def _summarise(self, frame: Frame) -> None:
+        silent = f" ({frame.silent} silent)" if frame.silent else ""
+        orders = ", ".join(f"{table} by {order}" for table, order in self._orders.items())
+        shown = f" · only {self._wanted!r}" if self._wanted else ""
+        text = f"{len(frame.snapshot.hosts)} hosts{silent} · {len(frame.tasks)} tasks · {orders}{shown}"
+        self.query_one("#head", Static).update(Text(text))
+
+    def _fill(self, name: str, titles: Sequence[str], lines: list[Line]) -> None:
+        """Put the lines into a table. It is made anew only where rows come, go or change places, or a column needs another width."""
+        shown = rows.chosen(lines, self._wanted, self._orders[name])
+        shape = ([line.key for line in shown], rows.widths(lines, titles))
+        at, self._lines[name] = self._line(name), shown
+        with self.batch_update():
+            if shape == self._shapes.get(name):
+                self._renew(self._table(name), shown)
+            else:
+                self._shapes[name] = shape
+                self._build(self._table(name), titles, shape[1], shown, at)
+
+    def _renew(self, table: DataTable[Text], shown: list[Line]) -> None:
+        for row, line in enumerate(shown):
+            for column, text in enumerate(_cells(line)):
+                if table.get_cell_at(Coordinate(row, column)) != text:
+                    table.update_cell_at(Coordinate(row, column), text)
+
+    def _build(self, table: DataTable[Text], titles: Sequence[str], widths: list[int], shown: list[Line], at: Line | None) -> None:
+        """The cursor stays on what it was on."""
+        table.clear(columns=True)
+        for title, width in zip(titles, widths, strict=True):
+            table.add_column(Text(title), width=width)
+        table.add_rows(_cells(line) for line in shown)
+        place = next((number for number, line in enumerate(shown) if at is not None and line.key == at.key), 0)
+        table.move_cursor(row=place, animate=False)
+
+    def _table(self, name: str) -> DataTable[Text]:
+        return self.query_one(f"#{name}", DataTable)
+
+    def _line(self, name: str) -> Line | None:
+        """The line under the cursor of a table."""
+        place = self._table(name).cursor_row
+        return self._lines[name][place] if place < len(self._lines[name]) else None
+
+    @property
+    def _here(self) -> str:
+        """The table that has the keys."""
+        return "tasks" if self._table("tasks").has_focus else "hosts"
+
+    # -- keys ----------------------------------------------------------------------------------------------------------------------------
+
+    def action_filter(self) -> None:
+        """Ask for a text."""
+        box = self.query_one("#filter", Input)
+        box.add_class("asked")
+        box.focus()
+
+    def on_input_changed(self, event: Input.Changed) -> None:
+        """Filter while it is typed."""
+        self._wanted = event.value
+        self._draw()
+
+    def on_input_submitted(self, _event: Input.Submitted) -> None:
+        """Back to the tables."""
+        self.query_one("#filter").remove_class("asked")
+        self.query_one("#tasks" if not self._lines["hosts"] else "#hosts").focus()
+
+    def action_clear(self) -> None:
+        """Take the filter and the news away."""
+        self.query_one("#filter", Input).value = ""
+        self.query_one("#filter").remove_class("asked")
+        self.post_message(Said(""))
+        if not self._table("tasks").has_focus:
+            self.query_one("#hosts").focus()
+
+    def action_sort(self) -> None:
+        """Sort the table by its next column."""
+        orders = rows.HOST_ORDERS if self._here == "hosts" else rows.TASK_ORDERS
+        self._orders[self._here] = orders[(orders.index(self._orders[self._here]) + 1) % len(orders)]
+        self._draw()
+
+    def action_help(self) -> None:
+        """Say which keys there are."""
+        self.push_screen(Reader("Keys", _HELP))
+
+    def action_describe(self) -> None:
+        """Say everything of the line."""
+        line = self._line(self._here)
+        if line is not None and self._frame is not None:
+            self.push_screen(Reader(line.task or str(line.host), rows.described(self._frame, line)))
+
+    def action_logs(self) -> None:
+        """Fetch the log of the task."""
+        line = self._line(self._here)
+        if line is None or line.task is None:
+            self.post_message(Said("a host has no log; choose a task (Tab)"))
+            return
+        reader, task = Reader(f"log of {line.task}", "asking ..", at_end=True), line.task
+        self.push_screen(reader)
+        self._aside(lambda: self.post_message(Came(reader, self._work.logs(task) or "nothing was printed")))
+
+    def on_came(self, message: Came) -> None:
+        """Show it, unless the reader was closed."""
+        if message.reader.is_attached:
+            message.reader.show(message.text)
+
+    def action_cordon(self) -> None:
+        """Close the host of the line to new tasks, or open it again."""
+        line, cordon = self._line(self._here), self._work.cordon
+        if line is None or line.host is None or self._frame is None:
+            return
+        if cordon is None:
+            self.post_message(Said("--readonly: nothing is changed"))
+            return
+        host, memory = line.host, self._frame.snapshot.memory
+        close = memory is None or host not in memory.cordons
+        question = f"Close {host} to new tasks?" if close else f"Open {host} again?"
+
+        def answered(yes: bool | None) -> None:  # noqa: FBT001, textual calls it so
+            if yes:
+                self._aside(lambda: self._cordoned(cordon, host, close=close))
+
+        self.push_screen(Question(question), answered)
+
+    def _cordoned(self, cordon: Callable[[str, bool], None], host: str, *, close: bool) -> None:
+        cordon(host, close)
+        self.post_message(Said(f"{host} is closed to new tasks" if close else f"{host} is open again"))
+        self._again.set()
+
+    # -- threads -------------------------------------------------------------------------------------------------------------------------
+
+    def _aside(self, act: Callable[[], object]) -> None:
+        """Do something in a thread of its own; what goes wrong is said."""
+
+        def work() -> None:
+            try:
+                act()
+            except EdgectlError as error:
+                self.post_message(Said(error.message))
+
+        threading.Thread(target=work, daemon=True).start()
+
+    def _look(self) -> None:
+        """Look again and again, until the view ends."""
+        while not self._ended.is_set():
+            try:
+                for frame in self._work.frames(self._wait):
+                    self.post_message(Seen(frame))
+            except EdgectlError as error:
+                self.post_message(Said(error.message))
+                self._wait()
+
+    def _wait(self) -> bool:
+        """Wait for the next look; whether the view has ended."""
+        self._again.wait(self._every)
+        self._again.clear()
+        return self._ended.is_set()
+
+
+def _cells(line: Line) -> list[Text]:
+    """Text that nothing a host says can colour or move."""
+    return [Text(harmless(cell.text), _STYLES.get(cell.style, "")) for cell in line.cells]

@@ -1,0 +1,132 @@
+"""Pictures for the live view, and a view to press keys in."""
+
+import asyncio
+import threading
+import time
+from collections.abc import Awaitable, Callable, Iterator
+from dataclasses import dataclass, field, replace
+
+from textual.pilot import Pilot
+
+from edgectl.errors import EdgectlError
+from edgectl.model.inventory import Role
+from edgectl.model.memory import Memory
+from edgectl.model.point import HostPoint, TaskPoint
+from edgectl.model.snapshot import HostSample, HostStatus, TaskState
+from edgectl.tui.app import Fleetwork, Top
+from edgectl.tui.rows import Frame, by_host, by_task
+from tests.builders import GI, NOW, a_run, a_sample, a_snapshot, a_task
+
+LIMIT_S = 60.0
+# What a host that means harm says: it must neither colour nor move anything.
+HARM = "[red]no[/red] \x1b[2J\x9b1mroute"
+
+
+def a_frame(cordons: frozenset[str] = frozenset()) -> Frame:
+    """edge1 runs slam and a failed map, edge2 is silent, edge10 is busy with camera; idle runs nowhere."""
+    slam = a_run(TaskState.READY, used_cores=0.5, used_bytes=2e8, used_bytes_per_s=3e5)
+    failed = a_run(TaskState.FAILED, log_tail=("it broke", HARM))
+    camera = a_run(TaskState.RUNNING, used_cores=3.2, used_bytes=1e8)
+    snapshot = a_snapshot(
+        memory=Memory(cordons=cordons),
+        edge1=a_sample(used=0.6, used_memory=GI, tasks={"slam": slam, "map": failed}),
+        edge2=HostSample(role=Role.EDGE, status=HostStatus.UNREACHABLE, error=HARM, error_kind="connect", hint="is it switched on?"),
+        edge10=a_sample(used=3.4, used_memory=3 * GI, tasks={"camera": camera}),
+    )
+    hosts = [
+        HostPoint(at=NOW + at, host="edge1", status=HostStatus.OK, cores=4.0, used_cores=at, total_bytes=4 * GI, used_bytes=GI) for at in range(5)
+    ]  # fmt: skip
+    tasks = [
+        TaskPoint(at=NOW + at, task="slam", host="edge1", state=TaskState.READY, used_cores=at / 4, used_bytes=1.0, used_bytes_per_s=0.0)
+        for at in range(5)
+    ]
+    names = {name: a_task(name) for name in ("camera", "idle", "map", "slam")}
+    return Frame(snapshot=snapshot, tasks=names, host_points=by_host(hosts), task_points=by_task(tasks))
+
+
+@dataclass
+class Bench:
+    """What stands behind the view: each look gives the next of ``frames`` (an error: that look fails), then the last for ever."""
+
+    frames: list[Frame | EdgectlError] = field(default_factory=lambda: [a_frame()])
+    readonly: bool = False
+    log: str | EdgectlError = "alive\n"
+    asked: list[str] = field(default_factory=list)
+    hang: threading.Event | None = None
+
+    def view(self, *, every: float = 600.0) -> Top:
+        """The view. It looks again where ``next`` says so."""
+        return Top(Fleetwork(frames=self._frames, logs=self._logs, cordon=None if self.readonly else self._cordon), every=every)
+
+    def next(self, view: Top, *frames: Frame | EdgectlError) -> None:
+        """Look again now, and see ``frames``."""
+        self.frames = list(frames)
+        view._again.set()
+
+    def _frames(self, told_to_end: Callable[[], bool]) -> Iterator[Frame]:
+        while True:
+            if self.hang is not None:
+                self.hang.wait()
+            frame = self.frames.pop(0) if len(self.frames) > 1 else self.frames[0]
+            if isinstance(frame, EdgectlError):
+                raise frame
+            yield frame
+            if told_to_end():
+                return
+
+    def _logs(self, task: str) -> str:
+        self.asked.append(f"logs {task}")
+        if isinstance(self.log, EdgectlError):
+            raise self.log
+        return self.log
+
+    def _cordon(self, host: str, close: bool) -> None:
+        self.asked.append(f"{'cordon' if close else 'uncordon'} {host}")
+
+
+def shown(view: Top) -> str:
+    """The screen as a person sees it, without the blanks at the ends of lines."""
+    strips = view.screen._compositor.render_strips()
+    return "\n".join("".join(segment.text for segment in strip).rstrip() for strip in strips)
+
+
+async def until(pilot: Pilot[None], view: Top, *texts: str, gone: bool = False) -> str:
+    """Wait until every one of ``texts`` is (or none is any longer) on the screen."""
+    end = time.monotonic() + LIMIT_S
+    while not all((text in shown(view)) is not gone for text in texts):
+        assert time.monotonic() < end, f"{texts} {'stay' if gone else 'never came'}:\n{shown(view)}"
+        await pilot.pause(0.02)
+    return shown(view)
+
+
+async def eventually(pilot: Pilot[None], check: Callable[[], None]) -> None:
+    """Wait until ``check`` finds nothing wrong; a screen is laid out in more than one step."""
+    end = time.monotonic() + LIMIT_S
+    while True:
+        try:
+            return check()
+        except AssertionError:
+            if time.monotonic() >= end:
+                raise
+        await pilot.pause(0.02)
+
+
+def session(bench: Bench, act: Callable[[Pilot[None], Top], Awaitable[None]], *, size: tuple[int, int] = (80, 24)) -> None:
+    """Run a view without a terminal, from its first picture on."""
+
+    async def run() -> None:
+        view = bench.view()
+        async with view.run_test(size=size) as pilot:
+            if bench.hang is None and isinstance(bench.frames[0], Frame):
+                await until(pilot, view, next(iter(bench.frames[0].snapshot.hosts)))
+            await act(pilot, view)
+
+    asyncio.run(run())
+
+
+def crowded(hosts: int, tasks: int) -> Frame:
+    """A fleet larger than the screen."""
+    frame = a_frame()
+    runs = {f"task{number}": a_run(used_cores=0.01) for number in range(tasks)}
+    every = {f"edge{number}": replace(a_sample(used=1.0), tasks=runs if number == 0 else {}) for number in range(hosts)}
+    return Frame(snapshot=a_snapshot(**every), tasks={name: a_task(name) for name in runs}, host_points=frame.host_points)

@@ -1,0 +1,203 @@
+"""The live view, key by key, without a terminal."""
+
+import threading
+
+import pytest
+from textual.pilot import Pilot
+
+from edgectl.errors import LockBusyError, StateError
+from edgectl.tui.app import Top
+from tests.tui.frames import HARM, Bench, a_frame, crowded, eventually, session, shown, until
+
+
+def test_two_tables_in_80_by_24() -> None:
+    def check(view: Top) -> None:
+        lines = shown(view).split("\n")
+        assert len(lines) == 24
+        assert max(map(len, lines)) <= 80
+        assert lines[0] == "3 hosts (1 silent) · 4 tasks · hosts by name, tasks by name"
+        assert lines[1].split() == ["HOST", "STATUS", "CPU", "MEMORY", "TASKS"]
+        assert [line.split()[0] for line in lines[2:5]] == ["edge1", "edge2", "edge10"]
+        assert lines[2].split() == ["edge1", "ok", "0.60/4.00", "▁▃▅▇█", "25%", "▃▃▃▃▃", "1"]
+        assert lines[3].split() == ["edge2", "silent", "-", "-", "-"]
+        assert lines[6].split() == ["TASK", "HOST", "STATE", "AGE", "CPU", "MEMORY", "NETWORK"]
+        assert [line.split()[:3] for line in lines[7:11]] == [
+            ["camera", "edge10", "running"], ["idle", "-", "not"], ["map", "edge1", "failed"], ["slam", "edge1", "ready"],
+        ]  # fmt: skip
+        assert lines[-1].split() == ["q", "Quit", "/", "Filter", "s", "Sort", "d", "Describe", "l", "Logs", "c", "Cordon", "?", "Help"]
+
+    async def act(pilot: Pilot[None], view: Top) -> None:
+        await eventually(pilot, lambda: check(view))
+
+    session(Bench(), act)
+
+
+@pytest.mark.parametrize("size", [(80, 24), (160, 50)])
+def test_sparklines_fill_the_width_and_no_more(size: tuple[int, int]) -> None:
+    def check(view: Top, width: int) -> None:
+        assert "NETWORK" in shown(view)
+        hosts, tasks = (table.virtual_size.width for table in view.query("DataTable"))
+        assert width - 6 <= hosts <= width
+        assert min(width, 110) - 6 <= tasks <= width
+
+    async def act(pilot: Pilot[None], view: Top) -> None:
+        await eventually(pilot, lambda: check(view, size[0]))
+        await pilot.resize_terminal(100, 30)
+        await eventually(pilot, lambda: check(view, 100))
+
+    session(Bench(), act, size=size)
+
+
+def test_more_than_fits_scrolls_and_the_cursor_stays() -> None:
+    async def act(pilot: Pilot[None], view: Top) -> None:
+        await until(pilot, view, "task0")
+        await pilot.press("tab", "ctrl+end")
+        screen = await until(pilot, view, "task79")
+        assert "task0 " not in screen
+        assert "edge0" in screen, "the hosts keep their place"
+        assert "q Quit" in screen
+        bench.next(view, crowded(12, 81))
+        await until(pilot, view, "12 hosts", "task79")
+        assert view._line("tasks").task == "task79"  # type: ignore[union-attr]
+
+    bench = Bench(frames=[crowded(11, 80)])
+    session(bench, act)
+
+
+def test_filter() -> None:
+    async def act(pilot: Pilot[None], view: Top) -> None:
+        await pilot.press("slash", *"slam")
+        screen = await until(pilot, view, "camera", gone=True)
+        assert "slam" in screen
+        assert "only 'slam'" in screen
+        await pilot.press("enter", "escape")
+        assert "only" not in await until(pilot, view, "camera")
+        await pilot.press("slash", *"q", "escape")
+        await until(pilot, view, "camera")
+        assert view.is_running, "q was typed, not pressed"
+
+    session(Bench(), act)
+
+
+def test_sort() -> None:
+    async def act(pilot: Pilot[None], view: Top) -> None:
+        await pilot.press("s")
+        screen = await until(pilot, view, "hosts by cpu")
+        assert [line.split()[0] for line in screen.split("\n")[2:5]] == ["edge10", "edge1", "edge2"]
+        await pilot.press("tab", "s", "s")
+        screen = await until(pilot, view, "tasks by cpu")
+        assert [line.split()[0] for line in screen.split("\n")[7:11]] == ["camera", "slam", "idle", "map"]
+
+    session(Bench(), act)
+
+
+def test_describe_a_host_that_means_harm() -> None:
+    async def act(pilot: Pilot[None], view: Top) -> None:
+        await pilot.press("down", "d")
+        screen = await until(pilot, view, "is it switched on?")
+        assert "[red]no[/red] \\x1b[2J\\x9b1mroute" in screen
+        await pilot.press("escape")
+        await until(pilot, view, "is it switched on?", gone=True)
+
+    session(Bench(), act)
+
+
+def test_describe_a_task() -> None:
+    async def act(pilot: Pilot[None], view: Top) -> None:
+        await pilot.press("tab", "down", "down", "d")
+        screen = await until(pilot, view, "it broke")
+        assert "failed" in screen
+        assert "[red]no[/red] \\x1b[2J" in screen
+
+    session(Bench(), act)
+
+
+def test_logs() -> None:
+    bench = Bench(log=f"line 1\n{HARM}\nlast line\n")
+
+    async def act(pilot: Pilot[None], view: Top) -> None:
+        await pilot.press("l")
+        await until(pilot, view, "a host has no log")
+        await pilot.press("tab", "l")
+        screen = await until(pilot, view, "last line")
+        assert "log of camera" in screen
+        assert "[red]no[/red] \\x1b[2J" in screen
+
+    session(bench, act)
+    assert bench.asked == ["logs camera"]
+
+
+def test_a_log_that_cannot_be_had_is_said() -> None:
+    async def act(pilot: Pilot[None], view: Top) -> None:
+        await pilot.press("tab", "l")
+        await until(pilot, view, "no answer from edge10")
+
+    session(Bench(log=StateError("no answer from edge10")), act)
+
+
+def test_cordon_asks_first() -> None:
+    bench = Bench()
+
+    async def act(pilot: Pilot[None], view: Top) -> None:
+        for answer in ("n", "escape", "enter", "y"):
+            await pilot.press("c")
+            await until(pilot, view, "Close edge1 to new tasks?")
+            assert bench.asked == []
+            await pilot.press(answer)
+            await until(pilot, view, "Close edge1 to new tasks?", gone=True)
+        await until(pilot, view, "edge1 is closed to new tasks")
+        assert bench.asked == ["cordon edge1"]
+        bench.next(view, a_frame(frozenset({"edge1"})))
+        await until(pilot, view, "cordoned")
+        await pilot.press("c")
+        await until(pilot, view, "Open edge1 again?")
+        await pilot.press("y")
+        await until(pilot, view, "edge1 is open again")
+
+    session(bench, act)
+    assert bench.asked == ["cordon edge1", "uncordon edge1"]
+
+
+def test_readonly_changes_nothing() -> None:
+    async def act(pilot: Pilot[None], view: Top) -> None:
+        await pilot.press("c")
+        screen = await until(pilot, view, "--readonly: nothing is changed")
+        assert "to new tasks?" not in screen
+
+    session(Bench(readonly=True), act)
+
+
+def test_help_says_every_key() -> None:
+    async def act(pilot: Pilot[None], view: Top) -> None:
+        await pilot.press("question_mark")
+        screen = await until(pilot, view, "Esc closes")
+        assert all(f"│ {key} " in screen for key in "/sdlcq")
+        await pilot.press("q")
+        await until(pilot, view, "Esc closes", gone=True)
+        assert view.is_running, "q closes what is on top"
+
+    session(Bench(), act)
+
+
+def test_a_look_that_fails_is_said_and_the_next_one_shown() -> None:
+    bench = Bench(frames=[LockBusyError("the disk is full")])
+
+    async def act(pilot: Pilot[None], view: Top) -> None:
+        await until(pilot, view, "the disk is full")
+        bench.next(view, a_frame())
+        await until(pilot, view, "edge10")
+
+    session(bench, act)
+
+
+def test_quit_waits_for_no_host() -> None:
+    bench = Bench(hang=threading.Event())
+
+    async def act(pilot: Pilot[None], view: Top) -> None:
+        assert "first look" in shown(view)
+        await pilot.press("q")
+        assert not view.is_running
+
+    session(bench, act)
+    assert bench.hang is not None
+    bench.hang.set()
