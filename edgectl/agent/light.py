@@ -5,8 +5,7 @@ else an agent does in a probe. Where an interpreter lacks a C half, the whole mo
 """
 
 try:
-    from _json import encode_basestring_ascii as _quoted
-    from _json import make_scanner
+    from _json import encode_basestring_ascii, make_encoder, make_scanner
 except ImportError:
     make_scanner = None
 try:
@@ -45,36 +44,11 @@ def dumps(value) -> str:
     if make_scanner is None:
         import json
 
-        return json.dumps(value, allow_nan=False)
-    return "".join(_parts(value))
+        return json.dumps(value, allow_nan=False, default=_refused)
+    # In the order of its parameters: no memory of what was seen, separators, no sorting, no keys skipped, no NaN.
+    encode = make_encoder(None, _refused, encode_basestring_ascii, None, ": ", ", ", False, False, False)
+    return "".join(encode(value, 0))
 
 
-def _parts(value):
-    if isinstance(value, str):
-        yield _quoted(value)
-    elif isinstance(value, dict):
-        yield from _joined("{", ((_quoted(name), ": ", *_parts(inner)) for name, inner in value.items()), "}")
-    elif isinstance(value, (list, tuple)):
-        yield from _joined("[", map(_parts, value), "]")
-    else:
-        yield _scalar(value)
-
-
-def _joined(start: str, groups, end: str):
-    yield start
-    for number, group in enumerate(groups):
-        if number:
-            yield ", "
-        yield from group
-    yield end
-
-
-def _scalar(value) -> str:
-    for known, text in ((None, "null"), (True, "true"), (False, "false")):
-        if value is known:
-            return text
-    if isinstance(value, int):
-        return int.__repr__(value)
-    if isinstance(value, float) and value - value == 0.0:
-        return float.__repr__(value)
+def _refused(value):
     raise ValueError("not a JSON value: %r" % (value,))
