@@ -1,6 +1,8 @@
 """events: the command, on the scaffold's own hosts."""
 
+import contextlib
 import json
+import re
 import signal
 import sqlite3
 import subprocess
@@ -14,6 +16,7 @@ from edgectl.model.event import Event, EventKind
 from edgectl.state.paths import fleet_dir
 from edgectl.state.store import Store
 from tests.cli.conftest import Run
+from tests.views.fixtures import ROOT
 
 EDGECTL = [sys.executable, "-m", "edgectl"]
 
@@ -108,10 +111,13 @@ def test_a_broken_history_is_said_and_the_command_goes_on(run: Run, state: Path)
     assert "set aside as history.db.broken-1" in said.err
 
 
-def test_the_tables_of_the_documentation_are_there(run: Run, state: Path) -> None:
+def test_the_tables_and_the_queries_of_the_documentation_work(run: Run, state: Path) -> None:
     assert run("probe", "-o", "name").code == 0
-    connection = sqlite3.connect(f"file:{state / 'history.db'}?mode=ro", uri=True)
-    names = {row[0] for row in connection.execute("SELECT name FROM sqlite_master WHERE type IN ('table', 'view')")}
-    assert {"host_samples", "link_samples", "task_samples", "plans", "steps", "actions", "handoffs", "events"} <= names
-    assert connection.execute("SELECT count(DISTINCT host) FROM host_samples").fetchone() == (6,)
-    connection.close()
+    text = (ROOT / "docs" / "concepts" / "history.md").read_text()
+    queries = re.findall(r"^```sql\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    named = set(re.findall(r"`([a-z_]+)`", "".join(re.findall(r"^\| (`[a-z_`, ]+) \| .* \| .* \|$", text, re.MULTILINE))))
+    with contextlib.closing(sqlite3.connect(f"file:{state / 'history.db'}?mode=ro", uri=True)) as connection:
+        names = {row[0] for row in connection.execute("SELECT name FROM sqlite_master WHERE type IN ('table', 'view')")}
+        assert {"host_samples", "task_samples", "events"} <= named <= names
+        assert len(queries) == 3
+        assert len({row[0] for query in queries for row in connection.execute(query)}) == 6
