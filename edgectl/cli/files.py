@@ -40,7 +40,12 @@ def validate_command(inventory: InventoryOption = None, tasks: TasksOption = Non
         edgectl validate -o json
         edgectl validate -o github
     """
+    from edgectl.usecases.validate import uneven_declared
+    from edgectl.views.demands import uneven_notes
+
     loaded = load(inventory, tasks, every_warning=True)
+    for line in uneven_notes(uneven_declared(loaded.inventory, loaded.tasks)):
+        console.tell(f"note: {line}")
     if output is not Form.GITHUB:
         console.show(output, "validated", loaded.inventory, loaded.tasks)
 

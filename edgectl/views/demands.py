@@ -1,6 +1,6 @@
 """Where the demands of a plan come from: declared, or measured from how many samples."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 
 from edgectl.model.assignment import DemandSource, Resource, Rho, Uneven
 from edgectl.model.demand import ENOUGH_SAMPLES
@@ -52,9 +52,12 @@ def demand_notes(value: Plan) -> list[str]:
     measured, unknown = _tasks(known, _MEASURED), _tasks(known, (DemandSource.NONE,))
     lines = [f"demand measured (p95): {_some(measured)}"] if measured else []
     lines += [f"demand unknown, 0 until it is measured: {_some(unknown)}"] if unknown else []
-    if value.uneven:
-        lines.append(f"percent demands mean different amounts on unlike hosts: {_some([_uneven(found) for found in value.uneven])}")
-    return lines
+    return lines + uneven_notes(value.uneven)
+
+
+def uneven_notes(found: Sequence[Uneven]) -> list[str]:
+    """One line for all percent demands that mean different amounts."""
+    return [f"percent demands mean different amounts on unlike hosts: {_some([_uneven(each) for each in found])}"] if found else []
 
 
 def _tasks(known: Iterable[tuple[str, Rho]], sources: Iterable[DemandSource]) -> list[str]:

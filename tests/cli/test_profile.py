@@ -135,3 +135,16 @@ def test_a_line_with_a_secret_is_not_shown(site: Path, run: Run) -> None:
     assert "hush" not in said.err + said.out
     assert "(not shown)" in said.err
     assert file.read_text() == flow.replace("{cpu: 1, memory: 1}", "{cpu: 1.9, memory: 256Mi}")
+
+
+def test_validate_tells_percent_demands_of_unlike_slices(site: Path, run: Run) -> None:
+    assert "percent" not in run("validate").err, "nothing is known of these hosts"
+    inventory = site / "inventories" / "lab.yaml"
+    inventory.write_text(INVENTORY.replace("{host: a}", "{host: a, capacity: {cpu: 2, memory: 4Gi}}").replace(
+        "{host: b}", "{host: b, capacity: {cpu: 4, memory: 4Gi}}"))  # fmt: skip
+    said = run("validate")
+    assert said.err.splitlines()[-1] == (
+        "note: percent demands mean different amounts on unlike hosts: slam cpu 35.2% is 0.70 cores on edge1, 1.41 on edge2"
+    )
+    inventory.write_text(inventory.read_text().replace("cpu: 4", "cpu: 2.5"))
+    assert "percent" not in run("validate").err
