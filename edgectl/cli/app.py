@@ -36,6 +36,7 @@ COMMANDS = {
     "replay": Entry("replay", "Evidence", "Decide what was recorded again, under other rules, side by side."),
     "simulate": Entry("simulate", "Evidence", "Run a mission in a model, under several schemes, several times."),
     "profile": Entry("profile", "Inspect", "Show what a task was measured to use; put it into its file."),
+    "simulate": Entry("simulate", "Evidence", "Run a mission in a model, under several schemes, several times."),
     "history": Entry("past", "Inspect", "List what was done to the fleet, by whom and how it ended."),
     "show": Entry("past", "Inspect", "Print one revision of the history, or a saved plan."),
     "rollback": Entry("past", "Fleet", "Go back to where the tasks stood after an earlier revision."),

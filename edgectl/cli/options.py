@@ -55,9 +55,9 @@ PlanOutput = Annotated[Form, output("table", "wide", "json", "yaml", "name", "ma
 FleetOutput = Annotated[Form, output("table", "wide", "json", "yaml", "name")]
 TopOutput = Annotated[Form, output("table", "wide", "json", "yaml")]
 ResultOutput = Annotated[Form, output("table", "json", "yaml", "name")]
-PoliciesOption = Annotated[str, Option("--policy", metavar="LIST", help="Of utility, paper, static, local.")]
+PoliciesOption = Annotated[str, Option("--policy", metavar="LIST", show_default=False, help="Of utility, paper, static, local.")]
 WeightsListOption = Annotated[
-    str | None, Option("--weights", "-w", metavar="LIST", help="Presets such as cpu,all; or one set: cpu=.5,task=1.")
+    str | None, Option("--weights", "-w", metavar="LIST", show_default=False, help="Presets such as cpu,all; or one set: cpu=.5,task=1.")
 ]
 GraphOutput = Annotated[Form, output("mermaid", "dot")]
 ExplainOutput = Annotated[Form, output("table", "wide", "json", "yaml")]

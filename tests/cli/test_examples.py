@@ -12,6 +12,7 @@ from edgectl.cli.app import COMMANDS, described
 from tests.cli.terminal import Terminal
 from tests.docs.blocks import stopped
 
+DOCS = Path(__file__).parents[2] / "docs"
 ENDLESS = ("edgectl logs slam-robot1 -f",)
 SERVING = ("edgectl export prometheus --listen 127.0.0.1:9815",)
 WATCHING = ("edgectl watch --apply --every 30s",)
@@ -93,6 +94,7 @@ def test_every_example_runs(tmp_path: Path) -> None:
     site = tmp_path / "demo"
     for line, where in (("edgectl init demo", tmp_path), ("edgectl init .", site)):
         assert run(line, where, env) == 0
+    (site / "docs").symlink_to(DOCS)
     with stopped(site, env):
         failed = {line: code for line in examples() if (code := run(line, site, env)) != CODES.get(line, 0)}
         assert failed == {}

@@ -29,6 +29,7 @@ def test_pages_are_found() -> None:
 def test_every_block_runs(page: Path, tmp_path: Path) -> None:
     site, env = tmp_path / "site", environment(tmp_path / "state")
     write(site)
+    (site / "docs").symlink_to(ROOT / "docs")
     here = site
     with stopped(site, env):
         for block in blocks(page):

@@ -1,0 +1,46 @@
+"""simulate."""
+
+from pathlib import Path
+from typing import Annotated
+
+from typer import Argument, Option
+
+from edgectl.cli import console, options
+from edgectl.cli.inputs import load
+from edgectl.views.form import Form
+
+
+def simulate_command(
+    *,
+    scenario: Annotated[Path, Argument(metavar="SCENARIO", help="A scenario file.")],
+    inventory: options.InventoryOption = None,
+    tasks: options.TasksOption = None,
+    output: options.ExplainOutput = Form.TABLE,
+    policies: options.PoliciesOption = "local,static,utility",
+    weights: options.WeightsListOption = "cpu,memory,network,all",
+    runs: Annotated[int, Option("--runs", "-n", metavar="N", min=1, max=1000, help="Runs of each scheme.")] = 5,
+    seed: Annotated[int, Option("--seed", metavar="N", help="Of everything that is drawn at random.")] = 1,
+) -> None:
+    """Run a mission in a closed-loop model under several schemes; the scheduler and the diff are the real ones.
+
+    Inventory and tasks are those that the scenario names; the schemes local, static, and utility with the weights cpu, memory, network and
+    all. Needs the extra edgectl[evidence].
+
+    Examples:
+        edgectl simulate docs/scenarios/paper-2.yaml --runs 2
+        edgectl simulate docs/scenarios/paper-1.yaml --policy local,static --seed 7
+        edgectl simulate docs/scenarios/paper-2.yaml --weights all -n 1 -o json
+    """
+    from edgectl.cli.compare import variants_of
+    from edgectl.cli.extras import extra
+    from edgectl.config.scenario import load_scenario, scenario_files
+
+    with extra("evidence"):
+        from edgectl.usecases.simulate import simulate
+
+    named = scenario_files(scenario)
+    loaded = load(inventory or named[0], tasks or ([named[1]] if named[1] else None))
+    world = load_scenario(scenario, loaded.inventory, loaded.tasks)
+    chosen = variants_of(loaded.tasks.policy, policies, weights, [])
+    found = list(simulate(loaded.inventory, loaded.tasks, world, chosen, runs=runs, seed=seed))
+    console.show(output, "simulated", world, found)

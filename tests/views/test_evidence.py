@@ -1,0 +1,76 @@
+"""Comparisons as they are read."""
+
+import json
+
+from edgectl.model.evidence import Figure, Replayed, Share, Simulated, Variant
+from edgectl.model.policy import Policy
+from edgectl.model.scenario import Scenario
+from edgectl.views import json as json_view
+from edgectl.views import table, wide
+from edgectl.views.text import Look
+
+SCENARIO = Scenario(
+    name="test", assumptions=("all is well",), hosts={}, jobs=(),
+    published={"local": {"latency": (4.0,), "cpu": (99.0,)}, "utility all": {"latency": (2.0,), "cpu": (50.0, 0.0)}},
+)  # fmt: skip
+
+
+def simulated(name: str, latency: float, *cpu: float) -> Simulated:
+    others = {metric: tuple(Figure(mean=1.0) for _ in cpu) for metric in ("cpu peak", "memory", "throughput", "rate")}
+    figures = {"latency": (Figure(mean=latency, std=0.5, half=0.1),), "cpu": tuple(Figure(mean=each) for each in cpu), **others}
+    return Simulated(
+        variant=Variant(name=name, policy=Policy()), runs=5, unfinished=int(name == "local"), unplaced=0,
+        figures=figures | {"handoffs": (Figure(mean=0.2),)},
+    )  # fmt: skip
+
+
+FOUND = [simulated("local", 4.001, 90.0), simulated("utility all", 3.0, 60.0, 40.0)]
+TEXT = """\
+SCHEME       LATENCY min   CPU %  MEMORY %  FRAMES/s  HANDOFFS
+local          4.00±0.50      90         1       1.0       0.2
+  published         4.00      99         -         -         -
+  off by             +0%     -9%         -         -         -
+utility all    3.00±0.50   60/40       1/1   1.0/1.0       0.2
+  published         2.00    50/0         -         -         -
+  off by            +50%  +20%/-         -         -         -
+"""
+
+
+def test_the_published_stands_below_the_model_with_the_deviation() -> None:
+    text = table.simulated(SCENARIO, FOUND)
+    assert text.startswith(TEXT)
+    assert "Latency as a share of local execution: utility all 0.75 (published 0.50).\n" in text
+    assert "local: runs given up at the limit: 1\n" in text
+    assert text.endswith("- all is well\n")
+
+
+def test_wide_has_every_metric_and_its_deviation() -> None:
+    head = wide.simulated(SCENARIO, FOUND, Look(width=160)).splitlines()[0]
+    assert head.split() == ["SCHEME", "LATENCY", "min", "CPU", "%", "PEAK", "%", "MEMORY", "%", "MB/s", "FRAMES/s", "HANDOFFS"]
+
+
+def test_the_document_holds_figures_and_assumptions() -> None:
+    document = json.loads(json_view.simulated(SCENARIO, FOUND))
+    assert document["assumptions"] == ["all is well"]
+    scheme = document["schemes"][0]
+    assert scheme["figures"]["latency"] == [{"mean": 4.001, "std": 0.5, "half_ci95": 0.1}]
+    assert scheme["published"] == {"latency": [4], "cpu": [99]}
+
+
+def test_replayed_variants_stand_side_by_side() -> None:
+    share = Share(mean=0.5, peak=1.2)
+    value = Replayed(
+        variant=Variant(name="paper all", policy=Policy()),
+        cycles=4,
+        handoffs=6,
+        unplaced=1,
+        unsettled=2,
+        cpu=share,
+        memory=share,
+        network=share,
+    )
+    lines = table.replayed([value]).splitlines()
+    assert lines[0].split() == ["VARIANT", "HANDOFFS", "PER", "CYCLE", "UNPLACED", "CPU", "MEMORY", "NETWORK"]
+    assert lines[1].split() == ["paper", "all", "6", "1.500", "1", "50%/120%", "50%/120%", "50%/120%"]
+    assert lines[2].startswith("4 cycles; ")
+    assert json.loads(json_view.replayed([value]))["variants"][0]["cpu"] == {"mean": 0.5, "peak": 1.2}
