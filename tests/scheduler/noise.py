@@ -1,0 +1,174 @@
+"""PAPER-GAPS 2.3 as a simulation: measured loads are off by some points, and a decision is made again and again.
+
+    python -m tests.scheduler.noise
+
+prints how often tasks change hosts under each scheme, and how a load that really steps up, and stays, is answered.
+"""
+
+import random
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+
+from edgectl.gateway.smooth import smoothed
+from edgectl.model.memory import Memory, Placement
+from edgectl.model.policy import Policy, PolicyName
+from edgectl.model.snapshot import HostSample, Snapshot
+from edgectl.model.task import Tasks
+from edgectl.model.weights import PRESETS
+from edgectl.scheduler.assign import assign
+from tests.builders import GI, a_link, a_robot, a_run, a_sample, a_snapshot, a_task, an_edge, an_inventory, some_tasks
+from tests.scheduler.paper import DEMANDS, kind
+
+Points = tuple[float, float, float]
+# Percent of CPU, memory and each link that others use.
+BASE: Mapping[str, Points] = {"edge1": (12.0, 35.0, 3.0), "edge2": (10.0, 35.0, 3.0), "edge3": (11.0, 35.0, 3.0)}
+ROBOTS = ("robot1", "robot2")
+MIXED = ("detection-robot1", "detection-robot2", "navigation-robot1", "navigation-robot2")
+PERIOD_S = 10.0
+LINK = 6.75e6
+STEP = 25.0
+STEP_AT = 60
+# Which loads step up where each variant looks; nothing moves a task that is placed by its predecessors alone.
+STEPS: Mapping[str, Points] = {
+    "cpu": (STEP, 0.0, 0.0), "memory": (0.0, STEP, 0.0), "network": (0.0, 0.0, STEP), "task": (STEP, STEP, STEP),
+    "all": (STEP, STEP, STEP), "resources": (STEP, STEP, STEP),
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trial:
+    """``noise``: points by which CPU, memory and links are off, at most. ``smooth``: as ``watch`` does. ``downtime_s``: of every move
+    measured before. ``step``: points added to the first task's host from cycle ``STEP_AT`` on.
+    """
+
+    policy: Policy
+    names: tuple[str, ...] = MIXED
+    noise: Points = (8.0, 0.0, 0.0)
+    smooth: bool = False
+    cycles: int = 200
+    period_s: float = PERIOD_S
+    downtime_s: float | None = None
+    step: Points = (0.0, 0.0, 0.0)
+    seed: int = 1
+
+
+@dataclass(slots=True)
+class Site:
+    """Where everything runs and since when; ``moves`` are (cycle, task)."""
+
+    where: dict[str, str] = field(default_factory=dict)
+    since: dict[str, float] = field(default_factory=dict)
+    stays: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    moves: list[tuple[int, str]] = field(default_factory=list)
+
+    def put(self, task: str, host: str, cycle: int, now: float) -> None:
+        if self.where.get(task) == host:
+            return
+        if task in self.where:
+            self.moves.append((cycle, task))
+            self.stays[task] = (*self.stays.get(task, ()), now - self.since[task])
+        self.where[task], self.since[task] = host, now
+
+
+def work(names: Iterable[str]) -> Tasks:
+    made = []
+    for name in names:
+        cpu, memory, throughput = DEMANDS[kind(name)]
+        robot = name.rsplit("-", 1)[1]
+        made.append(a_task(name, cpu=f"{cpu}%", memory=f"{memory}%", throughput=f"{throughput}%", robots=[robot]))
+    return some_tasks(*made)
+
+
+def run(trial: Trial) -> list[tuple[int, str]]:
+    """(cycle, task) of every change of host."""
+    dice, site, tasks = random.Random(trial.seed), Site(), work(trial.names)
+    inventory = an_inventory(*map(an_edge, BASE), *map(a_robot, ROBOTS))
+    downtimes = {(task, edge): (trial.downtime_s,) * 5 for task in trial.names for edge in BASE if trial.downtime_s is not None}
+    before: Snapshot | None = None
+    stepped = ""
+    for cycle in range(trial.cycles):
+        now = cycle * trial.period_s
+        if cycle == STEP_AT:
+            stepped = site.where[trial.names[0]]
+        measured = {edge: sample(trial, site, edge, trial.step if edge == stepped else (0.0, 0.0, 0.0), dice) for edge in BASE}
+        snapshot = a_snapshot(taken_at=now, **measured)
+        before = smoothed(before, snapshot, period=trial.period_s) if trial.smooth else snapshot
+        placements = {task: Placement(host=host, since=site.since[task]) for task, host in site.where.items()}
+        memory = Memory(managed=True, placements=placements, downtimes=downtimes, stays=site.stays)
+        for decision in assign(inventory, tasks, before, memory, trial.policy, now).decisions:
+            assert decision.host is not None
+            site.put(decision.task, decision.host, cycle, now)
+    return site.moves
+
+
+def sample(trial: Trial, site: Site, edge: str, step: Points, dice: random.Random) -> HostSample:
+    """What is measured of ``edge``: what others use, what our tasks use, and an error."""
+    here = [task for task, host in site.where.items() if host == edge]
+    cpu, memory, link = (base + more for base, more in zip(BASE[edge], step, strict=True))
+    errors = [dice.uniform(-points, points) if points else 0.0 for points in (*trial.noise, trial.noise[2])]
+    tasks = {
+        task: a_run(used_cores=4.0 * DEMANDS[kind(task)][0] / 100, used_bytes=4 * GI * DEMANDS[kind(task)][1] / 100,
+                    used_bytes_per_s=LINK * DEMANDS[kind(task)][2] / 100, started_at=site.since[task])
+        for task in here
+    }  # fmt: skip
+    rates = {robot: link + sum(DEMANDS[kind(task)][2] for task in here if task.endswith(robot)) for robot in ROBOTS}
+    return a_sample(
+        used=4.0 * max(0.0, cpu + sum(DEMANDS[kind(task)][0] for task in here) + errors[0]) / 100,
+        used_memory=4 * GI * max(0.0, memory + sum(DEMANDS[kind(task)][1] for task in here) + errors[1]) / 100,
+        links={
+            robot: a_link(LINK, LINK * max(0.0, rate + error) / 100) for (robot, rate), error in zip(rates.items(), errors[2:], strict=True)
+        },
+        tasks=tasks,
+    )
+
+
+def watching(variant: str) -> Policy:
+    """The defaults, as ``watch`` uses them."""
+    return Policy(weights=PRESETS[variant], attended=False)
+
+
+def handoffs(trial: Trial) -> float:
+    """Changes of host per cycle, over all tasks."""
+    return len(run(trial)) / trial.cycles
+
+
+def steady(variant: str, **changes: object) -> Trial:
+    """Every load off by up to 8 points of 100, as ``watch`` sees and decides it."""
+    return replace(Trial(policy=watching(variant), noise=(8.0, 8.0, 8.0), smooth=True), **changes)  # type: ignore[arg-type]
+
+
+def response(variant: str, seed: int = 1) -> list[int]:
+    """In which cycles after the step the one task moved, under the same noise."""
+    trial = steady(variant, names=("slam-robot1",), step=STEPS[variant], seed=seed)
+    return [cycle - STEP_AT for cycle, _ in run(trial)]
+
+
+def main() -> None:
+    cycles, seeds = 400, range(1, 6)
+    print(
+        f"Handoffs per cycle of {len(MIXED)} tasks on 3 edges, every load off by up to 8 points; {cycles} cycles of {PERIOD_S:g} s, {len(seeds)} seeds."
+    )
+    print(
+        "Last column: a load of 25 points that comes to one task's host and stays: cycles until it is answered, and moves that it took.\n"
+    )
+    print(f"{'variant':<10}{'paper':>8}{'utility, unbraked':>20}{'margin and dwell':>18}{'as watch':>10}   answered after")
+    for variant, weights in PRESETS.items():
+        free = Policy(weights=weights, move_margin=0.0, min_dwell=0.0, max_moves=None)
+        schemes = (
+            steady(variant, policy=Policy(name=PolicyName.PAPER, weights=weights), smooth=False),
+            steady(variant, policy=free, smooth=False),
+            steady(variant, smooth=False),
+            steady(variant),
+        )
+        figures = [sum(handoffs(replace(trial, cycles=cycles, seed=seed)) for seed in seeds) / len(seeds) for trial in schemes]
+        answers = [response(variant, seed) for seed in seeds]
+        told = (
+            f"{min(a[0] for a in answers)} to {max(a[0] for a in answers)} cycles, {max(map(len, answers))} move"
+            if all(answers)
+            else "no move"
+        )
+        print(f"{variant:<10}{figures[0]:>8.2f}{figures[1]:>20.3f}{figures[2]:>18.3f}{figures[3]:>10.4f}   {told}")
+
+
+if __name__ == "__main__":
+    main()
