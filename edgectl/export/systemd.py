@@ -4,7 +4,7 @@ import re
 
 from edgectl.export.job import Job, interval, words
 
-_DEFAULT_S = 300.0
+_DEFAULT_S, _SHORTEST_S = 300.0, 1.0
 # What ends well beside 0: hosts that do not answer (4) and a busy lock (75) are for the next run; 130 is a stop in good order.
 _APPLY_ENDS, _WATCH_ENDS = "4 75 130", "4 130"
 # Takes rights away that neither edgectl nor ssh needs. Of these a user's own systemd can do the first five without more rights.
@@ -29,9 +29,7 @@ def timer_units(job: Job, *, user: bool) -> dict[str, str]:
     Raises:
         ValueError: what cannot be quoted, or an interval below a second.
     """
-    every = _DEFAULT_S if job.every_s is None else job.every_s
-    if every < 1.0:
-        raise ValueError(f"every {every:g}s is too often; write 10s or more")
+    every = _checked(_DEFAULT_S if job.every_s is None else job.every_s)
     name, title = unit_name(job), f"edgectl apply for {job.inventory}"
     service = [
         *_unit(title, user=user),
@@ -52,10 +50,10 @@ def watch_unit(job: Job, *, user: bool) -> dict[str, str]:
     """``watch --apply`` for as long as the machine runs.
 
     Raises:
-        ValueError: what cannot be quoted.
+        ValueError: what cannot be quoted, or an interval below a second.
     """
     name = f"{unit_name(job)}-watch"
-    command = ("watch", "--apply") if job.every_s is None else ("watch", "--apply", "--every", f"{job.every_s:g}s")
+    command = ("watch", "--apply") if job.every_s is None else ("watch", "--apply", "--every", f"{_checked(job.every_s):g}s")
     service = [
         *_unit(f"edgectl watch for {job.inventory}", user=user),
         "[Service]", "Type=exec",
@@ -65,6 +63,12 @@ def watch_unit(job: Job, *, user: bool) -> dict[str, str]:
         "", "[Install]", f"WantedBy={'default' if user else 'multi-user'}.target",
     ]  # fmt: skip
     return {f"{name}.service": _text(f"{name}.service", _installation(f"{name}.service", user=user), service)}
+
+
+def _checked(every_s: float) -> float:
+    if every_s < _SHORTEST_S:
+        raise ValueError(f"every {every_s:g}s is too often; write 10s or more")
+    return every_s
 
 
 def unit_name(job: Job) -> str:

@@ -70,6 +70,8 @@ def test_a_timer_and_its_service() -> None:
     assert "User" not in settings(timer_units(JOB, user=True)["edgectl-lab.service"])
     with pytest.raises(ValueError, match="too often"):
         timer_units(replace(JOB, every_s=0.5), user=False)
+    with pytest.raises(ValueError, match="too often"):
+        watch_unit(replace(JOB, every_s=0.5), user=False)
 
 
 def test_a_watch_is_started_again_but_not_where_its_files_are_wrong() -> None:
