@@ -46,9 +46,16 @@ def _run(words: list[str]) -> int:
     from edgectl.cli.console import quiet_pipes
 
     code: object = 0
+    args = spelled_out(words)
     with quiet_pipes():
         try:
-            code = get_command(build(words)).main(args=words, prog_name="edgectl", standalone_mode=False)
+            code = get_command(build(args)).main(args=args, prog_name="edgectl", standalone_mode=False)
         except SystemExit:
             raise BrokenPipeError from None  # the one exit that typer makes by itself: nobody reads its help any more
     return code if isinstance(code, int) else 0
+
+
+def spelled_out(words: Sequence[str]) -> list[str]:
+    """``top -i`` is short for ``top hosts -I``; after ``hosts``, ``-i`` names the inventory as everywhere."""
+    live = list(words[:2]) in (["top", "-i"], ["top", "-I"], ["top", "--interactive"])
+    return ["top", "hosts", "-I", *words[2:]] if live else list(words)

@@ -89,6 +89,7 @@ FailFastOption = Annotated[bool, Option("--fail-fast", help="After the first fai
 WindowOption = Annotated[str, Option("--window", metavar="TIME", help="How long use is measured.")]
 WatchOption = Annotated[bool, Option("--watch", "-w", help="Go on, until Ctrl-C.")]
 EveryOption = Annotated[str, Option("--every", metavar="TIME", help="With -w: pause between two looks.")]
+ReadonlyOption = Annotated[bool, Option("--readonly", help="With -I: no key changes anything.")]
 InteractiveOption = Annotated[bool, Option("--interactive", "-I", help="Full screen, with keys (needs edgectl[tui]).")]
 TimeoutOption = Annotated[str, Option("--timeout", metavar="TIME", help="Deadline of each host.")]
 AcceptOption = Annotated[bool, Option("--accept-new", help="Trust hosts never seen before, as OpenSSH does.")]

@@ -32,6 +32,7 @@ def top_hosts_command(
     watch: options.WatchOption = False,
     every: options.EveryOption = "2s",
     interactive: options.InteractiveOption = False,
+    readonly: options.ReadonlyOption = False,
     allow_unreachable: options.AllowOption = False,
 ) -> None:
     """Show how much of its CPU, memory and busiest link each host uses, now and over its last 60 samples, whoever took them.
@@ -46,7 +47,7 @@ def top_hosts_command(
     """
     loaded = load(inventory, tasks)
     if interactive:
-        return _interact(loaded, every)
+        return _interact(loaded, every, readonly=readonly, first="hosts")
     raise Exit(_top(loaded, "top_hosts", output, every if watch else None, allow_unreachable=allow_unreachable))
 
 
@@ -58,6 +59,7 @@ def top_tasks_command(
     watch: options.WatchOption = False,
     every: options.EveryOption = "2s",
     interactive: options.InteractiveOption = False,
+    readonly: options.ReadonlyOption = False,
     allow_unreachable: options.AllowOption = False,
 ) -> None:
     """Show how much each task uses against its demand (OFF: use minus demand), now and over its last 60 samples, whoever took them.
@@ -71,7 +73,7 @@ def top_tasks_command(
     """
     loaded = load(inventory, tasks)
     if interactive:
-        return _interact(loaded, every)
+        return _interact(loaded, every, readonly=readonly, first="tasks")
     raise Exit(_top(loaded, "top_tasks", output, every if watch else None, allow_unreachable=allow_unreachable))
 
 
@@ -134,7 +136,7 @@ def _quit(key: str) -> None:
         os.kill(os.getpid(), signal.SIGINT)
 
 
-def _interact(loaded: Loaded, every: str) -> None:
+def _interact(loaded: Loaded, every: str, *, readonly: bool, first: str) -> None:
     """The live view of edgectl[tui].
 
     Raises:
@@ -147,4 +149,4 @@ def _interact(loaded: Loaded, every: str) -> None:
         raise UsageError("standard output is not a terminal", hint="edgectl top hosts -w -o json is for programs")
     with extra("tui"):
         from edgectl.tui import run
-    run(reach(loaded), every=seconds(every, "--every"))
+    run(reach(loaded), every=seconds(every, "--every"), readonly=readonly, first=first)

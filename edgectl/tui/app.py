@@ -94,9 +94,9 @@ class Top(App[None]):
         Binding("c", "cordon", "Cordon"), Binding("question_mark", "help", "Help"), Binding("escape", "clear", show=False),
     ]  # fmt: skip
 
-    def __init__(self, work: Fleetwork, *, every: float, unicode: bool = True) -> None:
+    def __init__(self, work: Fleetwork, *, every: float, first: str = "hosts", unicode: bool = True) -> None:
         super().__init__()
-        self._work, self._every, self._unicode = work, every, unicode
+        self._work, self._every, self._first, self._unicode = work, every, first, unicode
         self._frame: Frame | None = None
         self._width = 80
         self._wanted = ""
@@ -120,7 +120,7 @@ class Top(App[None]):
     def on_mount(self) -> None:
         """Begin to look."""
         self._until_told()
-        self.query_one("#hosts").focus()
+        self._table(self._first).focus()
         threading.Thread(target=self._look, daemon=True).start()
 
     def _until_told(self) -> None:

@@ -16,10 +16,10 @@ from edgectl.views.text import look_of
 _TAIL = 200
 
 
-def run(fleet: Fleet, *, every: float = 5.0, readonly: bool = False, options: ProbeOptions | None = None) -> None:
+def run(fleet: Fleet, *, every: float = 5.0, readonly: bool = False, first: str = "hosts", options: ProbeOptions | None = None) -> None:
     """Show the fleet until q, Ctrl-C or SIGTERM; it is looked at every ``every`` seconds. ``readonly``: hosts cannot be cordoned.
 
-    Standard output must be a terminal.
+    ``first``: the table that has the keys at the beginning. Standard output must be a terminal.
     """
     app: Top
 
@@ -27,7 +27,7 @@ def run(fleet: Fleet, *, every: float = 5.0, readonly: bool = False, options: Pr
         app.post_message(Said(f"warning: {text}"))
 
     work = fleetwork(dataclasses.replace(fleet, warn=warn), readonly=readonly, options=options)
-    app = Top(work, every=every, unicode=look_of(sys.stdout).unicode)
+    app = Top(work, every=every, first=first, unicode=look_of(sys.stdout).unicode)
     app.run()
 
 

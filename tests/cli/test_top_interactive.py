@@ -1,0 +1,76 @@
+"""top -i in a terminal of its own, over real probes."""
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from edgectl.cli.main import spelled_out
+from tests.cli.conftest import Run
+from tests.cli.terminal import Terminal
+
+# The other screen of a terminal, on which the view draws, is left at the end.
+ENTERED, LEFT = "\x1b[?1049h", "\x1b[?1049l"
+TOP = [sys.executable, "-m", "edgectl", "top", "-i"]
+
+
+@pytest.fixture
+def env(tmp_path: Path) -> dict[str, str]:
+    # Names of hosts stand in one piece where nothing is coloured in between.
+    return {**os.environ, "EDGECTL_STATE_DIR": str(tmp_path / "state"), "COLUMNS": "80", "LINES": "24", "TERM": "xterm-256color"}
+
+
+def test_live_until_q(site: Path, env: dict[str, str]) -> None:
+    with Terminal([*TOP, "--readonly"], site, env=env, limit_s=90.0) as terminal:
+        terminal.until("robot3")
+        terminal.type("c")
+        terminal.until("nothing is changed")
+        terminal.type("?")
+        terminal.until("Esc closes")
+        terminal.type("q")
+        terminal.type("q")
+        assert terminal.wait() == 0
+        assert ENTERED in terminal.seen
+        assert LEFT in terminal.seen.rpartition(ENTERED)[2]
+        assert "Traceback" not in terminal.seen
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_ends_it_with_the_terminal_as_it_was(site: Path, env: dict[str, str], number: signal.Signals) -> None:
+    with Terminal(TOP, site, env=env, limit_s=90.0) as terminal:
+        terminal.until("robot3")
+        terminal.process.send_signal(number)
+        assert terminal.wait() == 0
+        assert LEFT in terminal.seen.rpartition(ENTERED)[2]
+
+
+def test_ctrl_c_ends_it(site: Path, env: dict[str, str]) -> None:
+    with Terminal(TOP, site, env=env, limit_s=90.0) as terminal:
+        terminal.until("robot3")
+        terminal.type("\x03")
+        assert terminal.wait() == 0
+
+
+def test_not_without_a_terminal_nor_without_the_extra(site: Path, env: dict[str, str], run: Run) -> None:
+    ended = run("top", "-i")
+    assert ended.code == 64
+    assert "not a terminal" in ended.err
+    code = "import sys; sys.modules['textual'] = None; from edgectl.cli.main import main; sys.exit(main(['top', '-i']))"
+    with Terminal([sys.executable, "-c", code], site, env=env) as terminal:
+        assert terminal.wait() == 64
+        assert "edgectl[tui]" in terminal.seen
+        assert "Traceback" not in terminal.seen
+
+
+def test_words_of_top() -> None:
+    assert spelled_out(["top", "-i", "-i", "x.yaml"]) == ["top", "hosts", "-I", "-i", "x.yaml"]
+    assert spelled_out(["top", "hosts", "-i", "x.yaml"]) == ["top", "hosts", "-i", "x.yaml"]
+    assert spelled_out(["top"]) == ["top"]
+
+
+def test_nothing_of_it_is_imported_before(site: Path, env: dict[str, str]) -> None:
+    code = "import sys; from edgectl.cli.main import main; main(['top', 'hosts', '-h']); sys.exit('textual' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], cwd=site, env=env, capture_output=True, check=False).returncode == 0
