@@ -14,7 +14,6 @@ from edgectl.model.inventory import Inventory
 from edgectl.model.plan import Plan, Step
 from edgectl.model.point import HostPoint, TaskPoint
 from edgectl.model.profile import ClassProfile
-from edgectl.model.profile import ClassProfile
 from edgectl.model.profiler import Profiler
 from edgectl.model.result import ActionResult, PhaseResult, Results
 from edgectl.model.revision import Revision
@@ -31,7 +30,6 @@ from edgectl.views.explanation import document as explanation_document
 from edgectl.views.listing import Change, Item, Listing
 from edgectl.views.listing import document as listing_document
 from edgectl.views.listing import line as change_document
-from edgectl.views.profile import document as profile_document
 from edgectl.views.profile import document as profile_document
 from edgectl.views.profilers import document as profilers_document
 from edgectl.views.text import PLAIN, Look
@@ -215,11 +213,6 @@ def commands(values: Iterable[Mapping[str, object]], _look: Look = PLAIN) -> str
 def nothing(_look: Look = PLAIN) -> str:
     """An apply that had nothing to do."""
     return dumps({"format_version": FORMAT_VERSION, "done": True, "actions": []})
-
-
-def profile(values: Iterable[ClassProfile], _look: Look = PLAIN) -> str:
-    """What tasks were measured to use."""
-    return dumps(profile_document(values))
 
 
 def profile(values: Iterable[ClassProfile], _look: Look = PLAIN) -> str:

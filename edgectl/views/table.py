@@ -22,7 +22,6 @@ from edgectl.views.explanation import text as explanation  # noqa: F401  (a form
 from edgectl.views.listing import more_text as listing_more  # noqa: F401
 from edgectl.views.listing import text as listing  # noqa: F401
 from edgectl.views.profile import text as profile  # noqa: F401
-from edgectl.views.profile import text as profile  # noqa: F401
 from edgectl.views.profilers import text as profilers  # noqa: F401
 from edgectl.views.reasons import left_out, reason
 from edgectl.views.sections import STYLES, closed, expected, figure, header, note_lines, notes, silent, summary

@@ -20,7 +20,6 @@ __all__ = [
     "nothing",
     "plan",
     "profile",
-    "profile",
     "profilers",
     "replayed",
     "results",
@@ -52,7 +51,6 @@ replayed = _of(json_view.replayed)
 simulated = _of(json_view.simulated)
 events = _of(json_view.events)
 explanation = _of(json_view.explanation)
-profile = _of(json_view.profile)
 profile = _of(json_view.profile)
 profilers = _of(json_view.profilers)
 diagnosis = _of(json_view.diagnosis)
