@@ -36,11 +36,24 @@ exec unshare $UNSHARE --mount --propagation private sh -ec '
     mount -t tmpfs tmpfs /var/lib
     mkdir -p /var/lib/systemd/linger
     touch /var/lib/systemd/linger/$USER_
+    mkdir -p /run/systemd/journal
+    "$PYTHON" -c "$LISTEN" /run/systemd/journal/socket "$JOURNAL" &
+    until [ -e /run/systemd/journal/socket ]; do sleep 0.05; done
     for hierarchy in $READ_ONLY; do mount -o bind $hierarchy $hierarchy; mount -o remount,bind,ro $hierarchy; done
     exec setpriv --pdeathsig KILL "$@"
 ' sh "$@"
 """
 _SOCKET = "import os,socket,sys,time;s=socket.socket(socket.AF_UNIX);os.mkdir(sys.argv[1]);s.bind(sys.argv[1]+'/private');time.sleep(3600)"
+# In place of the journal: what comes is appended to a file. It ends with the process that started it.
+_LISTEN = """
+import ctypes, os, socket, sys
+ctypes.CDLL(None).prctl(1, 9)
+end = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+end.bind(sys.argv[1])
+with open(sys.argv[2], 'ab', buffering=0) as journal:
+    while os.getppid() > 1:
+        journal.write(end.recv(1 << 20) + b'\\n')
+"""
 _FAKE = """#!/bin/sh
 # Stands in for systemd-run --user --scope: becomes the command, as that does.
 [ "$1" = --version ] && { echo "systemd 255 (a stand-in)"; exit 0; }
@@ -67,9 +80,17 @@ class UserSystemd:
 
     def units(self) -> list[str]:
         """The task scopes that systemd knows."""
-        words = ["nsenter", f"--mount=/proc/{self.pid}/ns/mnt", "env", f"XDG_RUNTIME_DIR=/run/user/{os.geteuid()}"]
-        command = ["systemctl", "--user", "list-units", "--all", "--plain", "--no-legend", "edgectl-*"]
-        return subprocess.run([*words, *command], capture_output=True, text=True, check=True, timeout=20).stdout.splitlines()
+        return self.systemctl("list-units", "--all", "--plain", "--no-legend", "edgectl-*").splitlines()
+
+    def systemctl(self, *words: str) -> str:
+        """What ``systemctl --user`` answers."""
+        inside = ["nsenter", f"--mount=/proc/{self.pid}/ns/mnt", "env", f"XDG_RUNTIME_DIR=/run/user/{os.geteuid()}"]
+        return subprocess.run([*inside, "systemctl", "--user", *words], capture_output=True, text=True, check=True, timeout=20).stdout
+
+    @property
+    def run(self) -> Path:
+        """Its /run, where transient units stand."""
+        return Path(f"/proc/{self.pid}/root/run")
 
 
 def can_be_real() -> bool:
@@ -91,7 +112,7 @@ def user_systemd(folder: Path, *, real: bool, read_only: tuple[str, ...] = ()) -
     env = {
         "PATH": os.environ["PATH"], "HOME": str(folder), "XDG_RUNTIME_DIR": f"/run/user/{uid}", "UID_": str(uid), "USER_": "root",
         "GROUPS_": " ".join(map(str, groups)), "READ_ONLY": " ".join(str(CONTROLLERS / name) for name in read_only),
-        "UNSHARE": "" if os.geteuid() == 0 else "--user --map-root-user",
+        "SYSTEMD_LOG_TARGET": "journal", "PYTHON": sys.executable, "LISTEN": _LISTEN, "JOURNAL": str(folder / "journal"), "UNSHARE": "" if os.geteuid() == 0 else "--user --map-root-user",
     }  # fmt: skip
     with (folder / "log").open("wb") as log:
         process = subprocess.Popen(["sh", "-c", _HOLD, "sh", *command], stdin=subprocess.DEVNULL, stdout=log, stderr=log, env=env)
