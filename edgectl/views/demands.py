@@ -25,7 +25,7 @@ def demands(value: Plan, look: Look = PLAIN) -> str:
         decision = step.decision
         rows += [_row(step.task, decision.host or decision.nearest or "-", decision.demand)] if decision.demand else []
         rows += [_row("", ranked.host, ranked.demand) for ranked in decision.ranking if ranked.demand and ranked.host != decision.host]
-    return "Demands:\n" + columns(rows, look) if len(rows) > 1 else ""
+    return "Demands:\n" + columns(rows, look, wrap={0, 1, 2, 3}) if len(rows) > 1 else ""
 
 
 def _row(task: str, host: str, demand: tuple[Rho, ...]) -> Row:

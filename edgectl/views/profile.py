@@ -19,7 +19,7 @@ def text(values: Iterable[ClassProfile], look: Look = PLAIN) -> str:
     rows: list[Row] = [("TASK", "CLASS", "RESOURCE", "DECLARED", "P50", "P95", "MAX", "SAMPLES", "SPAN", "HOSTS")]
     for value in values:
         rows += _rows(value)
-    return columns(rows, look, right={3, 4, 5, 6, 7, 8}) if len(rows) > 1 else _NONE
+    return columns(rows, look, right={3, 4, 5, 6, 7, 8}, wrap={0, 1, 3, 7}) if len(rows) > 1 else _NONE
 
 
 def _rows(value: ClassProfile) -> Iterator[Row]:

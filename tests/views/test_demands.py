@@ -2,12 +2,17 @@
 
 from dataclasses import replace
 
+import pytest
+
 from edgectl.executor.diff import plan_of
 from edgectl.model.memory import MeasuredDemand, Memory
 from edgectl.model.plan import Plan
 from edgectl.model.policy import Policy
+from edgectl.model.profile import ClassProfile, Profile, Spread
+from edgectl.model.task import Quantity
 from edgectl.scheduler.assign import assign
-from edgectl.views import markdown, table, wide
+from edgectl.views import markdown, table, wide, yaml
+from edgectl.views.demands import demands
 from edgectl.views.text import Look
 from tests.builders import GI, NOW, a_link, a_robot, a_sample, a_snapshot, a_task, an_edge, an_inventory, some_tasks
 
@@ -65,3 +70,26 @@ def test_long_lists_are_cut_and_fit_the_terminal() -> None:
     text = table.plan(many, Look(width=80))
     assert "and 5 more" in text
     assert max(map(len, text.splitlines())) <= 80
+
+
+def a_profile(name: str = "slam-of-the-second-robot") -> ClassProfile:
+    spread = Spread(p50=0.5, p95=123.456, most=1234.5)
+    found = Profile(samples=12, span_s=990.0, cpu=spread, memory=spread, throughput=spread)
+    task = a_task(
+        name, cpu=Quantity(value=1.2, measured=True), memory="2.5%", throughput=Quantity(value=0.0, measured=True), robots=["robot1"]
+    )
+    return ClassProfile(task=task, kind="4c-8Gi", hosts=("edge1", "edge2"), profile=found, enough=False)
+
+
+@pytest.mark.parametrize("width", [80, 160])
+def test_profiles_and_demands_pass_no_edge(width: int) -> None:
+    for text in (table.profile([a_profile()], Look(width=width)), demands(a_plan(), Look(width=width))):
+        assert max(map(len, text.splitlines())) <= width
+
+
+def test_a_profile_says_how_a_demand_is_declared() -> None:
+    rows = [line.split() for line in table.profile([a_profile()]).splitlines()]
+    assert rows[1][2:] == ["cpu", "until:", "1.20", "0.50", "123.46", "1234.50", "12", "of", "60", "16m30s", "edge1,", "edge2"]
+    assert rows[2] == ["memory", "2.5%", "0B", "123B", "1.2Ki"]
+    assert rows[3] == ["throughput", "measured", "0B/s", "123B/s", "1.2kB/s"]
+    assert yaml.profile([a_profile()]).startswith("format_version: 1\nprofiles:\n- task: slam-of-the-second-robot\n  class: 4c-8Gi\n")
