@@ -26,6 +26,9 @@ COMMANDS = {
     "apply": Entry("apply", "Schedule", "Make reality match: start, stop and move tasks."),
     "watch": Entry("watch", "Schedule", "Look, plan and, where allowed, apply again and again."),
     "status": Entry("look", "Inspect", "Show what runs where, since when, and what it uses."),
+    "describe edge": Entry("describe", "Inspect", "Say everything that is known of an edge."),
+    "describe robot": Entry("describe", "Inspect", "Say everything that is known of a robot."),
+    "describe task": Entry("describe", "Inspect", "Say everything that is known of a task."),
     "top hosts": Entry("top", "Inspect", "Show how much each host uses, now and lately."),
     "top tasks": Entry("top", "Inspect", "Show how much each task uses against its demand, now and lately."),
     "get": Entry("get", "Inspect", "List edges, robots, tasks or links; with -w, what changes."),
@@ -36,7 +39,6 @@ COMMANDS = {
     "replay": Entry("replay", "Evidence", "Decide what was recorded again, under other rules, side by side."),
     "simulate": Entry("simulate", "Evidence", "Run a mission in a model, under several schemes, several times."),
     "profile": Entry("profile", "Inspect", "Show what a task was measured to use; put it into its file."),
-    "simulate": Entry("simulate", "Evidence", "Run a mission in a model, under several schemes, several times."),
     "history": Entry("past", "Inspect", "List what was done to the fleet, by whom and how it ended."),
     "show": Entry("past", "Inspect", "Print one revision of the history, or a saved plan."),
     "rollback": Entry("past", "Fleet", "Go back to where the tasks stood after an earlier revision."),
@@ -66,7 +68,8 @@ COMMANDS = {
 }
 # First word of such names -> one line of help.
 GROUPS: dict[str, str] = {
-    "top": "Show who uses how much; with -w, live.",
+    "describe": "Say everything that is known of one edge, robot or task.",
+    "top": "Show who uses how much; with -w live, with -i full screen.",
     "profilers": "Let hosts measure all the time, so that a probe need not wait.",
     "export": "Write for other programs.",
 }

@@ -21,6 +21,7 @@ from edgectl.model.scenario import Scenario
 from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Quantity, Task, Tasks
 from edgectl.units import format_instant
+from edgectl.views import describe
 from edgectl.views.absent import Absent, absent
 from edgectl.views.diagnosis import document as diagnosis_document
 from edgectl.views.events import document as events_document
@@ -253,3 +254,15 @@ def top_hosts_line(value: Snapshot, inventory: Inventory, points: Iterable[HostP
 def top_tasks_line(value: Snapshot, inventory: Inventory, tasks: Tasks, points: Iterable[TaskPoint], _look: Look = PLAIN) -> str:
     """The same on one line."""
     return dump_line(tasks_document(value, inventory, tasks, points))
+
+
+def host_details(name: str, value: Snapshot, inventory: Inventory, _tasks: Tasks, happened: Sequence[Event], _look: Look = PLAIN) -> str:
+    """Everything that is known of a host."""
+    return dumps(describe.host_details(name, value, inventory, happened))
+
+
+def task_details(
+    name: str, value: Snapshot, inventory: Inventory, tasks: Tasks, step: Step | None, happened: Sequence[Event], _look: Look = PLAIN
+) -> str:
+    """Everything that is known of a task."""
+    return dumps(describe.task_details(name, value, inventory, tasks, step, happened))

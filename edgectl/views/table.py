@@ -10,9 +10,11 @@ from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.result import ActionResult, Outcome, PhaseResult, Results
 from edgectl.model.revision import Ending, Revision
 from edgectl.model.snapshot import HostSample, LinkSample, Snapshot, TaskSample, TaskState
-from edgectl.model.task import Quantity, Task, Tasks
+from edgectl.model.task import Task, Tasks
 from edgectl.units import format_bytes, format_cores, format_duration, format_instant, format_rate
 from edgectl.views.absent import absent, silence, standing
+from edgectl.views.describe import host as host_details  # noqa: F401
+from edgectl.views.describe import task as task_details  # noqa: F401
 from edgectl.views.diagnosis import text as diagnosis  # noqa: F401  (a form of its own module)
 from edgectl.views.events import more as events_more  # noqa: F401
 from edgectl.views.events import text as events  # noqa: F401
@@ -29,6 +31,7 @@ from edgectl.views.state import STATES, phrase, remarks
 from edgectl.views.text import PLAIN, Cell, Look, Row, columns, fits, harmless, paint
 from edgectl.views.top import hosts as top_hosts  # noqa: F401
 from edgectl.views.top import tasks as top_tasks  # noqa: F401
+from edgectl.views.use import Amounts, demanded, shown
 
 _OUTCOMES = {Outcome.DONE: "good", Outcome.FAILED: "bad", Outcome.DEFERRED: "warn", Outcome.SKIPPED: "dim"}
 
@@ -97,10 +100,10 @@ def _link(robot: str, link: LinkSample) -> str:
     return f"{robot}{share}" + (f" {link.rtt_ms:.1f}ms" if link.rtt_ms is not None else "")
 
 
-def status(value: Snapshot, _inventory: Inventory, tasks: Tasks, look: Look = PLAIN) -> str:
+def status(value: Snapshot, inventory: Inventory, tasks: Tasks, look: Look = PLAIN) -> str:
     """What runs where, since when, and what it uses against its demand; tasks that do not run, and silent hosts, too."""
     rows: list[Row] = [("TASK", "HOST", "STATE", "AGE", "CPU", "DEMAND", "MEMORY", "DEMAND", "NETWORK", "DEMAND")]
-    rows += [_task_row(value.taken_at, name, host, sample, tasks.tasks.get(name), value) for name, host, sample in found(value)]
+    rows += [_task_row(name, host, sample, tasks.tasks.get(name), inventory, value) for name, host, sample in found(value)]
     seen = {name for name, _, _ in found(value)}
     rows += [_absent_row(task, value) for task in tasks.tasks.values() if task.name not in seen]
     fitting = rows if fits([(*row[:2], TaskState.COMPLETED, *row[3:]) for row in rows], look) else _stacked(rows)  # a state may wrap
@@ -122,24 +125,21 @@ def found(value: Snapshot) -> list[tuple[str, str, TaskSample]]:
     return sorted(every, key=lambda entry: entry[:2])
 
 
-def _task_row(now: float, name: str, host: str, sample: TaskSample, task: Task | None, value: Snapshot) -> Row:
-    demand = task.demand if task else None
-    capacity = value.hosts[host]
-    cores = capacity.cpu.cores if capacity.cpu else 0.0
-    total = capacity.memory.total_bytes if capacity.memory else 0.0
+def _task_row(name: str, host: str, sample: TaskSample, task: Task | None, inventory: Inventory, value: Snapshot) -> Row:
+    demand = demanded(task, inventory.hosts.get(host), value.hosts[host], value.memory) if task else Amounts()
     state = Cell(phrase(sample), STATES[sample.state])
     alive = sample.state.alive
     return (
         Cell(name, "name"),
         host,
         state,
-        format_duration(max(0.0, now - sample.started_at)) if sample.started_at else "-",
+        format_duration(max(0.0, value.taken_at - sample.started_at)) if sample.started_at else "-",
         format_cores(sample.used_cores) if alive else "-",
-        _demanded(demand.cpu if demand else None, cores, format_cores),
+        shown(demand.cores, format_cores),
         format_bytes(sample.used_bytes) if alive else "-",
-        _demanded(demand.memory if demand else None, total, format_bytes),
+        shown(demand.bytes, format_bytes),
         format_rate(sample.used_bytes_per_s) if alive else "-",
-        _link_demand(task, capacity),
+        shown(demand.rate, format_rate),
     )
 
 
@@ -148,17 +148,6 @@ def _absent_row(task: Task, value: Snapshot) -> Row:
     known = absent(task, value)
     state = Cell(known.state + silence(known.contact, value.taken_at), "warn" if known.host else "dim")
     return (Cell(task.name, "name"), known.host or "-", state, "-", "-", "-", "-", "-", "-", "-")
-
-
-def _demanded(quantity: Quantity | None, capacity: float, show: Callable[[float], str]) -> str:
-    return show(quantity.of(capacity)) if quantity is not None else "-"
-
-
-def _link_demand(task: Task | None, host: HostSample) -> str:
-    if task is None or task.demand.throughput is None:
-        return "-"
-    links = [host.links[robot].capacity_bytes_per_s if robot in host.links else 0.0 for robot in task.robots]
-    return format_rate(sum(task.demand.throughput.of(capacity) for capacity in links)) if links else "-"
 
 
 def results(value: Results, look: Look = PLAIN) -> str:

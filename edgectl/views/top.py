@@ -1,6 +1,6 @@
 """How much of what: hosts and tasks with their use now and lately, against capacity and demand."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 
 from edgectl.formats.base import FORMAT_VERSION, Document, optional
 from edgectl.formats.snapshot import encode_host, encode_task
@@ -14,7 +14,7 @@ from edgectl.views.absent import standing
 from edgectl.views.sections import note_lines, silent
 from edgectl.views.state import STATES
 from edgectl.views.text import PLAIN, Cell, Look, Row
-from edgectl.views.use import Amounts, demanded, off, share, with_history
+from edgectl.views.use import Amounts, apart, demanded, off, share, shown, with_history
 
 _HOSTS: Row = ("NAME", "STATUS", "CPU", "MEMORY", "LINK", "TASKS")
 _HOSTS_MORE: Row = ("CORES", "BYTES", "IN", "OUT", "LOAD", "TEMPERATURE")
@@ -22,7 +22,6 @@ _TASKS: Row = ("TASK", "HOST", "CPU", "DEMAND", "OFF", "MEMORY", "NETWORK", "UP"
 _TASKS_MORE: Row = ("MEMORY DEMAND", "OFF", "NETWORK DEMAND", "OFF", "RESTARTS")
 _RIGHT = frozenset(range(2, 8))
 _RIGHT_MORE = frozenset(range(len(_TASKS), len(_TASKS) + len(_TASKS_MORE)))
-_SLACK = 1.05  # that much above its demand a task is not yet marked
 
 
 def hosts(value: Snapshot, inventory: Inventory, points: Iterable[HostPoint], look: Look = PLAIN, *, wide: bool = False) -> str:
@@ -124,9 +123,8 @@ def tasks(
     rows: list[Row] = [(*_TASKS, *_TASKS_MORE) if wide else _TASKS]
     histories: list[tuple[Sequence[float | None], float]] = []
     for name, host, sample in _running(value):
-        task = wanted.tasks.get(name)
-        demand = demanded(task, inventory.hosts.get(host), value.hosts[host], value.memory) if task else Amounts()
-        rows.append(_task(name, host, sample, task, demand, value, wide=wide))
+        demand = _demand(name, host, value, inventory, wanted)
+        rows.append(_task(name, host, sample, wanted.tasks.get(name), demand, value, wide=wide))
         used = [point.used_cores for point in past.get(name, ())]
         histories.append((used, max([demand.cores or 0.0, *used])))
     if len(rows) == 1:
@@ -135,6 +133,21 @@ def tasks(
     idle = [f"{missing} of {len(wanted.tasks)} tasks do not run: edgectl status"] if missing else []
     body = with_history(rows, histories, look, right=_RIGHT | _RIGHT_MORE if wide else _RIGHT)
     return body + note_lines([*idle, *silent(value)], look)
+
+
+def compared(value: Snapshot, inventory: Inventory, wanted: Tasks, *, on: str) -> list[Row]:
+    """The rows of the tasks that run on one host, with their head and without the host; none where nothing runs."""
+    rows: list[Row] = [
+        _task(name, host, sample, wanted.tasks.get(name), _demand(name, host, value, inventory, wanted), value, wide=False)
+        for name, host, sample in _running(value)
+        if host == on
+    ]
+    return [(row[0], *row[2:]) for row in (_TASKS, *rows)] if rows else []
+
+
+def _demand(name: str, host: str, value: Snapshot, inventory: Inventory, wanted: Tasks) -> Amounts:
+    task = wanted.tasks.get(name)
+    return demanded(task, inventory.hosts.get(host), value.hosts[host], value.memory) if task else Amounts()
 
 
 def wide_tasks(value: Snapshot, inventory: Inventory, wanted: Tasks, points: Iterable[TaskPoint], look: Look = PLAIN) -> str:
@@ -153,8 +166,8 @@ def _task(name: str, host: str, sample: TaskSample, task: Task | None, demand: A
         Cell(name, "name"),
         host,
         format_cores(sample.used_cores),
-        _shown(demand.cores, format_cores),
-        _off(difference.cores, demand.cores, format_cores),
+        shown(demand.cores, format_cores),
+        apart(difference.cores, demand.cores, format_cores),
         format_bytes(sample.used_bytes),
         format_rate(sample.used_bytes_per_s),
         format_duration(max(0.0, value.taken_at - sample.started_at)) if sample.started_at else "-",
@@ -162,8 +175,8 @@ def _task(name: str, host: str, sample: TaskSample, task: Task | None, demand: A
     )
     if not wide:
         return row
-    memory = (_shown(demand.bytes, format_bytes), _off(difference.bytes, demand.bytes, format_bytes))
-    network = (_shown(demand.rate, format_rate), _off(difference.rate, demand.rate, format_rate))
+    memory = (shown(demand.bytes, format_bytes), apart(difference.bytes, demand.bytes, format_bytes))
+    network = (shown(demand.rate, format_rate), apart(difference.rate, demand.rate, format_rate))
     return (*row, *memory, *network, str(sample.restarts))
 
 
@@ -172,20 +185,6 @@ def _ready(sample: TaskSample, task: Task | None) -> Cell:
     if sample.state is TaskState.RUNNING:
         return Cell("no", "warn") if task is not None and task.ready is not None else Cell("-")
     return Cell("yes" if sample.state is TaskState.READY else "no", STATES[sample.state])
-
-
-def _shown(value: float | None, show: Callable[[float], str]) -> str:
-    return "-" if value is None else show(value)
-
-
-def _off(value: float | None, demand: float | None, show: Callable[[float], str]) -> Cell:
-    """Signed, so that more than was asked for shows without colour."""
-    if value is None or demand is None:
-        return Cell("-")
-    text = show(abs(value))
-    zero = text == show(0.0)
-    sign = "" if zero else "+" if value > 0 else "-"
-    return Cell(sign + text, "warn" if value > demand * (_SLACK - 1) and not zero else "")
 
 
 def hosts_document(value: Snapshot, _inventory: Inventory, points: Iterable[HostPoint]) -> Document:
@@ -204,16 +203,16 @@ def _host_point(point: HostPoint) -> Document:
 def tasks_document(value: Snapshot, inventory: Inventory, wanted: Tasks, points: Iterable[TaskPoint]) -> Document:
     """The tasks that run as JSON types, each with its demand, how far it is off it (use minus demand) and its last samples."""
     past = _by_task(points)
-    items = [_task_document(name, host, sample, wanted.tasks.get(name), value, inventory, past) for name, host, sample in _running(value)]
+    items = [
+        _task_document(name, host, sample, _demand(name, host, value, inventory, wanted), past.get(name, ()))
+        for name, host, sample in _running(value)
+    ]
     return {"format_version": FORMAT_VERSION, "taken_at": format_instant(value.taken_at), "tasks": items}
 
 
-def _task_document(
-    name: str, host: str, sample: TaskSample, task: Task | None, value: Snapshot, inventory: Inventory, past: Mapping[str, list[TaskPoint]]
-) -> Document:
-    demand = demanded(task, inventory.hosts.get(host), value.hosts[host], value.memory) if task else Amounts()
-    compared = {"demand": demand.document(), "off": off(sample, demand).document()}
-    return {"name": name, "host": host, **encode_task(sample), **compared, "history": list(map(_task_point, past.get(name, ())))}
+def _task_document(name: str, host: str, sample: TaskSample, demand: Amounts, points: Iterable[TaskPoint]) -> Document:
+    measured = {"demand": demand.document(), "off": off(sample, demand).document()}
+    return {"name": name, "host": host, **encode_task(sample), **measured, "history": list(map(_task_point, points))}
 
 
 def _task_point(point: TaskPoint) -> Document:

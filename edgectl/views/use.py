@@ -1,6 +1,6 @@
 """What is used, against what there is and what was asked for."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
 from edgectl.formats.base import Document, number
@@ -15,6 +15,7 @@ from edgectl.views.text import Cell, Look, Row, columns, room_beside
 _BAR = 8
 _LEAST_BESIDE = 24
 _INDENT = 4
+_SLACK = 0.05  # so much of its demand a task may be above it before it is marked
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,6 +67,21 @@ def off(sample: TaskSample, demand: Amounts) -> Amounts:
     pairs = ((sample.used_cores, demand.cores), (sample.used_bytes, demand.bytes), (sample.used_bytes_per_s, demand.rate))
     cores, size, rate = (None if wanted is None else used - wanted for used, wanted in pairs)
     return Amounts(cores=cores, bytes=size, rate=rate)
+
+
+def shown(value: float | None, show: Callable[[float], str]) -> str:
+    """A quantity, or a dash."""
+    return "-" if value is None else show(value)
+
+
+def apart(value: float | None, demand: float | None, show: Callable[[float], str]) -> Cell:
+    """A difference from ``demand``, signed, so that more than was asked for shows without colour."""
+    if value is None or demand is None:
+        return Cell("-")
+    text = show(abs(value))
+    zero = text == show(0.0)
+    sign = "" if zero else "+" if value > 0 else "-"
+    return Cell(sign + text, "warn" if value > demand * _SLACK and not zero else "")
 
 
 def with_history(

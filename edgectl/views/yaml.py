@@ -15,6 +15,7 @@ __all__ = [
     "explanation",
     "fields",
     "history",
+    "host_details",
     "listing",
     "measured",
     "nothing",
@@ -27,6 +28,7 @@ __all__ = [
     "simulated",
     "snapshot",
     "status",
+    "task_details",
     "top_hosts",
     "top_tasks",
     "validated",
@@ -68,3 +70,5 @@ drained = _of(json_view.drained)
 listing = _of(json_view.listing)
 top_hosts = _of(json_view.top_hosts)
 top_tasks = _of(json_view.top_tasks)
+host_details = _of(json_view.host_details)
+task_details = _of(json_view.task_details)

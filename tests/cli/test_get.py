@@ -95,3 +95,14 @@ def test_top_w_draws_in_place_and_leaves_the_terminal_as_it_was(site: Path, end:
         shown, _, after = terminal.seen.rpartition("\x1b[?25h\x1b[?1049l")
         assert "robot3" in shown
         assert after.replace("\x1b[32mok\x1b[0m", "ok").splitlines()[0].split()[:2] == ["NAME", "STATUS"], "the last look stays"
+
+
+def test_describe_ends_with_the_last_events(run: Run, site: Path) -> None:
+    text = run("describe", "edge", "edge1").out
+    assert text.startswith("Name: ")
+    assert "\nCapacity:      0.30 cores, 512.0Mi (declared)\n" in text
+    assert "\nEvents:" in text
+    assert json.loads(run("describe", "robot", "robot1", "-o", "json").out)["name"] == "robot1"
+    assert "\nState:        not running\nDecision:     start: " in run("describe", "task", "detection-robot1").out
+    assert run("describe", "edge", "robot1").err.startswith("error: unknown edge 'robot1'\n")
+    assert run("describe", "task", "slam-robot9").err.startswith("error: unknown task 'slam-robot9'\nhint: did you mean slam-robot")

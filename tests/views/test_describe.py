@@ -1,0 +1,197 @@
+"""describe: golden texts at 80 and 160 columns; secrets hidden; nothing that a host says steers the terminal."""
+
+import json
+from dataclasses import replace
+
+import pytest
+import yaml
+
+from edgectl.model.event import Event, EventKind
+from edgectl.model.inventory import Capacity
+from edgectl.model.memory import Memory, Placement
+from edgectl.model.secret import Secret
+from edgectl.model.snapshot import CapacitySource, Device, HostSample, InterfaceSample, LinkSample, Snapshot, TaskState
+from edgectl.model.task import Check, Demand, Handoff, Need, Quantity, Until, Where
+from edgectl.views.form import Form, view
+from edgectl.views.text import Look
+from tests.builders import GI, NOW, a_robot, a_run, a_sample, a_snapshot, a_task, an_edge, an_inventory, silent, some_tasks
+from tests.views.fixtures import plan
+
+FLEET = an_inventory(
+    an_edge("edge1", cpu_limit=0.8, labels={"gpu": "maxwell"}, port=2222, user="jetson", prelude="source /opt/ros/noetic/setup.bash",
+            env={"ROS_DOMAIN_ID": "7", "TOKEN": Secret("canary-host")}),
+    an_edge("edge2", capacity=Capacity(cpu=2.0, memory=GI)), a_robot("robot1", onboard=True), a_robot("robot2", probe=False),
+)  # fmt: skip
+SLAM = a_task(
+    "slam-robot1", template="slam", robots=["robot1"], needs=[Need(task="pose", until=Until.RUNNING)], pin="edge1", priority=2.0,
+    command="roslaunch edge_robot slam.launch robot:=robot1 with:=a-rather-long-line-of-arguments and:=more",
+    env={"API_KEY": Secret("canary-task"), "MODE": "fast"}, demand=Demand(cpu=Quantity(value=0.5, relative=True), memory=Quantity(value=GI)),
+    ready=Check(command="rosnode info /slam"),
+    handoff=Handoff(safe_when=Check(command="at-rest", on=Where.ROBOT, timeout=5.0)),
+    self_fence=60.0,
+)  # fmt: skip
+TASKS = some_tasks(SLAM, a_task("idle"))
+LINK = LinkSample(capacity_bytes_per_s=10e6, used_bytes_per_s=4e6, rtt_ms=2.25, capacity_source=CapacitySource.MEASURED)
+RUN = a_run(started_at=NOW - 252, used_cores=2.5, used_bytes=0.5 * GI, used_bytes_per_s=2e6, restarts=1, last_exit=3, generation=7)
+MEMORY = Memory(
+    contact={"edge1": NOW - 1.5}, cordons=frozenset({"edge1"}), placements={"slam-robot1": Placement(host="edge1", since=NOW - 260)},
+    downtimes={("slam-robot1", "edge1"): (0.75, 1.25), ("slam-robot1", "edge2"): (2.0,), ("idle", "edge1"): (9.0,)},
+)  # fmt: skip
+EVENTS = (
+    Event(id=3, at=NOW - 260, kind=EventKind.TASK_STARTED, host="edge1", task="slam-robot1", message="took 0.7s"),
+    Event(id=4, at=NOW - 200, kind=EventKind.TASK_RESTARTED, host="edge1", task="slam-robot1", message="exit code 3\x1b[2J"),
+)
+
+
+def edge1() -> HostSample:
+    device = Device(load_1m=3.5, temperature_c=61.4, interfaces={"eth0": InterfaceSample(rx_bytes_per_s=1e6, tx_bytes_per_s=2e6)})
+    return replace(a_sample(used=3.6, used_memory=GI, tasks={"slam-robot1": RUN}, links={"robot1": LINK}), device=device)
+
+
+def snapshot(**hosts: HostSample) -> Snapshot:
+    return a_snapshot(**{"edge1": edge1(), "edge2": silent(), "robot1": a_sample(), **hosts}, memory=MEMORY)
+
+
+def host(name: str, form: Form = Form.TABLE, look: Look | None = None) -> str:
+    return view(form, "host_details")(name, snapshot(), FLEET, TASKS, EVENTS, look or Look())
+
+
+def task(name: str = "slam-robot1", form: Form = Form.TABLE, look: Look | None = None, value: Snapshot | None = None) -> str:
+    step = next(step for step in plan().steps if step.task == "slam-robot1")
+    return view(form, "task_details")(name, value or snapshot(), FLEET, TASKS, step, EVENTS, look or Look())
+
+
+HAPPENED = """\
+Events:
+  AT                    KIND            WHAT                  MESSAGE
+  2025-11-21T01:49:00Z  task-started    slam-robot1 on edge1  took 0.7s
+  2025-11-21T01:50:00Z  task-restarted  slam-robot1 on edge1  exit code 3\\x1b[2J
+"""
+EDGE1 = (
+    """\
+Name:          edge1
+Role:          edge
+Address:       edge1.lab
+Connection:    ssh, port 2222, user jetson
+Status:        ok, cordoned
+Last contact:  1.5s ago
+Labels:        gpu=maxwell
+Capacity:      4.00 cores, 4.0Gi (measured)
+Limits:        cpu 80%, memory 100%
+Runtime:       auto
+Prelude:       source /opt/ros/noetic/setup.bash
+Environment:   ROS_DOMAIN_ID=7, TOKEN=***
+Device:        load 3.50, temperature 61C
+Use:
+  cpu     90%!  3.60 of 4.00 cores
+  memory  25%   1.0Gi of 4.0Gi
+  robot1  40%   4.0MB/s of 10.0MB/s
+Links:
+  ROBOT   CAPACITY  SOURCE    USED     RTT
+  robot1  10.0MB/s  measured  4.0MB/s  2.2ms
+Tasks:
+  TASK         CPU   DEMAND  OFF    MEMORY   NETWORK  UP     READY
+  slam-robot1  2.50  2.00    +0.50  512.0Mi  2.0MB/s  4m12s  yes
+Interfaces:
+  NAME  IN       OUT      SPEED
+  eth0  1.0MB/s  2.0MB/s  -
+"""
+    + HAPPENED
+)
+SLAM_TEXT = (
+    """\
+Name:         slam-robot1
+Template:     slam
+Kind:         service
+Command:      roslaunch edge_robot slam.launch robot:=robot1 with:=a-rather-long-line-of-arguments and:=more
+Robots:       robot1
+Needs:        pose (running)
+Priority:     2
+Hosts:        pin edge1; onboard allow
+Ready:        'rosnode info /slam' on host within 20s
+Restart:      on-failure
+Stop:         TERM, then KILL after 20s
+Handoff:      stop-first; safe when 'at-rest' on robot within 5.0s; within 30s
+Host silent:  hold; stops itself after 1m00s
+Environment:  API_KEY=***, MODE=fast
+Placed:       edge1 since 2025-11-21T01:49:00Z
+Downtimes:    edge1: 0.8s, 1.2s; edge2: 2.0s
+Decision:     keep: still the best host
+On edge1:
+  State:       ready
+  Since:       2025-11-21T01:49:08Z (4m12s)
+  Process:     4242
+  Restarts:    1
+  Last exit:   3
+  Generation:  7
+  Instance:    instance-1
+Use on edge1:
+           USED     DEMAND  OFF
+  cpu      2.50     2.00    +0.50
+  memory   512.0Mi  1.0Gi   -512.0Mi
+  network  2.0MB/s  -       -
+"""
+    + HAPPENED
+)
+
+
+def test_an_edge_as_text() -> None:
+    assert host("edge1") == EDGE1
+    assert host("edge1", look=Look(width=160, unicode=True)) == EDGE1.replace("  90%!", "  ███████▎  90%!").replace(
+        "  25%   1", "  ██        25%   1"
+    ).replace("  40%   4", "  ███▎      40%   4")
+
+
+def test_a_task_as_text() -> None:
+    assert task() == SLAM_TEXT
+    assert task(look=Look(width=160, unicode=True)) == SLAM_TEXT
+
+
+def test_80_columns_are_enough() -> None:
+    narrow = Look(width=80, unicode=True)
+    assert max(map(len, (host("edge1", look=narrow) + task(look=narrow)).splitlines())) <= 80
+    assert "robot:=robot1\n              with:=a-rather-long-line-of-arguments and:=more\n" in task(look=narrow), "it goes on below itself"
+
+
+def test_a_silent_host_and_one_that_is_never_asked() -> None:
+    text = host("edge2")
+    assert "Status:      unreachable\nCause:       connection refused\n" in text
+    assert "Capacity:    2.00 cores, 1.0Gi (declared)\n" in text
+    assert "Status:      not probed\n" in host("robot2")
+    assert "Onboard:     a candidate for its own tasks\n" in host("robot1")
+
+
+def test_a_task_that_does_not_run_and_one_that_no_file_names() -> None:
+    assert "State:        not running\n" in task("idle")
+    stray = snapshot(robot1=a_sample(tasks={"stray": a_run(TaskState.FAILED, exit_code=2, log_tail=("Traceback", "\x1b[31mboom"))}))
+    text = task("stray", value=stray)
+    assert "Command:   not in the task files\n" in text
+    assert "Said last:\n  Traceback\n  \\x1b[31mboom\n" in text
+
+
+@pytest.mark.parametrize("form", [Form.TABLE, Form.JSON, Form.YAML])
+def test_secrets_stay_hidden(form: Form) -> None:
+    for text in (host("edge1", form), task(form=form)):
+        assert "canary" not in text
+        assert "***" in text
+
+
+def test_documents() -> None:
+    document = json.loads(host("edge1", Form.JSON))
+    assert (document["kind"], document["closed"], document["env"]["TOKEN"], document["last_contact"]) == (
+        "edge",
+        "cordoned",
+        "***",
+        "2025-11-21T01:53:18.500Z",
+    )
+    assert [event["kind"] for event in document["events"]] == ["task-started", "task-restarted"]
+    assert yaml.safe_load(host("edge1", Form.YAML)) == document
+    document = json.loads(task(form=Form.JSON))
+    assert document["runs"][0]["off"] == {"cores": 0.5, "bytes": -0.5 * GI}
+    assert document["downtimes_s"] == {"edge1": [0.75, 1.25], "edge2": [2]}
+    assert (document["decision"]["action"], document["placed"]["host"], document["spec"]["needs"]) == (
+        "keep",
+        "edge1",
+        [{"task": "pose", "until": "running"}],
+    )
+    assert yaml.safe_load(task(form=Form.YAML)) == document
