@@ -9,17 +9,18 @@ from edgectl.model.profile import ClassProfile, Spread
 from edgectl.model.task import Quantity
 from edgectl.units import format_duration
 from edgectl.views.demands import FORMATS, NAMES
-from edgectl.views.text import PLAIN, Cell, Look, Row, columns
+from edgectl.views.text import PLAIN, Cell, Look, Row, columns, fits
 
 _NONE = "No samples yet. Let the task run while edgectl probes or watches.\n"
 
 
 def text(values: Iterable[ClassProfile], look: Look = PLAIN) -> str:
-    """One line for each task, class of hosts and resource."""
+    """One line for each task, class of hosts and resource; without span and hosts where the terminal is too narrow for them."""
     rows: list[Row] = [("TASK", "CLASS", "RESOURCE", "DECLARED", "P50", "P95", "MAX", "SAMPLES", "SPAN", "HOSTS")]
     for value in values:
         rows += _rows(value)
-    return columns(rows, look, right={3, 4, 5, 6, 7, 8}, wrap={0, 1, 3, 7}) if len(rows) > 1 else _NONE
+    fitting = rows if fits(rows, look) else [row[:-2] for row in rows]  # the class says enough of the hosts, n of the span
+    return columns(fitting, look, right={3, 4, 5, 6, 7, 8}, wrap={0, 1, 3}) if len(rows) > 1 else _NONE
 
 
 def _rows(value: ClassProfile) -> Iterator[Row]:
