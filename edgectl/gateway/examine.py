@@ -63,7 +63,8 @@ def _asked(
     try:
         with contextlib.ExitStack() as stack:
             session = stack.enter_context(transport.connect(host, timeout=options.timeout))
-            document = call(session, _request(host, links, options.timeout), timeout=max(0.1, began + options.timeout - time.monotonic()))
+            left = max(0.1, began + options.timeout - time.monotonic())
+            document = call(session, _request(host, links, left), timeout=left)
         answered_at = instant + time.monotonic() - began
         return facts(document, _context(host, inventory, options, answered_at), Asked(began=instant, addresses=links))
     except HostError as error:

@@ -1,7 +1,6 @@
 """What the agent says of its host: real answers of this machine, and fixture trees for what this machine does not have."""
 
 import os
-import socket
 import sys
 import time
 from pathlib import Path
@@ -28,18 +27,16 @@ def no_ros(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_this_machine(host: AgentHost) -> None:
-    with socket.socket() as door:
-        door.bind(("127.0.0.1", 0))  # bound, not listening: whoever knocks is refused, and so answered
-        links = [
-            {"robot": "near", "address": "127.0.0.1"},
-            {"robot": "far", "address": NOWHERE},
-            {"robot": "who", "address": "no.such.host.invalid"},
-        ]
-        before = time.time()
-        answer = host.ask("doctor", links=links, prelude="", env={"ROS_DOMAIN_ID": "7"}, timeout_s=20.0)
+    links = [
+        {"robot": "near", "address": "127.0.0.1"},  # a refusal is an answer
+        {"robot": "far", "address": NOWHERE},
+        {"robot": "who", "address": "no-such-robot.invalid"},
+    ]
+    before = time.time()
+    answer = host.ask("doctor", links=links, prelude="", env={"ROS_DOMAIN_ID": "7"}, timeout_s=20.0)
     assert (answer["v"], answer["op"], answer["host"]) == (1, "doctor", "edge1")
     assert answer["python"] == sys.version.split()[0]
-    assert before - 0.01 <= answer["clock"]["began"] <= answer["clock"]["ended"] <= time.time() + 0.01
+    assert before - 1.0 <= answer["clock"]["began"] <= answer["clock"]["ended"] <= time.time() + 1.0
     assert answer["links"]["near"]["reachable"] is True
     assert (answer["links"]["far"]["reachable"], answer["links"]["far"]["found"]) == (False, True)
     assert (answer["links"]["who"]["reachable"], answer["links"]["who"]["found"]) == (None, False)

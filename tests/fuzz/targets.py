@@ -14,6 +14,7 @@ from edgectl.config.load import load
 from edgectl.errors import StateError
 from edgectl.formats import memory as memory_form
 from edgectl.gateway.decode import Context, decode
+from edgectl.gateway.facts import Asked, facts
 from edgectl.model.plan import Action
 from edgectl.model.result import ActionResult, Outcome, Results
 from edgectl.model.snapshot import LinkSample, TaskSample, TaskState
@@ -29,6 +30,7 @@ from tests.config.test_bad_documents import TEXTS
 from tests.formats.test_complete import MEMORY, PLAN
 from tests.fuzz.mutate import damaged, worn
 from tests.gateway.test_decode import a_document, a_task
+from tests.gateway.test_facts import DOCUMENT as FACTS
 
 Read = Callable[[bytes], object]
 SECRETS = INVENTORY.replace('env: {ROS_DOMAIN_ID: "7"}', "env: {KEY: {value: x, secret: true}}, env_command: [vault, read]")
@@ -59,6 +61,7 @@ def targets(directory: Path) -> Iterator[list[Target]]:
     yield [
         Target("agent document", _documents(), _as_payload),
         Target("agent frame", [b"%s " % MARK, *(_frame(text) for text in _documents())], _as_frame),
+        Target("doctor's answer", [json.dumps(FACTS).encode()], _as_facts),
         Target("snapshot", [TEXTS["snapshot"].encode()], _from_file(path, load_snapshot)),
         Target("plan", [TEXTS["plan"].encode()], _from_file(path, load_plan)),
         Target("journal", _journals(directory / "journal"), _from_file(directory / "journal.jsonl", _read_journal)),
@@ -132,6 +135,11 @@ def _as_payload(data: bytes) -> object:
 def _as_frame(data: bytes) -> object:
     document = call(_Host(data), {"op": "probe", "host": "edge1"}, timeout=1.0)
     return decode(document, Context(host=an_edge("edge1"), answered_at=NOW, robots=("robot1",)))
+
+
+def _as_facts(data: bytes) -> object:
+    document = call(_Host(_frame(data)), {"op": "doctor", "host": "edge1"}, timeout=1.0)
+    return facts(document, Context(host=an_edge("edge1"), answered_at=NOW), Asked(began=NOW, addresses={"robot1": "10.0.0.21"}))
 
 
 # -- what stands on our own disk ---------------------------------------------------------------------------------------------------------

@@ -1,0 +1,67 @@
+"""The doctor's findings as a person sees them: at 80 and 160 columns, in colour and without, and in a pipe."""
+
+import json
+
+import pytest
+import yaml
+
+from edgectl.model.finding import Diagnosis, Finding, Level
+from edgectl.views.form import Form, view
+from edgectl.views.text import Look
+
+LONG = "RemoveIPC=yes and jetson does not linger: shared memory goes with the last login, and ROS 2 falls silent"
+FOUND = Diagnosis(
+    findings=(
+        Finding(host=None, check="disk", level=Level.OK, message="10.0Gi of 28.0Gi free for /state"),
+        Finding(host="edge1", check="logind", level=Level.WARNING, message=LONG, mend="on edge1: sudo loginctl enable-linger jetson"),
+        Finding(host="edge2", check="reachability", level=Level.FAILED, message="connection \x1b[2Jrefused", mend="switch edge2 on"),
+    )
+)
+PIPED = f"""this machine
+ok    disk          10.0Gi of 28.0Gi free for /state
+
+edge1
+warn  logind        {LONG}
+                    fix: on edge1: sudo loginctl enable-linger jetson
+
+edge2
+FAIL  reachability  connection \\x1b[2Jrefused
+                    fix: switch edge2 on
+
+3 checks: 1 failed, 1 warning.
+"""
+
+
+def shown(**look: object) -> str:
+    return view(Form.TABLE, "diagnosis")(FOUND, Look(**look))  # type: ignore[arg-type]
+
+
+def test_in_a_pipe_nothing_is_cut_and_all_is_ascii() -> None:
+    assert shown() == PIPED
+    assert shown().isascii()
+
+
+@pytest.mark.parametrize("width", [80, 160])
+def test_on_a_terminal_nothing_passes_the_edge_and_nothing_is_lost(width: int) -> None:
+    lines = shown(width=width, unicode=True).splitlines()
+    assert max(map(len, lines)) <= width
+    assert [line[0] for line in lines if line[:3] in ("✓  ", "!  ", "✗  ")] == ["✓", "!", "✗"]
+    assert " ".join(" ".join(lines).split()) == " ".join(
+        PIPED.replace("ok  ", "✓ ").replace("warn ", "! ").replace("FAIL ", "✗ ").split()
+    )  # fmt: skip
+
+
+def test_colour_carries_no_meaning_of_its_own() -> None:
+    import re
+
+    coloured = shown(colour=True, unicode=True)
+    assert "\x1b[31m✗\x1b[0m" in coloured
+    assert re.sub(r"\x1b\[[0-9]+m", "", coloured) == shown(unicode=True)
+
+
+def test_the_document() -> None:
+    document = json.loads(view(Form.JSON, "diagnosis")(FOUND))
+    assert (document["format_version"], document["worst"], document["counts"]) == (1, "failed", {"ok": 1, "warning": 1, "failed": 1})
+    assert document["findings"][0] == {"host": None, "check": "disk", "level": "ok", "message": "10.0Gi of 28.0Gi free for /state"}
+    assert document["findings"][1]["mend"] == "on edge1: sudo loginctl enable-linger jetson"
+    assert yaml.safe_load(view(Form.YAML, "diagnosis")(FOUND)) == document
