@@ -9,4 +9,7 @@ def test_a_lab_and_a_hall_are_planned_at_once() -> None:
     assert hall.assign_s < 1.5
     assert hall.plan_s < 0.5
     assert hall.peak_bytes < 64 * 2**20
+    measured = measure(50, 200, history=True)
+    assert measured.assign_s < 2.5, "measured demands cost about as much again, not more"
+    assert measured.settled == hall.settled
     assert table([lab, hall]).count("\n") == 3

@@ -14,7 +14,7 @@ from edgectl.scheduler.assign import assign
 from edgectl.views import markdown, table, wide, yaml
 from edgectl.views.demands import demands
 from edgectl.views.text import Look
-from tests.builders import GI, NOW, a_link, a_robot, a_sample, a_snapshot, a_task, an_edge, an_inventory, some_tasks
+from tests.builders import GI, NOW, a_link, a_robot, a_run, a_sample, a_snapshot, a_task, an_edge, an_inventory, some_tasks
 
 LINKS = {"robot1": a_link()}
 SNAPSHOT = a_snapshot(edge1=a_sample(links=LINKS), edge2=a_sample(cores=8.0, memory=8 * GI, used_memory=6 * GI, links=LINKS))
@@ -70,6 +70,13 @@ def test_long_lists_are_cut_and_fit_the_terminal() -> None:
     text = table.plan(many, Look(width=80))
     assert "and 5 more" in text
     assert max(map(len, text.splitlines())) <= 80
+
+
+def test_status_sets_the_measured_demand_beside_the_use() -> None:
+    inventory = an_inventory(an_edge("edge1"), an_edge("edge2"), a_robot())
+    hosts = {"edge1": replace(SNAPSHOT.hosts["edge1"], tasks={"slam": a_run(used_cores=1.25)})}
+    text = table.status(replace(SNAPSHOT, hosts=hosts, memory=MEMORY), inventory, TASKS)
+    assert text.splitlines()[1].split()[4:] == ["1.25", "1.00", "0B", "100.0Mi", "0B/s", "300.0kB/s"]
 
 
 def a_profile(name: str = "slam-of-the-second-robot") -> ClassProfile:
