@@ -14,10 +14,10 @@ from edgectl.model.snapshot import HostSample, InterfaceSample, Snapshot, TaskSa
 from edgectl.model.task import Check, Task, Tasks
 from edgectl.units import format_bytes, format_cores, format_duration, format_instant, format_rate
 from edgectl.views import events as events_view
-from edgectl.views.absent import absent, silence, standing
+from edgectl.views.absent import absent, silence
 from edgectl.views.listing import host_document
 from edgectl.views.reasons import reason
-from edgectl.views.state import STATES, phrase
+from edgectl.views.state import STATES, host_status, phrase
 from edgectl.views.text import PLAIN, Cell, Look, Row, columns, paint
 from edgectl.views.top import compared
 from edgectl.views.use import Amounts, apart, demanded, off, share, shown
@@ -77,7 +77,7 @@ def _events(values: Sequence[Event], look: Look) -> str:
 def _host_fields(stated: Host, sample: HostSample | None, value: Snapshot) -> list[Field]:
     contact = value.memory.contact.get(stated.name) if value.memory else None
     found = [("Name", Cell(stated.name, "name")), ("Role", stated.role.value), ("Address", stated.host), *_connection(stated)]
-    found.append(("Status", _status(stated, sample, value)))
+    found.append(("Status", host_status(stated.name, sample, value.memory)))
     if sample is not None and not sample.ok:
         found += [("Cause", sample.error), ("Mend", sample.hint)]
     return [
@@ -99,14 +99,6 @@ def _connection(stated: Host) -> list[Field]:
     named = {"port": stated.port, "user": stated.user, "key": stated.identity_file, "through": stated.proxy_jump}
     parts = [f"{what} {text}" for what, text in named.items() if text]
     return [("Connection", ", ".join([stated.connection.value, *parts]))]
-
-
-def _status(stated: Host, sample: HostSample | None, value: Snapshot) -> Cell:
-    if sample is None:
-        return Cell("not probed")
-    closed = standing(stated.name, value.memory)
-    word = "ok" if sample.ok else "unreachable"
-    return Cell(f"{word}, {closed}" if closed else word, "bad" if not sample.ok else "warn" if closed else "good")
 
 
 def _capacity(stated: Host, sample: HostSample | None) -> str:

@@ -14,7 +14,7 @@ from edgectl.model.snapshot import HostSample, LinkSample, Snapshot, TaskSample
 from edgectl.model.task import Task, Tasks
 from edgectl.units import format_bytes, format_cores, format_duration, format_instant, format_rate
 from edgectl.views.absent import absent, silence, standing
-from edgectl.views.state import STATES, phrase
+from edgectl.views.state import STATES, host_status, phrase
 from edgectl.views.text import PLAIN, Cell, Look, Row, columns, widths_of
 
 
@@ -97,7 +97,7 @@ def _robots(value: Snapshot, inventory: Inventory, _tasks: Tasks) -> Iterator[It
 
 def _host(host: Host, value: Snapshot, extra: Row) -> Item:
     sample = value.hosts.get(host.name)
-    status, alive = _status(host, sample, value), _alive(sample)
+    status, alive = host_status(host.name, sample, value.memory), _alive(sample)
     cpu, memory = (sample.cpu, sample.memory) if sample and sample.ok else (None, None)
     said = (format_cores(cpu.cores) if cpu else "-", format_bytes(memory.total_bytes) if memory else "-", str(alive) if cpu else "-")
     labels = ",".join(f"{key}={text}" for key, text in host.labels.items()) or "-"
@@ -114,14 +114,6 @@ def _host(host: Host, value: Snapshot, extra: Row) -> Item:
         document=host_document(host, value),
         labels=host.labels,
     )
-
-
-def _status(host: Host, sample: HostSample | None, value: Snapshot) -> Cell:
-    if sample is None:
-        return Cell("not probed", "dim")
-    closed = standing(host.name, value.memory)
-    word = "ok" if sample.ok else "unreachable"
-    return Cell(f"{word}, {closed}" if closed else word, "bad" if not sample.ok else "warn" if closed else "good")
 
 
 def _alive(sample: HostSample | None) -> int:

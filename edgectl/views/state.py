@@ -1,6 +1,9 @@
 """How a task's state is told: one phrase, and below the table what a failed task said last and which limits do not hold."""
 
-from edgectl.model.snapshot import Snapshot, TaskSample, TaskState
+from edgectl.model.memory import Memory
+from edgectl.model.snapshot import HostSample, Snapshot, TaskSample, TaskState
+from edgectl.views.absent import standing
+from edgectl.views.text import Cell
 
 STATES = {
     TaskState.READY: "good", TaskState.RUNNING: "good", TaskState.STARTING: "warn", TaskState.COMPLETED: "dim",
@@ -15,6 +18,15 @@ def phrase(sample: TaskSample) -> str:
     if sample.state is TaskState.CRASHLOOP and sample.last_exit is not None:
         return f"failed ({sample.restarts} restarts, last exit {sample.last_exit})"
     return sample.state.value + (f" ({sample.detail})" if sample.detail else "")
+
+
+def host_status(name: str, sample: HostSample | None, memory: Memory | None) -> Cell:
+    """Whether a host answered, and how the operator closed it."""
+    if sample is None:
+        return Cell("not probed", "dim")
+    closed = standing(name, memory)
+    word = "ok" if sample.ok else "unreachable"
+    return Cell(f"{word}, {closed}" if closed else word, "bad" if not sample.ok else "warn" if closed else "good")
 
 
 def remarks(value: Snapshot) -> list[str]:

@@ -12,7 +12,7 @@ from edgectl.model.revision import Ending, Revision
 from edgectl.model.snapshot import HostSample, LinkSample, Snapshot, TaskSample, TaskState
 from edgectl.model.task import Task, Tasks
 from edgectl.units import format_bytes, format_cores, format_duration, format_instant, format_rate
-from edgectl.views.absent import absent, silence, standing
+from edgectl.views.absent import absent, silence
 from edgectl.views.describe import host as host_details  # noqa: F401
 from edgectl.views.describe import task as task_details  # noqa: F401
 from edgectl.views.diagnosis import text as diagnosis  # noqa: F401  (a form of its own module)
@@ -27,7 +27,7 @@ from edgectl.views.profile import text as profile  # noqa: F401
 from edgectl.views.profilers import text as profilers  # noqa: F401
 from edgectl.views.reasons import left_out, reason
 from edgectl.views.sections import STYLES, closed, expected, figure, header, note_lines, notes, silent, summary
-from edgectl.views.state import STATES, phrase, remarks
+from edgectl.views.state import STATES, host_status, phrase, remarks
 from edgectl.views.text import PLAIN, Cell, Look, Row, columns, fits, harmless, paint
 from edgectl.views.top import hosts as top_hosts  # noqa: F401
 from edgectl.views.top import tasks as top_tasks  # noqa: F401
@@ -68,26 +68,22 @@ def _next(step: Step) -> str | None:
 def snapshot(value: Snapshot, look: Look = PLAIN) -> str:
     """One line per host: what it has, what is in use, its links and tasks."""
     rows: list[Row] = [("NAME", "ROLE", "STATUS", "CPU", "MEMORY", "TASKS", "LINKS")]
-    rows += [_host_row(name, host, standing(name, value.memory)) for name, host in value.hosts.items()]
+    rows += [_host_row(name, host, value) for name, host in value.hosts.items()]
     return columns(rows, look) + note_lines(silent(value), look)
 
 
-def _host_row(name: str, host: HostSample, closed: str) -> Row:
+def _host_row(name: str, host: HostSample, value: Snapshot) -> Row:
     if not host.ok or host.cpu is None or host.memory is None:
-        return (Cell(name, "name"), host.role, Cell(_status("unreachable", closed), "bad"), "-", "-", "-", "-")
+        return (Cell(name, "name"), host.role, host_status(name, host, value.memory), "-", "-", "-", "-")
     return (
         Cell(name, "name"),
         host.role,
-        Cell(_status("ok", closed), "warn" if closed else "good"),
+        host_status(name, host, value.memory),
         _used(host.cpu.used_cores, host.cpu.cores, format_cores),
         _used(host.memory.used_bytes, host.memory.total_bytes, format_bytes),
         str(sum(task.state.alive for task in host.tasks.values())),
         ", ".join(_link(robot, link) for robot, link in host.links.items()) or "-",
     )
-
-
-def _status(word: str, closed: str) -> str:
-    return f"{word}, {closed}" if closed else word
 
 
 def _used(used: float, capacity: float, show: Callable[[float], str]) -> Cell:

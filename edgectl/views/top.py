@@ -10,9 +10,8 @@ from edgectl.model.point import HostPoint, TaskPoint
 from edgectl.model.snapshot import HostSample, Snapshot, TaskSample, TaskState
 from edgectl.model.task import Task, Tasks
 from edgectl.units import format_bytes, format_cores, format_duration, format_instant, format_rate
-from edgectl.views.absent import standing
 from edgectl.views.sections import note_lines, silent
-from edgectl.views.state import STATES
+from edgectl.views.state import STATES, host_status
 from edgectl.views.text import PLAIN, Cell, Look, Row
 from edgectl.views.use import Amounts, apart, demanded, off, share, shown, with_history
 
@@ -39,9 +38,7 @@ def wide_hosts(value: Snapshot, inventory: Inventory, points: Iterable[HostPoint
 
 
 def _host(name: str, sample: HostSample, host: Host | None, value: Snapshot, look: Look, *, wide: bool) -> Row:
-    closed = standing(name, value.memory)
-    status = ("ok" if sample.ok else "unreachable") + (f", {closed}" if closed else "")
-    first = (Cell(name, "name"), Cell(status, "bad" if not sample.ok else "warn" if closed else "good"))
+    first = (Cell(name, "name"), host_status(name, sample, value.memory))
     if not sample.ok or sample.cpu is None or sample.memory is None:
         return (*first, *["-"] * (len(_HOSTS) - 2 + (len(_HOSTS_MORE) if wide else 0)))
     cpu, memory = sample.cpu, sample.memory
