@@ -15,13 +15,15 @@ def _places(host: str) -> list:
 
 
 def folders(host: str) -> list:
-    """The seats that were ever taken, best first."""
+    """The seats that were ever taken, best first; none where somebody else could have made it."""
     found = []
     for levels in _places(host):
-        if os.path.isdir(levels[-1]):
+        try:
             for level in levels:
                 check_private(level)
-            found.append(levels[-1])
+        except OSError:
+            continue
+        found.append(levels[-1])
     return found
 
 

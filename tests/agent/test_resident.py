@@ -204,6 +204,17 @@ def test_checks_run_and_detected_tasks_are_found(profiled: Profiled) -> None:
             process.wait()
 
 
+def test_a_directory_that_others_may_write_is_not_believed(profiled: Profiled, monkeypatch: pytest.MonkeyPatch) -> None:
+    profiled.start()
+    profiled.probe()
+    monkeypatch.setattr(state, "BASES", [str(profiled.host.state)])
+    profiled.folder.chmod(0o770)
+    assert seat.sitter("edge1") is None
+    assert "resident" not in profiled.host.ask("probe", window_s=0.05)
+    profiled.folder.chmod(0o700)
+    assert seat.sitter("edge1") is not None
+
+
 def test_only_what_was_asked_for_is_read(profiled: Profiled) -> None:
     profiled.start(links=LINKS)
     profiled.probe(links=list(reversed(LINKS)))
