@@ -44,15 +44,16 @@ def export_prometheus_command(
     from edgectl.cli.reach import reach, seconds
     from edgectl.cli.serve import serve
     from edgectl.gateway.collect import ProbeOptions
-    from edgectl.usecases.scrape import Shared, picture
+    from edgectl.usecases.scrape import Shared, held, picture
 
     if textfile is not None and listen is not None:
         raise UsageError("--textfile and --listen exclude each other", hint="run edgectl twice")
     fleet = reach(load(inventory, tasks))
     how, period = ProbeOptions(timeout=seconds(timeout, "--timeout")), seconds(every, "--every")
     if listen is not None:
-        look = Shared(lambda: picture(fleet, how), every=period)
-        serve(lambda address: prometheus.server(address, look, fleet.warn), listen)
+        with held(fleet) as near:
+            look = Shared(lambda: picture(near, how), every=period)
+            serve(lambda address: prometheus.server(address, look, fleet.warn), listen)
         return
     seen = picture(fleet, how)
     if textfile is None:

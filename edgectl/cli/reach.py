@@ -11,17 +11,20 @@ from edgectl.units import parse_duration
 from edgectl.usecases.fleet import Fleet
 
 
-def reach(loaded: Loaded, *, accept_new: bool = False) -> Fleet:
-    """The fleet with a way to its hosts and its state directory. Nothing is contacted yet."""
+def reach(loaded: Loaded, *, accept_new: bool = False, asking: bool = True) -> Fleet:
+    """The fleet with a way to its hosts and its state directory. Nothing is contacted yet.
+
+    ``asking``: a person at the terminal may be asked for a password.
+    """
     from edgectl.state.paths import fleet_dir
 
-    return _fleet(loaded, fleet_dir(loaded.path), accept_new=accept_new)
+    return _fleet(loaded, fleet_dir(loaded.path), accept_new=accept_new, asking=asking)
 
 
-def _fleet(loaded: Loaded, state: Path, *, accept_new: bool = False) -> Fleet:
+def _fleet(loaded: Loaded, state: Path, *, accept_new: bool = False, asking: bool = True) -> Fleet:
     from edgectl.transport.choose import Transports
 
-    transport = Transports(accept_new=accept_new, ask_password=_ask_password if sys.stdin.isatty() else None)
+    transport = Transports(accept_new=accept_new, ask_password=_ask_password if asking and sys.stdin.isatty() else None)
     return Fleet(inventory=loaded.inventory, tasks=loaded.tasks, transport=transport, state=state, warn=warn)
 
 

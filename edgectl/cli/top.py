@@ -149,4 +149,4 @@ def _interact(loaded: Loaded, every: str, *, readonly: bool, first: str) -> None
         raise UsageError("standard output is not a terminal", hint="edgectl top hosts -w -o json is for programs")
     with extra("tui"):
         from edgectl.tui import run
-    run(reach(loaded), every=seconds(every, "--every"), readonly=readonly, first=first)
+    run(reach(loaded, asking=False), every=seconds(every, "--every"), readonly=readonly, first=first)

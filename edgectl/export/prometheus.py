@@ -1,9 +1,11 @@
 """Metrics in Prometheus' text formats, as a page and over HTTP. The one module that imports prometheus_client."""
 
 import socket
+import threading
 from collections.abc import Callable, Iterable, Iterator
 from http import HTTPStatus
 from http.server import ThreadingHTTPServer
+from typing import Any
 from urllib.parse import urlsplit
 
 from prometheus_client import MetricsHandler, generate_latest
@@ -17,6 +19,8 @@ from edgectl.export.readings import BUCKETS_S, Picture, Spread
 
 # Of a client that connects and says nothing.
 _IDLE_S = 10.0
+# Connections at once.
+MOST = 64
 
 
 def text(picture: Picture) -> str:
@@ -72,8 +76,28 @@ def server(address: tuple[str, int], look: Callable[[], Picture], warn: Callable
 
 
 class _Server(ThreadingHTTPServer):
+    """One thread per connection, and so many at most: what comes beyond them is hung up on."""
+
     daemon_threads = True
-    request_queue_size = 64
+    request_queue_size = MOST
+
+    def __init__(self, address: tuple[str, int], handler: type[MetricsHandler]) -> None:
+        self._free = threading.BoundedSemaphore(MOST)
+        super().__init__(address, handler)
+
+    def process_request(self, request: Any, client_address: Any) -> None:  # noqa: ANN401
+        """Answer in a thread of its own, where there is room for one."""
+        if self._free.acquire(blocking=False):
+            super().process_request(request, client_address)
+        else:
+            self.shutdown_request(request)
+
+    def process_request_thread(self, request: Any, client_address: Any) -> None:  # noqa: ANN401
+        """Answer, and make room again."""
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self._free.release()
 
     def handle_error(self, request: object, client_address: object) -> None:
         """Say nothing of a client that went away."""

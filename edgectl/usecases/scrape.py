@@ -1,14 +1,17 @@
 """export prometheus: a picture of the fleet for metrics, and one probe for all who ask at once."""
 
+import contextlib
 import dataclasses
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Generic, TypeVar
 
 from edgectl import __version__
 from edgectl.export.readings import Picture
 from edgectl.gateway.collect import ProbeOptions
+from edgectl.transport.patient import REFUSED_S, Patient
+from edgectl.transport.pool import SessionPool
 from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.history import history
 from edgectl.usecases.plan import plan
@@ -22,6 +25,13 @@ def picture(fleet: Fleet, options: ProbeOptions) -> Picture:
     snapshot = probe(fleet, options)
     policy = dataclasses.replace(fleet.tasks.policy, attended=False)
     return Picture(version=__version__, snapshot=snapshot, plan=plan(fleet, policy, snapshot=snapshot), revisions=history(fleet))
+
+
+@contextlib.contextmanager
+def held(fleet: Fleet) -> Iterator[Fleet]:
+    """The fleet over sessions that stay open from scrape to scrape; a host that is silent is not knocked at each time."""
+    with SessionPool(fleet.transport, forget_s=REFUSED_S) as pool:
+        yield dataclasses.replace(fleet, transport=Patient(pool))
 
 
 class Shared(Generic[Value]):

@@ -1,0 +1,59 @@
+"""The server itself, in this process."""
+
+import contextlib
+import select
+import socket
+import threading
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from http.server import ThreadingHTTPServer
+
+import pytest
+
+from edgectl.errors import StateError
+from edgectl.export.prometheus import MOST, server
+from edgectl.export.readings import Picture
+from tests.export.pictures import picture
+
+
+@contextlib.contextmanager
+def running(*, fails: bool = False) -> Iterator[tuple[ThreadingHTTPServer, list[str]]]:
+    said: list[str] = []
+
+    def look() -> Picture:
+        if fails:
+            raise StateError("the disk <is> full")
+        return picture()
+
+    made = server(("127.0.0.1", 0), look, said.append)
+    # Nothing here may depend on how fast this machine is.
+    made.RequestHandlerClass.timeout = 600.0  # type: ignore[attr-defined]
+    thread = threading.Thread(target=made.serve_forever, kwargs={"poll_interval": 0.05})
+    thread.start()
+    try:
+        yield made, said
+    finally:
+        made.shutdown()
+        thread.join(60)
+        made.server_close()
+
+
+def test_more_connections_than_there_is_room_for_are_hung_up_on() -> None:
+    with running() as (made, _), contextlib.ExitStack() as stack:
+        idle = [stack.enter_context(socket.create_connection(made.server_address[:2], timeout=60)) for _ in range(MOST)]  # type: ignore[arg-type]
+        with socket.create_connection(made.server_address[:2], timeout=60) as late:  # type: ignore[arg-type]
+            assert late.recv(1) == b""
+        assert select.select(idle, [], [], 0)[0] == [], "those before it are still served"
+        idle[0].sendall(b"GET /metrics HTTP/1.0\r\n\r\n")
+        assert idle[0].recv(15) == b"HTTP/1.0 200 OK"
+
+
+def test_a_failure_is_told_to_both_sides_and_steers_no_browser() -> None:
+    with running(fails=True) as (made, said):
+        with pytest.raises(urllib.error.HTTPError) as caught:
+            urllib.request.urlopen(f"http://127.0.0.1:{made.server_port}/metrics", timeout=60)
+        with caught.value as answer:
+            assert answer.code == 503
+            assert b"the disk &lt;is&gt; full" in answer.read()
+        assert said == ["the disk <is> full"]
