@@ -1,5 +1,5 @@
 # Every target works in a fresh clone; .ci/setup makes .venv where it is missing.
-.PHONY: demo test check setup bench faults fuzz clean
+.PHONY: demo test check setup bench faults fuzz soak clean
 PY := .venv/bin/python
 export PYTHON
 
@@ -32,6 +32,11 @@ faults: setup
 # At least 100,000 damaged inputs to every decoder together; make fuzz SEED=7 damages them otherwise.
 fuzz: setup
 	@$(PY) -m tests.fuzz --seed $(or $(SEED),1)
+
+# 10,000 cycles of watch over simulated hosts and 200 over real ones that die and return: nothing may grow. Some ten minutes.
+soak: setup
+	@.ci/need-sshd
+	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.soak
 
 clean:
 	rm -rf .venv .pytest_cache .mypy_cache .ruff_cache .hypothesis dist build

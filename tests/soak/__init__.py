@@ -1,0 +1,1 @@
+"""A watch that runs for long: nothing of it may grow."""

@@ -1,0 +1,113 @@
+"""The real loop over real sshd hosts, of which one after the other loses its power, and returns."""
+
+import os
+import tempfile
+import time
+from contextlib import closing, suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from edgectl.gateway.collect import ProbeOptions
+from edgectl.model.inventory import Inventory, Role
+from edgectl.model.plan import Action
+from edgectl.model.result import Outcome
+from edgectl.usecases.watch import WatchOptions, watch
+from tests.builders import an_inventory, some_tasks
+from tests.e2e.bench import a_mark, a_sleeper, a_slice, managing
+from tests.soak.gauge import Reading, take
+from tests.sshd import MARK, Lab, Server, running_lab
+from tests.usecases.watching import EVERY, Hands, Hurried
+
+NAMES = ("edge1", "edge2", "robot1")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rhythm:
+    """A host dies every ``period`` cycles, for ``dead``; the last ``quiet`` are quiet."""
+
+    period: int = 20
+    dead: int = 6
+    quiet: int = 14
+
+
+def fleet(lab: Lab) -> Inventory:
+    edges = [a_slice(lab.host(name)) for name in ("edge1", "edge2")]
+    links = {("edge1", "robot1"): 10e6, ("edge2", "robot1"): 10e6}
+    return an_inventory(*edges, a_slice(lab.host("robot1", role=Role.ROBOT)), links=links)
+
+
+def living(lab: Lab) -> int:
+    """Processes on the hosts: sessions of sshd, supervisors, tasks, and whatever should not be there."""
+    marks = tuple(f"{MARK}={server.directory}".encode() for server in lab.servers.values())
+    servers = {str(server.process.pid) for server in lab.servers.values() if server.process is not None}
+    found = 0
+    for path in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):
+            parent = (path / "stat").read_text(errors="replace").rpartition(")")[2].split()[1]
+            environ = (path / "environ").read_bytes().split(b"\0")
+            found += parent in servers or any(mark in environ for mark in marks)
+    return found
+
+
+class Power:
+    """Takes the hosts' power in turn: one host dies at a time, with everything that runs on it."""
+
+    def __init__(self, lab: Lab, cycles: int, rhythm: Rhythm) -> None:
+        self.lab, self.last, self.rhythm = lab, cycles - rhythm.quiet, rhythm
+        self.losses = 0
+        self.dead: Server | None = None
+
+    def strike(self, number: int) -> None:
+        """Between cycle ``number`` and the next."""
+        if self.dead is not None and (number % self.rhythm.period == self.rhythm.dead or number >= self.last):
+            self.dead.start()
+            self.dead.wait(time.monotonic() + 20)
+            self.dead = None
+        elif number % self.rhythm.period == 0 and number < self.last:
+            self.dead = self.lab[NAMES[self.losses % len(NAMES)]]
+            self.dead.stop()
+            self.losses += 1
+
+
+def soak(lab: Lab, directory: Path, cycles: int, rhythm: Rhythm = Rhythm()) -> tuple[Reading, Reading, dict[str, int]]:
+    """Readings after the first host has come back and at the end, and what happened; all tasks run once in the end, none afterwards."""
+    marks = {"first": a_mark(), "second": a_mark(), "third": a_mark()}
+    tasks = some_tasks(*(a_sleeper(name, mark, robots=("robot1",)) for name, mark in marks.items()))
+    hands, warm = Hands(), None
+    control = Hurried(hands)
+    counts = {"moves": 0, "starts": 0, "failed": 0, "errors": 0}
+    with managing(fleet(lab), directory / "manager") as bench:
+        power = Power(lab, cycles, rhythm)
+        made = replace(bench.using(*tasks.tasks.values()).fleet, clock=hands.wall, uptime=hands.uptime)
+        options = WatchOptions(every=EVERY, apply=True, cycles=cycles, control=control, probe=ProbeOptions(window=0.1, timeout=10.0))
+        with closing(watch(made, options)) as running:
+            for cycle in running:
+                for action in cycle.results.actions if cycle.results is not None else ():
+                    counts["moves"] += action.action is Action.MOVE and action.outcome is Outcome.DONE
+                    counts["starts"] += action.action is Action.START and action.outcome is Outcome.DONE
+                    counts["failed"] += action.outcome is Outcome.FAILED
+                counts["errors"] += bool(cycle.error)
+                if cycle.number == rhythm.period - 1:
+                    warm = take(lambda: living(lab))
+                if cycle.number == cycles:
+                    end = take(lambda: living(lab))
+                    assert cycle.snapshot is not None
+                    alive = [task for host in cycle.snapshot.hosts.values() for task, entry in host.tasks.items() if entry.state.alive]
+                    assert sorted(alive) == sorted(marks), alive
+                power.strike(cycle.number)
+        counts["losses"] = power.losses
+    deadline = time.monotonic() + 20
+    while living(lab) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    counts["left behind"] = living(lab)
+    assert warm is not None
+    return warm, end, counts
+
+
+def timed(cycles: int) -> tuple[float, Reading, Reading, dict[str, int]]:
+    """The same over servers of its own, with the seconds that it took."""
+    with tempfile.TemporaryDirectory(prefix="edgectl-soak-") as name, running_lab(Path(name) / "lab", NAMES) as lab:
+        os.environ.update(lab.environment)
+        began = time.monotonic()
+        warm, end, counts = soak(lab, Path(name), cycles)
+        return time.monotonic() - began, warm, end, counts
