@@ -44,7 +44,7 @@ def export_prometheus_command(
     from edgectl.cli.reach import reach, seconds
     from edgectl.cli.serve import serve
     from edgectl.gateway.collect import ProbeOptions
-    from edgectl.usecases.scrape import Shared, held, picture
+    from edgectl.usecases.scrape import Past, Shared, held, picture
 
     if textfile is not None and listen is not None:
         raise UsageError("--textfile and --listen exclude each other", hint="run edgectl twice")
@@ -52,7 +52,8 @@ def export_prometheus_command(
     how, period = ProbeOptions(timeout=seconds(timeout, "--timeout")), seconds(every, "--every")
     if listen is not None:
         with held(fleet) as near:
-            look = Shared(lambda: picture(near, how), every=period)
+            past = Past(near)
+            look = Shared(lambda: picture(near, how, past), every=period)
             serve(lambda address: prometheus.server(address, look, fleet.warn), listen)
         return
     seen = picture(fleet, how)

@@ -10,6 +10,8 @@ from typing import Generic, TypeVar
 from edgectl import __version__
 from edgectl.export.readings import Picture
 from edgectl.gateway.collect import ProbeOptions
+from edgectl.model.revision import Revision
+from edgectl.state.stamp import Stamp, stamp
 from edgectl.transport.patient import REFUSED_S, Patient
 from edgectl.transport.pool import SessionPool
 from edgectl.usecases.fleet import Fleet
@@ -20,11 +22,28 @@ from edgectl.usecases.probe import probe
 Value = TypeVar("Value")
 
 
-def picture(fleet: Fleet, options: ProbeOptions) -> Picture:
-    """Probe, decide as an unattended apply would, and read what was done before."""
+def picture(fleet: Fleet, options: ProbeOptions, past: Callable[[], tuple[Revision, ...]] | None = None) -> Picture:
+    """Probe, decide as an unattended apply would, and take what was done before from ``past``, else from the journal."""
     snapshot = probe(fleet, options)
     policy = dataclasses.replace(fleet.tasks.policy, attended=False)
-    return Picture(version=__version__, snapshot=snapshot, plan=plan(fleet, policy, snapshot=snapshot), revisions=history(fleet))
+    done = past() if past is not None else history(fleet)
+    return Picture(version=__version__, snapshot=snapshot, plan=plan(fleet, policy, snapshot=snapshot), revisions=done)
+
+
+class Past:
+    """What was done before, read again only where the journal changed: a long one takes a while. For one thread at a time."""
+
+    def __init__(self, fleet: Fleet) -> None:
+        self._fleet = fleet
+        self._stamp: Stamp | None = None
+        self._revisions: tuple[Revision, ...] = ()
+
+    def __call__(self) -> tuple[Revision, ...]:
+        """Every revision, oldest first."""
+        now = stamp(self._fleet.state)
+        if now != self._stamp:
+            self._revisions, self._stamp = history(self._fleet), now
+        return self._revisions
 
 
 @contextlib.contextmanager

@@ -1,11 +1,19 @@
 """One probe for all who ask at once."""
 
+import dataclasses
 import threading
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import pytest
 
-from edgectl.usecases.scrape import Shared
+from edgectl.gateway.collect import ProbeOptions
+from edgectl.model.policy import Policy
+from edgectl.usecases.apply import apply
+from edgectl.usecases.fleet import Fleet
+from edgectl.usecases.scrape import Past, Shared, held, picture
+from tests.builders import NOW, a_task, an_edge, an_inventory, some_tasks
+from tests.executor.fake_fleet import FakeFleet
 
 
 class Maker:
@@ -103,3 +111,26 @@ def test_who_comes_while_it_is_made_does_not_ask_again() -> None:
     later.join(60)
     assert got == [1]
     assert inside == [1]
+
+
+def test_the_past_is_read_again_only_where_it_changed(tmp_path: Path) -> None:
+    hosts, now = FakeFleet.of(["edge1", "edge2"]), [NOW]
+
+    def clock() -> float:
+        now[0] += 1.0
+        return now[0]
+
+    fleet = Fleet(
+        inventory=an_inventory(an_edge("edge1"), an_edge("edge2")), tasks=some_tasks(a_task("slam")), transport=hosts.transport,
+        state=tmp_path, clock=clock,
+    )  # fmt: skip
+    with held(fleet) as near:
+        past = Past(near)
+        assert picture(near, ProbeOptions(), past).revisions == ()
+        apply(fleet, Policy())
+        first = picture(near, ProbeOptions(), past)
+        assert [revision.number for revision in first.revisions] == [1]
+        assert picture(near, ProbeOptions(), past).revisions is first.revisions
+        apply(dataclasses.replace(fleet, tasks=some_tasks(a_task("slam"), a_task("camera"))), Policy())
+        assert [revision.number for revision in past()] == [1, 2]
+    assert first.plan.policy.attended is False
