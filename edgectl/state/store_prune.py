@@ -5,9 +5,10 @@ import sqlite3
 # Table of samples -> its first key, and the table that has every value of it: so the oldest are found without reading all.
 _SAMPLES = {"host_samples": ("host", "known_hosts"), "loads": ("link", "links"), "uses": ("start", "starts")}
 _RECORDS = {"plans": "until", "actions": "at", "events": "at"}
-# What is left after making room, so that not every hour begins with it again.
-_ROOM = 0.9
-_MOST_ROUNDS = 60
+# What is left after making room, so that not every hour begins with it again; little, because somebody waits for it.
+_ROOM = 0.98
+_LEAST_SHARE = 1 / 64
+_MOST_ROUNDS = 40
 
 
 def drop(connection: sqlite3.Connection, *, samples: float, records: float) -> None:
@@ -25,7 +26,8 @@ def shrink(connection: sqlite3.Connection, most: int) -> None:
     """Where the file holds more than ``most`` bytes, delete the oldest samples, then the oldest of the rest, and give the room back."""
     if _bytes(connection) > most:
         for _ in range(_MOST_ROUNDS):
-            if _bytes(connection) <= most * _ROOM or not _drop_oldest(connection):
+            held = _bytes(connection)
+            if held <= most * _ROOM or not _drop_oldest(connection, max(_LEAST_SHARE, 1 - most * _ROOM / held)):
                 break
     # A script, because a statement that gives rows without columns is left after the first of them, which is one page.
     connection.executescript("PRAGMA incremental_vacuum; PRAGMA wal_checkpoint(TRUNCATE);")
@@ -37,9 +39,9 @@ def _bytes(connection: sqlite3.Connection) -> int:
     return int((pages - free) * size)
 
 
-def _drop_oldest(connection: sqlite3.Connection) -> bool:
-    """Delete the first eighth of the time that samples reach over, or where there are none that records do; whether there was any."""
-    samples, records = _span(connection, _OLDEST_SAMPLES), _span(connection, _OLDEST_RECORDS)
+def _drop_oldest(connection: sqlite3.Connection, share: float) -> bool:
+    """Delete the first ``share`` of the time that samples reach over, or where there are none that records do; whether there was any."""
+    samples, records = _part(connection, _SAMPLE_SPANS, share), _part(connection, _RECORD_SPANS, share)
     if samples is None and records is None:
         return False
     never = float("-inf")
@@ -49,20 +51,20 @@ def _drop_oldest(connection: sqlite3.Connection) -> bool:
     return True
 
 
-_OLDEST_SAMPLES = " UNION ALL ".join(
+_SAMPLE_SPANS = " UNION ALL ".join(
     f"SELECT (SELECT min(at) FROM {table} WHERE {table}.{key} = {groups}.{key}) AS first,"  # noqa: S608
     f" (SELECT max(at) FROM {table} WHERE {table}.{key} = {groups}.{key}) AS last FROM {groups}"
     for table, (key, groups) in _SAMPLES.items()
 )
-_OLDEST_RECORDS = " UNION ALL ".join(f"SELECT min({at}) AS first, max({at}) AS last FROM {table}" for table, at in _RECORDS.items())  # noqa: S608
+_RECORD_SPANS = " UNION ALL ".join(f"SELECT min({at}) AS first, max({at}) AS last FROM {table}" for table, at in _RECORDS.items())  # noqa: S608
 
 
-def _span(connection: sqlite3.Connection, spans: str) -> float | None:
-    """The end of the first eighth of what ``spans`` reach over, None where there is nothing."""
+def _part(connection: sqlite3.Connection, spans: str, share: float) -> float | None:
+    """The end of the first ``share`` of what ``spans`` reach over, None where there is nothing."""
     first, last = connection.execute(f"SELECT min(first), max(last) FROM ({spans})").fetchone()  # noqa: S608
     if first is None:
         return None
-    return float(first + (last - first) / 8) if last > first else float(last) + 1.0
+    return float(first + (last - first) * share) if last > first else float(last) + 1.0
 
 
 def mark(connection: sqlite3.Connection, now: float) -> None:
