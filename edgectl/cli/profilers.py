@@ -51,7 +51,6 @@ def profilers_status_command(
 
     Examples:
         edgectl profilers status
-        edgectl profilers status edge1 -o json
     """
     from edgectl.cli.reach import reach
     from edgectl.usecases.profilers import status
@@ -71,7 +70,6 @@ def profilers_stop_command(
     """Stop the profilers and prove that they are gone. Probes measure over a window again.
 
     Examples:
-        edgectl profilers stop edge1
         edgectl profilers stop
     """
     from edgectl.cli.reach import reach
