@@ -26,8 +26,7 @@ def doctor_command(
 
     Examples:
         edgectl doctor
-        edgectl doctor edge1
-        edgectl doctor -o json
+        edgectl doctor edge1 -o json
     """
     from edgectl.cli.reach import examined, seconds
     from edgectl.usecases.doctor import doctor

@@ -29,8 +29,7 @@ def export_cron_command(
     Paths are absolute, and EDGECTL_STATE_DIR goes along: cron starts with an almost empty environment.
 
     Examples:
-        edgectl export cron
-        edgectl export cron --every 15m --out crontab.txt
+        edgectl export cron --every 15m
     """
     from edgectl.export.cron import crontab
 
@@ -56,7 +55,6 @@ def export_systemd_command(
     Comments in the units say how to install them. Unreachable hosts (4) and a busy lock (75) are no failure of the unit.
 
     Examples:
-        edgectl export systemd
         edgectl export systemd --user --every 90s --out units
         edgectl export systemd --watch
     """
