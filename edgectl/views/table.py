@@ -69,7 +69,7 @@ def snapshot(value: Snapshot, look: Look = PLAIN) -> str:
     """One line per host: what it has, what is in use, its links and tasks."""
     rows: list[Row] = [("NAME", "ROLE", "STATUS", "CPU", "MEMORY", "TASKS", "LINKS")]
     rows += [_host_row(name, host, value) for name, host in value.hosts.items()]
-    return columns(rows, look) + note_lines(silent(value), look)
+    return columns(rows, look, wrap={0, 2}) + note_lines(silent(value), look)
 
 
 def _host_row(name: str, host: HostSample, value: Snapshot) -> Row:
@@ -103,7 +103,7 @@ def status(value: Snapshot, inventory: Inventory, tasks: Tasks, look: Look = PLA
     seen = {name for name, _, _ in found(value)}
     rows += [_absent_row(task, value) for task in tasks.tasks.values() if task.name not in seen]
     fitting = rows if fits([(*row[:2], TaskState.COMPLETED, *row[3:]) for row in rows], look) else _stacked(rows)  # a state may wrap
-    return columns(fitting, look, wrap={0, 2}) + note_lines(silent(value) + closed(value) + remarks(value), look)
+    return columns(fitting, look, wrap={0, 1, 2}) + note_lines(silent(value) + closed(value) + remarks(value), look)
 
 
 def _stacked(rows: list[Row]) -> Iterator[Row]:
@@ -152,7 +152,7 @@ def results(value: Results, look: Look = PLAIN) -> str:
     done = sum(action.outcome is Outcome.DONE for action in value.actions)
     text = f"Applied {done} of {len(value.actions)} in {format_duration(value.seconds)}. Revision {value.revision}."
     stopped = " Interrupted." if value.interrupted else ""
-    return columns(rows, look) + paint(text + stopped, "bold" if value.done else "bad", look) + "\n" + hints(value.actions)
+    return columns(rows, look, wrap={1}) + paint(text + stopped, "bold" if value.done else "bad", look) + "\n" + hints(value.actions)
 
 
 def drained(passes: Iterable[Results], _left: object, _done: object, look: Look = PLAIN) -> str:
@@ -181,7 +181,7 @@ def _revision_row(value: Revision) -> Row:
 
 def revision(value: Revision, look: Look = PLAIN) -> str:
     """One revision: when, who, how, and each action with its phases."""
-    return history([value], look) + "\n" + columns([_result_row(action) for action in value.actions], look)
+    return history([value], look) + "\n" + columns([_result_row(action) for action in value.actions], look, wrap={1})
 
 
 def _result_row(action: ActionResult) -> Row:

@@ -128,13 +128,15 @@ def _fitted(widths: list[int], look: Look, wrap: Collection[int], gap: str) -> l
     if excess <= 0:
         return widths
     fitted, spare = list(widths), widths[-1] - min(widths[-1], _NARROWEST_LAST_COLUMN)
-    inner = sorted((column for column in set(wrap) if column < len(widths) - 1), key=lambda column: -widths[column])
+    inner = [column for column in set(wrap) if column < len(widths) - 1]
     if excess > spare + sum(max(0, widths[column] - _NARROWEST_COLUMN) for column in inner):
         spare = widths[-1]  # the last column goes below; only the others have to fit
-    for column in inner:
-        given = min(max(0, excess - spare), max(0, fitted[column] - _NARROWEST_COLUMN))
-        fitted[column] -= given
-        excess -= given
+    while excess > spare and inner:
+        widest = max(inner, key=lambda column: fitted[column])
+        if fitted[widest] <= _NARROWEST_COLUMN:
+            break
+        fitted[widest] -= 1
+        excess -= 1
     return [*fitted[:-1], max(0, fitted[-1] - max(0, excess))]
 
 
@@ -150,7 +152,7 @@ def _lines(row: list[Cell], widths: list[int], look: Look, right: Collection[int
     indent = sum(widths[: len(head)]) + len(gap) * len(head)
     room = widths[-1] if whole or look.width is None else look.width - indent
     aside = whole and room < min(len(last.text), _NARROWEST_LAST_COLUMN)
-    tall = [_wrapped(cell.text, widths[i]) for i, cell in enumerate(head)]
+    tall = [_wrapped(cell.text, widths[i], hyphens=True) for i, cell in enumerate(head)]
     final = [] if aside else _wrapped(last.text, room) if look.width is not None else [last.text]
     lines = []
     for number in range(max(len(texts) for texts in [*tall, final, [""]])):
@@ -158,7 +160,7 @@ def _lines(row: list[Cell], widths: list[int], look: Look, right: Collection[int
         end = _at(final, number)
         width = widths[-1] if whole and len(head) in right else len(end)
         lines.append(("".join(padded) + _padded(end, last, width, look, to_right=True)).rstrip())
-    under = _wrapped(last.text, (look.width or 0) - _BELOW) if aside else []
+    under = _wrapped(last.text, (look.width or 0) - _BELOW) if aside and last.text != "-" else []
     return lines + [" " * _BELOW + paint(text, last.style, look) for text in under if text]
 
 
@@ -172,10 +174,11 @@ def _padded(text: str, cell: Cell, width: int, look: Look, *, to_right: bool) ->
     return space + painted if to_right else painted + space
 
 
-def _wrapped(text: str, width: int) -> list[str]:
+def _wrapped(text: str, width: int, *, hyphens: bool = False) -> list[str]:
+    """Names break at hyphens; sentences do not, for options stand in them."""
     if len(text) <= width or width < 1:
         return [text]
-    return textwrap.wrap(text, width, break_on_hyphens=False) or [""]
+    return textwrap.wrap(text, width, break_on_hyphens=hyphens) or [""]
 
 
 def flowed(text: str, look: Look, indent: int = 2) -> str:

@@ -4,7 +4,7 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
 from edgectl.formats.base import Document, number
-from edgectl.model.demand import enough, host_class, resolved
+from edgectl.model.demand import enough, host_class, of_today, resolved
 from edgectl.model.inventory import Host
 from edgectl.model.memory import Memory
 from edgectl.model.snapshot import HostSample, TaskSample
@@ -15,6 +15,7 @@ from edgectl.views.text import Cell, Look, Row, columns, room_beside
 _BAR = 8
 _LEAST_BESIDE = 24
 _INDENT = 4
+_WRAPPED = frozenset({0, 1, 4})  # of hosts the name, status and link; of tasks the name and host
 _SLACK = 0.05  # so much of its demand a task may be above it before it is marked
 
 
@@ -55,7 +56,7 @@ def _demand(task: Task, host: Host | None, sample: HostSample, memory: Memory | 
     if host is None or memory is None or sample.cpu is None or sample.memory is None:
         return task.demand
     found = memory.measured.get((task.name, host_class(host, sample.cpu.cores, sample.memory.total_bytes)))
-    return resolved(task.demand, found) if found is not None and enough(found) else task.demand
+    return resolved(task.demand, found) if found is not None and enough(found) and of_today(task, found) else task.demand
 
 
 def _of(quantity: Quantity | None, capacity: float) -> float | None:
@@ -93,7 +94,7 @@ def with_history(
     """
     longest = min(SAMPLES, max((len(values) for values, _ in histories), default=0))
     if look.width is None or not longest:
-        return columns(rows, look, right=right, wrap={0, 1})
+        return columns(rows, look, right=right, wrap=_WRAPPED)
     room = room_beside(rows, look)
     beside = room >= min(longest, _LEAST_BESIDE)
     width = min(longest, room if beside else look.width - _INDENT)
@@ -101,4 +102,4 @@ def with_history(
     title = f"CPU, LAST {width} SAMPLES"
     head = title if beside and len(title) <= room else ""
     drawn = [(*rows[0], head), *((*row, line) for row, line in zip(rows[1:], lines, strict=True))]
-    return columns(drawn, look, right=right, wrap={0, 1}, below=not beside)
+    return columns(drawn, look, right=right, wrap=_WRAPPED, below=not beside)

@@ -88,7 +88,7 @@ def snapshot(value: Snapshot, look: Look = PLAIN) -> str:
     """The table form, then load, temperature, GPU, age of the sample, links in full and interfaces of each host."""
     rows: list[Row] = [("NAME", "AGE", "LOAD", "TEMPERATURE", "GPU", "LINKS", "INTERFACES")]
     rows += [_device_row(name, host) for name, host in value.hosts.items() if host.ok]
-    return table.snapshot(value, look) + "\n" + columns(rows, look, wrap={5})
+    return table.snapshot(value, look) + "\n" + columns(rows, look, wrap={0, 5})
 
 
 def measured(value: Snapshot, links: Iterable[Measurement], look: Look = PLAIN) -> str:

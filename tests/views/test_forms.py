@@ -224,3 +224,26 @@ def test_a_form_that_does_not_exist_says_which_do() -> None:
     with pytest.raises(UsageError) as caught:
         view(Form.MARKDOWN, "status")
     assert caught.value.hint == "write -o table, -o json, -o yaml, -o name"
+
+
+@pytest.mark.parametrize("width", [80, 160])
+def test_names_as_long_as_they_get_fit_too(width: int) -> None:
+    inventory, tasks, snapshot = fleet()
+    long = "jetson-xavier-nx-of-the-laboratory-in-building-b2-rack-01"
+    hosts = {long if name == "edge1" else name: host for name, host in snapshot.hosts.items()}
+    renamed = dataclasses.replace(
+        snapshot,
+        hosts={
+            name: dataclasses.replace(host, tasks={f"{task}-{long}"[:63]: run for task, run in host.tasks.items()})
+            for name, host in hosts.items()
+        },
+    )
+    look = Look(width=width)
+    shown = [
+        table.status(renamed, inventory, tasks, look),
+        table.snapshot(renamed, look),
+        view(Form.WIDE, "snapshot")(renamed, look),
+        view(Form.TABLE, "top_hosts")(renamed, inventory, (), look),
+        view(Form.TABLE, "top_tasks")(renamed, inventory, tasks, (), look),
+    ]
+    assert [line for text in shown for line in text.splitlines() if len(line) > width] == []
