@@ -35,6 +35,7 @@ def _measured(found: MeasuredDemand) -> Document:
         used_cores=number(found.cpu),
         used_bytes=number(found.memory),
         used_bytes_per_s=None if found.throughput is None else number(found.throughput),
+        spec_hash=found.spec_hash or None,
     )
 
 
@@ -84,6 +85,7 @@ def _read_measured(reader: Reader) -> MeasuredDemand:
         cpu=reader.number("used_cores"),
         memory=reader.number("used_bytes"),
         throughput=reader.maybe_number("used_bytes_per_s"),
+        spec_hash=reader.text("spec_hash", ""),
     )
 
 

@@ -5,7 +5,7 @@ from math import log2
 
 from edgectl.model.inventory import Host
 from edgectl.model.memory import MeasuredDemand
-from edgectl.model.task import Demand, Quantity
+from edgectl.model.task import Demand, Quantity, Task
 
 # So many samples, over so many seconds, make a figure.
 ENOUGH_SAMPLES, ENOUGH_SPAN_S = 60, 300.0
@@ -30,6 +30,11 @@ def _nominal(total: float) -> float:
 def enough(found: MeasuredDemand) -> bool:
     """Whether there are samples enough to trust."""
     return found.samples >= ENOUGH_SAMPLES and found.span_s >= ENOUGH_SPAN_S
+
+
+def of_today(task: Task, found: MeasuredDemand) -> bool:
+    """Whether it was measured of the task as it is specified now: the history of another command says nothing."""
+    return found.spec_hash in ("", task.spec_hash)
 
 
 def follows_history(demand: Demand) -> bool:

@@ -18,7 +18,8 @@ class Placement:
 class MeasuredDemand:
     """What one task used on one class of hosts: p95 in cores, bytes and bytes/s on each of its links, of the newest samples.
 
-    ``samples`` of them over ``span_s`` seconds. ``throughput`` is None where no traffic was seen (only TCP can be).
+    ``samples`` of them over ``span_s`` seconds. ``throughput`` is None where no traffic was seen (only TCP can be). ``spec_hash``: what
+    ran; empty: not known.
     """
 
     samples: int
@@ -26,6 +27,7 @@ class MeasuredDemand:
     cpu: float
     memory: float
     throughput: float | None = None
+    spec_hash: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

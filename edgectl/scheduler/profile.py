@@ -36,7 +36,7 @@ def percentile(ordered: Sequence[float], share: float) -> float:
     return ordered[max(0, ceil(share * len(ordered) - 1e-9) - 1)]
 
 
-def measured_demand(found: Profile) -> MeasuredDemand:
+def measured_demand(found: Profile, spec_hash: str = "") -> MeasuredDemand:
     """What counts as the demand: p95. No traffic seen is no figure, for only TCP can be seen."""
     seen = found.throughput.most > 0
     return MeasuredDemand(
@@ -45,4 +45,5 @@ def measured_demand(found: Profile) -> MeasuredDemand:
         cpu=found.cpu.p95,
         memory=found.memory.p95,
         throughput=found.throughput.p95 if seen else None,
+        spec_hash=spec_hash,
     )

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from edgectl.model.assignment import DemandSource, Resource, Rho
-from edgectl.model.demand import elsewhere, enough, host_class, resolved
+from edgectl.model.demand import elsewhere, enough, host_class, of_today, resolved
 from edgectl.model.memory import MeasuredDemand, Memory
 from edgectl.model.task import ZERO, Demand, Quantity, Task, Tasks
 from edgectl.scheduler.fleet import Fleet
@@ -17,15 +17,16 @@ def with_history(fleet: Fleet, tasks: Tasks, memory: Memory) -> Fleet:
     if not memory.measured:
         return fleet
     known: dict[str, dict[str, MeasuredDemand]] = {}
-    for (task, kind), found in memory.measured.items():
-        if task in tasks.tasks and enough(found):
+    history = {key: found for key, found in memory.measured.items() if key[0] in tasks.tasks and of_today(tasks.tasks[key[0]], found)}
+    for (task, kind), found in history.items():
+        if enough(found):
             known.setdefault(task, {})[kind] = found
     demands = {task: _by_class(tasks.tasks[task].demand, found) for task, found in known.items()}
     classes = tuple(
         host_class(host, cores, total) if cores > 0 and total > 0 else OTHER
         for host, cores, total in zip(fleet.places, fleet.raw_cpu, fleet.raw_memory, strict=True)
     )
-    return replace(fleet, classes=classes, demands=demands, history=memory.measured)
+    return replace(fleet, classes=classes, demands=demands, history=history)
 
 
 def _by_class(stated: Demand, known: dict[str, MeasuredDemand]) -> dict[str, Demand]:

@@ -30,7 +30,11 @@ def measured_demands(fleet: Fleet, snapshot: Snapshot) -> Mapping[tuple[str, str
 
     with Store.open(fleet.state, warn=fleet.warn) as store:
         classes = _grouped(_classes(fleet.inventory, snapshot) | _remembered(fleet.inventory, snapshot, store))
-        return {(task.name, kind): measured_demand(found) for task in tasks for kind, _, found in _profiles(store, task, classes)}
+        return {
+            (task.name, kind): measured_demand(found, task.spec_hash)
+            for task in tasks
+            for kind, _, found in _profiles(store, task, classes)
+        }
 
 
 def profiles(fleet: Fleet, tasks: Iterable[Task]) -> list[ClassProfile]:

@@ -123,7 +123,7 @@ memories = st.builds(
     deferred=by_name(texts),
     measured=st.dictionaries(
         st.tuples(names, names),
-        st.builds(MeasuredDemand, samples=counts, span_s=amounts, cpu=amounts, memory=amounts, throughput=maybe(amounts)),
+        st.builds(MeasuredDemand, samples=counts, span_s=amounts, cpu=amounts, memory=amounts, throughput=maybe(amounts), spec_hash=texts),
         max_size=2,
     ),
 )

@@ -56,7 +56,7 @@ HOST = HostSample(
     links={"r": LINK}, tasks={"t": TASK}, device=DEVICE, generations={"t": 9},
 )  # fmt: skip
 PLACEMENT = Placement(host="h", since=1.0, spec_hash="s", generation=2)
-MEASURED = MeasuredDemand(samples=60, span_s=300.5, cpu=0.25, memory=7.0, throughput=1.5)
+MEASURED = MeasuredDemand(samples=60, span_s=300.5, cpu=0.25, memory=7.0, throughput=1.5, spec_hash="s")
 MEMORY = Memory(
     managed=True, placements={"t": PLACEMENT}, first={"t": "h"}, cordons=frozenset({"a"}), draining=frozenset({"b"}), done={"t": "s"},
     downtimes={("t", "h"): (1.5, 2.0)}, stays={"t": (60.0, 90.5)}, contact={"h": 1.5}, fenced=frozenset({"c"}),

@@ -64,6 +64,15 @@ def test_too_few_samples_count_as_nothing(samples: int, span: float) -> None:
     assert {rho.samples for rho in found.demand} == {samples if found.host == "edge1" else 0}
 
 
+def test_the_history_of_another_command_counts_not() -> None:
+    """As when a snapshot of yesterday decides about the files of today."""
+    memory = history(small=replace(a_history(cpu=2.0), spec_hash="another"))
+    found = decisions(decide(INVENTORY, some_tasks(LEFT_OUT), SNAPSHOT, memory=memory))["slam"]
+    assert [(rho.value, rho.source, rho.samples) for rho in found.demand] == [(0.0, DemandSource.NONE, 0)] * 3
+    same = history(small=replace(a_history(cpu=2.0), spec_hash=LEFT_OUT.spec_hash))
+    assert cpu_terms(some_tasks(LEFT_OUT), same)["edge1"] == 0.5
+
+
 def test_what_is_declared_is_never_replaced() -> None:
     memory = history(small=a_history(cpu=2.0), large=a_history(cpu=5.0))
     assert cpu_terms(some_tasks(DECLARED), memory) == {"edge1": (4 - 3) / 4, "edge2": (8 - 3) / 8}

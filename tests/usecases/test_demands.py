@@ -47,7 +47,9 @@ def seen(fleet: Fleet) -> Snapshot:
 def test_p95_of_the_class_is_loaded(fleet: Fleet) -> None:
     remember(fleet)
     found = measured_demands(fleet, seen(fleet))
-    assert found == {("slam", "4c-8Gi"): MeasuredDemand(samples=100, span_s=990.0, cpu=0.95, memory=GI, throughput=1e5)}
+    assert found == {
+        ("slam", "4c-8Gi"): MeasuredDemand(samples=100, span_s=990.0, cpu=0.95, memory=GI, throughput=1e5, spec_hash=SLAM.spec_hash)
+    }
 
 
 def test_a_silent_host_counts_by_its_last_answer(fleet: Fleet) -> None:
