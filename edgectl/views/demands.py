@@ -2,16 +2,25 @@
 
 from collections.abc import Callable, Iterable, Sequence
 
+from edgectl.formats.base import Document, number
 from edgectl.model.assignment import DemandSource, Resource, Rho, Uneven
 from edgectl.model.demand import ENOUGH_SAMPLES
 from edgectl.model.plan import Plan
+from edgectl.model.task import Quantity
 from edgectl.units import format_bytes, format_cores, format_rate
 from edgectl.views.text import PLAIN, Cell, Look, Row, columns
 
 # As the task files call them.
 NAMES = {Resource.CPU: "cpu", Resource.MEMORY: "memory", Resource.NETWORK: "throughput"}
+
+
+def _cores(value: float) -> str:
+    """Small demands are told from none."""
+    return f"{value:.3f}" if 0 < value < 0.1 else format_cores(value)
+
+
 FORMATS: dict[Resource, Callable[[float], str]] = {
-    Resource.CPU: format_cores, Resource.MEMORY: format_bytes, Resource.NETWORK: format_rate,
+    Resource.CPU: _cores, Resource.MEMORY: format_bytes, Resource.NETWORK: format_rate,
 }  # fmt: skip
 _STYLES = {DemandSource.DECLARED: "", DemandSource.MEASURED: "good", DemandSource.MEASURED_ELSEWHERE: "warn", DemandSource.NONE: "warn"}
 _MEASURED = (DemandSource.MEASURED, DemandSource.MEASURED_ELSEWHERE)
@@ -53,6 +62,13 @@ def demand_notes(value: Plan) -> list[str]:
     lines = [f"demand measured (p95): {_some(measured)}"] if measured else []
     lines += [f"demand unknown, 0 until it is measured: {_some(unknown)}"] if unknown else []
     return lines + uneven_notes(value.uneven)
+
+
+def stated(quantity: Quantity | None) -> Document | None:
+    """A demand of a task file as JSON types; null where it is left out."""
+    if quantity is None:
+        return None
+    return {"value": number(quantity.value), "relative": quantity.relative, "until_measured": quantity.measured}
 
 
 def uneven_notes(found: Sequence[Uneven]) -> list[str]:

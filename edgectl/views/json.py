@@ -19,10 +19,11 @@ from edgectl.model.result import ActionResult, PhaseResult, Results
 from edgectl.model.revision import Revision
 from edgectl.model.scenario import Scenario
 from edgectl.model.snapshot import Snapshot
-from edgectl.model.task import Quantity, Task, Tasks
+from edgectl.model.task import Task, Tasks
 from edgectl.units import format_instant
 from edgectl.views import describe
 from edgectl.views.absent import Absent, absent
+from edgectl.views.demands import stated
 from edgectl.views.diagnosis import document as diagnosis_document
 from edgectl.views.events import document as events_document
 from edgectl.views.events import line as event_line
@@ -108,12 +109,8 @@ def _wanted(task: Task) -> Document:
     return {
         "robots": list(task.robots),
         "managed": task.managed,
-        "demand": {"cpu": _quantity(demand.cpu), "memory": _quantity(demand.memory), "throughput": _quantity(demand.throughput)},
+        "demand": {"cpu": stated(demand.cpu), "memory": stated(demand.memory), "throughput": stated(demand.throughput)},
     }
-
-
-def _quantity(quantity: Quantity | None) -> Document | None:
-    return None if quantity is None else {"value": number(quantity.value), "relative": quantity.relative}
 
 
 def results(value: Results, _look: Look = PLAIN) -> str:

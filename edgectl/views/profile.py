@@ -8,7 +8,7 @@ from edgectl.model.demand import ENOUGH_SAMPLES
 from edgectl.model.profile import ClassProfile, Spread
 from edgectl.model.task import Quantity
 from edgectl.units import format_duration
-from edgectl.views.demands import FORMATS, NAMES
+from edgectl.views.demands import FORMATS, NAMES, stated
 from edgectl.views.text import PLAIN, Cell, Look, Row, columns, fits
 
 _NONE = "No samples yet. Let the task run while edgectl probes or watches.\n"
@@ -69,16 +69,10 @@ def _profile(value: ClassProfile) -> Document:
         "span_s": number(value.profile.span_s),
         "enough": value.enough,
         "demand": {
-            NAMES[resource]: {"declared": _quantity(_stated(value, resource)), **_figures(spread)} for resource, spread in _spreads(value)
+            NAMES[resource]: {"declared": stated(_stated(value, resource)), **_figures(spread)} for resource, spread in _spreads(value)
         },
     }
 
 
 def _figures(spread: Spread) -> Document:
     return {"p50": number(spread.p50), "p95": number(spread.p95), "max": number(spread.most)}
-
-
-def _quantity(quantity: Quantity | None) -> Document | None:
-    if quantity is None:
-        return None
-    return {"value": number(quantity.value), "relative": quantity.relative, "until_measured": quantity.measured}
