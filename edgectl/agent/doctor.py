@@ -30,7 +30,7 @@ def doctor(request: dict) -> dict:
         "python": "%d.%d.%d" % sys.version_info[:3],
         "psutil": psutil is not None,
         "logind": login_end(),
-        "disk": disk(state.BASES[0]),
+        "disk": dict(disk(state.BASES[0]), spare=not disk(state.BASES[-1])["obstacle"]),
         "memory": device.memory(psutil),
         "links": {robot: _link(found, robot, knocks) for robot, found in addresses.items()},
         "surroundings": surroundings(seen.result()),

@@ -1,6 +1,5 @@
 """export cron and export systemd: run a fleet by itself."""
 
-import getpass
 import os
 import sys
 from collections.abc import Mapping, Sequence
@@ -97,6 +96,7 @@ def _job(inventory: Path | None, tasks: Sequence[Path] | None, every: str | None
     """The fleet as it is called now; files that are wrong are found here and not at night."""
     from edgectl.cli.reach import seconds
     from edgectl.model.inventory import Connection
+    from edgectl.state.lock import user
 
     loaded = load(inventory, tasks)
     return Job(
@@ -105,7 +105,7 @@ def _job(inventory: Path | None, tasks: Sequence[Path] | None, every: str | None
         inventory=str(inventory_file(inventory).absolute()),
         tasks=tuple(str(path.absolute()) for path in tasks or task_files(None)),
         directory=str(Path.cwd()),
-        user=getpass.getuser(),
+        user=user(),
         environment=_environment(os.environ),
         every_s=None if every is None else seconds(every, "--every"),
         local=any(host.connection is Connection.LOCAL for host in loaded.inventory.hosts.values()),

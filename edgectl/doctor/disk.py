@@ -1,5 +1,7 @@
 """Room for what edgectl keeps, here and on every host."""
 
+from shlex import quote
+
 from edgectl.model.finding import NO_DIRECTORY, Disk, Finding, Level
 from edgectl.units import format_bytes
 
@@ -12,10 +14,13 @@ def disk_finding(host: str | None, disk: Disk) -> Finding:
     """The state directory: whether it can be used, and what its file system has left."""
     where = f"on {host}: " if host else ""
     if disk.obstacle:
-        own = f"sudo mkdir -p {disk.path} && sudo chown $(id -u) {disk.path} && chmod 700 {disk.path}"
-        mend = where + (f"mv {disk.path} {disk.path}.old" if disk.obstacle == NO_DIRECTORY else own)
-        message = f"state directory {disk.path}: {disk.obstacle}"
-        return Finding(host=host, check="state", level=Level.FAILED, message=message, mend=mend)
+        path = quote(disk.path)
+        own = f"sudo mkdir -p {path} && sudo chown $(id -u) {path} && chmod 700 {path}"
+        mend = where + (f"mv {path} {path}.old" if disk.obstacle == NO_DIRECTORY else own)
+        message = f"state directory {disk.path}: {disk.obstacle}" + (
+            "; shared memory takes its place, and a reboot forgets it" if disk.spare else ""
+        )
+        return Finding(host=host, check="state", level=Level.WARNING if disk.spare else Level.FAILED, message=message, mend=mend)
     scarce = disk.free_bytes < _SCARCE_BYTES
     few = disk.files_left is not None and disk.files_left < _FEW_FILES
     level = Level.FAILED if disk.free_bytes < _FULL_BYTES or few else Level.WARNING if scarce else Level.OK

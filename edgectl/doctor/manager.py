@@ -1,5 +1,7 @@
 """Checks of the machine on which edgectl runs."""
 
+from shlex import quote
+
 from edgectl.doctor.disk import disk_finding
 from edgectl.model.finding import Finding, Level, ManagerFacts
 from edgectl.model.inventory import Connection, Inventory
@@ -17,17 +19,16 @@ def manager_findings(inventory: Inventory, facts: ManagerFacts) -> list[Finding]
 
 
 def _known_hosts(facts: ManagerFacts) -> list[Finding]:
-    broken = [
-        Finding(
-            host=None, check="known_hosts", level=Level.FAILED, message=f"{path} cannot be read: {why}",
-            mend=f"sudo chown $USER {path} && chmod 600 {path}" if why == "Permission denied" else f"move it away: mv {path} {path}.old",
-        )
-        for path, why in facts.known_hosts.items()
-        if why
-    ]  # fmt: skip
+    broken = [_unreadable(path, why) for path, why in facts.known_hosts.items() if why]
     files = ", ".join(facts.known_hosts)
     message = f"{files} can be read" if files else "there is none yet; edgectl trust HOST writes it"
     return broken or [Finding(host=None, check="known_hosts", level=Level.OK, message=message)]
+
+
+def _unreadable(path: str, why: str) -> Finding:
+    file = quote(path)
+    mend = f"sudo chown $USER {file} && chmod 600 {file}" if why == "Permission denied" else f"mv {file} {file}.old"
+    return Finding(host=None, check="known_hosts", level=Level.FAILED, message=f"{path} cannot be read: {why}", mend=mend)
 
 
 def _ssh(facts: ManagerFacts) -> Finding:

@@ -61,6 +61,7 @@ def _disk(entry: Document) -> Disk:
         total_bytes=number(entry, "total_bytes"),
         files_left=optional(entry, "files_left", whole),
         obstacle=text(entry, "obstacle"),
+        spare=flag(entry, "spare", default=False),
     )
 
 

@@ -51,7 +51,7 @@ NO_DIRECTORY = "something that is no directory stands there"
 class Disk:
     """The file system of a state directory at ``path``; ``files_left`` is None where it does not count files.
 
-    ``obstacle`` says why the directory cannot be used; empty where it can.
+    ``obstacle`` says why the directory cannot be used; empty where it can. ``spare``: shared memory takes its place until a reboot.
     """
 
     path: str
@@ -59,6 +59,7 @@ class Disk:
     total_bytes: float
     files_left: int | None = None
     obstacle: str = ""
+    spare: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -15,6 +15,7 @@ from edgectl.state.standing import standing
 from edgectl.transport.choose import Transports
 from edgectl.usecases.doctor import doctor
 from edgectl.usecases.fleet import Fleet
+from tests.agent.conftest import forget_fallback_agents
 from tests.builders import a_robot, a_task, an_inventory, some_tasks
 from tests.sshd import Lab
 
@@ -112,6 +113,22 @@ def test_ros_variables_that_differ_and_their_mend(inventory: Inventory, state: D
     assert found.mend == "in the inventory, end the prelude of edge2 with: export ROS_DOMAIN_ID=7"
     mended = replace(edge2, prelude=f"{edge2.prelude}\n{found.mend.partition('with: ')[2]}")
     assert complaints(diagnosed(changed(inventory, edge1, mended), state)) == []
+
+
+def test_a_state_directory_of_a_host_that_others_may_write_to(lab: Lab, inventory: Inventory, state: Disk) -> None:
+    """Its agent does without, from shared memory, and says so; the mend mends it."""
+    folder = lab["edge1"].home / "state" / "edgectl"
+    folder.mkdir(parents=True, exist_ok=True)
+    folder.chmod(0o777)
+    try:
+        (found,) = complaints(diagnosed(inventory, state, "edge1"))
+        assert (found.check, found.level) == ("state", Level.WARNING)
+        assert found.mend.endswith(f" && chmod 700 {folder}")
+        folder.chmod(0o700)
+        assert complaints(diagnosed(inventory, state, "edge1")) == []
+    finally:
+        folder.chmod(0o700)
+        forget_fallback_agents()
 
 
 def test_a_prelude_that_fails(inventory: Inventory, state: Disk) -> None:
