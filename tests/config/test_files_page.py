@@ -104,6 +104,7 @@ def test_keys_of_a_snapshot_are_complete() -> None:
         memory=host.memory,
         tasks={"t": everything},
         generations={"t": 2},
+        resident=True,
         device=device,
     )
     document = snapshot_format.encode(type(SNAPSHOT)(taken_at=0.0, hosts={"h": sample}, memory=SNAPSHOT.memory))
