@@ -30,7 +30,6 @@ def describe_edge_command(
 
     Examples:
         edgectl describe edge edge1
-        edgectl describe edge edge1 -o json
     """
     loaded = load(inventory, tasks)
     _host("edge", name, loaded.inventory.edges, loaded, output, allow_unreachable=allow_unreachable)
@@ -79,7 +78,6 @@ def describe_task_command(
     Secrets show as ***. "Decision" is what a plan would do now.
 
     Examples:
-        edgectl describe task slam-robot1
         edgectl describe task slam-robot1 -o yaml
     """
     from edgectl.cli.reach import reach

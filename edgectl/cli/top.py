@@ -67,7 +67,6 @@ def top_tasks_command(
     On a pipe there are numbers only; -w -o json is one object per line.
 
     Examples:
-        edgectl top tasks
         edgectl top tasks -o wide
         edgectl top tasks -w
     """

@@ -88,7 +88,7 @@ def serve(words: list[str], site: Path, env: dict[str, str]) -> int:
         return process.wait(30)
 
 
-@pytest.mark.timeout(180)
+@pytest.mark.timeout(600)  # a hundred commands; a busy machine takes minutes
 def test_every_example_runs(tmp_path: Path) -> None:
     env = {**os.environ, "EDGECTL_STATE_DIR": str(tmp_path / "state"), "COLUMNS": "80", "TERM": "xterm"}
     site = tmp_path / "demo"
