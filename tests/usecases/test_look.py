@@ -1,0 +1,81 @@
+"""Looking again and again: one session per host, hosts that come and go, and a history that grows with each look."""
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+
+from edgectl.model.event import EventKind
+from edgectl.model.inventory import Host
+from edgectl.model.task import Task
+from edgectl.transport.base import Session, Transport
+from edgectl.usecases.fleet import Fleet
+from edgectl.usecases.look import host_history, last_events, looks, task_history
+from tests.builders import NOW, a_robot, a_task, an_edge, an_inventory, some_tasks
+from tests.executor.fake_fleet import FakeFleet
+
+
+class Counting:
+    """Counts connections."""
+
+    def __init__(self, transport: Transport) -> None:
+        self._transport = transport
+        self.opened: list[str] = []
+
+    def connect(self, host: Host, *, timeout: float) -> Session:
+        self.opened.append(host.name)
+        return self._transport.connect(host, timeout=timeout)
+
+    def address(self, host: Host) -> str:
+        return self._transport.address(host)
+
+
+class Bench:
+    """Two edges and a robot; slam runs on edge1. Each look is a second after the one before."""
+
+    def __init__(self, state: Path, *tasks: Task) -> None:
+        self.hosts = FakeFleet.of(["edge1", "edge2", "robot1"])
+        self.hosts["edge1"].runs("slam")
+        self.transport = Counting(self.hosts.transport)
+        self.now = NOW
+        self.fleet = Fleet(
+            inventory=an_inventory(an_edge("edge1"), an_edge("edge2"), a_robot("robot1")), tasks=some_tasks(*tasks),
+            transport=self.transport, state=state, clock=lambda: self.now,
+        )  # fmt: skip
+
+    def looks(self, count: int, before: Callable[[int], None] = lambda number: None) -> list[dict[str, bool]]:
+        """Which hosts answered at each of ``count`` looks; ``before`` is called between two."""
+        left = iter(range(1, count))
+
+        def told() -> bool:
+            number = next(left, None)
+            if number is None:
+                return True
+            self.now += 1.0
+            before(number)
+            return False
+
+        return [{name: host.ok for name, host in snapshot.hosts.items()} for snapshot in looks(self.fleet, told)]
+
+
+def test_sessions_stay_open_and_every_look_is_remembered(tmp_path: Path) -> None:
+    bench = Bench(tmp_path, a_task("slam"))
+    assert bench.looks(4) == [{"edge1": True, "edge2": True, "robot1": True}] * 4
+    assert sorted(bench.transport.opened) == ["edge1", "edge2", "robot1"]
+    assert [point.at - NOW for point in host_history(bench.fleet, 3) if point.host == "edge1"] == [1.0, 2.0, 3.0]
+    assert [point.at - NOW for point in task_history(bench.fleet, 60)] == [0.0, 1.0, 2.0, 3.0]
+
+
+def test_a_host_that_goes_away_and_comes_back_is_told(tmp_path: Path) -> None:
+    bench = Bench(tmp_path, a_task("slam"))
+    steps = {2: lambda: bench.hosts.down.add("edge2"), 3: bench.hosts.down.clear}
+    seen = bench.looks(4, lambda number: steps.get(number, lambda: None)())
+    assert [look["edge2"] for look in seen] == [True, True, False, True]
+    assert all(look["edge1"] for look in seen)
+    assert [event.kind for event in last_events(bench.fleet, 10, host="edge2")] == [EventKind.HOST_LOST, EventKind.HOST_BACK]
+    assert [point.used_cores is None for point in host_history(bench.fleet, 60) if point.host == "edge2"] == [False, False, True, False]
+
+
+def test_there_is_nothing_to_look_back_on_at_first(tmp_path: Path) -> None:
+    fleet = dataclasses.replace(Bench(tmp_path).fleet, state=tmp_path / "new")
+    (tmp_path / "new").mkdir(mode=0o700)
+    assert (host_history(fleet, 60), task_history(fleet, 60), last_events(fleet, 10, host="edge1")) == ((), (), ())
