@@ -28,7 +28,7 @@ def refreshing(inventory: Path | None, tasks: Sequence[Path] | None, *, accept_n
             return None
         seen = now
         try:
-            fleet = reach(_read(inventory, tasks), accept_new=accept_new)
+            fleet = reach(_read(inventory, tasks), accept_new=accept_new, asking=False)
         except EdgectlError as error:
             broken = error
             raise

@@ -64,8 +64,17 @@ def watch_command(
 
     refresh = refreshing(inventory, tasks, accept_new=accept_new)
     loaded, control = load(inventory, tasks), Control()
-    fleet = reach(loaded, accept_new=accept_new)
-    given = WatchOptions(every=pause, apply=apply, cycles=cycles, max_parallel=max_parallel, policy=how, refresh=refresh, control=control)
+    fleet = reach(loaded, accept_new=accept_new, asking=False)
+    given = WatchOptions(
+        every=pause,
+        apply=apply,
+        cycles=cycles,
+        max_parallel=max_parallel,
+        debug=bool(os.environ.get("EDGECTL_DEBUG")),
+        policy=how,
+        refresh=refresh,
+        control=control,
+    )
     last: Cycle | None = None
     with _obeying(control) as signals, _showing(output, loaded.path.stem, how(fleet), control, apply=apply) as show:
         for last in _closing(watch(fleet, given)):

@@ -54,6 +54,7 @@ class WatchOptions:
     """``every``: s from the beginning of a cycle to that of the next. ``apply``: carry plans out. ``cycles``: end after so many.
 
     ``policy``: how to decide for a fleet; nobody looks at these plans, so ``max_moves`` acts.
+    ``debug``: a bug ends the loop, instead of its cycle alone.
     ``refresh``: a new fleet where its files changed, else None; an EdgectlError where they are broken, and the old ones are used.
     """
 
@@ -61,6 +62,7 @@ class WatchOptions:
     apply: bool = False
     cycles: int | None = None
     max_parallel: int = 16
+    debug: bool = False
     probe: ProbeOptions = field(default_factory=lambda: ProbeOptions(timeout=_PROBE_S))
     policy: Callable[[Fleet], Policy] = stated
     refresh: Callable[[], Fleet | None] = unchanged
@@ -152,6 +154,11 @@ class _Watch:
             draft.put(error=_text(error))
         except OSError as error:
             draft.put(error=f"{error.filename}: {error.strerror}" if error.filename else str(error))
+        except Exception as error:
+            if self._options.debug:
+                raise
+            what = f"unexpected {type(error).__name__}: {error}".splitlines()[0]
+            draft.put(error=f"{what} (a bug in edgectl; EDGECTL_DEBUG=1 ends with where it happened)")
         events = events_after(self._fleet, self._heard)
         self._heard = max((event.id for event in events), default=self._heard)
         return dataclasses.replace(draft.cycle, events=events, warnings=tuple(dict.fromkeys(self._said)), resting=self._at_rest())

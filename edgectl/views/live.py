@@ -15,7 +15,7 @@ from edgectl.views.reasons import reason
 from edgectl.views.rounds import Tally, tallied
 from edgectl.views.spark import bar, spark
 from edgectl.views.state import STATES, phrase
-from edgectl.views.text import PLAIN, Cell, Look, Row, columns, look_of, paint
+from edgectl.views.text import PLAIN, Cell, Look, Row, columns, harmless, look_of, paint
 
 _KEYS = "q quit   p plan now   a pause"
 _HOT = 0.9
@@ -46,7 +46,7 @@ def _header(title: Title, tally: Tally, now: float, paused: bool, look: Look) ->
     dot = " · " if look.unicode else " | "
     ago = "" if tally.moved_at is None else f" (last {format_duration(max(0.0, now - tally.moved_at))} ago)"
     parts = [
-        paint(title.fleet, "bold", look),
+        paint(harmless(title.fleet), "bold", look),
         f"variant {title.variant}",
         "applies" if title.applies else "plans only",
         paint("paused", "warn", look) if paused else _next(tally, now),

@@ -1,6 +1,7 @@
 """The loop over simulated hosts, with the real scheduler, lock, journal, memory and history."""
 
 import dataclasses
+import time
 from itertools import pairwise
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from edgectl.state.journal import read as read_journal
 from edgectl.state.lock import FleetLock
 from edgectl.state.memory import load_memory
 from edgectl.usecases import marks
+from edgectl.usecases.control import Control, Wish
 from edgectl.usecases.fleet import Fleet
 from tests.builders import a_task, some_tasks
 from tests.usecases.watching import EVERY, Site
@@ -232,3 +234,37 @@ def test_the_journal_says_who_did_it(site: Site) -> None:
     entries = read_journal(site.fleet.state / "journal.jsonl").entries
     assert [entry["verb"] for entry in entries if entry["event"] == "begin"] == ["watch"]
     assert isinstance(load_memory(site.fleet.state), Memory)
+
+
+def test_tasks_that_fence_themselves_hear_of_it_between_the_cycles(tmp_path: Path) -> None:
+    site = Site(tmp_path, tasks=some_tasks(a_task("slam", cpu=1.0, self_fence=0.2)))
+    asked: list[str] = []
+    for name in ("edge1", "edge2"):
+        site.hosts[name].faults["status"] = lambda request: asked.append(str(request["host"])) or {"tasks": {}}  # type: ignore[func-returns-value]
+
+    class Patiently(Control):
+        def wait(self, seconds: float) -> Wish | None:
+            deadline = time.monotonic() + 20
+            while set(asked) != {"edge1", "edge2"} and time.monotonic() < deadline:
+                time.sleep(0.01)
+            site.hands.seconds += seconds
+            return None
+
+    assert well(list(site.watch(2, control=Patiently())))
+    assert set(asked) == {"edge1", "edge2"}
+
+
+def test_a_bug_costs_a_cycle_and_says_that_it_is_one(site: Site) -> None:
+    answers: list[Policy] = [site.fleet.tasks.policy]
+
+    def odd(_fleet: Fleet) -> Policy:
+        if not answers:
+            raise TypeError("not so")
+        return answers[0] if site.hosts.placed else answers.pop()
+
+    first, second, third = site.watch(3, {2: lambda: answers.append(site.fleet.tasks.policy)}, policy=odd)
+    assert (first.error, third.error) == ("", "")
+    assert "unexpected TypeError: not so (a bug" in second.error
+    answers.clear()
+    with pytest.raises(TypeError):
+        list(site.watch(1, policy=odd, debug=True))
