@@ -20,29 +20,35 @@ def start(request: dict) -> dict:
     logind.check_survival()
     state_word = "started"
     for _ in range(_TRIES):
-        sitter = _settled(host)
+        sitter, taken = _settled(host)
         if sitter is not None and _is_same(sitter, request):
             return dict(_described(host, request), state="already-running")
-        if sitter is not None or any(seat.is_taken(folder) for folder in seat.folders(host)):
-            _ended(host)
+        if taken:
+            _end(host, sitter)
             state_word = "replaced"
         folder = seat.make(host)
         lock = take_lock(folder)
-        if lock >= 0:
-            _launch(folder, lock, request)
+        if lock >= 0 and _launch(folder, lock, request):
             return dict(_described(host, request), state=state_word)
-    raise RefusalError("busy", "others start profilers here all the time", "try again")
+    raise RefusalError(
+        "start-failed", "the profiler does not stay: it fails, or others replace it all the time", "edgectl profilers status"
+    )
 
 
-def _settled(host: str):
-    """The profiler that lives; where one is only being started, wait until it says who it is."""
+def _settled(host: str) -> tuple:
+    """(the profiler that lives or None, whether the seat is taken); where one is only being started, after it has said who it is.
+
+    What is free now may be taken in a moment, by an agent that starts one: only what was seen here may be ended.
+    """
     deadline = time.monotonic() + _SETTLE_S
     while True:
         sitter = seat.sitter(host)
         if sitter is not None and sitter.read()[0]:
-            return sitter
-        if not any(seat.is_taken(folder) for folder in seat.folders(host)) or time.monotonic() >= deadline:
-            return sitter
+            return sitter, True
+        if not any(seat.is_taken(folder) for folder in seat.folders(host)):
+            return None, False
+        if time.monotonic() >= deadline:
+            return sitter, True
         time.sleep(_POLL_S)
 
 
@@ -55,7 +61,8 @@ def _is_same(sitter, request: dict) -> bool:
     )
 
 
-def _launch(folder: str, lock: int, request: dict) -> None:
+def _launch(folder: str, lock: int, request: dict) -> bool:
+    """Whether the profiler has said that it lives; it may be replaced before it can. Raises RefusalError."""
     order = dict(
         request, op="profiler-run", folder=folder, lock=lock, wishes=seat.wishes(request),
         every_s=float(request["every_s"]), ttl_s=float(request["ttl_s"]),
@@ -68,42 +75,39 @@ def _launch(folder: str, lock: int, request: dict) -> None:
         said = launch.apart([], shell.environment({name: value}), order, lock, _REPORT_S)
     finally:
         os.close(lock)
-    if said is None or "error" in said:
-        raise RefusalError("start-failed", (said or {}).get("error") or "the profiler gave no sign of life", "try again")
+    if said and "error" in said:
+        raise RefusalError("start-failed", said["error"], "try again")
+    return said is not None
 
 
 def stop(request: dict) -> dict:
     """End the profiler; ``stopped`` is said only with proof."""
-    was = _ended(state.checked_name(request["host"]))
-    return {"state": "stopped" if was else "not-running", "pid": was[0] if was else 0}
+    host = state.checked_name(request["host"])
+    sitter, taken = _settled(host)
+    if not taken:
+        return {"state": "not-running", "pid": 0}
+    ended = _end(host, sitter)
+    return {"state": "stopped", "pid": ended[0] if ended else 0}
 
 
-def _ended(host: str) -> list:
-    """The pids that were ended. Raises RefusalError where one does not go."""
-    ended = []
-    for folder in seat.folders(host):
-        for name, patience_s in (("TERM", _GRACE_S), ("KILL", _KILL_S)):
-            ended += _signalled(folder, name, patience_s)
-        if ended:
-            seat.leave(folder, "")
-        if seat.is_taken(folder):
-            left = ", ".join(str(pid) for pid, _ in seat.holders(folder)) or "unknown"
-            raise RefusalError("stop-incomplete", "the profiler does not end (pid %s)" % left, "look at it on the host")
-    return sorted(set(ended))
+def _end(host: str, sitter) -> list:
+    """End what was seen, and see that it is gone; its pids. One that never said who it is, is whoever holds the lock.
 
-
-def _signalled(folder: str, name: str, patience_s: float) -> list:
-    """Signal whoever holds the seat, and wait until nobody does."""
-    if not seat.is_taken(folder):
-        return []
-    found = seat.holders(folder)
-    for pid, ticks in found:
-        signals.send(pid, ticks, signals.number(name))
-        signals.send(pid, ticks, signals.number("CONT"))
-    deadline = time.monotonic() + patience_s
-    while seat.is_taken(folder) and time.monotonic() < deadline:
-        time.sleep(_POLL_S)
-    return [pid for pid, _ in found]
+    Raises:
+        RefusalError: it does not go.
+    """
+    seen = [(sitter.pid, sitter.ticks)] if sitter is not None else [each for folder in seat.folders(host) for each in seat.holders(folder)]
+    for name, patience_s in (("TERM", _GRACE_S), ("KILL", _KILL_S)):
+        for pid, ticks in seen:
+            signals.send(pid, ticks, signals.number(name))
+            signals.send(pid, ticks, signals.number("CONT"))
+        deadline = time.monotonic() + patience_s
+        while any(proc.is_alive(*each) for each in seen) and time.monotonic() < deadline:
+            time.sleep(_POLL_S)
+    left = ", ".join(str(pid) for pid, ticks in seen if proc.is_alive(pid, ticks))
+    if left:
+        raise RefusalError("stop-incomplete", "the profiler does not end (pid %s)" % left, "look at it on the host")
+    return [pid for pid, _ in seen]
 
 
 def status(request: dict) -> dict:

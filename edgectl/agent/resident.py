@@ -8,6 +8,11 @@ its seat is removed or taken by another, and by a plain signal; nothing is left 
 import os
 import time
 
+try:
+    import _signal as signal
+except ImportError:
+    import signal
+
 from . import device, lease, light, network, proc, ring, seat, smooth
 from .followed import Followed
 
@@ -26,18 +31,23 @@ def resident(request: dict) -> None:
         null = os.open(os.devnull, os.O_RDWR)
         for fd in (0, 1, 2):
             os.dup2(null, fd)
+        signal.signal(signal.SIGTERM, lambda *_: _go(request["folder"], lock, ""))
         fd = ring.create(request["folder"])
         identity = seat.take(request["folder"], fd)
         ring.describe(fd, dict(identity, wishes=request["wishes"], every_s=request["every_s"], ttl_s=request["ttl_s"], begun=proc.uptime()))
-        profiler = Resident(request, lock, fd)
         _tell(report, {"pid": identity["pid"]})
-        seat.leave(request["folder"], profiler.run())
+        _go(request["folder"], lock, Resident(request, lock, fd).run())
     except Exception as error:  # noqa: BLE001 - there is nobody else left to tell
         words = "%s: %s" % (type(error).__name__, error)
         _tell(report, {"error": words})
-        seat.leave(request["folder"], words)
-    finally:
-        os._exit(0)
+        _go(request["folder"], lock, words)
+
+
+def _go(folder: str, lock: int, why: str) -> None:
+    """Note why and end, with the lock still held: nobody else sits here yet, unless the seat was made again."""
+    if seat.is_mine(folder, lock):
+        seat.leave(folder, why)
+    os._exit(0)
 
 
 def _tell(fd: int, document: dict) -> None:

@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 
 from edgectl.agent import life, proc, ring, seat, smooth, state, task
+from edgectl.errors import RefusedError
 from tests.agent.conftest import AgentHost, eventually, is_running
 from tests.agent.test_probe import LINKS, ROBOT, connected, interpreters, sent
 
@@ -309,3 +310,20 @@ def test_a_host_that_was_rebooted_has_none(profiled: Profiled, monkeypatch: pyte
     monkeypatch.setattr(proc, "boot_id", lambda: "another boot")
     assert seat.sitter("edge1") is None
     assert seat.last_words("edge1") == "the host was rebooted"
+
+
+def test_starts_with_other_wishes_at_the_same_time_leave_one(profiled: Profiled) -> None:
+    profiled.start()
+
+    def start(number: int) -> int:
+        try:
+            return int(profiled.start(ttl=600.0 + number % 2)["pid"])
+        except RefusedError:  # replaced by the others again and again
+            return 0
+
+    with ThreadPoolExecutor(4) as pool:
+        pids = set(pool.map(start, range(6)))
+    (pid,) = profiled.holders()
+    assert pids - {0}
+    assert profiled.status()["pid"] == pid
+    assert not any(is_running(other) for other in pids - {0, pid})
