@@ -39,7 +39,7 @@ def timer_units(job: Job, *, user: bool) -> dict[str, str]:
         "[Unit]", f"Description={_plain(title)}, every {interval(every)}", "",
         "[Timer]",
         "# From the start of one run to the start of the next; a run that takes longer is not overtaken.",
-        "OnActiveSec=10s", f"OnUnitActiveSec={every:g}s", "AccuracySec=1s", "",
+        "OnActiveSec=10s", f"OnUnitActiveSec={every:.12g}s", "AccuracySec=1s", "",
         "[Install]", "WantedBy=timers.target",
     ]  # fmt: skip
     head = _installation(f"{name}.timer", user=user)
@@ -53,7 +53,7 @@ def watch_unit(job: Job, *, user: bool) -> dict[str, str]:
         ValueError: what cannot be quoted, or an interval below a second.
     """
     name = f"{unit_name(job)}-watch"
-    command = ("watch", "--apply") if job.every_s is None else ("watch", "--apply", "--every", f"{_checked(job.every_s):g}s")
+    command = ("watch", "--apply") if job.every_s is None else ("watch", "--apply", "--every", f"{_checked(job.every_s):.12g}s")
     service = [
         *_unit(f"edgectl watch for {job.inventory}", user=user),
         "[Service]", "Type=exec",

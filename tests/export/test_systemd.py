@@ -67,6 +67,7 @@ def test_a_timer_and_its_service() -> None:
     assert (service["SuccessExitStatus"], service["User"], service["KillMode"]) == ("4 75 130", "root", "process")
     assert timer["OnUnitActiveSec"] == "90s"
     assert settings(timer_units(JOB, user=False)["edgectl-lab.timer"])["OnUnitActiveSec"] == "300s"
+    assert settings(timer_units(replace(JOB, every_s=1234567.0), user=False)["edgectl-lab.timer"])["OnUnitActiveSec"] == "1234567s"
     assert "User" not in settings(timer_units(JOB, user=True)["edgectl-lab.service"])
     with pytest.raises(ValueError, match="too often"):
         timer_units(replace(JOB, every_s=0.5), user=False)
