@@ -182,8 +182,11 @@ class Store:
         self._write(lambda connection: pruning.mark(connection, now))
 
     def prune_due(self, now: float) -> bool:
-        """Whether an hour has passed since the last prune, by any edgectl."""
-        return self._guarded(lambda connection: abs(now - pruning.marked(connection)) >= _PRUNE_EVERY_S, default=False)
+        """Whether an hour has passed since the last prune, by any edgectl, or since the first time that this was asked."""
+        at = self._guarded(pruning.marked, now)
+        if at == 0.0:
+            self._write(lambda connection: pruning.mark(connection, now))
+        return at != 0.0 and abs(now - at) >= _PRUNE_EVERY_S
 
     # -- the file ------------------------------------------------------------------------------------------------------------------------
 
@@ -240,6 +243,9 @@ class Store:
         return default
 
     def _use(self) -> sqlite3.Connection:
+        if self._connection is not None and identity(self._path) != self._opened:
+            # Another edgectl set it aside, or somebody took it away.
+            self.close()
         if self._connection is None:
             self._opened = identity(self._path)
             self._connection = connect(self._path)

@@ -29,6 +29,8 @@ def shrink(connection: sqlite3.Connection, most: int) -> None:
             held = _bytes(connection)
             if held <= most * _ROOM or not _drop_oldest(connection, max(_LEAST_SHARE, 1 - most * _ROOM / held)):
                 break
+    if not connection.execute("PRAGMA freelist_count").fetchone()[0]:
+        return
     # A script, because a statement that gives rows without columns is left after the first of them, which is one page.
     connection.executescript("PRAGMA incremental_vacuum; PRAGMA wal_checkpoint(TRUNCATE);")
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from edgectl.model.inventory import Inventory
 from edgectl.model.task import Tasks
 from edgectl.state.files import Warn, silent
+from edgectl.state.keeper import Keeper
 from edgectl.state.uptime import Uptime
 from edgectl.state.uptime import uptime as now_up
 from edgectl.transport.base import Transport
@@ -18,7 +19,7 @@ class Fleet:
     """Inventory and tasks as loaded, a transport, and the fleet's state directory (``state.paths.fleet_dir``).
 
     ``clock`` gives s since 1970, ``uptime`` time that nobody sets. ``warn`` hears what a user should know although the call goes on;
-    ``said``: troubles of the history that it heard already.
+    ``history`` keeps what is seen and done.
     """
 
     inventory: Inventory
@@ -28,4 +29,4 @@ class Fleet:
     clock: Callable[[], float] = time.time
     warn: Warn = silent
     uptime: Callable[[], Uptime] = now_up
-    said: set[str] = field(default_factory=set)
+    history: Keeper = field(default_factory=Keeper)

@@ -41,27 +41,13 @@ def events_after(fleet: Fleet, after: int, *, limit: int = 200) -> tuple[Event, 
 
 
 def _read(fleet: Fleet, look: "Callable[[Store], tuple[Event, ...]]") -> tuple[Event, ...]:
-    from edgectl.state.store import Store
-
-    with Store.open(fleet.state, warn=_once(fleet)) as store:
-        return look(store)
+    return fleet.history.use(fleet.state, fleet.warn, look)
 
 
 def _record(fleet: Fleet, act: "Callable[[Store], None]") -> None:
-    from edgectl.state.store import Store
-
-    with Store.open(fleet.state, warn=_once(fleet)) as store:
+    def record(store: "Store") -> None:
         act(store)
         if store.prune_due(fleet.clock()):
             store.prune(fleet.clock())
 
-
-def _once(fleet: Fleet) -> Callable[[str], None]:
-    """Say each trouble of the history once, however often it is met."""
-
-    def warn(text: str) -> None:
-        if text not in fleet.said:
-            fleet.said.add(text)
-            fleet.warn(text)
-
-    return warn
+    fleet.history.use(fleet.state, fleet.warn, record)

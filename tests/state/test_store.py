@@ -69,7 +69,8 @@ def test_old_rows_go(tmp_path: Path) -> None:
     with Store.open(tmp_path, retention=Retention(samples_s=10, records_s=100)) as store:
         store.record_snapshot(a_snapshot(taken_at=NOW, edge1=silent()))
         store.record_snapshot(a_snapshot(taken_at=NOW + 50, edge1=a_sample()))
-        assert store.prune_due(NOW)
+        assert not store.prune_due(NOW)
+        assert store.prune_due(NOW + 3600)
         store.prune(NOW + 61)
         assert store.host_points() == ()
         assert len(store.events()) == 2

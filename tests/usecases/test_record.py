@@ -1,5 +1,7 @@
 """What the verbs leave in the history, over simulated hosts."""
 
+import dataclasses
+import gc
 import subprocess
 import sys
 from pathlib import Path
@@ -169,3 +171,22 @@ def test_events_are_followed_even_into_another_history(bench: Bench, tmp_path: P
         [("task-stopped", "navigation")],
         [("host-lost", "edge1")],
     ]
+
+
+def test_one_history_is_open_for_all_that_share_a_fleet_and_none_afterwards(tmp_path: Path) -> None:
+    def open_files() -> list[str]:
+        links = (str(path.readlink()) for path in Path("/proc/self/fd").iterdir() if path.exists())
+        return [link for link in links if link.startswith(str(tmp_path)) and "history.db" in link and not link.endswith("-shm")]
+
+    bench = Bench(tmp_path)
+    for _ in range(3):
+        probe(dataclasses.replace(bench.fleet, warn=bench.said.append))
+    assert len(open_files()) == 2  # the file and its log
+    (tmp_path / "history.db").rename(tmp_path / "moved.db")
+    probe(bench.fleet)
+    with Store.open(tmp_path) as store:
+        assert len(store.host_points("edge1")) == 1
+    del bench
+    gc.collect()
+    assert open_files() == []
+    assert [path.name for path in tmp_path.glob("history.db*")] == ["history.db"]
