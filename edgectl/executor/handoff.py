@@ -15,7 +15,7 @@ from edgectl.executor import phases
 from edgectl.executor.act import Act
 from edgectl.executor.order import hold_without_old
 from edgectl.model.result import ActionResult, Outcome, Phase
-from edgectl.model.task import HandoffOrder, Task, Where
+from edgectl.model.task import HandoffOrder, Restart, Task, Where
 
 
 class _AtError(Exception):
@@ -109,7 +109,9 @@ def _still_holding(act: Act, task: Task, error: HostError) -> HostError:
     on_robot = task.handoff.hold is not None and task.handoff.hold.on is Where.ROBOT and task.robots
     what = task.robots[0] if on_robot else f"what {act.name} controls"
     message = f"{error.message}; {what} STILL HOLDS: no instance of {act.name} is ready"
-    hint = "apply again, which releases it once an instance is ready"
+    # What fails under restart: never no apply starts again.
+    how = f"edgectl restart {act.name}" if task.restart is Restart.NEVER else "apply again"
+    hint = f"{how}, which releases it once an instance is ready"
     return HostError(message, hint=f"{error.hint}; then {hint}" if error.hint else hint, host=error.host)
 
 

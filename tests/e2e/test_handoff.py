@@ -19,6 +19,7 @@ from edgectl.model.task import Check, Handoff, HandoffOrder, Task, Where
 from edgectl.state import points
 from edgectl.state.memory import load_memory
 from edgectl.usecases.apply import ApplyOptions, apply
+from edgectl.usecases.stop import restart
 from tests.builders import a_robot, a_task, an_edge, an_inventory
 from tests.e2e import robot
 from tests.e2e.bench import EAGER, GENTLE, QUICK, Bench, a_local, managing
@@ -41,7 +42,7 @@ class Scene:
     def words(self, *words: str) -> str:
         return shlex.join([sys.executable, robot.__file__, *words])
 
-    def task(self, order: HandoffOrder, **fields: object) -> Task:
+    def task(self, order: HandoffOrder, safe_within: float = 15.0, **fields: object) -> Task:
         hooks = {hook: Check(command=self.words(word, str(self.socket)), on=Where.ROBOT) for hook, word in HOOKS[order].items()}
         task = a_task(
             "steer",
@@ -49,7 +50,7 @@ class Scene:
             robots=["robot1"],
             ready=Check(command=f"test -e {shlex.quote(str(self.ready))}/$EDGECTL_INSTANCE", timeout=15.0),
             stop=GENTLE,
-            handoff=Handoff(order=order, timeout=1.0, **hooks),
+            handoff=Handoff(order=order, timeout=safe_within, **hooks),
         )
         return replace(task, **fields)  # type: ignore[arg-type]
 
@@ -161,7 +162,7 @@ def test_the_hold_covers_the_whole_gap_of_stop_first(scene: Scene) -> None:
 
 
 def test_no_event_at_all_while_it_is_not_safe(scene: Scene) -> None:
-    task = scene.task(HandoffOrder.STOP_FIRST)
+    task = scene.task(HandoffOrder.STOP_FIRST, safe_within=1.0)
     old = scene.running(task)
     scene.unsafe()
     begin = scene.now()
@@ -189,7 +190,8 @@ def test_the_old_instance_steers_again_before_the_robot_is_released(scene: Scene
     assert samples[-1]["steer"] == [old]
 
 
-def test_a_robot_that_nothing_steers_holds_until_an_apply_mends_it(scene: Scene) -> None:
+def test_a_robot_that_nothing_steers_holds_until_a_restart_mends_it(scene: Scene) -> None:
+    """Under ``restart: never`` what failed is given up: no apply starts it again."""
     task = scene.task(HandoffOrder.STOP_FIRST, restart=a_task("x").restart.NEVER)
     old = scene.running(task)
     scene.broken("edge1", "edge2")
@@ -198,10 +200,13 @@ def test_a_robot_that_nothing_steers_holds_until_an_apply_mends_it(scene: Scene)
     assert result is not None
     assert "robot1 STILL HOLDS" in result.error
     assert scene.since(begin)[-1]["holds"]
+    assert result.hint.endswith("edgectl restart steer, which releases it once an instance is ready")
     scene.broken()
-    mended = scene.apply(away_from(task, old))
+    assert scene.apply(away_from(task, old)) is None
+    assert scene.since(begin)[-1]["holds"]
+    mended = restart(scene.bench.using(away_from(task, old)).fleet, "steer", options=ApplyOptions(probe=QUICK)).results
     assert mended is not None
-    assert mended.outcome is Outcome.DONE
+    assert mended.done
     samples = scene.since(begin)
     assert told(samples) == ["safe", "hold", "lost", "steer", "release"]
     assert all(sample["steer"] or sample["holds"] for sample in samples)
