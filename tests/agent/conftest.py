@@ -50,7 +50,7 @@ class AgentHost:
         trace, table = life.trace(str(self.folder(task))), proc.processes()
         return (life.members(trace, table) | life.orphans(trace, table)) - {trace.instance.get("supervisor")}
 
-    def until(self, task: str, state: str, *, seconds: float = 10.0) -> dict[str, Any]:
+    def until(self, task: str, state: str, *, seconds: float = 30.0) -> dict[str, Any]:
         return eventually(lambda: e if (e := self.entry(task)) and e["state"] == state else None, seconds=seconds)
 
     def end(self) -> None:
@@ -71,7 +71,7 @@ def a_spec(command: str, **fields: object) -> dict[str, object]:
     return spec | fields
 
 
-def eventually(found: Callable[[], Any], *, seconds: float = 10.0) -> Any:
+def eventually(found: Callable[[], Any], *, seconds: float = 30.0) -> Any:
     """The first true value of ``found``, asked again and again."""
     deadline = time.monotonic() + seconds
     while not (value := found()):

@@ -83,7 +83,7 @@ def test_ten_megabytes_a_second_stay_within_three_files_of_ten(host: AgentHost, 
         time.sleep(0.1)
     (last,) = host.ask("logs", task="spam", tail=1)["text"].splitlines()
     assert last.startswith("last after ")
-    assert float(last.split()[2]) < 6.0
+    assert float(last.split()[2]) < 15.0, "3.5 s of work; a pump that blocks holds it up for good"
     trace = life.trace(str(host.folder("spam")))
     assert (trace.status["exit_code"], trace.status["dropped"]) == (0, 0)
 

@@ -298,7 +298,7 @@ time.sleep(600)
     eventually(lambda: "up" in host.ask("logs", task="nav", tail=5)["text"])
     stopped = host.stop("nav")
     assert stopped["state"] == "stopped"
-    assert stopped["seconds"] < 5
+    assert stopped["seconds"] < 15, "INT was enough: TERM comes after 20 s"
     assert "clean end" in host.ask("logs", task="nav", tail=5)["text"]
     assert not (tmp_path / "bad").exists()
 

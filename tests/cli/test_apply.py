@@ -117,15 +117,21 @@ def test_done_reopen_cordon_uncordon(run: Run, small: Path) -> None:
 
 
 def test_a_second_edgectl_waits_or_ends_with_75(run: Run, small: Path) -> None:
-    (small / "tasks" / "lab.yaml").write_text(TASKS.replace("stop:", "ready: {command: sleep 4}, stop:"))
+    (small / "tasks" / "lab.yaml").write_text(TASKS.replace("stop:", f"{ready(small)}, stop:"))
     with started("apply", "--yes") as first:
         appears(small, "state/hosts/edge1/tasks/idle/log*", first)
         said = run("apply", "--yes")
         assert said.code == 75
         assert f"pid {first.pid}" in said.err
-        assert run("apply", "--yes", "--lock-timeout", "30s").code == 0
-        first.communicate(timeout=30)
+        (small / "go").touch()
+        assert run("apply", "--yes", "--lock-timeout", "60s").code == 0
+        first.communicate(timeout=60)
     assert first.returncode == 0
+
+
+def ready(small: Path) -> str:
+    """A ready check that says yes once there is a file ``go``."""
+    return f"ready: {{command: test -e {small}/go, timeout: 60s}}"
 
 
 @contextlib.contextmanager
@@ -171,11 +177,13 @@ def test_only_yes_is_a_yes(small: Path) -> None:
 
 def test_ctrl_c_finishes_what_is_under_way(small: Path) -> None:
     (small / "tasks" / "lab.yaml").write_text(
-        TASKS.replace("stop:", "ready: {command: sleep 2}, stop:") + "  next: {needs: [idle], command: sleep 600}\n"
+        TASKS.replace("stop:", f"{ready(small)}, stop:") + "  next: {needs: [idle], command: sleep 600}\n"
     )
     with started("apply", "--yes") as process:
         appears(small, "state/hosts/edge1/tasks/idle/log*", process)
         process.send_signal(signal.SIGINT)
+        time.sleep(0.5)
+        (small / "go").touch()
         out, err = process.communicate(timeout=60)
     assert process.returncode == 130
     assert "finishing what is under way" in err

@@ -21,7 +21,7 @@ edges:
 TASKS = """
 version: 1
 tasks:
-  slam: {command: "sleep MARK", demand: {cpu: 0.5, memory: 10Mi}, stop: {grace: 2s}, ready: {command: test -e GO, timeout: 20s}}
+  slam: {command: "sleep MARK", demand: {cpu: 0.5, memory: 10Mi}, stop: {grace: 2s}, ready: {command: test -e GO, timeout: 60s}}
   navigation: {command: "sleep MARK", needs: [slam], demand: {cpu: 0.5, memory: 10Mi}, stop: {grace: 2s}}
 """
 
@@ -53,7 +53,7 @@ class Shell:
             stdin=subprocess.DEVNULL,
             text=True,
         )
-        deadline = time.monotonic() + 20
+        deadline = time.monotonic() + 40
         while not sleeping(self.mark):
             assert time.monotonic() < deadline
             assert process.poll() is None, process.communicate()
@@ -80,7 +80,7 @@ def test_the_second_of_two_applies_exits_75(shell: Shell) -> None:
     assert second.returncode == 75
     assert f"(pid {first.pid}, apply, since " in second.stderr
     shell.go()
-    out, _ = first.communicate(timeout=30)
+    out, _ = first.communicate(timeout=60)
     assert first.returncode == 0, out
     assert len(sleeping(shell.mark)) == 2
     quiet = shell.run("apply", "--yes", "--quiet")
@@ -90,12 +90,12 @@ def test_the_second_of_two_applies_exits_75(shell: Shell) -> None:
 def test_a_lock_timeout_waits_for_the_first(shell: Shell) -> None:
     first = shell.begin("apply", "--yes")
     second = subprocess.Popen(
-        shell.command("apply", "--yes", "--lock-timeout", "30s"), cwd=shell.directory, stdout=subprocess.DEVNULL, stdin=subprocess.DEVNULL
+        shell.command("apply", "--yes", "--lock-timeout", "60s"), cwd=shell.directory, stdout=subprocess.DEVNULL, stdin=subprocess.DEVNULL
     )
     time.sleep(0.5)
     shell.go()
-    first.communicate(timeout=30)
-    assert (first.returncode, second.wait(timeout=30)) == (0, 0)
+    first.communicate(timeout=60)
+    assert (first.returncode, second.wait(timeout=60)) == (0, 0)
     assert len(sleeping(shell.mark)) == 2
 
 
@@ -105,7 +105,7 @@ def test_ctrl_c_and_sigterm_finish_what_is_under_way(shell: Shell, number: signa
     os.kill(process.pid, number)
     time.sleep(0.5)
     shell.go()
-    out, errors = process.communicate(timeout=30)
+    out, errors = process.communicate(timeout=60)
     assert process.returncode == 130, out + errors
     assert len(sleeping(shell.mark)) == 1
     assert "interrupted" in shell.run("history").stdout
@@ -120,10 +120,10 @@ def test_ctrl_c_twice_stops_at_once_and_the_next_apply_goes_on(shell: Shell) -> 
     began = time.monotonic()
     for _ in range(2):
         os.kill(process.pid, signal.SIGINT)
-        time.sleep(0.3)
-    process.communicate(timeout=10)
+        time.sleep(0.5)
+    process.communicate(timeout=40)
     assert process.returncode == 130
-    assert time.monotonic() - began < 5
+    assert time.monotonic() - began < 30, "nothing is waited for: slam has a minute to get ready"
     shell.go()
     again = shell.run("apply", "--yes")
     assert again.returncode == 0, again.stderr

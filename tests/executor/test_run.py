@@ -93,12 +93,12 @@ def test_stops_come_before_starts_and_starts_follow_needs(fleet: FakeFleet, jour
 
 def test_independent_actions_run_at_once(fleet: FakeFleet, journal: Journal) -> None:
     for name in EDGES:
-        fleet[name].delay = 0.3
+        fleet[name].delay = 1.0
     tasks = [a_task(f"task{number}") for number in range(6)]
     made = plan(*(step(task.name, Action.START, host=EDGES[number % 3]) for number, task in enumerate(tasks)))
     began = time.monotonic()
     assert carried_out(fleet, journal, made, *tasks).done
-    assert time.monotonic() - began < 1.2
+    assert time.monotonic() - began < 5.0, "one after the other they take 6 s"
 
 
 def test_max_parallel_bounds_the_actions_at_once(fleet: FakeFleet, journal: Journal) -> None:

@@ -46,7 +46,7 @@ class Host(Protocol):
     def close(self) -> None: ...
 
 
-def wait_for(condition: Callable[[], object], what: str, seconds: float = 10) -> None:
+def wait_for(condition: Callable[[], object], what: str, seconds: float = 30) -> None:
     """Poll until the condition holds."""
     deadline = time.monotonic() + seconds
     while not condition():

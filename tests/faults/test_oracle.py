@@ -93,14 +93,14 @@ def test_a_past_overlap_is_found_and_measured(records: dict[str, Path], launch: 
     old.wait()
     verdict = oracle.judge(records, {"slam": "edge2"}, seconds=0.2)
     assert len(verdict.doubled) == 1
-    assert 0.2 < oracle.longest_overlap(oracle.lives(records)) < 3
+    assert 0.2 < oracle.longest_overlap(oracle.lives(records)) < 15
     assert new.poll() is None
     assert oracle.judge(records, {"slam": "edge2"}, seconds=0.2, overlap_allowed=["slam"]).clean
 
 
 def test_a_task_that_should_not_run_is_found(records: dict[str, Path], launch: Launch) -> None:
     launch("slam")
-    assert oracle.judge(records, {}, seconds=0.2).doubled == ("slam runs on edge1 and should not",)
+    assert oracle.judge(records, {}, seconds=1.0).doubled == ("slam runs on edge1 and should not",)
 
 
 def test_the_gap_of_a_move_is_measured(records: dict[str, Path], launch: Launch) -> None:
@@ -111,7 +111,7 @@ def test_the_gap_of_a_move_is_measured(records: dict[str, Path], launch: Launch)
     launch("slam", "edge2")
     verdict = oracle.judge(records, {"slam": "edge2"}, seconds=0.2)
     assert verdict.clean, verdict
-    assert 0.5 <= oracle.longest_gap(oracle.lives(records)) < 5
+    assert 0.5 <= oracle.longest_gap(oracle.lives(records)) < 15
 
 
 @pytest.mark.parametrize("shape", ["child", "daemon", "session"])

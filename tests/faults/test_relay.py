@@ -92,7 +92,7 @@ def test_delay(relay: Relay) -> None:
         begun = time.monotonic()
         sock.sendall(b"x")
         assert exactly(sock, 1) == b"x"
-        assert 0.4 <= time.monotonic() - begun < 3
+        assert 0.4 <= time.monotonic() - begun < 15
 
 
 def test_black_hole_after_byte_k(relay: Relay) -> None:

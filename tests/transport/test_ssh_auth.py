@@ -47,7 +47,7 @@ def with_agent(lab: Lab, path: str, *lines: str) -> None:
 
 def works(host: Host, transport: SshTransport | None = None) -> bool:
     with (transport or SshTransport()).connect(host, timeout=10) as session:
-        return session.run("echo in", b"", timeout=5).stdout == b"in\n"
+        return session.run("echo in", b"", timeout=20).stdout == b"in\n"
 
 
 def test_key_of_the_agent(lab: Lab, tmp_path: Path) -> None:
@@ -82,7 +82,8 @@ def test_a_mute_agent_is_waited_for_three_seconds(lab: Lab, tmp_path: Path) -> N
         transport = SshTransport()
         assert works(lab.host("edge1"), transport)
         assert works(lab.host("edge2"), transport)
-        assert time.monotonic() - start < 4.5
+        assert works(lab.host("robot1"), transport)
+        assert time.monotonic() - start < 8.5, "waited for once, not by each login"
 
 
 def test_agents_that_are_none(tmp_path: Path) -> None:

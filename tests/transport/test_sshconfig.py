@@ -103,11 +103,11 @@ def test_a_broken_file_is_named(config: Path) -> None:
 
 
 def test_a_match_that_hangs(config: Path) -> None:
-    config.write_text('Match exec "exec sleep 3"\n  Port 1\n')
+    config.write_text('Match exec "exec sleep 30"\n  Port 1\n')
     start = time.monotonic()
     with pytest.raises(ConnectError, match="did not end"):
         Resolver().resolve(a_host(), timeout=0.3)
-    assert time.monotonic() - start < 2
+    assert time.monotonic() - start < 15
 
 
 def test_each_host_is_asked_for_once(config: Path, tmp_path: Path) -> None:
