@@ -101,6 +101,21 @@ def test_a_dead_host_is_held_asked_ever_more_rarely_and_taken_back(site: Site) -
     assert not site.hosts.world.overlap
 
 
+def test_a_host_that_flaps_costs_no_move(site: Site) -> None:
+    list(site.watch(1))
+    flapping = site.hosts.placed["slam"]
+    site.hands.seconds += 600.0
+
+    def flap() -> None:
+        site.hosts.down ^= {flapping}
+
+    cycles = list(site.watch(90, dict.fromkeys(range(1, 90), flap)))
+    seen = [cycle.snapshot is not None and cycle.snapshot.hosts[flapping].ok for cycle in cycles]
+    assert sum(a != b for a, b in pairwise(seen)) > 10
+    assert acted(cycles) == {}
+    assert not site.hosts.world.overlap
+
+
 def test_a_failing_action_is_not_repeated_in_every_cycle(site: Site) -> None:
     for edge in ("edge1", "edge2"):
         site.hosts[edge].faults["start:slam"] = RefusedError("disk full")
