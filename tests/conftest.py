@@ -8,7 +8,18 @@ import pytest
 
 from tests.sshd import Lab, running_lab
 
-INHERITED = ("SSH_AUTH_SOCK", "SSH_ASKPASS", "NO_COLOR", "NO_UNICODE", "FORCE_COLOR", "CLICOLOR_FORCE", "GITHUB_ACTIONS", "CI", "COLUMNS", "PYTHONPATH")
+INHERITED = (
+    "SSH_AUTH_SOCK",
+    "SSH_ASKPASS",
+    "NO_COLOR",
+    "NO_UNICODE",
+    "FORCE_COLOR",
+    "CLICOLOR_FORCE",
+    "GITHUB_ACTIONS",
+    "CI",
+    "COLUMNS",
+    "PYTHONPATH",
+)
 
 
 @pytest.fixture(autouse=True)

@@ -30,6 +30,8 @@ def _usage(error: Exception) -> UsageError | None:
     if getattr(error, "exit_code", None) != ExitCode.CHANGES or not hasattr(error, "format_message"):
         return None
     command = getattr(getattr(error, "ctx", None), "command_path", "edgectl")
+    if type(error).__name__ == "NoArgsIsHelpError":  # its message is the whole help
+        return UsageError(f"{command} needs a further word", hint=f"see {command} --help")
     return UsageError(error.format_message().rstrip("."), hint=f"see {command} --help")
 
 

@@ -10,7 +10,7 @@ from edgectl.cli import console, exits, options
 from edgectl.cli.complete import hosts, tasks
 from edgectl.cli.inputs import known, load
 from edgectl.cli.selector import matches
-from edgectl.cli.until import told
+from edgectl.cli.until import pause, told
 from edgectl.errors import UsageError
 from edgectl.views.form import Form
 
@@ -53,7 +53,7 @@ def get_command(
         edgectl get links edge1
         edgectl get tasks -w -o json
     """
-    from edgectl.cli.reach import reach, seconds
+    from edgectl.cli.reach import reach
     from edgectl.usecases.look import looks
     from edgectl.usecases.probe import probe
     from edgectl.views.listing import Kind, listing
@@ -64,7 +64,7 @@ def get_command(
     if watch:
         if output is Form.YAML:
             raise UsageError("no yaml form of changes as they come", hint="write -o json, for one object per line")
-        with told(seconds(every, "--every")) as end:
+        with told(pause(every)) as end:
             found = (_chosen(listing(wanted, look, fleet.inventory, fleet.tasks), names, selector) for look in looks(fleet, end))
             console.show_all(output, "listing_more", _differences(found))
         return

@@ -11,7 +11,7 @@ from typer import Exit
 
 from edgectl.cli import console, exits, options
 from edgectl.cli.inputs import Loaded, load
-from edgectl.cli.until import told
+from edgectl.cli.until import pause, told
 from edgectl.errors import UsageError
 from edgectl.views.form import Form
 
@@ -103,13 +103,12 @@ def _values(fleet: "Fleet", what: str, snapshot: "Snapshot") -> Values:
 
 def _watch(fleet: "Fleet", what: str, output: Form, every: str) -> None:
     """On a terminal in place, elsewhere one after the other, until Ctrl-C (or q)."""
-    from edgectl.cli.reach import seconds
     from edgectl.usecases.look import looks
 
     said: dict[str, None] = {}
     in_place = output is not Form.JSON and sys.stdout.isatty()
     quiet = dataclasses.replace(fleet, warn=said.setdefault) if in_place else fleet
-    with told(seconds(every, "--every")) as end:
+    with told(pause(every)) as end:
         series = (_values(quiet, what, snapshot) for snapshot in looks(quiet, end))
         if in_place:
             _redraw(output, what, series)
@@ -142,10 +141,10 @@ def _interact(loaded: Loaded, every: str, *, readonly: bool, first: str) -> None
         UsageError: standard output is no terminal, or the extra is not installed.
     """
     from edgectl.cli.extras import extra
-    from edgectl.cli.reach import reach, seconds
+    from edgectl.cli.reach import reach
 
     if not sys.stdout.isatty():
         raise UsageError("standard output is not a terminal", hint="edgectl top hosts -w -o json is for programs")
     with extra("tui"):
         from edgectl.tui import run
-    run(reach(loaded, asking=False), every=seconds(every, "--every"), readonly=readonly, first=first)
+    run(reach(loaded, asking=False), every=pause(every), readonly=readonly, first=first)

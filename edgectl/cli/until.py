@@ -6,6 +6,24 @@ import signal
 from collections.abc import Callable, Iterator
 from types import FrameType
 
+from edgectl.errors import UsageError
+
+_SHORTEST_S = 0.1
+
+
+def pause(text: str) -> float:
+    """Seconds between two looks, as ``--every`` states them.
+
+    Raises:
+        UsageError: it is no duration, or so short that it would do nothing but look.
+    """
+    from edgectl.cli.reach import seconds
+
+    every = seconds(text, "--every")
+    if every < _SHORTEST_S:
+        raise UsageError(f"--every {text} is too often", hint="write 100ms or more")
+    return every
+
 
 @contextlib.contextmanager
 def told(every: float) -> Iterator[Callable[[], bool]]:
