@@ -33,9 +33,10 @@ def resident(request: dict) -> None:
             os.dup2(null, fd)
         signal.signal(signal.SIGTERM, lambda *_: _go(request["folder"], lock, ""))
         fd = ring.create(request["folder"])
-        identity = seat.take(request["folder"], fd)
-        ring.describe(fd, dict(identity, wishes=request["wishes"], every_s=request["every_s"], ttl_s=request["ttl_s"], begun=proc.uptime()))
-        _tell(report, {"pid": identity["pid"]})
+        known = seat.identity(fd)
+        ring.describe(fd, dict(known, wishes=request["wishes"], every_s=request["every_s"], ttl_s=request["ttl_s"], begun=proc.uptime()))
+        seat.take(request["folder"], known)
+        _tell(report, {"pid": known["pid"]})
         _go(request["folder"], lock, Resident(request, lock, fd).run())
     except Exception as error:  # noqa: BLE001 - there is nobody else left to tell
         words = "%s: %s" % (type(error).__name__, error)

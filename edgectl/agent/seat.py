@@ -42,12 +42,15 @@ def make(host: str) -> str:
     raise RefusalError("no-state-dir", "no place for the profiler: " + "; ".join(reasons), "free some disk space or set EDGECTL_STATE_DIR")
 
 
-def take(folder: str, fd: int) -> dict:
-    """Note that this process sits here, its ring in ``fd``; returns what identifies it."""
+def identity(fd: int) -> dict:
+    """What tells this process, its ring in ``fd``, from every other."""
     me = proc.process(os.getpid())
-    known = {"pid": me.pid, "ticks": me.ticks, "boot_id": proc.boot_id(), "ring": fd}
+    return {"pid": me.pid, "ticks": me.ticks, "boot_id": proc.boot_id(), "ring": fd}
+
+
+def take(folder: str, known: dict) -> None:
+    """Note who sits here; its ring is described already."""
     record.write(os.path.join(folder, _RECORD), known)
-    return known
 
 
 def leave(folder: str, why: str) -> None:
