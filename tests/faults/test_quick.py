@@ -20,7 +20,7 @@ def rows() -> Iterator[dict[str, "Future[Row]"]]:
         pool.shutdown(cancel_futures=True)
 
 
-@pytest.mark.timeout(300)
+@pytest.mark.timeout(600)
 @pytest.mark.parametrize("name", CASES)
 def test_survived(rows: dict[str, "Future[Row]"], name: str) -> None:
     row = rows[name].result()
