@@ -16,8 +16,7 @@ from edgectl.model.plan import Plan
 from edgectl.model.progress import Listener, unheard
 from edgectl.model.result import Results
 from edgectl.state.journal import NAME as JOURNAL
-from edgectl.state.journal import Journal, Log
-from edgectl.state.journal import read as read_journal
+from edgectl.state.journal import Journal, Log, standing
 from edgectl.state.lock import FleetLock, user
 from edgectl.state.memory import kept, load_memory, save_memory
 from edgectl.transport.pool import SessionPool
@@ -116,9 +115,8 @@ def settled(fleet: Fleet, plan: Plan) -> bool:
     """Whether `carry_out` would do nothing at all: no action, nothing new to remember, nothing cut off to recover from."""
     if plan.changes:
         return False
-    memory, log = plan.snapshot.memory or Memory(), read_journal(fleet.state / JOURNAL)
-    after = remember(memory, plan, fleet.tasks, _NOTHING_DONE, {}, fleet.clock())
-    return kept(after) == load_memory(fleet.state) and not (log.unfinished or log.held or log.torn or log.broken)
+    after = remember(plan.snapshot.memory or Memory(), plan, fleet.tasks, _NOTHING_DONE, {}, fleet.clock())
+    return kept(after) == load_memory(fleet.state) and standing(fleet.state / JOURNAL).sound
 
 
 def _record_placements(fleet: Fleet, journal: Journal, revision: int, after: Memory) -> None:

@@ -9,7 +9,7 @@ from edgectl.model.memory import Memory, Placement
 from edgectl.model.snapshot import Snapshot
 from edgectl.state.contacts import load_contacts
 from edgectl.state.journal import NAME as JOURNAL
-from edgectl.state.journal import read as read_journal
+from edgectl.state.journal import standing
 from edgectl.state.links import load_links, save_links
 from edgectl.state.reopened import load_reopened
 from edgectl.usecases.demands import measured_demands
@@ -41,7 +41,7 @@ def _with_starts(fleet: Fleet, memory: Memory, snapshot: Snapshot) -> Memory:
     """
     started = {
         task: Placement(host=host, since=snapshot.taken_at, generation=generation)
-        for task, (host, generation) in read_journal(fleet.state / JOURNAL).located.items()
+        for task, (host, generation) in standing(fleet.state / JOURNAL).located.items()
         if host in snapshot.hosts and not snapshot.hosts[host].ok
         if task not in memory.placements or memory.placements[task].generation < generation
     }

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from edgectl.errors import StateError
-from edgectl.state.journal import Journal, read
+from edgectl.state.journal import NAME, Journal, Standing, read, standing
 
 
 def written(directory: Path) -> Path:
@@ -145,3 +145,23 @@ def test_the_file_is_private_and_plain_json(tmp_path: Path) -> None:
     path = written(tmp_path)
     assert path.stat().st_mode & 0o777 == 0o600
     assert json.loads(path.read_text().splitlines()[0][65:])["at"] == "1970-01-01T00:00:00Z"
+
+
+def test_how_a_journal_stands_is_read_anew_only_where_it_changed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert standing(tmp_path / NAME) == Standing(located={}, sound=True)
+    with Journal.open(tmp_path) as journal:
+        journal.append("begin", revision=1, plan="p")
+        journal.append("intent", task="slam", generation=7)
+        journal.append("phase", task="slam", phase="start", host="edge1")
+        assert standing(tmp_path / NAME) == Standing(located={"slam": ("edge1", 7)}, sound=False)
+        reads = []
+        monkeypatch.setattr("edgectl.state.journal.read", lambda path: reads.append(path) or read(path))
+        for _ in range(3):
+            assert not standing(tmp_path / NAME).sound
+        assert reads == []
+        journal.append("commit", task="slam", located="edge1")
+        journal.append("end", revision=1)
+        journal.append("placed", revision=1, placements={"slam": "edge1"})
+        for _ in range(3):
+            assert standing(tmp_path / NAME) == Standing(located={}, sound=True)
+        assert len(reads) == 1
