@@ -47,7 +47,7 @@ def test_limits_hold_and_are_read_back(host: AgentHost, systemd: UserSystemd) ->
     assert "/edgectl-edge1-slam-" in groups_of(entry["pid"])
     assert "/edgectl-edge1-slam-" in groups_of(host.supervisor("slam"))
     used = host.ask("probe", window_s=2.0, links=[], detect=[], checks=[])["tasks"]["slam"]["used_cores"]
-    assert 0.02 < used < 0.35, "a quarter of a core, or less where others want it"
+    assert 0.0 < used < 0.6, "a quarter of a core, or less where others want it; without a limit it would be a whole one"
     assert host.stop("slam")["state"] == "stopped"
     eventually(lambda: not any("slam" in line for line in systemd.units()))
 
