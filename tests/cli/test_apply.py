@@ -65,7 +65,7 @@ def test_apply_status_logs_restart_stop(run: Run, small: Path) -> None:
     assert json.loads(run("apply", "--yes", "-o", "json").out)["actions"] == []
     before = json.loads(run("status", "-o", "json").out)
     assert before["hosts"]["edge1"]["tasks"]["idle"]["state"] == "running"
-    assert before["wanted"]["idle"]["demand"]["cpu"] == {"value": 0.1, "relative": False}
+    assert before["wanted"]["idle"]["demand"]["cpu"] == {"value": 0.1, "relative": False, "until_measured": False}
     assert run("logs", "idle").out == "started\n"
     assert json.loads(run("restart", "idle", "--yes", "-o", "json").out)["actions"][0]["action"] == "restart"
     assert (
