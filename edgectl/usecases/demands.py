@@ -26,9 +26,8 @@ def measured_demands(fleet: Fleet, snapshot: Snapshot) -> Mapping[tuple[str, str
     tasks = [task for task in fleet.tasks.tasks.values() if task.managed and follows_history(task.demand)]
     if not tasks or not (fleet.state / _FILE).exists():
         return {}
-    from edgectl.state.store import Store
 
-    with Store.open(fleet.state, warn=fleet.warn) as store:
+    def read(store: "Store") -> Mapping[tuple[str, str], MeasuredDemand]:
         classes = _grouped(_classes(fleet.inventory, snapshot) | _remembered(fleet.inventory, snapshot, store))
         return {
             (task.name, kind): measured_demand(found, task.spec_hash)
@@ -36,20 +35,23 @@ def measured_demands(fleet: Fleet, snapshot: Snapshot) -> Mapping[tuple[str, str
             for kind, _, found in _profiles(store, task, classes)
         }
 
+    return fleet.history.use(fleet.state, fleet.warn, read)
+
 
 def profiles(fleet: Fleet, tasks: Iterable[Task]) -> list[ClassProfile]:
     """The history of ``tasks`` by class of hosts; no host is contacted."""
     if not (fleet.state / _FILE).exists():
         return []
-    from edgectl.state.store import Store
 
-    with Store.open(fleet.state, warn=fleet.warn) as store:
+    def read(store: "Store") -> list[ClassProfile]:
         classes = _grouped(_remembered(fleet.inventory, None, store))
         return [
             ClassProfile(task=task, kind=kind, hosts=tuple(hosts), profile=found, enough=enough(measured_demand(found)))
             for task in tasks
             for kind, hosts, found in _profiles(store, task, classes)
         ]
+
+    return fleet.history.use(fleet.state, fleet.warn, read)
 
 
 def _profiles(store: "Store", task: Task, classes: Mapping[str, Collection[str]]) -> Iterator[tuple[str, Collection[str], Profile]]:

@@ -8,7 +8,6 @@ from edgectl.model.plan import Plan
 from edgectl.model.point import HostPoint
 from edgectl.scheduler.explain import Noise
 from edgectl.scheduler.explain import explain as explained
-from edgectl.state.store import Store
 from edgectl.usecases.fleet import Fleet
 
 # So many of the last samples say how much the readings vary; fewer than the least say nothing.
@@ -23,8 +22,9 @@ def explain(fleet: Fleet, plan: Plan, task: str, noise: Mapping[str, Noise] | No
 
 def noise_of(fleet: Fleet) -> dict[str, Noise]:
     """How much the readings of each host varied lately, as the history has them."""
-    with Store.open(fleet.state, warn=fleet.warn) as store:
-        points = {host: store.host_points(host, limit=_SAMPLES) for host in fleet.inventory.hosts}
+    points: dict[str, list[HostPoint]] = {}
+    for point in fleet.history.use(fleet.state, fleet.warn, lambda store: store.host_points(limit=_SAMPLES)):
+        points.setdefault(point.host, []).append(point)
     return {host: _noise(found) for host, found in points.items() if len(found) >= _LEAST}
 
 

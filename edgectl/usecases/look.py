@@ -7,7 +7,6 @@ from edgectl.gateway.collect import ProbeOptions
 from edgectl.model.event import Event
 from edgectl.model.point import HostPoint, TaskPoint
 from edgectl.model.snapshot import Snapshot
-from edgectl.state.store import Store
 from edgectl.transport.patient import REFUSED_S, Patient
 from edgectl.transport.pool import SessionPool
 from edgectl.usecases.fleet import Fleet
@@ -25,17 +24,14 @@ def looks(fleet: Fleet, told_to_end: Callable[[], bool], options: ProbeOptions |
 
 def host_history(fleet: Fleet, samples: int) -> tuple[HostPoint, ...]:
     """The newest ``samples`` of each host, oldest first."""
-    with Store.open(fleet.state) as store:
-        return store.host_points(limit=samples)
+    return fleet.history.use(fleet.state, fleet.warn, lambda store: store.host_points(limit=samples))
 
 
 def task_history(fleet: Fleet, samples: int) -> tuple[TaskPoint, ...]:
     """The newest ``samples`` of each task, oldest first."""
-    with Store.open(fleet.state) as store:
-        return store.task_points(limit=samples)
+    return fleet.history.use(fleet.state, fleet.warn, lambda store: store.task_points(limit=samples))
 
 
 def last_events(fleet: Fleet, count: int, *, host: str | None = None, task: str | None = None) -> tuple[Event, ...]:
     """The newest ``count`` events of a host or a task, oldest first."""
-    with Store.open(fleet.state) as store:
-        return store.events(host=host, task=task, limit=count)
+    return fleet.history.use(fleet.state, fleet.warn, lambda store: store.events(host=host, task=task, limit=count))

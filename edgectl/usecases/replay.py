@@ -6,7 +6,6 @@ from edgectl.evidence.past import snapshots_of
 from edgectl.evidence.replay import replay as replayed
 from edgectl.model.evidence import Replayed, Variant
 from edgectl.model.snapshot import Snapshot
-from edgectl.state.store import Store
 from edgectl.usecases.fleet import Fleet
 
 
@@ -18,5 +17,9 @@ def replay(fleet: Fleet, snapshots: Sequence[Snapshot], variants: Sequence[Varia
 
 def history(fleet: Fleet, since: float | None = None) -> tuple[Snapshot, ...]:
     """The snapshots that the history can make again. ``since``: s since 1970."""
-    with Store.open(fleet.state, warn=fleet.warn) as store:
-        return snapshots_of(fleet.inventory, store.host_points(since=since), store.link_points(since=since), store.task_points(since=since))
+    rows = fleet.history.use(
+        fleet.state,
+        fleet.warn,
+        lambda store: (store.host_points(since=since), store.link_points(since=since), store.task_points(since=since)),
+    )
+    return snapshots_of(fleet.inventory, *rows)
