@@ -15,15 +15,7 @@ from edgectl.model.memory import Memory, Placement
 from edgectl.model.snapshot import HostSample, LinkSample, Snapshot, TaskSample, TaskState
 from edgectl.model.task import Task, Tasks
 from edgectl.scheduler.assign import assign
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Use:
-    """What a task takes of one host: cores, bytes, and bytes/s by robot."""
-
-    cores: float = 0.0
-    memory: float = 0.0
-    links: Mapping[str, float] = field(default_factory=dict)
+from edgectl.scheduler.ledger import Use
 
 
 @dataclass(slots=True, kw_only=True)
@@ -121,46 +113,46 @@ def transplanted(snapshot: Snapshot, tasks: Tasks, placed: Mapping[str, str]) ->
     return replace(snapshot, hosts=hosts)
 
 
-def _measured(found: TaskSample, task: Task) -> _Use:
+def _measured(found: TaskSample, task: Task) -> Use:
     even = {robot: found.used_bytes_per_s / len(task.robots) for robot in task.robots}
-    return _Use(cores=found.used_cores, memory=found.used_bytes, links=found.links if found.links is not None else even)
+    return Use(cpu=found.used_cores, memory=found.used_bytes, links=found.links if found.links is not None else even)
 
 
-def _demanded(task: Task, host: HostSample) -> _Use:
+def _demanded(task: Task, host: HostSample) -> Use:
     """The task's declared demand at ``host``."""
     demand = task.demand
     links = {} if demand.throughput is None else {
         robot: demand.throughput.of(host.links[robot].capacity_bytes_per_s) for robot in task.robots if robot in host.links
     }  # fmt: skip
-    return _Use(
-        cores=demand.cpu.of(host.cpu.cores) if demand.cpu and host.cpu else 0.0,
+    return Use(
+        cpu=demand.cpu.of(host.cpu.cores) if demand.cpu and host.cpu else 0.0,
         memory=demand.memory.of(host.memory.total_bytes) if demand.memory and host.memory else 0.0,
         links=links,
     )
 
 
-def _assumed(snapshot: Snapshot, task: Task, use: _Use) -> TaskSample:
+def _assumed(snapshot: Snapshot, task: Task, use: Use) -> TaskSample:
     return TaskSample(
-        state=TaskState.READY, started_at=snapshot.taken_at, used_cores=use.cores, used_bytes=use.memory,
+        state=TaskState.READY, started_at=snapshot.taken_at, used_cores=use.cpu, used_bytes=use.memory,
         used_bytes_per_s=sum(use.links.values()), links=use.links, spec_hash=task.spec_hash,
     )  # fmt: skip
 
 
-def _without(host: HostSample, task: str, use: _Use) -> HostSample:
+def _without(host: HostSample, task: str, use: Use) -> HostSample:
     return replace(_shifted(host, use, -1.0), tasks={name: found for name, found in host.tasks.items() if name != task})
 
 
-def _with(host: HostSample, task: str, found: TaskSample, use: _Use) -> HostSample:
+def _with(host: HostSample, task: str, found: TaskSample, use: Use) -> HostSample:
     return replace(_shifted(host, use, 1.0), tasks={**host.tasks, task: found})
 
 
-def _shifted(host: HostSample, use: _Use, sign: float) -> HostSample:
+def _shifted(host: HostSample, use: Use, sign: float) -> HostSample:
     """The load of ``host`` with the use added or taken out, never below 0."""
     if host.cpu is None or host.memory is None:
         return host
     return replace(
         host,
-        cpu=replace(host.cpu, used_cores=max(0.0, host.cpu.used_cores + sign * use.cores)),
+        cpu=replace(host.cpu, used_cores=max(0.0, host.cpu.used_cores + sign * use.cpu)),
         memory=replace(host.memory, used_bytes=max(0.0, host.memory.used_bytes + sign * use.memory)),
         links={robot: _link(link, sign * use.links.get(robot, 0.0)) for robot, link in host.links.items()},
     )

@@ -17,7 +17,7 @@ from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Task
 from edgectl.scheduler.cost import Handoffs, handoffs_of, move_cost
 from edgectl.scheduler.fleet import Fleet, fleet_of
-from edgectl.scheduler.ledger import measured
+from edgectl.scheduler.ledger import Ledger, measured
 from edgectl.scheduler.race import Line, Runner, first_change
 
 # A weight is changed within 0..1; where it is 1 already the others have no shares to grow by. At the very ends a crossing is rounding.
@@ -45,6 +45,7 @@ class _Case:
     decision: Decision
     weights: Weights
     fleet: Fleet
+    ledger: Ledger
     ranked: tuple[RankedHost, ...]
     needed: Mapping[str, float]
 
@@ -55,11 +56,13 @@ def explain(
     """The decision on ``task`` taken apart (eqs. 1-5). ``policy`` with the weights as used; ``noise`` by host, where it is known."""
     memory = snapshot.memory or Memory()
     ranked = tuple(entry for entry in decision.ranking if entry.total is not None and _only_short(entry))
+    fleet = fleet_of(inventory, snapshot, memory, policy.without)
     case = _Case(
         task=task,
         decision=decision,
         weights=policy.weights,
-        fleet=fleet_of(inventory, snapshot, memory, policy.without),
+        fleet=fleet,
+        ledger=measured(fleet),
         ranked=ranked,
         needed=_needed(task, decision, ranked, policy.move_margin, handoffs_of(memory), _here_s(memory, task, snapshot.taken_at)),
     )
@@ -108,11 +111,11 @@ def _contributions(weights: Weights, here: Terms, there: Terms) -> Iterator[Cont
 
 
 def _weight(weights: Weights, term: Term) -> float:
-    return {Term.CPU: weights.cpu, Term.MEMORY: weights.memory, Term.NETWORK: weights.network, Term.TASK: weights.task}[term]
+    return float(getattr(weights, term))
 
 
 def _value(terms: Terms, term: Term) -> float:
-    return {Term.CPU: terms.cpu, Term.MEMORY: terms.memory, Term.NETWORK: terms.network, Term.TASK: terms.task}[term] or 0.0
+    return float(getattr(terms, term) or 0.0)
 
 
 def _lead_noise(weights: Weights, noise: Mapping[str, Noise], here: RankedHost | None, there: RankedHost | None) -> float | None:
@@ -167,8 +170,7 @@ def _load_flips(case: _Case, entry: RankedHost, term: Term) -> Iterator[Flip]:
 
 def _capacity(case: _Case, host: str, term: Term) -> tuple[float, float, str | None]:
     """Delta and the measured gamma of ``term`` at ``host``, and the robot of a link; Delta is 0 where no single load makes the term."""
-    fleet, place = case.fleet, case.fleet.index[host]
-    ledger = measured(fleet)
+    fleet, place, ledger = case.fleet, case.fleet.index[host], case.ledger
     if term is Term.CPU:
         return fleet.cpu[place], ledger.cpu[place], None
     if term is Term.MEMORY:
