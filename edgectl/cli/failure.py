@@ -32,7 +32,7 @@ def _usage(error: Exception) -> UsageError | None:
     command = getattr(getattr(error, "ctx", None), "command_path", "edgectl")
     if type(error).__name__ == "NoArgsIsHelpError":  # its message is the whole help
         return UsageError(f"{command} needs a further word", hint=f"see {command} --help")
-    return UsageError(error.format_message().rstrip("."), hint=f"see {command} --help")
+    return UsageError(" ".join(error.format_message().split()).rstrip("."), hint=f"see {command} --help")
 
 
 def _unexpected(error: Exception) -> EdgectlError:

@@ -19,7 +19,13 @@ def replayed_text(values: Iterable[Replayed], look: Look = PLAIN) -> str:
     cycles = max((value.cycles for value in found), default=0)
     rows: list[Row] = [("VARIANT", "HANDOFFS", "PER CYCLE", "UNPLACED", "CPU", "MEMORY", "NETWORK")]
     rows += [
-        (Cell(value.variant.name, "name"), str(value.handoffs), _per_cycle(value), str(value.unplaced), *map(_share, _shares(value)))
+        (
+            Cell(value.variant.name, "name"),
+            str(value.handoffs),
+            _per_cycle(value),
+            str(value.unplaced),
+            *(_share(share) if value.cycles else "-" for share in _shares(value)),
+        )
         for value in found
     ]
     text = columns(rows, look, right={1, 2, 3, 4, 5, 6})

@@ -150,3 +150,10 @@ def test_no_colour_without_a_terminal_unless_forced(run: Run, site: Path, monkey
     monkeypatch.setenv("NO_COLOR", "1")
     assert "\x1b" not in run("plan", "--snapshot", "snap.json").out
     assert os.environ["FORCE_COLOR"] == "1"
+
+
+def test_a_missing_choice_is_named_in_one_plain_line(run: Run, site: Path) -> None:
+    said = run("export", "csv")
+    assert said.code == 64
+    assert "\\n" not in said.err
+    assert "Missing argument 'KIND'. Choose from: hosts, links, tasks, handoffs, events" in said.err

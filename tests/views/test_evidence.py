@@ -74,3 +74,12 @@ def test_replayed_variants_stand_side_by_side() -> None:
     assert lines[1].split() == ["paper", "all", "6", "1.500", "1", "50%/120%", "50%/120%", "50%/120%"]
     assert lines[2].startswith("4 cycles; ")
     assert json.loads(json_view.replayed([value]))["variants"][0]["cpu"] == {"mean": 0.5, "peak": 1.2}
+
+
+def test_where_nothing_was_recorded_no_number_is_shown() -> None:
+    nothing = Share(mean=0.0, peak=0.0)
+    value = Replayed(
+        variant=Variant(name="paper all", policy=Policy()), cycles=0, handoffs=0, unplaced=0, unsettled=0, cpu=nothing, memory=nothing,
+        network=nothing,
+    )  # fmt: skip
+    assert table.replayed([value]).splitlines()[1].split() == ["paper", "all", "0", "-", "0", "-", "-", "-"]
