@@ -109,16 +109,21 @@ def _addresses(address: str, port: int, timeout: float) -> list[tuple[int, int, 
 class ProxyLine(Line):
     """Our end of a ProxyCommand. Closing it ends the command and reaps it: a dead proxy costs neither CPU time nor a zombie."""
 
-    _process: subprocess.Popen[bytes] | None = None
+    def __init__(self, fileno: int) -> None:
+        super().__init__(fileno=fileno)
+        self._process: subprocess.Popen[bytes] | None = None
+        # paramiko's thread and whoever gave up both close: only one ends the group, and both return only once it is reaped.
+        self._ending = threading.Lock()
 
     def close(self) -> None:
         """Close, end the command's process group, wait for it."""
         super().close()
-        process, self._process = self._process, None
-        if process is not None:
-            with contextlib.suppress(ProcessLookupError, PermissionError):
-                os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
+        with self._ending:
+            process, self._process = self._process, None
+            if process is not None:
+                with contextlib.suppress(ProcessLookupError, PermissionError):
+                    os.killpg(process.pid, signal.SIGKILL)
+                process.wait()
 
 
 def proxy(command: str) -> ProxyLine:

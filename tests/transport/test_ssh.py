@@ -15,6 +15,7 @@ from edgectl.model.inventory import Connection, Host
 from edgectl.transport.base import Reply, Transport
 from edgectl.transport.call import call
 from edgectl.transport.choose import Transports
+from edgectl.transport.dial import ProxyLine, proxy
 from tests.relay import Fault, mute_server, relay
 from tests.sshd import Lab, make_key, running_lab
 
@@ -444,6 +445,22 @@ def test_a_dead_proxy_command_costs_nothing(lab: Lab, transport: Transport, conn
     assert seconds < BUSY_S
     assert time.process_time() - spent < 3.0, "paramiko alone burns a core until its deadline"
     assert not [pid for pid in children() if "Z" in state(pid)]
+
+
+def test_whoever_closes_a_proxy_command_finds_it_reaped() -> None:
+    for _ in range(30):
+        before = {*children()}
+        line = proxy("sleep 60")
+        (pid,) = {*children()} - before
+        both = threading.Barrier(2)
+
+        def close(line: ProxyLine = line, pid: str = pid, both: threading.Barrier = both) -> bool:
+            both.wait()
+            line.close()
+            return Path(f"/proc/{pid}").exists()
+
+        with ThreadPoolExecutor(2) as pool:
+            assert not any(future.result() for future in [pool.submit(close), pool.submit(close)])
 
 
 def children() -> list[str]:
