@@ -41,6 +41,9 @@ OWNERS = {
     "psutil": "agent",
     "platformdirs": "state",
     "simpy": "evidence/simulate",
+    "skimage": "evidence/ssim",
+    "matplotlib": "evidence/drawing",
+    "jinja2": "evidence/page",
     "prometheus_client": "export/prometheus",
     "textual": "tui/",
 }
