@@ -7,9 +7,9 @@ from functools import partial
 from pathlib import Path
 
 from edgectl.cli import console
-from edgectl.cli.inputs import known
 from edgectl.cli.selector import matches
 from edgectl.errors import UsageError
+from edgectl.model.names import known
 from edgectl.model.plan import Plan
 from edgectl.model.policy import Policy, PolicyName, Weights
 from edgectl.model.task import Tasks

@@ -7,8 +7,9 @@ from typer import Argument, Exit
 
 from edgectl.cli import console, exits, options
 from edgectl.cli.complete import hosts
-from edgectl.cli.inputs import Loaded, known, load
+from edgectl.cli.inputs import Loaded, load
 from edgectl.model.inventory import Host
+from edgectl.model.names import known
 from edgectl.views.form import Form
 
 if TYPE_CHECKING:

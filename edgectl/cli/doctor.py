@@ -6,7 +6,7 @@ from typer import Argument, Exit
 
 from edgectl.cli import console, exits, options
 from edgectl.cli.complete import hosts as host_names
-from edgectl.cli.inputs import known, load
+from edgectl.cli.inputs import load
 from edgectl.views.form import Form
 
 
@@ -32,7 +32,6 @@ def doctor_command(
     from edgectl.usecases.doctor import doctor
 
     loaded = load(inventory, tasks)
-    known(hosts or (), loaded.inventory.hosts, "host")
     fleet, state = examined(loaded)
     diagnosis = doctor(fleet, state, hosts or (), timeout=seconds(timeout, "--timeout"))
     console.show(output, "diagnosis", diagnosis)

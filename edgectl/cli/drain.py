@@ -5,7 +5,7 @@ from typing import Annotated
 from typer import Exit, Option
 
 from edgectl.cli import acting, console, exits, options
-from edgectl.cli.inputs import known, load
+from edgectl.cli.inputs import load
 from edgectl.errors import ExitCode
 from edgectl.views.form import Form
 
@@ -33,7 +33,6 @@ def drain_command(
 
     asked = acting.answerable(asked=not yes)
     loaded = load(inventory, tasks)
-    known(hosts, loaded.inventory.hosts, "host")
     fleet = reach(loaded)
     with acting.session(quiet=False, output=output, asked=asked) as act:
         chosen = act.options(lock_timeout=seconds(lock_timeout, "--lock-timeout"), max_parallel=max_parallel, fail_fast=fail_fast)

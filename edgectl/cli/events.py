@@ -7,9 +7,10 @@ from typer import Option
 
 from edgectl.cli import console, options
 from edgectl.cli.complete import hosts, tasks
-from edgectl.cli.inputs import known, load
+from edgectl.cli.inputs import load
 from edgectl.cli.until import told
 from edgectl.errors import UsageError
+from edgectl.model.names import known
 from edgectl.views.form import Form
 
 _EVERY_S = 1.0

@@ -1,7 +1,8 @@
 """explain."""
 
 from edgectl.cli import console, options
-from edgectl.cli.inputs import known, load
+from edgectl.cli.inputs import load
+from edgectl.model.names import known
 from edgectl.views.form import Form
 
 

@@ -6,8 +6,9 @@ from typing import Annotated
 from typer import Exit, Option
 
 from edgectl.cli import acting, console, options
-from edgectl.cli.inputs import known, load
+from edgectl.cli.inputs import load
 from edgectl.errors import ExitCode
+from edgectl.model.names import known
 
 
 def trust_command(

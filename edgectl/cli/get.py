@@ -8,10 +8,11 @@ from typer import Argument, Exit
 
 from edgectl.cli import console, exits, options
 from edgectl.cli.complete import hosts, tasks
-from edgectl.cli.inputs import known, load
+from edgectl.cli.inputs import load
 from edgectl.cli.selector import matches
 from edgectl.cli.until import pause, told
 from edgectl.errors import UsageError
+from edgectl.model.names import known
 from edgectl.views.form import Form
 
 if TYPE_CHECKING:

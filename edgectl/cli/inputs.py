@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
 from pathlib import Path
 from stat import S_IMODE
 
@@ -72,20 +71,6 @@ def _only(what: str, directory: str, option: str) -> Path:
         )
     names = ", ".join(file.name for file in files)
     raise UsageError(f"no {what} given, and {directory}/ holds {len(files)}: {names}", hint=f"pass {option} {files[0]}")
-
-
-def known(names: Iterable[str], among: Iterable[str], what: str) -> None:
-    """Refuse names that do not exist.
-
-    Raises:
-        UsageError: with the closest name as hint.
-    """
-    every = list(among)
-    for name in names:
-        if name not in every:
-            close = get_close_matches(name, every, n=1, cutoff=0.5)
-            hint = f"did you mean {close[0]}?" if close else f"known: {', '.join(every[:12])}{', ..' if len(every) > 12 else ''}"
-            raise UsageError(f"unknown {what} {name!r}", hint=hint if every else f"there is no {what} at all")
 
 
 def save(path: Path, text: str | Iterable[str], *, mode: int | None = None) -> None:

@@ -5,8 +5,9 @@ from typing import Annotated
 from typer import Exit, Option
 
 from edgectl.cli import acting, console, options
-from edgectl.cli.inputs import known, load, replaced, task_files
+from edgectl.cli.inputs import load, replaced, task_files
 from edgectl.errors import ExitCode
+from edgectl.model.names import known
 from edgectl.views.form import Form
 
 

@@ -1,16 +1,15 @@
 """Mistakes in input files: their stable codes, their places, and the list in which they are collected."""
 
-import difflib
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from enum import StrEnum
 
 from edgectl.errors import InputError, Problem
+from edgectl.model.names import listed, nearest
 
 _LONGEST_LINE = 400
 _LONGEST_MESSAGE = 300
-_LONGEST_NAME = 100
 _MOST_SUGGESTIONS = 50
 _NEAR = 3
 _SECRET = re.compile(r"\b(secret|value)\W*:")
@@ -137,8 +136,7 @@ class Problems:
         match = nearest(word, words) if self._suggested <= _MOST_SUGGESTIONS else ""
         if match:
             return f"did you mean {match}?"
-        listed = ", ".join(words[:12]) + (", .." if len(words) > 12 else "")
-        return f"{otherwise} {listed}" if words else ""
+        return f"{otherwise} {listed(words)}" if words else ""
 
     @property
     def errors(self) -> tuple[Problem, ...]:
@@ -168,10 +166,3 @@ def one_line(text: str) -> str:
     """``text`` on one line of bounded length, with nothing in it that a terminal would obey."""
     cut = text if len(text) <= _LONGEST_MESSAGE else text[: _LONGEST_MESSAGE - 2] + ".."
     return "".join(char if char.isprintable() else repr(char)[1:-1] for char in cut)
-
-
-def nearest(word: str, known: Iterable[str]) -> str:
-    """The known word that was probably meant, or nothing."""
-    by_folded = {candidate.lower(): candidate for candidate in known}
-    matches = difflib.get_close_matches(word.lower()[:_LONGEST_NAME], list(by_folded), n=1, cutoff=0.6)
-    return by_folded[matches[0]] if matches else ""

@@ -117,7 +117,7 @@ def _inner(node: Node, key: str) -> Node:
 def _check_known(node: Node, word: str, known: Iterable[str], what: str, problems: Problems) -> bool:
     if word in known:
         return True
-    problems.add(node.key_mark(word), Code.UNKNOWN_NAME, f"no {what} is named {word}", problems.did_you_mean(word, known, f"{what}s:"))
+    problems.add(node.key_mark(word), Code.UNKNOWN_NAME, f"unknown {what} {word}", problems.did_you_mean(word, known, f"{what}s:"))
     return False
 
 

@@ -3,7 +3,8 @@
 from pathlib import Path
 from stat import S_ISREG
 
-from edgectl.config.problems import Code, Mark, Problems, Source, nearest
+from edgectl.config.problems import Code, Mark, Problems, Source
+from edgectl.model.names import nearest
 
 MAX_BYTES = 2**20
 

@@ -8,10 +8,10 @@ from edgectl.gateway.examine import ExamineOptions, examine
 from edgectl.gateway.fanout import fan_out
 from edgectl.model.finding import Answers, Diagnosis, Disk, ManagerFacts, NoAnswer
 from edgectl.model.inventory import Connection, Host
+from edgectl.model.names import known
 from edgectl.state.links import load_links
 from edgectl.transport.present import has_ssh, known_hosts
 from edgectl.usecases.fleet import Fleet
-from edgectl.usecases.marks import check_hosts
 from edgectl.usecases.touch import in_touch
 
 _AT_ONCE = 16
@@ -23,7 +23,7 @@ def doctor(fleet: Fleet, state: Disk, names: Sequence[str] = (), *, timeout: flo
     Raises:
         UsageError: a host is unknown.
     """
-    check_hosts(fleet, names)
+    known(names, fleet.inventory.hosts, "host")
     hosts = [host for host in fleet.inventory.hosts.values() if host.probe and (not names or host.name in names)]
     return judge(fleet.inventory, _manager(hosts, state), _answers(fleet, hosts, state, timeout))
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from edgectl.executor.manual import running
 from edgectl.model.memory import Memory
+from edgectl.model.names import known
 from edgectl.model.plan import Plan
 from edgectl.model.policy import Policy
 from edgectl.model.result import Outcome
@@ -14,7 +15,6 @@ from edgectl.model.snapshot import Snapshot
 from edgectl.state.memory import load_memory, save_memory
 from edgectl.usecases.change import Applied, ApplyOptions, Confirm, agreed, carry_out, changing
 from edgectl.usecases.fleet import Fleet
-from edgectl.usecases.marks import check_hosts
 from edgectl.usecases.plan import plan as make_plan
 from edgectl.usecases.probe import probe
 
@@ -57,7 +57,7 @@ def drain(
         UsageError: a host is unknown.
         LockBusyError: another edgectl is changing this fleet.
     """
-    check_hosts(fleet, names)
+    known(names, fleet.inventory.hosts, "host")
     deadline = time.monotonic() + timeout
     options = dataclasses.replace(options or ApplyOptions(), deadline=deadline)
     with changing(fleet, "drain", options) as held:

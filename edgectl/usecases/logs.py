@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from edgectl.errors import UsageError
 from edgectl.gateway.find import find
 from edgectl.model.inventory import Host
+from edgectl.model.names import known
 from edgectl.transport.base import Session
 from edgectl.transport.call import call, stream
 from edgectl.usecases.fleet import Fleet
@@ -49,6 +50,7 @@ def _session(fleet: Fleet, task: str) -> Iterator[tuple[Host, Session]]:
 def _where(fleet: Fleet, task: str) -> Host:
     found, silent = find(task, fleet.inventory, fleet.transport, timeout=_TIMEOUT_S)
     if found is None:
+        known([task], [*fleet.tasks.tasks, *([task] if silent else [])], "task")
         unseen = f"; no answer from {', '.join(silent)}" if silent else ""
         raise UsageError(f"{task} has not run on any host that answers{unseen}", hint="edgectl status")
     return found

@@ -5,9 +5,9 @@ from collections.abc import Sequence
 from edgectl.errors import UsageError
 from edgectl.gateway import profilers
 from edgectl.model.inventory import Host
+from edgectl.model.names import known
 from edgectl.model.profiler import Profiler
 from edgectl.usecases.fleet import Fleet
-from edgectl.usecases.marks import check_hosts
 from edgectl.usecases.touch import in_touch
 
 EVERY_S, TTL_S = 1.0, 3600.0
@@ -55,5 +55,5 @@ def status(fleet: Fleet, names: Sequence[str] = ()) -> tuple[Profiler, ...]:
 
 
 def _hosts(fleet: Fleet, names: Sequence[str]) -> list[Host]:
-    check_hosts(fleet, names)
+    known(names, fleet.inventory.hosts, "host")
     return [host for host in fleet.inventory.hosts.values() if host.probe and (not names or host.name in names)]

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 from edgectl.errors import UsageError
 from edgectl.executor.manual import forgive, restart_plan, running, stop_plan
+from edgectl.model.names import known
 from edgectl.model.plan import Action, Plan
 from edgectl.model.snapshot import Snapshot
 from edgectl.usecases.change import Applied, ApplyOptions, Confirm, agreed, carry_out, changing
@@ -57,8 +58,5 @@ def _restarted(fleet: Fleet, name: str, snapshot: Snapshot) -> Plan:
 
 
 def _known(fleet: Fleet, names: Sequence[str], snapshot: Snapshot) -> list[str]:
-    places = running(snapshot)
-    for name in names:
-        if name not in places and name not in fleet.tasks.tasks:
-            raise UsageError(f"no task {name}", hint="edgectl status lists them")
+    known(names, [*fleet.tasks.tasks, *running(snapshot)], "task")
     return list(dict.fromkeys(names))

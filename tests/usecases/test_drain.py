@@ -74,7 +74,7 @@ def test_the_tasks_of_the_host_leave_and_it_stays_closed(bench: Bench) -> None:
 def test_a_declined_drain_closes_nothing(bench: Bench) -> None:
     assert drain(bench.fleet, POLICY, ["edge1"], lambda _plan: False).applied.declined
     assert bench.marks == (frozenset(), frozenset())
-    with pytest.raises(UsageError, match="no host edge9"):
+    with pytest.raises(UsageError, match="unknown host 'edge9'"):
         bench.drain("edge9")
 
 

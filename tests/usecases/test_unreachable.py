@@ -167,7 +167,7 @@ def test_without_self_fence_it_is_held_until_the_operator_says_that_the_host_is_
     assert bench.actions()["camera"] is Action.HOLD
     marks.fence(bench.fleet, [silent])
     assert marks.unfence(bench.fleet, [silent]) == frozenset()
-    with pytest.raises(UsageError, match="no host edge9"):
+    with pytest.raises(UsageError, match="unknown host 'edge9'"):
         marks.fence(bench.fleet, ["edge9"])
 
 
