@@ -86,6 +86,7 @@ def encode_task(task: TaskSample) -> Document:
         log_tail=list(task.log_tail) or None,
         limits=task.limits or None,
         given_up=task.given_up or None,
+        metrics={name: number(value) for name, value in task.metrics.items()} or None,
     )
 
 
@@ -190,7 +191,12 @@ def _read_task(reader: Reader) -> TaskSample:
         log_tail=reader.texts("log_tail"),
         limits=reader.text("limits", ""),
         given_up=reader.flag("given_up", default=False),
+        metrics=reader.mapping("metrics", _any_number),
     )
+
+
+def _any_number(reader: Reader, key: str) -> float:
+    return reader.number(key, minimum=None)
 
 
 def _read_device(reader: Reader) -> Device:

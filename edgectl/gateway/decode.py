@@ -1,6 +1,8 @@
 """An agent's document -> a HostSample. Pure and strict: anything odd costs this host its sample, and no other host anything."""
 
 import dataclasses
+import re
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -23,6 +25,9 @@ from edgectl.model.snapshot import (
 VERSION = 1
 # Delta_thp where nothing else is known: 54 Mbit/s, the paper's wireless network.
 ASSUMED_BYTES_PER_S = 6.75e6
+# Of one task, and how they are named: as the agent reads them.
+MOST_METRICS = 32
+METRIC_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_.:/-]{0,62}")
 _STATES = {state.value: state for state in TaskState}
 
 
@@ -123,7 +128,18 @@ def _task(name: str, entry: Document, context: Context) -> TaskSample:
         log_tail=lines(entry, "log_tail"),
         limits=text(entry, "limits"),
         given_up=flag(entry, "given_up", default=False),
+        metrics=_metrics(table(entry, "metrics")),
     )
+
+
+def _metrics(values: Document) -> dict[str, float]:
+    """What the application says of itself; the agent lets nothing else pass."""
+    if len(values) > MOST_METRICS:
+        raise ReplyError(f"more than {MOST_METRICS} metrics of one task")
+    for name in values:
+        if not METRIC_NAME.fullmatch(name):
+            raise ReplyError(f"not the name of a metric: {printable(name)[:80]}")
+    return {name: finite(values, name, most=sys.float_info.max) for name in values}
 
 
 def _alive(tasks: Mapping[str, TaskSample]) -> list[TaskSample]:

@@ -1,6 +1,5 @@
 """Typed reading of an agent's document: every value is checked where it is taken out."""
 
-import math
 import unicodedata
 from collections.abc import Callable, Mapping
 from typing import TypeVar
@@ -98,9 +97,9 @@ def optional(document: Document, key: str, read: Callable[[Document, str], Value
     return None if document.get(key) is None else read(document, key)
 
 
-def finite(document: Document, key: str) -> float:
-    """Any finite number under ``key``, such as a temperature or a clock."""
+def finite(document: Document, key: str, *, most: float = _MOST) -> float:
+    """Any finite number under ``key`` of at most this size, such as a temperature or a clock."""
     value = document.get(key)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value) or abs(value) > _MOST:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= most:
         raise ReplyError(f"{key} is not a finite number: {printable(repr(value))[:80]}")
     return float(value)

@@ -88,7 +88,14 @@ MARK = b"@MARK@"
 
 
 def _documents() -> list[bytes]:
-    given_up = a_task(state="crashloop", last_exit=1, log_tail=["one", "two"], limits="enforced", fields={"command": "0123abcd"})
+    given_up = a_task(
+        state="crashloop",
+        last_exit=1,
+        log_tail=["one", "two"],
+        limits="enforced",
+        fields={"command": "0123abcd"},
+        metrics={"fps": 29.5, "map/loss": -1e300},
+    )
     tasks = {"slam": a_task(), "camera": given_up}
     whole = a_document(tasks=tasks, checks={"slam": {"exit": 0, "timed_out": False, "output": "x"}})
     return [

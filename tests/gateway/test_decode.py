@@ -266,3 +266,23 @@ def test_a_profiler_s_readings_say_how_old_they_are() -> None:
     for wrong in ({"resident": "yes"}, {"sample_age_s": -1.0}, {"sample_age_s": "old"}):
         with pytest.raises(ReplyError):
             decoded(a_document(**wrong))
+
+
+def test_metrics_of_the_application_pass_as_they_are() -> None:
+    values = {"fps": 29.5, "map/loss.total": -1e300, "_n:x-y": 0}
+    task = decoded(a_document(tasks={"slam": a_task(metrics=values), "nav": a_task()}))
+    assert task.tasks["slam"].metrics == values
+    assert task.tasks["nav"].metrics == {}
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"a b": 1.0}, {"": 1.0}, {"9": 1.0}, {"a\x1b[31m": 1.0}, {"a\n": 1.0}, {"é": 1.0}, {"a" * 64: 1.0},
+        {"fps": True}, {"fps": "1"}, {"fps": None}, {"fps": math.nan}, {"fps": math.inf}, {"fps": 10**400}, {"fps": {}},
+        {f"m{number}": 1.0 for number in range(33)}, [1.0], "fps", 5,
+    ],
+)  # fmt: skip
+def test_metrics_that_no_agent_sends_cost_the_sample(values: object) -> None:
+    with pytest.raises(ReplyError):
+        decoded(a_document(tasks={"slam": a_task(metrics=values)}))
