@@ -3,9 +3,9 @@
 import math
 
 from edgectl.errors import UsageError
-from edgectl.evidence.variants import variants, weights_listed
 from edgectl.model.evidence import Variant
 from edgectl.model.policy import Policy, PolicyName
+from edgectl.model.variants import variants, weights_listed
 
 
 def variants_of(base: Policy, policies: str, weights: str | None, margins: list[float]) -> tuple[Variant, ...]:

@@ -6,11 +6,11 @@ import pytest
 
 from edgectl.evidence.past import snapshots_of
 from edgectl.evidence.replay import replay, transplanted
-from edgectl.evidence.variants import variants, weights_listed
 from edgectl.model.evidence import Variant
 from edgectl.model.point import HostPoint, LinkPoint, TaskPoint
 from edgectl.model.policy import Policy, PolicyName, Weights
 from edgectl.model.snapshot import HostStatus, Snapshot, TaskState
+from edgectl.model.variants import variants, weights_listed
 from tests.builders import GI, NOW, a_link, a_robot, a_run, a_sample, a_snapshot, a_task, an_edge, an_inventory, silent, some_tasks
 
 INVENTORY = an_inventory(an_edge("edge1"), an_edge("edge2"), a_robot("robot1", probe=False))
