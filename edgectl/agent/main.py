@@ -56,6 +56,8 @@ def _operation(name: str):  # noqa: C901 - a table of lazy imports
         from .shell import check as operation
     elif name == "logs":
         from .logs import logs as operation
+    elif name == "fetch":
+        from .fetch import fetch as operation
     elif name == "sink":
         from .bandwidth import sink as operation
     elif name == "supervise":
