@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -94,13 +95,10 @@ def _export(
     from edgectl.cli.reach import seconds, warn
     from edgectl.config.load import load_inventory
     from edgectl.state.paths import fleet_dir
-    from edgectl.usecases.rows import points
+    from edgectl.usecases.rows import export
 
     begin = time.time() - seconds(since, "--since") if since is not None else None
     path = inventory_file(inventory)
     load_inventory(path)
-    text = lines(kind, points(fleet_dir(path), kind, since=begin, warn=warn))
-    if out is None:
-        console.put_lines(text)
-    else:
-        save(out, text)
+    put = console.put_lines if out is None else partial(save, out)
+    export(fleet_dir(path), kind, lambda found: put(lines(kind, found)), since=begin, warn=warn)

@@ -4,7 +4,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from edgectl.model.event import Event
-from edgectl.state.store import Store
 from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.record import newest_event
 
@@ -20,8 +19,9 @@ class Wanted:
 
 def events(fleet: Fleet, wanted: Wanted, *, after: int = 0) -> tuple[Event, ...]:
     """Those with an id above ``after``, oldest first; none where nothing was recorded."""
-    with Store.open(fleet.state, warn=fleet.warn) as store:
-        return store.events(after=after, since=wanted.since, host=wanted.host, task=wanted.task)
+    return fleet.history.use(
+        fleet.state, fleet.warn, lambda store: store.events(after=after, since=wanted.since, host=wanted.host, task=wanted.task)
+    )
 
 
 def follow(fleet: Fleet, wanted: Wanted, told_to_end: Callable[[], bool]) -> Iterator[tuple[Event, ...]]:

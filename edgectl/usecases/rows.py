@@ -1,13 +1,13 @@
 """export csv and jsonl: the history, row by row. No host is asked."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 from edgectl.export.rows import Kind, Point
 from edgectl.state import store_rows as rows
 from edgectl.state.files import Warn, silent
-from edgectl.state.store import Store
+from edgectl.state.keeper import Keeper
 from edgectl.state.store_rows import Form
 
 # Where the rows of each kind lie, and their order: by time, then by name.
@@ -20,11 +20,12 @@ _PLACES: dict[Kind, tuple[Form[Any], str, str]] = {
 }
 
 
-def points(fleet_dir: Path, kind: Kind, *, since: float | None = None, warn: Warn = silent) -> Iterator[Point]:
-    """Everything of one kind that is not older than ``since`` (s since 1970), oldest first, however much it is.
+def export(
+    fleet_dir: Path, kind: Kind, take: Callable[[Iterator[Point]], None], *, since: float | None = None, warn: Warn = silent
+) -> None:
+    """Give ``take`` everything of one kind that is not older than ``since`` (s since 1970), oldest first, however much it is.
 
     Raises:
         StateError: the history cannot be read to its end.
     """
-    with Store.open(fleet_dir, warn=warn) as store:
-        yield from store.stream(*_PLACES[kind], since=since)
+    Keeper().use(fleet_dir, warn, lambda store: take(store.stream(*_PLACES[kind], since=since)))
