@@ -25,6 +25,10 @@ class Node:
         """Where ``key`` stands, or the mapping itself where it does not."""
         return self.keys.get(key, self.mark)
 
+    def inner(self, key: str) -> "Node":
+        """The value under ``key`` of a mapping, or the node itself where there is none; for its place."""
+        return self.value.get(key, self) if isinstance(self.value, dict) else self
+
 
 def out_of_sight(node: Node) -> Node:
     """The same value at the same places, of which no line is ever shown."""

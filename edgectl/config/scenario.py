@@ -96,7 +96,7 @@ def _scenario(fields: Fields, inventory: Inventory, tasks: Tasks, problems: Prob
         for task in values.get(key, {}):
             _check_known(fields.at(key), task, tasks.tasks, "task", problems)
     for task, host in values.get("placed", {}).items():
-        _check_known(_inner(fields.at("placed"), task), host, inventory.hosts, "host", problems)
+        _check_known(fields.at("placed").inner(task), host, inventory.hosts, "host", problems)
     return Scenario(
         name=values.get("name", ""),
         assumptions=values.get("assumptions", ()),
@@ -107,11 +107,6 @@ def _scenario(fields: Fields, inventory: Inventory, tasks: Tasks, problems: Prob
         rate=values.get("rate", {}),
         published=values.get("published", {}),
     )
-
-
-def _inner(node: Node, key: str) -> Node:
-    """The value under ``key`` of a mapping, for its place."""
-    return node.value[key] if isinstance(node.value, dict) else node
 
 
 def _check_known(node: Node, word: str, known: Iterable[str], what: str, problems: Problems) -> bool:

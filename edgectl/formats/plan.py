@@ -28,9 +28,7 @@ def encode(plan: Plan) -> Document:
     document: Document = {
         "format_version": FORMAT_VERSION,
         "created_at": format_instant(plan.created_at),
-        "policy": plan.policy.name.value,
-        "weights": _weights(plan.policy.weights),
-        "options": _options(plan.policy),
+        **encode_policy(plan.policy),
         "inventory_digest": plan.inventory_digest,
         "tasks_digest": plan.tasks_digest,
         "settled": plan.settled,
@@ -43,6 +41,11 @@ def encode(plan: Plan) -> Document:
         "snapshot": snapshot_format.encode(plan.snapshot),
     }
     return document
+
+
+def encode_policy(policy: Policy) -> Document:
+    """The policy's part of a plan."""
+    return {"policy": policy.name.value, "weights": _weights(policy.weights), "options": _options(policy)}
 
 
 def _weights(weights: Weights) -> Document:
@@ -160,7 +163,7 @@ def decode(raw: object) -> Plan:
         reader.require(key)
     plan = Plan(
         created_at=reader.instant("created_at"),
-        policy=_read_policy(reader),
+        policy=read_policy(reader),
         inventory_digest=reader.text("inventory_digest"),
         tasks_digest=reader.text("tasks_digest"),
         snapshot=snapshot_format.read(reader.child("snapshot")),
@@ -175,7 +178,8 @@ def decode(raw: object) -> Plan:
     return plan
 
 
-def _read_policy(reader: Reader) -> Policy:
+def read_policy(reader: Reader) -> Policy:
+    """The policy in an object of a larger document; mistakes go to the reader."""
     weights, options = reader.child("weights"), reader.child("options")
     return Policy(
         name=reader.choice("policy", PolicyName),

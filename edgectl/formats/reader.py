@@ -149,11 +149,12 @@ class Reader:
         """The strings of the list under ``key``; empty where it is absent."""
         return tuple(self._each(key, str, "a string", ""))
 
-    def numbers(self, key: str) -> tuple[float, ...]:
-        """The finite numbers, 0 or more, of the list under ``key``."""
+    def numbers(self, key: str, *, minimum: float | None = 0.0) -> tuple[float, ...]:
+        """The finite numbers, at least ``minimum`` (None: of any sign), of the list under ``key``."""
         values = [finite(raw) for raw in self._list(key) if isinstance(raw, int | float) and not isinstance(raw, bool)]
-        if len(values) != len(self._list(key)) or any(value is None or value < 0 for value in values):
-            self.fault(key, "must be a list of finite numbers, 0 or more")
+        least = -math.inf if minimum is None else minimum
+        if len(values) != len(self._list(key)) or any(value is None or value < least for value in values):
+            self.fault(key, "must be a list of finite numbers" + (f", {minimum:g} or more" if minimum is not None else ""))
         return tuple(value or 0.0 for value in values)
 
     def mapping(self, key: str, read: Callable[["Reader", str], Value]) -> dict[str, Value]:

@@ -21,8 +21,8 @@ def silent(_text: str) -> None:
     """Drop a warning."""
 
 
-def write_json(path: Path, document: object) -> None:
-    """Replace ``path`` by ``document``: temporary file, fsync, rename, fsync of the directory. The old one becomes ``.previous``.
+def write_json(path: Path, document: object, *, keep: bool = True) -> None:
+    """Replace ``path`` by ``document``: temporary file, fsync, rename, fsync of the directory; ``keep`` the old one as ``.previous``.
 
     Raises:
         StateError: the disk does not take it; the old file still stands.
@@ -33,7 +33,8 @@ def write_json(path: Path, document: object) -> None:
         with os.fdopen(_taken(temporary), "wb") as file:
             _write_synced(file, data, temporary)
             reached("state temp written")
-            _keep_previous(path)
+            if keep:
+                _keep_previous(path)
             temporary.replace(path)
         reached("state renamed")
         sync_dir(path.parent)
