@@ -41,5 +41,5 @@ def probe_command(
         snapshot = probe(fleet, how)
     if out is not None:
         save(out, console.rendered(Form.JSON, "snapshot", snapshot))
-    console.show(output, "measured", snapshot, links) if bandwidth else console.show(output, "snapshot", snapshot)
+    console.show(output, "bandwidth", snapshot, links) if bandwidth else console.show(output, "snapshot", snapshot)
     raise Exit(exits.of_snapshot(snapshot, fleet.inventory, allow_unreachable=allow_unreachable))

@@ -34,6 +34,7 @@ def simulate_command(
     from edgectl.cli.compare import variants_of
     from edgectl.cli.extras import extra
     from edgectl.config.scenario import load_scenario, scenario_files
+    from edgectl.evidence.reality import published
 
     with extra("evidence"):
         from edgectl.usecases.simulate import simulate
@@ -43,4 +44,4 @@ def simulate_command(
     world = load_scenario(scenario, loaded.inventory, loaded.tasks)
     chosen = variants_of(loaded.tasks.policy, policies, weights, [])
     found = list(simulate(loaded.inventory, loaded.tasks, world, chosen, runs=runs, seed=seed))
-    console.show(output, "simulated", world, found)
+    console.show(output, "simulated", world, found, published(world))

@@ -1,14 +1,16 @@
 """From runs to figures: means, deviations and confidence intervals."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from math import sqrt
 from statistics import fmean, stdev
 
-from edgectl.model.evidence import Figure, Simulated, Variant
+from edgectl.model.evidence import Column, Figure, Variant
 from edgectl.model.inventory import Inventory
 from edgectl.model.policy import PolicyName
 from edgectl.model.scenario import SimRun, Usage
 
+# What one run gave, by metric: one value for each host of the column, or one alone; None where there is none.
+Values = Mapping[str, tuple[float | None, ...]]
 # Student's t for two-sided 95 % by degrees of freedom; beyond, the normal distribution is near enough.
 _T = (12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228, 2.201, 2.179, 2.160, 2.145, 2.131, 2.120, 2.110, 2.101, 2.093,
       2.086, 2.080, 2.074, 2.069, 2.064, 2.060, 2.056, 2.052, 2.048, 2.045, 2.042)  # fmt: skip
@@ -28,38 +30,46 @@ def figure(values: Sequence[float]) -> Figure:
         return Figure(mean=values[0])
     spread = stdev(values)
     t = _T[len(values) - 2] if len(values) - 2 < len(_T) else _NORMAL
-    return Figure(mean=fmean(values), std=spread, half=t * spread / sqrt(len(values)))
+    return Figure(mean=fmean(values), std=spread, half=t * spread / sqrt(len(values)), count=len(values))
 
 
-def summed_up(inventory: Inventory, variant: Variant, runs: Sequence[SimRun]) -> Simulated:
-    """One scheme's column. Under local execution the robots count, in all others the edges, each for itself."""
+def known(values: Iterable[float | None]) -> Figure | None:
+    """The figure of the runs that have a value."""
+    found = [value for value in values if value is not None]
+    return figure(found) if found else None
+
+
+def mean(values: Iterable[float | None]) -> float | None:
+    """The mean of the values that are there."""
+    found = [value for value in values if value is not None]
+    return fmean(found) if found else None
+
+
+def summed_up(inventory: Inventory, variant: Variant, runs: Sequence[SimRun]) -> Column:
+    """One scheme's column of the model. Under local execution the robots count, in all others the edges, each for itself."""
     local = variant.policy.name is PolicyName.LOCAL
     hosts = [host.name for host in (inventory.robots if local else inventory.edges)]
-    figures: dict[str, tuple[Figure, ...]] = {"latency": (figure([run.latency / 60 for run in runs]),)}
-    for metric, read in _PER_HOST.items():
-        rows = [[read(run.usage[host]) for run in runs] for host in hosts]
-        figures[metric] = (_together(rows),) if local else tuple(_known(row) for row in rows)
-    figures["handoffs"] = (figure([float(run.handoffs) for run in runs]),)
-    return Simulated(
+    return Column(
         variant=variant,
         runs=len(runs),
         unfinished=sum(not run.finished for run in runs),
         unplaced=sum(run.unplaced for run in runs),
-        figures=figures,
+        figures=over([_values(run, hosts, together=local) for run in runs]),
+        hosts=() if local else tuple(hosts),
     )
 
 
-def _known(values: Iterable[float | None]) -> Figure:
-    """The figure of the runs that have a value; 0 where none has."""
-    found = [value for value in values if value is not None]
-    return figure(found) if found else Figure(mean=0.0)
+def _values(run: SimRun, hosts: Sequence[str], *, together: bool) -> Values:
+    per_host = {metric: tuple(read(run.usage[host]) for host in hosts) for metric, read in _PER_HOST.items()}
+    return {"latency": (run.latency / 60,), **joined(per_host, together=together), "handoffs": (float(run.handoffs),)}
 
 
-def _together(rows: Sequence[Sequence[float | None]]) -> Figure:
-    """The mean over the hosts, run by run."""
-    means = []
-    for run in zip(*rows, strict=True):
-        found = [value for value in run if value is not None]
-        if found:
-            means.append(fmean(found))
-    return figure(means) if means else Figure(mean=0.0)
+def joined(values: Values, *, together: bool) -> Values:
+    """The same, or with ``together`` the mean over the hosts."""
+    return {metric: (mean(row),) for metric, row in values.items()} if together else values
+
+
+def over(runs: Sequence[Values]) -> dict[str, tuple[Figure | None, ...]]:
+    """The figure of each value over runs that all have the same metrics and hosts."""
+    metrics = runs[0] if runs else {}
+    return {metric: tuple(known(row) for row in zip(*(run[metric] for run in runs), strict=True)) for metric in metrics}

@@ -1,7 +1,7 @@
 """What comparisons of policies show."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from edgectl.model.policy import Policy
 
@@ -42,23 +42,45 @@ class Replayed:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Figure:
-    """One number over several runs: mean, standard deviation (n - 1), and half of the 95 % confidence interval of the mean."""
+    """One number over ``count`` runs: mean, standard deviation (n - 1), and half of the 95 % confidence interval of the mean.
+
+    The last two are 0 where ``count`` is 1.
+    """
 
     mean: float
     std: float = 0.0
     half: float = 0.0
+    count: int = 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Simulated:
-    """One scheme over all runs. ``figures``: by metric, one per edge, or one alone (of the mission, or the mean over the robots).
+class Column:
+    """One scheme over all its runs, in the model or on real hosts: a column of the paper's table. None: no run has a value.
 
-    Metrics: latency (min), cpu and cpu peak and memory (percent), throughput (MB/s), rate (frames/s), handoffs (per run).
-    ``unfinished``: runs that the limit ended. ``unplaced``: tasks without a host, summed over all plans.
+    ``figures``: by metric, one for each of ``hosts`` (the edges), or one alone (of the mission; under local execution the mean over the
+    robots, and ``hosts`` is empty). Metrics: latency (min), cpu and cpu peak and memory (percent), throughput (MB/s), handoffs (per run);
+    of the model rate (frames/s); of real hosts downtime (s, mean of the handoffs) and unplaced (tasks without a host, per run).
+    ``metrics``: of the application. ``maps``: SSIM. ``unfinished``: runs that the limit ended. ``unplaced``: summed over all plans.
     """
 
     variant: Variant
     runs: int
     unfinished: int
     unplaced: int
-    figures: Mapping[str, tuple[Figure, ...]]
+    figures: Mapping[str, tuple[Figure | None, ...]]
+    hosts: tuple[str, ...] = ()
+    metrics: Mapping[str, Figure | None] = field(default_factory=dict)
+    maps: Mapping[str, Figure | None] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reality:
+    """What stands beside the model's columns. ``word``: where it is from ("published", "measured").
+
+    ``figures``: means by scheme and metric, one for each host of the model's column or one of the whole; None where nothing is known.
+    ``notes``: what could not be compared.
+    """
+
+    word: str
+    figures: Mapping[str, Mapping[str, tuple[float | None, ...]]]
+    notes: tuple[str, ...] = ()

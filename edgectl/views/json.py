@@ -7,7 +7,8 @@ from edgectl.formats import snapshot as snapshot_format
 from edgectl.formats.base import FORMAT_VERSION, Document, dump_line, dumps, number, optional, without_none
 from edgectl.model.bandwidth import Measurement
 from edgectl.model.event import Event
-from edgectl.model.evidence import Replayed, Simulated
+from edgectl.model.evidence import Column, Reality, Replayed
+from edgectl.model.experiment import Run
 from edgectl.model.explanation import Explanation
 from edgectl.model.finding import Diagnosis
 from edgectl.model.inventory import Inventory
@@ -27,13 +28,15 @@ from edgectl.views.demands import stated
 from edgectl.views.diagnosis import document as diagnosis_document
 from edgectl.views.events import document as events_document
 from edgectl.views.events import line as event_line
-from edgectl.views.evidence import replayed_document, simulated_document
 from edgectl.views.explanation import document as explanation_document
 from edgectl.views.listing import Change, Item, Listing
 from edgectl.views.listing import document as listing_document
 from edgectl.views.listing import line as change_document
+from edgectl.views.measured import as_document as measured_document
 from edgectl.views.profile import document as profile_document
 from edgectl.views.profilers import document as profilers_document
+from edgectl.views.replayed import document as replayed_document
+from edgectl.views.simulated import as_document as simulated_document
 from edgectl.views.text import PLAIN, Look
 from edgectl.views.top import hosts_document, tasks_document
 
@@ -43,9 +46,14 @@ def plan(value: Plan, _look: Look = PLAIN) -> str:
     return dumps(plan_format.encode(value))
 
 
-def simulated(scenario: Scenario, values: Iterable[Simulated], _look: Look = PLAIN) -> str:
+def simulated(scenario: Scenario, values: Iterable[Column], real: Reality, _look: Look = PLAIN) -> str:
     """What the model says of each scheme."""
-    return dumps(simulated_document(scenario, values))
+    return dumps(simulated_document(scenario, values, real))
+
+
+def measured(run: Run, values: Sequence[Column], _look: Look = PLAIN) -> str:
+    """What an experiment on real hosts gave."""
+    return dumps(measured_document(run, values))
 
 
 def replayed(values: Iterable[Replayed], _look: Look = PLAIN) -> str:
@@ -137,7 +145,7 @@ def drained(passes: Sequence[Results], left: Iterable[tuple[str, str]], done: bo
     return dumps({**every[-1], "done": done, "left": remaining, "passes": every})
 
 
-def measured(value: Snapshot, links: Iterable[Measurement], _look: Look = PLAIN) -> str:
+def bandwidth(value: Snapshot, links: Iterable[Measurement], _look: Look = PLAIN) -> str:
     """The snapshot document, with what each link was just measured to carry."""
     return dumps({**snapshot_format.encode(value), "bandwidth": [_bandwidth(each) for each in links]})
 

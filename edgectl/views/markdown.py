@@ -1,8 +1,13 @@
 """A plan as a comment on a pull request. The hidden marker lets a CI job edit its comment instead of adding one."""
 
+from collections.abc import Sequence
+
+from edgectl.model.evidence import Column
+from edgectl.model.experiment import Run
 from edgectl.model.plan import Plan, Step
 from edgectl.views import sections
 from edgectl.views.demands import demands
+from edgectl.views.measured import markdown
 from edgectl.views.reasons import reason
 from edgectl.views.sections import figure
 from edgectl.views.text import PLAIN, Look, harmless
@@ -19,6 +24,11 @@ def plan(value: Plan, _look: Look = PLAIN) -> str:
     folded = _folded("Expected load", load) + _folded("Demands", demands(value).replace("```", "'''"))
     notes = "".join(f"\n> {_plain(line)}\n" for line in sections.notes(value).splitlines())
     return f"{MARKER}\n**{sections.summary(value).strip()}**\n\n{_HEAD}{rows}{notes}{folded}\n{sections.header(value)}"
+
+
+def measured(run: Run, values: Sequence[Column], _look: Look = PLAIN) -> str:
+    """The wide table of an experiment."""
+    return markdown(run, values, _plain)
 
 
 def _folded(title: str, text: str) -> str:

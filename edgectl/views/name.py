@@ -54,7 +54,7 @@ def drained(passes: Iterable[Results], _left: object, _done: object, _look: Look
     return "".join(f"task/{name}\n" for name in dict.fromkeys(action.task for each in passes for action in each.actions))
 
 
-def measured(value: Snapshot, _links: object, look: Look = PLAIN) -> str:
+def bandwidth(value: Snapshot, _links: object, look: Look = PLAIN) -> str:
     """As of a snapshot."""
     return snapshot(value, look)
 

@@ -18,15 +18,16 @@ from edgectl.views.describe import task as task_details  # noqa: F401
 from edgectl.views.diagnosis import text as diagnosis  # noqa: F401  (a form of its own module)
 from edgectl.views.events import more as events_more  # noqa: F401
 from edgectl.views.events import text as events  # noqa: F401
-from edgectl.views.evidence import replayed_text as replayed  # noqa: F401
-from edgectl.views.evidence import simulated_text as simulated  # noqa: F401
 from edgectl.views.explanation import text as explanation  # noqa: F401  (a form of its own module)
 from edgectl.views.listing import more_text as listing_more  # noqa: F401
 from edgectl.views.listing import text as listing  # noqa: F401
+from edgectl.views.measured import text as measured  # noqa: F401
 from edgectl.views.profile import text as profile  # noqa: F401
 from edgectl.views.profilers import text as profilers  # noqa: F401
 from edgectl.views.reasons import left_out, reason
+from edgectl.views.replayed import text as replayed  # noqa: F401
 from edgectl.views.sections import STYLES, closed, expected, figure, header, note_lines, notes, silent, summary
+from edgectl.views.simulated import text as simulated  # noqa: F401
 from edgectl.views.state import STATES, host_status, phrase, remarks
 from edgectl.views.text import PLAIN, Cell, Look, Row, columns, fits, harmless, paint
 from edgectl.views.top import hosts as top_hosts  # noqa: F401
@@ -224,7 +225,7 @@ def validated(inventory: Inventory, tasks: Tasks, look: Look = PLAIN) -> str:
     return paint("ok:", "good", look) + f" {counts}\n"
 
 
-def measured(value: Snapshot, links: Iterable[Measurement], look: Look = PLAIN) -> str:
+def bandwidth(value: Snapshot, links: Iterable[Measurement], look: Look = PLAIN) -> str:
     """What each link was just measured to carry, then the snapshot."""
     return carried(links, look) + "\n" + snapshot(value, look)
 

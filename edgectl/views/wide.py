@@ -1,18 +1,20 @@
 """Everything the scheduler weighed: four terms of every host, losers and the rejected with what they lack."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from edgectl.model.assignment import RankedHost
 from edgectl.model.bandwidth import Measurement
-from edgectl.model.evidence import Simulated
+from edgectl.model.evidence import Column, Reality
+from edgectl.model.experiment import Run
 from edgectl.model.explanation import Explanation
 from edgectl.model.plan import Plan, Step
 from edgectl.model.scenario import Scenario
 from edgectl.model.snapshot import HostSample, InterfaceSample, LinkSample, Snapshot
 from edgectl.units import format_duration, format_rate
+from edgectl.views import measured as measured_view
 from edgectl.views import sections, table
+from edgectl.views import simulated as simulated_view
 from edgectl.views.demands import demands
-from edgectl.views.evidence import simulated_text
 from edgectl.views.explanation import text
 from edgectl.views.listing import wide_more as listing_more
 from edgectl.views.listing import wide_text as listing
@@ -22,7 +24,7 @@ from edgectl.views.text import PLAIN, Cell, Look, Row, columns
 from edgectl.views.top import wide_hosts as top_hosts
 from edgectl.views.top import wide_tasks as top_tasks
 
-__all__ = ["explanation", "listing", "listing_more", "measured", "plan", "simulated", "snapshot", "top_hosts", "top_tasks"]
+__all__ = ["bandwidth", "explanation", "listing", "listing_more", "measured", "plan", "simulated", "snapshot", "top_hosts", "top_tasks"]
 
 
 def plan(value: Plan, look: Look = PLAIN) -> str:
@@ -36,9 +38,14 @@ def plan(value: Plan, look: Look = PLAIN) -> str:
     return "\n".join(part for part in parts if part)
 
 
-def simulated(scenario: Scenario, values: Iterable[Simulated], look: Look = PLAIN) -> str:
+def simulated(scenario: Scenario, values: Iterable[Column], real: Reality, look: Look = PLAIN) -> str:
     """The table form with every metric, each with its deviation."""
-    return simulated_text(scenario, values, look, every=True)
+    return simulated_view.text(scenario, values, real, look, every=True)
+
+
+def measured(run: Run, values: Sequence[Column], look: Look = PLAIN) -> str:
+    """The table form with every metric, each with its deviation."""
+    return measured_view.text(run, values, look, every=True)
 
 
 def explanation(step: Step, value: Explanation, look: Look = PLAIN) -> str:
@@ -91,7 +98,7 @@ def snapshot(value: Snapshot, look: Look = PLAIN) -> str:
     return table.snapshot(value, look) + "\n" + columns(rows, look, wrap={0, 5})
 
 
-def measured(value: Snapshot, links: Iterable[Measurement], look: Look = PLAIN) -> str:
+def bandwidth(value: Snapshot, links: Iterable[Measurement], look: Look = PLAIN) -> str:
     """What each link was just measured to carry, then the wide snapshot."""
     return table.carried(links, look) + "\n" + snapshot(value, look)
 

@@ -8,6 +8,7 @@ import yaml
 from edgectl.views import json as json_view
 
 __all__ = [
+    "bandwidth",
     "commands",
     "diagnosis",
     "drained",
@@ -65,6 +66,7 @@ commands = _of(json_view.commands)
 fields = _of(json_view.fields)
 history = _of(json_view.history)
 revision = _of(json_view.revision)
+bandwidth = _of(json_view.bandwidth)
 measured = _of(json_view.measured)
 drained = _of(json_view.drained)
 listing = _of(json_view.listing)

@@ -157,7 +157,7 @@ def test_shares_are_fair(capacity: float, wanted: dict[str, float]) -> None:
 
 def test_figures_by_hand() -> None:
     """1, 2, 3: mean 2, deviation 1, t(2) = 4.303, half = 4.303 / sqrt 3."""
-    assert figure([1.0, 2.0, 3.0]) == Figure(mean=2.0, std=1.0, half=pytest.approx(2.4843, abs=1e-4))  # type: ignore[arg-type]
+    assert figure([1.0, 2.0, 3.0]) == Figure(mean=2.0, std=1.0, half=pytest.approx(2.4843, abs=1e-4), count=3)  # type: ignore[arg-type]
     assert figure([7.0]) == Figure(mean=7.0)
 
 

@@ -2,23 +2,24 @@
 
 import json
 
-from edgectl.model.evidence import Figure, Replayed, Share, Simulated, Variant
+from edgectl.model.evidence import Column, Figure, Reality, Replayed, Share, Variant
 from edgectl.model.policy import Policy
 from edgectl.model.scenario import Scenario
 from edgectl.views import json as json_view
 from edgectl.views import table, wide
 from edgectl.views.text import Look
 
-SCENARIO = Scenario(
-    name="test", assumptions=("all is well",), hosts={}, jobs=(),
-    published={"local": {"latency": (4.0,), "cpu": (99.0,)}, "utility all": {"latency": (2.0,), "cpu": (50.0, 0.0)}},
+SCENARIO = Scenario(name="test", assumptions=("all is well",), hosts={}, jobs=())
+REAL = Reality(
+    word="published",
+    figures={"local": {"latency": (4.0,), "cpu": (99.0,)}, "utility all": {"latency": (2.0,), "cpu": (50.0, 0.0)}},
 )  # fmt: skip
 
 
-def simulated(name: str, latency: float, *cpu: float) -> Simulated:
+def simulated(name: str, latency: float, *cpu: float) -> Column:
     others = {metric: tuple(Figure(mean=1.0) for _ in cpu) for metric in ("cpu peak", "memory", "throughput", "rate")}
-    figures = {"latency": (Figure(mean=latency, std=0.5, half=0.1),), "cpu": tuple(Figure(mean=each) for each in cpu), **others}
-    return Simulated(
+    figures = {"latency": (Figure(mean=latency, std=0.5, half=0.1, count=5),), "cpu": tuple(Figure(mean=each) for each in cpu), **others}
+    return Column(
         variant=Variant(name=name, policy=Policy()), runs=5, unfinished=int(name == "local"), unplaced=0,
         figures=figures | {"handoffs": (Figure(mean=0.2),)},
     )  # fmt: skip
@@ -37,7 +38,7 @@ utility all    3.00±0.50   60/40       1/1   1.0/1.0       0.2
 
 
 def test_the_published_stands_below_the_model_with_the_deviation() -> None:
-    text = table.simulated(SCENARIO, FOUND)
+    text = table.simulated(SCENARIO, FOUND, REAL)
     assert text.startswith(TEXT)
     assert "Latency as a share of local execution: utility all 0.75 (published 0.50).\n" in text
     assert "local: runs given up at the limit: 1\n" in text
@@ -45,15 +46,15 @@ def test_the_published_stands_below_the_model_with_the_deviation() -> None:
 
 
 def test_wide_has_every_metric_and_its_deviation() -> None:
-    head = wide.simulated(SCENARIO, FOUND, Look(width=160)).splitlines()[0]
+    head = wide.simulated(SCENARIO, FOUND, REAL, Look(width=160)).splitlines()[0]
     assert head.split() == ["SCHEME", "LATENCY", "min", "CPU", "%", "PEAK", "%", "MEMORY", "%", "MB/s", "FRAMES/s", "HANDOFFS"]
 
 
 def test_the_document_holds_figures_and_assumptions() -> None:
-    document = json.loads(json_view.simulated(SCENARIO, FOUND))
+    document = json.loads(json_view.simulated(SCENARIO, FOUND, REAL))
     assert document["assumptions"] == ["all is well"]
     scheme = document["schemes"][0]
-    assert scheme["figures"]["latency"] == [{"mean": 4.001, "std": 0.5, "half_ci95": 0.1}]
+    assert scheme["figures"]["latency"] == [{"mean": 4.001, "std": 0.5, "half_ci95": 0.1, "runs": 5}]
     assert scheme["published"] == {"latency": [4], "cpu": [99]}
 
 

@@ -169,18 +169,18 @@ def test_what_links_carry_stands_in_every_form() -> None:
         Measurement(edge="edge1", robot="robot1", bytes_per_s=12.5e6),
         Measurement(edge="edge2", robot="robot1", bytes_per_s=None, error="off"),
     )
-    document = json.loads(view(Form.JSON, "measured")(snapshot, links))
+    document = json.loads(view(Form.JSON, "bandwidth")(snapshot, links))
     assert document["bandwidth"] == [
         {"edge": "edge1", "robot": "robot1", "bytes_per_s": 12500000},
         {"edge": "edge2", "robot": "robot1", "error": "off"},
     ]
     assert snapshot_format.decode(document) == snapshot, "it is still a snapshot"
-    assert yaml.safe_load(view(Form.YAML, "measured")(snapshot, links)) == document
+    assert yaml.safe_load(view(Form.YAML, "bandwidth")(snapshot, links)) == document
     for form, plain in ((Form.TABLE, view(Form.TABLE, "snapshot")), (Form.WIDE, view(Form.WIDE, "snapshot"))):
-        assert view(form, "measured")(snapshot, links) == (
+        assert view(form, "bandwidth")(snapshot, links) == (
             "EDGE   ROBOT   CARRIED\nedge1  robot1  12.5MB/s\nedge2  robot1  off\n\n" + plain(snapshot)
         )
-    assert view(Form.NAME, "measured")(snapshot, links) == view(Form.NAME, "snapshot")(snapshot)
+    assert view(Form.NAME, "bandwidth")(snapshot, links) == view(Form.NAME, "snapshot")(snapshot)
 
 
 @pytest.mark.parametrize("width", [80, 160])
