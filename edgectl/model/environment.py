@@ -15,11 +15,13 @@ def environment(
 ) -> dict[str, str]:
     """Variables of ``task`` on ``host``: the host's, then edgectl's own, then the task's, the later winning; secrets are masked.
 
-    EDGECTL_ROBOT and EDGECTL_ROBOT_HOST name the first robot and its address; EDGECTL_ROBOTS all of them, separated by spaces.
+    EDGECTL_ROBOT and EDGECTL_ROBOT_HOST name the first robot and its address; EDGECTL_ROBOTS and EDGECTL_ROBOT_HOSTS all of them and
+    their addresses, separated by spaces, in the same order.
     ``host_more`` and ``task_more`` are what the two ``env_command`` printed.
     """
     own = {"EDGECTL_TASK": task.name, "EDGECTL_HOST": host.name, "EDGECTL_ROBOTS": " ".join(task.robots)}
     if task.robots:
+        own["EDGECTL_ROBOT_HOSTS"] = " ".join(hosts[robot].host for robot in task.robots if robot in hosts)
         own["EDGECTL_ROBOT"] = task.robots[0]
         own["EDGECTL_ROBOT_HOST"] = hosts[task.robots[0]].host if task.robots[0] in hosts else ""
     return {**host.env, **host_more, **own, **task.env, **task_more}

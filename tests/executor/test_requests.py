@@ -25,6 +25,7 @@ def test_the_tasks_variables_win_over_the_hosts() -> None:
         "EDGECTL_ROBOT": "robot2",
         "EDGECTL_ROBOT_HOST": "robot2.lab",
         "EDGECTL_ROBOTS": "robot2 robot1",
+        "EDGECTL_ROBOT_HOSTS": "robot2.lab robot1.lab",
     }
     assert "EDGECTL_ROBOT" not in environment(a_task("merge"), EDGE, FLEET.hosts)
 

@@ -1,0 +1,196 @@
+"""A simulated robot: it drives through the world as it is told, and serves what its sensors see; maps of others it keeps on a blackboard.
+
+    python3 robot.py [--robots 2] [--check]
+
+Serves over TCP at its own address ($EDGECTL_ROBOT_HOST), port 27000 and the number in its name: ``frame`` (a camera's picture),
+``scan`` (a laser's distances), ``pose``, ``drive`` (a velocity; it stops by itself half a second after the last one), ``put`` and
+``get`` (the blackboard), ``over`` (the mission is). ``--check`` asks whether it serves. TERM ends it.
+Python >= 3.8, standard library only.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import random
+import socketserver
+import sys
+import threading
+import time
+from array import array
+
+import wire
+import world
+
+BEAMS, REACH, SCAN_NOISE = 360, 3.5, 0.01
+COLUMNS, ROWS, FIELD, STRIPE = 240, 180, math.pi / 2, 4
+CEILING, FLOOR, LIGHT, BALL = 96, 72, 110, 215
+BALL_RADIUS = 0.12
+POSE_NOISE, TURN_NOISE = 0.01, 0.005
+STALE_S = 0.5
+
+
+class Robot:
+    """Where it is, what it was told, and what it holds for others."""
+
+    def __init__(self, number: int, robots: int, seed: int = world.SEED) -> None:
+        self.plan = world.Plan(seed)
+        self.tour = self.plan.tour(number, robots)
+        self.x, self.y, self.angle = (*self.tour[0], 0.0)
+        self.forward, self.turn, self.told = 0.0, 0.0, 0.0
+        self.moved = time.monotonic()
+        self.draw = random.Random(seed * 1000 + number)
+        self.lock = threading.Lock()
+        self.board: dict[str, bytes] = {}
+        self.taken = {"frame": 0, "scan": 0}
+        self.over = False
+
+    def move(self, now: float) -> None:
+        """Be where the last command has led until ``now``; a wall stops it."""
+        until = min(now, self.told + STALE_S)
+        span = max(0.0, until - self.moved)
+        self.moved = now
+        while span > 0:
+            step = min(span, 0.02)
+            span -= step
+            self.angle = math.remainder(self.angle + self.turn * step, 2 * math.pi)
+            x, y = self.x + self.forward * step * math.cos(self.angle), self.y + self.forward * step * math.sin(self.angle)
+            if self.plan.free(x, y):
+                self.x, self.y = x, y
+
+    def scan(self) -> bytes:
+        """Distances in mm all around, from straight ahead to the left; 0 where nothing is within reach."""
+        found = array("H")
+        for beam in range(BEAMS):
+            far = world.cast(self.plan.solid, self.x, self.y, self.angle + beam * 2 * math.pi / BEAMS, REACH)
+            found.append(int(1000 * max(0.02, far + self.draw.gauss(0.0, SCAN_NOISE))) if far < REACH else 0)
+        return found.tobytes()
+
+    def frame(self) -> tuple[bytes, int]:
+        """What the camera sees, a byte per pixel, row by row from above; and how many balls are in it, whole and in sight."""
+        return picture(self.plan, (self.x, self.y, self.angle), self.draw)
+
+    def believed(self) -> tuple[float, float, float]:
+        """Where it thinks that it is."""
+        near = self.draw.gauss
+        return self.x + near(0.0, POSE_NOISE), self.y + near(0.0, POSE_NOISE), self.angle + near(0.0, TURN_NOISE)
+
+
+def picture(plan: world.Plan, pose: tuple[float, float, float], draw: random.Random) -> tuple[bytes, int]:
+    """The walls that a camera sees from a pose, the balls before them, and noise; and how many balls are whole and in sight."""
+    x, y, angle = pose
+    focal = COLUMNS / 2 / math.tan(FIELD / 2)
+    depths, stripes = [], []
+    for left in range(0, COLUMNS, STRIPE):
+        aside = math.atan2(COLUMNS / 2 - left - STRIPE / 2, focal)
+        depth = max(0.1, world.cast(plan.solid, x, y, angle + aside, 9.0) * math.cos(aside))
+        half = min(ROWS // 2, int(focal * 0.5 / depth))
+        wall = bytes([int(LIGHT - 6 * min(depth, 5.0))]) * (2 * half)
+        depths.append(depth)
+        stripes += [bytes([CEILING]) * (ROWS // 2 - half) + wall + bytes([FLOOR]) * (ROWS // 2 - half)] * STRIPE
+    pixels = bytearray().join(map(bytes, zip(*stripes)))
+    shown = sum(paint(pixels, depths, ball) for ball in sorted(balls(plan, pose, focal), reverse=True))
+    noise = draw.getrandbits(8 * len(pixels)) & int.from_bytes(b"\x0f" * len(pixels), "big")
+    return (int.from_bytes(pixels, "big") ^ noise).to_bytes(len(pixels), "big"), shown
+
+
+def balls(plan: world.Plan, pose: tuple[float, float, float], focal: float) -> list[tuple[float, float, float]]:
+    """Depth, column and radius in pixels of every ball before the camera."""
+    x, y, angle = pose
+    found = []
+    for ball_x, ball_y in plan.objects:
+        ahead = (ball_x - x) * math.cos(angle) + (ball_y - y) * math.sin(angle)
+        left = (ball_y - y) * math.cos(angle) - (ball_x - x) * math.sin(angle)
+        if ahead > 0.4:
+            found.append((ahead, COLUMNS / 2 - focal * left / ahead, focal * BALL_RADIUS / ahead))
+    return found
+
+
+def paint(pixels: bytearray, depths: list[float], ball: tuple[float, float, float]) -> bool:
+    """Paint one ball where no wall hides it; whether it is whole, in sight and more than a speck."""
+    depth, middle, radius = ball
+    whole = radius >= 3 and radius <= middle <= COLUMNS - radius
+    for column in range(max(0, math.ceil(middle - radius)), min(COLUMNS, int(middle + radius) + 1)):
+        if depths[column // STRIPE] < depth - BALL_RADIUS:
+            whole = False
+            continue
+        half = int(math.sqrt(max(0.0, radius * radius - (column - middle) ** 2)))
+        for row in range(max(0, ROWS // 2 - half), min(ROWS, ROWS // 2 + half + 1)):
+            pixels[row * COLUMNS + column] = BALL
+    return whole
+
+
+def answer(robot: Robot, request: dict[str, object], payload: bytes) -> tuple[dict[str, object], bytes]:
+    """What the robot says to one request."""
+    what, body = request.get("ask"), b""
+    with robot.lock:
+        robot.move(time.monotonic())
+        if what in robot.taken:
+            robot.taken[str(what)] += bool(request.get("done"))
+        reply: dict[str, object] = {"over": robot.over, "pose": robot.believed(), "taken": dict(robot.taken)}
+        if what == "frame":
+            body, reply["balls"] = robot.frame()
+            reply["size"] = [COLUMNS, ROWS]
+        elif what == "scan":
+            body = robot.scan()
+        elif what == "drive":
+            robot.forward, robot.turn, robot.told = float(request["forward"]), float(request["turn"]), robot.moved  # type: ignore[arg-type]
+        elif what == "tour":
+            reply["tour"] = robot.tour
+        elif what == "put":
+            robot.board[str(request["name"])] = payload
+        elif what == "get":
+            body = robot.board.get(str(request["name"]), b"")
+        elif what == "over":
+            robot.over = reply["over"] = True
+    return reply, body
+
+
+class Server(socketserver.ThreadingTCPServer):
+    """One thread per client."""
+
+    allow_reuse_address = True
+    daemon_threads = True
+    robot: Robot
+
+
+class Session(socketserver.StreamRequestHandler):
+    """One client, until it leaves."""
+
+    wbufsize = -1
+    disable_nagle_algorithm = True
+    server: Server
+
+    def handle(self) -> None:
+        """Answer what is asked."""
+        try:
+            while True:
+                request, payload = wire.receive(self.rfile)
+                wire.send(self.wfile, *answer(self.server.robot, request, payload))
+        except OSError:
+            return
+
+
+def main() -> int:
+    """Serve until TERM."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--robots", type=int, default=2, help="how many share the world")
+    parser.add_argument("--check", action="store_true", help="ask whether it serves")
+    args = parser.parse_args()
+    if args.check:
+        wire.own_robot().ask("pose")
+        return 0
+    name = os.environ.get("EDGECTL_ROBOT", "robot1")
+    number = (wire.port(name) - wire.PORT - 1) % args.robots + 1
+    address = (os.environ.get("EDGECTL_ROBOT_HOST") or "127.0.0.1", wire.port(name))
+    with Server(address, Session) as server:
+        server.robot = Robot(number, args.robots)
+        sys.stdout.write("{} serves at {}:{}\n".format(name, *address))
+        sys.stdout.flush()
+        server.serve_forever()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
