@@ -15,11 +15,12 @@ check: setup
 	@.venv/bin/ruff check .
 	@.venv/bin/mypy
 
-# Two files of tests at a time: most of them wait for real hosts, and each makes hosts of its own.
+# Two files of tests at a time: most of them wait for real hosts, and each makes hosts of its own. What fails is run once more, alone,
+# and named (docs/adr/0030-a-second-chance-for-a-test.md).
 test: check
 	@.ci/need-faults
 	@.ci/need-promtool
-	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m pytest tests --ignore=tests/benchmarks -n 2 --dist loadfile
+	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.suite tests --ignore=tests/benchmarks -n 2 --dist loadfile
 
 bench: setup
 	@.ci/need-sshd
@@ -31,8 +32,10 @@ faults: setup
 	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.faults --seed $(or $(SEED),1)
 
 # At least 100,000 damaged inputs to every decoder together; make fuzz SEED=7 damages them otherwise.
+# Then the properties that make test checks with the same examples in every run, with others.
 fuzz: setup
 	@$(PY) -m tests.fuzz --seed $(or $(SEED),1)
+	@$(PY) -m pytest tests -m hypothesis -n 2 --hypothesis-profile=search --hypothesis-seed=$(or $(SEED),1)
 
 # 10,000 cycles of watch over simulated hosts and 200 over real ones that die and return: nothing may grow. Some ten minutes.
 soak: setup

@@ -5,8 +5,24 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 from tests.sshd import Lab, running_lab
+
+# The same examples in every run, and no bound on time: what fails here fails again, and a machine that stands still fails nothing.
+_UNHURRIED = settings(
+    deadline=None,
+    suppress_health_check=[
+        HealthCheck.too_slow,
+        HealthCheck.data_too_large,
+        HealthCheck.filter_too_much,
+        HealthCheck.function_scoped_fixture,
+    ],
+)
+settings.register_profile("repeatable", _UNHURRIED, derandomize=True, database=None)
+# Others in every run, or those of --hypothesis-seed; what was found is kept in .hypothesis and tried first.
+settings.register_profile("search", _UNHURRIED, print_blob=True)
+settings.load_profile("repeatable")
 
 INHERITED = (
     "SSH_AUTH_SOCK",

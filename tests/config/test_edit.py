@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from edgectl.config.edit import with_demand
@@ -178,7 +178,7 @@ def leaves(span: Span, text: str, path: tuple[str, ...] = ()) -> Iterator[tuple[
         yield path, text[span.start : span.end].strip()
 
 
-@settings(max_examples=150, deadline=None, database=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=150)
 @given(files())
 def test_only_the_demand_changes(file: File) -> None:
     before = read(file.text)

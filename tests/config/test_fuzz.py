@@ -6,7 +6,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from edgectl.config.documents import load_plan, load_snapshot
@@ -15,11 +15,7 @@ from edgectl.errors import InputError, Problem
 from tests.config.bad import INVENTORY, TASKS
 from tests.config.test_bad_documents import TEXTS
 
-bounded = settings(
-    max_examples=300,
-    deadline=None,
-    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow, HealthCheck.data_too_large],
-)
+bounded = settings(max_examples=300)
 PIECES = [
     "{", "}", "[", "]", ":", ": ", ",", "- ", "\n", "\n  ", "\t", "&a", "*a", "<<", "!!str ", "|", ">", "'", '"', "#", "%", "@", "\\", "\0", "~",
     "null", "true", "no", "22:22", ".nan", "1e999", "-1", "9" * 30, "robot", "all", "edge1", "robot1", "slam", "{robot}", "é", "\u2028", "\ud7ff",

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 import yaml
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from edgectl.config.load import load
@@ -29,7 +29,7 @@ def both(directory: Path, inventory: str, tasks: str) -> tuple[Inventory, Tasks]
     return load(directory / "i.yaml", directory / "t.yaml")[:2]
 
 
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=25)
 @given(st.randoms(use_true_random=False))
 def test_order_is_irrelevant(tmp_path: Path, chance: random.Random) -> None:
     expected = both(tmp_path, INVENTORY, TASKS)

@@ -3,7 +3,7 @@
 import json
 from contextlib import suppress
 
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from edgectl.formats import memory, plan, snapshot
@@ -13,7 +13,7 @@ from edgectl.model.plan import Plan
 from edgectl.model.snapshot import Snapshot
 from tests.formats.strategies import memories, plans, snapshots
 
-bounded = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
+bounded = settings(max_examples=60)
 
 
 @bounded

@@ -120,7 +120,7 @@ def worlds(draw: st.DrawFn) -> tuple[Inventory, Tasks, Snapshot, Policy]:
     return inventory, some_tasks(task), a_snapshot(memory=Memory(managed=True, placements=placements), **samples), policy
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(worlds(), st.data())
 def test_every_flip_flips_and_nothing_smaller_does(world: tuple[Inventory, Tasks, Snapshot, Policy], data: st.DataObject) -> None:
     inventory, tasks, snapshot, policy = world

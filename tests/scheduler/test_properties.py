@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from random import Random
 
-from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from edgectl.executor.diff import diff
@@ -20,13 +20,7 @@ from tests.builders import GI, NOW, a_link, a_robot, a_run, a_sample, a_snapshot
 from tests.scheduler.fleets import applied, decisions, hosts
 
 ROBOTS = ("robot1", "robot2")
-quick = settings(
-    max_examples=60,
-    deadline=None,
-    database=None,
-    derandomize=True,
-    suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],
-)
+quick = settings(max_examples=60)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
