@@ -3,9 +3,10 @@
 import math
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
@@ -13,7 +14,8 @@ from edgectl.model.plan import Action
 from edgectl.model.result import ActionResult, Outcome, Phase, PhaseResult
 from edgectl.model.revision import Ending, Revision
 from edgectl.state.files import Warn, silent
-from edgectl.state.journal import NAME, Entry, read
+from edgectl.state.journal import NAME
+from edgectl.state.journal_read import Entry, read
 from edgectl.units import parse_instant
 
 Word = TypeVar("Word", bound=StrEnum)
@@ -28,13 +30,12 @@ def revisions(fleet_dir: Path, warn: Warn = silent) -> tuple[Revision, ...]:
         StateError: a journal cannot be read, or a newer edgectl wrote it.
     """
     put_away = sorted((int(found[1]), path) for path in fleet_dir.glob("journal-*.jsonl") if (found := _PUT_AWAY.fullmatch(path.name)))
-    entries: list[Entry] = []
+    opened: list[_Open] = []
     for path in (*(path for _, path in put_away), fleet_dir / NAME):
-        log = read(path)
+        log = read(path, partial(_note, opened))
         if log.broken:
             warn(f"{path} is damaged at line {log.broken}; the revisions around it may be incomplete")
-        entries += log.entries
-    return _revisions(entries)
+    return tuple(map(_revision, opened))
 
 
 @dataclass(slots=True)
@@ -48,15 +49,12 @@ class _Open:
     placements: dict[str, str] | None = None
 
 
-def _revisions(entries: Iterable[Entry]) -> tuple[Revision, ...]:
-    found: list[_Open] = []
-    for entry in entries:
-        event = entry.get("event")
-        if event == "begin" and _whole(entry.get("revision")):
-            found.append(_Open(entry))
-        elif found:
-            _take(found[-1], str(event), entry)
-    return tuple(_revision(each) for each in found)
+def _note(found: list[_Open], entry: Entry) -> None:
+    event = entry.get("event")
+    if event == "begin" and _whole(entry.get("revision")):
+        found.append(_Open(entry))
+    elif found:
+        _take(found[-1], str(event), entry)
 
 
 def _take(current: _Open, event: str, entry: Entry) -> None:

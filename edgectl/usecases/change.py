@@ -16,7 +16,8 @@ from edgectl.model.plan import Plan
 from edgectl.model.progress import Listener, unheard
 from edgectl.model.result import Results
 from edgectl.state.journal import NAME as JOURNAL
-from edgectl.state.journal import Journal, Log, standing
+from edgectl.state.journal import Journal
+from edgectl.state.journal_read import Log, standing
 from edgectl.state.lock import FleetLock, user
 from edgectl.state.memory import kept, load_memory, save_memory
 from edgectl.transport.pool import SessionPool

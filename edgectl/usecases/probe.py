@@ -9,7 +9,7 @@ from edgectl.model.memory import Memory, Placement
 from edgectl.model.snapshot import Snapshot
 from edgectl.state.contacts import load_contacts
 from edgectl.state.journal import NAME as JOURNAL
-from edgectl.state.journal import standing
+from edgectl.state.journal_read import standing
 from edgectl.state.links import load_links, save_links
 from edgectl.state.reopened import load_reopened
 from edgectl.usecases.demands import measured_demands

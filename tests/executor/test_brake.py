@@ -12,10 +12,11 @@ from edgectl.executor.brake import INTERRUPTED, Brake
 from edgectl.model.plan import Action
 from edgectl.model.result import ActionResult, Outcome, Results
 from edgectl.state.journal import Journal
-from edgectl.state.journal import read as read_journal
+from edgectl.state.journal_read import read as read_journal
 from tests.builders import a_task
 from tests.executor.fake_fleet import FakeFleet
 from tests.executor.test_run import EDGES, carried_out, plan, step
+from tests.state.journals import entries
 
 
 @pytest.fixture
@@ -44,9 +45,9 @@ def test_after_a_failure_nothing_new_begins(journal: Journal, tmp_path: Path) ->
         ("one", Outcome.FAILED, "no space left"), ("two", Outcome.SKIPPED, reason), ("three", Outcome.SKIPPED, reason),
     ]  # fmt: skip
     assert (results.interrupted, fleet.changes) == (False, [])
-    log = read_journal(tmp_path / "journal.jsonl")
-    assert [entry["error"] for entry in log.entries if entry["event"] == "skipped"] == [reason, reason]
-    assert log.unfinished == ()
+    path = tmp_path / "journal.jsonl"
+    assert [entry["error"] for entry in entries(path) if entry["event"] == "skipped"] == [reason, reason]
+    assert read_journal(path).unfinished == ()
 
 
 def test_without_fail_fast_the_others_go_on(journal: Journal) -> None:

@@ -18,9 +18,9 @@ from edgectl.model.result import ActionResult, Outcome, Phase, Results
 from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Check, Handoff, HandoffOrder, Need, Task, Until, Where
 from edgectl.state.journal import Journal
-from edgectl.state.journal import read as read_journal
 from tests.builders import a_robot, a_run, a_sample, a_snapshot, a_task, an_edge, an_inventory, some_tasks
 from tests.executor.fake_fleet import FakeFleet
+from tests.state.journals import entries
 
 EDGES = ("edge1", "edge2", "edge3")
 
@@ -224,16 +224,16 @@ def test_an_interrupted_run_finishes_what_it_began(fleet: FakeFleet, journal: Jo
     assert results.interrupted
     assert of(results, "slam").outcome is Outcome.DONE
     assert of(results, "navigation").outcome is Outcome.SKIPPED
-    log = read_journal(tmp_path / "journal.jsonl")
-    assert [entry["event"] for entry in log.entries if entry["event"] != "phase"] == ["begin", "intent", "commit", "skipped", "end"]
-    assert log.entries[-1]["interrupted"] is True
+    log = entries(tmp_path / "journal.jsonl")
+    assert [entry["event"] for entry in log if entry["event"] != "phase"] == ["begin", "intent", "commit", "skipped", "end"]
+    assert log[-1]["interrupted"] is True
 
 
 def test_every_side_effect_is_in_the_journal_before_it_happens(fleet: FakeFleet, journal: Journal, tmp_path: Path) -> None:
     seen: list[list[str]] = []
 
     def start(request: dict[str, object]) -> dict[str, object]:
-        seen.append([str(entry["event"]) for entry in read_journal(tmp_path / "journal.jsonl").entries])
+        seen.append([str(entry["event"]) for entry in entries(tmp_path / "journal.jsonl")])
         return fleet["edge1"]._start(request)
 
     fleet["edge1"].faults["start"] = start
@@ -443,7 +443,7 @@ def test_hooks_on_the_host_run_where_the_task_is(fleet: FakeFleet, journal: Jour
 
 def test_each_phase_and_the_downtime_stand_in_the_journal(fleet: FakeFleet, journal: Journal, tmp_path: Path) -> None:
     result = moving(fleet, journal, handoff())
-    commit = next(entry for entry in read_journal(tmp_path / "journal.jsonl").entries if entry["event"] == "commit")
+    commit = next(entry for entry in entries(tmp_path / "journal.jsonl") if entry["event"] == "commit")
     phases = commit["phases"]
     assert isinstance(phases, list)
     assert [entry["phase"] for entry in phases] == ["safe", "hold", "stop", "start", "ready", "release"]

@@ -3,12 +3,15 @@
 import json
 import os
 import threading
+import tracemalloc
 from pathlib import Path
 
 import pytest
 
 from edgectl.errors import StateError
-from edgectl.state.journal import NAME, Journal, Standing, read, standing
+from edgectl.state.journal import NAME, Journal
+from edgectl.state.journal_read import Log, read, standing
+from tests.state.journals import entries
 
 
 def written(directory: Path) -> Path:
@@ -27,26 +30,35 @@ def written(directory: Path) -> Path:
 
 def test_what_was_written_is_read(tmp_path: Path) -> None:
     log = read(written(tmp_path))
-    assert [entry["event"] for entry in log.entries] == ["begin", "intent", "commit", "end", "begin", "intent", "intent", "commit"]
+    assert [entry["event"] for entry in entries(tmp_path / NAME)] == [
+        "begin",
+        "intent",
+        "commit",
+        "end",
+        "begin",
+        "intent",
+        "intent",
+        "commit",
+    ]
     assert (log.revision, log.applied, log.unfinished) == (2, {"plan-a", "plan-b"}, ("slam",))
     assert (log.torn, log.broken) == (0, 0)
 
 
 def test_no_journal_is_an_empty_one(tmp_path: Path) -> None:
     log = read(tmp_path / "journal.jsonl")
-    assert (log.revision, log.applied, log.unfinished, log.entries) == (0, frozenset(), (), ())
+    assert (log.revision, log.applied, log.unfinished, log) == (0, set(), (), Log())
 
 
 def test_every_truncation_is_a_torn_line_and_never_a_wrong_entry(tmp_path: Path) -> None:
     data = written(tmp_path).read_bytes()
-    whole = read(tmp_path / "journal.jsonl").entries
+    whole = entries(tmp_path / "journal.jsonl")
     ends = [position + 1 for position, byte in enumerate(data) if byte == ord("\n")]
     for length in range(len(data)):
         path = tmp_path / "cut.jsonl"
         path.write_bytes(data[:length])
         log = read(path)
         sound = [end for end in ends if end <= length]
-        assert log.entries == whole[: len(sound)]
+        assert entries(path) == whole[: len(sound)]
         assert (log.size, log.torn, log.broken) == (max(sound, default=0), length - max(sound, default=0), 0)
 
 
@@ -78,7 +90,7 @@ def test_a_torn_line_is_cut_off_said_and_recorded(tmp_path: Path) -> None:
         journal.append("begin", revision=3, plan="plan-c")
     log = read(path)
     assert "unfinished last line (10 bytes) was cut off" in said[0]
-    assert [entry["event"] for entry in log.entries[-2:]] == ["torn", "begin"]
+    assert [entry["event"] for entry in entries(path)[-2:]] == ["torn", "begin"]
     assert (log.torn, log.broken) == (0, 0)
 
 
@@ -106,7 +118,7 @@ def test_a_long_journal_is_put_away_and_continued(tmp_path: Path, monkeypatch: p
         assert journal.log.revision == 2
         journal.append("begin", revision=3, plan="plan-c")
     log = read(path)
-    assert (log.revision, log.applied, log.entries[0]["after"]) == (3, {"plan-a", "plan-b", "plan-c"}, last)
+    assert (log.revision, log.applied, entries(tmp_path / NAME)[0]["after"]) == (3, {"plan-a", "plan-b", "plan-c"}, last)
     assert read(tmp_path / "journal-2.jsonl").last == last
 
 
@@ -138,7 +150,7 @@ def test_threads_keep_the_chain(tmp_path: Path) -> None:
         for thread in threads:
             thread.join()
     log = read(tmp_path / "journal.jsonl")
-    assert (len(log.entries), log.broken) == (80, 0)
+    assert (len(entries(tmp_path / NAME)), log.broken) == (80, 0)
 
 
 def test_the_file_is_private_and_plain_json(tmp_path: Path) -> None:
@@ -148,14 +160,16 @@ def test_the_file_is_private_and_plain_json(tmp_path: Path) -> None:
 
 
 def test_how_a_journal_stands_is_read_anew_only_where_it_changed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert standing(tmp_path / NAME) == Standing(located={}, sound=True)
+    log = standing(tmp_path / NAME)
+    assert (log.located, log.sound) == ({}, True)
     with Journal.open(tmp_path) as journal:
         journal.append("begin", revision=1, plan="p")
         journal.append("intent", task="slam", generation=7)
         journal.append("phase", task="slam", phase="start", host="edge1")
-        assert standing(tmp_path / NAME) == Standing(located={"slam": ("edge1", 7)}, sound=False)
+        log = standing(tmp_path / NAME)
+        assert (log.located, log.sound) == ({"slam": ("edge1", 7)}, False)
         reads = []
-        monkeypatch.setattr("edgectl.state.journal.read", lambda path: reads.append(path) or read(path))
+        monkeypatch.setattr("edgectl.state.journal_read.read", lambda path: reads.append(path) or read(path))
         for _ in range(3):
             assert not standing(tmp_path / NAME).sound
         assert reads == []
@@ -163,5 +177,20 @@ def test_how_a_journal_stands_is_read_anew_only_where_it_changed(tmp_path: Path,
         journal.append("end", revision=1)
         journal.append("placed", revision=1, placements={"slam": "edge1"})
         for _ in range(3):
-            assert standing(tmp_path / NAME) == Standing(located={}, sound=True)
+            log = standing(tmp_path / NAME)
+            assert (log.located, log.sound) == ({}, True)
         assert len(reads) == 1
+
+
+def test_a_long_journal_costs_no_memory(tmp_path: Path) -> None:
+    with Journal.open(tmp_path) as journal:
+        for number in range(40):
+            journal.append("begin", revision=number, plan=f"plan-{number}", note="x" * 100_000)
+    tracemalloc.start()
+    try:
+        log = read(tmp_path / NAME)
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert (log.revision, log.size) == (39, (tmp_path / NAME).stat().st_size)
+    assert peak < log.size / 4

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from edgectl.state import points
-from edgectl.state.journal import read as read_journal
+from edgectl.state.journal_read import read as read_journal
 from edgectl.usecases import marks
 from edgectl.usecases.apply import apply
 from edgectl.usecases.drain import drain

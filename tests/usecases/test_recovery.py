@@ -12,7 +12,7 @@ from edgectl.errors import ConnectError, RefusedError
 from edgectl.model.policy import Policy
 from edgectl.model.task import Check, Handoff, HandoffOrder, Task, Tasks, Where
 from edgectl.state import points
-from edgectl.state.journal import read as read_journal
+from edgectl.state.journal_read import read as read_journal
 from edgectl.transport.fake import FakeTransport
 from edgectl.usecases import marks
 from edgectl.usecases.apply import ApplyOptions, apply

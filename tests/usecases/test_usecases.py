@@ -13,7 +13,7 @@ from edgectl.model.policy import Policy
 from edgectl.model.result import Outcome
 from edgectl.model.task import Check, Kind, Tasks
 from edgectl.state import points
-from edgectl.state.journal import read as read_journal
+from edgectl.state.journal_read import read as read_journal
 from edgectl.state.lock import FleetLock
 from edgectl.state.memory import kept, load_memory, save_memory
 from edgectl.transport.call import command_line

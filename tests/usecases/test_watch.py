@@ -15,13 +15,13 @@ from edgectl.model.plan import Action
 from edgectl.model.policy import Policy
 from edgectl.model.result import Outcome
 from edgectl.model.weights import PRESETS
-from edgectl.state.journal import read as read_journal
 from edgectl.state.lock import FleetLock
 from edgectl.state.memory import load_memory
 from edgectl.usecases import marks
 from edgectl.usecases.control import Control, Wish
 from edgectl.usecases.fleet import Fleet
 from tests.builders import a_task, some_tasks
+from tests.state.journals import entries
 from tests.usecases.watching import EVERY, Site
 
 
@@ -246,8 +246,8 @@ def test_noise_does_not_move_what_a_lasting_load_would(site: Site) -> None:
 
 def test_the_journal_says_who_did_it(site: Site) -> None:
     list(site.watch(2))
-    entries = read_journal(site.fleet.state / "journal.jsonl").entries
-    assert [entry["verb"] for entry in entries if entry["event"] == "begin"] == ["watch"]
+    log = entries(site.fleet.state / "journal.jsonl")
+    assert [entry["verb"] for entry in log if entry["event"] == "begin"] == ["watch"]
     assert isinstance(load_memory(site.fleet.state), Memory)
 
 
