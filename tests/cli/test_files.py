@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from edgectl.config.load import load
+from edgectl.scaffold.write import FILES
 from tests.cli.conftest import Run
 from tests.views.fixtures import ROOT
 
@@ -18,7 +19,7 @@ def test_init_writes_a_fleet_that_validates(run: Run, tmp_path: Path, monkeypatc
     target = tmp_path / "a b' $c: #d"
     said = run("init", str(target))
     assert said.code == 0
-    assert len(said.out.splitlines()) == 4
+    assert [line.removeprefix(f"wrote {target}/") for line in said.out.splitlines()] == list(FILES)
     inventory, tasks, warnings = load(target / "inventories" / "local.yaml", [target / "tasks" / "demo.yaml"])
     assert (len(inventory.edges), len(inventory.robots), len(tasks.tasks), warnings) == (3, 3, 10, ())
     prelude = next(iter(inventory.hosts.values())).prelude
@@ -60,7 +61,7 @@ def test_a_wheel_holds_the_files_themselves(tmp_path: Path) -> None:
     ]
     subprocess.run(command, check=True, capture_output=True, timeout=110)
     with zipfile.ZipFile(next(tmp_path.glob("*.whl"))) as wheel:
-        for name in ("inventories/local.yaml", "tasks/demo.yaml", "tasks/workload.py"):
+        for name in FILES[1:]:
             assert wheel.read(f"edgectl/scaffold/{name}") == (ROOT / name).read_bytes()
         assert any(name.startswith("edgectl/agent/") for name in wheel.namelist())
 
