@@ -7,6 +7,7 @@
     ├── StateError                  the manager's own state is damaged or of a newer version (exit 1)
     ├── LockBusyError               another edgectl holds the lock (exit 75)
     ├── StalePlanError              the world moved since the plan was made (exit 75)
+    ├── FleetBusyError              the fleet is not free for an experiment (exit 75)
     └── HostError                   one host did not do what was asked; costs that host, never the run
         ├── ConnectError            no TCP or SSH session (off, refused, no route, name unknown)
         ├── HostKeyError            host key unknown, changed or revoked: nothing was sent
@@ -106,6 +107,12 @@ class StalePlanError(EdgectlError):
     def __init__(self, changes: Sequence[str]) -> None:
         super().__init__("saved plan is stale: " + "; ".join(changes), hint="make a new plan: edgectl plan --out PLAN")
         self.changes = tuple(changes)
+
+
+class FleetBusyError(EdgectlError):
+    """The fleet is not free for an experiment: something runs there, or a host does not answer."""
+
+    exit_code = ExitCode.TRY_AGAIN
 
 
 class HostError(EdgectlError):

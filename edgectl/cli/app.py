@@ -38,6 +38,8 @@ COMMANDS = {
     "events": Entry("events", "Inspect", "Say what happened: hosts lost and back, tasks started, moved, failed."),
     "replay": Entry("replay", "Evidence", "Decide what was recorded again, under other rules, side by side."),
     "simulate": Entry("simulate", "Evidence", "Run a mission in a model, under several schemes, several times."),
+    "experiment run": Entry("experiment", "Evidence", "Run a mission on the real hosts, under several schemes, several times."),
+    "experiment show": Entry("experiment", "Evidence", "Compare what an experiment has measured so far."),
     "profile": Entry("profile", "Inspect", "Show what a task was measured to use; put it into its file."),
     "history": Entry("past", "Inspect", "List what was done to the fleet, by whom and how it ended."),
     "show": Entry("past", "Inspect", "Print one revision of the history, or a saved plan."),
@@ -72,6 +74,7 @@ GROUPS: dict[str, str] = {
     "top": "Show who uses how much; with -w live, with -i full screen.",
     "profilers": "Let hosts measure all the time, so that a probe need not wait.",
     "export": "Write for other programs.",
+    "experiment": "Compare schemes on the real hosts.",
 }
 SUMMARY = "Place robot tasks on edge computers by measured utility: probe, plan, apply, over SSH."
 EXITS = (

@@ -60,6 +60,7 @@ WeightsListOption = Annotated[
     str | None, Option("--weights", "-w", metavar="LIST", show_default=False, help="Presets such as cpu,all; or one set: cpu=.5,task=1.")
 ]
 GraphOutput = Annotated[Form, output("mermaid", "dot")]
+MeasuredOutput = Annotated[Form, output("table", "wide", "json", "yaml", "markdown")]
 ExplainOutput = Annotated[Form, output("table", "wide", "json", "yaml")]
 RoundsOutput = Annotated[Form, output("table", "jsonl")]
 FieldsOutput = Annotated[Form, output("table", "json", "yaml")]

@@ -6,7 +6,9 @@ import signal
 from collections.abc import Callable, Iterator
 from types import FrameType
 
+from edgectl.cli import console
 from edgectl.errors import UsageError
+from edgectl.usecases.control import Control
 
 _SHORTEST_S = 0.1
 
@@ -46,6 +48,30 @@ def told(every: float) -> Iterator[Callable[[], bool]]:
     before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield wait
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextlib.contextmanager
+def obeying(control: Control, saying: str = "") -> Iterator[list[int]]:
+    """The first Ctrl-C or SIGTERM lets what is under way finish, the second stops at once; the list tells which came.
+
+    ``saying`` is told at the first.
+    """
+    came: list[int] = []
+
+    def heard(number: int, _frame: FrameType | None) -> None:
+        came.append(number)
+        if len(came) > 1:
+            raise KeyboardInterrupt
+        control.stop()
+        if saying:
+            console.tell(saying)
+
+    before = {number: signal.signal(number, heard) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield came
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)

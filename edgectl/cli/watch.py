@@ -5,7 +5,6 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Iterator
-from types import FrameType
 from typing import Annotated
 
 from typer import Exit, Option
@@ -53,6 +52,7 @@ def watch_command(
     from edgectl.cli import decide
     from edgectl.cli.reach import reach, seconds
     from edgectl.cli.refresh import refreshing
+    from edgectl.cli.until import obeying
     from edgectl.usecases.watch import WatchOptions, watch
 
     pause = seconds(every, "--every")
@@ -76,7 +76,7 @@ def watch_command(
         control=control,
     )
     last: Cycle | None = None
-    with _obeying(control) as signals, _showing(output, loaded.path.stem, how(fleet), control, apply=apply) as show:
+    with obeying(control) as signals, _showing(output, loaded.path.stem, how(fleet), control, apply=apply) as show:
         for last in _closing(watch(fleet, given)):
             show(last)
     if control.stop_requested.is_set() or last is None:
@@ -87,25 +87,6 @@ def watch_command(
 def _closing(cycles: Iterator[Cycle]) -> Iterator[Cycle]:
     with contextlib.closing(cycles):  # type: ignore[type-var]
         yield from cycles
-
-
-@contextlib.contextmanager
-def _obeying(control: Control) -> Iterator[list[int]]:
-    """The first Ctrl-C or SIGTERM lets what is under way finish, the second stops at once; the list tells which came."""
-    came: list[int] = []
-
-    def heard(number: int, _frame: FrameType | None) -> None:
-        came.append(number)
-        if len(came) > 1:
-            raise KeyboardInterrupt
-        control.stop()
-
-    before = {number: signal.signal(number, heard) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield came
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 @contextlib.contextmanager

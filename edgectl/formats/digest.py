@@ -3,11 +3,12 @@
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import MISSING, Field, fields, is_dataclass
+from dataclasses import MISSING, Field, fields, is_dataclass, replace
 from enum import StrEnum
 from functools import cache
 from typing import Any
 
+from edgectl.model.experiment import Experiment
 from edgectl.model.inventory import Inventory
 from edgectl.model.task import Task, Tasks
 
@@ -23,6 +24,12 @@ def inventory_digest(inventory: Inventory) -> str:
 def tasks_digest(tasks: Tasks) -> str:
     """Of all tasks and the stated policy."""
     return "sha256:" + _sha256({"tasks": tasks.tasks, "policy": tasks.policy})
+
+
+def experiment_digest(experiment: Experiment, inventory: Inventory, tasks: Tasks) -> str:
+    """Of all that makes a trial what it is: with more schemes, repetitions or columns in its table an experiment goes on."""
+    what = replace(experiment, name="", variants=(), repetitions=1, metrics={})
+    return "sha256:" + _sha256({"experiment": what, "inventory": inventory.digest, "tasks": tasks.digest})
 
 
 def spec_hash(task: Task) -> str:

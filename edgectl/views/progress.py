@@ -5,9 +5,12 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 
+from edgectl.model.course import Course, Watcher
+from edgectl.model.cycle import Cycle
 from edgectl.model.progress import Listener, Progress, Stage
 from edgectl.model.snapshot import HostSample
 from edgectl.units import format_duration
+from edgectl.views.course import line, state
 from edgectl.views.table import result_text
 from edgectl.views.text import harmless, look_of
 
@@ -33,6 +36,33 @@ def applying(count: int, *, quiet: bool = False) -> Iterator[Listener]:
         return
     with _bar("applying", count) as advance:
         yield lambda event: _advanced(event, advance)
+
+
+@contextlib.contextmanager
+def trying(total: int) -> Iterator[Watcher]:
+    """A listener for the ``total`` trials of an experiment; what goes wrong is a line of its own."""
+    before: list[Cycle] = []
+
+    def told(course: Course) -> None:
+        if text := line(before[0] if before else None, course):
+            _line(text)
+        before[:] = [course.cycle] if course.cycle is not None else []
+
+    if not _live():
+        yield told
+        return
+    with _bar("experiment:", total) as advance:
+        ended = 0
+
+        def drawn(course: Course) -> None:
+            nonlocal ended
+            if course.trial is not None or course.cycle is not None:
+                told(course)
+            now = course.number if course.trial is not None else course.number - 1
+            advance(state(course), step=now - ended)
+            ended = now
+
+        yield drawn
 
 
 def _live() -> bool:

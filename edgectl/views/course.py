@@ -1,0 +1,47 @@
+"""How far an experiment is, in words."""
+
+from edgectl.model.course import Course
+from edgectl.model.cycle import Cycle
+from edgectl.model.event import EventKind
+from edgectl.model.experiment import Trial
+from edgectl.units import format_duration
+from edgectl.views.rounds import event_text
+from edgectl.views.text import harmless
+
+_TROUBLE = (
+    EventKind.HOST_LOST, EventKind.HOST_BACK, EventKind.HOST_REBOOTED, EventKind.TASK_FAILED, EventKind.TASK_CRASHLOOP, EventKind.TASK_LOST,
+    EventKind.TASK_DEFERRED, EventKind.ACTION_FAILED,
+)  # fmt: skip
+
+
+def line(before: Cycle | None, course: Course) -> str:
+    """What is new since ``before``, the cycle of the same trial that came before; nothing in a trial that goes well."""
+    which = f"trial {course.number} of {course.total}: {course.scheme}, repetition {course.repetition}"
+    if course.trial is not None:
+        return harmless(f"{which}: {_outcome(course, course.trial)}")
+    if course.cycle is None:
+        return harmless(which + (f" (about {format_duration(round(course.left))} left)" if course.left is not None else ""))
+    return harmless("; ".join(f"{course.scheme}, repetition {course.repetition}: {text}" for text in trouble(before, course.cycle)))
+
+
+def trouble(before: Cycle | None, cycle: Cycle) -> list[str]:
+    """What went wrong, or is well again; trouble that lasts is told when it begins."""
+    known = set(before.warnings) if before is not None else set()
+    told = [event_text(event) for event in cycle.events if event.kind in _TROUBLE]
+    told += [f"warning: {warning}" for warning in cycle.warnings if warning not in known]
+    return told + ([f"error: {cycle.error}"] if cycle.error and (before is None or before.error != cycle.error) else [])
+
+
+def state(course: Course) -> str:
+    """Where it stands, on a line that is drawn again and again."""
+    left = f", about {format_duration(round(course.left))} left" if course.left is not None else ""
+    done = f"{len(course.completed)} of {len(course.until)} tasks completed"
+    return harmless(f"{course.scheme} {course.repetition}: {done} after {format_duration(round(course.elapsed))}{left}")
+
+
+def _outcome(course: Course, trial: Trial) -> str:
+    moved = f"{len(trial.handoffs)} {'handoff' if len(trial.handoffs) == 1 else 'handoffs'}"
+    if trial.finished:
+        return f"finished in {format_duration(round(trial.latency, 1))}, {moved}"
+    missing = [task for task in course.until if task not in trial.completed]
+    return f"not finished within {format_duration(trial.latency)}: {', '.join(missing)} did not complete; {moved}"
