@@ -4,7 +4,7 @@ import os
 import sys
 import time
 
-from . import device, network, proc, state, status
+from . import device, metrics, network, proc, state, status
 from .task import TaskMeter
 
 _LONGEST_WINDOW_S = 30.0
@@ -17,6 +17,8 @@ def probe(request: dict) -> dict:
     Where a profiler lives (``resident``) its last sample is taken; else a sample window passes, and the checks run meanwhile.
     """
     measured, checks = _from_profiler(request) or _over_window(request)
+    for task, values in metrics.of_tasks(request["host"], measured["tasks"]).items():
+        measured["tasks"][task]["metrics"] = values
     return dict(
         {
             "v": 1,

@@ -8,7 +8,7 @@ import select
 import signal
 import time
 
-from . import backoff, lease, life, proc, record, scope, shell, signals, spawn
+from . import backoff, lease, life, metrics, proc, record, scope, shell, signals, spawn
 from .logs import Log
 
 _BLOCK = 65536
@@ -32,16 +32,19 @@ class Supervisor:
         self.env["EDGECTL_INSTANCE"] = identity["instance"]
         name, _, value = life.cookie(folder).partition("=")
         self.env[name] = value
+        self.env["EDGECTL_METRICS"] = metrics.file(folder)
         self.pid, self.ticks, self.pipe, self.started = 0, 0, -1, 0.0
         self.status = {"instance": identity["instance"], "state": "starting", "restarts": 0, "exit_code": None, "last_exit": None}
         self.status.update(detail="", limits=scope.verdict(spec.get("limits"), why))
         self.history, self.stopping, self.next_start, self.code = [], False, None, 0
         self.fence_s, self.begun, self.next_look = float(spec.get("self_fence_s") or 0.0), proc.uptime(), 0.0
         self.check, self.next_check, self.check_every = None, None, _READY_FIRST_S
+        self.next_metrics = 0.0
         self.wake, self._wake_end = os.pipe()
 
     def run(self) -> None:
         """Until the task has ended for good."""
+        metrics.begin(self.folder)
         me = proc.process(os.getpid())
         identity = dict(self.identity, supervisor=me.pid, supervisor_ticks=me.ticks)
         record.write(os.path.join(self.folder, "instance"), identity, durable=True)
@@ -50,6 +53,7 @@ class Supervisor:
         spawn.tell(self.report, {"pid": self.pid, "limits": self.status["limits"]})
         while self.pid or self.next_start is not None:
             self._turn()
+        metrics.bounded(self.folder)
 
     def _listen(self) -> None:
         for fd in (self.wake, self._wake_end):
@@ -100,9 +104,11 @@ class Supervisor:
             self._restart()
         if self.fence_s and time.monotonic() >= self.next_look:
             self._watch_lease()
+        self._watch_metrics()
 
     def _patience_ms(self) -> float:
-        now, times = time.monotonic(), [60.0]
+        now = time.monotonic()
+        times = [self.next_metrics - now]
         if self.fence_s:
             times.append(self.next_look - now)
         if self.next_start is not None:
@@ -112,6 +118,10 @@ class Supervisor:
         elif self.next_check is not None:
             times.append(self.next_check - now)
         return max(0.0, min(times)) * 1000.0 + 1.0
+
+    def _watch_metrics(self) -> None:
+        if time.monotonic() >= self.next_metrics:
+            self.next_metrics = time.monotonic() + metrics.bounded(self.folder)
 
     def _pump(self) -> None:
         data = os.read(self.pipe, _BLOCK)
@@ -194,6 +204,7 @@ class Supervisor:
     def _restart(self) -> None:
         self.history.append(time.monotonic())
         self.status["restarts"] += 1
+        metrics.begin(self.folder)
         try:
             self._spawn()
         except OSError as error:
@@ -235,6 +246,7 @@ class Supervisor:
                 if not steps:
                     break
                 sent |= self._signal(steps[0], left, table, sent)
+            self._watch_metrics()
             self._await(0.05)
         self._await(0.0)
         if self.pipe >= 0:

@@ -203,6 +203,18 @@ def test_checks_run_and_detected_tasks_are_found(profiled: Profiled) -> None:
             process.wait()
 
 
+def test_metrics_of_the_application_are_as_they_are_now(profiled: Profiled, tmp_path: Path) -> None:
+    profiled.start()
+    profiled.probe()
+    profiled.host.start("slam", f'echo "fps 1" >>"$EDGECTL_METRICS"; echo "$EDGECTL_METRICS" >{tmp_path}/path; exec sleep 600')
+    file = Path(eventually(lambda: (tmp_path / "path").exists() and (tmp_path / "path").read_text().strip()))
+    assert profiled.probe()["tasks"]["slam"]["metrics"] == {"fps": 1.0}
+    with file.open("a") as lines:
+        lines.write("fps 2\nloss 0.5\n")
+    assert profiled.probe()["tasks"]["slam"]["metrics"] == {"fps": 2.0, "loss": 0.5}
+    profiled.host.stop("slam")
+
+
 def test_a_directory_that_others_may_write_is_not_believed(profiled: Profiled, monkeypatch: pytest.MonkeyPatch) -> None:
     profiled.start()
     profiled.probe()
