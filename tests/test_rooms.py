@@ -42,6 +42,7 @@ OWNERS = {
     "platformdirs": "state",
     "simpy": "evidence/simulate",
     "skimage": "evidence/ssim",
+    "PIL": "evidence/ssim",
     "matplotlib": "evidence/drawing",
     "jinja2": "evidence/page",
     "prometheus_client": "export/prometheus",

@@ -25,7 +25,7 @@ def read_source(path: Path, problems: Problems, *, max_bytes: int = MAX_BYTES, m
         message = f"the file is larger than {max_bytes // 2**20} MiB"
         problems.add(nowhere, Code.SIZE, message, "split it, or check that it is the right file")
         return None
-    return _decoded(str(path), data, problems)
+    return decoded(str(path), data, problems)
 
 
 def _unreadable(path: Path, error: Exception, maker: str) -> tuple[str, str]:
@@ -49,7 +49,8 @@ def _neighbours(directory: Path) -> list[str]:
         return []
 
 
-def _decoded(file: str, data: bytes, problems: Problems) -> Source | None:
+def decoded(file: str, data: bytes, problems: Problems) -> Source | None:
+    """The text of a file's bytes, or None with the first byte noted that is not UTF-8."""
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:

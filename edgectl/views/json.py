@@ -226,6 +226,11 @@ def profile(values: Iterable[ClassProfile], _look: Look = PLAIN) -> str:
     return dumps(profile_document(values))
 
 
+def ssim(value: float, _look: Look = PLAIN) -> str:
+    """How like the truth a map is."""
+    return dumps({"format_version": FORMAT_VERSION, "ssim": number(value)})
+
+
 def fields(values: Mapping[str, str], _look: Look = PLAIN) -> str:
     """Names and values as one object."""
     return dumps({"format_version": FORMAT_VERSION, **values})

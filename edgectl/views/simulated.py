@@ -1,7 +1,6 @@
 """What a model says of each scheme beside what is known of the real thing, as text and as a document."""
 
 from collections.abc import Iterable, Sequence
-from statistics import fmean
 
 from edgectl.formats.base import FORMAT_VERSION, Document, optional
 from edgectl.model.evidence import Column, Reality
@@ -58,7 +57,7 @@ def _deviations(value: Column, metric: str, known: Sequence[float | None]) -> li
     means = [figure.mean if figure else None for figure in value.figures.get(metric, ())]
     if len(known) == 1 < len(means):
         found = [mean for mean in means if mean is not None]
-        means = [fmean(found) if found else None]
+        means = [sum(found) / len(found) if found else None]
     if len(means) != len(known):
         return []
     return [(mean - real) / real if mean is not None and real else None for mean, real in zip(means, known, strict=True)]

@@ -251,6 +251,11 @@ def commands(values: Iterable[Mapping[str, object]], look: Look = PLAIN) -> str:
     return "\n".join(parts) or "nothing to send\n"
 
 
+def ssim(value: float, _look: Look = PLAIN) -> str:
+    """How like the truth a map is."""
+    return f"{value:.4f}\n"
+
+
 def fields(values: Mapping[str, str], look: Look = PLAIN) -> str:
     """Names and values, one pair per line."""
     return columns([(Cell(name, "name"), text) for name, text in values.items()], look)

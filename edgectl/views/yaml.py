@@ -28,6 +28,7 @@ __all__ = [
     "revision",
     "simulated",
     "snapshot",
+    "ssim",
     "status",
     "task_details",
     "top_hosts",
@@ -68,6 +69,7 @@ history = _of(json_view.history)
 revision = _of(json_view.revision)
 bandwidth = _of(json_view.bandwidth)
 measured = _of(json_view.measured)
+ssim = _of(json_view.ssim)
 drained = _of(json_view.drained)
 listing = _of(json_view.listing)
 top_hosts = _of(json_view.top_hosts)

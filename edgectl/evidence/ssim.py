@@ -1,0 +1,107 @@
+"""How like the truth a map is: the structural similarity (SSIM) of two images. Bytes in, one number out."""
+
+import struct
+import warnings
+from dataclasses import dataclass
+from io import BytesIO
+from typing import Any, TypeAlias
+
+import numpy as np
+from PIL import Image
+from skimage.metrics import structural_similarity
+
+from edgectl.errors import FileError, UsageError
+from edgectl.model.map import MapSheet
+
+Pixels: TypeAlias = np.ndarray[tuple[int, ...], np.dtype[Any]]
+# As map_saver writes them.
+_OCCUPIED, _UNKNOWN, _FREE = 0.0, 205.0, 254.0
+_WHITE = 255.0
+_WINDOW = 7
+_MAX_PIXELS = 2**24
+_ssim: Any = structural_similarity  # has no types
+_BAD = (OSError, SyntaxError, ValueError, EOFError, struct.error, OverflowError, Image.DecompressionBombError)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Picture:
+    """An image under the ``name`` by which it is spoken of; with its ``sheet`` it is a map that has its place in the world."""
+
+    name: str
+    data: bytes
+    sheet: MapSheet | None = None
+
+
+def similarity(produced: Picture, truth: Picture) -> float:
+    """The mean SSIM, -1..1, over windows of 7 x 7 pixels. Two maps with sheets are compared cell by cell on the grid of ``truth``.
+
+    Raises:
+        FileError: an image cannot be read.
+        UsageError: sizes differ, the maps do not overlap, or there is less than a window.
+    """
+    one, other = _pixels(produced), _pixels(truth)
+    if produced.sheet and truth.sheet:
+        laid = _on_the_grid(one, produced.sheet, truth.sheet, other.shape)
+        if laid is None:
+            raise UsageError(f"{produced.name} and {truth.name} do not overlap", hint="check origin and resolution of both .yaml files")
+        one = laid
+    elif one.shape != other.shape:
+        hint = "compare the .yaml of both maps, which say where they lie, or images of one size"
+        raise UsageError(f"{produced.name} has {_size(one)} pixels, {truth.name} {_size(other)}", hint=hint)
+    if min(other.shape) < _WINDOW:
+        raise UsageError(
+            f"{truth.name} has {_size(other)} pixels, too few to compare", hint=f"SSIM looks at windows of {_WINDOW}x{_WINDOW}"
+        )
+    return float(_ssim(one, other, win_size=_WINDOW, data_range=_WHITE))
+
+
+def _size(pixels: Pixels) -> str:
+    return f"{pixels.shape[1]}x{pixels.shape[0]}"
+
+
+def _pixels(picture: Picture) -> Pixels:
+    """Greys from 0 to 255; of a map with a sheet what they mean: occupied, unknown or free."""
+    grey, sheet = _decoded(picture), picture.sheet
+    if sheet is None:
+        return grey
+    occupancy = (grey if sheet.negate else _WHITE - grey) / _WHITE
+    return np.where(occupancy > sheet.occupied, _OCCUPIED, np.where(occupancy < sheet.free, _FREE, _UNKNOWN))
+
+
+def _decoded(picture: Picture) -> Pixels:
+    hint = "name a .pgm or .png as map_saver writes them"
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # whatever a decoder thinks of the file, we say it
+            with Image.open(BytesIO(picture.data), formats=("PNG", "PPM")) as image:
+                if image.width * image.height > _MAX_PIXELS:
+                    raise FileError(f"{picture.name} has {image.width}x{image.height} pixels, too many to compare", hint="scale it down")
+                return _grey(image)
+    except _BAD as error:
+        raise FileError(f"{picture.name} is no image that can be read", hint=hint) from error
+
+
+def _grey(image: Image.Image) -> Pixels:
+    """Brightness from 0 to 255. Colours by their luminance; how transparent a pixel is makes no difference."""
+    if image.mode.startswith("I"):  # 16 bits
+        return np.asarray(image, dtype=float) * (_WHITE / 65535)
+    flat = image.convert("RGBA") if image.mode == "P" else image
+    return np.asarray(flat.convert("L"), dtype=float)
+
+
+def _on_the_grid(cells: Pixels, sheet: MapSheet, grid: MapSheet, shape: tuple[int, ...]) -> Pixels | None:
+    """The cells that lie under the centres of the grid's; unknown where there are none. None if that is everywhere."""
+    height, width = cells.shape
+    columns = _under(np.arange(shape[1]), grid.resolution, grid.origin[0] - sheet.origin[0], sheet.resolution)
+    rows = height - 1 - _under(np.arange(shape[0])[::-1], grid.resolution, grid.origin[1] - sheet.origin[1], sheet.resolution)
+    x, y = (columns >= 0) & (columns < width), (rows >= 0) & (rows < height)
+    if not (x.any() and y.any()):
+        return None
+    laid: Pixels = np.full(shape, _UNKNOWN)
+    laid[np.ix_(y, x)] = cells[np.ix_(rows[y].astype(int), columns[x].astype(int))]
+    return laid
+
+
+def _under(numbers: Pixels, side: float, offset: float, other_side: float) -> Pixels:
+    """Numbers of the other map's cells under the centres of these, along one axis; centres on a border belong to the farther cell."""
+    return np.floor(((numbers + 0.5) * side + offset) / other_side + 1e-6)

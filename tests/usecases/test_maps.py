@@ -1,0 +1,62 @@
+"""Maps by their names: what is read from where, and files that cannot be."""
+
+from pathlib import Path
+
+import pytest
+
+from edgectl.errors import EdgectlError, FileError, InputError, UsageError
+from edgectl.usecases import maps
+from edgectl.usecases.maps import local, similarity
+from tests.evidence.pictures import grey, pgm, png, room
+from tests.views.fixtures import ROOT
+
+SHEET = b"image: map.pgm\nresolution: 0.05\norigin: [0, 0, 0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
+
+
+@pytest.fixture
+def truth(tmp_path: Path) -> Path:
+    (tmp_path / "map.pgm").write_bytes(pgm(room()))
+    (tmp_path / "world.yaml").write_bytes(SHEET)
+    return tmp_path / "world.yaml"
+
+
+def test_a_sheet_names_its_image_beside_itself(truth: Path) -> None:
+    there = {"out/map.yaml": SHEET, "out/map.pgm": pgm(room())}
+    assert similarity("out/map.yaml", there.__getitem__, truth) == pytest.approx(1.0)
+    absolute = {"out/map.yaml": SHEET.replace(b"map.pgm", b"/srv/m.pgm"), "/srv/m.pgm": pgm(room())}
+    assert similarity("out/map.yaml", absolute.__getitem__, truth) == pytest.approx(1.0)
+
+
+def test_images_are_compared_as_they_are(truth: Path) -> None:
+    assert similarity("map.PNG", lambda _: png(grey(room())), truth.parent / "map.pgm") == pytest.approx(1.0)
+
+
+def test_what_is_fetched_and_fails_is_told_as_it_is(truth: Path) -> None:
+    def gone(name: str) -> bytes:
+        raise FileError(f"{name} is not there")
+
+    with pytest.raises(FileError, match=r"out/map\.yaml is not there"):
+        similarity("out/map.yaml", gone, truth)
+
+
+def test_files_that_cannot_be_compared(truth: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    directory = truth.parent
+    (directory / "bad.yaml").write_bytes(b"image: 5\n")
+    cases: list[tuple[str, Path, type[EdgectlError], str]] = [
+        ("map.tiff", truth, UsageError, "map.tiff is no map by its name"),
+        (str(truth), directory / "none.yaml", FileError, "none.yaml cannot be read: No such file"),
+        (str(truth), directory / "bad.yaml", InputError, "problem"),
+    ]
+    for file, other, kind, words in cases:
+        with pytest.raises(kind, match=words) as caught:
+            similarity(file, local, other)
+        assert caught.value.hint or kind is InputError
+    monkeypatch.setattr(maps, "MAX_BYTES", 10)
+    with pytest.raises(FileError, match="is larger than"):
+        similarity(str(truth), local, truth)
+
+
+def test_the_maps_of_the_page_are_as_it_says() -> None:
+    examples = ROOT / "docs" / "examples"
+    found = similarity(str(examples / "map.yaml"), local, examples / "world.yaml")
+    assert f"{found:.4f}" in (ROOT / "docs" / "concepts" / "ssim.md").read_text()
