@@ -46,7 +46,8 @@ def ends(pose: Sequence[float], scan: Sequence[int], reach: float) -> list[tuple
     turn = 2 * math.pi / len(scan)
     found = []
     for beam, distance in enumerate(scan):
-        far = distance / 1000 if distance else reach
+        # What is hit begins at the border of its cell; half a cell further is in it.
+        far = distance / 1000 + RESOLUTION / 2 if distance else reach
         found.append((x + far * math.cos(angle + beam * turn), y + far * math.sin(angle + beam * turn), distance > 0))
     return found
 
