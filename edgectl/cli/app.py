@@ -37,6 +37,7 @@ COMMANDS = {
     "graph": Entry("graph", "Inspect", "Draw tasks, what they need and where the plan puts them."),
     "events": Entry("events", "Inspect", "Say what happened: hosts lost and back, tasks started, moved, failed."),
     "replay": Entry("replay", "Evidence", "Decide what was recorded again, under other rules, side by side."),
+    "ssim": Entry("ssim", "Evidence", "Say how like the truth a map is that a robot has made."),
     "simulate": Entry("simulate", "Evidence", "Run a mission in a model, under several schemes, several times."),
     "experiment run": Entry("experiment", "Evidence", "Run a mission on the real hosts, under several schemes, several times."),
     "experiment show": Entry("experiment", "Evidence", "Compare what an experiment has measured so far."),
