@@ -59,6 +59,11 @@ def _mean(figure: Figure | None, metric: Metric, *, spread: bool) -> str:
     return metric.write(figure.mean) + (f"±{metric.write(figure.std)}" if spread and figure.count > 1 else "")
 
 
+def numbers(*, every: bool) -> str:
+    """What the numbers of the table are."""
+    return "mean±deviation" if every else "mean±deviation of the latency, means of the rest"
+
+
 def table(rows: Sequence[Row], look: Look) -> str:
     """Numbers to the right of the first column. What does not fit the terminal stands in tables of its own below, each with that column."""
     return "\n".join(columns(part, look, right=range(1, len(part[0]))) for part in _parts(rows, look))

@@ -12,6 +12,7 @@ from edgectl.views.columns import (
     document,
     given_up,
     latency,
+    numbers,
     of_all,
     ratios,
     scheme,
@@ -35,7 +36,7 @@ _EVERY = (
 
 def text(run: Run, values: Sequence[Column], look: Look = PLAIN, *, every: bool = False) -> str:
     """One line per scheme, also where nothing is done yet; then how much of the experiment that is, and the latencies compared."""
-    lines = "".join(flowed(line, look) for line in notes(run.experiment, values))
+    lines = "".join(flowed(line, look) for line in notes(run.experiment, values, every=every))
     return table(rows(run.experiment, values, every=every), look) + "\n" + lines
 
 
@@ -56,12 +57,12 @@ def _metrics(experiment: Experiment, values: Sequence[Column], *, every: bool) -
     return [latency(values), *(_EVERY if every else _MAIN), *own]
 
 
-def notes(experiment: Experiment, values: Sequence[Column]) -> Iterator[str]:
-    """What stands below the table."""
+def notes(experiment: Experiment, values: Sequence[Column], *, every: bool = False) -> Iterator[str]:
+    """What stands below the table of the same ``every``."""
     done, planned = sum(value.runs for value in values), experiment.repetitions * len(values)
     hosts = next((value.hosts for value in values if value.hosts), ())
     by = f", by edge ({'/'.join(hosts)}; local: mean of the robots)" if hosts else ""
-    yield f"{done} of {planned} trials of {experiment.name}; mean±deviation of the latency, means of the rest{by}."
+    yield f"{done} of {planned} trials of {experiment.name}; {numbers(every=every)}{by}."
     yield from given_up(values, "trials")
     yield from (f"{value.variant.name}: tasks without a host, over all plans: {value.unplaced}" for value in values if value.unplaced)
     yield from ratios(values)
@@ -72,7 +73,7 @@ def markdown(run: Run, values: Sequence[Column], escaped: Callable[[str], str] =
     head, *body = ([cell if isinstance(cell, str) else cell.text for cell in row] for row in rows(run.experiment, values, every=True))
     lines = [head, ["---", *["---:"] * (len(head) - 1)], *([escaped(cell) for cell in row] for row in body)]
     table_text = "".join(f"| {' | '.join(line)} |\n" for line in lines)
-    return table_text + "\n" + "".join(f"- {escaped(line)}\n" for line in notes(run.experiment, values))
+    return table_text + "\n" + "".join(f"- {escaped(line)}\n" for line in notes(run.experiment, values, every=True))
 
 
 def as_document(run: Run, values: Sequence[Column]) -> Document:
