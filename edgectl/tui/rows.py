@@ -10,6 +10,7 @@ from edgectl.model.point import HostPoint, TaskPoint
 from edgectl.model.snapshot import HostSample, Snapshot, TaskSample
 from edgectl.model.task import Task
 from edgectl.units import format_bytes, format_cores, format_duration, format_instant, format_rate
+from edgectl.views import metrics
 from edgectl.views.absent import absent, standing
 from edgectl.views.spark import SAMPLES, spark
 from edgectl.views.state import STATES, phrase
@@ -211,6 +212,7 @@ def _task_facts(frame: Frame, line: Line) -> list[tuple[str, str]]:
             ("uses", f"{format_cores(sample.used_cores)} cores, {format_bytes(sample.used_bytes)}, {format_rate(sample.used_bytes_per_s)}")
         )
         facts.append(("restarts", str(sample.restarts)))
+        facts += _given(("metrics", metrics.line(sample.metrics) if sample.metrics else ""))
         facts += _given(("limits", sample.limits), *(("said last", text) for text in sample.log_tail))
     if task:
         facts += _given(("robots", ", ".join(task.robots)), ("needs", ", ".join(need.task for need in task.needs)))

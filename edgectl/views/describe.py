@@ -14,6 +14,7 @@ from edgectl.model.snapshot import HostSample, InterfaceSample, Snapshot, TaskSa
 from edgectl.model.task import Check, Task, Tasks
 from edgectl.units import format_bytes, format_cores, format_duration, format_instant, format_rate
 from edgectl.views import events as events_view
+from edgectl.views import metrics
 from edgectl.views.absent import absent, silence
 from edgectl.views.listing import host_document
 from edgectl.views.reasons import reason
@@ -52,6 +53,7 @@ def task(
     for place, sample in runs:
         parts.append(_section(f"On {place}", _run(sample, value.taken_at), look))
         parts.append(_section(f"Use on {place}", _demand(stated, place, sample, value, inventory), look))
+        parts.append(_section(f"Metrics on {place}", [(name, metrics.value(each)) for name, each in sample.metrics.items()], look))
         parts.append(_section("Said last", [(line,) for line in sample.log_tail], look))
     return "".join([*parts, _events(events, look)])
 

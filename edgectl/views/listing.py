@@ -13,6 +13,7 @@ from edgectl.model.inventory import Host, Inventory, Role
 from edgectl.model.snapshot import HostSample, LinkSample, Snapshot, TaskSample
 from edgectl.model.task import Task, Tasks
 from edgectl.units import format_bytes, format_cores, format_duration, format_instant, format_rate
+from edgectl.views import metrics
 from edgectl.views.absent import absent, silence, standing
 from edgectl.views.state import STATES, host_status, phrase
 from edgectl.views.text import PLAIN, Cell, Look, Row, columns, widths_of
@@ -64,7 +65,7 @@ class Listing:
 _HEADS: Mapping[Kind, tuple[Row, Row]] = {
     Kind.EDGES: (("NAME", "STATUS", "CORES", "MEMORY", "TASKS", "LABELS"), ("ADDRESS", "CPU", "USED")),
     Kind.ROBOTS: (("NAME", "STATUS", "CORES", "MEMORY", "TASKS", "ONBOARD", "LABELS"), ("ADDRESS", "CPU", "USED")),
-    Kind.TASKS: (("NAME", "HOST", "STATE", "RESTARTS", "UP"), ("KIND", "ROBOTS", "NEEDS", "PID")),
+    Kind.TASKS: (("NAME", "HOST", "STATE", "RESTARTS", "UP"), ("KIND", "ROBOTS", "NEEDS", "PID", "METRICS")),
     Kind.LINKS: (("EDGE", "ROBOT", "CAPACITY", "SOURCE"), ("USED", "RTT")),
 }
 _NO_LINK = Cell("unknown", "warn")
@@ -151,7 +152,7 @@ def _run(name: str, host: str, sample: TaskSample, task: Task | None, value: Sna
         path=f"{name} on {host}",
         name=f"task/{name}",
         row=(Cell(name, "name"), host, state, restarts, up),
-        more=(*_spec(task), str(sample.pid or "-")),
+        more=(*_spec(task), str(sample.pid or "-"), metrics.line(sample.metrics)),
         told=(host, state.text, restarts, sample.instance, *_spec(task)),
         document={"kind": "task", "name": name, "host": host} | encode_task(sample),
         labels=_labels(task),
@@ -167,7 +168,7 @@ def _missing(task: Task, value: Snapshot) -> Item:
         path=f"{task.name} on -",
         name=f"task/{task.name}",
         row=(Cell(task.name, "name"), known.host or "-", state, "-", "-"),
-        more=(*_spec(task), "-"),
+        more=(*_spec(task), "-", "-"),
         told=(known.host, known.state, *_spec(task)),
         document=stated,
         labels=_labels(task),

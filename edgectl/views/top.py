@@ -10,9 +10,10 @@ from edgectl.model.point import HostPoint, TaskPoint
 from edgectl.model.snapshot import HostSample, Snapshot, TaskSample, TaskState
 from edgectl.model.task import Task, Tasks
 from edgectl.units import format_bytes, format_cores, format_duration, format_instant, format_rate
+from edgectl.views import metrics
 from edgectl.views.sections import note_lines, silent
 from edgectl.views.state import STATES, host_status
-from edgectl.views.text import PLAIN, Cell, Look, Row
+from edgectl.views.text import PLAIN, Cell, Look, Row, columns
 from edgectl.views.use import Amounts, apart, demanded, off, share, shown, with_history
 
 _HOSTS: Row = ("NAME", "STATUS", "CPU", "MEMORY", "LINK", "TASKS")
@@ -115,7 +116,10 @@ def _by_task(points: Iterable[TaskPoint]) -> dict[str, list[TaskPoint]]:
 def tasks(
     value: Snapshot, inventory: Inventory, wanted: Tasks, points: Iterable[TaskPoint], look: Look = PLAIN, *, wide: bool = False
 ) -> str:
-    """Use of each task that runs, against its demand, with its CPU over the last samples. Above its demand it is marked."""
+    """Use of each task that runs, against its demand, with its CPU over the last samples. Above its demand it is marked.
+
+    Below stands what applications say of themselves.
+    """
     past = _by_task(points)
     rows: list[Row] = [(*_TASKS, *_TASKS_MORE) if wide else _TASKS]
     histories: list[tuple[Sequence[float | None], float]] = []
@@ -129,7 +133,8 @@ def tasks(
     missing = len(wanted.tasks) - len(wanted.tasks.keys() & {name for name, _, _ in _running(value)})
     idle = [f"{missing} of {len(wanted.tasks)} tasks do not run: edgectl status"] if missing else []
     body = with_history(rows, histories, look, right=_RIGHT | _RIGHT_MORE if wide else _RIGHT)
-    return body + note_lines([*idle, *silent(value)], look)
+    said = columns(metrics.table(_running(value)), look, wrap={0, 1})
+    return body + (said and "\n" + said) + note_lines([*idle, *silent(value)], look)
 
 
 def compared(value: Snapshot, inventory: Inventory, wanted: Tasks, *, on: str) -> list[Row]:

@@ -161,6 +161,12 @@ def test_a_silent_host_and_one_that_is_never_asked() -> None:
     assert "Onboard:     a candidate for its own tasks\n" in host("robot1")
 
 
+def test_what_an_application_says_of_itself_stands_with_its_run() -> None:
+    over = a_run(TaskState.COMPLETED, pid=0, metrics={"fps": 29.97, "\x1b[31mloss": 2.0})
+    text = task("stray", value=snapshot(edge2=a_sample(tasks={"stray": over})))
+    assert "Metrics on edge2:\n  fps           29.97\n  \\x1b[31mloss  2\n" in text
+
+
 def test_a_task_that_does_not_run_and_one_that_no_file_names() -> None:
     assert "State:        not running\n" in task("idle")
     stray = snapshot(robot1=a_sample(tasks={"stray": a_run(TaskState.FAILED, exit_code=2, log_tail=("Traceback", "\x1b[31mboom"))}))

@@ -27,7 +27,11 @@ MEMORY = Memory(
 
 
 def snapshot(**fields: object) -> Snapshot:
-    runs = {"slam": a_run(started_at=NOW - 192), "nav": a_run(TaskState.CRASHLOOP, pid=0, restarts=5, last_exit=1), "old": a_run()}
+    runs = {
+        "slam": a_run(started_at=NOW - 192, metrics={"fps": 29.97, "loss": 0.03125}),
+        "nav": a_run(TaskState.CRASHLOOP, pid=0, restarts=5, last_exit=1),
+        "old": a_run(),
+    }
     edge1 = a_sample(used=1.0, used_memory=GI, tasks=runs, links={"robot1": LINK})
     return a_snapshot(edge1=replace(edge1, **fields), edge2=silent(), robot1=a_sample(cores=2.0), memory=MEMORY)
 
@@ -80,9 +84,9 @@ def test_links() -> None:
 
 def test_wide_of_edges_and_tasks() -> None:
     assert shown(Kind.EDGES, Form.WIDE).splitlines()[2].split()[6:] == ["ssh", "edge1.lab", "25%", "25%", "gpu=maxwell,room=b2"]
-    assert [line.split()[-5:] for line in shown(Kind.TASKS, Form.WIDE).splitlines()[4:]] == [
-        ["service", "robot1", "-", "4242", "3m12s"],
-        ["files", "-", "-", "4242", "1h00m"],
+    assert [line.split()[-6:] for line in shown(Kind.TASKS, Form.WIDE).splitlines()[4:]] == [
+        ["4242", "fps", "29.97,", "loss", "0.03125", "3m12s"],
+        ["files", "-", "-", "4242", "-", "1h00m"],
     ]
 
 

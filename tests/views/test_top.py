@@ -125,6 +125,26 @@ def test_tasks_piped() -> None:
     assert tasks() == TABLE + TASK_NOTES
 
 
+METRICS = {f"m{number}": number / 3 for number in range(12)}
+
+
+def saying() -> Snapshot:
+    runs = {**RUNS, "slam": replace(RUNS["slam"], metrics={"fps": 29.97, "loss": 1.5e-7}), "stray": replace(RUNS["stray"], metrics=METRICS)}
+    runs["dead"] = replace(RUNS["dead"], metrics={"fps": 1.0})
+    return replace(snapshot(), hosts={**snapshot().hosts, "edge1": replace(snapshot().hosts["edge1"], tasks=runs)})
+
+
+def test_what_applications_say_of_themselves_stands_below() -> None:
+    said = ", ".join(f"{name} {value:.6g}" for name, value in METRICS.items())
+    below = f"\nTASK   HOST   METRICS\nslam   edge1  fps 29.97, loss 1.5e-07\nstray  edge1  {said}\n"
+    assert tasks(value=saying()) == TABLE + below + TASK_NOTES
+    narrow = tasks(value=saying(), look=Look(width=80))
+    assert max(map(len, narrow.splitlines())) <= 80
+    assert "stray  edge1  m0 0, m1 0.333333, m2 0.666667, m3 1, m4 1.33333, m5 1.66667, m6\n              2, m7 2.33333," in narrow
+    found = {task["name"]: task.get("metrics") for task in json.loads(tasks(Form.JSON, value=saying()))["tasks"]}
+    assert found == {"detection": None, "slam": {"fps": 29.97, "loss": 1.5e-7}, "stray": METRICS}
+
+
 def test_tasks_on_a_terminal() -> None:
     lines = tasks(look=Look(width=160, unicode=True)).splitlines()
     assert lines[0] == TABLE.splitlines()[0] + "  CPU, LAST 3 SAMPLES"
