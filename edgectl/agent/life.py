@@ -199,6 +199,6 @@ def _marked(found: Trace) -> bool:
 
 def _dead(found: Trace) -> dict:
     if found.status.get("state") in FINAL:
-        return {}
+        return {"ended_s": round(proc.uptime() - found.status["ended"], 2)} if same_boot(found) and "ended" in found.status else {}
     why = "unknown: the supervisor was lost" if same_boot(found) else "the host was rebooted"
     return {"state": "failed", "exit_code": None, "detail": why}

@@ -68,8 +68,11 @@ class Supervisor:
     def _note(self, **changes) -> None:
         """Rewrite the status in place; a file system that refuses must not disturb the task."""
         self.status.update(changes, dropped=self.log.dropped)
+        final = self.status["state"] in life.FINAL
+        if final:
+            self.status["ended"] = round(proc.uptime(), 2)
         try:
-            record.write(os.path.join(self.folder, "status"), self.status, durable=self.status["state"] in life.FINAL)
+            record.write(os.path.join(self.folder, "status"), self.status, durable=final)
         except (OSError, ValueError):
             pass
 

@@ -91,6 +91,7 @@ class Recorder:
     def _look(self, task: str, host: str, found: TaskSample, at: float) -> None:
         """One task on one host, as it was seen."""
         over = found.state is TaskState.COMPLETED
+        at = at if found.ended_at is None else min(at, found.ended_at)
         if over and task not in self.completed:
             self.completed[task] = at
         if found.state.alive or over:

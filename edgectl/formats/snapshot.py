@@ -86,6 +86,7 @@ def encode_task(task: TaskSample) -> Document:
         log_tail=list(task.log_tail) or None,
         limits=task.limits or None,
         given_up=task.given_up or None,
+        ended_at=None if task.ended_at is None else format_instant(task.ended_at),
         metrics={name: number(value) for name, value in task.metrics.items()} or None,
     )
 
@@ -191,6 +192,7 @@ def _read_task(reader: Reader) -> TaskSample:
         log_tail=reader.texts("log_tail"),
         limits=reader.text("limits", ""),
         given_up=reader.flag("given_up", default=False),
+        ended_at=reader.instant("ended_at") if reader.has("ended_at") else None,
         metrics=reader.mapping("metrics", _any_number),
     )
 

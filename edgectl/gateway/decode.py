@@ -108,6 +108,7 @@ def _task(name: str, entry: Document, context: Context) -> TaskSample:
     if state is None:
         raise ReplyError(f"tasks.{name}.state is not a state: {text(entry, 'state')[:80]}")
     links = {robot: number(table(entry, "links"), robot) for robot in table(entry, "links")}
+    ended_s = optional(entry, "ended_s", number)
     return TaskSample(
         state=state,
         pid=optional(entry, "pid", whole) or 0,
@@ -128,6 +129,7 @@ def _task(name: str, entry: Document, context: Context) -> TaskSample:
         log_tail=lines(entry, "log_tail"),
         limits=text(entry, "limits"),
         given_up=flag(entry, "given_up", default=False),
+        ended_at=None if ended_s is None else context.answered_at - ended_s,
         metrics=_metrics(table(entry, "metrics")),
     )
 

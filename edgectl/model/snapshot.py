@@ -79,6 +79,7 @@ class TaskSample:
     ``last_exit``: exit code before the last restart. ``log_tail``: last lines of a task that failed or was given up.
     ``limits``: "enforced", or "not enforced: why"; empty where none are stated.
     ``given_up``: it ended by itself and is not to be started again by itself: a crash loop, or a failure under ``restart: never``.
+    ``ended_at``: when it ended for good, where its host knows.
     ``metrics``: what the application says of itself, the last value by name, also after its end.
     """
 
@@ -102,6 +103,7 @@ class TaskSample:
     limits: str = ""
     given_up: bool = False
     metrics: Mapping[str, float] = field(default_factory=dict)
+    ended_at: float | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -15,7 +15,7 @@ from edgectl.model.cycle import Cycle
 from edgectl.model.evidence import Variant
 from edgectl.model.experiment import Experiment, MapPair, Trial
 from edgectl.model.memory import Memory
-from edgectl.model.snapshot import Snapshot, TaskSample, TaskState
+from edgectl.model.snapshot import Snapshot, TaskState
 from edgectl.state.files import FORMAT_VERSION, read_json, write_json
 from edgectl.state.journal import Journal
 from edgectl.state.keeper import Keeper
@@ -96,10 +96,14 @@ def _newcomer(fleet: Fleet, name: str, before: Snapshot) -> Fleet:
     return replace(fleet, state=state, history=Keeper(), clock=lambda: began + fleet.uptime().seconds - since)
 
 
-def _over(snapshot: Snapshot) -> list[str]:
-    """The instances that have ended and would not be started again."""
-    found = (sample for host in snapshot.hosts.values() for sample in host.tasks.values())
-    return sorted({sample.instance for sample in found if sample.state is TaskState.COMPLETED or sample.given_up})
+def _over(snapshot: Snapshot) -> dict[str, tuple[str, int]]:
+    """Task and generation of the instances that have ended and would not be started again."""
+    return {
+        sample.instance: (task, sample.generation)
+        for host in snapshot.hosts.values()
+        for task, sample in host.tasks.items()
+        if sample.state is TaskState.COMPLETED or sample.given_up
+    }
 
 
 def _before(fleet: Fleet) -> dict[str, object]:
@@ -117,9 +121,10 @@ def clear(fleet: Fleet) -> None:
     """
     for state in sorted(fleet.state.glob(f"{_PREFIX}*")):
         own = replace(fleet, state=private_dir(state), history=Keeper())
-        if _untouched(fleet, state):
-            _stop_all(own)
-            save_reopened(fleet.state, (*load_reopened(fleet.state, fleet.warn), *_over(_asked(own))))
+        known = _generations(own)
+        snapshot = _emptied(own, known) if _untouched(fleet, state) else _asked(own)
+        ended = sorted(instance for instance, (task, generation) in _over(snapshot).items() if generation <= known.get(task, -1))
+        save_reopened(fleet.state, (*load_reopened(fleet.state, fleet.warn), *ended))
         shutil.rmtree(state)
 
 
@@ -130,14 +135,19 @@ def _untouched(fleet: Fleet, state: Path) -> bool:
         return False
 
 
-def _stop_all(own: Fleet) -> None:
-    """Stop the tasks that this trial started; what else runs is left alone."""
+def _emptied(own: Fleet, known: Mapping[str, int]) -> Snapshot:
+    """The fleet without the tasks that this trial started; a later start, by whomever, has a higher generation and is left alone."""
+    names: list[str] = []
     for _ in range(_STOPS):
-        names = _started(own, _asked(own))
+        snapshot = _asked(own)
+        places = running(snapshot)
+        names = [
+            name for name in places if all(snapshot.hosts[host].tasks[name].generation <= known.get(name, -1) for host in places[name])
+        ]
         if not names:
-            return
+            return snapshot
         stop(own, names)
-    raise FleetBusyError(f"{', '.join(names)} did not stop", hint=f"edgectl status says where; edgectl stop {names[0]} says why")
+    raise FleetBusyError(f"{', '.join(names)} did not stop", hint=f"edgectl stop {names[0]} says why")
 
 
 def _asked(own: Fleet) -> Snapshot:
@@ -158,21 +168,13 @@ def refuse_silence(snapshot: Snapshot) -> None:
             raise FleetBusyError(f"{name} does not answer: {host.error}", hint=host.hint or f"edgectl doctor {name}")
 
 
-def _started(own: Fleet, snapshot: Snapshot) -> list[str]:
-    """Tasks that run and were started by this trial: a later start, by whomever, has a higher generation."""
+def _generations(own: Fleet) -> dict[str, int]:
+    """By task, the highest generation that this trial may have started."""
     with Journal.open(own.state, clock=own.clock, warn=own.warn) as journal:
         known = dict(journal.log.generations)
     for name, placement in load_memory(own.state, own.warn).placements.items():
         known[name] = max(known.get(name, 0), placement.generation)
-    return [
-        name
-        for name, hosts in running(snapshot).items()
-        if all(_task(snapshot, name, host).generation <= known.get(name, -1) for host in hosts)
-    ]
-
-
-def _task(snapshot: Snapshot, name: str, host: str) -> TaskSample:
-    return snapshot.hosts[host].tasks[name]
+    return known
 
 
 def _similarities(own: Fleet, experiment: Experiment, places: Mapping[str, str], beside: Path) -> dict[str, float]:

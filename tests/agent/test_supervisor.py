@@ -207,6 +207,7 @@ def test_end_is_recorded(
     host.start("work", command, **spec)
     entry = host.until("work", state)
     assert (entry["exit_code"], entry["detail"], entry["pid"], entry["given_up"]) == (code, detail, 0, given_up)
+    assert 0.0 <= entry["ended_s"] < 600.0
     assert not life.lock_held(str(host.folder("work")))
 
 

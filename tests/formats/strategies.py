@@ -84,6 +84,7 @@ task_samples = st.builds(
     log_tail=st.lists(texts, max_size=2).map(tuple),
     limits=texts,
     given_up=st.booleans(),
+    ended_at=maybe(instants),
     metrics=st.dictionaries(names, st.floats(allow_nan=False, allow_infinity=False), max_size=3),
 )
 interfaces = st.builds(InterfaceSample, rx_bytes_per_s=amounts, tx_bytes_per_s=amounts, speed_bytes_per_s=maybe(amounts))

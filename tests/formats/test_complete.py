@@ -45,7 +45,7 @@ LINK = LinkSample(capacity_bytes_per_s=1.0, used_bytes_per_s=2.0, rtt_ms=3.0, ca
 TASK = TaskSample(
     state=TaskState.FAILED, pid=1, started_at=2.0, used_cores=3.0, used_bytes=4.0, used_bytes_per_s=5.0, links={"r": 6.0}, instance="i",
     spec_hash="s", generation=7, managed=False, restarts=8, exit_code=-9, detail="d",
-    fields={"command": "c"}, last_exit=3, log_tail=("l",), limits="enforced", given_up=True, metrics={"fps": 29.5},
+    fields={"command": "c"}, last_exit=3, log_tail=("l",), limits="enforced", given_up=True, metrics={"fps": 29.5}, ended_at=2.5,
 )  # fmt: skip
 INTERFACE = InterfaceSample(rx_bytes_per_s=1.0, tx_bytes_per_s=2.0, speed_bytes_per_s=3.0)
 DEVICE = Device(load_1m=1.0, temperature_c=-2.0, gpu_share=0.5, boot_id="b", clock_skew_s=-1.5, interfaces={"eth0": INTERFACE})

@@ -268,6 +268,11 @@ def test_a_profiler_s_readings_say_how_old_they_are() -> None:
             decoded(a_document(**wrong))
 
 
+def test_when_a_task_ended_is_told_in_the_manager_s_time() -> None:
+    tasks = decoded(a_document(tasks={"job": a_task(state="completed", ended_s=1.5), "nav": a_task()})).tasks
+    assert (tasks["job"].ended_at, tasks["nav"].ended_at) == (NOW - 1.5, None)
+
+
 def test_metrics_of_the_application_pass_as_they_are() -> None:
     values = {"fps": 29.5, "map/loss.total": -1e300, "_n:x-y": 0}
     task = decoded(a_document(tasks={"slam": a_task(metrics=values), "nav": a_task()}))
