@@ -1,5 +1,5 @@
 # Every target works in a fresh clone; .ci/setup makes .venv where it is missing.
-.PHONY: demo test check setup bench faults fuzz soak clean
+.PHONY: demo experiment test check setup bench faults fuzz soak clean
 PY := .venv/bin/python
 export PYTHON
 
@@ -41,6 +41,11 @@ fuzz: setup
 soak: setup
 	@.ci/need-sshd
 	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.soak
+
+# The shipped experiment on hosts of its own: table, page and figures in runs/mission. Some fifteen minutes; REPETITIONS=1 takes a third.
+experiment: setup
+	@.ci/need-faults
+	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.experiment --repetitions $(or $(REPETITIONS),3)
 
 clean:
 	rm -rf .venv .pytest_cache .mypy_cache .ruff_cache .hypothesis dist build

@@ -1,5 +1,7 @@
 """The manager's network, to which the computers of the tests are cabled; needs root."""
 
+import os
+import shutil
 import subprocess
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +15,15 @@ def ip(*words: str, netns: int = 0) -> None:
     prefix = ["nsenter", f"--target={netns}", "--net"] if netns else []
     done = subprocess.run([*prefix, sshd.program("ip"), *words], capture_output=True, text=True, check=False)
     assert not done.returncode, f"ip {' '.join(words)}: {done.stderr}"
+
+
+def tc(*words: str, netns: int) -> str:
+    """Run tc(8) in the network namespace of process ``netns``; what it has against it, empty where it did it."""
+    program = shutil.which("tc", path=f"{os.environ.get('PATH', '')}:/usr/sbin:/sbin")
+    if program is None:
+        return "tc is missing"
+    done = subprocess.run(["nsenter", f"--target={netns}", "--net", program, *words], capture_output=True, text=True, check=False)
+    return done.stderr.strip() if done.returncode else ""
 
 
 @dataclass(kw_only=True)

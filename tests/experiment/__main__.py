@@ -1,0 +1,63 @@
+"""``make experiment``: the shipped experiment on hosts of its own, its table, its page and its figures.
+
+    python -m tests.experiment [--out runs/mission] [--repetitions 3] [--policies local,static,utility] [--plain]
+
+Stopped at any point, the same command goes on with the trials that are missing, on computers of the same addresses. Whatever happens,
+the hosts and all that ran on them are gone at the end.
+"""
+
+import argparse
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from tests.experiment.hosts import lab
+from tests.experiment.mission import ROOT
+from tests.experiment.spec import shortened
+
+LIMIT_S = 45 * 60
+
+
+def edgectl(*words: str, prefix: list[str], env: dict[str, str]) -> int:
+    """Run one command to its end; told to end, we tell it, and give it a minute to stop what it started."""
+    sys.stdout.flush()
+    running = subprocess.Popen([*prefix, sys.executable, "-m", "edgectl", *words], env=env, cwd=ROOT, start_new_session=True)
+    try:
+        return running.wait(LIMIT_S)
+    except KeyboardInterrupt:
+        running.send_signal(signal.SIGINT)
+        return running.wait(60)
+    finally:
+        if running.poll() is None:
+            running.kill()
+            running.wait()
+
+
+def main() -> int:
+    """Run it."""
+    parser = argparse.ArgumentParser(description="The shipped experiment on hosts of its own.")
+    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "mission", help="where the run is kept")
+    parser.add_argument("--repetitions", type=int, default=3)
+    parser.add_argument("--policies", default="", help="such as local,utility; all where not given")
+    parser.add_argument("--plain", action="store_true", help="plain SSH servers, even where computers with CPU limits could be had")
+    args = parser.parse_args()
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    directory = Path(tempfile.mkdtemp(prefix="edgectl-experiment-"))
+    try:
+        with lab(directory, plain=args.plain) as made:
+            print(f"hosts: {made.real}")
+            if made.wanting:
+                print(f"not as on real hosts: {made.wanting}")
+            spec = made.site / "experiment.yaml"
+            spec.write_text(shortened(spec.read_text(), repetitions=args.repetitions, policies=args.policies))
+            code = edgectl("experiment", "run", str(spec), "--out", str(args.out), prefix=made.prefix, env=made.environment)
+            return code or edgectl("report", str(args.out), "--figures", str(args.out / "figures"), prefix=[], env=made.environment)
+    finally:
+        shutil.rmtree(directory, ignore_errors=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
