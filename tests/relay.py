@@ -83,3 +83,14 @@ def mute_server() -> Iterator[int]:
     """Port of a server that accepts connections and never says a word, like a frozen host."""
     with socket.create_server(("127.0.0.1", 0), backlog=50) as listener:
         yield int(listener.getsockname()[1])
+
+
+def callers(listener: socket.socket) -> int:
+    """How many connections nobody has accepted yet."""
+    listener.setblocking(False)
+    number = 0
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            listener.accept()[0].close()
+            number += 1
+    return number

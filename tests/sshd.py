@@ -122,7 +122,7 @@ class Server:
 
 
 def write_config(server: Server, *, env: Mapping[str, str], authorized: Path, extra: Sequence[str] = ()) -> None:
-    """``extra`` lines come first: sshd takes the first value it sees."""
+    """``extra`` lines come first: sshd takes the first value it sees, except of MaxStartups, of which it takes the last."""
     set_env = " ".join(f'"{name}={value}"' for name, value in env.items())
     lines = [
         *extra,
@@ -138,7 +138,7 @@ def write_config(server: Server, *, env: Mapping[str, str], authorized: Path, ex
         "PasswordAuthentication no",
         "KbdInteractiveAuthentication no",
         f"AuthorizedKeysFile {authorized}",
-        "MaxStartups 200:30:400",
+        *([] if any(line.startswith("MaxStartups") for line in extra) else ["MaxStartups 200:30:400"]),
         "PrintMotd no",
         f"SetEnv {set_env}",
     ]

@@ -22,12 +22,12 @@ def test_runs_a_command_with_the_manager_s_environment(monkeypatch: pytest.Monke
 
 
 def test_deadline_ends_the_whole_group(tmp_path: Path) -> None:
-    began = time.monotonic()
-    with pytest.raises(DeadlineError, match=r"no answer within 1.5 s"):
-        LocalSession("edge1").run(f"sleep 600 & echo $! > {tmp_path}/pid; sleep 600", b"", timeout=1.5)
+    with pytest.raises(DeadlineError, match=r"no answer within 5 s"):
+        LocalSession("edge1").run(f"sleep 600 & echo $! > {tmp_path}/pid; sleep 600", b"", timeout=5)
     state = Path(f"/proc/{(tmp_path / 'pid').read_text().strip()}/stat")
+    deadline = time.monotonic() + 30
     while state.exists() and ") Z" not in state.read_text():
-        assert time.monotonic() - began < 15
+        assert time.monotonic() < deadline
         time.sleep(0.05)
 
 
