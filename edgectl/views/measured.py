@@ -36,7 +36,7 @@ _EVERY = (
 
 def text(run: Run, values: Sequence[Column], look: Look = PLAIN, *, every: bool = False) -> str:
     """One line per scheme, also where nothing is done yet; then how much of the experiment that is, and the latencies compared."""
-    lines = "".join(flowed(line, look) for line in notes(run.experiment, values, every=every))
+    lines = "".join(flowed(harmless(line), look) for line in notes(run.experiment, values, every=every))
     return table(rows(run.experiment, values, every=every), look) + "\n" + lines
 
 
