@@ -14,7 +14,7 @@ from edgectl.cli.inputs import inventory_file, load, save
 from edgectl.errors import UsageError
 from edgectl.export.rows import Kind, Point, csv_lines, json_lines
 
-_KindArgument = Annotated[Kind, Argument(metavar="KIND", help="hosts, links, tasks, handoffs or events.", show_default=False)]
+_KindArgument = Annotated[Kind, Argument(metavar="KIND", help="hosts, links, tasks, metrics, handoffs or events.", show_default=False)]
 _SinceOption = Annotated[str | None, Option("--since", metavar="TIME", help="Not older than this; else everything.")]
 _OutOption = Annotated[Path | None, Option("--out", metavar="FILE", help="Replace this file; else to standard output.")]
 # node_exporter runs as somebody else.
@@ -68,7 +68,9 @@ def export_prometheus_command(
 def export_csv_command(
     *, kind: _KindArgument, inventory: options.InventoryOption = None, since: _SinceOption = None, out: _OutOption = None
 ) -> None:
-    """Write the history as CSV: what was measured of hosts, links and tasks, handoffs, or events. No host is asked.
+    """Write the history as CSV: what was measured of hosts, links and tasks, what applications said, handoffs, or events.
+
+    No host is asked.
 
     Examples:
         edgectl export csv tasks --since 1h
@@ -80,7 +82,9 @@ def export_csv_command(
 def export_jsonl_command(
     *, kind: _KindArgument, inventory: options.InventoryOption = None, since: _SinceOption = None, out: _OutOption = None
 ) -> None:
-    """Write the history as JSON Lines: what was measured of hosts, links and tasks, handoffs, or events. No host is asked.
+    """Write the history as JSON Lines: what was measured of hosts, links and tasks, what applications said, handoffs, or events.
+
+    No host is asked.
 
     Examples:
         edgectl export jsonl links --since 1h

@@ -1,7 +1,8 @@
 """Every metric: its name, what it says, its labels, and how it is read from a picture of the fleet. Pure.
 
 Names follow Prometheus' conventions: base units, a unit at the end of each name, ``_total`` for what only grows. Labels are names of the
-inventory and the task files, and words of closed sets; so there are never more series than the files allow.
+inventory and the task files, and words of closed sets; so there are never more series than the files allow. What applications say of
+themselves is the exception, and a task may say at most 32 things.
 """
 
 from dataclasses import dataclass
@@ -169,6 +170,12 @@ METRICS = (
         help="What the task exchanges with its robots.",
         labels=_RUN,
         read=of.runs(lambda task: task.used_bytes_per_s),
+    ),
+    Metric(
+        name="edgectl_task_app_metric",
+        help="What the application says of itself: the last value that it wrote.",
+        labels=(*_RUN, "name"),
+        read=of.said,
     ),
     Metric(
         name="edgectl_task_utility",

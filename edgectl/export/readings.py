@@ -121,6 +121,13 @@ def runs(read: Callable[[TaskSample], float | None]) -> Read:
     ]
 
 
+def said(picture: Picture) -> Iterable[Sample]:
+    """One sample per metric of each task that runs, by the name that the application gives it."""
+    for host, found in picture.snapshot.hosts.items():
+        for task, sample in found.tasks.items():
+            yield from (((task, host, name), value) for name, value in sample.metrics.items() if sample.state.alive)
+
+
 def states(picture: Picture) -> Iterable[Sample]:
     """One sample per task and state: 1 for the state that it is in."""
     for step in picture.plan.steps:

@@ -9,10 +9,10 @@ from enum import StrEnum
 
 from edgectl.formats.base import dump_line, number
 from edgectl.model.event import Event
-from edgectl.model.point import HandoffPoint, HostPoint, LinkPoint, TaskPoint
+from edgectl.model.point import HandoffPoint, HostPoint, LinkPoint, MetricPoint, TaskPoint
 from edgectl.units import format_instant
 
-Point = HostPoint | LinkPoint | TaskPoint | HandoffPoint | Event
+Point = HostPoint | LinkPoint | TaskPoint | MetricPoint | HandoffPoint | Event
 Value = str | int | float | None
 
 
@@ -22,6 +22,7 @@ class Kind(StrEnum):
     HOSTS = "hosts"
     LINKS = "links"
     TASKS = "tasks"
+    METRICS = "metrics"
     HANDOFFS = "handoffs"
     EVENTS = "events"
 
@@ -40,6 +41,7 @@ COLUMNS: Mapping[Kind, Mapping[str, str]] = {
         "at": "at", "task": "task", "host": "host", "state": "state", "used_cores": "used_cores", "used_bytes": "used_bytes",
         "used_bytes_per_s": "used_bytes_per_s", "links": "links", "age_s": "age_s", "instance": "instance", "spec_hash": "spec_hash",
     },
+    Kind.METRICS: {"at": "at", "task": "task", "host": "host", "name": "name", "value": "value", "instance": "instance"},
     Kind.HANDOFFS: {
         "at": "at", "task": "task", "host": "host", "previous_host": "previous_host", "outcome": "outcome", "downtime_s": "downtime_s",
         "duration_s": "seconds",

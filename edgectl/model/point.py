@@ -58,6 +58,18 @@ class TaskPoint:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class MetricPoint:
+    """What an application said of itself: the ``value`` of its metric ``name``, which stood until the next one of this very start."""
+
+    at: float
+    task: str
+    host: str
+    name: str
+    value: float
+    instance: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class HandoffPoint:
     """One move or restart that an apply carried out, or tried. ``downtime_s``: stop to ready; ``seconds``: all of its phases."""
 

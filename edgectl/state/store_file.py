@@ -13,7 +13,6 @@ from edgectl.state.files import set_aside
 from edgectl.state.paths import open_private
 
 NAME = "history.db"
-SCHEMA = 1
 _BUSY_S = 5.0
 _PARTS = ("-wal", "-shm")
 # Each may be as large as a history may become.
@@ -67,6 +66,17 @@ CREATE TABLE known_tasks (
   STRICT, WITHOUT ROWID;
 CREATE TABLE marks (name TEXT PRIMARY KEY, at REAL NOT NULL) STRICT, WITHOUT ROWID;
 """
+_METRICS = """
+CREATE TABLE metrics (
+  metric INTEGER PRIMARY KEY, start INTEGER NOT NULL, name TEXT NOT NULL, UNIQUE (start, name)) STRICT;
+CREATE TABLE readings (
+  metric INTEGER NOT NULL, at REAL NOT NULL, value REAL NOT NULL, PRIMARY KEY (metric, at)) STRICT, WITHOUT ROWID;
+CREATE VIEW metric_samples AS
+  SELECT at, task, host, name, value, instance, spec_hash, metric FROM starts JOIN metrics USING (start) JOIN readings USING (metric);
+"""
+# What each schema adds to the one before.
+_STEPS = (_TABLES, _METRICS)
+SCHEMA = len(_STEPS)
 
 
 class NewerSchemaError(StateError):
@@ -111,14 +121,14 @@ def _set_up(connection: sqlite3.Connection, path: Path) -> None:
 
 
 def _create(connection: sqlite3.Connection) -> None:
-    """Make the tables, unless another edgectl has just done so."""
+    """Make the tables that are missing; another edgectl may have just done so."""
     connection.execute("PRAGMA auto_vacuum = INCREMENTAL")
     connection.execute("PRAGMA journal_mode = WAL")
     connection.execute("BEGIN IMMEDIATE")
-    if connection.execute("PRAGMA user_version").fetchone()[0] == 0:
-        for statement in _TABLES.split(";\n"):
-            connection.execute(statement)
-        connection.execute(f"PRAGMA user_version = {SCHEMA}")
+    version = connection.execute("PRAGMA user_version").fetchone()[0]
+    for statement in "".join(_STEPS[version:]).split(";\n"):
+        connection.execute(statement)
+    connection.execute(f"PRAGMA user_version = {max(version, SCHEMA)}")
     connection.execute("COMMIT")
 
 

@@ -3,7 +3,12 @@
 import sqlite3
 
 # Table of samples -> its first key, and the table that has every value of it: so the oldest are found without reading all.
-_SAMPLES = {"host_samples": ("host", "known_hosts"), "loads": ("link", "links"), "uses": ("start", "starts")}
+_SAMPLES = {
+    "host_samples": ("host", "known_hosts"),
+    "loads": ("link", "links"),
+    "uses": ("start", "starts"),
+    "readings": ("metric", "metrics"),
+}
 _RECORDS = {"plans": "until", "actions": "at", "events": "at"}
 # What is left after making room, so that not every hour begins with it again; little, because somebody waits for it.
 _ROOM = 0.98
@@ -17,6 +22,7 @@ def drop(connection: sqlite3.Connection, *, samples: float, records: float) -> N
         connection.execute(f"DELETE FROM {table} WHERE {key} IN (SELECT {key} FROM {groups}) AND at < ?", (samples,))  # noqa: S608
     for table, instant in _RECORDS.items():
         connection.execute(f"DELETE FROM {table} WHERE {instant} < ?", (records,))  # noqa: S608
+    connection.execute("DELETE FROM metrics WHERE NOT EXISTS (SELECT 1 FROM readings WHERE readings.metric = metrics.metric)")
     connection.execute("DELETE FROM starts WHERE NOT EXISTS (SELECT 1 FROM uses WHERE uses.start = starts.start)")
     connection.execute("DELETE FROM links WHERE NOT EXISTS (SELECT 1 FROM loads WHERE loads.link = links.link)")
     connection.execute("DELETE FROM steps WHERE plan NOT IN (SELECT plan FROM plans)")

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 from edgectl.model.event import Event, EventKind
-from edgectl.model.point import HandoffPoint, HostPoint, LinkPoint, TaskPoint
+from edgectl.model.point import HandoffPoint, HostPoint, LinkPoint, MetricPoint, TaskPoint
 from edgectl.model.profile import Use
 from edgectl.model.result import ActionResult, Outcome
 from edgectl.model.snapshot import HostSample, HostStatus, Snapshot, TaskSample, TaskState
@@ -96,6 +96,7 @@ TASKS = Form(
         "instance": text, "spec_hash": text, "age_s": real, "links": whole,
     },
 )  # fmt: skip
+METRICS = Form(MetricPoint, {"at": real, "task": text, "host": text, "name": text, "value": real, "instance": text})
 # What a demand is measured by: one seek per start. Read without a form, because there are a thousand of them per task.
 USES = (
     "SELECT at, used_cores, used_bytes, used_bytes_per_s, links FROM uses "

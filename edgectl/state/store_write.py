@@ -22,6 +22,7 @@ def samples(connection: sqlite3.Connection, snapshot: Snapshot) -> None:
     _many(connection, "host_samples", rows.HOSTS.names, [rows.HOSTS.row(point) for point in rows.host_points(snapshot)])
     _loads(connection, list(rows.link_points(snapshot)))
     _uses(connection, list(rows.task_points(snapshot)))
+    _readings(connection, snapshot)
 
 
 def _loads(connection: sqlite3.Connection, points: Sequence[LinkPoint]) -> None:
@@ -44,6 +45,27 @@ def _uses(connection: sqlite3.Connection, points: Sequence[TaskPoint]) -> None:
         "INSERT OR REPLACE INTO uses (start, at, state, used_cores, used_bytes, used_bytes_per_s, age_s, links)"
         " SELECT start, ?, ?, ?, ?, ?, ?, ? FROM starts WHERE task = ? AND host = ? AND instance = ? AND spec_hash = ?",
         values,
+    )
+
+
+def _readings(connection: sqlite3.Connection, snapshot: Snapshot) -> None:
+    """What applications say of themselves, where it has changed: many values seldom do, and those of a job that is over never."""
+    said = [
+        ((name, host, task.instance, task.spec_hash), metric, value)
+        for host, sample in snapshot.hosts.items()
+        for name, task in sample.tasks.items()
+        for metric, value in task.metrics.items()
+    ]
+    connection.executemany(
+        "INSERT OR IGNORE INTO metrics (start, name)"
+        " SELECT start, ? FROM starts WHERE task = ? AND host = ? AND instance = ? AND spec_hash = ?",
+        [(metric, *start) for start, metric, _ in said],
+    )
+    connection.executemany(
+        "INSERT OR REPLACE INTO readings (metric, at, value) SELECT metric, ?1, ?2 FROM metrics JOIN starts USING (start)"
+        " WHERE name = ?3 AND task = ?4 AND host = ?5 AND instance = ?6 AND spec_hash = ?7 AND ?2 IS NOT"
+        " (SELECT value FROM readings WHERE metric = metrics.metric AND at < ?1 ORDER BY at DESC LIMIT 1)",
+        [(snapshot.taken_at, value, metric, *start) for start, metric, value in said],
     )
 
 

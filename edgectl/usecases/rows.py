@@ -15,6 +15,7 @@ _PLACES: dict[Kind, tuple[Form[Any], str, str]] = {
     Kind.HOSTS: (rows.HOSTS, "host_samples", "at, host"),
     Kind.LINKS: (rows.LINKS, "link_samples", "at, edge, robot"),
     Kind.TASKS: (rows.TASKS, "task_samples", "at, task, host"),
+    Kind.METRICS: (rows.METRICS, "metric_samples", "at, task, host, name"),
     Kind.HANDOFFS: (rows.HANDOFFS, "handoffs", "id"),
     Kind.EVENTS: (rows.EVENTS, "events", "id"),
 }

@@ -2,7 +2,9 @@
 
 import json
 import os
+import re
 import stat
+import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -154,6 +156,14 @@ def test_very_many_tasks_share_the_room_of_a_reply(tmp_path: Path, monkeypatch: 
     assert len(found) == 200
     assert len(light.dumps(found)) < 256 << 10
     assert {len(values) for values in metrics.of_tasks("edge1", {"t1": entries["t1"]}).values()} == {metrics.MOST}
+
+
+def test_the_python_of_the_docs_says_what_it_should(tmp_path: Path) -> None:
+    page = Path(__file__).parents[2] / "docs" / "concepts" / "app-metrics.md"
+    (program,) = re.findall(r"^```python\n(import os\n.*?)^```$", page.read_text(), re.MULTILINE | re.DOTALL)
+    for env in ({**os.environ, "EDGECTL_METRICS": metrics.file(str(tmp_path))}, dict(os.environ)):
+        subprocess.run([sys.executable, "-c", program], env=env, check=True, timeout=60)
+    assert metrics.read(str(tmp_path)) == {"fps": 29.97}
 
 
 # -- tasks --

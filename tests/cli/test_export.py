@@ -30,6 +30,7 @@ from edgectl.export.rows import Kind
 from edgectl.model.event import Event, EventKind
 from edgectl.model.plan import Action
 from edgectl.model.result import ActionResult, Outcome, Results
+from edgectl.model.snapshot import Snapshot
 from edgectl.state.paths import fleet_dir
 from edgectl.state.store import Store
 from edgectl.units import parse_instant
@@ -171,11 +172,20 @@ def test_a_missing_extra_is_named_with_what_installs_it(site: Path, state: Path,
 # -- rows ---------------------------------------------------------------------------------------------------------------------------------
 
 
+def saying(snapshot: Snapshot) -> Snapshot:
+    """The same, with something to say of every task."""
+    hosts = {
+        name: dataclasses.replace(host, tasks={each: dataclasses.replace(task, metrics={"fps": 29.5}) for each, task in host.tasks.items()})
+        for name, host in snapshot.hosts.items()
+    }
+    return dataclasses.replace(snapshot, hosts=hosts)
+
+
 @pytest.fixture
 def recorded(site: Path, state: Path, run: Run) -> Path:
     """The history of two real probes, an hour apart and just now, a move and an event; the file."""
     directory = fleet_dir(site / "inventories" / "local.yaml")
-    snapshot = dataclasses.replace(fixtures.fleet()[2], memory=None)
+    snapshot = saying(dataclasses.replace(fixtures.fleet()[2], memory=None))
     with Store.open(directory) as store:
         store.record_snapshot(dataclasses.replace(snapshot, taken_at=time.time() - 3600.0))
         store.record_snapshot(dataclasses.replace(snapshot, taken_at=time.time()))

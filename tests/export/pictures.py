@@ -32,7 +32,9 @@ def picture(*revisions: Revision) -> Picture:
         a_task("big", cpu=64.0), a_task("camera", cpu=0.5, only=["edge1"]), a_task("job"), a_task("map", cpu=1.0), a_task("slam", cpu=1.0, robots=["robot1"])
     )  # fmt: skip
     run = a_run(TaskState.READY, used_cores=0.8, used_bytes=2e8, used_bytes_per_s=3e5, restarts=2, spec_hash="hash-slam")
-    edge = replace(a_sample(used=0.9, used_memory=5e8, links={"robot1": LINK}, tasks={"slam": run}), device=DEVICE)
+    run = replace(run, metrics={"fps": 29.5, "map/loss:train.1": -1e300})
+    over = a_run(TaskState.COMPLETED, metrics={"done": 1.0})
+    edge = replace(a_sample(used=0.9, used_memory=5e8, links={"robot1": LINK}, tasks={"slam": run, "job": over}), device=DEVICE)
     memory = Memory(
         managed=True,
         placements={"map": Placement(host="edge2", since=NOW - 900.0, spec_hash="hash-map")},

@@ -23,7 +23,7 @@ from tests.docs.metrics import PAGE
 from tests.docs.metrics import page as listed
 from tests.export.pictures import a_move, a_revision, picture
 
-LABELS = {"host", "role", "edge", "robot", "task", "state", "action", "outcome", "version"}
+LABELS = {"host", "role", "edge", "robot", "task", "state", "action", "outcome", "version", "name"}
 
 
 def values(seen: Picture) -> dict[str, float]:
@@ -82,6 +82,9 @@ def test_runs_and_decisions(page: dict[str, float]) -> None:
     assert page["edgectl_task_cpu_used_cores{host=edge1,task=slam}"] == 0.8
     assert page["edgectl_task_memory_used_bytes{host=edge1,task=slam}"] == 2e8
     assert page["edgectl_task_network_used_bytes_per_second{host=edge1,task=slam}"] == 3e5
+    assert page["edgectl_task_app_metric{host=edge1,name=fps,task=slam}"] == 29.5
+    assert page["edgectl_task_app_metric{host=edge1,name=map/loss:train.1,task=slam}"] == -1e300
+    assert not [name for name in page if "name=done" in name], "a job that is over says nothing any more"
     assert page["edgectl_task_unplaced{task=big}"] == page["edgectl_task_unplaced{task=camera}"] == 1.0
     assert page["edgectl_task_unplaced{task=slam}"] == 0.0
     assert page["edgectl_plan_actions{action=unplaced}"] == 2.0
@@ -184,12 +187,12 @@ def test_every_metric_is_on_the_page() -> None:
 def test_there_are_no_more_series_than_the_page_of_the_docs_says() -> None:
     seen = picture(a_revision(1, a_move()))
     lines = [line for line in text(seen).splitlines() if not line.startswith("#")]
-    hosts, links, tasks, runs = len(seen.snapshot.hosts), 2, len(seen.plan.steps), 1
+    hosts, links, tasks, runs, said_of_themselves = len(seen.snapshot.hosts), 2, len(seen.plan.steps), 1, 2
     said = PAGE.read_text()
     assert re.search(
         r"at most 13 series per host, 3 per link,\s+12 per task and 6 more for each host on which it runs, and 60 besides", said
     )
-    assert len(lines) <= 13 * hosts + 3 * links + 12 * tasks + 6 * runs + 60
+    assert len(lines) <= 13 * hosts + 3 * links + 12 * tasks + 6 * runs + 60 + said_of_themselves
 
 
 def test_the_list_of_the_docs_is_current() -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from edgectl.export.rows import COLUMNS, Kind, Point, csv_lines, json_lines
 from edgectl.model.event import Event, EventKind
-from edgectl.model.point import HandoffPoint, HostPoint, LinkPoint, TaskPoint
+from edgectl.model.point import HandoffPoint, HostPoint, LinkPoint, MetricPoint, TaskPoint
 from edgectl.model.result import Outcome
 from edgectl.model.snapshot import HostStatus, TaskState
 from tests.builders import NOW
@@ -24,6 +24,7 @@ POINTS: dict[Kind, Point] = {
         at=NOW, task="slam", host="edge1", state=TaskState.READY, used_cores=0.1, used_bytes=2e8, used_bytes_per_s=0.0, instance="i-1",
         spec_hash="h-1", age_s=12.0, links=2,
     ),
+    Kind.METRICS: MetricPoint(at=NOW, task="slam", host="edge1", name="map/loss", value=-1e-7, instance="i-1"),
     Kind.HANDOFFS: HandoffPoint(
         at=NOW, task="slam", host="edge2", previous_host="edge1", outcome=Outcome.DONE, downtime_s=0.5, seconds=2.0
     ),
@@ -36,6 +37,7 @@ ROWS: dict[Kind, dict[str, object]] = {
                  "used_bytes_per_s": 12.5, "rtt_ms": None},
     Kind.TASKS: {"at": "2025-11-21T01:53:20Z", "task": "slam", "host": "edge1", "state": "ready", "used_cores": 0.1,
                  "used_bytes": 200000000, "used_bytes_per_s": 0, "links": 2, "age_s": 12, "instance": "i-1", "spec_hash": "h-1"},
+    Kind.METRICS: {"at": "2025-11-21T01:53:20Z", "task": "slam", "host": "edge1", "name": "map/loss", "value": -1e-07, "instance": "i-1"},
     Kind.HANDOFFS: {"at": "2025-11-21T01:53:20Z", "task": "slam", "host": "edge2", "previous_host": "edge1", "outcome": "done",
                     "downtime_s": 0.5, "duration_s": 2},
     Kind.EVENTS: {"at": "2025-11-21T01:53:20Z", "id": 7, "kind": "task-failed", "host": "edge1", "task": "slam", "message": AWKWARD},

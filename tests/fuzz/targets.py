@@ -18,7 +18,7 @@ from edgectl.gateway.facts import Asked, facts
 from edgectl.model.plan import Action
 from edgectl.model.result import ActionResult, Outcome, Results
 from edgectl.model.snapshot import LinkSample, TaskSample, TaskState
-from edgectl.state import journal
+from edgectl.state import journal, store_rows
 from edgectl.state.memory import load_memory
 from edgectl.state.store import Store
 from edgectl.state.store_file import NAME as HISTORY
@@ -180,7 +180,11 @@ def _history(directory: Path) -> bytes:
     directory.mkdir()
     with Store.open(directory) as store:
         for second in range(4):
-            tasks = {"slam": TaskSample(state=TaskState.READY, started_at=NOW, instance=f"i{second // 2}", spec_hash="s")}
+            tasks = {
+                "slam": TaskSample(
+                    state=TaskState.READY, started_at=NOW, instance=f"i{second // 2}", spec_hash="s", metrics={"fps": second}
+                )
+            }
             link = {"robot1": LinkSample(capacity_bytes_per_s=1e7, used_bytes_per_s=1e6, rtt_ms=1.5)}
             store.record_snapshot(a_snapshot(taken_at=NOW + second, edge1=a_sample(tasks=tasks, links=link), edge2=silent()))
         moved = ActionResult(task="slam", action=Action.MOVE, outcome=Outcome.DONE, host="edge1", previous_host="edge2", downtime_s=1.0)
@@ -205,6 +209,7 @@ def _read_history(path: Path) -> object:
             store.record_snapshot(a_snapshot(taken_at=NOW + 60, edge9=a_sample()))
             store.prune(NOW + 60)
             store.host_points("edge9")
+            list(store.stream(store_rows.METRICS, "metric_samples", "at"))
         if said:
             raise StateError(said[0])
         return found

@@ -1,0 +1,146 @@
+"""What applications say of themselves in the history: kept when it changes, by start, within bounds, also in a file of an older edgectl."""
+
+import sqlite3
+import threading
+from collections.abc import Mapping
+from pathlib import Path
+
+import pytest
+
+from edgectl.errors import StateError
+from edgectl.model.point import MetricPoint
+from edgectl.model.snapshot import Snapshot
+from edgectl.state import store_rows as rows
+from edgectl.state.store import Retention, Store
+from edgectl.state.store_file import NAME, SCHEMA
+from tests.builders import NOW, a_sample, a_snapshot
+from tests.state.test_store import a_task
+
+
+def saying(second: float, metrics: Mapping[str, float], **changes: object) -> Snapshot:
+    """A snapshot in which slam says this."""
+    return a_snapshot(taken_at=NOW + second, edge1=a_sample(tasks={"slam": a_task(metrics=metrics, **changes), "nav": a_task()}))
+
+
+def points(store: Store) -> list[MetricPoint]:
+    return list(store.stream(rows.METRICS, "metric_samples", "at, name"))
+
+
+def said(store: Store) -> list[tuple[float, str, float]]:
+    return [(point.at - NOW, point.name, point.value) for point in points(store)]
+
+
+def test_a_value_is_kept_when_it_changes(tmp_path: Path) -> None:
+    with Store.open(tmp_path) as store:
+        for second, fps in enumerate([29.5, 29.5, 30.0, 30.0, 29.5]):
+            store.record_snapshot(saying(second, {"fps": fps, "map/loss": -1e300}))
+        store.record_snapshot(saying(5, {}))
+        store.record_snapshot(saying(6, {"fps": 29.5}))
+        assert said(store) == [(0, "fps", 29.5), (0, "map/loss", -1e300), (2, "fps", 30.0), (4, "fps", 29.5)]
+        assert {(point.task, point.host, point.instance) for point in points(store)} == {("slam", "edge1", "i1")}
+
+
+def test_the_same_snapshot_again_changes_nothing(tmp_path: Path) -> None:
+    with Store.open(tmp_path) as store:
+        for _ in range(2):
+            for second, fps in enumerate([1.0, 2.0, 2.0]):
+                store.record_snapshot(saying(second, {"fps": fps}))
+        assert said(store) == [(0, "fps", 1.0), (1, "fps", 2.0)]
+
+
+def test_every_start_has_values_of_its_own(tmp_path: Path) -> None:
+    with Store.open(tmp_path) as store:
+        for second, instance in enumerate(["i1", "i1", "i2", "i2"]):
+            store.record_snapshot(saying(second, {"fps": 1.0}, instance=instance))
+        assert [(point.at - NOW, point.instance) for point in points(store)] == [(0, "i1"), (2, "i2")]
+
+
+def test_old_values_go_as_samples_do(tmp_path: Path) -> None:
+    with Store.open(tmp_path, retention=Retention(samples_s=10)) as store:
+        store.record_snapshot(saying(0, {"fps": 1.0, "loss": 1.0}))
+        store.record_snapshot(saying(50, {"fps": 2.0, "loss": 1.0}))
+        store.prune(NOW + 55)
+        assert said(store) == [(50, "fps", 2.0)]
+        store.prune(NOW + 100)
+        assert said(store) == []
+        store.record_snapshot(saying(101, {"fps": 2.0}))
+        assert said(store) == [(101, "fps", 2.0)]
+    left = dict(columns(tmp_path, "SELECT 'metrics', count(*) FROM metrics UNION SELECT 'starts', count(*) FROM starts"))
+    assert left == {"metrics": 1, "starts": 2}
+
+
+def columns(directory: Path, sql: str) -> list[tuple[str, int]]:
+    connection = sqlite3.connect(directory / NAME)
+    try:
+        return connection.execute(sql).fetchall()
+    finally:
+        connection.close()
+
+
+def test_much_that_is_said_does_not_make_the_file_larger_than_it_may_be(tmp_path: Path) -> None:
+    most = 200_000
+    with Store.open(tmp_path, retention=Retention(max_bytes=most)) as store:
+        for second in range(300):
+            store.record_snapshot(saying(second, {f"m{number}": second + number for number in range(32)}))
+        store.prune(NOW + 300)
+        kept = said(store)
+        assert kept[-1][0] == 299
+        assert 32 < len(kept) < 32 * 300
+    assert (tmp_path / NAME).stat().st_size <= most
+
+
+def an_older_history(directory: Path) -> None:
+    """As the edgectl before this one left it: with samples, and no place for what applications say."""
+    with Store.open(directory) as store:
+        store.record_snapshot(saying(0, {"fps": 1.0}))
+    connection = sqlite3.connect(directory / NAME, isolation_level=None)
+    connection.executescript("DROP VIEW metric_samples; DROP TABLE readings; DROP TABLE metrics; PRAGMA user_version = 1;")
+    connection.close()
+
+
+def test_a_history_of_an_older_edgectl_is_kept_and_goes_on(tmp_path: Path) -> None:
+    an_older_history(tmp_path)
+    warnings: list[str] = []
+    with Store.open(tmp_path, warn=warnings.append) as store:
+        assert said(store) == []
+        store.record_snapshot(saying(1, {"fps": 2.0}))
+        assert said(store) == [(1, "fps", 2.0)]
+        assert [point.at - NOW for point in store.task_points("slam")] == [0, 1]
+    assert warnings == []
+    assert columns(tmp_path, "PRAGMA user_version") == [(SCHEMA,)]
+
+
+def test_several_may_bring_it_up_to_date_at_once(tmp_path: Path) -> None:
+    an_older_history(tmp_path)
+    warnings: list[str] = []
+    ready = threading.Barrier(4)
+
+    def bring(number: int) -> None:
+        ready.wait(timeout=60)
+        with Store.open(tmp_path, warn=warnings.append) as store:
+            store.record_snapshot(saying(number, {"fps": float(number)}))
+
+    threads = [threading.Thread(target=bring, args=(number,)) for number in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(timeout=60)
+    assert warnings == []
+    with Store.open(tmp_path) as store:
+        assert len(said(store)) == 4
+
+
+@pytest.mark.parametrize("value", ["'x'", "9e999", "-9e999"])
+def test_a_value_that_edgectl_did_not_write_is_damage(tmp_path: Path, value: str) -> None:
+    with Store.open(tmp_path) as store:
+        store.record_snapshot(saying(0, {"fps": 1.0}))
+    connection = sqlite3.connect(tmp_path / NAME, isolation_level=None)
+    connection.executescript(
+        "PRAGMA writable_schema = ON; UPDATE sqlite_schema SET sql = replace(sql, ') STRICT,', ')') WHERE name = 'readings';"
+    )
+    connection.close()
+    connection = sqlite3.connect(tmp_path / NAME, isolation_level=None)
+    connection.execute(f"UPDATE readings SET value = {value}")
+    connection.close()
+    with Store.open(tmp_path) as store, pytest.raises(StateError, match="cannot be read to its end"):
+        points(store)
