@@ -35,6 +35,7 @@ def experiment_run_command(
         edgectl experiment run docs/scenarios/tiny.yaml
         edgectl experiment run docs/scenarios/tiny.yaml --out runs/again -o json
     """
+    from edgectl.cli.extras import extra
     from edgectl.cli.reach import reach, seconds
     from edgectl.cli.until import obeying
     from edgectl.config.experiment import experiment_files, load_experiment
@@ -47,6 +48,9 @@ def experiment_run_command(
     named = experiment_files(spec)
     loaded = load(inventory or named[0], tasks or ([named[1]] if named[1] else None))
     wanted = load_experiment(spec, loaded.tasks)
+    if wanted.maps:
+        with extra("evidence"):
+            import edgectl.usecases.maps  # noqa: F401 - not found out after the first trial
     control = Control()
     with obeying(control, _ENDING), trying(len(wanted.variants) * wanted.repetitions) as watcher:
         given = ExperimentOptions(

@@ -51,6 +51,14 @@ def _every(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     return value
 
 
+def _idle(node: Node, problems: Problems) -> Any:  # noqa: ANN401
+    value = amount(parse_share)(node, problems)
+    if value is not INVALID and not 0.0 < value <= 1.0:
+        problems.add(node.mark, Code.QUANTITY, f"must be above 0% and at most 100%, not {node.text}", "write 25%")
+        return INVALID
+    return value
+
+
 SCHEMES: Mapping[str, Read] = {"policies": items(word(PolicyName)), "weights": items(_weights)}
 MAP: Mapping[str, Read] = {"task": name, "file": path_text, "truth": path_text}
 
@@ -69,7 +77,7 @@ EXPERIMENT: Mapping[str, Read] = {
     "every": _every,
     "limit": amount(parse_duration, above_zero=True),
     "until": items(name),
-    "idle": amount(parse_share, above_zero=True, at_most=1.0),
+    "idle": _idle,
     "metrics": pairs(_METRIC, "a metric", word(Summary)),
     "maps": pairs(_COLUMN, "a column", record(MAP, MapPair, "a map", ("task", "file", "truth"))),
 }
