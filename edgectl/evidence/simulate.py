@@ -17,7 +17,7 @@ from edgectl.model.inventory import Inventory, Role
 from edgectl.model.memory import Memory, Placement
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.policy import Policy, PolicyName
-from edgectl.model.scenario import Job, Scenario, SimHost, SimRun, Usage
+from edgectl.model.scenario import Job, Scenario, SimRun, Usage
 from edgectl.model.snapshot import Cpu, HostSample, HostStatus, LinkSample, MemoryUse, Snapshot, TaskSample, TaskState
 from edgectl.model.task import ZERO, Task, Tasks
 from edgectl.scheduler.assign import assign
@@ -53,7 +53,10 @@ class _Meter:
 
 @dataclass(slots=True, kw_only=True)
 class _World:
-    """Everything that changes. ``cores`` and ``rates``: what each task gets now, in cores, and in bytes/s by robot; ``speeds`` in 0..1."""
+    """Everything that changes. ``cores`` and ``rates``: what each task gets now, in cores, and in bytes/s by robot; ``speeds`` in 0..1.
+
+    ``reference``: the first edge, of which the shares that tasks demand count.
+    """
 
     env: simpy.Environment
     inventory: Inventory
@@ -62,6 +65,7 @@ class _World:
     policy: Policy
     dice: Dice
     changed: simpy.Event
+    reference: str
     services: dict[str, _Service] = field(default_factory=dict)
     cores: dict[str, float] = field(default_factory=dict)
     rates: dict[str, dict[str, float]] = field(default_factory=dict)
@@ -79,7 +83,7 @@ def simulate(inventory: Inventory, tasks: Tasks, scenario: Scenario, policy: Pol
     env = simpy.Environment()
     world = _World(
         env=env, inventory=inventory, tasks=tasks, scenario=scenario, policy=replace(policy, attended=False), dice=dice,
-        changed=env.event(), meters={host: _Meter() for host in scenario.hosts},
+        changed=env.event(), reference=inventory.edges[0].name, meters={host: _Meter() for host in scenario.hosts},
     )  # fmt: skip
     for job in scenario.jobs:
         world.left[job.task] = world.left.get(job.task, 0) + 1
@@ -240,19 +244,15 @@ def _capacity(world: _World, host: str, robot: str) -> float:
 
 def _cores(world: _World, service: _Service) -> float:
     """What the task wants, in cores: a share counts of the first edge, on which it was measured, wherever the task runs."""
-    return (service.task.demand.cpu or ZERO).of(_reference(world).cores)
-
-
-def _reference(world: _World) -> SimHost:
-    return world.scenario.hosts[world.inventory.edges[0].name]
+    return (service.task.demand.cpu or ZERO).of(world.scenario.hosts[world.reference].cores)
 
 
 def _bytes(world: _World, service: _Service) -> float:
-    return (service.task.demand.memory or ZERO).of(_reference(world).memory)
+    return (service.task.demand.memory or ZERO).of(world.scenario.hosts[world.reference].memory)
 
 
 def _rate(world: _World, service: _Service, robot: str) -> float:
-    return (service.task.demand.throughput or ZERO).of(_capacity(world, world.inventory.edges[0].name, robot))
+    return (service.task.demand.throughput or ZERO).of(_capacity(world, world.reference, robot))
 
 
 def _meter(world: _World) -> None:
