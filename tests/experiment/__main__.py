@@ -1,6 +1,7 @@
 """``make experiment``: the shipped experiment on hosts of its own, its table, its page and its figures.
 
     python -m tests.experiment [--out runs/mission] [--repetitions 3] [--policies local,static,utility] [--plain]
+    python -m tests.experiment --profile        what each task of one mission used, for the demands in tasks.yaml
 
 Stopped at any point, the same command goes on with the trials that are missing, on computers of the same addresses. Whatever happens,
 the hosts and all that ran on them are gone at the end.
@@ -14,7 +15,9 @@ import sys
 import tempfile
 from pathlib import Path
 
-from tests.experiment.hosts import lab
+import yaml
+
+from tests.experiment.hosts import Lab, lab
 from tests.experiment.mission import ROOT
 from tests.experiment.spec import shortened
 
@@ -36,6 +39,22 @@ def edgectl(*words: str, prefix: list[str], env: dict[str, str]) -> int:
             running.wait()
 
 
+def run(made: Lab, out: Path, repetitions: int, policies: str) -> int:
+    """All trials, the table, the page, the figures."""
+    spec = made.site / "experiment.yaml"
+    spec.write_text(shortened(spec.read_text(), repetitions=repetitions, policies=policies))
+    code = edgectl("experiment", "run", str(spec), "--out", str(out), prefix=made.prefix, env=made.environment)
+    return code or edgectl("report", str(out), "--figures", str(out / "figures"), prefix=[], env=made.environment)
+
+
+def profile(made: Lab) -> int:
+    """One mission under edgectl watch, and what its tasks were seen to use."""
+    files = ["-i", str(made.site / "fleet.yaml"), "-t", str(made.site / "tasks.yaml")]
+    code = edgectl("watch", "--apply", "--every", "2s", "--cycles", "16", *files, prefix=made.prefix, env=made.environment)
+    tasks = yaml.safe_load((made.site / "tasks.yaml").read_text())["tasks"]
+    return code or max(edgectl("profile", task, *files, prefix=[], env=made.environment) for task in tasks)
+
+
 def main() -> int:
     """Run it."""
     parser = argparse.ArgumentParser(description="The shipped experiment on hosts of its own.")
@@ -43,6 +62,7 @@ def main() -> int:
     parser.add_argument("--repetitions", type=int, default=3)
     parser.add_argument("--policies", default="", help="such as local,utility; all where not given")
     parser.add_argument("--plain", action="store_true", help="plain SSH servers, even where computers with CPU limits could be had")
+    parser.add_argument("--profile", action="store_true", help="no trials: what each task of one mission uses")
     args = parser.parse_args()
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     directory = Path(tempfile.mkdtemp(prefix="edgectl-experiment-"))
@@ -51,10 +71,7 @@ def main() -> int:
             print(f"hosts: {made.real}")
             if made.wanting:
                 print(f"not as on real hosts: {made.wanting}")
-            spec = made.site / "experiment.yaml"
-            spec.write_text(shortened(spec.read_text(), repetitions=args.repetitions, policies=args.policies))
-            code = edgectl("experiment", "run", str(spec), "--out", str(args.out), prefix=made.prefix, env=made.environment)
-            return code or edgectl("report", str(args.out), "--figures", str(args.out / "figures"), prefix=[], env=made.environment)
+            return profile(made) if args.profile else run(made, args.out, args.repetitions, args.policies)
     finally:
         shutil.rmtree(directory, ignore_errors=True)
 
