@@ -9,12 +9,15 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from edgectl.agent import light, metrics
 from edgectl.config.documents import load_plan, load_snapshot
 from edgectl.config.load import load
 from edgectl.errors import StateError
 from edgectl.formats import memory as memory_form
 from edgectl.gateway.decode import Context, decode
 from edgectl.gateway.facts import Asked, facts
+from edgectl.gateway.fetch import fetch
+from edgectl.model.inventory import Host
 from edgectl.model.plan import Action
 from edgectl.model.result import ActionResult, Outcome, Results
 from edgectl.model.snapshot import LinkSample, TaskSample, TaskState
@@ -24,6 +27,7 @@ from edgectl.state.store import Store
 from edgectl.state.store_file import NAME as HISTORY
 from edgectl.transport.base import Reply
 from edgectl.transport.call import call
+from tests import builders
 from tests.builders import NOW, a_sample, a_snapshot, an_edge, silent
 from tests.config.bad import INVENTORY, TASKS
 from tests.config.test_bad_documents import TEXTS
@@ -61,6 +65,8 @@ def targets(directory: Path) -> Iterator[list[Target]]:
     yield [
         Target("agent document", _documents(), _as_payload),
         Target("agent frame", [b"%s " % MARK, *(_frame(text) for text in _documents())], _as_frame),
+        Target("task's metrics", [METRICS], _as_metrics),
+        Target("fetched piece", [json.dumps(PIECE).encode()], _as_piece),
         Target("doctor's answer", [json.dumps(FACTS).encode()], _as_facts),
         Target("snapshot", [TEXTS["snapshot"].encode()], _from_file(path, load_snapshot)),
         Target("plan", [TEXTS["plan"].encode()], _from_file(path, load_plan)),
@@ -142,6 +148,33 @@ def _as_payload(data: bytes) -> object:
 def _as_frame(data: bytes) -> object:
     document = call(_Host(data), {"op": "probe", "host": "edge1"}, timeout=1.0)
     return decode(document, Context(host=an_edge("edge1"), answered_at=NOW, robots=("robot1",)))
+
+
+METRICS = b"fps 29.97\nloss 0.03125\nmap/ssim 0.93\n" * 3
+PIECE = {"op": "fetch", "size": 3, "mark": "1-2-3", "data": "YWJj"}
+
+
+def _as_metrics(data: bytes) -> object:
+    """What a task wrote, from the agent's eyes to the manager's."""
+    said = light.loads(light.dumps(metrics.parsed(data)))
+    return decode(json.loads(json.dumps(a_document(tasks={"slam": a_task(metrics=said)}))), Context(host=an_edge("edge1"), answered_at=NOW))
+
+
+class _Line:
+    """A transport to a host that answers whatever it is asked with one text."""
+
+    def __init__(self, answer: bytes) -> None:
+        self.answer = answer
+
+    def connect(self, host: Host, *, timeout: float) -> _Host:
+        return _Host(self.answer)
+
+    def address(self, host: Host) -> str:
+        return host.host
+
+
+def _as_piece(data: bytes) -> object:
+    return fetch(_Line(_frame(data)), an_edge("edge1"), builders.a_task(), "map.pgm", timeout=0.2)
 
 
 def _as_facts(data: bytes) -> object:
