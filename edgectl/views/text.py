@@ -1,16 +1,17 @@
 """What every text form shares: columns without borders, colour that never carries meaning alone, harmless characters."""
 
 import os
+import re
 import shutil
 import textwrap
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, TextIO
 
 _STYLES = {"good": "32", "bad": "31", "warn": "33", "dim": "2", "bold": "1", "name": "36"}
 _NARROWEST_LAST_COLUMN = 24
-_NARROWEST_COLUMN = 9
 _BELOW = 4
+_BREAKS = re.compile(r"(?<=[-,\s])")
 
 
 class Cell(NamedTuple):
@@ -85,14 +86,16 @@ def columns(
 ) -> str:
     """Rows as aligned columns, each line ended by a newline. ``right`` lists the columns aligned to the right.
 
-    On a terminal that is too narrow the last column is wrapped, and those in ``wrap``, each under itself. Where that leaves no room for the
-    last one, what is too long of it stands on lines of its own; with ``below``, all of it. ``least``: widths that columns have at least.
+    On a terminal that is too narrow the last column is wrapped, and those in ``wrap``, each under itself and between its words. Where that
+    leaves no room for the last one, what is too long of it stands on lines of its own; with ``below``, all of it. A table that is too wide
+    all the same is left as it is. ``least``: widths that columns have at least.
     """
     cells = [[_cell(field) for field in row] for row in rows]
     if not cells:
         return ""
     natural = _natural(cells, least)
-    widths = _fitted([*natural[:-1], 0] if below else natural, look, wrap, gap)
+    floors = {i: _longest_word(row[i].text for row in cells if i < len(row)) for i in wrap if i < len(natural) - 1}
+    widths = _fitted([*natural[:-1], 0] if below else natural, look, floors, gap)
     return "".join(line + "\n" for row in cells for line in _lines(row, widths, look, right, gap))
 
 
@@ -122,19 +125,19 @@ def _total(widths: Sequence[int], gap: str) -> int:
     return sum(widths) + len(gap) * (len(widths) - 1)
 
 
-def _fitted(widths: list[int], look: Look, wrap: Collection[int], gap: str) -> list[int]:
-    """Widths that fit the terminal as well as can be."""
+def _fitted(widths: list[int], look: Look, floors: Mapping[int, int], gap: str) -> list[int]:
+    """Widths that fit the terminal as well as can be. ``floors``: of the columns that may be narrower, how narrow."""
     excess = _total(widths, gap) - look.width if look.width is not None else 0
     if excess <= 0:
         return widths
     fitted, spare = list(widths), widths[-1] - min(widths[-1], _NARROWEST_LAST_COLUMN)
-    inner = [column for column in set(wrap) if column < len(widths) - 1]
-    if excess > spare + sum(max(0, widths[column] - _NARROWEST_COLUMN) for column in inner):
+    give = sum(max(0, widths[column] - floor) for column, floor in floors.items())
+    if excess > spare + give:
         spare = widths[-1]  # the last column goes below; only the others have to fit
-    while excess > spare and inner:
-        widest = max(inner, key=lambda column: fitted[column])
-        if fitted[widest] <= _NARROWEST_COLUMN:
-            break
+    if excess > spare + give:
+        return widths  # in vain: names that are whole are worth more
+    while excess > spare:
+        widest = max((column for column, floor in floors.items() if fitted[column] > floor), key=lambda column: fitted[column])
         fitted[widest] -= 1
         excess -= 1
     return [*fitted[:-1], max(0, fitted[-1] - max(0, excess))]
@@ -152,7 +155,7 @@ def _lines(row: list[Cell], widths: list[int], look: Look, right: Collection[int
     indent = sum(widths[: len(head)]) + len(gap) * len(head)
     room = widths[-1] if whole or look.width is None else look.width - indent
     aside = whole and room < min(len(last.text), _NARROWEST_LAST_COLUMN)
-    tall = [_wrapped(cell.text, widths[i], hyphens=True) for i, cell in enumerate(head)]
+    tall = [_broken(cell.text, widths[i]) for i, cell in enumerate(head)]
     final = [] if aside else _wrapped(last.text, room) if look.width is not None else [last.text]
     lines = []
     for number in range(max(len(texts) for texts in [*tall, final, [""]])):
@@ -174,11 +177,25 @@ def _padded(text: str, cell: Cell, width: int, look: Look, *, to_right: bool) ->
     return space + painted if to_right else painted + space
 
 
-def _wrapped(text: str, width: int, *, hyphens: bool = False) -> list[str]:
-    """Names break at hyphens; sentences do not, for options stand in them."""
+def _wrapped(text: str, width: int) -> list[str]:
+    """A sentence on lines: it does not break at hyphens, for options stand in it."""
     if len(text) <= width or width < 1:
         return [text]
-    return textwrap.wrap(text, width, break_on_hyphens=hyphens) or [""]
+    return textwrap.wrap(text, width, break_on_hyphens=False) or [""]
+
+
+def _broken(text: str, width: int) -> list[str]:
+    """A field on lines: names break after hyphens, lists after commas."""
+    lines = [""]
+    for word in _BREAKS.split(text):
+        if lines[-1] and len(lines[-1]) + len(word.rstrip()) > width:
+            lines.append("")
+        lines[-1] += word
+    return [line.rstrip() for line in lines]
+
+
+def _longest_word(texts: Iterable[str]) -> int:
+    return max(len(word.rstrip()) for text in texts for word in _BREAKS.split(text))
 
 
 def flowed(text: str, look: Look, indent: int = 2) -> str:

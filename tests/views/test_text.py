@@ -55,6 +55,20 @@ def test_a_table_with_columns_to_wrap_never_passes_the_edge(width: int) -> None:
     assert sorted("".join(text.split())) == sorted("".join(columns(ROWS).split())), "nothing is lost"
 
 
+def test_names_break_after_hyphens_and_lists_after_commas() -> None:
+    rows = [("NAME", "NEEDS", "UP"), ("navigation-robot1", "slam-robot1,slam-robot2", "3s")]
+    assert columns(rows, Look(width=29), wrap={0, 1}).splitlines() == [
+        "NAME         NEEDS         UP",
+        "navigation-  slam-robot1,  3s",
+        "robot1       slam-robot2",
+    ]
+
+
+def test_names_stay_whole_in_a_table_that_is_too_wide_all_the_same() -> None:
+    rows = [("NAME", "A NUMBER", "UP"), ("navigation-robot1", "0123456789", "3s")]
+    assert columns(rows, Look(width=15), wrap={0}) == columns(rows)
+
+
 def test_columns_keep_the_widths_they_had() -> None:
     assert columns([("a", "b")], least=[4, 0, 0]) == "a     b\n"
 
