@@ -169,7 +169,7 @@ class Store:
         try:
             for row in self._use().execute(form.select(table, f"WHERE at >= ? ORDER BY {order}"), (_from(since),)):
                 yield form.read(row)
-        except (sqlite3.Error, DamagedError, OSError) as error:
+        except (sqlite3.Error, ValueError, OverflowError, OSError) as error:
             raise StateError(f"the history cannot be read to its end: {self._path}: {error}") from error
 
     # -- keeping it small ----------------------------------------------------------------------------------------------------------------
