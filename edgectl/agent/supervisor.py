@@ -100,13 +100,14 @@ class Supervisor:
         ended = self._reap()
         if ended is not None:
             self._ended(ended)
+        due = self.next_start is not None and time.monotonic() >= self.next_start
+        if self.fence_s and (due or time.monotonic() >= self.next_look):
+            self._watch_lease()  # before a restart: a host that stood still may have lost its task to another
         if self.next_start is not None and self.stopping:
             self.next_start = None
             self._note(state="stopped", pid=0, detail="")
-        elif self.next_start is not None and time.monotonic() >= self.next_start:
+        elif self.next_start is not None and due:
             self._restart()
-        if self.fence_s and time.monotonic() >= self.next_look:
-            self._watch_lease()
         self._watch_metrics()
 
     def _patience_ms(self) -> float:
