@@ -71,7 +71,7 @@ def decode(document: Document, context: Context) -> HostSample:
         links=_links(document, context, tasks) if context.host.role is Role.EDGE else {},
         tasks=tasks,
         device=_device(document, context.answered_at),
-        generations={printable(name): whole(table(document, "generations"), name) for name in table(document, "generations")},
+        generations=_generations(document, tasks),
     )
     return with_done(sample, checked_done(document))
 
@@ -97,6 +97,16 @@ def _tasks(document: Document, context: Context) -> dict[str, TaskSample]:
     """The tasks of the host, without runs that are over and were reopened."""
     tasks = {name: _task(name, entry, context) for name, entry in entries(document, "tasks").items()}
     return {name: task for name, task in tasks.items() if not (_over(task) and task.instance in context.reopened)}
+
+
+def _generations(document: Document, tasks: Mapping[str, TaskSample]) -> dict[str, int]:
+    """What the tasks do not tell: a run that no longer counts has used its generation up all the same."""
+    stated = table(document, "generations")
+    found = {printable(name): whole(stated, name) for name in stated}
+    for name, entry in entries(document, "tasks").items():
+        if name not in tasks:
+            found[name] = max(found.get(name, 0), optional(entry, "generation", whole) or 0)
+    return found
 
 
 def _over(task: TaskSample) -> bool:

@@ -268,6 +268,13 @@ def test_a_profiler_s_readings_say_how_old_they_are() -> None:
             decoded(a_document(**wrong))
 
 
+def test_a_run_that_no_longer_counts_has_used_its_generation_up() -> None:
+    document = a_document(tasks={"job": a_task(state="completed", generation=9)}, generations={"nav": 4, "job": 3})
+    sample = decoded(document, reopened=frozenset({"i1"}))
+    assert (sample.tasks, sample.generations) == ({}, {"nav": 4, "job": 9})
+    assert decoded(document).generations == {"nav": 4, "job": 3}
+
+
 def test_when_a_task_ended_is_told_in_the_manager_s_time() -> None:
     tasks = decoded(a_document(tasks={"job": a_task(state="completed", ended_s=1.5), "nav": a_task()})).tasks
     assert (tasks["job"].ended_at, tasks["nav"].ended_at) == (NOW - 1.5, None)
