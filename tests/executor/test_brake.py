@@ -56,9 +56,19 @@ def test_without_fail_fast_the_others_go_on(journal: Journal) -> None:
 
 
 def test_what_was_begun_beside_the_failure_is_finished(journal: Journal) -> None:
-    fleet = FakeFleet.of(EDGES)
-    fleet["edge1"].faults["start:one"] = HostError("no space left")
-    fleet["edge2"].delay = 0.5
+    fleet, begun = FakeFleet.of(EDGES), threading.Event()
+
+    def fails(_request: dict[str, object]) -> dict[str, object]:
+        assert begun.wait(30)
+        raise HostError("no space left")
+
+    def goes_on(_request: dict[str, object]) -> dict[str, object]:
+        begun.set()
+        time.sleep(0.3)
+        return {"state": "running"}
+
+    fleet["edge1"].faults["start:one"] = fails
+    fleet["edge2"].faults["wait:two"] = goes_on
     steps = [step(name, Action.START, host=host) for name, host in zip(("one", "two", "three"), EDGES, strict=True)]
     tasks = [a_task(name) for name in ("one", "two")] + [a_task("three", needs=["two"])]
     results = carried_out(fleet, journal, plan(*steps), *tasks, fail_fast=True)
@@ -76,9 +86,15 @@ def test_a_stop_that_fails_keeps_the_starts_from_beginning(journal: Journal) -> 
 
 def test_nothing_begins_after_the_deadline(journal: Journal) -> None:
     fleet = FakeFleet.of(EDGES)
-    fleet["edge1"].delay = 0.5
+    deadline = time.monotonic() + 3.0
+
+    def late(_request: dict[str, object]) -> dict[str, object]:
+        time.sleep(max(0.0, deadline - time.monotonic()))
+        return {"state": "running"}
+
+    fleet["edge1"].faults["wait:one"] = late
     steps = [step(name, Action.START, host="edge1") for name in ("one", "two")]
-    results = carried_out(fleet, journal, plan(*steps), a_task("one"), a_task("two"), max_parallel=1, deadline=time.monotonic() + 0.3)
+    results = carried_out(fleet, journal, plan(*steps), a_task("one"), a_task("two"), max_parallel=1, deadline=deadline)
     assert outcomes(results) == [("one", Outcome.DONE, ""), ("two", Outcome.SKIPPED, "not begun before the deadline (--timeout)")]
     assert not results.interrupted
 

@@ -1,7 +1,6 @@
 """Sessions kept open: one login per host, a new one after a loss, no second knock after a refusal."""
 
 import threading
-import time
 from collections.abc import Iterator
 from typing import Self
 
@@ -23,6 +22,7 @@ class Counting:
         self.refusal: HostError | None = None
         self.fault: HostError | None = None
         self.busy, self.most, self.guard = 0, 0, threading.Lock()
+        self.together = threading.Barrier(1)
 
     def connect(self, host: Host, *, timeout: float) -> "Counted":
         self.opened.append(host.name)
@@ -44,7 +44,7 @@ class Counted:
         with self.transport.guard:
             self.transport.busy += 1
             self.transport.most = max(self.transport.most, self.transport.busy)
-        time.sleep(0.02)
+        self.transport.together.wait(30)
         with self.transport.guard:
             self.transport.busy -= 1
         if self.transport.fault is not None:
@@ -146,8 +146,9 @@ def test_a_host_that_was_off_is_tried_again() -> None:
 
 def test_threads_share_a_session_and_leave_sshd_two_channels() -> None:
     transport = Counting()
+    transport.together = threading.Barrier(8)
     with SessionPool(transport) as pool:
-        threads = [threading.Thread(target=use, args=(pool,)) for _ in range(20)]
+        threads = [threading.Thread(target=use, args=(pool,)) for _ in range(24)]
         for thread in threads:
             thread.start()
         for thread in threads:
