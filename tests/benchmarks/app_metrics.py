@@ -1,0 +1,80 @@
+"""What application metrics cost a host: ``python -m tests.benchmarks.app_metrics [SECONDS]``.
+
+CPU of reading one task's file, for what a task may write there, the worst included; and of a supervisor that looks at it while its task
+sleeps (the kernel's own count, schedstat).
+"""
+
+import os
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from edgectl.agent import life, metrics, state
+from edgectl.transport.call import call
+from edgectl.transport.local import LocalSession
+from tests.benchmarks.profilers import cpu_s
+
+SECONDS, TASKS, TIMES = 30.0, 20, 5
+WRITTEN = {
+    "nothing": b"",
+    "two values": b"fps 29.97\nloss 0.25\n",
+    "64 KiB of two values": b"".join(b"fps %d\nloss %f\n" % (number, number / 7) for number in range(5000)),
+    "the worst: no numbers": b"a x\n" * 20_000,
+    "the worst: too large numbers": b"a 1e999999999\n" * 8_000,
+    "the worst: newlines": b"\n" * 70_000,
+    "the worst: one line": b"a " + b"1" * 70_000 + b"\n",
+}
+
+
+def reading_s(written: bytes) -> float:
+    """CPU seconds per task to read this, with everything around it."""
+    entries = {f"task{number}": {"managed": True, "instance": "i1"} for number in range(TASKS)}
+    for name in entries:
+        Path(metrics.file(state.make_task_dir("edge1", name))).write_bytes(written)
+    began = time.process_time()
+    for _ in range(TIMES):
+        metrics.of_tasks("edge1", entries)
+    return (time.process_time() - began) / TIMES / TASKS
+
+
+def resting_share(base: Path, seconds: float) -> float:
+    """Of one core, what a supervisor takes whose task sleeps."""
+    spec = {
+        "command": "exec sleep 6000", "kind": "service", "restart": "never", "runtime": "process",
+        "stop": {"signal": "TERM", "grace_s": 2.0}, "log": {"max_bytes": 100_000, "files": 2},
+    }  # fmt: skip
+    session, names = LocalSession("edge2"), [f"task{number}" for number in range(TASKS)]
+    for name in names:
+        call(session, {"op": "start", "host": "edge2", "task": name, "instance": "i1", "generation": 1, "spec": spec}, timeout=60.0)
+    try:
+        pids = [life.trace(str(base / "hosts" / "edge2" / "tasks" / name)).instance["supervisor"] for name in names]
+        time.sleep(2.0)
+        began = sum(map(cpu_s, pids))
+        time.sleep(seconds)
+        return (sum(map(cpu_s, pids)) - began) / seconds / TASKS
+    finally:
+        for name in names:
+            call(
+                session,
+                {"op": "stop", "host": "edge2", "task": name, "instance": None, "generation": None, "stop": None},
+                timeout=60.0,
+            )
+
+
+def main() -> int:
+    """Exit status 0."""
+    seconds = float(sys.argv[1]) if len(sys.argv) > 1 else SECONDS
+    with tempfile.TemporaryDirectory(prefix="edgectl-bench-") as name:
+        base = Path(name) / "state"
+        os.environ["EDGECTL_STATE_DIR"] = str(base)
+        os.umask(0o077)
+        state.BASES[:] = [str(base)]
+        for what, written in WRITTEN.items():
+            print(f"{what:32}{reading_s(written) * 1e3:8.3f} ms per task")
+        print(f"{'a supervisor at rest':32}{resting_share(base, seconds):8.4%} of a core")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
