@@ -75,8 +75,17 @@ class InputError(EdgectlError):
     exit_code = ExitCode.USAGE
 
     def __init__(self, problems: Sequence[Problem]) -> None:
-        super().__init__(f"{len(problems)} problem(s) in the input")
+        super().__init__(_first(problems))
         self.problems = tuple(problems)
+
+
+def _first(problems: Sequence[Problem]) -> str:
+    """The first one with its place, for whoever has one line for all of them."""
+    if not problems:
+        return "the input is wrong"
+    first, more = problems[0], len(problems) - 1
+    place = f"{first.file}:{first.line}:{first.column}" if first.line else first.file
+    return f"{place}: {first.message}" + (f" (and {more} more)" if more else "")
 
 
 class UsageError(EdgectlError):

@@ -50,7 +50,9 @@ def experiment_run_command(
     wanted = load_experiment(spec, loaded.tasks)
     if wanted.maps:
         with extra("evidence"):
-            import edgectl.usecases.maps  # noqa: F401 - not found out after the first trial
+            from edgectl.usecases.maps import check
+        for pair in wanted.maps.values():  # not found out after the first trial
+            check(spec.parent / pair.truth)
     control = Control()
     with obeying(control, _ENDING), trying(len(wanted.variants) * wanted.repetitions) as watcher:
         given = ExperimentOptions(

@@ -22,6 +22,15 @@ def similarity(file: str, fetch: Callable[[str], bytes], truth: Path) -> float:
     return ssim.similarity(_picture(file, fetch), _picture(str(truth), local))
 
 
+def check(truth: Path) -> None:
+    """See that a truth can be compared with at all, before anything is done for that.
+
+    Raises:
+        FileError, InputError, UsageError: as ``similarity`` does.
+    """
+    similarity(str(truth), local, truth)
+
+
 def local(name: str) -> bytes:
     """A file of this computer.
 

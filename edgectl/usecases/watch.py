@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Self
 
-from edgectl.errors import EdgectlError, InputError, LockBusyError
+from edgectl.errors import EdgectlError, LockBusyError
 from edgectl.gateway.collect import ProbeOptions
 from edgectl.gateway.smooth import smoothed
 from edgectl.model.cycle import Cycle
@@ -151,7 +151,7 @@ class _Watch:
         except LockBusyError as error:
             draft.put(busy=error.message)
         except EdgectlError as error:
-            draft.put(error=_text(error))
+            draft.put(error=error.message)
         except OSError as error:
             draft.put(error=f"{error.filename}: {error.strerror}" if error.filename else str(error))
         except Exception as error:
@@ -180,7 +180,7 @@ class _Watch:
         try:
             fleet = self._options.refresh()
         except EdgectlError as error:
-            self._said.append(f"{_text(error)}; what was read before is used")
+            self._said.append(f"{error.message}; what was read before is used")
             return
         if fleet is not None:
             self._pool.close()
@@ -257,12 +257,3 @@ class _Draft:
     def put(self, **parts: object) -> None:
         """Add what is known now."""
         self.cycle = dataclasses.replace(self.cycle, **parts)  # type: ignore[arg-type]
-
-
-def _text(error: EdgectlError) -> str:
-    """What went wrong in one line; of broken files the first mistake with its place."""
-    if isinstance(error, InputError) and error.problems:
-        first = error.problems[0]
-        more = f" (and {len(error.problems) - 1} more)" if len(error.problems) > 1 else ""
-        return f"{first.file}:{first.line}:{first.column}: {first.message}{more}"
-    return error.message

@@ -45,7 +45,7 @@ def test_files_that_cannot_be_compared(truth: Path, monkeypatch: pytest.MonkeyPa
     cases: list[tuple[str, Path, type[EdgectlError], str]] = [
         ("map.tiff", truth, UsageError, "map.tiff is no map by its name"),
         (str(truth), directory / "none.yaml", FileError, "none.yaml cannot be read: No such file"),
-        (str(truth), directory / "bad.yaml", InputError, "problem"),
+        (str(truth), directory / "bad.yaml", InputError, r"bad\.yaml:1:1: a map needs resolution \(and 2 more\)"),
     ]
     for file, other, kind, words in cases:
         with pytest.raises(kind, match=words) as caught:
@@ -54,6 +54,13 @@ def test_files_that_cannot_be_compared(truth: Path, monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(maps, "MAX_BYTES", 10)
     with pytest.raises(FileError, match="is larger than"):
         similarity(str(truth), local, truth)
+
+
+def test_a_truth_is_checked_before_anything_is_done(truth: Path) -> None:
+    maps.check(truth)
+    truth.with_name("map.pgm").write_bytes(b"P5")
+    with pytest.raises(FileError, match="no image that can be read"):
+        maps.check(truth)
 
 
 def test_the_maps_of_the_page_are_as_it_says() -> None:
