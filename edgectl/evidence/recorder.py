@@ -126,7 +126,7 @@ class Recorder:
     def _close(self, place: Place, at: float) -> None:
         since = self._open.pop(place, None)
         if since is not None:
-            self._spans.append((place, since, max(since, at)))
+            self._spans.append((place, min(since, at), at))
 
 
 def _load(sample: HostSample, at: float) -> Load:

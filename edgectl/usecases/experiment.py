@@ -24,7 +24,7 @@ from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.trial import TrialOptions, clear, refuse_silence, trial
 
 # A host's load is looked at for this long, and again where it is too high: right after a trial something may still be settling.
-_WINDOW_S, _TIMEOUT_S, _PAUSE_S = 1.0, 15.0, 1.0
+_WINDOW_S, _TIMEOUT_S, _PAUSE_S = 1.0, 30.0, 1.0
 _FIRST_LOOKS, _LATER_LOOKS = 3, 30
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from edgectl.errors import EdgectlError, FleetBusyError
 from edgectl.evidence.recorder import Recorder
-from edgectl.executor.manual import running
+from edgectl.executor.manual import running, stop_plan
 from edgectl.gateway.collect import ProbeOptions
 from edgectl.gateway.fetch import fetch
 from edgectl.model.cycle import Cycle
@@ -24,14 +24,15 @@ from edgectl.state.memory import load_memory, save_memory
 from edgectl.state.paths import private_dir
 from edgectl.state.reopened import load_reopened, save_reopened
 from edgectl.state.stamp import stamp
+from edgectl.usecases.change import ApplyOptions, agreed, carry_out, changing
 from edgectl.usecases.control import Control
 from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.probe import probe
-from edgectl.usecases.stop import stop
 from edgectl.usecases.watch import WatchOptions, watch
 
 # A window in which use is measured is never most of a cycle; a host that hangs does not hold one up for long.
-_WINDOW_S, _LOOK_S, _PROBE_S = 0.5, 0.1, 10.0
+_WINDOW_S, _PROBE_S = 0.5, 10.0
+_LOOK_S, _PATIENCE_S = 0.1, 30.0
 _FETCH_S = 60.0
 _STOPS = 3
 _PREFIX, _STAMP = "trial-", "before.json"
@@ -146,13 +147,14 @@ def _emptied(own: Fleet, known: Mapping[str, int]) -> Snapshot:
         ]
         if not names:
             return snapshot
-        stop(own, names)
+        with changing(own, "stop", ApplyOptions()) as held:
+            carry_out(held, stop_plan(names, own.inventory, own.tasks, snapshot), agreed, ApplyOptions(), verb="stop")
     raise FleetBusyError(f"{', '.join(names)} did not stop", hint=f"edgectl stop {names[0]} says why")
 
 
 def _asked(own: Fleet) -> Snapshot:
     """What runs where; every host has to say."""
-    snapshot = probe(own, ProbeOptions(window=_LOOK_S, timeout=_PROBE_S))
+    snapshot = probe(own, ProbeOptions(window=_LOOK_S, timeout=_PATIENCE_S))
     refuse_silence(snapshot)
     return snapshot
 
