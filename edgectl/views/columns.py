@@ -11,6 +11,7 @@ from edgectl.views.text import Cell, Look, Row, columns, widths_of
 _GAP = "  "
 # Latencies below so many minutes are shown in seconds.
 _SHORT_MIN = 2.0
+_SMALL_PERCENT = 10.0
 
 
 class Metric(NamedTuple):
@@ -26,6 +27,12 @@ class Metric(NamedTuple):
 def of_all(name: str, head: str, digits: int = 0, factor: float = 1.0, *, spread: bool = False) -> Metric:
     """A metric that every experiment has."""
     return Metric(name, head, lambda column: column.figures.get(name, ()), lambda value: f"{factor * value:.{digits}f}", spread)
+
+
+def percent(name: str, head: str, values: Iterable[Column]) -> Metric:
+    """A share of a capacity: whole percent, or tenths where all are below 10."""
+    means = (figure.mean for value in values for figure in value.figures.get(name, ()) if figure)
+    return of_all(name, head, 0 if max(means, default=0.0) >= _SMALL_PERCENT else 1)
 
 
 def latency(values: Iterable[Column]) -> Metric:

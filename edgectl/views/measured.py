@@ -14,6 +14,7 @@ from edgectl.views.columns import (
     latency,
     numbers,
     of_all,
+    percent,
     ratios,
     scheme,
     ssim,
@@ -22,16 +23,7 @@ from edgectl.views.columns import (
 )
 from edgectl.views.text import PLAIN, Look, Row, flowed, harmless
 
-_MAIN = (of_all("cpu", "CPU %"), of_all("memory", "MEMORY %"), of_all("handoffs", "HANDOFFS", 1))
-_EVERY = (
-    of_all("cpu", "CPU %"),
-    of_all("cpu peak", "PEAK %"),
-    of_all("memory", "MEMORY %"),
-    of_all("throughput", "MB/s", 2),
-    of_all("handoffs", "HANDOFFS", 1),
-    of_all("downtime", "DOWNTIME s", 1),
-    of_all("unplaced", "UNPLACED", 1),
-)
+_MAIN = ("latency", "cpu", "memory", "handoffs")
 
 
 def text(run: Run, values: Sequence[Column], look: Look = PLAIN, *, every: bool = False) -> str:
@@ -53,8 +45,18 @@ def rows(experiment: Experiment, values: Sequence[Column], *, every: bool) -> li
 
 
 def _metrics(experiment: Experiment, values: Sequence[Column], *, every: bool) -> list[Metric]:
+    common = (
+        latency(values),
+        percent("cpu", "CPU %", values),
+        percent("cpu peak", "PEAK %", values),
+        percent("memory", "MEMORY %", values),
+        of_all("throughput", "MB/s", 2),
+        of_all("handoffs", "HANDOFFS", 1),
+        of_all("downtime", "DOWNTIME s", 1),
+        of_all("unplaced", "UNPLACED", 1),
+    )
     own = [*(application(name, values) for name in experiment.metrics), *map(ssim, experiment.maps)]
-    return [latency(values), *(_EVERY if every else _MAIN), *own]
+    return [*(metric for metric in common if every or metric.name in _MAIN), *own]
 
 
 def notes(experiment: Experiment, values: Sequence[Column], *, every: bool = False) -> Iterator[str]:

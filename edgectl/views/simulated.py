@@ -5,25 +5,16 @@ from collections.abc import Iterable, Sequence
 from edgectl.formats.base import FORMAT_VERSION, Document, optional
 from edgectl.model.evidence import Column, Reality
 from edgectl.model.scenario import Scenario
-from edgectl.views.columns import Metric, document, given_up, latency, numbers, of_all, ratios, scheme, table, text_of
+from edgectl.views.columns import Metric, document, given_up, latency, numbers, of_all, percent, ratios, scheme, table, text_of
 from edgectl.views.text import PLAIN, Cell, Look, Row, flowed
 
 _MAIN = ("latency", "cpu", "memory", "rate", "handoffs")
-_MORE = (
-    of_all("cpu", "CPU %"),
-    of_all("cpu peak", "PEAK %"),
-    of_all("memory", "MEMORY %"),
-    of_all("throughput", "MB/s", 2),
-    of_all("rate", "FRAMES/s", 1),
-    of_all("ssim", "SSIM", 2),
-    of_all("handoffs", "HANDOFFS", 1),
-)
 
 
 def text(scenario: Scenario, values: Iterable[Column], real: Reality, look: Look = PLAIN, *, every: bool = False) -> str:
     """One line per scheme, with what is known of it and how far the model is off below; then every assumption."""
     found = list(values)
-    metrics = [metric for metric in (latency(found), *_MORE) if _shown(metric, found, real, every=every)]
+    metrics = [metric for metric in _metrics(found) if _shown(metric, found, real, every=every)]
     rows: list[Row] = [("SCHEME", *(metric.head for metric in metrics))]
     for value in found:
         known = real.figures.get(value.variant.name, {})
@@ -36,6 +27,19 @@ def text(scenario: Scenario, values: Iterable[Column], real: Reality, look: Look
     lines += [*given_up(found, "runs"), *ratios(found, lambda value, base: _ratio(real, value, base)), *real.notes]
     lines += ["Assumptions, the same for every scheme:", *(f"- {line}" for line in scenario.assumptions)]
     return table(rows, look) + "\n" + "".join(flowed(line, look) for line in lines)
+
+
+def _metrics(values: Sequence[Column]) -> tuple[Metric, ...]:
+    return (
+        latency(values),
+        percent("cpu", "CPU %", values),
+        percent("cpu peak", "PEAK %", values),
+        percent("memory", "MEMORY %", values),
+        of_all("throughput", "MB/s", 2),
+        of_all("rate", "FRAMES/s", 1),
+        of_all("ssim", "SSIM", 2),
+        of_all("handoffs", "HANDOFFS", 1),
+    )
 
 
 def _shown(metric: Metric, values: Sequence[Column], real: Reality, *, every: bool) -> bool:
