@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -15,7 +16,11 @@ from tests.agent.conftest import AgentHost, both_runtimes, eventually
 
 
 def sizes(folder: Path) -> dict[str, int]:
-    return {path.name: path.stat().st_size for path in sorted(folder.glob("log.*"))}
+    found = {}
+    for path in sorted(folder.glob("log.*")):
+        with suppress(FileNotFoundError):  # while the log rotates
+            found[path.name] = path.stat().st_size
+    return found
 
 
 def test_files_rotate_within_their_bound(tmp_path: Path) -> None:
@@ -79,7 +84,7 @@ def test_ten_megabytes_a_second_stay_within_three_files_of_ten(host: AgentHost, 
     while not (entry := host.entry("spam")) or entry["state"] == "running":
         found = sizes(host.folder("spam"))
         assert len(found) <= 3
-        assert max(found.values()) <= limit
+        assert all(size <= limit for size in found.values())
         time.sleep(0.1)
     (last,) = host.ask("logs", task="spam", tail=1)["text"].splitlines()
     assert last.startswith("last after ")
@@ -121,9 +126,8 @@ def test_closed_follower_leaves_no_process(host: AgentHost) -> None:
     assert next(follower) == b"up\n"
     mine = {path.name for path in Path("/proc").iterdir() if path.name.isdigit() and _environ(path.name, str(host.state))}
     follower.close()  # type: ignore[attr-defined]
-    time.sleep(0.3)
-    after = {pid for pid in mine if _environ(pid, str(host.state))}
-    assert after <= {str(life.trace(str(host.folder("work"))).status["pid"]), str(host.supervisor("work")), str(os.getpid())}
+    theirs = {str(life.trace(str(host.folder("work"))).status["pid"]), str(host.supervisor("work")), str(os.getpid())}
+    eventually(lambda: {pid for pid in mine if _environ(pid, str(host.state))} <= theirs)
     host.stop("work")
 
 

@@ -124,14 +124,14 @@ def test_probe_splits_links_by_remote_address(host: AgentHost) -> None:
         stop.set()
         pouring.join()
     link, other = document["links"]["robot1"], document["links"]["robot2"]
-    assert 0.1e6 < link["tx_bytes_per_s"] < 2.1e6
+    assert 0.02e6 < link["tx_bytes_per_s"] < 6e6
     assert link["rx_bytes_per_s"] == 0
     assert (link["reachable"], link["interface"]) == (True, "lo")
     assert other["tx_bytes_per_s"] == 0
     assert (other["reachable"], other["interface"]) == (True, "lo")
     assert other["rtt_ms"] >= 0
     lo = document["interfaces"]["lo"]
-    assert lo["tx_bytes_per_s"] >= link["tx_bytes_per_s"] * 0.9
+    assert lo["tx_bytes_per_s"] >= link["tx_bytes_per_s"] * 0.5
     assert lo["speed_bytes_per_s"] is None
 
 
@@ -178,7 +178,7 @@ def test_task_is_measured_with_its_whole_tree(host: AgentHost, tmp_path: Path) -
     assert 40e6 < entry["used_bytes"] < 80e6
     assert set(entry["links"]) == {"robot1"}
     assert entry["links"]["robot1"] == pytest.approx(entry["tx_bytes_per_s"], rel=0.01)
-    assert 10_000 < entry["tx_bytes_per_s"] < 400_000
+    assert 5_000 < entry["tx_bytes_per_s"] < 1_000_000
     assert document["cpu"]["used_cores"] >= entry["used_cores"] * 0.5
 
 
@@ -192,22 +192,21 @@ def test_cpu_of_children_that_come_and_go_is_counted(host: AgentHost) -> None:
 def test_used_cores_are_the_machine_s_without_the_agent(host: AgentHost) -> None:
     busy = subprocess.Popen([sys.executable, "-c", "while True: pass"])
     try:
-        document = host.ask("probe", window_s=0.5)
+        cpu = eventually(lambda: found if (found := host.ask("probe", window_s=0.5)["cpu"])["used_cores"] >= 0.4 else None)
     finally:
         busy.kill()
         busy.wait()
-    cpu = document["cpu"]
     assert cpu["cores"] <= len(os.sched_getaffinity(0))
-    assert 0.4 <= cpu["used_cores"] <= cpu["cores"]
+    assert cpu["used_cores"] <= cpu["cores"]
 
 
 def test_checks_run_beside_the_window(host: AgentHost) -> None:
     host.start("alive", "exec sleep 600")
     checks = [
-        {"task": "alive", "command": "echo $WHAT; exit 3", "timeout_s": 5, "env": {"WHAT": "done"}},
-        {"task": "dead", "command": "exit 0", "timeout_s": 5},
+        {"task": "alive", "command": "echo $WHAT; exit 3", "timeout_s": 25, "env": {"WHAT": "done"}},
+        {"task": "dead", "command": "exit 0", "timeout_s": 25},
         {"task": "slow", "command": "sleep 600 & sleep 600", "timeout_s": 0.4, "always": True},
-        {"task": "prelude", "command": "f", "prelude": "f() { echo from bash; }", "timeout_s": 5, "always": True},
+        {"task": "prelude", "command": "f", "prelude": "f() { echo from bash; }", "timeout_s": 25, "always": True},
     ]
     found = host.ask("probe", window_s=0.1, checks=checks)["checks"]
     host.stop("alive")
@@ -295,7 +294,7 @@ def test_bandwidth_is_measured_by_sending(host: AgentHost) -> None:
 
 def test_sink_serves_only_who_knows_the_token(host: AgentHost) -> None:
     door = host.ask("sink", seconds=1)
-    with socket.create_connection(("127.0.0.1", door["port"]), timeout=5) as stranger:
+    with socket.create_connection(("127.0.0.1", door["port"]), timeout=30) as stranger:
         stranger.sendall(b"x" * 32 + b"\n")
         assert stranger.recv(10) == b""
     assert host.ask("send", address="127.0.0.1", port=door["port"], token=door["token"], seconds=0.2)["bytes"] > 0

@@ -1,6 +1,8 @@
 """Hosts that fall silent: what is remembered of them, what their tasks count as, and what the operator may say."""
 
 import dataclasses
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -185,7 +187,23 @@ def test_a_long_apply_keeps_the_hosts_from_taking_the_manager_for_lost(bench: Be
         bench.fleet = dataclasses.replace(
             bench.fleet, tasks=some_tasks(dataclasses.replace(REPLACED, self_fence=fence), restless), transport=bench.hosts.transport
         )
-        bench.hosts["edge1"].delay = 0.5
+        bench.hosts["edge1"].faults["wait"] = slow(bench, patience=30.0 if asked else 0.5)
         apply(bench.fleet, POLICY)
-        sent = {(name, request["op"]) for name, request in bench.fleet.transport.requests}  # type: ignore[attr-defined]
-        assert (("edge2", "status") in sent) is asked
+        assert (("edge2", "status") in sent(bench)) is asked
+
+
+def sent(bench: Bench) -> set[tuple[str, object]]:
+    """Which host was asked what."""
+    return {(name, request["op"]) for name, request in bench.fleet.transport.requests}  # type: ignore[attr-defined]
+
+
+def slow(bench: Bench, *, patience: float) -> Callable[[dict[str, object]], dict[str, object]]:
+    """A task that runs only after edge2 was asked how it is, or ``patience`` seconds."""
+
+    def answer(_request: dict[str, object]) -> dict[str, object]:
+        end = time.monotonic() + patience
+        while ("edge2", "status") not in sent(bench) and time.monotonic() < end:
+            time.sleep(0.02)
+        return {"state": "running"}
+
+    return answer
