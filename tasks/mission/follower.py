@@ -16,15 +16,15 @@ import wire
 
 RATE = 10.0
 NEAR = 0.08
-FASTEST_TURN = 2.5
+FASTEST_TURN = 5.0
 
 
 def steer(pose: list[float], goal: list[float], speed: float) -> tuple[float, float]:
     """Forward (m/s) and turn (rad/s) towards the goal; it turns first, and slows down before the goal."""
     ahead, aside = goal[0] - pose[0], goal[1] - pose[1]
     off = math.remainder(math.atan2(aside, ahead) - pose[2], 2 * math.pi)
-    turn = max(-FASTEST_TURN, min(FASTEST_TURN, 4.0 * off))
-    return (min(speed, 2.0 * math.hypot(ahead, aside)) if abs(off) < 0.4 else 0.0), turn
+    turn = max(-FASTEST_TURN, min(FASTEST_TURN, 5.0 * off))
+    return (min(speed, 3.0 * math.hypot(ahead, aside)) if abs(off) < 0.4 else 0.0), turn
 
 
 def drive(robot: wire.Link, goal: list[float], pace: wire.Pace, speed: float) -> None:

@@ -160,7 +160,7 @@ def test_a_wall_stops_a_robot() -> None:
 
 def test_steering_turns_first_and_slows_down() -> None:
     assert follower.steer([0.0, 0.0, 0.0], [3.0, 0.0], 1.5) == (1.5, 0.0)
-    assert follower.steer([0.0, 0.0, 0.0], [0.1, 0.0], 1.5)[0] == pytest.approx(0.2)
+    assert follower.steer([0.0, 0.0, 0.0], [0.1, 0.0], 1.5)[0] == pytest.approx(0.3)
     forward, turn = follower.steer([0.0, 0.0, 0.0], [0.0, 3.0], 1.5)
     assert (forward, turn) == (0.0, follower.FASTEST_TURN)
 
