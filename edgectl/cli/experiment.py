@@ -32,8 +32,8 @@ def experiment_run_command(
     Ctrl-C ends the trial that is under way and stops its tasks.
 
     Examples:
-        edgectl experiment run docs/scenarios/tiny.yaml
-        edgectl experiment run docs/scenarios/tiny.yaml --out runs/again -o json
+        edgectl experiment run tasks/mission/experiment.yaml
+        edgectl experiment run tasks/mission/experiment.yaml --out runs/again -o json
     """
     from edgectl.cli.extras import extra
     from edgectl.cli.reach import reach, seconds
@@ -77,15 +77,26 @@ def experiment_show_command(
     """Compare what an experiment has measured so far. No host is contacted.
 
     Examples:
-        edgectl experiment show
-        edgectl experiment show runs/tiny -o markdown
+        edgectl experiment show docs/examples/run
+        edgectl experiment show docs/examples/run -o markdown
     """
-    from edgectl.state.runs import newest_run, read_run
+    from edgectl.state.runs import read_run
 
-    directory = run or newest_run(RUNS)
-    if directory is None:
+    _show(output, read_run(run_directory(run)))
+
+
+def run_directory(given: Path | None) -> Path:
+    """The run that is given, or the newest in runs/.
+
+    Raises:
+        UsageError: there is none.
+    """
+    from edgectl.state.runs import newest_run
+
+    found = given or newest_run(RUNS)
+    if found is None:
         raise UsageError(f"there is no run in {RUNS}/", hint="name one, or make one: edgectl experiment run SPEC")
-    _show(output, read_run(directory))
+    return found
 
 
 def _show(output: Form, run: Run) -> None:

@@ -147,7 +147,7 @@ def _trials(fleet: Fleet, spec: Experiment, missing: list[tuple[Variant, int]], 
         found = _tried(fleet, spec, variant, snapshot, course, options)
         if found is None:
             return
-        options.watcher(replace(course, elapsed=found.latency, completed=tuple(found.completed), trial=found))
+        options.watcher(replace(course, elapsed=found.latency, completed=tuple(found.completed), left=None, trial=found))
 
 
 def _tried(

@@ -35,8 +35,8 @@ def trouble(before: Cycle | None, cycle: Cycle) -> list[str]:
 def state(course: Course) -> str:
     """Where it stands, on a line that is drawn again and again."""
     left = f", about {format_duration(round(course.left))} left" if course.left is not None else ""
-    done = f"{len(course.completed)} of {len(course.until)} tasks completed"
-    return harmless(f"{course.scheme} {course.repetition}: {done} after {format_duration(round(course.elapsed))}{left}")
+    done = f"{len(course.completed)}/{len(course.until)} completed"
+    return harmless(f"{course.scheme} {course.repetition}: {done}, {format_duration(round(course.elapsed))}{left}")
 
 
 def _outcome(course: Course, trial: Trial) -> str:

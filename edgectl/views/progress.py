@@ -51,7 +51,7 @@ def trying(total: int) -> Iterator[Watcher]:
     if not _live():
         yield told
         return
-    with _bar("experiment:", total) as advance:
+    with _bar("trial", total) as advance:
         ended = 0
 
         def drawn(course: Course) -> None:

@@ -17,11 +17,14 @@ ENDLESS = ("edgectl logs slam-robot1 -f",)
 SERVING = ("edgectl export prometheus --listen 127.0.0.1:9815",)
 WATCHING = ("edgectl watch --apply --every 30s",)
 ASKING = ("edgectl apply", "edgectl drain edge1", "edgectl rollback")
+BUSY = 75  # the demo's tasks run
 FULL = 4  # the other edges of the demo have no room for all that runs on edge1
 CODES = {
     "edgectl plan --without edge2 --detailed-exitcode": 2,
     "edgectl profile slam-robot1 --write --yes": 1,  # too few samples after these few commands
     "edgectl drain edge1": FULL,
+    "edgectl experiment run tasks/mission/experiment.yaml": BUSY,
+    "edgectl experiment run tasks/mission/experiment.yaml --out runs/again -o json": BUSY,
     "edgectl drain edge1 --yes --timeout 10m": FULL,
 }
 FIRST = ("edgectl init demo", "edgectl init .")
