@@ -22,7 +22,11 @@ def pair(fleet: Fleet) -> None:
 def held(fleet: Fleet, *words: str, within: float = 45) -> None:
     """edge1 cannot be reached: apply says so, in time, touches nothing else, and starts slam nowhere."""
     fleet.apply().must(4, within=within).says("edge1", *words)
-    running = {task: found for task, found in oracle.watch(fleet.records, seconds=0.5).items() if found[0].host == "edge2"}
+    running = {
+        task: found
+        for task, found in oracle.watch(fleet.records, seconds=0.5, patience=12.0, expected=["nav"]).items()
+        if found[0].host == "edge2"
+    }
     if set(running) != {"nav"}:
         raise ExpectationError(f"edge2 runs {sorted(running)}, wanted nav only")
 
@@ -31,7 +35,7 @@ def held(fleet: Fleet, *words: str, within: float = 45) -> None:
 def powered_off(fleet: Fleet) -> None:
     pair(fleet)
     fleet.hosts["edge1"].power_off()
-    held(fleet, "does not answer", within=25)
+    held(fleet, "does not answer")
     fleet.edgectl("status").must(4).says("edge1")
 
 
@@ -63,7 +67,7 @@ def no_sshd(fleet: Fleet) -> None:
 def auth_refused(fleet: Fleet) -> None:
     pair(fleet)
     fleet.hosts["edge1"].admit(everybody=False)
-    held(fleet, "edge1", within=25)
+    held(fleet, "edge1")
     fleet.check({"slam": "edge1", "nav": "edge2"})
 
 
@@ -122,7 +126,7 @@ def disk_full_during(fleet: Fleet) -> None:
     fleet.want("job", "--for", "4", "--exit", "0", on="edge1", kind="job", restart="never")
     fleet.apply().must(0)
     fleet.computer("edge1").fill_disk()
-    wait_for(lambda: fleet.stopped("job"), "the job's end", 15)
+    wait_for(lambda: fleet.stopped("job"), "the job's end", 45)
     del fleet.expected["job"]
     fleet.check()
     fleet.apply().must(0, 4)

@@ -105,13 +105,13 @@ def failed_job_once(fleet: Fleet) -> None:
     fleet.want("job", "--for", "0.5", "--exit", "3", on="edge1", kind="job", restart="never")
     fleet.want("nav", on="edge2")
     fleet.apply().must(0, 4)
-    wait_for(lambda: fleet.stopped("job"), "the job's end", 15)
+    wait_for(lambda: fleet.stopped("job"), "the job's end", 45)
     for _ in range(2):
         fleet.apply().must(0).says("given up", "edgectl restart job")
     if fleet.launches("job") != 1:
         raise ExpectationError("the job ran again")
     fleet.edgectl("restart", "job", "--yes").must(0, 4)
-    wait_for(lambda: fleet.launches("job") == 2, "the job's second run", 15)
+    wait_for(lambda: fleet.launches("job") == 2, "the job's second run", 45)
     fleet.unwant("job")
 
 
@@ -120,7 +120,7 @@ def job_once(fleet: Fleet) -> None:
     fleet.want("job", "--for", "0.5", "--exit", "0", on="edge1", kind="job")
     fleet.want("nav", on="edge2")
     fleet.apply().must(0)
-    wait_for(lambda: fleet.stopped("job"), "the job's end", 15)
+    wait_for(lambda: fleet.stopped("job"), "the job's end", 45)
     for _ in range(3):
         fleet.apply().must(0)
     if fleet.launches("job") != 1:

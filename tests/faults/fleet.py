@@ -233,7 +233,7 @@ class Fleet:
     def records(self) -> dict[str, Path]:
         return {name: host.records for name, host in self.hosts.items()}
 
-    def judge(self, expected: Mapping[str, str | None] | None = None, *, seconds: float = 0.7, patience: float = 8.0) -> Verdict:
+    def judge(self, expected: Mapping[str, str | None] | None = None, *, seconds: float = 0.7, patience: float = 12.0) -> Verdict:
         """The oracle's word on what runs now and what ever overlapped; ``expected`` instead of what is wanted."""
         wanted = self.expected if expected is None else expected
         found = oracle.judge(

@@ -16,6 +16,7 @@ from pathlib import Path
 
 BOOTTIME = 7
 SECOND = 1_000_000_000
+TURN_S = 0.05
 
 
 def now_ns() -> int:
@@ -144,11 +145,22 @@ def most_live(launches: Iterable[Life]) -> int:
     return most
 
 
-def watch(records: Mapping[str, Path], *, seconds: float = 1.0) -> dict[str, list[Life]]:
-    """The launches of each task that still write after ``seconds`` of watching (longer where nothing is written at all)."""
-    begun = now_ns()
-    time.sleep(seconds)
-    return by_task(life for life in lives(records) if life.last_ns > begun)
+def watch(
+    records: Mapping[str, Path], *, seconds: float = 1.0, patience: float = 0.0, expected: Iterable[str] = ()
+) -> dict[str, list[Life]]:
+    """The launches of each task that still write after ``seconds`` of watching.
+
+    It is looked again for up to ``patience`` more seconds while one of the ``expected`` tasks does not show: a starved machine may not
+    have let it write yet. The seconds are counted in short turns, so that a machine that stands still for all of them counts as one turn.
+    """
+    wanted, deadline = set(expected), time.monotonic() + patience
+    while True:
+        begun = now_ns()
+        for _ in range(max(1, round(seconds / TURN_S))):
+            time.sleep(TURN_S)
+        found = by_task(life for life in lives(records) if life.last_ns > begun)
+        if not wanted - set(found) or time.monotonic() >= deadline:
+            return found
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -178,10 +190,7 @@ def judge(
     patience: float = 5.0,
 ) -> Verdict:
     """Exactly one launch of each ``expected`` task (on that host; None: anywhere), none of any other, and no clash since ``since_ns``."""
-    deadline = time.monotonic() + patience
-    alive = watch(records, seconds=seconds)
-    while set(expected) - set(alive) and time.monotonic() < deadline:
-        alive = watch(records, seconds=seconds)  # a starved machine may not have let them write yet
+    alive = watch(records, seconds=seconds, patience=patience, expected=expected)
     lost = [f"{task} does not run" for task in expected if task not in alive]
     doubled = [f"{task} runs {len(found)} times: {[life.host for life in found]}" for task, found in alive.items() if len(found) > 1]
     doubled += [f"{task} runs on {found[0].host} and should not" for task, found in alive.items() if task not in expected]

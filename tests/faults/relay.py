@@ -89,7 +89,7 @@ class Relay:
     def _order(self, give: object) -> None:
         self._done.clear()
         give()  # type: ignore[operator]
-        assert self._done.wait(10), "the relay does not answer"
+        assert self._done.wait(60), "the relay does not answer"
         if self._error:
             raise self._error
 

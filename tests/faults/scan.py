@@ -135,7 +135,7 @@ def start_canary(directory: Path, name: str, *words: str) -> tuple[Canary, "subp
 
 def wait_for_canary(name: str, record: Path, pid: int) -> Canary:
     """The canary once it listens."""
-    deadline = time.monotonic() + 10
+    deadline = time.monotonic() + 30
     while not (record.exists() and read_events(record)):
         assert time.monotonic() < deadline, f"canary {name} did not start"
         time.sleep(0.02)

@@ -27,20 +27,21 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, Site
         yield directory, site, host
 
 
-def ssh(place: tuple[Path, Site, NamespaceHost], command: str) -> "subprocess.CompletedProcess[str]":
+def ssh(place: tuple[Path, Site, NamespaceHost], command: str, *, patience: int = 20) -> "subprocess.CompletedProcess[str]":
+    """Run a command on the computer, which is given ``patience`` seconds to answer: few where it cannot."""
     directory, site, host = place
     address, port, user, key = host.login
     (directory / "known").write_text(f"{address} {key}\n")
     options = [
         f"UserKnownHostsFile={directory}/known",
         "BatchMode=yes",
-        "ConnectTimeout=1",
+        f"ConnectTimeout={patience}",
         f"IdentityFile={directory}/user_key",
         "IdentitiesOnly=yes",
     ]
     words = [word for option in options for word in ("-o", option)]
     line = [*site.prefix, sshd.program("ssh"), "-F", "none", *words, "-p", str(port), f"{user}@{address}", command]
-    return subprocess.run(line, capture_output=True, text=True, timeout=30, check=False)
+    return subprocess.run(line, capture_output=True, text=True, timeout=60, check=False)
 
 
 def test_it_is_a_computer_of_its_own(place: tuple[Path, Site, NamespaceHost]) -> None:
@@ -53,24 +54,30 @@ def test_power(place: tuple[Path, Site, NamespaceHost]) -> None:
     host = place[2]
     before = host.boot_id
     ssh(place, "echo kept > file; setsid sleep 1000 >/dev/null 2>&1 &")
-    (sleeper,) = [each for each in host.processes() if each.command == "sleep 1000"]
+    wait_for(lambda: sleepers(host), "the sleeper")
+    (sleeper,) = sleepers(host)
     host.power_off()
     assert not sleeper.alive
-    assert "timed out" in ssh(place, "true").stderr or "No route" in ssh(place, "true").stderr
+    said = ssh(place, "true", patience=1).stderr
+    assert "timed out" in said or "No route" in said
     host.boot()
     assert host.boot_id != before
     assert ssh(place, "cat file; cat /proc/sys/kernel/random/boot_id").stdout.split() == ["kept", host.boot_id]
-    assert host.processes() == []
+    wait_for(lambda: host.processes() == [], "the end of the login")
+
+
+def sleepers(host: NamespaceHost) -> list[scan.Process]:
+    return [each for each in host.processes() if each.command == "sleep 1000"]
 
 
 def test_cable(place: tuple[Path, Site, NamespaceHost]) -> None:
     host = place[2]
     host.cable_out()
-    assert ssh(place, "true").returncode == 255
+    assert ssh(place, "true", patience=1).returncode == 255
     host.cable_in()
     wait_for(lambda: ssh(place, "true").returncode == 0, "the link")
     host.swallow()
-    assert ssh(place, "true").returncode == 255
+    assert ssh(place, "true", patience=1).returncode == 255
     host.cable_in()
     wait_for(lambda: ssh(place, "true").returncode == 0, "the link")
 
@@ -114,7 +121,7 @@ def test_a_canary_takes_a_wanted_pid(place: tuple[Path, Site, NamespaceHost]) ->
     assert canary.harm() == []
     assert ssh(place, "kill -TERM 4321").returncode == 0
     wait_for(canary.harm, "the canary's complaint")
-    assert host.processes() == []
+    wait_for(lambda: host.processes() == [], "the end of the login")
 
 
 def test_cpu_limit(place: tuple[Path, Site, NamespaceHost]) -> None:

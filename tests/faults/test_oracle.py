@@ -17,7 +17,7 @@ BEACON = Path(oracle.__file__).with_name("beacon.py")
 Launch = Callable[..., "subprocess.Popen[bytes]"]
 
 
-def wait_until(condition: Callable[[], object], seconds: float = 10) -> None:
+def wait_until(condition: Callable[[], object], seconds: float = 30) -> None:
     deadline = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < deadline, "waited in vain"
@@ -142,7 +142,7 @@ def test_an_emptied_environment_is_empty(records: dict[str, Path], launch: Launc
 
 def test_a_deaf_task_notes_the_signal_and_lives(records: dict[str, Path], launch: Launch) -> None:
     process = launch("slam", "edge1", "--deaf")
-    time.sleep(0.1)
+    wait_until(lambda: any(event["event"] == "tick" for path in records["edge1"].iterdir() for event in oracle.read_events(path)))
     process.terminate()
     wait_until(lambda: oracle.lives(records)[0].signals == ("SIGTERM",))
     assert oracle.judge(records, {"slam": None}, seconds=0.2).clean

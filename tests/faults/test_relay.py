@@ -54,7 +54,7 @@ def relay(echo: tuple[str, int]) -> Iterator[Relay]:
 
 
 def dial(relay: Relay) -> socket.socket:
-    return socket.create_connection((relay.address, relay.port), timeout=5)
+    return socket.create_connection((relay.address, relay.port), timeout=30)
 
 
 def exactly(sock: socket.socket, count: int) -> bytes:
@@ -105,7 +105,7 @@ def test_black_hole_after_byte_k(relay: Relay) -> None:
             sock.recv(1)
         assert relay.fired
         relay.heal()
-        sock.settimeout(5)
+        sock.settimeout(30)
         with pytest.raises(ConnectionResetError):
             sock.recv(1)
 
