@@ -2,10 +2,15 @@
 
 import errno
 import os
+import re
 from collections.abc import Sequence
 
 from edgectl.cli import console
 from edgectl.errors import EdgectlError, ExitCode, InputError, UsageError
+from edgectl.model.names import either
+
+# What typer says of a word that it does not know, with those that were meant.
+_GUESSES = re.compile(r"(.+?)\.? \(?(?:Did you mean(?: one of:)?|Possible options:) (.+?)[?)]+")
 
 
 def end(error: Exception, words: Sequence[str]) -> int:
@@ -29,10 +34,15 @@ def _usage(error: Exception) -> UsageError | None:
         return UsageError("no answer on standard input", hint="pass --yes to go on without a question")
     if getattr(error, "exit_code", None) != ExitCode.CHANGES or not hasattr(error, "format_message"):
         return None
-    command = getattr(getattr(error, "ctx", None), "command_path", "edgectl")
+    context = getattr(error, "ctx", None)
+    command = getattr(context, "command_path", "edgectl")
     if type(error).__name__ == "NoArgsIsHelpError":  # its message is the whole help
-        return UsageError(f"{command} needs a further word", hint=f"see {command} --help")
-    return UsageError(" ".join(error.format_message().split()).rstrip("."), hint=f"see {command} --help")
+        words = list(context.command.commands) if context else []
+        return UsageError(f"{command} needs a further word", hint=f"write {command} {either(words)}")
+    said = " ".join(error.format_message().split()).replace("a valid int range", "a whole number").rstrip(".")
+    if guessed := _GUESSES.fullmatch(said):
+        return UsageError(guessed[1], hint=f"did you mean {either(guessed[2].replace(chr(39), '').split(', '))}?")
+    return UsageError(said, hint=f"see {command} --help")
 
 
 def _unexpected(error: Exception) -> EdgectlError:

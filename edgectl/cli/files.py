@@ -28,7 +28,7 @@ def init_command(
     except OSError as error:
         raise FileError(f"cannot write {error.filename or directory}: {error.strerror}") from error
     console.put("".join(f"{'wrote' if new else 'kept '} {path}\n" for path, new in written.items()))
-    console.tell(f"next: cd {directory} && edgectl plan")
+    console.tell(f"next: cd {directory} && edgectl plan" if directory.resolve() != Path.cwd() else "next: edgectl plan")
 
 
 def validate_command(inventory: InventoryOption = None, tasks: TasksOption = None, output: ValidateOutput = Form.TABLE) -> None:

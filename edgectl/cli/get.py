@@ -59,13 +59,13 @@ def get_command(
     from edgectl.usecases.probe import probe
     from edgectl.views.listing import Kind, listing
 
-    wanted = Kind(_kind(kind))
+    wanted, period = Kind(_kind(kind)), pause(every)
     fleet = reach(load(inventory, tasks))
     _check(wanted, names or (), selector, fleet)
     if watch:
         if output is Form.YAML:
             raise UsageError("no yaml form of changes as they come", hint="write -o json, for one object per line")
-        with told(pause(every)) as end:
+        with told(period) as end:
             found = (_chosen(listing(wanted, look, fleet.inventory, fleet.tasks), names, selector) for look in looks(fleet, end))
             console.show_all(output, "listing_more", _differences(found))
         return

@@ -1,6 +1,5 @@
 """The options that commands share, each defined once."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -8,6 +7,7 @@ from typer import Argument, Option
 
 from edgectl.cli.complete import hosts, tasks
 from edgectl.errors import UsageError
+from edgectl.model.names import either
 from edgectl.model.policy import PolicyName
 from edgectl.views.form import Form
 
@@ -35,7 +35,7 @@ def output(*forms: str) -> object:
 
     def form(text: str) -> Form:
         if text not in (*forms, Form.WIDE):  # where nothing wider exists, wide is the table
-            raise UsageError(f"no {text} form of this", hint=f"write -o {_either(forms)}")
+            raise UsageError(f"no {text} form of this", hint=f"write -o {either(forms)}")
         return Form(text)
 
     def beginning(incomplete: str) -> list[str]:
@@ -43,12 +43,8 @@ def output(*forms: str) -> object:
 
     return Option(
         "--output", "-o", metavar="FORM", envvar="EDGECTL_OUTPUT", show_envvar=False, show_default=False,
-        parser=form, autocompletion=beginning, help=f"{_either(forms)}.",
+        parser=form, autocompletion=beginning, help=f"{either(forms)}.",
     )  # fmt: skip
-
-
-def _either(words: Sequence[str]) -> str:
-    return ", ".join(words[:-1]) + f" or {words[-1]}"
 
 
 PlanOutput = Annotated[Form, output("table", "wide", "json", "yaml", "name", "markdown")]

@@ -7,10 +7,7 @@ from typer import Argument, Exit, Option
 
 from edgectl.cli import console, exits, options
 from edgectl.cli.inputs import load
-from edgectl.errors import UsageError
 from edgectl.views.form import Form
-
-_WIDE = (Form.WIDE, Form.MARKDOWN)
 
 
 def history_command(
@@ -52,8 +49,6 @@ def show_command(
     from edgectl.usecases.history import revision
 
     if what.isdecimal():
-        if output in _WIDE:
-            raise UsageError(f"no {output} form of a revision", hint="write -o table, -o json, -o yaml, -o name")
         console.show(output, "revision", revision(reach(load(inventory, tasks)), int(what)))
         return
     saved = load_plan(Path(what))

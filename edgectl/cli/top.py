@@ -13,6 +13,7 @@ from edgectl.cli import console, exits, options
 from edgectl.cli.inputs import Loaded, load
 from edgectl.cli.until import pause, told
 from edgectl.errors import UsageError
+from edgectl.model.names import either
 from edgectl.views.form import Form
 
 if TYPE_CHECKING:
@@ -45,10 +46,10 @@ def top_hosts_command(
         edgectl top hosts -w --every 5s
         edgectl top hosts -w -o json
     """
-    loaded = load(inventory, tasks)
+    loaded, period = load(inventory, tasks), pause(every)
     if interactive:
-        return _interact(loaded, every, readonly=readonly, first="hosts")
-    raise Exit(_top(loaded, "top_hosts", output, every if watch else None, allow_unreachable=allow_unreachable))
+        return _interact(loaded, period, readonly=readonly, first="hosts")
+    raise Exit(_top(loaded, "top_hosts", output, period if watch else None, allow_unreachable=allow_unreachable))
 
 
 def top_tasks_command(
@@ -70,13 +71,13 @@ def top_tasks_command(
         edgectl top tasks -o wide
         edgectl top tasks -w
     """
-    loaded = load(inventory, tasks)
+    loaded, period = load(inventory, tasks), pause(every)
     if interactive:
-        return _interact(loaded, every, readonly=readonly, first="tasks")
-    raise Exit(_top(loaded, "top_tasks", output, every if watch else None, allow_unreachable=allow_unreachable))
+        return _interact(loaded, period, readonly=readonly, first="tasks")
+    raise Exit(_top(loaded, "top_tasks", output, period if watch else None, allow_unreachable=allow_unreachable))
 
 
-def _top(loaded: Loaded, what: str, output: Form, every: str | None, *, allow_unreachable: bool) -> int:
+def _top(loaded: Loaded, what: str, output: Form, every: float | None, *, allow_unreachable: bool) -> int:
     """Once, or with ``every`` again and again."""
     from edgectl.cli.reach import reach
     from edgectl.usecases.probe import probe
@@ -87,7 +88,7 @@ def _top(loaded: Loaded, what: str, output: Form, every: str | None, *, allow_un
         console.show(output, what, *_values(fleet, what, snapshot))
         return exits.of_snapshot(snapshot, fleet.inventory, allow_unreachable=allow_unreachable)
     if output not in _WATCHED:
-        raise UsageError(f"no {output} form that goes on", hint=f"write -o {', -o '.join(_WATCHED)}")
+        raise UsageError(f"no {output} form that goes on", hint=f"write -o {either(_WATCHED)}")
     _watch(fleet, what, output, every)
     return 0
 
@@ -101,14 +102,14 @@ def _values(fleet: "Fleet", what: str, snapshot: "Snapshot") -> Values:
     return (snapshot, fleet.inventory, fleet.tasks, task_history(fleet, SAMPLES))
 
 
-def _watch(fleet: "Fleet", what: str, output: Form, every: str) -> None:
+def _watch(fleet: "Fleet", what: str, output: Form, every: float) -> None:
     """On a terminal in place, elsewhere one after the other, until Ctrl-C (or q)."""
     from edgectl.usecases.look import looks
 
     said: dict[str, None] = {}
     in_place = output is not Form.JSON and sys.stdout.isatty()
     quiet = dataclasses.replace(fleet, warn=said.setdefault) if in_place else fleet
-    with told(pause(every)) as end:
+    with told(every) as end:
         series = (_values(quiet, what, snapshot) for snapshot in looks(quiet, end))
         if in_place:
             _redraw(output, what, series)
@@ -134,7 +135,7 @@ def _quit(key: str) -> None:
         os.kill(os.getpid(), signal.SIGINT)
 
 
-def _interact(loaded: Loaded, every: str, *, readonly: bool, first: str) -> None:
+def _interact(loaded: Loaded, every: float, *, readonly: bool, first: str) -> None:
     """The live view of edgectl[tui].
 
     Raises:
@@ -147,4 +148,4 @@ def _interact(loaded: Loaded, every: str, *, readonly: bool, first: str) -> None
         raise UsageError("standard output is not a terminal", hint="edgectl top hosts -w -o json is for programs")
     with extra("tui"):
         from edgectl.tui import run
-    run(reach(loaded, asking=False), every=pause(every), readonly=readonly, first=first)
+    run(reach(loaded, asking=False), every=every, readonly=readonly, first=first)

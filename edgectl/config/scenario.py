@@ -84,7 +84,7 @@ def load_scenario(path: Path, inventory: Inventory, tasks: Tasks) -> Scenario:
 
 def _fields(path: Path) -> tuple[Fields | None, Problems]:
     problems = Problems()
-    source = read_source(path, problems)
+    source = read_source(path, problems, maker="")
     node = parse_yaml(source, problems) if source is not None else None
     required = ("version", "name", "hosts", "jobs")
     return (None if node is None else read_fields(node, problems, SCENARIO, required=required, what="a scenario")), problems

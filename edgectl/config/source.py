@@ -10,7 +10,7 @@ MAX_BYTES = 2**20
 
 
 def read_source(path: Path, problems: Problems, *, max_bytes: int = MAX_BYTES, maker: str = "edgectl init DIR") -> Source | None:
-    """The file's text, or None with the cause noted. ``maker`` is the command that writes such a file."""
+    """The file's text, or None with the cause noted. ``maker`` is the command that writes such a file, if there is one."""
     nowhere = Mark(Source(file=str(path), text="", lines=()), 0, 0)
     try:
         if not S_ISREG(path.stat().st_mode) and not path.is_dir():
@@ -31,7 +31,7 @@ def read_source(path: Path, problems: Problems, *, max_bytes: int = MAX_BYTES, m
 def _unreadable(path: Path, error: Exception, maker: str) -> tuple[str, str]:
     if isinstance(error, FileNotFoundError):
         match = nearest(path.name, _neighbours(path.parent))
-        hint = f"did you mean {path.parent / match}?" if match else f"name an existing file, or make one: {maker}"
+        hint = f"did you mean {path.parent / match}?" if match else "name an existing file" + f", or make one: {maker}" * bool(maker)
         return "there is no such file", hint
     if isinstance(error, IsADirectoryError):
         inside = sorted(name for name in _neighbours(path) if name.endswith((".yaml", ".yml", ".json")))

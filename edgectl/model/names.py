@@ -20,13 +20,18 @@ def listed(words: Sequence[str]) -> str:
     return ", ".join(words[:_LISTED]) + (", .." if len(words) > _LISTED else "")
 
 
+def either(words: Sequence[str]) -> str:
+    """``a, b or c``."""
+    return " or ".join(part for part in (", ".join(words[:-1]), *words[-1:]) if part)
+
+
 def known(names: Iterable[str], among: Iterable[str], what: str) -> None:
     """Refuse names of the command line that do not exist; ``what`` says of which kind they are.
 
     Raises:
         UsageError: with the nearest name, or the list of them, as hint.
     """
-    every = list(among)
+    every = list(dict.fromkeys(among))
     for name in names:
         if name not in every:
             match = nearest(name, every) or next((each for each in every if name and each.startswith(name)), "")

@@ -32,7 +32,7 @@ def revision(fleet: Fleet, number: int) -> Revision:
     known = history(fleet)
     found = next((each for each in reversed(known) if each.number == number), None)
     if found is None:
-        hint = f"revisions: {known[0].number} to {known[-1].number}; see edgectl history" if known else "nothing was applied yet"
+        hint = f"the last one is {known[-1].number}; edgectl history lists them" if known else "nothing was applied yet"
         raise UsageError(f"no revision {number}", hint=hint)
     return found
 

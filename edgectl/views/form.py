@@ -6,6 +6,7 @@ from importlib import import_module
 from typing import Any
 
 from edgectl.errors import UsageError
+from edgectl.model.names import either
 
 
 class Form(StrEnum):
@@ -36,7 +37,7 @@ def view(form: Form, what: str) -> Callable[..., str]:
     """
     function = _function(form, what) or (_function(Form.TABLE, what) if form is Form.WIDE else None)
     if function is None:
-        raise UsageError(f"no {form} form of this", hint="write -o " + ", -o ".join(forms_of(what)))
+        raise UsageError(f"no {form} form of this", hint=f"write -o {either(forms_of(what))}")
     return function
 
 

@@ -35,9 +35,10 @@ def test_get_refuses_what_there_is_not(run: Run, site: Path) -> None:
     assert run("get", "edges", "edge9").err.startswith("error: unknown edge 'edge9'\nhint: did you mean edge")
     assert run("get", "tasks", "slam-robot7").err.startswith("error: unknown task 'slam-robot7'\nhint: did you mean slam-robot")
     assert run("get", "tasks", "-w", "-o", "yaml").code == 64
+    assert run("get", "tasks", "--every", "x").code == run("top", "tasks", "--every", "x").code == 64
     assert run("get", "edges", "-l", "a b").code == 64
     assert run("get", "edges", "-w", "--every", "0").err == "error: --every 0 is too often\nhint: write 100ms or more\n"
-    assert run("top").err == "error: edgectl top needs a further word\nhint: see edgectl top --help\n"
+    assert run("top").err == "error: edgectl top needs a further word\nhint: write edgectl top hosts or tasks\n"
 
 
 def test_get_w_tells_changes_one_object_per_line_and_ends_well(site: Path) -> None:

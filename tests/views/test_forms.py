@@ -223,7 +223,7 @@ def test_results_say_an_error_once() -> None:
 def test_a_form_that_does_not_exist_says_which_do() -> None:
     with pytest.raises(UsageError) as caught:
         view(Form.MARKDOWN, "status")
-    assert caught.value.hint == "write -o table, -o json, -o yaml, -o name"
+    assert caught.value.hint == "write -o table, json, yaml or name"
 
 
 @pytest.mark.parametrize("width", [80, 160])
