@@ -15,6 +15,7 @@ from edgectl.model.task import Task, Tasks
 from edgectl.units import format_bytes, format_cores, format_duration, format_instant, format_rate
 from edgectl.views import metrics
 from edgectl.views.absent import absent, silence, standing
+from edgectl.views.sections import note_lines, silent
 from edgectl.views.state import STATES, host_status, phrase
 from edgectl.views.text import PLAIN, Cell, Look, Row, columns, widths_of
 
@@ -54,11 +55,12 @@ class Item:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Listing:
-    """Items of one kind at one instant (s since 1970)."""
+    """Items of one kind at one instant (s since 1970), and what a person has to know besides."""
 
     kind: Kind
     at: float
     items: tuple[Item, ...]
+    notes: tuple[str, ...] = ()
 
 
 # The columns of each kind, and those that wide adds before the last one.
@@ -75,7 +77,7 @@ _WRAPPED = frozenset(range(12))
 def listing(kind: Kind, value: Snapshot, inventory: Inventory, tasks: Tasks) -> Listing:
     """Everything of a kind: what the files state, and what the hosts report beyond them."""
     made = {Kind.EDGES: _edges, Kind.ROBOTS: _robots, Kind.TASKS: _tasks, Kind.LINKS: _links}[kind]
-    return Listing(kind=kind, at=value.taken_at, items=tuple(made(value, inventory, tasks)))
+    return Listing(kind=kind, at=value.taken_at, items=tuple(made(value, inventory, tasks)), notes=tuple(silent(value)))
 
 
 def changes(before: Listing | None, after: Listing) -> list[tuple[Change, Item]]:
@@ -210,13 +212,18 @@ def _link(edge: str, robot: str, link: LinkSample | None) -> Item:
 
 
 def text(value: Listing, look: Look = PLAIN) -> str:
-    """A line per item below a head."""
-    return columns(_rows(value, wide=False), look, wrap=_WRAPPED)
+    """A line per item below a head, then the hosts that do not answer."""
+    return _table(value, look, wide=False)
 
 
 def wide_text(value: Listing, look: Look = PLAIN) -> str:
     """The same with what is measured, and more of what is stated."""
-    return columns(_rows(value, wide=True), look, wrap=_WRAPPED)
+    return _table(value, look, wide=True)
+
+
+def _table(value: Listing, look: Look, *, wide: bool) -> str:
+    table = columns(_rows(value, wide=wide), look, wrap=_WRAPPED) if value.items else f"No {value.kind}.\n"
+    return table + note_lines(value.notes, look)
 
 
 def more_text(value: Listing, changed: Iterable[tuple[Change, Item]], first: Listing | None, look: Look = PLAIN) -> str:

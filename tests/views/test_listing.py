@@ -53,6 +53,7 @@ def test_edges() -> None:
         f"{LONG}  not probed    -      -       -      -",
         "edge1                                                      ok, cordoned  4.00   4.0Gi   2      gpu=maxwell,room=b2",
         "edge2                                                      unreachable   -      -       -      -",
+        "note: edge2 does not answer: connection refused (silent for 1m30s)",
     ]
 
 
@@ -61,6 +62,7 @@ def test_robots() -> None:
         "NAME    STATUS      CORES  MEMORY  TASKS  ONBOARD  LABELS\n"
         "robot1  ok          2.00   4.0Gi   0      yes      -\n"
         "robot2  not probed  -      -       -      no       -\n"
+        "note: edge2 does not answer: connection refused (silent for 1m30s)\n"
     )
 
 
@@ -72,7 +74,13 @@ def test_tasks_stand_in_the_order_of_the_files_then_the_others() -> None:
         "nav     edge1  failed (5 restarts, last exit 1)  5         -\n"
         "slam    edge1  ready                             0         3m12s\n"
         "old     edge1  ready                             0         1h00m\n"
+        "note: edge2 does not answer: connection refused (silent for 1m30s)\n"
     )
+
+
+def test_nothing_is_said_to_be_nothing() -> None:
+    empty = replace(listed(Kind.LINKS), items=(), notes=())
+    assert view(Form.TABLE, "listing")(empty, Look()) == "No links.\n"
 
 
 def test_links() -> None:
@@ -84,7 +92,7 @@ def test_links() -> None:
 
 def test_wide_of_edges_and_tasks() -> None:
     assert shown(Kind.EDGES, Form.WIDE).splitlines()[2].split()[6:] == ["ssh", "edge1.lab", "25%", "25%", "gpu=maxwell,room=b2"]
-    assert [line.split()[-6:] for line in shown(Kind.TASKS, Form.WIDE).splitlines()[4:]] == [
+    assert [line.split()[-6:] for line in shown(Kind.TASKS, Form.WIDE).splitlines()[4:-1]] == [
         ["4242", "fps", "29.97,", "loss", "0.03125", "3m12s"],
         ["files", "-", "-", "4242", "-", "1h00m"],
     ]
