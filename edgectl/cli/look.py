@@ -52,7 +52,8 @@ def logs_command(
 
     fleet = reach(load(inventory, tasks))
     if not follow:
-        console.put_log(logs.logs(fleet, task, tail=tail).encode())
+        text = logs.logs(fleet, task, tail=tail)
+        console.put_log(text.encode()) if text else console.tell("nothing was printed")
         return
     for part in logs.follow(fleet, task, tail=tail):
         if not console.put_log(part):

@@ -183,7 +183,7 @@ def _task_point(at: float, host: str, name: str, task: TaskSample) -> TaskPoint:
         used_bytes_per_s=task.used_bytes_per_s,
         instance=task.instance,
         spec_hash=task.spec_hash,
-        age_s=max(0.0, at - task.started_at),
+        age_s=round(max(0.0, at - task.started_at), 3),
         links=len(task.links or ()),
     )
 

@@ -119,10 +119,14 @@ def _device(sample: HostSample) -> str:
         "load": None if device.load_1m is None else f"{device.load_1m:.2f}",
         "temperature": None if device.temperature_c is None else f"{device.temperature_c:.0f}C",
         "gpu": None if device.gpu_share is None else f"{device.gpu_share:.0%}",
-        "clock ahead": None if device.clock_skew_s is None else f"{device.clock_skew_s:+.1f}s",
+        "clock": None if device.clock_skew_s is None else _skew(device.clock_skew_s),
         "boot": device.boot_id[:8] or None,
     }
     return ", ".join(f"{what} {text}" for what, text in known.items() if text)
+
+
+def _skew(seconds: float) -> str:
+    return f"{abs(seconds):.1f}s {'behind' if seconds < 0 else 'ahead'}"
 
 
 def _use(stated: Host, sample: HostSample, look: Look) -> list[Row]:

@@ -1,8 +1,9 @@
 """What happened to the fleet: a table for people, an object per event for programs."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 from edgectl.formats.base import FORMAT_VERSION, Document
+from edgectl.model.assignment import Reason
 from edgectl.model.event import Event, EventKind
 from edgectl.units import format_instant
 from edgectl.views.text import PLAIN, Cell, Look, Row, columns
@@ -13,6 +14,13 @@ _STYLES = {
     EventKind.TASK_CRASHLOOP: "bad", EventKind.TASK_LOST: "bad", EventKind.TASK_DEFERRED: "warn", EventKind.TASK_UNPLACED: "warn",
     EventKind.ACTION_FAILED: "bad", EventKind.PLANNED: "dim",
 }  # fmt: skip
+# Programs are told the word; a person what it means.
+_UNPLACED: Mapping[str, str] = {
+    Reason.NO_CANDIDATE: "no host may run it now",
+    Reason.NO_FEASIBLE_HOST: "no host has room for it",
+    Reason.PREDECESSOR_MISSING: "a task that it needs has no place",
+    Reason.PREDECESSOR_INCOMPLETE: "a task that it needs has not completed",
+}
 _HEAD: Row = ("AT", "KIND", "WHAT", "MESSAGE")
 _NONE = "No events: nothing happened in this time, or no edgectl looked (edgectl probe does).\n"
 # Widths that rows which come one by one keep, so that they stand below each other: an instant, the longest kind, most names.
@@ -32,7 +40,12 @@ def more(values: Iterable[Event], head: object, look: Look = PLAIN) -> str:
 
 def _row(value: Event) -> Row:
     at = format_instant(float(int(value.at)))
-    return (at, Cell(value.kind.value, _STYLES.get(value.kind, "")), Cell(_what(value), "name"), value.message or "-")
+    return (
+        at,
+        Cell(value.kind.value, _STYLES.get(value.kind, "")),
+        Cell(_what(value), "name"),
+        _UNPLACED.get(value.message, value.message) or "-",
+    )
 
 
 def _what(value: Event) -> str:

@@ -111,7 +111,7 @@ def summary(value: Plan, look: Look = PLAIN) -> str:
     aside = sum(left_out(step) for step in value.steps)
     missing = sum(not_found(step) for step in value.steps)
     if not value.changes and not aside and not missing and not counts.get(Action.UNPLACED) and not counts.get(Action.HOLD):
-        return paint(f"No changes. {_tasks(len(value.steps))} should be.", "good", look) + "\n"
+        return paint("No changes." + _stay(len(value.steps)), "good", look) + "\n"
     text = (
         f"Plan: {counts.get(Action.START, 0)} to start, {counts.get(Action.MOVE, 0)} to move, {_to_stop(value)} to stop, "
         f"{counts.get(Action.KEEP, 0)} kept, {counts.get(Action.UNPLACED, 0)} unplaced"
@@ -138,5 +138,5 @@ def _to_stop(value: Plan) -> int:
     )
 
 
-def _tasks(count: int) -> str:
-    return "1 task is where it" if count == 1 else f"{count} tasks are where they"
+def _stay(count: int) -> str:
+    return "" if not count else " 1 task is where it should be." if count == 1 else f" {count} tasks are where they should be."
