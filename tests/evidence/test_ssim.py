@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from edgectl.errors import EdgectlError, FileError, UsageError
+from edgectl.evidence import ssim
 from edgectl.evidence.ssim import Picture, similarity
 from tests.evidence.pictures import Rows, grey, pgm, picture, png, room, sheet
 
@@ -178,3 +179,11 @@ def test_damage_is_told_or_shown_but_never_raises_otherwise() -> None:
         except EdgectlError:
             continue
         assert -1.0 <= found <= 1.0 + 1e-12
+
+
+def test_large_maps_are_compared_strip_by_strip(monkeypatch: pytest.MonkeyPatch) -> None:
+    wrong = np.roll(ROOM, 2, axis=0)
+    whole = similarity(picture(wrong), picture(ROOM))
+    for strip in (1, 24 * 3, 24 * 7):
+        monkeypatch.setattr(ssim, "_STRIP", strip)
+        assert similarity(picture(wrong), picture(ROOM)) == pytest.approx(whole, abs=1e-12)

@@ -12,7 +12,9 @@ from pathlib import Path
 from edgectl.agent import light, metrics
 from edgectl.config.documents import load_plan, load_snapshot
 from edgectl.config.load import load
+from edgectl.config.maps import read_map
 from edgectl.errors import StateError
+from edgectl.evidence.ssim import Picture, similarity
 from edgectl.formats import memory as memory_form
 from edgectl.gateway.decode import Context, decode
 from edgectl.gateway.facts import Asked, facts
@@ -31,6 +33,8 @@ from tests import builders
 from tests.builders import NOW, a_sample, a_snapshot, an_edge, silent
 from tests.config.bad import INVENTORY, TASKS
 from tests.config.test_bad_documents import TEXTS
+from tests.config.test_maps import ROS1, ROS2
+from tests.evidence.pictures import grey, pgm, picture, png, room, sheet
 from tests.formats.test_complete import MEMORY, PLAN
 from tests.fuzz.mutate import damaged, worn
 from tests.gateway.test_decode import a_document, a_task
@@ -76,8 +80,14 @@ def targets(directory: Path) -> Iterator[list[Target]]:
         ),
         Target("memory", [json.dumps(memory_form.encode(MEMORY)).encode()], _from_file(directory / "memory.json", _read_memory)),
         Target("inventory", [INVENTORY.encode(), SECRETS.encode()], _from_file(path, lambda file: load(file, good_tasks))),
+        Target("sheet of a map", [ROS1.encode(), ROS2.encode()], lambda data: read_map("map.yaml", data)),
+        Target("image of a map", [pgm(room()), png(grey(room()))], _as_map),
         Target("tasks", [TASKS.encode()], _from_file(path, lambda file: load(good_inventory, file))),
     ]
+
+
+def _as_map(data: bytes) -> object:
+    return similarity(Picture(name="map", data=data, sheet=sheet()), picture(room(), sheet()))
 
 
 def _from_file(path: Path, read: Callable[[Path], object]) -> Read:
