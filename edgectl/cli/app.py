@@ -41,6 +41,7 @@ COMMANDS = {
     "simulate": Entry("simulate", "Evidence", "Run a mission in a model, under several schemes, several times."),
     "experiment run": Entry("experiment", "Evidence", "Run a mission on the real hosts, under several schemes, several times."),
     "experiment show": Entry("experiment", "Evidence", "Compare what an experiment has measured so far."),
+    "report": Entry("report", "Evidence", "Write a run of an experiment as a page with its table and figures."),
     "profile": Entry("profile", "Inspect", "Show what a task was measured to use; put it into its file."),
     "history": Entry("past", "Inspect", "List what was done to the fleet, by whom and how it ended."),
     "show": Entry("past", "Inspect", "Print one revision of the history, or a saved plan."),

@@ -9,8 +9,8 @@ from typing import Annotated
 from typer import Option
 
 from edgectl.cli import console, options
-from edgectl.cli.inputs import inventory_file, load, save, task_files
-from edgectl.errors import FileError, UsageError
+from edgectl.cli.inputs import inventory_file, load, make, save, task_files
+from edgectl.errors import UsageError
 from edgectl.export.job import Job
 
 EveryOption = Annotated[str | None, Option("--every", metavar="TIME", help="From one run to the next.", show_default=False)]
@@ -67,7 +67,7 @@ def export_systemd_command(
     if out is None:
         _give("\n".join(units.values()), None)
         return
-    _make(out)
+    make(out)
     for name, text in units.items():
         _give(text, out / name)
 
@@ -75,13 +75,6 @@ def export_systemd_command(
 def _refusal(error: ValueError) -> UsageError:
     message, _, hint = str(error).partition("; ")
     return UsageError(message, hint=hint)
-
-
-def _make(directory: Path) -> None:
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FileError(f"cannot make {directory}: {error.strerror}") from error
 
 
 def _give(text: str, out: Path | None) -> None:

@@ -73,7 +73,7 @@ def _only(what: str, directory: str, option: str) -> Path:
     raise UsageError(f"no {what} given, and {directory}/ holds {len(files)}: {names}", hint=f"pass {option} {files[0]}")
 
 
-def save(path: Path, text: str | Iterable[str], *, mode: int | None = None) -> None:
+def save(path: Path, text: str | bytes | Iterable[str], *, mode: int | None = None) -> None:
     """Write a file of the user, whole or not at all; through a link, and straight into a pipe or a device.
 
     ``text`` may come in parts. ``mode``: rights of the file; as the umask has it where None.
@@ -88,6 +88,18 @@ def save(path: Path, text: str | Iterable[str], *, mode: int | None = None) -> N
             _replace(path.resolve(), text, mode)
     except OSError as error:
         raise FileError(f"cannot write {path}: {error.strerror}") from error
+
+
+def make(directory: Path) -> None:
+    """See that there is such a directory.
+
+    Raises:
+        FileError: it cannot be made.
+    """
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FileError(f"cannot make {directory}: {error.strerror}") from error
 
 
 def replaced(path: Path, before: str, after: str) -> None:
@@ -106,12 +118,15 @@ def replaced(path: Path, before: str, after: str) -> None:
     save(path, mark * now.startswith(mark) + after, mode=mode)
 
 
-def _write(path: Path, text: str | Iterable[str]) -> None:
+def _write(path: Path, text: str | bytes | Iterable[str]) -> None:
+    if isinstance(text, bytes):
+        path.write_bytes(text)
+        return
     with path.open("w", encoding="utf-8", newline="") as file:
         file.writelines([text] if isinstance(text, str) else text)
 
 
-def _replace(path: Path, text: str | Iterable[str], mode: int | None) -> None:
+def _replace(path: Path, text: str | bytes | Iterable[str], mode: int | None) -> None:
     partial = path.with_name(f".{path.name}.partial")
     try:
         if mode is not None:

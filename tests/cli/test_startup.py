@@ -20,6 +20,8 @@ HEAVY = {
     "textual",
     "http",
     "sqlite3",
+    "matplotlib",
+    "jinja2",
 }
 
 
@@ -42,6 +44,7 @@ def imported(site: Path, *words: str) -> set[str]:
         ("completion", "bash"),
         ("export", "prometheus", "--help"),
         ("events", "--help"),
+        ("report", "--help"),
     ],
 )
 def test_help_needs_nothing_heavy(site: Path, words: tuple[str, ...]) -> None:

@@ -1,0 +1,143 @@
+"""What goes on over time: one panel per scheme and host (or task), every trial as a thin line and their mean as a thick one."""
+
+from bisect import bisect_right
+from collections.abc import Callable, Mapping, Sequence
+from statistics import fmean
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from edgectl.evidence.drawing_sheet import Drawing, below, breadth, clock, colour_of, name_rows, panels, shortened, wrapped
+from edgectl.evidence.trials import trials_of, tried
+from edgectl.model.experiment import Machine, Run, Trial
+from edgectl.model.order import natural_key
+
+Series = Sequence[tuple[float, float]]  # (s after the trial began, value), in the order of time
+Read = Callable[[Trial, str], Series]
+_ACROSS, _STEPS = 6, 240
+_LINES = "Thin: each trial; thick: the mean of the trials that still ran, while at least half of them did."
+
+
+def loads(run: Run) -> list[Drawing]:
+    """CPU, memory and throughput of every host under every scheme."""
+    hosts = [host for host in run.machines if any(trial.loads.get(host) for trial in run.trials)]
+    busy = [host for host in hosts if any(load.bytes_per_s > 0 for trial in run.trials for load in trial.loads.get(host, ()))]
+    cores = {host: f"{shortened(host, 20)}\n{_cores(run.machines[host].cores)}" for host in hosts}
+    sizes = {host: f"{shortened(host, 20)}\n{run.machines[host].memory / 2**30:.3g} GiB" for host in hosts}
+    plain = {host: shortened(host, 20) for host in busy}
+    quiet = "" if len(busy) == len(hosts) else " Hosts without traffic are left out."
+    return [
+        *_over_time(run, "cpu", "CPU utilisation", "% of the host's cores", cores, _cpu(run.machines), 100.0),
+        *_over_time(run, "memory", "Memory utilisation", "% of the host's memory", sizes, _memory(run.machines)),
+        *_over_time(run, "throughput", "Throughput on the links to the robots", "MB/s", plain, _sent, note=quiet),
+    ]  # fmt: skip
+
+
+def readings(run: Run) -> list[Drawing]:
+    """Each metric of the application, by scheme and task."""
+    names = dict.fromkeys([*run.experiment.metrics, *(name for trial in run.trials for name in trial.readings)])
+    found = []
+    for number, name in enumerate(names, 1):
+        tasks = sorted({task for trial in run.trials for task, rows in trial.readings.get(name, {}).items() if rows}, key=natural_key)
+        heads = {task: shortened(task, 20) for task in tasks}
+        found += _over_time(run, f"metric-{number}", f"Application metric {name}", name, heads, _reading(name), what="task")
+    return found
+
+
+def _cores(count: float) -> str:
+    return f"{count:.3g} core" + ("" if count == 1 else "s")
+
+
+def _cpu(machines: Mapping[str, Machine]) -> Read:
+    return lambda trial, host: [(load.at, 100 * load.cores / machines[host].cores) for load in trial.loads.get(host, ())]
+
+
+def _memory(machines: Mapping[str, Machine]) -> Read:
+    return lambda trial, host: [(load.at, 100 * load.memory / machines[host].memory) for load in trial.loads.get(host, ())]
+
+
+def _sent(trial: Trial, host: str) -> Series:
+    return [(load.at, load.bytes_per_s / 1e6) for load in trial.loads.get(host, ())]
+
+
+def _reading(name: str) -> Read:
+    return lambda trial, task: [(reading.at, reading.value) for reading in trial.readings.get(name, {}).get(task, ())]
+
+
+def _over_time(
+    run: Run, name: str, title: str, unit: str, heads: Mapping[str, str], read: Read, most: float = 0.0, *, what: str = "host",
+    note: str = "",
+) -> list[Drawing]:  # fmt: skip
+    """The panels of one quantity in its ``unit``, at most six columns to a figure. ``most``: what the value axis reaches at least."""
+    measure = "As the tasks wrote it" if what == "task" else f"In {unit}"
+    columns = list(heads)
+    return [
+        Drawing(
+            name=f"{name}-{first // _ACROSS + 1}" if first else name,
+            title=title,
+            caption=f"{measure}, over the time since the trial began, by scheme (rows) and {what} (columns). All panels have the same "
+            f"axes. {_LINES}{note}",
+            figure=_figure(run, {column: heads[column] for column in columns[first : first + _ACROSS]}, read, unit, most),
+        )
+        for first in range(0, len(columns), _ACROSS)
+    ]
+
+
+def _figure(run: Run, heads: Mapping[str, str], read: Read, unit: str, most: float) -> Figure:
+    schemes = tried(run)
+    left = breadth(line for scheme in schemes for line in wrapped(scheme).splitlines()) + 0.33
+    lines = max(head.count("\n") for head in heads.values()) + 1
+    figure, axes = panels(len(schemes), len(heads), height=0.56, left=left, top=0.1 + 0.125 * max(lines, 2))
+    second, word = clock(max(trial.latency for trial in run.trials))
+    for scheme, row in zip(schemes, axes, strict=True):
+        trials = trials_of(run, scheme)
+        for column, panel in zip(heads, row, strict=True):
+            lines_of_trials = [series for trial in trials if (series := sorted(read(trial, column)))]
+            _panel(panel, lines_of_trials, colour_of(run, scheme), second, run.experiment.every)
+    for panel, head in zip(axes[0], heads.values(), strict=True):
+        panel.set_title(head, linespacing=1.15)
+    _scale(axes[0][0], most)
+    name_rows(figure, axes, schemes, unit)
+    below(figure, f"time since the trial began ({word})")
+    return figure
+
+
+def _panel(panel: Axes, trials: Sequence[Series], colour: str, second: float, every: float) -> None:
+    for series in trials:
+        _line(panel, series, second, colour, 0.5)
+    _line(panel, _mean(trials, every), second, colour, 1.3)
+    panel.label_outer()
+
+
+def _line(panel: Axes, series: Series, second: float, colour: str, width: float) -> None:
+    """A sample alone is a point."""
+    at, values = [each / second for each, _ in series], [value for _, value in series]
+    panel.plot(at, values, color=colour, linewidth=width, alpha=0.55 if width < 1 else 1.0, marker="." if len(series) == 1 else "")
+
+
+def _scale(panel: Axes, most: float) -> None:
+    """From 0 where nothing is below; few round ticks."""
+    low, high = min(panel.get_ylim()[0], 0.0), max(panel.get_ylim()[1], most, 0.0)
+    panel.set_ylim(1.06 * low, 1.06 * high if high > low else 1.0)
+    panel.set_xlim(0.0, 1.02 * panel.get_xlim()[1])
+    panel.xaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 3, 5, 6, 10]))
+    panel.yaxis.set_major_locator(MaxNLocator(3, steps=[1, 2, 2.5, 5, 10]))
+
+
+def _mean(trials: Sequence[Series], every: float) -> Series:
+    """The mean over the trials that have a value at a time, as long as half of them do."""
+    end = max((series[-1][0] for series in trials), default=0.0)
+    step = max(every, end / _STEPS) or 1.0
+    times = [step * number for number in range(int(end / step) + 1)]
+    values = [(at, [value for series in trials if (value := _at(series, at)) is not None]) for at in times]
+    return [(at, fmean(found)) for at, found in values if found and 2 * len(found) >= len(trials)]
+
+
+def _at(series: Series, at: float) -> float | None:
+    """The value between the two samples around ``at``; None outside of the series."""
+    after = bisect_right(series, at, key=lambda sample: sample[0])
+    if after == 0 or after == len(series):
+        return series[-1][1] if series[-1][0] == at else None
+    (since, before), (until, behind) = series[after - 1], series[after]
+    return before + (behind - before) * (at - since) / (until - since)
