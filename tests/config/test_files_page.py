@@ -7,17 +7,19 @@ from pathlib import Path
 
 import pytest
 
+from edgectl.config import experiment, inventory, taskfields
 from edgectl.config import fields as config_fields
-from edgectl.config import inventory, taskfields
 from edgectl.config.load import load
 from edgectl.config.problems import Code
 from edgectl.formats import plan as plan_format
+from edgectl.formats import run as run_format
 from edgectl.formats import snapshot as snapshot_format
 from edgectl.model.inventory import Host
 from edgectl.model.snapshot import Device, HostSample, InterfaceSample, Role, TaskSample, TaskState
 from edgectl.model.snapshot import HostStatus as Status
 from edgectl.model.task import Task
 from tests.config.test_bad_documents import PLAN, SNAPSHOT
+from tests.formats.test_run import RUN, TRIAL
 
 PAGE = (Path(__file__).parents[2] / "docs/reference/files.md").read_text()
 TABLES: Mapping[str, tuple[Mapping[str, object], ...]] = {
@@ -40,6 +42,9 @@ TABLES: Mapping[str, tuple[Mapping[str, object], ...]] = {
     "### Limits of a task": (taskfields.TASK_LIMITS,),
     "### Log": (taskfields.LOG,),
     "### Unreachable hosts": (taskfields.ON_UNREACHABLE,),
+    "## Experiment": (experiment.EXPERIMENT,),
+    "### Schemes": (experiment.SCHEMES,),
+    "### Maps": (experiment.MAP,),
 }
 
 
@@ -120,6 +125,14 @@ def test_keys_of_a_plan_are_complete() -> None:
     assert whole == list(document)
     assert [key for key in decision if f"| `{key}` ? |" not in PAGE.split("Of a decision.")[1]] == list(encoded)
     assert all(f"`{key}`" in section("## Plan") for key in encoded["ranking"][0])
+
+
+def test_keys_of_runs_and_trials_are_complete() -> None:
+    document = run_format.encode(RUN)
+    (head,), (trial,) = tables("## Run"), tables("## Trial")
+    assert [*head, "trials"] == list(document)
+    assert trial == list(run_format.encode_trial(TRIAL))
+    assert all(f"`{key}`" in section("## Run") for key in document["experiment"])  # type: ignore[attr-defined]
 
 
 def test_the_examples_load_together(tmp_path: Path) -> None:
