@@ -13,13 +13,15 @@ import signal
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 
 import yaml
 
-from tests.experiment.hosts import Lab, lab
+from tests.experiment.hosts import Lab, lab, spent
 from tests.experiment.mission import ROOT
 from tests.experiment.spec import shortened
+from tests.faults.computer import NamespaceHost
 
 LIMIT_S = 45 * 60
 
@@ -48,8 +50,13 @@ def run(made: Lab, out: Path, repetitions: int, policies: str) -> int:
 
 
 def profile(made: Lab) -> int:
-    """One mission under edgectl watch, and what its tasks were seen to use."""
+    """What edgectl itself uses on each host, and one mission under edgectl watch: what its tasks were seen to use."""
     files = ["-i", str(made.site / "fleet.yaml"), "-t", str(made.site / "tasks.yaml")]
+    computers = [host for host in made.hosts.values() if isinstance(host, NamespaceHost)]
+    before, began = {host.name: spent(host) for host in computers}, time.monotonic()
+    edgectl("watch", "--every", "5s", "--cycles", "10", *files, prefix=made.prefix, env=made.environment)
+    for host in computers:
+        print(f"{host.name}: a watch every 5 s uses {(spent(host) - before[host.name]) / (time.monotonic() - began):.3f} cores")
     code = edgectl("watch", "--apply", "--every", "2s", "--cycles", "16", *files, prefix=made.prefix, env=made.environment)
     tasks = yaml.safe_load((made.site / "tasks.yaml").read_text())["tasks"]
     return code or max(edgectl("profile", task, *files, prefix=[], env=made.environment) for task in tasks)

@@ -4,7 +4,7 @@ import json
 import os
 import shutil
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ import yaml
 
 from tests import sshd
 from tests.experiment.mission import MISSION
-from tests.faults import cgroup
+from tests.faults import cgroup, scan
 from tests.faults.computer import NamespaceHost, missing_for_namespaces, namespace_hosts
 from tests.faults.hosts import Host, loopback_hosts
 from tests.faults.network import Site, tc
@@ -63,6 +63,17 @@ def lab(directory: Path, *, plain: bool = False) -> Iterator[Lab]:
         yield _lab(
             directory, hosts, network.prefix, f"computers in namespaces, cores: {limits}; links: {LINK if not links else 'any'}", links
         )
+
+
+def spent(host: NamespaceHost) -> float:
+    """CPU seconds of everything that ever ran on the computer since it was switched on; PID 1 buries the dead and adds theirs."""
+    inside = scan.in_namespace("pid", Path(f"/proc/{host.pid}/ns/pid").stat().st_ino)
+    ticks = 0
+    for process in inside:
+        with suppress(OSError):
+            stat = Path(f"/proc/{process.pid}/stat").read_text(errors="replace").rpartition(")")[2].split()
+            ticks += sum(map(int, stat[11:15]))
+    return ticks / os.sysconf("SC_CLK_TCK")
 
 
 def _shape(network: Site, host: NamespaceHost) -> str:
