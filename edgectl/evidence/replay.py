@@ -12,6 +12,7 @@ from edgectl.model.assignment import Assignment, Verdict
 from edgectl.model.evidence import Replayed, Share, Variant
 from edgectl.model.inventory import Inventory
 from edgectl.model.memory import Memory, Placement
+from edgectl.model.order import natural_key
 from edgectl.model.snapshot import HostSample, LinkSample, Snapshot, TaskSample, TaskState
 from edgectl.model.task import Task, Tasks
 from edgectl.scheduler.assign import assign
@@ -32,7 +33,7 @@ class _Tally:
 
 def replay(inventory: Inventory, tasks: Tasks, snapshots: Sequence[Snapshot], variant: Variant) -> Replayed:
     """What ``variant`` would have done at each of ``snapshots``, which stand in the order of their time."""
-    tally = _Tally()
+    tally, unseen = _Tally(), set[str]()
     placed = dict(_running(snapshots[0])) if snapshots else {}
     memory = Memory(managed=True, first=placed, placements={task: _placement(snapshots[0], task, host) for task, host in placed.items()})
     for snapshot in snapshots:
@@ -40,14 +41,17 @@ def replay(inventory: Inventory, tasks: Tasks, snapshots: Sequence[Snapshot], va
         world = transplanted(snapshot, tasks, {task: there.host for task, there in memory.placements.items()})
         assignment = assign(inventory, tasks, world, memory, variant.policy, snapshot.taken_at)
         memory = _decided(memory, assignment, snapshot.taken_at, tally)
+        unseen |= memory.placements.keys()
         after = transplanted(snapshot, tasks, {task: there.host for task, there in memory.placements.items()})
         _measure(after, tally)
+    unseen -= {task for snapshot in snapshots for task, _ in _running(snapshot)}
     return Replayed(
         variant=variant,
         cycles=len(snapshots),
         handoffs=tally.handoffs,
         unplaced=tally.unplaced,
         unsettled=tally.unsettled,
+        assumed=tuple(sorted(unseen, key=natural_key)),
         cpu=_share(tally.cpu),
         memory=_share(tally.memory),
         network=_share(tally.network),

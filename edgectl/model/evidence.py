@@ -27,7 +27,7 @@ class Replayed:
     """What one variant would have done over the recorded cycles.
 
     ``handoffs``: tasks that changed their host. ``unplaced``: tasks without a host, summed over the cycles. ``unsettled``: cycles whose
-    plan did not settle.
+    plan did not settle. ``assumed``: tasks that it placed and that no record shows running, so that what they demand counts as their use.
     """
 
     variant: Variant
@@ -35,6 +35,7 @@ class Replayed:
     handoffs: int
     unplaced: int
     unsettled: int
+    assumed: tuple[str, ...] = ()
     cpu: Share
     memory: Share
     network: Share

@@ -4,6 +4,9 @@ from collections.abc import Iterable
 
 from edgectl.formats.base import FORMAT_VERSION, Document, number
 from edgectl.model.evidence import Replayed, Share
+from edgectl.model.names import listed
+from edgectl.model.order import natural_key
+from edgectl.views.sections import note_lines
 from edgectl.views.text import PLAIN, Cell, Look, Row, columns, flowed
 
 _OPEN_LOOP = (
@@ -28,7 +31,12 @@ def text(values: Iterable[Replayed], look: Look = PLAIN) -> str:
         for value in found
     ]
     body = columns(rows, look, right={1, 2, 3, 4, 5, 6})
-    return body + flowed(f"{cycles} cycles; utilisation as mean/peak. {_OPEN_LOOP}", look)
+    return body + flowed(f"{cycles} cycles; utilisation as mean/peak. {_OPEN_LOOP}", look) + note_lines(_assumed(found), look)
+
+
+def _assumed(values: Iterable[Replayed]) -> list[str]:
+    tasks = sorted({task for value in values for task in value.assumed}, key=natural_key)
+    return [f"never seen running, so that what it demands counts as its use: {listed(tasks)} ({len(tasks)})"] if tasks else []
 
 
 def _per_cycle(value: Replayed) -> str:
@@ -58,6 +66,7 @@ def _replayed(value: Replayed) -> Document:
         "handoffs": value.handoffs,
         "unplaced": value.unplaced,
         "unsettled": value.unsettled,
+        "assumed": list(value.assumed),
         **{name: {"mean": number(share.mean), "peak": number(share.peak)} for name, share in zip(_NAMES, _shares(value), strict=True)},
     }
 

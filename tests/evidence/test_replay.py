@@ -57,6 +57,13 @@ def test_a_variant_that_moves_once_lives_on_the_other_host() -> None:
     assert mover.cpu.mean == stayer.cpu.mean == pytest.approx(2.5 / 8)
 
 
+def test_what_was_never_seen_running_is_named() -> None:
+    empty = [a_snapshot(taken_at=NOW + cycle, edge1=a_sample(), edge2=a_sample()) for cycle in range(2)]
+    variant = Variant(name="cpu", policy=CPU)
+    assert replay(INVENTORY, TASKS, empty, variant).assumed == ("slam",)
+    assert replay(INVENTORY, TASKS, [*empty, recorded(2.0, 0.5, NOW + 5)], variant).assumed == ()
+
+
 def test_a_task_that_nothing_takes_is_counted_in_each_cycle() -> None:
     empty = a_snapshot(edge1=a_sample(used=3.9), edge2=silent())
     result = replay(INVENTORY, TASKS, [empty, replace(empty, taken_at=NOW + 60)], Variant(name="u", policy=CPU))

@@ -66,6 +66,7 @@ def test_replayed_variants_stand_side_by_side() -> None:
         handoffs=6,
         unplaced=1,
         unsettled=2,
+        assumed=("slam-robot10", "slam-robot2"),
         cpu=share,
         memory=share,
         network=share,
@@ -74,6 +75,8 @@ def test_replayed_variants_stand_side_by_side() -> None:
     assert lines[0].split() == ["VARIANT", "HANDOFFS", "PER", "CYCLE", "UNPLACED", "CPU", "MEMORY", "NETWORK"]
     assert lines[1].split() == ["paper", "all", "6", "1.500", "1", "50%/120%", "50%/120%", "50%/120%"]
     assert lines[2].startswith("4 cycles; ")
+    assert lines[3] == "note: never seen running, so that what it demands counts as its use: slam-robot2, slam-robot10 (2)"
+    assert json.loads(json_view.replayed([value]))["variants"][0]["assumed"] == ["slam-robot10", "slam-robot2"]
     assert json.loads(json_view.replayed([value]))["variants"][0]["cpu"] == {"mean": 0.5, "peak": 1.2}
 
 
