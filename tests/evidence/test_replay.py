@@ -58,7 +58,8 @@ def test_a_variant_that_moves_once_lives_on_the_other_host() -> None:
 
 
 def test_what_was_never_seen_running_is_named() -> None:
-    empty = [a_snapshot(taken_at=NOW + cycle, edge1=a_sample(), edge2=a_sample()) for cycle in range(2)]
+    idle = a_sample(links={"robot1": a_link()})
+    empty = [a_snapshot(taken_at=NOW + cycle, edge1=idle, edge2=idle) for cycle in range(2)]
     variant = Variant(name="cpu", policy=CPU)
     assert replay(INVENTORY, TASKS, empty, variant).assumed == ("slam",)
     assert replay(INVENTORY, TASKS, [*empty, recorded(2.0, 0.5, NOW + 5)], variant).assumed == ()
