@@ -11,11 +11,13 @@ from pathlib import Path
 
 from edgectl.agent import light, metrics
 from edgectl.config.documents import load_plan, load_snapshot
+from edgectl.config.experiment import load_experiment
 from edgectl.config.load import load
 from edgectl.config.maps import read_map
 from edgectl.errors import StateError
 from edgectl.evidence.ssim import Picture, similarity
 from edgectl.formats import memory as memory_form
+from edgectl.formats.run import encode_trial
 from edgectl.gateway.decode import Context, decode
 from edgectl.gateway.facts import Asked, facts
 from edgectl.gateway.fetch import fetch
@@ -25,6 +27,7 @@ from edgectl.model.result import ActionResult, Outcome, Results
 from edgectl.model.snapshot import LinkSample, TaskSample, TaskState
 from edgectl.state import journal, store_rows
 from edgectl.state.memory import load_memory
+from edgectl.state.runs import read_run, save_run, save_trial
 from edgectl.state.store import Store
 from edgectl.state.store_file import NAME as HISTORY
 from edgectl.transport.base import Reply
@@ -33,9 +36,12 @@ from tests import builders
 from tests.builders import NOW, a_sample, a_snapshot, an_edge, silent
 from tests.config.bad import INVENTORY, TASKS
 from tests.config.test_bad_documents import TEXTS
+from tests.config.test_experiment import GOOD as SPEC
+from tests.config.test_experiment import TASKS as SPEC_TASKS
 from tests.config.test_maps import ROS1, ROS2
 from tests.evidence.pictures import grey, pgm, picture, png, room, sheet
 from tests.formats.test_complete import MEMORY, PLAN
+from tests.formats.test_run import RUN, TRIAL
 from tests.fuzz.mutate import damaged, worn
 from tests.gateway.test_decode import a_document, a_task
 from tests.gateway.test_facts import DOCUMENT as FACTS
@@ -65,6 +71,7 @@ def targets(directory: Path) -> Iterator[list[Target]]:
     good_inventory, good_tasks = directory / "good-inventory", directory / "good-tasks"
     good_inventory.write_text(INVENTORY)
     good_tasks.write_text(TASKS)
+    (directory / "world.yaml").touch()
     path = directory / "damaged"
     yield [
         Target("agent document", _documents(), _as_payload),
@@ -79,6 +86,13 @@ def targets(directory: Path) -> Iterator[list[Target]]:
             "history", [_history(directory / "history")], _from_file(directory / "history" / HISTORY, _read_history), cost=20, damage=worn
         ),
         Target("memory", [json.dumps(memory_form.encode(MEMORY)).encode()], _from_file(directory / "memory.json", _read_memory)),
+        Target("run", [_run(directory / "run")], _from_file(directory / "run" / "run.json", lambda file: read_run(file.parent))),
+        Target(
+            "trial",
+            [json.dumps(encode_trial(TRIAL)).encode()],
+            _from_file(_trial(directory / "trial"), lambda file: read_run(file.parents[1])),
+        ),
+        Target("experiment", [SPEC.encode()], _from_file(path, lambda file: load_experiment(file, SPEC_TASKS))),
         Target("inventory", [INVENTORY.encode(), SECRETS.encode()], _from_file(path, lambda file: load(file, good_tasks))),
         Target("sheet of a map", [ROS1.encode(), ROS2.encode()], lambda data: read_map("map.yaml", data)),
         Target("image of a map", [pgm(room()), png(grey(room()))], _as_map),
@@ -259,6 +273,19 @@ def _read_history(path: Path) -> object:
     finally:
         for left in path.parent.iterdir():
             left.unlink()
+
+
+def _run(directory: Path) -> bytes:
+    save_run(directory, RUN)
+    return (directory / "run.json").read_bytes()
+
+
+def _trial(directory: Path) -> Path:
+    """Where the trial of a sound run stands."""
+    save_run(directory, RUN)
+    save_trial(directory, TRIAL)
+    (path,) = (directory / "trials").iterdir()
+    return path
 
 
 def _read_memory(path: Path) -> object:
