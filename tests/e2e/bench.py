@@ -3,6 +3,7 @@
 import itertools
 import os
 import signal
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
@@ -58,6 +59,15 @@ def sleeping(mark: str) -> list[int]:
         with suppress(OSError):
             if path.read_bytes() == f"sleep\0{mark}\0".encode():
                 found.append(int(path.parent.name))
+    return found
+
+
+def asleep(mark: str, count: int = 2) -> list[int]:
+    """As `sleeping`, once ``count`` of them sleep: a shell that was just started may not have come so far."""
+    deadline = time.monotonic() + 30
+    while len(found := sleeping(mark)) < count:
+        assert time.monotonic() < deadline, f"{len(found)} of {count} sleep"
+        time.sleep(0.02)
     return found
 
 

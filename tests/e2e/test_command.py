@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.e2e.bench import a_mark, sleeping
+from tests.e2e.bench import a_mark, asleep, sleeping
 
 INVENTORY = """
 version: 1
@@ -88,7 +88,7 @@ def test_the_second_of_two_applies_exits_75(shell: Shell) -> None:
     shell.go()
     out, _ = first.communicate(timeout=60)
     assert first.returncode == 0, out
-    assert len(sleeping(shell.mark)) == 2
+    assert len(asleep(shell.mark)) == 2
     quiet = shell.run("apply", "--yes", "--quiet")
     assert (quiet.returncode, quiet.stdout) == (0, "")
 
@@ -102,7 +102,7 @@ def test_a_lock_timeout_waits_for_the_first(shell: Shell) -> None:
     shell.go()
     first.communicate(timeout=60)
     assert (first.returncode, second.wait(timeout=60)) == (0, 0)
-    assert len(sleeping(shell.mark)) == 2
+    assert len(asleep(shell.mark)) == 2
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -117,7 +117,7 @@ def test_ctrl_c_and_sigterm_finish_what_is_under_way(shell: Shell, number: signa
     again = shell.run("apply", "--yes")
     assert again.returncode == 0, again.stderr
     assert "cut off" not in again.stderr
-    assert len(sleeping(shell.mark)) == 2
+    assert len(asleep(shell.mark)) == 2
 
 
 def test_ctrl_c_twice_stops_at_once_and_the_next_apply_goes_on(shell: Shell) -> None:
@@ -130,4 +130,4 @@ def test_ctrl_c_twice_stops_at_once_and_the_next_apply_goes_on(shell: Shell) -> 
     again = shell.run("apply", "--yes")
     assert again.returncode == 0, again.stderr
     assert "was cut off while it changed slam" in again.stderr
-    assert len(sleeping(shell.mark)) == 2
+    assert len(asleep(shell.mark)) == 2

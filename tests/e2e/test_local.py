@@ -20,7 +20,7 @@ from edgectl.usecases.logs import logs
 from edgectl.usecases.probe import measure_links
 from edgectl.usecases.stop import restart
 from tests.builders import a_robot, a_task, an_edge, an_inventory
-from tests.e2e.bench import BY_CPU, EAGER, GENTLE, QUICK, Bench, a_local, a_mark, a_sleeper, kill, managing, sleeping
+from tests.e2e.bench import BY_CPU, EAGER, GENTLE, QUICK, Bench, a_local, a_mark, a_sleeper, asleep, kill, managing, sleeping
 
 EDGES = [a_local(an_edge("edge1"), "127.0.0.31"), a_local(an_edge("edge2"), "127.0.0.32")]
 ROBOT = a_local(a_robot("robot1"), "127.0.0.41")
@@ -44,7 +44,7 @@ def test_probe_plan_apply_status_and_nothing_more_to_do(bench: Bench) -> None:
     applied = bench.apply()
     assert applied.results is not None
     assert [result.outcome for result in applied.results.actions] == [Outcome.DONE] * 2
-    assert len(sleeping(slam)) == len(sleeping(navigation)) == 2
+    assert len(asleep(slam)) == len(asleep(navigation)) == 2
     assert (bench.sample("slam").state, bench.sample("navigation").state) == (TaskState.READY, TaskState.RUNNING)
     assert not bench.plan().changes
     assert bench.apply().results is None
@@ -60,10 +60,10 @@ def test_what_is_killed_by_hand_is_started_by_the_next_apply(bench: Bench) -> No
     bench.apply()
     main = bench.sample("slam").pid
     supervisor = int(Path(f"/proc/{main}/stat").read_text().rpartition(")")[2].split()[1])
-    kill([supervisor, main, *sleeping(mark)])
+    kill([supervisor, main, *asleep(mark)])
     assert bench.actions() == {"slam": Action.START}
     bench.apply()
-    assert len(sleeping(mark)) == 2
+    assert len(asleep(mark)) == 2
     assert bench.actions() == {"slam": Action.KEEP}
 
 
@@ -71,13 +71,13 @@ def test_what_failed_under_restart_never_is_started_on_a_word_only(bench: Bench)
     mark = a_mark()
     bench = bench.using(a_sleeper("slam", mark, restart=a_task("x").restart.NEVER))
     bench.apply()
-    kill([bench.sample("slam").pid, *sleeping(mark)])
+    kill([bench.sample("slam").pid, *asleep(mark)])
     for _ in range(2):
         assert bench.actions() == {"slam": Action.UNPLACED}
         assert bench.apply().results is None
     assert sleeping(mark) == []
     restart(bench.fleet, "slam", options=ApplyOptions(probe=QUICK))
-    assert len(sleeping(mark)) == 2
+    assert len(asleep(mark)) == 2
     assert bench.actions() == {"slam": Action.KEEP}
 
 
@@ -97,7 +97,7 @@ def test_a_load_that_rises_moves_a_task(bench: Bench) -> None:
     assert (moved.previous_host, moved.host) == ("edge1", "edge2")
     assert moved.downtime_s is not None
     assert loaded.where() == {"slam": "edge2", "burner": "edge1"}
-    assert len(sleeping(mark)) == 2
+    assert len(asleep(mark)) == 2
     assert loaded.actions(BY_CPU) == {"slam": Action.KEEP, "burner": Action.KEEP}
 
 
@@ -114,7 +114,7 @@ def test_a_move_that_fails_restores_the_old_instance(bench: Bench, tmp_path: Pat
     assert (result.outcome, result.located) == (Outcome.FAILED, "edge1")
     assert result.error == "slam was not ready on edge2 within 5 s; restored on edge1"
     assert bench.where() == {"slam": "edge1"}
-    assert len(sleeping(mark)) == 2
+    assert len(asleep(mark)) == 2
     assert (tmp_path / "hooks").read_text().split() == ["safe_when", "hold", "release"]
 
 
@@ -173,7 +173,7 @@ def test_tasks_outlive_a_manager_that_is_killed(bench: Bench, tmp_path: Path) ->
     bench = bench.using(a_sleeper("slam", mark), a_sleeper("camera", other))
     bench.apply()
     assert any("was cut off while it changed" in text for text in bench.said)
-    assert (len(sleeping(mark)), len(sleeping(other))) == (2, 2)
+    assert (len(asleep(mark)), len(asleep(other))) == (2, 2)
 
 
 def test_a_link_is_measured_by_sending(bench: Bench) -> None:

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.e2e.bench import a_mark, sleeping
+from tests.e2e.bench import a_mark, asleep, sleeping
 from tests.sshd import Lab
 from tests.transport.test_ssh_auth import password_server
 
@@ -165,7 +165,7 @@ def stage(tmp_path: Path, lab: Lab, monkeypatch: pytest.MonkeyPatch) -> Iterator
 
 
 def the_environment(stage: Stage) -> dict[str, str]:
-    (pid,) = sleeping(stage.mark)
+    (pid,) = asleep(stage.mark, 1)
     pairs = (line.partition("=") for line in Path(f"/proc/{pid}/environ").read_bytes().decode().split("\0"))
     return {name: value for name, _, value in pairs}
 

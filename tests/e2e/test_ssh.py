@@ -16,7 +16,7 @@ from edgectl.usecases.apply import ApplyOptions, apply
 from edgectl.usecases.logs import follow
 from edgectl.usecases.stop import restart
 from tests.builders import a_robot, an_inventory
-from tests.e2e.bench import EAGER, QUICK, Bench, a_mark, a_sleeper, a_slice, managing, sleeping
+from tests.e2e.bench import EAGER, QUICK, Bench, a_mark, a_sleeper, a_slice, asleep, managing, sleeping
 from tests.sshd import Lab
 
 LINKS = {("edge1", "robot1"): 10e6, ("edge2", "robot1"): 10e6}
@@ -60,10 +60,10 @@ def test_the_main_job(lab: Lab, manager: Managing, connection: Connection) -> No
         a_sleeper(name, slam, robots=("robot1",), ready=ready), a_sleeper(f"{name}-navigation", navigation, robots=("robot1",))
     )
     assert bench.apply().plan.summary == {Action.START: 2}
-    assert (len(sleeping(slam)), len(sleeping(navigation))) == (2, 2)  # every session of the apply has ended
+    assert (len(asleep(slam)), len(asleep(navigation))) == (2, 2)  # every session of the apply has ended
     assert bench.apply().results is None
     restart(bench.fleet, name, options=ApplyOptions(probe=QUICK))
-    assert len(sleeping(slam)) == 2
+    assert len(asleep(slam)) == 2
     with closing(follow(bench.fleet, name)) as printed:
         assert next(printed).endswith(b"up\n")
     bench.stop()
@@ -126,7 +126,7 @@ def test_a_move_between_hosts(lab: Lab, manager: Managing) -> None:
     moved = bench.using(replace(task, hosts=replace(task.hosts, never=("edge1",)))).apply()
     assert moved.results is not None
     assert moved.results.actions[0].located == "edge2"
-    assert len(sleeping(mark)) == 2
+    assert len(asleep(mark)) == 2
 
 
 def test_a_host_that_goes_between_plan_and_start_costs_its_action_only(lab: Lab, manager: Managing) -> None:

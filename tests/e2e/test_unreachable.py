@@ -15,7 +15,7 @@ from edgectl.model.task import Check, Handoff, OnUnreachable, Where
 from edgectl.usecases import marks
 from edgectl.views.reasons import reason
 from tests.builders import an_inventory
-from tests.e2e.bench import Bench, a_mark, a_sleeper, a_slice, managing, sleeping
+from tests.e2e.bench import Bench, a_mark, a_sleeper, a_slice, asleep, managing, sleeping
 from tests.sshd import Lab, Server
 
 LINKS = {("edge1", "robot1"): 10e6, ("edge2", "robot1"): 10e6}
@@ -51,7 +51,7 @@ def cut(server: Server) -> None:
 
 def mend(server: Server) -> None:
     server.start()
-    server.wait(time.monotonic() + 10)
+    server.wait(time.monotonic() + 30)
 
 
 def wait_until(condition: Callable[[], bool], within: float) -> None:
@@ -73,18 +73,18 @@ def test_a_task_that_fences_itself_is_replaced_and_its_host_comes_back(lab: Lab,
     bench = bench.using(replace(fenced, robots=("robot1",), handoff=told(robot)))
     bench.apply()
     assert bench.where() == {"slam": "edge1"}
-    first = sleeping(mark)
+    first = asleep(mark)
     cut(lab["edge1"])
     assert slam(bench).action is Action.HOLD
-    wait_until(lambda: not sleeping(mark), within=12.0)
+    wait_until(lambda: not sleeping(mark), within=40.0)
     assert slam(bench).action is Action.HOLD, "gone, but the manager cannot know yet"
-    wait_until(lambda: slam(bench).action is Action.START, within=20.0)
+    wait_until(lambda: slam(bench).action is Action.START, within=60.0)
     assert not robot.exists(), "so far nobody took the wheel"
     (replaced,) = applied.actions if (applied := bench.apply().results) else ()
     assert [phase.phase for phase in replaced.phases] == [Phase.HOLD, Phase.START, Phase.READY, Phase.RELEASE]
     assert robot.read_text() == "hold\nrelease\n"
     assert bench.where() == {"slam": "edge2"}
-    assert len(sleeping(mark)) == 2
+    assert len(asleep(mark)) == 2
     assert not set(first) & set(sleeping(mark))
     mend(lab["edge1"])
     assert not bench.plan().changes
@@ -98,13 +98,13 @@ def test_a_copy_that_outlived_the_operators_word_is_stopped_on_return(lab: Lab, 
     mark = a_mark()
     bench = bench.using(a_sleeper("slam", mark))
     bench.apply()
-    old = sleeping(mark)
+    old = asleep(mark)
     cut(lab["edge1"])
     assert slam(bench).action is Action.HOLD
     marks.fence(bench.fleet, ["edge1"])
     bench.apply()
     assert bench.where() == {"slam": "edge2"}
-    new = sorted(set(sleeping(mark)) - set(old))
+    new = sorted(set(asleep(mark, 4)) - set(old))
     mend(lab["edge1"])
     step = slam(bench)
     assert (step.action, step.stop) == (Action.KEEP, ("edge1",))
@@ -118,10 +118,11 @@ def test_a_copy_that_outlived_the_operators_word_is_stopped_on_return(lab: Lab, 
 
 def test_a_host_that_is_asked_often_enough_keeps_its_task(bench: Bench) -> None:
     mark = a_mark()
-    bench = bench.using(a_sleeper("slam", mark, on_unreachable=OnUnreachable.REPLACE, replace_after=1.0, self_fence=3.0))
+    bench = bench.using(a_sleeper("slam", mark, on_unreachable=OnUnreachable.REPLACE, replace_after=1.0, self_fence=5.0))
     bench.apply()
-    before = sleeping(mark)
-    for _ in range(6):
-        time.sleep(1.0)
+    before = asleep(mark)
+    end = time.monotonic() + 7.0
+    while time.monotonic() < end:
+        time.sleep(0.5)
         bench.probe()
     assert sleeping(mark) == before

@@ -17,7 +17,7 @@ from edgectl.model.result import Outcome
 from edgectl.model.task import HostRules
 from edgectl.usecases.watch import WatchOptions, watch
 from tests.builders import an_inventory
-from tests.e2e.bench import BY_CPU, Bench, a_mark, a_sleeper, kill, managing, sleeping
+from tests.e2e.bench import BY_CPU, Bench, a_mark, a_sleeper, asleep, kill, managing, sleeping
 from tests.sshd import Lab, Server, _descendants
 from tests.usecases.watching import EVERY, Hands, Hurried
 
@@ -85,14 +85,14 @@ def test_a_load_moves_a_task_once_and_a_host_that_was_cut_off_keeps_it(lab: Lab,
         before = place(first[-1], "slam")
         assert before is not None
         assert moves(first) == []
-        pids = sleeping(mark)
+        pids = asleep(mark)
 
         (lab[before].home / "burn").touch()
         loaded = list(itertools.islice(running, 10))
         after = place(loaded[-1], "slam")
         assert moves(loaded) == [("slam", after)]
         assert after not in (None, before)
-        now = sleeping(mark)
+        now = asleep(mark)
         assert now
         assert not set(now) & set(pids), "the old one is gone"
 

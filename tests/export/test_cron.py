@@ -11,7 +11,7 @@ import pytest
 
 from edgectl.export.cron import command, crontab, quoted, schedule
 from edgectl.export.job import Job, interval
-from tests.e2e.bench import a_mark, sleeping
+from tests.e2e.bench import a_mark, asleep, sleeping
 
 JOB = Job(
     name="lab", program=("/opt/edgectl/bin/edgectl",), inventory="/srv/lab/lab.yaml", tasks=("/srv/lab/tasks",), directory="/srv/lab", user="ana"
@@ -117,6 +117,6 @@ def test_the_line_runs_as_cron_runs_it(site: tuple[Path, str], isolated: Path) -
     ]
     assert (runs[0].returncode, runs[0].stderr) == (0, "")
     assert "Applied 1 of 1" in runs[0].stdout
-    assert len(sleeping(mark)) == 1
+    assert len(asleep(mark, 1)) == 1
     assert (runs[1].returncode, runs[1].stdout, runs[1].stderr) == (0, "", "")
     assert (here / "state").is_dir(), "the line takes the state directory along"

@@ -15,7 +15,7 @@ import pytest
 from edgectl.export.job import Job
 from edgectl.export.systemd import timer_units, unit_name, watch_unit
 from tests.agent.user_systemd import UserSystemd, can_be_real, user_systemd
-from tests.e2e.bench import a_mark, sleeping
+from tests.e2e.bench import a_mark, asleep, sleeping
 from tests.sshd import Lab
 
 JOB = Job(
@@ -188,7 +188,7 @@ def test_a_run_in_the_sandbox_reaches_its_hosts(manager: UserSystemd | None, lab
         assert shown["ok"] == "yes", shown
         assert shown["NoNewPrivileges"] == "yes"
         assert shown["ProtectSystem"] == ("full" if "ProtectSystem=full" in units["edgectl-lab.service"] else "no")
-        assert len(sleeping(mark)) == 2, shown["said"]
+        assert len(asleep(mark)) == 2, shown["said"]
     finally:
         subprocess.run([*edgectl, "stop", "--all", "--yes", *files], cwd=tmp_path, env=env, check=False, capture_output=True, timeout=60)
     assert sleeping(mark) == []
