@@ -22,7 +22,7 @@ from edgectl.model.scenario import Scenario
 from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Task, Tasks
 from edgectl.units import format_instant
-from edgectl.views import describe
+from edgectl.views import host_sheet, task_sheet
 from edgectl.views.absent import Absent, absent
 from edgectl.views.demands import stated
 from edgectl.views.diagnosis import document as diagnosis_document
@@ -268,11 +268,11 @@ def top_tasks_line(value: Snapshot, inventory: Inventory, tasks: Tasks, points: 
 
 def host_details(name: str, value: Snapshot, inventory: Inventory, _tasks: Tasks, happened: Sequence[Event], _look: Look = PLAIN) -> str:
     """Everything that is known of a host."""
-    return dumps(describe.host_details(name, value, inventory, happened))
+    return dumps(host_sheet.host_details(name, value, inventory, happened))
 
 
 def task_details(
     name: str, value: Snapshot, inventory: Inventory, tasks: Tasks, step: Step | None, happened: Sequence[Event], _look: Look = PLAIN
 ) -> str:
     """Everything that is known of a task."""
-    return dumps(describe.task_details(name, value, inventory, tasks, step, happened))
+    return dumps(task_sheet.task_details(name, value, inventory, tasks, step, happened))

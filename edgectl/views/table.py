@@ -13,12 +13,11 @@ from edgectl.model.snapshot import HostSample, LinkSample, Snapshot, TaskSample,
 from edgectl.model.task import Task, Tasks
 from edgectl.units import format_bytes, format_cores, format_duration, format_instant, format_rate
 from edgectl.views.absent import absent, silence
-from edgectl.views.describe import host as host_details  # noqa: F401
-from edgectl.views.describe import task as task_details  # noqa: F401
 from edgectl.views.diagnosis import text as diagnosis  # noqa: F401  (a form of its own module)
 from edgectl.views.events import more as events_more  # noqa: F401
 from edgectl.views.events import text as events  # noqa: F401
 from edgectl.views.explanation import text as explanation  # noqa: F401  (a form of its own module)
+from edgectl.views.host_sheet import host as host_details  # noqa: F401
 from edgectl.views.listing import more_text as listing_more  # noqa: F401
 from edgectl.views.listing import text as listing  # noqa: F401
 from edgectl.views.measured import text as measured  # noqa: F401
@@ -29,6 +28,7 @@ from edgectl.views.replayed import text as replayed  # noqa: F401
 from edgectl.views.sections import STYLES, closed, expected, figure, header, note_lines, notes, silent, summary
 from edgectl.views.simulated import text as simulated  # noqa: F401
 from edgectl.views.state import STATES, host_status, phrase, remarks
+from edgectl.views.task_sheet import task as task_details  # noqa: F401
 from edgectl.views.text import PLAIN, Cell, Look, Row, columns, fits, harmless, paint
 from edgectl.views.top import hosts as top_hosts  # noqa: F401
 from edgectl.views.top import tasks as top_tasks  # noqa: F401
