@@ -33,7 +33,7 @@ def experiment_run_command(
 
     Examples:
         edgectl experiment run tasks/mission/experiment.yaml
-        edgectl experiment run tasks/mission/experiment.yaml --out runs/again -o json
+        edgectl experiment run tasks/mission/experiment.yaml --out again -o json
     """
     from edgectl.cli.extras import extra
     from edgectl.cli.reach import reach, seconds
