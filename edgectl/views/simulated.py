@@ -23,7 +23,7 @@ def text(scenario: Scenario, values: Iterable[Column], real: Reality, look: Look
             rows.append((Cell(f"  {real.word}", "dim"), *(_written(metric, known.get(metric.name, ())) for metric in metrics)))
             rows.append((Cell("  off by", "dim"), *(_off_by(value, metric.name, known.get(metric.name, ())) for metric in metrics)))
     runs = max((value.runs for value in found), default=0)
-    lines = [f"{runs} runs of each scheme; {numbers(every=every)}, by edge (local: of the robots)."]
+    lines = [f"{runs} run{'' if runs == 1 else 's'} of each scheme; {numbers(every=every)}, by edge (local: of the robots)."]
     lines += [*given_up(found, "runs"), *ratios(found, lambda value, base: _ratio(real, value, base)), *real.notes]
     lines += ["Assumptions, the same for every scheme:", *(f"- {line}" for line in scenario.assumptions)]
     return table(rows, look) + "\n" + "".join(flowed(line, look) for line in lines)
