@@ -64,6 +64,7 @@ def test_a_wheel_holds_the_files_themselves(tmp_path: Path) -> None:
         for name in FILES[1:]:
             assert wheel.read(f"edgectl/scaffold/{name}") == (ROOT / name).read_bytes()
         assert any(name.startswith("edgectl/agent/") for name in wheel.namelist())
+        assert "edgectl/evidence/page.html" in wheel.namelist()
 
 
 def test_validate_shows_every_mistake_in_each_form(run: Run, site: Path) -> None:
