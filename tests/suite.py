@@ -31,6 +31,9 @@ class Seen:
         elif report.passed and report.when == "call":
             self.passed.add(report.nodeid)
 
+    def pytest_collectreport(self, report: pytest.CollectReport) -> None:
+        self.final |= report.failed
+
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
         """A run that was cut short (``-x``) says nothing of the tests that it left out."""
         self.final |= bool(session.shouldfail or session.shouldstop)

@@ -71,6 +71,16 @@ def test_a_failed_teardown_counts(tmp_path: Path) -> None:
     assert suite(tmp_path, fixture.format(2))[0] == 1
 
 
+@pytest.mark.parametrize("options", [("-n", "2"), ("--continue-on-collection-errors",)])
+def test_a_file_that_cannot_be_read_is_not_forgiven(tmp_path: Path, options: tuple[str, ...]) -> None:
+    """pytest-xdist runs the tests of the others."""
+    (tmp_path / "test_broken.py").write_text("import no_such_module\n")
+    code, said = suite(tmp_path, fails_once("once"), "test_broken.py", "-p", "xdist", *options)
+    assert code != 0, said
+    assert "PASSED ALONE" not in said
+    assert (tmp_path / "once").read_text() == "x"
+
+
 @pytest.mark.parametrize(
     ("tests", "options"),
     [
