@@ -55,7 +55,8 @@ def _mean(figure: Figure | None) -> float | None:
 def _notes(model: Sequence[Column], real: Mapping[str, Column], run: Run) -> Iterator[str]:
     """What was measured, and what has nothing to stand beside."""
     names = [value.variant.name for value in model]
-    yield f"Measured: {sum(value.runs for value in real.values())} trials of {run.experiment.name}."
+    trials = sum(value.runs for value in real.values())
+    yield f"Measured: {trials} trial{'' if trials == 1 else 's'} of {run.experiment.name}."
     yield from _listed("Measured, but not in the model", [name for name in real if name not in names])
     yield from _listed("In the model, but not measured", [name for name in names if name not in real])
     hosts = dict.fromkeys(host for value in model for host in value.hosts)
