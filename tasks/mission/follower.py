@@ -15,6 +15,7 @@ import sys
 import wire
 
 RATE = 10.0
+SCANS, FRAMES = 12, 20
 NEAR = 0.08
 FASTEST_TURN = 5.0
 
@@ -50,8 +51,8 @@ def main() -> int:
     """Run until the tour is done."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--speed", type=float, default=1.5, help="m/s")
-    parser.add_argument("--scans", type=int, default=12, help="scans to be taken at each stop")
-    parser.add_argument("--frames", type=int, default=20, help="frames to be taken at each stop")
+    parser.add_argument("--scans", type=int, default=SCANS, help="scans to be taken at each stop")
+    parser.add_argument("--frames", type=int, default=FRAMES, help="frames to be taken at each stop")
     parser.add_argument("--tour", type=int, default=1000, help="at most so many stops")
     args = parser.parse_args()
     robot, pace = wire.own_robot(), wire.Pace(RATE)
