@@ -95,7 +95,7 @@ def _share_host(world: World, host: str, here: Mapping[str, Service]) -> None:
     got = fair(machine.cores, {**wanted, _BASE: machine.base_cores})
     world.cores |= {name: got[name] for name in wanted}
     world.rates |= {name: {} for name in here}
-    for robot in {robot for service in here.values() for robot in _links(world, service)}:
+    for robot in dict.fromkeys(robot for service in here.values() for robot in _links(world, service)):
         rates = {name: _rate(world, service, robot) for name, service in here.items() if service.ready and robot in _links(world, service)}
         for name, rate in fair(_capacity(world, host, robot), rates).items():
             if rates[name] > 0:
