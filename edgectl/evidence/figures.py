@@ -15,6 +15,8 @@ Values = Mapping[str, tuple[float | None, ...]]
 _T = (12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228, 2.201, 2.179, 2.160, 2.145, 2.131, 2.120, 2.110, 2.101, 2.093,
       2.086, 2.080, 2.074, 2.069, 2.064, 2.060, 2.056, 2.052, 2.048, 2.045, 2.042)  # fmt: skip
 _NORMAL = 1.960
+# A value from here on is taken for none: applications may write anything, and sums of it overflow.
+LARGEST = 1e100
 _PER_HOST: dict[str, Callable[[Usage], float | None]] = {
     "cpu": lambda usage: 100 * usage.cpu,
     "cpu peak": lambda usage: 100 * usage.cpu_peak,
@@ -33,15 +35,20 @@ def figure(values: Sequence[float]) -> Figure:
     return Figure(mean=fmean(values), std=spread, half=t * spread / sqrt(len(values)), count=len(values))
 
 
+def there(values: Iterable[float | None]) -> list[float]:
+    """The values that can be reckoned with."""
+    return [value for value in values if value is not None and abs(value) < LARGEST]
+
+
 def known(values: Iterable[float | None]) -> Figure | None:
     """The figure of the runs that have a value."""
-    found = [value for value in values if value is not None]
+    found = there(values)
     return figure(found) if found else None
 
 
 def mean(values: Iterable[float | None]) -> float | None:
     """The mean of the values that are there."""
-    found = [value for value in values if value is not None]
+    found = there(values)
     return fmean(found) if found else None
 
 

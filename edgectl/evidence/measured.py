@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 from statistics import fmean
 
-from edgectl.evidence.figures import Values, joined, known, mean, over
+from edgectl.evidence.figures import Values, joined, known, mean, over, there
 from edgectl.model.evidence import Column, Variant
 from edgectl.model.experiment import Load, Machine, Reading, Run, Summary, Trial
 from edgectl.model.inventory import Role
@@ -74,7 +74,7 @@ def _over_time(at: Sequence[float], values: Sequence[float]) -> float | None:
         return None
     seconds = at[-1] - at[0]
     if seconds <= 0:
-        return fmean(values)
+        return mean(values)
     return (
         sum((end - start) * (one + other) / 2 for (start, end), (one, other) in zip(pairwise(at), pairwise(values), strict=True)) / seconds
     )
@@ -84,4 +84,5 @@ def _metric(readings: Mapping[str, Sequence[Reading]], summary: Summary) -> floa
     """One number of a trial: of each task, then the mean over the tasks that have any."""
     summarise = _SUMMARIES[summary]
     ordered = (sorted(each, key=lambda reading: reading.at) for each in readings.values())
-    return mean(summarise([reading.value for reading in each]) for each in ordered if each)
+    values = (there(reading.value for reading in each) for each in ordered)
+    return mean(summarise(each) for each in values if each)

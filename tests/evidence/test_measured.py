@@ -95,6 +95,16 @@ def test_what_was_not_measured_is_nothing_and_no_zero() -> None:
     assert set(nothing.figures.values()) == {(None,)}
 
 
+@pytest.mark.parametrize("wild", [1e308, -1e308, 1e100, float("inf"), float("nan")])
+def test_what_cannot_be_reckoned_with_is_none(wild: float) -> None:
+    readings = {"fps": {"a": (Reading(at=1.0, value=4.0), Reading(at=2.0, value=wild), Reading(at=3.0, value=wild))}}
+    loads = {"edge1": (load(0.0, wild, 100.0), load(1.0, wild, 100.0)), "edge2": (load(0.0, wild), load(0.0, 1.0))}
+    found = column(run(*(trial(repetition=number, readings=readings, loads=loads) for number in (1, 2)), metrics={"fps": Summary.MEAN}))
+    assert found.metrics["fps"] == Figure(mean=4.0, count=2)
+    assert means(found.figures["cpu"]) == [None, 50.0]
+    assert means(found.figures["memory"])[0] == 10.0
+
+
 def test_maps_are_those_that_the_experiment_names() -> None:
     found = columns(a_run(trials=4))
     assert found[0].maps.keys() == {"ssim"}
