@@ -123,7 +123,7 @@ def user_systemd(folder: Path, *, real: bool, read_only: tuple[str, ...] = ()) -
         yield UserSystemd(_wrapper(folder, process.pid, uid, fake=not real), real, process.pid, folder)
     finally:
         process.send_signal(signal.SIGKILL)
-        process.wait(10)
+        process.wait(60)
         for group in groups:
             _remove(group)
 
@@ -155,7 +155,7 @@ def _wrapper(folder: Path, pid: int, uid: int, *, fake: bool) -> Path:
 
 
 def _wait_for(found: object, log: Path) -> None:
-    deadline = time.monotonic() + 15
+    deadline = time.monotonic() + 60
     while not found():  # type: ignore[operator]
         assert time.monotonic() < deadline, log.read_text()[-2000:]
         time.sleep(0.05)

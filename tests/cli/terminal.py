@@ -13,7 +13,7 @@ from typing import Self
 class Terminal:
     """Runs ``words`` with all three streams on a pseudo-terminal."""
 
-    def __init__(self, words: list[str], directory: Path, *, env: Mapping[str, str] | None = None, limit_s: float = 60.0) -> None:
+    def __init__(self, words: list[str], directory: Path, *, env: Mapping[str, str] | None = None, limit_s: float = 120.0) -> None:
         self._ours, theirs = pty.openpty()
         self._end = time.monotonic() + limit_s
         self.seen = ""
@@ -45,7 +45,7 @@ class Terminal:
         """Read to the end; the exit code."""
         while self._read():
             pass
-        return self.process.wait(10)
+        return self.process.wait(30)
 
     def __enter__(self) -> Self:
         return self

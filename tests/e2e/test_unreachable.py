@@ -51,7 +51,7 @@ def cut(server: Server) -> None:
 
 def mend(server: Server) -> None:
     server.start()
-    server.wait(time.monotonic() + 30)
+    server.wait()
 
 
 def wait_until(condition: Callable[[], bool], within: float) -> None:

@@ -291,7 +291,7 @@ class NamespaceHost:
         assert self.chassis.stdout is not None
         self.chassis.stdin.close()
         self.chassis.stdout.close()
-        self.chassis.wait(10)
+        self.chassis.wait(60)
         self.group.remove()
 
 

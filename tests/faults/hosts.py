@@ -96,7 +96,7 @@ class LoopbackHost:
     def boot(self) -> None:
         if self.server.process is None:
             self.server.start()
-            self.server.wait(time.monotonic() + 10)
+            self.server.wait()
 
     def processes(self) -> list[Process]:
         """What logins have left behind (the sessions themselves carry no mark of ours, or are the shells that sshd runs)."""
@@ -127,7 +127,7 @@ class LoopbackHost:
         }
         self.server.configure(env=standard | self.env, authorized=self.lab.authorized_keys, extra=extra)
         self._hang_up()
-        self.server.wait(time.monotonic() + 10)
+        self.server.wait()
 
     def _hang_up(self) -> None:
         assert self.server.process is not None

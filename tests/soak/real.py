@@ -61,7 +61,7 @@ class Power:
         """Between cycle ``number`` and the next."""
         if self.dead is not None and (number % self.rhythm.period == self.rhythm.dead or number >= self.last):
             self.dead.start()
-            self.dead.wait(time.monotonic() + 20)
+            self.dead.wait()
             self.dead = None
         elif number % self.rhythm.period == 0 and number < self.last:
             self.dead = self.lab[NAMES[self.losses % len(NAMES)]]
