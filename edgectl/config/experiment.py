@@ -126,7 +126,7 @@ def _experiment(fields: Fields, beside: Path, tasks: Tasks, problems: Problems) 
     return Experiment(
         name=values.get("name", ""),
         variants=_variants(values.get("schemes"), tasks.policy, problems),
-        until=tuple(_until(fields, tasks, problems)),
+        until=tuple(dict.fromkeys(_until(fields, tasks, problems))),
         **stated,
     )
 
@@ -141,16 +141,19 @@ def _variants(schemes: Fields | None, base: Policy, problems: Problems) -> tuple
 
 
 def _until(fields: Fields, tasks: Tasks, problems: Problems) -> Iterator[str]:
-    """The tasks whose completion ends a trial: each is there, and can complete."""
+    """The tasks whose completion ends a trial: each is there, and can complete. A template stands for all that it makes."""
     entries: Entries = fields.values.get("until", ())
     if fields.values.get("until") == ():
         problems.add(fields.at("until").mark, Code.MISSING, "nothing ends a trial", "name a task that completes")
-    for task in _once(entries, problems):
-        node = next(inner for word, inner in entries if word == task)
-        if _known(node, task, tasks, problems) and not _completes(tasks.tasks[task]):
-            message = f"{task} never completes, so no trial would end"
+    for wanted in _once(entries, problems):
+        node = next(inner for each, inner in entries if each == wanted)
+        named = [task for task in tasks.tasks.values() if wanted in (task.name, task.template)]
+        if not named:
+            _known(node, wanted, tasks, problems)
+        elif not all(map(_completes, named)):
+            message = f"{wanted} never completes, so no trial would end"
             problems.add(node.mark, Code.CONTRADICTION, message, "name a task with kind: job or done_when, or give it one of them")
-        yield task
+        yield from (task.name for task in named)
 
 
 def _completes(task: Task) -> bool:

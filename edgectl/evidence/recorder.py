@@ -31,11 +31,17 @@ class Recorder:
         self._loads: dict[str, list[Load]] = {}
         self._readings: dict[str, dict[str, list[Reading]]] = {}
         self._told: set[str] = set()
+        self._given_up: set[str] = set()
 
     @property
     def finished(self) -> bool:
         """Whether all of ``until`` has completed."""
         return self.completed.keys() >= set(self._until)
+
+    @property
+    def hopeless(self) -> bool:
+        """Whether a task of ``until`` was given up, so that it will never complete by itself."""
+        return bool(self._given_up & set(self._until))
 
     def hear(self, event: Progress, at: float) -> None:
         """A step of an action, as it happens. It counts after what the cycle had seen before it acted."""
@@ -94,6 +100,8 @@ class Recorder:
         at = at if found.ended_at is None else min(at, found.ended_at)
         if over and task not in self.completed:
             self.completed[task] = at
+        if found.given_up:
+            self._given_up.add(task)
         if found.state.alive or over:
             self.places[task] = host
         if found.instance not in self._told:

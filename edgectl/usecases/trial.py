@@ -73,7 +73,7 @@ def trial(fleet: Fleet, experiment: Experiment, variant: Variant, repetition: in
         for cycle in cycles:
             recorder.see(cycle)
             options.seen(recorder, cycle)
-            if recorder.finished or own.clock() - (recorder.began or began) >= experiment.limit:
+            if recorder.finished or recorder.hopeless or own.clock() - (recorder.began or began) >= experiment.limit:
                 break
         else:
             return None

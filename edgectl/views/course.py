@@ -44,4 +44,4 @@ def _outcome(course: Course, trial: Trial) -> str:
     if trial.finished:
         return f"finished in {format_duration(round(trial.latency, 1))}, {moved}"
     missing = [task for task in course.until if task not in trial.completed]
-    return f"not finished within {format_duration(trial.latency)}: {', '.join(missing)} did not complete; {moved}"
+    return f"not finished, {', '.join(missing)} did not complete (counts as {format_duration(trial.latency)}); {moved}"

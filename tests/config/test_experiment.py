@@ -47,6 +47,13 @@ def test_a_good_spec_says_all_there_is(tmp_path: Path) -> None:
     assert experiment_files(tmp_path / "spec.yaml") == (tmp_path / "../lab.yaml", tmp_path / "../mission.yaml")
 
 
+def test_a_template_stands_for_all_of_its_tasks(tmp_path: Path) -> None:
+    path = tmp_path / "spec.yaml"
+    path.write_text("version: 1\nname: short\nuntil: [tour, tour-robot2]\n")
+    tours = [a_task(f"tour-robot{number}", template="tour", kind=Kind.JOB) for number in (1, 2)]
+    assert load_experiment(path, some_tasks(*tours)).until == ("tour-robot1", "tour-robot2")
+
+
 def test_a_short_spec_compares_as_simulate_does(tmp_path: Path) -> None:
     found = read(tmp_path, "version: 1\nname: short\nuntil: [map-merge]\n")
     assert [variant.name for variant in found.variants] == [

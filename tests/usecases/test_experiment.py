@@ -157,6 +157,21 @@ def test_a_trial_that_reaches_its_limit_is_kept_as_unfinished_and_the_next_comes
     assert (run.trials[0].latency, lab.running()) == (60.0, [])
 
 
+def test_a_mission_whose_last_task_was_given_up_is_not_waited_for(lab: Lab) -> None:
+    def fail(course: Course) -> None:
+        for host in lab.hosts.hosts.values():
+            if host.tasks.get("merge", {}).get("pid"):
+                host.tasks["merge"] |= {"state": "crashloop", "pid": 0, "exit_code": 1, "given_up": True}
+                host.world.ends("merge", host.name)
+
+    lab.mission = fail
+    began = lab.hands.seconds
+    run = lab.run(replace(SPEC, repetitions=1, limit=10000.0))
+    assert [(trial.finished, trial.latency) for trial in run.trials] == [(False, 10000.0)] * 2
+    assert lab.hands.seconds - began < 1000.0
+    assert lab.running() == []
+
+
 def test_one_that_is_told_to_end_stops_its_tasks_and_the_same_call_goes_on(lab: Lab) -> None:
     def ended_in_the_second(course: Course) -> None:
         if course.number == 2:
