@@ -12,7 +12,7 @@ from edgectl.model.plan import Action
 from edgectl.model.result import Outcome
 from edgectl.model.task import Tasks
 from tests.builders import a_robot, a_task, an_edge, an_inventory, some_tasks
-from tests.soak.gauge import Reading, take
+from tests.soak.gauge import Reading, at_rest, take
 from tests.usecases.watching import Site
 
 EDGES = ("edge1", "edge2", "edge3")
@@ -100,7 +100,8 @@ def soak(cycles: int, quiet: int = QUIET, warm_at: float = WARM_AT, seed: int = 
             if cycle.number == int(cycles * warm_at):
                 warm = take()
             if cycle.number == cycles:
-                end = take()
+                assert warm is not None
+                end = at_rest(warm)
         counts["losses"] = trouble.losses
         assert site.hosts.placed.keys() == work().tasks.keys(), site.hosts.placed
         assert not site.hosts.world.overlap, f"ran twice: {site.hosts.world.overlap}"

@@ -48,6 +48,14 @@ def take(remote: Callable[[], int] = lambda: 0, *, settle_s: float = 5.0) -> Rea
     )
 
 
+def at_rest(warm: Reading, remote: Callable[[], int] = lambda: 0, *, patience_s: float = 30.0) -> Reading:
+    """As `take`, again and again while there is more than when it was ``warm``: what is only on its way out is no growth."""
+    deadline = time.monotonic() + patience_s
+    while grown(warm, found := take(remote)) and time.monotonic() < deadline:
+        time.sleep(0.2)
+    return found
+
+
 def _threads() -> int:
     return len(list(Path("/proc/self/task").iterdir()))
 

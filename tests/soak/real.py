@@ -14,7 +14,7 @@ from edgectl.model.result import Outcome
 from edgectl.usecases.watch import WatchOptions, watch
 from tests.builders import an_inventory, some_tasks
 from tests.e2e.bench import a_mark, a_sleeper, a_slice, managing
-from tests.soak.gauge import Reading, take
+from tests.soak.gauge import Reading, at_rest, take
 from tests.sshd import MARK, Lab, Server, running_lab
 from tests.usecases.watching import EVERY, Hands, Hurried
 
@@ -90,13 +90,14 @@ def soak(lab: Lab, directory: Path, cycles: int, rhythm: Rhythm = Rhythm()) -> t
                 if cycle.number == rhythm.period - 1:
                     warm = take(lambda: living(lab))
                 if cycle.number == cycles:
-                    end = take(lambda: living(lab))
+                    assert warm is not None
+                    end = at_rest(warm, lambda: living(lab))
                     assert cycle.snapshot is not None
                     alive = [task for host in cycle.snapshot.hosts.values() for task, entry in host.tasks.items() if entry.state.alive]
                     assert sorted(alive) == sorted(marks), alive
                 power.strike(cycle.number)
         counts["losses"] = power.losses
-    deadline = time.monotonic() + 20
+    deadline = time.monotonic() + 60
     while living(lab) and time.monotonic() < deadline:
         time.sleep(0.1)
     counts["left behind"] = living(lab)
