@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from edgectl.evidence.drawing_sheet import Drawing, below, breadth, clock, colour_of, name_rows, panels, shortened, wrapped
+from edgectl.evidence.figures import LARGEST
 from edgectl.evidence.trials import trials_of, tried
 from edgectl.model.experiment import Machine, Run, Trial
 from edgectl.model.order import natural_key
@@ -62,7 +63,11 @@ def _sent(trial: Trial, host: str) -> Series:
 
 
 def _reading(name: str) -> Read:
-    return lambda trial, task: [(reading.at, reading.value) for reading in trial.readings.get(name, {}).get(task, ())]
+    def read(trial: Trial, task: str) -> Series:
+        found = trial.readings.get(name, {}).get(task, ())
+        return [(reading.at, reading.value) for reading in found if abs(reading.value) < LARGEST]
+
+    return read
 
 
 def _over_time(

@@ -16,7 +16,7 @@ from edgectl.evidence.drawing import Drawing, drawings, inline, pdf, svg
 from edgectl.evidence.page import Picture, Table, page
 from edgectl.evidence.trials import missing, tried, typical
 from edgectl.model.evidence import Variant
-from edgectl.model.experiment import Load, Machine, Run, Trial
+from edgectl.model.experiment import Load, Machine, Reading, Run, Trial
 from edgectl.model.inventory import Role
 from edgectl.model.policy import Policy
 from tests.evidence.runs import SCHEMES, a_run
@@ -79,7 +79,7 @@ def nothing(run: Run) -> Run:
 
 
 def degenerate() -> Iterator[tuple[str, Run]]:
-    run = a_run(SCHEMES[1:3], 2)
+    run = a_run(SCHEMES[2:3], 2)
     yield "one trial", a_run(trials=1)
     yield "one scheme, one trial", a_run(SCHEMES[2:3], 1)
     yield "none finished", bare(run, *(replace(trial, finished=False, latency=300.0, completed={}) for trial in run.trials))
@@ -89,9 +89,11 @@ def degenerate() -> Iterator[tuple[str, Run]]:
     yield "idle", bare(run, *(replace(trial, loads={"edge1": _still()}) for trial in run.trials))
     yield "unmeasured downtime", bare(run, *(replace(t, handoffs=tuple(replace(h, downtime=None) for h in t.handoffs)) for t in run.trials))
     yield "negative metric", bare(run, *(replace(trial, readings=_negative(trial)) for trial in run.trials))
+    yield "absurd metric", bare(run, *(replace(trial, readings=_absurd(trial)) for trial in run.trials))
     yield "hosts that nobody knows", replace(run, machines={"edge9": Machine(role=Role.EDGE, cores=2.0, memory=2.0**31)})
     yield "hours", bare(run, *(_slower(trial, 120.0) for trial in run.trials))
-    yield "many", a_run(MANY, 2)
+    many = a_run(MANY, 2)
+    yield "many", bare(many, *(replace(trial, loads={"edge1": trial.loads["edge1"]}, readings={}) for trial in many.trials))
     yield "large fleet", _larger(a_run(SCHEMES[2:3], 1))
 
 
@@ -105,8 +107,13 @@ def _still() -> tuple[Load, ...]:
     return tuple(Load(at=at, cores=0.0, memory=0.0, bytes_per_s=0.0) for at in (0.0, 0.0, 5.0))
 
 
-def _negative(trial: Trial) -> dict[str, dict[str, tuple]]:
+def _negative(trial: Trial) -> dict[str, dict[str, tuple[Reading, ...]]]:
     return {"loss": {task: tuple(replace(each, value=-each.value) for each in rows) for task, rows in trial.readings["loss"].items()}}
+
+
+def _absurd(trial: Trial) -> dict[str, dict[str, tuple[Reading, ...]]]:
+    rows = trial.readings["loss"]["map-merge"]
+    return {name: {"map-merge": tuple(replace(each, value=value) for each in rows)} for name, value in (("loss", 1e308), ("fps", 5e-324))}
 
 
 def _slower(trial: Trial, times: float) -> Trial:
@@ -128,7 +135,7 @@ def test_whatever_a_run_has_gives_a_whole_page(run: Run) -> None:
 
 
 def test_the_page_needs_nothing_but_itself() -> None:
-    text = a_page(a_run(SCHEMES[:3], 2))
+    text = a_page(a_run(SCHEMES[1:3], 1))
     found = Outline(text)
     assert "script" not in found.elements
     assert not found.elements & {"link", "img", "iframe", "object", "embed", "image", "base", "form"}
@@ -141,7 +148,7 @@ def test_the_page_needs_nothing_but_itself() -> None:
 
 
 def test_every_name_stands_in_the_page() -> None:
-    run = a_run(SCHEMES[1:], 1)
+    run = a_run(SCHEMES[1:3], 1)
     words = Outline(a_page(run)).words
     names = {trial.scheme for trial in run.trials} | set(run.machines) | {span.task for trial in run.trials for span in trial.spans}
     assert [name for name in names if name not in words] == []
@@ -170,12 +177,13 @@ def test_drawings_are_whole_and_never_vary() -> None:
         assert ET.fromstring(text).tag == "{http://www.w3.org/2000/svg}svg"
         assert b"<text" in text, "words that can be found"
         assert text == svg(other)
+        assert one.caption.endswith(".")
+        assert len(one.caption) > 40
+    for one, other in zip(first[:1] + first[5:7], second[:1] + second[5:7], strict=True):
         document = pdf(one)
         assert document.startswith(b"%PDF-")
         assert document == pdf(other)
         assert b"CreationDate" not in document
-        assert one.caption.endswith(".")
-        assert len(one.caption) > 40
 
 
 def test_what_a_file_says_is_words_and_never_markup() -> None:
@@ -198,10 +206,10 @@ def test_a_name_in_a_script_that_the_font_lacks_is_drawn_all_the_same() -> None:
     assert pdf(found[-1]).startswith(b"%PDF-")
 
 
-@pytest.mark.parametrize("run", [a_run(repetitions=1), a_run(MANY[:9], 1)], ids=["as the paper has it", "many schemes with long names"])
+@pytest.mark.parametrize("run", [a_run(repetitions=1), a_run(MANY[:7], 1)], ids=["as the paper has it", "many schemes with long names"])
 def test_words_neither_overlap_nor_leave_the_figure(run: Run) -> None:
     for drawing in drawings(run):
-        if drawing.name in ("memory", "metric-2"):
+        if drawing.name in ("memory", "throughput", "metric-2"):
             continue  # as cpu and metric-1
         boxes = extents(drawing)
         assert len(boxes) > 5
