@@ -17,7 +17,9 @@ from edgectl.model.experiment import Experiment, MapPair, Trial
 from edgectl.model.memory import Memory
 from edgectl.model.snapshot import Snapshot, TaskState
 from edgectl.state.files import FORMAT_VERSION, read_json, write_json
+from edgectl.state.journal import NAME as JOURNAL
 from edgectl.state.journal import Journal
+from edgectl.state.journal_read import standing
 from edgectl.state.keeper import Keeper
 from edgectl.state.links import load_links, save_links
 from edgectl.state.memory import load_memory, save_memory
@@ -93,7 +95,8 @@ def _newcomer(fleet: Fleet, name: str, before: Snapshot) -> Fleet:
     write_json(state / _STAMP, _before(fleet), keep=False)
     save_memory(state, Memory(cordons=said.cordons, draining=said.draining))
     save_links(state, load_links(fleet.state, fleet.warn))
-    save_reopened(state, (*load_reopened(fleet.state, fleet.warn), *_over(before)))
+    save_reopened(state, tuple(dict.fromkeys((*load_reopened(fleet.state, fleet.warn), *_over(before)))))
+    _pass_holds_on(fleet, fleet.state, state, released=False)
     return replace(fleet, state=state, history=Keeper(), clock=lambda: began + fleet.uptime().seconds - since)
 
 
@@ -122,11 +125,22 @@ def clear(fleet: Fleet) -> None:
     """
     for state in sorted(fleet.state.glob(f"{_PREFIX}*")):
         own = replace(fleet, state=private_dir(state), history=Keeper())
-        known = _generations(own)
-        snapshot = _emptied(own, known) if _untouched(fleet, state) else _asked(own)
+        known, untouched = _generations(own), _untouched(fleet, state)
+        snapshot = _emptied(own, known) if untouched else _asked(own)
         ended = sorted(instance for instance, (task, generation) in _over(snapshot).items() if generation <= known.get(task, -1))
         save_reopened(fleet.state, (*load_reopened(fleet.state, fleet.warn), *ended))
+        _pass_holds_on(fleet, state, fleet.state, released=untouched)
         shutil.rmtree(state)
+
+
+def _pass_holds_on(fleet: Fleet, source: Path, target: Path, *, released: bool) -> None:
+    """A robot that was told to hold is let go by whoever steers it next, so its hold outlives the journal that knows of it."""
+    held, known = set(standing(source / JOURNAL).held), set(standing(target / JOURNAL).held)
+    told = [*(("phase", task) for task in held - known), *(("released", task) for task in known - held if released)]
+    if told:
+        with Journal.open(target, clock=fleet.clock, warn=fleet.warn) as journal:
+            for event, task in sorted(told):
+                journal.append(event, task=task, **({"phase": "hold"} if event == "phase" else {}))
 
 
 def _untouched(fleet: Fleet, state: Path) -> bool:

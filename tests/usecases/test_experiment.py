@@ -13,7 +13,9 @@ from edgectl.model.experiment import Experiment, MapPair, Run
 from edgectl.model.inventory import Inventory
 from edgectl.model.plan import Action
 from edgectl.model.policy import Policy, PolicyName
-from edgectl.model.task import Kind, Tasks
+from edgectl.model.task import Check, Handoff, Kind, Tasks
+from edgectl.state.journal import NAME, Journal
+from edgectl.state.journal_read import read
 from edgectl.state.lock import FleetLock
 from edgectl.usecases.experiment import ExperimentOptions, experiment
 from edgectl.usecases.marks import cordon
@@ -239,6 +241,20 @@ def test_a_later_start_by_another_manager_is_not_ours(lab: Lab) -> None:
     with pytest.raises(FleetBusyError, match="slam runs on edge1"):
         lab.run()
     assert lab.running() == ["slam"]
+
+
+@pytest.mark.parametrize("exit_code", [0, 1])
+def test_a_robot_that_holds_is_let_go_by_a_trial_or_remembered_after_it(lab: Lab, exit_code: int) -> None:
+    handoff = Handoff(hold=Check(command="hold"), release=Check(command="let go"))
+    tasks = some_tasks(replace(TASKS.tasks["slam"], handoff=handoff), TASKS.tasks["merge"])
+    lab.fleet = replace(lab.fleet, tasks=tasks)
+    for host in lab.hosts.hosts.values():
+        host.checks["let go"] = exit_code
+    with Journal.open(lab.fleet.state) as journal:
+        journal.append("phase", task="slam", phase="hold", host="robot1")
+    lab.run(replace(SPEC, repetitions=1))
+    assert read(lab.fleet.state / NAME).held == (() if exit_code == 0 else ("slam",))
+    assert [event for event in lab.hosts.world.events if "let go" in event][:1]
 
 
 def test_what_cannot_be_stopped_is_said_and_its_trial_is_kept(lab: Lab) -> None:
