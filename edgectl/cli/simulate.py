@@ -32,7 +32,7 @@ def simulate_command(
         edgectl simulate docs/scenarios/paper-2.yaml --runs 2
         edgectl simulate docs/scenarios/paper-1.yaml --policy local,static --seed 7
         edgectl simulate docs/scenarios/paper-2.yaml --weights all -n 1 -o json
-        edgectl simulate docs/scenarios/paper-2.yaml --weights all -n 2 --against docs/examples/run
+        edgectl simulate docs/scenarios/paper-2.yaml --against docs/examples/run
     """
     from edgectl.cli.compare import variants_of
     from edgectl.cli.extras import extra
