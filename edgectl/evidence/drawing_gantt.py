@@ -57,7 +57,7 @@ def _figure(run: Run, trials: Sequence[Trial]) -> Figure:
     hosts = dict.fromkeys([*run.machines, *(span.host for trial in trials for span in trial.spans)])
     there = {span.host for trial in trials for span in trial.spans}
     colours = {host: _HOSTS[number % len(_HOSTS)] for number, host in enumerate(hosts) if host in there}
-    end = max(trial.latency for trial in trials) or 1.0
+    end = max(moment for trial in trials for moment in (trial.latency, *(span.end for span in trial.spans))) or 1.0
     unit, word = clock(end)
     across, legend = min(len(trials), _ACROSS), _legend(colours)
     top = 0.3 + 0.14 * ceil((len(colours) + 2) / legend)

@@ -131,18 +131,21 @@ def _scale(panel: Axes, most: float) -> None:
 
 
 def _mean(trials: Sequence[Series], every: float) -> Series:
-    """The mean over the trials that have a value at a time, as long as half of them do."""
+    """The mean over the trials that have a value at a time, as long as half of them do; one trial alone is its own mean."""
+    if len(trials) == 1:
+        return trials[0]
     end = max((series[-1][0] for series in trials), default=0.0)
-    step = max(every, end / _STEPS) or 1.0
-    times = [step * number for number in range(int(end / step) + 1)]
-    values = [(at, [value for series in trials if (value := _at(series, at)) is not None]) for at in times]
+    step = max(every, end / _STEPS)
+    times = [step * number for number in range(round(end / step) + 1)]
+    values = [(at, [value for series in trials if (value := _at(series, at, step / 2)) is not None]) for at in times]
     return [(at, fmean(found)) for at, found in values if found and 2 * len(found) >= len(trials)]
 
 
-def _at(series: Series, at: float) -> float | None:
-    """The value between the two samples around ``at``; None outside of the series."""
+def _at(series: Series, at: float, near: float) -> float | None:
+    """The value between the two samples around ``at``, or at an end that is ``near`` (s); None outside of the series."""
     after = bisect_right(series, at, key=lambda sample: sample[0])
-    if after == 0 or after == len(series):
-        return series[-1][1] if series[-1][0] == at else None
+    if after in (0, len(series)):
+        end = series[0] if after == 0 else series[-1]
+        return end[1] if abs(end[0] - at) <= near else None
     (since, before), (until, behind) = series[after - 1], series[after]
     return before + (behind - before) * (at - since) / (until - since)

@@ -261,8 +261,10 @@ def test_the_typical_trial_is_a_finished_one_of_median_latency() -> None:
 def test_the_mean_goes_on_while_half_of_the_trials_do() -> None:
     from edgectl.evidence.drawing_time import _mean
 
-    assert _mean([[(0.0, 0.0), (10.0, 10.0)], [(0.0, 2.0), (4.0, 2.0)]], 5.0) == [(0.0, 1.0), (5.0, 5.0), (10.0, 10.0)]
+    assert _mean([[(0.0, 0.0), (10.0, 10.0)], [(0.0, 2.0), (4.0, 2.0)]], 5.0) == [(0.0, 1.0), (5.0, 3.5), (10.0, 10.0)]
     assert _mean([[(0.0, 0.0), (10.0, 10.0)], [(1.0, 2.0), (5.0, 4.0)], [(0.0, 4.0), (5.0, 6.0)]], 5.0) == [(0.0, 2.0), (5.0, 5.0)]
+    assert _mean([[(5.1, 3.0), (9.9, 4.0)], [(5.2, 5.0), (9.0, 6.0)]], 5.0) == [(5.0, 4.0), (10.0, 5.0)], "samples are never on the dot"
+    assert _mean([[(5.1, 3.0), (9.9, 4.0)]], 5.0) == [(5.1, 3.0), (9.9, 4.0)]
     assert _mean([], 5.0) == []
 
 
