@@ -81,7 +81,7 @@ GROUPS: dict[str, str] = {
 SUMMARY = "Place robot tasks on edge computers by measured utility: probe, plan, apply, over SSH."
 EXITS = (
     "Exit codes: 0 done; 1 failed; 2 changes pending, 3 unplaced (plan --detailed-exitcode); 4 partly done; 64 usage; "
-    "75 locked or stale, try again; 130 interrupted.\n\n"
+    "75 locked, stale or busy, try again; 130 interrupted.\n\n"
     "Environment: EDGECTL_INVENTORY, EDGECTL_TASKS, EDGECTL_OUTPUT, EDGECTL_STATE_DIR, EDGECTL_DEBUG, NO_COLOR, FORCE_COLOR."
 )
 SETTINGS: dict[str, Any] = {"help_option_names": ["-h", "--help"], "max_content_width": 100}

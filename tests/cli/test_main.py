@@ -125,7 +125,7 @@ def test_help_stands_in_groups_and_names_exit_codes(run: Run) -> None:
     assert said.code == 0
     for group in ("Schedule:", "Inspect:", "Fleet:", "Files:", "Settings:"):
         assert f"\n{group}\n" in said.out
-    assert "75 locked or stale" in " ".join(said.out.split())
+    assert "75 locked, stale or busy" in " ".join(said.out.split())
     assert run("-h").out == said.out
 
 
