@@ -34,7 +34,8 @@ q        quit
 
 Everything is measured again every few seconds. Sparklines show
 the newest samples of the history, the newest at the right: of a
-host up to its capacity, of a task up to its own highest.
+host up to its capacity, of a task up to its demand or its own
+highest.
 """
 
 
@@ -164,7 +165,7 @@ class Top(App[None]):
         silent = f" ({frame.silent} silent)" if frame.silent else ""
         orders = ", ".join(f"{table} by {order}" for table, order in self._orders.items())
         shown = f" · only {self._wanted!r}" if self._wanted else ""
-        text = f"{len(frame.snapshot.hosts)} hosts{silent} · {len(frame.tasks)} tasks · {orders}{shown}"
+        text = f"{len(frame.snapshot.hosts)} hosts{silent} · {len(frame.tasks.tasks)} tasks · {orders}{shown}"
         self.query_one("#head", Static).update(Text(text))
 
     def _fill(self, name: str, titles: Sequence[str], lines: list[Line]) -> None:

@@ -2,19 +2,20 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import groupby
-from operator import attrgetter
 
+from edgectl.model.inventory import Inventory
 from edgectl.model.order import natural_key
 from edgectl.model.point import HostPoint, TaskPoint
 from edgectl.model.snapshot import HostSample, Snapshot, TaskSample
-from edgectl.model.task import Task
-from edgectl.units import format_bytes, format_cores, format_duration, format_instant, format_rate
-from edgectl.views import metrics
+from edgectl.model.task import Task, Tasks
+from edgectl.units import format_bytes, format_cores, format_duration, format_rate
+from edgectl.views import host_sheet, task_sheet
 from edgectl.views.absent import absent, standing
 from edgectl.views.spark import SAMPLES, spark
-from edgectl.views.state import STATES, phrase
+from edgectl.views.state import STATES
 from edgectl.views.text import Cell
+from edgectl.views.top import demand_of
+from edgectl.views.use import apart
 
 # Columns of the terminal: around each cell, and beside the table.
 _PADDING, _SCROLLBAR = 2, 2
@@ -22,12 +23,13 @@ _PADDING, _SCROLLBAR = 2, 2
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Frame:
-    """One picture: the fleet now, what it was by host and by task (oldest first), and the tasks of the files."""
+    """One picture: the fleet now, what it was by host and by task (oldest first), and what the files state."""
 
     snapshot: Snapshot
-    tasks: Mapping[str, Task]
-    host_points: Mapping[str, tuple[HostPoint, ...]] = field(default_factory=dict)
-    task_points: Mapping[str, tuple[TaskPoint, ...]] = field(default_factory=dict)
+    inventory: Inventory
+    tasks: Tasks
+    host_points: Mapping[str, Sequence[HostPoint]] = field(default_factory=dict)
+    task_points: Mapping[str, Sequence[TaskPoint]] = field(default_factory=dict)
 
     @property
     def silent(self) -> int:
@@ -53,17 +55,7 @@ class Line:
 HOST_ORDERS = ("name", "cpu", "memory", "tasks")
 TASK_ORDERS = ("name", "host", "cpu", "memory", "network", "age")
 HOST_TITLES = ("HOST", "STATUS", "CPU", "", "MEMORY", "", "TASKS")
-TASK_TITLES = ("TASK", "HOST", "STATE", "AGE", "CPU", "", "MEMORY", "NETWORK")
-
-
-def by_host(points: Iterable[HostPoint]) -> dict[str, tuple[HostPoint, ...]]:
-    """Samples by host."""
-    return {host: tuple(found) for host, found in groupby(sorted(points, key=attrgetter("host", "at")), key=attrgetter("host"))}
-
-
-def by_task(points: Iterable[TaskPoint]) -> dict[str, tuple[TaskPoint, ...]]:
-    """Samples by task."""
-    return {task: tuple(found) for task, found in groupby(sorted(points, key=attrgetter("task", "at")), key=attrgetter("task"))}
+TASK_TITLES = ("TASK", "HOST", "STATE", "AGE", "CPU/DEMAND", "", "MEMORY", "NETWORK")
 
 
 def chosen(lines: Iterable[Line], wanted: str, order: str) -> list[Line]:
@@ -119,7 +111,7 @@ def task_lines(frame: Frame, width: int, *, unicode: bool) -> list[Line]:
     """One line per task and host that reports it, and one per task of the files that no host reports."""
     runs = [(name, host, sample) for host, each in frame.snapshot.hosts.items() for name, sample in each.tasks.items()]
     seen = {name for name, _, _ in runs}
-    others = [_absent_line(task, frame) for task in frame.tasks.values() if task.name not in seen]
+    others = [_absent_line(task, frame) for task in frame.tasks.tasks.values() if task.name not in seen]
 
     def lines(room: int) -> list[Line]:
         return [_task_line(name, host, sample, frame, room, unicode=unicode) for name, host, sample in runs] + others
@@ -131,17 +123,25 @@ def _task_line(name: str, host: str, sample: TaskSample, frame: Frame, room: int
     cores = [point.used_cores for point in frame.task_points.get(name, ()) if point.host == host]
     age = max(0.0, frame.snapshot.taken_at - sample.started_at) if sample.started_at else 0.0
     alive = sample.state.alive
+    demand = demand_of(name, host, frame.snapshot, frame.inventory, frame.tasks).cores
     cells = (
         Cell(name, "name"),
         Cell(host),
         Cell(sample.state.value, STATES[sample.state]),
         Cell(format_duration(age) if sample.started_at else "-"),
-        Cell(format_cores(sample.used_cores) if alive else "-"),
-        Cell(_past(cores, max([*cores, 0.01]), room, unicode=unicode), "dim"),
+        _against(sample.used_cores, demand) if alive else Cell("-"),
+        Cell(_past(cores, max([demand or 0.01, *cores]), room, unicode=unicode), "dim"),
         Cell(format_bytes(sample.used_bytes) if alive else "-"),
         Cell(format_rate(sample.used_bytes_per_s) if alive else "-"),
     )
     return _line(name, host, cells, cpu=sample.used_cores, memory=sample.used_bytes, network=sample.used_bytes_per_s, age=age)
+
+
+def _against(used: float, demand: float | None) -> Cell:
+    """Cores, and those that were asked for."""
+    if demand is None:
+        return Cell(format_cores(used))
+    return Cell(f"{format_cores(used)}/{format_cores(demand)}", apart(used - demand, demand, format_cores).style)
 
 
 def _absent_line(task: Task, frame: Frame) -> Line:
@@ -181,50 +181,6 @@ def _heat(share: float) -> str:
 
 def described(frame: Frame, line: Line) -> str:
     """Everything that is known of a line."""
-    facts = _task_facts(frame, line) if line.task else _host_facts(frame, str(line.host))
-    width = max(len(name) for name, _ in facts)
-    return "\n".join(f"{name:<{width}}  {value}" for name, value in facts)
-
-
-def _host_facts(frame: Frame, name: str) -> list[tuple[str, str]]:
-    host = frame.snapshot.hosts[name]
-    facts = [("host", f"{name} ({host.role})"), ("status", standing(name, frame.snapshot.memory) or host.status.value)]
-    facts += _given(("error", host.error), ("hint", host.hint))
-    if host.cpu and host.memory:
-        facts.append(("cpu", f"{format_cores(host.cpu.used_cores)} of {format_cores(host.cpu.cores)} cores"))
-        facts.append(("memory", f"{format_bytes(host.memory.used_bytes)} of {format_bytes(host.memory.total_bytes)}"))
-    facts += _optional("load", host.device.load_1m, "{:.2f}") + _optional("temperature", host.device.temperature_c, "{:.0f} °C")
-    for robot, link in host.links.items():
-        trip = "" if link.rtt_ms is None else f", {link.rtt_ms:.1f} ms"
-        used, carries = format_rate(link.used_bytes_per_s), format_rate(link.capacity_bytes_per_s)
-        facts.append((f"link {robot}", f"{used} of {carries} ({link.capacity_source}){trip}"))
-    return facts + [(f"task {task}", phrase(sample)) for task, sample in host.tasks.items()]
-
-
-def _task_facts(frame: Frame, line: Line) -> list[tuple[str, str]]:
-    host = frame.snapshot.hosts.get(line.host or "")
-    sample = host.tasks.get(str(line.task)) if host else None
-    task = frame.tasks.get(str(line.task))
-    facts = [("task", str(line.task)), ("host", line.host or "-"), ("state", phrase(sample) if sample else line.cells[2].text)]
-    if sample:
-        facts += _given(("started", format_instant(sample.started_at) if sample.started_at else ""))
-        facts.append(
-            ("uses", f"{format_cores(sample.used_cores)} cores, {format_bytes(sample.used_bytes)}, {format_rate(sample.used_bytes_per_s)}")
-        )
-        facts.append(("restarts", str(sample.restarts)))
-        facts += _given(("metrics", metrics.line(sample.metrics) if sample.metrics else ""))
-        facts += _given(("limits", sample.limits), *(("said last", text) for text in sample.log_tail))
-    if task:
-        facts += _given(("robots", ", ".join(task.robots)), ("needs", ", ".join(need.task for need in task.needs)))
-        facts += _given(("pinned to", task.hosts.pin or ""))
-    else:
-        facts.append(("files", "no task of the files has this name"))
-    return facts
-
-
-def _given(*facts: tuple[str, str]) -> list[tuple[str, str]]:
-    return [(name, value) for name, value in facts if value]
-
-
-def _optional(name: str, value: float | None, form: str) -> list[tuple[str, str]]:
-    return [] if value is None else [(name, form.format(value))]
+    if line.task:
+        return task_sheet.task(line.task, frame.snapshot, frame.inventory, frame.tasks, None, None)
+    return host_sheet.host(str(line.host), frame.snapshot, frame.inventory, frame.tasks, None)

@@ -6,12 +6,13 @@ from collections.abc import Callable, Iterator
 
 from edgectl.gateway.collect import ProbeOptions
 from edgectl.tui.app import Fleetwork, Said, Top
-from edgectl.tui.rows import Frame, by_host, by_task
+from edgectl.tui.rows import Frame
 from edgectl.usecases import look, marks
 from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.logs import logs
 from edgectl.views.spark import SAMPLES
 from edgectl.views.text import look_of
+from edgectl.views.top import by_host, by_task
 
 _TAIL = 200
 
@@ -38,7 +39,8 @@ def fleetwork(fleet: Fleet, *, readonly: bool = False, options: ProbeOptions | N
         for snapshot in look.looks(fleet, told_to_end, options):
             yield Frame(
                 snapshot=snapshot,
-                tasks=fleet.tasks.tasks,
+                inventory=fleet.inventory,
+                tasks=fleet.tasks,
                 host_points=by_host(look.host_history(fleet, SAMPLES)),
                 task_points=by_task(look.task_history(fleet, SAMPLES)),
             )

@@ -17,8 +17,8 @@ from edgectl.views.top import compared
 from edgectl.views.use import share
 
 
-def host(name: str, value: Snapshot, inventory: Inventory, tasks: Tasks, events: Sequence[Event], look: Look = PLAIN) -> str:
-    """One edge or robot."""
+def host(name: str, value: Snapshot, inventory: Inventory, tasks: Tasks, events: Sequence[Event] | None, look: Look = PLAIN) -> str:
+    """One edge or robot. ``events``: the last ones, oldest first; None: not asked for."""
     stated, sample = inventory.hosts[name], value.hosts.get(name)
     parts = [fields(_host_fields(stated, sample, value), look)]
     if sample is not None and sample.ok:

@@ -25,8 +25,10 @@ def section(title: str, rows: Sequence[Row], look: Look) -> str:
     return paint(f"{title}:", "bold", look) + "\n" + textwrap.indent(columns(rows, narrow, wrap=set(range(8))), " " * _INDENT)
 
 
-def events_section(values: Sequence[Event], look: Look) -> str:
-    """The last events, the part that each description ends with."""
+def events_section(values: Sequence[Event] | None, look: Look) -> str:
+    """The last events; nothing where nobody looked for any."""
+    if values is None:
+        return ""
     if not values:
         return paint("Events:", "bold", look) + " none\n"
     narrow = look if look.width is None else replace(look, width=max(1, look.width - _INDENT))

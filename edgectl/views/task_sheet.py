@@ -22,9 +22,9 @@ from edgectl.views.use import Amounts, apart, demanded, off, shown
 
 
 def task(
-    name: str, value: Snapshot, inventory: Inventory, tasks: Tasks, step: Step | None, events: Sequence[Event], look: Look = PLAIN
+    name: str, value: Snapshot, inventory: Inventory, tasks: Tasks, step: Step | None, events: Sequence[Event] | None, look: Look = PLAIN
 ) -> str:
-    """One task; of one that no file names, only how it runs."""
+    """One task; of one that no file names, only how it runs. ``events``: the last ones, oldest first; None: not asked for."""
     stated = tasks.tasks.get(name)
     runs = _runs(name, value)
     stands = [("Name", Cell(name, "name")), *(_spec(stated) if stated else [("Command", Cell("not in the task files", "warn"))])]

@@ -26,7 +26,7 @@ _RIGHT_MORE = frozenset(range(len(_TASKS), len(_TASKS) + len(_TASKS_MORE)))
 
 def hosts(value: Snapshot, inventory: Inventory, points: Iterable[HostPoint], look: Look = PLAIN, *, wide: bool = False) -> str:
     """Use of each host: of its CPU, its memory and its busiest link, with the CPU over the last samples."""
-    past = _by_host(points)
+    past = by_host(points)
     head: Row = (*_HOSTS, *_HOSTS_MORE) if wide else _HOSTS
     rows = [_host(name, sample, inventory.hosts.get(name), value, look, wide=wide) for name, sample in value.hosts.items()]
     histories = [([_load(point) for point in past.get(name, ())], 1.0) for name in value.hosts]
@@ -99,14 +99,16 @@ def _load(point: HostPoint) -> float | None:
     return point.used_cores / point.cores if point.used_cores is not None and point.cores else None
 
 
-def _by_host(points: Iterable[HostPoint]) -> dict[str, list[HostPoint]]:
+def by_host(points: Iterable[HostPoint]) -> dict[str, list[HostPoint]]:
+    """Samples by host, in the order in which they come."""
     found: dict[str, list[HostPoint]] = {}
     for point in points:
         found.setdefault(point.host, []).append(point)
     return found
 
 
-def _by_task(points: Iterable[TaskPoint]) -> dict[str, list[TaskPoint]]:
+def by_task(points: Iterable[TaskPoint]) -> dict[str, list[TaskPoint]]:
+    """Samples by task, in the order in which they come."""
     found: dict[str, list[TaskPoint]] = {}
     for point in points:
         found.setdefault(point.task, []).append(point)
@@ -120,11 +122,11 @@ def tasks(
 
     Below stands what applications say of themselves.
     """
-    past = _by_task(points)
+    past = by_task(points)
     rows: list[Row] = [(*_TASKS, *_TASKS_MORE) if wide else _TASKS]
     histories: list[tuple[Sequence[float | None], float]] = []
     for name, host, sample in _running(value):
-        demand = _demand(name, host, value, inventory, wanted)
+        demand = demand_of(name, host, value, inventory, wanted)
         rows.append(_task(name, host, sample, wanted.tasks.get(name), demand, value, wide=wide))
         used = [point.used_cores for point in past.get(name, ())]
         histories.append((used, max([demand.cores or 0.0, *used])))
@@ -140,14 +142,15 @@ def tasks(
 def compared(value: Snapshot, inventory: Inventory, wanted: Tasks, *, on: str) -> list[Row]:
     """The rows of the tasks that run on one host, with their head and without the host; none where nothing runs."""
     rows: list[Row] = [
-        _task(name, host, sample, wanted.tasks.get(name), _demand(name, host, value, inventory, wanted), value, wide=False)
+        _task(name, host, sample, wanted.tasks.get(name), demand_of(name, host, value, inventory, wanted), value, wide=False)
         for name, host, sample in _running(value)
         if host == on
     ]
     return [(row[0], *row[2:]) for row in (_TASKS, *rows)] if rows else []
 
 
-def _demand(name: str, host: str, value: Snapshot, inventory: Inventory, wanted: Tasks) -> Amounts:
+def demand_of(name: str, host: str, value: Snapshot, inventory: Inventory, wanted: Tasks) -> Amounts:
+    """What counts as the demand of a task on its host; nothing of one that no file names."""
     task = wanted.tasks.get(name)
     return demanded(task, inventory.hosts.get(host), value.hosts[host], value.memory) if task else Amounts()
 
@@ -191,7 +194,7 @@ def _ready(sample: TaskSample, task: Task | None) -> Cell:
 
 def hosts_document(value: Snapshot, _inventory: Inventory, points: Iterable[HostPoint]) -> Document:
     """The hosts as JSON types, each with its last samples, oldest first."""
-    past = _by_host(points)
+    past = by_host(points)
     items = [
         {"name": name, **encode_host(host), "history": list(map(_host_point, past.get(name, ())))} for name, host in value.hosts.items()
     ]
@@ -204,9 +207,9 @@ def _host_point(point: HostPoint) -> Document:
 
 def tasks_document(value: Snapshot, inventory: Inventory, wanted: Tasks, points: Iterable[TaskPoint]) -> Document:
     """The tasks that run as JSON types, each with its demand, how far it is off it (use minus demand) and its last samples."""
-    past = _by_task(points)
+    past = by_task(points)
     items = [
-        _task_document(name, host, sample, _demand(name, host, value, inventory, wanted), past.get(name, ()))
+        _task_document(name, host, sample, demand_of(name, host, value, inventory, wanted), past.get(name, ()))
         for name, host, sample in _running(value)
     ]
     return {"format_version": FORMAT_VERSION, "taken_at": format_instant(value.taken_at), "tasks": items}

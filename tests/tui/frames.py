@@ -14,8 +14,9 @@ from edgectl.model.memory import Memory
 from edgectl.model.point import HostPoint, TaskPoint
 from edgectl.model.snapshot import HostSample, HostStatus, TaskState
 from edgectl.tui.app import Fleetwork, Top
-from edgectl.tui.rows import Frame, by_host, by_task
-from tests.builders import GI, NOW, a_run, a_sample, a_snapshot, a_task
+from edgectl.tui.rows import Frame
+from edgectl.views.top import by_host, by_task
+from tests.builders import GI, NOW, a_run, a_sample, a_snapshot, a_task, an_edge, an_inventory, some_tasks
 
 LIMIT_S = 60.0
 # What a host that means harm says: it must neither colour nor move anything.
@@ -40,8 +41,14 @@ def a_frame(cordons: frozenset[str] = frozenset()) -> Frame:
         TaskPoint(at=NOW + at, task="slam", host="edge1", state=TaskState.READY, used_cores=at / 4, used_bytes=1.0, used_bytes_per_s=0.0)
         for at in range(5)
     ]
-    names = {name: a_task(name) for name in ("camera", "idle", "map", "slam")}
-    return Frame(snapshot=snapshot, tasks=names, host_points=by_host(hosts), task_points=by_task(tasks))
+    tasks_of = some_tasks(a_task("camera", cpu=2.0), a_task("idle"), a_task("map"), a_task("slam", cpu=1.0))
+    return Frame(
+        snapshot=snapshot,
+        inventory=an_inventory(*map(an_edge, snapshot.hosts)),
+        tasks=tasks_of,
+        host_points=by_host(hosts),
+        task_points=by_task(tasks),
+    )
 
 
 @dataclass
@@ -129,4 +136,5 @@ def crowded(hosts: int, tasks: int) -> Frame:
     frame = a_frame()
     runs = {f"task{number}": a_run(used_cores=0.01) for number in range(tasks)}
     every = {f"edge{number}": replace(a_sample(used=1.0), tasks=runs if number == 0 else {}) for number in range(hosts)}
-    return Frame(snapshot=a_snapshot(**every), tasks={name: a_task(name) for name in runs}, host_points=frame.host_points)
+    inventory = an_inventory(*map(an_edge, every))
+    return Frame(snapshot=a_snapshot(**every), inventory=inventory, tasks=some_tasks(*map(a_task, runs)), host_points=frame.host_points)

@@ -20,10 +20,11 @@ def test_two_tables_in_80_by_24() -> None:
         assert [line.split()[0] for line in lines[2:5]] == ["edge1", "edge2", "edge10"]
         assert lines[2].split() == ["edge1", "ok", "0.60/4.00", "▁▃▅▇█", "25%", "▃▃▃▃▃", "1"]
         assert lines[3].split() == ["edge2", "silent", "-", "-", "-"]
-        assert lines[6].split() == ["TASK", "HOST", "STATE", "AGE", "CPU", "MEMORY", "NETWORK"]
+        assert lines[6].split() == ["TASK", "HOST", "STATE", "AGE", "CPU/DEMAND", "MEMORY", "NETWORK"]
         assert [line.split()[:3] for line in lines[7:11]] == [
             ["camera", "edge10", "running"], ["idle", "-", "not"], ["map", "edge1", "failed"], ["slam", "edge1", "ready"],
         ]  # fmt: skip
+        assert "3.20/2.00" in lines[7].split()
         assert lines[-1].split() == ["q", "Quit", "/", "Filter", "s", "Sort", "d", "Describe", "l", "Logs", "c", "Cordon", "?", "Help"]
 
     async def act(pilot: Pilot[None], view: Top) -> None:
@@ -107,6 +108,7 @@ def test_describe_a_task() -> None:
         await pilot.press("tab", "down", "down", "d")
         screen = await until(pilot, view, "it broke")
         assert "failed" in screen
+        assert "Command:" in screen
         assert "[red]no[/red] \\x1b[2J" in screen
 
     session(Bench(), act)

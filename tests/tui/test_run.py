@@ -31,7 +31,7 @@ def test_each_picture_has_the_samples_before_it(fleet: Fleet) -> None:
     frames = list(fleetwork(fleet).frames(lambda: next(ends)))
     assert [len(frame.host_points["edge1"]) for frame in frames] == [1, 2, 3]
     assert frames[-1].host_points["edge1"][-1].at == frames[-1].snapshot.taken_at
-    assert list(frames[0].tasks) == ["slam"]
+    assert list(frames[0].tasks.tasks) == ["slam"]
 
 
 def test_cordon_and_back(fleet: Fleet) -> None:
