@@ -29,10 +29,13 @@ def report_command(
         edgectl report docs/examples/run --out report.html
         edgectl report docs/examples/run --out report.html --figures figures
     """
+    import logging
+
     from edgectl.cli.extras import extra
     from edgectl.cli.inputs import make, save
     from edgectl.state.runs import read_run
 
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # where it keeps its list of fonts, and that it makes one, is no news
     with extra("report"):
         from edgectl.usecases.report import report
 
