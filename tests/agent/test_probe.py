@@ -273,7 +273,7 @@ def test_every_python_gives_the_same_document_and_supervises(host: AgentHost, py
     assert shape(document) | {"temperature_c": 0, "gpu_share": 0} == shape(reference) | {"temperature_c": 0, "gpu_share": 0}
     started = host.start("slam", "echo hello; exec sleep 600", instance="i2")
     assert started["state"] == "started"
-    assert host.ask("wait", task="slam", instance="i2", timeout_s=5)["state"] == "running"
+    assert host.ask("wait", task="slam", instance="i2", timeout_s=30)["state"] == "running"
     assert host.ask("logs", task="slam", tail=1)["text"] == "hello\n"
     assert host.stop("slam")["state"] == "stopped"
 

@@ -249,7 +249,7 @@ def test_any_python_can_be_the_supervisor_in_a_scope(host: AgentHost, systemd: U
     wrapper.chmod(0o755)
     host.session.python = str(wrapper)
     host.start("slam", "exec sleep 600", runtime="systemd", self_fence_s=600)
-    assert host.ask("wait", task="slam", instance="i1", timeout_s=5)["state"] == "running"
+    assert host.ask("wait", task="slam", instance="i1", timeout_s=30)["state"] == "running"
     assert Path(f"/proc/{host.supervisor('slam')}/exe").resolve() == Path(python).resolve()
     assert host.stop("slam")["state"] == "stopped"
 

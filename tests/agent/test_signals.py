@@ -27,7 +27,7 @@ def test_reused_pid_is_not_signalled(sleeper: subprocess.Popen[bytes]) -> None:
     assert not signals.send(sleeper.pid, ticks - 1, signal.SIGKILL)
     assert is_running(sleeper.pid)
     assert signals.send(sleeper.pid, ticks, signal.SIGKILL)
-    sleeper.wait(timeout=5)
+    sleeper.wait(timeout=30)
     assert not signals.send(sleeper.pid, ticks, signal.SIGKILL)
 
 

@@ -50,7 +50,7 @@ def ignored(status: str) -> int:
 def test_task_outlives_the_session_and_is_stopped(host: AgentHost) -> None:
     started = host.start("slam", "echo hello; exec sleep 600")
     assert started["state"] == "started"
-    assert host.ask("wait", task="slam", instance="i1", timeout_s=5)["state"] == "running"
+    assert host.ask("wait", task="slam", instance="i1", timeout_s=30)["state"] == "running"
     entry = host.entry("slam")
     assert entry is not None
     assert (entry["state"], entry["pid"], entry["instance"], entry["spec_hash"]) == ("running", started["pid"], "i1", "h1")
@@ -261,7 +261,7 @@ def test_ready_check_makes_a_task_ready(host: AgentHost, tmp_path: Path) -> None
     waiting = host.ask("wait", task="slam", instance="i1", timeout_s=0.5)
     assert waiting["state"] == "starting"
     (tmp_path / "up").touch()
-    assert host.ask("wait", task="slam", instance="i1", timeout_s=10)["state"] == "ready"
+    assert host.ask("wait", task="slam", instance="i1", timeout_s=30)["state"] == "ready"
     host.stop("slam")
 
 
