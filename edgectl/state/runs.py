@@ -35,7 +35,7 @@ def resumed(directory: Path, warn: Warn) -> Run | None:
         StateError: a newer edgectl wrote it.
     """
     if not (directory / NAME).exists():
-        if directory.exists() and any(directory.iterdir()):
+        if directory.exists() and not _barely_begun(directory):
             raise FileError(f"{directory} is not empty, and no run of an experiment", hint="give another directory: --out DIR")
         return None
 
@@ -44,6 +44,12 @@ def resumed(directory: Path, warn: Warn) -> Run | None:
 
     run = _head(directory)
     return replace(run, trials=tuple(_trials(directory, run.experiment, aside)))
+
+
+def _barely_begun(directory: Path) -> bool:
+    """Whether nothing stands there but what a `save_run` that was cut off leaves."""
+    left = {path.relative_to(directory).as_posix() for path in (*directory.iterdir(), *directory.glob(f"{TRIALS}/*"))}
+    return left <= {TRIALS, f"{NAME}.tmp"}
 
 
 def newest_run(parent: Path) -> Path | None:

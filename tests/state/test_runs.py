@@ -69,6 +69,9 @@ def test_what_is_no_run_is_said(tmp_path: Path) -> None:
         read_run(tmp_path)
     assert resumed(tmp_path / "new", print) is None
     assert resumed(tmp_path, print) is None
+    (tmp_path / "trials").mkdir()
+    (tmp_path / "run.json.tmp").touch()
+    assert resumed(tmp_path, print) is None, "it was cut off before the first byte"
     (tmp_path / "mine.txt").touch()
     with pytest.raises(FileError, match="is not empty"):
         resumed(tmp_path, print)

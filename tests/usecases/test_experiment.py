@@ -1,5 +1,6 @@
 """Experiments over simulated hosts, on a clock that jumps: the order of trials, what is refused, and what is left behind."""
 
+import threading
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +18,7 @@ from edgectl.model.task import Check, Handoff, Kind, Tasks
 from edgectl.state.journal import NAME, Journal
 from edgectl.state.journal_read import read
 from edgectl.state.lock import FleetLock
+from edgectl.state.points import install
 from edgectl.usecases.experiment import ExperimentOptions, experiment
 from edgectl.usecases.marks import cordon
 from edgectl.usecases.plan import plan
@@ -37,7 +39,7 @@ class Lab(Site):
 
     def __init__(self, tmp_path: Path) -> None:
         state = tmp_path / "state"
-        state.mkdir(mode=0o700)
+        state.mkdir(mode=0o700, parents=True)
         super().__init__(state, tasks=TASKS, inventory=FLEET)
         self.directory = tmp_path / "run"
         self.said: list[str] = []
@@ -217,6 +219,42 @@ def test_after_a_kill_what_was_left_is_stopped_and_its_trial_made_again(lab: Lab
     assert order(lab)[0] == ("utility", 1, 2)
     assert (len(run.trials), lab.running(), lab.hosts.world.overlap) == (4, [], set())
     assert lab.said == []
+
+
+class Bomb:
+    """Counts the points that the main thread comes to; at number ``at`` the process is as if it had been killed."""
+
+    def __init__(self, at: int = 0) -> None:
+        self.at, self.count = at, 0
+
+    def __enter__(self) -> "Bomb":
+        self.defuse = install(self.reached)
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.defuse()
+
+    def reached(self, _point: str) -> None:
+        if threading.current_thread() is threading.main_thread():
+            self.count += 1
+            if self.count == self.at:
+                raise KilledError
+
+
+def test_killed_at_any_point_of_a_trial_the_same_call_ends_with_it_done_and_nothing_left(tmp_path: Path) -> None:
+    once = replace(SPEC, repetitions=1, variants=SCHEMES[1:])
+    with Bomb() as counted:
+        Lab(tmp_path / "whole").run(once)
+    assert counted.count > 20
+    for at in sorted({*range(1, 6), *range(6, counted.count + 1, counted.count // 12)}):
+        lab = Lab(tmp_path / str(at))
+        with Bomb(at), pytest.raises(KilledError):
+            lab.run(once)
+        run = lab.run(once)
+        assert [trial.finished for trial in run.trials] == [True], at
+        assert (lab.running(), lab.hosts.world.overlap) == ([], set()), at
+        assert not list(lab.fleet.state.glob("trial-*")), at
+        assert plan(lab.fleet, Policy()).summary == {Action.START: 2}, at
 
 
 def test_after_a_kill_another_experiment_clears_the_fleet_too(lab: Lab) -> None:
