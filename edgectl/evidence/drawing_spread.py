@@ -90,7 +90,7 @@ def _figure(run: Run, kinds: Mapping[str, Read], label: str) -> Figure:
     across = ceil(len(kinds) / down)
     titled = bool(label) and "" not in kinds
     figure, axes = panels(
-        down, across, height=0.19 * len(schemes) + 0.1, left=breadth(map(shortened, schemes)) + 0.15,
+        down, across, height=0.19 * len(schemes) + 0.1, left=breadth(map(shortened, schemes)) + 0.2,
         top=0.24 if titled else 0.08, gap=(0.16, 0.32 if titled else 0.12), x=bool(label),
     )  # fmt: skip
     places = [panel for row in axes for panel in row]
@@ -116,12 +116,13 @@ def _row(panel: Axes, row: int, points: Sequence[_Point], colour: str) -> None:
         panel.hlines(row, min(values), max(values), color=colour, linewidth=0.6)
         panel.barh(row, high - low, left=low, height=0.62, color=colour, alpha=0.25, linewidth=0)
     if values:
-        panel.vlines(median(values), row - 0.36, row + 0.36, color=colour, linewidth=1.6)
+        panel.vlines(median(values), row - 0.36, row + 0.36, color=colour, linewidth=1.6, clip_on=False)
     for place, point in enumerate(points):
         aside = 0.5 * ((place * 0.381966) % 1 - 0.5) if len(points) > 1 else 0.0
+        full = "none" if point.hollow else "full"
         panel.plot(
-            point.value, row + aside, "o", markersize=3.0, markeredgewidth=0.7, color=colour, fillstyle="none" if point.hollow else "full"
-        )
+            point.value, row + aside, "o", color=colour, fillstyle=full, markersize=3.0, markeredgewidth=0.7, clip_on=False, zorder=3.0
+        )  # fmt: skip
 
 
 def _scale(panel: Axes, schemes: Sequence[str]) -> None:
@@ -130,4 +131,4 @@ def _scale(panel: Axes, schemes: Sequence[str]) -> None:
     panel.set_xlim(0.0, 1.04 * panel.get_xlim()[1] or 1.0)
     panel.xaxis.set_major_locator(MaxNLocator(5, integer=panel.get_xlim()[1] >= 5, steps=[1, 2, 3, 5, 6, 10]))
     panel.grid(visible=False, axis="y")
-    panel.tick_params(axis="y", length=0.0)
+    panel.tick_params(axis="y", length=0.0, pad=5.0)
