@@ -45,12 +45,8 @@ def told(every: float) -> Iterator[Callable[[], bool]]:
             return False
         return True
 
-    before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
+    with _handled(end):
         yield wait
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 @contextlib.contextmanager
@@ -69,9 +65,16 @@ def obeying(control: Control, saying: str = "") -> Iterator[list[int]]:
         if saying:
             console.tell(saying)
 
+    with _handled(heard):
+        yield came
+
+
+@contextlib.contextmanager
+def _handled(heard: Callable[[int, FrameType | None], None]) -> Iterator[None]:
+    """Ctrl-C and SIGTERM go to ``heard``; afterwards to whom they went before."""
     before = {number: signal.signal(number, heard) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        yield came
+        yield
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
