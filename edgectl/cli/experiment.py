@@ -1,6 +1,7 @@
 """experiment run, experiment show."""
 
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -23,6 +24,7 @@ def experiment_run_command(
     tasks: options.TasksOption = None,
     output: options.MeasuredOutput = Form.TABLE,
     out: Annotated[Path | None, Option("--out", metavar="DIR", help="Where the run is kept; runs/NAME where not given.")] = None,
+    repetitions: Annotated[int | None, Option("--repetitions", "-n", metavar="N", min=1, max=1000, help="Instead of the spec's.")] = None,
     lock_timeout: options.LockOption = "0s",
     accept_new: options.AcceptOption = False,
 ) -> None:
@@ -33,7 +35,7 @@ def experiment_run_command(
 
     Examples:
         edgectl experiment run tasks/mission/experiment.yaml
-        edgectl experiment run tasks/mission/experiment.yaml --out again -o json
+        edgectl experiment run tasks/mission/experiment.yaml -n 1 --out again
     """
     from edgectl.cli.extras import extra
     from edgectl.cli.reach import reach, seconds
@@ -48,6 +50,7 @@ def experiment_run_command(
     named = experiment_files(spec)
     loaded = load(inventory or named[0], tasks or ([named[1]] if named[1] else None))
     wanted = load_experiment(spec, loaded.tasks)
+    wanted = replace(wanted, repetitions=repetitions or wanted.repetitions)
     if wanted.maps:
         with extra("evidence"):
             from edgectl.usecases.maps import check

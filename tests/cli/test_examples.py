@@ -24,7 +24,7 @@ CODES = {
     "edgectl profile slam-robot1 --write --yes": 1,  # too few samples after these few commands
     "edgectl drain edge1": FULL,
     "edgectl experiment run tasks/mission/experiment.yaml": BUSY,
-    "edgectl experiment run tasks/mission/experiment.yaml --out again -o json": BUSY,
+    "edgectl experiment run tasks/mission/experiment.yaml -n 1 --out again": BUSY,
     "edgectl drain edge1 --yes --timeout 10m": FULL,
 }
 FIRST = ("edgectl init demo", "edgectl init .")

@@ -86,7 +86,7 @@ name: mission
 inventory: inventory.yaml
 tasks: tasks.yaml
 schemes: {policies: [utility], weights: [all]}
-repetitions: 1
+repetitions: 9
 every: 500ms
 limit: 5m
 until: [merge]
@@ -101,7 +101,7 @@ def command(site: Path, *words: str) -> "subprocess.Popen[str]":
 
 
 def until(condition: Callable[[], object]) -> None:
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + 120
     while not condition():
         assert time.monotonic() < deadline
         time.sleep(0.05)
@@ -131,7 +131,7 @@ def test_killed_in_a_trial_interrupted_in_the_next_try_and_finished_in_the_third
     assert list((tmp_path / "runs" / "mission" / "trials").iterdir()) == []
 
     hold.unlink()
-    whole = command(tmp_path, "run", "spec.yaml", "-o", "json")
+    whole = command(tmp_path, "run", "spec.yaml", "-o", "json", "-n", "1")
     out, said = whole.communicate(timeout=240)
     assert (whole.returncode, sleeping(mark)) == (0, []), said
     assert json.loads(out)["done"] == 1
