@@ -20,7 +20,7 @@ check: setup
 test: check
 	@.ci/need-faults
 	@.ci/need-promtool
-	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.suite tests --ignore=tests/benchmarks -n 2 --dist loadfile
+	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.suite tests --ignore=tests/benchmarks -n 2 --dist loadfile --no-loadscope-reorder
 
 bench: setup
 	@.ci/need-sshd

@@ -38,6 +38,25 @@ INHERITED = (
 )
 
 
+# Files that take longest: begun first, so that no worker is left with one of them when the others have ended.
+LONGEST = (
+    "cli/test_examples.py",
+    "docs/test_pages.py",
+    "faults/test_quick.py",
+    "usecases/test_life.py",
+    "agent/test_crashloop.py",
+    "docs/test_demo.py",
+    "e2e/test_unreachable.py",
+    "soak/test_soak.py",
+)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The longest files first, everything else in its order."""
+    places = {Path(__file__).parent / name: place for place, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: places.get(item.path, len(places)))
+
+
 @pytest.fixture(autouse=True)
 def isolated(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An empty HOME with empty XDG directories, and an ssh_config that knows nobody; returns that home."""

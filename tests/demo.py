@@ -14,7 +14,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-LIMIT_S = 150
+LIMIT_S = 280
 EXPECTED_TASKS = 10
 SETTLE_S = 2.0
 # The map grows to 440 MiB, as a person sees it.

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.conftest import LONGEST
+
 ROOT = Path(__file__).parents[1]
 ONCE = """
 import os, pathlib, pytest
@@ -96,3 +98,7 @@ def test_everything_else_fails(tmp_path: Path, tests: str, options: tuple[str, .
     code, said = suite(tmp_path, tests, *options)
     assert code != 0, said
     assert "PASSED ALONE" not in said
+
+
+def test_the_files_that_are_begun_first_are_there() -> None:
+    assert [name for name in LONGEST if not (ROOT / "tests" / name).exists()] == []
