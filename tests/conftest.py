@@ -35,6 +35,7 @@ INHERITED = (
     "CI",
     "COLUMNS",
     "PYTHONPATH",
+    "PYTHONUNBUFFERED",
 )
 
 

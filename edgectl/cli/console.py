@@ -115,6 +115,13 @@ def quiet_pipes() -> Iterator[None]:
         sys.stdout.flush()
     except BrokenPipeError:
         _silence(sys.stdout)
+    except OSError:
+        try:
+            sys.stdout.flush()
+        except OSError:
+            # The interpreter would try once more, and end with words and an exit code of its own.
+            _silence(sys.stdout)
+        raise
 
 
 def _silence(stream: TextIO) -> None:
