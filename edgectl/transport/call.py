@@ -10,12 +10,13 @@ import json
 import re
 import secrets
 import shlex
+import time
 import zipfile
 from collections.abc import Iterator, Mapping
 from functools import cache
 from pathlib import Path
 
-from edgectl.errors import NoPythonError, RefusedError, ReplyError
+from edgectl.errors import DeadlineError, NoPythonError, RefusedError, ReplyError
 from edgectl.transport.base import Reply, Session
 
 _AGENT = Path(__file__).parent.parent / "agent"
@@ -86,9 +87,11 @@ def call(session: Session, request: Mapping[str, object], *, timeout: float) -> 
 
 
 def _ask(session: Session, request: Mapping[str, object], timeout: float, agent: bytes) -> dict[str, object]:
-    marker = secrets.token_hex(16)
+    marker, began = secrets.token_hex(16), time.monotonic()
     answer = session.run(command_line(session.python), _packet(request, marker, timeout, agent), timeout=timeout, limit=_LIMIT)
     payload = _framed(answer.stdout, marker)
+    if payload is None and time.monotonic() - began >= timeout:
+        raise DeadlineError(f"no answer within {timeout:g} s")  # the host's own deadline was seen before ours
     if payload is None:
         raise _unframed(answer)
     return _document(payload)

@@ -57,7 +57,7 @@ OTHER = "0" * 32
 
 
 def asked(answer: Callable[[str], Reply | bytes]) -> dict[str, object]:
-    return call(Scripted(answer), REQUEST, timeout=1.0)
+    return call(Scripted(answer), REQUEST, timeout=30.0)
 
 
 @pytest.mark.parametrize(
@@ -201,6 +201,17 @@ def test_background_noise_cannot_get_into_the_frame(wrapped: Callable[[str], Any
     session = wrapped(f'{noise} {sys.executable} "$@"; wait')
     for _ in range(3):
         assert call(session, REQUEST, timeout=20)["op"] == "status"
+
+
+def test_a_host_that_gave_up_at_the_deadline_met_the_deadline() -> None:
+    """Its own deadline begins a little later than ours, but a busy manager may look later still."""
+
+    def gave_up(_marker: str) -> Reply:
+        time.sleep(0.1)
+        return Reply(stdout=b"", stderr=b"", status=124)
+
+    with pytest.raises(DeadlineError, match=r"no answer within 0\.1 s"):
+        call(Scripted(gave_up), REQUEST, timeout=0.1)
 
 
 def test_real_missing_python(wrapped: Callable[[str], Any]) -> None:
