@@ -64,7 +64,7 @@ def stopped(site: Path, env: Mapping[str, str]) -> Iterator[None]:
         yield
     finally:
         for words in (["stop", "--all", "--yes"], ["profilers", "stop"]):
-            subprocess.run([sys.executable, "-m", "edgectl", *words], cwd=site, env=env, capture_output=True, check=False, timeout=60)
+            subprocess.run([sys.executable, "-m", "edgectl", *words], cwd=site, env=env, capture_output=True, check=False, timeout=300)
         left = subprocess.run(
             [sys.executable, "-m", "edgectl", "status", "-o", "name"], cwd=site, env=env, capture_output=True, text=True, check=False
         )

@@ -25,6 +25,7 @@ def test_pages_are_found() -> None:
     assert len(skipped) <= 6, "few blocks may be exempt"
 
 
+@pytest.mark.timeout(900)
 @pytest.mark.parametrize("page", WITH_COMMANDS, ids=lambda page: page.name)
 def test_every_block_runs(page: Path, tmp_path: Path) -> None:
     site, env = tmp_path / "site", environment(tmp_path / "state")
@@ -41,7 +42,7 @@ def run(block: Block, here: Path, note: Path, env: dict[str, str], page: Path) -
     """Run one block; the directory in which it ends, where the next begins."""
     script = "set -e\n" + "\n".join(command for command, _ in block.commands) + f"\npwd > '{note}'\n"
     done = subprocess.run(
-        ["bash", "-c", script], cwd=here, env=env, capture_output=True, text=True, stdin=subprocess.DEVNULL, timeout=90, check=False
+        ["bash", "-c", script], cwd=here, env=env, capture_output=True, text=True, stdin=subprocess.DEVNULL, timeout=300, check=False
     )
     where = f"{page.name}:{block.line}"
     assert done.returncode == 0, f"{where}: {done.stdout}{done.stderr}"
