@@ -68,7 +68,9 @@ def run(line: str, site: Path, env: dict[str, str]) -> int:
         return watch(words, site, env)
     if line in SERVING:
         return serve([word.replace(":9815", ":0") for word in words], site, env)
-    return subprocess.run(words, cwd=site, env=env, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, check=False, timeout=300).returncode
+    return subprocess.run(
+        words, cwd=site, env=env, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, check=False, timeout=300
+    ).returncode
 
 
 def watch(words: list[str], site: Path, env: dict[str, str]) -> int:
