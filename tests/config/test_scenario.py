@@ -86,3 +86,9 @@ def test_shipped_scenarios_are_good(name: str) -> None:
     found = load_scenario(path, inventory, tasks)
     assert (found.name, len(found.jobs), len(found.published)) == (name, 10, 6)
     assert len(found.assumptions) >= 8
+
+
+def test_no_command_is_named_that_would_make_a_scenario(tmp_path: Path) -> None:
+    with pytest.raises(InputError) as caught:
+        load_scenario(tmp_path / "none.yaml", FLEET, TASKS)
+    assert caught.value.problems[0].hint == "name an existing file"
