@@ -93,7 +93,7 @@ def test_a_revision_that_does_not_exist_names_those_that_do(bench: Bench) -> Non
     bench.apply(SLAM)
     with pytest.raises(UsageError, match="no revision 7") as caught:
         revision(bench.fleet, 7)
-    assert caught.value.hint.startswith("revisions: 1 to 1")
+    assert caught.value.hint == "the last one is 1; edgectl history lists them"
 
 
 def test_failures_skips_and_cut_offs_are_told_apart(bench: Bench) -> None:
