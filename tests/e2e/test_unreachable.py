@@ -69,7 +69,7 @@ def told(robot: Path) -> Handoff:
 
 def test_a_task_that_fences_itself_is_replaced_and_its_host_comes_back(lab: Lab, bench: Bench, tmp_path: Path) -> None:
     mark, robot = a_mark(), tmp_path / "robot"
-    fenced = a_sleeper("slam", mark, on_unreachable=OnUnreachable.REPLACE, replace_after=1.0, self_fence=3.0)
+    fenced = a_sleeper("slam", mark, on_unreachable=OnUnreachable.REPLACE, replace_after=1.0, self_fence=6.0)
     bench = bench.using(replace(fenced, robots=("robot1",), handoff=told(robot)))
     bench.apply()
     assert bench.where() == {"slam": "edge1"}
