@@ -37,7 +37,7 @@ fuzz: setup
 	@$(PY) -m tests.fuzz --seed $(or $(SEED),1)
 	@$(PY) -m pytest tests -m hypothesis -n 2 --hypothesis-profile=search --hypothesis-seed=$(or $(SEED),1)
 
-# 10,000 cycles of watch over simulated hosts and 200 over real ones that die and return: nothing may grow. Some ten minutes.
+# 10,000 cycles of watch over simulated hosts and 200 over real ones that die and return: nothing may grow. Some minutes.
 soak: setup
 	@.ci/need-sshd
 	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.soak
