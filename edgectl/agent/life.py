@@ -199,6 +199,13 @@ def _marked(found: Trace) -> bool:
 
 def _dead(found: Trace) -> dict:
     if found.status.get("state") in FINAL:
-        return {"ended_s": round(proc.uptime() - found.status["ended"], 2)} if same_boot(found) and "ended" in found.status else {}
+        return _ended(found)
     why = "unknown: the supervisor was lost" if same_boot(found) else "the host was rebooted"
     return {"state": "failed", "exit_code": None, "detail": why}
+
+
+def _ended(found: Trace) -> dict:
+    """How long ago it ended, in s, where that was in this boot. 0 where it seems to lie ahead: the manager takes no negative age."""
+    if not same_boot(found) or "ended" not in found.status:
+        return {}
+    return {"ended_s": round(max(0.0, proc.uptime() - found.status["ended"]), 2)}

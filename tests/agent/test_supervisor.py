@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from edgectl.agent import life, proc
+from edgectl.agent import life, proc, record
 from edgectl.errors import RefusedError
 from tests.agent.conftest import AgentHost, both_runtimes, eventually, forget_fallback_agents, is_running
 
@@ -209,6 +209,17 @@ def test_end_is_recorded(
     assert (entry["exit_code"], entry["detail"], entry["pid"], entry["given_up"]) == (code, detail, 0, given_up)
     assert 0.0 <= entry["ended_s"] < 600.0
     assert not life.lock_held(str(host.folder("work")))
+
+
+def test_an_end_that_seems_to_lie_ahead_is_now(host: AgentHost) -> None:
+    """A negative age would be refused by the manager, and with it all that the host says."""
+    host.start("work", "exit 0", kind="job")
+    host.until("work", "completed")
+    path = str(host.folder("work") / "status")
+    record.write(path, {**record.read(path), "ended": proc.uptime() + 600.0})
+    entry = host.entry("work")
+    assert entry is not None
+    assert entry["ended_s"] == 0.0
 
 
 def test_completed_job_is_not_run_twice_by_a_repeated_start(host: AgentHost, tmp_path: Path) -> None:
