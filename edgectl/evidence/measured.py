@@ -16,7 +16,7 @@ _SUMMARIES: Mapping[Summary, Callable[[Sequence[float]], float]] = {
     Summary.MIN: min,
     Summary.MAX: max,
 }
-_PER_HOST = ("cpu", "cpu peak", "memory", "throughput")
+PER_HOST = ("cpu", "cpu peak", "memory", "throughput")
 # A scheme without a trial has the columns of one that says nothing.
 _NOTHING = Trial(scheme="", repetition=0, began_at=0.0, latency=0.0, finished=False)
 
@@ -50,7 +50,7 @@ def _values(trial: Trial, hosts: Mapping[str, Machine], *, together: bool) -> Va
     used = [_used(sorted(trial.loads.get(name, ()), key=lambda load: load.at), machine) for name, machine in hosts.items()]
     return {
         "latency": (trial.latency / 60,),
-        **joined({metric: tuple(each[metric] for each in used) for metric in _PER_HOST}, together=together),
+        **joined({metric: tuple(each[metric] for each in used) for metric in PER_HOST}, together=together),
         "handoffs": (float(len(trial.handoffs)),),
         "downtime": (mean(handoff.downtime for handoff in trial.handoffs),),
         "unplaced": (float(trial.unplaced),),

@@ -2,13 +2,12 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 
-from edgectl.evidence.measured import columns
+from edgectl.evidence.measured import PER_HOST, columns
 from edgectl.model.evidence import Column, Figure, Reality
 from edgectl.model.experiment import Run
 from edgectl.model.scenario import Scenario
 
 _WHOLE = ("latency", "handoffs")
-_PER_HOST = ("cpu", "cpu peak", "memory", "throughput")
 # The application's metric that stands beside the model's rate, in frames/s.
 RATES = ("rate", "fps")
 
@@ -26,7 +25,7 @@ def measured(model: Sequence[Column], run: Run) -> Reality:
 
 
 def _figures(value: Column, real: Column) -> Mapping[str, tuple[float | None, ...]]:
-    found = {metric: _means(real, metric) for metric in _WHOLE} | {metric: _by_host(value, real, metric) for metric in _PER_HOST}
+    found = {metric: _means(real, metric) for metric in _WHOLE} | {metric: _by_host(value, real, metric) for metric in PER_HOST}
     rate = next((real.metrics[name] for name in RATES if name in real.metrics), None)
     found |= {"rate": (_mean(rate),), "ssim": (_mean(_map(real)),)}
     return {metric: means for metric, means in found.items() if any(mean is not None for mean in means)}

@@ -42,6 +42,17 @@ def latency(values: Iterable[Column]) -> Metric:
     return of_all("latency", "LATENCY s", 1, 60.0, spread=True) if short else of_all("latency", "LATENCY min", 2, spread=True)
 
 
+def usage(values: Sequence[Column]) -> tuple[Metric, ...]:
+    """How long the mission took and what the hosts used, which a model and real hosts have alike."""
+    return (
+        latency(values),
+        percent("cpu", "CPU %", values),
+        percent("cpu peak", "PEAK %", values),
+        percent("memory", "MEMORY %", values),
+        of_all("throughput", "MB/s", 2),
+    )
+
+
 def application(name: str, values: Iterable[Column]) -> Metric:
     """A metric that tasks wrote, whose unit nobody knows: three digits of the greatest mean, and as many decimals everywhere."""
     means = [abs(figure.mean) for value in values if (figure := value.metrics.get(name))]

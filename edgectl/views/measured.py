@@ -11,15 +11,14 @@ from edgectl.views.columns import (
     applications,
     document,
     given_up,
-    latency,
     numbers,
     of_all,
-    percent,
     ratios,
     scheme,
     ssim,
     table,
     text_of,
+    usage,
 )
 from edgectl.views.text import PLAIN, Look, Row, flowed, harmless
 
@@ -46,11 +45,7 @@ def rows(experiment: Experiment, values: Sequence[Column], *, every: bool) -> li
 
 def _metrics(experiment: Experiment, values: Sequence[Column], *, every: bool) -> list[Metric]:
     common = (
-        latency(values),
-        percent("cpu", "CPU %", values),
-        percent("cpu peak", "PEAK %", values),
-        percent("memory", "MEMORY %", values),
-        of_all("throughput", "MB/s", 2),
+        *usage(values),
         of_all("handoffs", "HANDOFFS", 1),
         of_all("downtime", "DOWNTIME s", 1),
         of_all("unplaced", "UNPLACED", 1),

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 from edgectl.formats.base import FORMAT_VERSION, Document, optional
 from edgectl.model.evidence import Column, Reality
 from edgectl.model.scenario import Scenario
-from edgectl.views.columns import Metric, document, given_up, latency, numbers, of_all, percent, ratios, scheme, table, text_of
+from edgectl.views.columns import Metric, document, given_up, numbers, of_all, ratios, scheme, table, text_of, usage
 from edgectl.views.text import PLAIN, Cell, Look, Row, flowed
 
 _MAIN = ("latency", "cpu", "memory", "rate", "handoffs")
@@ -31,11 +31,7 @@ def text(scenario: Scenario, values: Iterable[Column], real: Reality, look: Look
 
 def _metrics(values: Sequence[Column]) -> tuple[Metric, ...]:
     return (
-        latency(values),
-        percent("cpu", "CPU %", values),
-        percent("cpu peak", "PEAK %", values),
-        percent("memory", "MEMORY %", values),
-        of_all("throughput", "MB/s", 2),
+        *usage(values),
         of_all("rate", "FRAMES/s", 1),
         of_all("ssim", "SSIM", 2),
         of_all("handoffs", "HANDOFFS", 1),
