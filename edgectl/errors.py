@@ -75,11 +75,11 @@ class InputError(EdgectlError):
     exit_code = ExitCode.USAGE
 
     def __init__(self, problems: Sequence[Problem]) -> None:
-        super().__init__(_first(problems))
+        super().__init__(_format_first_problem(problems))
         self.problems = tuple(problems)
 
 
-def _first(problems: Sequence[Problem]) -> str:
+def _format_first_problem(problems: Sequence[Problem]) -> str:
     """The first one with its place, for whoever has one line for all of them."""
     if not problems:
         return "the input is wrong"
@@ -114,7 +114,9 @@ class StalePlanError(EdgectlError):
     exit_code = ExitCode.TRY_AGAIN
 
     def __init__(self, changes: Sequence[str]) -> None:
-        super().__init__("saved plan is stale: " + "; ".join(changes), hint="make a new plan: edgectl plan --out PLAN")
+        super().__init__(
+            "saved plan is stale: " + "; ".join(changes), hint="make a new plan: edgectl plan --out PLAN"
+        )
         self.changes = tuple(changes)
 
 

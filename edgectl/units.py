@@ -15,7 +15,7 @@ _BYTE_UNITS = {
     "KiB": 2**10, "MiB": 2**20, "GiB": 2**30, "TiB": 2**40,
 }  # fmt: skip
 _BIT_UNITS = {"bit": 1, "kbit": 10**3, "Kbit": 10**3, "Mbit": 10**6, "Gbit": 10**9}
-_SECONDS = {"ms": 0.001, "s": 1.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
+_SECONDS_PER_UNIT = {"ms": 0.001, "s": 1.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
 _NUMBER = r"([0-9]+(?:\.[0-9]+)?(?:[eE][+-]?[0-9]{1,3})?)"
 _WITH_UNIT = re.compile(_NUMBER + r"\s*([A-Za-z/]*)")
 _DURATION = re.compile(r"(?:[0-9]+(?:\.[0-9]+)?(?:ms|s|m|h|d))+")
@@ -23,41 +23,41 @@ _DURATION_PART = re.compile(r"([0-9]+(?:\.[0-9]+)?)(ms|s|m|h|d)")
 _INSTANT = re.compile(r"\d{4}-\d{2}-\d{2}[Tt]\d{2}:\d{2}:\d{2}(?:\.\d{1,6})?(?:[Zz]|[+-]\d{2}:\d{2})")
 
 
-def _checked(value: float, forms: str) -> float:
+def _check_finite(value: float, forms: str) -> float:
     if not math.isfinite(value) or value < 0:
         raise ValueError(f"must be a finite number, 0 or more, got {value!r}; {forms}")
     return value
 
 
-def _number(raw: object, forms: str) -> float | None:
+def _parse_number(raw: object, forms: str) -> float | None:
     if isinstance(raw, bool):
         raise ValueError(f"must not be true or false; {forms}")
     if not isinstance(raw, int | float):
         return None
     try:
-        return _checked(float(raw), forms)
+        return _check_finite(float(raw), forms)
     except OverflowError:
         raise ValueError(f"is too large; {forms}") from None
 
 
-def _scaled(raw: object, units: dict[str, float], forms: str) -> float:
-    number = _number(raw, forms)
+def _parse_scaled(raw: object, units: dict[str, float], forms: str) -> float:
+    number = _parse_number(raw, forms)
     if number is not None:
         return number
     match = _WITH_UNIT.fullmatch(str(raw).strip()) if isinstance(raw, str) else None
     if match is None or match[2] not in units:
         raise ValueError(f"cannot be read as a quantity: {raw!r}; {forms}")
-    return _checked(float(match[1]) * units[match[2]], forms)
+    return _check_finite(float(match[1]) * units[match[2]], forms)
 
 
 def parse_cores(raw: object) -> float:
     """Cores from ``0.5``, ``"0.5"`` or ``"500m"``."""
-    return _scaled(raw, {"": 1.0, "m": 0.001}, "write cores as 0.5 or 500m")
+    return _parse_scaled(raw, {"": 1.0, "m": 0.001}, "write cores as 0.5 or 500m")
 
 
 def parse_bytes(raw: object) -> float:
     """Bytes from a number or a string such as ``90Mi``, ``1.5G`` or ``800MiB``."""
-    return _scaled(raw, dict(_BYTE_UNITS), "write bytes as 90Mi, 1.5G or 800MiB")
+    return _parse_scaled(raw, dict(_BYTE_UNITS), "write bytes as 90Mi, 1.5G or 800MiB")
 
 
 def parse_rate(raw: object) -> float:
@@ -65,7 +65,7 @@ def parse_rate(raw: object) -> float:
     units = {"": 1.0}
     units |= {f"{unit}/s": float(scale) for unit, scale in _BYTE_UNITS.items() if unit}
     units |= {f"{unit}/s": scale / 8 for unit, scale in _BIT_UNITS.items()}
-    return _scaled(raw, units, "write rates as 12MB/s, 300kB/s or 96Mbit/s")
+    return _parse_scaled(raw, units, "write rates as 12MB/s, 300kB/s or 96Mbit/s")
 
 
 def is_percent(raw: object) -> bool:
@@ -78,19 +78,21 @@ def parse_share(raw: object) -> float:
     match = re.fullmatch(_NUMBER + r"\s*%", raw.strip()) if isinstance(raw, str) else None
     if match is None:
         raise ValueError(f"cannot be read as a percentage: {raw!r}; write 80%")
-    return _checked(float(match[1]) / 100.0, "write 80%")
+    return _check_finite(float(match[1]) / 100.0, "write 80%")
 
 
 def parse_duration(raw: object) -> float:
     """Seconds from a number of seconds or a string such as ``20s``, ``2m``, ``1h30m`` or ``500ms``."""
     forms = "write durations as 20s, 2m or 1h30m"
-    number = _number(raw, forms)
+    number = _parse_number(raw, forms)
     if number is not None:
         return number
     text = str(raw).strip()
     if not isinstance(raw, str) or _DURATION.fullmatch(text) is None:
         raise ValueError(f"cannot be read as a duration: {raw!r}; {forms}")
-    return _checked(sum(float(n) * _SECONDS[unit] for n, unit in _DURATION_PART.findall(text)), forms)
+    return _check_finite(
+        sum(float(n) * _SECONDS_PER_UNIT[unit] for n, unit in _DURATION_PART.findall(text)), forms
+    )
 
 
 def parse_instant(raw: object) -> float:
@@ -128,29 +130,39 @@ def format_cores(value: float) -> str:
     return f"{value:.2f}"
 
 
-def write_cores(value: float) -> str:
+def format_cores_for_file(value: float) -> str:
     """Cores for a file, rounded up: ``1.36``."""
-    return _rounded_up(max(value, 0.001) if value > 0 else 0.0)
+    return _format_rounded_up(max(value, 0.001) if value > 0 else 0.0)
 
 
-def write_bytes(value: float) -> str:
+def format_bytes_for_file(value: float) -> str:
     """Bytes for a file, rounded up: ``97.3Mi``."""
-    unit, scale = next(((unit, 2.0**power) for unit, power in (("Gi", 30), ("Mi", 20), ("Ki", 10)) if value >= 2**power), ("", 1.0))
-    return _rounded_up(value / scale) + unit
+    unit, scale = next(
+        ((unit, 2.0**power) for unit, power in (("Gi", 30), ("Mi", 20), ("Ki", 10)) if value >= 2**power),
+        ("", 1.0),
+    )
+    return _format_rounded_up(value / scale) + unit
 
 
-def write_rate(value: float) -> str:
+def format_rate_for_file(value: float) -> str:
     """Bytes per second for a file, rounded up: ``127kB/s``."""
-    unit, scale = next(((unit, scale) for unit, scale in (("GB/s", 1e9), ("MB/s", 1e6), ("kB/s", 1e3)) if value >= scale), ("", 1.0))
-    return _rounded_up(value / scale) + unit
+    unit, scale = next(
+        ((unit, scale) for unit, scale in (("GB/s", 1e9), ("MB/s", 1e6), ("kB/s", 1e3)) if value >= scale),
+        ("", 1.0),
+    )
+    return _format_rounded_up(value / scale) + unit
 
 
-def _rounded_up(value: float) -> str:
+def _format_rounded_up(value: float) -> str:
     """Three significant digits, never less than ``value``; never in exponents that a unit could not follow."""
     if value <= 0:
         return "0"
     digits = max(0, 2 - math.floor(math.log10(value)))
-    return f"{math.ceil(value * 10**digits - 1e-9) / 10**digits:.{digits}f}".rstrip("0").rstrip(".") if digits else f"{math.ceil(value)}"
+    return (
+        f"{math.ceil(value * 10**digits - 1e-9) / 10**digits:.{digits}f}".rstrip("0").rstrip(".")
+        if digits
+        else f"{math.ceil(value)}"
+    )
 
 
 def format_duration(seconds: float) -> str:
@@ -158,7 +170,9 @@ def format_duration(seconds: float) -> str:
     if seconds < 10:
         return f"{seconds:.1f}s"
     whole = round(seconds)
-    for (unit, scale), (lower, step) in zip((("d", 86400), ("h", 3600), ("m", 60)), (("h", 3600), ("m", 60), ("s", 1)), strict=True):
+    for (unit, scale), (lower, step) in zip(
+        (("d", 86400), ("h", 3600), ("m", 60)), (("h", 3600), ("m", 60), ("s", 1)), strict=True
+    ):
         if whole >= scale:
             return f"{whole // scale}{unit}{whole % scale // step:02d}{lower}"
     return f"{whole}s"

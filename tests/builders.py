@@ -4,19 +4,32 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
 from edgectl.model.inventory import Host, Inventory, Limits, Role
-from edgectl.model.memory import Memory
-from edgectl.model.order import natural_key
+from edgectl.model.manager_state import ManagerState
 from edgectl.model.policy import Policy
-from edgectl.model.snapshot import Cpu, HostSample, HostStatus, LinkSample, MemoryUse, Snapshot, TaskSample, TaskState
-from edgectl.model.task import Demand, HostRules, Need, Quantity, Task, Tasks, Until
+from edgectl.model.snapshot import (
+    CpuUsage,
+    HostSample,
+    HostStatus,
+    LinkSample,
+    MemoryUsage,
+    Snapshot,
+    TaskSample,
+    TaskState,
+)
+from edgectl.model.task import Demand, HostRules, Need, NeedCondition, Quantity, Task, Tasks
+from edgectl.names import natural_key
 
 NOW = 1_763_690_000.0
 GI = float(2**30)
 
 
-def an_edge(name: str = "edge1", *, cpu_limit: float = 1.0, memory_limit: float = 1.0, **fields: object) -> Host:
+def an_edge(
+    name: str = "edge1", *, cpu_limit: float = 1.0, memory_limit: float = 1.0, **fields: object
+) -> Host:
     """An edge of the inventory."""
-    host = Host(name=name, role=Role.EDGE, host=f"{name}.lab", limits=Limits(cpu=cpu_limit, memory=memory_limit))
+    host = Host(
+        name=name, role=Role.EDGE, host=f"{name}.lab", limits=Limits(cpu=cpu_limit, memory=memory_limit)
+    )
     return replace(host, **fields)  # type: ignore[arg-type]
 
 
@@ -28,7 +41,9 @@ def a_robot(name: str = "robot1", **fields: object) -> Host:
 def an_inventory(*hosts: Host, links: Mapping[tuple[str, str], float] | None = None) -> Inventory:
     """The fleet, in natural order of names."""
     ordered = sorted(hosts, key=lambda host: natural_key(host.name))
-    return Inventory(hosts={host.name: host for host in ordered}, links=links or {}, digest="inventory-digest")
+    return Inventory(
+        hosts={host.name: host for host in ordered}, links=links or {}, digest="inventory-digest"
+    )
 
 
 def a_quantity(value: float | str | Quantity | None) -> Quantity | None:
@@ -62,7 +77,9 @@ def a_task(
         spec_hash=f"hash-{name}",
         demand=Demand(cpu=a_quantity(cpu), memory=a_quantity(memory), throughput=a_quantity(throughput)),
         robots=tuple(robots),
-        needs=tuple(need if isinstance(need, Need) else Need(task=need, until=Until.READY) for need in needs),
+        needs=tuple(
+            need if isinstance(need, Need) else Need(task=need, until=NeedCondition.READY) for need in needs
+        ),
         hosts=HostRules(only=tuple(only), never=tuple(never), labels=labels or {}, pin=pin),
     )
     return replace(task, **fields)  # type: ignore[arg-type]
@@ -71,7 +88,9 @@ def a_task(
 def some_tasks(*tasks: Task, policy: Policy | None = None) -> Tasks:
     """A task file after expansion."""
     ordered = sorted(tasks, key=lambda task: natural_key(task.name))
-    return Tasks(tasks={task.name: task for task in ordered}, policy=policy or Policy(), digest="tasks-digest")
+    return Tasks(
+        tasks={task.name: task for task in ordered}, policy=policy or Policy(), digest="tasks-digest"
+    )
 
 
 def a_link(capacity: float = 10e6, used: float = 0.0) -> LinkSample:
@@ -81,7 +100,9 @@ def a_link(capacity: float = 10e6, used: float = 0.0) -> LinkSample:
 
 def a_run(state: TaskState = TaskState.READY, **fields: object) -> TaskSample:
     """A task found on a host: ready, old enough to be moved, of the present specification where the test gives it."""
-    return replace(TaskSample(state=state, pid=4242, started_at=NOW - 3600.0, instance="instance-1"), **fields)  # type: ignore[arg-type]
+    return replace(
+        TaskSample(state=state, pid=4242, started_at=NOW - 3600.0, instance="instance-1"), **fields
+    )  # type: ignore[arg-type]
 
 
 def a_sample(
@@ -100,8 +121,8 @@ def a_sample(
         role=role,
         status=HostStatus.OK,
         sample_age_s=age,
-        cpu=Cpu(cores=cores, used_cores=used),
-        memory=MemoryUse(total_bytes=memory, used_bytes=used_memory),
+        cpu=CpuUsage(cores=cores, used_cores=used),
+        memory=MemoryUsage(total_bytes=memory, used_bytes=used_memory),
         links=links or {},
         tasks=tasks or {},
     )
@@ -109,9 +130,11 @@ def a_sample(
 
 def silent(role: Role = Role.EDGE) -> HostSample:
     """A host that did not answer."""
-    return HostSample(role=role, status=HostStatus.UNREACHABLE, error="connection refused", error_kind="connect")
+    return HostSample(
+        role=role, status=HostStatus.UNREACHABLE, error="connection refused", error_kind="connect"
+    )
 
 
-def a_snapshot(*, taken_at: float = NOW, memory: Memory | None = None, **hosts: HostSample) -> Snapshot:
+def a_snapshot(*, taken_at: float = NOW, memory: ManagerState | None = None, **hosts: HostSample) -> Snapshot:
     """The fleet at one instant, hosts by name: ``a_snapshot(edge1=a_sample(used=1.0))``."""
-    return Snapshot(taken_at=taken_at, hosts=hosts, memory=memory)
+    return Snapshot(taken_at=taken_at, hosts=hosts, manager=memory)

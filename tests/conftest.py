@@ -65,7 +65,9 @@ def isolated(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.Monke
     for name in [*INHERITED, *(name for name in os.environ if name.startswith("EDGECTL_"))]:
         monkeypatch.delenv(name, raising=False)
     config = home / "ssh_config"
-    config.write_text(f"UserKnownHostsFile {home}/known_hosts\nGlobalKnownHostsFile none\nIdentityFile none\nIdentityAgent none\n")
+    config.write_text(
+        f"UserKnownHostsFile {home}/known_hosts\nGlobalKnownHostsFile none\nIdentityFile none\nIdentityAgent none\n"
+    )
     monkeypatch.setenv("HOME", str(home))
     monkeypatch.setenv("EDGECTL_SSH_CONFIG", str(config))
     for kind in ("STATE", "CONFIG", "CACHE", "DATA"):

@@ -41,7 +41,12 @@ class Demo:
             say(f"\n$ edgectl {' '.join(words)}")
         directory = self.fleet if self.fleet.exists() else self.fleet.parent
         done = subprocess.run(
-            [sys.executable, "-m", "edgectl", *words], env=self.env, cwd=directory, stdout=subprocess.PIPE, text=True, check=False
+            [sys.executable, "-m", "edgectl", *words],
+            env=self.env,
+            cwd=directory,
+            stdout=subprocess.PIPE,
+            text=True,
+            check=False,
         )
         if shown:
             say(done.stdout.rstrip())
@@ -51,8 +56,16 @@ class Demo:
     def places(self) -> dict[str, tuple[str, int]]:
         """Host and pid of every task that is alive."""
         document: dict[str, Any] = json.loads(self.run("status", "-o", "json", shown=False))
-        found = ((task, name, sample) for name, host in document["hosts"].items() for task, sample in host.get("tasks", {}).items())
-        return {task: (name, sample["pid"]) for task, name, sample in found if sample["state"] in ("starting", "running", "ready")}
+        found = (
+            (task, name, sample)
+            for name, host in document["hosts"].items()
+            for task, sample in host.get("tasks", {}).items()
+        )
+        return {
+            task: (name, sample["pid"])
+            for task, name, sample in found
+            if sample["state"] in ("starting", "running", "ready")
+        }
 
     def processes(self) -> list[int]:
         """Every process that was started on behalf of this fleet: its environment names our state directory."""
@@ -91,7 +104,10 @@ def bring_up(demo: Demo) -> None:
     demo.run("validate")
     demo.run("probe")
     must("10 to start" in demo.run("plan"), "the plan does not start ten tasks")
-    must(f"Applied {EXPECTED_TASKS} of {EXPECTED_TASKS}" in demo.run("apply", "--yes"), "not every task was started")
+    must(
+        f"Applied {EXPECTED_TASKS} of {EXPECTED_TASKS}" in demo.run("apply", "--yes"),
+        "not every task was started",
+    )
     time.sleep(SETTLE_S)
     demo.run("status")
     must(len(demo.places()) == EXPECTED_TASKS, "not every task runs")
@@ -103,7 +119,9 @@ def grow(demo: Demo) -> str:
     task = "detection-robot1"
     edge = places[task][0]
     slam = f"slam-robot{edge.removeprefix('edge')}"
-    say(f"\n# The map of {slam} grows: it now really holds 440 of the 512 MiB of {edge}. It is pinned; its neighbour {task} must move.")
+    say(
+        f"\n# The map of {slam} grows: it now really holds 440 of the 512 MiB of {edge}. It is pinned; its neighbour {task} must move."
+    )
     say(f"$ kill -USR1 {places[slam][1]}")
     os.kill(places[slam][1], signal.SIGUSR1)
     deadline = time.monotonic() + GROWS_S

@@ -57,7 +57,10 @@ def make_key(path: Path, comment: str = "edgectl-test") -> str:
 def penalties() -> tuple[str, ...]:
     """OpenSSH 9.8 and later punish addresses that fail to log in; the tests fail on purpose, from one address."""
     asked = subprocess.run(
-        [program("sshd"), "-T", "-f", "/dev/null", "-o", "PerSourcePenalties=no"], capture_output=True, text=True, check=False
+        [program("sshd"), "-T", "-f", "/dev/null", "-o", "PerSourcePenalties=no"],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     return () if "Bad configuration option" in asked.stderr else ("PerSourcePenalties no",)
 
@@ -88,7 +91,9 @@ class Server:
         log = (self.directory / "sshd.log").open("wb")
         with log:
             command = [program("sshd"), "-D", "-e", "-f", str(self.directory / "sshd_config")]
-            self.process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True)
+            self.process = subprocess.Popen(
+                command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True
+            )
 
     def wait(self) -> None:
         """Until it listens."""
@@ -126,7 +131,9 @@ class Server:
         write_config(self, **changes)  # type: ignore[arg-type]
 
 
-def write_config(server: Server, *, env: Mapping[str, str], authorized: Path, extra: Sequence[str] = ()) -> None:
+def write_config(
+    server: Server, *, env: Mapping[str, str], authorized: Path, extra: Sequence[str] = ()
+) -> None:
     """``extra`` lines come first: sshd takes the first value it sees, except of MaxStartups, of which it takes the last."""
     set_env = " ".join(f'"{name}={value}"' for name, value in env.items())
     lines = [
@@ -216,13 +223,26 @@ class Lab:
         home.mkdir(parents=True)
         address = address or str(FIRST + len(self.servers))
         key = make_key(directory / "host_key")
-        server = Server(name=name, address=address, port=free_port(address), directory=directory, key=key, home=home, extra=tuple(extra))
+        server = Server(
+            name=name,
+            address=address,
+            port=free_port(address),
+            directory=directory,
+            key=key,
+            home=home,
+            extra=tuple(extra),
+        )
         self.servers[name] = server
         self.configure(server, extra)
         return server
 
     def configure(self, server: Server, extra: Sequence[str] = ()) -> None:
-        env = {"HOME": str(server.home), "XDG_STATE_HOME": str(server.home / "state"), MARK: str(server.directory), "PATH": PATH}
+        env = {
+            "HOME": str(server.home),
+            "XDG_STATE_HOME": str(server.home / "state"),
+            MARK: str(server.directory),
+            "PATH": PATH,
+        }
         write_config(server, env=env, authorized=self.authorized_keys, extra=extra)
 
     def write_files(self, *extra: str, key: Path | None = None) -> None:

@@ -46,7 +46,11 @@ def everything(arguments: Sequence[str]) -> int:
     if code != pytest.ExitCode.TESTS_FAILED or seen.final or not 0 < len(seen.failed) <= MOST:
         return code
     print(f"\n== once more, alone: {len(seen.failed)} of the tests above", flush=True)
-    again = [test for test in seen.failed if subprocess.run([sys.executable, "-m", __spec__.name, ALONE, test], check=False).returncode]
+    again = [
+        test
+        for test in seen.failed
+        if subprocess.run([sys.executable, "-m", __spec__.name, ALONE, test], check=False).returncode
+    ]
     print()
     for test in seen.failed:
         print(f"FAILED TWICE: {test}" if test in again else f"FAILED FIRST, PASSED ALONE: look at it: {test}")

@@ -26,7 +26,15 @@ def suite(directory: Path, tests: str, *options: str) -> tuple[int, str]:
     (directory / "test_it.py").write_text(ONCE + tests)
     words = [sys.executable, "-m", "tests.suite", "test_it.py", *options]
     env = {"PATH": os.environ["PATH"], "PYTHONPATH": str(ROOT), "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
-    done = subprocess.run(words, cwd=directory, env=env, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False)
+    done = subprocess.run(
+        words,
+        cwd=directory,
+        env=env,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        check=False,
+    )
     return done.returncode, done.stdout
 
 
@@ -45,7 +53,10 @@ def test_what_passes_alone_is_named(tmp_path: Path, options: tuple[str, ...]) ->
     tests = "@pytest.mark.parametrize('command', ['ssh-sleep 0.2; exit 3::[x]'])\ndef test_once(command): assert runs('once') > 1\n"
     code, said = suite(tmp_path, FINE + tests, *options)
     assert code == 0, said
-    assert said.splitlines()[-1] == "FAILED FIRST, PASSED ALONE: look at it: test_it.py::test_once[ssh-sleep 0.2; exit 3::[x]]"
+    assert (
+        said.splitlines()[-1]
+        == "FAILED FIRST, PASSED ALONE: look at it: test_it.py::test_once[ssh-sleep 0.2; exit 3::[x]]"
+    )
     assert "1 failed, 1 passed" in said, "the first run's own words stay"
     assert (tmp_path / "once").read_text() == "xx"
 
@@ -67,7 +78,9 @@ def test_more_than_three_are_no_accident(tmp_path: Path) -> None:
 
 
 def test_a_failed_teardown_counts(tmp_path: Path) -> None:
-    fixture = "@pytest.fixture\ndef left():\n    yield\n    assert runs('left') > {}\ndef test_left(left): pass\n"
+    fixture = (
+        "@pytest.fixture\ndef left():\n    yield\n    assert runs('left') > {}\ndef test_left(left): pass\n"
+    )
     assert suite(tmp_path, fixture.format(1))[0] == 0
     (tmp_path / "left").unlink()
     assert suite(tmp_path, fixture.format(2))[0] == 1

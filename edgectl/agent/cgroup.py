@@ -39,7 +39,9 @@ def _groups(root: str, controller: str) -> list:
         names, _, path = rest.partition(":")
         if controller in names.split(","):
             mount = "%s/sys/fs/cgroup/%s" % (root, names)
-            return _upwards(mount if os.path.isdir(mount) else "%s/sys/fs/cgroup/%s" % (root, controller), path, 1)
+            return _upwards(
+                mount if os.path.isdir(mount) else "%s/sys/fs/cgroup/%s" % (root, controller), path, 1
+            )
         if number == "0" and not names:
             v2_path = path
     for mount in (root + "/sys/fs/cgroup", root + "/sys/fs/cgroup/unified"):

@@ -58,7 +58,9 @@ class CpuMeter:
     def __init__(self) -> None:
         self.allowed = cpu_list()
         self.limit = cgroup.cpu_limit()
-        if self.limit is not None and (self.limit.value >= len(self.allowed) or cgroup.cpu_used_s(self.limit) < 0):
+        if self.limit is not None and (
+            self.limit.value >= len(self.allowed) or cgroup.cpu_used_s(self.limit) < 0
+        ):
             self.limit = None
         self.start = self._now()
 
@@ -114,7 +116,9 @@ def temperature_c(psutil):
 def _sensor_files() -> list:
     zones = ["%s/temp" % zone for zone in _inside("/sys/class/thermal") if "thermal_zone" in zone]
     chips = [file for chip in _inside("/sys/class/hwmon") for file in _inside(chip)]
-    return zones + [file for file in chips if os.path.basename(file).startswith("temp") and file.endswith("_input")]
+    return zones + [
+        file for file in chips if os.path.basename(file).startswith("temp") and file.endswith("_input")
+    ]
 
 
 def _inside(folder: str) -> list:
@@ -137,7 +141,9 @@ def _plain(path: str) -> str:
 
 def gpu_share():
     """How busy the GPU is, 0..1: Jetson's load file, else nvidia-smi where it is installed; None without either."""
-    for path in [path for folder in _GPU_FOLDERS for path in _inside(folder) if "gpu" in os.path.basename(path)]:
+    for path in [
+        path for folder in _GPU_FOLDERS for path in _inside(folder) if "gpu" in os.path.basename(path)
+    ]:
         text = _plain(path + "/load")
         if text.isdigit():
             return min(1.0, int(text) / 1000.0)

@@ -18,7 +18,9 @@ def doctor(request: dict) -> dict:
     """Look around; nothing is changed."""
     began, wall = time.monotonic(), time.time()
     shell.guard()
-    seen = shell.Command(_script(request.get("prelude", "")), "", request.get("env"), float(request.get("timeout_s", 8.0)))
+    seen = shell.Command(
+        _script(request.get("prelude", "")), "", request.get("env"), float(request.get("timeout_s", 8.0))
+    )
     addresses = network.resolve(request.get("links", []))
     knocks = network.Knocks(addresses)
     _await(knocks, addresses)
@@ -42,7 +44,9 @@ def doctor(request: dict) -> dict:
 def _await(knocks, addresses: dict) -> None:
     """Until every robot has answered, at most a second."""
     deadline = time.monotonic() + _KNOCK_S
-    while time.monotonic() < deadline and any(found and knocks.reachable[robot] is None for robot, found in addresses.items()):
+    while time.monotonic() < deadline and any(
+        found and knocks.reachable[robot] is None for robot, found in addresses.items()
+    ):
         knocks.wait(time.monotonic() + 0.02)
     knocks.close(addresses)
 

@@ -45,7 +45,11 @@ class Followed:
         marks = {name: _mark(self.host, name) for name in names}
         if marks == self.marks and (time.monotonic() < self.next_walk or not (names or self.detect)):
             known = (proc.process(pid) for pid in self.ticks)
-            return {each.pid: each for each in known if each is not None and each.ticks == self.ticks[each.pid] and each.state not in "ZX"}
+            return {
+                each.pid: each
+                for each in known
+                if each is not None and each.ticks == self.ticks[each.pid] and each.state not in "ZX"
+            }
         began, self.marks = time.process_time(), marks
         table = self._walk(names)
         self.next_walk = time.monotonic() + max(WALK_S, (time.process_time() - began) / _WALK_SHARE)
@@ -55,15 +59,26 @@ class Followed:
         table = proc.processes() if names or self.detect else {}
         found = task.groups(self.host, names, self.detect, table)
         self.groups = {key(name, group.entry): group for name, group in found.items() if group.pids}
-        self.ticks = {pid: table[pid].ticks for group in self.groups.values() for pid in group.pids | {group.above} if pid in table}
+        self.ticks = {
+            pid: table[pid].ticks
+            for group in self.groups.values()
+            for pid in group.pids | {group.above}
+            if pid in table
+        }
         self.held = {name: task.holdings(group.pids) for name, group in self.groups.items()}
-        self.levels = {name: (task.memory(group, table), _rss(group, table)) for name, group in self.groups.items()}
+        self.levels = {
+            name: (task.memory(group, table), _rss(group, table)) for name, group in self.groups.items()
+        }
         return table
 
 
 def _mark(host: str, name: str) -> tuple:
     """Changes when the task is started, restarted or ends."""
-    paths = [os.path.join(folder, file) for folder in state.task_dirs(host, name) for file in ("instance", "status")]
+    paths = [
+        os.path.join(folder, file)
+        for folder in state.task_dirs(host, name)
+        for file in ("instance", "status")
+    ]
     return tuple(_changed_ns(path) for path in paths)
 
 

@@ -33,7 +33,10 @@ def _parts(request: dict, sample: dict, age: float) -> dict:
         "memory": device.memory(None),
         "temperature_c": levels["temperature_c"],
         "gpu_share": levels["gpu_share"],
-        "interfaces": {name: network.interface(rate, levels["speeds"].get(name)) for name, rate in rates["interfaces"].items()},
+        "interfaces": {
+            name: network.interface(rate, levels["speeds"].get(name))
+            for name, rate in rates["interfaces"].items()
+        },
         "links": {robot: _link(robot, rate, levels, alive) for robot, rate in rates["links"].items()},
         "tasks": {name: dict(entry, **_shown(rate)) for name, (entry, rate) in now.items()},
     }
@@ -52,7 +55,11 @@ def _link(robot: str, rate: dict, levels: dict, alive: list) -> dict:
 
 
 def _shown(rate: dict) -> dict:
-    return dict(task.shown(rate), used_cores=round(max(0.0, rate["used_cores"]), 4), used_bytes=int(rate["used_bytes"]))
+    return dict(
+        task.shown(rate),
+        used_cores=round(max(0.0, rate["used_cores"]), 4),
+        used_bytes=int(rate["used_bytes"]),
+    )
 
 
 def _tasks(request: dict, sample: dict) -> dict:
@@ -60,10 +67,13 @@ def _tasks(request: dict, sample: dict) -> dict:
     host, detect = request["host"], request.get("detect", [])
     entries = status.entries(host, None)
     if detect or any(
-        entry["state"] in ALIVE and followed.key(name, entry) not in sample["rates"]["tasks"] for name, entry in entries.items()
+        entry["state"] in ALIVE and followed.key(name, entry) not in sample["rates"]["tasks"]
+        for name, entry in entries.items()
     ):
         return _looked_up(host, detect, sample)
-    return {name: (entry, _sampled(name, entry, sample) or _nothing()) for name, entry in sorted(entries.items())}
+    return {
+        name: (entry, _sampled(name, entry, sample) or _nothing()) for name, entry in sorted(entries.items())
+    }
 
 
 def _looked_up(host: str, detect: list, sample: dict) -> dict:

@@ -25,13 +25,17 @@ def launch(folder: str, lock: int, identity: dict, spec: dict, way) -> dict:
         if report is not None:
             return report
         if spec.get("runtime") == "systemd":
-            raise RefusalError("no-systemd", "systemd-run did not start the task: " + said, "use runtime: auto or process")
+            raise RefusalError(
+                "no-systemd", "systemd-run did not start the task: " + said, "use runtime: auto or process"
+            )
         way.why = "systemd-run failed: " + said
     read_end, report = os.pipe()
     _fork(lambda: _supervise(dict(order, report=report, why=way.why)), report, (lock, report))
     data, ended = _heard(read_end, _REPORT_S)
     os.close(read_end)
-    return _report(data) or {"error": "the supervisor ended before the task was started" if ended else "no sign of the supervisor"}
+    return _report(data) or {
+        "error": "the supervisor ended before the task was started" if ended else "no sign of the supervisor"
+    }
 
 
 def _fork(work, report: int, keep: tuple) -> None:
@@ -57,7 +61,9 @@ def _become(work, report: int, keep: tuple) -> None:
 
 
 def _supervise(order: dict) -> None:
-    Supervisor(order["folder"], order["lock"], order["report"], order["identity"], order["spec"], order["why"]).run()
+    Supervisor(
+        order["folder"], order["lock"], order["report"], order["identity"], order["spec"], order["why"]
+    ).run()
 
 
 def _heard(fd: int, patience_s: float) -> tuple:
@@ -109,8 +115,12 @@ def _in_scope(way, order: dict) -> tuple:
         data, ended = data + b" no answer within %d s" % _SCOPE_S, _is_ended(data, read_end, order["folder"])
     os.close(read_end)
     if not ended:
-        raise RefusalError("start-failed", "systemd-run neither started the task nor can be ended", "use runtime: process")
-    return _report(data), " ".join(data.partition(b"\n")[2].decode("utf-8", "replace").split())[:300] or "it said nothing"
+        raise RefusalError(
+            "start-failed", "systemd-run neither started the task nor can be ended", "use runtime: process"
+        )
+    return _report(data), " ".join(data.partition(b"\n")[2].decode("utf-8", "replace").split())[
+        :300
+    ] or "it said nothing"
 
 
 def _is_ended(data: bytes, read_end: int, folder: str) -> bool:

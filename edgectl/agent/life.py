@@ -137,7 +137,12 @@ def is_alive(found: Trace, table=None) -> bool:
     """Lock held, or a cookie found; the processes are only searched where the record does not say that all ended."""
     if found.held:
         return True
-    if not found.instance or not same_boot(found) or found.status.get("state") in FINAL and not found.status.get("left"):
+    if (
+        not found.instance
+        or not same_boot(found)
+        or found.status.get("state") in FINAL
+        and not found.status.get("left")
+    ):
         return False
     return bool(orphans(found, proc.processes() if table is None else table))
 
@@ -194,7 +199,9 @@ def _living(found: Trace) -> dict:
 
 def _marked(found: Trace) -> bool:
     mark = record.read(os.path.join(found.folder, "mark"))
-    return mark.get("instance") == found.instance.get("instance") and mark.get("restarts") == found.status.get("restarts")
+    return mark.get("instance") == found.instance.get("instance") and mark.get(
+        "restarts"
+    ) == found.status.get("restarts")
 
 
 def _dead(found: Trace) -> dict:

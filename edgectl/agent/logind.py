@@ -16,7 +16,9 @@ def check_survival(root: str = "") -> None:
     user = pwd.getpwuid(os.geteuid()).pw_name
     if kills_users_processes(root) and not os.path.exists("%s/var/lib/systemd/linger/%s" % (root, user)):
         message = "this host kills what %s leaves behind at logout (KillUserProcesses=yes)" % user
-        raise RefusalError("killed-at-logout", message, "on the host, as root: loginctl enable-linger %s" % user)
+        raise RefusalError(
+            "killed-at-logout", message, "on the host, as root: loginctl enable-linger %s" % user
+        )
 
 
 def kills_users_processes(root: str = "") -> bool:
@@ -53,7 +55,9 @@ def _files(root: str) -> list:
         path = root + folder + "/logind.conf.d"
         names = os.listdir(path) if os.path.isdir(path) else []
         drop_ins.update((name, os.path.join(path, name)) for name in names if name.endswith(".conf"))
-    return [path for path in mains if os.path.exists(path)][:1] + [drop_ins[name] for name in sorted(drop_ins)]
+    return [path for path in mains if os.path.exists(path)][:1] + [
+        drop_ins[name] for name in sorted(drop_ins)
+    ]
 
 
 def _lines(path: str) -> list:

@@ -115,7 +115,10 @@ def logs(request: dict) -> dict:
     """Operation ``logs``: the end of the log as text."""
     text = tail(_folder(request), int(request.get("tail", 100))).decode("utf-8", "replace")
     # Escaped, a character may take six bytes; the reply must stay below 1 MiB.
-    while len(text) > _MOST_TEXT // 4 and sum(6 if ord(letter) > 126 or ord(letter) < 32 else 1 for letter in text) > 900000:
+    while (
+        len(text) > _MOST_TEXT // 4
+        and sum(6 if ord(letter) > 126 or ord(letter) < 32 else 1 for letter in text) > 900000
+    ):
         text = text[len(text) // 2 :]
     return {"v": 1, "op": "logs", "host": request["host"], "task": request["task"], "text": text}
 

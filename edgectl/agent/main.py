@@ -24,7 +24,13 @@ def serve(request: bytes, channel, bases: list) -> None:
     except RefusalError as refusal:
         reply = {"error": {"kind": refusal.kind, "message": refusal.message, "hint": refusal.hint}}
     except Exception as error:  # noqa: BLE001 - whatever it was, the manager gets a document, not a traceback
-        reply = {"error": {"kind": "agent-error", "message": _described(error), "hint": "report this: it is a mistake in edgectl's agent"}}
+        reply = {
+            "error": {
+                "kind": "agent-error",
+                "message": _described(error),
+                "hint": "report this: it is a mistake in edgectl's agent",
+            }
+        }
     payload = light.dumps(reply).encode("ascii")
     if len(payload) > _MOST_BYTES:
         payload = b'{"error": {"kind": "too-large", "message": "the reply is larger than 1 MiB", "hint": "ask for less"}}'
@@ -75,5 +81,7 @@ def _operation(name: str):  # noqa: C901 - a table of lazy imports
     elif name == "doctor":
         from .doctor import doctor as operation
     else:
-        raise RefusalError("unknown-op", "this agent knows no operation %r" % name, "manager and agent differ in version")
+        raise RefusalError(
+            "unknown-op", "this agent knows no operation %r" % name, "manager and agent differ in version"
+        )
     return operation

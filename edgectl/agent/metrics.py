@@ -49,7 +49,11 @@ def of_tasks(host: str, tasks: dict) -> dict:
 def _of_task(host: str, name: str, instance: str, most: int) -> dict:
     folders = state.task_dirs(host, name)
     if len(folders) > 1:
-        folders = [folder for folder in folders if record.read(os.path.join(folder, "instance")).get("instance") == instance]
+        folders = [
+            folder
+            for folder in folders
+            if record.read(os.path.join(folder, "instance")).get("instance") == instance
+        ]
     return read(folders[0], most) if folders else {}
 
 
@@ -129,7 +133,9 @@ def bounded(folder: str) -> float:
 
 def _compact(fd: int) -> None:
     """In place, and the head before the cut: whatever the task appends from here on comes after it and counts more."""
-    lines = b"".join(b"%s %s\n" % (name.encode(), repr(value).encode()) for name, value in parsed(_tail(fd)).items())
+    lines = b"".join(
+        b"%s %s\n" % (name.encode(), repr(value).encode()) for name, value in parsed(_tail(fd)).items()
+    )
     try:
         os.pwrite(fd, lines, 0)
     except OSError:

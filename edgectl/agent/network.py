@@ -24,7 +24,14 @@ class Flow:
     __slots__ = ("inode", "local", "remote", "rtt_ms", "rx", "tx")
 
     def __init__(self, local: str, remote: str, inode: int, rx: int, tx: int, rtt_ms: float) -> None:
-        self.local, self.remote, self.inode, self.rx, self.tx, self.rtt_ms = local, remote, inode, rx, tx, rtt_ms
+        self.local, self.remote, self.inode, self.rx, self.tx, self.rtt_ms = (
+            local,
+            remote,
+            inode,
+            rx,
+            tx,
+            rtt_ms,
+        )
 
 
 class Traffic:
@@ -72,7 +79,10 @@ def resolve(links: list) -> dict:
     if unknown:
         import threading
 
-        threads = [threading.Thread(target=_look_up, args=(found, robot, name), daemon=True) for robot, name in unknown.items()]
+        threads = [
+            threading.Thread(target=_look_up, args=(found, robot, name), daemon=True)
+            for robot, name in unknown.items()
+        ]
         for thread in threads:
             thread.start()
         deadline = time.monotonic() + _RESOLVE_S
@@ -111,7 +121,9 @@ class Knocks:
                 self._knock(robot, found[0])
 
     def _knock(self, robot: str, address: str) -> None:
-        door = socket.socket(socket.AF_INET6 if ":" in address else socket.AF_INET, socket.SOCK_STREAM | socket.SOCK_NONBLOCK)
+        door = socket.socket(
+            socket.AF_INET6 if ":" in address else socket.AF_INET, socket.SOCK_STREAM | socket.SOCK_NONBLOCK
+        )
         started = time.monotonic()
         code = door.connect_ex((address, _KNOCK_PORT))
         if code == errno.EINPROGRESS:
@@ -157,7 +169,10 @@ def _unanswered_neighbours() -> set:
 
 def links(addresses: dict, flows: list, knocks: Knocks, seconds: float, ways: dict) -> dict:
     """Robot -> rates, round-trip time, interface (out of ``ways``) and reachability."""
-    return {robot: dict(_link(robot, found, flows, knocks, seconds), interface=ways[robot]) for robot, found in addresses.items()}
+    return {
+        robot: dict(_link(robot, found, flows, knocks, seconds), interface=ways[robot])
+        for robot, found in addresses.items()
+    }
 
 
 def ways(addresses: dict) -> dict:
@@ -237,7 +252,11 @@ def rates(before: dict, after: dict, seconds: float) -> dict:
 
 def interface(rate: dict, speed_bytes_per_s) -> dict:
     """One of ``rates`` as it stands in a reply."""
-    return {"rx_bytes_per_s": round(rate["rx"], 1), "tx_bytes_per_s": round(rate["tx"], 1), "speed_bytes_per_s": speed_bytes_per_s}
+    return {
+        "rx_bytes_per_s": round(rate["rx"], 1),
+        "tx_bytes_per_s": round(rate["tx"], 1),
+        "speed_bytes_per_s": speed_bytes_per_s,
+    }
 
 
 def speed(name: str):

@@ -37,12 +37,19 @@ def probe(request: dict) -> dict:
 
 def _from_profiler(request: dict):
     """(measured part of the reply, checks under way), or None: no profiler, none that measures what is asked, or one that is late."""
-    if not any(os.path.isdir(os.path.join(levels[-1], "profiler")) for levels in state.host_places(request["host"])):
+    if not any(
+        os.path.isdir(os.path.join(levels[-1], "profiler")) for levels in state.host_places(request["host"])
+    ):
         return None
     from .latest import ALIVE, latest
 
     found = latest(request)
-    return found and (found, _Checks(request.get("checks", []), {name: each["state"] in ALIVE for name, each in found["tasks"].items()}))
+    return found and (
+        found,
+        _Checks(
+            request.get("checks", []), {name: each["state"] in ALIVE for name, each in found["tasks"].items()}
+        ),
+    )
 
 
 def _over_window(request: dict) -> tuple:
@@ -79,7 +86,9 @@ def _over_window(request: dict) -> tuple:
 def _generations(host: str, measured: dict) -> dict:
     """Task -> highest generation seen here, where the task's own entry does not tell: without it a manager cannot start the task again."""
     seen = {name: status.seen_generation(host, name) for name in state.task_names(host)}
-    return {name: number for name, number in seen.items() if number > measured.get(name, {}).get("generation", 0)}
+    return {
+        name: number for name, number in seen.items() if number > measured.get(name, {}).get("generation", 0)
+    }
 
 
 class _Checks:
@@ -94,7 +103,9 @@ class _Checks:
 
         shell.guard()
         self._commands = {
-            str(wish["task"]): shell.Command(wish["command"], wish.get("prelude", ""), wish.get("env"), float(wish.get("timeout_s", 10.0)))
+            str(wish["task"]): shell.Command(
+                wish["command"], wish.get("prelude", ""), wish.get("env"), float(wish.get("timeout_s", 10.0))
+            )
             for wish in due
         }
 

@@ -91,7 +91,9 @@ def environ_has(pid: int, entry: bytes) -> bool:
 
 def cmdline(pid: int) -> list:
     """The argument vector, decoded with replacement."""
-    return [part.decode("utf-8", "replace") for part in read("/proc/%d/cmdline" % pid).rstrip(b"\0").split(b"\0")]
+    return [
+        part.decode("utf-8", "replace") for part in read("/proc/%d/cmdline" % pid).rstrip(b"\0").split(b"\0")
+    ]
 
 
 def boot_id() -> str:

@@ -31,7 +31,9 @@ def start(request: dict) -> dict:
         if lock >= 0 and _launch(folder, lock, request):
             return dict(_described(host, request), state=state_word)
     raise RefusalError(
-        "start-failed", "the profiler does not stay: it fails, or others replace it all the time", "edgectl profilers status"
+        "start-failed",
+        "the profiler does not stay: it fails, or others replace it all the time",
+        "edgectl profilers status",
     )
 
 
@@ -96,7 +98,11 @@ def _end(host: str, sitter) -> list:
     Raises:
         RefusalError: it does not go.
     """
-    seen = [(sitter.pid, sitter.ticks)] if sitter is not None else [each for folder in seat.folders(host) for each in seat.holders(folder)]
+    seen = (
+        [(sitter.pid, sitter.ticks)]
+        if sitter is not None
+        else [each for folder in seat.folders(host) for each in seat.holders(folder)]
+    )
     for name, patience_s in (("TERM", _GRACE_S), ("KILL", _KILL_S)):
         for pid, ticks in seen:
             signals.send(pid, ticks, signals.number(name))
@@ -106,7 +112,9 @@ def _end(host: str, sitter) -> list:
             time.sleep(_POLL_S)
     left = ", ".join(str(pid) for pid, ticks in seen if proc.is_alive(pid, ticks))
     if left:
-        raise RefusalError("stop-incomplete", "the profiler does not end (pid %s)" % left, "look at it on the host")
+        raise RefusalError(
+            "stop-incomplete", "the profiler does not end (pid %s)" % left, "look at it on the host"
+        )
     return [pid for pid, _ in seen]
 
 
@@ -136,6 +144,8 @@ def _described(host: str, request: dict) -> dict:
         "used_cores": round((process.cpu + process.child_cpu) / age, 5),
         "used_bytes": process.rss,
         "ttl_s": known.get("ttl_s"),
-        "ttl_left_s": round(known.get("ttl_s", 0.0) - (now - max(known.get("begun", now), lease.last(host))), 1),
+        "ttl_left_s": round(
+            known.get("ttl_s", 0.0) - (now - max(known.get("begun", now), lease.last(host))), 1
+        ),
         "current": known.get("wishes") == seat.wishes(request),
     }

@@ -34,7 +34,16 @@ def resident(request: dict) -> None:
         signal.signal(signal.SIGTERM, lambda *_: _go(request["folder"], lock, ""))
         fd = ring.create(request["folder"])
         known = seat.identity(fd)
-        ring.describe(fd, dict(known, wishes=request["wishes"], every_s=request["every_s"], ttl_s=request["ttl_s"], begun=proc.uptime()))
+        ring.describe(
+            fd,
+            dict(
+                known,
+                wishes=request["wishes"],
+                every_s=request["every_s"],
+                ttl_s=request["ttl_s"],
+                begun=proc.uptime(),
+            ),
+        )
         seat.take(request["folder"], known)
         _tell(report, {"pid": known["pid"]})
         _go(request["folder"], lock, Resident(request, lock, fd).run())
@@ -119,7 +128,12 @@ class Resident:
             "tasks": tasks,
         }
         self.rates = smooth.smoothed(self.rates, raw, smooth.weight(seconds, self.every))
-        levels = dict(self.slow, cores=cpu["cores"], bytes=used, reachable={robot: link["reachable"] for robot, link in links.items()})
+        levels = dict(
+            self.slow,
+            cores=cpu["cores"],
+            bytes=used,
+            reachable={robot: link["reachable"] for robot, link in links.items()},
+        )
         return {
             "at": proc.uptime(),
             "period_s": self.period,

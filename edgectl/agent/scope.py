@@ -40,9 +40,15 @@ def obstacle(root: str = "") -> tuple:
     if not program():
         return "there is no systemd-run", _HINTS
     if not runtime_dir(root):
-        return "no systemd --user runs for %s" % user, "look at: systemctl status user@%d; or %s" % (os.geteuid(), _HINTS)
+        return "no systemd --user runs for %s" % user, "look at: systemctl status user@%d; or %s" % (
+            os.geteuid(),
+            _HINTS,
+        )
     if not lingers(user, root):
-        return "lingering is off for %s" % user, "on the host, as root: loginctl enable-linger %s; or %s" % (user, _HINTS)
+        return "lingering is off for %s" % user, "on the host, as root: loginctl enable-linger %s; or %s" % (
+            user,
+            _HINTS,
+        )
     return "", ""
 
 
@@ -98,7 +104,14 @@ def cpu_percent(cores: float) -> int:
 
 def _argv(host: str, task: str, settings: dict) -> list:
     """Names are checked and numbers are numbers: nothing in here is the user's own text."""
-    argv = [program(), "--user", "--scope", "--quiet", "--collect", "--unit=edgectl-%s-%s-%s" % (host, task, os.urandom(4).hex())]
+    argv = [
+        program(),
+        "--user",
+        "--scope",
+        "--quiet",
+        "--collect",
+        "--unit=edgectl-%s-%s-%s" % (host, task, os.urandom(4).hex()),
+    ]
     if "MemoryMax" in settings and version(argv[0]) >= 253:
         # Else systemd would end the whole scope, supervisor and log included, when one process is killed for its memory.
         settings = dict(settings, OOMPolicy="continue")
@@ -112,7 +125,9 @@ def version(systemd_run: str) -> int:
     import subprocess
 
     try:
-        words = subprocess.check_output([systemd_run, "--version"], timeout=10, stderr=subprocess.DEVNULL).split()
+        words = subprocess.check_output(
+            [systemd_run, "--version"], timeout=10, stderr=subprocess.DEVNULL
+        ).split()
         return int(words[1])
     except (OSError, subprocess.SubprocessError, ValueError, IndexError):
         return 0
@@ -129,8 +144,14 @@ def verdict(limits, why: str, root: str = "") -> str:
 
     allowed = {"cpu": cpu_percent(stated.get("cpu") or 0) / 100.0, "memory": int(stated.get("memory") or 0)}
     found = {"cpu": cgroup.cpu_limit(root), "memory": cgroup.memory_limit(root)}
-    missing = [name for name in sorted(stated) if found[name] is None or found[name].value > allowed[name] + 1e-9]
+    missing = [
+        name for name in sorted(stated) if found[name] is None or found[name].value > allowed[name] + 1e-9
+    ]
     if not missing:
         return "enforced"
     reason = "systemd accepted it, but the control group does not have it"
-    return "not enforced: %s: %s%s" % (" and ".join(missing), reason, "" if cgroup.is_v2(root) else " (control groups v1)")
+    return "not enforced: %s: %s%s" % (
+        " and ".join(missing),
+        reason,
+        "" if cgroup.is_v2(root) else " (control groups v1)",
+    )

@@ -39,7 +39,11 @@ def make(host: str) -> str:
             return levels[-1]
         except OSError as error:
             reasons.append("%s: %s" % (levels[0], error.strerror or error))
-    raise RefusalError("no-state-dir", "no place for the profiler: " + "; ".join(reasons), "free some disk space or set EDGECTL_STATE_DIR")
+    raise RefusalError(
+        "no-state-dir",
+        "no place for the profiler: " + "; ".join(reasons),
+        "free some disk space or set EDGECTL_STATE_DIR",
+    )
 
 
 def identity(fd: int) -> dict:
@@ -66,7 +70,10 @@ def last_words(host: str) -> str:
     for folder in folders(host):
         known = record.read(os.path.join(folder, _RECORD))
         if known:
-            return known.get("ended", "it was killed" if known.get("boot_id") == proc.boot_id() else "the host was rebooted")
+            return known.get(
+                "ended",
+                "it was killed" if known.get("boot_id") == proc.boot_id() else "the host was rebooted",
+            )
     return ""
 
 
@@ -129,5 +136,8 @@ def wishes(request: dict) -> dict:
     return {
         "agent": os.path.basename(getattr(sys.modules[__name__].__loader__, "root", "")),
         "links": {str(link["robot"]): str(link["address"]) for link in request.get("links") or []},
-        "detect": {str(wish["task"]): {name: str(text) for name, text in wish.items()} for wish in request.get("detect") or []},
+        "detect": {
+            str(wish["task"]): {name: str(text) for name, text in wish.items()}
+            for wish in request.get("detect") or []
+        },
     }

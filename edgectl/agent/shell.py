@@ -6,7 +6,14 @@ import time
 
 _KEPT = 2048
 # What an SSH login leaves behind says nothing to a task, and would tie it to the manager that started it; nor is it a unit of systemd's.
-_DROPPED = ("SSH_CLIENT", "SSH_CONNECTION", "SSH_TTY", "SSH_AUTH_SOCK", "SSH_ORIGINAL_COMMAND", "INVOCATION_ID")
+_DROPPED = (
+    "SSH_CLIENT",
+    "SSH_CONNECTION",
+    "SSH_TTY",
+    "SSH_AUTH_SOCK",
+    "SSH_ORIGINAL_COMMAND",
+    "INVOCATION_ID",
+)
 
 
 def argv(command: str, prelude: str) -> list:
@@ -104,4 +111,6 @@ def guard() -> None:
 def check(request: dict) -> dict:
     """Operation ``check``: run one command now."""
     guard()
-    return Command(request["command"], request.get("prelude", ""), request.get("env"), float(request["timeout_s"])).result()
+    return Command(
+        request["command"], request.get("prelude", ""), request.get("env"), float(request["timeout_s"])
+    ).result()

@@ -99,7 +99,10 @@ def _exec(argv: list, env: dict, folder: str, lock: int, output: int, trouble: i
         os.set_inheritable(lock, True)
         os.execve(argv[0], argv, env)  # noqa: S606 - argv[0] is bash or sh
     except OSError as error:
-        os.write(trouble, ("%s: %s" % (error.filename or argv[0], error.strerror)).encode("utf-8", "surrogateescape"))
+        os.write(
+            trouble,
+            ("%s: %s" % (error.filename or argv[0], error.strerror)).encode("utf-8", "surrogateescape"),
+        )
     finally:
         os._exit(127)
 

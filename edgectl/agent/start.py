@@ -17,7 +17,11 @@ def check_generation(host: str, task: str, generation: int) -> None:
     seen = status.seen_generation(host, task)
     if generation < seen:
         message = "generation %d of %s is older than %d, which this host has seen" % (generation, task, seen)
-        raise RefusalError("stale-generation", message, "another manager changed this task: run edgectl probe, then plan again")
+        raise RefusalError(
+            "stale-generation",
+            message,
+            "another manager changed this task: run edgectl probe, then plan again",
+        )
 
 
 def take_lock(folder: str) -> int:
@@ -36,7 +40,11 @@ def take_lock(folder: str) -> int:
 
 def start(request: dict) -> dict:
     """Start the command under a supervisor of its own; where the task lives already, say which instance it is."""
-    host, task, spec = state.checked_name(request["host"]), state.checked_name(request["task"]), request["spec"]
+    host, task, spec = (
+        state.checked_name(request["host"]),
+        state.checked_name(request["task"]),
+        request["spec"],
+    )
     way = scope.chosen(spec.get("runtime") or "auto", host, task, spec.get("limits"))
     logind.check_survival()
     check_generation(host, task, int(request["generation"]))
@@ -56,7 +64,11 @@ def start(request: dict) -> dict:
 
 def _done_before(trace, instance: str) -> bool:
     """A start that is repeated is the same start: a job that has completed is not run again."""
-    return trace is not None and trace.instance.get("instance") == instance and trace.status.get("state") == "completed"
+    return (
+        trace is not None
+        and trace.instance.get("instance") == instance
+        and trace.status.get("state") == "completed"
+    )
 
 
 def _settled(folder: str):
@@ -93,7 +105,13 @@ def _launched(folder: str, lock: int, request: dict, way) -> dict:
     if "error" in report:
         raise RefusalError("start-failed", report["error"], "look at the task's command, workdir and env")
     limits = "" if report["limits"] in ("", "enforced") else "limits: " + report["limits"]
-    return {"state": "started", "pid": report["pid"], "instance": request["instance"], "detail": limits, **generation}
+    return {
+        "state": "started",
+        "pid": report["pid"],
+        "instance": request["instance"],
+        "detail": limits,
+        **generation,
+    }
 
 
 def _identity(request: dict, spec: dict) -> dict:

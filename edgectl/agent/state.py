@@ -15,7 +15,12 @@ _LONGEST_NAME = 63
 
 
 def _is_name(name) -> bool:
-    return isinstance(name, str) and 0 < len(name) <= _LONGEST_NAME and name[0] not in "._-" and _LETTERS.issuperset(name)
+    return (
+        isinstance(name, str)
+        and 0 < len(name) <= _LONGEST_NAME
+        and name[0] not in "._-"
+        and _LETTERS.issuperset(name)
+    )
 
 
 def checked_name(name: str) -> str:
@@ -71,13 +76,21 @@ def make_task_dir(host: str, task: str) -> str:
         try:
             for level in levels:
                 private_dir(level)
-            for name, size in (("lock", 0), ("instance", SIZE), ("status", SIZE), ("mark", SIZE), ("generation", SIZE)):
+            for name, size in (
+                ("lock", 0),
+                ("instance", SIZE),
+                ("status", SIZE),
+                ("mark", SIZE),
+                ("generation", SIZE),
+            ):
                 reserve(os.path.join(levels[-1], name), size)
             return levels[-1]
         except OSError as error:
             reasons.append("%s: %s" % (base, error.strerror or error))
     raise RefusalError(
-        "no-state-dir", "no place to keep the task's state: " + "; ".join(reasons), "free some disk space or set EDGECTL_STATE_DIR"
+        "no-state-dir",
+        "no place to keep the task's state: " + "; ".join(reasons),
+        "free some disk space or set EDGECTL_STATE_DIR",
     )
 
 

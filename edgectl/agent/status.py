@@ -21,7 +21,9 @@ def current(host: str, task: str, table=None):
 def seen_generation(host: str, task: str) -> int:
     """The highest generation this host was ever given for the task."""
     folders = state.task_dirs(host, task)
-    return max([record.read(os.path.join(folder, "generation")).get("generation", 0) for folder in folders] or [0])
+    return max(
+        [record.read(os.path.join(folder, "generation")).get("generation", 0) for folder in folders] or [0]
+    )
 
 
 def entries(host: str, task, table=None) -> dict:
@@ -78,7 +80,9 @@ def mark(request: dict) -> dict:
     """Operation ``mark``: a ready check that ran elsewhere succeeded."""
     trace, alive = current(request["host"], request["task"])
     if not alive or trace.instance.get("instance") != request["instance"]:
-        raise RefusalError("not-running", "instance %s of %s does not run here" % (request["instance"], request["task"]))
+        raise RefusalError(
+            "not-running", "instance %s of %s does not run here" % (request["instance"], request["task"])
+        )
     if request.get("ready"):
         document = {"instance": request["instance"], "restarts": trace.status.get("restarts", 0)}
         record.write(os.path.join(trace.folder, "mark"), document)

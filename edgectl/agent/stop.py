@@ -50,7 +50,9 @@ def _note_stopped(trace) -> None:
 def _stopped(trace, request: dict) -> list:
     """Stop one instance; the pids that are left."""
     if request.get("generation") is not None:
-        record.write(os.path.join(trace.folder, "generation"), {"generation": int(request["generation"])}, durable=True)
+        record.write(
+            os.path.join(trace.folder, "generation"), {"generation": int(request["generation"])}, durable=True
+        )
     settings = request.get("stop") or trace.instance.get("stop") or {}
     tell_supervisor(trace)
     for name, scope, grace_s in steps(settings):
@@ -68,7 +70,9 @@ def steps(settings: dict) -> tuple:
     if settings.get("preset") == "ros":
         return _ROS
     grace_s = settings.get("grace_s")
-    return ((settings.get("signal") or "TERM", "tree", _DEFAULT_GRACE_S if grace_s is None else float(grace_s)),)
+    return (
+        (settings.get("signal") or "TERM", "tree", _DEFAULT_GRACE_S if grace_s is None else float(grace_s)),
+    )
 
 
 def tell_supervisor(trace) -> None:

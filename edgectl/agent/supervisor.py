@@ -34,7 +34,13 @@ class Supervisor:
         self.env[name] = value
         self.env["EDGECTL_METRICS"] = metrics.file(folder)
         self.pid, self.ticks, self.pipe, self.started = 0, 0, -1, 0.0
-        self.status = {"instance": identity["instance"], "state": "starting", "restarts": 0, "exit_code": None, "last_exit": None}
+        self.status = {
+            "instance": identity["instance"],
+            "state": "starting",
+            "restarts": 0,
+            "exit_code": None,
+            "last_exit": None,
+        }
         self.status.update(detail="", limits=scope.verdict(spec.get("limits"), why))
         self.history, self.stopping, self.next_start, self.code = [], False, None, 0
         self.fence_s, self.begun, self.next_look = float(spec.get("self_fence_s") or 0.0), proc.uptime(), 0.0
@@ -83,7 +89,13 @@ class Supervisor:
         self.ticks, self.started = proc.process(self.pid).ticks, time.monotonic()
         ready = self.spec.get("ready")
         self.next_check, self.check_every = (self.started, _READY_FIRST_S) if ready else (None, 0.0)
-        self._note(state="starting" if ready else "running", pid=self.pid, ticks=self.ticks, exit_code=None, detail="")
+        self._note(
+            state="starting" if ready else "running",
+            pid=self.pid,
+            ticks=self.ticks,
+            exit_code=None,
+            detail="",
+        )
 
     def _turn(self) -> None:
         """Wait for the next thing to do, and do it."""
@@ -150,7 +162,10 @@ class Supervisor:
             limit = min(_READY_TRY_S, float(ready.get("timeout_s") or _READY_TRY_S))
             self.next_check = time.monotonic() + self.check_every
             self.check_every = min(_READY_SLOWEST_S, self.check_every * 1.5)
-            prelude, folder = self.spec.get("prelude") or "", spawn.working_dir(self.spec.get("workdir"), self.env)
+            prelude, folder = (
+                self.spec.get("prelude") or "",
+                spawn.working_dir(self.spec.get("workdir"), self.env),
+            )
             self.check = shell.Command(ready["command"], prelude, self.env, limit, folder)
 
     def _reap(self):
@@ -178,7 +193,11 @@ class Supervisor:
             return self._note(state="stopped", pid=0, left=left, **outcome)
         if left:
             return self._note(
-                state="failed", pid=0, left=left, exit_code=outcome["exit_code"], detail="processes cannot be stopped: %s" % left
+                state="failed",
+                pid=0,
+                left=left,
+                exit_code=outcome["exit_code"],
+                detail="processes cannot be stopped: %s" % left,
             )
         clean = code == 0
         if clean and self.spec.get("kind") == "job":
@@ -200,7 +219,9 @@ class Supervisor:
         pause = backoff.delay(self.history, now, _jitter())
         if pause is None:
             detail = "%s; %d restarts in 10 minutes" % (outcome["detail"], backoff.MOST)
-            return self._note(state="crashloop", pid=0, given_up=True, exit_code=outcome["exit_code"], detail=detail)
+            return self._note(
+                state="crashloop", pid=0, given_up=True, exit_code=outcome["exit_code"], detail=detail
+            )
         self.next_start = now + pause
         detail = "%s; starts again in %.1f s" % (outcome["detail"], pause)
         return self._note(state="starting", pid=0, exit_code=outcome["exit_code"], detail=detail)
@@ -227,9 +248,18 @@ class Supervisor:
         left = self._end_tree(steps(self.spec.get("stop") or {}), forced=True)
         outcome = spawn.outcome(self.code) if self.pid else {"exit_code": self.status["exit_code"]}
         self.pid, self.next_start = 0, None
-        detail = "fenced: no manager call for %g s" % self.fence_s + (", but processes cannot be stopped: %s" % left if left else "")
+        detail = "fenced: no manager call for %g s" % self.fence_s + (
+            ", but processes cannot be stopped: %s" % left if left else ""
+        )
         state = "stopped" if self.stopping else "failed"
-        self._note(state=state, pid=0, left=left, exit_code=outcome["exit_code"], last_exit=outcome["exit_code"], detail=detail)
+        self._note(
+            state=state,
+            pid=0,
+            left=left,
+            exit_code=outcome["exit_code"],
+            last_exit=outcome["exit_code"],
+            detail=detail,
+        )
 
     def _end_tree(self, steps: tuple, *, forced: bool = False) -> list:
         """Signal all below this process, step by step and then with KILL, until nothing is left; pids that would not go.
@@ -264,7 +294,9 @@ class Supervisor:
             from .stop import main_process
 
             left = set() if sent else {main_process(self.pid, table)} & left
-        return signals.send_each([(pid, table[pid].ticks) for pid in sorted(left)], signals.number(step[0]), sent)
+        return signals.send_each(
+            [(pid, table[pid].ticks) for pid in sorted(left)], signals.number(step[0]), sent
+        )
 
     def _await(self, seconds: float) -> None:
         """Pump the log for a moment."""

@@ -24,7 +24,11 @@ def groups(host: str, names: list, detect: list, table: dict) -> dict:
         trace, alive = status.current(host, name, table)
         entry = life.entry(trace, alive) if trace is not None else {}
         if entry:
-            found[name] = Group(life.members(trace, table), life.supervisor(trace), entry) if alive else Group(set(), 0, entry)
+            found[name] = (
+                Group(life.members(trace, table), life.supervisor(trace), entry)
+                if alive
+                else Group(set(), 0, entry)
+            )
     found.update(_detected(detect, table, found))
     return found
 
@@ -57,7 +61,10 @@ class TaskMeter:
 
     def _groups(self) -> list:
         table = proc.processes() if self.names or self.detect else {}
-        return [(table, name, group) for name, group in sorted(groups(self.host, self.names, self.detect, table).items())]
+        return [
+            (table, name, group)
+            for name, group in sorted(groups(self.host, self.names, self.detect, table).items())
+        ]
 
     def reading(self, flows: list, addresses: dict, seconds: float) -> dict:
         """Task -> entry with rates."""
@@ -123,7 +130,10 @@ def traffic(held: set, flows: list, addresses: dict, seconds: float) -> dict:
     for flow in own:
         if flow.remote in robots:
             by_robot.setdefault(robots[flow.remote], []).append(flow)
-    return dict(_rates(own, seconds), robots={robot: _rates(each, seconds) for robot, each in sorted(by_robot.items())})
+    return dict(
+        _rates(own, seconds),
+        robots={robot: _rates(each, seconds) for robot, each in sorted(by_robot.items())},
+    )
 
 
 def _rates(flows: list, seconds: float) -> dict:
@@ -146,7 +156,9 @@ def _internal(flow) -> bool:
 def _matches(wish: dict, argv: list) -> bool:
     if wish.get("ros_node"):
         node = str(wish["ros_node"]).lstrip("/")
-        return any(word.lstrip("_") in (":=" + node, "name:=" + node, "node:=" + node) for word in argv) or _is_node(node, argv)
+        return any(
+            word.lstrip("_") in (":=" + node, "name:=" + node, "node:=" + node) for word in argv
+        ) or _is_node(node, argv)
     import re
 
     return bool(wish.get("cmdline")) and re.search(str(wish["cmdline"]), " ".join(argv)) is not None

@@ -5,25 +5,28 @@ from typing import Annotated
 
 from typer import Argument, Exit, Option
 
-from edgectl.cli import exits, options
-from edgectl.cli.inputs import load
-from edgectl.views.form import Form
+from edgectl.cli import exit_codes, options
+from edgectl.cli.user_files import load_inputs
+from edgectl.views.output_format import OutputFormat
 
 
 def apply_command(
     *,
     plan: Annotated[
-        Path | None, Argument(metavar="[PLAN]", help="Saved by edgectl plan --out; carried out unasked.", show_default=False)
+        Path | None,
+        Argument(
+            metavar="[PLAN]", help="Saved by edgectl plan --out; carried out unasked.", show_default=False
+        ),
     ] = None,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
-    output: options.ResultOutput = Form.TABLE,
+    output: options.ResultOutput = OutputFormat.TABLE,
     yes: options.YesOption = False,
     quiet: options.QuietOption = False,
     dry_run: Annotated[bool, Option("--dry-run", help="Only print the exact remote commands.")] = False,
-    max_parallel: options.ParallelOption = 16,
+    max_parallel: options.MaxParallelOption = 16,
     fail_fast: options.FailFastOption = False,
-    lock_timeout: options.LockOption = "0s",
+    lock_timeout: options.LockTimeoutOption = "0s",
     weights: options.WeightsOption = None,
     policy: options.PolicyOption = None,
     best_effort: options.BestEffortOption = False,
@@ -31,9 +34,9 @@ def apply_command(
     without: options.WithoutOption = None,
     target: options.TargetOption = None,
     selector: options.SelectorOption = None,
-    detailed: options.DetailedOption = False,
-    allow_unreachable: options.AllowOption = False,
-    accept_new: options.AcceptOption = False,
+    detailed: options.DetailedExitcodeOption = False,
+    allow_unreachable: options.AllowUnreachableOption = False,
+    accept_new: options.AcceptNewOption = False,
 ) -> None:
     """Make reality match: plan, ask, then start, stop and move tasks; or carry out a saved plan, once, if nothing moved since.
 
@@ -43,24 +46,39 @@ def apply_command(
         edgectl apply --dry-run
         edgectl apply next.plan
     """
-    from edgectl.cli import acting, decide
-    from edgectl.cli.reach import reach, seconds
-    from edgectl.usecases.apply import apply, apply_saved
+    from edgectl.cli import apply_session, policy_options
+    from edgectl.cli.connect import build_fleet, parse_duration_option
+    from edgectl.usecases.apply import apply_saved_plan, plan_and_apply
 
-    asked = acting.answerable(asked=plan is None and not yes and not dry_run)
-    fleet = reach(load(inventory, tasks, quiet=quiet), accept_new=accept_new)
-    choose = decide.chooser(fleet.tasks, target, selector, quiet=quiet)
-    how = decide.policy_of(
-        fleet, weights=weights, policy=policy, without=without, best_effort=best_effort, full=full, attended=decide.interactive()
+    asked = apply_session.check_can_confirm(asked=plan is None and not yes and not dry_run)
+    fleet = build_fleet(load_inputs(inventory, tasks, quiet=quiet), accept_new=accept_new)
+    choose = policy_options.build_plan_filter(fleet.tasks, target, selector, quiet=quiet)
+    how = policy_options.policy_from_options(
+        fleet,
+        weights=weights,
+        policy=policy,
+        without=without,
+        best_effort=best_effort,
+        full=full,
+        attended=policy_options.is_interactive(),
     )
-    saved = decide.saved(plan, weights, policy, without, target, selector, best_effort or full)
+    saved = policy_options.load_saved_plan(
+        plan, weights, policy, without, target, selector, best_effort or full
+    )
     if dry_run:
-        raise Exit(acting.dry_run(fleet, how, saved, choose, output))
-    with acting.session(quiet=quiet, output=output, asked=asked) as act:
+        raise Exit(apply_session.print_dry_run(fleet, how, saved, choose, output))
+    with apply_session.open_apply_session(quiet=quiet, output=output, asked=asked) as act:
         chosen = act.options(
-            lock_timeout=seconds(lock_timeout, "--lock-timeout"), max_parallel=max_parallel, fail_fast=fail_fast, choose=choose
+            lock_timeout=parse_duration_option(lock_timeout, "--lock-timeout"),
+            max_parallel=max_parallel,
+            fail_fast=fail_fast,
+            choose=choose,
         )
-        applied = apply(fleet, how, act.confirm, chosen) if saved is None else apply_saved(fleet, saved, chosen)
-    code = exits.of_applied(applied, detailed=detailed, allow_unreachable=allow_unreachable)
+        applied = (
+            plan_and_apply(fleet, how, act.confirm, chosen)
+            if saved is None
+            else apply_saved_plan(fleet, saved, chosen)
+        )
+    code = exit_codes.of_applied(applied, detailed=detailed, allow_unreachable=allow_unreachable)
     act.report(applied, code)
     raise Exit(code)

@@ -9,103 +9,103 @@ from typing import TYPE_CHECKING, TextIO
 
 if TYPE_CHECKING:
     from edgectl.errors import Problem
-    from edgectl.views.form import Form
-    from edgectl.views.text import Look
+    from edgectl.views.output_format import OutputFormat
+    from edgectl.views.text import RenderOptions
 
 
-def show(form: "Form", what: str, *values: object) -> None:
+def print_view(form: "OutputFormat", what: str, *values: object) -> None:
     """Print ``values`` on standard output in ``form``."""
-    from edgectl.views.form import view
-    from edgectl.views.text import look_of
+    from edgectl.views.output_format import get_renderer
+    from edgectl.views.text import detect_render_options
 
-    put(view(form, what)(*values, look_of(sys.stdout)))
+    print_text(get_renderer(form, what)(*values, detect_render_options(sys.stdout)))
 
 
-def show_all(form: "Form", what: str, series: Iterable[tuple[object, ...]]) -> None:
+def print_view_series(form: "OutputFormat", what: str, series: Iterable[tuple[object, ...]]) -> None:
     """Print one after the other as they come, as long as somebody reads."""
-    from edgectl.views.form import view
-    from edgectl.views.text import look_of
+    from edgectl.views.output_format import get_renderer
+    from edgectl.views.text import detect_render_options
 
     for values in series:
-        if not _put_more(view(form, what)(*values, look_of(sys.stdout))):
+        if not _try_print(get_renderer(form, what)(*values, detect_render_options(sys.stdout))):
             return
 
 
-def rendered(form: "Form", what: str, *values: object) -> str:
+def render_view(form: "OutputFormat", what: str, *values: object) -> str:
     """``values`` in ``form`` as they stand in a file: no colour, nothing wrapped."""
-    from edgectl.views.form import view
+    from edgectl.views.output_format import get_renderer
 
-    return view(form, what)(*values)
+    return get_renderer(form, what)(*values)
 
 
-def put(text: str) -> None:
+def print_text(text: str) -> None:
     """Data to standard output. A reader that has gone away is no error: what is done goes on, unseen."""
-    with _pipe(sys.stdout) as stream:
+    with _ignore_closed_pipe(sys.stdout) as stream:
         stream.write(text)
         stream.flush()
 
 
-def put_lines(lines: Iterable[str]) -> None:
+def print_lines(lines: Iterable[str]) -> None:
     """Data to standard output, as it comes; no more once nobody reads."""
-    with _pipe(sys.stdout) as stream:
+    with _ignore_closed_pipe(sys.stdout) as stream:
         stream.writelines(lines)
         stream.flush()
 
 
-def put_log(data: bytes) -> bool:
+def print_log(data: bytes) -> bool:
     """Raw bytes of a task's log to standard output, control characters written out; False once nobody reads any more."""
-    from edgectl.views.text import log_text
+    from edgectl.views.text import decode_log_output
 
-    return _put_more(log_text(data))
+    return _try_print(decode_log_output(data))
 
 
-def _put_more(text: str) -> bool:
+def _try_print(text: str) -> bool:
     try:
         sys.stdout.write(text)
         sys.stdout.flush()
     except BrokenPipeError:
-        _silence(sys.stdout)
+        _redirect_to_devnull(sys.stdout)
         return False
     return True
 
 
-def tell(text: str) -> None:
+def print_message(text: str) -> None:
     """A line for people, on standard error."""
-    from edgectl.views.text import harmless
+    from edgectl.views.text import escape_unprintable
 
-    say(harmless(text) + "\n")
+    print_stderr(escape_unprintable(text) + "\n")
 
 
-def say(text: str) -> None:
+def print_stderr(text: str) -> None:
     """Text for people, on standard error, as it stands."""
-    with _pipe(sys.stderr) as stream:
+    with _ignore_closed_pipe(sys.stderr) as stream:
         stream.write(text)
 
 
-def error_look() -> "Look":
+def get_stderr_render_options() -> "RenderOptions":
     """What standard error can show."""
-    from edgectl.views.text import look_of
+    from edgectl.views.text import detect_render_options
 
-    return look_of(sys.stderr)
+    return detect_render_options(sys.stderr)
 
 
-def warn(problems: Iterable["Problem"]) -> None:
+def print_input_warnings(problems: Iterable["Problem"]) -> None:
     """Warnings about files that are good enough to go on with."""
     from edgectl.views import errors
 
-    say("".join(errors.problem(problem, error_look()) for problem in problems))
+    print_stderr("".join(errors.render_problem(problem, get_stderr_render_options()) for problem in problems))
 
 
 @contextlib.contextmanager
-def _pipe(stream: TextIO) -> Iterator[TextIO]:
+def _ignore_closed_pipe(stream: TextIO) -> Iterator[TextIO]:
     try:
         yield stream
     except BrokenPipeError:
-        _silence(stream)
+        _redirect_to_devnull(stream)
 
 
 @contextlib.contextmanager
-def quiet_pipes() -> Iterator[None]:
+def guard_standard_streams() -> Iterator[None]:
     """Help and the last flush go straight to standard output: a closed pipe there is no error either, nor is a narrow encoding."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
@@ -114,17 +114,17 @@ def quiet_pipes() -> Iterator[None]:
         yield
         sys.stdout.flush()
     except BrokenPipeError:
-        _silence(sys.stdout)
+        _redirect_to_devnull(sys.stdout)
     except OSError:
         try:
             sys.stdout.flush()
         except OSError:
             # The interpreter would try once more, and end with words and an exit code of its own.
-            _silence(sys.stdout)
+            _redirect_to_devnull(sys.stdout)
         raise
 
 
-def _silence(stream: TextIO) -> None:
+def _redirect_to_devnull(stream: TextIO) -> None:
     """Let everything that still follows on ``stream``, and the interpreter's own last flush, go nowhere."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, stream.fileno())

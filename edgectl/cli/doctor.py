@@ -4,20 +4,26 @@ from typing import Annotated
 
 from typer import Argument, Exit
 
-from edgectl.cli import console, exits, options
-from edgectl.cli.complete import hosts as host_names
-from edgectl.cli.inputs import load
-from edgectl.views.form import Form
+from edgectl.cli import console, exit_codes, options
+from edgectl.cli.completion import complete_hosts as host_names
+from edgectl.cli.user_files import load_inputs
+from edgectl.views.output_format import OutputFormat
 
 
 def doctor_command(
     *,
     hosts: Annotated[
-        list[str] | None, Argument(metavar="[HOST...]", autocompletion=host_names, help="Names in the inventory; all.", show_default=False)
+        list[str] | None,
+        Argument(
+            metavar="[HOST...]",
+            autocompletion=host_names,
+            help="Names in the inventory; all.",
+            show_default=False,
+        ),
     ] = None,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
-    output: options.FieldsOutput = Form.TABLE,
+    output: options.FieldsOutput = OutputFormat.TABLE,
     timeout: options.TimeoutOption = "15s",
 ) -> None:
     """Find what is wrong with this machine, the hosts and the ways between them, each with what mends it. Nothing is changed.
@@ -28,11 +34,11 @@ def doctor_command(
         edgectl doctor
         edgectl doctor edge1 -o json
     """
-    from edgectl.cli.reach import examined, seconds
-    from edgectl.usecases.doctor import doctor
+    from edgectl.cli.connect import build_fleet_with_state_check, parse_duration_option
+    from edgectl.usecases.doctor import run_doctor
 
-    loaded = load(inventory, tasks)
-    fleet, state = examined(loaded)
-    diagnosis = doctor(fleet, state, hosts or (), timeout=seconds(timeout, "--timeout"))
-    console.show(output, "diagnosis", diagnosis)
-    raise Exit(exits.of_diagnosis(diagnosis))
+    loaded = load_inputs(inventory, tasks)
+    fleet, state = build_fleet_with_state_check(loaded)
+    diagnosis = run_doctor(fleet, state, hosts or (), timeout=parse_duration_option(timeout, "--timeout"))
+    console.print_view(output, "diagnosis", diagnosis)
+    raise Exit(exit_codes.of_diagnosis(diagnosis))

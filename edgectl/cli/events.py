@@ -6,23 +6,27 @@ from typing import Annotated
 from typer import Option
 
 from edgectl.cli import console, options
-from edgectl.cli.complete import hosts, tasks
-from edgectl.cli.inputs import load
-from edgectl.cli.until import told
+from edgectl.cli.completion import complete_hosts, complete_tasks
+from edgectl.cli.signals import catch_stop_signals
+from edgectl.cli.user_files import load_inputs
 from edgectl.errors import UsageError
-from edgectl.model.names import known
-from edgectl.views.form import Form
+from edgectl.names import check_known_names
+from edgectl.views.output_format import OutputFormat
 
-_EVERY_S = 1.0
-_HostOption = Annotated[str | None, Option("--host", metavar="HOST", autocompletion=hosts, help="Only of this host.")]
-_TaskOption = Annotated[str | None, Option("--task", metavar="TASK", autocompletion=tasks, help="Only of this task.")]
+_POLL_INTERVAL_S = 1.0
+_HostOption = Annotated[
+    str | None, Option("--host", metavar="HOST", autocompletion=complete_hosts, help="Only of this host.")
+]
+_TaskOption = Annotated[
+    str | None, Option("--task", metavar="TASK", autocompletion=complete_tasks, help="Only of this task.")
+]
 
 
 def events_command(
     *,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
-    output: options.FieldsOutput = Form.TABLE,
+    output: options.FieldsOutput = OutputFormat.TABLE,
     since: Annotated[str, Option("--since", metavar="TIME", help="Not older than this.")] = "24h",
     host: _HostOption = None,
     task: _TaskOption = None,
@@ -37,20 +41,24 @@ def events_command(
         edgectl events --since 7d --task slam-robot1
         edgectl events -w -o json
     """
-    from edgectl.cli.reach import reach, seconds
-    from edgectl.usecases.events import Wanted, events, follow
+    from edgectl.cli.connect import build_fleet, parse_duration_option
+    from edgectl.usecases.events import EventFilter, follow_events, list_events
 
-    if watch and output is Form.YAML:
+    if watch and output is OutputFormat.YAML:
         raise UsageError("no yaml form of events as they come", hint="write -o json, for one object per line")
-    fleet = reach(load(inventory, tasks))
-    wanted = Wanted(since=time.time() - seconds(since, "--since"), host=host, task=task)
+    fleet = build_fleet(load_inputs(inventory, tasks))
+    wanted = EventFilter(since=time.time() - parse_duration_option(since, "--since"), host=host, task=task)
     if watch:
-        with told(_EVERY_S) as end:
-            console.show_all(output, "events_more", ((found, number == 0) for number, found in enumerate(follow(fleet, wanted, end))))
+        with catch_stop_signals(_POLL_INTERVAL_S) as end:
+            console.print_view_series(
+                output,
+                "events_more",
+                ((found, number == 0) for number, found in enumerate(follow_events(fleet, wanted, end))),
+            )
         return
-    found = events(fleet, wanted)
+    found = list_events(fleet, wanted)
     if not found:
         # Not before: a host or a task that left the files has a history too.
-        known([host] if host else [], fleet.inventory.hosts, "host")
-        known([task] if task else [], fleet.tasks.tasks, "task")
-    console.show(output, "events", found)
+        check_known_names([host] if host else [], fleet.inventory.hosts, "host")
+        check_known_names([task] if task else [], fleet.tasks.tasks, "task")
+    console.print_view(output, "events", found)

@@ -1,9 +1,9 @@
 """explain."""
 
 from edgectl.cli import console, options
-from edgectl.cli.inputs import load
-from edgectl.model.names import known
-from edgectl.views.form import Form
+from edgectl.cli.user_files import load_inputs
+from edgectl.names import check_known_names
+from edgectl.views.output_format import OutputFormat
 
 
 def explain_command(
@@ -11,12 +11,12 @@ def explain_command(
     task: options.TaskArgument,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
-    output: options.ExplainOutput = Form.TABLE,
+    output: options.ExplainOutput = OutputFormat.TABLE,
     snapshot: options.SnapshotOption = None,
     weights: options.WeightsOption = None,
     policy: options.PolicyOption = None,
     without: options.WithoutOption = None,
-    accept_new: options.AcceptOption = False,
+    accept_new: options.AcceptNewOption = False,
 ) -> None:
     """Say why a task goes where it goes: what each term adds, and the smallest changes that would send it elsewhere.
 
@@ -27,16 +27,18 @@ def explain_command(
         edgectl explain slam-robot1 -o wide
         edgectl explain slam-robot1 --weights network -o json
     """
-    from edgectl.cli.decide import policy_of
-    from edgectl.cli.reach import offline, reach
+    from edgectl.cli.connect import build_fleet, build_offline_fleet
+    from edgectl.cli.policy_options import policy_from_options
     from edgectl.config.documents import load_snapshot
-    from edgectl.usecases.explain import explain, noise_of
-    from edgectl.usecases.plan import plan
+    from edgectl.usecases.explain import compute_noise_by_host, explain_placement
+    from edgectl.usecases.plan import make_plan
 
-    loaded = load(inventory, tasks)
-    known([task], loaded.tasks.tasks, "task")
-    fleet = offline(loaded) if snapshot else reach(loaded, accept_new=accept_new)
-    how = policy_of(fleet, weights=weights, policy=policy, without=without, best_effort=False, full=False)
-    made = plan(fleet, how, snapshot=load_snapshot(snapshot) if snapshot else None)
-    found = explain(fleet, made, task, None if snapshot else noise_of(fleet))
-    console.show(output, "explanation", next(step for step in made.steps if step.task == task), found)
+    loaded = load_inputs(inventory, tasks)
+    check_known_names([task], loaded.tasks.tasks, "task")
+    fleet = build_offline_fleet(loaded) if snapshot else build_fleet(loaded, accept_new=accept_new)
+    how = policy_from_options(
+        fleet, weights=weights, policy=policy, without=without, best_effort=False, full=False
+    )
+    made = make_plan(fleet, how, snapshot=load_snapshot(snapshot) if snapshot else None)
+    found = explain_placement(fleet, made, task, None if snapshot else compute_noise_by_host(fleet))
+    console.print_view(output, "explanation", next(step for step in made.steps if step.task == task), found)

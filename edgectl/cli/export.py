@@ -8,28 +8,41 @@ from typing import Annotated
 
 from typer import Argument, Exit, Option
 
-from edgectl.cli import console, exits, options
-from edgectl.cli.extras import extra
-from edgectl.cli.inputs import inventory_file, load, save
+from edgectl.cli import console, exit_codes, options
+from edgectl.cli.extras import require_extra
+from edgectl.cli.user_files import load_inputs, resolve_inventory_path, save_file
 from edgectl.errors import UsageError
-from edgectl.export.rows import Kind, Point, csv_lines, json_lines
+from edgectl.export.history_rows import HistoryPoint, RowKind, format_csv_lines, format_json_lines
 
-_KindArgument = Annotated[Kind, Argument(metavar="KIND", help="hosts, links, tasks, metrics, handoffs or events.", show_default=False)]
-_SinceOption = Annotated[str | None, Option("--since", metavar="TIME", help="Not older than this; else everything.")]
-_OutOption = Annotated[Path | None, Option("--out", metavar="FILE", help="Replace this file; else to standard output.")]
+_KindArgument = Annotated[
+    RowKind,
+    Argument(metavar="KIND", help="hosts, links, tasks, metrics, handoffs or events.", show_default=False),
+]
+_SinceOption = Annotated[
+    str | None, Option("--since", metavar="TIME", help="Not older than this; else everything.")
+]
+_OutOption = Annotated[
+    Path | None, Option("--out", metavar="FILE", help="Replace this file; else to standard output.")
+]
 # node_exporter runs as somebody else.
-_READABLE = 0o644
+_WORLD_READABLE_MODE = 0o644
 
 
 def export_prometheus_command(
     *,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
-    textfile: Annotated[Path | None, Option("--textfile", metavar="FILE", help="Replace this file, for node_exporter.")] = None,
-    listen: Annotated[str | None, Option("--listen", metavar="[HOST:]PORT", help="Serve /metrics; HOST is 127.0.0.1.")] = None,
-    every: Annotated[str, Option("--every", metavar="TIME", help="Probe at most this often (--listen).")] = "15s",
+    textfile: Annotated[
+        Path | None, Option("--textfile", metavar="FILE", help="Replace this file, for node_exporter.")
+    ] = None,
+    listen: Annotated[
+        str | None, Option("--listen", metavar="[HOST:]PORT", help="Serve /metrics; HOST is 127.0.0.1.")
+    ] = None,
+    every: Annotated[
+        str, Option("--every", metavar="TIME", help="Probe at most this often (--listen).")
+    ] = "15s",
     timeout: options.TimeoutOption = "8s",
-    allow_unreachable: options.AllowOption = False,
+    allow_unreachable: options.AllowUnreachableOption = False,
 ) -> None:
     """Probe, and say what was found as Prometheus metrics: hosts, links, tasks, decisions, handoffs. Nothing is changed.
 
@@ -40,33 +53,40 @@ def export_prometheus_command(
         edgectl export prometheus --textfile edgectl.prom
         edgectl export prometheus --listen 127.0.0.1:9815
     """
-    with extra("metrics"):
+    with require_extra("metrics"):
         from edgectl.export import prometheus
-    from edgectl.cli.reach import reach, seconds
-    from edgectl.cli.serve import serve
-    from edgectl.gateway.collect import ProbeOptions
-    from edgectl.usecases.scrape import Past, Shared, held, picture
+    from edgectl.cli.connect import build_fleet, parse_duration_option
+    from edgectl.cli.http_server import serve_http
+    from edgectl.gateway.host_probe import ProbeOptions
+    from edgectl.usecases.scrape import RevisionCache, SharedCache, collect_fleet_metrics, keep_sessions_open
 
     if textfile is not None and listen is not None:
         raise UsageError("--textfile and --listen exclude each other", hint="run edgectl twice")
-    fleet = reach(load(inventory, tasks))
-    how, period = ProbeOptions(timeout=seconds(timeout, "--timeout")), seconds(every, "--every")
+    fleet = build_fleet(load_inputs(inventory, tasks))
+    how, period = (
+        ProbeOptions(timeout=parse_duration_option(timeout, "--timeout")),
+        parse_duration_option(every, "--every"),
+    )
     if listen is not None:
-        with held(fleet) as near:
-            past = Past(near)
-            look = Shared(lambda: picture(near, how, past), every=period)
-            serve(lambda address: prometheus.server(address, look, fleet.warn), listen)
+        with keep_sessions_open(fleet) as near:
+            past = RevisionCache(near)
+            look = SharedCache(lambda: collect_fleet_metrics(near, how, past), every=period)
+            serve_http(lambda address: prometheus.bind_metrics_server(address, look, fleet.warn), listen)
         return
-    seen = picture(fleet, how)
+    seen = collect_fleet_metrics(fleet, how)
     if textfile is None:
-        console.put(prometheus.text(seen))
+        console.print_text(prometheus.render_metrics_page(seen))
     else:
-        save(textfile, prometheus.text(seen), mode=_READABLE)
-    raise Exit(exits.of_snapshot(seen.snapshot, fleet.inventory, allow_unreachable=allow_unreachable))
+        save_file(textfile, prometheus.render_metrics_page(seen), mode=_WORLD_READABLE_MODE)
+    raise Exit(exit_codes.of_snapshot(seen.snapshot, fleet.inventory, allow_unreachable=allow_unreachable))
 
 
 def export_csv_command(
-    *, kind: _KindArgument, inventory: options.InventoryOption = None, since: _SinceOption = None, out: _OutOption = None
+    *,
+    kind: _KindArgument,
+    inventory: options.InventoryOption = None,
+    since: _SinceOption = None,
+    out: _OutOption = None,
 ) -> None:
     """Write the history as CSV: what was measured of hosts, links and tasks, what applications said, handoffs, or events.
 
@@ -76,11 +96,15 @@ def export_csv_command(
         edgectl export csv tasks --since 1h
         edgectl export csv hosts --out hosts.csv
     """
-    _export(csv_lines, kind, inventory, since, out)
+    _run_export(format_csv_lines, kind, inventory, since, out)
 
 
 def export_jsonl_command(
-    *, kind: _KindArgument, inventory: options.InventoryOption = None, since: _SinceOption = None, out: _OutOption = None
+    *,
+    kind: _KindArgument,
+    inventory: options.InventoryOption = None,
+    since: _SinceOption = None,
+    out: _OutOption = None,
 ) -> None:
     """Write the history as JSON Lines: what was measured of hosts, links and tasks, what applications said, handoffs, or events.
 
@@ -90,19 +114,25 @@ def export_jsonl_command(
         edgectl export jsonl links --since 1h
         edgectl export jsonl events --out events.jsonl
     """
-    _export(json_lines, kind, inventory, since, out)
+    _run_export(format_json_lines, kind, inventory, since, out)
 
 
-def _export(
-    lines: Callable[[Kind, Iterable[Point]], Iterator[str]], kind: Kind, inventory: Path | None, since: str | None, out: Path | None
+def _run_export(
+    lines: Callable[[RowKind, Iterable[HistoryPoint]], Iterator[str]],
+    kind: RowKind,
+    inventory: Path | None,
+    since: str | None,
+    out: Path | None,
 ) -> None:
-    from edgectl.cli.reach import seconds, warn
+    from edgectl.cli.connect import parse_duration_option, print_warning
     from edgectl.config.load import load_inventory
-    from edgectl.state.paths import fleet_dir
-    from edgectl.usecases.rows import export
+    from edgectl.state.paths import ensure_fleet_dir
+    from edgectl.usecases.export import export_history
 
-    begin = time.time() - seconds(since, "--since") if since is not None else None
-    path = inventory_file(inventory)
+    begin = time.time() - parse_duration_option(since, "--since") if since is not None else None
+    path = resolve_inventory_path(inventory)
     load_inventory(path)
-    put = console.put_lines if out is None else partial(save, out)
-    export(fleet_dir(path), kind, lambda found: put(lines(kind, found)), since=begin, warn=warn)
+    put = console.print_lines if out is None else partial(save_file, out)
+    export_history(
+        ensure_fleet_dir(path), kind, lambda found: put(lines(kind, found)), since=begin, warn=print_warning
+    )

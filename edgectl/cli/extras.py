@@ -7,7 +7,7 @@ from edgectl.errors import UsageError
 
 
 @contextlib.contextmanager
-def extra(name: str) -> Iterator[None]:
+def require_extra(name: str) -> Iterator[None]:
     """Import what belongs to the extra ``name`` within.
 
     Raises:
@@ -20,5 +20,6 @@ def extra(name: str) -> Iterator[None]:
         if missing in ("", "edgectl"):
             raise
         raise UsageError(
-            f"this needs {missing}, which is not installed", hint=f'uv tool install "edgectl[{name}]", or pipx, or pip'
+            f"this needs {missing}, which is not installed",
+            hint=f'uv tool install "edgectl[{name}]", or pipx, or pip',
         ) from None

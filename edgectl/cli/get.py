@@ -6,43 +6,57 @@ from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument, Exit
 
-from edgectl.cli import console, exits, options
-from edgectl.cli.complete import hosts, tasks
-from edgectl.cli.inputs import load
-from edgectl.cli.selector import matches
-from edgectl.cli.until import pause, told
+from edgectl.cli import console, exit_codes, options
+from edgectl.cli.completion import complete_hosts, complete_tasks
+from edgectl.cli.selector import matches_selector
+from edgectl.cli.signals import catch_stop_signals, parse_every_option
+from edgectl.cli.user_files import load_inputs
 from edgectl.errors import UsageError
-from edgectl.model.names import known
-from edgectl.views.form import Form
+from edgectl.names import check_known_names
+from edgectl.views.output_format import OutputFormat
 
 if TYPE_CHECKING:
     from edgectl.usecases.fleet import Fleet
-    from edgectl.views.listing import Change, Item, Listing
+    from edgectl.views.listing import ItemChange, Listing, ListingItem
 
-_KINDS = ("edges", "robots", "tasks", "links")
-
-
-def _kinds(incomplete: str) -> list[str]:
-    return [kind for kind in _KINDS if kind.startswith(incomplete)]
+_KIND_NAMES = ("edges", "robots", "tasks", "links")
 
 
-def _names(incomplete: str) -> list[str]:
-    return [*hosts(incomplete), *tasks(incomplete)]
+def _complete_kinds(incomplete: str) -> list[str]:
+    return [kind for kind in _KIND_NAMES if kind.startswith(incomplete)]
+
+
+def _complete_names(incomplete: str) -> list[str]:
+    return [*complete_hosts(incomplete), *complete_tasks(incomplete)]
 
 
 def get_command(
     *,
-    kind: Annotated[str, Argument(metavar="KIND", autocompletion=_kinds, help="edges, robots, tasks or links.", show_default=False)],
+    kind: Annotated[
+        str,
+        Argument(
+            metavar="KIND",
+            autocompletion=_complete_kinds,
+            help="edges, robots, tasks or links.",
+            show_default=False,
+        ),
+    ],
     names: Annotated[
-        list[str] | None, Argument(metavar="[NAME...]", autocompletion=_names, help="Only these; of links, an end.", show_default=False)
+        list[str] | None,
+        Argument(
+            metavar="[NAME...]",
+            autocompletion=_complete_names,
+            help="Only these; of links, an end.",
+            show_default=False,
+        ),
     ] = None,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
-    output: options.FleetOutput = Form.TABLE,
+    output: options.FleetOutput = OutputFormat.TABLE,
     selector: options.SelectorOption = None,
     watch: options.WatchOption = False,
     every: options.EveryOption = "2s",
-    allow_unreachable: options.AllowOption = False,
+    allow_unreachable: options.AllowUnreachableOption = False,
 ) -> None:
     """List edges, robots, tasks or links, from a probe. With -w a line follows whenever something but a measurement changes.
 
@@ -54,69 +68,93 @@ def get_command(
         edgectl get links edge1
         edgectl get tasks -w -o json
     """
-    from edgectl.cli.reach import reach
-    from edgectl.usecases.look import looks
-    from edgectl.usecases.probe import probe
-    from edgectl.views.listing import Kind, listing
+    from edgectl.cli.connect import build_fleet
+    from edgectl.usecases.probe import probe_fleet
+    from edgectl.usecases.status import probe_repeatedly
+    from edgectl.views.listing import ListingKind, build_listing
 
-    wanted, period = Kind(_kind(kind)), pause(every)
-    fleet = reach(load(inventory, tasks))
-    _check(wanted, names or (), selector, fleet)
+    wanted, period = ListingKind(_resolve_kind(kind)), parse_every_option(every)
+    fleet = build_fleet(load_inputs(inventory, tasks))
+    _check_names_and_selector(wanted, names or (), selector, fleet)
     if watch:
-        if output is Form.YAML:
-            raise UsageError("no yaml form of changes as they come", hint="write -o json, for one object per line")
-        with told(period) as end:
-            found = (_chosen(listing(wanted, look, fleet.inventory, fleet.tasks), names, selector) for look in looks(fleet, end))
-            console.show_all(output, "listing_more", _differences(found))
+        if output is OutputFormat.YAML:
+            raise UsageError(
+                "no yaml form of changes as they come", hint="write -o json, for one object per line"
+            )
+        with catch_stop_signals(period) as end:
+            found = (
+                _filter_listing(build_listing(wanted, look, fleet.inventory, fleet.tasks), names, selector)
+                for look in probe_repeatedly(fleet, end)
+            )
+            console.print_view_series(output, "listing_more", _stream_listing_changes(found))
         return
-    snapshot = probe(fleet)
-    console.show(output, "listing", _chosen(listing(wanted, snapshot, fleet.inventory, fleet.tasks), names, selector))
-    raise Exit(exits.of_snapshot(snapshot, fleet.inventory, allow_unreachable=allow_unreachable))
+    snapshot = probe_fleet(fleet)
+    console.print_view(
+        output,
+        "listing",
+        _filter_listing(build_listing(wanted, snapshot, fleet.inventory, fleet.tasks), names, selector),
+    )
+    raise Exit(exit_codes.of_snapshot(snapshot, fleet.inventory, allow_unreachable=allow_unreachable))
 
 
-def _kind(word: str) -> str:
+def _resolve_kind(word: str) -> str:
     """The kind that is meant by its name, one of it, or its first letter."""
-    named = next((kind for kind in _KINDS if word and word in (kind, kind[:-1], kind[0])), word)
-    known([named], _KINDS, "kind")
+    named = next((kind for kind in _KIND_NAMES if word and word in (kind, kind[:-1], kind[0])), word)
+    check_known_names([named], _KIND_NAMES, "kind")
     return named
 
 
-def _check(kind: str, names: Sequence[str], selector: str | None, fleet: "Fleet") -> None:
+def _check_names_and_selector(kind: str, names: Sequence[str], selector: str | None, fleet: "Fleet") -> None:
     """Refuse what is none before a host is asked. A task that left the files may still run, so its name is not refused here."""
     if selector is not None:
-        matches(selector, {})
+        matches_selector(selector, {})
     if kind == "tasks":
         return
     edges, robots = ([host.name for host in part] for part in (fleet.inventory.edges, fleet.inventory.robots))
-    among = {"edges": edges, "robots": robots, "links": [*edges, *robots, *(f"{e}/{r}" for e in edges for r in robots)]}[kind]
-    known(names, among, kind.removesuffix("s") if kind != "links" else "end of a link")
+    among = {
+        "edges": edges,
+        "robots": robots,
+        "links": [*edges, *robots, *(f"{e}/{r}" for e in edges for r in robots)],
+    }[kind]
+    check_known_names(names, among, kind.removesuffix("s") if kind != "links" else "end of a link")
 
 
-def _chosen(value: "Listing", names: Sequence[str] | None, selector: str | None) -> "Listing":
+def _filter_listing(value: "Listing", names: Sequence[str] | None, selector: str | None) -> "Listing":
     """Only what is named and fits the selector.
 
     Raises:
         UsageError: a name that nothing has.
     """
     if names:
-        known(names, dict.fromkeys(name for item in value.items for name in _called(item)), value.kind.removesuffix("s"))
-    items = (item for item in value.items if not names or not set(_called(item)).isdisjoint(names))
-    return replace(value, items=tuple(item for item in items if selector is None or matches(selector, dict(item.labels))))
+        check_known_names(
+            names,
+            dict.fromkeys(name for item in value.items for name in _list_item_names(item)),
+            value.kind.removesuffix("s"),
+        )
+    items = (item for item in value.items if not names or not set(_list_item_names(item)).isdisjoint(names))
+    return replace(
+        value,
+        items=tuple(
+            item for item in items if selector is None or matches_selector(selector, dict(item.labels))
+        ),
+    )
 
 
-def _called(item: "Item") -> list[str]:
+def _list_item_names(item: "ListingItem") -> list[str]:
     """What may be written for an item: its name, or of a link one of its ends."""
     return [str(item.document[key]) for key in ("name", "edge", "robot") if key in item.document]
 
 
-def _differences(found: "Iterator[Listing]") -> "Iterator[tuple[Listing, list[tuple[Change, Item]], Listing | None]]":
+def _stream_listing_changes(
+    found: "Iterator[Listing]",
+) -> "Iterator[tuple[Listing, list[tuple[ItemChange, ListingItem]], Listing | None]]":
     """Each look that changed something: itself, what changed, and the first one."""
-    from edgectl.views.listing import changes
+    from edgectl.views.listing import compare_listings
 
     first: Listing | None = None
     before: Listing | None = None
     for value in found:
-        changed = changes(before, value)
+        changed = compare_listings(before, value)
         if changed or first is None:
             yield value, changed, first
         first, before = first or value, value

@@ -1,20 +1,20 @@
 """graph."""
 
 from edgectl.cli import console, options
-from edgectl.cli.inputs import load
-from edgectl.views.form import Form
+from edgectl.cli.user_files import load_inputs
+from edgectl.views.output_format import OutputFormat
 
 
 def graph_command(
     *,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
-    output: options.GraphOutput = Form.MERMAID,
+    output: options.GraphOutput = OutputFormat.MERMAID,
     snapshot: options.SnapshotOption = None,
     weights: options.WeightsOption = None,
     policy: options.PolicyOption = None,
     without: options.WithoutOption = None,
-    accept_new: options.AcceptOption = False,
+    accept_new: options.AcceptNewOption = False,
 ) -> None:
     """Draw the tasks, what they need, and the hosts on which the plan puts them.
 
@@ -23,12 +23,19 @@ def graph_command(
         edgectl graph -o dot
         edgectl graph --without edge2
     """
-    from edgectl.cli.decide import policy_of
-    from edgectl.cli.reach import offline, reach
+    from edgectl.cli.connect import build_fleet, build_offline_fleet
+    from edgectl.cli.policy_options import policy_from_options
     from edgectl.config.documents import load_snapshot
-    from edgectl.usecases.plan import plan
+    from edgectl.usecases.plan import make_plan
 
-    loaded = load(inventory, tasks)
-    fleet = offline(loaded) if snapshot else reach(loaded, accept_new=accept_new)
-    how = policy_of(fleet, weights=weights, policy=policy, without=without, best_effort=False, full=False)
-    console.show(output, "graph", plan(fleet, how, snapshot=load_snapshot(snapshot) if snapshot else None), loaded.tasks)
+    loaded = load_inputs(inventory, tasks)
+    fleet = build_offline_fleet(loaded) if snapshot else build_fleet(loaded, accept_new=accept_new)
+    how = policy_from_options(
+        fleet, weights=weights, policy=policy, without=without, best_effort=False, full=False
+    )
+    console.print_view(
+        output,
+        "graph",
+        make_plan(fleet, how, snapshot=load_snapshot(snapshot) if snapshot else None),
+        loaded.tasks,
+    )

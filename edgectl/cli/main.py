@@ -13,21 +13,21 @@ _INTERRUPTED = 130  # ExitCode.INTERRUPTED
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; the result is the exit code (DESIGN section 7)."""
     words = list(sys.argv[1:] if argv is None else argv)
-    _plug_closed_streams()
+    _replace_closed_streams()
     try:
-        code = _run(words)
+        code = _run_command(words)
     except KeyboardInterrupt:
         code = _INTERRUPTED
     except Exception as error:
-        from edgectl.cli.failure import end
+        from edgectl.cli.errors import handle_error
 
-        return end(error, words)
+        return handle_error(error, words)
     if code == _INTERRUPTED:
         sys.stderr.write("interrupted\n")
     return code
 
 
-def _plug_closed_streams() -> None:
+def _replace_closed_streams() -> None:
     """A standard stream that the caller closed becomes /dev/null, before a file or socket of ours gets its number."""
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         if getattr(sys, name) is None:
@@ -39,23 +39,23 @@ def _plug_closed_streams() -> None:
             setattr(sys, name, open(number, "w" if number else "r", encoding="utf-8", closefd=False))  # noqa: SIM115
 
 
-def _run(words: list[str]) -> int:
+def _run_command(words: list[str]) -> int:
     from typer.main import get_command
 
-    from edgectl.cli.app import build
-    from edgectl.cli.console import quiet_pipes
+    from edgectl.cli.app import build_app
+    from edgectl.cli.console import guard_standard_streams
 
     code: object = 0
-    args = spelled_out(words)
-    with quiet_pipes():
+    args = expand_top_shorthand(words)
+    with guard_standard_streams():
         try:
-            code = get_command(build(args)).main(args=args, prog_name="edgectl", standalone_mode=False)
+            code = get_command(build_app(args)).main(args=args, prog_name="edgectl", standalone_mode=False)
         except SystemExit:
             raise BrokenPipeError from None  # the one exit that typer makes by itself: nobody reads its help any more
     return code if isinstance(code, int) else 0
 
 
-def spelled_out(words: Sequence[str]) -> list[str]:
+def expand_top_shorthand(words: Sequence[str]) -> list[str]:
     """``top -i`` is short for ``top hosts -I``; after ``hosts``, ``-i`` names the inventory as everywhere."""
     live = list(words[:2]) in (["top", "-i"], ["top", "-I"], ["top", "--interactive"])
     return ["top", "hosts", "-I", *words[2:]] if live else list(words)

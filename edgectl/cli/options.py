@@ -5,11 +5,11 @@ from typing import Annotated, Literal
 
 from typer import Argument, Option
 
-from edgectl.cli.complete import hosts, tasks
+from edgectl.cli.completion import complete_hosts, complete_tasks
 from edgectl.errors import UsageError
-from edgectl.model.names import either
 from edgectl.model.policy import PolicyName
-from edgectl.views.form import Form
+from edgectl.names import format_alternatives
+from edgectl.views.output_format import OutputFormat
 
 InventoryOption = Annotated[
     Path | None,
@@ -25,74 +25,133 @@ InventoryOption = Annotated[
 TasksOption = Annotated[
     list[Path] | None,
     Option(
-        "--tasks", "-t", metavar="PATH", envvar="EDGECTL_TASKS", show_envvar=False, help="$EDGECTL_TASKS, or the one in tasks/; repeatable."
+        "--tasks",
+        "-t",
+        metavar="PATH",
+        envvar="EDGECTL_TASKS",
+        show_envvar=False,
+        help="$EDGECTL_TASKS, or the one in tasks/; repeatable.",
     ),
 ]
 
 
-def output(*forms: str) -> object:
+def build_output_option(*forms: str) -> object:
     """``-o`` of a command that has these forms; the first is the default. Another one is a UsageError that names them."""
 
-    def form(text: str) -> Form:
-        if text not in (*forms, Form.WIDE):  # where nothing wider exists, wide is the table
-            raise UsageError(f"no {text} form of this", hint=f"write -o {either(forms)}")
-        return Form(text)
+    def form(text: str) -> OutputFormat:
+        if text not in (*forms, OutputFormat.WIDE):  # where nothing wider exists, wide is the table
+            raise UsageError(f"no {text} form of this", hint=f"write -o {format_alternatives(forms)}")
+        return OutputFormat(text)
 
     def beginning(incomplete: str) -> list[str]:
         return [form for form in forms if form.startswith(incomplete)]
 
     return Option(
         "--output", "-o", metavar="FORM", envvar="EDGECTL_OUTPUT", show_envvar=False, show_default=False,
-        parser=form, autocompletion=beginning, help=f"{either(forms)}.",
+        parser=form, autocompletion=beginning, help=f"{format_alternatives(forms)}.",
     )  # fmt: skip
 
 
-PlanOutput = Annotated[Form, output("table", "wide", "json", "yaml", "name", "markdown")]
-FleetOutput = Annotated[Form, output("table", "wide", "json", "yaml", "name")]
-TopOutput = Annotated[Form, output("table", "wide", "json", "yaml")]
-ResultOutput = Annotated[Form, output("table", "json", "yaml", "name")]
-PoliciesOption = Annotated[str, Option("--policy", metavar="LIST", show_default=False, help="Of utility, paper, static, local.")]
-WeightsListOption = Annotated[
-    str | None, Option("--weights", "-w", metavar="LIST", show_default=False, help="Presets such as cpu,all; or one set: cpu=.5,task=1.")
+PlanOutput = Annotated[OutputFormat, build_output_option("table", "wide", "json", "yaml", "name", "markdown")]
+FleetOutput = Annotated[OutputFormat, build_output_option("table", "wide", "json", "yaml", "name")]
+TopOutput = Annotated[OutputFormat, build_output_option("table", "wide", "json", "yaml")]
+ResultOutput = Annotated[OutputFormat, build_output_option("table", "json", "yaml", "name")]
+PoliciesOption = Annotated[
+    str, Option("--policy", metavar="LIST", show_default=False, help="Of utility, paper, static, local.")
 ]
-GraphOutput = Annotated[Form, output("mermaid", "dot")]
-MeasuredOutput = Annotated[Form, output("table", "wide", "json", "yaml", "markdown")]
-ExplainOutput = Annotated[Form, output("table", "wide", "json", "yaml")]
-RoundsOutput = Annotated[Form, output("table", "jsonl")]
-FieldsOutput = Annotated[Form, output("table", "json", "yaml")]
-ValidateOutput = Annotated[Form, output("table", "json", "yaml", "github")]
+WeightsListOption = Annotated[
+    str | None,
+    Option(
+        "--weights",
+        "-w",
+        metavar="LIST",
+        show_default=False,
+        help="Presets such as cpu,all; or one set: cpu=.5,task=1.",
+    ),
+]
+GraphOutput = Annotated[OutputFormat, build_output_option("mermaid", "dot")]
+ExperimentOutput = Annotated[OutputFormat, build_output_option("table", "wide", "json", "yaml", "markdown")]
+ExplainOutput = Annotated[OutputFormat, build_output_option("table", "wide", "json", "yaml")]
+WatchOutput = Annotated[OutputFormat, build_output_option("table", "jsonl")]
+FieldsOutput = Annotated[OutputFormat, build_output_option("table", "json", "yaml")]
+ValidateOutput = Annotated[OutputFormat, build_output_option("table", "json", "yaml", "github")]
 
-SnapshotOption = Annotated[Path | None, Option("--snapshot", metavar="FILE", help="Decide from this file; no host is contacted.")]
+SnapshotOption = Annotated[
+    Path | None, Option("--snapshot", metavar="FILE", help="Decide from this file; no host is contacted.")
+]
 WeightsOption = Annotated[
     str | None,
     Option("--weights", "-w", metavar="WEIGHTS", help="cpu, memory, network, task, all, or cpu=.5,task=1."),
 ]
-PolicyOption = Annotated[PolicyName | None, Option("--policy", metavar="NAME", help="utility, paper, static or local.")]
+PolicyOption = Annotated[
+    PolicyName | None, Option("--policy", metavar="NAME", help="utility, paper, static or local.")
+]
 BestEffortOption = Annotated[bool, Option("--best-effort", help="Place a task even where it does not fit.")]
 FullOption = Annotated[bool, Option("--full", help="Rank every host, however many there are.")]
 WithoutOption = Annotated[
-    list[str] | None, Option("--without", metavar="HOST", autocompletion=hosts, help="What if this host were gone? Repeatable.")
+    list[str] | None,
+    Option(
+        "--without",
+        metavar="HOST",
+        autocompletion=complete_hosts,
+        help="What if this host were gone? Repeatable.",
+    ),
 ]
-TargetOption = Annotated[list[str] | None, Option("--target", metavar="TASK", autocompletion=tasks, help="Only this task; repeatable.")]
-SelectorOption = Annotated[str | None, Option("--selector", "-l", metavar="LABELS", help="Only with these: a=b, a!=b, a in (b,c), a, !a.")]
-DetailedOption = Annotated[bool, Option("--detailed-exitcode", help="Exit 2: changes pending, 3: a task is unplaced.")]
-AllowOption = Annotated[bool, Option("--allow-unreachable", help="Exit as if every host had answered.")]
-OutOption = Annotated[Path | None, Option("--out", metavar="PLAN", help="Save the plan for: edgectl apply PLAN.")]
+TargetOption = Annotated[
+    list[str] | None,
+    Option("--target", metavar="TASK", autocompletion=complete_tasks, help="Only this task; repeatable."),
+]
+SelectorOption = Annotated[
+    str | None,
+    Option("--selector", "-l", metavar="LABELS", help="Only with these: a=b, a!=b, a in (b,c), a, !a."),
+]
+DetailedExitcodeOption = Annotated[
+    bool, Option("--detailed-exitcode", help="Exit 2: changes pending, 3: a task is unplaced.")
+]
+AllowUnreachableOption = Annotated[
+    bool, Option("--allow-unreachable", help="Exit as if every host had answered.")
+]
+SavePlanOption = Annotated[
+    Path | None, Option("--out", metavar="PLAN", help="Save the plan for: edgectl apply PLAN.")
+]
 YesOption = Annotated[bool, Option("--yes", "-y", help="Do not ask.")]
 QuietOption = Annotated[bool, Option("--quiet", "-q", help="Print nothing where nothing had to be done.")]
-LockOption = Annotated[str, Option("--lock-timeout", metavar="TIME", help="Wait this long for another edgectl.")]
-ParallelOption = Annotated[int, Option("--max-parallel", metavar="N", min=1, help="At most N actions at once.")]
+LockTimeoutOption = Annotated[
+    str, Option("--lock-timeout", metavar="TIME", help="Wait this long for another edgectl.")
+]
+MaxParallelOption = Annotated[
+    int, Option("--max-parallel", metavar="N", min=1, help="At most N actions at once.")
+]
 FailFastOption = Annotated[bool, Option("--fail-fast", help="After the first failure begin nothing new.")]
 WindowOption = Annotated[str, Option("--window", metavar="TIME", help="How long use is measured.")]
 WatchOption = Annotated[bool, Option("--watch", "-w", help="Go on, until Ctrl-C.")]
 EveryOption = Annotated[str, Option("--every", metavar="TIME", help="With -w: pause between two looks.")]
 ReadonlyOption = Annotated[bool, Option("--readonly", help="With -I: no key changes anything.")]
-InteractiveOption = Annotated[bool, Option("--interactive", "-I", help="Full screen, with keys (needs edgectl[tui]).")]
+InteractiveOption = Annotated[
+    bool, Option("--interactive", "-I", help="Full screen, with keys (needs edgectl[tui]).")
+]
 TimeoutOption = Annotated[str, Option("--timeout", metavar="TIME", help="Deadline of each host.")]
-AcceptOption = Annotated[bool, Option("--accept-new", help="Trust hosts never seen before, as OpenSSH does.")]
+AcceptNewOption = Annotated[
+    bool, Option("--accept-new", help="Trust hosts never seen before, as OpenSSH does.")
+]
 
-HostsArgument = Annotated[list[str], Argument(metavar="HOST...", autocompletion=hosts, help="Names in the inventory.", show_default=False)]
-HostArgument = Annotated[str, Argument(metavar="HOST", autocompletion=hosts, help="Name in the inventory.", show_default=False)]
-TaskArgument = Annotated[str, Argument(metavar="TASK", autocompletion=tasks, help="Name of the task.", show_default=False)]
-TasksArgument = Annotated[list[str], Argument(metavar="TASK...", autocompletion=tasks, help="Names of tasks.", show_default=False)]
+HostsArgument = Annotated[
+    list[str],
+    Argument(
+        metavar="HOST...", autocompletion=complete_hosts, help="Names in the inventory.", show_default=False
+    ),
+]
+HostArgument = Annotated[
+    str,
+    Argument(
+        metavar="HOST", autocompletion=complete_hosts, help="Name in the inventory.", show_default=False
+    ),
+]
+TaskArgument = Annotated[
+    str, Argument(metavar="TASK", autocompletion=complete_tasks, help="Name of the task.", show_default=False)
+]
+TasksArgument = Annotated[
+    list[str],
+    Argument(metavar="TASK...", autocompletion=complete_tasks, help="Names of tasks.", show_default=False),
+]
 Shell = Literal["bash", "zsh", "fish"]

@@ -2,18 +2,18 @@
 
 from typer import Exit
 
-from edgectl.cli import console, exits, options
-from edgectl.cli.inputs import load, save
-from edgectl.views.form import Form
+from edgectl.cli import console, exit_codes, options
+from edgectl.cli.user_files import load_inputs, save_file
+from edgectl.views.output_format import OutputFormat
 
 
 def plan_command(
     *,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
-    output: options.PlanOutput = Form.TABLE,
+    output: options.PlanOutput = OutputFormat.TABLE,
     snapshot: options.SnapshotOption = None,
-    out: options.OutOption = None,
+    out: options.SavePlanOption = None,
     weights: options.WeightsOption = None,
     policy: options.PolicyOption = None,
     best_effort: options.BestEffortOption = False,
@@ -21,9 +21,9 @@ def plan_command(
     without: options.WithoutOption = None,
     target: options.TargetOption = None,
     selector: options.SelectorOption = None,
-    detailed: options.DetailedOption = False,
-    allow_unreachable: options.AllowOption = False,
-    accept_new: options.AcceptOption = False,
+    detailed: options.DetailedExitcodeOption = False,
+    allow_unreachable: options.AllowUnreachableOption = False,
+    accept_new: options.AcceptNewOption = False,
 ) -> None:
     """Rank the hosts for every task by utility, and show what would be done and why. Nothing is changed.
 
@@ -33,18 +33,20 @@ def plan_command(
         edgectl plan --out next.plan
         edgectl plan --without edge2 --detailed-exitcode
     """
-    from edgectl.cli.decide import chooser, policy_of
-    from edgectl.cli.reach import offline, reach
+    from edgectl.cli.connect import build_fleet, build_offline_fleet
+    from edgectl.cli.policy_options import build_plan_filter, policy_from_options
     from edgectl.config.documents import load_snapshot
-    from edgectl.usecases.plan import plan
+    from edgectl.usecases.plan import make_plan
 
-    loaded = load(inventory, tasks)
-    choose = chooser(loaded.tasks, target, selector)
-    fleet = offline(loaded) if snapshot else reach(loaded, accept_new=accept_new)
-    how = policy_of(fleet, weights=weights, policy=policy, without=without, best_effort=best_effort, full=full)
-    result = choose(plan(fleet, how, snapshot=load_snapshot(snapshot) if snapshot else None))
+    loaded = load_inputs(inventory, tasks)
+    choose = build_plan_filter(loaded.tasks, target, selector)
+    fleet = build_offline_fleet(loaded) if snapshot else build_fleet(loaded, accept_new=accept_new)
+    how = policy_from_options(
+        fleet, weights=weights, policy=policy, without=without, best_effort=best_effort, full=full
+    )
+    result = choose(make_plan(fleet, how, snapshot=load_snapshot(snapshot) if snapshot else None))
     if out is not None:
-        save(out, console.rendered(Form.JSON, "plan", result))
-        console.tell(f"saved {out}; carry it out with: edgectl apply {out}")
-    console.show(output, "plan", result)
-    raise Exit(exits.of_plan(result, detailed=detailed, allow_unreachable=allow_unreachable))
+        save_file(out, console.render_view(OutputFormat.JSON, "plan", result))
+        console.print_message(f"saved {out}; carry it out with: edgectl apply {out}")
+    console.print_view(output, "plan", result)
+    raise Exit(exit_codes.of_plan(result, detailed=detailed, allow_unreachable=allow_unreachable))

@@ -4,11 +4,11 @@ from typing import Annotated
 
 from typer import Exit, Option
 
-from edgectl.cli import acting, console, options
-from edgectl.cli.inputs import load, replaced, task_files
+from edgectl.cli import apply_session, console, options
+from edgectl.cli.user_files import load_inputs, replace_file_text, resolve_task_paths
 from edgectl.errors import ExitCode
-from edgectl.model.names import known
-from edgectl.views.form import Form
+from edgectl.names import check_known_names
+from edgectl.views.output_format import OutputFormat
 
 
 def profile_command(
@@ -18,7 +18,7 @@ def profile_command(
     yes: options.YesOption = False,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
-    output: options.FieldsOutput = Form.TABLE,
+    output: options.FieldsOutput = OutputFormat.TABLE,
 ) -> None:
     """Show what a task was measured to use, by class of hosts: median, p95 and most, beside what is declared. No host is contacted.
 
@@ -29,26 +29,32 @@ def profile_command(
         edgectl profile slam-robot1 -o json
         edgectl profile slam-robot1 --write --yes
     """
-    from edgectl.cli.reach import reach
-    from edgectl.usecases.demands import profiles
-    from edgectl.usecases.profile import rewrite, tasks_named
+    from edgectl.cli.connect import build_fleet
+    from edgectl.usecases.measured_demand import load_class_profiles
+    from edgectl.usecases.profile import build_demand_edit, get_tasks_by_name
 
-    acting.answerable(asked=write and not yes, first="look first: edgectl profile TASK")
-    files = task_files(tasks)
-    fleet = reach(load(inventory, files))
-    known([task], [*fleet.tasks.tasks, *(each.template for each in fleet.tasks.tasks.values())], "task")
-    named = tasks_named(fleet.tasks, task)
-    console.show(output, "profile", profiles(fleet, named))
+    apply_session.check_can_confirm(asked=write and not yes, first="look first: edgectl profile TASK")
+    files = resolve_task_paths(tasks)
+    fleet = build_fleet(load_inputs(inventory, files))
+    check_known_names(
+        [task], [*fleet.tasks.tasks, *(each.template for each in fleet.tasks.tasks.values())], "task"
+    )
+    named = get_tasks_by_name(fleet.tasks, task)
+    console.print_view(output, "profile", load_class_profiles(fleet, named))
     if not write:
         return
-    change = rewrite(fleet, files, named[0])
+    change = build_demand_edit(fleet, files, named[0])
     if change.before == change.after:
-        console.tell(f"{change.file} says so already")
+        console.print_message(f"{change.file} says so already")
         return
     if len(change.tasks) > 1:
-        console.tell(f"{change.entry} is one entry for {', '.join(change.tasks)}: it gets the greatest p95 of them")
-    console.say(change.diff())
-    if not yes and not acting.ask(f'Write this to {change.file}? Only "yes" is accepted: '):
+        console.print_message(
+            f"{change.entry} is one entry for {', '.join(change.tasks)}: it gets the greatest p95 of them"
+        )
+    console.print_stderr(change.diff())
+    if not yes and not apply_session.ask_confirmation(
+        f'Write this to {change.file}? Only "yes" is accepted: '
+    ):
         raise Exit(ExitCode.FAILED)
-    replaced(change.file, change.before, change.after)
-    console.tell(f"wrote {change.file}")
+    replace_file_text(change.file, change.before, change.after)
+    console.print_message(f"wrote {change.file}")

@@ -4,23 +4,31 @@ from typing import Annotated
 
 from typer import Argument, Exit, Option
 
-from edgectl.cli import console, exits, options
-from edgectl.cli.complete import hosts as host_names
-from edgectl.cli.inputs import load
-from edgectl.views.form import Form
+from edgectl.cli import console, exit_codes, options
+from edgectl.cli.completion import complete_hosts as host_names
+from edgectl.cli.user_files import load_inputs
+from edgectl.views.output_format import OutputFormat
 
-_Hosts = Annotated[
-    list[str] | None, Argument(metavar="[HOST...]", autocompletion=host_names, help="Names in the inventory; all.", show_default=False)
+_HostsArgument = Annotated[
+    list[str] | None,
+    Argument(
+        metavar="[HOST...]",
+        autocompletion=host_names,
+        help="Names in the inventory; all.",
+        show_default=False,
+    ),
 ]
 
 
 def profilers_start_command(
     *,
-    hosts: _Hosts = None,
+    hosts: _HostsArgument = None,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
-    output: options.ResultOutput = Form.TABLE,
-    every: Annotated[str, Option("--every", metavar="TIME", help="From sample to sample, 100ms to 1m.")] = "1s",
+    output: options.ResultOutput = OutputFormat.TABLE,
+    every: Annotated[
+        str, Option("--every", metavar="TIME", help="From sample to sample, 100ms to 1m.")
+    ] = "1s",
     ttl: Annotated[str, Option("--ttl", metavar="TIME", help="End after so long without a call.")] = "1h",
 ) -> None:
     """Start a small process on each host that measures all the time, so that a probe needs no sample window.
@@ -31,50 +39,55 @@ def profilers_start_command(
         edgectl profilers start
         edgectl profilers start edge1 --every 500ms --ttl 1d
     """
-    from edgectl.cli.reach import reach, seconds
-    from edgectl.usecases.profilers import start
+    from edgectl.cli.connect import build_fleet, parse_duration_option
+    from edgectl.usecases.profilers import start_profilers
 
-    fleet = reach(load(inventory, tasks))
-    found = start(fleet, hosts or (), every=seconds(every, "--every"), ttl=seconds(ttl, "--ttl"))
-    console.show(output, "profilers", found)
-    raise Exit(exits.of_profilers(found))
+    fleet = build_fleet(load_inputs(inventory, tasks))
+    found = start_profilers(
+        fleet,
+        hosts or (),
+        every=parse_duration_option(every, "--every"),
+        ttl=parse_duration_option(ttl, "--ttl"),
+    )
+    console.print_view(output, "profilers", found)
+    raise Exit(exit_codes.of_profilers(found))
 
 
 def profilers_status_command(
     *,
-    hosts: _Hosts = None,
+    hosts: _HostsArgument = None,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
-    output: options.ResultOutput = Form.TABLE,
+    output: options.ResultOutput = OutputFormat.TABLE,
 ) -> None:
     """Show which profilers run, what they cost and when they would end.
 
     Examples:
         edgectl profilers status
     """
-    from edgectl.cli.reach import reach
-    from edgectl.usecases.profilers import status
+    from edgectl.cli.connect import build_fleet
+    from edgectl.usecases.profilers import list_profilers
 
-    found = status(reach(load(inventory, tasks)), hosts or ())
-    console.show(output, "profilers", found)
-    raise Exit(exits.of_profilers(found))
+    found = list_profilers(build_fleet(load_inputs(inventory, tasks)), hosts or ())
+    console.print_view(output, "profilers", found)
+    raise Exit(exit_codes.of_profilers(found))
 
 
 def profilers_stop_command(
     *,
-    hosts: _Hosts = None,
+    hosts: _HostsArgument = None,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
-    output: options.ResultOutput = Form.TABLE,
+    output: options.ResultOutput = OutputFormat.TABLE,
 ) -> None:
     """Stop the profilers and prove that they are gone. Probes measure over a window again.
 
     Examples:
         edgectl profilers stop
     """
-    from edgectl.cli.reach import reach
-    from edgectl.usecases.profilers import stop
+    from edgectl.cli.connect import build_fleet
+    from edgectl.usecases.profilers import stop_profilers
 
-    found = stop(reach(load(inventory, tasks)), hosts or ())
-    console.show(output, "profilers", found)
-    raise Exit(exits.of_profilers(found))
+    found = stop_profilers(build_fleet(load_inputs(inventory, tasks)), hosts or ())
+    console.print_view(output, "profilers", found)
+    raise Exit(exit_codes.of_profilers(found))

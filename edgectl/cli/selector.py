@@ -6,32 +6,32 @@ from collections.abc import Mapping
 from edgectl.errors import UsageError
 
 _KEY = r"[A-Za-z0-9][A-Za-z0-9._/-]*"
-_PART = re.compile(
+_REQUIREMENT = re.compile(
     rf"(?P<absent>!\s*)?(?P<key>{_KEY})"
     r"(?:\s*(?P<sign>==|=|!=)\s*(?P<value>[^\s,()=!]*)|\s+(?P<word>in|notin)\s*\((?P<values>[^()]*)\))?"
 )
 _COMMA = re.compile(r",(?![^()]*\))")  # outside of brackets
-_FORMS = "write a=b, a!=b, a in (b,c), a notin (b,c), a or !a, joined by commas"
+_SYNTAX_HINT = "write a=b, a!=b, a in (b,c), a notin (b,c), a or !a, joined by commas"
 
 
-def matches(selector: str, labels: Mapping[str, str]) -> bool:
+def matches_selector(selector: str, labels: Mapping[str, str]) -> bool:
     """Whether labels satisfy every part of ``selector``; ``!=`` and ``notin`` hold where the label is missing.
 
     Raises:
         UsageError: a part that is none.
     """
-    parts = [_parsed(part.strip()) for part in _COMMA.split(selector)]
-    return all(_satisfied(part, labels) for part in parts)
+    parts = [_parse_requirement(part.strip()) for part in _COMMA.split(selector)]
+    return all(_is_requirement_met(part, labels) for part in parts)
 
 
-def _parsed(part: str) -> re.Match[str]:
-    found = _PART.fullmatch(part)
+def _parse_requirement(part: str) -> re.Match[str]:
+    found = _REQUIREMENT.fullmatch(part)
     if found is None or (found["absent"] and (found["sign"] or found["word"])):
-        raise UsageError(f"cannot read the selector {part!r}", hint=_FORMS)
+        raise UsageError(f"cannot read the selector {part!r}", hint=_SYNTAX_HINT)
     return found
 
 
-def _satisfied(part: re.Match[str], labels: Mapping[str, str]) -> bool:
+def _is_requirement_met(part: re.Match[str], labels: Mapping[str, str]) -> bool:
     value = labels.get(part["key"])
     if part["word"]:
         return (value in {each.strip() for each in part["values"].split(",")}) == (part["word"] == "in")

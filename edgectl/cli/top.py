@@ -9,32 +9,32 @@ from typing import TYPE_CHECKING, Any
 
 from typer import Exit
 
-from edgectl.cli import console, exits, options
-from edgectl.cli.inputs import Loaded, load
-from edgectl.cli.until import pause, told
+from edgectl.cli import console, exit_codes, options
+from edgectl.cli.signals import catch_stop_signals, parse_every_option
+from edgectl.cli.user_files import LoadedInputs, load_inputs
 from edgectl.errors import UsageError
-from edgectl.model.names import either
-from edgectl.views.form import Form
+from edgectl.names import format_alternatives
+from edgectl.views.output_format import OutputFormat
 
 if TYPE_CHECKING:
     from edgectl.model.snapshot import Snapshot
     from edgectl.usecases.fleet import Fleet
 
 # What a view is given of one look at the fleet.
-Values = tuple[Any, ...]
-_WATCHED = (Form.TABLE, Form.WIDE, Form.JSON)
+ViewValues = tuple[Any, ...]
+_WATCH_FORMATS = (OutputFormat.TABLE, OutputFormat.WIDE, OutputFormat.JSON)
 
 
 def top_hosts_command(
     *,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
-    output: options.TopOutput = Form.TABLE,
+    output: options.TopOutput = OutputFormat.TABLE,
     watch: options.WatchOption = False,
     every: options.EveryOption = "2s",
     interactive: options.InteractiveOption = False,
     readonly: options.ReadonlyOption = False,
-    allow_unreachable: options.AllowOption = False,
+    allow_unreachable: options.AllowUnreachableOption = False,
 ) -> None:
     """Show how much of its CPU, memory and busiest link each host uses, now and over its last 60 samples, whoever took them.
 
@@ -46,22 +46,26 @@ def top_hosts_command(
         edgectl top hosts -w --every 5s
         edgectl top hosts -w -o json
     """
-    loaded, period = load(inventory, tasks), pause(every)
+    loaded, period = load_inputs(inventory, tasks), parse_every_option(every)
     if interactive:
-        return _interact(loaded, period, readonly=readonly, first="hosts")
-    raise Exit(_top(loaded, "top_hosts", output, period if watch else None, allow_unreachable=allow_unreachable))
+        return _run_live_view(loaded, period, readonly=readonly, first="hosts")
+    raise Exit(
+        _print_top(
+            loaded, "top_hosts", output, period if watch else None, allow_unreachable=allow_unreachable
+        )
+    )
 
 
 def top_tasks_command(
     *,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
-    output: options.TopOutput = Form.TABLE,
+    output: options.TopOutput = OutputFormat.TABLE,
     watch: options.WatchOption = False,
     every: options.EveryOption = "2s",
     interactive: options.InteractiveOption = False,
     readonly: options.ReadonlyOption = False,
-    allow_unreachable: options.AllowOption = False,
+    allow_unreachable: options.AllowUnreachableOption = False,
 ) -> None:
     """Show how much each task uses against its demand (OFF: use minus demand), now and over its last 60 samples, whoever took them.
 
@@ -71,81 +75,90 @@ def top_tasks_command(
         edgectl top tasks -o wide
         edgectl top tasks -w
     """
-    loaded, period = load(inventory, tasks), pause(every)
+    loaded, period = load_inputs(inventory, tasks), parse_every_option(every)
     if interactive:
-        return _interact(loaded, period, readonly=readonly, first="tasks")
-    raise Exit(_top(loaded, "top_tasks", output, period if watch else None, allow_unreachable=allow_unreachable))
+        return _run_live_view(loaded, period, readonly=readonly, first="tasks")
+    raise Exit(
+        _print_top(
+            loaded, "top_tasks", output, period if watch else None, allow_unreachable=allow_unreachable
+        )
+    )
 
 
-def _top(loaded: Loaded, what: str, output: Form, every: float | None, *, allow_unreachable: bool) -> int:
+def _print_top(
+    loaded: LoadedInputs, what: str, output: OutputFormat, every: float | None, *, allow_unreachable: bool
+) -> int:
     """Once, or with ``every`` again and again."""
-    from edgectl.cli.reach import reach
-    from edgectl.usecases.probe import probe
+    from edgectl.cli.connect import build_fleet
+    from edgectl.usecases.probe import probe_fleet
 
-    fleet = reach(loaded)
+    fleet = build_fleet(loaded)
     if every is None:
-        snapshot = probe(fleet)
-        console.show(output, what, *_values(fleet, what, snapshot))
-        return exits.of_snapshot(snapshot, fleet.inventory, allow_unreachable=allow_unreachable)
-    if output not in _WATCHED:
-        raise UsageError(f"no {output} form that goes on", hint=f"write -o {either(_WATCHED)}")
-    _watch(fleet, what, output, every)
+        snapshot = probe_fleet(fleet)
+        console.print_view(output, what, *_collect_view_values(fleet, what, snapshot))
+        return exit_codes.of_snapshot(snapshot, fleet.inventory, allow_unreachable=allow_unreachable)
+    if output not in _WATCH_FORMATS:
+        raise UsageError(
+            f"no {output} form that goes on", hint=f"write -o {format_alternatives(_WATCH_FORMATS)}"
+        )
+    _watch_top(fleet, what, output, every)
     return 0
 
 
-def _values(fleet: "Fleet", what: str, snapshot: "Snapshot") -> Values:
-    from edgectl.usecases.look import host_history, task_history
-    from edgectl.views.spark import SAMPLES
+def _collect_view_values(fleet: "Fleet", what: str, snapshot: "Snapshot") -> ViewValues:
+    from edgectl.usecases.status import load_host_points, load_task_points
+    from edgectl.views.sparkline import SPARKLINE_SAMPLES
 
     if what == "top_hosts":
-        return (snapshot, fleet.inventory, host_history(fleet, SAMPLES))
-    return (snapshot, fleet.inventory, fleet.tasks, task_history(fleet, SAMPLES))
+        return (snapshot, fleet.inventory, load_host_points(fleet, SPARKLINE_SAMPLES))
+    return (snapshot, fleet.inventory, fleet.tasks, load_task_points(fleet, SPARKLINE_SAMPLES))
 
 
-def _watch(fleet: "Fleet", what: str, output: Form, every: float) -> None:
+def _watch_top(fleet: "Fleet", what: str, output: OutputFormat, every: float) -> None:
     """On a terminal in place, elsewhere one after the other, until Ctrl-C (or q)."""
-    from edgectl.usecases.look import looks
+    from edgectl.usecases.status import probe_repeatedly
 
     said: dict[str, None] = {}
-    in_place = output is not Form.JSON and sys.stdout.isatty()
+    in_place = output is not OutputFormat.JSON and sys.stdout.isatty()
     quiet = dataclasses.replace(fleet, warn=said.setdefault) if in_place else fleet
-    with told(every) as end:
-        series = (_values(quiet, what, snapshot) for snapshot in looks(quiet, end))
+    with catch_stop_signals(every) as end:
+        series = (_collect_view_values(quiet, what, snapshot) for snapshot in probe_repeatedly(quiet, end))
         if in_place:
-            _redraw(output, what, series)
+            _redraw_screen(output, what, series)
         else:
-            console.show_all(output, f"{what}_line" if output is Form.JSON else what, series)
+            console.print_view_series(output, f"{what}_line" if output is OutputFormat.JSON else what, series)
     for text in said:
-        console.tell(f"warning: {text}")
+        console.print_message(f"warning: {text}")
 
 
-def _redraw(output: Form, what: str, series: Iterator[Values]) -> None:
-    from edgectl.cli.keys import keys
-    from edgectl.cli.screen import screen
-    from edgectl.views.form import view
-    from edgectl.views.text import look_of
+def _redraw_screen(output: OutputFormat, what: str, series: Iterator[ViewValues]) -> None:
+    from edgectl.cli.terminal import listen_for_keys, open_screen
+    from edgectl.views.output_format import get_renderer
+    from edgectl.views.text import detect_render_options
 
-    with keys(_quit), screen() as show:
+    with listen_for_keys(_quit_on_q), open_screen() as show:
         for values in series:
-            show(view(output, what)(*values, look_of(sys.stdout)))
+            show(get_renderer(output, what)(*values, detect_render_options(sys.stdout)))
 
 
-def _quit(key: str) -> None:
+def _quit_on_q(key: str) -> None:
     if key in ("q", "Q"):
         os.kill(os.getpid(), signal.SIGINT)
 
 
-def _interact(loaded: Loaded, every: float, *, readonly: bool, first: str) -> None:
+def _run_live_view(loaded: LoadedInputs, every: float, *, readonly: bool, first: str) -> None:
     """The live view of edgectl[tui].
 
     Raises:
         UsageError: standard output is no terminal, or the extra is not installed.
     """
-    from edgectl.cli.extras import extra
-    from edgectl.cli.reach import reach
+    from edgectl.cli.connect import build_fleet
+    from edgectl.cli.extras import require_extra
 
     if not sys.stdout.isatty():
-        raise UsageError("standard output is not a terminal", hint="edgectl top hosts -w -o json is for programs")
-    with extra("tui"):
-        from edgectl.tui import run
-    run(reach(loaded, asking=False), every=every, readonly=readonly, first=first)
+        raise UsageError(
+            "standard output is not a terminal", hint="edgectl top hosts -w -o json is for programs"
+        )
+    with require_extra("tui"):
+        from edgectl.tui import run_top_view
+    run_top_view(build_fleet(loaded, asking=False), every=every, readonly=readonly, first=first)

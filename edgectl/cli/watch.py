@@ -9,36 +9,36 @@ from typing import Annotated
 
 from typer import Exit, Option
 
-from edgectl.cli import console, exits, options
-from edgectl.cli.inputs import load
+from edgectl.cli import console, exit_codes, options
+from edgectl.cli.user_files import load_inputs
 from edgectl.errors import ExitCode, UsageError
 from edgectl.model.cycle import Cycle
 from edgectl.model.policy import Policy
 from edgectl.usecases.control import Control
 from edgectl.usecases.fleet import Fleet
-from edgectl.views.form import Form
+from edgectl.views.output_format import OutputFormat
 
-_SHORTEST_S = 1.0
+_MIN_PERIOD_S = 1.0
 _ApplyOption = Annotated[bool, Option("--apply", help="Carry the plans out, unasked.")]
 _EveryOption = Annotated[str, Option("--every", metavar="TIME", help="From one cycle to the next.")]
 _CyclesOption = Annotated[int | None, Option("--cycles", metavar="N", min=1, help="End after N cycles.")]
-Show = Callable[[Cycle], None]
+CyclePrinter = Callable[[Cycle], None]
 
 
 def watch_command(
     *,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
-    output: options.RoundsOutput = Form.TABLE,
+    output: options.WatchOutput = OutputFormat.TABLE,
     apply: _ApplyOption = False,
     every: _EveryOption = "10s",
     cycles: _CyclesOption = None,
-    max_parallel: options.ParallelOption = 16,
+    max_parallel: options.MaxParallelOption = 16,
     weights: options.WeightsOption = None,
     policy: options.PolicyOption = None,
     best_effort: options.BestEffortOption = False,
     without: options.WithoutOption = None,
-    accept_new: options.AcceptOption = False,
+    accept_new: options.AcceptNewOption = False,
 ) -> None:
     """Look at the fleet again and again, plan each time, and with --apply keep everything where it should be.
 
@@ -49,22 +49,30 @@ def watch_command(
         edgectl watch --apply --every 30s
         edgectl watch -o jsonl --cycles 1
     """
-    from edgectl.cli import decide
-    from edgectl.cli.reach import reach, seconds
-    from edgectl.cli.refresh import refreshing
-    from edgectl.cli.until import obeying
-    from edgectl.usecases.watch import WatchOptions, watch
+    from edgectl.cli import policy_options
+    from edgectl.cli.connect import build_fleet, parse_duration_option
+    from edgectl.cli.reload import build_fleet_reloader
+    from edgectl.cli.signals import stop_control_on_signal
+    from edgectl.usecases.watch import WatchOptions, watch_fleet
 
-    pause = seconds(every, "--every")
-    if pause < _SHORTEST_S:
+    pause = parse_duration_option(every, "--every")
+    if pause < _MIN_PERIOD_S:
         raise UsageError(f"--every {every} is too often", hint="write 1s or more")
 
     def how(fleet: Fleet) -> Policy:
-        return decide.policy_of(fleet, weights=weights, policy=policy, without=without, best_effort=best_effort, full=False, attended=False)
+        return policy_options.policy_from_options(
+            fleet,
+            weights=weights,
+            policy=policy,
+            without=without,
+            best_effort=best_effort,
+            full=False,
+            attended=False,
+        )
 
-    refresh = refreshing(inventory, tasks, accept_new=accept_new)
-    loaded, control = load(inventory, tasks), Control()
-    fleet = reach(loaded, accept_new=accept_new, asking=False)
+    refresh = build_fleet_reloader(inventory, tasks, accept_new=accept_new)
+    loaded, control = load_inputs(inventory, tasks), Control()
+    fleet = build_fleet(loaded, accept_new=accept_new, asking=False)
     given = WatchOptions(
         every=pause,
         apply=apply,
@@ -76,43 +84,48 @@ def watch_command(
         control=control,
     )
     last: Cycle | None = None
-    with obeying(control) as signals, _showing(output, loaded.path.stem, how(fleet), control, apply=apply) as show:
-        for last in _closing(watch(fleet, given)):
+    with (
+        stop_control_on_signal(control) as signals,
+        _open_cycle_printer(output, loaded.path.stem, how(fleet), control, apply=apply) as show,
+    ):
+        for last in _yield_and_close(watch_fleet(fleet, given)):
             show(last)
     if control.stop_requested.is_set() or last is None:
         raise Exit(ExitCode.INTERRUPTED if signal.SIGINT in signals[:1] else ExitCode.DONE)
-    raise Exit(exits.of_cycle(last))
+    raise Exit(exit_codes.of_cycle(last))
 
 
-def _closing(cycles: Iterator[Cycle]) -> Iterator[Cycle]:
+def _yield_and_close(cycles: Iterator[Cycle]) -> Iterator[Cycle]:
     with contextlib.closing(cycles):  # type: ignore[type-var]
         yield from cycles
 
 
 @contextlib.contextmanager
-def _showing(output: Form, name: str, policy: Policy, control: Control, *, apply: bool) -> Iterator[Show]:
+def _open_cycle_printer(
+    output: OutputFormat, name: str, policy: Policy, control: Control, *, apply: bool
+) -> Iterator[CyclePrinter]:
     """What to do with each cycle: draw it, write its line, or write its object."""
-    from edgectl.cli.keys import in_front, keys
-    from edgectl.views import rounds
-    from edgectl.views.form import view
+    from edgectl.cli.terminal import is_foreground, listen_for_keys
+    from edgectl.views import watch_cycle
+    from edgectl.views.output_format import get_renderer
 
-    if output is not Form.TABLE:
-        view(output, "cycle")  # refuse an unknown form before anything is done
-        yield lambda cycle: console.show(output, "cycle", cycle)
+    if output is not OutputFormat.TABLE:
+        get_renderer(output, "cycle")  # refuse an unknown form before anything is done
+        yield lambda cycle: console.print_view(output, "cycle", cycle)
         return
-    if not (sys.stdout.isatty() and in_front() and os.environ.get("TERM") != "dumb"):
-        yield _lines(rounds.line)
+    if not (sys.stdout.isatty() and is_foreground() and os.environ.get("TERM") != "dumb"):
+        yield _build_line_printer(watch_cycle.render_cycle_line)
         return
-    from edgectl.views.live import Screen, Title, live
+    from edgectl.views.watch_screen import WatchScreen, WatchTitle, show_watch_screen
 
-    title = Title(fleet=name, variant=rounds.variant(policy.weights), applies=apply)
-    screen = Screen(title, lambda: control.paused)
+    title = WatchTitle(fleet=name, variant=watch_cycle.format_weights(policy.weights), applies=apply)
+    screen = WatchScreen(title, lambda: control.paused)
     wanted = {"q": control.stop, "p": control.now, "a": control.pause}
-    with live(screen), keys(lambda key: wanted.get(key.lower(), _nothing)()):
+    with show_watch_screen(screen), listen_for_keys(lambda key: wanted.get(key.lower(), _ignore_key)()):
         yield screen.show
 
 
-def _lines(line: Callable[[Cycle | None, Cycle], str]) -> Show:
+def _build_line_printer(line: Callable[[Cycle | None, Cycle], str]) -> CyclePrinter:
     """Write the line of each cycle that has one."""
     before: list[Cycle] = []
 
@@ -120,10 +133,10 @@ def _lines(line: Callable[[Cycle | None, Cycle], str]) -> Show:
         text = line(before[0] if before else None, cycle)
         before[:] = [cycle]
         if text:
-            console.put(text)
+            console.print_text(text)
 
     return show
 
 
-def _nothing() -> None:
+def _ignore_key() -> None:
     """A key that means nothing."""

@@ -6,17 +6,24 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from edgectl.config.node import Node, out_of_sight
-from edgectl.config.problems import Code, Problems
-from edgectl.config.scalars import INVALID, Read, any_text, flag, text, wrong_type
+from edgectl.config.node import Node, redact_node
+from edgectl.config.problems import ProblemCode, Problems
+from edgectl.config.scalars import (
+    INVALID,
+    NodeReader,
+    read_bool,
+    read_text,
+    read_text_or_empty,
+    report_wrong_type,
+)
 from edgectl.model.secret import Secret
 
-ENV_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
-_LABEL_KEY = re.compile(r"[A-Za-z0-9][A-Za-z0-9._/-]{0,62}")
-_SECRET_NAME = re.compile(
+ENV_NAME_PATTERN = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+_LABEL_KEY_PATTERN = re.compile(r"[A-Za-z0-9][A-Za-z0-9._/-]{0,62}")
+_SECRET_NAME_PATTERN = re.compile(
     r"(?:PASSWORD|PASSWD|PASSPHRASE|(?:^|_)(?:PASS|PWD|SECRET|TOKEN|API_?KEY|SECRET_?KEY|PRIVATE_?KEY|ACCESS_?KEY|CREDENTIALS?))$"
 )
-_PASSWORDS = (
+_PASSWORD_KEYS = (
     "password",
     "passwd",
     "pass",
@@ -45,35 +52,56 @@ class Fields:
         return inner or self.node
 
 
-def read_fields(node: Node, problems: Problems, table: Mapping[str, Read], *, required: Iterable[str] = (), what: str) -> Fields:
+def read_fields(
+    node: Node,
+    problems: Problems,
+    table: Mapping[str, NodeReader],
+    *,
+    required: Iterable[str] = (),
+    what: str,
+) -> Fields:
     """The values of a mapping's known keys; unknown, missing and wrong ones are noted."""
     if not isinstance(node.value, dict):
-        wrong_type(node, problems, f"{what} must be a mapping", f"write keys such as {next(iter(table))}: .. on lines of their own")
+        report_wrong_type(
+            node,
+            problems,
+            f"{what} must be a mapping",
+            f"write keys such as {next(iter(table))}: .. on lines of their own",
+        )
         return Fields(node, {})
     values = {}
     for key, inner in node.value.items():
         read = table.get(key)
         if read is None:
-            _unknown_key(node, key, problems, table, what)
+            _report_unknown_key(node, key, problems, table, what)
             continue
         value = read(inner, problems)
         if value is not INVALID:
             values[key] = value
     for key in required:
         if key not in node.value:
-            problems.add(node.mark, Code.MISSING, f"{what} needs {key}", f"add {key}: ..")
+            problems.add(node.mark, ProblemCode.MISSING, f"{what} needs {key}", f"add {key}: ..")
     return Fields(node, values)
 
 
-def _unknown_key(node: Node, key: str, problems: Problems, table: Mapping[str, Read], what: str) -> None:
-    if key.lower() in _PASSWORDS:
+def _report_unknown_key(
+    node: Node, key: str, problems: Problems, table: Mapping[str, NodeReader], what: str
+) -> None:
+    if key.lower() in _PASSWORD_KEYS:
         hint = 'use a key or the agent, or: password_command: ["pass", "show", "lab/edge1"]'
-        problems.add(node.key_mark(key), Code.PASSWORD, "a password may not stand in a file", hint)
+        problems.add(node.key_mark(key), ProblemCode.PASSWORD, "a password may not stand in a file", hint)
     else:
-        problems.add(node.key_mark(key), Code.UNKNOWN_KEY, f"unknown key {key} in {what}", problems.did_you_mean(key, table, "known keys:"))
+        problems.add(
+            node.key_mark(key),
+            ProblemCode.UNKNOWN_KEY,
+            f"unknown key {key} in {what}",
+            problems.did_you_mean(key, table, "known keys:"),
+        )
 
 
-def record(table: Mapping[str, Read], build: Callable[..., Any], what: str, required: tuple[str, ...] = ()) -> Read:
+def record_reader(
+    table: Mapping[str, NodeReader], build: Callable[..., Any], what: str, required: tuple[str, ...] = ()
+) -> NodeReader:
     """A mapping with the keys of a table, built into a value; the table may be completed after this call."""
 
     def read(node: Node, problems: Problems) -> Any:  # noqa: ANN401
@@ -84,27 +112,27 @@ def record(table: Mapping[str, Read], build: Callable[..., Any], what: str, requ
     return read
 
 
-def as_node(node: Node, _: Problems) -> Node:
+def keep_node(node: Node, _: Problems) -> Node:
     """The node itself, to be read later."""
     return node
 
 
-def items(read: Read) -> Read:
+def list_reader_with_nodes(read: NodeReader) -> NodeReader:
     """A list whose entries are read by ``read``; given back as a tuple of the valid ones with their nodes."""
 
     def read_list(node: Node, problems: Problems) -> Any:  # noqa: ANN401
         if not isinstance(node.value, list):
             hint = f"write [{node.text}]" if node.text else "write [..]"
-            return wrong_type(node, problems, "must be a list", hint)
+            return report_wrong_type(node, problems, "must be a list", hint)
         values = ((read(inner, problems), inner) for inner in node.value)
         return tuple((value, inner) for value, inner in values if value is not INVALID)
 
     return read_list
 
 
-def bare(read: Read) -> Read:
+def list_reader(read: NodeReader) -> NodeReader:
     """``items`` without the nodes."""
-    listed = items(read)
+    listed = list_reader_with_nodes(read)
 
     def read_list(node: Node, problems: Problems) -> Any:  # noqa: ANN401
         values = listed(node, problems)
@@ -113,18 +141,20 @@ def bare(read: Read) -> Read:
     return read_list
 
 
-def pairs(key_form: re.Pattern[str], what: str, read: Read = any_text) -> Read:
+def mapping_reader(key_form: re.Pattern[str], what: str, read: NodeReader = read_text_or_empty) -> NodeReader:
     """A mapping of free keys of a form to values."""
 
     def read_mapping(node: Node, problems: Problems) -> Any:  # noqa: ANN401
         if not isinstance(node.value, dict):
-            return wrong_type(node, problems, "must be a mapping", "write {NAME: value}")
+            return report_wrong_type(node, problems, "must be a mapping", "write {NAME: value}")
         result = {}
         for key, inner in node.value.items():
             if not key_form.fullmatch(key):
                 wished = re.sub(r"[^A-Za-z0-9_]", "_", key)
                 hint = f"write {wished}" if key_form.fullmatch(wished) else "use letters, digits and _"
-                problems.add(node.key_mark(key), Code.NAME, f"{key!r} cannot be the name of {what}", hint)
+                problems.add(
+                    node.key_mark(key), ProblemCode.NAME, f"{key!r} cannot be the name of {what}", hint
+                )
             value = read(inner, problems)
             if value is not INVALID:
                 result[key] = value
@@ -133,60 +163,83 @@ def pairs(key_form: re.Pattern[str], what: str, read: Read = any_text) -> Read:
     return read_mapping
 
 
-def _variable(node: Node, problems: Problems) -> Any:  # noqa: ANN401
+def _read_variable(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     """A text, or ``{value: .., secret: true}``. A line on which a secret may stand is never shown."""
     if not isinstance(node.value, dict):
-        return any_text(node, problems)
-    if not node.value.keys() <= SECRET.keys():
-        problems.add(node.mark.out_of_sight(), Code.UNKNOWN_KEY, "unknown key in an environment variable", "known keys: value, secret")
+        return read_text_or_empty(node, problems)
+    if not node.value.keys() <= SECRET_KEYS.keys():
+        problems.add(
+            node.mark.redact(),
+            ProblemCode.UNKNOWN_KEY,
+            "unknown key in an environment variable",
+            "known keys: value, secret",
+        )
         return INVALID
-    fields = read_fields(out_of_sight(node), problems, SECRET, required=("value", "secret"), what="an environment variable")
+    fields = read_fields(
+        redact_node(node), problems, SECRET_KEYS, required=("value", "secret"), what="an environment variable"
+    )
     value, secret = fields.values.get("value", INVALID), fields.values.get("secret", INVALID)
     if INVALID in (value, secret):
         return INVALID
     return Secret(value) if secret else value
 
 
-def _hidden_text(node: Node, problems: Problems) -> Any:  # noqa: ANN401
+def _read_secret_text(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     if isinstance(node.value, str) and "\0" not in node.value:
         return node.value
-    problems.add(node.mark, Code.TYPE, "must be a string without NUL", "put it in quotes")
+    problems.add(node.mark, ProblemCode.TYPE, "must be a string without NUL", "put it in quotes")
     return INVALID
 
 
-SECRET: Mapping[str, Read] = {"value": _hidden_text, "secret": flag}
-_variables = pairs(ENV_NAME, "an environment variable", _variable)
+SECRET_KEYS: Mapping[str, NodeReader] = {"value": _read_secret_text, "secret": read_bool}
+_read_variables = mapping_reader(ENV_NAME_PATTERN, "an environment variable", _read_variable)
 
 
-def environment(node: Node, problems: Problems) -> Any:  # noqa: ANN401
+def read_environment(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     """Variables by name. One whose name says that it is a password may not stand there as a plain text; nothing of it is shown."""
     if not isinstance(node.value, dict):
-        return _variables(node, problems)
-    clear = [name for name, inner in node.value.items() if _SECRET_NAME.search(name.upper()) and _in_clear(inner)]
+        return _read_variables(node, problems)
+    clear = [
+        name
+        for name, inner in node.value.items()
+        if _SECRET_NAME_PATTERN.search(name.upper()) and _is_plaintext(inner)
+    ]
     for name in clear:
-        hint = f"use env_command, or mark it: {name}: {{value: .., secret: true}} (secret: false if it is none)"
-        problems.add(node.key_mark(name).out_of_sight(), Code.PASSWORD, f"{name} looks like a secret that stands here in clear", hint)
+        hint = (
+            f"use env_command, or mark it: {name}: {{value: .., secret: true}} (secret: false if it is none)"
+        )
+        problems.add(
+            node.key_mark(name).redact(),
+            ProblemCode.PASSWORD,
+            f"{name} looks like a secret that stands here in clear",
+            hint,
+        )
     others = {name: inner for name, inner in node.value.items() if name not in clear}
-    return _variables(Node(others, node.mark, keys=node.keys), problems)
+    return _read_variables(Node(others, node.mark, keys=node.keys), problems)
 
 
-def _in_clear(node: Node) -> bool:
+def _is_plaintext(node: Node) -> bool:
     return not isinstance(node.value, dict) and node.value not in (None, "")
 
 
-labels = pairs(_LABEL_KEY, "a label", text)
+read_labels = mapping_reader(_LABEL_KEY_PATTERN, "a label", read_text)
 
 
-def argument_vector(node: Node, problems: Problems) -> Any:  # noqa: ANN401
+def read_argument_vector(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     """A program and its arguments, as a list: no shell reads it."""
     if isinstance(node.value, str) and node.value.strip():
         try:
             hint = "write " + str(shlex.split(node.value)).replace("'", '"')
         except ValueError:
             hint = 'write ["program", "argument"]'
-        return wrong_type(node, problems, "must be a list of arguments", hint)
-    arguments = bare(text)(node, problems)
+        return report_wrong_type(node, problems, "must be a list of arguments", hint)
+    arguments = list_reader(read_text)(node, problems)
     if arguments == ():
-        problems.add(node.mark, Code.TEXT, "must name a program", 'write ["program", "argument"], or remove the key')
+        problems.add(
+            node.mark,
+            ProblemCode.TEXT,
+            "must name a program",
+            'write ["program", "argument"], or remove the key',
+        )
         return INVALID
     return arguments

@@ -4,15 +4,15 @@ from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
-from edgectl.config.expand import expand
+from edgectl.config.expansion import expand_templates
 from edgectl.config.fields import Fields
-from edgectl.config.inventory import read_inventory
-from edgectl.config.problems import Code, Mark, Problems, Source
+from edgectl.config.inventory_file import read_inventory
+from edgectl.config.problems import Mark, ProblemCode, Problems, Source
 from edgectl.config.source import read_source
-from edgectl.config.tasks import Template, merge_policy, read_templates
-from edgectl.config.yaml12 import parse_yaml
+from edgectl.config.task_file import TaskTemplate, merge_policy, read_templates
+from edgectl.config.yaml_parser import parse_yaml
 from edgectl.errors import Problem
-from edgectl.formats.digest import tasks_digest
+from edgectl.formats.digest import digest_tasks
 from edgectl.model.inventory import Inventory
 from edgectl.model.task import Tasks
 
@@ -26,7 +26,7 @@ def load_inventory(path: StrPath) -> Inventory:
         InputError: everything that is wrong with it.
     """
     problems = Problems()
-    inventory = _inventory(Path(path), problems)
+    inventory = _read_inventory_file(Path(path), problems)
     problems.check()
     return inventory or Inventory(hosts={})
 
@@ -38,53 +38,64 @@ def load_tasks(paths: StrPath | Iterable[StrPath], inventory: Inventory) -> Task
         InputError: everything that is wrong with them.
     """
     problems = Problems()
-    tasks = _tasks(_listed(paths), inventory, problems)
+    tasks = _read_task_files(_list_paths(paths), inventory, problems)
     problems.check()
     return tasks
 
 
-def load(inventory_path: StrPath, tasks_paths: StrPath | Iterable[StrPath]) -> tuple[Inventory, Tasks, tuple[Problem, ...]]:
+def load_inventory_and_tasks(
+    inventory_path: StrPath, tasks_paths: StrPath | Iterable[StrPath]
+) -> tuple[Inventory, Tasks, tuple[Problem, ...]]:
     """Both, and the warnings.
 
     Raises:
         InputError: everything that is wrong with either.
     """
     problems = Problems()
-    inventory = _inventory(Path(inventory_path), problems)
-    tasks = _tasks(_listed(tasks_paths), inventory, problems)
+    inventory = _read_inventory_file(Path(inventory_path), problems)
+    tasks = _read_task_files(_list_paths(tasks_paths), inventory, problems)
     problems.check()
     return inventory or Inventory(hosts={}), tasks, problems.warnings
 
 
-def _listed(paths: StrPath | Iterable[StrPath]) -> list[Path]:
+def _list_paths(paths: StrPath | Iterable[StrPath]) -> list[Path]:
     return [Path(paths)] if isinstance(paths, str | Path) else [Path(path) for path in paths]
 
 
-def _inventory(path: Path, problems: Problems) -> Inventory | None:
+def _read_inventory_file(path: Path, problems: Problems) -> Inventory | None:
     source = read_source(path, problems)
     node = parse_yaml(source, problems) if source is not None else None
     return None if node is None else read_inventory(node, problems)
 
 
-def _tasks(paths: list[Path], inventory: Inventory | None, problems: Problems) -> Tasks:
+def _read_task_files(paths: list[Path], inventory: Inventory | None, problems: Problems) -> Tasks:
     """The tasks; where the inventory could not be read at all, only their shape is checked."""
-    templates: dict[str, Template] = {}
+    templates: dict[str, TaskTemplate] = {}
     files: list[Fields] = []
-    for file in dict.fromkeys(file for path in paths for file in _files(path, problems)):
+    for file in dict.fromkeys(file for path in paths for file in _list_task_files(path, problems)):
         source = read_source(file, problems)
         node = parse_yaml(source, problems) if source is not None else None
         if node is not None:
             files.append(read_templates(node, problems, templates))
     policy = merge_policy(files, problems)
-    tasks = Tasks(tasks=expand(templates, inventory, problems) if inventory is not None else {}, policy=policy)
-    return replace(tasks, digest=tasks_digest(tasks))
+    tasks = Tasks(
+        tasks=expand_templates(templates, inventory, problems) if inventory is not None else {}, policy=policy
+    )
+    return replace(tasks, digest=digest_tasks(tasks))
 
 
-def _files(path: Path, problems: Problems) -> list[Path]:
+def _list_task_files(path: Path, problems: Problems) -> list[Path]:
     if not path.is_dir():
         return [path]
-    inside = sorted(entry for entry in path.iterdir() if entry.suffix in (".yaml", ".yml") and entry.is_file())
+    inside = sorted(
+        entry for entry in path.iterdir() if entry.suffix in (".yaml", ".yml") and entry.is_file()
+    )
     if not inside:
         nowhere = Mark(Source(file=str(path), text="", lines=()), 0, 0)
-        problems.add(nowhere, Code.EMPTY, "no .yaml file in this directory", "name a task file, or make one: edgectl init DIR")
+        problems.add(
+            nowhere,
+            ProblemCode.EMPTY,
+            "no .yaml file in this directory",
+            "name a task file, or make one: edgectl init DIR",
+        )
     return inside

@@ -5,24 +5,26 @@ from dataclasses import dataclass
 from graphlib import CycleError, TopologicalSorter
 
 from edgectl.config.node import Node
-from edgectl.config.problems import Code, Problems
-from edgectl.config.tasks import Draft, Template
-from edgectl.model.order import natural_key
+from edgectl.config.problems import ProblemCode, Problems
+from edgectl.config.task_file import TaskDraft, TaskTemplate
 from edgectl.model.task import Need
+from edgectl.names import natural_key
 
-_MOST_CYCLES = 20
+_MAX_CYCLES = 20
 
 
 @dataclass(frozen=True, slots=True)
-class _Names:
+class _NeedTargets:
     """What a need may name: expanded tasks, templates, and the tasks that came out of each template."""
 
-    drafts: Mapping[str, Draft]
+    drafts: Mapping[str, TaskDraft]
     expansions: Mapping[str, list[str]]
     known: tuple[str, ...]
 
 
-def resolve_needs(drafts: Mapping[str, Draft], templates: Mapping[str, Template], problems: Problems) -> dict[str, tuple[Need, ...]]:
+def resolve_needs(
+    drafts: Mapping[str, TaskDraft], templates: Mapping[str, TaskTemplate], problems: Problems
+) -> dict[str, tuple[Need, ...]]:
     """The needs of every task, with unknown names and cycles noted.
 
     Where both sides are made per robot, the same robot's task is needed; a task that is not needs all of them.
@@ -30,28 +32,30 @@ def resolve_needs(drafts: Mapping[str, Draft], templates: Mapping[str, Template]
     expansions: dict[str, list[str]] = {name: [] for name in templates}
     for name, draft in drafts.items():
         expansions[draft.template.name].append(name)
-    names = _Names(drafts, expansions, tuple(sorted({*templates, *drafts}, key=natural_key)))
+    names = _NeedTargets(drafts, expansions, tuple(sorted({*templates, *drafts}, key=natural_key)))
     needs: dict[str, tuple[Need, ...]] = {}
     places: dict[tuple[str, str], Node] = {}
     for name, draft in drafts.items():
         found: dict[str, Need] = {}
         for need, node in draft.template.fields.values.get("needs", ()):
-            for target in _targets(draft, need.task, node, names, problems):
+            for target in _resolve_targets(draft, need.task, node, names, problems):
                 if target in found:
-                    problems.add(node.mark, Code.TAKEN, f"{target} is needed twice", "name it once")
+                    problems.add(node.mark, ProblemCode.TAKEN, f"{target} is needed twice", "name it once")
                 found[target] = Need(task=target, until=need.until)
                 places[name, target] = node
         needs[name] = tuple(found[target] for target in sorted(found, key=natural_key))
-    _note_cycles({name: [need.task for need in found] for name, found in needs.items()}, places, problems)
+    _report_cycles({name: [need.task for need in found] for name, found in needs.items()}, places, problems)
     return needs
 
 
-def _targets(draft: Draft, wanted: str, node: Node, names: _Names, problems: Problems) -> Sequence[str]:
+def _resolve_targets(
+    draft: TaskDraft, wanted: str, node: Node, names: _NeedTargets, problems: Problems
+) -> Sequence[str]:
     if wanted in names.drafts:
         return (wanted,)
     if wanted not in names.expansions:
         hint = problems.did_you_mean(wanted, names.known, "the tasks are")
-        problems.add(node.mark, Code.UNKNOWN_NAME, f"unknown task {wanted}", hint)
+        problems.add(node.mark, ProblemCode.UNKNOWN_NAME, f"unknown task {wanted}", hint)
         return ()
     expanded = names.expansions[wanted]
     if draft.each is None:
@@ -59,22 +63,34 @@ def _targets(draft: Draft, wanted: str, node: Node, names: _Names, problems: Pro
     same = f"{wanted}-{draft.each}"
     if same not in names.drafts and expanded:
         message = f"{wanted} has no task for {draft.each}, which {draft.template.name} is made for"
-        problems.add(node.mark, Code.UNKNOWN_NAME, message, f"add {draft.each} to the for_each of {wanted}, or write {expanded[0]}")
+        problems.add(
+            node.mark,
+            ProblemCode.UNKNOWN_NAME,
+            message,
+            f"add {draft.each} to the for_each of {wanted}, or write {expanded[0]}",
+        )
     return (same,) if same in names.drafts else ()
 
 
-def _note_cycles(graph: dict[str, list[str]], places: Mapping[tuple[str, str], Node], problems: Problems) -> None:
-    for _ in range(_MOST_CYCLES):
-        cycle = _cycle(graph)
+def _report_cycles(
+    graph: dict[str, list[str]], places: Mapping[tuple[str, str], Node], problems: Problems
+) -> None:
+    for _ in range(_MAX_CYCLES):
+        cycle = _find_cycle(graph)
         if not cycle:
             return
         first, second = cycle[0], cycle[1]
         graph[first].remove(second)
         message = f"{first} needs itself: {' -> '.join(cycle)}"
-        problems.add(places[first, second].mark, Code.CYCLE, message, f"remove one of these needs, such as {second} from {first}")
+        problems.add(
+            places[first, second].mark,
+            ProblemCode.CYCLE,
+            message,
+            f"remove one of these needs, such as {second} from {first}",
+        )
 
 
-def _cycle(graph: Mapping[str, list[str]]) -> list[str]:
+def _find_cycle(graph: Mapping[str, list[str]]) -> list[str]:
     """One cycle, each needing the next, beginning and ending with its first name; empty where there is none."""
     try:
         TopologicalSorter(graph).prepare()

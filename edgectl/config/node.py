@@ -30,27 +30,27 @@ class Node:
         return self.value.get(key, self) if isinstance(self.value, dict) else self
 
 
-def out_of_sight(node: Node) -> Node:
+def redact_node(node: Node) -> Node:
     """The same value at the same places, of which no line is ever shown."""
     value: Scalar | dict[str, Node] | list[Node] = node.value
     if isinstance(value, dict):
-        value = {key: out_of_sight(inner) for key, inner in value.items()}
+        value = {key: redact_node(inner) for key, inner in value.items()}
     elif isinstance(value, list):
-        value = [out_of_sight(inner) for inner in value]
-    keys = {key: mark.out_of_sight() for key, mark in node.keys.items()}
-    return Node(value, node.mark.out_of_sight(), keys=keys, size=node.size)
+        value = [redact_node(inner) for inner in value]
+    keys = {key: mark.redact() for key, mark in node.keys.items()}
+    return Node(value, node.mark.redact(), keys=keys, size=node.size)
 
 
-def plain(node: Node) -> object:
+def value_from_node(node: Node) -> object:
     """The value without its places."""
     if isinstance(node.value, dict):
-        return {key: plain(inner) for key, inner in node.value.items()}
+        return {key: value_from_node(inner) for key, inner in node.value.items()}
     if isinstance(node.value, list):
-        return [plain(inner) for inner in node.value]
+        return [value_from_node(inner) for inner in node.value]
     return node.value
 
 
-def kind(node: Node) -> str:
+def describe_node_type(node: Node) -> str:
     """What was written, in words."""
     value = node.value
     if value is None:

@@ -7,7 +7,7 @@ from typing import Any
 
 from edgectl.model.inventory import Host
 from edgectl.model.secret import Secret
-from edgectl.model.task import Check, Detect, Handoff
+from edgectl.model.task import Check, DetectRule, HandoffContract
 
 _PLACEHOLDER = re.compile(r"(?<!\$)\{(robot|robot_host)\}")
 
@@ -24,35 +24,42 @@ def has_placeholder(value: object) -> bool:
     return any(has_placeholder(getattr(value, name)) for name in names if hasattr(value, name))
 
 
-def filled(values: Mapping[str, Any], robot: Host) -> dict[str, Any]:
+def fill_placeholders(values: Mapping[str, Any], robot: Host) -> dict[str, Any]:
     """A task's fields with the placeholders of ``robot`` filled in."""
     names = {"robot": robot.name, "robot_host": robot.host}
     result = dict(values)
     for key in ("command", "env", "workdir", "ready", "done_when", "handoff", "detect"):
         if key in result and has_placeholder(result[key]):
-            result[key] = _fill(result[key], names)
+            result[key] = _fill_value(result[key], names)
     return result
 
 
-def _fill(value: Any, names: Mapping[str, str]) -> Any:  # noqa: ANN401
+def _fill_value(value: Any, names: Mapping[str, str]) -> Any:  # noqa: ANN401
     if isinstance(value, Secret):
-        return Secret(_fill(value.reveal(), names))
+        return Secret(_fill_value(value.reveal(), names))
     if isinstance(value, str):
         return _PLACEHOLDER.sub(lambda match: names[match[1]], value)
     if isinstance(value, Mapping):
-        return {key: _fill(inner, names) for key, inner in value.items()}
+        return {key: _fill_value(inner, names) for key, inner in value.items()}
     if isinstance(value, Check):
-        return replace(value, command=_fill(value.command, names))
-    if isinstance(value, Detect):
+        return replace(value, command=_fill_value(value.command, names))
+    if isinstance(value, DetectRule):
         escaped = {key: re.escape(name) for key, name in names.items()}
-        return Detect(cmdline=_maybe(value.cmdline, _fill, escaped), ros_node=_maybe(value.ros_node, _fill, names))
+        return DetectRule(
+            cmdline=_fill_optional(value.cmdline, _fill_value, escaped),
+            ros_node=_fill_optional(value.ros_node, _fill_value, names),
+        )
     return _fill_hooks(value, names)
 
 
-def _fill_hooks(handoff: Handoff, names: Mapping[str, str]) -> Handoff:
+def _fill_hooks(handoff: HandoffContract, names: Mapping[str, str]) -> HandoffContract:
     hooks = {key: getattr(handoff, key) for key in ("safe_when", "hold", "release")}
-    return replace(handoff, **{key: _maybe(hook, _fill, names) for key, hook in hooks.items()})
+    return replace(handoff, **{key: _fill_optional(hook, _fill_value, names) for key, hook in hooks.items()})
 
 
-def _maybe(value: Any, fill: Callable[[Any, Mapping[str, str]], Any], names: Mapping[str, str]) -> Any:  # noqa: ANN401
+def _fill_optional(
+    value: Any,  # noqa: ANN401
+    fill: Callable[[Any, Mapping[str, str]], Any],
+    names: Mapping[str, str],
+) -> Any:  # noqa: ANN401
     return None if value is None else fill(value, names)

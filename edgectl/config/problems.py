@@ -6,16 +6,16 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 from edgectl.errors import InputError, Problem
-from edgectl.model.names import listed, nearest
+from edgectl.names import format_name_list, suggest_name
 
-_LONGEST_LINE = 400
-_LONGEST_MESSAGE = 300
-_MOST_SUGGESTIONS = 50
-_NEAR = 3
-_SECRET = re.compile(r"\b(secret|value)\W*:")
+_MAX_LINE_LENGTH = 400
+_MAX_MESSAGE_LENGTH = 300
+_MAX_SUGGESTIONS = 50
+_SECRET_MARGIN_LINES = 3
+_SECRET_PATTERN = re.compile(r"\b(secret|value)\W*:")
 
 
-class Code(StrEnum):
+class ProblemCode(StrEnum):
     """Stable codes of problems; from EC101 on they are warnings, from EC201 on about JSON documents."""
 
     UNREADABLE = "EC001"
@@ -49,12 +49,18 @@ class Code(StrEnum):
 
 
 # told once at one place, whatever the words: a template's mistake is not repeated for every robot
-_ONCE = (Code.CONTRADICTION, Code.PLACEHOLDER, Code.NEVER_ANSWERED, Code.CYCLE, Code.NAME)
+_ONCE_PER_PLACE = (
+    ProblemCode.CONTRADICTION,
+    ProblemCode.PLACEHOLDER,
+    ProblemCode.NEVER_ANSWERED,
+    ProblemCode.CYCLE,
+    ProblemCode.NAME,
+)
 
 
 # Their messages and hints quote what stands there.
-_QUOTING = (Code.ENCODING, Code.SYNTAX, Code.YAML_FEATURE)
-_UNSEEN = "cannot be read; nothing of it is shown, because a secret stands near"
+_QUOTING_CODES = (ProblemCode.ENCODING, ProblemCode.SYNTAX, ProblemCode.YAML_FEATURE)
+_REDACTED_MESSAGE = "cannot be read; nothing of it is shown, because a secret stands near"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,11 +74,14 @@ class Source:
     def line(self, number: int) -> str:
         """The line (from 1), or nothing where there is none, it is too long to show, or a secret may stand on it."""
         line = self.lines[number - 1] if 0 < number <= len(self.lines) else ""
-        return "" if len(line) > _LONGEST_LINE or _SECRET.search(line) else line
+        return "" if len(line) > _MAX_LINE_LENGTH or _SECRET_PATTERN.search(line) else line
 
-    def near_secret(self, number: int) -> bool:
+    def is_near_secret(self, number: int) -> bool:
         """Whether a secret may stand on the line or beside it."""
-        return any(_SECRET.search(line) for line in self.lines[max(0, number - 1 - _NEAR) : number + _NEAR])
+        return any(
+            _SECRET_PATTERN.search(line)
+            for line in self.lines[max(0, number - 1 - _SECRET_MARGIN_LINES) : number + _SECRET_MARGIN_LINES]
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,12 +93,12 @@ class Mark:
     column: int
     length: int = 1
 
-    def out_of_sight(self) -> "Mark":
+    def redact(self) -> "Mark":
         """The same place, without the line that stands there."""
         return Mark(Source(file=self.source.file, text="", lines=()), self.line, self.column, self.length)
 
 
-def mark_of(source: Source, start: int, end: int) -> Mark:
+def mark_from_span(source: Source, start: int, end: int) -> Mark:
     """The place of a span of the text (offsets in characters)."""
     line_start = source.text.rfind("\n", 0, start) + 1
     return Mark(source, source.text.count("\n", 0, start) + 1, start - line_start + 1, end - start)
@@ -103,25 +112,36 @@ class Problems:
     _seen: set[tuple[str, int, int, str, str]] = field(default_factory=set)
     _suggested: int = 0
 
-    def add(self, mark: Mark, code: Code, message: str, hint: str = "", *, warning: bool = False) -> None:
+    def add(
+        self, mark: Mark, code: ProblemCode, message: str, hint: str = "", *, warning: bool = False
+    ) -> None:
         """Note a problem at ``mark``."""
-        key = (mark.source.file, mark.line, mark.column, code.value, "" if code in _ONCE else message)
+        key = (
+            mark.source.file,
+            mark.line,
+            mark.column,
+            code.value,
+            "" if code in _ONCE_PER_PLACE else message,
+        )
         if key in self._seen:
             return
         self._seen.add(key)
-        unseen = code in _QUOTING and mark.source.near_secret(mark.line)
+        unseen = code in _QUOTING_CODES and mark.source.is_near_secret(mark.line)
         if unseen:
-            message, hint = _UNSEEN, "check the quotes, brackets, colons and the indentation of this entry"
+            message, hint = (
+                _REDACTED_MESSAGE,
+                "check the quotes, brackets, colons and the indentation of this entry",
+            )
         self.found.append(
             Problem(
                 file=mark.source.file,
                 line=mark.line,
                 column=mark.column,
                 code=code.value,
-                message=one_line(message),
-                hint=one_line(hint),
+                message=to_one_line(message),
+                hint=to_one_line(hint),
                 source="" if unseen else mark.source.line(mark.line),
-                length=max(1, min(mark.length, _LONGEST_LINE)),
+                length=max(1, min(mark.length, _MAX_LINE_LENGTH)),
                 warning=warning,
             )
         )
@@ -133,20 +153,20 @@ class Problems:
         """
         words = list(known)
         self._suggested += 1
-        match = nearest(word, words) if self._suggested <= _MOST_SUGGESTIONS else ""
+        match = suggest_name(word, words) if self._suggested <= _MAX_SUGGESTIONS else ""
         if match:
             return f"did you mean {match}?"
-        return f"{otherwise} {listed(words)}" if words else ""
+        return f"{otherwise} {format_name_list(words)}" if words else ""
 
     @property
     def errors(self) -> tuple[Problem, ...]:
         """What makes the files unusable, by file, line and column."""
-        return tuple(sorted((p for p in self.found if not p.warning), key=_place))
+        return tuple(sorted((p for p in self.found if not p.warning), key=_build_sort_key))
 
     @property
     def warnings(self) -> tuple[Problem, ...]:
         """What is legal but suspicious."""
-        return tuple(sorted((p for p in self.found if p.warning), key=_place))
+        return tuple(sorted((p for p in self.found if p.warning), key=_build_sort_key))
 
     def check(self) -> None:
         """End of reading.
@@ -158,11 +178,11 @@ class Problems:
             raise InputError((*self.errors, *self.warnings))
 
 
-def _place(problem: Problem) -> tuple[str, int, int, str]:
+def _build_sort_key(problem: Problem) -> tuple[str, int, int, str]:
     return problem.file, problem.line, problem.column, problem.code
 
 
-def one_line(text: str) -> str:
+def to_one_line(text: str) -> str:
     """``text`` on one line of bounded length, with nothing in it that a terminal would obey."""
-    cut = text if len(text) <= _LONGEST_MESSAGE else text[: _LONGEST_MESSAGE - 2] + ".."
+    cut = text if len(text) <= _MAX_MESSAGE_LENGTH else text[: _MAX_MESSAGE_LENGTH - 2] + ".."
     return "".join(char if char.isprintable() else repr(char)[1:-1] for char in cut)

@@ -6,62 +6,80 @@ from collections.abc import Callable
 from enum import StrEnum
 from typing import Any, Final
 
-from edgectl.config.node import Node, kind
-from edgectl.config.problems import Code, Problems
-from edgectl.config.units import mended
+from edgectl.config.node import Node, describe_node_type
+from edgectl.config.problems import ProblemCode, Problems
+from edgectl.config.quantities import suggest_quantity
 
 INVALID: Final = object()
-Read = Callable[[Node, Problems], Any]
-VERSION = 1
-NAME_LENGTH = 63
-NAME = re.compile(r"[a-z0-9][a-z0-9._-]{0,62}")
+NodeReader = Callable[[Node, Problems], Any]
+FILE_VERSION = 1
+MAX_NAME_LENGTH = 63
+NAME_PATTERN = re.compile(r"[a-z0-9][a-z0-9._-]{0,62}")
 
 
-def version(node: Node, problems: Problems) -> Any:  # noqa: ANN401 - INVALID stands for any type
+def read_version(node: Node, problems: Problems) -> Any:  # noqa: ANN401 - INVALID stands for any type
     """The format version of a file, which must be 1."""
-    if node.value == VERSION and not isinstance(node.value, bool):
-        return VERSION
-    problems.add(node.mark, Code.VERSION, f"version {node.text or '?'} is not known to this edgectl", f"write version: {VERSION}")
+    if node.value == FILE_VERSION and not isinstance(node.value, bool):
+        return FILE_VERSION
+    problems.add(
+        node.mark,
+        ProblemCode.VERSION,
+        f"version {node.text or '?'} is not known to this edgectl",
+        f"write version: {FILE_VERSION}",
+    )
     return INVALID
 
 
-def wrong_type(node: Node, problems: Problems, message: str, hint: str = "") -> Any:  # noqa: ANN401 - INVALID stands for any type
+def report_wrong_type(node: Node, problems: Problems, message: str, hint: str = "") -> Any:  # noqa: ANN401 - INVALID stands for any type
     """Note that a value has the wrong type."""
-    problems.add(node.mark, Code.TYPE, f"{message}, not {kind(node)}" if node.value is not None else f"{message}, but is empty", hint)
+    problems.add(
+        node.mark,
+        ProblemCode.TYPE,
+        f"{message}, not {describe_node_type(node)}"
+        if node.value is not None
+        else f"{message}, but is empty",
+        hint,
+    )
     return INVALID
 
 
-def text(node: Node, problems: Problems) -> Any:  # noqa: ANN401
+def read_text(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     """A string that is not empty and has no NUL."""
     if not isinstance(node.value, str):
         scalar = not isinstance(node.value, dict | list) and node.value is not None
-        hint = f"put it in quotes: {json.dumps(node.text)}" if scalar else _quoted_source(node)
-        return wrong_type(node, problems, "must be a string", hint)
+        hint = f"put it in quotes: {json.dumps(node.text)}" if scalar else _suggest_quotes(node)
+        return report_wrong_type(node, problems, "must be a string", hint)
     if not node.value.strip():
-        problems.add(node.mark, Code.TEXT, "must not be empty", "write a value, or remove the key")
+        problems.add(node.mark, ProblemCode.TEXT, "must not be empty", "write a value, or remove the key")
         return INVALID
-    return _without_nul(node, problems)
+    return _reject_nul(node, problems)
 
 
-def any_text(node: Node, problems: Problems) -> Any:  # noqa: ANN401
+def read_text_or_empty(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     """A string, possibly empty, without NUL."""
-    return _without_nul(node, problems) if node.value == "" else text(node, problems)
+    return _reject_nul(node, problems) if node.value == "" else read_text(node, problems)
 
 
-def _without_nul(node: Node, problems: Problems) -> Any:  # noqa: ANN401
+def _reject_nul(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     if "\0" in str(node.value):
-        problems.add(node.mark, Code.TEXT, "must not contain a NUL character", "remove \\0 or \\x00 from it")
+        problems.add(
+            node.mark, ProblemCode.TEXT, "must not contain a NUL character", "remove \\0 or \\x00 from it"
+        )
         return INVALID
     return node.value
 
 
-def _quoted_source(node: Node) -> str:
+def _suggest_quotes(node: Node) -> str:
     rest = node.mark.source.line(node.mark.line)[node.mark.column - 1 :].strip()
     starts_here = isinstance(node.value, dict | list) and rest[:1] in ("{", "[")
-    return "put it in quotes: '" + _bracketed(rest).replace("'", "''") + "'" if starts_here else "write a value, or remove the key"
+    return (
+        "put it in quotes: '" + _cut_after_bracket(rest).replace("'", "''") + "'"
+        if starts_here
+        else "write a value, or remove the key"
+    )
 
 
-def _bracketed(rest: str) -> str:
+def _cut_after_bracket(rest: str) -> str:
     """``rest`` up to the bracket that closes its first one; all of it where that stands on another line."""
     depth, quote = 0, ""
     for index, char in enumerate(rest):
@@ -74,39 +92,52 @@ def _bracketed(rest: str) -> str:
     return rest
 
 
-def path_text(node: Node, problems: Problems) -> Any:  # noqa: ANN401
+def read_safe_argument(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     """Text that may not begin with a dash: it could be taken for an option of a program."""
-    value = text(node, problems)
-    if isinstance(value, str) and (value.startswith("-") or any(char.isspace() or not char.isprintable() for char in value)):
+    value = read_text(node, problems)
+    if isinstance(value, str) and (
+        value.startswith("-") or any(char.isspace() or not char.isprintable() for char in value)
+    ):
         what = "begin with -" if value.startswith("-") else "contain blanks"
-        problems.add(node.mark, Code.TEXT, f"may not {what}: {value!r}", "write a name or an address, such as 192.168.1.20")
+        problems.add(
+            node.mark,
+            ProblemCode.TEXT,
+            f"may not {what}: {value!r}",
+            "write a name or an address, such as 192.168.1.20",
+        )
         return INVALID
     return value
 
 
-def name(node: Node, problems: Problems) -> Any:  # noqa: ANN401
+def read_name(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     """A name of a host or task (a reference to one)."""
-    return text(node, problems)
+    return read_text(node, problems)
 
 
 def check_name(key: str, node: Node, problems: Problems, what: str) -> None:
     """Note a key that is no valid name. What it names is read all the same, so that its other mistakes are shown too."""
-    if NAME.fullmatch(key):
+    if NAME_PATTERN.fullmatch(key):
         return
     wished = re.sub(r"[^a-z0-9._-]+", "-", key.lower()).strip("-._")[:63]
-    hint = f"write {wished}" if NAME.fullmatch(wished) else "use 1 to 63 of a-z 0-9 . _ -, beginning with a letter or digit"
-    problems.add(node.key_mark(key), Code.NAME, f"{key!r} cannot be the name of {what}", hint)
+    hint = (
+        f"write {wished}"
+        if NAME_PATTERN.fullmatch(wished)
+        else "use 1 to 63 of a-z 0-9 . _ -, beginning with a letter or digit"
+    )
+    problems.add(node.key_mark(key), ProblemCode.NAME, f"{key!r} cannot be the name of {what}", hint)
 
 
-def flag(node: Node, problems: Problems) -> Any:  # noqa: ANN401
+def read_bool(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     """True or false."""
     if isinstance(node.value, bool):
         return node.value
-    meant = {"yes": "true", "on": "true", "no": "false", "off": "false"}.get(node.text.lower(), "true or false")
-    return wrong_type(node, problems, "must be true or false", f"write {meant}")
+    meant = {"yes": "true", "on": "true", "no": "false", "off": "false"}.get(
+        node.text.lower(), "true or false"
+    )
+    return report_wrong_type(node, problems, "must be true or false", f"write {meant}")
 
 
-def word(words: type[StrEnum], *more: str) -> Read:
+def enum_reader(words: type[StrEnum], *more: str) -> NodeReader:
     """One of the words of an enum, or one of ``more`` (given back as it is)."""
     known = [*(entry.value for entry in words), *more]
 
@@ -114,48 +145,71 @@ def word(words: type[StrEnum], *more: str) -> Read:
         if isinstance(node.value, str) and node.value in known:
             return node.value if node.value in more else words(node.value)
         if not isinstance(node.value, str):
-            return wrong_type(node, problems, "must be a word", "write one of " + ", ".join(known))
-        problems.add(node.mark, Code.WORD, f"unknown word {node.value!r}", problems.did_you_mean(node.value, known, "write one of"))
+            return report_wrong_type(node, problems, "must be a word", "write one of " + ", ".join(known))
+        problems.add(
+            node.mark,
+            ProblemCode.WORD,
+            f"unknown word {node.value!r}",
+            problems.did_you_mean(node.value, known, "write one of"),
+        )
         return INVALID
 
     return read
 
 
-def integer(low: int, high: int) -> Read:
+def integer_reader(low: int, high: int) -> NodeReader:
     """A whole number from ``low`` to ``high``."""
 
     def read(node: Node, problems: Problems) -> Any:  # noqa: ANN401
         if isinstance(node.value, bool) or not isinstance(node.value, int):
             digits = isinstance(node.value, str) and node.value.isdecimal()
-            return wrong_type(
+            return report_wrong_type(
                 node,
                 problems,
                 "must be a whole number",
-                f"write {int(node.text)} without quotes" if digits else f"write a number from {low} to {high}",
+                f"write {int(node.text)} without quotes"
+                if digits
+                else f"write a number from {low} to {high}",
             )
         if not low <= node.value <= high:
-            problems.add(node.mark, Code.QUANTITY, f"must be {low} to {high}, not {node.text}", f"write a number from {low} to {high}")
+            problems.add(
+                node.mark,
+                ProblemCode.QUANTITY,
+                f"must be {low} to {high}, not {node.text}",
+                f"write a number from {low} to {high}",
+            )
             return INVALID
         return node.value
 
     return read
 
 
-def amount(parse: Callable[[object], Any], *, above_zero: bool = False, at_most: float | None = None) -> Read:
+def quantity_reader(
+    parse: Callable[[object], Any], *, above_zero: bool = False, at_most: float | None = None
+) -> NodeReader:
     """A quantity by one of the parsers of ``edgectl.units``."""
 
     def read(node: Node, problems: Problems) -> Any:  # noqa: ANN401
         if isinstance(node.value, dict | list) or node.value is None:
-            return wrong_type(node, problems, "must be a quantity", "write a number, or one with a unit")
+            return report_wrong_type(
+                node, problems, "must be a quantity", "write a number, or one with a unit"
+            )
         try:
             value = parse(node.value)
         except ValueError as error:
             message, _, hint = str(error).partition("; ")
-            problems.add(node.mark, Code.QUANTITY, message, mended(node.value, parse) or hint)
+            problems.add(
+                node.mark, ProblemCode.QUANTITY, message, suggest_quantity(node.value, parse) or hint
+            )
             return INVALID
         if (above_zero and value <= 0) or (at_most is not None and value > at_most):
             limit = "above 0" if value <= 0 else f"{at_most:g} or less"
-            problems.add(node.mark, Code.QUANTITY, f"must be {limit}, not {node.text}", f"write a quantity {limit}")
+            problems.add(
+                node.mark,
+                ProblemCode.QUANTITY,
+                f"must be {limit}, not {node.text}",
+                f"write a quantity {limit}",
+            )
             return INVALID
         return value
 

@@ -3,53 +3,67 @@
 from pathlib import Path
 from stat import S_ISREG
 
-from edgectl.config.problems import Code, Mark, Problems, Source
-from edgectl.model.names import nearest
+from edgectl.config.problems import Mark, ProblemCode, Problems, Source
+from edgectl.names import suggest_name
 
-MAX_BYTES = 2**20
+MAX_INPUT_BYTES = 2**20
 
 
-def read_source(path: Path, problems: Problems, *, max_bytes: int = MAX_BYTES, maker: str = "edgectl init DIR") -> Source | None:
+def read_source(
+    path: Path, problems: Problems, *, max_bytes: int = MAX_INPUT_BYTES, maker: str = "edgectl init DIR"
+) -> Source | None:
     """The file's text, or None with the cause noted. ``maker`` is the command that writes such a file, if there is one."""
     nowhere = Mark(Source(file=str(path), text="", lines=()), 0, 0)
     try:
         if not S_ISREG(path.stat().st_mode) and not path.is_dir():
-            problems.add(nowhere, Code.UNREADABLE, "is not a regular file", "name a file; what a pipe or a device gives, save in one first")
+            problems.add(
+                nowhere,
+                ProblemCode.UNREADABLE,
+                "is not a regular file",
+                "name a file; what a pipe or a device gives, save in one first",
+            )
             return None
         with path.open("rb") as stream:
             data = stream.read(max_bytes + 1)
     except (OSError, ValueError) as error:
-        problems.add(nowhere, Code.UNREADABLE, *_unreadable(path, error, maker))
+        problems.add(nowhere, ProblemCode.UNREADABLE, *_explain_read_error(path, error, maker))
         return None
     if len(data) > max_bytes:
         message = f"the file is larger than {max_bytes // 2**20} MiB"
-        problems.add(nowhere, Code.SIZE, message, "split it, or check that it is the right file")
+        problems.add(nowhere, ProblemCode.SIZE, message, "split it, or check that it is the right file")
         return None
-    return decoded(str(path), data, problems)
+    return decode_source(str(path), data, problems)
 
 
-def _unreadable(path: Path, error: Exception, maker: str) -> tuple[str, str]:
+def _explain_read_error(path: Path, error: Exception, maker: str) -> tuple[str, str]:
     if isinstance(error, FileNotFoundError):
-        match = nearest(path.name, _neighbours(path.parent))
-        hint = f"did you mean {path.parent / match}?" if match else "name an existing file" + f", or make one: {maker}" * bool(maker)
+        match = suggest_name(path.name, _list_names(path.parent))
+        hint = (
+            f"did you mean {path.parent / match}?"
+            if match
+            else "name an existing file" + f", or make one: {maker}" * bool(maker)
+        )
         return "there is no such file", hint
     if isinstance(error, IsADirectoryError):
-        inside = sorted(name for name in _neighbours(path) if name.endswith((".yaml", ".yml", ".json")))
-        return "is a directory, not a file", f"name a file in it: {path / inside[0]}" if inside else "name a file"
+        inside = sorted(name for name in _list_names(path) if name.endswith((".yaml", ".yml", ".json")))
+        return (
+            "is a directory, not a file",
+            f"name a file in it: {path / inside[0]}" if inside else "name a file",
+        )
     if isinstance(error, PermissionError):
         return "may not be read", f"give yourself the right to read it: chmod u+r {path}"
     reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
     return f"cannot be read: {reason}", ""
 
 
-def _neighbours(directory: Path) -> list[str]:
+def _list_names(directory: Path) -> list[str]:
     try:
         return [entry.name for entry in directory.iterdir()]
     except OSError:
         return []
 
 
-def decoded(file: str, data: bytes, problems: Problems) -> Source | None:
+def decode_source(file: str, data: bytes, problems: Problems) -> Source | None:
     """The text of a file's bytes, or None with the first byte noted that is not UTF-8."""
     try:
         text = data.decode("utf-8-sig")
@@ -60,6 +74,8 @@ def decoded(file: str, data: bytes, problems: Problems) -> Source | None:
         source = Source(file=file, text="", lines=("",) * (line - 1) + (shown,))
         column = len(data[start : error.start].decode("utf-8", "replace")) + 1
         message = f"byte 0x{data[error.start]:02x} is not UTF-8"
-        problems.add(Mark(source, line, column), Code.ENCODING, message, "save the file as UTF-8")
+        problems.add(Mark(source, line, column), ProblemCode.ENCODING, message, "save the file as UTF-8")
         return None
-    return Source(file=file, text=text, lines=tuple(text.replace("\r\n", "\n").replace("\r", "\n").split("\n")))
+    return Source(
+        file=file, text=text, lines=tuple(text.replace("\r\n", "\n").replace("\r", "\n").split("\n"))
+    )

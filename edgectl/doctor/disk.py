@@ -2,7 +2,7 @@
 
 from shlex import quote
 
-from edgectl.model.finding import NO_DIRECTORY, Disk, Finding, Level
+from edgectl.model.diagnosis import NOT_A_DIRECTORY, Disk, Finding, Severity
 from edgectl.units import format_bytes
 
 # One task's log may take 30 MiB; below that a start is refused soon.
@@ -10,21 +10,35 @@ _FULL_BYTES, _SCARCE_BYTES = 50 * 2**20, 500 * 2**20
 _FEW_FILES = 1000
 
 
-def disk_finding(host: str | None, disk: Disk) -> Finding:
+def diagnose_disk(host: str | None, disk: Disk) -> Finding:
     """The state directory: whether it can be used, and what its file system has left."""
     where = f"on {host}: " if host else ""
     if disk.obstacle:
         path = quote(disk.path)
         own = f"sudo mkdir -p {path} && sudo chown $(id -u) {path} && chmod 700 {path}"
-        mend = where + (f"mv {path} {path}.old" if disk.obstacle == NO_DIRECTORY else own)
+        mend = where + (f"mv {path} {path}.old" if disk.obstacle == NOT_A_DIRECTORY else own)
         message = f"state directory {disk.path}: {disk.obstacle}" + (
-            "; shared memory takes its place, and a reboot forgets it" if disk.spare else ""
+            "; shared memory takes its place, and a reboot forgets it" if disk.in_shared_memory else ""
         )
-        return Finding(host=host, check="state", level=Level.WARNING if disk.spare else Level.FAILED, message=message, mend=mend)
+        return Finding(
+            host=host,
+            check="state",
+            level=Severity.WARNING if disk.in_shared_memory else Severity.FAILED,
+            message=message,
+            remedy=mend,
+        )
     scarce = disk.free_bytes < _SCARCE_BYTES
     few = disk.files_left is not None and disk.files_left < _FEW_FILES
-    level = Level.FAILED if disk.free_bytes < _FULL_BYTES or few else Level.WARNING if scarce else Level.OK
+    level = (
+        Severity.FAILED
+        if disk.free_bytes < _FULL_BYTES or few
+        else Severity.WARNING
+        if scarce
+        else Severity.OK
+    )
     left = f"{format_bytes(disk.free_bytes)} of {format_bytes(disk.total_bytes)} free for {disk.path}"
     message = f"{left}; only {disk.files_left} more files" if few else left
     mend = f"{where}sudo journalctl --vacuum-size=100M; sudo apt-get clean; then: sudo du -xhd2 / | sort -h | tail"
-    return Finding(host=host, check="disk", level=level, message=message, mend="" if level is Level.OK else mend)
+    return Finding(
+        host=host, check="disk", level=level, message=message, remedy="" if level is Severity.OK else mend
+    )

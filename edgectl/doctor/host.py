@@ -1,138 +1,178 @@
 """Checks of one host that answered."""
 
-from edgectl.doctor.disk import disk_finding
-from edgectl.model.finding import Finding, HostFacts, Level, LinkFacts, Logind, Surroundings
+from edgectl.doctor.disk import diagnose_disk
+from edgectl.model.diagnosis import Finding, HostFacts, LinkFacts, Logind, Severity, ShellEnvironment
 from edgectl.model.inventory import Connection, Host, Inventory
 from edgectl.model.snapshot import CapacitySource
 from edgectl.units import format_bytes, format_duration, format_rate
 
 _SLOW_LOGIN_S = 3.0
 # tf of ROS and its message filters give up well below a second.
-_SKEW_S = 0.5
-_TIGHT_SHARE, _TIGHT_BYTES = 0.10, 64 * 2**20
+_MAX_SKEW_S = 0.5
+_MIN_FREE_SHARE, _MIN_FREE_BYTES = 0.10, 64 * 2**20
 
 
-def host_findings(host: Host, facts: HostFacts, inventory: Inventory) -> list[Finding]:
+def diagnose_host(host: Host, facts: HostFacts, inventory: Inventory) -> list[Finding]:
     """One finding per check, in the order in which a person would look."""
     return [
-        _login(host, facts),
-        _python(host, facts),
-        _clock(host, facts),
-        _logind(host, facts.logind),
-        disk_finding(host.name, facts.disk),
-        _memory(host, facts),
-        _prelude(host, facts.surroundings),
-        *(_robot(host, inventory.hosts[robot], link) for robot, link in facts.links.items()),
-        *_capacity(host, facts, inventory),
+        _diagnose_login(host, facts),
+        _diagnose_python(host, facts),
+        _diagnose_clock(host, facts),
+        _diagnose_logind(host, facts.logind),
+        diagnose_disk(host.name, facts.disk),
+        _diagnose_memory(host, facts),
+        _diagnose_prelude(host, facts.surroundings),
+        *(_diagnose_robot_link(host, inventory.hosts[robot], link) for robot, link in facts.links.items()),
+        *_diagnose_link_capacity(host, facts, inventory),
     ]
 
 
-def _finding(host: Host, check: str, message: str, mend: str = "", level: Level = Level.WARNING) -> Finding:
-    return Finding(host=host.name, check=check, level=level if mend else Level.OK, message=message, mend=mend)
+def _build_finding(
+    host: Host, check: str, message: str, mend: str = "", level: Severity = Severity.WARNING
+) -> Finding:
+    return Finding(
+        host=host.name, check=check, level=level if mend else Severity.OK, message=message, remedy=mend
+    )
 
 
-def _login(host: Host, facts: HostFacts) -> Finding:
+def _diagnose_login(host: Host, facts: HostFacts) -> Finding:
     took = f"{facts.login_s:.2f}s"
     if host.connection is Connection.LOCAL:
-        return _finding(host, "login", f"is this machine, asked in {took}")
+        return _build_finding(host, "login", f"is this machine, asked in {took}")
     if facts.login_s <= _SLOW_LOGIN_S:
-        return _finding(host, "login", f"{took}, host key known")
+        return _build_finding(host, "login", f"{took}, host key known")
     mend = f"see where the time goes: ssh -vvv {host.host} true; often, in /etc/ssh/sshd_config of {host.name}: UseDNS no"
-    return _finding(host, "login", f"{took}, which every command pays; host key known", mend)
+    return _build_finding(host, "login", f"{took}, which every command pays; host key known", mend)
 
 
-def _python(host: Host, facts: HostFacts) -> Finding:
+def _diagnose_python(host: Host, facts: HostFacts) -> Finding:
     """It is a convenience: without it the agent reads /proc itself, and the figures are the same."""
-    return _finding(host, "python", f"{facts.python}, {'psutil' if facts.psutil else 'no psutil: /proc is read instead, nothing is lost'}")
+    return _build_finding(
+        host,
+        "python",
+        f"{facts.python}, {'psutil' if facts.psutil else 'no psutil: /proc is read instead, nothing is lost'}",
+    )
 
 
-def _clock(host: Host, facts: HostFacts) -> Finding:
+def _diagnose_clock(host: Host, facts: HostFacts) -> Finding:
     """What is certain counts: a slow line only widens the range in which the skew lies."""
     if host.connection is Connection.LOCAL:
-        return _finding(host, "clock", "is this machine's")
+        return _build_finding(host, "clock", "is this machine's")
     least, most = facts.skew_s
     sure = max(least, -most, 0.0)
-    if sure <= _SKEW_S:
-        return _finding(
-            host, "clock", "agrees with this machine's" + (f" within {max(-least, most, 0.0):.2f}s" if most - least < _SKEW_S else "")
+    if sure <= _MAX_SKEW_S:
+        return _build_finding(
+            host,
+            "clock",
+            "agrees with this machine's"
+            + (f" within {max(-least, most, 0.0):.2f}s" if most - least < _MAX_SKEW_S else ""),
         )
     direction = "ahead of" if least > 0 else "behind"
     message = f"is {format_duration(sure)} {direction} this machine's: ROS drops what seems to come from another time"
     by_hand = f'; without a time server: ssh {host.host} sudo date -s "@$(date +%s)"'
-    return _finding(host, "clock", message, f"on {host.name}: sudo timedatectl set-ntp true{by_hand}")
+    return _build_finding(host, "clock", message, f"on {host.name}: sudo timedatectl set-ntp true{by_hand}")
 
 
-def _logind(host: Host, logind: Logind) -> Finding:
+def _diagnose_logind(host: Host, logind: Logind) -> Finding:
     """The end of our own SSH session may be what makes ROS 2 fall silent, so this counts for robots as well."""
     user = logind.user
     linger = f"on {host.name}: sudo loginctl enable-linger {user}"
     if not logind.present:
-        return _finding(host, "logind", "no logind here; nothing ends with a login")
+        return _build_finding(host, "logind", "no logind here; nothing ends with a login")
     if logind.lingers:
-        return _finding(host, "logind", f"{user} lingers; nothing ends with a login")
+        return _build_finding(host, "logind", f"{user} lingers; nothing ends with a login")
     if logind.kills:
         message = f"KillUserProcesses=yes and {user} does not linger: tasks would be killed at logout, so starts are refused"
-        return _finding(host, "logind", message, linger, Level.FAILED)
+        return _build_finding(host, "logind", message, linger, Severity.FAILED)
     if logind.removes_ipc:
         message = f"RemoveIPC=yes and {user} does not linger: shared memory goes with the last login, and ROS 2 falls silent"
-        return _finding(host, "logind", message, linger)
-    return _finding(host, "logind", f"nothing of {user} ends with a login")
+        return _build_finding(host, "logind", message, linger)
+    return _build_finding(host, "logind", f"nothing of {user} ends with a login")
 
 
-def _memory(host: Host, facts: HostFacts) -> Finding:
+def _diagnose_memory(host: Host, facts: HostFacts) -> Finding:
     free = facts.total_bytes - facts.used_bytes
     message = f"{format_bytes(free)} of {format_bytes(facts.total_bytes)} free"
-    if free >= max(_TIGHT_SHARE * facts.total_bytes, _TIGHT_BYTES):
-        return _finding(host, "memory", message)
+    if free >= max(_MIN_FREE_SHARE * facts.total_bytes, _MIN_FREE_BYTES):
+        return _build_finding(host, "memory", message)
     mend = f"on {host.name}, stop what is not needed: ps -eo rss,pid,args --sort=-rss | head"
-    return _finding(host, "memory", message, mend, Level.FAILED if free < _TIGHT_BYTES else Level.WARNING)
+    return _build_finding(
+        host, "memory", message, mend, Severity.FAILED if free < _MIN_FREE_BYTES else Severity.WARNING
+    )
 
 
-def _prelude(host: Host, seen: Surroundings) -> Finding:
-    said = f": {seen.said}" if seen.said else ""
+def _diagnose_prelude(host: Host, seen: ShellEnvironment) -> Finding:
+    said = f": {seen.last_line}" if seen.last_line else ""
     edit = f"correct prelude: of {host.name} in the inventory; try: edgectl doctor {host.name}"
     if not host.prelude:
-        return _finding(host, "prelude", "none")
+        return _build_finding(host, "prelude", "none")
     if seen.timed_out:
-        return _finding(host, "prelude", f"does not come to its end in time{said}; no task can start", edit, Level.FAILED)
+        return _build_finding(
+            host,
+            "prelude",
+            f"does not come to its end in time{said}; no task can start",
+            edit,
+            Severity.FAILED,
+        )
     if seen.status is None:
-        return _finding(host, "prelude", f"ends the shell{said}; no task can start", edit, Level.FAILED)
+        return _build_finding(
+            host, "prelude", f"ends the shell{said}; no task can start", edit, Severity.FAILED
+        )
     if seen.status:
-        return _finding(host, "prelude", f"ends with status {seen.status}{said}", edit)
-    return _finding(host, "prelude", "runs")
+        return _build_finding(host, "prelude", f"ends with status {seen.status}{said}", edit)
+    return _build_finding(host, "prelude", "runs")
 
 
-def _robot(host: Host, robot: Host, link: LinkFacts) -> Finding:
+def _diagnose_robot_link(host: Host, robot: Host, link: LinkFacts) -> Finding:
     """Whether the robot can be reached *from* the edge: that we reach both says nothing of it."""
     check, name = "robot", robot.name
     if not link.found:
         mend = f"write {name}'s address: host: in the inventory; or on {host.name}: echo 'ADDRESS {link.address}' | sudo tee -a /etc/hosts"
-        return _finding(host, check, f"{name} is {link.address}, a name that means nothing on {host.name}", mend, Level.FAILED)
+        return _build_finding(
+            host,
+            check,
+            f"{name} is {link.address}, a name that means nothing on {host.name}",
+            mend,
+            Severity.FAILED,
+        )
     if link.reachable:
         rtt = "" if link.rtt_ms is None else f" in {link.rtt_ms:.1f}ms"
-        return _finding(host, check, f"{name} answers{rtt}")
+        return _build_finding(host, check, f"{name} answers{rtt}")
     if link.interface is None:
         mend = f"correct host: of {name} in the inventory, or give {host.name} a route: ip route get {link.address}"
-        return _finding(host, check, f"no way from {host.name} to {name} ({link.address})", mend, Level.FAILED)
+        return _build_finding(
+            host, check, f"no way from {host.name} to {name} ({link.address})", mend, Severity.FAILED
+        )
     if link.reachable is None and not robot.probe:
-        return _finding(host, check, f"{name} says nothing (probe: false, taken as reachable)")
+        return _build_finding(host, check, f"{name} says nothing (probe: false, taken as reachable)")
     if link.reachable is None:
         mend = f"switch {name} on, or let {host.name} through its firewall, on {name}: sudo ufw allow from {host.host}"
-        return _finding(host, check, f"{name} ({link.address}) does not say a word to {host.name}", mend)
+        return _build_finding(
+            host, check, f"{name} ({link.address}) does not say a word to {host.name}", mend
+        )
     mend = f"switch {name} on, and join both to one network; on {host.name}: ping -c3 {link.address}"
-    return _finding(host, check, f"{name} ({link.address}) cannot be reached from {host.name}", mend, Level.FAILED)
+    return _build_finding(
+        host, check, f"{name} ({link.address}) cannot be reached from {host.name}", mend, Severity.FAILED
+    )
 
 
-def _capacity(host: Host, facts: HostFacts, inventory: Inventory) -> list[Finding]:
+def _diagnose_link_capacity(host: Host, facts: HostFacts, inventory: Inventory) -> list[Finding]:
     """One finding for all links of an edge; which ones are assumed, and what finds out."""
     if not facts.links:
         return []
     assumed = [robot for robot, link in facts.links.items() if link.capacity_source is CapacitySource.ASSUMED]
     if not assumed:
-        known = (f"{robot} {format_rate(link.capacity_bytes_per_s)} ({link.capacity_source})" for robot, link in facts.links.items())
-        return [_finding(host, "capacity", ", ".join(known))]
+        known = (
+            f"{robot} {format_rate(link.capacity_bytes_per_s)} ({link.capacity_source})"
+            for robot, link in facts.links.items()
+        )
+        return [_build_finding(host, "capacity", ", ".join(known))]
     rate = format_rate(facts.links[assumed[0]].capacity_bytes_per_s)
     measurable = all(inventory.hosts[robot].probe for robot in assumed)
     stated = f"links: [{{edge: {host.name}, robot: {assumed[0]}, throughput: ..}}] in the inventory"
     mend = f"edgectl probe --bandwidth; or {stated}" if measurable else stated
-    return [_finding(host, "capacity", f"of the link to {', '.join(assumed)} is not known, {rate} is assumed", mend)]
+    return [
+        _build_finding(
+            host, "capacity", f"of the link to {', '.join(assumed)} is not known, {rate} is assumed", mend
+        )
+    ]

@@ -2,39 +2,53 @@
 
 from shlex import quote
 
-from edgectl.doctor.disk import disk_finding
-from edgectl.model.finding import Finding, Level, ManagerFacts
+from edgectl.doctor.disk import diagnose_disk
+from edgectl.model.diagnosis import Finding, ManagerFacts, Severity
 from edgectl.model.inventory import Connection, Inventory
 
 
-def manager_findings(inventory: Inventory, facts: ManagerFacts) -> list[Finding]:
+def diagnose_manager(inventory: Inventory, facts: ManagerFacts) -> list[Finding]:
     """State directory, known_hosts and the ssh program; the last two only where a host needs them."""
     connections = {host.connection for host in inventory.hosts.values() if host.probe}
-    findings = [disk_finding(None, facts.state)]
+    findings = [diagnose_disk(None, facts.state)]
     if connections - {Connection.LOCAL}:
-        findings += _known_hosts(facts)
+        findings += _diagnose_known_hosts(facts)
     if Connection.OPENSSH in connections:
-        findings.append(_ssh(facts))
+        findings.append(_diagnose_ssh_program(facts))
     return findings
 
 
-def _known_hosts(facts: ManagerFacts) -> list[Finding]:
-    broken = [_unreadable(path, why) for path, why in facts.known_hosts.items() if why]
+def _diagnose_known_hosts(facts: ManagerFacts) -> list[Finding]:
+    broken = [_build_unreadable_finding(path, why) for path, why in facts.known_hosts.items() if why]
     files = ", ".join(facts.known_hosts)
     message = f"{files} can be read" if files else "there is none yet; edgectl trust HOST writes it"
-    return broken or [Finding(host=None, check="known_hosts", level=Level.OK, message=message)]
+    return broken or [Finding(host=None, check="known_hosts", level=Severity.OK, message=message)]
 
 
-def _unreadable(path: str, why: str) -> Finding:
+def _build_unreadable_finding(path: str, why: str) -> Finding:
     file = quote(path)
-    mend = f"sudo chown $USER {file} && chmod 600 {file}" if why == "Permission denied" else f"mv {file} {file}.old"
-    return Finding(host=None, check="known_hosts", level=Level.FAILED, message=f"{path} cannot be read: {why}", mend=mend)
+    mend = (
+        f"sudo chown $USER {file} && chmod 600 {file}"
+        if why == "Permission denied"
+        else f"mv {file} {file}.old"
+    )
+    return Finding(
+        host=None,
+        check="known_hosts",
+        level=Severity.FAILED,
+        message=f"{path} cannot be read: {why}",
+        remedy=mend,
+    )
 
 
-def _ssh(facts: ManagerFacts) -> Finding:
+def _diagnose_ssh_program(facts: ManagerFacts) -> Finding:
     if facts.ssh:
-        return Finding(host=None, check="ssh", level=Level.OK, message="the ssh program is there")
+        return Finding(host=None, check="ssh", level=Severity.OK, message="the ssh program is there")
     mend = "sudo apt-get install openssh-client   (or connection: ssh in the inventory)"
     return Finding(
-        host=None, check="ssh", level=Level.FAILED, message="connection: openssh needs an ssh program, and there is none", mend=mend
+        host=None,
+        check="ssh",
+        level=Severity.FAILED,
+        message="connection: openssh needs an ssh program, and there is none",
+        remedy=mend,
     )

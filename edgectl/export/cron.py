@@ -2,24 +2,24 @@
 
 import shlex
 
-from edgectl.export.job import Job, interval, words
+from edgectl.export.job import ScheduledJob, build_arguments, format_interval
 
 # Of Vixie cron, whose daemon takes a longer command for none.
-_LONGEST = 998
+_MAX_COMMAND_LENGTH = 998
 _MINUTE, _HOUR, _DAY = 60, 3600, 86400
-_DEFAULT_S = 5 * _MINUTE
+_DEFAULT_INTERVAL_S = 5 * _MINUTE
 
 
-def crontab(job: Job) -> str:
+def format_crontab(job: ScheduledJob) -> str:
     """The line, below comments that say how to install it.
 
     Raises:
         ValueError: cron cannot say this interval, or the line is longer than cron takes, or holds what cannot be quoted.
     """
-    every = _DEFAULT_S if job.every_s is None else job.every_s
-    line = f"{schedule(every)} {command(job)}"
+    every = _DEFAULT_INTERVAL_S if job.every_s is None else job.every_s
+    line = f"{format_cron_schedule(every)} {format_cron_command(job)}"
     return (
-        f"# edgectl apply for {job.inventory}, every {interval(every)}.\n"
+        f"# edgectl apply for {job.inventory}, every {format_interval(every)}.\n"
         "# Install: (crontab -l; edgectl export cron ..) | crontab -      Remove: crontab -e\n"
         "# cron mails what is printed: what was done, and what failed. Nothing is printed where nothing had to be done. Put\n"
         "# MAILTO=you@example.org above the line; for a file instead, append to the line: >> /path/to/edgectl.log 2>&1\n"
@@ -27,7 +27,7 @@ def crontab(job: Job) -> str:
     )
 
 
-def schedule(every_s: float) -> str:
+def format_cron_schedule(every_s: float) -> str:
     """The five fields for an interval that divides an hour or a day evenly.
 
     Raises:
@@ -41,28 +41,28 @@ def schedule(every_s: float) -> str:
             return f"0 */{whole // _HOUR} * * *" if whole > _HOUR else "0 * * * *"
         if whole == _DAY:
             return "0 0 * * *"
-    said = interval(every_s)
+    said = format_interval(every_s)
     raise ValueError(
         f"cron cannot say every {said}; write one that divides an hour or a day (5m, 15m, 1h, 6h), or use edgectl export systemd"
     )
 
 
-def command(job: Job) -> str:
+def format_cron_command(job: ScheduledJob) -> str:
     """What sh is given, in the words of a crontab.
 
     Raises:
         ValueError: it is too long, or holds what cannot be quoted.
     """
-    arguments = words(job, "apply", "--yes", "--quiet")
-    variables = "".join(f"{name}={quoted(value)} " for name, value in job.environment.items())
-    text = f"cd {quoted(job.directory)} && {variables}{' '.join(quoted(word) for word in (*job.program, *arguments))}"
-    if len(text) > _LONGEST:
+    arguments = build_arguments(job, "apply", "--yes", "--quiet")
+    variables = "".join(f"{name}={quote_for_cron(value)} " for name, value in job.environment.items())
+    text = f"cd {quote_for_cron(job.directory)} && {variables}{' '.join(quote_for_cron(word) for word in (*job.program, *arguments))}"
+    if len(text) > _MAX_COMMAND_LENGTH:
         raise ValueError(
-            f"the line has {len(text)} characters, and cron takes {_LONGEST}; shorten the paths, or use edgectl export systemd"
+            f"the line has {len(text)} characters, and cron takes {_MAX_COMMAND_LENGTH}; shorten the paths, or use edgectl export systemd"
         )
     return text
 
 
-def quoted(word: str) -> str:
+def quote_for_cron(word: str) -> str:
     """One word for sh, its percent signs outside of quotes: some crons take the backslash before one away and some leave it to sh."""
     return r"\%".join(shlex.quote(part) if part else "" for part in word.split("%")) or "''"

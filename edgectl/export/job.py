@@ -8,7 +8,7 @@ from edgectl.units import format_duration
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Job:
+class ScheduledJob:
     """One fleet. All paths are absolute.
 
     ``name`` names the units. ``program`` are the words that start edgectl, ``directory`` is where it is started.
@@ -27,7 +27,7 @@ class Job:
     local: bool = False
 
 
-def words(job: Job, *command: str) -> tuple[str, ...]:
+def build_arguments(job: ScheduledJob, *command: str) -> tuple[str, ...]:
     """The arguments of ``command``, without the program.
 
     Raises:
@@ -42,6 +42,6 @@ def words(job: Job, *command: str) -> tuple[str, ...]:
     return (*command, *files)
 
 
-def interval(every_s: float) -> str:
+def format_interval(every_s: float) -> str:
     """An interval as people write it: ``5m``, ``1h30m``, ``10s``."""
     return re.sub(r"(?<=[dhm])00[hms]$", "", format_duration(every_s).replace(".0s", "s"))

@@ -8,12 +8,12 @@ themselves is the exception, and a task may say at most 32 things.
 from dataclasses import dataclass
 from enum import StrEnum
 
-from edgectl.export import readings as of
-from edgectl.export.readings import Picture, Read, Spread
+from edgectl.export import metric_samples
+from edgectl.export.metric_samples import Histogram, MetricsInput, Sampler
 from edgectl.model.plan import Action
 
 
-class Kind(StrEnum):
+class MetricType(StrEnum):
     """What a metric is to Prometheus."""
 
     GAUGE = "gauge"
@@ -22,206 +22,237 @@ class Kind(StrEnum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Metric:
+class MetricDefinition:
     """One metric. ``read`` gives its samples: values of the labels, and a value, None where there is none."""
 
     name: str
     help: str
-    read: Read
+    read: Sampler
     labels: tuple[str, ...] = ()
-    kind: Kind = Kind.GAUGE
+    kind: MetricType = MetricType.GAUGE
 
-    def samples(self, picture: Picture) -> tuple[tuple[tuple[str, ...], float | Spread], ...]:
+    def samples(self, picture: MetricsInput) -> tuple[tuple[tuple[str, ...], float | Histogram], ...]:
         """The samples that have a value."""
         return tuple((labels, value) for labels, value in self.read(picture) if value is not None)
 
 
-_HOST, _LINK, _TASK, _RUN = ("host",), ("edge", "robot"), ("task",), ("task", "host")
+_HOST_LABELS, _LINK_LABELS, _TASK_LABELS, _RUN_LABELS = (
+    ("host",),
+    ("edge", "robot"),
+    ("task",),
+    ("task", "host"),
+)
 
 METRICS = (
-    Metric(name="edgectl_build_info", help="1; the version of edgectl.", labels=("version",), read=lambda it: [((it.version,), 1.0)]),
-    Metric(
+    MetricDefinition(
+        name="edgectl_build_info",
+        help="1; the version of edgectl.",
+        labels=("version",),
+        read=lambda it: [((it.version,), 1.0)],
+    ),
+    MetricDefinition(
         name="edgectl_last_probe_timestamp_seconds",
         help="When the hosts were last asked, by the manager's clock.",
-        read=of.one(lambda it: it.snapshot.taken_at),
+        read=metric_samples.sample_fleet(lambda it: it.snapshot.taken_at),
     ),
-    Metric(name="edgectl_host_up", help="1 where the host answered, else 0.", labels=("host", "role"), read=of.up),
-    Metric(
-        name="edgectl_host_cordoned", help="1 where the host is closed to new tasks.", labels=_HOST, read=of.marked(lambda m: m.cordons)
+    MetricDefinition(
+        name="edgectl_host_up",
+        help="1 where the host answered, else 0.",
+        labels=("host", "role"),
+        read=metric_samples.sample_host_up,
     ),
-    Metric(
+    MetricDefinition(
+        name="edgectl_host_cordoned",
+        help="1 where the host is closed to new tasks.",
+        labels=_HOST_LABELS,
+        read=metric_samples.sample_operator_mark(lambda m: m.cordons),
+    ),
+    MetricDefinition(
         name="edgectl_host_fenced",
         help="1 where the operator said that the host is switched off.",
-        labels=_HOST,
-        read=of.marked(lambda memory: memory.fenced),
+        labels=_HOST_LABELS,
+        read=metric_samples.sample_operator_mark(lambda memory: memory.fenced),
     ),
-    Metric(
+    MetricDefinition(
         name="edgectl_host_last_contact_timestamp_seconds",
         help="When the host was last in touch, by the manager's clock.",
-        labels=_HOST,
-        read=of.contacts,
+        labels=_HOST_LABELS,
+        read=metric_samples.sample_contacts,
     ),
-    Metric(
+    MetricDefinition(
         name="edgectl_host_cpu_cores",
         help="Cores that the host has (measured or declared, before limits).",
-        labels=_HOST,
-        read=of.cpu(lambda cpu: cpu.cores),
+        labels=_HOST_LABELS,
+        read=metric_samples.sample_host_cpu(lambda cpu: cpu.cores),
     ),
-    Metric(
+    MetricDefinition(
         name="edgectl_host_cpu_used_cores",
         help="Cores in use on the host.",
-        labels=_HOST,
-        read=of.cpu(lambda cpu: cpu.used_cores),
+        labels=_HOST_LABELS,
+        read=metric_samples.sample_host_cpu(lambda cpu: cpu.used_cores),
     ),
-    Metric(
+    MetricDefinition(
         name="edgectl_host_memory_bytes",
         help="Memory that the host has (measured or declared, before limits).",
-        labels=_HOST,
-        read=of.memory(lambda use: use.total_bytes),
+        labels=_HOST_LABELS,
+        read=metric_samples.sample_host_memory(lambda use: use.total_bytes),
     ),
-    Metric(
+    MetricDefinition(
         name="edgectl_host_memory_used_bytes",
         help="Memory in use on the host.",
-        labels=_HOST,
-        read=of.memory(lambda use: use.used_bytes),
+        labels=_HOST_LABELS,
+        read=metric_samples.sample_host_memory(lambda use: use.used_bytes),
     ),
-    Metric(
+    MetricDefinition(
         name="edgectl_host_network_receive_bytes_per_second",
         help="Bytes in, over all interfaces but loopback.",
-        labels=_HOST,
-        read=of.traffic(of.received),
+        labels=_HOST_LABELS,
+        read=metric_samples.sample_traffic(metric_samples.list_receive_rates),
     ),
-    Metric(
+    MetricDefinition(
         name="edgectl_host_network_transmit_bytes_per_second",
         help="Bytes out, over all interfaces but loopback.",
-        labels=_HOST,
-        read=of.traffic(of.sent),
+        labels=_HOST_LABELS,
+        read=metric_samples.sample_traffic(metric_samples.list_transmit_rates),
     ),
-    Metric(
+    MetricDefinition(
         name="edgectl_host_gpu_used_ratio",
         help="Share of the GPU in use, where the host shows it.",
-        labels=_HOST,
-        read=of.hosts(lambda host: host.device.gpu_share),
+        labels=_HOST_LABELS,
+        read=metric_samples.sample_hosts(lambda host: host.device.gpu_share),
     ),
-    Metric(
+    MetricDefinition(
         name="edgectl_host_temperature_celsius",
         help="Temperature, where the host shows it.",
-        labels=_HOST,
-        read=of.hosts(lambda host: host.device.temperature_c),
+        labels=_HOST_LABELS,
+        read=metric_samples.sample_hosts(lambda host: host.device.temperature_c),
     ),
-    Metric(
+    MetricDefinition(
         name="edgectl_host_clock_skew_seconds",
         help="How far the host's clock is ahead of the manager's, where known.",
-        labels=_HOST,
-        read=of.hosts(lambda host: host.device.clock_skew_s),
+        labels=_HOST_LABELS,
+        read=metric_samples.sample_hosts(lambda host: host.device.clock_skew_s),
     ),
-    Metric(
+    MetricDefinition(
         name="edgectl_link_capacity_bytes_per_second",
         help="What the link between an edge and a robot can carry.",
-        labels=_LINK,
-        read=of.links(lambda link: link.capacity_bytes_per_s),
+        labels=_LINK_LABELS,
+        read=metric_samples.sample_links(lambda link: link.capacity_bytes_per_s),
     ),
-    Metric(
+    MetricDefinition(
         name="edgectl_link_used_bytes_per_second",
         help="What the link carries, in plus out.",
-        labels=_LINK,
-        read=of.links(lambda link: link.used_bytes_per_s),
+        labels=_LINK_LABELS,
+        read=metric_samples.sample_links(lambda link: link.used_bytes_per_s),
     ),
-    Metric(
+    MetricDefinition(
         name="edgectl_link_round_trip_seconds",
         help="Round-trip time of the link, where measured.",
-        labels=_LINK,
-        read=of.links(lambda link: None if link.rtt_ms is None else link.rtt_ms / 1000),
+        labels=_LINK_LABELS,
+        read=metric_samples.sample_links(lambda link: None if link.rtt_ms is None else link.rtt_ms / 1000),
     ),
-    Metric(
+    MetricDefinition(
         name="edgectl_task_state",
         help="1 for the state in which the task is, 0 for the others.",
         labels=("task", "state"),
-        read=of.states,
+        read=metric_samples.sample_task_states,
     ),
-    Metric(name="edgectl_task_host_info", help="1 for each host on which the task runs.", labels=_RUN, read=of.runs(lambda _: 1.0)),
-    Metric(
+    MetricDefinition(
+        name="edgectl_task_host_info",
+        help="1 for each host on which the task runs.",
+        labels=_RUN_LABELS,
+        read=metric_samples.sample_running_tasks(lambda _: 1.0),
+    ),
+    MetricDefinition(
         name="edgectl_task_start_timestamp_seconds",
         help="When the running instance started, by the manager's clock.",
-        labels=_RUN,
-        read=of.runs(lambda task: task.started_at or None),
+        labels=_RUN_LABELS,
+        read=metric_samples.sample_running_tasks(lambda task: task.started_at or None),
     ),
-    Metric(
+    MetricDefinition(
         name="edgectl_task_restarts_total",
         help="How often the supervisor started the running instance again.",
-        labels=_RUN,
-        kind=Kind.COUNTER,
-        read=of.runs(lambda task: float(task.restarts)),
+        labels=_RUN_LABELS,
+        kind=MetricType.COUNTER,
+        read=metric_samples.sample_running_tasks(lambda task: float(task.restarts)),
     ),
-    Metric(
+    MetricDefinition(
         name="edgectl_task_cpu_used_cores",
         help="Cores in use by the task's processes.",
-        labels=_RUN,
-        read=of.runs(lambda task: task.used_cores),
+        labels=_RUN_LABELS,
+        read=metric_samples.sample_running_tasks(lambda task: task.used_cores),
     ),
-    Metric(
+    MetricDefinition(
         name="edgectl_task_memory_used_bytes",
         help="Memory in use by the task's processes.",
-        labels=_RUN,
-        read=of.runs(lambda task: task.used_bytes),
+        labels=_RUN_LABELS,
+        read=metric_samples.sample_running_tasks(lambda task: task.used_bytes),
     ),
-    Metric(
+    MetricDefinition(
         name="edgectl_task_network_used_bytes_per_second",
         help="What the task exchanges with its robots.",
-        labels=_RUN,
-        read=of.runs(lambda task: task.used_bytes_per_s),
+        labels=_RUN_LABELS,
+        read=metric_samples.sample_running_tasks(lambda task: task.used_bytes_per_s),
     ),
-    Metric(
+    MetricDefinition(
         name="edgectl_task_app_metric",
         help="What the application says of itself: the last value that it wrote.",
-        labels=(*_RUN, "name"),
-        read=of.said,
+        labels=(*_RUN_LABELS, "name"),
+        read=metric_samples.sample_app_metrics,
     ),
-    Metric(
+    MetricDefinition(
         name="edgectl_task_utility",
         help="Total utility of the host chosen for the task, at most 1.",
-        labels=_TASK,
-        read=of.steps(lambda step: step.decision.total),
+        labels=_TASK_LABELS,
+        read=metric_samples.sample_steps(lambda step: step.decision.total),
     ),
-    Metric(
+    MetricDefinition(
         name="edgectl_task_utility_lead",
         help="Total utility of the chosen host minus that of the best other feasible one.",
-        labels=_TASK,
-        read=of.steps(lambda step: step.decision.lead),
+        labels=_TASK_LABELS,
+        read=metric_samples.sample_steps(lambda step: step.decision.lead),
     ),
-    Metric(
+    MetricDefinition(
         name="edgectl_task_unplaced",
         help="1 where no host fits the task.",
-        labels=_TASK,
-        read=of.steps(lambda step: float(step.action is Action.UNPLACED)),
+        labels=_TASK_LABELS,
+        read=metric_samples.sample_steps(lambda step: float(step.action is Action.UNPLACED)),
     ),
-    Metric(
+    MetricDefinition(
         name="edgectl_plan_actions",
         help="How many tasks an apply would now start, stop, move, keep and so on.",
         labels=("action",),
-        read=of.planned,
+        read=metric_samples.count_planned_actions,
     ),
-    Metric(name="edgectl_plan_settled", help="1 where the plan stands on its own outcome.", read=of.one(lambda it: float(it.plan.settled))),
-    Metric(
+    MetricDefinition(
+        name="edgectl_plan_settled",
+        help="1 where the plan stands on its own outcome.",
+        read=metric_samples.sample_fleet(lambda it: float(it.plan.settled)),
+    ),
+    MetricDefinition(
         name="edgectl_actions_total",
         help="Actions of every apply so far, by how they ended.",
         labels=("action", "outcome"),
-        kind=Kind.COUNTER,
-        read=of.done,
+        kind=MetricType.COUNTER,
+        read=metric_samples.count_finished_actions,
     ),
-    Metric(
-        name="edgectl_task_moves_total", help="Moves of the task that were carried out.", labels=_TASK, kind=Kind.COUNTER, read=of.moves
+    MetricDefinition(
+        name="edgectl_task_moves_total",
+        help="Moves of the task that were carried out.",
+        labels=_TASK_LABELS,
+        kind=MetricType.COUNTER,
+        read=metric_samples.count_moves,
     ),
-    Metric(
+    MetricDefinition(
         name="edgectl_handoff_downtime_seconds",
         help="From the stop of the old instance to the readiness of the new one.",
         labels=("action",),
-        kind=Kind.HISTOGRAM,
-        read=of.downtimes,
+        kind=MetricType.HISTOGRAM,
+        read=metric_samples.sample_downtimes,
     ),
-    Metric(
+    MetricDefinition(
         name="edgectl_last_change_timestamp_seconds",
         help="When the fleet was last changed by apply, stop, restart, drain or rollback.",
-        read=of.one(of.changed),
+        read=metric_samples.sample_fleet(metric_samples.find_last_change),
     ),
 )

@@ -14,46 +14,48 @@ from prometheus_client.registry import Collector
 
 from edgectl.errors import EdgectlError
 from edgectl.export import metrics
-from edgectl.export.metrics import METRICS, Kind
-from edgectl.export.readings import BUCKETS_S, Picture, Spread
+from edgectl.export.metric_samples import BUCKETS_S, Histogram, MetricsInput
+from edgectl.export.metrics import METRICS, MetricType
 
 # Of a client that connects and says nothing.
-_IDLE_S = 10.0
+_IDLE_TIMEOUT_S = 10.0
 # Connections at once.
-MOST = 64
+MAX_CONNECTIONS = 64
 
 
-def text(picture: Picture) -> str:
+def render_metrics_page(picture: MetricsInput) -> str:
     """The page that Prometheus, or node_exporter's textfile collector, reads."""
-    return generate_latest(_Page(families(picture))).decode()
+    return generate_latest(_FamilyCollector(build_metric_families(picture))).decode()
 
 
-def families(picture: Picture) -> list[Metric]:
+def build_metric_families(picture: MetricsInput) -> list[Metric]:
     """Every metric with its samples, in the words of prometheus_client."""
-    return [_family(metric, picture) for metric in METRICS]
+    return [_build_metric_family(metric, picture) for metric in METRICS]
 
 
-def _family(metric: metrics.Metric, picture: Picture) -> Metric:
+def _build_metric_family(metric: metrics.MetricDefinition, picture: MetricsInput) -> Metric:
     samples = metric.samples(picture)
-    if metric.kind is Kind.HISTOGRAM:
+    if metric.kind is MetricType.HISTOGRAM:
         histogram = HistogramMetricFamily(metric.name, metric.help, labels=metric.labels)
         for labels, spread in samples:
-            if isinstance(spread, Spread):
-                histogram.add_metric(labels, list(_buckets(spread)), sum_value=spread.total)
+            if isinstance(spread, Histogram):
+                histogram.add_metric(labels, list(_list_buckets(spread)), sum_value=spread.total)
         return histogram
-    family = (CounterMetricFamily if metric.kind is Kind.COUNTER else GaugeMetricFamily)(metric.name, metric.help, labels=metric.labels)
+    family = (CounterMetricFamily if metric.kind is MetricType.COUNTER else GaugeMetricFamily)(
+        metric.name, metric.help, labels=metric.labels
+    )
     for labels, value in samples:
-        if not isinstance(value, Spread):
+        if not isinstance(value, Histogram):
             family.add_metric(labels, value)
     return family
 
 
-def _buckets(spread: Spread) -> Iterator[tuple[str, float]]:
+def _list_buckets(spread: Histogram) -> Iterator[tuple[str, float]]:
     yield from ((str(bound), count) for bound, count in zip(BUCKETS_S, spread.counts, strict=True))
     yield "+Inf", spread.count
 
 
-class _Page(Collector):
+class _FamilyCollector(Collector):
     """Families that were made already."""
 
     def __init__(self, families: Iterable[Metric]) -> None:
@@ -63,7 +65,9 @@ class _Page(Collector):
         return self._families
 
 
-def server(address: tuple[str, int], look: Callable[[], Picture], warn: Callable[[str], None]) -> ThreadingHTTPServer:
+def bind_metrics_server(
+    address: tuple[str, int], look: Callable[[], MetricsInput], warn: Callable[[str], None]
+) -> ThreadingHTTPServer:
     """A server, bound to ``address``, that answers ``/metrics`` with what ``look`` gives; ``look`` is called from many threads.
 
     Where ``look`` fails the answer is 503 with the reason, which ``warn`` hears, too.
@@ -71,18 +75,21 @@ def server(address: tuple[str, int], look: Callable[[], Picture], warn: Callable
     Raises:
         OSError: the address cannot be bound.
     """
-    kind = _Server6 if ":" in address[0] else _Server
-    return kind(address, type("_Bound", (_Answer,), {"look": staticmethod(look), "warn": staticmethod(warn)}))
+    kind = _BoundedServerIPv6 if ":" in address[0] else _BoundedServer
+    return kind(
+        address,
+        type("_Bound", (_MetricsRequestHandler,), {"look": staticmethod(look), "warn": staticmethod(warn)}),
+    )
 
 
-class _Server(ThreadingHTTPServer):
+class _BoundedServer(ThreadingHTTPServer):
     """One thread per connection, and so many at most: what comes beyond them is hung up on."""
 
     daemon_threads = True
-    request_queue_size = MOST
+    request_queue_size = MAX_CONNECTIONS
 
     def __init__(self, address: tuple[str, int], handler: type[MetricsHandler]) -> None:
-        self._free = threading.BoundedSemaphore(MOST)
+        self._free = threading.BoundedSemaphore(MAX_CONNECTIONS)
         super().__init__(address, handler)
 
     def process_request(self, request: Any, client_address: Any) -> None:  # noqa: ANN401
@@ -103,15 +110,15 @@ class _Server(ThreadingHTTPServer):
         """Say nothing of a client that went away."""
 
 
-class _Server6(_Server):
+class _BoundedServerIPv6(_BoundedServer):
     address_family = socket.AF_INET6
 
 
-class _Answer(MetricsHandler):
+class _MetricsRequestHandler(MetricsHandler):
     """One request."""
 
-    timeout = _IDLE_S
-    look: Callable[[], Picture]
+    timeout = _IDLE_TIMEOUT_S
+    look: Callable[[], MetricsInput]
     warn: Callable[[str], None]
 
     def do_GET(self) -> None:  # noqa: N802, the name that http.server calls
@@ -120,9 +127,13 @@ class _Answer(MetricsHandler):
             self.send_error(HTTPStatus.NOT_FOUND, "metrics are at /metrics")
             return
         try:
-            self.registry = _Page(families(self.look()))
+            self.registry = _FamilyCollector(build_metric_families(self.look()))
         except Exception as error:  # one scrape, never the server
-            reason = error.message if isinstance(error, EdgectlError) else f"unexpected {type(error).__name__}: {error}"
+            reason = (
+                error.message
+                if isinstance(error, EdgectlError)
+                else f"unexpected {type(error).__name__}: {error}"
+            )
             self.warn(reason)
             self.send_error(HTTPStatus.SERVICE_UNAVAILABLE, "no metrics", reason)
             return

@@ -2,13 +2,13 @@
 
 import re
 
-from edgectl.export.job import Job, interval, words
+from edgectl.export.job import ScheduledJob, build_arguments, format_interval
 
-_DEFAULT_S, _SHORTEST_S = 300.0, 1.0
+_DEFAULT_INTERVAL_S, _MIN_INTERVAL_S = 300.0, 1.0
 # What ends well beside 0: hosts that do not answer (4) and a busy lock (75) are for the next run; 130 is a stop in good order.
-_APPLY_ENDS, _WATCH_ENDS = "4 75 130", "4 130"
+_APPLY_SUCCESS_STATUSES, _WATCH_SUCCESS_STATUSES = "4 75 130", "4 130"
 # Takes rights away that neither edgectl nor ssh needs. Of these a user's own systemd can do the first five without more rights.
-_HARDENING = (
+_HARDENING_SETTINGS = (
     "NoNewPrivileges=yes",
     "LockPersonality=yes",
     "RestrictRealtime=yes",
@@ -20,93 +20,111 @@ _HARDENING = (
     "RestrictSUIDSGID=yes",
     "RestrictNamespaces=yes",
 )
-_USERS_OWN = 5
+_USER_SETTINGS_COUNT = 5
 
 
-def timer_units(job: Job, *, user: bool) -> dict[str, str]:
+def build_timer_units(job: ScheduledJob, *, user: bool) -> dict[str, str]:
     """``apply`` every so often: a service and its timer. ``user``: for the user's own systemd, else for the system's.
 
     Raises:
         ValueError: what cannot be quoted, or an interval below a second.
     """
-    every = _checked(_DEFAULT_S if job.every_s is None else job.every_s)
-    name, title = unit_name(job), f"edgectl apply for {job.inventory}"
+    every = _check_interval(_DEFAULT_INTERVAL_S if job.every_s is None else job.every_s)
+    name, title = build_unit_name(job), f"edgectl apply for {job.inventory}"
     service = [
-        *_unit(title, user=user),
-        "[Service]", "Type=oneshot", *_service(job, ("apply", "--yes", "--quiet"), _APPLY_ENDS, user=user),
+        *_build_unit_section(title, user=user),
+        "[Service]", "Type=oneshot", *_build_service_settings(job, ("apply", "--yes", "--quiet"), _APPLY_SUCCESS_STATUSES, user=user),
     ]  # fmt: skip
     timer = [
-        "[Unit]", f"Description={_plain(title)}, every {interval(every)}", "",
+        "[Unit]", f"Description={_escape_specifiers(title)}, every {format_interval(every)}", "",
         "[Timer]",
         "# From the start of one run to the start of the next; a run that takes longer is not overtaken.",
         "OnActiveSec=10s", f"OnUnitActiveSec={every:.12g}s", "AccuracySec=1s", "",
         "[Install]", "WantedBy=timers.target",
     ]  # fmt: skip
-    head = _installation(f"{name}.timer", user=user)
-    return {f"{name}.service": _text(f"{name}.service", head, service), f"{name}.timer": _text(f"{name}.timer", head, timer)}
+    head = _list_install_comments(f"{name}.timer", user=user)
+    return {
+        f"{name}.service": _format_unit_file(f"{name}.service", head, service),
+        f"{name}.timer": _format_unit_file(f"{name}.timer", head, timer),
+    }
 
 
-def watch_unit(job: Job, *, user: bool) -> dict[str, str]:
+def build_watch_unit(job: ScheduledJob, *, user: bool) -> dict[str, str]:
     """``watch --apply`` for as long as the machine runs.
 
     Raises:
         ValueError: what cannot be quoted, or an interval below a second.
     """
-    name = f"{unit_name(job)}-watch"
-    command = ("watch", "--apply") if job.every_s is None else ("watch", "--apply", "--every", f"{_checked(job.every_s):.12g}s")
+    name = f"{build_unit_name(job)}-watch"
+    command = (
+        ("watch", "--apply")
+        if job.every_s is None
+        else ("watch", "--apply", "--every", f"{_check_interval(job.every_s):.12g}s")
+    )
     service = [
-        *_unit(f"edgectl watch for {job.inventory}", user=user),
+        *_build_unit_section(f"edgectl watch for {job.inventory}", user=user),
         "[Service]", "Type=exec",
         "# A call or a file that is wrong (64) stays wrong until somebody mends it.",
         "Restart=always", "RestartSec=10s", "RestartPreventExitStatus=64",
-        *_service(job, command, _WATCH_ENDS, user=user),
+        *_build_service_settings(job, command, _WATCH_SUCCESS_STATUSES, user=user),
         "", "[Install]", f"WantedBy={'default' if user else 'multi-user'}.target",
     ]  # fmt: skip
-    return {f"{name}.service": _text(f"{name}.service", _installation(f"{name}.service", user=user), service)}
+    return {
+        f"{name}.service": _format_unit_file(
+            f"{name}.service", _list_install_comments(f"{name}.service", user=user), service
+        )
+    }
 
 
-def _checked(every_s: float) -> float:
-    if every_s < _SHORTEST_S:
+def _check_interval(every_s: float) -> float:
+    if every_s < _MIN_INTERVAL_S:
         raise ValueError(f"every {every_s:g}s is too often; write 10s or more")
     return every_s
 
 
-def unit_name(job: Job) -> str:
+def build_unit_name(job: ScheduledJob) -> str:
     """The name without its kind: letters, digits and ``:_.-`` are allowed."""
     return "edgectl-" + re.sub(r"[^A-Za-z0-9:_.-]", "_", job.name)
 
 
-def _unit(title: str, *, user: bool) -> list[str]:
+def _build_unit_section(title: str, *, user: bool) -> list[str]:
     online = [] if user else ["Wants=network-online.target", "After=network-online.target"]
-    return ["[Unit]", f"Description={_plain(title)}", *online, ""]
+    return ["[Unit]", f"Description={_escape_specifiers(title)}", *online, ""]
 
 
-def _service(job: Job, command: tuple[str, ...], ends: str, *, user: bool) -> list[str]:
-    arguments = words(job, *command)
+def _build_service_settings(
+    job: ScheduledJob, command: tuple[str, ...], ends: str, *, user: bool
+) -> list[str]:
+    arguments = build_arguments(job, *command)
     program, *rest = job.program
-    line = " ".join([quoted(program), *(quoted(word).replace("$", "$$") for word in (*rest, *arguments))])
+    line = " ".join(
+        [
+            quote_for_systemd(program),
+            *(quote_for_systemd(word).replace("$", "$$") for word in (*rest, *arguments)),
+        ]
+    )
     return [
-        *([] if user else [f"User={_plain(job.user)}"]),
-        f"WorkingDirectory={_plain(job.directory)}",
-        *(f"Environment={quoted(f'{name}={value}')}" for name, value in job.environment.items()),
+        *([] if user else [f"User={_escape_specifiers(job.user)}"]),
+        f"WorkingDirectory={_escape_specifiers(job.directory)}",
+        *(f"Environment={quote_for_systemd(f'{name}={value}')}" for name, value in job.environment.items()),
         f"ExecStart={line}",
         f"SuccessExitStatus={ends}",
         "# Only edgectl itself is stopped, and it finishes what is under way: tasks on this machine and their supervisors stay.",
         "KillMode=process", "TimeoutStopSec=2min",
-        *_hardening(job, user=user),
+        *_list_hardening_settings(job, user=user),
     ]  # fmt: skip
 
 
-def _hardening(job: Job, *, user: bool) -> list[str]:
+def _list_hardening_settings(job: ScheduledJob, *, user: bool) -> list[str]:
     if job.local:
         return ["# No sandbox: a host of this fleet is this machine, and its tasks would inherit it."]
     return [
         "# What neither edgectl nor ssh needs. A password_command that uses sudo needs NoNewPrivileges=no.",
-        *_HARDENING[: _USERS_OWN if user else None],
+        *_HARDENING_SETTINGS[: _USER_SETTINGS_COUNT if user else None],
     ]
 
 
-def _installation(unit: str, *, user: bool) -> list[str]:
+def _list_install_comments(unit: str, *, user: bool) -> list[str]:
     if user:
         return [
             "# Install: edgectl export systemd --user --out ~/.config/systemd/user ..",
@@ -119,17 +137,17 @@ def _installation(unit: str, *, user: bool) -> list[str]:
     ]
 
 
-def _text(name: str, head: list[str], lines: list[str]) -> str:
+def _format_unit_file(name: str, head: list[str], lines: list[str]) -> str:
     return "\n".join([f"# {name}", *head, "", *lines]) + "\n"
 
 
-def _plain(text: str) -> str:
+def _escape_specifiers(text: str) -> str:
     """A value that systemd does not split into words: only specifiers mean something in it."""
     return text.replace("%", "%%")
 
 
-def quoted(word: str) -> str:
+def quote_for_systemd(word: str) -> str:
     """One word of a list: in quotes where it needs them, specifiers switched off."""
     if re.fullmatch(r"[A-Za-z0-9_@+=:,./-]+", word):
         return word
-    return '"' + _plain(word).replace('"', r"\"") + '"'
+    return '"' + _escape_specifiers(word).replace('"', r"\"") + '"'

@@ -8,83 +8,85 @@ from enum import StrEnum
 from functools import cache
 from typing import Any
 
-from edgectl.model.experiment import Experiment
+from edgectl.experiments.model.experiment import Experiment
 from edgectl.model.inventory import Inventory
 from edgectl.model.task import Task, Tasks
 
-RUNS = ("command", "env", "workdir", "kind", "restart", "stop", "ready", "limits", "log", "robots")
-RUNS_WHERE_STATED = ("self_fence", "env_command")
+RUN_FIELDS = ("command", "env", "workdir", "kind", "restart", "stop", "ready", "limits", "log", "robots")
+OPTIONAL_RUN_FIELDS = ("self_fence", "env_command")
 
 
-def inventory_digest(inventory: Inventory) -> str:
+def digest_inventory(inventory: Inventory) -> str:
     """Of everything that an inventory says."""
-    return "sha256:" + _sha256({"hosts": inventory.hosts, "links": inventory.links})
+    return "sha256:" + _hash_value({"hosts": inventory.hosts, "links": inventory.links})
 
 
-def tasks_digest(tasks: Tasks) -> str:
+def digest_tasks(tasks: Tasks) -> str:
     """Of all tasks and the stated policy."""
-    return "sha256:" + _sha256({"tasks": tasks.tasks, "policy": tasks.policy})
+    return "sha256:" + _hash_value({"tasks": tasks.tasks, "policy": tasks.policy})
 
 
-def experiment_digest(experiment: Experiment, inventory: Inventory, tasks: Tasks) -> str:
+def digest_experiment(experiment: Experiment, inventory: Inventory, tasks: Tasks) -> str:
     """Of all that makes a trial what it is: with more schemes, repetitions or columns in its table an experiment goes on."""
-    what = replace(experiment, name="", variants=(), repetitions=1, metrics={})
-    return "sha256:" + _sha256({"experiment": what, "inventory": inventory.digest, "tasks": tasks.digest})
+    what = replace(experiment, name="", schemes=(), repetitions=1, metrics={})
+    return "sha256:" + _hash_value({"experiment": what, "inventory": inventory.digest, "tasks": tasks.digest})
 
 
-def spec_hash(task: Task) -> str:
+def hash_spec(task: Task) -> str:
     """Of what runs: 16 hex digits. Demand, priority and host rules steer the placement and leave it unchanged."""
-    return _sha256(_runs(task))[:16]
+    return _hash_value(_select_run_fields(task))[:16]
 
 
-def spec_fields(task: Task) -> dict[str, str]:
+def hash_spec_fields(task: Task) -> dict[str, str]:
     """Of each field of what runs: 8 hex digits, enough to say which of them changed."""
-    return {name: _sha256(value)[:8] for name, value in _runs(task).items()}
+    return {name: _hash_value(value)[:8] for name, value in _select_run_fields(task).items()}
 
 
-def _runs(task: Task) -> dict[str, Any]:
+def _select_run_fields(task: Task) -> dict[str, Any]:
     """The fields that make what runs. A secret counts by its name: its value is written as ``***`` wherever it is not revealed."""
-    stated = {name: getattr(task, name) for name in RUNS_WHERE_STATED if getattr(task, name)}
-    return {name: getattr(task, name) for name in RUNS} | stated
+    stated = {name: getattr(task, name) for name in OPTIONAL_RUN_FIELDS if getattr(task, name)}
+    return {name: getattr(task, name) for name in RUN_FIELDS} | stated
 
 
-def _sha256(value: object) -> str:
-    text = json.dumps(_canonical(value), sort_keys=True, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
+def _hash_value(value: object) -> str:
+    text = json.dumps(
+        _to_canonical(value), sort_keys=True, ensure_ascii=True, allow_nan=False, separators=(",", ":")
+    )
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _canonical(value: Any) -> Any:  # noqa: ANN401
+def _to_canonical(value: Any) -> Any:  # noqa: ANN401
     """Only JSON types; mappings by text keys, sets sorted; of a dataclass the fields that differ from their default."""
     if value is None or isinstance(value, str | int | float):
         return value.value if isinstance(value, StrEnum) else value
     if isinstance(value, Mapping):
-        return {_key(key): _canonical(inner) for key, inner in value.items()}
+        return {_key_to_text(key): _to_canonical(inner) for key, inner in value.items()}
     if isinstance(value, tuple):
-        return [_canonical(inner) for inner in value]
+        return [_to_canonical(inner) for inner in value]
     if isinstance(value, frozenset):
         return sorted(value)
     if is_dataclass(value):
-        return _changed_fields(value)
+        return _encode_changed_fields(value)
     raise TypeError(f"no canonical form of {type(value).__name__}")
 
 
-def _changed_fields(value: Any) -> dict[str, Any]:  # noqa: ANN401
+def _encode_changed_fields(value: Any) -> dict[str, Any]:  # noqa: ANN401
     changed = {}
-    for name, default in _defaults(type(value)):  # type: ignore[arg-type]  # a class is hashable; mypy doubts it
+    for name, default in _list_field_defaults(type(value)):  # type: ignore[arg-type]  # a class is hashable; mypy doubts it
         inner = getattr(value, name)
         if inner is not default and inner != default:
-            changed[name] = _canonical(inner)
+            changed[name] = _to_canonical(inner)
     return changed
 
 
 @cache
-def _defaults(kind: Any) -> tuple[tuple[str, object], ...]:  # noqa: ANN401
-    return tuple((item.name, _default(item)) for item in fields(kind))
+def _list_field_defaults(kind: Any) -> tuple[tuple[str, object], ...]:  # noqa: ANN401
+    return tuple((item.name, _get_field_default(item)) for item in fields(kind))
 
 
-def _default(item: Field[Any]) -> object:
+def _get_field_default(item: Field[Any]) -> object:
     return item.default_factory() if item.default_factory is not MISSING else item.default
 
 
-def _key(key: object) -> str:
+def _key_to_text(key: object) -> str:
     return "\0".join(key) if isinstance(key, tuple) else str(key)

@@ -1,21 +1,21 @@
 """Plan to and from JSON (DESIGN section 4): what was decided with every number, and the snapshot it was decided from."""
 
 from edgectl.formats import snapshot as snapshot_format
-from edgectl.formats.base import FORMAT_VERSION, Document, number, optional, without_none
-from edgectl.formats.reader import Reader, close_document, open_document
+from edgectl.formats.document import FORMAT_VERSION, Document, encode_number, encode_optional, without_none
+from edgectl.formats.document_reader import DocumentReader, check_no_faults, open_document
 from edgectl.model.assignment import (
     Decision,
     DemandSource,
+    DemandSpread,
     ExpectedLoad,
     MoveCost,
     RankedHost,
     Reason,
     Rejection,
+    RejectionRule,
     Resource,
-    Rho,
-    Rule,
+    ResourceDemand,
     Terms,
-    Uneven,
     Verdict,
 )
 from edgectl.model.plan import Action, Plan, Step
@@ -34,9 +34,9 @@ def encode(plan: Plan) -> Document:
         "settled": plan.settled,
         "frozen": plan.frozen,
         "unseen": list(plan.unseen),
-        "decisions": [_step(step) for step in plan.steps],
-        "expected": {name: _expected(load) for name, load in plan.expected.items()},
-        "uneven": [_uneven(found) for found in plan.uneven],
+        "decisions": [_encode_step(step) for step in plan.steps],
+        "expected": {name: _encode_expected_load(load) for name, load in plan.expected.items()},
+        "uneven": [_encode_uneven(found) for found in plan.demand_spreads],
         "summary": {action.value: count for action, count in plan.summary.items()},
         "snapshot": snapshot_format.encode(plan.snapshot),
     }
@@ -45,18 +45,22 @@ def encode(plan: Plan) -> Document:
 
 def encode_policy(policy: Policy) -> Document:
     """The policy's part of a plan."""
-    return {"policy": policy.name.value, "weights": _weights(policy.weights), "options": _options(policy)}
+    return {
+        "policy": policy.name.value,
+        "weights": _encode_weights(policy.weights),
+        "options": _encode_options(policy),
+    }
 
 
-def _weights(weights: Weights) -> Document:
-    return {name: number(getattr(weights, name)) for name in ("cpu", "memory", "network", "task")}
+def _encode_weights(weights: Weights) -> Document:
+    return {name: encode_number(getattr(weights, name)) for name in ("cpu", "memory", "network", "task")}
 
 
-def _options(policy: Policy) -> Document:
+def _encode_options(policy: Policy) -> Document:
     return {
         "sequence": policy.sequence.value,
-        "move_margin": number(policy.move_margin),
-        "min_dwell_s": number(policy.min_dwell),
+        "move_margin": encode_number(policy.move_margin),
+        "min_dwell_s": encode_number(policy.min_dwell),
         "max_moves": policy.max_moves,
         "attended": policy.attended,
         "best_effort": policy.best_effort,
@@ -65,7 +69,7 @@ def _options(policy: Policy) -> Document:
     }
 
 
-def _step(step: Step) -> Document:
+def _encode_step(step: Step) -> Document:
     decision = step.decision
     document: Document = {
         "task": decision.task,
@@ -74,81 +78,88 @@ def _step(step: Step) -> Document:
         "action": step.action.value,
         "verdict": decision.verdict.value,
         "reason": decision.reason.value,
-        "total": optional(decision.total),
-        "lead": optional(decision.lead),
+        "total": encode_optional(decision.total),
+        "lead": encode_optional(decision.lead),
     }
     document |= without_none(
         challenger=decision.challenger,
         subject=decision.subject,
-        amount=optional(decision.amount),
-        cost=None if decision.cost is None else _cost(decision.cost),
+        amount=encode_optional(decision.amount),
+        cost=None if decision.cost is None else _encode_move_cost(decision.cost),
         nearest=decision.nearest,
         overcommitted=decision.overcommitted or None,
         instances=dict(step.instances) or None,
         stop=list(step.stop) or None,
         changed=list(step.changed) or None,
         rejection_counts=dict(decision.rejection_counts) or None,
-        demand=_demand(decision.demand),
+        demand=_encode_demand(decision.demand),
     )
-    document["ranking"] = [_ranked(host) for host in decision.ranking]
+    document["ranking"] = [_encode_ranked_host(host) for host in decision.ranking]
     return document
 
 
-def _ranked(ranked: RankedHost) -> Document:
+def _encode_ranked_host(ranked: RankedHost) -> Document:
     terms = ranked.terms
     return {
         "host": ranked.host,
         "rank": ranked.rank,
-        "total": optional(ranked.total),
+        "total": encode_optional(ranked.total),
         "terms": {
-            "cpu": optional(terms.cpu),
-            "memory": optional(terms.memory),
-            "network": optional(terms.network),
-            "task": optional(terms.task),
+            "cpu": encode_optional(terms.cpu),
+            "memory": encode_optional(terms.memory),
+            "network": encode_optional(terms.network),
+            "task": encode_optional(terms.task),
         },
         "affinity": ranked.affinity,
         "feasible": ranked.feasible,
-        "rejections": [_rejection(rejection) for rejection in ranked.rejections],
-    } | without_none(demand=_demand(ranked.demand))
+        "rejections": [_encode_rejection(rejection) for rejection in ranked.rejections],
+    } | without_none(demand=_encode_demand(ranked.demand))
 
 
-def _demand(demand: tuple[Rho, ...]) -> Document | None:
+def _encode_demand(demand: tuple[ResourceDemand, ...]) -> Document | None:
     return {
-        rho.resource.value: without_none(value=number(rho.value), source=rho.source.value, samples=rho.samples) for rho in demand
+        rho.resource.value: without_none(
+            value=encode_number(rho.value), source=rho.source.value, samples=rho.samples
+        )
+        for rho in demand
     } or None
 
 
-def _uneven(found: Uneven) -> Document:
+def _encode_uneven(found: DemandSpread) -> Document:
     return {
         "task": found.task,
         "resource": found.resource.value,
-        "share": number(found.share),
-        "least": number(found.least),
-        "most": number(found.most),
+        "share": encode_number(found.share),
+        "least": encode_number(found.least),
+        "most": encode_number(found.most),
         "hosts": list(found.hosts),
     }
 
 
-def _rejection(rejection: Rejection) -> Document:
+def _encode_rejection(rejection: Rejection) -> Document:
     return without_none(
         rule=rejection.rule.value,
         resource=None if rejection.resource is None else rejection.resource.value,
         robot=rejection.robot,
-        demand=optional(rejection.demand),
-        used=optional(rejection.used),
-        capacity=optional(rejection.capacity),
+        demand=encode_optional(rejection.demand),
+        used=encode_optional(rejection.used),
+        capacity=encode_optional(rejection.capacity),
     )
 
 
-def _cost(cost: MoveCost) -> Document:
-    return {"stay_s": number(cost.stay_s), "downtime_s": number(cost.downtime_s), "per_s": number(cost.per_s)}
-
-
-def _expected(load: ExpectedLoad) -> Document:
+def _encode_move_cost(cost: MoveCost) -> Document:
     return {
-        "used_cores": number(load.used_cores),
-        "used_bytes": number(load.used_bytes),
-        "links": {robot: {"used_bytes_per_s": number(rate)} for robot, rate in load.links.items()},
+        "stay_s": encode_number(cost.stay_s),
+        "downtime_s": encode_number(cost.downtime_s),
+        "per_s": encode_number(cost.per_s),
+    }
+
+
+def _encode_expected_load(load: ExpectedLoad) -> Document:
+    return {
+        "used_cores": encode_number(load.used_cores),
+        "used_bytes": encode_number(load.used_bytes),
+        "links": {robot: {"used_bytes_per_s": encode_number(rate)} for robot, rate in load.links.items()},
     }
 
 
@@ -163,28 +174,31 @@ def decode(raw: object) -> Plan:
         reader.require(key)
     plan = Plan(
         created_at=reader.instant("created_at"),
-        policy=read_policy(reader),
+        policy=decode_policy(reader),
         inventory_digest=reader.text("inventory_digest"),
         tasks_digest=reader.text("tasks_digest"),
-        snapshot=snapshot_format.read(reader.child("snapshot")),
+        snapshot=snapshot_format.decode_nested(reader.child("snapshot")),
         settled=reader.flag("settled"),
-        steps=tuple(_read_step(step) for step in reader.items("decisions")),
-        expected={name: _read_expected(load) for name, load in reader.children("expected")},
+        steps=tuple(_decode_step(step) for step in reader.items("decisions")),
+        expected={name: _decode_expected_load(load) for name, load in reader.children("expected")},
         frozen=reader.flag("frozen", default=False),
         unseen=reader.texts("unseen"),
-        uneven=tuple(_read_uneven(found) for found in reader.items("uneven")),
+        demand_spreads=tuple(_decode_uneven(found) for found in reader.items("uneven")),
     )
-    close_document(reader, "plan")
+    check_no_faults(reader, "plan")
     return plan
 
 
-def read_policy(reader: Reader) -> Policy:
+def decode_policy(reader: DocumentReader) -> Policy:
     """The policy in an object of a larger document; mistakes go to the reader."""
     weights, options = reader.child("weights"), reader.child("options")
     return Policy(
         name=reader.choice("policy", PolicyName),
         weights=Weights(
-            cpu=weights.number("cpu"), memory=weights.number("memory"), network=weights.number("network"), task=weights.number("task")
+            cpu=weights.number("cpu"),
+            memory=weights.number("memory"),
+            network=weights.number("network"),
+            task=weights.number("task"),
         ),
         sequence=options.choice("sequence", SequenceRule),
         move_margin=options.number("move_margin"),
@@ -197,17 +211,17 @@ def read_policy(reader: Reader) -> Policy:
     )
 
 
-def _read_step(reader: Reader) -> Step:
+def _decode_step(reader: DocumentReader) -> Step:
     return Step(
-        decision=_read_decision(reader),
+        decision=_decode_decision(reader),
         action=reader.choice("action", Action),
-        instances=reader.mapping("instances", Reader.text),
+        instances=reader.mapping("instances", DocumentReader.text),
         stop=reader.texts("stop"),
         changed=reader.texts("changed"),
     )
 
 
-def _read_decision(reader: Reader) -> Decision:
+def _decode_decision(reader: DocumentReader) -> Decision:
     reader.require("ranking")
     return Decision(
         task=reader.text("task"),
@@ -220,16 +234,16 @@ def _read_decision(reader: Reader) -> Decision:
         challenger=reader.maybe_text("challenger"),
         subject=reader.maybe_text("subject"),
         amount=reader.maybe_number("amount", minimum=None),
-        cost=_read_cost(reader.child("cost")) if reader.has("cost") else None,
+        cost=_decode_move_cost(reader.child("cost")) if reader.has("cost") else None,
         nearest=reader.maybe_text("nearest"),
         overcommitted=reader.flag("overcommitted", default=False),
-        ranking=tuple(_read_ranked(ranked) for ranked in reader.items("ranking")),
-        rejection_counts=reader.mapping("rejection_counts", Reader.integer),
-        demand=_read_demand(reader),
+        ranking=tuple(_decode_ranked_host(ranked) for ranked in reader.items("ranking")),
+        rejection_counts=reader.mapping("rejection_counts", DocumentReader.integer),
+        demand=_decode_demand(reader),
     )
 
 
-def _read_ranked(reader: Reader) -> RankedHost:
+def _decode_ranked_host(reader: DocumentReader) -> RankedHost:
     terms = reader.child("terms")
     return RankedHost(
         host=reader.text("host"),
@@ -243,20 +257,24 @@ def _read_ranked(reader: Reader) -> RankedHost:
         ),
         feasible=reader.flag("feasible"),
         affinity=reader.integer("affinity", 0, minimum=None),
-        rejections=tuple(_read_rejection(rejection) for rejection in reader.items("rejections")),
-        demand=_read_demand(reader),
+        rejections=tuple(_decode_rejection(rejection) for rejection in reader.items("rejections")),
+        demand=_decode_demand(reader),
     )
 
 
-def _read_demand(reader: Reader) -> tuple[Rho, ...]:
+def _decode_demand(reader: DocumentReader) -> tuple[ResourceDemand, ...]:
     inner = reader.maybe_child("demand")
     if inner is None:
         return ()
-    return tuple(_read_rho(inner.child(resource), resource) for resource in Resource if inner.has(resource))
+    return tuple(
+        _decode_resource_demand(inner.child(resource), resource)
+        for resource in Resource
+        if inner.has(resource)
+    )
 
 
-def _read_rho(reader: Reader, resource: Resource) -> Rho:
-    return Rho(
+def _decode_resource_demand(reader: DocumentReader, resource: Resource) -> ResourceDemand:
+    return ResourceDemand(
         resource=resource,
         value=reader.number("value"),
         source=reader.choice("source", DemandSource),
@@ -264,9 +282,9 @@ def _read_rho(reader: Reader, resource: Resource) -> Rho:
     )
 
 
-def _read_uneven(reader: Reader) -> Uneven:
+def _decode_uneven(reader: DocumentReader) -> DemandSpread:
     hosts = (*reader.texts("hosts"), "", "")
-    return Uneven(
+    return DemandSpread(
         task=reader.text("task"),
         resource=reader.choice("resource", Resource),
         share=reader.number("share"),
@@ -276,9 +294,9 @@ def _read_uneven(reader: Reader) -> Uneven:
     )
 
 
-def _read_rejection(reader: Reader) -> Rejection:
+def _decode_rejection(reader: DocumentReader) -> Rejection:
     return Rejection(
-        rule=reader.choice("rule", Rule),
+        rule=reader.choice("rule", RejectionRule),
         resource=reader.choice("resource", Resource) if reader.has("resource") else None,
         robot=reader.maybe_text("robot"),
         demand=reader.maybe_number("demand", minimum=None),
@@ -287,13 +305,19 @@ def _read_rejection(reader: Reader) -> Rejection:
     )
 
 
-def _read_cost(reader: Reader) -> MoveCost:
-    return MoveCost(stay_s=reader.number("stay_s", positive=True), downtime_s=reader.number("downtime_s"), per_s=reader.number("per_s"))
+def _decode_move_cost(reader: DocumentReader) -> MoveCost:
+    return MoveCost(
+        stay_s=reader.number("stay_s", positive=True),
+        downtime_s=reader.number("downtime_s"),
+        per_s=reader.number("per_s"),
+    )
 
 
-def _read_expected(reader: Reader) -> ExpectedLoad:
+def _decode_expected_load(reader: DocumentReader) -> ExpectedLoad:
     return ExpectedLoad(
         used_cores=reader.number("used_cores", minimum=None),
         used_bytes=reader.number("used_bytes", minimum=None),
-        links={robot: link.number("used_bytes_per_s", minimum=None) for robot, link in reader.children("links")},
+        links={
+            robot: link.number("used_bytes_per_s", minimum=None) for robot, link in reader.children("links")
+        },
     )

@@ -1,18 +1,18 @@
 """Snapshot to and from JSON (DESIGN section 4). Instants keep milliseconds; keys that a reader does not know are ignored."""
 
-from edgectl.formats import memory as memory_format
-from edgectl.formats.base import FORMAT_VERSION, Document, number, optional, without_none
-from edgectl.formats.reader import Reader, close_document, open_document
+from edgectl.formats import manager_state as memory_format
+from edgectl.formats.document import FORMAT_VERSION, Document, encode_number, encode_optional, without_none
+from edgectl.formats.document_reader import DocumentReader, check_no_faults, open_document
 from edgectl.model.inventory import Role
 from edgectl.model.snapshot import (
     CapacitySource,
-    Cpu,
-    Device,
+    CpuUsage,
+    DeviceSample,
     HostSample,
     HostStatus,
     InterfaceSample,
     LinkSample,
-    MemoryUse,
+    MemoryUsage,
     Snapshot,
     TaskSample,
     TaskState,
@@ -23,8 +23,8 @@ from edgectl.units import format_instant
 def encode(snapshot: Snapshot) -> Document:
     """The JSON form; keys that are marked ``?`` in the format are absent where there is nothing to say."""
     document: Document = {"format_version": FORMAT_VERSION, "taken_at": format_instant(snapshot.taken_at)}
-    if snapshot.memory is not None:
-        document["memory"] = memory_format.encode(snapshot.memory)
+    if snapshot.manager is not None:
+        document["memory"] = memory_format.encode(snapshot.manager)
     document["hosts"] = {name: encode_host(host) for name, host in snapshot.hosts.items()}
     return document
 
@@ -37,29 +37,35 @@ def encode_host(host: HostSample) -> Document:
         error=host.error or None,
         error_kind=host.error_kind or None,
         hint=host.hint or None,
-        sample_age_s=number(host.sample_age_s) if host.ok or host.sample_age_s else None,
+        sample_age_s=encode_number(host.sample_age_s) if host.ok or host.sample_age_s else None,
         resident=True if host.resident else None,
     )
     if host.cpu is not None:
-        document["cpu"] = {"cores": number(host.cpu.cores), "used_cores": number(host.cpu.used_cores)}
+        document["cpu"] = {
+            "cores": encode_number(host.cpu.cores),
+            "used_cores": encode_number(host.cpu.used_cores),
+        }
     if host.memory is not None:
-        document["memory"] = {"total_bytes": number(host.memory.total_bytes), "used_bytes": number(host.memory.used_bytes)}
+        document["memory"] = {
+            "total_bytes": encode_number(host.memory.total_bytes),
+            "used_bytes": encode_number(host.memory.used_bytes),
+        }
     if host.ok or host.links:
         document["links"] = {robot: encode_link(link) for robot, link in host.links.items()}
     if host.ok or host.tasks:
         document["tasks"] = {name: encode_task(task) for name, task in host.tasks.items()}
     if host.generations:
         document["generations"] = dict(host.generations)
-    device = _device(host.device)
+    device = _encode_device(host.device)
     return document | {"device": device} if device else document
 
 
 def encode_link(link: LinkSample) -> Document:
     """One link's part of a snapshot."""
     return without_none(
-        capacity_bytes_per_s=number(link.capacity_bytes_per_s),
-        used_bytes_per_s=number(link.used_bytes_per_s),
-        rtt_ms=optional(link.rtt_ms),
+        capacity_bytes_per_s=encode_number(link.capacity_bytes_per_s),
+        used_bytes_per_s=encode_number(link.used_bytes_per_s),
+        rtt_ms=encode_optional(link.rtt_ms),
         capacity_source=link.capacity_source.value,
     )
 
@@ -70,10 +76,12 @@ def encode_task(task: TaskSample) -> Document:
         state=task.state.value,
         pid=task.pid,
         started_at=format_instant(task.started_at),
-        used_cores=number(task.used_cores),
-        used_bytes=number(task.used_bytes),
-        used_bytes_per_s=number(task.used_bytes_per_s),
-        links=None if task.links is None else {robot: number(rate) for robot, rate in task.links.items()},
+        used_cores=encode_number(task.used_cores),
+        used_bytes=encode_number(task.used_bytes),
+        used_bytes_per_s=encode_number(task.used_bytes_per_s),
+        links=None
+        if task.links is None
+        else {robot: encode_number(rate) for robot, rate in task.links.items()},
         instance=task.instance or None,
         spec_hash=task.spec_hash or None,
         generation=task.generation or None,
@@ -87,26 +95,26 @@ def encode_task(task: TaskSample) -> Document:
         limits=task.limits or None,
         given_up=task.given_up or None,
         ended_at=None if task.ended_at is None else format_instant(task.ended_at),
-        metrics={name: number(value) for name, value in task.metrics.items()} or None,
+        metrics={name: encode_number(value) for name, value in task.metrics.items()} or None,
     )
 
 
-def _device(device: Device) -> Document:
+def _encode_device(device: DeviceSample) -> Document:
     return without_none(
-        load_1m=optional(device.load_1m),
-        temperature_c=optional(device.temperature_c),
-        gpu_share=optional(device.gpu_share),
+        load_1m=encode_optional(device.load_1m),
+        temperature_c=encode_optional(device.temperature_c),
+        gpu_share=encode_optional(device.gpu_share),
         boot_id=device.boot_id or None,
-        clock_skew_s=optional(device.clock_skew_s),
-        interfaces={name: _interface(sample) for name, sample in device.interfaces.items()} or None,
+        clock_skew_s=encode_optional(device.clock_skew_s),
+        interfaces={name: _encode_interface(sample) for name, sample in device.interfaces.items()} or None,
     )
 
 
-def _interface(sample: InterfaceSample) -> Document:
+def _encode_interface(sample: InterfaceSample) -> Document:
     return without_none(
-        rx_bytes_per_s=number(sample.rx_bytes_per_s),
-        tx_bytes_per_s=number(sample.tx_bytes_per_s),
-        speed_bytes_per_s=optional(sample.speed_bytes_per_s),
+        rx_bytes_per_s=encode_number(sample.rx_bytes_per_s),
+        tx_bytes_per_s=encode_number(sample.tx_bytes_per_s),
+        speed_bytes_per_s=encode_optional(sample.speed_bytes_per_s),
     )
 
 
@@ -117,23 +125,23 @@ def decode(raw: object) -> Snapshot:
         FormatErrors: everything that is wrong with it.
     """
     reader = open_document(raw, "snapshot")
-    snapshot = read(reader)
-    close_document(reader, "snapshot")
+    snapshot = decode_nested(reader)
+    check_no_faults(reader, "snapshot")
     return snapshot
 
 
-def read(reader: Reader) -> Snapshot:
+def decode_nested(reader: DocumentReader) -> Snapshot:
     """The snapshot in an object of a larger document; mistakes go to the reader."""
     inner = reader.maybe_child("memory")
     reader.require("hosts")
     return Snapshot(
         taken_at=reader.instant("taken_at"),
-        memory=None if inner is None else memory_format.read(inner),
-        hosts={name: _read_host(host) for name, host in reader.children("hosts")},
+        manager=None if inner is None else memory_format.decode_nested(inner),
+        hosts={name: _decode_host(host) for name, host in reader.children("hosts")},
     )
 
 
-def _read_host(reader: Reader) -> HostSample:
+def _decode_host(reader: DocumentReader) -> HostSample:
     status = reader.choice("status", HostStatus)
     measured = status is HostStatus.OK
     device = reader.maybe_child("device")
@@ -145,24 +153,26 @@ def _read_host(reader: Reader) -> HostSample:
         hint=reader.text("hint", ""),
         sample_age_s=reader.maybe_number("sample_age_s") or 0.0,
         resident=reader.flag("resident", default=False),
-        cpu=_read_cpu(reader.child("cpu")) if measured or reader.has("cpu") else None,
-        memory=_read_memory(reader.child("memory")) if measured or reader.has("memory") else None,
-        links={robot: _read_link(link) for robot, link in reader.children("links")},
-        tasks={name: _read_task(task) for name, task in reader.children("tasks")},
-        device=Device() if device is None else _read_device(device),
-        generations=reader.mapping("generations", Reader.integer),
+        cpu=_decode_cpu(reader.child("cpu")) if measured or reader.has("cpu") else None,
+        memory=_decode_memory(reader.child("memory")) if measured or reader.has("memory") else None,
+        links={robot: _decode_link(link) for robot, link in reader.children("links")},
+        tasks={name: _decode_task(task) for name, task in reader.children("tasks")},
+        device=DeviceSample() if device is None else _decode_device(device),
+        generations=reader.mapping("generations", DocumentReader.integer),
     )
 
 
-def _read_cpu(reader: Reader) -> Cpu:
-    return Cpu(cores=reader.number("cores", positive=True), used_cores=reader.number("used_cores"))
+def _decode_cpu(reader: DocumentReader) -> CpuUsage:
+    return CpuUsage(cores=reader.number("cores", positive=True), used_cores=reader.number("used_cores"))
 
 
-def _read_memory(reader: Reader) -> MemoryUse:
-    return MemoryUse(total_bytes=reader.number("total_bytes", positive=True), used_bytes=reader.number("used_bytes"))
+def _decode_memory(reader: DocumentReader) -> MemoryUsage:
+    return MemoryUsage(
+        total_bytes=reader.number("total_bytes", positive=True), used_bytes=reader.number("used_bytes")
+    )
 
 
-def _read_link(reader: Reader) -> LinkSample:
+def _decode_link(reader: DocumentReader) -> LinkSample:
     return LinkSample(
         capacity_bytes_per_s=reader.number("capacity_bytes_per_s"),
         used_bytes_per_s=reader.number("used_bytes_per_s"),
@@ -171,7 +181,7 @@ def _read_link(reader: Reader) -> LinkSample:
     )
 
 
-def _read_task(reader: Reader) -> TaskSample:
+def _decode_task(reader: DocumentReader) -> TaskSample:
     return TaskSample(
         state=reader.choice("state", TaskState),
         pid=reader.integer("pid"),
@@ -179,7 +189,7 @@ def _read_task(reader: Reader) -> TaskSample:
         used_cores=reader.number("used_cores"),
         used_bytes=reader.number("used_bytes"),
         used_bytes_per_s=reader.number("used_bytes_per_s"),
-        links=reader.mapping("links", Reader.number) if reader.has("links") else None,
+        links=reader.mapping("links", DocumentReader.number) if reader.has("links") else None,
         instance=reader.text("instance", ""),
         spec_hash=reader.text("spec_hash", ""),
         generation=reader.integer("generation", 0),
@@ -187,32 +197,32 @@ def _read_task(reader: Reader) -> TaskSample:
         restarts=reader.integer("restarts", 0),
         exit_code=reader.maybe_integer("exit_code"),
         detail=reader.text("detail", ""),
-        fields=reader.mapping("fields", Reader.text),
+        fields=reader.mapping("fields", DocumentReader.text),
         last_exit=reader.maybe_integer("last_exit"),
         log_tail=reader.texts("log_tail"),
         limits=reader.text("limits", ""),
         given_up=reader.flag("given_up", default=False),
         ended_at=reader.instant("ended_at") if reader.has("ended_at") else None,
-        metrics=reader.mapping("metrics", _any_number),
+        metrics=reader.mapping("metrics", _decode_signed_number),
     )
 
 
-def _any_number(reader: Reader, key: str) -> float:
+def _decode_signed_number(reader: DocumentReader, key: str) -> float:
     return reader.number(key, minimum=None)
 
 
-def _read_device(reader: Reader) -> Device:
-    return Device(
+def _decode_device(reader: DocumentReader) -> DeviceSample:
+    return DeviceSample(
         load_1m=reader.maybe_number("load_1m"),
         temperature_c=reader.maybe_number("temperature_c", minimum=None),
         gpu_share=reader.maybe_number("gpu_share"),
         boot_id=reader.text("boot_id", ""),
         clock_skew_s=reader.maybe_number("clock_skew_s", minimum=None),
-        interfaces={name: _read_interface(inner) for name, inner in reader.children("interfaces")},
+        interfaces={name: _decode_interface(inner) for name, inner in reader.children("interfaces")},
     )
 
 
-def _read_interface(reader: Reader) -> InterfaceSample:
+def _decode_interface(reader: DocumentReader) -> InterfaceSample:
     return InterfaceSample(
         rx_bytes_per_s=reader.number("rx_bytes_per_s"),
         tx_bytes_per_s=reader.number("tx_bytes_per_s"),

@@ -9,7 +9,9 @@ Item = TypeVar("Item")
 Value = TypeVar("Value")
 
 
-def fan_out(function: Callable[[Item], Value], items: Sequence[Item], *, workers: int) -> Iterator[tuple[int, Value]]:
+def fan_out(
+    function: Callable[[Item], Value], items: Sequence[Item], *, workers: int
+) -> Iterator[tuple[int, Value]]:
     """Yield (position, value) as each call ends; at most ``workers`` run at once. ``function`` must not raise what is not a bug.
 
     The threads are daemons, so that Ctrl-C need not wait for a host that hangs.

@@ -4,16 +4,16 @@ import binascii
 import time
 
 from edgectl.errors import DeadlineError, RefusedError, ReplyError
-from edgectl.gateway.fields import Document, text, whole
+from edgectl.gateway.reply_fields import ReplyDocument, get_int, get_text
 from edgectl.model.inventory import Host
 from edgectl.model.task import Task
+from edgectl.transport.agent_client import call_agent
 from edgectl.transport.base import Transport
-from edgectl.transport.call import call
 
-MOST_BYTES = 32 << 20
+MAX_FILE_BYTES = 32 << 20
 
 
-def fetch(transport: Transport, host: Host, task: Task, file: str, *, timeout: float) -> bytes:
+def fetch_file(transport: Transport, host: Host, task: Task, file: str, *, timeout: float) -> bytes:
     """The content of a regular file on ``host``, at most ``MOST_BYTES``, within ``timeout`` s from the first packet to the last byte.
 
     ``file`` is absolute, begins with ``~``, or is taken from the working directory of ``task``.
@@ -23,28 +23,35 @@ def fetch(transport: Transport, host: Host, task: Task, file: str, *, timeout: f
         HostError: the host did not give it.
     """
     deadline = time.monotonic() + timeout
-    request = {"op": "fetch", "host": host.name, "task": task.name, "workdir": task.workdir, "file": file, "most": MOST_BYTES}
+    request = {
+        "op": "fetch",
+        "host": host.name,
+        "task": task.name,
+        "workdir": task.workdir,
+        "file": file,
+        "most": MAX_FILE_BYTES,
+    }
     with transport.connect(host, timeout=timeout) as session:
         data, total, mark = bytearray(), -1, ""
         while len(data) != total:
             left = deadline - time.monotonic()
             if left <= 0:
                 raise DeadlineError(f"{file} did not come within {timeout:g} s", hint="give it more time")
-            reply = call(session, {**request, "offset": len(data)}, timeout=left)
-            if data and text(reply, "mark") != mark:
+            reply = call_agent(session, {**request, "offset": len(data)}, timeout=left)
+            if data and get_text(reply, "mark") != mark:
                 raise RefusedError(f"{file} changed while it was read", hint="fetch it when it is written")
-            total, mark = whole(reply, "size"), text(reply, "mark")
-            data += _piece(reply, len(data), total)
+            total, mark = get_int(reply, "size"), get_text(reply, "mark")
+            data += _decode_piece(reply, len(data), total)
     return bytes(data)
 
 
-def _piece(reply: Document, offset: int, size: int) -> bytes:
+def _decode_piece(reply: ReplyDocument, offset: int, size: int) -> bytes:
     """What came; never nothing while something is missing, so that asking ends."""
     raw = reply.get("data")
     try:
         piece = binascii.a2b_base64(raw) if isinstance(raw, str) else b""
     except ValueError:
         raise ReplyError("the piece of a file is garbled") from None
-    if not 0 <= size <= MOST_BYTES or offset + len(piece) > size or (not piece and offset < size):
+    if not 0 <= size <= MAX_FILE_BYTES or offset + len(piece) > size or (not piece and offset < size):
         raise ReplyError(f"the piece of a file does not fit: {len(piece)} bytes at {offset} of {size}")
     return piece

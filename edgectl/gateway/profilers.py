@@ -4,83 +4,118 @@ import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 
 from edgectl.errors import HostError, ReplyError
-from edgectl.gateway.collect import addresses_of
 from edgectl.gateway.fanout import fan_out
-from edgectl.gateway.fields import Document, flag, number, optional, printable, text, whole
-from edgectl.gateway.request import wishes
+from edgectl.gateway.host_probe import resolve_robot_addresses
+from edgectl.gateway.probe_request import build_probe_spec
+from edgectl.gateway.reply_fields import (
+    ReplyDocument,
+    escape_unprintable,
+    get_flag,
+    get_int,
+    get_number,
+    get_optional,
+    get_text,
+)
 from edgectl.model.inventory import Host, Inventory
 from edgectl.model.profiler import Profiler, ProfilerState
 from edgectl.model.task import Tasks
+from edgectl.transport.agent_client import call_agent
 from edgectl.transport.base import Transport
-from edgectl.transport.call import call
 
-_AT_ONCE = 32
+_MAX_PARALLEL_HOSTS = 32
 _STATES = {state.value: state for state in ProfilerState if state is not ProfilerState.UNREACHABLE}
-Request = dict[str, object]
+ProfilerRequest = dict[str, object]
 
 
-def start(
-    hosts: Sequence[Host], inventory: Inventory, tasks: Tasks, transport: Transport, *, every: float, ttl: float, timeout: float
+def start_profilers(
+    hosts: Sequence[Host],
+    inventory: Inventory,
+    tasks: Tasks,
+    transport: Transport,
+    *,
+    every: float,
+    ttl: float,
+    timeout: float,
 ) -> tuple[Profiler, ...]:
     """One profiler on each of ``hosts``: it takes a sample ``every`` so many seconds and ends ``ttl`` seconds after the last request."""
-    wanted = _wishes(inventory, tasks, transport)
-    requests = {host.name: {"op": "profiler-start", "every_s": every, "ttl_s": ttl, **wanted(host)} for host in hosts}
-    return _asked(hosts, requests, transport, timeout)
+    wanted = _make_probe_spec_builder(inventory, tasks, transport)
+    requests = {
+        host.name: {"op": "profiler-start", "every_s": every, "ttl_s": ttl, **wanted(host)} for host in hosts
+    }
+    return _ask_profilers(hosts, requests, transport, timeout)
 
 
-def stop(hosts: Sequence[Host], transport: Transport, *, timeout: float) -> tuple[Profiler, ...]:
+def stop_profilers(hosts: Sequence[Host], transport: Transport, *, timeout: float) -> tuple[Profiler, ...]:
     """No profiler on any of ``hosts``."""
-    return _asked(hosts, {host.name: {"op": "profiler-stop"} for host in hosts}, transport, timeout)
+    return _ask_profilers(hosts, {host.name: {"op": "profiler-stop"} for host in hosts}, transport, timeout)
 
 
-def status(hosts: Sequence[Host], inventory: Inventory, tasks: Tasks, transport: Transport, *, timeout: float) -> tuple[Profiler, ...]:
+def list_profilers(
+    hosts: Sequence[Host], inventory: Inventory, tasks: Tasks, transport: Transport, *, timeout: float
+) -> tuple[Profiler, ...]:
     """What profilers there are."""
-    wanted = _wishes(inventory, tasks, transport)
-    return _asked(hosts, {host.name: {"op": "profiler-status", **wanted(host)} for host in hosts}, transport, timeout)
+    wanted = _make_probe_spec_builder(inventory, tasks, transport)
+    return _ask_profilers(
+        hosts, {host.name: {"op": "profiler-status", **wanted(host)} for host in hosts}, transport, timeout
+    )
 
 
-def _wishes(inventory: Inventory, tasks: Tasks, transport: Transport) -> Callable[[Host], Request]:
-    addresses = addresses_of(inventory, transport, _AT_ONCE)
-    return lambda host: wishes(host, tasks, addresses)
+def _make_probe_spec_builder(
+    inventory: Inventory, tasks: Tasks, transport: Transport
+) -> Callable[[Host], ProfilerRequest]:
+    addresses = resolve_robot_addresses(inventory, transport, _MAX_PARALLEL_HOSTS)
+    return lambda host: build_probe_spec(host, tasks, addresses)
 
 
-def _asked(hosts: Sequence[Host], requests: Mapping[str, Request], transport: Transport, timeout: float) -> tuple[Profiler, ...]:
+def _ask_profilers(
+    hosts: Sequence[Host], requests: Mapping[str, ProfilerRequest], transport: Transport, timeout: float
+) -> tuple[Profiler, ...]:
     """The answers in the order of ``hosts``."""
 
     def ask(host: Host) -> Profiler:
         try:
             with transport.connect(host, timeout=timeout) as session:
-                return decode(host.name, call(session, {**requests[host.name], "host": host.name}, timeout=timeout))
+                return decode_profiler(
+                    host.name,
+                    call_agent(session, {**requests[host.name], "host": host.name}, timeout=timeout),
+                )
         except HostError as error:
             said = Profiler(host=host.name, state=ProfilerState.UNREACHABLE)
-            return dataclasses.replace(said, error=printable(error.message), hint=printable(error.hint))
+            return dataclasses.replace(
+                said, error=escape_unprintable(error.message), hint=escape_unprintable(error.hint)
+            )
 
-    answers = dict(fan_out(ask, hosts, workers=_AT_ONCE))
+    answers = dict(fan_out(ask, hosts, workers=_MAX_PARALLEL_HOSTS))
     return tuple(answers[position] for position in range(len(hosts)))
 
 
-def decode(host: str, document: Document) -> Profiler:
+def decode_profiler(host: str, document: ReplyDocument) -> Profiler:
     """What a host says of its profiler.
 
     Raises:
         ReplyError: a value is missing, of the wrong type or out of range.
     """
-    state = _STATES.get(text(document, "state"))
+    state = _STATES.get(get_text(document, "state"))
     if state is None:
-        raise ReplyError(f"not a state of a profiler: {text(document, 'state')[:80]}")
-    known = Profiler(host=host, state=state, pid=optional(document, "pid", whole) or 0, detail=text(document, "detail"))
+        raise ReplyError(f"not a state of a profiler: {get_text(document, 'state')[:80]}")
+    known = Profiler(
+        host=host,
+        state=state,
+        pid=get_optional(document, "pid", get_int) or 0,
+        detail=get_text(document, "detail"),
+    )
     if not state.alive:
         return known
     return dataclasses.replace(
         known,
-        age=number(document, "age_s"),
-        every=number(document, "every_s"),
-        period=number(document, "period_s"),
-        samples=whole(document, "samples"),
-        sample_age=optional(document, "sample_age_s", number),
-        used_cores=number(document, "used_cores"),
-        used_bytes=number(document, "used_bytes"),
-        ttl=number(document, "ttl_s"),
-        ttl_left=max(0.0, number(document, "ttl_left_s", low=-(2.0**31))),
-        current=flag(document, "current", default=True),
+        age=get_number(document, "age_s"),
+        every=get_number(document, "every_s"),
+        period=get_number(document, "period_s"),
+        samples=get_int(document, "samples"),
+        sample_age=get_optional(document, "sample_age_s", get_number),
+        used_cores=get_number(document, "used_cores"),
+        used_bytes=get_number(document, "used_bytes"),
+        ttl=get_number(document, "ttl_s"),
+        ttl_left=max(0.0, get_number(document, "ttl_left_s", low=-(2.0**31))),
+        current=get_flag(document, "current", default=True),
     )

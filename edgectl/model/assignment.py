@@ -15,7 +15,7 @@ class Resource(StrEnum):
     NETWORK = "network"
 
 
-class Rule(StrEnum):
+class RejectionRule(StrEnum):
     """Why a host is not a candidate, or not feasible."""
 
     UNREACHABLE = "unreachable"
@@ -42,7 +42,7 @@ class DemandSource(StrEnum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Rho:
+class ResourceDemand:
     """One demand of a task on one host, in cores, bytes or bytes/s (network: on its largest link), as it was charged.
 
     ``samples``: how many there are of the task on that class of hosts; None where the demand does not follow history.
@@ -55,7 +55,7 @@ class Rho:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Uneven:
+class DemandSpread:
     """A percent demand (``share``) of a task that means ``least`` on one candidate and ``most`` on another; cores or bytes.
 
     ``task`` is its name in the file. ``hosts``: the host of the least and of the most.
@@ -73,7 +73,7 @@ class Uneven:
 class Rejection:
     """One reason against one host. The last three fields are rho, gamma and Delta in the resource's own unit."""
 
-    rule: Rule
+    rule: RejectionRule
     resource: Resource | None = None
     robot: str | None = None
     demand: float | None = None
@@ -106,7 +106,7 @@ class RankedHost:
     feasible: bool
     affinity: int = 0
     rejections: tuple[Rejection, ...] = ()
-    demand: tuple[Rho, ...] = ()
+    demand: tuple[ResourceDemand, ...] = ()
 
 
 class Verdict(StrEnum):
@@ -206,7 +206,7 @@ class Decision:
     overcommitted: bool = False
     ranking: tuple[RankedHost, ...] = ()
     rejection_counts: Mapping[str, int] = field(default_factory=dict)
-    demand: tuple[Rho, ...] = ()
+    demand: tuple[ResourceDemand, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -232,4 +232,4 @@ class Assignment:
     settled: bool = True
     frozen: bool = False
     unseen: tuple[str, ...] = ()
-    uneven: tuple[Uneven, ...] = ()
+    demand_spreads: tuple[DemandSpread, ...] = ()

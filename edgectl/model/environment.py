@@ -7,11 +7,16 @@ from edgectl.model.secret import Secret
 from edgectl.model.task import Task
 
 Variables = Mapping[str, str]
-NOTHING: Variables = {}
+NO_VARIABLES: Variables = {}
 
 
-def environment(
-    task: Task, host: Host, hosts: Mapping[str, Host], *, host_more: Variables = NOTHING, task_more: Variables = NOTHING
+def merge_environment(
+    task: Task,
+    host: Host,
+    hosts: Mapping[str, Host],
+    *,
+    host_more: Variables = NO_VARIABLES,
+    task_more: Variables = NO_VARIABLES,
 ) -> dict[str, str]:
     """Variables of ``task`` on ``host``: the host's, then edgectl's own, then the task's, the later winning; secrets are masked.
 
@@ -27,11 +32,11 @@ def environment(
     return {**host.env, **host_more, **own, **task.env, **task_more}
 
 
-def public(variables: Variables) -> dict[str, str]:
+def drop_secrets(variables: Variables) -> dict[str, str]:
     """The variables without secrets: what checks and hooks get."""
     return {name: value for name, value in variables.items() if not isinstance(value, Secret)}
 
 
-def revealed(variables: Variables) -> dict[str, str]:
+def reveal_secrets(variables: Variables) -> dict[str, str]:
     """The variables with every secret in clear: what the request that starts a task carries."""
     return {name: value.reveal() if isinstance(value, Secret) else value for name, value in variables.items()}

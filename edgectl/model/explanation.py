@@ -16,7 +16,7 @@ class Term(StrEnum):
     TASK = "task"
 
 
-class Change(StrEnum):
+class ChangeKind(StrEnum):
     """What a flip changes, all else staying as it is."""
 
     LOAD_RISES = "load-rises"
@@ -48,7 +48,7 @@ class Flip:
     others sharing the rest as they share it now. ``size`` compares changes: share of the capacity, or of the whole weight (0..).
     """
 
-    change: Change
+    change: ChangeKind
     term: Term
     amount: float
     size: float

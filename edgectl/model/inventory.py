@@ -45,7 +45,7 @@ class Limits:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Base:
+class BaseLoad:
     """Declared load of a slice besides its tasks: cores and bytes."""
 
     cpu: float = 0.0
@@ -74,7 +74,7 @@ class Host:
     labels: Mapping[str, str] = field(default_factory=dict)
     limits: Limits = Limits()
     capacity: Capacity | None = None
-    base: Base = Base()
+    base: BaseLoad = BaseLoad()
     env: Mapping[str, str] = field(default_factory=dict)
     env_command: tuple[str, ...] = ()
     prelude: str = ""

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from edgectl.model.assignment import Decision, ExpectedLoad, Uneven
+from edgectl.model.assignment import Decision, DemandSpread, ExpectedLoad
 from edgectl.model.policy import Policy
 from edgectl.model.snapshot import Snapshot
 
@@ -78,7 +78,7 @@ class Plan:
     expected: Mapping[str, ExpectedLoad]
     frozen: bool = False
     unseen: tuple[str, ...] = ()
-    uneven: tuple[Uneven, ...] = ()
+    demand_spreads: tuple[DemandSpread, ...] = ()
 
     @property
     def summary(self) -> dict[Action, int]:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 from edgectl.model.task import Task
 
 
-class Use(NamedTuple):
+class UsageSample(NamedTuple):
     """What a task used at one instant (s since 1970), in cores, bytes and bytes/s over ``links`` links (0: not known)."""
 
     at: float
@@ -17,7 +17,7 @@ class Use(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Spread:
+class UsagePercentiles:
     """Nearest-rank percentiles and the maximum, in cores, bytes or bytes/s."""
 
     p50: float
@@ -26,14 +26,14 @@ class Spread:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Profile:
+class UsageProfile:
     """Of ``samples`` over ``span_s`` seconds. ``throughput`` is of each link; all 0 where no traffic was seen."""
 
     samples: int
     span_s: float
-    cpu: Spread
-    memory: Spread
-    throughput: Spread
+    cpu: UsagePercentiles
+    memory: UsagePercentiles
+    throughput: UsagePercentiles
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,5 +43,5 @@ class ClassProfile:
     task: Task
     kind: str
     hosts: tuple[str, ...]
-    profile: Profile
+    profile: UsageProfile
     enough: bool

@@ -8,7 +8,7 @@ from edgectl.model.plan import Action
 from edgectl.model.result import ActionResult, Phase, PhaseResult
 
 
-class Stage(StrEnum):
+class ProgressStage(StrEnum):
     """Which moment of an action a progress event reports."""
 
     ACTION_BEGIN = "action-begin"
@@ -18,10 +18,10 @@ class Stage(StrEnum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Progress:
+class ProgressEvent:
     """One event. ``phase`` and ``host`` on the phase stages, ``ended`` on PHASE_END, ``result`` on ACTION_END."""
 
-    stage: Stage
+    stage: ProgressStage
     task: str
     action: Action
     phase: Phase | None = None
@@ -30,8 +30,8 @@ class Progress:
     result: ActionResult | None = None
 
 
-Listener = Callable[[Progress], None]
+ProgressListener = Callable[[ProgressEvent], None]
 
 
-def unheard(_event: Progress) -> None:
+def ignore_progress(_event: ProgressEvent) -> None:
     """Listen to nothing."""

@@ -7,7 +7,7 @@ from enum import StrEnum
 from edgectl.model.result import ActionResult, Results
 
 
-class Ending(StrEnum):
+class RevisionOutcome(StrEnum):
     """How a revision ended: all done, some or none of it, stopped by its user, or cut off with its manager."""
 
     DONE = "done"
@@ -29,7 +29,7 @@ class Revision:
     began_at: float
     verb: str = ""
     user: str = ""
-    ending: Ending = Ending.CUT_OFF
+    ending: RevisionOutcome = RevisionOutcome.CUT_OFF
     seconds: float | None = None
     counts: Mapping[str, int] = field(default_factory=dict)
     actions: tuple[ActionResult, ...] = ()
@@ -39,5 +39,8 @@ class Revision:
     def results(self) -> Results:
         """The same in the form in which an apply reports."""
         return Results(
-            revision=self.number, actions=self.actions, seconds=self.seconds or 0.0, interrupted=self.ending is Ending.INTERRUPTED
+            revision=self.number,
+            actions=self.actions,
+            seconds=self.seconds or 0.0,
+            interrupted=self.ending is RevisionOutcome.INTERRUPTED,
         )

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 from edgectl.model.inventory import Role
-from edgectl.model.memory import Memory
+from edgectl.model.manager_state import ManagerState
 
 
 class HostStatus(StrEnum):
@@ -44,7 +44,7 @@ class CapacitySource(StrEnum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Cpu:
+class CpuUsage:
     """Capacity and use in cores; ``cores`` > 0, before limits."""
 
     cores: float
@@ -52,7 +52,7 @@ class Cpu:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MemoryUse:
+class MemoryUsage:
     """Capacity and use in bytes; ``total_bytes`` > 0, before limits."""
 
     total_bytes: float
@@ -116,7 +116,7 @@ class InterfaceSample:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Device:
+class DeviceSample:
     """What the device profiler says besides CPU and memory, where the host shows it."""
 
     load_1m: float | None = None
@@ -144,11 +144,11 @@ class HostSample:
     hint: str = ""
     sample_age_s: float = 0.0
     resident: bool = False
-    cpu: Cpu | None = None
-    memory: MemoryUse | None = None
+    cpu: CpuUsage | None = None
+    memory: MemoryUsage | None = None
     links: Mapping[str, LinkSample] = field(default_factory=dict)
     tasks: Mapping[str, TaskSample] = field(default_factory=dict)
-    device: Device = Device()
+    device: DeviceSample = DeviceSample()
     generations: Mapping[str, int] = field(default_factory=dict)
 
     @property
@@ -163,4 +163,14 @@ class Snapshot:
 
     taken_at: float
     hosts: Mapping[str, HostSample]
-    memory: Memory | None = None
+    manager: ManagerState | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BandwidthMeasurement:
+    """What one link carried in bytes/s; None with the ``error`` where it could not be measured."""
+
+    edge: str
+    robot: str
+    bytes_per_s: float | None
+    error: str = ""

@@ -35,14 +35,14 @@ class Demand:
     throughput: Quantity | None = None
 
 
-class Kind(StrEnum):
+class TaskKind(StrEnum):
     """A service runs until stopped; a job completes when it exits with 0."""
 
     SERVICE = "service"
     JOB = "job"
 
 
-class Until(StrEnum):
+class NeedCondition(StrEnum):
     """How far a predecessor must be before its successor may start."""
 
     RUNNING = "running"
@@ -50,7 +50,7 @@ class Until(StrEnum):
     COMPLETED = "completed"
 
 
-class Onboard(StrEnum):
+class OnboardRule(StrEnum):
     """Whether the task's own robot is a candidate host."""
 
     ALLOW = "allow"
@@ -58,7 +58,7 @@ class Onboard(StrEnum):
     ONLY = "only"
 
 
-class Restart(StrEnum):
+class RestartPolicy(StrEnum):
     """When the supervisor starts the command again."""
 
     ALWAYS = "always"
@@ -66,7 +66,7 @@ class Restart(StrEnum):
     NEVER = "never"
 
 
-class Where(StrEnum):
+class CheckLocation(StrEnum):
     """Where a check runs: on the host of the task, or on its robot."""
 
     HOST = "host"
@@ -80,7 +80,7 @@ class HandoffOrder(StrEnum):
     START_FIRST = "start-first"
 
 
-class OnUnreachable(StrEnum):
+class UnreachablePolicy(StrEnum):
     """What becomes of a task whose host does not answer."""
 
     HOLD = "hold"
@@ -92,7 +92,7 @@ class Need:
     """An order constraint: ``task`` (an expanded name) must be at least ``until``."""
 
     task: str
-    until: Until = Until.READY
+    until: NeedCondition = NeedCondition.READY
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -100,12 +100,12 @@ class Check:
     """A shell command that answers by its exit status (0 = yes) within ``timeout`` seconds."""
 
     command: str
-    on: Where = Where.HOST
+    on: CheckLocation = CheckLocation.HOST
     timeout: float = 20.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Stop:
+class StopRule:
     """How a task is stopped: ``signal`` to the tree, ``grace`` seconds, then KILL. Preset ``ros``: INT to the main process first."""
 
     signal: str = "TERM"
@@ -114,7 +114,7 @@ class Stop:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Handoff:
+class HandoffContract:
     """The contract of a move; each hook is a command on the robot unless its ``on`` says host."""
 
     order: HandoffOrder = HandoffOrder.STOP_FIRST
@@ -135,7 +135,7 @@ class HostRules:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Detect:
+class DetectRule:
     """How a task that edgectl did not start is recognised: a regular expression over command lines, or a ROS node's name."""
 
     cmdline: str | None = None
@@ -151,7 +151,7 @@ class TaskLimits:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Log:
+class LogLimits:
     """Bound of a task's log: ``files`` files of at most ``max_size`` bytes."""
 
     max_size: float = 10 * 2**20
@@ -179,20 +179,20 @@ class Task:
     priority: float = 0.0
     deadline: float | None = None
     hosts: HostRules = HostRules()
-    onboard: Onboard = Onboard.ALLOW
+    onboard: OnboardRule = OnboardRule.ALLOW
     managed: bool = True
-    detect: Detect | None = None
-    kind: Kind = Kind.SERVICE
+    detect: DetectRule | None = None
+    kind: TaskKind = TaskKind.SERVICE
     ready: Check | None = None
     done_when: Check | None = None
-    stop: Stop = Stop()
-    restart: Restart = Restart.ON_FAILURE
-    handoff: Handoff = Handoff()
+    stop: StopRule = StopRule()
+    restart: RestartPolicy = RestartPolicy.ON_FAILURE
+    handoff: HandoffContract = HandoffContract()
     env: Mapping[str, str] = field(default_factory=dict)
     workdir: str | None = None
     limits: TaskLimits = TaskLimits()
-    log: Log = Log()
-    on_unreachable: OnUnreachable = OnUnreachable.HOLD
+    log: LogLimits = LogLimits()
+    on_unreachable: UnreachablePolicy = UnreachablePolicy.HOLD
     replace_after: float = 120.0
     self_fence: float | None = None
     downtime_cost: float = 10.0

@@ -4,12 +4,12 @@ import heapq
 import math
 from collections.abc import Callable, Iterable
 
-from edgectl.model.order import natural_key
 from edgectl.model.policy import SequenceRule
 from edgectl.model.task import Task
+from edgectl.names import natural_key
 
 
-def sequence(tasks: Iterable[Task], rule: SequenceRule) -> tuple[Task, ...]:
+def order_tasks(tasks: Iterable[Task], rule: SequenceRule) -> tuple[Task, ...]:
     """The tasks in the order in which they are placed: again and again the first by key whose ``needs`` are all sequenced.
 
     Needs that name no task of the file are ignored here (they are missing predecessors later).
@@ -18,12 +18,14 @@ def sequence(tasks: Iterable[Task], rule: SequenceRule) -> tuple[Task, ...]:
         ValueError: the needs form a cycle.
     """
     by_name = {task.name: task for task in tasks}
-    waiting = {name: {need.task for need in task.needs if need.task in by_name} for name, task in by_name.items()}
+    waiting = {
+        name: {need.task for need in task.needs if need.task in by_name} for name, task in by_name.items()
+    }
     successors: dict[str, list[str]] = {name: [] for name in by_name}
     for name, needs in waiting.items():
         for need in needs:
             successors[need].append(name)
-    key = _KEYS[rule]
+    key = _SORT_KEYS[rule]
     eligible = [(key(by_name[name]), name) for name, needs in waiting.items() if not needs]
     heapq.heapify(eligible)
     ordered = []
@@ -40,16 +42,16 @@ def sequence(tasks: Iterable[Task], rule: SequenceRule) -> tuple[Task, ...]:
     return tuple(ordered)
 
 
-def _connectivity(task: Task) -> tuple[float, tuple[tuple[str | int, ...], str]]:
+def _connectivity_key(task: Task) -> tuple[float, tuple[tuple[str | int, ...], str]]:
     return -task.priority, natural_key(task.name)
 
 
-def _sensitivity(task: Task) -> tuple[float, float, tuple[tuple[str | int, ...], str]]:
+def _sensitivity_key(task: Task) -> tuple[float, float, tuple[tuple[str | int, ...], str]]:
     deadline = math.inf if task.deadline is None else task.deadline
     return deadline, -task.priority, natural_key(task.name)
 
 
-_KEYS: dict[SequenceRule, Callable[[Task], tuple[object, ...]]] = {
-    SequenceRule.CONNECTIVITY: _connectivity,
-    SequenceRule.SENSITIVITY: _sensitivity,
+_SORT_KEYS: dict[SequenceRule, Callable[[Task], tuple[object, ...]]] = {
+    SequenceRule.CONNECTIVITY: _connectivity_key,
+    SequenceRule.SENSITIVITY: _sensitivity_key,
 }

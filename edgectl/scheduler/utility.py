@@ -1,5 +1,7 @@
 """Equations (1)-(4) of the paper, each once, with nothing else in it."""
 
+from collections.abc import Iterable, Sequence
+
 from edgectl.model.assignment import Terms
 from edgectl.model.policy import Weights
 
@@ -20,4 +22,28 @@ def total_utility(weights: Weights, terms: Terms) -> float | None:
     """Weighted sum of the four terms, eq. (4); None where a term is missing. Between the least and the greatest term."""
     if terms.cpu is None or terms.memory is None or terms.network is None or terms.task is None:
         return None
-    return weights.cpu * terms.cpu + weights.memory * terms.memory + weights.network * terms.network + weights.task * terms.task
+    return (
+        weights.cpu * terms.cpu
+        + weights.memory * terms.memory
+        + weights.network * terms.network
+        + weights.task * terms.task
+    )
+
+
+def compute_affinity(predecessors: Sequence[int], place: int) -> int:
+    """a(h): +1 for each located predecessor at ``place``, -1 for each located elsewhere."""
+    here = predecessors.count(place)
+    return here - (len(predecessors) - here)
+
+
+def task_utilities(rewards: Iterable[int]) -> dict[int, float]:
+    """UT_task by reward: (m - r) / (m - 1) for rank r of the m distinct values, best first; 0.5 where all are equal. In 0..1."""
+    values = sorted(set(rewards), reverse=True)
+    if len(values) == 1:
+        return {values[0]: 0.5}
+    return {value: (len(values) - 1 - position) / (len(values) - 1) for position, value in enumerate(values)}
+
+
+def paper_task_utilities(rewards: Iterable[int], predecessors: int) -> dict[int, float]:
+    """Task_Utility of Algorithm 1 to the letter: +1 where a predecessor runs, else -1, by reward."""
+    return {value: 1.0 if value > -predecessors else -1.0 for value in rewards}

@@ -14,15 +14,15 @@ from pathlib import Path
 from typing import Self
 
 from edgectl.errors import StateError
-from edgectl.state.files import Warn, set_aside, silent
-from edgectl.state.journal_read import FORMAT, Entry, Log, read
-from edgectl.state.paths import open_private
-from edgectl.state.points import reached
+from edgectl.state.failpoints import hit_failpoint
+from edgectl.state.journal_reader import JOURNAL_FORMAT, JournalEntry, JournalSummary, read_journal
+from edgectl.state.json_files import Warn, ignore_warning, set_aside
+from edgectl.state.paths import open_private_file
 from edgectl.units import format_instant
 
-NAME = "journal.jsonl"
+JOURNAL_FILE_NAME = "journal.jsonl"
 # Every apply reads it.
-_LONG = 1 << 20
+_ROTATE_BYTES = 1 << 20
 
 
 @dataclass(slots=True)
@@ -30,14 +30,16 @@ class Journal:
     """The open journal of one fleet; safe to append to from several threads. Open it while holding the fleet's lock."""
 
     path: Path
-    log: Log
+    log: JournalSummary
     clock: Callable[[], float]
     _descriptor: int
     _last: str
     _guard: threading.Lock = field(default_factory=threading.Lock)
 
     @classmethod
-    def open(cls, fleet_dir: Path, *, clock: Callable[[], float] = time.time, warn: Warn = silent) -> Self:
+    def open(
+        cls, fleet_dir: Path, *, clock: Callable[[], float] = time.time, warn: Warn = ignore_warning
+    ) -> Self:
         """Open for appending. A torn last line is cut off and recorded; a damaged file is set aside and a new one begun.
 
         A long file is put away as ``journal-REVISION.jsonl``; the new one begins with the hash of its last line.
@@ -45,23 +47,33 @@ class Journal:
         Raises:
             StateError: a newer edgectl wrote it, or the disk does not take it.
         """
-        path = fleet_dir / NAME
-        log = read(path)
+        path = fleet_dir / JOURNAL_FILE_NAME
+        log = read_journal(path)
         salvaged = log
         if log.broken:
             warn(f"{path} is damaged at line {log.broken}; set aside as {set_aside(path).name}")
-            log = Log()
-        elif log.size > _LONG and log.sound:
+            log = JournalSummary()
+        elif log.size > _ROTATE_BYTES and log.sound:
             path.rename(path.with_name(f"journal-{log.revision}.jsonl"))
-            log = Log()
-        journal = cls(path=path, log=salvaged, clock=clock, _descriptor=open_private(path, os.O_WRONLY | os.O_APPEND), _last=log.last)
+            log = JournalSummary()
+        journal = cls(
+            path=path,
+            log=salvaged,
+            clock=clock,
+            _descriptor=open_private_file(path, os.O_WRONLY | os.O_APPEND),
+            _last=log.last,
+        )
         if log.torn:
             os.ftruncate(journal._descriptor, log.size)
-            warn(f"{path}: an unfinished last line ({log.torn} bytes) was cut off; the action it announced never began")
+            warn(
+                f"{path}: an unfinished last line ({log.torn} bytes) was cut off; the action it announced never began"
+            )
             journal.append("torn", bytes=log.torn)
         if log is not salvaged:
             applied = salvaged.applied if salvaged.broken else salvaged.begun
-            journal.append("continued", revision=salvaged.revision, applied=sorted(applied), after=salvaged.last)
+            journal.append(
+                "continued", revision=salvaged.revision, applied=sorted(applied), after=salvaged.last
+            )
         return journal
 
     def append(self, event: str, **fields: object) -> None:
@@ -71,18 +83,19 @@ class Journal:
             StateError: the disk does not take it; the caller must not go on to the side effect.
         """
         with self._guard:
-            body = {"v": FORMAT, "at": format_instant(self.clock()), "event": event, **fields}
-            line, digest = _line(body, self._last)
+            body = {"v": JOURNAL_FORMAT, "at": format_instant(self.clock()), "event": event, **fields}
+            line, digest = _encode_line(body, self._last)
             try:
                 _write_all(self._descriptor, line)
-                reached("intent written")
+                hit_failpoint("intent written")
                 os.fsync(self._descriptor)
             except OSError as error:
                 raise StateError(
-                    f"cannot write {self.path}: {error.strerror}", hint="free some space; nothing was done without a record"
+                    f"cannot write {self.path}: {error.strerror}",
+                    hint="free some space; nothing was done without a record",
                 ) from error
             self._last = digest
-        reached(f"{event} fsynced")
+        hit_failpoint(f"{event} fsynced")
 
     def close(self) -> None:
         """Close the file."""
@@ -100,7 +113,7 @@ def _write_all(descriptor: int, data: bytes) -> None:
         data = data[os.write(descriptor, data) :]
 
 
-def _line(body: Entry, previous: str) -> tuple[bytes, str]:
+def _encode_line(body: JournalEntry, previous: str) -> tuple[bytes, str]:
     text = json.dumps(body, ensure_ascii=True, allow_nan=False, separators=(",", ":"), sort_keys=True)
     digest = hashlib.sha256((previous + text).encode()).hexdigest()
     return f"{digest} {text}\n".encode(), digest

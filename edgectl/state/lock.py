@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Self
 
 from edgectl.errors import LockBusyError
-from edgectl.state.paths import open_private
-from edgectl.state.points import reached
+from edgectl.state.failpoints import hit_failpoint
+from edgectl.state.paths import open_private_file
 from edgectl.units import format_instant
 
 _POLL_S = 0.1
@@ -24,7 +24,14 @@ class FleetLock:
     ``timeout`` (s, 0 = do not wait). The holder writes who it is, so that another can be told.
     """
 
-    def __init__(self, fleet_dir: Path, *, verb: str = "apply", timeout: float = 0.0, clock: Callable[[], float] = time.time) -> None:
+    def __init__(
+        self,
+        fleet_dir: Path,
+        *,
+        verb: str = "apply",
+        timeout: float = 0.0,
+        clock: Callable[[], float] = time.time,
+    ) -> None:
         self._path = fleet_dir / "lock"
         self._verb = verb
         self._timeout = timeout
@@ -37,11 +44,11 @@ class FleetLock:
         Raises:
             LockBusyError: another process holds it; the message names it.
         """
-        descriptor = open_private(self._path, os.O_RDWR)
+        descriptor = open_private_file(self._path, os.O_RDWR)
         try:
             self._wait(descriptor)
             self._sign(descriptor)
-            reached("lock taken")
+            hit_failpoint("lock taken")
         except BaseException:
             os.close(descriptor)
             raise
@@ -53,7 +60,7 @@ class FleetLock:
             os.ftruncate(self._descriptor, 0)
             os.close(self._descriptor)
             self._descriptor = None
-            reached("lock released")
+            hit_failpoint("lock released")
 
     def _wait(self, descriptor: int) -> None:
         deadline = time.monotonic() + self._timeout
@@ -62,14 +69,17 @@ class FleetLock:
                 fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
                 if time.monotonic() >= deadline:
-                    raise LockBusyError(f"lock held by {_holder(descriptor)}", hint="wait for it, or give --lock-timeout 60s") from None
+                    raise LockBusyError(
+                        f"lock held by {_describe_holder(descriptor)}",
+                        hint="wait for it, or give --lock-timeout 60s",
+                    ) from None
                 time.sleep(_POLL_S)
             else:
                 return
 
     def _sign(self, descriptor: int) -> None:
         holder = {
-            "user": user(),
+            "user": get_user_name(),
             "host": socket.gethostname(),
             "pid": os.getpid(),
             "verb": self._verb,
@@ -79,7 +89,7 @@ class FleetLock:
         os.pwrite(descriptor, json.dumps(holder).encode() + b"\n", 0)
 
 
-def held_elsewhere(fleet_dir: Path) -> bool:
+def is_locked_elsewhere(fleet_dir: Path) -> bool:
     """Whether another process is changing the fleet right now; a look only, nobody waits for it."""
     try:
         descriptor = os.open(fleet_dir / "lock", os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW)
@@ -88,7 +98,7 @@ def held_elsewhere(fleet_dir: Path) -> bool:
     try:
         signed = os.pread(descriptor, 4096, 0)
         # One that nobody signed is free. One that was signed may be of a holder that was killed: only the kernel knows.
-        if not signed or _pid(signed) == os.getpid():
+        if not signed or _decode_holder_pid(signed) == os.getpid():
             return False
         fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -98,7 +108,7 @@ def held_elsewhere(fleet_dir: Path) -> bool:
     return False
 
 
-def user() -> str:
+def get_user_name() -> str:
     """Who runs this command."""
     try:
         return getpass.getuser()
@@ -106,7 +116,7 @@ def user() -> str:
         return str(os.getuid())
 
 
-def _pid(signed: bytes) -> object:
+def _decode_holder_pid(signed: bytes) -> object:
     try:
         holder = json.loads(signed)
     except ValueError:
@@ -114,7 +124,7 @@ def _pid(signed: bytes) -> object:
     return holder.get("pid") if isinstance(holder, dict) else None
 
 
-def _holder(descriptor: int) -> str:
+def _describe_holder(descriptor: int) -> str:
     try:
         holder = json.loads(os.pread(descriptor, 4096, 0))
         return f"{holder['user']}@{holder['host']} (pid {holder['pid']}, {holder['verb']}, since {holder['since']})"

@@ -9,55 +9,59 @@ import platformdirs
 
 from edgectl.errors import StateError
 
-_PRIVATE_DIR = 0o700
-PRIVATE_FILE = 0o600
+_DIR_MODE = 0o700
+FILE_MODE = 0o600
 
 
-def root() -> Path:
+def get_state_root() -> Path:
     """``$EDGECTL_STATE_DIR``, else the user's state directory for edgectl."""
     named = os.environ.get("EDGECTL_STATE_DIR")
     return Path(named) if named else Path(platformdirs.user_state_dir("edgectl", appauthor=False))
 
 
-def fleet_dir(inventory: Path) -> Path:
+def ensure_fleet_dir(inventory: Path) -> Path:
     """The directory of the fleet that the file ``inventory`` describes, created where missing.
 
     Raises:
         StateError: it belongs to somebody else, or others may write to it.
     """
-    return private_dir(fleet_path(inventory))
+    return ensure_private_dir(get_fleet_path(inventory))
 
 
-def fleet_path(inventory: Path) -> Path:
+def get_fleet_path(inventory: Path) -> Path:
     """Where ``fleet_dir`` is, whether it is there or not."""
     resolved = inventory.resolve()
     name = f"{resolved.stem}-{hashlib.sha256(os.fsencode(resolved)).hexdigest()[:8]}"
-    return root() / "fleets" / name
+    return get_state_root() / "fleets" / name
 
 
-def private_dir(path: Path) -> Path:
+def ensure_private_dir(path: Path) -> Path:
     """Create ``path`` (0700 from the start) and its parents, and check that it is ours alone."""
     try:
         for parent in reversed([path, *path.parents]):
             if not parent.exists():
-                parent.mkdir(mode=_PRIVATE_DIR, exist_ok=True)
+                parent.mkdir(mode=_DIR_MODE, exist_ok=True)
         status = path.lstat()
     except OSError as error:
         raise StateError(
-            f"cannot use state directory {path}: {error.strerror}", hint="set EDGECTL_STATE_DIR to a directory you own"
+            f"cannot use state directory {path}: {error.strerror}",
+            hint="set EDGECTL_STATE_DIR to a directory you own",
         ) from error
     if not stat.S_ISDIR(status.st_mode) or status.st_uid != os.getuid() or status.st_mode & 0o022:
-        raise StateError(f"state directory {path} is not private to you", hint=f"chown it to yourself and chmod 700 {path}")
+        raise StateError(
+            f"state directory {path} is not private to you", hint=f"chown it to yourself and chmod 700 {path}"
+        )
     return path
 
 
-def open_private(path: Path, flags: int) -> int:
+def open_private_file(path: Path, flags: int) -> int:
     """A descriptor of a file that only we may read, created so; links are not followed, children do not inherit it."""
     try:
-        return os.open(path, flags | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, PRIVATE_FILE)
+        return os.open(path, flags | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, FILE_MODE)
     except OSError as error:
         raise StateError(
-            f"cannot open {path}: {error.strerror}", hint="check that the state directory is yours and the disk is not full"
+            f"cannot open {path}: {error.strerror}",
+            hint="check that the state directory is yours and the disk is not full",
         ) from error
 
 

@@ -13,16 +13,20 @@ from edgectl.errors import StateError
 from edgectl.model.event import Event
 from edgectl.model.plan import Plan
 from edgectl.model.point import HandoffPoint, HostPoint, LinkPoint, TaskPoint
-from edgectl.model.profile import Use
+from edgectl.model.profile import UsageSample
 from edgectl.model.result import Results
 from edgectl.model.snapshot import Snapshot
-from edgectl.state import store_events as happened
-from edgectl.state import store_prune as pruning
+from edgectl.state import store_events, store_prune, store_write
 from edgectl.state import store_rows as rows
-from edgectl.state import store_write as write
-from edgectl.state.files import Warn, silent
-from edgectl.state.store_file import NAME, connect, identity, passing, retire
-from edgectl.state.store_rows import DamagedError, Form
+from edgectl.state.json_files import Warn, ignore_warning
+from edgectl.state.store_file import (
+    HISTORY_FILE_NAME,
+    get_file_identity,
+    is_transient_error,
+    open_database,
+    set_aside_database,
+)
+from edgectl.state.store_rows import DamagedRowError, RowMapper
 
 Value = TypeVar("Value")
 _DAY_S = 86400.0
@@ -50,9 +54,11 @@ class Store:
         self._warned = False
 
     @classmethod
-    def open(cls, fleet_dir: Path, *, warn: Warn = silent, retention: Retention | None = None) -> "Store":
+    def open(
+        cls, fleet_dir: Path, *, warn: Warn = ignore_warning, retention: Retention | None = None
+    ) -> "Store":
         """The history in ``fleet_dir``. What is in the way of it is said through ``warn``, once; a broken file is set aside."""
-        store = cls(fleet_dir / NAME, warn, retention or Retention())
+        store = cls(fleet_dir / HISTORY_FILE_NAME, warn, retention or Retention())
         store._guarded(lambda _connection: None, None)
         return store
 
@@ -77,11 +83,11 @@ class Store:
         """
 
         def record(connection: sqlite3.Connection) -> None:
-            write.samples(connection, snapshot)
-            known = write.known(connection)
-            events, after = happened.seen(known, snapshot, changing=changing)
-            write.events(connection, events)
-            write.learn(connection, known, after)
+            store_write.write_samples(connection, snapshot)
+            known = store_write.load_known_fleet(connection)
+            events, after = store_events.detect_events(known, snapshot, changing=changing)
+            store_write.write_events(connection, events)
+            store_write.write_known_fleet(connection, known, after)
 
         self._write(record)
 
@@ -89,11 +95,11 @@ class Store:
         """Keep what a plan would do; an event tells of it unless the plan before it would do the same."""
 
         def record(connection: sqlite3.Connection) -> None:
-            event = happened.planned(plan)
-            if event is not None and not write.planned_before(connection, plan):
-                write.events(connection, [event])
-            write.plan(connection, plan)
-            write.news(connection, happened.unplaced(plan))
+            event = store_events.build_plan_event(plan)
+            if event is not None and not store_write.is_plan_repeated(connection, plan):
+                store_write.write_events(connection, [event])
+            store_write.write_plan(connection, plan)
+            store_write.write_new_events(connection, store_events.build_unplaced_events(plan))
 
         self._write(record)
 
@@ -101,48 +107,68 @@ class Store:
         """Keep what an apply that ended at ``at`` (s since 1970) did, and the events of it."""
 
         def record(connection: sqlite3.Connection) -> None:
-            write.actions(connection, results, at)
-            known = write.known(connection)
-            events, after = happened.done(known, results, at)
-            write.news(connection, events)
-            write.learn(connection, known, after)
+            store_write.write_actions(connection, results, at)
+            known = store_write.load_known_fleet(connection)
+            events, after = store_events.detect_result_events(known, results, at)
+            store_write.write_new_events(connection, events)
+            store_write.write_known_fleet(connection, known, after)
 
         self._write(record)
 
     def record_events(self, events: Iterable[Event]) -> None:
         """Keep events that are found elsewhere."""
         found = list(events)
-        self._write(lambda connection: write.events(connection, found))
+        self._write(lambda connection: store_write.write_events(connection, found))
 
     # -- reading -------------------------------------------------------------------------------------------------------------------------
 
-    def host_points(self, host: str | None = None, *, since: float | None = None, limit: int | None = None) -> tuple[HostPoint, ...]:
+    def host_points(
+        self, host: str | None = None, *, since: float | None = None, limit: int | None = None
+    ) -> tuple[HostPoint, ...]:
         """Samples of ``host`` or of all, oldest first; of each the newest ``limit``, not older than ``since`` (s since 1970)."""
         return self._newest(
-            rows.HOSTS, "host_samples", "host", "SELECT host, host FROM known_hosts WHERE ?1 IS NULL OR host = ?1", (host,), since, limit
+            rows.HOSTS,
+            "host_samples",
+            "host",
+            "SELECT host, host FROM known_hosts WHERE ?1 IS NULL OR host = ?1",
+            (host,),
+            since,
+            limit,
         )
 
     def link_points(
-        self, edge: str | None = None, robot: str | None = None, *, since: float | None = None, limit: int | None = None
+        self,
+        edge: str | None = None,
+        robot: str | None = None,
+        *,
+        since: float | None = None,
+        limit: int | None = None,
     ) -> tuple[LinkPoint, ...]:
         """Samples of the links of ``edge`` to ``robot`` or of all, oldest first; of each the newest ``limit``."""
         links = "SELECT link, link FROM links WHERE (?1 IS NULL OR edge = ?1) AND (?2 IS NULL OR robot = ?2)"
         return self._newest(rows.LINKS, "link_samples", "link", links, (edge, robot), since, limit)
 
-    def task_points(self, task: str | None = None, *, since: float | None = None, limit: int | None = None) -> tuple[TaskPoint, ...]:
+    def task_points(
+        self, task: str | None = None, *, since: float | None = None, limit: int | None = None
+    ) -> tuple[TaskPoint, ...]:
         """Samples of ``task`` or of all, on whatever host, oldest first; of each task the newest ``limit``."""
         starts = "SELECT start, task FROM starts WHERE ?1 IS NULL OR task = ?1"
         return self._newest(rows.TASKS, "task_samples", "start", starts, (task,), since, limit)
 
-    def steady_uses(self, task: str, hosts: Collection[str], spec_hash: str, *, min_age_s: float, limit: int) -> tuple[Use, ...]:
+    def steady_usages(
+        self, task: str, hosts: Collection[str], spec_hash: str, *, min_age_s: float, limit: int
+    ) -> tuple[UsageSample, ...]:
         """The newest ``limit`` samples of ``task`` on ``hosts`` with this specification, up and older than ``min_age_s``; newest first."""
         starts = "SELECT start, host FROM starts WHERE task = ? AND spec_hash = ? ORDER BY start DESC"
 
-        def read(connection: sqlite3.Connection) -> tuple[Use, ...]:
-            found: list[Use] = []
+        def read(connection: sqlite3.Connection) -> tuple[UsageSample, ...]:
+            found: list[UsageSample] = []
             for start, host in connection.execute(starts, (task, spec_hash)).fetchall():
                 if host in hosts and len(found) < limit:
-                    found += map(rows.use, connection.execute(rows.USES, (start, min_age_s, limit - len(found))))
+                    found += map(
+                        rows.decode_usage,
+                        connection.execute(rows.USAGE_QUERY, (start, min_age_s, limit - len(found))),
+                    )
             return tuple(found)
 
         return self._guarded(read, ())
@@ -150,24 +176,36 @@ class Store:
     def handoffs(self, *, since: float | None = None, limit: int | None = None) -> tuple[HandoffPoint, ...]:
         """Moves and restarts that were carried out or failed, oldest first; the newest ``limit``."""
         sql = rows.HANDOFFS.select("handoffs", "WHERE at >= ? ORDER BY id DESC LIMIT ?")
-        return self._select(rows.HANDOFFS, sql, (_from(since), _most(limit)))[::-1]
+        return self._select(rows.HANDOFFS, sql, (_since_or_earliest(since), _limit_or_all(limit)))[::-1]
 
     def events(
-        self, *, after: int = 0, since: float | None = None, host: str | None = None, task: str | None = None, limit: int | None = None
+        self,
+        *,
+        after: int = 0,
+        since: float | None = None,
+        host: str | None = None,
+        task: str | None = None,
+        limit: int | None = None,
     ) -> tuple[Event, ...]:
         """Events with an id above ``after``, not older than ``since``, of ``host`` and ``task`` where given, oldest first."""
         fitting = "WHERE id > ?1 AND at >= ?2 AND (?3 IS NULL OR host = ?3) AND (?4 IS NULL OR task = ?4)"
         sql = rows.EVENTS.select("events", f"{fitting} ORDER BY id DESC LIMIT ?5")
-        return self._select(rows.EVENTS, sql, (after, _from(since), host, task, _most(limit)))[::-1]
+        return self._select(
+            rows.EVENTS, sql, (after, _since_or_earliest(since), host, task, _limit_or_all(limit))
+        )[::-1]
 
-    def stream(self, form: Form[Value], table: str, order: str, *, since: float | None = None) -> Iterator[Value]:
+    def stream(
+        self, form: RowMapper[Value], table: str, order: str, *, since: float | None = None
+    ) -> Iterator[Value]:
         """Rows of ``table`` not older than ``since``, sorted by ``order``, one after the other: they need not fit into memory.
 
         Raises:
             StateError: the history cannot be read to its end.
         """
         try:
-            for row in self._use().execute(form.select(table, f"WHERE at >= ? ORDER BY {order}"), (_from(since),)):
+            for row in self._use().execute(
+                form.select(table, f"WHERE at >= ? ORDER BY {order}"), (_since_or_earliest(since),)
+            ):
                 yield form.read(row)
         except (sqlite3.Error, ValueError, OverflowError, OSError) as error:
             raise StateError(f"the history cannot be read to its end: {self._path}: {error}") from error
@@ -177,22 +215,26 @@ class Store:
     def prune(self, now: float) -> None:
         """Drop what is older than the retention at ``now``, and the oldest samples while the file is larger than it may be."""
         keep = self._retention
-        self._write(lambda connection: pruning.drop(connection, samples=now - keep.samples_s, records=now - keep.records_s))
-        self._guarded(lambda connection: pruning.shrink(connection, keep.max_bytes), None)
-        self._write(lambda connection: pruning.mark(connection, now))
+        self._write(
+            lambda connection: store_prune.delete_expired(
+                connection, samples=now - keep.samples_s, records=now - keep.records_s
+            )
+        )
+        self._guarded(lambda connection: store_prune.shrink_database(connection, keep.max_bytes), None)
+        self._write(lambda connection: store_prune.write_prune_time(connection, now))
 
-    def prune_due(self, now: float) -> bool:
+    def is_prune_due(self, now: float) -> bool:
         """Whether an hour has passed since the last prune, by any edgectl, or since the first time that this was asked."""
-        at = self._guarded(pruning.marked, now)
+        at = self._guarded(store_prune.read_prune_time, now)
         if at == 0.0:
-            self._write(lambda connection: pruning.mark(connection, now))
+            self._write(lambda connection: store_prune.write_prune_time(connection, now))
         return at != 0.0 and abs(now - at) >= _PRUNE_EVERY_S
 
     # -- the file ------------------------------------------------------------------------------------------------------------------------
 
     def _newest(
         self,
-        form: Form[Value],
+        form: RowMapper[Value],
         table: str,
         key: str,
         groups: str,
@@ -206,14 +248,18 @@ class Store:
         def read(connection: sqlite3.Connection) -> tuple[Value, ...]:
             found: dict[object, list[rows.Row]] = {}
             for each, group in connection.execute(groups, wanted).fetchall():
-                found.setdefault(group, []).extend(connection.execute(sql, (each, _from(since), _most(limit))))
-            kept = [row for group in found.values() for row in _last(group, limit)]
-            return tuple(form.read(row) for row in sorted(kept, key=_at))
+                found.setdefault(group, []).extend(
+                    connection.execute(sql, (each, _since_or_earliest(since), _limit_or_all(limit)))
+                )
+            kept = [row for group in found.values() for row in _select_newest(group, limit)]
+            return tuple(form.read(row) for row in sorted(kept, key=_get_row_instant))
 
         return self._guarded(read, ())
 
-    def _select(self, form: Form[Value], sql: str, values: Sequence[object]) -> tuple[Value, ...]:
-        return self._guarded(lambda connection: tuple(form.read(row) for row in connection.execute(sql, values)), ())
+    def _select(self, form: RowMapper[Value], sql: str, values: Sequence[object]) -> tuple[Value, ...]:
+        return self._guarded(
+            lambda connection: tuple(form.read(row) for row in connection.execute(sql, values)), ()
+        )
 
     def _write(self, act: Callable[[sqlite3.Connection], None]) -> None:
         def within(connection: sqlite3.Connection) -> None:
@@ -233,8 +279,10 @@ class Store:
         for _ in range(2):
             try:
                 return act(self._use())
-            except (sqlite3.Error, DamagedError) as error:
-                if (isinstance(error, sqlite3.Error) and passing(error)) or not self._set_aside(error):
+            except (sqlite3.Error, DamagedRowError) as error:
+                if (isinstance(error, sqlite3.Error) and is_transient_error(error)) or not self._set_aside(
+                    error
+                ):
                     self._say(f"history is not kept: {self._path}: {error}")
                     return default
             except (OSError, StateError, ValueError, OverflowError) as error:
@@ -243,20 +291,20 @@ class Store:
         return default
 
     def _use(self) -> sqlite3.Connection:
-        if self._connection is not None and identity(self._path) != self._opened:
+        if self._connection is not None and get_file_identity(self._path) != self._opened:
             # Another edgectl set it aside, or somebody took it away.
             self.close()
         if self._connection is None:
-            self._opened = identity(self._path)
-            self._connection = connect(self._path)
-            self._opened = identity(self._path)
+            self._opened = get_file_identity(self._path)
+            self._connection = open_database(self._path)
+            self._opened = get_file_identity(self._path)
         return self._connection
 
     def _set_aside(self, error: Exception) -> bool:
         """Whether the broken file is out of the way."""
         self.close()
         try:
-            aside = retire(self._path, self._opened)
+            aside = set_aside_database(self._path, self._opened)
         except OSError:
             return False
         if aside is not None:
@@ -269,18 +317,22 @@ class Store:
             self._warn(text)
 
 
-def _from(since: float | None) -> float:
+def _since_or_earliest(since: float | None) -> float:
     return -1e300 if since is None else since
 
 
-def _most(limit: int | None) -> int:
+def _limit_or_all(limit: int | None) -> int:
     return -1 if limit is None else limit
 
 
-def _at(row: rows.Row) -> float:
-    return rows.real(row[0])
+def _get_row_instant(row: rows.Row) -> float:
+    return rows.decode_real(row[0])
 
 
-def _last(found: Sequence[rows.Row], limit: int | None) -> Sequence[rows.Row]:
+def _select_newest(found: Sequence[rows.Row], limit: int | None) -> Sequence[rows.Row]:
     """The newest ``limit`` rows of a group that may have several keys."""
-    return found if limit is None or len(found) <= limit else sorted(found, key=_at, reverse=True)[:limit]
+    return (
+        found
+        if limit is None or len(found) <= limit
+        else sorted(found, key=_get_row_instant, reverse=True)[:limit]
+    )

@@ -14,13 +14,13 @@ from edgectl.units import format_duration
 # clock was set back.
 _OVERTAKEN_S = 600.0
 # The largest whole number that SQLite holds is far above.
-_MOST_RESTARTS = 2**31
-_ENDINGS = {
+_MAX_RESTARTS = 2**31
+_ENDING_EVENTS = {
     TaskState.COMPLETED: EventKind.TASK_COMPLETED,
     TaskState.FAILED: EventKind.TASK_FAILED,
     TaskState.CRASHLOOP: EventKind.TASK_CRASHLOOP,
 }
-_DONE = {
+_DONE_EVENTS = {
     Action.START: EventKind.TASK_STARTED,
     Action.STOP: EventKind.TASK_STOPPED,
     Action.COMPLETE: EventKind.TASK_STOPPED,
@@ -51,62 +51,86 @@ class KnownTask:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Known:
+class KnownFleet:
     """The last picture of every host and task ever seen."""
 
     hosts: Mapping[str, KnownHost] = field(default_factory=dict)
     tasks: Mapping[str, KnownTask] = field(default_factory=dict)
 
 
-def seen(known: Known, snapshot: Snapshot, *, changing: bool = False) -> tuple[tuple[Event, ...], Known]:
+def detect_events(
+    known: KnownFleet, snapshot: Snapshot, *, changing: bool = False
+) -> tuple[tuple[Event, ...], KnownFleet]:
     """What ``snapshot`` shows that was not known, and all that is known then. The same picture again, or an older one, shows nothing.
 
     A host that was never seen before gives no event for what is well there. ``changing``: another edgectl is at work on the fleet;
     tasks that come and go are left to its own record.
     """
     at = snapshot.taken_at
-    hosts = {name: sample for name, sample in snapshot.hosts.items() if _later(at, known.hosts.get(name))}
-    events = [event for name, sample in hosts.items() for event in _host_events(at, name, sample, known.hosts.get(name))]
-    after_hosts = {name: _host_known(at, sample, known.hosts.get(name)) for name, sample in hosts.items()}
+    hosts = {name: sample for name, sample in snapshot.hosts.items() if _is_newer(at, known.hosts.get(name))}
+    events = [
+        event
+        for name, sample in hosts.items()
+        for event in _detect_host_events(at, name, sample, known.hosts.get(name))
+    ]
+    after_hosts = {
+        name: _update_known_host(at, sample, known.hosts.get(name)) for name, sample in hosts.items()
+    }
     after_tasks: dict[str, KnownTask] = {}
-    for name, now in _standing(at, hosts, known).items():
+    for name, now in _locate_tasks(at, hosts, known).items():
         before = known.tasks.get(name)
-        if _later(at, before) and not (changing and _came_or_went(before, now)):
-            events += _task_events(name, before, now, quiet=before is None and now.host not in known.hosts)
+        if _is_newer(at, before) and not (changing and _has_arrived_or_left(before, now)):
+            events += _detect_task_events(
+                name, before, now, quiet=before is None and now.host not in known.hosts
+            )
             after_tasks[name] = now.known(before)
-    return tuple(events), Known(hosts={**known.hosts, **after_hosts}, tasks={**known.tasks, **after_tasks})
+    return tuple(events), KnownFleet(
+        hosts={**known.hosts, **after_hosts}, tasks={**known.tasks, **after_tasks}
+    )
 
 
-def _later(at: float, known: KnownHost | KnownTask | None) -> bool:
+def _is_newer(at: float, known: KnownHost | KnownTask | None) -> bool:
     return known is None or at > known.at or known.at - at > _OVERTAKEN_S
 
 
 # -- hosts -------------------------------------------------------------------------------------------------------------------------------
 
 
-def _host_known(at: float, sample: HostSample, before: KnownHost | None) -> KnownHost:
+def _update_known_host(at: float, sample: HostSample, before: KnownHost | None) -> KnownHost:
     since = before.since if before is not None and before.status is sample.status else at
     boot_id = sample.device.boot_id or (before.boot_id if before else "")
     return KnownHost(at=at, since=since, status=sample.status, boot_id=boot_id)
 
 
-def _host_events(at: float, name: str, sample: HostSample, before: KnownHost | None) -> Iterator[Event]:
+def _detect_host_events(
+    at: float, name: str, sample: HostSample, before: KnownHost | None
+) -> Iterator[Event]:
     was_ok = before is None or before.status is HostStatus.OK
     if not sample.ok:
         if was_ok:
             yield Event(at=at, kind=EventKind.HOST_LOST, host=name, message=sample.error)
         return
     if before is not None and not was_ok:
-        yield Event(at=at, kind=EventKind.HOST_BACK, host=name, message=f"after {format_duration(max(0.0, at - before.since))}")
+        yield Event(
+            at=at,
+            kind=EventKind.HOST_BACK,
+            host=name,
+            message=f"after {format_duration(max(0.0, at - before.since))}",
+        )
     if before is not None and before.boot_id and sample.device.boot_id not in ("", before.boot_id):
-        yield Event(at=at, kind=EventKind.HOST_REBOOTED, host=name, message="it runs since another start of the machine")
+        yield Event(
+            at=at,
+            kind=EventKind.HOST_REBOOTED,
+            host=name,
+            message="it runs since another start of the machine",
+        )
 
 
 # -- tasks -------------------------------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Now:
+class _SeenTask:
     """One task in the picture: where it stands, or that it stands nowhere."""
 
     at: float
@@ -118,63 +142,81 @@ class _Now:
         if self.sample is None:
             after = KnownTask(at=self.at, host=None, instance=before.instance if before else "")
         else:
-            restarts = min(self.sample.restarts, _MOST_RESTARTS)
-            after = KnownTask(at=self.at, host=self.host, state=self.sample.state, instance=self.sample.instance, restarts=restarts)
+            restarts = min(self.sample.restarts, _MAX_RESTARTS)
+            after = KnownTask(
+                at=self.at,
+                host=self.host,
+                state=self.sample.state,
+                instance=self.sample.instance,
+                restarts=restarts,
+            )
         return before if before is not None and dataclasses.replace(after, at=before.at) == before else after
 
 
-def _standing(at: float, hosts: Mapping[str, HostSample], known: Known) -> dict[str, _Now]:
+def _locate_tasks(at: float, hosts: Mapping[str, HostSample], known: KnownFleet) -> dict[str, _SeenTask]:
     """Where each task stands that the picture tells of: it is there, or its host answers and it is not."""
-    found: dict[str, _Now] = {}
+    found: dict[str, _SeenTask] = {}
     for host, sample in hosts.items():
         for name, task in sample.tasks.items():
-            here = _Now(at=at, host=host, sample=task)
+            here = _SeenTask(at=at, host=host, sample=task)
             best = found.get(name)
-            if _left_over(here, known.tasks.get(name)):
+            if _is_leftover(here, known.tasks.get(name)):
                 continue
-            if best is None or _weight(here, known.tasks.get(name)) > _weight(best, known.tasks.get(name)):
+            if best is None or _rank_location(here, known.tasks.get(name)) > _rank_location(
+                best, known.tasks.get(name)
+            ):
                 found[name] = here
     for name, before in known.tasks.items():
         there = hosts.get(before.host or "")
         if name not in found and there is not None and there.ok:
-            found[name] = _Now(at=at)
+            found[name] = _SeenTask(at=at)
     return found
 
 
-def _left_over(now: _Now, before: KnownTask | None) -> bool:
+def _is_leftover(now: _SeenTask, before: KnownTask | None) -> bool:
     """Whether this is what an earlier run left behind: dead, and not where the task is known to be, or of the run that is over."""
     if before is None or now.sample is None or now.sample.state.alive:
         return False
     return before.instance == now.sample.instance if before.host is None else before.host != now.host
 
 
-def _weight(now: _Now, before: KnownTask | None) -> tuple[bool, bool, float]:
+def _rank_location(now: _SeenTask, before: KnownTask | None) -> tuple[bool, bool, float]:
     """Of several places of one task, the one that counts: it lives there, it was there, it began last."""
     sample = now.sample or TaskSample(state=TaskState.COMPLETED)
     return sample.state.alive, before is not None and before.host == now.host, sample.started_at
 
 
-def _came_or_went(before: KnownTask | None, now: _Now) -> bool:
+def _has_arrived_or_left(before: KnownTask | None, now: _SeenTask) -> bool:
     if before is None or now.sample is None or before.host != now.host:
         return True
     return before.instance != now.sample.instance
 
 
-def _task_events(name: str, before: KnownTask | None, now: _Now, *, quiet: bool) -> Iterator[Event]:
+def _detect_task_events(
+    name: str, before: KnownTask | None, now: _SeenTask, *, quiet: bool
+) -> Iterator[Event]:
     if now.sample is None:
         if before is not None and before.state is not None and before.state.alive:
-            yield Event(at=now.at, kind=EventKind.TASK_LOST, host=before.host, task=name, message="gone, and no edgectl here stopped it")
+            yield Event(
+                at=now.at,
+                kind=EventKind.TASK_LOST,
+                host=before.host,
+                task=name,
+                message="gone, and no edgectl here stopped it",
+            )
         return
-    event = None if quiet else _arrival(before, now.host, now.sample)
+    event = None if quiet else _classify_arrival(before, now.host, now.sample)
     state = before.state if before is not None else None
     if event is not None:
         kind, message = event
         yield Event(at=now.at, kind=kind, host=now.host, task=name, message=message)
         state = None
-    yield from _state_events(name, state, now, now.sample, fresh=event is not None or before is None)
+    yield from _detect_state_events(name, state, now, now.sample, fresh=event is not None or before is None)
 
 
-def _arrival(before: KnownTask | None, host: str | None, sample: TaskSample) -> tuple[EventKind, str] | None:
+def _classify_arrival(
+    before: KnownTask | None, host: str | None, sample: TaskSample
+) -> tuple[EventKind, str] | None:
     """How the task came to be what it is now, if it came since."""
     if before is None or before.host is None:
         return (EventKind.TASK_STARTED, "found running") if sample.state.alive else None
@@ -183,26 +225,36 @@ def _arrival(before: KnownTask | None, host: str | None, sample: TaskSample) -> 
     if before.instance and sample.instance and before.instance != sample.instance:
         return EventKind.TASK_RESTARTED, "found started anew"
     if before.instance and sample.restarts > before.restarts:
-        return EventKind.TASK_RESTARTED, _by_itself(sample, sample.restarts - before.restarts)
+        return EventKind.TASK_RESTARTED, _describe_supervisor_restarts(
+            sample, sample.restarts - before.restarts
+        )
     return None
 
 
-def _by_itself(sample: TaskSample, times: int) -> str:
+def _describe_supervisor_restarts(sample: TaskSample, times: int) -> str:
     often = "once" if times == 1 else f"{times} times"
     why = "" if sample.last_exit is None else f", after exit code {sample.last_exit}"
     return f"by its supervisor {often}{why}"
 
 
-def _state_events(name: str, state: TaskState | None, now: _Now, sample: TaskSample, *, fresh: bool) -> Iterator[Event]:
+def _detect_state_events(
+    name: str, state: TaskState | None, now: _SeenTask, sample: TaskSample, *, fresh: bool
+) -> Iterator[Event]:
     if sample.state is state:
         return
-    if sample.state in _ENDINGS:
-        yield Event(at=now.at, kind=_ENDINGS[sample.state], host=now.host, task=name, message=_ending(sample))
+    if sample.state in _ENDING_EVENTS:
+        yield Event(
+            at=now.at,
+            kind=_ENDING_EVENTS[sample.state],
+            host=now.host,
+            task=name,
+            message=_describe_ending(sample),
+        )
     elif sample.state is TaskState.READY and not fresh:
         yield Event(at=now.at, kind=EventKind.TASK_READY, host=now.host, task=name)
 
 
-def _ending(sample: TaskSample) -> str:
+def _describe_ending(sample: TaskSample) -> str:
     code = "" if sample.exit_code is None else f"exit code {sample.exit_code}"
     return "; ".join(part for part in (code, sample.detail) if part)
 
@@ -210,35 +262,63 @@ def _ending(sample: TaskSample) -> str:
 # -- an apply ----------------------------------------------------------------------------------------------------------------------------
 
 
-def done(known: Known, results: Results, at: float) -> tuple[tuple[Event, ...], Known]:
+def detect_result_events(
+    known: KnownFleet, results: Results, at: float
+) -> tuple[tuple[Event, ...], KnownFleet]:
     """What an apply that ended at ``at`` did, and all that is known then."""
-    events = [event for result in results.actions for event in _result_events(result, at)]
-    after = {result.task: task for result in results.actions if (task := _left(known.tasks.get(result.task), result, at)) is not None}
+    events = [event for result in results.actions for event in _build_result_events(result, at)]
+    after = {
+        result.task: task
+        for result in results.actions
+        if (task := _update_known_task(known.tasks.get(result.task), result, at)) is not None
+    }
     return tuple(events), dataclasses.replace(known, tasks={**known.tasks, **after})
 
 
-def _result_events(result: ActionResult, at: float) -> Iterator[Event]:
+def _build_result_events(result: ActionResult, at: float) -> Iterator[Event]:
     host = result.host or result.previous_host
-    if result.outcome is Outcome.DONE and result.action in _DONE:
-        yield Event(at=at, kind=_DONE[result.action], host=host, task=result.task, message=_how(result))
+    if result.outcome is Outcome.DONE and result.action in _DONE_EVENTS:
+        yield Event(
+            at=at,
+            kind=_DONE_EVENTS[result.action],
+            host=host,
+            task=result.task,
+            message=_describe_result(result),
+        )
     elif result.outcome is Outcome.DEFERRED:
-        yield Event(at=at, kind=EventKind.TASK_DEFERRED, host=host, task=result.task, message=f"{result.action}: {result.error}")
+        yield Event(
+            at=at,
+            kind=EventKind.TASK_DEFERRED,
+            host=host,
+            task=result.task,
+            message=f"{result.action}: {result.error}",
+        )
     elif result.outcome is Outcome.FAILED:
-        yield Event(at=at, kind=EventKind.ACTION_FAILED, host=host, task=result.task, message=f"{result.action}: {result.error}")
+        yield Event(
+            at=at,
+            kind=EventKind.ACTION_FAILED,
+            host=host,
+            task=result.task,
+            message=f"{result.action}: {result.error}",
+        )
 
 
-def _how(result: ActionResult) -> str:
+def _describe_result(result: ActionResult) -> str:
     parts = []
     if result.action is Action.MOVE and result.previous_host:
         parts.append(f"from {result.previous_host}")
     if result.action is Action.COMPLETE:
         parts.append("it has completed")
     seconds = sum(phase.seconds for phase in result.phases)
-    parts.append(f"took {format_duration(seconds)}" if result.downtime_s is None else f"gap {format_duration(result.downtime_s)}")
+    parts.append(
+        f"took {format_duration(seconds)}"
+        if result.downtime_s is None
+        else f"gap {format_duration(result.downtime_s)}"
+    )
     return ", ".join(parts)
 
 
-def _left(before: KnownTask | None, result: ActionResult, at: float) -> KnownTask | None:
+def _update_known_task(before: KnownTask | None, result: ActionResult, at: float) -> KnownTask | None:
     """How the action leaves the task; None where it left it as it was."""
     touched = result.outcome is Outcome.DONE or (result.outcome is Outcome.FAILED and bool(result.phases))
     if not touched:
@@ -252,16 +332,21 @@ def _left(before: KnownTask | None, result: ActionResult, at: float) -> KnownTas
 # -- a plan ------------------------------------------------------------------------------------------------------------------------------
 
 
-def planned(plan: Plan) -> Event | None:
+def build_plan_event(plan: Plan) -> Event | None:
     """What a plan would change; None where it would change nothing."""
     counts = [f"{count} {action}" for action, count in plan.summary.items() if action.changes]
     return Event(at=plan.created_at, kind=EventKind.PLANNED, message=", ".join(counts)) if counts else None
 
 
-def unplaced(plan: Plan) -> tuple[Event, ...]:
+def build_unplaced_events(plan: Plan) -> tuple[Event, ...]:
     """The tasks that have no place in ``plan``."""
     return tuple(
-        Event(at=plan.created_at, kind=EventKind.TASK_UNPLACED, task=step.task, message=step.decision.reason.value)
+        Event(
+            at=plan.created_at,
+            kind=EventKind.TASK_UNPLACED,
+            task=step.task,
+            message=step.decision.reason.value,
+        )
         for step in plan.steps
         if step.action is Action.UNPLACED
     )

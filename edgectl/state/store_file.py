@@ -9,23 +9,23 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from edgectl.errors import StateError
-from edgectl.state.files import set_aside
-from edgectl.state.paths import open_private
+from edgectl.state.json_files import set_aside
+from edgectl.state.paths import open_private_file
 
-NAME = "history.db"
+HISTORY_FILE_NAME = "history.db"
 _BUSY_S = 5.0
-_PARTS = ("-wal", "-shm")
+_SIDE_FILE_SUFFIXES = ("-wal", "-shm")
 # Each may be as large as a history may become.
-_BROKEN_KEPT = 2
+_MAX_BROKEN_FILES = 2
 # What says nothing of the file itself: another try, another disk or another hour may succeed. All else means damage.
-_PASSING = frozenset({
+_TRANSIENT_CODES = frozenset({
     sqlite3.SQLITE_PERM, sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED, sqlite3.SQLITE_NOMEM, sqlite3.SQLITE_READONLY,
     sqlite3.SQLITE_INTERRUPT, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_FULL, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_TOOBIG,
     sqlite3.SQLITE_CONSTRAINT, sqlite3.SQLITE_NOLFS, sqlite3.SQLITE_AUTH,
 })  # fmt: skip
 # Rows of one host, link or start lie together, oldest first: the newest of one are one seek away, and the oldest are deleted so. Names
 # that repeat stand once, in `links` and `starts`; the views put them beside the numbers for whoever looks with SQL.
-_TABLES = """
+_BASE_SCHEMA = """
 CREATE TABLE host_samples (
   host TEXT NOT NULL, at REAL NOT NULL, status TEXT NOT NULL, cores REAL, used_cores REAL, total_bytes REAL, used_bytes REAL,
   rx_bytes_per_s REAL, tx_bytes_per_s REAL, PRIMARY KEY (host, at)) STRICT, WITHOUT ROWID;
@@ -66,7 +66,7 @@ CREATE TABLE known_tasks (
   STRICT, WITHOUT ROWID;
 CREATE TABLE marks (name TEXT PRIMARY KEY, at REAL NOT NULL) STRICT, WITHOUT ROWID;
 """
-_METRICS = """
+_METRICS_SCHEMA = """
 CREATE TABLE metrics (
   metric INTEGER PRIMARY KEY, start INTEGER NOT NULL, name TEXT NOT NULL, UNIQUE (start, name)) STRICT;
 CREATE TABLE readings (
@@ -75,20 +75,20 @@ CREATE VIEW metric_samples AS
   SELECT at, task, host, name, value, instance, spec_hash, metric FROM starts JOIN metrics USING (start) JOIN readings USING (metric);
 """
 # What each schema adds to the one before.
-_STEPS = (_TABLES, _METRICS)
-SCHEMA = len(_STEPS)
+_MIGRATIONS = (_BASE_SCHEMA, _METRICS_SCHEMA)
+SCHEMA_VERSION = len(_MIGRATIONS)
 
 
 class NewerSchemaError(StateError):
     """A newer edgectl wrote the history."""
 
 
-def passing(error: sqlite3.Error) -> bool:
+def is_transient_error(error: sqlite3.Error) -> bool:
     """Whether ``error`` says nothing of the file's soundness (a full or read-only disk, another writer)."""
-    return getattr(error, "sqlite_errorcode", sqlite3.SQLITE_ERROR) & 0xFF in _PASSING
+    return getattr(error, "sqlite_errorcode", sqlite3.SQLITE_ERROR) & 0xFF in _TRANSIENT_CODES
 
 
-def connect(path: Path) -> sqlite3.Connection:
+def open_database(path: Path) -> sqlite3.Connection:
     """A connection to the history at ``path``, which is made where there is none.
 
     Raises:
@@ -98,54 +98,59 @@ def connect(path: Path) -> sqlite3.Connection:
     if not path.exists():
         # SQLite gives the other two files the rights of this one.
         with contextlib.suppress(StateError):
-            os.close(open_private(path, os.O_RDWR | os.O_EXCL))
+            os.close(open_private_file(path, os.O_RDWR | os.O_EXCL))
     connection = sqlite3.connect(path, timeout=_BUSY_S, isolation_level=None, check_same_thread=False)
     try:
-        _set_up(connection, path)
+        _configure_connection(connection, path)
     except BaseException:
         connection.close()
         raise
     return connection
 
 
-def _set_up(connection: sqlite3.Connection, path: Path) -> None:
+def _configure_connection(connection: sqlite3.Connection, path: Path) -> None:
     # What is not whole yet need not be synced: after a power cut it is made anew.
-    connection.executescript("PRAGMA trusted_schema = OFF; PRAGMA cell_size_check = ON; PRAGMA synchronous = OFF;")
+    connection.executescript(
+        "PRAGMA trusted_schema = OFF; PRAGMA cell_size_check = ON; PRAGMA synchronous = OFF;"
+    )
     version = connection.execute("PRAGMA user_version").fetchone()[0]
-    if version > SCHEMA:
-        raise NewerSchemaError(f"{path} was written by a newer edgectl (schema {version})", hint="use that edgectl, or move the file away")
-    if version < SCHEMA:
-        with alone(path.parent):
-            _create(connection)
+    if version > SCHEMA_VERSION:
+        raise NewerSchemaError(
+            f"{path} was written by a newer edgectl (schema {version})",
+            hint="use that edgectl, or move the file away",
+        )
+    if version < SCHEMA_VERSION:
+        with lock_directory(path.parent):
+            _create_tables(connection)
     connection.executescript("PRAGMA journal_size_limit = 4194304; PRAGMA synchronous = NORMAL;")
 
 
-def _create(connection: sqlite3.Connection) -> None:
+def _create_tables(connection: sqlite3.Connection) -> None:
     """Make the tables that are missing; another edgectl may have just done so."""
     connection.execute("PRAGMA auto_vacuum = INCREMENTAL")
     connection.execute("PRAGMA journal_mode = WAL")
     connection.execute("BEGIN IMMEDIATE")
     version = connection.execute("PRAGMA user_version").fetchone()[0]
-    for statement in "".join(_STEPS[version:]).split(";\n"):
+    for statement in "".join(_MIGRATIONS[version:]).split(";\n"):
         connection.execute(statement)
-    connection.execute(f"PRAGMA user_version = {max(version, SCHEMA)}")
+    connection.execute(f"PRAGMA user_version = {max(version, SCHEMA_VERSION)}")
     connection.execute("COMMIT")
 
 
 @contextlib.contextmanager
-def alone(fleet_dir: Path) -> Iterator[None]:
+def lock_directory(fleet_dir: Path) -> Iterator[None]:
     """Keep every other edgectl from making or setting aside the file: a lock on the directory, waited for up to 5 s."""
     descriptor = os.open(fleet_dir, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
         deadline = time.monotonic() + _BUSY_S
-        while not _locked(descriptor) and time.monotonic() < deadline:
+        while not _try_lock(descriptor) and time.monotonic() < deadline:
             time.sleep(0.01)
         yield
     finally:
         os.close(descriptor)
 
 
-def _locked(descriptor: int) -> bool:
+def _try_lock(descriptor: int) -> bool:
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -153,7 +158,7 @@ def _locked(descriptor: int) -> bool:
     return True
 
 
-def identity(path: Path) -> tuple[int, int] | None:
+def get_file_identity(path: Path) -> tuple[int, int] | None:
     """Which file stands at ``path`` now; None where there is none."""
     try:
         status = path.stat()
@@ -162,7 +167,7 @@ def identity(path: Path) -> tuple[int, int] | None:
     return status.st_dev, status.st_ino
 
 
-def retire(path: Path, opened: tuple[int, int] | None) -> Path | None:
+def set_aside_database(path: Path, opened: tuple[int, int] | None) -> Path | None:
     """Set the broken file aside, if it is still the one that was ``opened``; its new path.
 
     The log goes first: a log without its database would be read into the next one.
@@ -170,12 +175,12 @@ def retire(path: Path, opened: tuple[int, int] | None) -> Path | None:
     Raises:
         OSError: the directory does not take it.
     """
-    with alone(path.parent):
-        if opened is None or identity(path) != opened:
+    with lock_directory(path.parent):
+        if opened is None or get_file_identity(path) != opened:
             return None
-        for part in _PARTS:
+        for part in _SIDE_FILE_SUFFIXES:
             path.with_name(path.name + part).unlink(missing_ok=True)
         aside = sorted(path.parent.glob(f"{path.name}.broken-*"), key=lambda each: each.stat().st_mtime)
-        for oldest in aside[: len(aside) + 1 - _BROKEN_KEPT]:
+        for oldest in aside[: len(aside) + 1 - _MAX_BROKEN_FILES]:
             oldest.unlink(missing_ok=True)
         return set_aside(path)

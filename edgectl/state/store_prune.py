@@ -3,37 +3,48 @@
 import sqlite3
 
 # Table of samples -> its first key, and the table that has every value of it: so the oldest are found without reading all.
-_SAMPLES = {
+_SAMPLE_TABLES = {
     "host_samples": ("host", "known_hosts"),
     "loads": ("link", "links"),
     "uses": ("start", "starts"),
     "readings": ("metric", "metrics"),
 }
-_RECORDS = {"plans": "until", "actions": "at", "events": "at"}
+_RECORD_TABLES = {"plans": "until", "actions": "at", "events": "at"}
 # What is left after making room, so that not every hour begins with it again; little, because somebody waits for it.
-_ROOM = 0.98
-_LEAST_SHARE = 1 / 64
-_MOST_ROUNDS = 40
+_TARGET_SHARE = 0.98
+_MIN_DELETED_SHARE = 1 / 64
+_MAX_ROUNDS = 40
 
 
-def drop(connection: sqlite3.Connection, *, samples: float, records: float) -> None:
+def delete_expired(connection: sqlite3.Connection, *, samples: float, records: float) -> None:
     """Delete samples older than ``samples``, and plans, actions and events older than ``records`` (s since 1970)."""
-    for table, (key, groups) in _SAMPLES.items():
-        connection.execute(f"DELETE FROM {table} WHERE {key} IN (SELECT {key} FROM {groups}) AND at < ?", (samples,))  # noqa: S608
-    for table, instant in _RECORDS.items():
+    for table, (key, groups) in _SAMPLE_TABLES.items():
+        connection.execute(
+            f"DELETE FROM {table} WHERE {key} IN (SELECT {key} FROM {groups}) AND at < ?",  # noqa: S608
+            (samples,),
+        )
+    for table, instant in _RECORD_TABLES.items():
         connection.execute(f"DELETE FROM {table} WHERE {instant} < ?", (records,))  # noqa: S608
-    connection.execute("DELETE FROM metrics WHERE NOT EXISTS (SELECT 1 FROM readings WHERE readings.metric = metrics.metric)")
-    connection.execute("DELETE FROM starts WHERE NOT EXISTS (SELECT 1 FROM uses WHERE uses.start = starts.start)")
-    connection.execute("DELETE FROM links WHERE NOT EXISTS (SELECT 1 FROM loads WHERE loads.link = links.link)")
+    connection.execute(
+        "DELETE FROM metrics WHERE NOT EXISTS (SELECT 1 FROM readings WHERE readings.metric = metrics.metric)"
+    )
+    connection.execute(
+        "DELETE FROM starts WHERE NOT EXISTS (SELECT 1 FROM uses WHERE uses.start = starts.start)"
+    )
+    connection.execute(
+        "DELETE FROM links WHERE NOT EXISTS (SELECT 1 FROM loads WHERE loads.link = links.link)"
+    )
     connection.execute("DELETE FROM steps WHERE plan NOT IN (SELECT plan FROM plans)")
 
 
-def shrink(connection: sqlite3.Connection, most: int) -> None:
+def shrink_database(connection: sqlite3.Connection, most: int) -> None:
     """Where the file holds more than ``most`` bytes, delete the oldest samples, then the oldest of the rest, and give the room back."""
-    if _bytes(connection) > most:
-        for _ in range(_MOST_ROUNDS):
-            held = _bytes(connection)
-            if held <= most * _ROOM or not _drop_oldest(connection, max(_LEAST_SHARE, 1 - most * _ROOM / held)):
+    if _count_used_bytes(connection) > most:
+        for _ in range(_MAX_ROUNDS):
+            held = _count_used_bytes(connection)
+            if held <= most * _TARGET_SHARE or not _delete_oldest(
+                connection, max(_MIN_DELETED_SHARE, 1 - most * _TARGET_SHARE / held)
+            ):
                 break
     if not connection.execute("PRAGMA freelist_count").fetchone()[0]:
         return
@@ -41,20 +52,30 @@ def shrink(connection: sqlite3.Connection, most: int) -> None:
     connection.executescript("PRAGMA incremental_vacuum; PRAGMA wal_checkpoint(TRUNCATE);")
 
 
-def _bytes(connection: sqlite3.Connection) -> int:
+def _count_used_bytes(connection: sqlite3.Connection) -> int:
     """What the file holds, without its free pages."""
-    pages, free, size = (connection.execute(f"PRAGMA {name}").fetchone()[0] for name in ("page_count", "freelist_count", "page_size"))
+    pages, free, size = (
+        connection.execute(f"PRAGMA {name}").fetchone()[0]
+        for name in ("page_count", "freelist_count", "page_size")
+    )
     return int((pages - free) * size)
 
 
-def _drop_oldest(connection: sqlite3.Connection, share: float) -> bool:
+def _delete_oldest(connection: sqlite3.Connection, share: float) -> bool:
     """Delete the first ``share`` of the time that samples reach over, or where there are none that records do; whether there was any."""
-    samples, records = _part(connection, _SAMPLE_SPANS, share), _part(connection, _RECORD_SPANS, share)
+    samples, records = (
+        _compute_cutoff(connection, _SAMPLE_SPANS, share),
+        _compute_cutoff(connection, _RECORD_SPANS, share),
+    )
     if samples is None and records is None:
         return False
     never = float("-inf")
     connection.execute("BEGIN IMMEDIATE")
-    drop(connection, samples=samples or never, records=never if samples is not None or records is None else records)
+    delete_expired(
+        connection,
+        samples=samples or never,
+        records=never if samples is not None or records is None else records,
+    )
     connection.execute("COMMIT")
     return True
 
@@ -62,12 +83,15 @@ def _drop_oldest(connection: sqlite3.Connection, share: float) -> bool:
 _SAMPLE_SPANS = " UNION ALL ".join(
     f"SELECT (SELECT min(at) FROM {table} WHERE {table}.{key} = {groups}.{key}) AS first,"  # noqa: S608
     f" (SELECT max(at) FROM {table} WHERE {table}.{key} = {groups}.{key}) AS last FROM {groups}"
-    for table, (key, groups) in _SAMPLES.items()
+    for table, (key, groups) in _SAMPLE_TABLES.items()
 )
-_RECORD_SPANS = " UNION ALL ".join(f"SELECT min({at}) AS first, max({at}) AS last FROM {table}" for table, at in _RECORDS.items())  # noqa: S608
+_RECORD_SPANS = " UNION ALL ".join(
+    f"SELECT min({at}) AS first, max({at}) AS last FROM {table}"  # noqa: S608
+    for table, at in _RECORD_TABLES.items()
+)
 
 
-def _part(connection: sqlite3.Connection, spans: str, share: float) -> float | None:
+def _compute_cutoff(connection: sqlite3.Connection, spans: str, share: float) -> float | None:
     """The end of the first ``share`` of what ``spans`` reach over, None where there is nothing."""
     first, last = connection.execute(f"SELECT min(first), max(last) FROM ({spans})").fetchone()  # noqa: S608
     if first is None:
@@ -75,12 +99,12 @@ def _part(connection: sqlite3.Connection, spans: str, share: float) -> float | N
     return float(first + (last - first) * share) if last > first else float(last) + 1.0
 
 
-def mark(connection: sqlite3.Connection, now: float) -> None:
+def write_prune_time(connection: sqlite3.Connection, now: float) -> None:
     """Remember that the history was made smaller at ``now`` (s since 1970)."""
     connection.execute("INSERT OR REPLACE INTO marks (name, at) VALUES ('pruned', ?)", (now,))
 
 
-def marked(connection: sqlite3.Connection) -> float:
+def read_prune_time(connection: sqlite3.Connection) -> float:
     """When that was last, in s since 1970; 0 for never."""
     row = connection.execute("SELECT at FROM marks WHERE name = 'pruned'").fetchone()
     return 0.0 if row is None else float(row[0])

@@ -7,25 +7,25 @@ from typing import Any, Generic, TypeVar
 
 from edgectl.model.event import Event, EventKind
 from edgectl.model.point import HandoffPoint, HostPoint, LinkPoint, MetricPoint, TaskPoint
-from edgectl.model.profile import Use
+from edgectl.model.profile import UsageSample
 from edgectl.model.result import ActionResult, Outcome
 from edgectl.model.snapshot import HostSample, HostStatus, Snapshot, TaskSample, TaskState
 
 Value = TypeVar("Value")
 Row = Sequence[Any]
-Read = Callable[[Any], Any]
+ColumnDecoder = Callable[[Any], Any]
 
 
-class DamagedError(ValueError):
+class DamagedRowError(ValueError):
     """A row that edgectl did not write."""
 
 
 @dataclass(frozen=True, slots=True)
-class Form(Generic[Value]):
+class RowMapper(Generic[Value]):
     """One kind of value and the columns that hold it, in the order of a SELECT."""
 
     kind: Callable[..., Value]
-    columns: Mapping[str, Read]
+    columns: Mapping[str, ColumnDecoder]
 
     @property
     def names(self) -> str:
@@ -43,68 +43,87 @@ class Form(Generic[Value]):
             DamagedError: a column does not hold what it should.
         """
         try:
-            return self.kind(**{name: read(value) for (name, read), value in zip(self.columns.items(), row, strict=True)})
+            return self.kind(
+                **{name: read(value) for (name, read), value in zip(self.columns.items(), row, strict=True)}
+            )
         except ValueError as error:
-            raise DamagedError(f"a row cannot be read: {error}") from error
+            raise DamagedRowError(f"a row cannot be read: {error}") from error
 
     def row(self, value: Value) -> tuple[object, ...]:
         """The same as a row to write."""
         return tuple(getattr(value, name) for name in self.columns)
 
 
-def real(value: object) -> float:
+def decode_real(value: object) -> float:
     """A finite number."""
     if isinstance(value, float) and math.isfinite(value):
         return value
     raise ValueError(f"not a number: {value!r}")
 
 
-def text(value: object) -> str:
+def decode_text(value: object) -> str:
     """Text."""
     if isinstance(value, str):
         return value
     raise ValueError(f"not text: {value!r}")
 
 
-def whole(value: object) -> int:
+def decode_int(value: object) -> int:
     """A whole number from 0."""
     if isinstance(value, int) and value >= 0:
         return value
     raise ValueError(f"not a whole number: {value!r}")
 
 
-def maybe(read: Read) -> Read:
+def nullable(read: ColumnDecoder) -> ColumnDecoder:
     """The same, or None."""
     return lambda value: None if value is None else read(value)
 
 
-HOSTS = Form(
+HOSTS = RowMapper(
     HostPoint,
     {
-        "at": real, "host": text, "status": HostStatus, "cores": maybe(real), "used_cores": maybe(real), "total_bytes": maybe(real),
-        "used_bytes": maybe(real), "rx_bytes_per_s": maybe(real), "tx_bytes_per_s": maybe(real),
+        "at": decode_real, "host": decode_text, "status": HostStatus, "cores": nullable(decode_real), "used_cores": nullable(decode_real), "total_bytes": nullable(decode_real),
+        "used_bytes": nullable(decode_real), "rx_bytes_per_s": nullable(decode_real), "tx_bytes_per_s": nullable(decode_real),
     },
 )  # fmt: skip
-LINKS = Form(
+LINKS = RowMapper(
     LinkPoint,
-    {"at": real, "edge": text, "robot": text, "capacity_bytes_per_s": real, "used_bytes_per_s": real, "rtt_ms": maybe(real)},
+    {
+        "at": decode_real,
+        "edge": decode_text,
+        "robot": decode_text,
+        "capacity_bytes_per_s": decode_real,
+        "used_bytes_per_s": decode_real,
+        "rtt_ms": nullable(decode_real),
+    },
 )
-TASKS = Form(
+TASKS = RowMapper(
     TaskPoint,
     {
-        "at": real, "task": text, "host": text, "state": TaskState, "used_cores": real, "used_bytes": real, "used_bytes_per_s": real,
-        "instance": text, "spec_hash": text, "age_s": real, "links": whole,
+        "at": decode_real, "task": decode_text, "host": decode_text, "state": TaskState, "used_cores": decode_real, "used_bytes": decode_real, "used_bytes_per_s": decode_real,
+        "instance": decode_text, "spec_hash": decode_text, "age_s": decode_real, "links": decode_int,
     },
 )  # fmt: skip
-METRICS = Form(MetricPoint, {"at": real, "task": text, "host": text, "name": text, "value": real, "instance": text})
+METRICS = RowMapper(
+    MetricPoint,
+    {
+        "at": decode_real,
+        "task": decode_text,
+        "host": decode_text,
+        "name": decode_text,
+        "value": decode_real,
+        "instance": decode_text,
+    },
+)
 # What a demand is measured by: one seek per start. Read without a form, because there are a thousand of them per task.
-USES = (
+USAGE_QUERY = (
     "SELECT at, used_cores, used_bytes, used_bytes_per_s, links FROM uses "
     "WHERE start = ? AND state IN ('running', 'ready') AND age_s >= ? ORDER BY at DESC LIMIT ?"
 )
 
 
-def use(row: Row) -> Use:
+def decode_usage(row: Row) -> UsageSample:
     """One row of ``USES``.
 
     Raises:
@@ -116,27 +135,37 @@ def use(row: Row) -> Use:
     except TypeError:
         good = False
     if not good:
-        raise DamagedError(f"a row cannot be read: {row!r}")
-    return Use(at, cores, memory, rate, links)
+        raise DamagedRowError(f"a row cannot be read: {row!r}")
+    return UsageSample(at, cores, memory, rate, links)
 
 
-HANDOFFS = Form(
+HANDOFFS = RowMapper(
     HandoffPoint,
     {
-        "at": real, "task": text, "host": text, "previous_host": maybe(text), "outcome": Outcome, "downtime_s": maybe(real),
-        "seconds": real,
+        "at": decode_real, "task": decode_text, "host": decode_text, "previous_host": nullable(decode_text), "outcome": Outcome, "downtime_s": nullable(decode_real),
+        "seconds": decode_real,
     },
 )  # fmt: skip
-EVENTS = Form(Event, {"id": whole, "at": real, "kind": EventKind, "host": maybe(text), "task": maybe(text), "message": text})
+EVENTS = RowMapper(
+    Event,
+    {
+        "id": decode_int,
+        "at": decode_real,
+        "kind": EventKind,
+        "host": nullable(decode_text),
+        "task": nullable(decode_text),
+        "message": decode_text,
+    },
+)
 
 
-def host_points(snapshot: Snapshot) -> Iterable[HostPoint]:
+def host_points_from_snapshot(snapshot: Snapshot) -> Iterable[HostPoint]:
     """Every host of a snapshot."""
     for name, sample in snapshot.hosts.items():
-        yield _host_point(snapshot.taken_at, name, sample)
+        yield _build_host_point(snapshot.taken_at, name, sample)
 
 
-def _host_point(at: float, name: str, sample: HostSample) -> HostPoint:
+def _build_host_point(at: float, name: str, sample: HostSample) -> HostPoint:
     interfaces = sample.device.interfaces.values()
     return HostPoint(
         at=at,
@@ -151,7 +180,7 @@ def _host_point(at: float, name: str, sample: HostSample) -> HostPoint:
     )
 
 
-def link_points(snapshot: Snapshot) -> Iterable[LinkPoint]:
+def link_points_from_snapshot(snapshot: Snapshot) -> Iterable[LinkPoint]:
     """Every link of a snapshot."""
     for edge, sample in snapshot.hosts.items():
         for robot, link in sample.links.items():
@@ -165,14 +194,14 @@ def link_points(snapshot: Snapshot) -> Iterable[LinkPoint]:
             )
 
 
-def task_points(snapshot: Snapshot) -> Iterable[TaskPoint]:
+def task_points_from_snapshot(snapshot: Snapshot) -> Iterable[TaskPoint]:
     """Every task of a snapshot, on every host where it was found."""
     for host, sample in snapshot.hosts.items():
         for name, task in sample.tasks.items():
-            yield _task_point(snapshot.taken_at, host, name, task)
+            yield _build_task_point(snapshot.taken_at, host, name, task)
 
 
-def _task_point(at: float, host: str, name: str, task: TaskSample) -> TaskPoint:
+def _build_task_point(at: float, host: str, name: str, task: TaskSample) -> TaskPoint:
     return TaskPoint(
         at=at,
         task=name,
@@ -188,7 +217,7 @@ def _task_point(at: float, host: str, name: str, task: TaskSample) -> TaskPoint:
     )
 
 
-def action_row(result: ActionResult, revision: int, at: float) -> tuple[object, ...]:
+def encode_action_row(result: ActionResult, revision: int, at: float) -> tuple[object, ...]:
     """One action of an apply, in the order of the table."""
     seconds = sum(phase.seconds for phase in result.phases)
     return (

@@ -10,35 +10,64 @@ from edgectl.model.point import LinkPoint, TaskPoint
 from edgectl.model.result import Results
 from edgectl.model.snapshot import HostStatus, Snapshot, TaskState
 from edgectl.state import store_rows as rows
-from edgectl.state.store_events import Known, KnownHost, KnownTask
-from edgectl.state.store_rows import DamagedError
+from edgectl.state.store_events import KnownFleet, KnownHost, KnownTask
+from edgectl.state.store_rows import DamagedRowError
 
 # What is said of a task while it is so, and need not be said again.
-_STATES = (EventKind.TASK_DEFERRED, EventKind.TASK_UNPLACED)
+_LASTING_KINDS = (EventKind.TASK_DEFERRED, EventKind.TASK_UNPLACED)
 
 
-def samples(connection: sqlite3.Connection, snapshot: Snapshot) -> None:
+def write_samples(connection: sqlite3.Connection, snapshot: Snapshot) -> None:
     """Everything measured in ``snapshot``."""
-    _many(connection, "host_samples", rows.HOSTS.names, [rows.HOSTS.row(point) for point in rows.host_points(snapshot)])
-    _loads(connection, list(rows.link_points(snapshot)))
-    _uses(connection, list(rows.task_points(snapshot)))
-    _readings(connection, snapshot)
+    _insert_rows(
+        connection,
+        "host_samples",
+        rows.HOSTS.names,
+        [rows.HOSTS.row(point) for point in rows.host_points_from_snapshot(snapshot)],
+    )
+    _write_link_samples(connection, list(rows.link_points_from_snapshot(snapshot)))
+    _write_task_samples(connection, list(rows.task_points_from_snapshot(snapshot)))
+    _write_metric_readings(connection, snapshot)
 
 
-def _loads(connection: sqlite3.Connection, points: Sequence[LinkPoint]) -> None:
-    connection.executemany("INSERT OR IGNORE INTO links (edge, robot) VALUES (?, ?)", [(point.edge, point.robot) for point in points])
+def _write_link_samples(connection: sqlite3.Connection, points: Sequence[LinkPoint]) -> None:
+    connection.executemany(
+        "INSERT OR IGNORE INTO links (edge, robot) VALUES (?, ?)",
+        [(point.edge, point.robot) for point in points],
+    )
     connection.executemany(
         "INSERT OR REPLACE INTO loads (link, at, capacity_bytes_per_s, used_bytes_per_s, rtt_ms)"
         " SELECT link, ?, ?, ?, ? FROM links WHERE edge = ? AND robot = ?",
-        [(point.at, point.capacity_bytes_per_s, point.used_bytes_per_s, point.rtt_ms, point.edge, point.robot) for point in points],
+        [
+            (
+                point.at,
+                point.capacity_bytes_per_s,
+                point.used_bytes_per_s,
+                point.rtt_ms,
+                point.edge,
+                point.robot,
+            )
+            for point in points
+        ],
     )
 
 
-def _uses(connection: sqlite3.Connection, points: Sequence[TaskPoint]) -> None:
+def _write_task_samples(connection: sqlite3.Connection, points: Sequence[TaskPoint]) -> None:
     names = [(point.task, point.host, point.instance, point.spec_hash) for point in points]
-    connection.executemany("INSERT OR IGNORE INTO starts (task, host, instance, spec_hash) VALUES (?, ?, ?, ?)", names)
+    connection.executemany(
+        "INSERT OR IGNORE INTO starts (task, host, instance, spec_hash) VALUES (?, ?, ?, ?)", names
+    )
     values = [
-        (point.at, point.state, point.used_cores, point.used_bytes, point.used_bytes_per_s, point.age_s, point.links, *name)
+        (
+            point.at,
+            point.state,
+            point.used_cores,
+            point.used_bytes,
+            point.used_bytes_per_s,
+            point.age_s,
+            point.links,
+            *name,
+        )
         for name, point in zip(names, points, strict=True)
     ]
     connection.executemany(
@@ -48,7 +77,7 @@ def _uses(connection: sqlite3.Connection, points: Sequence[TaskPoint]) -> None:
     )
 
 
-def _readings(connection: sqlite3.Connection, snapshot: Snapshot) -> None:
+def _write_metric_readings(connection: sqlite3.Connection, snapshot: Snapshot) -> None:
     """What applications say of themselves, where it has changed: many values seldom do, and those of a job that is over never."""
     said = [
         ((name, host, task.instance, task.spec_hash), metric, value)
@@ -69,9 +98,9 @@ def _readings(connection: sqlite3.Connection, snapshot: Snapshot) -> None:
     )
 
 
-def plan(connection: sqlite3.Connection, made: Plan) -> None:
+def write_plan(connection: sqlite3.Connection, made: Plan) -> None:
     """A plan, and each of its steps that is more than staying as it is. One that says the same as the last is counted there."""
-    if planned_before(connection, made):
+    if is_plan_repeated(connection, made):
         sql = "UPDATE plans SET until = ?, times = times + 1 WHERE plan = (SELECT max(plan) FROM plans)"
         connection.execute(sql, (made.created_at,))
         return
@@ -82,49 +111,59 @@ def plan(connection: sqlite3.Connection, made: Plan) -> None:
         (number, step.task, step.action, each.reason, each.host, each.previous_host, each.total)
         for step in made.steps
         for each in (step.decision,)
-        if _notable(step.action)
+        if _is_notable(step.action)
     ]
-    _many(connection, "steps", "plan, task, action, reason, host, previous_host, total", values)
+    _insert_rows(connection, "steps", "plan, task, action, reason, host, previous_host, total", values)
 
 
-def planned_before(connection: sqlite3.Connection, made: Plan) -> bool:
+def is_plan_repeated(connection: sqlite3.Connection, made: Plan) -> bool:
     """Whether the last plan would have done the same, and nothing was done since."""
     sql = "SELECT task, action, host FROM steps WHERE plan = (SELECT max(plan) FROM plans)"
     last = {task: (action, host) for task, action, host in connection.execute(sql)}
     done_since = "SELECT EXISTS (SELECT 1 FROM actions WHERE at > (SELECT max(until) FROM plans))"
     return not connection.execute(done_since).fetchone()[0] and last == {
-        step.task: (step.action.value, step.decision.host) for step in made.steps if _notable(step.action)
+        step.task: (step.action.value, step.decision.host) for step in made.steps if _is_notable(step.action)
     }
 
 
-def _notable(action: Action) -> bool:
+def _is_notable(action: Action) -> bool:
     return action not in (Action.KEEP, Action.NONE)
 
 
-def actions(connection: sqlite3.Connection, results: Results, at: float) -> None:
+def write_actions(connection: sqlite3.Connection, results: Results, at: float) -> None:
     """Every action of an apply that ended at ``at``."""
     columns = "at, revision, task, action, outcome, host, previous_host, located, downtime_s, seconds, error"
-    _many(connection, "actions", columns, [rows.action_row(result, results.revision, at) for result in results.actions])
+    _insert_rows(
+        connection,
+        "actions",
+        columns,
+        [rows.encode_action_row(result, results.revision, at) for result in results.actions],
+    )
 
 
-def events(connection: sqlite3.Connection, found: Iterable[Event]) -> None:
+def write_events(connection: sqlite3.Connection, found: Iterable[Event]) -> None:
     """What happened."""
     columns = "at, kind, host, task, message"
-    _many(connection, "events", columns, [(event.at, event.kind, event.host, event.task, event.message) for event in found])
+    _insert_rows(
+        connection,
+        "events",
+        columns,
+        [(event.at, event.kind, event.host, event.task, event.message) for event in found],
+    )
 
 
-def news(connection: sqlite3.Connection, found: Iterable[Event]) -> None:
+def write_new_events(connection: sqlite3.Connection, found: Iterable[Event]) -> None:
     """What happened, without what was the last thing said of its task already."""
-    events(connection, [event for event in found if not _said(connection, event)])
+    write_events(connection, [event for event in found if not _is_event_repeated(connection, event)])
 
 
-def _said(connection: sqlite3.Connection, event: Event) -> bool:
+def _is_event_repeated(connection: sqlite3.Connection, event: Event) -> bool:
     sql = "SELECT kind, host, message FROM events WHERE task = ? ORDER BY id DESC LIMIT 1"
     last = connection.execute(sql, (event.task,)).fetchone()
-    return event.kind in _STATES and last == (event.kind.value, event.host, event.message)
+    return event.kind in _LASTING_KINDS and last == (event.kind.value, event.host, event.message)
 
 
-def known(connection: sqlite3.Connection) -> Known:
+def load_known_fleet(connection: sqlite3.Connection) -> KnownFleet:
     """The last picture of the fleet.
 
     Raises:
@@ -133,41 +172,53 @@ def known(connection: sqlite3.Connection) -> Known:
     hosts = connection.execute("SELECT host, at, since, status, boot_id FROM known_hosts").fetchall()
     tasks = connection.execute("SELECT task, at, host, state, instance, restarts FROM known_tasks").fetchall()
     try:
-        return Known(hosts={row[0]: _host(row) for row in hosts}, tasks={row[0]: _task(row) for row in tasks})
+        return KnownFleet(
+            hosts={row[0]: _decode_known_host(row) for row in hosts},
+            tasks={row[0]: _decode_known_task(row) for row in tasks},
+        )
     except ValueError as error:
-        raise DamagedError(f"a row cannot be read: {error}") from error
+        raise DamagedRowError(f"a row cannot be read: {error}") from error
 
 
-def _host(row: rows.Row) -> KnownHost:
+def _decode_known_host(row: rows.Row) -> KnownHost:
     _name, at, since, status, boot_id = row
-    return KnownHost(at=rows.real(at), since=rows.real(since), status=HostStatus(status), boot_id=rows.text(boot_id))
-
-
-def _task(row: rows.Row) -> KnownTask:
-    _name, at, host, state, instance, restarts = row
-    return KnownTask(
-        at=rows.real(at),
-        host=rows.maybe(rows.text)(host),
-        state=rows.maybe(TaskState)(state),
-        instance=rows.text(instance),
-        restarts=rows.whole(restarts),
+    return KnownHost(
+        at=rows.decode_real(at),
+        since=rows.decode_real(since),
+        status=HostStatus(status),
+        boot_id=rows.decode_text(boot_id),
     )
 
 
-def learn(connection: sqlite3.Connection, before: Known, after: Known) -> None:
+def _decode_known_task(row: rows.Row) -> KnownTask:
+    _name, at, host, state, instance, restarts = row
+    return KnownTask(
+        at=rows.decode_real(at),
+        host=rows.nullable(rows.decode_text)(host),
+        state=rows.nullable(TaskState)(state),
+        instance=rows.decode_text(instance),
+        restarts=rows.decode_int(restarts),
+    )
+
+
+def write_known_fleet(connection: sqlite3.Connection, before: KnownFleet, after: KnownFleet) -> None:
     """The last picture, where it is another than ``before``."""
     hosts = [
-        (name, each.at, each.since, each.status, each.boot_id) for name, each in after.hosts.items() if each is not before.hosts.get(name)
+        (name, each.at, each.since, each.status, each.boot_id)
+        for name, each in after.hosts.items()
+        if each is not before.hosts.get(name)
     ]
     tasks = [
         (name, each.at, each.host, each.state, each.instance, each.restarts)
         for name, each in after.tasks.items()
         if each is not before.tasks.get(name)
     ]
-    _many(connection, "known_hosts", "host, at, since, status, boot_id", hosts)
-    _many(connection, "known_tasks", "task, at, host, state, instance, restarts", tasks)
+    _insert_rows(connection, "known_hosts", "host, at, since, status, boot_id", hosts)
+    _insert_rows(connection, "known_tasks", "task, at, host, state, instance, restarts", tasks)
 
 
-def _many(connection: sqlite3.Connection, table: str, columns: str, values: Iterable[Sequence[object]]) -> None:
+def _insert_rows(
+    connection: sqlite3.Connection, table: str, columns: str, values: Iterable[Sequence[object]]
+) -> None:
     marks = ", ".join("?" for _ in columns.split(","))
     connection.executemany(f"INSERT OR REPLACE INTO {table} ({columns}) VALUES ({marks})", values)  # noqa: S608

@@ -15,7 +15,7 @@ class Uptime:
     seconds: float
 
 
-def uptime() -> Uptime:
+def read_uptime() -> Uptime:
     """Now."""
     clock = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)
     try:
@@ -25,7 +25,7 @@ def uptime() -> Uptime:
     return Uptime(boot=boot, seconds=time.clock_gettime(clock))
 
 
-def elapsed(since: Uptime, now: Uptime) -> float:
+def compute_elapsed_s(since: Uptime, now: Uptime) -> float:
     """Seconds from ``since`` to ``now``; across a restart of the machine at least those since the restart: never too many."""
     same = since.boot == now.boot and since.seconds <= now.seconds
     return now.seconds - since.seconds if same else now.seconds

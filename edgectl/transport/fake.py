@@ -14,8 +14,8 @@ from typing import Self
 
 from edgectl.errors import ConnectError, HostError, RefusedError
 from edgectl.model.inventory import Host
+from edgectl.transport.agent_client import build_agent_command
 from edgectl.transport.base import Reply
-from edgectl.transport.call import command_line
 
 Handler = Callable[[dict[str, object]], Mapping[str, object]]
 
@@ -57,16 +57,16 @@ class FakeSession:
     def run(self, command: str, stdin: bytes, *, timeout: float, limit: int = 1 << 20) -> Reply:  # noqa: ARG002 - instant and small
         """Answer one request (see `Session.run`)."""
         marker, reply = self._answer(command, stdin)
-        return Reply(stdout=frame(marker, reply), stderr=b"", status=0)
+        return Reply(stdout=frame_reply(marker, reply), stderr=b"", status=0)
 
     def stream(self, command: str, stdin: bytes, *, idle_timeout: float) -> Iterator[bytes]:  # noqa: ARG002 - it never idles
         """Answer ``follow``: the reply's ``text`` comes as one piece (see `Session.stream`)."""
         marker, reply = self._answer(command, stdin)
         if "error" in reply:
-            yield frame(marker, reply)
+            yield frame_reply(marker, reply)
             return
         text = str(reply.get("text", "")).encode()
-        yield frame(marker, {"stream": True})
+        yield frame_reply(marker, {"stream": True})
         yield b"%d\n%s" % (len(text), text) if text else b""
         yield b"end\n"
 
@@ -80,9 +80,9 @@ class FakeSession:
         self.close()
 
     def _answer(self, command: str, stdin: bytes) -> tuple[str, Mapping[str, object]]:
-        if command != command_line(self.python):
+        if command != build_agent_command(self.python):
             raise RefusedError("only the agent's own command line can be run", host=self.name)
-        marker, request = unpack(stdin)
+        marker, request = unpack_request(stdin)
         self._note(self.name, request)
         try:
             return marker, self._handler(request)
@@ -90,15 +90,19 @@ class FakeSession:
             return marker, {"error": {"kind": "refused", "message": error.message, "hint": error.hint}}
 
 
-def unpack(packet: bytes) -> tuple[str, dict[str, object]]:
-    """Marker and request of what `edgectl.transport.call` sends: the boot program, a head line, the request, the agent."""
+def unpack_request(packet: bytes) -> tuple[str, dict[str, object]]:
+    """Marker and request of what `edgectl.transport.agent_client` sends: the boot program, a head line, the request, the agent."""
     size, _, rest = packet.partition(b"\n")
     head, _, body = rest[int(size) :].partition(b"\n")
     marker, _, length, *_ = head.decode().split()
     return marker, dict(json.loads(body[: int(length)]))
 
 
-def frame(marker: str, reply: Mapping[str, object]) -> bytes:
+def frame_reply(marker: str, reply: Mapping[str, object]) -> bytes:
     """``reply`` as an agent frames it: marker, length, digest, JSON."""
     payload = json.dumps(reply).encode()
-    return f"\nedgectl-frame {marker} {len(payload)} {hashlib.sha256(payload).hexdigest()}\n".encode() + payload + b"\n"
+    return (
+        f"\nedgectl-frame {marker} {len(payload)} {hashlib.sha256(payload).hexdigest()}\n".encode()
+        + payload
+        + b"\n"
+    )

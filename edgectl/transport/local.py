@@ -15,7 +15,7 @@ from edgectl.errors import ConnectError, DeadlineError, ReplyError
 from edgectl.model.inventory import Host
 from edgectl.transport.base import Reply
 
-_BLOCK = 65536
+_BLOCK_BYTES = 65536
 _GRACE_S = 0.5
 
 
@@ -42,7 +42,7 @@ class LocalSession:
     def run(self, command: str, stdin: bytes, *, timeout: float, limit: int = 1 << 20) -> Reply:
         """As ``Session.run``."""
         with self._started(command) as process:
-            exchange = _Exchange(process, stdin, deadline=time.monotonic() + timeout, limit=limit)
+            exchange = _PipeExchange(process, stdin, deadline=time.monotonic() + timeout, limit=limit)
             try:
                 stdout, stderr = exchange.finish()
                 status = process.wait(timeout=max(0.1, exchange.left()))
@@ -62,7 +62,7 @@ class LocalSession:
             while True:
                 if not select.select([stdout], [], [], idle_timeout)[0]:
                     raise DeadlineError(f"nothing came for {idle_timeout:g} s", host=self._name)
-                data = os.read(stdout, _BLOCK)
+                data = os.read(stdout, _BLOCK_BYTES)
                 if not data:
                     return
                 yield data
@@ -71,13 +71,15 @@ class LocalSession:
     def _started(self, command: str) -> Iterator[subprocess.Popen[bytes]]:
         pipe = subprocess.PIPE
         try:
-            process = subprocess.Popen(["/bin/sh", "-c", command], stdin=pipe, stdout=pipe, stderr=pipe, start_new_session=True)
+            process = subprocess.Popen(
+                ["/bin/sh", "-c", command], stdin=pipe, stdout=pipe, stderr=pipe, start_new_session=True
+            )
         except OSError as error:
             raise ConnectError(f"cannot start a process: {error.strerror}", host=self._name) from None
         try:
             yield process
         finally:
-            _end(process)
+            _end_process_group(process)
 
     def close(self) -> None:
         """Nothing is held open between commands."""
@@ -89,7 +91,7 @@ class LocalSession:
         self.close()
 
 
-def _end(process: subprocess.Popen[bytes]) -> None:
+def _end_process_group(process: subprocess.Popen[bytes]) -> None:
     """End what is left of the process group, reap it, close its pipes. TERM first: an agent then ends its checks, too."""
     if process.poll() is None:
         with contextlib.suppress(ProcessLookupError):
@@ -104,10 +106,12 @@ def _end(process: subprocess.Popen[bytes]) -> None:
                 pipe.close()
 
 
-class _Exchange:
+class _PipeExchange:
     """Writes all of standard input and reads both outputs at once, up to a deadline and a size."""
 
-    def __init__(self, process: subprocess.Popen[bytes], stdin: bytes, *, deadline: float, limit: int) -> None:
+    def __init__(
+        self, process: subprocess.Popen[bytes], stdin: bytes, *, deadline: float, limit: int
+    ) -> None:
         self._process = process
         self._stdin = memoryview(stdin)
         self._deadline = deadline
@@ -121,7 +125,11 @@ class _Exchange:
     def finish(self) -> tuple[bytes, bytes]:
         """Standard output and error. Raises TimeoutError at the deadline, OverflowError above the limit."""
         with selectors.DefaultSelector() as selector:
-            for name, events in (("stdin", selectors.EVENT_WRITE), ("stdout", selectors.EVENT_READ), ("stderr", selectors.EVENT_READ)):
+            for name, events in (
+                ("stdin", selectors.EVENT_WRITE),
+                ("stdout", selectors.EVENT_READ),
+                ("stderr", selectors.EVENT_READ),
+            ):
                 os.set_blocking(getattr(self._process, name).fileno(), False)
                 selector.register(getattr(self._process, name), events, name)
             while selector.get_map():
@@ -137,7 +145,7 @@ class _Exchange:
     def _write(self, pipe: IO[bytes]) -> bool:
         """Whether there is more to write."""
         try:
-            self._stdin = self._stdin[os.write(pipe.fileno(), self._stdin[:_BLOCK]) :]
+            self._stdin = self._stdin[os.write(pipe.fileno(), self._stdin[:_BLOCK_BYTES]) :]
         except BrokenPipeError:
             self._stdin = self._stdin[:0]
         if not self._stdin:
@@ -147,7 +155,7 @@ class _Exchange:
 
     def _read(self, pipe: IO[bytes], name: str) -> bool:
         """Whether there may be more to read."""
-        data = os.read(pipe.fileno(), _BLOCK)
+        data = os.read(pipe.fileno(), _BLOCK_BYTES)
         self._got[name] += data
         if len(self._got["stdout"]) + len(self._got["stderr"]) > self._limit:
             raise OverflowError

@@ -20,11 +20,11 @@ from typing import IO, Self
 from edgectl.errors import AuthError, ConnectError, DeadlineError, HostError, HostKeyError
 from edgectl.model.inventory import Host
 from edgectl.transport.base import Reply
-from edgectl.transport.dial import CONNECT_S
 from edgectl.transport.local import LocalSession
-from edgectl.transport.sshconfig import Resolver, jump_host, options
+from edgectl.transport.sockets import CONNECT_TIMEOUT_S
+from edgectl.transport.ssh_config import SshConfigResolver, build_ssh_options, parse_jump_host
 
-FIXED = {
+FIXED_OPTIONS = {
     "BatchMode": "yes",
     "ClearAllForwardings": "yes",
     "ControlMaster": "no",
@@ -40,10 +40,10 @@ FIXED = {
     "UpdateHostKeys": "no",
 }
 # Exit status of ssh for failures of its own.
-FAILED = 255
-_BLOCK = 65536
+SSH_FAILED_STATUS = 255
+_BLOCK_BYTES = 65536
 # What ssh says -> our error, words, hint; the first pattern that is found counts.
-TABLE: tuple[tuple[str, type[HostError], str, str], ...] = (
+OPENSSH_ERRORS: tuple[tuple[str, type[HostError], str, str], ...] = (
     (
         r"REVOKED HOST KEY|revoked by file|revoked keys file",
         HostKeyError,
@@ -74,9 +74,24 @@ TABLE: tuple[tuple[str, type[HostError], str, str], ...] = (
         "connected, but SSH did not get ready in time",
         "frozen or overloaded?",
     ),
-    (r"Could not resolve|Name or service not known", ConnectError, "name unknown", "correct host: in the inventory, or ssh_config"),
-    (r"Connection refused", ConnectError, "connection refused", "is it switched on, and is its address right?"),
-    (r"timed out|No route to host|Network is unreachable", ConnectError, "no answer", "is it switched on, and is its address right?"),
+    (
+        r"Could not resolve|Name or service not known",
+        ConnectError,
+        "name unknown",
+        "correct host: in the inventory, or ssh_config",
+    ),
+    (
+        r"Connection refused",
+        ConnectError,
+        "connection refused",
+        "is it switched on, and is its address right?",
+    ),
+    (
+        r"timed out|No route to host|Network is unreachable",
+        ConnectError,
+        "no answer",
+        "is it switched on, and is its address right?",
+    ),
 )
 
 
@@ -84,7 +99,7 @@ class OpenSshTransport:
     """Runs ``ssh`` for each command. Keys and agent only: there is nobody to ask (BatchMode)."""
 
     def __init__(self, *, accept_new: bool = False) -> None:
-        self._resolver = Resolver()
+        self._resolver = SshConfigResolver()
         self._strict = "accept-new" if accept_new else "yes"
 
     def connect(self, host: Host, *, timeout: float) -> "OpenSshSession":
@@ -98,7 +113,11 @@ class OpenSshTransport:
             message = "connection: openssh logs in with keys only"
             raise AuthError(message, hint="remove password_command, or use connection: ssh", host=host.name)
         if shutil.which("ssh") is None:
-            raise ConnectError("there is no ssh program here", hint="install openssh-client, or use connection: ssh", host=host.name)
+            raise ConnectError(
+                "there is no ssh program here",
+                hint="install openssh-client, or use connection: ssh",
+                host=host.name,
+            )
         return OpenSshSession(host.name, self._command(host, timeout))
 
     def address(self, host: Host) -> str:
@@ -106,16 +125,25 @@ class OpenSshTransport:
         return self._resolver.resolve(host).hostname
 
     def _command(self, host: Host, timeout: float) -> list[str]:
-        settings = FIXED | {"StrictHostKeyChecking": self._strict, "ConnectTimeout": str(max(1, int(min(CONNECT_S, timeout * 0.8))))}
+        settings = FIXED_OPTIONS | {
+            "StrictHostKeyChecking": self._strict,
+            "ConnectTimeout": str(max(1, int(min(CONNECT_TIMEOUT_S, timeout * 0.8)))),
+        }
         pairs = [argument for name, value in settings.items() for argument in ("-o", f"{name}={value}")]
         jump = self._resolver.resolve(host, timeout=timeout).proxy_jump
-        return ["ssh", *(self._through(host, jump, timeout) if jump else options(host)), *pairs, "--", host.host]
+        return [
+            "ssh",
+            *(self._through(host, jump, timeout) if jump else build_ssh_options(host)),
+            *pairs,
+            "--",
+            host.host,
+        ]
 
     def _through(self, host: Host, jump: str, timeout: float) -> list[str]:
         """Options for a host behind ``jump``. With ProxyJump, ssh would not pass our options on to the jump host's own ssh."""
-        *before, dashes, name = self._command(jump_host(jump), timeout)
+        *before, dashes, name = self._command(parse_jump_host(jump), timeout)
         inner = shlex.join([*before]).replace("%", "%%") + f" -W '[%h]:%p' {dashes} {shlex.quote(name)}"
-        return [*options(replace(host, proxy_jump="none")), "-o", f"ProxyCommand={inner}"]
+        return [*build_ssh_options(replace(host, proxy_jump="none")), "-o", f"ProxyCommand={inner}"]
 
 
 class OpenSshSession:
@@ -129,9 +157,11 @@ class OpenSshSession:
 
     def run(self, command: str, stdin: bytes, *, timeout: float, limit: int = 1 << 20) -> Reply:
         """Run ``command`` (see `Session.run`); login errors show here."""
-        reply = LocalSession(self.name).run("exec " + shlex.join([*self._command, command]), stdin, timeout=timeout, limit=limit)
-        if reply.status == FAILED:
-            raise translate(reply.stderr, self.name)
+        reply = LocalSession(self.name).run(
+            "exec " + shlex.join([*self._command, command]), stdin, timeout=timeout, limit=limit
+        )
+        if reply.status == SSH_FAILED_STATUS:
+            raise translate_openssh_error(reply.stderr, self.name)
         return reply
 
     def stream(self, command: str, stdin: bytes, *, idle_timeout: float) -> Iterator[bytes]:
@@ -139,11 +169,11 @@ class OpenSshSession:
         with tempfile.TemporaryFile() as said, tempfile.TemporaryFile() as given:
             given.write(stdin)
             given.seek(0)
-            with _started([*self._command, command], given, said) as process:
-                yield from _pieces(process, idle_timeout, self.name)
-                if process.wait(timeout=idle_timeout) == FAILED:
+            with _run_ssh([*self._command, command], given, said) as process:
+                yield from _read_pieces(process, idle_timeout, self.name)
+                if process.wait(timeout=idle_timeout) == SSH_FAILED_STATUS:
                     said.seek(0)
-                    raise translate(said.read(_BLOCK), self.name)
+                    raise translate_openssh_error(said.read(_BLOCK_BYTES), self.name)
 
     def close(self) -> None:
         """Nothing is held open between commands."""
@@ -156,8 +186,10 @@ class OpenSshSession:
 
 
 @contextlib.contextmanager
-def _started(command: list[str], stdin: IO[bytes], stderr: IO[bytes]) -> Iterator[subprocess.Popen[bytes]]:
-    with subprocess.Popen(command, stdin=stdin, stdout=subprocess.PIPE, stderr=stderr, start_new_session=True) as process:
+def _run_ssh(command: list[str], stdin: IO[bytes], stderr: IO[bytes]) -> Iterator[subprocess.Popen[bytes]]:
+    with subprocess.Popen(
+        command, stdin=stdin, stdout=subprocess.PIPE, stderr=stderr, start_new_session=True
+    ) as process:
         try:
             yield process
         finally:
@@ -166,31 +198,35 @@ def _started(command: list[str], stdin: IO[bytes], stderr: IO[bytes]) -> Iterato
                     os.killpg(process.pid, signal.SIGKILL)
 
 
-def _pieces(process: subprocess.Popen[bytes], idle_timeout: float, name: str) -> Iterator[bytes]:
+def _read_pieces(process: subprocess.Popen[bytes], idle_timeout: float, name: str) -> Iterator[bytes]:
     if process.stdout is None:
         return
     with selectors.DefaultSelector() as selector:
         selector.register(process.stdout, selectors.EVENT_READ)
         while selector.select(idle_timeout):
-            data = os.read(process.stdout.fileno(), _BLOCK)
+            data = os.read(process.stdout.fileno(), _BLOCK_BYTES)
             if not data:
                 return
             yield data
     raise DeadlineError(f"nothing came for {idle_timeout:g} s", host=name)
 
 
-def translate(stderr: bytes, name: str) -> HostError:
+def translate_openssh_error(stderr: bytes, name: str) -> HostError:
     """Our error for what ssh said on its way to exit status 255."""
     text = stderr.decode(errors="replace")
-    for pattern, kind, words, hint in TABLE:
+    for pattern, kind, words, hint in OPENSSH_ERRORS:
         if re.search(pattern, text):
-            return kind(words + (_which_key(text) if kind is HostKeyError else ""), hint=hint.format(host=name), host=name)
+            return kind(
+                words + (_describe_key(text) if kind is HostKeyError else ""),
+                hint=hint.format(host=name),
+                host=name,
+            )
     said = [line.strip() for line in text.splitlines() if line.strip()]
     detail = "".join(char for char in (said[-1] if said else "ssh said nothing") if char.isprintable())[:200]
     return ConnectError(f"connection lost ({detail})", hint="try: ssh " + name, host=name)
 
 
-def _which_key(text: str) -> str:
+def _describe_key(text: str) -> str:
     """Whose key ssh complains about (it may be a jump host's), and its fingerprint where ssh shows one."""
     whose = re.search(r"host key (?:is known )?for (\S+)", text)
     shown = re.search(r"SHA256:[A-Za-z0-9+/]{43}", text)

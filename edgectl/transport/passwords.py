@@ -7,10 +7,10 @@ from collections.abc import Callable
 from edgectl.errors import AuthError
 from edgectl.model.inventory import Host
 
-COMMAND_S = 30.0
+PASSWORD_COMMAND_TIMEOUT_S = 30.0
 
 
-class Passwords:
+class PasswordStore:
     """Keeps what was obtained, by host. One person is asked one question at a time. Safe to use from several threads."""
 
     def __init__(self, ask: Callable[[str], str] | None = None) -> None:
@@ -30,28 +30,40 @@ class Passwords:
                 self._known[host.name] = self._obtain(host, login)
             return self._known[host.name]
 
-    def refused(self, host: Host) -> None:
+    def reject(self, host: Host) -> None:
         """Forget a password that the host did not take; none is offered to it again."""
         with self._lock:
             self._known[host.name] = None
 
     def _obtain(self, host: Host, login: str) -> str | None:
         if host.password_command:
-            return run_command(host)
+            return run_password_command(host)
         return self._ask(f"{login}'s password: ") if self._ask is not None else None
 
 
-def run_command(host: Host) -> str:
+def run_password_command(host: Host) -> str:
     """First line that ``password_command`` prints.
 
     Raises:
         AuthError: it fails, prints nothing or does not end.
     """
     try:
-        ran = subprocess.run(list(host.password_command), stdin=subprocess.DEVNULL, capture_output=True, timeout=COMMAND_S, check=False)
+        ran = subprocess.run(
+            list(host.password_command),
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            timeout=PASSWORD_COMMAND_TIMEOUT_S,
+            check=False,
+        )
     except (OSError, subprocess.TimeoutExpired) as error:
-        raise AuthError(f"password_command failed: {type(error).__name__}", hint="run it by hand", host=host.name) from error
+        raise AuthError(
+            f"password_command failed: {type(error).__name__}", hint="run it by hand", host=host.name
+        ) from error
     lines = ran.stdout.decode(errors="replace").splitlines()
     if ran.returncode != 0 or not lines:
-        raise AuthError(f"password_command gave no password (exit {ran.returncode})", hint="run it by hand", host=host.name)
+        raise AuthError(
+            f"password_command gave no password (exit {ran.returncode})",
+            hint="run it by hand",
+            host=host.name,
+        )
     return lines[0]

@@ -16,15 +16,22 @@ import paramiko
 
 from edgectl.errors import AuthError, ConnectError, DeadlineError, HostError
 from edgectl.model.inventory import Host
-from edgectl.transport.dial import CONNECT_S, Line, dial, hang_up, proxy, watchdog
-from edgectl.transport.hostkeys import HostKeys
-from edgectl.transport.jumps import Jumps
-from edgectl.transport.knownhosts import Key
-from edgectl.transport.passwords import Passwords
-from edgectl.transport.ssh_auth import Keyring, Login, RefusedLoginError
-from edgectl.transport.ssh_errors import translate
+from edgectl.transport.host_keys import HostKeyVerifier
+from edgectl.transport.jump_hosts import JumpHosts
+from edgectl.transport.known_hosts import HostKey
+from edgectl.transport.passwords import PasswordStore
+from edgectl.transport.sockets import (
+    CONNECT_TIMEOUT_S,
+    TunedSocket,
+    connect_tcp,
+    hang_up,
+    start_proxy_command,
+    watchdog,
+)
+from edgectl.transport.ssh_auth import Keyring, LoginStrategy, RefusedLoginError
+from edgectl.transport.ssh_config import ResolvedHost, SshConfigResolver, parse_jump_host
+from edgectl.transport.ssh_errors import translate_ssh_error
 from edgectl.transport.ssh_session import SshSession
-from edgectl.transport.sshconfig import ResolvedHost, Resolver, jump_host
 
 # A server with too many logins under way (MaxStartups) hangs up before its banner: pauses before asking again, seconds, before jitter.
 PAUSES_S = (0.2, 0.5, 1.0)
@@ -46,11 +53,11 @@ class SshTransport:
     """
 
     def __init__(self, *, accept_new: bool = False, ask_password: Callable[[str], str] | None = None) -> None:
-        self._resolver = Resolver()
+        self._resolver = SshConfigResolver()
         self._keyring = Keyring()
-        self._host_keys = HostKeys(accept_new=accept_new)
-        self._jumps = Jumps(self._open_jump)
-        self._passwords = Passwords(ask_password)
+        self._host_keys = HostKeyVerifier(accept_new=accept_new)
+        self._jumps = JumpHosts(self._open_jump)
+        self._passwords = PasswordStore(ask_password)
 
     def connect(self, host: Host, *, timeout: float) -> SshSession:
         """Open a session (see `Transport.connect`); the time that a person needs to type a password does not count."""
@@ -59,26 +66,30 @@ class SshTransport:
         try:
             return self._login(resolved, deadline)
         except AuthError as refusal:
-            password = self._passwords.get(host, f"{resolved.user}@{resolved.given}") if _takes_passwords(refusal) else None
+            password = (
+                self._passwords.get(host, f"{resolved.user}@{resolved.given}")
+                if _can_use_password(refusal)
+                else None
+            )
             if password is None:
                 raise
         try:
             return self._login(resolved, time.monotonic() + timeout, password)
         except AuthError:
-            self._passwords.refused(host)
+            self._passwords.reject(host)
             raise
 
     def address(self, host: Host) -> str:
         """The real address or name of ``host``, ssh_config applied."""
         return self._resolver.resolve(host).hostname
 
-    def shown_key(self, host: Host, *, timeout: float) -> Key:
+    def fetch_host_key(self, host: Host, *, timeout: float) -> HostKey:
         """The key that ``host`` shows now, unjudged: nothing but the handshake is done."""
         deadline = time.monotonic() + timeout
         resolved = self._resolver.resolve(host, timeout=timeout)
-        return _patiently(partial(self._shown_key, resolved, deadline), deadline, resolved.name)
+        return _retry_while_busy(partial(self._shown_key, resolved, deadline), deadline, resolved.name)
 
-    def _shown_key(self, resolved: ResolvedHost, deadline: float) -> Key:
+    def _shown_key(self, resolved: ResolvedHost, deadline: float) -> HostKey:
         with self._line(resolved, deadline) as (line, done), self._deadline(resolved, line, deadline):
             transport = paramiko.Transport(line)  # type: ignore[arg-type]
             try:
@@ -91,9 +102,9 @@ class SshTransport:
                 hang_up(line)
                 transport.close()
         done()
-        return Key(shown.get_name(), shown.asbytes())
+        return HostKey(shown.get_name(), shown.asbytes())
 
-    def trust(self, host: Host, key: Key) -> Path:
+    def trust(self, host: Host, key: HostKey) -> Path:
         """Record ``key`` for ``host`` in the user's known_hosts; returns the file.
 
         Raises:
@@ -102,16 +113,18 @@ class SshTransport:
         return self._host_keys.trust(self._resolver.resolve(host), key)
 
     def _login(self, resolved: ResolvedHost, deadline: float, password: str | None = None) -> SshSession:
-        return _patiently(partial(self._attempt, resolved, deadline, password), deadline, resolved.name)
+        return _retry_while_busy(
+            partial(self._attempt, resolved, deadline, password), deadline, resolved.name
+        )
 
     def _attempt(self, resolved: ResolvedHost, deadline: float, password: str | None) -> SshSession:
-        login = Login(resolved.user, self._keyring.keys_for(resolved), password)
+        login = LoginStrategy(resolved.user, self._keyring.keys_for(resolved), password)
         with self._line(resolved, deadline) as (line, done), self._deadline(resolved, line, deadline):
             connection = self._fabric(resolved, line, login)
             try:
                 connection.open()
                 connection.transport.set_keepalive(KEEPALIVE_S)
-                if isinstance(line, Line):
+                if isinstance(line, TunedSocket):
                     line.allowance = math.inf
                 return SshSession(resolved.name, connection.client, line, after=done)
             except BaseException as error:
@@ -122,7 +135,7 @@ class SshTransport:
                 if not connection.is_connected:
                     connection.client.close()
 
-    def _fabric(self, resolved: ResolvedHost, line: object, login: Login) -> "fabric.Connection":
+    def _fabric(self, resolved: ResolvedHost, line: object, login: LoginStrategy) -> "fabric.Connection":
         # Lazy: neither ~/.fabric.py nor any other file of Fabric's is read, let alone executed. Not shared: its merging is not thread-safe.
         config = fabric.Config(lazy=True, ssh_config=paramiko.SSHConfig())
         connection = fabric.Connection(
@@ -133,30 +146,36 @@ class SshTransport:
             connect_kwargs={
                 "sock": line,
                 "auth_strategy": login,
-                "transport_factory": partial(_tuned, self._host_keys.key_types(resolved)),
+                "transport_factory": partial(_build_paramiko_transport, self._host_keys.key_types(resolved)),
             },
         )
-        connection.client.set_missing_host_key_policy(_Policy(resolved, self._host_keys))
+        connection.client.set_missing_host_key_policy(_HostKeyPolicy(resolved, self._host_keys))
         return connection
 
     @contextmanager
     def _line(self, resolved: ResolvedHost, deadline: float) -> Iterator[tuple[object, Callable[[], None]]]:
         """Something to speak SSH over, and what to call when it is no longer needed. Closed where the block raises."""
-        seconds = min(CONNECT_S, resolved.connect_timeout or CONNECT_S, deadline - time.monotonic())
+        seconds = min(
+            CONNECT_TIMEOUT_S, resolved.connect_timeout or CONNECT_TIMEOUT_S, deadline - time.monotonic()
+        )
         line: object
-        done: Callable[[], None] = _nothing
+        done: Callable[[], None] = _release_nothing
         try:
             if resolved.proxy_jump:
-                line, done = self._jumps.channel(resolved.proxy_jump, (resolved.hostname, resolved.port), deadline)
+                line, done = self._jumps.channel(
+                    resolved.proxy_jump, (resolved.hostname, resolved.port), deadline
+                )
             elif resolved.proxy_command:
-                line = proxy(resolved.proxy_command)
+                line = start_proxy_command(resolved.proxy_command)
             else:
-                line = dial(resolved.hostname, resolved.port, timeout=seconds)
+                line = connect_tcp(resolved.hostname, resolved.port, timeout=seconds)
         except TimeoutError as error:
             message = f"no answer from {resolved.hostname} port {resolved.port} within {seconds:.3g} s"
-            raise ConnectError(message, hint="is it switched on, and is its address right?", host=resolved.name) from error
+            raise ConnectError(
+                message, hint="is it switched on, and is its address right?", host=resolved.name
+            ) from error
         except Exception as error:
-            ours = translate(error, resolved.name)
+            ours = translate_ssh_error(error, resolved.name)
             raise ours from (None if ours is error else error)
         try:
             yield line, done
@@ -176,16 +195,18 @@ class SshTransport:
             except Exception as error:
                 if watch.expired:
                     raise DeadlineError(
-                        "connected, but SSH did not get ready in time", hint="frozen or overloaded?", host=resolved.name
+                        "connected, but SSH did not get ready in time",
+                        hint="frozen or overloaded?",
+                        host=resolved.name,
                     ) from error
                 if isinstance(error, _BusyError):
                     raise
-                ours = translate(error, resolved.name)
+                ours = translate_ssh_error(error, resolved.name)
                 raise ours from (None if ours is error else error)
 
     def _open_jump(self, jump: str, deadline: float) -> SshSession:
         """Open the session of one jump host, by the same rules as any other host."""
-        host = jump_host(jump)
+        host = parse_jump_host(jump)
         resolved = self._resolver.resolve(host, timeout=max(0.1, deadline - time.monotonic()))
         if resolved.proxy_jump and resolved.proxy_jump == jump:
             resolved = replace(resolved, proxy_jump="")
@@ -197,49 +218,63 @@ class SshTransport:
             raise type(error)(f"jump host {host.name}: {error.message}", hint=hint) from error
 
 
-class _Policy(paramiko.MissingHostKeyPolicy):
+class _HostKeyPolicy(paramiko.MissingHostKeyPolicy):
     """paramiko asks this about every key, because it knows no hosts itself."""
 
-    def __init__(self, resolved: ResolvedHost, host_keys: HostKeys) -> None:
+    def __init__(self, resolved: ResolvedHost, host_keys: HostKeyVerifier) -> None:
         self._resolved = resolved
         self._host_keys = host_keys
 
     def missing_host_key(self, client: paramiko.SSHClient, hostname: str, key: paramiko.PKey) -> None:
         """Raise unless known_hosts vouches for ``key``."""
         del client, hostname
-        self._host_keys.verify(self._resolved, Key(key.get_name(), key.asbytes()))
+        self._host_keys.verify(self._resolved, HostKey(key.get_name(), key.asbytes()))
 
 
-def _tuned(preferred: list[str], sock: object, disabled_algorithms: object = None) -> paramiko.Transport:
+def _build_paramiko_transport(
+    preferred: list[str], sock: object, disabled_algorithms: object = None
+) -> paramiko.Transport:
     """A paramiko transport that asks first for host keys of the types that known_hosts has, as OpenSSH does."""
     del disabled_algorithms
     transport = paramiko.Transport(sock)  # type: ignore[arg-type]
     offered = transport.get_security_options()
     types = list(offered.key_types)
-    wanted = [kind for known in preferred for kind in (("rsa-sha2-512", "rsa-sha2-256") if known == "ssh-rsa" else (known,))]
+    wanted = [
+        kind
+        for known in preferred
+        for kind in (("rsa-sha2-512", "rsa-sha2-256") if known == "ssh-rsa" else (known,))
+    ]
     first = [kind for kind in wanted if kind in types]
     offered.key_types = (*first, *(kind for kind in types if kind not in first))
     return transport
 
 
-def _takes_passwords(refusal: AuthError) -> bool:
+def _can_use_password(refusal: AuthError) -> bool:
     cause = refusal.__cause__
-    return isinstance(cause, RefusedLoginError) and bool({"password", "keyboard-interactive"} & set(cause.allowed))
+    return isinstance(cause, RefusedLoginError) and bool(
+        {"password", "keyboard-interactive"} & set(cause.allowed)
+    )
 
 
 def _raise_if_busy(transport: paramiko.Transport | None, error: BaseException) -> None:
     """Raise if the host has not even shown its banner."""
-    if transport is not None and not transport.remote_version and isinstance(error, EOFError | OSError | paramiko.SSHException):
+    if (
+        transport is not None
+        and not transport.remote_version
+        and isinstance(error, EOFError | OSError | paramiko.SSHException)
+    ):
         raise _BusyError from error
 
 
-def _patiently(attempt: Callable[[], T], deadline: float, name: str) -> T:
+def _retry_while_busy(attempt: Callable[[], T], deadline: float, name: str) -> T:
     """Try again, a few times and not in step with others, while the host is too busy to show its banner."""
     for pause in PAUSES_S:
         try:
             return attempt()
         except _BusyError:
-            time.sleep(max(0.0, min(pause * (0.5 + secrets.randbelow(1000) / 1000), deadline - time.monotonic())))
+            time.sleep(
+                max(0.0, min(pause * (0.5 + secrets.randbelow(1000) / 1000), deadline - time.monotonic()))
+            )
     try:
         return attempt()
     except _BusyError:
@@ -247,5 +282,5 @@ def _patiently(attempt: Callable[[], T], deadline: float, name: str) -> T:
         raise ConnectError("the host hangs up before its SSH banner", hint=hint, host=name) from None
 
 
-def _nothing() -> None:
+def _release_nothing() -> None:
     """Nothing to release."""

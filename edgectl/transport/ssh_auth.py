@@ -12,16 +12,16 @@ from paramiko.agent import AgentKey
 from paramiko.auth_strategy import AuthResult, AuthSource, AuthStrategy, InMemoryPrivateKey, SourceResult
 from paramiko.ssh_exception import BadAuthenticationType
 
-from edgectl.transport.sshconfig import ResolvedHost
+from edgectl.transport.ssh_config import ResolvedHost
 
 # Our bound for an agent that does not answer (it may wait for a person to touch a token), seconds.
-AGENT_S = 3.0
-_LIST, _LISTED = 11, 12
+AGENT_TIMEOUT_S = 3.0
+_LIST_REQUEST, _LIST_ANSWER = 11, 12
 # An answer of an agent may not be larger than this, bytes (OpenSSH's own bound).
-_LARGEST = 256 * 1024
+_MAX_ANSWER_BYTES = 256 * 1024
 
 
-class BoundedAgent:
+class SshAgentClient:
     """An ssh-agent that is asked with a deadline; a mute one counts as empty. One connection for each question."""
 
     def __init__(self, path: str) -> None:
@@ -30,29 +30,33 @@ class BoundedAgent:
     def keys(self) -> list[AgentKey]:
         """Keys in the agent, in its order. Security keys (``sk-``) are left out: paramiko cannot use them."""
         try:
-            kind, answer = self._send_message(bytes([_LIST]))
+            kind, answer = self._send_message(bytes([_LIST_REQUEST]))
         except (OSError, EOFError, paramiko.SSHException):
             return []
-        if kind != _LISTED:
+        if kind != _LIST_ANSWER:
             return []
         listed = [(answer.get_binary(), answer.get_binary()) for _ in range(min(answer.get_int(), 1000))]
-        return [AgentKey(self, blob, comment.decode(errors="replace")) for blob, comment in listed if b"sk-" not in blob[:12]]  # type: ignore[arg-type]
+        return [
+            AgentKey(self, blob, comment.decode(errors="replace"))  # type: ignore[arg-type]
+            for blob, comment in listed
+            if b"sk-" not in blob[:12]
+        ]
 
     def _send_message(self, message: bytes | paramiko.Message) -> tuple[int, paramiko.Message]:
         """Ask one question; the name is the one by which paramiko's AgentKey calls it."""
         body = message if isinstance(message, bytes) else message.asbytes()
         with socket.socket(socket.AF_UNIX) as agent:
-            agent.settimeout(AGENT_S)
+            agent.settimeout(AGENT_TIMEOUT_S)
             agent.connect(self._path)
             agent.sendall(len(body).to_bytes(4, "big") + body)
-            size = int.from_bytes(_exactly(agent, 4), "big")
-            if not 0 < size <= _LARGEST:
+            size = int.from_bytes(_receive_exactly(agent, 4), "big")
+            if not 0 < size <= _MAX_ANSWER_BYTES:
                 raise paramiko.SSHException("the ssh-agent speaks another protocol")
-            answer = paramiko.Message(_exactly(agent, size))
+            answer = paramiko.Message(_receive_exactly(agent, size))
         return answer.get_byte()[0], answer
 
 
-def _exactly(line: socket.socket, size: int) -> bytes:
+def _receive_exactly(line: socket.socket, size: int) -> bytes:
     data = b""
     while len(data) < size:
         piece = line.recv(size - len(data))
@@ -74,27 +78,31 @@ class Keyring:
         """Keys to offer, in OpenSSH's order: the agent's that are named, the agent's others (unless IdentitiesOnly), named files."""
         with self._lock:
             agent = self._agent_keys(resolved.identity_agent)
-            named = {blob for path in resolved.identity_files if (blob := _public_blob(path))}
+            named = {blob for path in resolved.identity_files if (blob := _load_public_blob(path))}
             ours = [key for key in agent if key.blob in named]
             others = [] if resolved.identities_only else [key for key in agent if key.blob not in named]
             held = {key.blob for key in [*ours, *others]}
-            files = [key for path in resolved.identity_files for key in self._load(path, resolved.certificate_files)]
+            files = [
+                key
+                for path in resolved.identity_files
+                for key in self._load(path, resolved.certificate_files)
+            ]
         return [*ours, *others, *(key for key in files if key.asbytes() not in held)]
 
     def _agent_keys(self, path: str) -> list[AgentKey]:
         if not path:
             return []
         if path not in self._agents:
-            self._agents[path] = BoundedAgent(path).keys()
+            self._agents[path] = SshAgentClient(path).keys()
         return self._agents[path]
 
     def _load(self, path: str, certificates: Sequence[str]) -> tuple[paramiko.PKey, ...]:
         if path not in self._files:
-            self._files[path] = _read_key(path, certificates)
+            self._files[path] = _load_key_file(path, certificates)
         return self._files[path]
 
 
-def _read_key(path: str, certificates: Sequence[str]) -> tuple[paramiko.PKey, ...]:
+def _load_key_file(path: str, certificates: Sequence[str]) -> tuple[paramiko.PKey, ...]:
     """The key in ``path``, with its certificate before it where there is one; nothing where the file is missing, odd or locked."""
     try:
         key = paramiko.PKey.from_path(path)
@@ -112,14 +120,14 @@ def _read_key(path: str, certificates: Sequence[str]) -> tuple[paramiko.PKey, ..
     return (key,)
 
 
-def _public_blob(path: str) -> bytes | None:
+def _load_public_blob(path: str) -> bytes | None:
     """The public half beside a key file, so that an agent's key can be recognised without opening a locked file."""
     with contextlib.suppress(Exception):
         return base64.b64decode(Path(path + ".pub").read_text().split()[1], validate=True)
     return None
 
 
-class _Password(AuthSource):
+class _PasswordSource(AuthSource):
     def __init__(self, username: str, password: str) -> None:
         super().__init__(username=username)
         self._password = password
@@ -140,7 +148,7 @@ class RefusedLoginError(paramiko.AuthenticationException):
         self.allowed = tuple(allowed)
 
 
-class Login(AuthStrategy):
+class LoginStrategy(AuthStrategy):
     """Offers keys one after the other, or one password; ``offered`` counts."""
 
     def __init__(self, user: str, keys: Sequence[paramiko.PKey], password: str | None = None) -> None:
@@ -153,7 +161,7 @@ class Login(AuthStrategy):
     def get_sources(self) -> Iterator[AuthSource]:
         """One password if there is one, else the keys."""
         if self._password is not None:
-            yield _Password(self._user, self._password)
+            yield _PasswordSource(self._user, self._password)
             return
         for key in self._keys:
             yield InMemoryPrivateKey(self._user, key)
@@ -170,7 +178,9 @@ class Login(AuthStrategy):
             try:
                 more = source.authenticate(transport)
             except BadAuthenticationType as error:
-                raise RefusedLoginError("the host takes " + " or ".join(error.allowed_types), error.allowed_types) from error
+                raise RefusedLoginError(
+                    "the host takes " + " or ".join(error.allowed_types), error.allowed_types
+                ) from error
             except paramiko.AuthenticationException:
                 if transport.is_active():
                     continue

@@ -21,7 +21,7 @@ from paramiko.ssh_exception import (
 from edgectl.errors import AuthError, ConnectError, DeadlineError, HostError, HostKeyError
 
 # Most specific first: the first entry that fits an exception names its kind and its words.
-TABLE: tuple[tuple[type[BaseException], type[HostError], str], ...] = (
+SSH_ERRORS: tuple[tuple[type[BaseException], type[HostError], str], ...] = (
     (paramiko.BadHostKeyException, HostKeyError, "host key is not the one in known_hosts"),
     (PasswordRequiredException, AuthError, "a key file needs a passphrase"),
     (BadAuthenticationType, AuthError, "the host does not allow this way to log in"),
@@ -46,22 +46,22 @@ TABLE: tuple[tuple[type[BaseException], type[HostError], str], ...] = (
     (ConnectionError, ConnectError, "connection lost"),
     (OSError, ConnectError, "connection failed"),
 )
-HINTS: dict[type[HostError], str] = {
+SSH_ERROR_HINTS: dict[type[HostError], str] = {
     AuthError: "ssh to it by hand; name the key with identity_file: in the inventory; a key with a passphrase must be in the ssh-agent",
     ConnectError: "is it switched on, and is its address right?",
     DeadlineError: "it is there but does not answer: overloaded, frozen, or behind a lossy link",
 }
 
 
-def translate(error: BaseException, name: str) -> HostError:
+def translate_ssh_error(error: BaseException, name: str) -> HostError:
     """Our error for ``error`` on host ``name``; errors of ours pass through."""
     if isinstance(error, HostError):
         error.host = error.host or name
         return error
-    for kind, ours, words in TABLE:
+    for kind, ours, words in SSH_ERRORS:
         if isinstance(error, kind):
             said = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
             detail = "".join(char for char in said.strip().split("\n")[0] if char.isprintable())[:200]
             message = f"{words} ({detail})" if detail and detail.lower() not in words else words
-            return ours(message, hint=HINTS.get(ours, ""), host=name)
+            return ours(message, hint=SSH_ERROR_HINTS.get(ours, ""), host=name)
     return ConnectError(f"unexpected {type(error).__name__}: {error}", host=name)

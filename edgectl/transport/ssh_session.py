@@ -13,19 +13,21 @@ import paramiko
 
 from edgectl.errors import ConnectError, DeadlineError, HostError, ReplyError
 from edgectl.transport.base import Reply
-from edgectl.transport.dial import hang_up, watchdog
-from edgectl.transport.ssh_errors import translate
+from edgectl.transport.sockets import hang_up, watchdog
+from edgectl.transport.ssh_errors import translate_ssh_error
 
 # A connection that does not even let a channel be closed is cut this long after the deadline, seconds.
 GRACE_S = 0.5
 CHANNEL_PAUSES_S = (0.02, 0.05, 0.1, 0.3, 1.0)
-_CHUNK = 65536
+_CHUNK_BYTES = 65536
 
 
 class SshSession:
     """An open connection to one host (see `Session`)."""
 
-    def __init__(self, name: str, client: paramiko.SSHClient, line: object, *, after: Callable[[], None] | None = None) -> None:
+    def __init__(
+        self, name: str, client: paramiko.SSHClient, line: object, *, after: Callable[[], None] | None = None
+    ) -> None:
         """``line`` is the socket or channel underneath; ``after`` is called once when the session is closed."""
         transport = client.get_transport()
         if transport is None:
@@ -46,17 +48,20 @@ class SshSession:
         """Run ``command`` (see `Session.run`)."""
         deadline = time.monotonic() + timeout
         with self._channel(command, stdin, deadline) as channel:
-            return _collect(channel, deadline, limit, timeout)
+            return _collect_reply(channel, deadline, limit, timeout)
 
     def stream(self, command: str, stdin: bytes, *, idle_timeout: float) -> Iterator[bytes]:
         """Run ``command`` and yield its output as it comes (see `Session.stream`)."""
-        with self._errors(idle_timeout), contextlib.closing(self._open(time.monotonic() + idle_timeout)) as channel:
+        with (
+            self._errors(idle_timeout),
+            contextlib.closing(self._open(time.monotonic() + idle_timeout)) as channel,
+        ):
             with watchdog(idle_timeout + GRACE_S, self._cut):
-                _start(channel, command, stdin, idle_timeout)
-            arrived = _arrivals(channel)
+                _start_command(channel, command, stdin, idle_timeout)
+            arrived = _watch_arrivals(channel)
             while True:
-                yield from _ready(channel)
-                if _ended(channel):
+                yield from _read_available(channel)
+                if _has_output_ended(channel):
                     break
                 if not arrived.wait(idle_timeout):
                     raise DeadlineError(f"nothing came for {idle_timeout:g} s")
@@ -90,7 +95,7 @@ class SshSession:
         with self._errors(seconds), watchdog(seconds + GRACE_S, self._cut) as watch:
             try:
                 with contextlib.closing(self._open(deadline)) as channel:
-                    _start(channel, command, stdin, seconds)
+                    _start_command(channel, command, stdin, seconds)
                     yield channel
                     self._check(channel)
             except Exception as error:
@@ -127,11 +132,11 @@ class SshSession:
         except TimeoutError as error:
             raise DeadlineError(f"no answer within {seconds:.3g} s", host=self.name) from error
         except Exception as error:
-            ours = translate(error, self.name)
+            ours = translate_ssh_error(error, self.name)
             raise ours from (None if ours is error else error)
 
 
-def _start(channel: paramiko.Channel, command: str, stdin: bytes, seconds: float) -> None:
+def _start_command(channel: paramiko.Channel, command: str, stdin: bytes, seconds: float) -> None:
     """Run ``command`` and feed it. A program that ends without reading everything is no error, as in a pipe."""
     channel.settimeout(seconds)
     channel.exec_command(command)
@@ -145,7 +150,7 @@ def _start(channel: paramiko.Channel, command: str, stdin: bytes, seconds: float
             raise
 
 
-def _collect(channel: paramiko.Channel, deadline: float, limit: int, timeout: float) -> Reply:
+def _collect_reply(channel: paramiko.Channel, deadline: float, limit: int, timeout: float) -> Reply:
     """Read both outputs to their end, then the exit status.
 
     Raises:
@@ -153,21 +158,24 @@ def _collect(channel: paramiko.Channel, deadline: float, limit: int, timeout: fl
         ReplyError: more than ``limit`` bytes came.
     """
     stdout, stderr, total = bytearray(), bytearray(), 0
-    arrived = _arrivals(channel)
+    arrived = _watch_arrivals(channel)
     while True:
-        for piece in _ready(channel, stderr):
+        for piece in _read_available(channel, stderr):
             stdout += piece
             total = len(stdout) + len(stderr)
             if total > limit:
-                raise ReplyError(f"more than {limit} bytes of output", hint="something floods the output: look at the login shell's files")
-        if _ended(channel) or not arrived.wait(max(0.0, deadline - time.monotonic())):
+                raise ReplyError(
+                    f"more than {limit} bytes of output",
+                    hint="something floods the output: look at the login shell's files",
+                )
+        if _has_output_ended(channel) or not arrived.wait(max(0.0, deadline - time.monotonic())):
             break
-    if not _ended(channel) or not channel.status_event.wait(max(0.0, deadline - time.monotonic())):
+    if not _has_output_ended(channel) or not channel.status_event.wait(max(0.0, deadline - time.monotonic())):
         raise DeadlineError(f"no end within {timeout:g} s")
     return Reply(stdout=bytes(stdout), stderr=bytes(stderr), status=channel.exit_status)
 
 
-def _arrivals(channel: paramiko.Channel) -> threading.Event:
+def _watch_arrivals(channel: paramiko.Channel) -> threading.Event:
     """An event that is set whenever either output of ``channel`` has something, or ended: one thread can wait for both."""
     arrived = threading.Event()
     channel.in_buffer.set_event(arrived)
@@ -177,18 +185,18 @@ def _arrivals(channel: paramiko.Channel) -> threading.Event:
     return arrived
 
 
-def _ready(channel: paramiko.Channel, stderr: bytearray | None = None) -> Iterator[bytes]:
+def _read_available(channel: paramiko.Channel, stderr: bytearray | None = None) -> Iterator[bytes]:
     """What has come so far: standard output in pieces (empty ones mark progress of stderr, which is added to ``stderr``)."""
     while channel.recv_ready() or channel.recv_stderr_ready():
         if channel.recv_stderr_ready():
-            piece = channel.recv_stderr(_CHUNK)
+            piece = channel.recv_stderr(_CHUNK_BYTES)
             if stderr is not None:
                 stderr += piece
                 yield b""
         if channel.recv_ready():
-            yield channel.recv(_CHUNK)
+            yield channel.recv(_CHUNK_BYTES)
 
 
-def _ended(channel: paramiko.Channel) -> bool:
+def _has_output_ended(channel: paramiko.Channel) -> bool:
     over = bool(channel.eof_received or channel.closed)
     return over and not channel.recv_ready() and not channel.recv_stderr_ready()

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from edgectl.errors import HostKeyError
 from edgectl.model.inventory import Connection, Host
-from edgectl.transport.knownhosts import Key, lookup_name
+from edgectl.transport.known_hosts import HostKey, build_known_hosts_name
 
 
 def fetch_host_keys(host: Host, *, timeout: float = 15.0) -> list[tuple[str, str, str]]:
@@ -19,21 +19,21 @@ def fetch_host_keys(host: Host, *, timeout: float = 15.0) -> list[tuple[str, str
     if host.connection is Connection.LOCAL:
         return []
     from edgectl.transport.ssh import SshTransport
-    from edgectl.transport.sshconfig import Resolver
+    from edgectl.transport.ssh_config import SshConfigResolver
 
-    key = SshTransport().shown_key(host, timeout=timeout)
-    resolved = Resolver().resolve(host)
-    name = lookup_name(resolved.hostname, resolved.port, resolved.host_key_alias)
+    key = SshTransport().fetch_host_key(host, timeout=timeout)
+    resolved = SshConfigResolver().resolve(host)
+    name = build_known_hosts_name(resolved.hostname, resolved.port, resolved.host_key_alias)
     return [(key.kind, key.fingerprint, f"{name} {key.text}")]
 
 
-def key_file(kind: str) -> str:
+def get_public_key_path(kind: str) -> str:
     """Where sshd keeps a public key of ``kind`` ("ssh-ed25519") unless it is told otherwise."""
     name = next((word for word in ("ed25519", "ecdsa", "rsa", "dss") if word in kind), "*")
     return f"/etc/ssh/ssh_host_{name.replace('dss', 'dsa')}_key.pub"
 
 
-def trust(host: Host, line: str) -> Path:
+def trust_host_key(host: Host, line: str) -> Path:
     """Record the key in ``line`` (from `fetch_host_keys`) for ``host`` in the user's known_hosts; returns that file.
 
     Raises:
@@ -43,7 +43,9 @@ def trust(host: Host, line: str) -> Path:
 
     try:
         _, kind, encoded = line.split()[:3]
-        key = Key(kind, base64.b64decode(encoded, validate=True))
+        key = HostKey(kind, base64.b64decode(encoded, validate=True))
     except ValueError:
-        raise HostKeyError("not a line of known_hosts", hint="use what fetch_host_keys gave", host=host.name) from None
+        raise HostKeyError(
+            "not a line of known_hosts", hint="use what fetch_host_keys gave", host=host.name
+        ) from None
     return SshTransport().trust(host, key)

@@ -17,11 +17,18 @@ from textual.widgets import DataTable, Footer, Input, Static
 
 from edgectl.errors import EdgectlError
 from edgectl.tui import rows
-from edgectl.tui.rows import Frame, Line
-from edgectl.tui.screens import Question, Reader
-from edgectl.views.text import harmless
+from edgectl.tui.rows import Frame, TopRow
+from edgectl.tui.screens import ConfirmScreen, TextScreen
+from edgectl.views.text import escape_unprintable
 
-_STYLES = {"good": "green", "bad": "red", "warn": "yellow", "dim": "bright_black", "bold": "bold", "name": "cyan"}
+_TEXTUAL_STYLES = {
+    "good": "green",
+    "bad": "red",
+    "warn": "yellow",
+    "dim": "bright_black",
+    "bold": "bold",
+    "name": "cyan",
+}
 _HELP = """\
 tab      the other table
 arrows   another line
@@ -40,7 +47,7 @@ highest.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Fleetwork:
+class FleetBackend:
     """What the view may ask for; each is called in a thread of its own.
 
     ``frames`` gives a picture each time that the function it is given, which waits in between, does not say to end.
@@ -52,7 +59,7 @@ class Fleetwork:
     cordon: Callable[[str, bool], None] | None
 
 
-class Seen(Message):
+class FrameReceived(Message):
     """A new picture."""
 
     def __init__(self, frame: Frame) -> None:
@@ -60,7 +67,7 @@ class Seen(Message):
         self.frame = frame
 
 
-class Said(Message):
+class NoteChanged(Message):
     """Something that a user should know; empty takes it away."""
 
     def __init__(self, text: str) -> None:
@@ -68,15 +75,15 @@ class Said(Message):
         self.text = text
 
 
-class Came(Message):
+class TextLoaded(Message):
     """The text that a reader waits for."""
 
-    def __init__(self, reader: Reader, text: str) -> None:
+    def __init__(self, reader: TextScreen, text: str) -> None:
         super().__init__()
         self.reader, self.text = reader, text
 
 
-class Top(App[None]):
+class TopApp(App[None]):
     """Hosts above, tasks below."""
 
     CSS = """
@@ -95,14 +102,16 @@ class Top(App[None]):
         Binding("c", "cordon", "Cordon"), Binding("question_mark", "help", "Help"), Binding("escape", "clear", show=False),
     ]  # fmt: skip
 
-    def __init__(self, work: Fleetwork, *, every: float, first: str = "hosts", unicode: bool = True) -> None:
+    def __init__(
+        self, work: FleetBackend, *, every: float, first: str = "hosts", unicode: bool = True
+    ) -> None:
         super().__init__()
         self._work, self._every, self._first, self._unicode = work, every, first, unicode
         self._frame: Frame | None = None
         self._width = 80
         self._wanted = ""
         self._orders = {"hosts": rows.HOST_ORDERS[0], "tasks": rows.TASK_ORDERS[0]}
-        self._lines: dict[str, list[Line]] = {"hosts": [], "tasks": []}
+        self._lines: dict[str, list[TopRow]] = {"hosts": [], "tasks": []}
         self._shapes: dict[str, tuple[list[str], list[int]]] = {}
         self._ended = threading.Event()
         self._again = threading.Event()
@@ -120,11 +129,11 @@ class Top(App[None]):
 
     def on_mount(self) -> None:
         """Begin to look."""
-        self._until_told()
+        self._install_signal_handlers()
         self._table(self._first).focus()
         threading.Thread(target=self._look, daemon=True).start()
 
-    def _until_told(self) -> None:
+    def _install_signal_handlers(self) -> None:
         """SIGTERM and SIGHUP end the view as q does, with the terminal as it was."""
         for number in (signal.SIGTERM, signal.SIGHUP):
             asyncio.get_running_loop().add_signal_handler(number, self.exit)
@@ -139,26 +148,30 @@ class Top(App[None]):
         self._width = event.size.width  # the size of the view itself still is the old one
         self._draw()
 
-    def on_seen(self, message: Seen) -> None:
+    def on_frame_received(self, message: FrameReceived) -> None:
         """Show a new picture."""
         self._frame = message.frame
         self._draw()
 
-    def on_said(self, message: Said) -> None:
+    def on_note_changed(self, message: NoteChanged) -> None:
         """Show what is to be known."""
-        if self._stands:
-            self.query_one("#note", Static).update(Text(harmless(message.text)))
+        if self._has_all_widgets:
+            self.query_one("#note", Static).update(Text(escape_unprintable(message.text)))
 
     @property
-    def _stands(self) -> bool:
+    def _has_all_widgets(self) -> bool:
         """Whether everything is there: not before the first moment, and not while the view ends."""
         return len(self.query("#head, #hosts, #tasks, #note")) == 4
 
     def _draw(self) -> None:
-        if self._frame is None or not self._stands:
+        if self._frame is None or not self._has_all_widgets:
             return
-        self._fill("hosts", rows.HOST_TITLES, rows.host_lines(self._frame, self._width, unicode=self._unicode))
-        self._fill("tasks", rows.TASK_TITLES, rows.task_lines(self._frame, self._width, unicode=self._unicode))
+        self._fill(
+            "hosts", rows.HOST_TITLES, rows.build_host_rows(self._frame, self._width, unicode=self._unicode)
+        )
+        self._fill(
+            "tasks", rows.TASK_TITLES, rows.build_task_rows(self._frame, self._width, unicode=self._unicode)
+        )
         self._summarise(self._frame)
 
     def _summarise(self, frame: Frame) -> None:
@@ -168,10 +181,10 @@ class Top(App[None]):
         text = f"{len(frame.snapshot.hosts)} hosts{silent} · {len(frame.tasks.tasks)} tasks · {orders}{shown}"
         self.query_one("#head", Static).update(Text(text))
 
-    def _fill(self, name: str, titles: Sequence[str], lines: list[Line]) -> None:
+    def _fill(self, name: str, titles: Sequence[str], lines: list[TopRow]) -> None:
         """Put the lines into a table. It is made anew only where rows come, go or change places, or a column needs another width."""
-        shown = rows.chosen(lines, self._wanted, self._orders[name])
-        shape = ([line.key for line in shown], rows.widths(lines, titles))
+        shown = rows.select_rows(lines, self._wanted, self._orders[name])
+        shape = ([line.key for line in shown], rows.compute_table_widths(lines, titles))
         at, self._lines[name] = self._line(name), shown
         with self.batch_update():
             if shape == self._shapes.get(name):
@@ -180,31 +193,40 @@ class Top(App[None]):
                 self._shapes[name] = shape
                 self._build(self._table(name), titles, shape[1], shown, at)
 
-    def _renew(self, table: DataTable[Text], shown: list[Line]) -> None:
+    def _renew(self, table: DataTable[Text], shown: list[TopRow]) -> None:
         for row, line in enumerate(shown):
-            for column, text in enumerate(_cells(line)):
+            for column, text in enumerate(_render_cells(line)):
                 if table.get_cell_at(Coordinate(row, column)) != text:
                     table.update_cell_at(Coordinate(row, column), text)
 
-    def _build(self, table: DataTable[Text], titles: Sequence[str], widths: list[int], shown: list[Line], at: Line | None) -> None:
+    def _build(
+        self,
+        table: DataTable[Text],
+        titles: Sequence[str],
+        widths: list[int],
+        shown: list[TopRow],
+        at: TopRow | None,
+    ) -> None:
         """The cursor stays on what it was on."""
         table.clear(columns=True)
         for title, width in zip(titles, widths, strict=True):
             table.add_column(Text(title), width=width)
-        table.add_rows(_cells(line) for line in shown)
-        place = next((number for number, line in enumerate(shown) if at is not None and line.key == at.key), 0)
+        table.add_rows(_render_cells(line) for line in shown)
+        place = next(
+            (number for number, line in enumerate(shown) if at is not None and line.key == at.key), 0
+        )
         table.move_cursor(row=place, animate=False)
 
     def _table(self, name: str) -> DataTable[Text]:
         return self.query_one(f"#{name}", DataTable)
 
-    def _line(self, name: str) -> Line | None:
+    def _line(self, name: str) -> TopRow | None:
         """The line under the cursor of a table."""
         place = self._table(name).cursor_row
         return self._lines[name][place] if place < len(self._lines[name]) else None
 
     @property
-    def _here(self) -> str:
+    def _focused_table(self) -> str:
         """The table that has the keys."""
         return "tasks" if self._table("tasks").has_focus else "hosts"
 
@@ -230,74 +252,80 @@ class Top(App[None]):
         """Take the filter and the news away."""
         self.query_one("#filter", Input).value = ""
         self.query_one("#filter").remove_class("asked")
-        self.post_message(Said(""))
+        self.post_message(NoteChanged(""))
         if not self._table("tasks").has_focus:
             self.query_one("#hosts").focus()
 
     def action_sort(self) -> None:
         """Sort the table by its next column."""
-        orders = rows.HOST_ORDERS if self._here == "hosts" else rows.TASK_ORDERS
-        self._orders[self._here] = orders[(orders.index(self._orders[self._here]) + 1) % len(orders)]
+        orders = rows.HOST_ORDERS if self._focused_table == "hosts" else rows.TASK_ORDERS
+        self._orders[self._focused_table] = orders[
+            (orders.index(self._orders[self._focused_table]) + 1) % len(orders)
+        ]
         self._draw()
 
     def action_help(self) -> None:
         """Say which keys there are."""
-        self.push_screen(Reader("Keys", _HELP))
+        self.push_screen(TextScreen("Keys", _HELP))
 
     def action_describe(self) -> None:
         """Say everything of the line."""
-        line = self._line(self._here)
+        line = self._line(self._focused_table)
         if line is not None and self._frame is not None:
-            self.push_screen(Reader(line.task or str(line.host), rows.described(self._frame, line)))
+            self.push_screen(
+                TextScreen(line.task or str(line.host), rows.render_row_details(self._frame, line))
+            )
 
     def action_logs(self) -> None:
         """Fetch the log of the task."""
-        line = self._line(self._here)
+        line = self._line(self._focused_table)
         if line is None or line.task is None:
-            self.post_message(Said("a host has no log; choose a task (Tab)"))
+            self.post_message(NoteChanged("a host has no log; choose a task (Tab)"))
             return
-        reader, task = Reader(f"log of {line.task}", "asking ..", at_end=True), line.task
+        reader, task = TextScreen(f"log of {line.task}", "asking ..", at_end=True), line.task
         self.push_screen(reader)
-        self._aside(lambda: self.post_message(Came(reader, self._work.logs(task) or "nothing was printed")))
+        self._run_in_thread(
+            lambda: self.post_message(TextLoaded(reader, self._work.logs(task) or "nothing was printed"))
+        )
 
-    def on_came(self, message: Came) -> None:
+    def on_text_loaded(self, message: TextLoaded) -> None:
         """Show it, unless the reader was closed."""
         if message.reader.is_attached:
             message.reader.show(message.text)
 
     def action_cordon(self) -> None:
         """Close the host of the line to new tasks, or open it again."""
-        line, cordon = self._line(self._here), self._work.cordon
+        line, cordon = self._line(self._focused_table), self._work.cordon
         if line is None or line.host is None or self._frame is None:
             return
         if cordon is None:
-            self.post_message(Said("--readonly: nothing is changed"))
+            self.post_message(NoteChanged("--readonly: nothing is changed"))
             return
-        host, memory = line.host, self._frame.snapshot.memory
+        host, memory = line.host, self._frame.snapshot.manager
         close = memory is None or host not in memory.cordons
         question = f"Close {host} to new tasks?" if close else f"Open {host} again?"
 
         def answered(yes: bool | None) -> None:  # noqa: FBT001, textual calls it so
             if yes:
-                self._aside(lambda: self._cordoned(cordon, host, close=close))
+                self._run_in_thread(lambda: self._set_cordon(cordon, host, close=close))
 
-        self.push_screen(Question(question), answered)
+        self.push_screen(ConfirmScreen(question), answered)
 
-    def _cordoned(self, cordon: Callable[[str, bool], None], host: str, *, close: bool) -> None:
+    def _set_cordon(self, cordon: Callable[[str, bool], None], host: str, *, close: bool) -> None:
         cordon(host, close)
-        self.post_message(Said(f"{host} is closed to new tasks" if close else f"{host} is open again"))
+        self.post_message(NoteChanged(f"{host} is closed to new tasks" if close else f"{host} is open again"))
         self._again.set()
 
     # -- threads -------------------------------------------------------------------------------------------------------------------------
 
-    def _aside(self, act: Callable[[], object]) -> None:
+    def _run_in_thread(self, act: Callable[[], object]) -> None:
         """Do something in a thread of its own; what goes wrong is said."""
 
         def work() -> None:
             try:
                 act()
             except EdgectlError as error:
-                self.post_message(Said(error.message))
+                self.post_message(NoteChanged(error.message))
 
         threading.Thread(target=work, daemon=True).start()
 
@@ -306,9 +334,9 @@ class Top(App[None]):
         while not self._ended.is_set():
             try:
                 for frame in self._work.frames(self._wait):
-                    self.post_message(Seen(frame))
+                    self.post_message(FrameReceived(frame))
             except EdgectlError as error:
-                self.post_message(Said(error.message))
+                self.post_message(NoteChanged(error.message))
                 self._wait()
 
     def _wait(self) -> bool:
@@ -318,6 +346,6 @@ class Top(App[None]):
         return self._ended.is_set()
 
 
-def _cells(line: Line) -> list[Text]:
+def _render_cells(line: TopRow) -> list[Text]:
     """Text that nothing a host says can colour or move."""
-    return [Text(harmless(cell.text), _STYLES.get(cell.style, "")) for cell in line.cells]
+    return [Text(escape_unprintable(cell.text), _TEXTUAL_STYLES.get(cell.style, "")) for cell in line.cells]

@@ -4,18 +4,17 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from edgectl.model.inventory import Inventory
-from edgectl.model.order import natural_key
 from edgectl.model.point import HostPoint, TaskPoint
 from edgectl.model.snapshot import HostSample, Snapshot, TaskSample
 from edgectl.model.task import Task, Tasks
+from edgectl.names import natural_key
 from edgectl.units import format_bytes, format_cores, format_duration, format_rate
-from edgectl.views import host_sheet, task_sheet
-from edgectl.views.absent import absent, standing
-from edgectl.views.spark import SAMPLES, spark
-from edgectl.views.state import STATES
+from edgectl.views import describe_host, describe_task
+from edgectl.views.sparkline import SPARKLINE_SAMPLES, render_sparkline
+from edgectl.views.state import TASK_STATE_STYLES, format_operator_mark, resolve_absent_task
 from edgectl.views.text import Cell
-from edgectl.views.top import demand_of
-from edgectl.views.use import apart
+from edgectl.views.top import find_task_demand
+from edgectl.views.usage import render_difference
 
 # Columns of the terminal: around each cell, and beside the table.
 _PADDING, _SCROLLBAR = 2, 2
@@ -38,7 +37,7 @@ class Frame:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Line:
+class TopRow:
     """One row: what it is about, its cells, and its value under each order."""
 
     host: str | None
@@ -58,94 +57,137 @@ HOST_TITLES = ("HOST", "STATUS", "CPU", "", "MEMORY", "", "TASKS")
 TASK_TITLES = ("TASK", "HOST", "STATE", "AGE", "CPU/DEMAND", "", "MEMORY", "NETWORK")
 
 
-def chosen(lines: Iterable[Line], wanted: str, order: str) -> list[Line]:
+def select_rows(lines: Iterable[TopRow], wanted: str, order: str) -> list[TopRow]:
     """The lines that show ``wanted``, in ``order``: names upwards, numbers downwards."""
-    found = [line for line in lines if not wanted or any(wanted.lower() in cell.text.lower() for cell in line.cells)]
+    found = [
+        line
+        for line in lines
+        if not wanted or any(wanted.lower() in cell.text.lower() for cell in line.cells)
+    ]
     return sorted(found, key=lambda line: line.orders[order])
 
 
-def host_lines(frame: Frame, width: int, *, unicode: bool) -> list[Line]:
+def build_host_rows(frame: Frame, width: int, *, unicode: bool) -> list[TopRow]:
     """One line per host; two sparklines share what a terminal of ``width`` columns has left."""
 
-    def lines(room: int) -> list[Line]:
-        return [_host_line(name, host, frame, room, unicode=unicode) for name, host in frame.snapshot.hosts.items()]
+    def lines(room: int) -> list[TopRow]:
+        return [
+            _build_host_row(name, host, frame, room, unicode=unicode)
+            for name, host in frame.snapshot.hosts.items()
+        ]
 
-    return lines(_left(lines(0), HOST_TITLES, width) // 2)
+    return lines(_compute_spare_columns(lines(0), HOST_TITLES, width) // 2)
 
 
-def _left(lines: Sequence[Line], titles: Sequence[str], width: int) -> int:
+def _compute_spare_columns(lines: Sequence[TopRow], titles: Sequence[str], width: int) -> int:
     """Columns that the terminal has left beside the text."""
-    return max(0, width - _SCROLLBAR - sum(each + _PADDING for each in widths(lines, titles)))
+    return max(0, width - _SCROLLBAR - sum(each + _PADDING for each in compute_table_widths(lines, titles)))
 
 
-def widths(lines: Iterable[Line], titles: Sequence[str]) -> list[int]:
+def compute_table_widths(lines: Iterable[TopRow], titles: Sequence[str]) -> list[int]:
     """What each column of a table needs."""
     rows = [[len(cell.text) for cell in line.cells] for line in lines]
     return [max(column) for column in zip([len(title) for title in titles], *rows, strict=True)]
 
 
-def _host_line(name: str, host: HostSample, frame: Frame, room: int, *, unicode: bool) -> Line:
+def _build_host_row(name: str, host: HostSample, frame: Frame, room: int, *, unicode: bool) -> TopRow:
     points = frame.host_points.get(name, ())
-    closed = standing(name, frame.snapshot.memory)
+    closed = format_operator_mark(name, frame.snapshot.manager)
     cpu = host.cpu.used_cores / host.cpu.cores if host.cpu else 0.0
     memory = host.memory.used_bytes / host.memory.total_bytes if host.memory else 0.0
     count = sum(task.state.alive for task in host.tasks.values())
-    status = Cell(closed or "ok", "warn" if closed else "good") if host.ok else Cell(closed or "silent", "bad")
+    status = (
+        Cell(closed or "ok", "warn" if closed else "good") if host.ok else Cell(closed or "silent", "bad")
+    )
     cells = (
         Cell(name, "name"),
         status,
-        Cell(f"{format_cores(host.cpu.used_cores)}/{format_cores(host.cpu.cores)}" if host.cpu else "-", _heat(cpu)),
-        Cell(_past([_share(p.used_cores, p.cores) for p in points], 1.0, room, unicode=unicode), "dim"),
-        Cell(f"{memory:.0%}" if host.memory else "-", _heat(memory)),
-        Cell(_past([_share(p.used_bytes, p.total_bytes) for p in points], 1.0, room, unicode=unicode), "dim"),
+        Cell(
+            f"{format_cores(host.cpu.used_cores)}/{format_cores(host.cpu.cores)}" if host.cpu else "-",
+            _get_heat_style(cpu),
+        ),
+        Cell(
+            _render_history(
+                [_compute_share(p.used_cores, p.cores) for p in points], 1.0, room, unicode=unicode
+            ),
+            "dim",
+        ),
+        Cell(f"{memory:.0%}" if host.memory else "-", _get_heat_style(memory)),
+        Cell(
+            _render_history(
+                [_compute_share(p.used_bytes, p.total_bytes) for p in points], 1.0, room, unicode=unicode
+            ),
+            "dim",
+        ),
         Cell(str(count) if host.ok else "-"),
     )
     named = natural_key(name)
-    return Line(
+    return TopRow(
         host=name, task=None, cells=cells,
         orders={"name": (named,), "cpu": (-cpu, named), "memory": (-memory, named), "tasks": (-count, named)},
     )  # fmt: skip
 
 
-def task_lines(frame: Frame, width: int, *, unicode: bool) -> list[Line]:
+def build_task_rows(frame: Frame, width: int, *, unicode: bool) -> list[TopRow]:
     """One line per task and host that reports it, and one per task of the files that no host reports."""
-    runs = [(name, host, sample) for host, each in frame.snapshot.hosts.items() for name, sample in each.tasks.items()]
+    runs = [
+        (name, host, sample)
+        for host, each in frame.snapshot.hosts.items()
+        for name, sample in each.tasks.items()
+    ]
     seen = {name for name, _, _ in runs}
-    others = [_absent_line(task, frame) for task in frame.tasks.tasks.values() if task.name not in seen]
+    others = [
+        _build_absent_task_row(task, frame) for task in frame.tasks.tasks.values() if task.name not in seen
+    ]
 
-    def lines(room: int) -> list[Line]:
-        return [_task_line(name, host, sample, frame, room, unicode=unicode) for name, host, sample in runs] + others
+    def lines(room: int) -> list[TopRow]:
+        return [
+            _build_task_row(name, host, sample, frame, room, unicode=unicode) for name, host, sample in runs
+        ] + others
 
-    return lines(_left(lines(0), TASK_TITLES, width))
+    return lines(_compute_spare_columns(lines(0), TASK_TITLES, width))
 
 
-def _task_line(name: str, host: str, sample: TaskSample, frame: Frame, room: int, *, unicode: bool) -> Line:
+def _build_task_row(
+    name: str, host: str, sample: TaskSample, frame: Frame, room: int, *, unicode: bool
+) -> TopRow:
     cores = [point.used_cores for point in frame.task_points.get(name, ()) if point.host == host]
     age = max(0.0, frame.snapshot.taken_at - sample.started_at) if sample.started_at else 0.0
     alive = sample.state.alive
-    demand = demand_of(name, host, frame.snapshot, frame.inventory, frame.tasks).cores
+    demand = find_task_demand(name, host, frame.snapshot, frame.inventory, frame.tasks).cores
     cells = (
         Cell(name, "name"),
         Cell(host),
-        Cell(sample.state.value, STATES[sample.state]),
+        Cell(sample.state.value, TASK_STATE_STYLES[sample.state]),
         Cell(format_duration(age) if sample.started_at else "-"),
-        _against(sample.used_cores, demand) if alive else Cell("-"),
-        Cell(_past(cores, max([demand or 0.01, *cores]), room, unicode=unicode), "dim"),
+        _render_cores_and_demand(sample.used_cores, demand) if alive else Cell("-"),
+        Cell(_render_history(cores, max([demand or 0.01, *cores]), room, unicode=unicode), "dim"),
         Cell(format_bytes(sample.used_bytes) if alive else "-"),
         Cell(format_rate(sample.used_bytes_per_s) if alive else "-"),
     )
-    return _line(name, host, cells, cpu=sample.used_cores, memory=sample.used_bytes, network=sample.used_bytes_per_s, age=age)
+    return _assemble_task_row(
+        name,
+        host,
+        cells,
+        cpu=sample.used_cores,
+        memory=sample.used_bytes,
+        network=sample.used_bytes_per_s,
+        age=age,
+    )
 
 
-def _against(used: float, demand: float | None) -> Cell:
+def _render_cores_and_demand(used: float, demand: float | None) -> Cell:
     """Cores, and those that were asked for."""
     if demand is None:
         return Cell(format_cores(used))
-    return Cell(f"{format_cores(used)}/{format_cores(demand)}", apart(used - demand, demand, format_cores).style)
+    return Cell(
+        f"{format_cores(used)}/{format_cores(demand)}",
+        render_difference(used - demand, demand, format_cores).style,
+    )
 
 
-def _absent_line(task: Task, frame: Frame) -> Line:
-    known = absent(task, frame.snapshot)
+def _build_absent_task_row(task: Task, frame: Frame) -> TopRow:
+    known = resolve_absent_task(task, frame.snapshot)
     cells = (
         Cell(task.name, "name"),
         Cell(known.host or "-"),
@@ -156,31 +198,37 @@ def _absent_line(task: Task, frame: Frame) -> Line:
         Cell("-"),
         Cell("-"),
     )
-    return _line(task.name, known.host, cells)
+    return _assemble_task_row(task.name, known.host, cells)
 
 
-def _line(task: str, host: str | None, cells: Sequence[Cell], **amounts: float) -> Line:
+def _assemble_task_row(task: str, host: str | None, cells: Sequence[Cell], **amounts: float) -> TopRow:
     named = (natural_key(task), natural_key(host or ""))
     orders = {order: (-amounts.get(order, 0.0), *named) for order in TASK_ORDERS[2:]}
-    return Line(host=host, task=task, cells=tuple(cells), orders={**orders, "name": named, "host": named[::-1]})
+    return TopRow(
+        host=host, task=task, cells=tuple(cells), orders={**orders, "name": named, "host": named[::-1]}
+    )
 
 
-def _share(used: float | None, capacity: float | None) -> float | None:
+def _compute_share(used: float | None, capacity: float | None) -> float | None:
     return used / capacity if used is not None and capacity else None
 
 
-def _past(values: Sequence[float | None], top: float, room: int, *, unicode: bool) -> str:
-    room = min(room, SAMPLES)
-    return spark(values, top, room, unicode=unicode).rjust(room)
+def _render_history(values: Sequence[float | None], top: float, room: int, *, unicode: bool) -> str:
+    room = min(room, SPARKLINE_SAMPLES)
+    return render_sparkline(values, top, room, unicode=unicode).rjust(room)
 
 
-def _heat(share: float) -> str:
+def _get_heat_style(share: float) -> str:
     """Colour that only repeats what the number says."""
     return "bad" if share > 1 else "warn" if share > 0.8 else ""
 
 
-def described(frame: Frame, line: Line) -> str:
+def render_row_details(frame: Frame, line: TopRow) -> str:
     """Everything that is known of a line."""
     if line.task:
-        return task_sheet.task(line.task, frame.snapshot, frame.inventory, frame.tasks, None, None)
-    return host_sheet.host(str(line.host), frame.snapshot, frame.inventory, frame.tasks, None)
+        return describe_task.render_task_details(
+            line.task, frame.snapshot, frame.inventory, frame.tasks, None, None
+        )
+    return describe_host.render_host_details(
+        str(line.host), frame.snapshot, frame.inventory, frame.tasks, None
+    )

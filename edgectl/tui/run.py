@@ -4,48 +4,61 @@ import dataclasses
 import sys
 from collections.abc import Callable, Iterator
 
-from edgectl.gateway.collect import ProbeOptions
-from edgectl.tui.app import Fleetwork, Said, Top
+from edgectl.gateway.host_probe import ProbeOptions
+from edgectl.tui.app import FleetBackend, NoteChanged, TopApp
 from edgectl.tui.rows import Frame
-from edgectl.usecases import look, marks
+from edgectl.usecases import operator_marks, status
 from edgectl.usecases.fleet import Fleet
-from edgectl.usecases.logs import logs
-from edgectl.views.spark import SAMPLES
-from edgectl.views.text import look_of
-from edgectl.views.top import by_host, by_task
+from edgectl.usecases.logs import read_log
+from edgectl.views.sparkline import SPARKLINE_SAMPLES
+from edgectl.views.text import detect_render_options
+from edgectl.views.top import group_points_by_host, group_points_by_task
 
-_TAIL = 200
+_LOG_TAIL_LINES = 200
 
 
-def run(fleet: Fleet, *, every: float = 5.0, readonly: bool = False, first: str = "hosts", options: ProbeOptions | None = None) -> None:
+def run_top_view(
+    fleet: Fleet,
+    *,
+    every: float = 5.0,
+    readonly: bool = False,
+    first: str = "hosts",
+    options: ProbeOptions | None = None,
+) -> None:
     """Show the fleet until q, Ctrl-C or SIGTERM; it is looked at every ``every`` seconds. ``readonly``: hosts cannot be cordoned.
 
     ``first``: the table that has the keys at the beginning. Standard output must be a terminal.
     """
-    app: Top
+    app: TopApp
 
     def warn(text: str) -> None:
-        app.post_message(Said(f"warning: {text}"))
+        app.post_message(NoteChanged(f"warning: {text}"))
 
-    work = fleetwork(dataclasses.replace(fleet, warn=warn), readonly=readonly, options=options)
-    app = Top(work, every=every, first=first, unicode=look_of(sys.stdout).unicode)
+    work = build_fleet_backend(dataclasses.replace(fleet, warn=warn), readonly=readonly, options=options)
+    app = TopApp(work, every=every, first=first, unicode=detect_render_options(sys.stdout).unicode)
     app.run()
 
 
-def fleetwork(fleet: Fleet, *, readonly: bool = False, options: ProbeOptions | None = None) -> Fleetwork:
+def build_fleet_backend(
+    fleet: Fleet, *, readonly: bool = False, options: ProbeOptions | None = None
+) -> FleetBackend:
     """What the view may ask of a fleet."""
 
     def frames(told_to_end: Callable[[], bool]) -> Iterator[Frame]:
-        for snapshot in look.looks(fleet, told_to_end, options):
+        for snapshot in status.probe_repeatedly(fleet, told_to_end, options):
             yield Frame(
                 snapshot=snapshot,
                 inventory=fleet.inventory,
                 tasks=fleet.tasks,
-                host_points=by_host(look.host_history(fleet, SAMPLES)),
-                task_points=by_task(look.task_history(fleet, SAMPLES)),
+                host_points=group_points_by_host(status.load_host_points(fleet, SPARKLINE_SAMPLES)),
+                task_points=group_points_by_task(status.load_task_points(fleet, SPARKLINE_SAMPLES)),
             )
 
     def cordon(host: str, close: bool) -> None:  # noqa: FBT001
-        (marks.cordon if close else marks.uncordon)(fleet, [host])
+        (operator_marks.cordon_hosts if close else operator_marks.uncordon_hosts)(fleet, [host])
 
-    return Fleetwork(frames=frames, logs=lambda task: logs(fleet, task, tail=_TAIL), cordon=None if readonly else cordon)
+    return FleetBackend(
+        frames=frames,
+        logs=lambda task: read_log(fleet, task, tail=_LOG_TAIL_LINES),
+        cordon=None if readonly else cordon,
+    )

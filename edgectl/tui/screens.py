@@ -9,15 +9,15 @@ from textual.containers import Vertical, VerticalScroll
 from textual.screen import ModalScreen
 from textual.widgets import Static
 
-from edgectl.views.text import log_text
+from edgectl.views.text import decode_log_output
 
 
-class Reader(ModalScreen[None]):
+class TextScreen(ModalScreen[None]):
     """Text with a title; it may come later."""
 
     CSS = """
-    Reader { align: center middle; }
-    Reader > Vertical { width: 90%; height: 85%; border: round $primary; padding: 0 1; }
+    TextScreen { align: center middle; }
+    TextScreen > Vertical { width: 90%; height: 85%; border: round $primary; padding: 0 1; }
     """
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("escape,q,enter", "dismiss", "Close"), Binding("end", "end"), Binding("home", "home"),
@@ -41,7 +41,7 @@ class Reader(ModalScreen[None]):
 
     def show(self, text: str) -> None:
         """Put ``text`` in; whatever a host wrote into it steers nothing."""
-        self.query_one("#text", Static).update(Text(log_text(text.encode("utf-8", "replace"))))
+        self.query_one("#text", Static).update(Text(decode_log_output(text.encode("utf-8", "replace"))))
         if self._at_end:
             self.query_one(VerticalScroll).scroll_end(animate=False)
 
@@ -54,12 +54,12 @@ class Reader(ModalScreen[None]):
         self.query_one(VerticalScroll).scroll_home(animate=False)
 
 
-class Question(ModalScreen[bool]):
+class ConfirmScreen(ModalScreen[bool]):
     """Yes or no; anything but y is a no."""
 
     CSS = """
-    Question { align: center middle; }
-    Question > Static { width: 60; height: auto; border: round $warning; padding: 1 2; }
+    ConfirmScreen { align: center middle; }
+    ConfirmScreen > Static { width: 60; height: auto; border: round $warning; padding: 1 2; }
     """
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("y", "answer(True)", "Yes"), Binding("n,escape,q,enter", "answer(False)", "No"),

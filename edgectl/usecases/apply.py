@@ -3,34 +3,42 @@
 import dataclasses
 
 from edgectl.errors import StalePlanError
-from edgectl.executor.stale import moved
-from edgectl.model.memory import Memory
+from edgectl.executor.drift import list_drift
+from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Plan
 from edgectl.model.policy import Policy
+from edgectl.state.failpoints import hit_failpoint
 from edgectl.state.journal import Journal
-from edgectl.state.points import reached
-from edgectl.usecases.change import Applied, ApplyOptions, Confirm, agreed, carry_out, changing
 from edgectl.usecases.fleet import Fleet
-from edgectl.usecases.plan import plan as make_plan
-from edgectl.usecases.plan import plan_id
-from edgectl.usecases.probe import probe
+from edgectl.usecases.plan import compute_plan_id, make_plan
+from edgectl.usecases.plan_execution import (
+    ApplyOptions,
+    ApplyResult,
+    Confirm,
+    confirm_always,
+    confirm_and_execute,
+    lock_fleet,
+)
+from edgectl.usecases.probe import probe_fleet
 
-__all__ = ["Applied", "ApplyOptions", "Confirm", "apply", "apply_saved"]
+__all__ = ["ApplyOptions", "ApplyResult", "Confirm", "apply_saved_plan", "plan_and_apply"]
 
 
-def apply(fleet: Fleet, policy: Policy, confirm: Confirm = agreed, options: ApplyOptions | None = None) -> Applied:
+def plan_and_apply(
+    fleet: Fleet, policy: Policy, confirm: Confirm = confirm_always, options: ApplyOptions | None = None
+) -> ApplyResult:
     """Probe, plan, ask ``confirm``, carry out, remember.
 
     Raises:
         LockBusyError: another edgectl is changing this fleet.
     """
     options = options or ApplyOptions()
-    with changing(fleet, "apply", options) as held:
+    with lock_fleet(fleet, "apply", options) as held:
         plan = options.choose(make_plan(held, policy, options=options.probe))
-        return carry_out(held, plan, confirm, options)
+        return confirm_and_execute(held, plan, confirm, options)
 
 
-def apply_saved(fleet: Fleet, plan: Plan, options: ApplyOptions | None = None) -> Applied:
+def apply_saved_plan(fleet: Fleet, plan: Plan, options: ApplyOptions | None = None) -> ApplyResult:
     """Carry out a saved plan, once, and only if nothing moved since it was made.
 
     Raises:
@@ -38,15 +46,17 @@ def apply_saved(fleet: Fleet, plan: Plan, options: ApplyOptions | None = None) -
         LockBusyError: another edgectl is changing this fleet.
     """
     options = options or ApplyOptions()
-    name = plan_id(plan)
-    with changing(fleet, "apply", options) as held:
+    name = compute_plan_id(plan)
+    with lock_fleet(fleet, "apply", options) as held:
         with Journal.open(fleet.state, clock=fleet.clock, warn=fleet.warn) as journal:
             if name in journal.log.applied:
                 raise StalePlanError(["it was applied before"])
-        snapshot = probe(held, options.probe)
-        changes = moved(plan, fleet.inventory, fleet.tasks, snapshot, snapshot.memory or Memory())
-        reached("staleness checked")
+        snapshot = probe_fleet(held, options.probe)
+        changes = list_drift(plan, fleet.inventory, fleet.tasks, snapshot, snapshot.manager or ManagerState())
+        hit_failpoint("staleness checked")
         if changes:
             raise StalePlanError(changes)
         fresh = dataclasses.replace(plan, snapshot=snapshot)
-        return dataclasses.replace(carry_out(held, fresh, agreed, options, name=name), plan=plan)
+        return dataclasses.replace(
+            confirm_and_execute(held, fresh, confirm_always, options, name=name), plan=plan
+        )

@@ -6,29 +6,37 @@ from statistics import pstdev
 from edgectl.model.explanation import Explanation
 from edgectl.model.plan import Plan
 from edgectl.model.point import HostPoint
-from edgectl.scheduler.explain import Noise
-from edgectl.scheduler.explain import explain as explained
+from edgectl.scheduler.explain import TermNoise
+from edgectl.scheduler.explain import explain_decision as explained
 from edgectl.usecases.fleet import Fleet
 
 # So many of the last samples say how much the readings vary; fewer than the least say nothing.
-_SAMPLES, _LEAST = 60, 10
+_MAX_SAMPLES, _MIN_SAMPLES = 60, 10
 
 
-def explain(fleet: Fleet, plan: Plan, task: str, noise: Mapping[str, Noise] | None = None) -> Explanation:
+def explain_placement(
+    fleet: Fleet, plan: Plan, task: str, noise: Mapping[str, TermNoise] | None = None
+) -> Explanation:
     """The decision of ``plan`` on ``task`` taken apart."""
     decision = next(step.decision for step in plan.steps if step.task == task)
     return explained(fleet.inventory, fleet.tasks.tasks[task], plan.snapshot, decision, plan.policy, noise)
 
 
-def noise_of(fleet: Fleet) -> dict[str, Noise]:
+def compute_noise_by_host(fleet: Fleet) -> dict[str, TermNoise]:
     """How much the readings of each host varied lately, as the history has them."""
     points: dict[str, list[HostPoint]] = {}
-    for point in fleet.history.use(fleet.state, fleet.warn, lambda store: store.host_points(limit=_SAMPLES)):
+    for point in fleet.history.use(
+        fleet.state, fleet.warn, lambda store: store.host_points(limit=_MAX_SAMPLES)
+    ):
         points.setdefault(point.host, []).append(point)
-    return {host: _noise(found) for host, found in points.items() if len(found) >= _LEAST}
+    return {host: _compute_noise(found) for host, found in points.items() if len(found) >= _MIN_SAMPLES}
 
 
-def _noise(points: Sequence[HostPoint]) -> Noise:
+def _compute_noise(points: Sequence[HostPoint]) -> TermNoise:
     cpu = [point.used_cores / point.cores for point in points if point.used_cores is not None and point.cores]
-    memory = [point.used_bytes / point.total_bytes for point in points if point.used_bytes is not None and point.total_bytes]
-    return Noise(cpu=pstdev(cpu) if cpu else 0.0, memory=pstdev(memory) if memory else 0.0)
+    memory = [
+        point.used_bytes / point.total_bytes
+        for point in points
+        if point.used_bytes is not None and point.total_bytes
+    ]
+    return TermNoise(cpu=pstdev(cpu) if cpu else 0.0, memory=pstdev(memory) if memory else 0.0)

@@ -7,10 +7,9 @@ from pathlib import Path
 
 from edgectl.model.inventory import Inventory
 from edgectl.model.task import Tasks
-from edgectl.state.files import Warn, silent
-from edgectl.state.keeper import Keeper
-from edgectl.state.uptime import Uptime
-from edgectl.state.uptime import uptime as now_up
+from edgectl.state.json_files import Warn, ignore_warning
+from edgectl.state.store_handle import StoreHandle
+from edgectl.state.uptime import Uptime, read_uptime
 from edgectl.transport.base import Transport
 
 
@@ -27,6 +26,6 @@ class Fleet:
     transport: Transport
     state: Path
     clock: Callable[[], float] = time.time
-    warn: Warn = silent
-    uptime: Callable[[], Uptime] = now_up
-    history: Keeper = field(default_factory=Keeper)
+    warn: Warn = ignore_warning
+    uptime: Callable[[], Uptime] = read_uptime
+    history: StoreHandle = field(default_factory=StoreHandle)

@@ -4,59 +4,78 @@ import dataclasses
 from collections.abc import Mapping
 
 from edgectl.errors import UsageError
-from edgectl.executor.diff import plan_of
-from edgectl.executor.rollback import towards
-from edgectl.model.memory import Memory
+from edgectl.executor.diff import plan_from_assignment
+from edgectl.executor.operator_plans import build_rollback_plan
+from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Plan
 from edgectl.model.policy import Policy, PolicyName
 from edgectl.model.revision import Revision
 from edgectl.model.task import Task, Tasks
 from edgectl.scheduler.assign import assign
-from edgectl.state.history import revisions
-from edgectl.usecases.change import Applied, ApplyOptions, Confirm, agreed, carry_out, changing
+from edgectl.state.revisions import load_revisions
 from edgectl.usecases.fleet import Fleet
-from edgectl.usecases.probe import probe
+from edgectl.usecases.plan_execution import (
+    ApplyOptions,
+    ApplyResult,
+    Confirm,
+    confirm_always,
+    confirm_and_execute,
+    lock_fleet,
+)
+from edgectl.usecases.probe import probe_fleet
 
 
-def history(fleet: Fleet) -> tuple[Revision, ...]:
+def list_revisions(fleet: Fleet) -> tuple[Revision, ...]:
     """Every revision of the fleet, oldest first."""
-    return revisions(fleet.state, fleet.warn)
+    return load_revisions(fleet.state, fleet.warn)
 
 
-def revision(fleet: Fleet, number: int) -> Revision:
+def get_revision(fleet: Fleet, number: int) -> Revision:
     """One revision.
 
     Raises:
         UsageError: there is none of this number.
     """
-    known = history(fleet)
+    known = list_revisions(fleet)
     found = next((each for each in reversed(known) if each.number == number), None)
     if found is None:
-        hint = f"the last one is {known[-1].number}; edgectl history lists them" if known else "nothing was applied yet"
+        hint = (
+            f"the last one is {known[-1].number}; edgectl history lists them"
+            if known
+            else "nothing was applied yet"
+        )
         raise UsageError(f"no revision {number}", hint=hint)
     return found
 
 
-def rollback_plan(fleet: Fleet, policy: Policy, number: int | None, options: ApplyOptions) -> Plan:
+def plan_rollback(fleet: Fleet, policy: Policy, number: int | None, options: ApplyOptions) -> Plan:
     """A new plan towards where the tasks stood after revision ``number`` (None: before the last one).
 
     Raises:
         UsageError: there is no such revision, or its placement was not recorded.
     """
-    target = _target(fleet, number)
-    wanted = _placements(target)
-    snapshot = probe(fleet, options.probe)
-    memory = snapshot.memory or Memory()
-    pinned = dataclasses.replace(fleet.tasks, tasks={name: _pinned(fleet, task, wanted) for name, task in fleet.tasks.tasks.items()})
+    target = _get_rollback_target(fleet, number)
+    wanted = _get_placements(target)
+    snapshot = probe_fleet(fleet, options.probe)
+    memory = snapshot.manager or ManagerState()
+    pinned = dataclasses.replace(
+        fleet.tasks, tasks={name: _pin_task(fleet, task, wanted) for name, task in fleet.tasks.tasks.items()}
+    )
     how = dataclasses.replace(policy, name=PolicyName.UTILITY)
     assignment = assign(fleet.inventory, pinned, snapshot, memory, how, snapshot.taken_at)
-    _say_missing(fleet, wanted, fleet.tasks)
-    return towards(plan_of(fleet.inventory, pinned, snapshot, memory, assignment), wanted, target.number)
+    _warn_of_missing(fleet, wanted, fleet.tasks)
+    return build_rollback_plan(
+        plan_from_assignment(fleet.inventory, pinned, snapshot, memory, assignment), wanted, target.number
+    )
 
 
-def rollback(
-    fleet: Fleet, policy: Policy, number: int | None = None, confirm: Confirm = agreed, options: ApplyOptions | None = None
-) -> Applied:
+def roll_back_fleet(
+    fleet: Fleet,
+    policy: Policy,
+    number: int | None = None,
+    confirm: Confirm = confirm_always,
+    options: ApplyOptions | None = None,
+) -> ApplyResult:
     """Plan towards an old placement, ask, carry out.
 
     Raises:
@@ -64,20 +83,22 @@ def rollback(
         LockBusyError: another edgectl is changing this fleet.
     """
     options = options or ApplyOptions()
-    with changing(fleet, "rollback", options) as held:
-        return carry_out(held, rollback_plan(held, policy, number, options), confirm, options, verb="rollback")
+    with lock_fleet(fleet, "rollback", options) as held:
+        return confirm_and_execute(
+            held, plan_rollback(held, policy, number, options), confirm, options, verb="rollback"
+        )
 
 
-def _target(fleet: Fleet, number: int | None) -> Revision:
+def _get_rollback_target(fleet: Fleet, number: int | None) -> Revision:
     if number is not None:
-        return revision(fleet, number)
-    known = history(fleet)
+        return get_revision(fleet, number)
+    known = list_revisions(fleet)
     if len(known) < 2:
         raise UsageError("there is no revision before the last one", hint="edgectl history lists them")
     return known[-2]
 
 
-def _placements(target: Revision) -> Mapping[str, str]:
+def _get_placements(target: Revision) -> Mapping[str, str]:
     if target.placements is None:
         raise UsageError(
             f"where the tasks stood after revision {target.number} was not recorded: it was cut off, or made by an older edgectl",
@@ -86,7 +107,7 @@ def _placements(target: Revision) -> Mapping[str, str]:
     return target.placements
 
 
-def _pinned(fleet: Fleet, task: Task, wanted: Mapping[str, str]) -> Task:
+def _pin_task(fleet: Fleet, task: Task, wanted: Mapping[str, str]) -> Task:
     """The task with its old host as its only one; what the file pins, and where that host is gone, stays as it is."""
     host = wanted.get(task.name)
     if host is None or host not in fleet.inventory.hosts or task.hosts.pin is not None:
@@ -94,9 +115,11 @@ def _pinned(fleet: Fleet, task: Task, wanted: Mapping[str, str]) -> Task:
     return dataclasses.replace(task, hosts=dataclasses.replace(task.hosts, pin=host))
 
 
-def _say_missing(fleet: Fleet, wanted: Mapping[str, str], tasks: Tasks) -> None:
+def _warn_of_missing(fleet: Fleet, wanted: Mapping[str, str], tasks: Tasks) -> None:
     for name, host in wanted.items():
         if name not in tasks.tasks:
             fleet.warn(f"{name} ran on {host} then and is not in the task files any more; it is not started")
         elif host not in fleet.inventory.hosts:
-            fleet.warn(f"{name} ran on {host} then, which is not in the inventory any more; it is placed as by apply")
+            fleet.warn(
+                f"{name} ran on {host} then, which is not in the inventory any more; it is placed as by apply"
+            )

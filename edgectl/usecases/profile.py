@@ -6,24 +6,36 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from edgectl.config.edit import with_demand
 from edgectl.config.load import load_tasks
 from edgectl.config.problems import Problems, Source
 from edgectl.config.source import read_source
+from edgectl.config.task_file_edit import edit_demand
 from edgectl.errors import EdgectlError, FileError
-from edgectl.model.demand import ENOUGH_SAMPLES, ENOUGH_SPAN_S
+from edgectl.model.measured_demand import MIN_SAMPLES, MIN_SPAN_S
 from edgectl.model.profile import ClassProfile
 from edgectl.model.task import Demand, Quantity, Task, Tasks
-from edgectl.units import format_duration, parse_bytes, parse_cores, parse_rate, write_bytes, write_cores, write_rate
-from edgectl.usecases.demands import profiles
+from edgectl.units import (
+    format_bytes_for_file,
+    format_cores_for_file,
+    format_duration,
+    format_rate_for_file,
+    parse_bytes,
+    parse_cores,
+    parse_rate,
+)
 from edgectl.usecases.fleet import Fleet
+from edgectl.usecases.measured_demand import load_class_profiles
 
-_WRITE = {"cpu": write_cores, "memory": write_bytes, "throughput": write_rate}
-_PARSE = {"cpu": parse_cores, "memory": parse_bytes, "throughput": parse_rate}
+_FORMATTERS = {
+    "cpu": format_cores_for_file,
+    "memory": format_bytes_for_file,
+    "throughput": format_rate_for_file,
+}
+_PARSERS = {"cpu": parse_cores, "memory": parse_bytes, "throughput": parse_rate}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Rewrite:
+class DemandEdit:
     """A task file as it would be. ``tasks``: all that come out of the entry; ``before`` and ``after``: its text."""
 
     file: Path
@@ -35,16 +47,19 @@ class Rewrite:
     def diff(self) -> str:
         """The lines that change, none around them; a line on which a secret may stand is not shown."""
         old, new = self.before.splitlines(), self.after.splitlines()
-        head, body = [f"--- {self.file}\n", f"+++ {self.file}\n"], list(difflib.unified_diff(old, new, n=0, lineterm=""))[2:]
-        return "".join([*head, *(line[0] + _shown(line[1:]) + "\n" for line in body)])
+        head, body = (
+            [f"--- {self.file}\n", f"+++ {self.file}\n"],
+            list(difflib.unified_diff(old, new, n=0, lineterm=""))[2:],
+        )
+        return "".join([*head, *(line[0] + _hide_secret_line(line[1:]) + "\n" for line in body)])
 
 
-def _shown(line: str) -> str:
+def _hide_secret_line(line: str) -> str:
     """The line, unless a secret may stand on it."""
     return Source(file="", text=line, lines=(line,)).line(1) or "(not shown)"
 
 
-def tasks_named(tasks: Tasks, name: str) -> list[Task]:
+def get_tasks_by_name(tasks: Tasks, name: str) -> list[Task]:
     """The task of that name, or all that come out of the entry of that name.
 
     Raises:
@@ -58,7 +73,7 @@ def tasks_named(tasks: Tasks, name: str) -> list[Task]:
     return found
 
 
-def rewrite(fleet: Fleet, files: Sequence[Path], task: Task) -> Rewrite:
+def build_demand_edit(fleet: Fleet, files: Sequence[Path], task: Task) -> DemandEdit:
     """The file with p95 as the demand of the entry of ``task``: the greatest of its tasks and classes of hosts.
 
     Raises:
@@ -67,53 +82,73 @@ def rewrite(fleet: Fleet, files: Sequence[Path], task: Task) -> Rewrite:
         FileError: the edited file would not mean the same, or is not there any more.
     """
     group = [each for each in fleet.tasks.tasks.values() if each.template == task.template]
-    amounts = _amounts(task.template, profiles(fleet, group))
+    amounts = _format_p95_amounts(task.template, load_class_profiles(fleet, group))
     for file in files:
         problems = Problems()
         source = read_source(file, problems)
         problems.check()
-        after = with_demand(source, task.template, amounts) if source is not None else None
+        after = edit_demand(source, task.template, amounts) if source is not None else None
         if source is not None and after is not None:
-            _check_meaning(fleet, files, file, after, _meant(group, amounts))
-            return Rewrite(file=file, entry=task.template, tasks=tuple(each.name for each in group), before=source.text, after=after)
+            _check_meaning(fleet, files, file, after, _build_expected_demands(group, amounts))
+            return DemandEdit(
+                file=file,
+                entry=task.template,
+                tasks=tuple(each.name for each in group),
+                before=source.text,
+                after=after,
+            )
     raise FileError(f"{task.template} stands in none of the task files any more", hint="say it again")
 
 
-def _amounts(entry: str, found: Iterable[ClassProfile]) -> dict[str, str]:
+def _format_p95_amounts(entry: str, found: Iterable[ClassProfile]) -> dict[str, str]:
     """The demands as they are written, by resource; no throughput where no traffic was seen."""
     known = list(found)
     trusted = [each for each in known if each.enough]
     if not trusted:
         most = max(known, key=lambda each: each.profile.samples, default=None)
-        so_far = f"{most.profile.samples} samples over {format_duration(most.profile.span_s)}" if most else "no sample"
-        hint = f"{ENOUGH_SAMPLES} samples over {format_duration(ENOUGH_SPAN_S)} are needed; let it run while edgectl probes or watches"
+        so_far = (
+            f"{most.profile.samples} samples over {format_duration(most.profile.span_s)}"
+            if most
+            else "no sample"
+        )
+        hint = f"{MIN_SAMPLES} samples over {format_duration(MIN_SPAN_S)} are needed; let it run while edgectl probes or watches"
         raise EdgectlError(f"of {entry} there is {so_far}: too few to write a demand", hint=hint)
     amounts = {key: max(getattr(each.profile, key).p95 for each in trusted) for key in ("cpu", "memory")}
-    seen = [each.profile.throughput for each in trusted if each.task.robots and each.profile.throughput.most > 0]
+    seen = [
+        each.profile.throughput for each in trusted if each.task.robots and each.profile.throughput.most > 0
+    ]
     amounts |= {"throughput": max(spread.p95 for spread in seen)} if seen else {}
-    return {key: _WRITE[key](amount) for key, amount in amounts.items()}
+    return {key: _FORMATTERS[key](amount) for key, amount in amounts.items()}
 
 
-def _meant(group: Sequence[Task], amounts: dict[str, str]) -> dict[str, Demand]:
+def _build_expected_demands(group: Sequence[Task], amounts: dict[str, str]) -> dict[str, Demand]:
     """The demands that the edited file must state: what is measured stays measured, everything else is as it was."""
     return {
-        task.name: replace(task.demand, **{key: _written(getattr(task.demand, key), key, amount) for key, amount in amounts.items()})
+        task.name: replace(
+            task.demand,
+            **{key: _parse_amount(getattr(task.demand, key), key, amount) for key, amount in amounts.items()},
+        )
         for task in group
     }
 
 
-def _written(old: Quantity | None, key: str, amount: str) -> Quantity:
-    return Quantity(value=_PARSE[key](amount), measured=old is not None and old.measured)
+def _parse_amount(old: Quantity | None, key: str, amount: str) -> Quantity:
+    return Quantity(value=_PARSERS[key](amount), measured=old is not None and old.measured)
 
 
-def _check_meaning(fleet: Fleet, files: Sequence[Path], file: Path, after: str, meant: dict[str, Demand]) -> None:
+def _check_meaning(
+    fleet: Fleet, files: Sequence[Path], file: Path, after: str, meant: dict[str, Demand]
+) -> None:
     """Read all files with the edited one among them: nothing but the demands may have changed."""
-    wanted = {name: replace(task, demand=meant.get(name, task.demand)) for name, task in fleet.tasks.tasks.items()}
+    wanted = {
+        name: replace(task, demand=meant.get(name, task.demand)) for name, task in fleet.tasks.tasks.items()
+    }
     with tempfile.TemporaryDirectory(prefix="edgectl-") as directory:
         edited = Path(directory) / file.name
         edited.write_text(after, encoding="utf-8", newline="")
         found = load_tasks([edited if each == file else each for each in files], fleet.inventory)
     if found.tasks != wanted or found.policy != fleet.tasks.policy:
         raise FileError(
-            f"{file} changed meanwhile, or would not mean the same", hint="say it again; if it stays so, write the demand by hand"
+            f"{file} changed meanwhile, or would not mean the same",
+            hint="say it again; if it stays so, write the demand by hand",
         )

@@ -7,7 +7,7 @@ from edgectl.model.event import Event
 from edgectl.model.plan import Plan
 from edgectl.model.result import Results
 from edgectl.model.snapshot import Snapshot
-from edgectl.state.lock import held_elsewhere
+from edgectl.state.lock import is_locked_elsewhere
 from edgectl.usecases.fleet import Fleet
 
 if TYPE_CHECKING:
@@ -16,38 +16,38 @@ if TYPE_CHECKING:
 
 def record_snapshot(fleet: Fleet, snapshot: Snapshot) -> None:
     """Keep the samples of a probe and the events that they show."""
-    changing = held_elsewhere(fleet.state)
-    _record(fleet, lambda store: store.record_snapshot(snapshot, changing=changing))
+    changing = is_locked_elsewhere(fleet.state)
+    _record_and_prune(fleet, lambda store: store.record_snapshot(snapshot, changing=changing))
 
 
 def record_plan(fleet: Fleet, plan: Plan) -> None:
     """Keep a plan that was made with the hosts."""
-    _record(fleet, lambda store: store.record_plan(plan))
+    _record_and_prune(fleet, lambda store: store.record_plan(plan))
 
 
 def record_results(fleet: Fleet, plan: Plan, results: Results) -> None:
     """Keep what an apply did. Call it before the lock is released, so that nobody takes its work for an event of its own."""
-    _record(fleet, lambda store: store.record_results(plan, results, fleet.clock()))
+    _record_and_prune(fleet, lambda store: store.record_results(plan, results, fleet.clock()))
 
 
-def newest_event(fleet: Fleet) -> int:
+def get_newest_event_id(fleet: Fleet) -> int:
     """The id of the newest event that is kept, 0 where there is none."""
-    return max((event.id for event in _read(fleet, lambda store: store.events(limit=1))), default=0)
+    return max((event.id for event in _read_events(fleet, lambda store: store.events(limit=1))), default=0)
 
 
-def events_after(fleet: Fleet, after: int, *, limit: int = 200) -> tuple[Event, ...]:
+def list_events_after(fleet: Fleet, after: int, *, limit: int = 200) -> tuple[Event, ...]:
     """The newest events with an id above ``after``, oldest first."""
-    return _read(fleet, lambda store: store.events(after=after, limit=limit))
+    return _read_events(fleet, lambda store: store.events(after=after, limit=limit))
 
 
-def _read(fleet: Fleet, look: "Callable[[Store], tuple[Event, ...]]") -> tuple[Event, ...]:
+def _read_events(fleet: Fleet, look: "Callable[[Store], tuple[Event, ...]]") -> tuple[Event, ...]:
     return fleet.history.use(fleet.state, fleet.warn, look)
 
 
-def _record(fleet: Fleet, act: "Callable[[Store], None]") -> None:
+def _record_and_prune(fleet: Fleet, act: "Callable[[Store], None]") -> None:
     def record(store: "Store") -> None:
         act(store)
-        if store.prune_due(fleet.clock()):
+        if store.is_prune_due(fleet.clock()):
             store.prune(fleet.clock())
 
     fleet.history.use(fleet.state, fleet.warn, record)

@@ -8,58 +8,66 @@ from collections.abc import Callable, Iterator
 from typing import Generic, TypeVar
 
 from edgectl import __version__
-from edgectl.export.readings import Picture
-from edgectl.gateway.collect import ProbeOptions
+from edgectl.export.metric_samples import MetricsInput
+from edgectl.gateway.host_probe import ProbeOptions
 from edgectl.model.revision import Revision
-from edgectl.state.stamp import Stamp, stamp
-from edgectl.transport.patient import REFUSED_S, Patient
-from edgectl.transport.pool import SessionPool
+from edgectl.state.manager_state import StateFingerprint, fingerprint_state_files
+from edgectl.transport.connections import REFUSED_BACKOFF_S, BackoffTransport, SessionPool
 from edgectl.usecases.fleet import Fleet
-from edgectl.usecases.history import history
-from edgectl.usecases.plan import plan
-from edgectl.usecases.probe import probe
+from edgectl.usecases.history import list_revisions
+from edgectl.usecases.plan import make_plan
+from edgectl.usecases.probe import probe_fleet
 
 Value = TypeVar("Value")
 
 
-def picture(fleet: Fleet, options: ProbeOptions, past: Callable[[], tuple[Revision, ...]] | None = None) -> Picture:
+def collect_fleet_metrics(
+    fleet: Fleet, options: ProbeOptions, past: Callable[[], tuple[Revision, ...]] | None = None
+) -> MetricsInput:
     """Probe, decide as an unattended apply would, and take what was done before from ``past``, else from the journal."""
-    snapshot = probe(fleet, options)
+    snapshot = probe_fleet(fleet, options)
     policy = dataclasses.replace(fleet.tasks.policy, attended=False)
-    done = past() if past is not None else history(fleet)
-    return Picture(version=__version__, snapshot=snapshot, plan=plan(fleet, policy, snapshot=snapshot), revisions=done)
+    done = past() if past is not None else list_revisions(fleet)
+    return MetricsInput(
+        version=__version__,
+        snapshot=snapshot,
+        plan=make_plan(fleet, policy, snapshot=snapshot),
+        revisions=done,
+    )
 
 
-class Past:
+class RevisionCache:
     """What was done before, read again only where the journal changed: a long one takes a while. For one thread at a time."""
 
     def __init__(self, fleet: Fleet) -> None:
         self._fleet = fleet
-        self._stamp: Stamp | None = None
+        self._stamp: StateFingerprint | None = None
         self._revisions: tuple[Revision, ...] = ()
 
     def __call__(self) -> tuple[Revision, ...]:
         """Every revision, oldest first."""
-        now = stamp(self._fleet.state)
+        now = fingerprint_state_files(self._fleet.state)
         if now != self._stamp:
-            self._revisions, self._stamp = history(self._fleet), now
+            self._revisions, self._stamp = list_revisions(self._fleet), now
         return self._revisions
 
 
 @contextlib.contextmanager
-def held(fleet: Fleet) -> Iterator[Fleet]:
+def keep_sessions_open(fleet: Fleet) -> Iterator[Fleet]:
     """The fleet over sessions that stay open from scrape to scrape; a host that is silent is not knocked at each time."""
-    with SessionPool(fleet.transport, forget_s=REFUSED_S) as pool:
-        yield dataclasses.replace(fleet, transport=Patient(pool))
+    with SessionPool(fleet.transport, forget_s=REFUSED_BACKOFF_S) as pool:
+        yield dataclasses.replace(fleet, transport=BackoffTransport(pool))
 
 
-class Shared(Generic[Value]):
+class SharedCache(Generic[Value]):
     """What ``make`` gives, made anew at most every ``every`` seconds, and once for all who ask while it is being made.
 
     An error is shared like a value. ``now`` is time that nobody sets, in s.
     """
 
-    def __init__(self, make: Callable[[], Value], *, every: float, now: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self, make: Callable[[], Value], *, every: float, now: Callable[[], float] = time.monotonic
+    ) -> None:
         self._make, self._every, self._now = make, every, now
         self._guard = threading.Lock()
         self._made = 0

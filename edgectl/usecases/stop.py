@@ -4,17 +4,34 @@ import dataclasses
 from collections.abc import Sequence
 
 from edgectl.errors import UsageError
-from edgectl.executor.manual import forgive, restart_plan, running, stop_plan
-from edgectl.model.names import known
+from edgectl.executor.operator_plans import (
+    build_restart_plan,
+    build_stop_plan,
+    drop_given_up_runs,
+    list_running_instances,
+)
 from edgectl.model.plan import Action, Plan
 from edgectl.model.snapshot import Snapshot
-from edgectl.usecases.change import Applied, ApplyOptions, Confirm, agreed, carry_out, changing
+from edgectl.names import check_known_names
 from edgectl.usecases.fleet import Fleet
-from edgectl.usecases.plan import plan
-from edgectl.usecases.probe import probe
+from edgectl.usecases.plan import make_plan
+from edgectl.usecases.plan_execution import (
+    ApplyOptions,
+    ApplyResult,
+    Confirm,
+    confirm_always,
+    confirm_and_execute,
+    lock_fleet,
+)
+from edgectl.usecases.probe import probe_fleet
 
 
-def stop(fleet: Fleet, names: Sequence[str] | None, confirm: Confirm = agreed, options: ApplyOptions | None = None) -> Applied:
+def stop_tasks(
+    fleet: Fleet,
+    names: Sequence[str] | None,
+    confirm: Confirm = confirm_always,
+    options: ApplyOptions | None = None,
+) -> ApplyResult:
     """Stop the named tasks (None: all) wherever they run. The next apply starts them again, unless they are marked done.
 
     Raises:
@@ -22,13 +39,25 @@ def stop(fleet: Fleet, names: Sequence[str] | None, confirm: Confirm = agreed, o
         LockBusyError: another edgectl is changing this fleet.
     """
     options = options or ApplyOptions()
-    with changing(fleet, "stop", options) as held:
-        snapshot = probe(held, options.probe)
-        wanted = list(running(snapshot)) if names is None else _known(fleet, names, snapshot)
-        return carry_out(held, stop_plan(wanted, fleet.inventory, fleet.tasks, snapshot), confirm, options, verb="stop")
+    with lock_fleet(fleet, "stop", options) as held:
+        snapshot = probe_fleet(held, options.probe)
+        wanted = (
+            list(list_running_instances(snapshot))
+            if names is None
+            else _check_task_names(fleet, names, snapshot)
+        )
+        return confirm_and_execute(
+            held,
+            build_stop_plan(wanted, fleet.inventory, fleet.tasks, snapshot),
+            confirm,
+            options,
+            verb="stop",
+        )
 
 
-def restart(fleet: Fleet, name: str, confirm: Confirm = agreed, options: ApplyOptions | None = None) -> Applied:
+def restart_task(
+    fleet: Fleet, name: str, confirm: Confirm = confirm_always, options: ApplyOptions | None = None
+) -> ApplyResult:
     """Stop a running task and start it again on its host; one that was given up is started where it is placed now.
 
     Raises:
@@ -36,27 +65,31 @@ def restart(fleet: Fleet, name: str, confirm: Confirm = agreed, options: ApplyOp
         LockBusyError: another edgectl is changing this fleet.
     """
     options = options or ApplyOptions()
-    with changing(fleet, "restart", options) as held:
-        snapshot = probe(held, options.probe)
-        _known(fleet, [name], snapshot)
-        return carry_out(held, _restarted(held, name, snapshot), confirm, options, verb="restart")
+    with lock_fleet(fleet, "restart", options) as held:
+        snapshot = probe_fleet(held, options.probe)
+        _check_task_names(fleet, [name], snapshot)
+        return confirm_and_execute(
+            held, _plan_restart(held, name, snapshot), confirm, options, verb="restart"
+        )
 
 
-def _restarted(fleet: Fleet, name: str, snapshot: Snapshot) -> Plan:
+def _plan_restart(fleet: Fleet, name: str, snapshot: Snapshot) -> Plan:
     if name not in fleet.tasks.tasks:
         raise UsageError(f"{name} is not in the task files", hint="edgectl apply")
-    if name in running(snapshot):
-        return restart_plan(name, fleet.inventory, fleet.tasks, snapshot)
-    forgiven = forgive(name, snapshot)
+    if name in list_running_instances(snapshot):
+        return build_restart_plan(name, fleet.inventory, fleet.tasks, snapshot)
+    forgiven = drop_given_up_runs(name, snapshot)
     if forgiven == snapshot:
         raise UsageError(f"{name} does not run", hint="edgectl apply")
-    made = plan(fleet, fleet.tasks.policy, snapshot=forgiven)
+    made = make_plan(fleet, fleet.tasks.policy, snapshot=forgiven)
     steps = tuple(step for step in made.steps if step.task == name and step.action is Action.START)
     if not steps:
-        raise UsageError(f"{name} has no place now", hint=f"edgectl reopen {name}; edgectl plan then says why")
+        raise UsageError(
+            f"{name} has no place now", hint=f"edgectl reopen {name}; edgectl plan then says why"
+        )
     return dataclasses.replace(made, steps=steps, expected={})
 
 
-def _known(fleet: Fleet, names: Sequence[str], snapshot: Snapshot) -> list[str]:
-    known(names, [*fleet.tasks.tasks, *running(snapshot)], "task")
+def _check_task_names(fleet: Fleet, names: Sequence[str], snapshot: Snapshot) -> list[str]:
+    check_known_names(names, [*fleet.tasks.tasks, *list_running_instances(snapshot)], "task")
     return list(dict.fromkeys(names))

@@ -7,44 +7,46 @@ from dataclasses import dataclass, field
 from typing import Self
 
 from edgectl.errors import EdgectlError, LockBusyError
-from edgectl.gateway.collect import ProbeOptions
-from edgectl.gateway.smooth import smoothed
+from edgectl.gateway.host_probe import ProbeOptions
+from edgectl.gateway.smoothing import smooth_snapshot
 from edgectl.model.cycle import Cycle
 from edgectl.model.plan import Action, Plan
 from edgectl.model.policy import Policy
-from edgectl.model.progress import Listener, unheard
+from edgectl.model.progress import ProgressListener, ignore_progress
 from edgectl.model.result import Outcome, Results
 from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Tasks
 from edgectl.state.lock import FleetLock
-from edgectl.state.stamp import Stamp, stamp
-from edgectl.transport.patient import REFUSED_S, Patient
-from edgectl.transport.pool import SessionPool
-from edgectl.usecases.change import ApplyOptions, agreed, carry_out, settled
-from edgectl.usecases.control import Control, Wish
+from edgectl.state.manager_state import StateFingerprint, fingerprint_state_files
+from edgectl.transport.connections import REFUSED_BACKOFF_S, BackoffTransport, SessionPool
+from edgectl.usecases.control import Control, ControlRequest
 from edgectl.usecases.fleet import Fleet
-from edgectl.usecases.keepalive import kept_alive
-from edgectl.usecases.plan import plan as make_plan
-from edgectl.usecases.plan import targeted
-from edgectl.usecases.probe import probe
-from edgectl.usecases.record import events_after, newest_event, record_plan
-from edgectl.usecases.touch import in_touch
+from edgectl.usecases.heartbeat import send_heartbeats, track_heartbeats
+from edgectl.usecases.plan import limit_plan_to_tasks, make_plan
+from edgectl.usecases.plan_execution import (
+    ApplyOptions,
+    confirm_always,
+    confirm_and_execute,
+    has_nothing_to_do,
+)
+from edgectl.usecases.probe import probe_fleet
+from edgectl.usecases.record import get_newest_event_id, list_events_after, record_plan
 
 # A task whose action failed is left alone for a while, longer each time: a move that fails stops the task each time it is tried.
-_FIRST_REST_S, _LONGEST_REST_S = 30.0, 600.0
+_MIN_BACKOFF_S, _MAX_BACKOFF_S = 30.0, 600.0
 # A host that hangs may not hold a cycle up for as long as a person would wait for a probe.
-_PROBE_S = 10.0
+_PROBE_TIMEOUT_S = 10.0
 
 
-Signature = tuple[tuple[str, Action, str | None], ...]
+PlanSignature = tuple[tuple[str, Action, str | None], ...]
 
 
-def stated(fleet: Fleet) -> Policy:
+def policy_from_files(fleet: Fleet) -> Policy:
     """The policy of the task files."""
     return fleet.tasks.policy
 
 
-def unchanged() -> Fleet | None:
+def never_reload() -> Fleet | None:
     """Never read the files again."""
     return None
 
@@ -63,41 +65,41 @@ class WatchOptions:
     cycles: int | None = None
     max_parallel: int = 16
     debug: bool = False
-    probe: ProbeOptions = field(default_factory=lambda: ProbeOptions(timeout=_PROBE_S))
-    policy: Callable[[Fleet], Policy] = stated
-    refresh: Callable[[], Fleet | None] = unchanged
-    progress: Listener = unheard
+    probe: ProbeOptions = field(default_factory=lambda: ProbeOptions(timeout=_PROBE_TIMEOUT_S))
+    policy: Callable[[Fleet], Policy] = policy_from_files
+    refresh: Callable[[], Fleet | None] = never_reload
+    progress: ProgressListener = ignore_progress
     control: Control = field(default_factory=Control)
 
 
-def watch(fleet: Fleet, options: WatchOptions) -> Iterator[Cycle]:
+def watch_fleet(fleet: Fleet, options: WatchOptions) -> Iterator[Cycle]:
     """One `Cycle` after the other, until ``options.control`` is told to stop. What goes wrong in a cycle is said in it; the loop goes on.
 
     Close the iterator (``contextlib.closing``) where it is not read to its end: it holds connections.
     """
-    with _Watch(fleet, options) as loop:
+    with _WatchLoop(fleet, options) as loop:
         yield from loop.cycles()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Rest:
+class _TaskBackoff:
     """``failures`` in a row of the actions of one task; the next one not before ``until`` (uptime, s)."""
 
     failures: int
     until: float
 
 
-class _Watch:
+class _WatchLoop:
     """What a watch keeps from cycle to cycle: nothing of it grows with their number."""
 
     def __init__(self, fleet: Fleet, options: WatchOptions) -> None:
         self._options = options
         self._said: list[str] = []
-        self._resting: dict[str, _Rest] = {}
+        self._resting: dict[str, _TaskBackoff] = {}
         self._smooth: Snapshot | None = None
-        self._planned: Signature = ()
+        self._planned: PlanSignature = ()
         self._take(fleet)
-        self._heard = newest_event(self._fleet)
+        self._heard = get_newest_event_id(self._fleet)
 
     def __enter__(self) -> Self:
         return self
@@ -107,8 +109,8 @@ class _Watch:
 
     def _take(self, fleet: Fleet) -> None:
         """Work on ``fleet`` from now on, over new connections."""
-        self._pool = SessionPool(fleet.transport, forget_s=REFUSED_S, clock=self._now_of(fleet))
-        self._patient = Patient(self._pool, clock=self._now_of(fleet))
+        self._pool = SessionPool(fleet.transport, forget_s=REFUSED_BACKOFF_S, clock=self._now_of(fleet))
+        self._patient = BackoffTransport(self._pool, clock=self._now_of(fleet))
         self._fleet = dataclasses.replace(fleet, transport=self._pool, warn=self._said.append)
 
     @staticmethod
@@ -122,10 +124,12 @@ class _Watch:
     def cycles(self) -> Iterator[Cycle]:
         """The loop itself. A cycle that overran its time is followed by the next whole one: they do not pile up."""
         number, wish = 0, None
-        while wish is not Wish.STOP:
+        while wish is not ControlRequest.STOP:
             number += 1
             began = self._now()
-            cycle = self._cycle(number, paused=self._options.control.paused and wish is not Wish.NOW)
+            cycle = self._cycle(
+                number, paused=self._options.control.paused and wish is not ControlRequest.NOW
+            )
             seconds = self._now() - began
             left = self._options.every - math.fmod(seconds, self._options.every)
             last = number == self._options.cycles or self._options.control.stop_requested.is_set()
@@ -134,17 +138,19 @@ class _Watch:
                 return
             wish = self._wait(began + seconds + left)
 
-    def _wait(self, until: float) -> Wish | None:
+    def _wait(self, until: float) -> ControlRequest | None:
         """Wait for the next cycle, or for a wish. Tasks that fence themselves hear of this manager all the while."""
         left = max(0.0, until - self._now())
-        if self._smooth is None or not any(task.self_fence is not None for task in self._fleet.tasks.tasks.values()):
+        if self._smooth is None or not any(
+            task.self_fence is not None for task in self._fleet.tasks.tasks.values()
+        ):
             return self._options.control.wait(left)
-        with in_touch(self._fleet) as near, kept_alive(near, self._smooth):
+        with track_heartbeats(self._fleet) as near, send_heartbeats(near, self._smooth):
             return self._options.control.wait(left)
 
     def _cycle(self, number: int, *, paused: bool) -> Cycle:
         """One round. Whatever goes wrong belongs to this round alone."""
-        draft = _Draft(Cycle(number=number, at=self._fleet.clock(), paused=paused))
+        draft = _CycleBuilder(Cycle(number=number, at=self._fleet.clock(), paused=paused))
         self._said.clear()
         try:
             self._round(draft, paused=paused)
@@ -159,20 +165,22 @@ class _Watch:
                 raise
             what = f"unexpected {type(error).__name__}: {error}".splitlines()[0]
             draft.put(error=f"{what} (a bug in edgectl; EDGECTL_DEBUG=1 ends with where it happened)")
-        events = events_after(self._fleet, self._heard)
+        events = list_events_after(self._fleet, self._heard)
         self._heard = max((event.id for event in events), default=self._heard)
-        return dataclasses.replace(draft.cycle, events=events, warnings=tuple(dict.fromkeys(self._said)), resting=self._at_rest())
+        return dataclasses.replace(
+            draft.cycle, events=events, warnings=tuple(dict.fromkeys(self._said)), resting=self._at_rest()
+        )
 
-    def _round(self, draft: "_Draft", *, paused: bool) -> None:
+    def _round(self, draft: "_CycleBuilder", *, paused: bool) -> None:
         self._refresh()
-        before = stamp(self._fleet.state)
+        before = fingerprint_state_files(self._fleet.state)
         snapshot = self._sample()
         draft.put(snapshot=snapshot)
         if paused or self._options.control.stop_requested.is_set():
             return
         plan = self._plan(snapshot)
         draft.put(plan=plan)
-        if self._options.apply and not settled(self._fleet, plan):
+        if self._options.apply and not has_nothing_to_do(self._fleet, plan):
             draft.put(results=self._apply(plan, before))
 
     def _refresh(self) -> None:
@@ -189,8 +197,8 @@ class _Watch:
 
     def _sample(self) -> Snapshot:
         """Measure, and let hosts that are silent rest."""
-        snapshot = probe(dataclasses.replace(self._fleet, transport=self._patient), self._options.probe)
-        self._smooth = smoothed(self._smooth, snapshot, period=self._options.every)
+        snapshot = probe_fleet(dataclasses.replace(self._fleet, transport=self._patient), self._options.probe)
+        self._smooth = smooth_snapshot(self._smooth, snapshot, period=self._options.every)
         return snapshot
 
     def _plan(self, snapshot: Snapshot) -> Plan:
@@ -201,14 +209,14 @@ class _Watch:
         if signature != self._planned:
             self._planned = signature
             record_plan(self._fleet, plan)
-        alone = _left_alone(plan, self._fleet.tasks, self._at_rest())
-        return targeted(plan, {step.task for step in plan.steps} - alone) if alone else plan
+        alone = _expand_tasks_in_backoff(plan, self._fleet.tasks, self._at_rest())
+        return limit_plan_to_tasks(plan, {step.task for step in plan.steps} - alone) if alone else plan
 
     def _at_rest(self) -> tuple[str, ...]:
         now = self._now()
         return tuple(sorted(task for task, rest in self._resting.items() if now < rest.until))
 
-    def _apply(self, plan: Plan, before: Stamp) -> Results | None:
+    def _apply(self, plan: Plan, before: StateFingerprint) -> Results | None:
         """Carry out, under the lock, unless another edgectl changed the fleet after the plan's snapshot was begun.
 
         Raises:
@@ -220,10 +228,10 @@ class _Watch:
             stop_requested=self._options.control.stop_requested,
         )
         with FleetLock(self._fleet.state, verb="watch", clock=self._fleet.clock):
-            if stamp(self._fleet.state) != before:
+            if fingerprint_state_files(self._fleet.state) != before:
                 self._said.append("another edgectl changed the fleet meanwhile; the next cycle plans anew")
                 return None
-            results = carry_out(self._fleet, plan, agreed, options, verb="watch").results
+            results = confirm_and_execute(self._fleet, plan, confirm_always, options, verb="watch").results
         self._note_failures(results)
         return results
 
@@ -233,11 +241,11 @@ class _Watch:
                 self._resting.pop(action.task, None)
             elif action.outcome is Outcome.FAILED:
                 failures = 1 + (self._resting[action.task].failures if action.task in self._resting else 0)
-                seconds = min(_FIRST_REST_S * 2.0 ** min(failures - 1, 10), _LONGEST_REST_S)
-                self._resting[action.task] = _Rest(failures=failures, until=self._now() + seconds)
+                seconds = min(_MIN_BACKOFF_S * 2.0 ** min(failures - 1, 10), _MAX_BACKOFF_S)
+                self._resting[action.task] = _TaskBackoff(failures=failures, until=self._now() + seconds)
 
 
-def _left_alone(plan: Plan, tasks: Tasks, resting: Iterable[str]) -> set[str]:
+def _expand_tasks_in_backoff(plan: Plan, tasks: Tasks, resting: Iterable[str]) -> set[str]:
     """Tasks that rest, and those that would start after one that would start if it did not rest."""
     alone = set(resting)
     starting = {step.task for step in plan.steps if step.action is Action.START}
@@ -248,7 +256,7 @@ def _left_alone(plan: Plan, tasks: Tasks, resting: Iterable[str]) -> set[str]:
     return alone
 
 
-class _Draft:
+class _CycleBuilder:
     """A cycle as far as it came."""
 
     def __init__(self, cycle: Cycle) -> None:

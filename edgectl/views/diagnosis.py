@@ -1,52 +1,71 @@
 """What ``edgectl doctor`` found, host by host, as text and as a document."""
 
-from edgectl.formats.base import FORMAT_VERSION, Document, without_none
-from edgectl.model.finding import Diagnosis, Finding, Level
-from edgectl.views.text import PLAIN, Cell, Look, Row, columns, harmless, paint
+from edgectl.formats.document import FORMAT_VERSION, Document, without_none
+from edgectl.model.diagnosis import Diagnosis, Finding, Severity
+from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, escape_unprintable, render_columns, style_text
 
-_STYLES = {Level.OK: "good", Level.WARNING: "warn", Level.FAILED: "bad"}
-_MARKS = {Level.OK: "✓", Level.WARNING: "!", Level.FAILED: "✗"}
-_WORDS = {Level.OK: "ok", Level.WARNING: "warn", Level.FAILED: "FAIL"}
-_HERE = "this machine"
+_LEVEL_STYLES = {Severity.OK: "good", Severity.WARNING: "warn", Severity.FAILED: "bad"}
+_LEVEL_MARKS = {Severity.OK: "✓", Severity.WARNING: "!", Severity.FAILED: "✗"}
+_LEVEL_WORDS = {Severity.OK: "ok", Severity.WARNING: "warn", Severity.FAILED: "FAIL"}
+_THIS_MACHINE = "this machine"
 # Of the longest check, so that all hosts' columns stand under each other.
 _CHECK_WIDTH = len("reachability")
 
 
-def text(value: Diagnosis, look: Look = PLAIN) -> str:
+def render_diagnosis(value: Diagnosis, look: RenderOptions = PLAIN) -> str:
     """One line per check, with what mends it below; one line that sums up."""
     hosts = dict.fromkeys(finding.host for finding in value.findings)
-    return "\n".join([*(_group(host, value, look) for host in hosts), _summary(value, look)])
+    return "\n".join(
+        [
+            *(_render_host_findings(host, value, look) for host in hosts),
+            _render_diagnosis_summary(value, look),
+        ]
+    )
 
 
-def _group(host: str | None, value: Diagnosis, look: Look) -> str:
-    rows = [row for finding in value.findings if finding.host == host for row in _rows(finding, look)]
-    return paint(harmless(host or _HERE), "bold", look) + "\n" + columns(rows, look)
+def _render_host_findings(host: str | None, value: Diagnosis, look: RenderOptions) -> str:
+    rows = [
+        row
+        for finding in value.findings
+        if finding.host == host
+        for row in _render_finding_rows(finding, look)
+    ]
+    return (
+        style_text(escape_unprintable(host or _THIS_MACHINE), "bold", look)
+        + "\n"
+        + render_columns(rows, look)
+    )
 
 
-def _rows(finding: Finding, look: Look) -> list[Row]:
-    marks = _MARKS if look.unicode else _WORDS
-    mark = Cell(f"{marks[finding.level]:<{max(map(len, marks.values()))}}", _STYLES[finding.level])
+def _render_finding_rows(finding: Finding, look: RenderOptions) -> list[Row]:
+    marks = _LEVEL_MARKS if look.unicode else _LEVEL_WORDS
+    mark = Cell(f"{marks[finding.level]:<{max(map(len, marks.values()))}}", _LEVEL_STYLES[finding.level])
     row: Row = (mark, f"{finding.check:<{_CHECK_WIDTH}}", finding.message)
-    return [row, ("", "", Cell(f"fix: {finding.mend}", "name"))] if finding.mend else [row]
+    return [row, ("", "", Cell(f"fix: {finding.remedy}", "name"))] if finding.remedy else [row]
 
 
-def _summary(value: Diagnosis, look: Look) -> str:
+def _render_diagnosis_summary(value: Diagnosis, look: RenderOptions) -> str:
     counts = value.counts
-    total, failed, warned = len(value.findings), counts[Level.FAILED], counts[Level.WARNING]
+    total, failed, warned = len(value.findings), counts[Severity.FAILED], counts[Severity.WARNING]
     said = f"{total} checks: {failed} failed, {warned} warning{'' if warned == 1 else 's'}."
-    return paint(said, _STYLES[value.worst], look) + "\n"
+    return style_text(said, _LEVEL_STYLES[value.worst], look) + "\n"
 
 
-def document(value: Diagnosis) -> Document:
+def encode_diagnosis(value: Diagnosis) -> Document:
     """The findings as JSON types; ``host`` is null where this machine is meant."""
     return {
         "format_version": FORMAT_VERSION,
         "worst": value.worst.value,
         "counts": {level.value: count for level, count in value.counts.items()},
-        "findings": [_document(finding) for finding in value.findings],
+        "findings": [_encode_finding(finding) for finding in value.findings],
     }
 
 
-def _document(finding: Finding) -> Document:
-    found: Document = {"host": finding.host, "check": finding.check, "level": finding.level.value, "message": finding.message}
-    return found | without_none(mend=finding.mend or None)
+def _encode_finding(finding: Finding) -> Document:
+    found: Document = {
+        "host": finding.host,
+        "check": finding.check,
+        "level": finding.level.value,
+        "message": finding.message,
+    }
+    return found | without_none(mend=finding.remedy or None)

@@ -2,13 +2,13 @@
 
 from edgectl.model.plan import Plan
 from edgectl.model.task import Tasks
-from edgectl.views.graph import graph_of
-from edgectl.views.text import PLAIN, Look
+from edgectl.views.graph import build_task_graph
+from edgectl.views.text import PLAIN, RenderOptions
 
 
-def graph(plan: Plan, tasks: Tasks, _look: Look = PLAIN) -> str:
+def graph(plan: Plan, tasks: Tasks, _look: RenderOptions = PLAIN) -> str:
     """A directed graph: a cluster per host with its tasks in it, an arrow per need."""
-    shown = graph_of(plan, tasks)
+    shown = build_task_graph(plan, tasks)
     lines = ["digraph fleet {", "  rankdir=LR;", '  node [shape=box, fontname="sans-serif"];']
     for number, (host, each) in enumerate(shown.hosts.items()):
         nodes = [f'    "{task}" [label="{task}\\n{label}"];' for task, label in each]

@@ -3,77 +3,97 @@
 from collections.abc import Iterable
 
 from edgectl.errors import EdgectlError, HostError, InputError, Problem, StalePlanError
-from edgectl.formats.base import Document, dumps
-from edgectl.views.text import PLAIN, Look, harmless, paint
+from edgectl.formats.document import Document, dump_document
+from edgectl.views.text import PLAIN, RenderOptions, escape_unprintable, style_text
 
 
-def text(error: EdgectlError, look: Look = PLAIN) -> str:
+def render_error(error: EdgectlError, look: RenderOptions = PLAIN) -> str:
     """The error for people, every problem with its place."""
     if isinstance(error, InputError):
-        return "\n".join(problem(each, look) for each in error.problems)
+        return "\n".join(render_problem(each, look) for each in error.problems)
     if isinstance(error, StalePlanError):
-        changes = "".join(f"  {harmless(change)}\n" for change in error.changes)
-        return _line("error", "saved plan is stale; since it was made:", look) + changes + _hint(error.hint, look)
-    return _line("error", _message(error), look) + _hint(error.hint, look)
+        changes = "".join(f"  {escape_unprintable(change)}\n" for change in error.changes)
+        return (
+            _render_message_line("error", "saved plan is stale; since it was made:", look)
+            + changes
+            + _render_hint(error.hint, look)
+        )
+    return _render_message_line("error", _format_error_message(error), look) + _render_hint(error.hint, look)
 
 
-def _message(error: EdgectlError) -> str:
+def _format_error_message(error: EdgectlError) -> str:
     """The message, with the host where it is about one and does not say so itself."""
     host = error.host if isinstance(error, HostError) else ""
     return f"{host}: {error.message}" if host and host not in error.message else error.message
 
 
-def problem(value: Problem, look: Look = PLAIN) -> str:
+def render_problem(value: Problem, look: RenderOptions = PLAIN) -> str:
     """One problem: ``error[EC012]: FILE:LINE:COLUMN: message``, the line, a caret, a hint."""
     word = ("warning" if value.warning else "error") + (f"[{value.code}]" if value.code else "")
-    return _line(word, f"{_place(value)}{value.message}", look) + _excerpt(value) + _hint(value.hint, look)
+    return (
+        _render_message_line(word, f"{_format_problem_position(value)}{value.message}", look)
+        + _render_source_excerpt(value)
+        + _render_hint(value.hint, look)
+    )
 
 
-def _place(value: Problem) -> str:
+def _format_problem_position(value: Problem) -> str:
     if not value.line:
         return f"{value.file}: " if value.file else ""
     return f"{value.file}:{value.line}:{value.column}: "
 
 
-def _line(word: str, message: str, look: Look) -> str:
-    return paint(f"{word}:", "warn" if word.startswith("warning") else "bad", look) + f" {harmless(message)}\n"
+def _render_message_line(word: str, message: str, look: RenderOptions) -> str:
+    return (
+        style_text(f"{word}:", "warn" if word.startswith("warning") else "bad", look)
+        + f" {escape_unprintable(message)}\n"
+    )
 
 
-def _excerpt(value: Problem) -> str:
+def _render_source_excerpt(value: Problem) -> str:
     if not value.source.strip() or not value.line:
         return ""
     number = f"{value.line:>5}"
-    before = len(harmless(value.source[: max(0, value.column - 1)]))
-    marked = max(1, len(harmless(value.source[max(0, value.column - 1) :][: value.length])))
-    return f"{number} | {harmless(value.source)}\n{' ' * len(number)} | {' ' * before}{'^' * marked}\n"
+    before = len(escape_unprintable(value.source[: max(0, value.column - 1)]))
+    marked = max(1, len(escape_unprintable(value.source[max(0, value.column - 1) :][: value.length])))
+    return (
+        f"{number} | {escape_unprintable(value.source)}\n{' ' * len(number)} | {' ' * before}{'^' * marked}\n"
+    )
 
 
-def _hint(hint: str, look: Look) -> str:
-    return f"{paint('hint:', 'name', look)} {harmless(hint)}\n" if hint else ""
+def _render_hint(hint: str, look: RenderOptions) -> str:
+    return f"{style_text('hint:', 'name', look)} {escape_unprintable(hint)}\n" if hint else ""
 
 
-def json(error: EdgectlError) -> str:
+def render_error_json(error: EdgectlError) -> str:
     """The error for programs."""
-    body: Document = {"error": {"kind": kind(error), "message": _message(error), "hint": error.hint, "exit_code": int(error.exit_code)}}
+    body: Document = {
+        "error": {
+            "kind": format_error_kind(error),
+            "message": _format_error_message(error),
+            "hint": error.hint,
+            "exit_code": int(error.exit_code),
+        }
+    }
     if isinstance(error, InputError):
-        body["problems"] = [_document(each) for each in error.problems]
+        body["problems"] = [_encode_problem(each) for each in error.problems]
     if isinstance(error, StalePlanError):
         body["changes"] = list(error.changes)
-    return dumps(body)
+    return dump_document(body)
 
 
-def problems_json(problems: Iterable[Problem]) -> str:
+def render_problems_json(problems: Iterable[Problem]) -> str:
     """Problems alone (warnings of files that are good)."""
-    return dumps({"problems": [_document(each) for each in problems]})
+    return dump_document({"problems": [_encode_problem(each) for each in problems]})
 
 
-def kind(error: EdgectlError) -> str:
+def format_error_kind(error: EdgectlError) -> str:
     """A stable word for the class of the error: ``input``, ``lock-busy``, ``stale-plan``."""
     name = type(error).__name__.removesuffix("Error")
     return "".join(f"-{letter.lower()}" if letter.isupper() else letter for letter in name).lstrip("-")
 
 
-def _document(value: Problem) -> Document:
+def _encode_problem(value: Problem) -> Document:
     return {
         "file": value.file,
         "line": value.line,

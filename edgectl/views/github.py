@@ -7,20 +7,20 @@ from edgectl.errors import Problem
 
 def problems(values: Iterable[Problem]) -> str:
     """One annotation per problem, at its place in the file."""
-    return "".join(_annotation(value) for value in values)
+    return "".join(_format_annotation(value) for value in values)
 
 
-def _annotation(value: Problem) -> str:
-    place = f"file={_property(value.file)}"
+def _format_annotation(value: Problem) -> str:
+    place = f"file={_escape_annotation_property(value.file)}"
     if value.line:
         place += f",line={value.line},col={value.column},endColumn={value.column + value.length}"
     message = value.message + (f" (hint: {value.hint})" if value.hint else "")
-    return f"::{'warning' if value.warning else 'error'} {place},title={_property(value.code)}::{_data(message)}\n"
+    return f"::{'warning' if value.warning else 'error'} {place},title={_escape_annotation_property(value.code)}::{_escape_annotation_text(message)}\n"
 
 
-def _data(text: str) -> str:
+def _escape_annotation_text(text: str) -> str:
     return text.replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
 
 
-def _property(text: str) -> str:
-    return _data(text).replace(":", "%3A").replace(",", "%2C")
+def _escape_annotation_property(text: str) -> str:
+    return _escape_annotation_text(text).replace(":", "%3A").replace(",", "%2C")

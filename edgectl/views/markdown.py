@@ -2,51 +2,55 @@
 
 from collections.abc import Sequence
 
-from edgectl.model.evidence import Column
-from edgectl.model.experiment import Run
+from edgectl.experiments.model.comparison import SchemeResult
+from edgectl.experiments.model.experiment import ExperimentRun
+from edgectl.experiments.views.experiment import render_experiment_markdown
 from edgectl.model.plan import Plan, Step
-from edgectl.views import sections
-from edgectl.views.demands import demands
-from edgectl.views.measured import markdown
-from edgectl.views.reasons import reason
-from edgectl.views.sections import figure
-from edgectl.views.text import PLAIN, Look, harmless
+from edgectl.views import plan_sections
+from edgectl.views.demands import render_demands
+from edgectl.views.plan_sections import format_utility
+from edgectl.views.reasons import describe_reason
+from edgectl.views.text import PLAIN, RenderOptions, escape_unprintable
 
-MARKER = "<!-- edgectl-plan -->"
-_HEAD = "| | task | now | next | utility | lead | reason |\n|---|---|---|---|---:|---:|---|\n"
-_SPECIAL = str.maketrans({character: f"\\{character}" for character in "\\`*_[]<>|#~"})
+PLAN_COMMENT_MARKER = "<!-- edgectl-plan -->"
+_TABLE_HEAD = "| | task | now | next | utility | lead | reason |\n|---|---|---|---|---:|---:|---|\n"
+_MARKDOWN_ESCAPES = str.maketrans({character: f"\\{character}" for character in "\\`*_[]<>|#~"})
 
 
-def plan(value: Plan, _look: Look = PLAIN) -> str:
+def plan(value: Plan, _look: RenderOptions = PLAIN) -> str:
     """The table form in Markdown; the expected load and the demands folded away."""
-    rows = "".join(_row(step) for step in value.steps)
-    load = sections.expected(value).replace("```", "'''")
-    folded = _folded("Expected load", load) + _folded("Demands", demands(value).replace("```", "'''"))
-    notes = "".join(f"\n> {_plain(line)}\n" for line in sections.notes(value).splitlines())
-    return f"{MARKER}\n**{sections.summary(value).strip()}**\n\n{_HEAD}{rows}{notes}{folded}\n{sections.header(value)}"
+    rows = "".join(_render_markdown_row(step) for step in value.steps)
+    load = plan_sections.render_expected_load(value).replace("```", "'''")
+    folded = _render_folded_section("Expected load", load) + _render_folded_section(
+        "Demands", render_demands(value).replace("```", "'''")
+    )
+    notes = "".join(
+        f"\n> {_escape_markdown(line)}\n" for line in plan_sections.render_plan_notes(value).splitlines()
+    )
+    return f"{PLAN_COMMENT_MARKER}\n**{plan_sections.render_plan_summary(value).strip()}**\n\n{_TABLE_HEAD}{rows}{notes}{folded}\n{plan_sections.render_plan_header(value)}"
 
 
-def measured(run: Run, values: Sequence[Column], _look: Look = PLAIN) -> str:
+def measured(run: ExperimentRun, values: Sequence[SchemeResult], _look: RenderOptions = PLAIN) -> str:
     """The wide table of an experiment."""
-    return markdown(run, values, _plain)
+    return render_experiment_markdown(run, values, _escape_markdown)
 
 
-def _folded(title: str, text: str) -> str:
+def _render_folded_section(title: str, text: str) -> str:
     return f"\n<details><summary>{title}</summary>\n\n```text\n{text}```\n\n</details>\n" if text else ""
 
 
-def _row(step: Step) -> str:
+def _render_markdown_row(step: Step) -> str:
     decision = step.decision
     fields = (
         step.task,
         decision.previous_host or "-",
         decision.host or "-",
-        figure(decision.total),
-        figure(decision.lead, signed=True),
-        reason(step),
+        format_utility(decision.total),
+        format_utility(decision.lead, signed=True),
+        describe_reason(step),
     )
-    return f"| `{step.action.symbol}` | " + " | ".join(_plain(field) for field in fields) + " |\n"
+    return f"| `{step.action.symbol}` | " + " | ".join(_escape_markdown(field) for field in fields) + " |\n"
 
 
-def _plain(text: str) -> str:
-    return harmless(text).translate(_SPECIAL)
+def _escape_markdown(text: str) -> str:
+    return escape_unprintable(text).translate(_MARKDOWN_ESCAPES)

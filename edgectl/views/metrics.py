@@ -6,17 +6,21 @@ from edgectl.model.snapshot import TaskSample
 from edgectl.views.text import Cell, Row
 
 
-def value(number: float) -> str:
+def format_metric(number: float) -> str:
     """Six digits: ``29.97``, ``1.5e-07``."""
     return f"{number:.6g}"
 
 
-def line(metrics: Mapping[str, float]) -> str:
+def format_metrics(metrics: Mapping[str, float]) -> str:
     """All on one line, ``fps 29.97, loss 0.031``; a dash where there are none."""
-    return ", ".join(f"{name} {value(number)}" for name, number in metrics.items()) or "-"
+    return ", ".join(f"{name} {format_metric(number)}" for name, number in metrics.items()) or "-"
 
 
-def table(runs: Iterable[tuple[str, str, TaskSample]]) -> list[Row]:
+def render_metrics_rows(runs: Iterable[tuple[str, str, TaskSample]]) -> list[Row]:
     """A row for each of the runs (task, host) that says something, with their head; nothing where none does."""
-    rows: list[Row] = [(Cell(task, "name"), host, line(sample.metrics)) for task, host, sample in runs if sample.metrics]
+    rows: list[Row] = [
+        (Cell(task, "name"), host, format_metrics(sample.metrics))
+        for task, host, sample in runs
+        if sample.metrics
+    ]
     return [("TASK", "HOST", "METRICS"), *rows] if rows else []

@@ -2,50 +2,64 @@
 
 from collections.abc import Callable, Iterable, Iterator
 
-from edgectl.formats.base import FORMAT_VERSION, Document, number
+from edgectl.formats.document import FORMAT_VERSION, Document, encode_number
 from edgectl.model.assignment import Resource
-from edgectl.model.demand import ENOUGH_SAMPLES
-from edgectl.model.profile import ClassProfile, Spread
+from edgectl.model.measured_demand import MIN_SAMPLES
+from edgectl.model.profile import ClassProfile, UsagePercentiles
 from edgectl.model.task import Quantity
 from edgectl.units import format_duration
-from edgectl.views.demands import FORMATS, NAMES, stated
-from edgectl.views.text import PLAIN, Cell, Look, Row, columns, fits
+from edgectl.views.demands import DEMAND_FORMATS, DEMAND_KEYS, encode_declared_demand
+from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, is_within_width, render_columns
 
-_NONE = "No samples yet. Let the task run while edgectl probes or watches.\n"
+_NO_SAMPLES = "No samples yet. Let the task run while edgectl probes or watches.\n"
 
 
-def text(values: Iterable[ClassProfile], look: Look = PLAIN) -> str:
+def render_profiles(values: Iterable[ClassProfile], look: RenderOptions = PLAIN) -> str:
     """One line for each task, class of hosts and resource; without span and hosts where the terminal is too narrow for them."""
-    rows: list[Row] = [("TASK", "CLASS", "RESOURCE", "DECLARED", "P50", "P95", "MAX", "SAMPLES", "SPAN", "HOSTS")]
+    rows: list[Row] = [
+        ("TASK", "CLASS", "RESOURCE", "DECLARED", "P50", "P95", "MAX", "SAMPLES", "SPAN", "HOSTS")
+    ]
     for value in values:
-        rows += _rows(value)
-    fitting = rows if fits(rows, look) else [row[:-2] for row in rows]  # the class says enough of the hosts, n of the span
-    return columns(fitting, look, right={3, 4, 5, 6, 7, 8}, wrap={0, 1, 3}) if len(rows) > 1 else _NONE
+        rows += _render_profile_rows(value)
+    fitting = (
+        rows if is_within_width(rows, look) else [row[:-2] for row in rows]
+    )  # the class says enough of the hosts, n of the span
+    return (
+        render_columns(fitting, look, right={3, 4, 5, 6, 7, 8}, wrap={0, 1, 3})
+        if len(rows) > 1
+        else _NO_SAMPLES
+    )
 
 
-def _rows(value: ClassProfile) -> Iterator[Row]:
+def _render_profile_rows(value: ClassProfile) -> Iterator[Row]:
     found = value.profile
-    samples = Cell(str(found.samples)) if value.enough else Cell(f"{found.samples} of {ENOUGH_SAMPLES}", "warn")
+    samples = Cell(str(found.samples)) if value.enough else Cell(f"{found.samples} of {MIN_SAMPLES}", "warn")
     head: tuple[Cell, ...] = (Cell(value.task.name, "name"), Cell(value.kind))
     tail = (samples, format_duration(found.span_s), ", ".join(value.hosts))
-    for resource, spread in _spreads(value):
-        show = FORMATS[resource]
+    for resource, spread in _list_resource_spreads(value):
+        show = DEMAND_FORMATS[resource]
         figures = (show(spread.p50), Cell(show(spread.p95), "bold"), show(spread.most))
-        yield (*head, NAMES[resource], _declared(_stated(value, resource), show), *figures, *tail)
+        yield (
+            *head,
+            DEMAND_KEYS[resource],
+            _format_declared_demand(_find_declared_demand(value, resource), show),
+            *figures,
+            *tail,
+        )
         head, tail = (Cell(""), Cell("")), (Cell(""), "", "")
 
 
-def _spreads(value: ClassProfile) -> list[tuple[Resource, Spread]]:
+def _list_resource_spreads(value: ClassProfile) -> list[tuple[Resource, UsagePercentiles]]:
     found = [(Resource.CPU, value.profile.cpu), (Resource.MEMORY, value.profile.memory)]
     return [*found, (Resource.NETWORK, value.profile.throughput)] if value.task.robots else found
 
 
-def _stated(value: ClassProfile, resource: Resource) -> Quantity | None:
-    stated: Quantity | None = getattr(value.task.demand, NAMES[resource])
+def _find_declared_demand(value: ClassProfile, resource: Resource) -> Quantity | None:
+    stated: Quantity | None = getattr(value.task.demand, DEMAND_KEYS[resource])
     return stated
 
 
-def _declared(quantity: Quantity | None, show: Callable[[float], str]) -> str:
+def _format_declared_demand(quantity: Quantity | None, show: Callable[[float], str]) -> str:
     """As the file has it: nothing, an amount, a share; and whether it only counts until it is measured."""
     if quantity is None:
         return "-"
@@ -55,24 +69,32 @@ def _declared(quantity: Quantity | None, show: Callable[[float], str]) -> str:
     return f"until: {amount}" if quantity.value else "measured"
 
 
-def document(values: Iterable[ClassProfile]) -> Document:
+def encode_profiles(values: Iterable[ClassProfile]) -> Document:
     """The same as JSON types, in cores, bytes and bytes/s."""
-    return {"format_version": FORMAT_VERSION, "profiles": [_profile(value) for value in values]}
+    return {"format_version": FORMAT_VERSION, "profiles": [_encode_class_profile(value) for value in values]}
 
 
-def _profile(value: ClassProfile) -> Document:
+def _encode_class_profile(value: ClassProfile) -> Document:
     return {
         "task": value.task.name,
         "class": value.kind,
         "hosts": list(value.hosts),
         "samples": value.profile.samples,
-        "span_s": number(value.profile.span_s),
+        "span_s": encode_number(value.profile.span_s),
         "enough": value.enough,
         "demand": {
-            NAMES[resource]: {"declared": stated(_stated(value, resource)), **_figures(spread)} for resource, spread in _spreads(value)
+            DEMAND_KEYS[resource]: {
+                "declared": encode_declared_demand(_find_declared_demand(value, resource)),
+                **_encode_spread(spread),
+            }
+            for resource, spread in _list_resource_spreads(value)
         },
     }
 
 
-def _figures(spread: Spread) -> Document:
-    return {"p50": number(spread.p50), "p95": number(spread.p95), "max": number(spread.most)}
+def _encode_spread(spread: UsagePercentiles) -> Document:
+    return {
+        "p50": encode_number(spread.p50),
+        "p95": encode_number(spread.p95),
+        "max": encode_number(spread.most),
+    }

@@ -2,24 +2,29 @@
 
 from collections.abc import Iterable, Sequence
 
-from edgectl.formats.base import FORMAT_VERSION, Document, number, optional, without_none
+from edgectl.formats.document import FORMAT_VERSION, Document, encode_number, encode_optional, without_none
 from edgectl.model.profiler import Profiler, ProfilerState
 from edgectl.units import format_bytes, format_duration
-from edgectl.views.sections import note_lines
-from edgectl.views.text import PLAIN, Cell, Look, Row, columns
+from edgectl.views.plan_sections import render_notes
+from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, render_columns
 
-_STYLES = {ProfilerState.STALLED: "warn", ProfilerState.UNREACHABLE: "bad", ProfilerState.STOPPED: "dim", ProfilerState.NOT_RUNNING: "dim"}
+_PROFILER_STATE_STYLES = {
+    ProfilerState.STALLED: "warn",
+    ProfilerState.UNREACHABLE: "bad",
+    ProfilerState.STOPPED: "dim",
+    ProfilerState.NOT_RUNNING: "dim",
+}
 
 
-def text(values: Sequence[Profiler], look: Look = PLAIN) -> str:
+def render_profilers(values: Sequence[Profiler], look: RenderOptions = PLAIN) -> str:
     """One line per host: how long its profiler has run, how old its last sample is, what it costs (of one core) and when it would end."""
     rows: list[Row] = [("HOST", "STATE", "PID", "AGE", "EVERY", "LAST", "CPU", "MEMORY", "TTL LEFT")]
-    rows += [_row(value) for value in values]
-    return columns(rows, look) + note_lines(_notes(values), look)
+    rows += [_render_profiler_row(value) for value in values]
+    return render_columns(rows, look) + render_notes(_list_profiler_notes(values), look)
 
 
-def _row(value: Profiler) -> Row:
-    state = Cell(value.state.value, _STYLES.get(value.state, "good"))
+def _render_profiler_row(value: Profiler) -> Row:
+    state = Cell(value.state.value, _PROFILER_STATE_STYLES.get(value.state, "good"))
     if not value.state.alive:
         return (Cell(value.host, "name"), state, *("-",) * 7)
     return (
@@ -35,11 +40,11 @@ def _row(value: Profiler) -> Row:
     )
 
 
-def _notes(values: Iterable[Profiler]) -> list[str]:
-    return [f"{value.host}: {note}" for value in values if (note := _note(value))]
+def _list_profiler_notes(values: Iterable[Profiler]) -> list[str]:
+    return [f"{value.host}: {note}" for value in values if (note := _format_profiler_note(value))]
 
 
-def _note(value: Profiler) -> str:
+def _format_profiler_note(value: Profiler) -> str:
     """What a reader should know of one host; empty where all is well."""
     if value.state is ProfilerState.UNREACHABLE:
         return value.error + (f" ({value.hint})" if value.hint else "")
@@ -52,30 +57,32 @@ def _note(value: Profiler) -> str:
     return ""
 
 
-def document(values: Iterable[Profiler]) -> Document:
+def encode_profilers(values: Iterable[Profiler]) -> Document:
     """As JSON types."""
-    return {"format_version": FORMAT_VERSION, "profilers": [_entry(value) for value in values]}
+    return {"format_version": FORMAT_VERSION, "profilers": [_encode_profiler(value) for value in values]}
 
 
-def _entry(value: Profiler) -> Document:
+def _encode_profiler(value: Profiler) -> Document:
     entry: Document = {"host": value.host, "state": value.state.value}
     if value.state.alive:
         entry |= {
             "pid": value.pid,
-            "age_s": number(value.age),
-            "every_s": number(value.every),
-            "period_s": number(value.period),
+            "age_s": encode_number(value.age),
+            "every_s": encode_number(value.every),
+            "period_s": encode_number(value.period),
             "samples": value.samples,
-            "sample_age_s": optional(value.sample_age),
-            "used_cores": number(value.used_cores),
-            "used_bytes": number(value.used_bytes),
-            "ttl_s": number(value.ttl),
-            "ttl_left_s": number(value.ttl_left),
+            "sample_age_s": encode_optional(value.sample_age),
+            "used_cores": encode_number(value.used_cores),
+            "used_bytes": encode_number(value.used_bytes),
+            "ttl_s": encode_number(value.ttl),
+            "ttl_left_s": encode_number(value.ttl_left),
             "current": value.current,
         }
-    return entry | without_none(detail=value.detail or None, error=value.error or None, hint=value.hint or None)
+    return entry | without_none(
+        detail=value.detail or None, error=value.error or None, hint=value.hint or None
+    )
 
 
-def names(values: Iterable[Profiler], _look: Look = PLAIN) -> str:
+def render_profiler_names(values: Iterable[Profiler], _look: RenderOptions = PLAIN) -> str:
     """The hosts that have one, as profiler/HOST."""
     return "".join(f"profiler/{value.host}\n" for value in values if value.state.alive)

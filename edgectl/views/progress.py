@@ -5,72 +5,74 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 
-from edgectl.model.course import Course, Watcher
+from edgectl.experiments.model.experiment import TrialListener, TrialProgress
+from edgectl.experiments.views.progress import describe_trial_news, format_trial_state
 from edgectl.model.cycle import Cycle
-from edgectl.model.progress import Listener, Progress, Stage
+from edgectl.model.progress import ProgressEvent, ProgressListener, ProgressStage
 from edgectl.model.snapshot import HostSample
 from edgectl.units import format_duration
-from edgectl.views.course import line, state
-from edgectl.views.table import result_text
-from edgectl.views.text import harmless, look_of
+from edgectl.views.table import format_action_result
+from edgectl.views.text import detect_render_options, escape_unprintable
 
-Heard = Callable[[str, HostSample, float], None]
+ProbeListener = Callable[[str, HostSample, float], None]
 
 
 @contextlib.contextmanager
-def probing(count: int) -> Iterator[Heard]:
+def show_probe_progress(count: int) -> Iterator[ProbeListener]:
     """A listener for ``count`` hosts that answer one by one."""
-    if not _live():
-        yield lambda name, sample, seconds: _line(f"{name}: {'ok' if sample.ok else 'unreachable'} in {format_duration(seconds)}")
+    if not _can_show_bar():
+        yield lambda name, sample, seconds: _print_progress_line(
+            f"{name}: {'ok' if sample.ok else 'unreachable'} in {format_duration(seconds)}"
+        )
         return
-    with _bar("probing", count) as advance:
+    with _show_progress_bar("probing", count) as advance:
         yield lambda name, _sample, _seconds: advance(name)
 
 
 @contextlib.contextmanager
-def applying(count: int, *, quiet: bool = False) -> Iterator[Listener]:
+def show_apply_progress(count: int, *, quiet: bool = False) -> Iterator[ProgressListener]:
     """A listener for ``count`` actions; its events may come from any thread."""
-    if quiet or not _live():
+    if quiet or not _can_show_bar():
         guard = threading.Lock()
-        yield lambda event: None if quiet else _ended(event, guard)
+        yield lambda event: None if quiet else _print_action_end(event, guard)
         return
-    with _bar("applying", count) as advance:
-        yield lambda event: _advanced(event, advance)
+    with _show_progress_bar("applying", count) as advance:
+        yield lambda event: _advance_bar(event, advance)
 
 
 @contextlib.contextmanager
-def trying(total: int) -> Iterator[Watcher]:
+def show_trial_progress(total: int) -> Iterator[TrialListener]:
     """A listener for the ``total`` trials of an experiment; what goes wrong is a line of its own."""
     before: list[Cycle] = []
 
-    def told(course: Course) -> None:
-        if text := line(before[0] if before else None, course):
-            _line(text)
+    def told(course: TrialProgress) -> None:
+        if text := describe_trial_news(before[0] if before else None, course):
+            _print_progress_line(text)
         before[:] = [course.cycle] if course.cycle is not None else []
 
-    if not _live():
+    if not _can_show_bar():
         yield told
         return
-    with _bar("trial", total) as advance:
+    with _show_progress_bar("trial", total) as advance:
         ended = 0
 
-        def drawn(course: Course) -> None:
+        def drawn(course: TrialProgress) -> None:
             nonlocal ended
             if course.trial is not None or course.cycle is not None:
                 told(course)
             now = course.number if course.trial is not None else course.number - 1
-            advance(state(course), step=now - ended)
+            advance(format_trial_state(course), step=now - ended)
             ended = now
 
         yield drawn
 
 
-def _live() -> bool:
-    return sys.stderr.isatty() and look_of(sys.stderr).colour
+def _can_show_bar() -> bool:
+    return sys.stderr.isatty() and detect_render_options(sys.stderr).colour
 
 
 @contextlib.contextmanager
-def _bar(what: str, count: int) -> Iterator[Callable[..., None]]:
+def _show_progress_bar(what: str, count: int) -> Iterator[Callable[..., None]]:
     from rich.console import Console
     from rich.markup import escape
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
@@ -81,25 +83,27 @@ def _bar(what: str, count: int) -> Iterator[Callable[..., None]]:
         task = bar.add_task(what, total=count)
 
         def advance(text: str, *, step: int = 1) -> None:
-            bar.update(task, advance=step, description=f"{what} {escape(harmless(text))}")
+            bar.update(task, advance=step, description=f"{what} {escape(escape_unprintable(text))}")
 
         yield advance
 
 
-def _advanced(event: Progress, advance: Callable[..., None]) -> None:
-    if event.stage is Stage.PHASE_BEGIN:
+def _advance_bar(event: ProgressEvent, advance: Callable[..., None]) -> None:
+    if event.stage is ProgressStage.PHASE_BEGIN:
         advance(f"{event.task}: {event.phase} on {event.host}", step=0)
-    elif event.stage is Stage.ACTION_END:
+    elif event.stage is ProgressStage.ACTION_END:
         advance(event.task)
 
 
-def _ended(event: Progress, guard: threading.Lock) -> None:
-    if event.stage is Stage.ACTION_END and event.result is not None:
+def _print_action_end(event: ProgressEvent, guard: threading.Lock) -> None:
+    if event.stage is ProgressStage.ACTION_END and event.result is not None:
         with guard:
-            _line(f"{event.action} {event.task}: {event.result.outcome} ({result_text(event.result)})")
+            _print_progress_line(
+                f"{event.action} {event.task}: {event.result.outcome} ({format_action_result(event.result)})"
+            )
 
 
-def _line(text: str) -> None:
+def _print_progress_line(text: str) -> None:
     with contextlib.suppress(BrokenPipeError):
-        sys.stderr.write(harmless(text) + "\n")
+        sys.stderr.write(escape_unprintable(text) + "\n")
         sys.stderr.flush()

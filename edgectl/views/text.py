@@ -8,10 +8,10 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, TextIO
 
-_STYLES = {"good": "32", "bad": "31", "warn": "33", "dim": "2", "bold": "1", "name": "36"}
+_ANSI_STYLES = {"good": "32", "bad": "31", "warn": "33", "dim": "2", "bold": "1", "name": "36"}
 _NARROWEST_LAST_COLUMN = 24
-_BELOW = 4
-_BREAKS = re.compile(r"(?<=[-,\s])")
+_BELOW_INDENT = 4
+_FIELD_BREAKS = re.compile(r"(?<=[-,\s])")
 
 
 class Cell(NamedTuple):
@@ -25,7 +25,7 @@ Row = Sequence[str | Cell]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Look:
+class RenderOptions:
     """How text may look. ``width`` in columns; None: not a terminal, so nothing is wrapped. ``unicode``: bars and marks beyond ASCII."""
 
     colour: bool = False
@@ -33,50 +33,54 @@ class Look:
     unicode: bool = False
 
 
-PLAIN = Look()
+PLAIN = RenderOptions()
 
 
-def look_of(stream: TextIO) -> Look:
+def detect_render_options(stream: TextIO) -> RenderOptions:
     """The look that ``stream`` can show: NO_COLOR and TERM=dumb switch colour off, FORCE_COLOR switches it on."""
     terminal = stream.isatty()
     dumb = os.environ.get("TERM") == "dumb"
     coloured = bool(os.environ.get("FORCE_COLOR")) or (terminal and not dumb)
-    return Look(
+    return RenderOptions(
         colour=coloured and not os.environ.get("NO_COLOR"),
         width=shutil.get_terminal_size().columns if terminal else None,
-        unicode=terminal and not dumb and _unicode(stream),
+        unicode=terminal and not dumb and _can_show_unicode(stream),
     )
 
 
-def _unicode(stream: TextIO) -> bool:
+def _can_show_unicode(stream: TextIO) -> bool:
     """Whether block glyphs show: NO_UNICODE switches them off, and so does a locale without them (Python itself takes C for UTF-8)."""
     plain = os.environ.get("NO_UNICODE") or os.environ.get("LC_ALL") in ("C", "POSIX")
     return not plain and (stream.encoding or "").lower().replace("-", "") == "utf8"
 
 
-def harmless(text: str) -> str:
+def escape_unprintable(text: str) -> str:
     """``text`` with every control and format character written out, so that no host can steer the terminal."""
-    return text if text.isprintable() else "".join(c if c.isprintable() else _written_out(c) for c in text)
+    return (
+        text if text.isprintable() else "".join(c if c.isprintable() else _escape_character(c) for c in text)
+    )
 
 
-def log_text(data: bytes) -> str:
+def decode_log_output(data: bytes) -> str:
     """A task's own output, lines and tabs kept, everything else that could steer a terminal written out."""
     text = data.decode("utf-8", "replace")
-    return "".join(c if c in "\n\t" or c.isprintable() else _written_out(c) for c in text)
+    return "".join(c if c in "\n\t" or c.isprintable() else _escape_character(c) for c in text)
 
 
-def _written_out(character: str) -> str:
-    return {"\n": "\\n", "\t": "\\t", "\r": "\\r"}.get(character) or character.encode("unicode_escape", "backslashreplace").decode("ascii")
+def _escape_character(character: str) -> str:
+    return {"\n": "\\n", "\t": "\\t", "\r": "\\r"}.get(character) or character.encode(
+        "unicode_escape", "backslashreplace"
+    ).decode("ascii")
 
 
-def paint(text: str, style: str, look: Look) -> str:
+def style_text(text: str, style: str, look: RenderOptions) -> str:
     """``text`` in ``style`` where colour is allowed."""
-    return f"\x1b[{_STYLES[style]}m{text}\x1b[0m" if look.colour and style and text else text
+    return f"\x1b[{_ANSI_STYLES[style]}m{text}\x1b[0m" if look.colour and style and text else text
 
 
-def columns(
+def render_columns(
     rows: Iterable[Row],
-    look: Look = PLAIN,
+    look: RenderOptions = PLAIN,
     *,
     right: Collection[int] = (),
     gap: str = "  ",
@@ -90,44 +94,52 @@ def columns(
     leaves no room for the last one, what is too long of it stands on lines of its own; with ``below``, all of it. A table that is too wide
     all the same is left as it is. ``least``: widths that columns have at least.
     """
-    cells = [[_cell(field) for field in row] for row in rows]
+    cells = [[_to_safe_cell(field) for field in row] for row in rows]
     if not cells:
         return ""
-    natural = _natural(cells, least)
-    floors = {i: _longest_word(row[i].text for row in cells if i < len(row)) for i in wrap if i < len(natural) - 1}
-    widths = _fitted([*natural[:-1], 0] if below else natural, look, floors, gap)
-    return "".join(line + "\n" for row in cells for line in _lines(row, widths, look, right, gap))
+    natural = _measure_cell_widths(cells, least)
+    floors = {
+        i: _measure_longest_word(row[i].text for row in cells if i < len(row))
+        for i in wrap
+        if i < len(natural) - 1
+    }
+    widths = _shrink_widths([*natural[:-1], 0] if below else natural, look, floors, gap)
+    return "".join(line + "\n" for row in cells for line in _render_row_lines(row, widths, look, right, gap))
 
 
-def widths_of(rows: Iterable[Row]) -> list[int]:
+def measure_column_widths(rows: Iterable[Row]) -> list[int]:
     """How wide each column is where nothing is wrapped."""
-    return _natural([[_cell(field) for field in row] for row in rows], ())
+    return _measure_cell_widths([[_to_safe_cell(field) for field in row] for row in rows], ())
 
 
-def room_beside(rows: Iterable[Row], look: Look, gap: str = "  ") -> int:
+def compute_remaining_width(rows: Iterable[Row], look: RenderOptions, gap: str = "  ") -> int:
     """Columns that are left on the terminal for one more column; without a terminal, none."""
-    return 0 if look.width is None else max(0, look.width - sum(width + len(gap) for width in widths_of(rows)))
+    return (
+        0
+        if look.width is None
+        else max(0, look.width - sum(width + len(gap) for width in measure_column_widths(rows)))
+    )
 
 
-def fits(rows: Iterable[Row], look: Look, gap: str = "  ") -> bool:
+def is_within_width(rows: Iterable[Row], look: RenderOptions, gap: str = "  ") -> bool:
     """Whether rows as columns pass no edge."""
-    widths = widths_of(rows)
-    return look.width is None or _total(widths, gap) <= look.width
+    widths = measure_column_widths(rows)
+    return look.width is None or _sum_widths(widths, gap) <= look.width
 
 
-def _natural(cells: list[list[Cell]], least: Sequence[int]) -> list[int]:
+def _measure_cell_widths(cells: list[list[Cell]], least: Sequence[int]) -> list[int]:
     count = max([len(least), *(len(row) for row in cells)])
     given = [*least, *[0] * count][:count]
     return [max([given[i], *(len(row[i].text) for row in cells if i < len(row))]) for i in range(count)]
 
 
-def _total(widths: Sequence[int], gap: str) -> int:
+def _sum_widths(widths: Sequence[int], gap: str) -> int:
     return sum(widths) + len(gap) * (len(widths) - 1)
 
 
-def _fitted(widths: list[int], look: Look, floors: Mapping[int, int], gap: str) -> list[int]:
+def _shrink_widths(widths: list[int], look: RenderOptions, floors: Mapping[int, int], gap: str) -> list[int]:
     """Widths that fit the terminal as well as can be. ``floors``: of the columns that may be narrower, how narrow."""
-    excess = _total(widths, gap) - look.width if look.width is not None else 0
+    excess = _sum_widths(widths, gap) - look.width if look.width is not None else 0
     if excess <= 0:
         return widths
     fitted, spare = list(widths), widths[-1] - min(widths[-1], _NARROWEST_LAST_COLUMN)
@@ -137,70 +149,80 @@ def _fitted(widths: list[int], look: Look, floors: Mapping[int, int], gap: str) 
     if excess > spare + give:
         return widths  # in vain: names that are whole are worth more
     while excess > spare:
-        widest = max((column for column, floor in floors.items() if fitted[column] > floor), key=lambda column: fitted[column])
+        widest = max(
+            (column for column, floor in floors.items() if fitted[column] > floor),
+            key=lambda column: fitted[column],
+        )
         fitted[widest] -= 1
         excess -= 1
     return [*fitted[:-1], max(0, fitted[-1] - max(0, excess))]
 
 
-def _cell(field: str | Cell) -> Cell:
+def _to_safe_cell(field: str | Cell) -> Cell:
     text, style = field if isinstance(field, Cell) else (field, "")
-    return Cell(harmless(text), style)
+    return Cell(escape_unprintable(text), style)
 
 
-def _lines(row: list[Cell], widths: list[int], look: Look, right: Collection[int], gap: str) -> list[str]:
+def _render_row_lines(
+    row: list[Cell], widths: list[int], look: RenderOptions, right: Collection[int], gap: str
+) -> list[str]:
     """One row, as many lines as its tallest cell has."""
     *head, last = row
     whole = len(row) == len(widths)
     indent = sum(widths[: len(head)]) + len(gap) * len(head)
     room = widths[-1] if whole or look.width is None else look.width - indent
     aside = whole and room < min(len(last.text), _NARROWEST_LAST_COLUMN)
-    tall = [_broken(cell.text, widths[i]) for i, cell in enumerate(head)]
-    final = [] if aside else _wrapped(last.text, room) if look.width is not None else [last.text]
+    tall = [_wrap_field(cell.text, widths[i]) for i, cell in enumerate(head)]
+    final = [] if aside else _wrap_sentence(last.text, room) if look.width is not None else [last.text]
     lines = []
     for number in range(max(len(texts) for texts in [*tall, final, [""]])):
-        padded = (_padded(_at(texts, number), head[i], widths[i], look, to_right=i in right) + gap for i, texts in enumerate(tall))
-        end = _at(final, number)
+        padded = (
+            _pad_cell(_get_line_or_empty(texts, number), head[i], widths[i], look, to_right=i in right) + gap
+            for i, texts in enumerate(tall)
+        )
+        end = _get_line_or_empty(final, number)
         width = widths[-1] if whole and len(head) in right else len(end)
-        lines.append(("".join(padded) + _padded(end, last, width, look, to_right=True)).rstrip())
-    under = _wrapped(last.text, (look.width or 0) - _BELOW) if aside and last.text != "-" else []
-    return lines + [" " * _BELOW + paint(text, last.style, look) for text in under if text]
+        lines.append(("".join(padded) + _pad_cell(end, last, width, look, to_right=True)).rstrip())
+    under = _wrap_sentence(last.text, (look.width or 0) - _BELOW_INDENT) if aside and last.text != "-" else []
+    return lines + [" " * _BELOW_INDENT + style_text(text, last.style, look) for text in under if text]
 
 
-def _at(texts: list[str], number: int) -> str:
+def _get_line_or_empty(texts: list[str], number: int) -> str:
     return texts[number] if number < len(texts) else ""
 
 
-def _padded(text: str, cell: Cell, width: int, look: Look, *, to_right: bool) -> str:
+def _pad_cell(text: str, cell: Cell, width: int, look: RenderOptions, *, to_right: bool) -> str:
     space = " " * (width - len(text))
-    painted = paint(text, cell.style, look)
+    painted = style_text(text, cell.style, look)
     return space + painted if to_right else painted + space
 
 
-def _wrapped(text: str, width: int) -> list[str]:
+def _wrap_sentence(text: str, width: int) -> list[str]:
     """A sentence on lines: it does not break at hyphens, for options stand in it."""
     if len(text) <= width or width < 1:
         return [text]
     return textwrap.wrap(text, width, break_on_hyphens=False) or [""]
 
 
-def _broken(text: str, width: int) -> list[str]:
+def _wrap_field(text: str, width: int) -> list[str]:
     """A field on lines: names break after hyphens, lists after commas."""
     lines = [""]
-    for word in _BREAKS.split(text):
+    for word in _FIELD_BREAKS.split(text):
         if lines[-1] and len(lines[-1]) + len(word.rstrip()) > width:
             lines.append("")
         lines[-1] += word
     return [line.rstrip() for line in lines]
 
 
-def _longest_word(texts: Iterable[str]) -> int:
-    return max(len(word.rstrip()) for text in texts for word in _BREAKS.split(text))
+def _measure_longest_word(texts: Iterable[str]) -> int:
+    return max(len(word.rstrip()) for text in texts for word in _FIELD_BREAKS.split(text))
 
 
-def flowed(text: str, look: Look, indent: int = 2) -> str:
+def wrap_text(text: str, look: RenderOptions, indent: int = 2) -> str:
     """One line of text, broken between words where the terminal ends; what follows is indented."""
     if look.width is None or len(text) <= look.width:
         return text + "\n"
-    lines = textwrap.wrap(text, look.width, subsequent_indent=" " * indent, break_on_hyphens=False, break_long_words=False)
+    lines = textwrap.wrap(
+        text, look.width, subsequent_indent=" " * indent, break_on_hyphens=False, break_long_words=False
+    )
     return "\n".join(lines) + "\n"

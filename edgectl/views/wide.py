@@ -2,108 +2,145 @@
 
 from collections.abc import Iterable, Sequence
 
+from edgectl.experiments.model.comparison import ReferenceValues, SchemeResult
+from edgectl.experiments.model.experiment import ExperimentRun
+from edgectl.experiments.model.scenario import Scenario
+from edgectl.experiments.views import experiment as measured_view
+from edgectl.experiments.views import simulation as simulated_view
 from edgectl.model.assignment import RankedHost
-from edgectl.model.bandwidth import Measurement
-from edgectl.model.evidence import Column, Reality
-from edgectl.model.experiment import Run
 from edgectl.model.explanation import Explanation
 from edgectl.model.plan import Plan, Step
-from edgectl.model.scenario import Scenario
-from edgectl.model.snapshot import HostSample, InterfaceSample, LinkSample, Snapshot
+from edgectl.model.snapshot import BandwidthMeasurement, HostSample, InterfaceSample, LinkSample, Snapshot
 from edgectl.units import format_duration, format_rate
-from edgectl.views import measured as measured_view
-from edgectl.views import sections, table
-from edgectl.views import simulated as simulated_view
-from edgectl.views.demands import demands
-from edgectl.views.explanation import text
-from edgectl.views.listing import wide_more as listing_more
-from edgectl.views.listing import wide_text as listing
-from edgectl.views.reasons import reason, rejection
-from edgectl.views.sections import STYLES, figure
-from edgectl.views.text import PLAIN, Cell, Look, Row, columns
-from edgectl.views.top import wide_hosts as top_hosts
-from edgectl.views.top import wide_tasks as top_tasks
+from edgectl.views import plan_sections, table
+from edgectl.views.demands import render_demands
+from edgectl.views.explanation import render_explanation
+from edgectl.views.listing import render_wide_listing as listing
+from edgectl.views.listing import render_wide_listing_changes as listing_more
+from edgectl.views.plan_sections import ACTION_STYLES, format_utility
+from edgectl.views.reasons import describe_reason, describe_rejection
+from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, render_columns
+from edgectl.views.top import render_wide_top_hosts as top_hosts
+from edgectl.views.top import render_wide_top_tasks as top_tasks
 
-__all__ = ["bandwidth", "explanation", "listing", "listing_more", "measured", "plan", "simulated", "snapshot", "top_hosts", "top_tasks"]
+__all__ = [
+    "bandwidth",
+    "explanation",
+    "listing",
+    "listing_more",
+    "measured",
+    "plan",
+    "simulated",
+    "snapshot",
+    "top_hosts",
+    "top_tasks",
+]
 
 
-def plan(value: Plan, look: Look = PLAIN) -> str:
+def plan(value: Plan, look: RenderOptions = PLAIN) -> str:
     """The table form with every candidate of every task."""
     rows: list[Row] = [("", "TASK", "HOST", "CPU", "MEMORY", "NETWORK", "TASK", "TOTAL", "REASON")]
     for step in value.steps:
-        rows += _rows(step)
-    body = columns(rows, look, right={3, 4, 5, 6, 7}, wrap={1, 2}) if value.steps else ""
-    end = sections.notes(value, look) + sections.summary(value, look)
-    parts = (sections.header(value, look), body, demands(value, look), sections.expected(value, look), end)
+        rows += _render_candidate_rows(step)
+    body = render_columns(rows, look, right={3, 4, 5, 6, 7}, wrap={1, 2}) if value.steps else ""
+    end = plan_sections.render_plan_notes(value, look) + plan_sections.render_plan_summary(value, look)
+    parts = (
+        plan_sections.render_plan_header(value, look),
+        body,
+        render_demands(value, look),
+        plan_sections.render_expected_load(value, look),
+        end,
+    )
     return "\n".join(part for part in parts if part)
 
 
-def simulated(scenario: Scenario, values: Iterable[Column], real: Reality, look: Look = PLAIN) -> str:
+def simulated(
+    scenario: Scenario, values: Iterable[SchemeResult], real: ReferenceValues, look: RenderOptions = PLAIN
+) -> str:
     """The table form with every metric, each with its deviation."""
-    return simulated_view.text(scenario, values, real, look, every=True)
+    return simulated_view.render_simulation(scenario, values, real, look, every=True)
 
 
-def measured(run: Run, values: Sequence[Column], look: Look = PLAIN) -> str:
+def measured(run: ExperimentRun, values: Sequence[SchemeResult], look: RenderOptions = PLAIN) -> str:
     """The table form with every metric, each with its deviation."""
-    return measured_view.text(run, values, look, every=True)
+    return measured_view.render_experiment(run, values, look, every=True)
 
 
-def explanation(step: Step, value: Explanation, look: Look = PLAIN) -> str:
+def explanation(step: Step, value: Explanation, look: RenderOptions = PLAIN) -> str:
     """The table form with every change that would send the task elsewhere."""
-    return text(step, value, look, every=True)
+    return render_explanation(step, value, look, every=True)
 
 
-def _rows(step: Step) -> list[Row]:
-    decision, style = step.decision, STYLES[step.action]
+def _render_candidate_rows(step: Step) -> list[Row]:
+    decision, style = step.decision, ACTION_STYLES[step.action]
     chosen = next((ranked for ranked in decision.ranking if ranked.host == decision.host), None)
-    others = sorted((ranked for ranked in decision.ranking if ranked is not chosen), key=lambda ranked: (not ranked.feasible, ranked.rank))
+    others = sorted(
+        (ranked for ranked in decision.ranking if ranked is not chosen),
+        key=lambda ranked: (not ranked.feasible, ranked.rank),
+    )
     first: Row = (
         Cell(step.action.symbol, style),
         Cell(step.task, "name"),
-        Cell(_route(step), "bold"),
-        *_terms(chosen),
-        Cell(reason(step), style),
+        Cell(_format_route(step), "bold"),
+        *_format_terms(chosen),
+        Cell(describe_reason(step), style),
     )
-    rows = [first, *map(_other_row, others)]
+    rows = [first, *map(_render_losing_host_row, others)]
     left_out = ", ".join(f"{count} {rule}" for rule, count in decision.rejection_counts.items())
-    return [*rows, ("", "", Cell("..", "dim"), "", "", "", "", "", Cell(f"not shown: {left_out}", "dim"))] if left_out else rows
+    return (
+        [*rows, ("", "", Cell("..", "dim"), "", "", "", "", "", Cell(f"not shown: {left_out}", "dim"))]
+        if left_out
+        else rows
+    )
 
 
-def _other_row(ranked: RankedHost) -> Row:
-    return ("", "", Cell(ranked.host, "dim"), *_terms(ranked), Cell(_loser(ranked), "dim"))
+def _render_losing_host_row(ranked: RankedHost) -> Row:
+    return (
+        "",
+        "",
+        Cell(ranked.host, "dim"),
+        *_format_terms(ranked),
+        Cell(_describe_losing_host(ranked), "dim"),
+    )
 
 
-def _route(step: Step) -> str:
+def _format_route(step: Step) -> str:
     decision = step.decision
     if decision.previous_host and decision.host and decision.previous_host != decision.host:
         return f"{decision.previous_host} -> {decision.host}"
     return decision.host or (f"{decision.previous_host} ->" if decision.previous_host else "-")
 
 
-def _terms(ranked: RankedHost | None) -> tuple[str, ...]:
+def _format_terms(ranked: RankedHost | None) -> tuple[str, ...]:
     if ranked is None:
         return ("-",) * 5
     terms = ranked.terms
-    return tuple(figure(value) for value in (terms.cpu, terms.memory, terms.network, terms.task, ranked.total))
+    return tuple(
+        format_utility(value) for value in (terms.cpu, terms.memory, terms.network, terms.task, ranked.total)
+    )
 
 
-def _loser(ranked: RankedHost) -> str:
-    return ", ".join(rejection(entry) for entry in ranked.rejections) if ranked.rejections else f"rank {ranked.rank}"
+def _describe_losing_host(ranked: RankedHost) -> str:
+    return (
+        ", ".join(describe_rejection(entry) for entry in ranked.rejections)
+        if ranked.rejections
+        else f"rank {ranked.rank}"
+    )
 
 
-def snapshot(value: Snapshot, look: Look = PLAIN) -> str:
+def snapshot(value: Snapshot, look: RenderOptions = PLAIN) -> str:
     """The table form, then load, temperature, GPU, age of the sample, links in full and interfaces of each host."""
     rows: list[Row] = [("NAME", "AGE", "LOAD", "TEMPERATURE", "GPU", "LINKS", "INTERFACES")]
-    rows += [_device_row(name, host) for name, host in value.hosts.items() if host.ok]
-    return table.snapshot(value, look) + "\n" + columns(rows, look, wrap={0, 5})
+    rows += [_render_device_row(name, host) for name, host in value.hosts.items() if host.ok]
+    return table.snapshot(value, look) + "\n" + render_columns(rows, look, wrap={0, 5})
 
 
-def bandwidth(value: Snapshot, links: Iterable[Measurement], look: Look = PLAIN) -> str:
+def bandwidth(value: Snapshot, links: Iterable[BandwidthMeasurement], look: RenderOptions = PLAIN) -> str:
     """What each link was just measured to carry, then the wide snapshot."""
-    return table.carried(links, look) + "\n" + snapshot(value, look)
+    return table.render_link_bandwidths(links, look) + "\n" + snapshot(value, look)
 
 
-def _device_row(name: str, host: HostSample) -> Row:
+def _render_device_row(name: str, host: HostSample) -> Row:
     device = host.device
     return (
         Cell(name, "name"),
@@ -111,15 +148,16 @@ def _device_row(name: str, host: HostSample) -> Row:
         "-" if device.load_1m is None else f"{device.load_1m:.2f}",
         "-" if device.temperature_c is None else f"{device.temperature_c:.0f}C",
         "-" if device.gpu_share is None else f"{device.gpu_share:.0%}",
-        ", ".join(_link(robot, link) for robot, link in host.links.items()) or "-",
-        ", ".join(_interface(interface, sample) for interface, sample in device.interfaces.items()) or "-",
+        ", ".join(_format_link_details(robot, link) for robot, link in host.links.items()) or "-",
+        ", ".join(_format_interface(interface, sample) for interface, sample in device.interfaces.items())
+        or "-",
     )
 
 
-def _link(robot: str, link: LinkSample) -> str:
+def _format_link_details(robot: str, link: LinkSample) -> str:
     return f"{robot} {format_rate(link.used_bytes_per_s)} of {format_rate(link.capacity_bytes_per_s)} ({link.capacity_source})"
 
 
-def _interface(name: str, sample: InterfaceSample) -> str:
+def _format_interface(name: str, sample: InterfaceSample) -> str:
     speed = f" of {format_rate(sample.speed_bytes_per_s)}" if sample.speed_bytes_per_s else ""
     return f"{name} in {format_rate(sample.rx_bytes_per_s)} out {format_rate(sample.tx_bytes_per_s)}{speed}"

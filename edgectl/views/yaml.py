@@ -37,42 +37,50 @@ __all__ = [
 ]
 
 
-def _same(text: str) -> str:
+def _yaml_from_json(text: str) -> str:
     document: Any = json_text.loads(text)
-    return str(yaml.dump(document, Dumper=getattr(yaml, "CSafeDumper", yaml.SafeDumper), sort_keys=False, allow_unicode=True, width=4096))
+    return str(
+        yaml.dump(
+            document,
+            Dumper=getattr(yaml, "CSafeDumper", yaml.SafeDumper),
+            sort_keys=False,
+            allow_unicode=True,
+            width=4096,
+        )
+    )
 
 
-def _of(function: Any) -> Any:  # noqa: ANN401
+def _make_yaml_renderer(function: Any) -> Any:  # noqa: ANN401
     def form(*values: object) -> str:
-        return _same(function(*values))
+        return _yaml_from_json(function(*values))
 
     form.__doc__ = function.__doc__
     return form
 
 
-plan = _of(json_view.plan)
-replayed = _of(json_view.replayed)
-simulated = _of(json_view.simulated)
-events = _of(json_view.events)
-explanation = _of(json_view.explanation)
-profile = _of(json_view.profile)
-profilers = _of(json_view.profilers)
-diagnosis = _of(json_view.diagnosis)
-snapshot = _of(json_view.snapshot)
-status = _of(json_view.status)
-results = _of(json_view.results)
-validated = _of(json_view.validated)
-nothing = _of(json_view.nothing)
-commands = _of(json_view.commands)
-fields = _of(json_view.fields)
-history = _of(json_view.history)
-revision = _of(json_view.revision)
-bandwidth = _of(json_view.bandwidth)
-measured = _of(json_view.measured)
-ssim = _of(json_view.ssim)
-drained = _of(json_view.drained)
-listing = _of(json_view.listing)
-top_hosts = _of(json_view.top_hosts)
-top_tasks = _of(json_view.top_tasks)
-host_details = _of(json_view.host_details)
-task_details = _of(json_view.task_details)
+plan = _make_yaml_renderer(json_view.plan)
+replayed = _make_yaml_renderer(json_view.replayed)
+simulated = _make_yaml_renderer(json_view.simulated)
+events = _make_yaml_renderer(json_view.events)
+explanation = _make_yaml_renderer(json_view.explanation)
+profile = _make_yaml_renderer(json_view.profile)
+profilers = _make_yaml_renderer(json_view.profilers)
+diagnosis = _make_yaml_renderer(json_view.diagnosis)
+snapshot = _make_yaml_renderer(json_view.snapshot)
+status = _make_yaml_renderer(json_view.status)
+results = _make_yaml_renderer(json_view.results)
+validated = _make_yaml_renderer(json_view.validated)
+nothing = _make_yaml_renderer(json_view.nothing)
+commands = _make_yaml_renderer(json_view.commands)
+fields = _make_yaml_renderer(json_view.fields)
+history = _make_yaml_renderer(json_view.history)
+revision = _make_yaml_renderer(json_view.revision)
+bandwidth = _make_yaml_renderer(json_view.bandwidth)
+measured = _make_yaml_renderer(json_view.measured)
+ssim = _make_yaml_renderer(json_view.ssim)
+drained = _make_yaml_renderer(json_view.drained)
+listing = _make_yaml_renderer(json_view.listing)
+top_hosts = _make_yaml_renderer(json_view.top_hosts)
+top_tasks = _make_yaml_renderer(json_view.top_tasks)
+host_details = _make_yaml_renderer(json_view.host_details)
+task_details = _make_yaml_renderer(json_view.task_details)

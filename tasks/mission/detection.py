@@ -37,7 +37,9 @@ def averaged(rows: list[list[int]], reach: int) -> list[list[int]]:
     for row in range(height):
         top, bottom = max(0, row - reach), min(height, row + reach + 1)
         above, below, tall = table[top], table[bottom], bottom - top
-        found.append([(below[b] - below[a] - above[b] + above[a]) // ((b - a) * tall) for a, b in zip(left, right)])
+        found.append(
+            [(below[b] - below[a] - above[b] + above[a]) // ((b - a) * tall) for a, b in zip(left, right)]
+        )
     return found
 
 
@@ -62,7 +64,11 @@ def is_round(piece: list[tuple[int, int]]) -> bool:
     """Whether a piece is large enough, about as wide as high, and fills its box."""
     rows, columns = [row for row, _ in piece], [column for _, column in piece]
     tall, wide = max(rows) - min(rows) + 1, max(columns) - min(columns) + 1
-    return len(piece) >= LEAST and max(tall, wide) <= ROUNDEST * min(tall, wide) and len(piece) >= FULLEST * tall * wide
+    return (
+        len(piece) >= LEAST
+        and max(tall, wide) <= ROUNDEST * min(tall, wide)
+        and len(piece) >= FULLEST * tall * wide
+    )
 
 
 def detect(pixels: bytes, width: int) -> list[tuple[float, float]]:
@@ -72,7 +78,9 @@ def detect(pixels: bytes, width: int) -> list[tuple[float, float]]:
     around = averaged(smooth, AROUND)
     bright = [[pixel > mean + BRIGHTER for pixel, mean in zip(*both)] for both in zip(smooth, around)]
     found = [piece for piece in pieces(bright) if is_round(piece)]
-    return sorted((sum(c for _, c in piece) / len(piece), sum(r for r, _ in piece) / len(piece)) for piece in found)
+    return sorted(
+        (sum(c for _, c in piece) / len(piece), sum(r for r, _ in piece) / len(piece)) for piece in found
+    )
 
 
 def watch(robot: wire.Link, rate: float) -> None:
@@ -86,9 +94,18 @@ def watch(robot: wire.Link, rate: float) -> None:
         arrived, done = time.monotonic(), True
         seen = detect(pixels, header["size"][0])
         now = time.monotonic()
-        frames, busy, sought, found = frames + 1, busy + now - arrived, sought + header["balls"], found + min(len(seen), header["balls"])
+        frames, busy, sought, found = (
+            frames + 1,
+            busy + now - arrived,
+            sought + header["balls"],
+            found + min(len(seen), header["balls"]),
+        )
         if now - began >= EVERY_S:
-            wire.report(fps=frames / (now - began), frame_ms=1000 * busy / frames, recall=found / sought if sought else 1.0)
+            wire.report(
+                fps=frames / (now - began),
+                frame_ms=1000 * busy / frames,
+                recall=found / sought if sought else 1.0,
+            )
             began, frames, busy = now, 0, 0.0
         pace.wait()
 

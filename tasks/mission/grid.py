@@ -48,7 +48,9 @@ def ends(pose: Sequence[float], scan: Sequence[int], reach: float) -> list[tuple
     for beam, distance in enumerate(scan):
         # What is hit begins at the border of its cell; half a cell further is in it.
         far = distance / 1000 + RESOLUTION / 2 if distance else reach
-        found.append((x + far * math.cos(angle + beam * turn), y + far * math.sin(angle + beam * turn), distance > 0))
+        found.append(
+            (x + far * math.cos(angle + beam * turn), y + far * math.sin(angle + beam * turn), distance > 0)
+        )
     return found
 
 
@@ -56,12 +58,18 @@ def fit(cells: array[int], pose: Sequence[float], scan: Sequence[int]) -> tuple[
     """The pose near the given one from which the beams best hit what is known: the middle of the best, among one step to each side."""
     best = (0, 0.0, (pose[0], pose[1], pose[2]))
     for turn in TURNS:
-        hits = [(x / RESOLUTION, y / RESOLUTION) for x, y, hit in ends((pose[0], pose[1], pose[2] + turn), scan, 0.0) if hit]
+        hits = [
+            (x / RESOLUTION, y / RESOLUTION)
+            for x, y, hit in ends((pose[0], pose[1], pose[2] + turn), scan, 0.0)
+            if hit
+        ]
         for right in SHIFTS:
             for up in SHIFTS:
                 moved = (pose[0] + right * RESOLUTION / 2, pose[1] + up * RESOLUTION / 2, pose[2] + turn)
                 score = sum(
-                    cells[int(y + up / 2) * WIDTH + int(x + right / 2)] for x, y in hits if 1 <= x < WIDTH - 1 and 1 <= y < HEIGHT - 1
+                    cells[int(y + up / 2) * WIDTH + int(x + right / 2)]
+                    for x, y in hits
+                    if 1 <= x < WIDTH - 1 and 1 <= y < HEIGHT - 1
                 )
                 best = max(best, (score, -abs(turn) - abs(right) - abs(up), moved))
     return best[2]
@@ -73,7 +81,10 @@ def learn(cells: array[int], pose: Sequence[float], scan: Sequence[int], reach: 
     passed: set[int] = set()
     struck: set[int] = set()
     for x, y, hit in ends(pose, scan, reach):
-        to_column, to_row = min(WIDTH - 1, max(0, int(x / RESOLUTION))), min(HEIGHT - 1, max(0, int(y / RESOLUTION)))
+        to_column, to_row = (
+            min(WIDTH - 1, max(0, int(x / RESOLUTION))),
+            min(HEIGHT - 1, max(0, int(y / RESOLUTION))),
+        )
         passed.update(line(column, row, to_column, to_row))
         if hit:
             struck.add(to_row * WIDTH + to_column)
@@ -94,4 +105,6 @@ def merged(grids: Sequence[array[int]]) -> array[int]:
 
 def picture(cells: array[int]) -> bytes:
     """What map_server writes for each cell."""
-    return bytes(OCCUPIED if cell >= OCCUPIED_FROM else FREE if cell <= FREE_FROM else UNKNOWN for cell in cells)
+    return bytes(
+        OCCUPIED if cell >= OCCUPIED_FROM else FREE if cell <= FREE_FROM else UNKNOWN for cell in cells
+    )

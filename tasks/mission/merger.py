@@ -36,13 +36,18 @@ def gather(robots: list[wire.Link]) -> list[array[int]]:
 def main() -> int:
     """Run until the map is written."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("out"), help="the directory to write to, from the home directory")
+    parser.add_argument(
+        "--out", type=Path, default=Path("out"), help="the directory to write to, from the home directory"
+    )
     args = parser.parse_args()
     target = Path.home() / args.out
     for old in ("map.pgm", "map.yaml"):
         if (target / old).exists():
             (target / old).unlink()
-    names, addresses = os.environ.get("EDGECTL_ROBOTS", "robot1").split(), os.environ.get("EDGECTL_ROBOT_HOSTS", "127.0.0.1").split()
+    names, addresses = (
+        os.environ.get("EDGECTL_ROBOTS", "robot1").split(),
+        os.environ.get("EDGECTL_ROBOT_HOSTS", "127.0.0.1").split(),
+    )
     maps = gather([wire.Link(address, name) for name, address in zip(names, addresses)])
     world.write_map(target, "map", grid.picture(grid.merged(maps)))
     return 0

@@ -55,7 +55,10 @@ class Robot:
             step = min(span, 0.02)
             span -= step
             self.angle = math.remainder(self.angle + self.turn * step, 2 * math.pi)
-            x, y = self.x + self.forward * step * math.cos(self.angle), self.y + self.forward * step * math.sin(self.angle)
+            x, y = (
+                self.x + self.forward * step * math.cos(self.angle),
+                self.y + self.forward * step * math.sin(self.angle),
+            )
             if self.plan.free(x, y):
                 self.x, self.y = x, y
 
@@ -74,7 +77,11 @@ class Robot:
     def believed(self) -> tuple[float, float, float]:
         """Where it thinks that it is."""
         near = self.draw.gauss
-        return self.x + near(0.0, POSE_NOISE), self.y + near(0.0, POSE_NOISE), self.angle + near(0.0, TURN_NOISE)
+        return (
+            self.x + near(0.0, POSE_NOISE),
+            self.y + near(0.0, POSE_NOISE),
+            self.angle + near(0.0, TURN_NOISE),
+        )
 
 
 def picture(plan: world.Plan, pose: tuple[float, float, float], draw: random.Random) -> tuple[bytes, int]:
@@ -88,14 +95,18 @@ def picture(plan: world.Plan, pose: tuple[float, float, float], draw: random.Ran
         half = min(ROWS // 2, int(focal * 0.5 / depth))
         wall = bytes([int(LIGHT - 6 * min(depth, 5.0))]) * (2 * half)
         depths.append(depth)
-        stripes += [bytes([CEILING]) * (ROWS // 2 - half) + wall + bytes([FLOOR]) * (ROWS // 2 - half)] * STRIPE
+        stripes += [
+            bytes([CEILING]) * (ROWS // 2 - half) + wall + bytes([FLOOR]) * (ROWS // 2 - half)
+        ] * STRIPE
     pixels = bytearray().join(map(bytes, zip(*stripes)))
     shown = sum(paint(pixels, depths, ball) for ball in sorted(balls(plan, pose, focal), reverse=True))
     noise = draw.getrandbits(8 * len(pixels)) & int.from_bytes(b"\x0f" * len(pixels), "big")
     return (int.from_bytes(pixels, "big") ^ noise).to_bytes(len(pixels), "big"), shown
 
 
-def balls(plan: world.Plan, pose: tuple[float, float, float], focal: float) -> list[tuple[float, float, float]]:
+def balls(
+    plan: world.Plan, pose: tuple[float, float, float], focal: float
+) -> list[tuple[float, float, float]]:
     """Depth, column and radius in pixels of every ball before the camera."""
     x, y, angle = pose
     found = []
@@ -135,7 +146,11 @@ def answer(robot: Robot, request: dict[str, object], payload: bytes) -> tuple[di
         elif what == "scan":
             body = robot.scan()
         elif what == "drive":
-            robot.forward, robot.turn, robot.told = float(request["forward"]), float(request["turn"]), robot.moved  # type: ignore[arg-type]
+            robot.forward, robot.turn, robot.told = (
+                float(request["forward"]),
+                float(request["turn"]),
+                robot.moved,
+            )  # type: ignore[arg-type]
         elif what == "tour":
             reply["tour"] = robot.tour
         elif what == "put":

@@ -72,7 +72,9 @@ class Link:
             except OSError as error:
                 self.close()
                 if time.monotonic() > deadline:
-                    raise ConnectionError(f"{self.where[0]}:{self.where[1]} does not answer: {error}") from error
+                    raise ConnectionError(
+                        f"{self.where[0]}:{self.where[1]} does not answer: {error}"
+                    ) from error
                 time.sleep(0.2)
 
     def _connect(self) -> None:
@@ -105,7 +107,9 @@ class Pace:
 
 def own_robot() -> Link:
     """The way to the robot that this task serves."""
-    return Link(os.environ.get("EDGECTL_ROBOT_HOST") or "127.0.0.1", os.environ.get("EDGECTL_ROBOT", "robot1"))
+    return Link(
+        os.environ.get("EDGECTL_ROBOT_HOST") or "127.0.0.1", os.environ.get("EDGECTL_ROBOT", "robot1")
+    )
 
 
 def report(**values: float) -> None:

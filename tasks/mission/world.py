@@ -31,7 +31,11 @@ class Plan:
         self.solid = bytearray(WIDTH * HEIGHT)
         self.objects: list[tuple[float, float]] = []
         self._outer_walls()
-        columns = [0, *(int(WIDTH * number / ROOMS + 8 * (draw.random() - 0.5)) for number in range(1, ROOMS)), WIDTH]
+        columns = [
+            0,
+            *(int(WIDTH * number / ROOMS + 8 * (draw.random() - 0.5)) for number in range(1, ROOMS)),
+            WIDTH,
+        ]
         rooms = [(left, right, above) for left, right in zip(columns, columns[1:]) for above in (True, False)]
         self.stops = [self._room(room, draw) for room in rooms]
 

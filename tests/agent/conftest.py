@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from edgectl.agent import life, proc
-from edgectl.transport.call import agent_hash, call
+from edgectl.transport.agent_client import call_agent, compute_agent_hash
 from edgectl.transport.local import LocalSession
 from tests.agent.user_systemd import UserSystemd, can_be_real, user_systemd
 
@@ -27,15 +27,23 @@ class AgentHost:
         self.session.python = python
 
     def ask(self, op: str, *, timeout: float = 30.0, **fields: object) -> dict[str, Any]:
-        return call(self.session, {"op": op, "host": self.name, **fields}, timeout=timeout)
+        return call_agent(self.session, {"op": op, "host": self.name, **fields}, timeout=timeout)
 
-    def start(self, task: str, command: str, *, instance: str = "i1", generation: int = 1, **spec: object) -> dict[str, Any]:
+    def start(
+        self, task: str, command: str, *, instance: str = "i1", generation: int = 1, **spec: object
+    ) -> dict[str, Any]:
         return self.ask(
-            "start", task=task, instance=instance, generation=generation, spec=a_spec(command, **{"runtime": self.runtime, **spec})
+            "start",
+            task=task,
+            instance=instance,
+            generation=generation,
+            spec=a_spec(command, **{"runtime": self.runtime, **spec}),
         )
 
     def stop(self, task: str, **fields: object) -> dict[str, Any]:
-        return self.ask("stop", **{"task": task, "instance": None, "generation": None, "stop": None, **fields})
+        return self.ask(
+            "stop", **{"task": task, "instance": None, "generation": None, "stop": None, **fields}
+        )
 
     def entry(self, task: str) -> dict[str, Any] | None:
         return self.ask("status", task=task)["tasks"].get(task)
@@ -51,7 +59,9 @@ class AgentHost:
         return (life.members(trace, table) | life.orphans(trace, table)) - {trace.instance.get("supervisor")}
 
     def until(self, task: str, state: str, *, seconds: float = 30.0) -> dict[str, Any]:
-        return eventually(lambda: e if (e := self.entry(task)) and e["state"] == state else None, seconds=seconds)
+        return eventually(
+            lambda: e if (e := self.entry(task)) and e["state"] == state else None, seconds=seconds
+        )
 
     def end(self) -> None:
         """Kill what a failed test left, supervisors first; only processes that carry this host's marks."""
@@ -82,7 +92,7 @@ def eventually(found: Callable[[], Any], *, seconds: float = 30.0) -> Any:
 
 def forget_fallback_agents() -> None:
     """Remove the agent that a test has put into shared memory; whoever else uses it there sends it again."""
-    for path in Path(f"/dev/shm/edgectl-{os.geteuid()}/agent").glob(f"{agent_hash()}*"):
+    for path in Path(f"/dev/shm/edgectl-{os.geteuid()}/agent").glob(f"{compute_agent_hash()}*"):
         shutil.rmtree(path) if path.is_dir() else path.unlink()
 
 
@@ -92,7 +102,9 @@ def is_running(pid: int) -> bool:
 
 
 @pytest.fixture
-def host(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[AgentHost]:
+def host(
+    request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[AgentHost]:
     """One host with an empty state directory; with parameter ``systemd`` its tasks run in scopes of a systemd --user."""
     monkeypatch.setenv("EDGECTL_STATE_DIR", str(tmp_path / "state"))
     agent = AgentHost("edge1", tmp_path / "state")

@@ -15,7 +15,7 @@ import pytest
 
 import edgectl
 from edgectl.agent import boot
-from edgectl.transport import call as protocol
+from edgectl.transport import agent_client as protocol
 from edgectl.transport.base import Reply
 from tests.agent.conftest import AgentHost, forget_fallback_agents
 
@@ -36,7 +36,7 @@ class Counting:
 
 
 def kept(host: AgentHost) -> Path:
-    return host.state / "agent" / f"{protocol.agent_hash()}.pyz"
+    return host.state / "agent" / f"{protocol.compute_agent_hash()}.pyz"
 
 
 def test_sent_once_then_one_small_round_trip(host: AgentHost) -> None:
@@ -44,9 +44,9 @@ def test_sent_once_then_one_small_round_trip(host: AgentHost) -> None:
     host.ask("status", task=None)
     host.ask("status", task=None)
     assert len(trips.sizes) == 3
-    assert trips.sizes[1] > len(protocol.agent_bytes())
+    assert trips.sizes[1] > len(protocol.build_agent_zipapp())
     assert trips.sizes[0] == trips.sizes[2] < 16_000
-    assert hashlib.sha256(kept(host).read_bytes()).hexdigest() == protocol.agent_hash()
+    assert hashlib.sha256(kept(host).read_bytes()).hexdigest() == protocol.compute_agent_hash()
 
 
 def test_changed_agent_is_never_run(host: AgentHost) -> None:
@@ -74,7 +74,7 @@ def test_directory_that_others_may_write_is_not_used(host: AgentHost) -> None:
     host.state.chmod(0o777)
     host.ask("status", task=None)
     assert not (host.state / "agent").exists()
-    fallback = Path(f"/dev/shm/edgectl-{os.geteuid()}/agent/{protocol.agent_hash()}.pyz")
+    fallback = Path(f"/dev/shm/edgectl-{os.geteuid()}/agent/{protocol.compute_agent_hash()}.pyz")
     assert fallback.exists()
     assert stat.S_IMODE(fallback.stat().st_mode) == 0o600
     forget_fallback_agents()
@@ -87,18 +87,29 @@ def test_runs_from_memory_where_nothing_can_be_kept(host: AgentHost, tmp_path: P
         "boot.state_bases = lambda: ['/proc/nowhere', '/proc/nowhere-else']\n"
         "boot.boot(sys.stdin.buffer)\n"
     )
-    packet = protocol._packet({"op": "probe", "host": "edge1", "window_s": 0.05}, "m" * 32, 10.0, protocol.agent_bytes())
+    packet = protocol._build_packet(
+        {"op": "probe", "host": "edge1", "window_s": 0.05}, "m" * 32, 10.0, protocol.build_agent_zipapp()
+    )
     packet = packet.split(b"\n", 1)[1][len((AGENT / "boot.py").read_bytes()) :]
-    done = subprocess.run([sys.executable, "-I", "-c", program], input=packet, capture_output=True, check=False, cwd=tmp_path, timeout=30)
+    done = subprocess.run(
+        [sys.executable, "-I", "-c", program],
+        input=packet,
+        capture_output=True,
+        check=False,
+        cwd=tmp_path,
+        timeout=30,
+    )
     assert b'"op": "probe"' in done.stdout, done.stderr
     assert list(tmp_path.iterdir()) == []
 
 
 def test_compiled_code_is_kept_privately(host: AgentHost) -> None:
     host.ask("status", task=None)
-    compiled = list((host.state / "agent" / protocol.agent_hash()).rglob("*.pyc"))
+    compiled = list((host.state / "agent" / protocol.compute_agent_hash()).rglob("*.pyc"))
     assert any(path.name.startswith("status.") for path in compiled)
-    assert not any(path.name.startswith("supervisor.") for path in compiled), "an operation loads only what it needs"
+    assert not any(path.name.startswith("supervisor.") for path in compiled), (
+        "an operation loads only what it needs"
+    )
     assert {stat.S_IMODE(path.stat().st_mode) for path in compiled} == {0o600}
 
 
@@ -122,9 +133,9 @@ def test_first_contacts_at_the_same_time_do_no_harm(host: AgentHost) -> None:
 
 
 def test_archive_is_a_plain_zip_and_always_the_same() -> None:
-    agent = protocol.agent_bytes()
-    protocol.agent_bytes.cache_clear()
-    assert protocol.agent_bytes() == agent
+    agent = protocol.build_agent_zipapp()
+    protocol.build_agent_zipapp.cache_clear()
+    assert protocol.build_agent_zipapp() == agent
     with zipfile.ZipFile(BytesIO(agent)) as archive:
         names = archive.namelist()
         assert names == sorted(names)
@@ -132,7 +143,9 @@ def test_archive_is_a_plain_zip_and_always_the_same() -> None:
         assert {name: archive.read(name) for name in names} == boot.sources(agent)
 
 
-def test_no_user_code_runs_on_the_host(host: AgentHost, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_user_code_runs_on_the_host(
+    host: AgentHost, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     for name in ("sitecustomize.py", "usercustomize.py", "json.py", "signal.py"):
         (tmp_path / name).write_text(f"open({str(tmp_path / 'ran')!r}, 'a').write('{name}')\n")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
@@ -144,5 +157,10 @@ def test_no_user_code_runs_on_the_host(host: AgentHost, tmp_path: Path, monkeypa
 
 def test_agent_needs_no_later_python_than_3_6() -> None:
     vermin = Path(sys.executable).parent / "vermin"
-    done = subprocess.run([vermin, "-q", "--no-tips", "-t=3.6-", "--violations", AGENT], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [vermin, "-q", "--no-tips", "-t=3.6-", "--violations", AGENT],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.returncode == 0, done.stdout

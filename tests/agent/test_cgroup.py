@@ -92,8 +92,16 @@ def test_container_that_sees_only_its_own_group(tmp_path: Path) -> None:
         {},
         {"proc/self/cgroup": "0::/\n"},
         {"proc/self/cgroup": "0::/\n", "sys/fs/cgroup/unified/cgroup.controllers": "hugetlb\n"},
-        {"proc/self/cgroup": "0::/a\n", "sys/fs/cgroup/cgroup.controllers": "cpu memory\n", "sys/fs/cgroup/a/cpu.max": "max 100000\n"},
-        {"proc/self/cgroup": "garbage", "sys/fs/cgroup/cgroup.controllers": "cpu memory\n", "sys/fs/cgroup/cpu.max": "x y\n"},
+        {
+            "proc/self/cgroup": "0::/a\n",
+            "sys/fs/cgroup/cgroup.controllers": "cpu memory\n",
+            "sys/fs/cgroup/a/cpu.max": "max 100000\n",
+        },
+        {
+            "proc/self/cgroup": "garbage",
+            "sys/fs/cgroup/cgroup.controllers": "cpu memory\n",
+            "sys/fs/cgroup/cpu.max": "x y\n",
+        },
     ],
 )
 def test_no_limit_where_none_can_be_read(tmp_path: Path, files: dict[str, str]) -> None:

@@ -6,7 +6,9 @@ from tests.agent.conftest import AgentHost, eventually
 
 def test_crash_loop_is_given_up_with_its_last_words(host: AgentHost) -> None:
     """Five restarts with their pauses of 1 to 16 s: half a minute that cannot be had for less."""
-    host.start("slam", "seq 8; printf 'x%.0s' $(seq 300); echo; printf 'caf\\351\\n'; exit 1", restart="on-failure")
+    host.start(
+        "slam", "seq 8; printf 'x%.0s' $(seq 300); echo; printf 'caf\\351\\n'; exit 1", restart="on-failure"
+    )
     first = eventually(lambda: e if (e := host.entry("slam")) and e["restarts"] == 1 else None)
     assert first["last_exit"] == 1
     entry = host.until("slam", "crashloop", seconds=60)

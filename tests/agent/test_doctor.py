@@ -117,10 +117,17 @@ def test_the_end_of_the_login_on_a_host_without_logind(tmp_path: Path) -> None:
         ([("etc/systemd/logind.conf", "RemoveIPC=no"), ("usr/lib/systemd/logind.conf", "KillUserProcesses=yes")], False, False),
     ],
 )  # fmt: skip
-def test_the_end_of_the_login_as_logind_is_told(tmp_path: Path, settings: list[tuple[str, str]], removes: bool, kills: bool) -> None:
+def test_the_end_of_the_login_as_logind_is_told(
+    tmp_path: Path, settings: list[tuple[str, str]], removes: bool, kills: bool
+) -> None:
     logind_tree(tmp_path, *settings)
     found = doctor.login_end(str(tmp_path))
-    assert (found["present"], found["removes_ipc"], found["kills"], found["lingers"]) == (True, removes, kills, False)
+    assert (found["present"], found["removes_ipc"], found["kills"], found["lingers"]) == (
+        True,
+        removes,
+        kills,
+        False,
+    )
     linger = tmp_path / "var/lib/systemd/linger" / str(found["user"])
     linger.parent.mkdir(parents=True)
     linger.touch()

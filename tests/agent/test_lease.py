@@ -13,7 +13,12 @@ from tests.agent.test_supervisor import FIVE, python
 
 def fenced(host: AgentHost, task: str, *, seconds: float = 30.0) -> dict[str, object]:
     """The status record of ``task`` once it has been fenced, read without a call to the host: that would be a sign of life."""
-    return dict(eventually(lambda: s if "fenced" in (s := trace_of(host, task).status).get("detail", "") else None, seconds=seconds))
+    return dict(
+        eventually(
+            lambda: s if "fenced" in (s := trace_of(host, task).status).get("detail", "") else None,
+            seconds=seconds,
+        )
+    )
 
 
 def trace_of(host: AgentHost, task: str) -> life.Trace:
@@ -22,7 +27,13 @@ def trace_of(host: AgentHost, task: str) -> life.Trace:
 
 @both_runtimes
 def test_silence_stops_the_whole_tree_and_nothing_starts_it_again(host: AgentHost, tmp_path: Path) -> None:
-    host.start("slam", python(FIVE, tmp_path), self_fence_s=3, restart="always", stop={"signal": "TERM", "grace_s": 0.5, "preset": None})
+    host.start(
+        "slam",
+        python(FIVE, tmp_path),
+        self_fence_s=3,
+        restart="always",
+        stop={"signal": "TERM", "grace_s": 0.5, "preset": None},
+    )
     pids = eventually(lambda: found if len(found := host.members("slam")) >= 5 else None)
     fenced(host, "slam")
     eventually(lambda: not life.lock_held(str(host.folder("slam"))))
@@ -44,7 +55,11 @@ def test_any_call_renews_the_lease_of_every_task_of_its_host(host: AgentHost) ->
     other = AgentHost("edge2", host.state)
     other.start("slam", "exec sleep 600", self_fence_s=5)
     calls = itertools.cycle(
-        [("status", {"task": None}), ("check", {"command": "true", "timeout_s": 20}), ("logs", {"task": "nav", "tail": 1})]
+        [
+            ("status", {"task": None}),
+            ("check", {"command": "true", "timeout_s": 20}),
+            ("logs", {"task": "nav", "tail": 1}),
+        ]
     )
 
     def fenced_meanwhile() -> bool:
@@ -88,7 +103,13 @@ def test_waiting_for_a_restart_is_ended_too(host: AgentHost) -> None:
 def test_a_host_that_stood_still_restarts_nothing_once_its_lease_is_over(host: AgentHost) -> None:
     """By then the manager may have started the task elsewhere."""
     host.start("slam", "exit 3", self_fence_s=3, restart="always")
-    eventually(lambda: s if "starts again" in (s := trace_of(host, "slam").status).get("detail", "") and s["restarts"] else None)
+    eventually(
+        lambda: (
+            s
+            if "starts again" in (s := trace_of(host, "slam").status).get("detail", "") and s["restarts"]
+            else None
+        )
+    )
     supervisor, begun = host.supervisor("slam"), proc.uptime()
     os.kill(supervisor, signal.SIGSTOP)
     restarts = trace_of(host, "slam").status["restarts"]

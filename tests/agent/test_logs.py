@@ -11,7 +11,7 @@ import pytest
 
 from edgectl.agent import life
 from edgectl.agent.logs import LONGEST_LINE, Log, tail
-from edgectl.transport.call import stream
+from edgectl.transport.agent_client import stream_agent_log
 from tests.agent.conftest import AgentHost, both_runtimes, eventually
 
 
@@ -39,7 +39,9 @@ def test_long_lines_are_clipped_and_marked(tmp_path: Path) -> None:
     log.write(b"a" * 10_000)
     log.write(b"a" * 10_000)
     log.write(b"a" * 10_000 + b"\nshort\n" + b"b" * 20_000 + b"\n")
-    assert (tmp_path / "log.0").read_bytes() == (b"a" * LONGEST_LINE + b" [clipped]\nshort\n" + b"b" * LONGEST_LINE + b" [clipped]\n")
+    assert (tmp_path / "log.0").read_bytes() == (
+        b"a" * LONGEST_LINE + b" [clipped]\nshort\n" + b"b" * LONGEST_LINE + b" [clipped]\n"
+    )
 
 
 def test_disk_trouble_is_counted_and_does_not_raise(tmp_path: Path) -> None:
@@ -52,14 +54,20 @@ def test_disk_trouble_is_counted_and_does_not_raise(tmp_path: Path) -> None:
         "for _ in range(10): log.write(b'x' * 999 + b'\\n')\n"
         "print(log.dropped)\n"
     )
-    done = subprocess.run([sys.executable, "-c", program, str(tmp_path)], capture_output=True, text=True, check=True, timeout=20)
+    done = subprocess.run(
+        [sys.executable, "-c", program, str(tmp_path)], capture_output=True, text=True, check=True, timeout=20
+    )
     assert done.stdout == "5000\n"
     assert sizes(tmp_path) == {"log.0": 5000}
 
 
 @both_runtimes
 def test_spam_of_a_task_stays_within_the_bound(host: AgentHost) -> None:
-    host.start("spam", "head -c 3000000 /dev/zero | tr '\\0' 'x'; echo; seq 100000; echo last", log={"max_bytes": 50_000, "files": 3})
+    host.start(
+        "spam",
+        "head -c 3000000 /dev/zero | tr '\\0' 'x'; echo; seq 100000; echo last",
+        log={"max_bytes": 50_000, "files": 3},
+    )
     host.until("spam", "failed")
     assert sum(sizes(host.folder("spam")).values()) <= 150_000
     assert host.ask("logs", task="spam", tail=2)["text"] == "100000\nlast\n"
@@ -75,8 +83,13 @@ os.write(1, b"\\nlast after %.1f s\\n" % (time.monotonic() - began))
 """
 
 
-@pytest.mark.parametrize("block", ["b'0123456789abcde\\n' * 62500", "b'x' * 1000000", "bytes(1000000)", "(bytes(99) + b'\\n') * 10000"])
-def test_ten_megabytes_a_second_stay_within_three_files_of_ten(host: AgentHost, tmp_path: Path, block: str) -> None:
+@pytest.mark.parametrize(
+    "block",
+    ["b'0123456789abcde\\n' * 62500", "b'x' * 1000000", "bytes(1000000)", "(bytes(99) + b'\\n') * 10000"],
+)
+def test_ten_megabytes_a_second_stay_within_three_files_of_ten(
+    host: AgentHost, tmp_path: Path, block: str
+) -> None:
     """35 MB as lines, without a newline, as zeros, and as lines of zeros; the task is never held up."""
     (tmp_path / "spam.py").write_text(SPAM.format(block=block))
     limit = 10 * 2**20
@@ -108,25 +121,43 @@ def test_huge_reply_is_cut_to_fit_the_frame(host: AgentHost) -> None:
 def test_follow_gives_the_tail_then_what_comes_then_ends(host: AgentHost, tmp_path: Path) -> None:
     host.start("work", f"seq 5; while ! test -e {tmp_path}/go; do sleep 0.05; done; seq 100 105")
     eventually(lambda: host.ask("logs", task="work", tail=9)["text"].count("\n") == 5)
-    follower = stream(host.session, {"op": "follow", "host": "edge1", "task": "work", "tail": 2}, idle_timeout=20)
+    follower = stream_agent_log(
+        host.session, {"op": "follow", "host": "edge1", "task": "work", "tail": 2}, idle_timeout=20
+    )
     assert next(follower) == b"4\n5\n"
     (tmp_path / "go").touch()
     assert b"".join(follower) == b"100\n101\n102\n103\n104\n105\n"
 
 
 def test_follow_goes_on_over_rotations(host: AgentHost) -> None:
-    host.start("work", "sleep 0.7; for i in $(seq 300); do echo line $i; sleep 0.003; done; sleep 0.5", log={"max_bytes": 4096, "files": 3})
-    follower = stream(host.session, {"op": "follow", "host": "edge1", "task": "work", "tail": 0}, idle_timeout=20)
+    host.start(
+        "work",
+        "sleep 0.7; for i in $(seq 300); do echo line $i; sleep 0.003; done; sleep 0.5",
+        log={"max_bytes": 4096, "files": 3},
+    )
+    follower = stream_agent_log(
+        host.session, {"op": "follow", "host": "edge1", "task": "work", "tail": 0}, idle_timeout=20
+    )
     assert b"".join(follower).decode().splitlines() == [f"line {number}" for number in range(1, 301)]
 
 
 def test_closed_follower_leaves_no_process(host: AgentHost) -> None:
     host.start("work", "echo up; exec sleep 600")
-    follower = stream(host.session, {"op": "follow", "host": "edge1", "task": "work", "tail": 5}, idle_timeout=20)
+    follower = stream_agent_log(
+        host.session, {"op": "follow", "host": "edge1", "task": "work", "tail": 5}, idle_timeout=20
+    )
     assert next(follower) == b"up\n"
-    mine = {path.name for path in Path("/proc").iterdir() if path.name.isdigit() and _environ(path.name, str(host.state))}
+    mine = {
+        path.name
+        for path in Path("/proc").iterdir()
+        if path.name.isdigit() and _environ(path.name, str(host.state))
+    }
     follower.close()  # type: ignore[attr-defined]
-    theirs = {str(life.trace(str(host.folder("work"))).status["pid"]), str(host.supervisor("work")), str(os.getpid())}
+    theirs = {
+        str(life.trace(str(host.folder("work"))).status["pid"]),
+        str(host.supervisor("work")),
+        str(os.getpid()),
+    }
     eventually(lambda: {pid for pid in mine if _environ(pid, str(host.state))} <= theirs)
     host.stop("work")
 

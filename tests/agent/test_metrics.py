@@ -15,7 +15,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from edgectl.agent import light, metrics, state
-from edgectl.gateway import decode
+from edgectl.gateway import probe_reply
 from tests.agent.conftest import AgentHost, both_runtimes, eventually, is_running
 
 # -- lines --
@@ -51,15 +51,19 @@ def test_of_too_many_names_those_count_that_were_written_last() -> None:
 
 
 def test_agent_and_manager_mean_the_same() -> None:
-    assert metrics.MOST == decode.MOST_METRICS
+    assert metrics.MOST == probe_reply.MAX_METRICS
     longest = "a" * metrics.LONGEST_NAME
     for name in (longest, longest + "a", *map(chr, range(1, 256)), *(f"a{chr(code)}" for code in range(128))):
         found = metrics.parsed(f"{name} 1\n".encode("latin-1"))
-        assert bool(found) == bool(decode.METRIC_NAME.fullmatch(name.strip(" \t\r\v\f"))), name
+        assert bool(found) == bool(probe_reply.METRIC_NAME.fullmatch(name.strip(" \t\r\v\f"))), name
 
 
-words = st.sampled_from([b"fps", b"loss", b"1", b"-2.5", b"1e308", b"nan", b"x!", b"\0", b"\xff"]) | st.binary(max_size=3)
-texts = st.lists(words | st.sampled_from([b" ", b"\n", b" ", b"\n", b"\t", b"\r\n"]), max_size=80).map(b"".join)
+words = st.sampled_from(
+    [b"fps", b"loss", b"1", b"-2.5", b"1e308", b"nan", b"x!", b"\0", b"\xff"]
+) | st.binary(max_size=3)
+texts = st.lists(words | st.sampled_from([b" ", b"\n", b" ", b"\n", b"\t", b"\r\n"]), max_size=80).map(
+    b"".join
+)
 
 
 @given(texts)
@@ -67,7 +71,7 @@ texts = st.lists(words | st.sampled_from([b" ", b"\n", b" ", b"\n", b"\t", b"\r\
 def test_whatever_stands_there_a_manager_takes_what_the_agent_says(text: bytes) -> None:
     found = metrics.parsed(text)
     sent = json.loads(light.dumps(found))
-    assert decode._metrics(sent) == found
+    assert probe_reply._decode_metrics(sent) == found
     assert metrics.parsed(text + b"more") == metrics.parsed(text) or not text.endswith(b"\n")
     for name in found:
         assert name.encode() in text
@@ -86,16 +90,22 @@ def a_link(path: Path) -> None:
     path.symlink_to("other")
 
 
-@pytest.mark.parametrize("make", [lambda path: None, a_link, os.mkfifo, Path.mkdir, lambda path: path.symlink_to("/dev/zero")])
+@pytest.mark.parametrize(
+    "make", [lambda path: None, a_link, os.mkfifo, Path.mkdir, lambda path: path.symlink_to("/dev/zero")]
+)
 def test_only_a_file_is_read_and_kept_small(tmp_path: Path, make: Callable[[Path], object]) -> None:
     make(tmp_path / "metrics")
     before = sorted((path.name, path.lstat().st_mode, path.lstat().st_size) for path in tmp_path.iterdir())
     assert metrics.read(str(tmp_path)) == {}
     assert metrics.bounded(str(tmp_path)) > 0
-    assert before == sorted((path.name, path.lstat().st_mode, path.lstat().st_size) for path in tmp_path.iterdir())
+    assert before == sorted(
+        (path.name, path.lstat().st_mode, path.lstat().st_size) for path in tmp_path.iterdir()
+    )
 
 
-@pytest.mark.parametrize("make", [lambda path: None, a_link, os.mkfifo, lambda path: path.write_bytes(b"old 1\n")])
+@pytest.mark.parametrize(
+    "make", [lambda path: None, a_link, os.mkfifo, lambda path: path.write_bytes(b"old 1\n")]
+)
 def test_it_begins_as_an_empty_private_file(tmp_path: Path, make: Callable[[Path], object]) -> None:
     make(tmp_path / "metrics")
     metrics.begin(str(tmp_path))
@@ -147,15 +157,21 @@ def test_a_writer_that_does_not_append_leaves_a_hole_that_takes_no_room(tmp_path
 
 def test_very_many_tasks_share_the_room_of_a_reply(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(state, "BASES", [str(tmp_path / "state")])
-    lines = b"".join(b"%s%02d -1.2345678901234567e-300\n" % (b"m" * 61, number) for number in range(metrics.MOST))
-    entries: dict[str, dict[str, object]] = {f"t{number}": {"managed": True, "instance": "i"} for number in range(200)}
+    lines = b"".join(
+        b"%s%02d -1.2345678901234567e-300\n" % (b"m" * 61, number) for number in range(metrics.MOST)
+    )
+    entries: dict[str, dict[str, object]] = {
+        f"t{number}": {"managed": True, "instance": "i"} for number in range(200)
+    }
     for name in entries:
         put(Path(state.make_task_dir("edge1", name)), lines)
     found = metrics.of_tasks("edge1", {**entries, "stray": {"managed": False, "instance": ""}})
     assert {len(values) for values in found.values()} == {metrics.MOST_OF_HOST // 200}
     assert len(found) == 200
     assert len(light.dumps(found)) < 256 << 10
-    assert {len(values) for values in metrics.of_tasks("edge1", {"t1": entries["t1"]}).values()} == {metrics.MOST}
+    assert {len(values) for values in metrics.of_tasks("edge1", {"t1": entries["t1"]}).values()} == {
+        metrics.MOST
+    }
 
 
 def test_the_python_of_the_docs_says_what_it_should(tmp_path: Path) -> None:
@@ -176,7 +192,9 @@ def probed(host: AgentHost, task: str) -> dict[str, Any]:
 
 def says(host: AgentHost, task: str, values: dict[str, float]) -> dict[str, Any]:
     """The entry of the task once it says just this."""
-    return eventually(lambda: entry if (entry := probed(host, task)).get("metrics") == values else None, seconds=60)
+    return eventually(
+        lambda: entry if (entry := probed(host, task)).get("metrics") == values else None, seconds=60
+    )
 
 
 @both_runtimes
@@ -196,8 +214,12 @@ def test_a_task_says_how_it_does_and_a_job_says_it_after_its_end(host: AgentHost
 
 
 def test_a_process_that_is_started_again_begins_with_nothing(host: AgentHost, tmp_path: Path) -> None:
-    first = f'[ -e {tmp_path}/first ] || {{ touch {tmp_path}/first; echo "n 1" >>"$EDGECTL_METRICS"; exit 1; }}'
-    second = f'until [ -e {tmp_path}/go ]; do sleep 0.05; done; echo "m 2" >>"$EDGECTL_METRICS"; exec sleep 600'
+    first = (
+        f'[ -e {tmp_path}/first ] || {{ touch {tmp_path}/first; echo "n 1" >>"$EDGECTL_METRICS"; exit 1; }}'
+    )
+    second = (
+        f'until [ -e {tmp_path}/go ]; do sleep 0.05; done; echo "m 2" >>"$EDGECTL_METRICS"; exec sleep 600'
+    )
     host.start("slam", f"{first}; {second}", restart="on-failure")
     eventually(lambda: (entry := host.entry("slam")) and entry["restarts"] == 1, seconds=60)
     assert "metrics" not in probed(host, "slam")
@@ -223,7 +245,9 @@ def until_cut(path: Path) -> None:
     eventually(lambda: sizes.append(path.stat().st_size) or sizes[-1] < sizes[-2], seconds=60)
 
 
-def test_a_task_that_writes_without_end_keeps_its_values_and_a_small_file(host: AgentHost, tmp_path: Path) -> None:
+def test_a_task_that_writes_without_end_keeps_its_values_and_a_small_file(
+    host: AgentHost, tmp_path: Path
+) -> None:
     """Ten megabytes a second: the file is cut again and again and small at the end; what was said last is known all the time."""
     (tmp_path / "spam.py").write_text(SPAM)
     host.start("spam", f"exec {sys.executable} -S {tmp_path}/spam.py {tmp_path}/enough", kind="job")

@@ -32,7 +32,9 @@ def interpreters() -> list[str]:
         if minor.isdigit() and int(minor) >= 6:
             found[int(minor)] = str(path)
     usable = [
-        path for path in found.values() if path and subprocess.run([path, "-c", "0"], capture_output=True, check=False).returncode == 0
+        path
+        for path in found.values()
+        if path and subprocess.run([path, "-c", "0"], capture_output=True, check=False).returncode == 0
     ]
     return [sys.executable, *usable]
 
@@ -92,7 +94,10 @@ def test_connections_that_end_in_the_window_count_up_to_their_end() -> None:
 
 
 def test_traffic_inside_the_host_does_not_count() -> None:
-    with connected() as (near, far), contextlib.closing(network.Traffic({"robot1": [f"{NET}.22"]})) as traffic:
+    with (
+        connected() as (near, far),
+        contextlib.closing(network.Traffic({"robot1": [f"{NET}.22"]})) as traffic,
+    ):
         sent(near, far, 60_000)
         assert not [flow for flow in traffic.flows() if flow.remote in (ROBOT, "127.0.0.1")]
 
@@ -146,7 +151,10 @@ def test_probe_splits_links_by_remote_address(host: AgentHost) -> None:
 
 def test_robot_names_are_looked_up_and_unknown_ones_cost_little(host: AgentHost) -> None:
     began = time.monotonic()
-    links = [{"robot": "robot1", "address": "localhost"}, {"robot": "robot2", "address": "no-such-robot.invalid"}]
+    links = [
+        {"robot": "robot1", "address": "localhost"},
+        {"robot": "robot2", "address": "no-such-robot.invalid"},
+    ]
     document = host.ask("probe", window_s=0.1, links=links)
     assert time.monotonic() - began < 20
     assert document["links"]["robot1"]["interface"] == "lo"
@@ -171,7 +179,9 @@ while True:
 def test_task_is_measured_with_its_whole_tree(host: AgentHost, tmp_path: Path) -> None:
     (tmp_path / "task.py").write_text(TASK)
     with socket.create_server((ROBOT, 0)) as server:
-        command = f"{sys.executable} {tmp_path}/task.py {ROBOT} {server.getsockname()[1]} & setsid sleep 600; true"
+        command = (
+            f"{sys.executable} {tmp_path}/task.py {ROBOT} {server.getsockname()[1]} & setsid sleep 600; true"
+        )
         host.start("slam-robot1", command)
         peer, _ = server.accept()
         drain = threading.Thread(target=lambda: [None for _ in iter(lambda: peer.recv(1 << 16), b"")])
@@ -201,7 +211,9 @@ def test_cpu_of_children_that_come_and_go_is_counted(host: AgentHost) -> None:
 def test_used_cores_are_the_machine_s_without_the_agent(host: AgentHost) -> None:
     busy = subprocess.Popen([sys.executable, "-c", "while True: pass"])
     try:
-        cpu = eventually(lambda: found if (found := host.ask("probe", window_s=0.5)["cpu"])["used_cores"] >= 0.4 else None)
+        cpu = eventually(
+            lambda: found if (found := host.ask("probe", window_s=0.5)["cpu"])["used_cores"] >= 0.4 else None
+        )
     finally:
         busy.kill()
         busy.wait()
@@ -215,7 +227,13 @@ def test_checks_run_beside_the_window(host: AgentHost) -> None:
         {"task": "alive", "command": "echo $WHAT; exit 3", "timeout_s": 25, "env": {"WHAT": "done"}},
         {"task": "dead", "command": "exit 0", "timeout_s": 25},
         {"task": "slow", "command": "sleep 600 & sleep 600", "timeout_s": 0.4, "always": True},
-        {"task": "prelude", "command": "f", "prelude": "f() { echo from bash; }", "timeout_s": 25, "always": True},
+        {
+            "task": "prelude",
+            "command": "f",
+            "prelude": "f() { echo from bash; }",
+            "timeout_s": 25,
+            "always": True,
+        },
     ]
     found = host.ask("probe", window_s=0.1, checks=checks)["checks"]
     host.stop("alive")
@@ -253,7 +271,11 @@ def test_detect_finds_what_somebody_else_started(host: AgentHost) -> None:
     neighbour.stop("theirs")
     neighbour.end()
     assert set(tasks) == {"own", "found", "ros"}
-    assert (tasks["found"]["pid"], tasks["found"]["managed"], tasks["found"]["state"]) == (other.pid, False, "running")
+    assert (tasks["found"]["pid"], tasks["found"]["managed"], tasks["found"]["state"]) == (
+        other.pid,
+        False,
+        "running",
+    )
     assert tasks["ros"]["pid"] == node.pid
     assert tasks["own"]["managed"] is True
 
@@ -262,7 +284,9 @@ def shape(value: Any) -> Any:
     """The names and kinds in a document, without its numbers."""
     if isinstance(value, dict):
         return {name: shape(inner) for name, inner in value.items()}
-    return "number" if isinstance(value, int | float) and not isinstance(value, bool) else type(value).__name__
+    return (
+        "number" if isinstance(value, int | float) and not isinstance(value, bool) else type(value).__name__
+    )
 
 
 @pytest.mark.parametrize("python", interpreters(), ids=lambda path: "-".join(Path(path).parts[-3::2]))
@@ -270,7 +294,10 @@ def test_every_python_gives_the_same_document_and_supervises(host: AgentHost, py
     reference = host.ask("probe", window_s=0.1, links=LINKS)
     host.session.python = python
     document = host.ask("probe", window_s=0.1, links=LINKS)
-    assert shape(document) | {"temperature_c": 0, "gpu_share": 0} == shape(reference) | {"temperature_c": 0, "gpu_share": 0}
+    assert shape(document) | {"temperature_c": 0, "gpu_share": 0} == shape(reference) | {
+        "temperature_c": 0,
+        "gpu_share": 0,
+    }
     started = host.start("slam", "echo hello; exec sleep 600", instance="i2")
     assert started["state"] == "started"
     assert host.ask("wait", task="slam", instance="i2", timeout_s=30)["state"] == "running"
@@ -306,7 +333,10 @@ def test_sink_serves_only_who_knows_the_token(host: AgentHost) -> None:
     with socket.create_connection(("127.0.0.1", door["port"]), timeout=30) as stranger:
         stranger.sendall(b"x" * 32 + b"\n")
         assert stranger.recv(10) == b""
-    assert host.ask("send", address="127.0.0.1", port=door["port"], token=door["token"], seconds=0.2)["bytes"] > 0
+    assert (
+        host.ask("send", address="127.0.0.1", port=door["port"], token=door["token"], seconds=0.2)["bytes"]
+        > 0
+    )
 
 
 def test_unknown_operation_is_refused(host: AgentHost) -> None:

@@ -17,7 +17,9 @@ def test_writers_alternate_and_readers_take_the_newest(tmp_path: Path) -> None:
     assert Path(path).stat().st_mode & 0o777 == 0o600
 
 
-def test_durable_writes_wait_for_the_disk_and_others_do_not(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_durable_writes_wait_for_the_disk_and_others_do_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path, real = tmp_path / "generation", os.fdatasync
     synced: list[tuple[str, dict[str, object]]] = []
 

@@ -36,11 +36,18 @@ class Profiled:
 
     def sampled(self, count: int) -> dict[str, Any]:
         """Its status once it has taken so many samples."""
-        return eventually(lambda: said if (said := self.status()).get("samples", 0) >= count else None, seconds=30)
+        return eventually(
+            lambda: said if (said := self.status()).get("samples", 0) >= count else None, seconds=30
+        )
 
     def probe(self, **fields: object) -> dict[str, Any]:
         """A probe that came from the profiler. On a busy machine a sample may be late, and then a window is measured."""
-        return eventually(lambda: found if (found := self.host.ask("probe", window_s=0.05, **fields)).get("resident") else None, seconds=30)
+        return eventually(
+            lambda: (
+                found if (found := self.host.ask("probe", window_s=0.05, **fields)).get("resident") else None
+            ),
+            seconds=30,
+        )
 
     @property
     def folder(self) -> Path:
@@ -70,8 +77,13 @@ def test_the_weight_of_a_reading_knows_how_much_time_it_covers() -> None:
 
 def test_readings_are_smoothed_by_hand_worked_numbers() -> None:
     first = smooth.smoothed(None, {"cpu": 10.0, "links": {"robot1": {"rx": 100.0, "rtt_ms": None}}}, 1.0)
-    after_1s = smooth.smoothed(first, {"cpu": 20.0, "links": {"robot1": {"rx": 0.0, "rtt_ms": 4.0}}}, smooth.weight(1.0, 1.0))
-    assert after_1s == {"cpu": pytest.approx(13.0), "links": {"robot1": {"rx": pytest.approx(70.0), "rtt_ms": 4.0}}}
+    after_1s = smooth.smoothed(
+        first, {"cpu": 20.0, "links": {"robot1": {"rx": 0.0, "rtt_ms": 4.0}}}, smooth.weight(1.0, 1.0)
+    )
+    assert after_1s == {
+        "cpu": pytest.approx(13.0),
+        "links": {"robot1": {"rx": pytest.approx(70.0), "rtt_ms": 4.0}},
+    }
     after_3s = smooth.smoothed(after_1s, {"cpu": 20.0, "links": {}, "new": 5.0}, smooth.weight(2.0, 1.0))
     assert after_3s == {"cpu": pytest.approx(13.0 + 0.51 * 7.0), "links": {}, "new": 5.0}
 
@@ -109,7 +121,9 @@ def test_the_ring_is_bounded_and_gives_the_newest_whole_sample(tmp_path: Path) -
         size = os.fstat(fd).st_size
         assert size == ring.SLOT * (1 + ring.SAMPLES)
         assert ring.newest(fd) == (3 * ring.SAMPLES - 1, {"at": 3 * ring.SAMPLES - 1, "long": "x"})
-        os.pwrite(fd, b"#", ring.SLOT * (1 + (3 * ring.SAMPLES - 1) % ring.SAMPLES) + 40)  # torn while it is written
+        os.pwrite(
+            fd, b"#", ring.SLOT * (1 + (3 * ring.SAMPLES - 1) % ring.SAMPLES) + 40
+        )  # torn while it is written
         assert ring.newest(fd)[0] == 3 * ring.SAMPLES - 2
         with pytest.raises(ValueError, match="too long"):
             ring.add(fd, 1, {"long": "x" * ring.SLOT})
@@ -142,13 +156,21 @@ def test_tasks_are_as_they_are_now_however_old_the_sample(profiled: Profiled) ->
     started = host.start("slam", f"exec {sys.executable} -c 'while True: pass'")
     young = profiled.probe()["tasks"]["slam"]
     assert (young["state"], young["pid"]) == ("running", started["pid"])
-    busy = eventually(lambda: found if (found := profiled.probe())["tasks"]["slam"]["used_cores"] > 0.02 else None, seconds=30)
+    busy = eventually(
+        lambda: found if (found := profiled.probe())["tasks"]["slam"]["used_cores"] > 0.02 else None,
+        seconds=30,
+    )
     assert busy["cpu"]["used_cores"] >= busy["tasks"]["slam"]["used_cores"]
     eventually(lambda: profiled.probe()["tasks"]["slam"]["used_bytes"] > 1 << 20, seconds=30)
     os.kill(started["pid"], signal.SIGKILL)
     host.until("slam", "failed")
     failed = profiled.probe()["tasks"]["slam"]
-    assert (failed["state"], failed["used_cores"], failed["used_bytes"], failed["links"]) == ("failed", 0.0, 0, {})
+    assert (failed["state"], failed["used_cores"], failed["used_bytes"], failed["links"]) == (
+        "failed",
+        0.0,
+        0,
+        {},
+    )
     host.stop("slam")
     assert profiled.probe()["tasks"] == {}
     assert is_running(profiled.holders()[0]), "stopping a task is no concern of the profiler"
@@ -166,7 +188,10 @@ def test_traffic_of_links_and_tasks_is_seen(profiled: Profiled) -> None:
             while not over.wait(0.02):
                 sent(near, far, 4_000)
 
-        threads = [threading.Thread(target=carry), threading.Thread(target=lambda: [None for _ in iter(lambda: peer.recv(1 << 16), b"")])]
+        threads = [
+            threading.Thread(target=carry),
+            threading.Thread(target=lambda: [None for _ in iter(lambda: peer.recv(1 << 16), b"")]),
+        ]
         for thread in threads:
             thread.start()
 
@@ -174,7 +199,9 @@ def test_traffic_of_links_and_tasks_is_seen(profiled: Profiled) -> None:
             found = profiled.probe(links=LINKS)
             links, entry = found["links"], found["tasks"]["slam"]
             there = entry["links"].get("robot1", 0.0) > 1e3 and links["robot2"]["tx_bytes_per_s"] > 1e3
-            return found if there and links["robot1"]["tx_bytes_per_s"] >= entry["tx_bytes_per_s"] - 1 else None
+            return (
+                found if there and links["robot1"]["tx_bytes_per_s"] >= entry["tx_bytes_per_s"] - 1 else None
+            )
 
         try:
             eventually(seen, seconds=30)
@@ -194,9 +221,15 @@ def test_checks_run_and_detected_tasks_are_found(profiled: Profiled) -> None:
     for _ in range(2):
         process = subprocess.Popen(["sleep", mark])
         try:
-            checks = [{"task": "found", "command": "exit 3", "timeout_s": 20}, {"task": "gone", "command": "exit 0", "timeout_s": 20}]
+            checks = [
+                {"task": "found", "command": "exit 3", "timeout_s": 20},
+                {"task": "gone", "command": "exit 0", "timeout_s": 20},
+            ]
             found = profiled.probe(checks=checks, **wishes)
-            assert (found["tasks"]["found"]["pid"], found["tasks"]["found"]["managed"]) == (process.pid, False)
+            assert (found["tasks"]["found"]["pid"], found["tasks"]["found"]["managed"]) == (
+                process.pid,
+                False,
+            )
             assert {name: result["exit"] for name, result in found["checks"].items()} == {"found": 3}
         finally:
             process.kill()
@@ -206,7 +239,9 @@ def test_checks_run_and_detected_tasks_are_found(profiled: Profiled) -> None:
 def test_metrics_of_the_application_are_as_they_are_now(profiled: Profiled, tmp_path: Path) -> None:
     profiled.start()
     profiled.probe()
-    profiled.host.start("slam", f'echo "fps 1" >>"$EDGECTL_METRICS"; echo "$EDGECTL_METRICS" >{tmp_path}/path; exec sleep 600')
+    profiled.host.start(
+        "slam", f'echo "fps 1" >>"$EDGECTL_METRICS"; echo "$EDGECTL_METRICS" >{tmp_path}/path; exec sleep 600'
+    )
     file = Path(eventually(lambda: (tmp_path / "path").exists() and (tmp_path / "path").read_text().strip()))
     assert profiled.probe()["tasks"]["slam"]["metrics"] == {"fps": 1.0}
     with file.open("a") as lines:
@@ -215,7 +250,9 @@ def test_metrics_of_the_application_are_as_they_are_now(profiled: Profiled, tmp_
     profiled.host.stop("slam")
 
 
-def test_a_directory_that_others_may_write_is_not_believed(profiled: Profiled, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_directory_that_others_may_write_is_not_believed(
+    profiled: Profiled, monkeypatch: pytest.MonkeyPatch
+) -> None:
     profiled.start()
     profiled.probe()
     monkeypatch.setattr(state, "BASES", [str(profiled.host.state)])
@@ -270,7 +307,9 @@ def test_it_is_nobody_s_task_and_leaves_nothing_on_the_disk(profiled: Profiled) 
     assert (later["pid"], later["state"]) == (pid, "running")
 
 
-@pytest.mark.parametrize("python", interpreters()[:2][-1:], ids=lambda path: "-".join(Path(path).parts[-3::2]))
+@pytest.mark.parametrize(
+    "python", interpreters()[:2][-1:], ids=lambda path: "-".join(Path(path).parts[-3::2])
+)
 def test_it_runs_on_the_oldest_python(profiled: Profiled, python: str) -> None:
     profiled.host.session.python = python
     profiled.start(links=LINKS)

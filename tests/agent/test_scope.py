@@ -20,7 +20,9 @@ from tests.agent.test_probe import interpreters
 from tests.agent.user_systemd import V1 as V1_GROUPS
 from tests.agent.user_systemd import UserSystemd, can_be_real, user_systemd
 
-real_only = pytest.mark.skipif(not can_be_real(), reason="needs root, systemd and control groups that can be written")
+real_only = pytest.mark.skipif(
+    not can_be_real(), reason="needs root, systemd and control groups that can be written"
+)
 LIMITS = {"cpu": 0.25, "memory": 64_000_000}
 
 
@@ -47,7 +49,9 @@ def test_limits_hold_and_are_read_back(host: AgentHost, systemd: UserSystemd) ->
     assert "/edgectl-edge1-slam-" in groups_of(entry["pid"])
     assert "/edgectl-edge1-slam-" in groups_of(host.supervisor("slam"))
     used = host.ask("probe", window_s=2.0, links=[], detect=[], checks=[])["tasks"]["slam"]["used_cores"]
-    assert 0.0 < used < 0.6, "a quarter of a core, or less where others want it; without a limit it would be a whole one"
+    assert 0.0 < used < 0.6, (
+        "a quarter of a core, or less where others want it; without a limit it would be a whole one"
+    )
     assert host.stop("slam")["state"] == "stopped"
     eventually(lambda: not any("slam" in line for line in systemd.units()))
 
@@ -61,7 +65,9 @@ def test_hog_is_killed_alone_and_its_end_is_recorded(host: AgentHost, systemd: U
 
 
 @real_only
-@pytest.mark.skipif(not V1_GROUPS.exists(), reason="needs control groups v1, whose controllers can be taken away one by one")
+@pytest.mark.skipif(
+    not V1_GROUPS.exists(), reason="needs control groups v1, whose controllers can be taken away one by one"
+)
 def test_limits_that_systemd_takes_but_cannot_set_are_told(host: AgentHost, tmp_path: Path) -> None:
     """As on JetPack 4 and 5: control groups v1 are not delegated to a user's systemd, which says nothing."""
     with user_systemd(tmp_path / "undelegated", real=True, read_only=("cpu", "memory")) as place:
@@ -98,10 +104,17 @@ def test_secrets_stand_in_no_command_line_and_on_no_disk(host: AgentHost, system
     for runtime in ("process", "systemd"):
         if runtime == "systemd":
             at(host, systemd)
-        host.start("slam", "test ${#TOKEN} = 14 && sleep 0.5; exit 1", restart="always", env={"TOKEN": "hunter2-in-env"})
+        host.start(
+            "slam",
+            "test ${#TOKEN} = 14 && sleep 0.5; exit 1",
+            restart="always",
+            env={"TOKEN": "hunter2-in-env"},
+        )
         deadline = time.monotonic() + 2.5
         while time.monotonic() < deadline:
-            lines = [proc.read(f"{folder}/cmdline") for folder in Path("/proc").iterdir() if folder.name.isdigit()]
+            lines = [
+                proc.read(f"{folder}/cmdline") for folder in Path("/proc").iterdir() if folder.name.isdigit()
+            ]
             assert not [line for line in lines if b"hunter2" in line]
             for path in host.state.rglob("*"):
                 assert path.is_dir() or b"hunter2" not in path.read_bytes(), path
@@ -118,23 +131,34 @@ def test_auto_takes_systemd_only_with_lingering(host: AgentHost, stand_in: UserS
     assert reply["detail"] == "limits: not enforced: lingering is off for root"
     assert not (stand_in.folder / "argv").exists()
     host.stop("slam")
-    with pytest.raises(RefusedError, match="runtime systemd is not possible here: lingering is off for root") as caught:
+    with pytest.raises(
+        RefusedError, match="runtime systemd is not possible here: lingering is off for root"
+    ) as caught:
         host.start("slam", "exec sleep 600", instance="i3", runtime="systemd")
     assert "loginctl enable-linger root" in (caught.value.hint or "")
 
 
-def test_systemd_that_fails_is_refused_or_for_auto_done_without(host: AgentHost, stand_in: UserSystemd) -> None:
+def test_systemd_that_fails_is_refused_or_for_auto_done_without(
+    host: AgentHost, stand_in: UserSystemd
+) -> None:
     (stand_in.folder / "refuse").touch()
-    with pytest.raises(RefusedError, match="systemd-run did not start the task: Failed to start transient scope unit: no"):
+    with pytest.raises(
+        RefusedError, match="systemd-run did not start the task: Failed to start transient scope unit: no"
+    ):
         at(host, stand_in).start("slam", "exec sleep 600")
     reply = at(host, stand_in, "auto").start("slam", "exec sleep 600", limits={"cpu": 1.0, "memory": None})
     assert reply["state"] == "started"
-    assert reply["detail"] == "limits: not enforced: systemd-run failed: Failed to start transient scope unit: no"
+    assert (
+        reply["detail"]
+        == "limits: not enforced: systemd-run failed: Failed to start transient scope unit: no"
+    )
     assert len(host.members("slam")) == 1
     host.stop("slam")
 
 
-def test_systemd_that_hangs_is_ended_and_for_auto_done_without(host: AgentHost, stand_in: UserSystemd) -> None:
+def test_systemd_that_hangs_is_ended_and_for_auto_done_without(
+    host: AgentHost, stand_in: UserSystemd
+) -> None:
     (stand_in.folder / "systemd-run").write_text("#!/bin/sh\nexec sleep 611\n")
     reply = at(host, stand_in, "auto").start("slam", "exec sleep 600", limits={"cpu": 1.0, "memory": None})
     assert reply["detail"] == "limits: not enforced: systemd-run failed: no answer within 10 s"
@@ -151,7 +175,9 @@ def test_start_that_cannot_be_is_not_tried_twice(host: AgentHost, stand_in: User
     host.stop("slam")
 
 
-def test_supervisor_that_nobody_awaits_starts_nothing(host: AgentHost, stand_in: UserSystemd, tmp_path: Path) -> None:
+def test_supervisor_that_nobody_awaits_starts_nothing(
+    host: AgentHost, stand_in: UserSystemd, tmp_path: Path
+) -> None:
     """A systemd that wakes up after the agent gave up: the manager was told that nothing runs."""
     program = (stand_in.folder / "systemd-run").read_text()
     (stand_in.folder / "systemd-run").write_text(program.replace('exec "$@"', 'sleep 3; exec "$@"'))
@@ -179,7 +205,10 @@ def test_runtime_process_says_that_limits_are_not_enforced(host: AgentHost) -> N
     host.stop("slam")
 
 
-@pytest.mark.parametrize(("cores", "percent"), [(0.001, 1), (0.25, 25), (0.333, 34), (1.0, 100), (2.5, 250), (0.29, 29), (1.1, 110)])
+@pytest.mark.parametrize(
+    ("cores", "percent"),
+    [(0.001, 1), (0.25, 25), (0.333, 34), (1.0, 100), (2.5, 250), (0.29, 29), (1.1, 110)],
+)
 def test_quota_in_whole_percent(cores: float, percent: int) -> None:
     assert scope.cpu_percent(cores) == percent
 
@@ -221,7 +250,11 @@ def test_what_stands_in_the_way(monkeypatch: pytest.MonkeyPatch, tmp_path: Path)
         ({"cpu": None, "memory": None}, V2, ""),
         ({"cpu": 1.5, "memory": 536870912}, V2, "enforced"),
         ({"cpu": 2.0, "memory": None}, V2, "enforced"),
-        ({"cpu": 1.0, "memory": 536870912}, V2, "not enforced: cpu: systemd accepted it, but the control group does not have it"),
+        (
+            {"cpu": 1.0, "memory": 536870912},
+            V2,
+            "not enforced: cpu: systemd accepted it, but the control group does not have it",
+        ),
         (
             {"cpu": 0.1, "memory": 1e8},
             {
@@ -238,12 +271,16 @@ def test_what_stands_in_the_way(monkeypatch: pytest.MonkeyPatch, tmp_path: Path)
         ),
     ],
 )
-def test_limits_are_read_back_from_the_control_group(tmp_path: Path, limits: dict[str, float], files: dict[str, str], text: str) -> None:
+def test_limits_are_read_back_from_the_control_group(
+    tmp_path: Path, limits: dict[str, float], files: dict[str, str], text: str
+) -> None:
     assert scope.verdict(limits, "", tree(tmp_path, files)) == text
 
 
 @pytest.mark.parametrize("python", interpreters(), ids=lambda path: "-".join(Path(path).parts[-3::2]))
-def test_any_python_can_be_the_supervisor_in_a_scope(host: AgentHost, systemd: UserSystemd, tmp_path: Path, python: str) -> None:
+def test_any_python_can_be_the_supervisor_in_a_scope(
+    host: AgentHost, systemd: UserSystemd, tmp_path: Path, python: str
+) -> None:
     wrapper = tmp_path / "python3"
     wrapper.write_text(systemd.python.read_text().replace(sys.executable, python))
     wrapper.chmod(0o755)
@@ -259,7 +296,10 @@ def test_scope_outlives_the_agent_and_its_session(host: AgentHost, systemd: User
     supervisor = host.supervisor("slam")
     assert os.getsid(supervisor) not in (os.getsid(0), os.getsid(pid))
     assert (
-        subprocess.run(["ps", "-o", "args=", "-p", str(supervisor)], capture_output=True, text=True, check=True).stdout.count("slam") == 0
+        subprocess.run(
+            ["ps", "-o", "args=", "-p", str(supervisor)], capture_output=True, text=True, check=True
+        ).stdout.count("slam")
+        == 0
     )
     assert is_running(pid)
     host.stop("slam")

@@ -10,14 +10,24 @@ from tests.agent.user_systemd import UserSystemd
 from tests.e2e.test_secrets import CANARIES, hits
 
 LIMITS = {"cpu": 0.5, "memory": 64_000_000}
-SAID = (("show", "edgectl-*"), ("status", "edgectl-*"), ("cat", "edgectl-*"), ("show-environment",), ("list-units", "--all"))
+SAID = (
+    ("show", "edgectl-*"),
+    ("status", "edgectl-*"),
+    ("cat", "edgectl-*"),
+    ("show-environment",),
+    ("list-units", "--all"),
+)
 
 
 def places(host: AgentHost, systemd: UserSystemd) -> Iterator[tuple[str, bytes]]:
     """Whatever may be read without being the task."""
     for folder in Path("/proc").glob("[0-9]*"):
         yield f"{folder}/cmdline", proc.read(f"{folder}/cmdline")
-    for path in (*host.state.rglob("*"), *systemd.folder.rglob("*"), *(systemd.run.rglob("*") if systemd.real else ())):
+    for path in (
+        *host.state.rglob("*"),
+        *systemd.folder.rglob("*"),
+        *(systemd.run.rglob("*") if systemd.real else ()),
+    ):
         with suppress(OSError):
             if path.is_file() and not path.is_symlink():
                 yield str(path), path.read_bytes()

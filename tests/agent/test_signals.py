@@ -13,7 +13,9 @@ from tests.agent.conftest import AgentHost, eventually, is_running
 
 
 @pytest.fixture(params=["pidfd", "kill"])
-def sleeper(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[subprocess.Popen[bytes]]:
+def sleeper(
+    request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[subprocess.Popen[bytes]]:
     if request.param == "kill":
         monkeypatch.delattr(os, "pidfd_open")
     process = subprocess.Popen(["sleep", "600"])
@@ -36,11 +38,23 @@ def test_names_of_signals(name: str, number: int) -> None:
     assert signals.number(name) == number
 
 
-def test_record_with_a_stranger_s_pid_is_dead(sleeper: subprocess.Popen[bytes], tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_record_with_a_stranger_s_pid_is_dead(
+    sleeper: subprocess.Popen[bytes], tmp_path_factory: pytest.TempPathFactory
+) -> None:
     ticks = proc.process(sleeper.pid).ticks - 1
     folder = tmp_path_factory.mktemp("task")
-    instance = {"instance": "i1", "boot_id": proc.boot_id(), "supervisor": sleeper.pid, "supervisor_ticks": ticks}
-    trace = Trace(str(folder), instance, {"instance": "i1", "state": "running", "pid": sleeper.pid, "ticks": ticks}, held=False)
+    instance = {
+        "instance": "i1",
+        "boot_id": proc.boot_id(),
+        "supervisor": sleeper.pid,
+        "supervisor_ticks": ticks,
+    }
+    trace = Trace(
+        str(folder),
+        instance,
+        {"instance": "i1", "state": "running", "pid": sleeper.pid, "ticks": ticks},
+        held=False,
+    )
     assert supervisor(trace) == 0
     assert orphans(trace, proc.processes()) == set()
     assert not is_alive(trace)

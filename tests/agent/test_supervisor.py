@@ -53,7 +53,12 @@ def test_task_outlives_the_session_and_is_stopped(host: AgentHost) -> None:
     assert host.ask("wait", task="slam", instance="i1", timeout_s=30)["state"] == "running"
     entry = host.entry("slam")
     assert entry is not None
-    assert (entry["state"], entry["pid"], entry["instance"], entry["spec_hash"]) == ("running", started["pid"], "i1", "h1")
+    assert (entry["state"], entry["pid"], entry["instance"], entry["spec_hash"]) == (
+        "running",
+        started["pid"],
+        "i1",
+        "h1",
+    )
     assert proc.cmdline(entry["pid"]) == ["sleep", "600"]
     assert os.getsid(entry["pid"]) == entry["pid"]
     assert os.getsid(host.supervisor("slam")) not in (os.getsid(0), entry["pid"])
@@ -68,7 +73,9 @@ def test_task_outlives_the_session_and_is_stopped(host: AgentHost) -> None:
 def test_task_starts_with_clean_signals_descriptors_and_directory(host: AgentHost) -> None:
     read, write = os.pipe()
     os.set_inheritable(write, True)
-    command = "grep Sig /proc/self/status; ls -l /proc/$$/fd; pwd; umask; echo task=$EDGECTL_TASK; exec sleep 600"
+    command = (
+        "grep Sig /proc/self/status; ls -l /proc/$$/fd; pwd; umask; echo task=$EDGECTL_TASK; exec sleep 600"
+    )
     host.start("slam", command, env={"EDGECTL_TASK": "slam"}, workdir="/usr")
     text = eventually(lambda: t if "task=" in (t := host.ask("logs", task="slam", tail=50)["text"]) else None)
     os.close(read)
@@ -102,7 +109,9 @@ def test_files_are_private(host: AgentHost) -> None:
     for path in [host.state, *host.state.rglob("*")]:
         mode = stat.S_IMODE(path.lstat().st_mode)
         assert mode == (0o700 if path.is_dir() else 0o600), path
-    assert not any("sleep" in p.read_bytes().decode("latin-1") for p in host.folder("slam").iterdir()), "no command is written down"
+    assert not any("sleep" in p.read_bytes().decode("latin-1") for p in host.folder("slam").iterdir()), (
+        "no command is written down"
+    )
     host.stop("slam")
 
 
@@ -132,7 +141,9 @@ def test_killed_supervisor_leaves_an_orphan_that_is_never_doubled(host: AgentHos
 
 
 def test_launcher_that_closes_descriptors_is_found_by_its_cookie(host: AgentHost, tmp_path: Path) -> None:
-    pid = host.start("slam", python("import os, time\nos.closerange(3, 100)\ntime.sleep(600)\n", tmp_path))["pid"]
+    pid = host.start("slam", python("import os, time\nos.closerange(3, 100)\ntime.sleep(600)\n", tmp_path))[
+        "pid"
+    ]
     folder = str(host.folder("slam"))
     eventually(lambda: pid not in life.lock_holders(folder, proc.processes()))
     os.kill(host.supervisor("slam"), signal.SIGKILL)
@@ -206,7 +217,12 @@ def test_end_is_recorded(
     """With ``restart: never``, where the spec does not say otherwise: only then, or in a crash loop, is a failure final."""
     host.start("work", command, **spec)
     entry = host.until("work", state)
-    assert (entry["exit_code"], entry["detail"], entry["pid"], entry["given_up"]) == (code, detail, 0, given_up)
+    assert (entry["exit_code"], entry["detail"], entry["pid"], entry["given_up"]) == (
+        code,
+        detail,
+        0,
+        given_up,
+    )
     assert 0.0 <= entry["ended_s"] < 600.0
     assert not life.lock_held(str(host.folder("work")))
 
@@ -236,7 +252,11 @@ def test_failed_run_is_restarted_after_a_pause(host: AgentHost, tmp_path: Path) 
     command = f"test -e {tmp_path}/once && exec sleep 600; touch {tmp_path}/once; exit 7"
     host.start("slam", command, restart="on-failure")
     waiting = eventually(lambda: e if (e := host.entry("slam")) and "starts again" in e["detail"] else None)
-    assert (waiting["state"], waiting["exit_code"], waiting["pid"]) == ("starting", 7, host.supervisor("slam"))
+    assert (waiting["state"], waiting["exit_code"], waiting["pid"]) == (
+        "starting",
+        7,
+        host.supervisor("slam"),
+    )
     entry = host.until("slam", "running")
     assert (entry["restarts"], entry["exit_code"]) == (1, None)
     assert host.stop("slam")["state"] == "stopped"
@@ -333,9 +353,13 @@ def test_start_that_cannot_be_is_refused_with_the_reason(host: AgentHost) -> Non
     host.stop("slam")
 
 
-def test_home_that_cannot_be_written_falls_back_to_shared_memory(host: AgentHost, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_home_that_cannot_be_written_falls_back_to_shared_memory(
+    host: AgentHost, monkeypatch: pytest.MonkeyPatch
+) -> None:
     if host.runtime == "systemd" and os.geteuid() != 0:
-        pytest.skip("without root, systemd's stand-in makes us root of a namespace, with another user's directory in shared memory")
+        pytest.skip(
+            "without root, systemd's stand-in makes us root of a namespace, with another user's directory in shared memory"
+        )
     monkeypatch.setenv("EDGECTL_STATE_DIR", "/proc/nowhere")
     fallback = Path(f"/dev/shm/edgectl-{os.geteuid()}")
     host.name, host.state = f"test-{os.getpid()}", fallback

@@ -86,8 +86,15 @@ class UserSystemd:
 
     def systemctl(self, *words: str) -> str:
         """What ``systemctl --user`` answers."""
-        inside = ["nsenter", f"--mount=/proc/{self.pid}/ns/mnt", "env", f"XDG_RUNTIME_DIR=/run/user/{os.geteuid()}"]
-        return subprocess.run([*inside, "systemctl", "--user", *words], capture_output=True, text=True, check=True, timeout=20).stdout
+        inside = [
+            "nsenter",
+            f"--mount=/proc/{self.pid}/ns/mnt",
+            "env",
+            f"XDG_RUNTIME_DIR=/run/user/{os.geteuid()}",
+        ]
+        return subprocess.run(
+            [*inside, "systemctl", "--user", *words], capture_output=True, text=True, check=True, timeout=20
+        ).stdout
 
     @property
     def run(self) -> Path:
@@ -97,7 +104,12 @@ class UserSystemd:
 
 def can_be_real() -> bool:
     """Root, the programs, and control groups (v1, or v2 with controllers) in which a group of ours can be made."""
-    if os.geteuid() or not MANAGER.exists() or not shutil.which("systemd-run") or not os.access(CONTROLLERS, os.W_OK):
+    if (
+        os.geteuid()
+        or not MANAGER.exists()
+        or not shutil.which("systemd-run")
+        or not os.access(CONTROLLERS, os.W_OK)
+    ):
         return False
     given = CONTROLLERS / "cgroup.subtree_control"
     return {"cpu", "memory"} <= set(given.read_text().split()) if given.exists() else V1.exists()
@@ -117,7 +129,9 @@ def user_systemd(folder: Path, *, real: bool, read_only: tuple[str, ...] = ()) -
         "SYSTEMD_LOG_TARGET": "journal", "PYTHON": sys.executable, "LISTEN": _LISTEN, "JOURNAL": str(folder / "journal"), "UNSHARE": "" if os.geteuid() == 0 else "--user --map-root-user",
     }  # fmt: skip
     with (folder / "log").open("wb") as log:
-        process = subprocess.Popen(["sh", "-c", _HOLD, "sh", *command], stdin=subprocess.DEVNULL, stdout=log, stderr=log, env=env)
+        process = subprocess.Popen(
+            ["sh", "-c", _HOLD, "sh", *command], stdin=subprocess.DEVNULL, stdout=log, stderr=log, env=env
+        )
     try:
         _wait_for(lambda: Path(f"/proc/{process.pid}/root{listener}/private").exists(), (folder / "log"))
         yield UserSystemd(_wrapper(folder, process.pid, uid, fake=not real), real, process.pid, folder)
@@ -130,7 +144,11 @@ def user_systemd(folder: Path, *, real: bool, read_only: tuple[str, ...] = ()) -
 
 def _groups(name: str) -> list[Path]:
     """A group of that name in each hierarchy."""
-    hierarchies = [path for path in sorted(CONTROLLERS.iterdir()) if (path / "cgroup.procs").exists()] if V1.exists() else [CONTROLLERS]
+    hierarchies = (
+        [path for path in sorted(CONTROLLERS.iterdir()) if (path / "cgroup.procs").exists()]
+        if V1.exists()
+        else [CONTROLLERS]
+    )
     groups = [hierarchy / name for hierarchy in hierarchies]
     for group in groups:
         group.mkdir()
@@ -148,7 +166,9 @@ def _wrapper(folder: Path, pid: int, uid: int, *, fake: bool) -> Path:
     spaces = f"--target={pid} --mount" + ("" if os.geteuid() == 0 else " --user --preserve-credentials")
     path = f"{folder}:$PATH" if fake else "$PATH"
     wrapper = folder / "python3"
-    wrapper.write_text(f'#!/bin/sh\nexec nsenter {spaces} --wd=/ env -u XDG_RUNTIME_DIR PATH="{path}" {sys.executable} "$@"\n')
+    wrapper.write_text(
+        f'#!/bin/sh\nexec nsenter {spaces} --wd=/ env -u XDG_RUNTIME_DIR PATH="{path}" {sys.executable} "$@"\n'
+    )
     wrapper.chmod(0o755)
     assert uid == 0 or fake
     return wrapper

@@ -15,7 +15,12 @@ def main() -> int:
     failed = []
     for name in names:
         print(f"== {name}", flush=True)
-        if subprocess.run([sys.executable, "-m", f"tests.benchmarks.{name}"], cwd=here.parents[1], check=False).returncode != 0:
+        if (
+            subprocess.run(
+                [sys.executable, "-m", f"tests.benchmarks.{name}"], cwd=here.parents[1], check=False
+            ).returncode
+            != 0
+        ):
             failed.append(name)
         print()
     if failed:

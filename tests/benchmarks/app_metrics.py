@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 
 from edgectl.agent import life, metrics, state
-from edgectl.transport.call import call
+from edgectl.transport.agent_client import call_agent
 from edgectl.transport.local import LocalSession
 from tests.benchmarks.profilers import cpu_s
 
@@ -46,18 +46,32 @@ def resting_share(base: Path, seconds: float) -> float:
     }  # fmt: skip
     session, names = LocalSession("edge2"), [f"task{number}" for number in range(TASKS)]
     for name in names:
-        call(session, {"op": "start", "host": "edge2", "task": name, "instance": "i1", "generation": 1, "spec": spec}, timeout=60.0)
+        call_agent(
+            session,
+            {"op": "start", "host": "edge2", "task": name, "instance": "i1", "generation": 1, "spec": spec},
+            timeout=60.0,
+        )
     try:
-        pids = [life.trace(str(base / "hosts" / "edge2" / "tasks" / name)).instance["supervisor"] for name in names]
+        pids = [
+            life.trace(str(base / "hosts" / "edge2" / "tasks" / name)).instance["supervisor"]
+            for name in names
+        ]
         time.sleep(2.0)
         began = sum(map(cpu_s, pids))
         time.sleep(seconds)
         return (sum(map(cpu_s, pids)) - began) / seconds / TASKS
     finally:
         for name in names:
-            call(
+            call_agent(
                 session,
-                {"op": "stop", "host": "edge2", "task": name, "instance": None, "generation": None, "stop": None},
+                {
+                    "op": "stop",
+                    "host": "edge2",
+                    "task": name,
+                    "instance": None,
+                    "generation": None,
+                    "stop": None,
+                },
                 timeout=60.0,
             )
 

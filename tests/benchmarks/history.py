@@ -11,7 +11,7 @@ from pathlib import Path
 
 from edgectl.model.snapshot import LinkSample, Snapshot, TaskSample, TaskState
 from edgectl.state.store import Retention, Store
-from edgectl.state.store_file import NAME
+from edgectl.state.store_file import HISTORY_FILE_NAME
 from tests.builders import NOW, a_sample, a_snapshot
 
 HOSTS, TASKS_EACH, LINKS_EACH = 50, 4, 4
@@ -30,7 +30,9 @@ def a_fleet(number: int, chance: random.Random) -> Snapshot:
             for each in range(TASKS_EACH)
         }  # fmt: skip
         links = {
-            f"robot{each}": LinkSample(capacity_bytes_per_s=1e7, used_bytes_per_s=chance.random() * 1e7, rtt_ms=chance.random())
+            f"robot{each}": LinkSample(
+                capacity_bytes_per_s=1e7, used_bytes_per_s=chance.random() * 1e7, rtt_ms=chance.random()
+            )
             for each in range(LINKS_EACH)
         }
         hosts[f"edge{host}"] = a_sample(used=chance.random(), tasks=tasks, links=links)
@@ -64,18 +66,33 @@ def main() -> int:
     with tempfile.TemporaryDirectory(prefix="edgectl-history-") as place:
         directory = Path(place)
         made = [a_fleet(number, chance) for number in range(count // 2)]
-        cost = show("record a snapshot, file opened and closed", [timed(lambda each=each: record(directory, each)) for each in made])
+        cost = show(
+            "record a snapshot, file opened and closed",
+            [timed(lambda each=each: record(directory, each)) for each in made],
+        )
         with Store.open(directory) as store:
             made = [a_fleet(number, chance) for number in range(count // 2, count)]
-            show("record a snapshot, file kept open", [timed(lambda each=each: store.record_snapshot(each)) for each in made])
-            show("the newest 60 samples of each of 200 tasks", [timed(lambda: store.task_points(limit=60)) for _ in range(5)])
-            show("the newest 60 samples of each of 50 hosts", [timed(lambda: store.host_points(limit=60)) for _ in range(5)])
-            show(f"all {count} samples of one task", [timed(lambda: store.task_points("task-7-1")) for _ in range(5)])
-        size = (directory / NAME).stat().st_size
+            show(
+                "record a snapshot, file kept open",
+                [timed(lambda each=each: store.record_snapshot(each)) for each in made],
+            )
+            show(
+                "the newest 60 samples of each of 200 tasks",
+                [timed(lambda: store.task_points(limit=60)) for _ in range(5)],
+            )
+            show(
+                "the newest 60 samples of each of 50 hosts",
+                [timed(lambda: store.host_points(limit=60)) for _ in range(5)],
+            )
+            show(
+                f"all {count} samples of one task",
+                [timed(lambda: store.task_points("task-7-1")) for _ in range(5)],
+            )
+        size = (directory / HISTORY_FILE_NAME).stat().st_size
         print(f"{'file, per snapshot':55}{size / count / 1024:9.1f} KiB")
         with Store.open(directory, retention=Retention(max_bytes=size // 2)) as store:
             show(f"halve a file of {size / 2**20:.0f} MiB", [timed(lambda: store.prune(NOW))])
-        print(f"{'afterwards':55}{(directory / NAME).stat().st_size / 2**20:9.1f} MiB")
+        print(f"{'afterwards':55}{(directory / HISTORY_FILE_NAME).stat().st_size / 2**20:9.1f} MiB")
     return 1 if cost > GOAL_S else 0
 
 

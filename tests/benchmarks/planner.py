@@ -7,14 +7,25 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from edgectl.executor.diff import plan_of
+from edgectl.executor.diff import plan_from_assignment
 from edgectl.model.inventory import Inventory
-from edgectl.model.memory import MeasuredDemand, Memory
+from edgectl.model.manager_state import ManagerState, MeasuredDemand
 from edgectl.model.policy import Policy
 from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import ZERO, Demand, Tasks
 from edgectl.scheduler.assign import assign
-from tests.builders import GI, NOW, a_link, a_robot, a_sample, a_snapshot, a_task, an_edge, an_inventory, some_tasks
+from tests.builders import (
+    GI,
+    NOW,
+    a_link,
+    a_robot,
+    a_sample,
+    a_snapshot,
+    a_task,
+    an_edge,
+    an_inventory,
+    some_tasks,
+)
 
 SIZES = ((3, 10), (50, 200), (100, 1000), (1000, 10000))
 KINDS = 10
@@ -54,7 +65,7 @@ def fleet(hosts: int, tasks: int) -> tuple[Inventory, Tasks, Snapshot]:
     return inventory, some_tasks(*made), a_snapshot(**samples)
 
 
-def with_history(work: Tasks) -> tuple[Tasks, Memory]:
+def with_history(work: Tasks) -> tuple[Tasks, ManagerState]:
     """The same demands, none of them declared: every one is measured on all three classes of hosts."""
     measured = {
         (task.name, kind): MeasuredDemand(
@@ -65,19 +76,19 @@ def with_history(work: Tasks) -> tuple[Tasks, Memory]:
         for kind in ("4c-4Gi", "8c-8Gi", "12c-12Gi")
     }  # fmt: skip
     silent = {name: replace(task, demand=Demand()) for name, task in work.tasks.items()}
-    return replace(work, tasks=silent), Memory(managed=True, measured=measured)
+    return replace(work, tasks=silent), ManagerState(managed=True, measured=measured)
 
 
 def measure(hosts: int, tasks: int, *, history: bool = False) -> Row:
     """One size from a cold start, all settling included; with ``history`` every demand is measured."""
     inventory, work, snapshot = fleet(hosts, tasks)
-    work, memory = with_history(work) if history else (work, Memory(managed=True))
+    work, memory = with_history(work) if history else (work, ManagerState(managed=True))
     gc.collect()
     before = resident()
     started = time.process_time()
     assignment = assign(inventory, work, snapshot, memory, Policy(), NOW)
     assigned = time.process_time()
-    plan_of(inventory, work, snapshot, memory, assignment)
+    plan_from_assignment(inventory, work, snapshot, memory, assignment)
     ended = time.process_time()
     return Row(
         hosts=hosts, tasks=tasks, assign_s=assigned - started, plan_s=ended - assigned, peak_bytes=resident() - before,

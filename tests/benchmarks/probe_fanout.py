@@ -18,15 +18,15 @@ from pathlib import Path
 
 IMPORTS_FROM = time.perf_counter()
 from edgectl.errors import ConnectError  # noqa: E402
-from edgectl.gateway.collect import ProbeOptions, probe  # noqa: E402
+from edgectl.gateway.host_probe import ProbeOptions, probe_hosts  # noqa: E402
 from edgectl.model.inventory import Connection, Host, Inventory, Role  # noqa: E402
 from edgectl.model.snapshot import HostStatus, Snapshot  # noqa: E402
 from edgectl.model.task import Tasks  # noqa: E402
-from edgectl.transport import call as protocol  # noqa: E402
+from edgectl.transport import agent_client as protocol  # noqa: E402
 from edgectl.transport.base import Reply, Transport  # noqa: E402
+from edgectl.transport.connections import SessionPool  # noqa: E402
 from edgectl.transport.fake import FakeSession, FakeTransport  # noqa: E402
 from edgectl.transport.local import LocalTransport  # noqa: E402
-from edgectl.transport.pool import SessionPool  # noqa: E402
 from edgectl.transport.ssh import SshTransport  # noqa: E402
 from edgectl.transport.ssh_session import SshSession  # noqa: E402
 
@@ -63,23 +63,29 @@ class _Recorder(FakeTransport):
 def packet(inventory: Inventory) -> bytes:
     """The standard input that a probe sends to the first host of ``inventory``; only the host's name differs between hosts."""
     recorder = _Recorder()
-    probe(inventory, Tasks(tasks={}), recorder, options=OPTIONS)
+    probe_hosts(inventory, Tasks(tasks={}), recorder, options=OPTIONS)
     return recorder.packets[0]
 
 
 def edgectl_probe(inventory: Inventory, transport: Transport) -> Snapshot:
-    snapshot = probe(inventory, Tasks(tasks={}), transport, options=OPTIONS)
-    silent = [f"{name}: {sample.error}" for name, sample in snapshot.hosts.items() if sample.status is not HostStatus.OK]
+    snapshot = probe_hosts(inventory, Tasks(tasks={}), transport, options=OPTIONS)
+    silent = [
+        f"{name}: {sample.error}"
+        for name, sample in snapshot.hosts.items()
+        if sample.status is not HostStatus.OK
+    ]
     assert not silent, silent[:3]
     return snapshot
 
 
 def plain_ssh(lab: Lab, names: Sequence[str], stdin: Path, out: Path) -> None:
     """``ssh`` for each host, 32 at a time, through xargs: the least that any tool on top of OpenSSH has to do."""
-    command = protocol.command_line("python3")
+    command = protocol.build_agent_command("python3")
     script = f'exec {" ".join(SSH)} -F {lab.ssh_config} "$1" "$COMMAND" < {stdin} > {out}/"$1"'
     arguments = ["xargs", "-P", str(AT_ONCE), "-n", "1", "sh", "-c", script, "sh"]
-    subprocess.run(arguments, input="\n".join(names), text=True, env=os.environ | {"COMMAND": command}, check=True)
+    subprocess.run(
+        arguments, input="\n".join(names), text=True, env=os.environ | {"COMMAND": command}, check=True
+    )
     assert all(b"edgectl-frame" in (out / name).read_bytes() for name in names)
 
 
@@ -88,7 +94,7 @@ def bare_channels(sessions: Sequence[SshSession], stdin: bytes) -> None:
 
     def one(session: SshSession) -> bytes:
         channel = session.transport.open_session()
-        channel.exec_command(protocol.command_line("python3"))
+        channel.exec_command(protocol.build_agent_command("python3"))
         channel.sendall(stdin)
         channel.shutdown_write()
         data = b""
@@ -101,7 +107,9 @@ def bare_channels(sessions: Sequence[SshSession], stdin: bytes) -> None:
         assert all(b"edgectl-frame" in data for data in pool.map(one, sessions))
 
 
-def pairs(ours: Callable[[], object], theirs: Callable[[], object], rounds: int) -> tuple[float, float, float]:
+def pairs(
+    ours: Callable[[], object], theirs: Callable[[], object], rounds: int
+) -> tuple[float, float, float]:
     """Median seconds of both and the median ratio of ``rounds`` alternating pairs."""
     times = []
     for turn in range(rounds):
@@ -133,7 +141,9 @@ def agent_cost() -> float:
 
 def cold(lab: Lab, sizes: Sequence[int], out: Path) -> bool:
     print("probe of N hosts, connections opened anew")
-    print(f"{'N':>5} {'edgectl s':>10} {'ssh s':>8} {'ratio':>6} {'goal':>5} {'ms/host':>8} {'client CPU ms/host':>19}")
+    print(
+        f"{'N':>5} {'edgectl s':>10} {'ssh s':>8} {'ratio':>6} {'goal':>5} {'ms/host':>8} {'client CPU ms/host':>19}"
+    )
     met = [cold_row(lab, list(lab.servers)[:size], out) for size in sizes]
     return all(met)
 
@@ -147,9 +157,14 @@ def cold_row(lab: Lab, names: Sequence[str], out: Path) -> bool:
     edgectl_probe(fleet, SshTransport())  # puts the agent on hosts that lack it
     rounds = 7 if size <= 16 else 5 if size <= 64 else 3
     cpu = time.process_time()
-    ours, theirs, ratio = pairs(lambda: edgectl_probe(fleet, SshTransport()), lambda: plain_ssh(lab, names, stdin, out), rounds)
+    ours, theirs, ratio = pairs(
+        lambda: edgectl_probe(fleet, SshTransport()), lambda: plain_ssh(lab, names, stdin, out), rounds
+    )
     cpu = (time.process_time() - cpu) / rounds / size
-    print(f"{size:>5} {ours:>10.3f} {theirs:>8.3f} {ratio:>6.2f} {COLD_GOAL:>5} {ours / size * 1000:>8.1f} {cpu * 1000:>19.1f}", flush=True)
+    print(
+        f"{size:>5} {ours:>10.3f} {theirs:>8.3f} {ratio:>6.2f} {COLD_GOAL:>5} {ours / size * 1000:>8.1f} {cpu * 1000:>19.1f}",
+        flush=True,
+    )
     return ratio <= COLD_GOAL
 
 
@@ -162,7 +177,9 @@ def warm(lab: Lab, out: Path) -> bool:
         sessions = [transport.connect(host, timeout=30) for host in fleet.hosts.values()]
         try:
             stdin = packet(fleet)
-            ours, theirs, ratio = pairs(lambda: edgectl_probe(fleet, pool), lambda: bare_channels(sessions, stdin), 9)
+            ours, theirs, ratio = pairs(
+                lambda: edgectl_probe(fleet, pool), lambda: bare_channels(sessions, stdin), 9
+            )
         finally:
             for session in sessions:
                 session.close()

@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from edgectl.transport.call import call
+from edgectl.transport.agent_client import call_agent
 from edgectl.transport.local import LocalSession
 
 SECONDS = 60.0
@@ -24,12 +24,15 @@ TASKS, PROBES = 10, 15
 MOST_SHARE, MOST_BYTES = 0.01, 20 << 20
 LINKS = [{"robot": f"robot{n}", "address": f"127.77.0.{n}"} for n in range(1, 4)]
 HOST_ONLY = "psutil.cpu_percent(); psutil.virtual_memory(); psutil.net_io_counters(pernic=True); psutil.sensors_temperatures()"
-EVERY_PROCESS = HOST_ONLY + "; [each.info for each in psutil.process_iter(['pid', 'name', 'cmdline', 'cpu_percent', 'memory_info'])]"
+EVERY_PROCESS = (
+    HOST_ONLY
+    + "; [each.info for each in psutil.process_iter(['pid', 'name', 'cmdline', 'cpu_percent', 'memory_info'])]"
+)
 HABIT = "import psutil, time\nwhile True:\n    {work}\n    time.sleep({pause})"
 
 
 def ask(host: str, op: str, **fields: object) -> dict[str, object]:
-    return call(LocalSession(host), {"op": op, "host": host, **fields}, timeout=60.0)
+    return call_agent(LocalSession(host), {"op": op, "host": host, **fields}, timeout=60.0)
 
 
 def started(host: str, every: float) -> int:
@@ -100,7 +103,9 @@ def measured(seconds: float, ends: list[Callable[[], object]]) -> int:
         pids[name] = process.pid
     found = shares(pids, seconds)
     processes = sum(name.isdigit() for name in os.listdir("/proc"))  # noqa: PTH208
-    print(f"{seconds:.0f} s, {processes} processes on this machine\n{'what':<32}{'% of a core':>12}{'MiB':>8}")
+    print(
+        f"{seconds:.0f} s, {processes} processes on this machine\n{'what':<32}{'% of a core':>12}{'MiB':>8}"
+    )
     for name, (share, size) in found.items():
         print(f"{name:<32}{share:>12.2%}{size / 2**20:>8.1f}")
     with_it = probes("edge1")

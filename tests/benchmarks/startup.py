@@ -46,7 +46,12 @@ def interleaved(commands: Sequence[Sequence[str]], directory: Path) -> list[list
 def write_fleet(directory: Path) -> None:
     """An inventory, tasks and a snapshot of 50 edges, 10 robots and 200 tasks, half of them running."""
     edges, robots = [f"edge{n}" for n in range(1, EDGES + 1)], [f"robot{n}" for n in range(1, ROBOTS + 1)]
-    lines = ["version: 1", "edges:", *(f"  {edge}: {{host: 10.0.0.{n}}}" for n, edge in enumerate(edges, 1)), "robots:"]
+    lines = [
+        "version: 1",
+        "edges:",
+        *(f"  {edge}: {{host: 10.0.0.{n}}}" for n, edge in enumerate(edges, 1)),
+        "robots:",
+    ]
     lines += [f"  {robot}: {{host: 10.0.1.{n}, probe: false}}" for n, robot in enumerate(robots, 1)]
     (directory / "inventories").mkdir()
     (directory / "inventories" / "lab.yaml").write_text("\n".join(lines) + "\n")
@@ -60,12 +65,19 @@ def write_fleet(directory: Path) -> None:
     (directory / "tasks").mkdir()
     (directory / "tasks" / "lab.yaml").write_text("\n".join(tasks) + "\n")
     hosts = {edge: _sample(place, robots) for place, edge in enumerate(edges)}
-    (directory / "snap.json").write_text(json.dumps({"format_version": 1, "taken_at": "2026-11-21T08:00:00Z", "hosts": hosts}))
+    (directory / "snap.json").write_text(
+        json.dumps({"format_version": 1, "taken_at": "2026-11-21T08:00:00Z", "hosts": hosts})
+    )
 
 
 def _sample(place: int, robots: list[str]) -> dict[str, object]:
     running = range(place * 2 + 1, place * 2 + 3)
-    link = {"capacity_bytes_per_s": 6_750_000, "used_bytes_per_s": 1000 * place, "rtt_ms": 2.5, "capacity_source": "nic"}
+    link = {
+        "capacity_bytes_per_s": 6_750_000,
+        "used_bytes_per_s": 1000 * place,
+        "rtt_ms": 2.5,
+        "capacity_source": "nic",
+    }
     task = {
         "state": "running",
         "pid": 100,
@@ -88,7 +100,11 @@ def imports(directory: Path, *words: str) -> set[str]:
     """Top-level packages that a command imports."""
     command = [sys.executable, "-X", "importtime", "-c", COMMAND, *words]
     done = subprocess.run(command, cwd=directory, capture_output=True, text=True, check=True)
-    return {line.rpartition("|")[2].strip().partition(".")[0] for line in done.stderr.splitlines() if line.startswith("import time:")}
+    return {
+        line.rpartition("|")[2].strip().partition(".")[0]
+        for line in done.stderr.splitlines()
+        if line.startswith("import time:")
+    }
 
 
 def main() -> int:
@@ -97,7 +113,12 @@ def main() -> int:
         directory = Path(name)
         write_fleet(directory)
         empty, help_text, plan = interleaved(
-            [["-c", EMPTY, "--help"], ["-c", COMMAND, "--help"], ["-c", COMMAND, "plan", "--snapshot", "snap.json"]], directory
+            [
+                ["-c", EMPTY, "--help"],
+                ["-c", COMMAND, "--help"],
+                ["-c", COMMAND, "plan", "--snapshot", "snap.json"],
+            ],
+            directory,
         )
         heavy = imports(directory, "plan", "--snapshot", "snap.json") & {"fabric", "paramiko"}
     ratio = statistics.median(help_text) / statistics.median(empty)
@@ -110,7 +131,9 @@ def main() -> int:
     ):
         print(f"{what:<44}{statistics.median(times) * 1000:>10.0f}{min(times) * 1000:>8.0f}")
     print(f"edgectl --help / empty app: {ratio:.2f} (goal {HELP_GOAL})")
-    print(f"plan --snapshot: {took:.2f} s (goal {PLAN_GOAL_S:.1f} s); imports of ssh: {', '.join(sorted(heavy)) or 'none'}")
+    print(
+        f"plan --snapshot: {took:.2f} s (goal {PLAN_GOAL_S:.1f} s); imports of ssh: {', '.join(sorted(heavy)) or 'none'}"
+    )
     return int(ratio > HELP_GOAL or took > PLAN_GOAL_S or bool(heavy))
 
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import pytest
 
 from edgectl.cli.main import main
-from edgectl.scaffold.write import write
+from edgectl.scaffold.write import write_scaffold
 from tests.views.fixtures import SNAPSHOT
 
 
@@ -25,7 +25,7 @@ Run = Callable[..., Said]
 @pytest.fixture
 def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A scaffold with a snapshot, as the working directory."""
-    write(tmp_path / "site")
+    write_scaffold(tmp_path / "site")
     (tmp_path / "site" / "snap.json").write_bytes(SNAPSHOT.read_bytes())
     monkeypatch.chdir(tmp_path / "site")
     return tmp_path / "site"

@@ -13,11 +13,20 @@ from typing import Self
 class Terminal:
     """Runs ``words`` with all three streams on a pseudo-terminal."""
 
-    def __init__(self, words: list[str], directory: Path, *, env: Mapping[str, str] | None = None, limit_s: float = 120.0) -> None:
+    def __init__(
+        self,
+        words: list[str],
+        directory: Path,
+        *,
+        env: Mapping[str, str] | None = None,
+        limit_s: float = 120.0,
+    ) -> None:
         self._ours, theirs = pty.openpty()
         self._end = time.monotonic() + limit_s
         self.seen = ""
-        self.process = subprocess.Popen(words, cwd=directory, env=env, stdin=theirs, stdout=theirs, stderr=theirs)
+        self.process = subprocess.Popen(
+            words, cwd=directory, env=env, stdin=theirs, stdout=theirs, stderr=theirs
+        )
         os.close(theirs)
 
     def _read(self) -> bool:

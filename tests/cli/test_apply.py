@@ -65,7 +65,11 @@ def test_apply_status_logs_restart_stop(run: Run, small: Path) -> None:
     assert json.loads(run("apply", "--yes", "-o", "json").out)["actions"] == []
     before = json.loads(run("status", "-o", "json").out)
     assert before["hosts"]["edge1"]["tasks"]["idle"]["state"] == "running"
-    assert before["wanted"]["idle"]["demand"]["cpu"] == {"value": 0.1, "relative": False, "until_measured": False}
+    assert before["wanted"]["idle"]["demand"]["cpu"] == {
+        "value": 0.1,
+        "relative": False,
+        "until_measured": False,
+    }
     assert run("logs", "idle").out == "started\n"
     assert json.loads(run("restart", "idle", "--yes", "-o", "json").out)["actions"][0]["action"] == "restart"
     assert (
@@ -77,7 +81,9 @@ def test_apply_status_logs_restart_stop(run: Run, small: Path) -> None:
 
 
 def test_what_a_task_prints_cannot_steer_the_terminal(run: Run, small: Path) -> None:
-    (small / "tasks/lab.yaml").write_text(TASKS.replace("echo started", r"printf 'tab\\t\\033]0;title\\007\\377\\n'"))
+    (small / "tasks/lab.yaml").write_text(
+        TASKS.replace("echo started", r"printf 'tab\\t\\033]0;title\\007\\377\\n'")
+    )
     assert run("apply", "--yes").code == 0
     assert run("logs", "idle").out == "tab\t\\x1b]0;title\\x07\ufffd\n"
 
@@ -138,7 +144,11 @@ def ready(small: Path) -> str:
 def started(*words: str) -> Iterator["subprocess.Popen[str]"]:
     """One edgectl in the background; never left behind."""
     with subprocess.Popen(
-        [*EDGECTL, *words], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [*EDGECTL, *words],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
     ) as process:
         try:
             yield process

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from edgectl.model.event import Event, EventKind
-from edgectl.state.paths import fleet_dir
+from edgectl.state.paths import ensure_fleet_dir
 from edgectl.state.store import Store
 from tests.cli.conftest import Run
 from tests.views.fixtures import ROOT
@@ -25,7 +25,7 @@ EDGECTL = [sys.executable, "-m", "edgectl"]
 def state(site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The scaffold's state directory."""
     monkeypatch.setenv("EDGECTL_STATE_DIR", str(tmp_path / "state"))
-    return fleet_dir(site / "inventories" / "local.yaml")
+    return ensure_fleet_dir(site / "inventories" / "local.yaml")
 
 
 def happen(state: Path, *events: Event) -> None:
@@ -34,7 +34,11 @@ def happen(state: Path, *events: Event) -> None:
 
 
 def test_no_history_is_said_and_no_error(run: Run, state: Path) -> None:
-    assert run("events") == (0, "No events: nothing happened in this time, or no edgectl looked (edgectl probe does).\n", "")
+    assert run("events") == (
+        0,
+        "No events: nothing happened in this time, or no edgectl looked (edgectl probe does).\n",
+        "",
+    )
     assert json.loads(run("events", "-o", "json").out) == {"format_version": 1, "events": []}
     assert run("events", "-o", "yaml").out == "format_version: 1\nevents: []\n"
 
@@ -44,7 +48,13 @@ def test_events_as_a_table_and_as_documents(run: Run, state: Path) -> None:
     happen(
         state,
         Event(at=now - 90000, kind=EventKind.HOST_LOST, host="edge1", message="no route"),
-        Event(at=now - 60, kind=EventKind.TASK_MOVED, host="edge2", task="slam-robot1", message="from edge1, gap 1.2s\x1b[2J"),
+        Event(
+            at=now - 60,
+            kind=EventKind.TASK_MOVED,
+            host="edge2",
+            task="slam-robot1",
+            message="from edge1, gap 1.2s\x1b[2J",
+        ),
         Event(at=now - 30, kind=EventKind.PLANNED, message="1 move"),
     )
     rows = run("events").out.splitlines()
@@ -56,7 +66,12 @@ def test_events_as_a_table_and_as_documents(run: Run, state: Path) -> None:
     assert len(run("events", "--since", "2d").out.splitlines()) == 4
     assert len(run("events", "--since", "2d", "--host", "edge1").out.splitlines()) == 2
     (event,) = json.loads(run("events", "--task", "slam-robot1", "-o", "json").out)["events"]
-    assert (event["id"], event["kind"], event["host"], event["task"]) == (2, "task-moved", "edge2", "slam-robot1")
+    assert (event["id"], event["kind"], event["host"], event["task"]) == (
+        2,
+        "task-moved",
+        "edge2",
+        "slam-robot1",
+    )
     assert "kind: planned" in run("events", "-o", "yaml").out
     assert list(state.iterdir()) == [state / "history.db"]
 
@@ -73,7 +88,9 @@ def test_a_name_that_nobody_knows_is_refused_with_the_closest(run: Run, state: P
 @pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM])
 def test_events_are_followed_until_a_signal(state: Path, ending: signal.Signals) -> None:
     happen(state, Event(at=time.time(), kind=EventKind.HOST_LOST, host="edge1"))
-    process = subprocess.Popen([*EDGECTL, "events", "-w", "-o", "json"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        [*EDGECTL, "events", "-w", "-o", "json"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
     assert process.stdout is not None
     assert process.stderr is not None
     with process, process.stdout as out, process.stderr as err:
@@ -87,17 +104,29 @@ def test_events_are_followed_until_a_signal(state: Path, ending: signal.Signals)
 
 def test_followed_rows_stand_below_each_other_and_end_when_nobody_reads(state: Path) -> None:
     happen(state, Event(at=time.time(), kind=EventKind.HOST_LOST, host="edge1", message="no route"))
-    process = subprocess.Popen([*EDGECTL, "events", "-w"], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    process = subprocess.Popen(
+        [*EDGECTL, "events", "-w"], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    )
     assert process.stdout is not None
     with process:
         rows = [process.stdout.readline() for _ in range(2)]
-        happen(state, Event(at=time.time(), kind=EventKind.TASK_CRASHLOOP, host="edge1", task="slam-robot1", message="exit code 1"))
+        happen(
+            state,
+            Event(
+                at=time.time(),
+                kind=EventKind.TASK_CRASHLOOP,
+                host="edge1",
+                task="slam-robot1",
+                message="exit code 1",
+            ),
+        )
         rows.append(process.stdout.readline())
         process.stdout.close()
         happen(state, Event(at=time.time(), kind=EventKind.HOST_BACK, host="edge1"))
         assert process.wait(30) == 0
     places = [
-        (row.index(what), row.index(why)) for row, what, why in zip(rows, ("WHAT", "edge1", "slam"), ("MESS", "no r", "exit"), strict=True)
+        (row.index(what), row.index(why))
+        for row, what, why in zip(rows, ("WHAT", "edge1", "slam"), ("MESS", "no r", "exit"), strict=True)
     ]
     assert len(set(places)) == 1
 
@@ -115,9 +144,16 @@ def test_the_tables_and_the_queries_of_the_documentation_work(run: Run, state: P
     assert run("probe", "-o", "name").code == 0
     text = (ROOT / "docs" / "concepts" / "history.md").read_text()
     queries = re.findall(r"^```sql\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
-    named = set(re.findall(r"`([a-z_]+)`", "".join(re.findall(r"^\| (`[a-z_`, ]+) \| .* \| .* \|$", text, re.MULTILINE))))
+    named = set(
+        re.findall(
+            r"`([a-z_]+)`", "".join(re.findall(r"^\| (`[a-z_`, ]+) \| .* \| .* \|$", text, re.MULTILINE))
+        )
+    )
     with contextlib.closing(sqlite3.connect(f"file:{state / 'history.db'}?mode=ro", uri=True)) as connection:
-        names = {row[0] for row in connection.execute("SELECT name FROM sqlite_master WHERE type IN ('table', 'view')")}
+        names = {
+            row[0]
+            for row in connection.execute("SELECT name FROM sqlite_master WHERE type IN ('table', 'view')")
+        }
         assert {"host_samples", "task_samples", "events"} <= named <= names
         assert len(queries) == 3
         assert len({row[0] for query in queries for row in connection.execute(query)}) == 6

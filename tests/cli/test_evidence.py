@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from edgectl.evidence.measured import columns
-from edgectl.state.runs import save_run, save_trial
-from edgectl.views.columns import mean_latency
+from edgectl.experiments.files.run_directory import save_run, save_trial
+from edgectl.experiments.scheme_results import summarize_trials
+from edgectl.experiments.views.scheme_table import get_mean_latency_min
 from tests.cli.conftest import Run
 from tests.evidence.runs import a_run
 from tests.views.fixtures import ROOT
@@ -27,7 +27,18 @@ def measured(tmp_path: Path) -> Path:
 
 def test_the_model_stands_beside_what_was_measured(run: Run, measured: Path) -> None:
     said = run(
-        "simulate", SCENARIO, "-n", "2", "--policy", "local,static,paper", "--weights", "cpu", "--against", str(measured), "-o", "json"
+        "simulate",
+        SCENARIO,
+        "-n",
+        "2",
+        "--policy",
+        "local,static,paper",
+        "--weights",
+        "cpu",
+        "--against",
+        str(measured),
+        "-o",
+        "json",
     )
     assert (said.code, said.err) == (0, "")
     document = json.loads(said.out)
@@ -53,9 +64,17 @@ def test_the_text_says_measured_and_not_published(run: Run, measured: Path) -> N
     said = run("simulate", SCENARIO, "-n", "1", "--policy", "local,static", "--against", str(measured))
     assert said.code == 0
     lines = [line.split()[0:2] for line in said.out.splitlines()[:7]]
-    assert [words[0] for words in lines] == ["SCHEME", "local", "measured", "off", "static", "measured", "off"]
+    assert [words[0] for words in lines] == [
+        "SCHEME",
+        "local",
+        "measured",
+        "off",
+        "static",
+        "measured",
+        "off",
+    ]
     assert "published" not in said.out
-    local, static = (mean_latency(column) for column in columns(a_run())[:2])
+    local, static = (get_mean_latency_min(column) for column in summarize_trials(a_run())[:2])
     assert local
     assert static
     assert f"(measured {static / local:.2f})." in said.out

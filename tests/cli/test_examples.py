@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from edgectl.cli.app import COMMANDS, described
+from edgectl.cli.app import COMMANDS, split_docstring
 from tests.cli.terminal import Terminal
 from tests.docs.blocks import stopped
 
@@ -37,8 +37,8 @@ def examples() -> list[str]:
 
     found: list[str] = []
     for name, entry in COMMANDS.items():
-        function = getattr(import_module(f"edgectl.cli.{entry.module}"), f"{name.replace(' ', '_')}_command")
-        found += [line.strip() for line in described(function)[1].splitlines()]
+        function = getattr(import_module(f"edgectl.{entry.module}"), f"{name.replace(' ', '_')}_command")
+        found += [line.strip() for line in split_docstring(function)[1].splitlines()]
     early = [line for start in EARLY for line in found if line.startswith(start)]
     late = [line for start in LATE for line in found if line.startswith(start)]
     middle = [line for line in found if line not in (*FIRST, *early, *late)]
@@ -57,7 +57,9 @@ def run(line: str, site: Path, env: dict[str, str]) -> int:
             terminal.type("q")
             return terminal.wait()
     if line in ENDLESS:
-        process = subprocess.Popen(words, cwd=site, env=env, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+        process = subprocess.Popen(
+            words, cwd=site, env=env, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+        )
         assert process.stdout is not None
         with process.stdout as lines:
             assert any(b"alive" in lines.readline() for _ in range(3))
@@ -69,7 +71,13 @@ def run(line: str, site: Path, env: dict[str, str]) -> int:
     if line in SERVING:
         return serve([word.replace(":9815", ":0") for word in words], site, env)
     return subprocess.run(
-        words, cwd=site, env=env, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, check=False, timeout=300
+        words,
+        cwd=site,
+        env=env,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        check=False,
+        timeout=300,
     ).returncode
 
 

@@ -23,15 +23,15 @@ from pathlib import Path
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from edgectl.cli.serve import address_of
+from edgectl.cli.http_server import parse_listen_address
 from edgectl.errors import UsageError
+from edgectl.export.history_rows import RowKind
 from edgectl.export.metrics import METRICS
-from edgectl.export.rows import Kind
 from edgectl.model.event import Event, EventKind
 from edgectl.model.plan import Action
 from edgectl.model.result import ActionResult, Outcome, Results
 from edgectl.model.snapshot import Snapshot
-from edgectl.state.paths import fleet_dir
+from edgectl.state.paths import ensure_fleet_dir
 from edgectl.state.store import Store
 from edgectl.units import parse_instant
 from tests.cli.conftest import Run
@@ -89,7 +89,10 @@ def test_a_real_scrape_and_several_at_once_are_one_probe(site: Path, state: Path
 
 def test_each_scrape_probes_where_nothing_is_kept_and_ctrl_c_ends_it(site: Path, state: Path) -> None:
     with serving(site, "--every", "0s", "--timeout", "50s") as (url, process):
-        seen = [re.findall(rb"^edgectl_last_probe_timestamp_seconds (.*)$", get(url), re.MULTILINE) for _ in range(2)]
+        seen = [
+            re.findall(rb"^edgectl_last_probe_timestamp_seconds (.*)$", get(url), re.MULTILINE)
+            for _ in range(2)
+        ]
         assert seen[0] != seen[1]
         process.send_signal(signal.SIGINT)
         assert process.wait(30) == 0
@@ -118,7 +121,9 @@ def test_the_textfile_is_replaced_whole_and_readable_for_others(site: Path, stat
         os.umask(before)
     page = target.read_text()
     assert stat.S_IMODE(target.stat().st_mode) == 0o644
-    assert [line.split()[2] for line in page.splitlines() if line.startswith("# TYPE")] == [metric.name for metric in METRICS]
+    assert [line.split()[2] for line in page.splitlines() if line.startswith("# TYPE")] == [
+        metric.name for metric in METRICS
+    ]
     assert [path.name for path in site.iterdir() if "edgectl.prom" in path.name] == ["edgectl.prom"]
 
 
@@ -146,20 +151,29 @@ def test_a_silent_host_shows_in_the_page_and_in_the_exit_code(site: Path, state:
 
 @pytest.mark.parametrize(
     ("text", "address"),
-    [("9815", ("127.0.0.1", 9815)), (":9815", ("127.0.0.1", 9815)), ("0.0.0.0:1", ("0.0.0.0", 1)), ("[::1]:2", ("::1", 2))],
+    [
+        ("9815", ("127.0.0.1", 9815)),
+        (":9815", ("127.0.0.1", 9815)),
+        ("0.0.0.0:1", ("0.0.0.0", 1)),
+        ("[::1]:2", ("::1", 2)),
+    ],
 )
 def test_addresses(text: str, address: tuple[str, int]) -> None:
-    assert address_of(text) == address
+    assert parse_listen_address(text) == address
 
 
 @pytest.mark.parametrize("text", ["", "host", "host:", "host:x", "host:65536", "host:-1", "1:²"])
 def test_no_addresses(text: str) -> None:
     with pytest.raises(UsageError, match="cannot read the address"):
-        address_of(text)
+        parse_listen_address(text)
 
 
-@pytest.mark.parametrize(("words", "package", "name"), [(("export", "prometheus"), "prometheus_client", "metrics")])
-def test_a_missing_extra_is_named_with_what_installs_it(site: Path, state: Path, words: tuple[str, ...], package: str, name: str) -> None:
+@pytest.mark.parametrize(
+    ("words", "package", "name"), [(("export", "prometheus"), "prometheus_client", "metrics")]
+)
+def test_a_missing_extra_is_named_with_what_installs_it(
+    site: Path, state: Path, words: tuple[str, ...], package: str, name: str
+) -> None:
     code = f"import sys; sys.modules[{package!r}] = None; from edgectl.cli.main import main; sys.exit(main({list(words)!r}))"
     done = subprocess.run([sys.executable, "-c", code], cwd=site, capture_output=True, text=True, check=False)
     assert done.returncode == 64
@@ -175,7 +189,12 @@ def test_a_missing_extra_is_named_with_what_installs_it(site: Path, state: Path,
 def saying(snapshot: Snapshot) -> Snapshot:
     """The same, with something to say of every task."""
     hosts = {
-        name: dataclasses.replace(host, tasks={each: dataclasses.replace(task, metrics={"fps": 29.5}) for each, task in host.tasks.items()})
+        name: dataclasses.replace(
+            host,
+            tasks={
+                each: dataclasses.replace(task, metrics={"fps": 29.5}) for each, task in host.tasks.items()
+            },
+        )
         for name, host in snapshot.hosts.items()
     }
     return dataclasses.replace(snapshot, hosts=hosts)
@@ -184,8 +203,8 @@ def saying(snapshot: Snapshot) -> Snapshot:
 @pytest.fixture
 def recorded(site: Path, state: Path, run: Run) -> Path:
     """The history of two real probes, an hour apart and just now, a move and an event; the file."""
-    directory = fleet_dir(site / "inventories" / "local.yaml")
-    snapshot = saying(dataclasses.replace(fixtures.fleet()[2], memory=None))
+    directory = ensure_fleet_dir(site / "inventories" / "local.yaml")
+    snapshot = saying(dataclasses.replace(fixtures.fleet()[2], manager=None))
     with Store.open(directory) as store:
         store.record_snapshot(dataclasses.replace(snapshot, taken_at=time.time() - 3600.0))
         store.record_snapshot(dataclasses.replace(snapshot, taken_at=time.time()))
@@ -193,17 +212,21 @@ def recorded(site: Path, state: Path, run: Run) -> Path:
             task="slam-robot1", action=Action.MOVE, outcome=Outcome.DONE, host="edge2", previous_host="edge1", downtime_s=0.5, located="edge2"
         )  # fmt: skip
         store.record_results(fixtures.plan(), Results(revision=1, actions=(move,), seconds=1.0), time.time())
-        store.record_events([Event(at=time.time(), kind=EventKind.HOST_LOST, host="edge1", message='no "route", none')])
+        store.record_events(
+            [Event(at=time.time(), kind=EventKind.HOST_LOST, host="edge1", message='no "route", none')]
+        )
     return directory / "history.db"
 
 
-@pytest.mark.parametrize("kind", Kind)
-def test_rows_as_csv_and_json_lines_are_the_same(recorded: Path, run: Run, kind: Kind) -> None:
+@pytest.mark.parametrize("kind", RowKind)
+def test_rows_as_csv_and_json_lines_are_the_same(recorded: Path, run: Run, kind: RowKind) -> None:
     table, lines = run("export", "csv", kind.value), run("export", "jsonl", kind.value)
     assert (table.code, table.err, lines.code, lines.err) == (0, "", 0, "")
     rows = list(csv.DictReader(io.StringIO(table.out, newline="")))
     objects = [json.loads(line) for line in lines.out.splitlines()]
-    assert rows == [{key: "" if value is None else str(value) for key, value in each.items()} for each in objects]
+    assert rows == [
+        {key: "" if value is None else str(value) for key, value in each.items()} for each in objects
+    ]
     assert rows
     assert [parse_instant(row["at"]) for row in rows] == sorted(parse_instant(row["at"]) for row in rows)
 
@@ -226,15 +249,20 @@ def test_rows_into_a_file(recorded: Path, site: Path, run: Run) -> None:
 def test_nobody_reads_to_the_end(recorded: Path, site: Path) -> None:
     with sqlite3.connect(recorded) as database:
         database.executemany(
-            "INSERT INTO host_samples (host, at, status) VALUES ('edge1', ?, 'unreachable')", [(float(at),) for at in range(20_000)]
+            "INSERT INTO host_samples (host, at, status) VALUES ('edge1', ?, 'unreachable')",
+            [(float(at),) for at in range(20_000)],
         )
     database.close()
     command = f"{sys.executable} -m edgectl export jsonl hosts | head -n 2; exit ${{PIPESTATUS[0]}}"
-    done = subprocess.run(["bash", "-c", command], cwd=site, capture_output=True, text=True, check=False, timeout=60)
+    done = subprocess.run(
+        ["bash", "-c", command], cwd=site, capture_output=True, text=True, check=False, timeout=60
+    )
     assert (done.returncode, done.stdout.count("\n"), done.stderr) == (0, 2, "")
 
 
-def test_a_row_that_cannot_be_read_is_said_and_no_file_is_replaced(recorded: Path, site: Path, run: Run) -> None:
+def test_a_row_that_cannot_be_read_is_said_and_no_file_is_replaced(
+    recorded: Path, site: Path, run: Run
+) -> None:
     with sqlite3.connect(recorded) as database:
         database.execute("UPDATE host_samples SET status = 'sideways' WHERE host = 'robot3'")
     database.close()
@@ -248,5 +276,9 @@ def test_a_row_that_cannot_be_read_is_said_and_no_file_is_replaced(recorded: Pat
 
 
 def test_a_fleet_without_a_history_has_no_rows(site: Path, state: Path, run: Run) -> None:
-    assert run("export", "csv", "handoffs") == (0, "at,task,host,previous_host,outcome,downtime_s,duration_s\n", "")
+    assert run("export", "csv", "handoffs") == (
+        0,
+        "at,task,host,previous_host,outcome,downtime_s,duration_s\n",
+        "",
+    )
     assert run("export", "jsonl", "handoffs") == (0, "", "")

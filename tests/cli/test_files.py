@@ -9,23 +9,27 @@ from pathlib import Path
 
 import pytest
 
-from edgectl.config.load import load
-from edgectl.scaffold.write import FILES
+from edgectl.config.load import load_inventory_and_tasks
+from edgectl.scaffold.write import SCAFFOLD_FILES
 from tests.cli.conftest import Run
 from tests.views.fixtures import ROOT
 
 
-def test_init_writes_a_fleet_that_validates(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_init_writes_a_fleet_that_validates(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     target = tmp_path / "a b' $c: #d"
     said = run("init", str(target))
     assert said.code == 0
-    assert [line.removeprefix(f"wrote {target}/") for line in said.out.splitlines()] == list(FILES)
-    inventory, tasks, warnings = load(target / "inventories" / "local.yaml", [target / "tasks" / "demo.yaml"])
+    assert [line.removeprefix(f"wrote {target}/") for line in said.out.splitlines()] == list(SCAFFOLD_FILES)
+    inventory, tasks, warnings = load_inventory_and_tasks(
+        target / "inventories" / "local.yaml", [target / "tasks" / "demo.yaml"]
+    )
     assert (len(inventory.edges), len(inventory.robots), len(tasks.tasks), warnings) == (3, 3, 10, ())
     prelude = next(iter(inventory.hosts.values())).prelude
-    assert subprocess.run(["sh", "-c", prelude + "\npwd -P"], capture_output=True, text=True, check=True).stdout.strip() == str(
-        target.resolve()
-    )
+    assert subprocess.run(
+        ["sh", "-c", prelude + "\npwd -P"], capture_output=True, text=True, check=True
+    ).stdout.strip() == str(target.resolve())
     monkeypatch.chdir(target)
     assert run("validate").out == "ok: 3 edges, 3 robots, 10 tasks\n"
 
@@ -61,10 +65,10 @@ def test_a_wheel_holds_the_files_themselves(tmp_path: Path) -> None:
     ]
     subprocess.run(command, check=True, capture_output=True, timeout=110)
     with zipfile.ZipFile(next(tmp_path.glob("*.whl"))) as wheel:
-        for name in FILES[1:]:
+        for name in SCAFFOLD_FILES[1:]:
             assert wheel.read(f"edgectl/scaffold/{name}") == (ROOT / name).read_bytes()
         assert any(name.startswith("edgectl/agent/") for name in wheel.namelist())
-        assert "edgectl/evidence/page.html" in wheel.namelist()
+        assert "edgectl/experiments/report/page.html" in wheel.namelist()
 
 
 def test_validate_shows_every_mistake_in_each_form(run: Run, site: Path) -> None:
@@ -99,16 +103,28 @@ COMPLETIONS = {
 @pytest.mark.parametrize("line", COMPLETIONS)
 def test_tab_offers_names_from_the_files(site: Path, line: str) -> None:
     words = line.split(" ")
-    env = {**os.environ, "_EDGECTL_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": str(len(words) - 1)}
+    env = {
+        **os.environ,
+        "_EDGECTL_COMPLETE": "complete_bash",
+        "COMP_WORDS": line,
+        "COMP_CWORD": str(len(words) - 1),
+    }
     done = subprocess.run([sys.executable, "-c", "import sys; sys.argv=['edgectl']; from edgectl.cli.main import main; sys.exit(main([]))"],
                           env=env, capture_output=True, text=True, check=False)  # fmt: skip
     assert sorted(done.stdout.split()) == COMPLETIONS[line], done.stderr
 
 
 def test_tab_is_quiet_where_there_are_no_files(tmp_path: Path) -> None:
-    env = {**os.environ, "_EDGECTL_COMPLETE": "complete_bash", "COMP_WORDS": "edgectl cordon e", "COMP_CWORD": "2"}
+    env = {
+        **os.environ,
+        "_EDGECTL_COMPLETE": "complete_bash",
+        "COMP_WORDS": "edgectl cordon e",
+        "COMP_CWORD": "2",
+    }
     code = "import sys; sys.argv=['edgectl']; from edgectl.cli.main import main; sys.exit(main([]))"
-    done = subprocess.run([sys.executable, "-c", code], env=env, cwd=tmp_path, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=env, cwd=tmp_path, capture_output=True, text=True, check=False
+    )
     assert (done.stdout.strip(), done.stderr) == ("", "")
 
 

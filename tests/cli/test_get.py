@@ -22,10 +22,13 @@ def test_get_lists_what_the_files_state(run: Run, site: Path) -> None:
         0,
         [["NAME", "STATUS"], ["edge1", "ok"], ["edge2", "ok"], ["edge3", "ok"]],
     )
-    assert run("get", "l", "edge1", "-o", "name").out == "link/edge1/robot1\nlink/edge1/robot2\nlink/edge1/robot3\n"
-    assert run("get", "task", "-l", "task in (detection, map-merge),task!=map-merge", "-o", "name").out.split() == [
-        f"task/detection-robot{number}" for number in (1, 2, 3)
-    ]
+    assert (
+        run("get", "l", "edge1", "-o", "name").out
+        == "link/edge1/robot1\nlink/edge1/robot2\nlink/edge1/robot3\n"
+    )
+    assert run(
+        "get", "task", "-l", "task in (detection, map-merge),task!=map-merge", "-o", "name"
+    ).out.split() == [f"task/detection-robot{number}" for number in (1, 2, 3)]
     items = json.loads(run("get", "tasks", "map-merge", "-o", "json").out)["items"]
     assert [(item["name"], item["state"]) for item in items] == [("map-merge", "not running")]
 
@@ -33,12 +36,19 @@ def test_get_lists_what_the_files_state(run: Run, site: Path) -> None:
 def test_get_refuses_what_there_is_not(run: Run, site: Path) -> None:
     assert run("get", "edgs").err == "error: unknown kind 'edgs'\nhint: did you mean edges?\n"
     assert run("get", "edges", "edge9").err.startswith("error: unknown edge 'edge9'\nhint: did you mean edge")
-    assert run("get", "tasks", "slam-robot7").err.startswith("error: unknown task 'slam-robot7'\nhint: did you mean slam-robot")
+    assert run("get", "tasks", "slam-robot7").err.startswith(
+        "error: unknown task 'slam-robot7'\nhint: did you mean slam-robot"
+    )
     assert run("get", "tasks", "-w", "-o", "yaml").code == 64
     assert run("get", "tasks", "--every", "x").code == run("top", "tasks", "--every", "x").code == 64
     assert run("get", "edges", "-l", "a b").code == 64
-    assert run("get", "edges", "-w", "--every", "0").err == "error: --every 0 is too often\nhint: write 100ms or more\n"
-    assert run("top").err == "error: edgectl top needs a further word\nhint: write edgectl top hosts or tasks\n"
+    assert (
+        run("get", "edges", "-w", "--every", "0").err
+        == "error: --every 0 is too often\nhint: write 100ms or more\n"
+    )
+    assert (
+        run("top").err == "error: edgectl top needs a further word\nhint: write edgectl top hosts or tasks\n"
+    )
 
 
 def test_get_w_tells_changes_one_object_per_line_and_ends_well(site: Path) -> None:
@@ -46,8 +56,12 @@ def test_get_w_tells_changes_one_object_per_line_and_ends_well(site: Path) -> No
     with subprocess.Popen(words, cwd=site, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         first = [json.loads(process.stdout.readline()) for _ in range(3)]
-        assert [(line["type"], line["object"]["name"]) for line in first] == [("ADDED", f"edge{number}") for number in (1, 2, 3)]
-        subprocess.run([*EDGECTL, "cordon", "edge2"], cwd=site, check=True, stdout=subprocess.DEVNULL, timeout=60)
+        assert [(line["type"], line["object"]["name"]) for line in first] == [
+            ("ADDED", f"edge{number}") for number in (1, 2, 3)
+        ]
+        subprocess.run(
+            [*EDGECTL, "cordon", "edge2"], cwd=site, check=True, stdout=subprocess.DEVNULL, timeout=60
+        )
         changed = next(line for line in map(json.loads, process.stdout) if line["object"]["name"] == "edge2")
         assert (changed["type"], changed["object"]["closed"]) == ("MODIFIED", "cordoned")
         process.send_signal(signal.SIGINT)
@@ -96,7 +110,9 @@ def test_top_w_draws_in_place_and_leaves_the_terminal_as_it_was(site: Path, end:
         assert terminal.wait() == 0
         shown, _, after = terminal.seen.rpartition("\x1b[?25h\x1b[?1049l")
         assert "robot3" in shown
-        assert after.replace("\x1b[32mok\x1b[0m", "ok").splitlines()[0].split()[:2] == ["NAME", "STATUS"], "the last look stays"
+        assert after.replace("\x1b[32mok\x1b[0m", "ok").splitlines()[0].split()[:2] == ["NAME", "STATUS"], (
+            "the last look stays"
+        )
 
 
 def test_describe_ends_with_the_last_events(run: Run, site: Path) -> None:
@@ -105,6 +121,11 @@ def test_describe_ends_with_the_last_events(run: Run, site: Path) -> None:
     assert "\nCapacity:      0.30 cores, 512.0Mi (declared)\n" in text
     assert "\nEvents:" in text
     assert json.loads(run("describe", "robot", "robot1", "-o", "json").out)["name"] == "robot1"
-    assert "\nState:        not running\nDecision:     start: " in run("describe", "task", "detection-robot1").out
+    assert (
+        "\nState:        not running\nDecision:     start: "
+        in run("describe", "task", "detection-robot1").out
+    )
     assert run("describe", "edge", "robot1").err.startswith("error: unknown edge 'robot1'\n")
-    assert run("describe", "task", "slam-robot9").err.startswith("error: unknown task 'slam-robot9'\nhint: did you mean slam-robot")
+    assert run("describe", "task", "slam-robot9").err.startswith(
+        "error: unknown task 'slam-robot9'\nhint: did you mean slam-robot"
+    )

@@ -14,7 +14,11 @@ from tests.docs.reference import PAGE, page
 def shown(command: str) -> str:
     env = {**os.environ, "COLUMNS": "80"}
     return subprocess.run(
-        [sys.executable, "-m", "edgectl", *command.split(), "--help"], env=env, capture_output=True, text=True, check=True
+        [sys.executable, "-m", "edgectl", *command.split(), "--help"],
+        env=env,
+        capture_output=True,
+        text=True,
+        check=True,
     ).stdout
 
 

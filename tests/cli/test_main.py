@@ -11,14 +11,23 @@ from pathlib import Path
 
 import pytest
 
-from edgectl.cli import files
+from edgectl.cli import offline_commands
 from tests.cli.conftest import Run
 
 EDGECTL = [sys.executable, "-m", "edgectl"]
 
 
 @pytest.mark.parametrize(
-    "words", [(), ("nonsense",), ("plan", "--nonsense"), ("plan", "-o", "jsn"), ("logs",), ("stop",), ("completion", "tcsh")]
+    "words",
+    [
+        (),
+        ("nonsense",),
+        ("plan", "--nonsense"),
+        ("plan", "-o", "jsn"),
+        ("logs",),
+        ("stop",),
+        ("completion", "tcsh"),
+    ],
 )
 def test_usage_errors_end_with_64_and_say_where_help_is(run: Run, site: Path, words: tuple[str, ...]) -> None:
     said = run(*words)
@@ -35,13 +44,19 @@ def test_a_typo_is_answered_with_the_command_that_was_meant(run: Run) -> None:
 
 
 def test_errors_are_json_where_json_was_asked_for(run: Run, site: Path) -> None:
-    for words in (("plan", "--snapshot", "no.json", "-o", "json"), ("plan", "--nonsense", "--output=json"), ("nonsense", "-ojson")):
+    for words in (
+        ("plan", "--snapshot", "no.json", "-o", "json"),
+        ("plan", "--nonsense", "--output=json"),
+        ("nonsense", "-ojson"),
+    ):
         said = run(*words)
         document = json.loads(said.err)
         assert (said.code, document["error"]["exit_code"], said.out) == (64, 64, "")
 
 
-def test_the_environment_chooses_the_form_of_errors_too(run: Run, site: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_environment_chooses_the_form_of_errors_too(
+    run: Run, site: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("EDGECTL_OUTPUT", "json")
     assert json.loads(run("plan", "--nonsense").err)["error"]["kind"] == "usage"
 
@@ -50,7 +65,7 @@ def test_a_bug_is_one_line_with_a_way_to_see_more(run: Run, monkeypatch: pytest.
     def broken() -> None:
         raise ZeroDivisionError("surprise\nsecond line")
 
-    monkeypatch.setattr(files, "version_command", broken)
+    monkeypatch.setattr(offline_commands, "version_command", broken)
     said = run("version")
     assert (said.code, said.err) == (
         1,
@@ -63,16 +78,28 @@ def test_a_bug_is_one_line_with_a_way_to_see_more(run: Run, monkeypatch: pytest.
 
 def test_a_full_disk_is_no_bug_of_ours(site: Path) -> None:
     script = '"$@" plan --snapshot snap.json >/dev/full'
-    said = subprocess.run(["sh", "-c", script, "sh", *EDGECTL], capture_output=True, text=True, timeout=120, check=False)
+    said = subprocess.run(
+        ["sh", "-c", script, "sh", *EDGECTL], capture_output=True, text=True, timeout=120, check=False
+    )
     assert said.returncode == 1
-    assert said.stderr == "error: No space left on device\nhint: free some space; what runs on the hosts is not affected\n"
+    assert (
+        said.stderr
+        == "error: No space left on device\nhint: free some space; what runs on the hosts is not affected\n"
+    )
 
 
 @pytest.mark.parametrize(("closed", "code"), [("<&-", 64), (">&-", 64), ("2>&-", 64), ("<&- >&- 2>&-", 64)])
 def test_closed_streams_do_no_harm(site: Path, closed: str, code: int) -> None:
-    script = f'"$@" plan --snapshot snap.json {closed} && "$@" trust edge1 {closed} && "$@" stop --all {closed}'
+    script = (
+        f'"$@" plan --snapshot snap.json {closed} && "$@" trust edge1 {closed} && "$@" stop --all {closed}'
+    )
     said = subprocess.run(
-        ["sh", "-c", script, "sh", *EDGECTL], stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=60, check=False
+        ["sh", "-c", script, "sh", *EDGECTL],
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
     )
     assert said.returncode == code
     assert "unexpected" not in said.stderr
@@ -82,7 +109,7 @@ def test_ctrl_c_ends_with_130_and_no_traceback(run: Run, monkeypatch: pytest.Mon
     def interrupted() -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(files, "version_command", interrupted)
+    monkeypatch.setattr(offline_commands, "version_command", interrupted)
     assert run("version") == (130, "", "interrupted\n")
 
 
@@ -107,7 +134,10 @@ def has_children(pid: int) -> bool:
 
 def test_a_real_ctrl_c_during_a_probe(site: Path) -> None:
     process = subprocess.Popen(
-        [*EDGECTL, "probe", "--window", "20s", "--timeout", "25s"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [*EDGECTL, "probe", "--window", "20s", "--timeout", "25s"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
     )
     begun = time.monotonic()
     while not has_children(process.pid):
@@ -138,13 +168,19 @@ def test_a_narrow_encoding_is_no_error(tmp_path: Path) -> None:
     (tmp_path / "lab.yaml").write_text("version: 1\nedges: {caf\u00e9: {host: a}}\n", encoding="utf-8")
     env = {**os.environ, "PYTHONIOENCODING": "ascii:strict"}
     done = subprocess.run(
-        [*EDGECTL, "validate", "-i", "lab.yaml", "-t", "lab.yaml"], cwd=tmp_path, env=env, capture_output=True, check=False
+        [*EDGECTL, "validate", "-i", "lab.yaml", "-t", "lab.yaml"],
+        cwd=tmp_path,
+        env=env,
+        capture_output=True,
+        check=False,
     )
     assert done.returncode == 64
     assert b"caf\\xe9" in done.stderr
 
 
-def test_no_colour_without_a_terminal_unless_forced(run: Run, site: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_colour_without_a_terminal_unless_forced(
+    run: Run, site: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     assert "\x1b" not in run("plan", "--snapshot", "snap.json").out
     monkeypatch.setenv("FORCE_COLOR", "1")
     assert "\x1b[33m~" in run("plan", "--snapshot", "snap.json").out

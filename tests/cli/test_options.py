@@ -3,18 +3,22 @@
 import pytest
 
 from edgectl import __version__
-from edgectl.transport.trust import key_file
+from edgectl.transport.trust import get_public_key_path
 from tests.cli.conftest import Run
 
 
-@pytest.mark.parametrize("words", [("plan", "-o", "html"), ("plan", "-o", "github"), ("plan", "--output=github")])
+@pytest.mark.parametrize(
+    "words", [("plan", "-o", "html"), ("plan", "-o", "github"), ("plan", "--output=github")]
+)
 def test_a_form_that_a_command_has_not_is_refused_with_those_it_has(run: Run, words: tuple[str, ...]) -> None:
     said = run(*words)
     assert (said.code, said.out) == (64, "")
     assert said.err.endswith(" form of this\nhint: write -o table, wide, json, yaml, name or markdown\n")
 
 
-def test_the_environment_may_ask_for_more_than_a_command_has(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_environment_may_ask_for_more_than_a_command_has(
+    run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("EDGECTL_OUTPUT", "wide")
     assert run("version").code == 0
     monkeypatch.setenv("EDGECTL_OUTPUT", "name")
@@ -27,7 +31,13 @@ def test_version(run: Run) -> None:
 
 @pytest.mark.parametrize(
     ("kind", "file"),
-    [("ssh-ed25519", "ed25519"), ("ecdsa-sha2-nistp256", "ecdsa"), ("rsa-sha2-512", "rsa"), ("ssh-dss", "dsa"), ("new", "*")],
+    [
+        ("ssh-ed25519", "ed25519"),
+        ("ecdsa-sha2-nistp256", "ecdsa"),
+        ("rsa-sha2-512", "rsa"),
+        ("ssh-dss", "dsa"),
+        ("new", "*"),
+    ],
 )
 def test_the_file_of_a_host_key(kind: str, file: str) -> None:
-    assert key_file(kind) == f"/etc/ssh/ssh_host_{file}_key.pub"
+    assert get_public_key_path(kind) == f"/etc/ssh/ssh_host_{file}_key.pub"

@@ -40,7 +40,9 @@ def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 def where(run: Run) -> list[str]:
     hosts = json.loads(run("status", "-o", "json").out)["hosts"]
-    return [name for name, host in hosts.items() for task in host["tasks"].values() if task["state"] == "running"]
+    return [
+        name for name, host in hosts.items() for task in host["tasks"].values() if task["state"] == "running"
+    ]
 
 
 def test_history_show_drain_rollback(run: Run, small: Path) -> None:
@@ -85,7 +87,9 @@ def test_history_show_drain_rollback(run: Run, small: Path) -> None:
 
 def test_a_drain_that_leaves_something_behind_exits_4(run: Run, small: Path) -> None:
     run("apply", "--yes")
-    (small / "inventories" / "lab.yaml").write_text(INVENTORY.replace("127.0.0.2, connection: local, capacity: {cpu: 1,", SMALL))
+    (small / "inventories" / "lab.yaml").write_text(
+        INVENTORY.replace("127.0.0.2, connection: local, capacity: {cpu: 1,", SMALL)
+    )
     said = run("drain", "edge1", "--yes", "--timeout", "1s")
     assert (said.code, said.err) == (4, "still on edge1: idle\n")
     assert where(run) == ["edge1"]

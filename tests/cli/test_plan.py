@@ -85,7 +85,19 @@ def test_without_asks_what_if(run: Run, site: Path) -> None:
 
 
 def test_policy_and_weights_stand_in_the_plan(run: Run, site: Path) -> None:
-    document = json.loads(run(*PLAN, "--policy", "paper", "--weights", "cpu=1,network=3", "--best-effort", "--full", "-o", "json").out)
+    document = json.loads(
+        run(
+            *PLAN,
+            "--policy",
+            "paper",
+            "--weights",
+            "cpu=1,network=3",
+            "--best-effort",
+            "--full",
+            "-o",
+            "json",
+        ).out
+    )
     assert document["policy"] == "paper"
     assert document["weights"] == {"cpu": 0.25, "memory": 0, "network": 0.75, "task": 0}
     assert document["options"]["best_effort"] is True
@@ -102,22 +114,31 @@ def test_policy_and_weights_stand_in_the_plan(run: Run, site: Path) -> None:
         (("--snapshot", "inventories/local.yaml"), "error[EC", "hint: "),
     ],
 )
-def test_bad_options_say_what_to_write(run: Run, site: Path, words: tuple[str, ...], error: str, hint: str) -> None:
+def test_bad_options_say_what_to_write(
+    run: Run, site: Path, words: tuple[str, ...], error: str, hint: str
+) -> None:
     said = run(*PLAN, *words)
     assert (said.code, said.out) == (64, "")
     assert error in said.err
     assert hint in said.err
 
 
-def test_files_come_from_options_environment_or_the_only_file(run: Run, site: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_files_come_from_options_environment_or_the_only_file(
+    run: Run, site: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     plain = run(*PLAN).out
     (site / "inventories" / "local.yaml").rename(site / "lab.yaml")
     said = run(*PLAN)
-    assert (said.code, said.err.splitlines()[0]) == (64, "error: no inventory given, and there is none in inventories/")
+    assert (said.code, said.err.splitlines()[0]) == (
+        64,
+        "error: no inventory given, and there is none in inventories/",
+    )
     assert run(*PLAN, "-i", "lab.yaml").out == plain
     monkeypatch.setenv("EDGECTL_INVENTORY", "lab.yaml")
     assert run(*PLAN, "-t", "tasks").out == plain
-    (site / "tasks" / "more.yaml").write_text("version: 1\ntasks: {extra: {command: 'true', demand: {cpu: 0.01}}}\n")
+    (site / "tasks" / "more.yaml").write_text(
+        "version: 1\ntasks: {extra: {command: 'true', demand: {cpu: 0.01}}}\n"
+    )
     said = run(*PLAN)
     assert said.err.splitlines()[0] == "error: no task file given, and tasks/ holds 2: demo.yaml, more.yaml"
     assert "11 to start" not in run(*PLAN, "-t", "tasks").out
@@ -158,10 +179,14 @@ def test_a_plan_is_saved_through_a_link_and_into_a_pipe(run: Run, site: Path) ->
         os.close(reader)
 
 
-def test_an_unmanaged_task_that_runs_nowhere_is_not_called_left_out_or_completed(run: Run, site: Path) -> None:
+def test_an_unmanaged_task_that_runs_nowhere_is_not_called_left_out_or_completed(
+    run: Run, site: Path
+) -> None:
     with (site / "tasks" / "demo.yaml").open("a") as tasks:
         tasks.write("  pose: {managed: false, detect: {cmdline: pose_node}, demand: {cpu: 0, memory: 0}}\n")
     said = run(*PLAN).out.splitlines()
-    assert [line[line.index("none:") :] for line in said if " pose " in line] == ["none: not managed by edgectl, and found nowhere"]
+    assert [line[line.index("none:") :] for line in said if " pose " in line] == [
+        "none: not managed by edgectl, and found nowhere"
+    ]
     assert said[-1].endswith("1 not managed and found nowhere.")
     assert "completed before" not in said[-1]

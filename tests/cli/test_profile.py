@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from edgectl.config.load import load
+from edgectl.config.load import load_inventory_and_tasks
 from edgectl.errors import FileError
-from edgectl.state.paths import fleet_dir
+from edgectl.state.paths import ensure_fleet_dir
 from edgectl.state.store import Store
 from tests.builders import GI, NOW, a_run, a_sample, a_snapshot
 from tests.cli.conftest import Run
@@ -24,9 +24,7 @@ tasks:
     demand: {cpu: 35.2%, memory: "1Gi"}   # guessed
   idle: {command: x}
 """
-INVENTORY = (
-    "version: 1\nedges: {edge1: {host: a}, edge2: {host: b}}\nrobots: {robot1: {host: c, probe: false}, robot2: {host: d, probe: false}}\n"
-)
+INVENTORY = "version: 1\nedges: {edge1: {host: a}, edge2: {host: b}}\nrobots: {robot1: {host: c, probe: false}, robot2: {host: d, probe: false}}\n"
 
 
 @pytest.fixture
@@ -41,11 +39,16 @@ def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def remember(site: Path, *, samples: int = 100) -> None:
     """slam-robot1 used up to 1 core on edge1; slam-robot2 twice that on edge2, which is of another class."""
-    _, tasks, _ = load(site / "inventories" / "lab.yaml", site / "tasks" / "tasks.yaml")
-    with Store.open(fleet_dir(site / "inventories" / "lab.yaml")) as store:
+    _, tasks, _ = load_inventory_and_tasks(site / "inventories" / "lab.yaml", site / "tasks" / "tasks.yaml")
+    with Store.open(ensure_fleet_dir(site / "inventories" / "lab.yaml")) as store:
         for n in range(samples):
             runs = {
-                name: a_run(spec_hash=tasks.tasks[name].spec_hash, started_at=NOW - 60, used_cores=times * (n + 1) / 100, used_bytes=GI / 4)
+                name: a_run(
+                    spec_hash=tasks.tasks[name].spec_hash,
+                    started_at=NOW - 60,
+                    used_cores=times * (n + 1) / 100,
+                    used_bytes=GI / 4,
+                )
                 for name, times in (("slam-robot1", 1), ("slam-robot2", 2))
             }
             store.record_snapshot(a_snapshot(
@@ -82,7 +85,10 @@ def test_the_greatest_of_the_group_is_written_and_nothing_else(site: Path, run: 
     said = run("profile", "slam-robot1", "--write", "--yes")
     assert said.code == 0
     assert "slam is one entry for slam-robot1, slam-robot2: it gets the greatest p95 of them" in said.err
-    assert '-    demand: {cpu: 35.2%, memory: "1Gi"}   # guessed\n+    demand: {cpu: 1.9, memory: "256Mi"}   # guessed\n' in said.err
+    assert (
+        '-    demand: {cpu: 35.2%, memory: "1Gi"}   # guessed\n+    demand: {cpu: 1.9, memory: "256Mi"}   # guessed\n'
+        in said.err
+    )
     assert file.read_text() == TASKS.replace('{cpu: 35.2%, memory: "1Gi"}', '{cpu: 1.9, memory: "256Mi"}')
     assert file.stat().st_mode & 0o777 == 0o640
     assert run("profile", "slam", "--write", "--yes").err == "tasks/tasks.yaml says so already\n"
@@ -92,7 +98,10 @@ def test_the_greatest_of_the_group_is_written_and_nothing_else(site: Path, run: 
 def test_only_yes_is_a_yes(site: Path) -> None:
     remember(site)
     words = [sys.executable, "-m", "edgectl", "profile", "slam", "--write"]
-    for answer, text in (("no\n", TASKS), ("yes\n", TASKS.replace('{cpu: 35.2%, memory: "1Gi"}', '{cpu: 1.9, memory: "256Mi"}'))):
+    for answer, text in (
+        ("no\n", TASKS),
+        ("yes\n", TASKS.replace('{cpu: 35.2%, memory: "1Gi"}', '{cpu: 1.9, memory: "256Mi"}')),
+    ):
         with Terminal(words, site, env={**os.environ, "TERM": "xterm"}) as terminal:
             terminal.until('Only "yes" is accepted: ')
             terminal.type(answer)
@@ -111,23 +120,21 @@ def test_too_few_samples_and_no_terminal_are_refused(site: Path, run: Run) -> No
 
 
 def test_a_file_that_changed_meanwhile_is_left_alone(site: Path) -> None:
-    from edgectl.cli.inputs import replaced
+    from edgectl.cli.user_files import replace_file_text
 
     file = site / "tasks" / "tasks.yaml"
     with pytest.raises(FileError, match="changed meanwhile"):
-        replaced(file, TASKS + "# more\n", "version: 1\n")
+        replace_file_text(file, TASKS + "# more\n", "version: 1\n")
     assert file.read_text() == TASKS
     file.write_bytes("\ufeffversion: 1\r\n".encode())
-    replaced(file, "version: 1\r\n", "version: 2\r\n")
+    replace_file_text(file, "version: 1\r\n", "version: 2\r\n")
     assert file.read_bytes() == "\ufeffversion: 2\r\n".encode()
     assert len(list(file.parent.iterdir())) == 1
 
 
 def test_a_line_with_a_secret_is_not_shown(site: Path, run: Run) -> None:
     file = site / "tasks" / "tasks.yaml"
-    flow = (
-        "version: 1\ntasks:\n  slam: {for_each: robot, command: run, env: {T: {value: hush, secret: true}}, demand: {cpu: 1, memory: 1}}\n"
-    )
+    flow = "version: 1\ntasks:\n  slam: {for_each: robot, command: run, env: {T: {value: hush, secret: true}}, demand: {cpu: 1, memory: 1}}\n"
     file.write_text(flow)
     remember(site)
     said = run("profile", "slam", "--write", "--yes")

@@ -27,7 +27,10 @@ class Fleet:
         self.write(INVENTORY, IDLE)
 
     def write(self, inventory: str, *tasks: str) -> None:
-        for name, text in (("inventories/lab.yaml", inventory), ("tasks/lab.yaml", "version: 1\ntasks:\n" + "".join(tasks))):
+        for name, text in (
+            ("inventories/lab.yaml", inventory),
+            ("tasks/lab.yaml", "version: 1\ntasks:\n" + "".join(tasks)),
+        ):
             (self.site / name).parent.mkdir(exist_ok=True)
             (self.site / name).write_text(text)
 
@@ -104,10 +107,10 @@ def test_what_is_wrong_with_the_files_is_said_and_64(fleet: Fleet) -> None:
 
 def test_a_lock_that_is_held_is_said_and_75(fleet: Fleet, tmp_path: Path) -> None:
     from edgectl.state.lock import FleetLock
-    from edgectl.state.paths import fleet_dir
+    from edgectl.state.paths import ensure_fleet_dir
 
     fleet.run(*QUIET)
-    with FleetLock(fleet_dir(tmp_path / "inventories" / "lab.yaml"), verb="drain"):
+    with FleetLock(ensure_fleet_dir(tmp_path / "inventories" / "lab.yaml"), verb="drain"):
         said = fleet.run(*QUIET)
     assert (said.code, said.out) == (75, "")
     assert said.err.startswith("error: lock held by ")

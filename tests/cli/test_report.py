@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from edgectl.model.experiment import Run as Measured
-from edgectl.state.runs import save_run, save_trial
+from edgectl.experiments.files.run_directory import save_run, save_trial
+from edgectl.experiments.model.experiment import ExperimentRun as Measured
 from tests.cli.conftest import Run
 from tests.evidence.runs import SCHEMES, a_run
 
@@ -41,7 +41,9 @@ def test_figures_are_files_of_their_own(run: Run) -> None:
     written = [Path(line) for line in said.out.splitlines()]
     assert written[0] == Path("page.html")
     assert not (directory / "report.html").exists()
-    assert sorted(path.name for path in Path("paper/figures").iterdir()) == sorted(path.name for path in written[1:])
+    assert sorted(path.name for path in Path("paper/figures").iterdir()) == sorted(
+        path.name for path in written[1:]
+    )
     assert {path.suffix for path in written[1:]} == {".svg", ".pdf"}
     assert all(path.stat().st_size > 1000 for path in written)
 

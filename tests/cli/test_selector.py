@@ -2,7 +2,7 @@
 
 import pytest
 
-from edgectl.cli.selector import matches
+from edgectl.cli.selector import matches_selector
 from edgectl.errors import UsageError
 
 LABELS = {"gpu": "maxwell", "lab/room": "b2", "bare": ""}
@@ -32,13 +32,25 @@ LABELS = {"gpu": "maxwell", "lab/room": "b2", "bare": ""}
     ],
 )
 def test_what_holds(selector: str, held: bool) -> None:
-    assert matches(selector, LABELS) is held
+    assert matches_selector(selector, LABELS) is held
 
 
 @pytest.mark.parametrize(
-    "selector", ["", "gpu=maxwell,", "gpu in", "gpu in maxwell", "gpu in (a", "!gpu=x", "a b", "=x", "gpu inside (x)", "a=b=c"]
+    "selector",
+    [
+        "",
+        "gpu=maxwell,",
+        "gpu in",
+        "gpu in maxwell",
+        "gpu in (a",
+        "!gpu=x",
+        "a b",
+        "=x",
+        "gpu inside (x)",
+        "a=b=c",
+    ],
 )
 def test_what_is_none(selector: str) -> None:
     with pytest.raises(UsageError) as caught:
-        matches(selector, LABELS)
+        matches_selector(selector, LABELS)
     assert "a in (b,c)" in caught.value.hint

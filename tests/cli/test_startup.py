@@ -28,9 +28,17 @@ HEAVY = {
 def imported(site: Path, *words: str) -> set[str]:
     """Top-level packages that a command imports."""
     done = subprocess.run(
-        [sys.executable, "-X", "importtime", "-m", "edgectl", *words], cwd=site, capture_output=True, text=True, check=True
+        [sys.executable, "-X", "importtime", "-m", "edgectl", *words],
+        cwd=site,
+        capture_output=True,
+        text=True,
+        check=True,
     )
-    return {line.rpartition("|")[2].strip().partition(".")[0] for line in done.stderr.splitlines() if line.startswith("import time:")}
+    return {
+        line.rpartition("|")[2].strip().partition(".")[0]
+        for line in done.stderr.splitlines()
+        if line.startswith("import time:")
+    }
 
 
 @pytest.mark.parametrize(
@@ -58,4 +66,11 @@ def test_a_plan_from_a_snapshot_needs_no_ssh_and_no_colours(site: Path) -> None:
 
 
 def test_a_local_fleet_needs_no_ssh(site: Path) -> None:
-    assert not imported(site, "probe", "-o", "name") & {"fabric", "paramiko", "invoke", "cryptography", "prometheus_client", "textual"}
+    assert not imported(site, "probe", "-o", "name") & {
+        "fabric",
+        "paramiko",
+        "invoke",
+        "cryptography",
+        "prometheus_client",
+        "textual",
+    }

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from edgectl.cli.main import spelled_out
+from edgectl.cli.main import expand_top_shorthand
 from tests.cli.conftest import Run
 from tests.cli.terminal import Terminal
 
@@ -20,7 +20,13 @@ TOP = [sys.executable, "-m", "edgectl", "top", "-i"]
 @pytest.fixture
 def env(tmp_path: Path) -> dict[str, str]:
     # Names of hosts stand in one piece where nothing is coloured in between.
-    return {**os.environ, "EDGECTL_STATE_DIR": str(tmp_path / "state"), "COLUMNS": "80", "LINES": "24", "TERM": "xterm-256color"}
+    return {
+        **os.environ,
+        "EDGECTL_STATE_DIR": str(tmp_path / "state"),
+        "COLUMNS": "80",
+        "LINES": "24",
+        "TERM": "xterm-256color",
+    }
 
 
 def test_live_until_q(site: Path, env: dict[str, str]) -> None:
@@ -39,7 +45,9 @@ def test_live_until_q(site: Path, env: dict[str, str]) -> None:
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
-def test_a_signal_ends_it_with_the_terminal_as_it_was(site: Path, env: dict[str, str], number: signal.Signals) -> None:
+def test_a_signal_ends_it_with_the_terminal_as_it_was(
+    site: Path, env: dict[str, str], number: signal.Signals
+) -> None:
     with Terminal(TOP, site, env=env, limit_s=90.0) as terminal:
         terminal.until("robot3")
         terminal.process.send_signal(number)
@@ -66,11 +74,16 @@ def test_not_without_a_terminal_nor_without_the_extra(site: Path, env: dict[str,
 
 
 def test_words_of_top() -> None:
-    assert spelled_out(["top", "-i", "-i", "x.yaml"]) == ["top", "hosts", "-I", "-i", "x.yaml"]
-    assert spelled_out(["top", "hosts", "-i", "x.yaml"]) == ["top", "hosts", "-i", "x.yaml"]
-    assert spelled_out(["top"]) == ["top"]
+    assert expand_top_shorthand(["top", "-i", "-i", "x.yaml"]) == ["top", "hosts", "-I", "-i", "x.yaml"]
+    assert expand_top_shorthand(["top", "hosts", "-i", "x.yaml"]) == ["top", "hosts", "-i", "x.yaml"]
+    assert expand_top_shorthand(["top"]) == ["top"]
 
 
 def test_nothing_of_it_is_imported_before(site: Path, env: dict[str, str]) -> None:
     code = "import sys; from edgectl.cli.main import main; main(['top', 'hosts', '-h']); sys.exit('textual' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], cwd=site, env=env, capture_output=True, check=False).returncode == 0
+    assert (
+        subprocess.run(
+            [sys.executable, "-c", code], cwd=site, env=env, capture_output=True, check=False
+        ).returncode
+        == 0
+    )

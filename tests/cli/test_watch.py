@@ -33,7 +33,11 @@ LIMIT_S = 60.0
 
 def entries(state: Path) -> list[dict[str, object]]:
     """The journal as it stands."""
-    return [json.loads(line[65:]) for path in state.glob("fleets/*/journal.jsonl") for line in path.read_text().splitlines()]
+    return [
+        json.loads(line[65:])
+        for path in state.glob("fleets/*/journal.jsonl")
+        for line in path.read_text().splitlines()
+    ]
 
 
 @pytest.fixture
@@ -93,7 +97,9 @@ def test_a_signal_ends_it_and_the_terminal_is_as_before(one: Path, number: signa
 
 def test_sigterm_lets_the_running_action_finish(one: Path) -> None:
     (one / "tasks" / "one.yaml").write_text(SLOW)
-    with subprocess.Popen(words("--apply", "--every", "1h"), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        words("--apply", "--every", "1h"), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
         deadline = time.monotonic() + LIMIT_S
         while not any(entry["event"] == "phase" for entry in entries(one / "state")):
             assert process.poll() is None
@@ -118,17 +124,27 @@ def test_off_a_terminal_a_line_where_something_happened_and_nothing_else(one: Pa
 
 
 def test_files_that_change_are_read_anew_and_broken_ones_said(one: Path) -> None:
-    with subprocess.Popen(words("-o", "jsonl", "--every", "1s", "--cycles", "60"), stdout=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        words("-o", "jsonl", "--every", "1s", "--cycles", "60"), stdout=subprocess.PIPE, text=True
+    ) as process:
         assert process.stdout is not None
         rounds = (json.loads(line) for line in process.stdout)
         first = next(rounds)
-        assert (first["cycle"], first["warnings"], [entry["task"] for entry in first["pending"]]) == (1, [], ["idle"])
+        assert (first["cycle"], first["warnings"], [entry["task"] for entry in first["pending"]]) == (
+            1,
+            [],
+            ["idle"],
+        )
         (one / "tasks" / "one.yaml").write_text(TASKS.replace("demand", "demnd"))
         broken = next(each for each in rounds if each["warnings"])
         assert "one.yaml:3:" in broken["warnings"][0]
         assert [entry["task"] for entry in broken["pending"]] == ["idle"]
         (one / "tasks" / "one.yaml").write_text(TASKS.replace("idle:", "other:"))
-        mended = next(each for each in rounds if not each["warnings"] and [entry["task"] for entry in each["pending"]] != ["idle"])
+        mended = next(
+            each
+            for each in rounds
+            if not each["warnings"] and [entry["task"] for entry in each["pending"]] != ["idle"]
+        )
         assert [entry["task"] for entry in mended["pending"]] == ["other"]
         process.send_signal(signal.SIGTERM)
         for _ in rounds:
@@ -145,12 +161,16 @@ def test_files_that_change_are_read_anew_and_broken_ones_said(one: Path) -> None
         (("--cycles", "0"), "0"),
     ],
 )
-def test_what_cannot_be_done_is_refused_before_anything_is_done(one: Path, run: Run, given: tuple[str, ...], said: str) -> None:
+def test_what_cannot_be_done_is_refused_before_anything_is_done(
+    one: Path, run: Run, given: tuple[str, ...], said: str
+) -> None:
     refused = run("watch", *given)
     assert (refused.code, refused.out) == (64, "")
     assert said in refused.err
 
 
 def test_the_exit_code_is_that_of_the_last_cycle(one: Path, run: Run) -> None:
-    (one / "inventories" / "one.yaml").write_text(INVENTORY + "  edge2: {host: 127.0.0.1, port: 1, connection: openssh}\n")
+    (one / "inventories" / "one.yaml").write_text(
+        INVENTORY + "  edge2: {host: 127.0.0.1, port: 1, connection: openssh}\n"
+    )
     assert run("watch", "--every", "1s", "--cycles", "1").code == 4

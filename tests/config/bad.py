@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from edgectl.config.load import load
+from edgectl.config.load import load_inventory_and_tasks
 from edgectl.errors import InputError, Problem
 
 INVENTORY = """\
@@ -80,7 +80,7 @@ def problems_of(directory: Path, inventory: str, tasks: str) -> tuple[Problem, .
     (directory / "inventory.yaml").write_text(inventory)
     (directory / "tasks.yaml").write_text(tasks)
     try:
-        load(directory / "inventory.yaml", directory / "tasks.yaml")
+        load_inventory_and_tasks(directory / "inventory.yaml", directory / "tasks.yaml")
     except InputError as error:
         return error.problems
     return ()

@@ -10,26 +10,56 @@ from edgectl.config.documents import load_plan, load_snapshot
 from edgectl.errors import InputError, Problem
 from edgectl.formats import plan as plan_format
 from edgectl.formats import snapshot as snapshot_format
-from edgectl.formats.base import dumps
-from edgectl.model.assignment import Decision, ExpectedLoad, RankedHost, Reason, Rejection, Resource, Rule, Terms, Verdict
+from edgectl.formats.document import dump_document
+from edgectl.model.assignment import (
+    Decision,
+    ExpectedLoad,
+    RankedHost,
+    Reason,
+    Rejection,
+    RejectionRule,
+    Resource,
+    Terms,
+    Verdict,
+)
 from edgectl.model.inventory import Role
-from edgectl.model.memory import Memory, Placement
+from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.policy import Policy
-from edgectl.model.snapshot import CapacitySource, Cpu, HostSample, HostStatus, LinkSample, MemoryUse, Snapshot, TaskSample, TaskState
+from edgectl.model.snapshot import (
+    CapacitySource,
+    CpuUsage,
+    HostSample,
+    HostStatus,
+    LinkSample,
+    MemoryUsage,
+    Snapshot,
+    TaskSample,
+    TaskState,
+)
 from tests.config.bad import place
 
 SNAPSHOT = Snapshot(
     taken_at=1_795_000_000.5,
-    memory=Memory(managed=True, placements={"slam": Placement(host="edge1", since=1_794_999_000.0)}, cordons=frozenset({"edge2"})),
+    manager=ManagerState(
+        managed=True,
+        placements={"slam": Placement(host="edge1", since=1_794_999_000.0)},
+        cordons=frozenset({"edge2"}),
+    ),
     hosts={
         "edge1": HostSample(
             role=Role.EDGE,
             status=HostStatus.OK,
-            cpu=Cpu(cores=4.0, used_cores=1.5),
-            memory=MemoryUse(total_bytes=4e9, used_bytes=1e9),
-            links={"robot1": LinkSample(capacity_bytes_per_s=6.75e6, used_bytes_per_s=1e3, capacity_source=CapacitySource.MEASURED)},
-            tasks={"slam": TaskSample(state=TaskState.READY, pid=41, started_at=1_794_999_000.0, used_cores=1.25)},
+            cpu=CpuUsage(cores=4.0, used_cores=1.5),
+            memory=MemoryUsage(total_bytes=4e9, used_bytes=1e9),
+            links={
+                "robot1": LinkSample(
+                    capacity_bytes_per_s=6.75e6, used_bytes_per_s=1e3, capacity_source=CapacitySource.MEASURED
+                )
+            },
+            tasks={
+                "slam": TaskSample(state=TaskState.READY, pid=41, started_at=1_794_999_000.0, used_cores=1.25)
+            },
         ),
         "edge2": HostSample(role=Role.EDGE, status=HostStatus.UNREACHABLE, error="no route"),
     },
@@ -42,14 +72,24 @@ DECISION = Decision(
     previous_host="edge1",
     total=0.5,
     ranking=(
-        RankedHost(host="edge1", rank=1, total=0.5, terms=Terms(cpu=0.5, memory=0.5, network=0.5, task=0.5), feasible=True),
+        RankedHost(
+            host="edge1",
+            rank=1,
+            total=0.5,
+            terms=Terms(cpu=0.5, memory=0.5, network=0.5, task=0.5),
+            feasible=True,
+        ),
         RankedHost(
             host="edge2",
             rank=0,
             total=None,
             terms=Terms(cpu=None, memory=None, network=None, task=None),
             feasible=False,
-            rejections=(Rejection(rule=Rule.INSUFFICIENT, resource=Resource.CPU, demand=1.5, used=3.5, capacity=4.0),),
+            rejections=(
+                Rejection(
+                    rule=RejectionRule.INSUFFICIENT, resource=Resource.CPU, demand=1.5, used=3.5, capacity=4.0
+                ),
+            ),
         ),
     ),
 )
@@ -63,7 +103,10 @@ PLAN = Plan(
     steps=(Step(decision=DECISION, action=Action.KEEP),),
     expected={"edge1": ExpectedLoad(used_cores=1.5, used_bytes=1e9, links={"robot1": 1e3})},
 )
-TEXTS = {"snapshot": dumps(snapshot_format.encode(SNAPSHOT)), "plan": dumps(plan_format.encode(PLAN))}
+TEXTS = {
+    "snapshot": dump_document(snapshot_format.encode(SNAPSHOT)),
+    "plan": dump_document(plan_format.encode(PLAN)),
+}
 LOADERS = {"snapshot": load_snapshot, "plan": load_plan}
 
 # what is changed, into what, where the problem stands (in what it became), its code, its message, its hint
@@ -143,9 +186,15 @@ def test_unknown_keys_are_left_alone(tmp_path: Path) -> None:
 
 
 def test_an_unreachable_host_needs_only_role_and_status(tmp_path: Path) -> None:
-    document = {"format_version": 1, "taken_at": "2026-11-21T08:00:00Z", "hosts": {"edge1": {"role": "edge", "status": "unreachable"}}}
+    document = {
+        "format_version": 1,
+        "taken_at": "2026-11-21T08:00:00Z",
+        "hosts": {"edge1": {"role": "edge", "status": "unreachable"}},
+    }
     (tmp_path / "s.json").write_text(json.dumps(document))
-    assert load_snapshot(tmp_path / "s.json").hosts["edge1"] == HostSample(role=Role.EDGE, status=HostStatus.UNREACHABLE)
+    assert load_snapshot(tmp_path / "s.json").hosts["edge1"] == HostSample(
+        role=Role.EDGE, status=HostStatus.UNREACHABLE
+    )
 
 
 def test_a_host_without_anything_is_told_in_full(tmp_path: Path) -> None:
@@ -161,7 +210,21 @@ def test_a_host_without_anything_is_told_in_full(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["[" * 200_000, '{"a":' * 100_000, "[" * 900 + "]" * 900, "", " ", "null", "[]", '"x"', "{", '{"a" 1}', "\0", "nul"]
+    "text",
+    [
+        "[" * 200_000,
+        '{"a":' * 100_000,
+        "[" * 900 + "]" * 900,
+        "",
+        " ",
+        "null",
+        "[]",
+        '"x"',
+        "{",
+        '{"a" 1}',
+        "\0",
+        "nul",
+    ],
 )
 def test_what_is_no_document_is_refused_at_once(text: str, tmp_path: Path) -> None:
     begin = time.process_time()
@@ -174,13 +237,16 @@ def test_a_file_that_is_not_there_names_the_command_that_writes_it(tmp_path: Pat
     for load, command in ((load_snapshot, "edgectl probe --out"), (load_plan, "edgectl plan --out")):
         with pytest.raises(InputError) as caught:
             load(tmp_path / "none.json")
-        assert caught.value.problems[0].hint == f"name an existing file, or make one: {command} {tmp_path / 'none.json'}"
+        assert (
+            caught.value.problems[0].hint
+            == f"name an existing file, or make one: {command} {tmp_path / 'none.json'}"
+        )
 
 
 def test_a_plan_for_a_snapshot_is_one_mistake(tmp_path: Path) -> None:
     snapshot, plan = tmp_path / "s.json", tmp_path / "p.json"
-    snapshot.write_text(dumps(snapshot_format.encode(SNAPSHOT)))
-    plan.write_text(dumps(plan_format.encode(PLAN)))
+    snapshot.write_text(dump_document(snapshot_format.encode(SNAPSHOT)))
+    plan.write_text(dump_document(plan_format.encode(PLAN)))
     for load, path, message in (
         (load_plan, snapshot, "this is a snapshot, not a plan"),
         (load_snapshot, plan, "this is a plan, not a snapshot"),

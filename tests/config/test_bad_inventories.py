@@ -121,4 +121,8 @@ def test_a_broken_inventory_is_told_with_place_and_mend(case: Bad, tmp_path: Pat
 def test_a_host_with_a_bad_name_has_its_other_mistakes_told_too(tmp_path: Path) -> None:
     inventory = INVENTORY.replace("  edge2: {host: jetson-b,", "  Edge_2: {hosts: jetson-b,")
     tasks = TASKS.replace("never: [edge3]", "never: [Edge_2]")
-    assert [problem.code for problem in problems_of(tmp_path, inventory, tasks)] == ["EC014", "EC011", "EC012"]
+    assert [problem.code for problem in problems_of(tmp_path, inventory, tasks)] == [
+        "EC014",
+        "EC011",
+        "EC012",
+    ]

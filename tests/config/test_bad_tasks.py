@@ -155,7 +155,11 @@ def test_a_broken_task_file_is_told_with_place_and_mend(case: Bad, tmp_path: Pat
 
 def test_all_mistakes_of_both_files_at_once(tmp_path: Path) -> None:
     inventory = INVENTORY.replace("user: jetson", "usr: jetson").replace("cpu: 2,", "cpu: x,")
-    tasks = TASKS.replace("cpu: 500m", "cpu: -1").replace("until: ready", "until: never").replace("robot: robot1", "robot: r")
+    tasks = (
+        TASKS.replace("cpu: 500m", "cpu: -1")
+        .replace("until: ready", "until: never")
+        .replace("robot: robot1", "robot: r")
+    )
     found = problems_of(tmp_path, inventory, tasks)
     assert [(Path(p.file).name, p.line, p.code) for p in found] == [
         ("inventory.yaml", 2, "EC012"),
@@ -167,18 +171,25 @@ def test_all_mistakes_of_both_files_at_once(tmp_path: Path) -> None:
 
 
 def test_a_template_mistake_is_told_once_not_per_robot(tmp_path: Path) -> None:
-    found = problems_of(tmp_path, INVENTORY.replace(", onboard: true", ""), TASKS.replace("onboard: allow", "onboard: only"))
+    found = problems_of(
+        tmp_path, INVENTORY.replace(", onboard: true", ""), TASKS.replace("onboard: allow", "onboard: only")
+    )
     assert [problem.code for problem in found] == ["EC033"]
 
 
 def test_what_has_a_bad_name_or_value_is_not_told_a_second_time(tmp_path: Path) -> None:
-    tasks = TASKS.replace('cmdline: "pose_node"', 'cmdline: "(["').replace("  pose:", "  Pose:").replace("needs: [slam]", "needs: [Pose]")
+    tasks = (
+        TASKS.replace('cmdline: "pose_node"', 'cmdline: "(["')
+        .replace("  pose:", "  Pose:")
+        .replace("needs: [slam]", "needs: [Pose]")
+    )
     assert [problem.code for problem in problems_of(tmp_path, INVENTORY, tasks)] == ["EC014", "EC017"]
 
 
 def test_several_cycles_are_all_told(tmp_path: Path) -> None:
     tasks = "version: 1\ntasks:\n" + "".join(
-        f"  {name}: {{command: x, needs: [{need}], demand: {{cpu: 0, memory: 0}}}}\n" for name, need in ("ab", "ba", "cd", "dc")
+        f"  {name}: {{command: x, needs: [{need}], demand: {{cpu: 0, memory: 0}}}}\n"
+        for name, need in ("ab", "ba", "cd", "dc")
     )
     found = problems_of(tmp_path, INVENTORY, tasks)
     assert [(p.line, p.code, p.message) for p in found] == [

@@ -10,10 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from edgectl.config.edit import with_demand
-from edgectl.config.load import load
+from edgectl.config.load import load_inventory_and_tasks
 from edgectl.config.problems import Source
-from edgectl.config.spans import Span, spans
+from edgectl.config.task_file_edit import YamlSpan, edit_demand, parse_spans
 from edgectl.errors import InputError
 from edgectl.model.task import Quantity, Tasks
 from edgectl.units import parse_bytes, parse_cores, parse_rate
@@ -27,7 +26,7 @@ def source_of(text: str) -> Source:
 
 
 def edited(text: str, entry: str = "t", amounts: dict[str, str] = AMOUNTS) -> str:
-    after = with_demand(source_of(text), entry, amounts)
+    after = edit_demand(source_of(text), entry, amounts)
     assert after is not None
     return after
 
@@ -74,9 +73,11 @@ def test_by_hand(before: str, after: str | None) -> None:
         (HEAD + "  t: {command: x, demand: {cpu: \"1\\\n    5\"}}", 3, 33, "over several lines"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_edited_safely_is_refused_with_its_place(text: str, line: int, column: int, message: str) -> None:
+def test_what_cannot_be_edited_safely_is_refused_with_its_place(
+    text: str, line: int, column: int, message: str
+) -> None:
     with pytest.raises(InputError) as caught:
-        with_demand(source_of(text), "t", AMOUNTS)
+        edit_demand(source_of(text), "t", AMOUNTS)
     (problem,) = caught.value.problems
     assert (problem.line, problem.column) == (line, column)
     assert message in problem.message
@@ -84,8 +85,8 @@ def test_what_cannot_be_edited_safely_is_refused_with_its_place(text: str, line:
 
 
 def test_another_file_has_the_entry() -> None:
-    assert with_demand(source_of(HEAD + "  u: {command: x}"), "t", AMOUNTS) is None
-    assert with_demand(source_of("version: 1"), "t", AMOUNTS) is None
+    assert edit_demand(source_of(HEAD + "  u: {command: x}"), "t", AMOUNTS) is None
+    assert edit_demand(source_of("version: 1"), "t", AMOUNTS) is None
 
 
 # -- any file ----------------------------------------------------------------------------------------------------------------------------------
@@ -127,13 +128,17 @@ def demands(draw: st.DrawFn, *, block: bool) -> str | None:
     if kind == 1 or not block or not entries:
         return draw(flows(entries))
     lines = [f"\n      {key}: {value}{draw(COMMENTS)}" for key, value in entries.items()]
-    return draw(COMMENTS) + "".join(draw(st.sampled_from(["", "\n      #: above", "\n"])) + line for line in lines)
+    return draw(COMMENTS) + "".join(
+        draw(st.sampled_from(["", "\n      #: above", "\n"])) + line for line in lines
+    )
 
 
 @st.composite
 def tasks(draw: st.DrawFn, name: str) -> str:
     block = draw(st.booleans())
-    said = draw(st.sampled_from([*SAID, "|\n      x\n      y", ">-\n      x\n\n      y"] if block else list(SAID)))
+    said = draw(
+        st.sampled_from([*SAID, "|\n      x\n      y", ">-\n      x\n\n      y"] if block else list(SAID))
+    )
     entries = {"command": said, "priority": draw(st.sampled_from(["1", "-2"])), "robot": "robot1"}
     demand = draw(demands(block=block))
     if demand is not None:
@@ -156,19 +161,31 @@ def tasks(draw: st.DrawFn, name: str) -> str:
 @st.composite
 def files(draw: st.DrawFn) -> File:
     names = ["a", "b", "c"][: draw(st.integers(1, 3))]
-    text = "#: first\nversion: 1\ntasks:\n" + "".join(draw(tasks(name)) for name in names) + draw(st.sampled_from(["", "#: last", "\n\n"]))
-    amounts = {key: value for key, value in (("cpu", "1.36"), ("memory", "97.3Mi"), ("throughput", "127kB/s")) if draw(st.booleans())}
-    return File(text if draw(st.booleans()) else text.replace("\n", "\r\n"), draw(st.sampled_from(names)), amounts or {"cpu": "0"})
+    text = (
+        "#: first\nversion: 1\ntasks:\n"
+        + "".join(draw(tasks(name)) for name in names)
+        + draw(st.sampled_from(["", "#: last", "\n\n"]))
+    )
+    amounts = {
+        key: value
+        for key, value in (("cpu", "1.36"), ("memory", "97.3Mi"), ("throughput", "127kB/s"))
+        if draw(st.booleans())
+    }
+    return File(
+        text if draw(st.booleans()) else text.replace("\n", "\r\n"),
+        draw(st.sampled_from(names)),
+        amounts or {"cpu": "0"},
+    )
 
 
 def read(text: str) -> Tasks:
     with tempfile.TemporaryDirectory() as directory:
         (Path(directory) / "i.yaml").write_text(INVENTORY)
         (Path(directory) / "t.yaml").write_text(text, newline="")
-        return load(Path(directory) / "i.yaml", Path(directory) / "t.yaml")[1]
+        return load_inventory_and_tasks(Path(directory) / "i.yaml", Path(directory) / "t.yaml")[1]
 
 
-def leaves(span: Span, text: str, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], str]]:
+def leaves(span: YamlSpan, text: str, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], str]]:
     """Every value that holds no other, as it is written; without the demands."""
     if "demand" in path:
         return
@@ -191,5 +208,5 @@ def test_only_the_demand_changes(file: File) -> None:
     task = replace(before.tasks[file.entry], demand=replace(demand, **wanted))
     assert read(after).tasks == {**before.tasks, file.entry: task}
     assert re.findall(r"#:.*", after) == re.findall(r"#:.*", file.text)
-    assert list(leaves(spans(after), after)) == list(leaves(spans(file.text), file.text))
+    assert list(leaves(parse_spans(after), after)) == list(leaves(parse_spans(file.text), file.text))
     assert edited(after, file.entry, file.amounts) == after

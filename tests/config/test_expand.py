@@ -4,39 +4,43 @@ from pathlib import Path
 
 import pytest
 
-from edgectl.config.load import load, load_inventory, load_tasks
+from edgectl.config.load import load_inventory, load_inventory_and_tasks, load_tasks
 from edgectl.errors import InputError, Problem
-from edgectl.model.inventory import Base, Capacity, Connection, Inventory, Limits
+from edgectl.model.inventory import BaseLoad, Capacity, Connection, Inventory, Limits
 from edgectl.model.policy import PolicyName, SequenceRule, Weights
 from edgectl.model.task import (
     Check,
+    CheckLocation,
     Demand,
-    Detect,
-    Handoff,
+    DetectRule,
+    HandoffContract,
     HandoffOrder,
     HostRules,
-    Kind,
     Need,
-    Onboard,
-    OnUnreachable,
+    NeedCondition,
+    OnboardRule,
     Quantity,
-    Stop,
+    StopRule,
     Task,
+    TaskKind,
     Tasks,
-    Until,
-    Where,
+    UnreachablePolicy,
 )
 from tests.config.bad import INVENTORY, TASKS
 
 
-def loaded(directory: Path, tasks: str, inventory: str = INVENTORY) -> tuple[Inventory, Tasks, tuple[Problem, ...]]:
+def loaded(
+    directory: Path, tasks: str, inventory: str = INVENTORY
+) -> tuple[Inventory, Tasks, tuple[Problem, ...]]:
     (directory / "i.yaml").write_text(inventory)
     (directory / "t.yaml").write_text(tasks)
-    return load(directory / "i.yaml", directory / "t.yaml")
+    return load_inventory_and_tasks(directory / "i.yaml", directory / "t.yaml")
 
 
 def task(directory: Path, keys: str, name: str = "t") -> Task:
-    return loaded(directory, f"version: 1\ntasks:\n  s: {{for_each: robot, command: s}}\n  t: {{command: x, {keys}}}\n")[1].tasks[name]
+    return loaded(
+        directory, f"version: 1\ntasks:\n  s: {{for_each: robot, command: s}}\n  t: {{command: x, {keys}}}\n"
+    )[1].tasks[name]
 
 
 def test_hosts(tmp_path: Path) -> None:
@@ -46,7 +50,7 @@ def test_hosts(tmp_path: Path) -> None:
     assert inventory.hosts["edge1"].env == {"ROS_DOMAIN_ID": "7"}
     assert inventory.hosts["edge2"].limits == Limits(cpu=0.8)
     assert inventory.hosts["edge3"].capacity == Capacity(cpu=2.0, memory=4.0 * 2**30)
-    assert inventory.hosts["edge3"].base == Base(cpu=0.5)
+    assert inventory.hosts["edge3"].base == BaseLoad(cpu=0.5)
     assert inventory.links == {("edge1", "robot1"): 6.75e6}
     assert [host.onboard for host in inventory.robots] == [True, False]
 
@@ -72,7 +76,14 @@ edges:
 
 def test_one_task_per_robot_with_placeholders(tmp_path: Path) -> None:
     tasks = loaded(tmp_path, TASKS)[1].tasks
-    assert list(tasks) == ["map-merge", "navigation-robot1", "navigation-robot2", "pose", "slam-robot1", "slam-robot2"]
+    assert list(tasks) == [
+        "map-merge",
+        "navigation-robot1",
+        "navigation-robot2",
+        "pose",
+        "slam-robot1",
+        "slam-robot2",
+    ]
     slam = tasks["slam-robot2"]
     assert (slam.template, slam.robots) == ("slam", ("robot2",))
     assert slam.command == "roslaunch slam.launch robot:=robot2"
@@ -87,16 +98,22 @@ def test_needs_are_of_the_same_robot_or_of_all(tmp_path: Path) -> None:
     assert tasks["navigation-robot2"].needs == (Need(task="slam-robot2"),)
     assert tasks["map-merge"].needs == (Need(task="slam-robot1"), Need(task="slam-robot2"))
     assert tasks["map-merge"].robots == ("robot1", "robot2")
-    assert task(tmp_path, "needs: [slam2, {task: s-robot2, until: completed}]".replace("slam2, ", "")).needs == (
-        Need(task="s-robot2", until=Until.COMPLETED),
-    )
+    assert task(
+        tmp_path, "needs: [slam2, {task: s-robot2, until: completed}]".replace("slam2, ", "")
+    ).needs == (Need(task="s-robot2", until=NeedCondition.COMPLETED),)
 
 
 def test_only_exact_placeholders_are_filled_in(tmp_path: Path) -> None:
     command = "echo {robot} {robot_host} ${robot} ${HOME} {a,b} {robots} {{robot}} { robot } '{}'"
-    got = task(tmp_path, f'robot: robot1, workdir: "/srv/{{robot}}", env: {{H: "{{robot_host}}"}}, ready: "{command}"')
+    got = task(
+        tmp_path,
+        f'robot: robot1, workdir: "/srv/{{robot}}", env: {{H: "{{robot_host}}"}}, ready: "{command}"',
+    )
     assert got.ready is not None
-    assert got.ready.command == "echo robot1 192.168.1.21 ${robot} ${HOME} {a,b} {robots} {robot1} { robot } '{}'"
+    assert (
+        got.ready.command
+        == "echo robot1 192.168.1.21 ${robot} ${HOME} {a,b} {robots} {robot1} { robot } '{}'"
+    )
     assert (got.workdir, got.env) == ("/srv/robot1", {"H": "192.168.1.21"})
 
 
@@ -108,32 +125,42 @@ def test_robots_of_a_regular_expression_are_escaped(tmp_path: Path) -> None:
     inventory = INVENTORY.replace("robot1", "r.1")
     tasks = "version: 1\ntasks: {t: {for_each: [r.1], managed: false, detect: {cmdline: 'node /{robot}$'}}}"
     got = loaded(tmp_path, tasks, inventory)[1].tasks["t-r.1"]
-    assert got.detect == Detect(cmdline=r"node /r\.1$")
+    assert got.detect == DetectRule(cmdline=r"node /r\.1$")
     assert (got.managed, got.command) == (False, "")
 
 
 def test_short_and_long_forms(tmp_path: Path) -> None:
-    assert task(tmp_path, "stop: ros").stop == Stop(signal="INT", preset="ros")
-    assert task(tmp_path, "stop: {preset: ros, grace: 5s}").stop == Stop(signal="INT", grace=5.0, preset="ros")
-    assert task(tmp_path, "stop: {signal: HUP, grace: 0}").stop == Stop(signal="HUP", grace=0.0)
+    assert task(tmp_path, "stop: ros").stop == StopRule(signal="INT", preset="ros")
+    assert task(tmp_path, "stop: {preset: ros, grace: 5s}").stop == StopRule(
+        signal="INT", grace=5.0, preset="ros"
+    )
+    assert task(tmp_path, "stop: {signal: HUP, grace: 0}").stop == StopRule(signal="HUP", grace=0.0)
     assert task(tmp_path, "done_when: test -f x").done_when == Check(command="test -f x")
-    assert task(tmp_path, "robot: robot1, done_when: {command: x, on: robot, timeout: 1m}").done_when == Check(
-        command="x", on=Where.ROBOT, timeout=60.0
-    )
+    assert task(
+        tmp_path, "robot: robot1, done_when: {command: x, on: robot, timeout: 1m}"
+    ).done_when == Check(command="x", on=CheckLocation.ROBOT, timeout=60.0)
     replaced = task(tmp_path, "on_unreachable: {policy: replace, after: 2m}, self_fence: 5m")
-    assert (replaced.on_unreachable, replaced.replace_after) == (OnUnreachable.REPLACE, 120.0)
+    assert (replaced.on_unreachable, replaced.replace_after) == (UnreachablePolicy.REPLACE, 120.0)
     assert replaced.self_fence == 300.0
-    assert replaced.spec_hash != task(tmp_path, "on_unreachable: {policy: replace, after: 2m}, self_fence: 6m").spec_hash
-    assert task(tmp_path, "hosts: {only: [edge2, edge1], labels: {gpu: maxwell}, pin: edge1}").hosts == HostRules(
-        only=("edge1", "edge2"), labels={"gpu": "maxwell"}, pin="edge1"
+    assert (
+        replaced.spec_hash
+        != task(tmp_path, "on_unreachable: {policy: replace, after: 2m}, self_fence: 6m").spec_hash
     )
+    assert task(
+        tmp_path, "hosts: {only: [edge2, edge1], labels: {gpu: maxwell}, pin: edge1}"
+    ).hosts == HostRules(only=("edge1", "edge2"), labels={"gpu": "maxwell"}, pin="edge1")
     assert task(tmp_path, "kind: job, onboard: never, priority: -2, deadline: 1h30m").deadline == 5400.0
 
 
 def test_hooks_run_on_the_robot_unless_they_say_host(tmp_path: Path) -> None:
-    got = task(tmp_path, "robot: robot1, handoff: {order: start-first, safe_when: 'a {robot}', hold: {command: b, on: host}}")
-    assert got.handoff == Handoff(
-        order=HandoffOrder.START_FIRST, safe_when=Check(command="a robot1", on=Where.ROBOT), hold=Check(command="b")
+    got = task(
+        tmp_path,
+        "robot: robot1, handoff: {order: start-first, safe_when: 'a {robot}', hold: {command: b, on: host}}",
+    )
+    assert got.handoff == HandoffContract(
+        order=HandoffOrder.START_FIRST,
+        safe_when=Check(command="a robot1", on=CheckLocation.ROBOT),
+        hold=Check(command="b"),
     )
 
 
@@ -158,7 +185,10 @@ tasks:
   d: {managed: false, detect: {cmdline: x}}
 """
     warnings = loaded(tmp_path, tasks)[2]
-    assert [(p.line, p.column, p.code, p.warning) for p in warnings] == [(3, 3, "EC101", True), (4, 42, "EC101", True)]
+    assert [(p.line, p.column, p.code, p.warning) for p in warnings] == [
+        (3, 3, "EC101", True),
+        (4, 42, "EC101", True),
+    ]
     assert warnings[0].message == "a states no demand for cpu, memory: counted as 0 until it is measured"
     assert warnings[1].message == "b states no demand for throughput: counted as 0 until it is measured"
 
@@ -183,7 +213,10 @@ def test_tasks_of_several_files_and_directories(tmp_path: Path) -> None:
     (tmp_path / "c.yaml").write_text("version: 1\nweights: memory\ntasks: {a: {command: x}}\n")
     with pytest.raises(InputError) as caught:
         load_tasks([tmp_path / "d", tmp_path / "c.yaml"], inventory)
-    assert [(p.line, p.code) for p in caught.value.problems if p.file.endswith("c.yaml")] == [(2, "EC032"), (3, "EC032")]
+    assert [(p.line, p.code) for p in caught.value.problems if p.file.endswith("c.yaml")] == [
+        (2, "EC032"),
+        (3, "EC032"),
+    ]
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match="empty: no"):
         load_tasks(tmp_path / "empty", inventory)
@@ -198,14 +231,18 @@ def test_shapes_of_tasks_are_checked_even_where_the_inventory_cannot_be_read(tmp
 def test_too_many_tasks_are_refused_before_they_are_made(tmp_path: Path) -> None:
     inventory = "version: 1\nrobots:\n" + "".join(f"  r{i}: {{host: h}}\n" for i in range(2000))
     with pytest.raises(InputError) as caught:
-        loaded(tmp_path, "version: 1\ntasks:\n" + "".join(f"  t{i}: {{for_each: robot, command: x}}\n" for i in range(9)), inventory)
+        loaded(
+            tmp_path,
+            "version: 1\ntasks:\n" + "".join(f"  t{i}: {{for_each: robot, command: x}}\n" for i in range(9)),
+            inventory,
+        )
     assert [p.code for p in caught.value.problems] == ["EC034"]
 
 
 def test_onboard_only(tmp_path: Path) -> None:
-    assert task(tmp_path, "robot: robot1, onboard: only").onboard is Onboard.ONLY
+    assert task(tmp_path, "robot: robot1, onboard: only").onboard is OnboardRule.ONLY
     assert task(tmp_path, "robot: robot1, hosts: {pin: robot1}").hosts.pin == "robot1"
-    assert task(tmp_path, "kind: job").kind is Kind.JOB
+    assert task(tmp_path, "kind: job").kind is TaskKind.JOB
 
 
 def test_demands_may_be_measured(tmp_path: Path) -> None:
@@ -220,7 +257,9 @@ tasks:
     measured = Quantity(value=0.0, measured=True)
     assert found["a"].demand == Demand(cpu=measured, memory=measured, throughput=measured)
     assert found["b"].demand == Demand(
-        cpu=measured, memory=Quantity(value=90.0 * 2**20, measured=True), throughput=Quantity(value=0.1, relative=True, measured=True)
+        cpu=measured,
+        memory=Quantity(value=90.0 * 2**20, measured=True),
+        throughput=Quantity(value=0.1, relative=True, measured=True),
     )
     assert found["c"].demand == Demand(cpu=measured, memory=Quantity(value=1.0))
     assert not warnings

@@ -7,15 +7,16 @@ from pathlib import Path
 
 import pytest
 
-from edgectl.config import experiment, inventory, taskfields
 from edgectl.config import fields as config_fields
-from edgectl.config.load import load
-from edgectl.config.problems import Code
+from edgectl.config import inventory_file, task_file
+from edgectl.config.load import load_inventory_and_tasks
+from edgectl.config.problems import ProblemCode
+from edgectl.experiments.files import experiment_file
+from edgectl.experiments.files import run_codec as run_format
 from edgectl.formats import plan as plan_format
-from edgectl.formats import run as run_format
 from edgectl.formats import snapshot as snapshot_format
 from edgectl.model.inventory import Host
-from edgectl.model.snapshot import Device, HostSample, InterfaceSample, Role, TaskSample, TaskState
+from edgectl.model.snapshot import DeviceSample, HostSample, InterfaceSample, Role, TaskSample, TaskState
 from edgectl.model.snapshot import HostStatus as Status
 from edgectl.model.task import Task
 from tests.config.test_bad_documents import PLAN, SNAPSHOT
@@ -23,28 +24,31 @@ from tests.formats.test_run import RUN, TRIAL
 
 PAGE = (Path(__file__).parents[2] / "docs/reference/files.md").read_text()
 TABLES: Mapping[str, tuple[Mapping[str, object], ...]] = {
-    "## Inventory": (inventory.INVENTORY,),
-    "### Hosts": (inventory.EDGE, {key: None for key in inventory.ROBOT if key not in inventory.EDGE}),
-    "### Limits of a host": (inventory.LIMITS,),
-    "### Capacity": (inventory.CAPACITY,),
-    "### Base": (inventory.BASE,),
-    "### Links": (inventory.LINK,),
-    "## Tasks": (taskfields.TASKS,),
-    "### A task": (taskfields.TASK,),
-    "### Demand": (taskfields.DEMAND,),
-    "### Needs": (taskfields.NEED,),
-    "### Hosts of a task": (taskfields.HOST_RULES,),
-    "### Checks": (taskfields.CHECK,),
-    "### Detect": (taskfields.DETECT,),
-    "### Stop": (taskfields.STOP,),
-    "### Secrets": (config_fields.SECRET,),
-    "### Handoff": (taskfields.HANDOFF,),
-    "### Limits of a task": (taskfields.TASK_LIMITS,),
-    "### Log": (taskfields.LOG,),
-    "### Unreachable hosts": (taskfields.ON_UNREACHABLE,),
-    "## Experiment": (experiment.EXPERIMENT,),
-    "### Schemes": (experiment.SCHEMES,),
-    "### Maps": (experiment.MAP,),
+    "## Inventory": (inventory_file.INVENTORY_KEYS,),
+    "### Hosts": (
+        inventory_file.EDGE_KEYS,
+        {key: None for key in inventory_file.ROBOT_KEYS if key not in inventory_file.EDGE_KEYS},
+    ),
+    "### Limits of a host": (inventory_file.LIMITS_KEYS,),
+    "### Capacity": (inventory_file.CAPACITY_KEYS,),
+    "### Base": (inventory_file.BASE_KEYS,),
+    "### Links": (inventory_file.LINK_KEYS,),
+    "## Tasks": (task_file.TASK_FILE_KEYS,),
+    "### A task": (task_file.TASK_KEYS,),
+    "### Demand": (task_file.DEMAND_KEYS,),
+    "### Needs": (task_file.NEED_KEYS,),
+    "### Hosts of a task": (task_file.HOST_RULES_KEYS,),
+    "### Checks": (task_file.CHECK_KEYS,),
+    "### Detect": (task_file.DETECT_KEYS,),
+    "### Stop": (task_file.STOP_KEYS,),
+    "### Secrets": (config_fields.SECRET_KEYS,),
+    "### Handoff": (task_file.HANDOFF_KEYS,),
+    "### Limits of a task": (task_file.TASK_LIMITS_KEYS,),
+    "### Log": (task_file.LOG_KEYS,),
+    "### Unreachable hosts": (task_file.ON_UNREACHABLE_KEYS,),
+    "## Experiment": (experiment_file.EXPERIMENT_KEYS,),
+    "### Schemes": (experiment_file.SCHEMES_KEYS,),
+    "### Maps": (experiment_file.MAP_PAIR_KEYS,),
 }
 
 
@@ -75,14 +79,14 @@ def test_tables_hold_every_key_in_order(heading: str) -> None:
 
 
 def test_codes_are_complete() -> None:
-    assert tables("## Problems") == [[code.value for code in Code]]
+    assert tables("## Problems") == [[code.value for code in ProblemCode]]
 
 
 def test_readers_cover_the_model() -> None:
     """A field that is added to Host or Task is readable, or made by us."""
-    assert set(inventory.ROBOT) == {field.name for field in fields(Host)} - {"name", "role"}
+    assert set(inventory_file.ROBOT_KEYS) == {field.name for field in fields(Host)} - {"name", "role"}
     made = {"name", "template", "spec_hash", "spec_fields", "replace_after"}
-    assert set(taskfields.TASK) - {"for_each", "robot"} == {field.name for field in fields(Task)} - made
+    assert set(task_file.TASK_KEYS) - {"for_each", "robot"} == {field.name for field in fields(Task)} - made
 
 
 def test_keys_of_a_snapshot_are_complete() -> None:
@@ -90,7 +94,7 @@ def test_keys_of_a_snapshot_are_complete() -> None:
         state=TaskState.FAILED, links={}, instance="i", spec_hash="s", generation=1, managed=False, restarts=1, exit_code=1, detail="d",
         fields={"command": "c"}, last_exit=1, log_tail=("l",), limits="l", given_up=True, metrics={"fps": 29.5}, ended_at=1.0,
     )  # fmt: skip
-    device = Device(
+    device = DeviceSample(
         load_1m=1.0,
         temperature_c=1.0,
         gpu_share=1.0,
@@ -112,7 +116,9 @@ def test_keys_of_a_snapshot_are_complete() -> None:
         resident=True,
         device=device,
     )
-    document = snapshot_format.encode(type(SNAPSHOT)(taken_at=0.0, hosts={"h": sample}, memory=SNAPSHOT.memory))
+    document = snapshot_format.encode(
+        type(SNAPSHOT)(taken_at=0.0, hosts={"h": sample}, manager=SNAPSHOT.manager)
+    )
     encoded = document["hosts"]["h"]  # type: ignore[index]
     assert tables("## Snapshot") == [list(document), list(encoded), list(encoded["tasks"]["t"])]
     assert all(f"`{key}` ?" in section("## Snapshot") for key in encoded["device"])
@@ -123,12 +129,14 @@ def test_keys_of_a_plan_are_complete() -> None:
     whole, decision = tables("## Plan")
     encoded = document["decisions"][0]  # type: ignore[index]
     assert whole == list(document)
-    assert [key for key in decision if f"| `{key}` ? |" not in PAGE.split("Of a decision.")[1]] == list(encoded)
+    assert [key for key in decision if f"| `{key}` ? |" not in PAGE.split("Of a decision.")[1]] == list(
+        encoded
+    )
     assert all(f"`{key}`" in section("## Plan") for key in encoded["ranking"][0])
 
 
 def test_keys_of_runs_and_trials_are_complete() -> None:
-    document = run_format.encode(RUN)
+    document = run_format.encode_run(RUN)
     (head,), (trial,) = tables("## Run"), tables("## Trial")
     assert [*head, "trials"] == list(document)
     assert trial == list(run_format.encode_trial(TRIAL))
@@ -139,6 +147,6 @@ def test_the_examples_load_together(tmp_path: Path) -> None:
     blocks = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
     (tmp_path / "i.yaml").write_text(blocks[0])
     (tmp_path / "t.yaml").write_text(blocks[1])
-    _, tasks, warnings = load(tmp_path / "i.yaml", tmp_path / "t.yaml")
+    _, tasks, warnings = load_inventory_and_tasks(tmp_path / "i.yaml", tmp_path / "t.yaml")
     assert list(tasks.tasks) == ["navigation-robot1", "slam-robot1"]
     assert not warnings

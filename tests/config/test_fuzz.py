@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from edgectl.config.documents import load_plan, load_snapshot
-from edgectl.config.load import load
+from edgectl.config.load import load_inventory_and_tasks
 from edgectl.errors import InputError, Problem
 from tests.config.bad import INVENTORY, TASKS
 from tests.config.test_bad_documents import TEXTS
@@ -58,14 +58,18 @@ def only_input_errors(action: Callable[[], Any]) -> None:
 @given(damaged(INVENTORY), damaged(TASKS))
 def test_damaged_yaml(tmp_path: Path, inventory: str, tasks: str) -> None:
     paths = write(tmp_path / "i.yaml", inventory), write(tmp_path / "t.yaml", tasks)
-    only_input_errors(lambda: load(*paths))
+    only_input_errors(lambda: load_inventory_and_tasks(*paths))
 
 
 @bounded
 @given(st.lists(pieces, max_size=30).map("".join))
 def test_any_text(tmp_path: Path, text: str) -> None:
     path = write(tmp_path / "f", text)
-    for action in (lambda: load(path, path), lambda: load_snapshot(path), lambda: load_plan(path)):
+    for action in (
+        lambda: load_inventory_and_tasks(path, path),
+        lambda: load_snapshot(path),
+        lambda: load_plan(path),
+    ):
         only_input_errors(action)
 
 
@@ -74,25 +78,36 @@ def test_any_text(tmp_path: Path, text: str) -> None:
 def test_any_bytes(tmp_path: Path, data: bytes) -> None:
     path = tmp_path / "f"
     path.write_bytes(data)
-    for action in (lambda: load(path, path), lambda: load_snapshot(path)):
+    for action in (lambda: load_inventory_and_tasks(path, path), lambda: load_snapshot(path)):
         only_input_errors(action)
 
 
 scalars = (
-    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=6) | st.sampled_from(["all", "robot", "edge1", "50%", "x"])
+    st.none()
+    | st.booleans()
+    | st.integers()
+    | st.floats()
+    | st.text(max_size=6)
+    | st.sampled_from(["all", "robot", "edge1", "50%", "x"])
 )
 words = st.sampled_from(
     ["version", "defaults", "edges", "robots", "links", "host", "limits", "cpu", "memory", "tasks", "command", "needs", "demand", "hosts", "pin",
      "only", "labels", "env", "handoff", "hold", "on", "detect", "managed", "for_each", "robot", "on_unreachable", "stop", "log", "files", "weights"]
 )  # fmt: skip
 trees = st.recursive(
-    scalars, lambda inner: st.lists(inner, max_size=3) | st.dictionaries(words | st.text(max_size=4), inner, max_size=5), max_leaves=20
+    scalars,
+    lambda inner: (
+        st.lists(inner, max_size=3) | st.dictionaries(words | st.text(max_size=4), inner, max_size=5)
+    ),
+    max_leaves=20,
 )
 
 
 @bounded
 @given(st.dictionaries(words, trees, max_size=5), st.dictionaries(words, trees, max_size=5), trees)
-def test_any_tree_of_known_words(tmp_path: Path, inventory: dict[str, Any], tasks: dict[str, Any], task: Any) -> None:
+def test_any_tree_of_known_words(
+    tmp_path: Path, inventory: dict[str, Any], tasks: dict[str, Any], task: Any
+) -> None:
     """JSON is YAML: trees are written as JSON."""
     tasks = {"version": 1, "tasks": {"slam": task, **tasks}}
     with suppress(UnicodeEncodeError):
@@ -100,7 +115,7 @@ def test_any_tree_of_known_words(tmp_path: Path, inventory: dict[str, Any], task
             write(tmp_path / name, json.dumps(tree, ensure_ascii=False))
             for name, tree in (("i", {"version": 1, **inventory}), ("t", tasks))
         ]
-        only_input_errors(lambda: load(*paths))
+        only_input_errors(lambda: load_inventory_and_tasks(*paths))
 
 
 @bounded

@@ -2,9 +2,8 @@
 
 import pytest
 
-from edgectl.config.maps import read_map
 from edgectl.errors import InputError
-from edgectl.model.map import MapSheet
+from edgectl.experiments.files.map_file import MapMetadata, parse_map_metadata
 
 ROS1 = """\
 image: /home/robot/maps/world.pgm
@@ -29,15 +28,19 @@ free_thresh: 0.25
 
 
 def test_what_ros_writes_is_read() -> None:
-    assert read_map("map.yaml", ROS1.encode()) == MapSheet(image="/home/robot/maps/world.pgm", resolution=0.05, origin=(-10.0, -12.2))
-    assert read_map("map.yaml", ROS2.encode()) == MapSheet(
+    assert parse_map_metadata("map.yaml", ROS1.encode()) == MapMetadata(
+        image="/home/robot/maps/world.pgm", resolution=0.05, origin=(-10.0, -12.2)
+    )
+    assert parse_map_metadata("map.yaml", ROS2.encode()) == MapMetadata(
         image="world.png", resolution=0.05, origin=(-1.5, 0.2), negate=True, occupied=0.7, free=0.25
     )
 
 
 def test_what_other_programs_add_is_their_business() -> None:
     more = "description: {of: lab, floors: [1, 2]}\nversion: 3\n"
-    assert read_map("map.yaml", (ROS1 + more).encode()) == read_map("map.yaml", ROS1.encode())
+    assert parse_map_metadata("map.yaml", (ROS1 + more).encode()) == parse_map_metadata(
+        "map.yaml", ROS1.encode()
+    )
 
 
 @pytest.mark.parametrize(
@@ -61,12 +64,19 @@ def test_what_other_programs_add_is_their_business() -> None:
 def test_each_mistake_has_its_place(old: str, new: str, place: str, words: str) -> None:
     assert old in ROS1
     with pytest.raises(InputError) as caught:
-        read_map("out/map.yaml", ROS1.replace(old, new, 1).encode())
-    told = [(f"{problem.line}:{problem.column}", problem.message, problem.file) for problem in caught.value.problems]
-    assert any(at == place and words in message and file == "out/map.yaml" for at, message, file in told), told
+        parse_map_metadata("out/map.yaml", ROS1.replace(old, new, 1).encode())
+    told = [
+        (f"{problem.line}:{problem.column}", problem.message, problem.file)
+        for problem in caught.value.problems
+    ]
+    assert any(at == place and words in message and file == "out/map.yaml" for at, message, file in told), (
+        told
+    )
 
 
-@pytest.mark.parametrize("data", [b"", b"\xff\xfe", b"- a\n- b\n", b"just words", b"\0", b"a: &a [*a]", b"P5\n9 9\n255\n\x80\x80"])
+@pytest.mark.parametrize(
+    "data", [b"", b"\xff\xfe", b"- a\n- b\n", b"just words", b"\0", b"a: &a [*a]", b"P5\n9 9\n255\n\x80\x80"]
+)
 def test_what_is_no_sheet_is_refused(data: bytes) -> None:
     with pytest.raises(InputError):
-        read_map("map.yaml", data)
+        parse_map_metadata("map.yaml", data)

@@ -9,7 +9,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from edgectl.config.load import load
+from edgectl.config.load import load_inventory_and_tasks
 from edgectl.model.inventory import Inventory
 from edgectl.model.task import Tasks
 from tests.config.bad import INVENTORY, TASKS
@@ -26,14 +26,16 @@ def shuffled(value: Any, chance: random.Random) -> Any:
 def both(directory: Path, inventory: str, tasks: str) -> tuple[Inventory, Tasks]:
     (directory / "i.yaml").write_text(inventory)
     (directory / "t.yaml").write_text(tasks)
-    return load(directory / "i.yaml", directory / "t.yaml")[:2]
+    return load_inventory_and_tasks(directory / "i.yaml", directory / "t.yaml")[:2]
 
 
 @settings(max_examples=25)
 @given(st.randoms(use_true_random=False))
 def test_order_is_irrelevant(tmp_path: Path, chance: random.Random) -> None:
     expected = both(tmp_path, INVENTORY, TASKS)
-    texts = [yaml.safe_dump(shuffled(yaml.safe_load(text), chance), sort_keys=False) for text in (INVENTORY, TASKS)]
+    texts = [
+        yaml.safe_dump(shuffled(yaml.safe_load(text), chance), sort_keys=False) for text in (INVENTORY, TASKS)
+    ]
     got = both(tmp_path, *texts)
     assert got == expected
     assert list(got[0].hosts) == list(expected[0].hosts)

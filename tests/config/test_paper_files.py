@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from edgectl.config.load import load
+from edgectl.config.load import load_inventory_and_tasks
 from edgectl.errors import InputError
-from edgectl.model.task import Need, Onboard, Quantity
+from edgectl.model.task import Need, OnboardRule, Quantity
 
 ROOT = Path(__file__).parents[2]
 DEMANDS = {
@@ -20,7 +20,9 @@ ROBOTS = ("robot1", "robot2", "robot3")
 
 @pytest.mark.parametrize("scenario", [1, 2])
 def test_scenarios_are_the_papers(scenario: int) -> None:
-    inventory, tasks, warnings = load(ROOT / "inventories/paper.yaml", ROOT / f"tasks/paper-scenario-{scenario}.yaml")
+    inventory, tasks, warnings = load_inventory_and_tasks(
+        ROOT / "inventories/paper.yaml", ROOT / f"tasks/paper-scenario-{scenario}.yaml"
+    )
     assert not warnings
     assert [host.name for host in inventory.edges] == ["edge1", "edge2", "edge3"]
     assert [host.name for host in inventory.robots] == list(ROBOTS)
@@ -32,7 +34,9 @@ def test_scenarios_are_the_papers(scenario: int) -> None:
     ]  # fmt: skip
     for task in tasks.tasks.values():
         demand = (task.demand.cpu, task.demand.memory, task.demand.throughput)
-        assert demand == tuple(Quantity(value=percent / 100, relative=True) for percent in DEMANDS[task.template])
+        assert demand == tuple(
+            Quantity(value=percent / 100, relative=True) for percent in DEMANDS[task.template]
+        )
     asked = sum(task.demand.cpu.value for task in tasks.tasks.values() if task.demand.cpu is not None)
     assert asked == pytest.approx(3.03412)
     for robot in ROBOTS:
@@ -42,16 +46,24 @@ def test_scenarios_are_the_papers(scenario: int) -> None:
 
 
 def test_scenario_1_maps_on_board_and_scenario_2_finds_what_runs() -> None:
-    first, second = (load(ROOT / "inventories/paper.yaml", ROOT / f"tasks/paper-scenario-{scenario}.yaml")[1].tasks for scenario in (1, 2))
+    first, second = (
+        load_inventory_and_tasks(
+            ROOT / "inventories/paper.yaml", ROOT / f"tasks/paper-scenario-{scenario}.yaml"
+        )[1].tasks
+        for scenario in (1, 2)
+    )
     for name in ("slam-robot1", "map-merge"):
-        assert (first[name].onboard, first[name].managed) == (Onboard.ONLY, True)
+        assert (first[name].onboard, first[name].managed) == (OnboardRule.ONLY, True)
         assert (second[name].managed, second[name].detect is not None) == (False, True)
     for name in ("detection-robot1", "navigation-robot1"):
-        assert {tasks[name].onboard for tasks in (first, second)} == {Onboard.NEVER}
+        assert {tasks[name].onboard for tasks in (first, second)} == {OnboardRule.NEVER}
         assert all(tasks[name].managed for tasks in (first, second))
 
 
 def test_two_scenarios_at_once_are_refused_by_name() -> None:
     with pytest.raises(InputError) as caught:
-        load(ROOT / "inventories/paper.yaml", [ROOT / "tasks/paper-scenario-1.yaml", ROOT / "tasks/paper-scenario-2.yaml"])
+        load_inventory_and_tasks(
+            ROOT / "inventories/paper.yaml",
+            [ROOT / "tasks/paper-scenario-1.yaml", ROOT / "tasks/paper-scenario-2.yaml"],
+        )
     assert {problem.code for problem in caught.value.problems} == {"EC032"}

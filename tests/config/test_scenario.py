@@ -4,11 +4,11 @@ from pathlib import Path
 
 import pytest
 
-from edgectl.config.load import load
-from edgectl.config.scenario import load_scenario, scenario_files
+from edgectl.config.load import load_inventory_and_tasks
 from edgectl.errors import InputError
+from edgectl.experiments.files.scenario_file import load_scenario, load_scenario_paths
+from edgectl.experiments.model.scenario import Scenario, SimJob
 from edgectl.model.inventory import Inventory
-from edgectl.model.scenario import Job, Scenario
 from edgectl.model.task import Tasks
 from tests.builders import a_robot, a_task, an_edge, an_inventory, some_tasks
 from tests.views.fixtures import ROOT
@@ -37,7 +37,12 @@ def read(tmp_path: Path, text: str) -> Scenario:
 
 def test_hosts_and_jobs_are_spelled_out(tmp_path: Path) -> None:
     found = read(tmp_path, GOOD)
-    assert {name: host.cores for name, host in found.hosts.items()} == {"edge1": 4.0, "edge2": 2.0, "robot1": 1.0, "robot2": 1.0}
+    assert {name: host.cores for name, host in found.hosts.items()} == {
+        "edge1": 4.0,
+        "edge2": 2.0,
+        "robot1": 1.0,
+        "robot2": 1.0,
+    }
     assert [(job.name, job.task, job.after) for job in found.jobs] == [
         ("map-robot1", "slam-robot1", ()),
         ("map-robot2", "slam-robot2", ()),
@@ -45,7 +50,7 @@ def test_hosts_and_jobs_are_spelled_out(tmp_path: Path) -> None:
         ("check-robot2", "slam-robot2", ("map-robot2",)),
         ("merge", "merge", ("check-robot1", "check-robot2")),
     ]
-    assert found.jobs[0] == Job(name="map-robot1", task="slam-robot1", work=300.0, spread=0.1)
+    assert found.jobs[0] == SimJob(name="map-robot1", task="slam-robot1", work=300.0, spread=0.1)
     assert found.published["local"]["latency"] == (14.4,)
 
 
@@ -60,7 +65,12 @@ def test_hosts_and_jobs_are_spelled_out(tmp_path: Path) -> None:
         ("work: 20s", "work: 0s", "7:30", "must be above 0"),
         ("after: [check]", "after: [chek]", "7:43", "no job is named chek"),
         ("work: 5m", "work: 5m, after: [merge]", "5:3", "map waits for itself"),
-        ("robots: {cores: 1, memory: 1Gi, base_cores: 0.5}", "robot1: {cores: 1, memory: 1Gi}", "3:8", "nothing is said of robot2"),
+        (
+            "robots: {cores: 1, memory: 1Gi, base_cores: 0.5}",
+            "robot1: {cores: 1, memory: 1Gi}",
+            "3:8",
+            "nothing is said of robot2",
+        ),
         ("edges: {cores: 4, memory: 4Gi}", "edges: {cores: 4}", "3:16", "a computer needs memory"),
         ("edge2: {", "edge8: {", "3:41", "unknown host edge8"),
         ("spread: 10%", "spraed: 10%", "5:48", "unknown key spraed in a job"),
@@ -79,10 +89,10 @@ def test_each_mistake_has_its_place(tmp_path: Path, old: str, new: str, place: s
 @pytest.mark.parametrize("name", ["paper-1", "paper-2"])
 def test_shipped_scenarios_are_good(name: str) -> None:
     path = ROOT / "docs" / "scenarios" / f"{name}.yaml"
-    inventory_file, tasks_file = scenario_files(path)
+    inventory_file, tasks_file = load_scenario_paths(path)
     assert inventory_file is not None
     assert tasks_file is not None
-    inventory, tasks, _ = load(inventory_file, tasks_file)
+    inventory, tasks, _ = load_inventory_and_tasks(inventory_file, tasks_file)
     found = load_scenario(path, inventory, tasks)
     assert (found.name, len(found.jobs), len(found.published)) == (name, 10, 6)
     assert len(found.assumptions) >= 8

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from edgectl.config.load import load
+from edgectl.config.load import load_inventory_and_tasks
 from edgectl.errors import InputError
 from edgectl.model.inventory import Inventory
 from edgectl.model.secret import Secret
@@ -18,7 +18,7 @@ PLAIN = 'env: {ROBOT: "{robot}"}'
 def loaded(directory: Path, tasks: str, inventory: str = INVENTORY) -> tuple[Inventory, Task]:
     (directory / "i.yaml").write_text(inventory)
     (directory / "t.yaml").write_text(tasks)
-    fleet, found, _ = load(directory / "i.yaml", directory / "t.yaml")
+    fleet, found, _ = load_inventory_and_tasks(directory / "i.yaml", directory / "t.yaml")
     return fleet, found.tasks["navigation-robot1"]
 
 
@@ -46,7 +46,14 @@ def test_a_value_that_is_not_secret_is_a_text(tmp_path: Path) -> None:
 
 
 def test_names_that_only_sound_like_secrets_are_left_alone(tmp_path: Path) -> None:
-    env = {"TOKEN_LIFETIME": "60", "SECRETARY": "x", "PASSWORD_FILE": "/run/p", "COMPASS": "n", "MY_TOKEN": "", "KEYBOARD": "de"}
+    env = {
+        "TOKEN_LIFETIME": "60",
+        "SECRETARY": "x",
+        "PASSWORD_FILE": "/run/p",
+        "COMPASS": "n",
+        "MY_TOKEN": "",
+        "KEYBOARD": "de",
+    }
     written = ", ".join(f'{name}: "{value}"' for name, value in env.items())
     assert loaded(tmp_path, with_env(f"env: {{{written}}}"))[1].env == env
 
@@ -68,7 +75,9 @@ def test_no_digest_depends_on_a_value(tmp_path: Path) -> None:
 
 
 def test_secrets_and_commands_of_hosts(tmp_path: Path) -> None:
-    text = INVENTORY.replace('env: {ROS_DOMAIN_ID: "7"}', "env: {KEY: {value: canary, secret: true}}, env_command: [vault, read]")
+    text = INVENTORY.replace(
+        'env: {ROS_DOMAIN_ID: "7"}', "env: {KEY: {value: canary, secret: true}}, env_command: [vault, read]"
+    )
     fleet, _ = loaded(tmp_path, TASKS, text)
     host = fleet.hosts["edge1"]
     assert host.env["KEY"] == "***"
@@ -81,7 +90,11 @@ def test_secrets_and_commands_of_hosts(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("env", "place", "message"),
     [
-        ("env: {TOKEN: {value: 4711canary4711, secret: yes}}", (14, 50), "must be true or false, not a string"),
+        (
+            "env: {TOKEN: {value: 4711canary4711, secret: yes}}",
+            (14, 50),
+            "must be true or false, not a string",
+        ),
         ("env: {TOKEN: {value: 47114711, secret: true}}", (14, 26), "must be a string without NUL"),
         ('env: {TOKEN: {value: "canary\\0", secret: true}}', (14, 26), "must be a string without NUL"),
         ("env: {TOKEN: {value: canary}}", (14, 18), "an environment variable needs secret"),
@@ -89,9 +102,21 @@ def test_secrets_and_commands_of_hosts(tmp_path: Path) -> None:
         ("env: {TOKEN: {value: canary, secrte: true}}", (14, 18), "unknown key in an environment variable"),
         ("env: {TOKEN: {value canary, secret: true}}", (14, 18), "unknown key in an environment variable"),
         ("env: {TOKEN: {value: *canary, secret: true}}", (14, 26), "cannot be read; nothing of it is shown"),
-        ("env:\n      TOKEN:\n        value: @canary\n        secret: true", (16, 16), "cannot be read; nothing of it is shown"),
-        ("env:\n      TOKEN:\n        value: x\n      canary\n        secret: true", (17, 7), "cannot be read; nothing of it is shown"),
-        ("env:\n      TOKEN:\n        value: [47114711]\n        secret: true", (16, 16), "must be a string without NUL"),
+        (
+            "env:\n      TOKEN:\n        value: @canary\n        secret: true",
+            (16, 16),
+            "cannot be read; nothing of it is shown",
+        ),
+        (
+            "env:\n      TOKEN:\n        value: x\n      canary\n        secret: true",
+            (17, 7),
+            "cannot be read; nothing of it is shown",
+        ),
+        (
+            "env:\n      TOKEN:\n        value: [47114711]\n        secret: true",
+            (16, 16),
+            "must be a string without NUL",
+        ),
         ("env: {TOKEN: {value: canary, secret: true}", (14, 10), "cannot be read; nothing of it is shown"),
         ("env: {DB_PASSWORD: canary}", (14, 11), "DB_PASSWORD looks like a secret that stands here in clear"),
         ('env: {api_key: "canary"}', (14, 11), "api_key looks like a secret"),
@@ -100,7 +125,9 @@ def test_secrets_and_commands_of_hosts(tmp_path: Path) -> None:
         ("env_command: []", (14, 18), "must name a program"),
     ],
 )
-def test_mistakes_have_a_place_and_show_no_secret(env: str, place: tuple[int, int], message: str, tmp_path: Path) -> None:
+def test_mistakes_have_a_place_and_show_no_secret(
+    env: str, place: tuple[int, int], message: str, tmp_path: Path
+) -> None:
     with pytest.raises(InputError) as raised:
         loaded(tmp_path, with_env(env))
     texts = [f"{p.message} {p.hint} {p.source}" for p in raised.value.problems]
@@ -111,7 +138,10 @@ def test_mistakes_have_a_place_and_show_no_secret(env: str, place: tuple[int, in
     assert found[0].hint
 
 
-SOUND = ("env: {TOKEN: {value: canary4711, secret: true}}", "env:\n      TOKEN:\n        value: canary4711\n        secret: true")
+SOUND = (
+    "env: {TOKEN: {value: canary4711, secret: true}}",
+    "env:\n      TOKEN:\n        value: canary4711\n        secret: true",
+)
 STRAY = [*"{}[]:,@*&!\"'|>#%?\t\n\0", "- ", ": "]
 
 

@@ -7,16 +7,16 @@ from pathlib import Path
 import pytest
 
 from edgectl.config.load import load_inventory
-from edgectl.config.node import plain
+from edgectl.config.node import value_from_node
 from edgectl.config.problems import Problems, Source
-from edgectl.config.yaml12 import parse_yaml, resolve
+from edgectl.config.yaml_parser import parse_yaml, resolve_scalar
 from edgectl.errors import InputError
 
 
 def parsed(text: str) -> tuple[object, Problems]:
     problems = Problems()
     node = parse_yaml(Source(file="f.yaml", text=text, lines=tuple(text.split("\n"))), problems)
-    return None if node is None else plain(node), problems
+    return None if node is None else value_from_node(node), problems
 
 
 @pytest.mark.parametrize(
@@ -31,13 +31,13 @@ def parsed(text: str) -> tuple[object, Problems]:
     ],
 )  # fmt: skip
 def test_plain_scalars_are_yaml_1_2_core(text: str, value: object) -> None:
-    got = resolve(text)
+    got = resolve_scalar(text)
     assert got == value
     assert type(got) is type(value)
 
 
 def test_not_a_number_is_a_float() -> None:
-    got = resolve(".NaN")
+    got = resolve_scalar(".NaN")
     assert isinstance(got, float)
     assert got != got
 
@@ -71,7 +71,9 @@ def test_a_byte_order_mark_and_wide_characters_do_not_shift_columns() -> None:
     assert [(p.line, p.column) for p in problems.found] == [(1, 11)]
 
 
-ALIASES = "a0: &a0 [x, x, x, x, x, x, x, x, x]\n" + "".join(f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]\n" for i in range(1, 30))
+ALIASES = "a0: &a0 [x, x, x, x, x, x, x, x, x]\n" + "".join(
+    f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]\n" for i in range(1, 30)
+)
 BOMBS = {
     "alias bomb": (ALIASES, "EC007"),
     "merge bomb": ("a: &a {x: 1}\n" + "".join(f"b{i}: &b{i} {{<<: [*a, *a]}}\n" for i in range(20)), "EC006"),
@@ -110,13 +112,27 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
     (tmp_path / "lab.yaml").write_text("")
     (tmp_path / "big.yaml").write_text("#" * (2**20 + 1))
     (tmp_path / "latin.yaml").write_bytes("version: 1\nedges: {é: 1}\n".encode("latin-1"))
-    assert file_problem(tmp_path / "lab.yml") == ("EC001", "there is no such file", f"did you mean {tmp_path}/lab.yaml?", 0, 0)
+    assert file_problem(tmp_path / "lab.yml") == (
+        "EC001",
+        "there is no such file",
+        f"did you mean {tmp_path}/lab.yaml?",
+        0,
+        0,
+    )
     assert file_problem(tmp_path / "other")[2] == "name an existing file, or make one: edgectl init DIR"
     assert file_problem(tmp_path)[:2] == ("EC001", "is a directory, not a file")
     assert file_problem(tmp_path / "lab.yaml")[:3] == ("EC008", "the file is empty", "begin with: version: 1")
     assert file_problem(tmp_path / "big.yaml")[:2] == ("EC003", "the file is larger than 1 MiB")
-    assert file_problem(tmp_path / "latin.yaml") == ("EC002", "byte 0xe9 is not UTF-8", "save the file as UTF-8", 2, 9)
+    assert file_problem(tmp_path / "latin.yaml") == (
+        "EC002",
+        "byte 0xe9 is not UTF-8",
+        "save the file as UTF-8",
+        2,
+        9,
+    )
     assert file_problem(Path("a\0b"))[0] == "EC001"
     os.mkfifo(tmp_path / "pipe")
-    assert file_problem(tmp_path / "pipe")[:2] == ("EC001", "is not a regular file"), "nobody writes: to read it would wait for ever"
+    assert file_problem(tmp_path / "pipe")[:2] == ("EC001", "is not a regular file"), (
+        "nobody writes: to read it would wait for ever"
+    )
     assert file_problem(tmp_path / "lab.yaml" / "x")[0] == "EC001"

@@ -13,7 +13,9 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-_BLOCK = re.compile(r"(?:<!-- (?P<mark>[^>]*?) -->\n)?^```(?P<kind>console|sh)\n(?P<text>.*?)^```$", re.MULTILINE | re.DOTALL)
+_BLOCK = re.compile(
+    r"(?:<!-- (?P<mark>[^>]*?) -->\n)?^```(?P<kind>console|sh)\n(?P<text>.*?)^```$", re.MULTILINE | re.DOTALL
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +37,9 @@ def blocks(path: Path) -> list[Block]:
 def _block(match: re.Match[str], text: str) -> Block:
     mark = match["mark"] or ""
     commands = (
-        _console(match["text"]) if match["kind"] == "console" else [(line, "") for line in match["text"].splitlines() if line.strip()]
+        _console(match["text"])
+        if match["kind"] == "console"
+        else [(line, "") for line in match["text"].splitlines() if line.strip()]
     )
     skipped = mark.removeprefix("not run: ") if mark.startswith("not run: ") else ""
     return Block(text.count("\n", 0, match.start()) + 1, tuple(commands), mark == "exact", skipped)
@@ -64,8 +68,20 @@ def stopped(site: Path, env: Mapping[str, str]) -> Iterator[None]:
         yield
     finally:
         for words in (["stop", "--all", "--yes"], ["profilers", "stop"]):
-            subprocess.run([sys.executable, "-m", "edgectl", *words], cwd=site, env=env, capture_output=True, check=False, timeout=300)
+            subprocess.run(
+                [sys.executable, "-m", "edgectl", *words],
+                cwd=site,
+                env=env,
+                capture_output=True,
+                check=False,
+                timeout=300,
+            )
         left = subprocess.run(
-            [sys.executable, "-m", "edgectl", "status", "-o", "name"], cwd=site, env=env, capture_output=True, text=True, check=False
+            [sys.executable, "-m", "edgectl", "status", "-o", "name"],
+            cwd=site,
+            env=env,
+            capture_output=True,
+            text=True,
+            check=False,
         )
         assert left.stdout == "", f"still running: {left.stdout}"

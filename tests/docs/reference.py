@@ -34,7 +34,13 @@ def page() -> str:
 
 def _section(words: list[str]) -> str:
     env = {**os.environ, "COLUMNS": "80"}
-    text = subprocess.run([sys.executable, "-m", "edgectl", *words, "--help"], env=env, capture_output=True, text=True, check=True).stdout
+    text = subprocess.run(
+        [sys.executable, "-m", "edgectl", *words, "--help"],
+        env=env,
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout
     return f"## {' '.join(['edgectl', *words])}\n\n```text\n{text}```\n"
 
 

@@ -6,12 +6,24 @@ import pytest
 
 import edgectl
 from edgectl.model.assignment import Assignment
-from edgectl.model.memory import Memory, Placement
+from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.policy import Policy
 from edgectl.model.snapshot import HostSample
 from edgectl.model.task import Task
 from edgectl.model.weights import parse_weights
-from tests.builders import GI, NOW, a_link, a_robot, a_run, a_sample, a_snapshot, a_task, an_edge, an_inventory, some_tasks
+from tests.builders import (
+    GI,
+    NOW,
+    a_link,
+    a_robot,
+    a_run,
+    a_sample,
+    a_snapshot,
+    a_task,
+    an_edge,
+    an_inventory,
+    some_tasks,
+)
 from tests.scheduler.fleets import decide, decisions, ranked, terms
 
 PAGE = Path(edgectl.__file__).parent.parent / "docs/concepts/decision.md"
@@ -21,7 +33,11 @@ MB, LINK = 1e6, 10e6
 def table(heading: str) -> list[dict[str, str]]:
     """The rows of the first table below a heading."""
     lines = PAGE.read_text().split(f"### {heading}\n")[1].splitlines()
-    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[: _end(lines)] if line.startswith("|")]
+    rows = [
+        [cell.strip() for cell in line.strip("|").split("|")]
+        for line in lines[: _end(lines)]
+        if line.startswith("|")
+    ]
     return [dict(zip(rows[0], row, strict=True)) for row in rows[2:]]
 
 
@@ -59,13 +75,18 @@ def assignment() -> Assignment:
 def test_the_terms(assignment: Assignment) -> None:
     rows = table("The terms")
     found = decisions(assignment)
-    assert [decision.task for decision in assignment.decisions] == list(dict.fromkeys(row["task"] for row in rows))
+    assert [decision.task for decision in assignment.decisions] == list(
+        dict.fromkeys(row["task"] for row in rows)
+    )
     assert len(rows) == sum(len(decision.ranking) for decision in assignment.decisions)
     for row in rows:
         entry = ranked(found[row["task"]])[row["host"]]
         numbers = [float(row[name]) for name in ("UT_cpu", "UT_mem", "UT_net", "UT_task", "total")]
         assert terms(entry) == pytest.approx(numbers, abs=1e-12), row
-        assert outcome(found[row["task"]].host == row["host"], found[row["task"]].verdict, entry) == row["outcome"]
+        assert (
+            outcome(found[row["task"]].host == row["host"], found[row["task"]].verdict, entry)
+            == row["outcome"]
+        )
 
 
 def outcome(chosen: bool, verdict: str, entry: object) -> str:
@@ -75,39 +96,60 @@ def outcome(chosen: bool, verdict: str, entry: object) -> str:
 
 def test_the_rows_stand_in_the_order_of_the_ranking(assignment: Assignment) -> None:
     rows = [(row["task"], row["host"]) for row in table("The terms")]
-    assert rows == [(decision.task, entry.host) for decision in assignment.decisions for entry in decision.ranking]
+    assert rows == [
+        (decision.task, entry.host) for decision in assignment.decisions for entry in decision.ranking
+    ]
 
 
 def test_the_load_after_the_plan(assignment: Assignment) -> None:
     for row in table("After the plan"):
         load = assignment.expected[row["host"]]
-        numbers = [load.used_cores, load.used_bytes / GI, load.links["robot1"] / MB, load.links["robot2"] / MB]
-        assert numbers == pytest.approx([float(row[name]) for name in ("used cores", "used memory", "link robot1", "link robot2")])
+        numbers = [
+            load.used_cores,
+            load.used_bytes / GI,
+            load.links["robot1"] / MB,
+            load.links["robot2"] / MB,
+        ]
+        assert numbers == pytest.approx(
+            [float(row[name]) for name in ("used cores", "used memory", "link robot1", "link robot2")]
+        )
 
 
 def test_the_sentences_around_the_tables(assignment: Assignment) -> None:
     found = decisions(assignment)
     assert found["slam-robot1"].lead == pytest.approx(0.084375)
-    assert (found["navigation-robot1"].reason.value, found["navigation-robot1"].subject) == ("with-predecessor", "slam-robot1")
+    assert (found["navigation-robot1"].reason.value, found["navigation-robot1"].subject) == (
+        "with-predecessor",
+        "slam-robot1",
+    )
     assert assignment.settled
 
 
-@pytest.mark.parametrize("row", table("Moves worked by hand"), ids=lambda row: f"{row['gain']}: {row['outcome']}")
+@pytest.mark.parametrize(
+    "row", table("Moves worked by hand"), ids=lambda row: f"{row['gain']}: {row['outcome']}"
+)
 def test_the_moves(row: dict[str, str]) -> None:
-    memory = Memory(
+    memory = ManagerState(
         managed=True, placements={"slam": Placement(host="edge1", since=NOW - float(row["here for s"]))},
         downtimes={("slam", "edge2"): numbers(row["measured s"])}, stays={"slam": numbers(row["past stays s"])},
     )  # fmt: skip
-    snapshot = a_snapshot(edge1=a_sample(used=4 * float(row["gain"]), tasks={"slam": a_run()}), edge2=a_sample())
+    snapshot = a_snapshot(
+        edge1=a_sample(used=4 * float(row["gain"]), tasks={"slam": a_run()}), edge2=a_sample()
+    )
     policy = Policy(weights=parse_weights("cpu"))
-    inventory, tasks = an_inventory(an_edge("edge1"), an_edge("edge2")), some_tasks(a_task("slam", downtime_cost=float(row["cost"])))
+    inventory, tasks = (
+        an_inventory(an_edge("edge1"), an_edge("edge2")),
+        some_tasks(a_task("slam", downtime_cost=float(row["cost"]))),
+    )
     decision = decisions(decide(inventory, tasks, snapshot, memory=memory, policy=policy))["slam"]
     assert decision.reason.value == row["outcome"]
     if decision.cost is None:
         assert (row["downtime s"], row["stay s"], float(row["gain needed"])) == ("-", "-", policy.move_margin)
     else:
         found = (decision.cost.downtime_s, decision.cost.stay_s, decision.cost.needed)
-        assert found == pytest.approx((float(row["downtime s"]), float(row["stay s"]), float(row["gain needed"])), abs=5e-5)
+        assert found == pytest.approx(
+            (float(row["downtime s"]), float(row["stay s"]), float(row["gain needed"])), abs=5e-5
+        )
 
 
 def numbers(cell: str) -> tuple[float, ...]:

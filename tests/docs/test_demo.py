@@ -13,7 +13,9 @@ from tests.views.fixtures import ROOT
 @pytest.mark.timeout(LIMIT_S + 30)
 def test_the_demo() -> None:
     began = time.monotonic()
-    done = subprocess.run([sys.executable, "-m", "tests.demo"], cwd=ROOT, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-m", "tests.demo"], cwd=ROOT, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stdout + done.stderr
     assert time.monotonic() - began < LIMIT_S
     assert "\n# detection-robot1 moved from " in done.stdout

@@ -9,12 +9,15 @@ from pathlib import Path
 import pytest
 import yaml
 
-from edgectl.config.load import load
-from edgectl.scaffold.write import write
+from edgectl.config.load import load_inventory_and_tasks
+from edgectl.scaffold.write import write_scaffold
 from tests.docs.blocks import Block, blocks, environment, stopped
 from tests.views.fixtures import ROOT, SNAPSHOT
 
-PAGES = [ROOT / "README.md", *sorted(path for path in (ROOT / "docs").rglob("*.md") if "adr" not in path.parts)]
+PAGES = [
+    ROOT / "README.md",
+    *sorted(path for path in (ROOT / "docs").rglob("*.md") if "adr" not in path.parts),
+]
 WITH_COMMANDS = [page for page in PAGES if any(not block.skipped for block in blocks(page))]
 
 
@@ -29,7 +32,7 @@ def test_pages_are_found() -> None:
 @pytest.mark.parametrize("page", WITH_COMMANDS, ids=lambda page: page.name)
 def test_every_block_runs(page: Path, tmp_path: Path) -> None:
     site, env = tmp_path / "site", environment(tmp_path / "state")
-    write(site)
+    write_scaffold(site)
     (site / "docs").symlink_to(ROOT / "docs")
     here = site
     with stopped(site, env):
@@ -42,7 +45,14 @@ def run(block: Block, here: Path, note: Path, env: dict[str, str], page: Path) -
     """Run one block; the directory in which it ends, where the next begins."""
     script = "set -e\n" + "\n".join(command for command, _ in block.commands) + f"\npwd > '{note}'\n"
     done = subprocess.run(
-        ["bash", "-c", script], cwd=here, env=env, capture_output=True, text=True, stdin=subprocess.DEVNULL, timeout=300, check=False
+        ["bash", "-c", script],
+        cwd=here,
+        env=env,
+        capture_output=True,
+        text=True,
+        stdin=subprocess.DEVNULL,
+        timeout=300,
+        check=False,
     )
     where = f"{page.name}:{block.line}"
     assert done.returncode == 0, f"{where}: {done.stdout}{done.stderr}"
@@ -54,10 +64,14 @@ def run(block: Block, here: Path, note: Path, env: dict[str, str], page: Path) -
 def jobs() -> list[tuple[str, list[str]]]:
     """The shell lines of each CI job of docs/ci.md."""
     found = []
-    for text in re.findall(r"^```yaml\n(.*?)^```$", (ROOT / "docs" / "ci.md").read_text(), re.MULTILINE | re.DOTALL):
+    for text in re.findall(
+        r"^```yaml\n(.*?)^```$", (ROOT / "docs" / "ci.md").read_text(), re.MULTILINE | re.DOTALL
+    ):
         document = yaml.safe_load(text)
         if "jobs" in document:
-            found.append(("github", [step["run"] for step in document["jobs"]["plan"]["steps"] if "run" in step]))
+            found.append(
+                ("github", [step["run"] for step in document["jobs"]["plan"]["steps"] if "run" in step])
+            )
         else:
             found.append(("gitlab", list(document["fleet"]["script"])))
     return found
@@ -65,14 +79,20 @@ def jobs() -> list[tuple[str, list[str]]]:
 
 @pytest.mark.parametrize(("name", "lines"), jobs(), ids=["github", "gitlab"])
 def test_the_commands_of_each_job_run(name: str, lines: list[str], tmp_path: Path) -> None:
-    write(tmp_path / "repo")
+    write_scaffold(tmp_path / "repo")
     (tmp_path / "repo" / "snapshots").mkdir()
     (tmp_path / "repo" / "snapshots" / "lab.json").write_bytes(SNAPSHOT.read_bytes())
     ours = [line for line in lines if line.startswith("edgectl ")]
     assert len(ours) == 2
-    env = {**environment(tmp_path / "state"), "CI": "true", "GITHUB_ACTIONS": "true" if name == "github" else ""}
+    env = {
+        **environment(tmp_path / "state"),
+        "CI": "true",
+        "GITHUB_ACTIONS": "true" if name == "github" else "",
+    }
     for line in ours:
-        done = subprocess.run(["bash", "-ec", line], cwd=tmp_path / "repo", env=env, capture_output=True, text=True, check=False)
+        done = subprocess.run(
+            ["bash", "-ec", line], cwd=tmp_path / "repo", env=env, capture_output=True, text=True, check=False
+        )
         assert done.returncode == 0, done.stderr
     assert (tmp_path / "repo" / "plan.md").read_text().startswith("<!-- edgectl-plan -->\n**Plan: ")
     assert not (tmp_path / "state").exists(), "a plan from a snapshot leaves nothing behind"
@@ -91,17 +111,24 @@ def test_the_paper_table_names_real_modules() -> None:
 
 
 def test_the_files_of_the_readme_are_valid(tmp_path: Path) -> None:
-    found = re.findall(r"^ +```yaml\n(.*?)^ +```$", (ROOT / "README.md").read_text(), re.MULTILINE | re.DOTALL)
+    found = re.findall(
+        r"^ +```yaml\n(.*?)^ +```$", (ROOT / "README.md").read_text(), re.MULTILINE | re.DOTALL
+    )
     for name, text in zip(("lab.yaml", "tasks.yaml"), found, strict=True):
         (tmp_path / name).write_text(textwrap.dedent(text))
-    inventory, tasks, _ = load(tmp_path / "lab.yaml", [tmp_path / "tasks.yaml"])
+    inventory, tasks, _ = load_inventory_and_tasks(tmp_path / "lab.yaml", [tmp_path / "tasks.yaml"])
     assert list(inventory.hosts) == ["edge1", "edge2", "robot1"]
     assert list(tasks.tasks) == ["navigation-robot1", "slam-robot1"]
 
 
 def test_every_dependency_has_its_reason() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    extras = [package for name, packages in project["optional-dependencies"].items() if name != "dev" for package in packages]
+    extras = [
+        package
+        for name, packages in project["optional-dependencies"].items()
+        if name != "dev"
+        for package in packages
+    ]
     declared = [re.split(r"[<>=]", package)[0] for package in (*project["dependencies"], *extras)]
     page = (ROOT / "docs" / "dependencies.md").read_text()
     assert len(declared) >= 9

@@ -5,19 +5,33 @@ from typing import Any
 
 import pytest
 
-from edgectl.doctor.judge import judge
-from edgectl.model.finding import NO_DIRECTORY, Diagnosis, Finding, HostFacts, Level, ManagerFacts, NoAnswer, Surroundings
+from edgectl.doctor.diagnosis import diagnose_fleet
+from edgectl.model.diagnosis import (
+    NOT_A_DIRECTORY,
+    Diagnosis,
+    Finding,
+    HostFacts,
+    ManagerFacts,
+    Severity,
+    ShellEnvironment,
+    UnreachableHost,
+)
 from edgectl.model.inventory import Connection, Host
 from edgectl.model.snapshot import CapacitySource
 from tests.builders import a_robot, an_edge, an_inventory
 from tests.doctor.facts import DISK, FACTS, GI, LINK, LOGIND, MANAGER, ros
 
-OK, WARNING, FAILED = Level.OK, Level.WARNING, Level.FAILED
+OK, WARNING, FAILED = Severity.OK, Severity.WARNING, Severity.FAILED
 EDGE, ROBOT = an_edge("edge1", prelude="source /opt/ros/noetic/setup.bash"), a_robot("robot1")
 
 
-def diagnosed(answer: HostFacts | NoAnswer, edge: Host = EDGE, robot: Host = ROBOT, manager: ManagerFacts = MANAGER) -> Diagnosis:
-    return judge(an_inventory(edge, robot), manager, {"edge1": answer})
+def diagnosed(
+    answer: HostFacts | UnreachableHost,
+    edge: Host = EDGE,
+    robot: Host = ROBOT,
+    manager: ManagerFacts = MANAGER,
+) -> Diagnosis:
+    return diagnose_fleet(an_inventory(edge, robot), manager, {"edge1": answer})
 
 
 def only(diagnosis: Diagnosis, check: str, host: str | None = "edge1") -> Finding:
@@ -29,11 +43,14 @@ def only(diagnosis: Diagnosis, check: str, host: str | None = "edge1") -> Findin
 def test_all_is_well() -> None:
     diagnosis = diagnosed(FACTS)
     assert (diagnosis.worst, diagnosis.counts) == (OK, {OK: 11, WARNING: 0, FAILED: 0})
-    assert not any(finding.mend for finding in diagnosis.findings)
-    assert [finding.check for finding in diagnosis.findings if finding.host is None] == ["disk", "known_hosts"]
+    assert not any(finding.remedy for finding in diagnosis.findings)
+    assert [finding.check for finding in diagnosis.findings if finding.host is None] == [
+        "disk",
+        "known_hosts",
+    ]
 
 
-CASES: list[tuple[str, dict[str, Any], Level, str, str]] = [
+CASES: list[tuple[str, dict[str, Any], Severity, str, str]] = [
     ("login", {"login_s": 3.0}, OK, "3.00s, host key known", ""),
     ("login", {"login_s": 3.1}, WARNING, "3.10s, which every command pays", "UseDNS no"),
     ("python", {"psutil": True}, OK, "3.8.10, psutil", ""),
@@ -54,15 +71,15 @@ CASES: list[tuple[str, dict[str, Any], Level, str, str]] = [
     ("disk", {"disk": replace(DISK, files_left=999)}, FAILED, "only 999 more files", "sudo apt-get clean"),
     ("disk", {"disk": replace(DISK, files_left=None)}, OK, "10.0Gi of 28.0Gi free", ""),
     ("state", {"disk": replace(DISK, obstacle="it cannot be written")}, FAILED, "it cannot be written", "chmod 700 /home/jetson/.local/state/edgectl"),
-    ("state", {"disk": replace(DISK, obstacle=NO_DIRECTORY)}, FAILED, "no directory", "on edge1: mv /home/jetson/.local/state/edgectl /home"),
-    ("state", {"disk": replace(DISK, obstacle="it cannot be written", spare=True)}, WARNING, "shared memory takes its place", "on edge1: sudo mkdir"),
+    ("state", {"disk": replace(DISK, obstacle=NOT_A_DIRECTORY)}, FAILED, "no directory", "on edge1: mv /home/jetson/.local/state/edgectl /home"),
+    ("state", {"disk": replace(DISK, obstacle="it cannot be written", in_shared_memory=True)}, WARNING, "shared memory takes its place", "on edge1: sudo mkdir"),
     ("memory", {"used_bytes": 7 * GI}, OK, "1.0Gi of 8.0Gi free", ""),
     ("memory", {"used_bytes": 7.3 * GI}, WARNING, "716.8Mi of 8.0Gi free", "--sort=-rss"),
     ("memory", {"used_bytes": 8 * GI - 63 * 2**20}, FAILED, "63.0Mi of 8.0Gi free", "--sort=-rss"),
     ("prelude", {}, OK, "runs", ""),
-    ("prelude", {"surroundings": Surroundings(status=1, said="no such file")}, WARNING, "ends with status 1: no such file", "prelude: of edge1"),
-    ("prelude", {"surroundings": Surroundings(status=None, said="bye")}, FAILED, "ends the shell: bye; no task can start", "prelude: of edge1"),
-    ("prelude", {"surroundings": Surroundings(status=None, timed_out=True)}, FAILED, "does not come to its end in time", "prelude: of edge1"),
+    ("prelude", {"surroundings": ShellEnvironment(status=1, last_line="no such file")}, WARNING, "ends with status 1: no such file", "prelude: of edge1"),
+    ("prelude", {"surroundings": ShellEnvironment(status=None, last_line="bye")}, FAILED, "ends the shell: bye; no task can start", "prelude: of edge1"),
+    ("prelude", {"surroundings": ShellEnvironment(status=None, timed_out=True)}, FAILED, "does not come to its end in time", "prelude: of edge1"),
     ("robot", {"links": {"robot1": LINK}}, OK, "robot1 answers in 1.2ms", ""),
     ("robot", {"links": {"robot1": replace(LINK, rtt_ms=None)}}, OK, "robot1 answers", ""),
     ("robot", {"links": {"robot1": replace(LINK, address="rosie", found=False, reachable=None)}}, FAILED, "a name that means nothing on edge1", "rosie' | sudo tee -a /etc/hosts"),
@@ -76,27 +93,44 @@ CASES: list[tuple[str, dict[str, Any], Level, str, str]] = [
 
 
 @pytest.mark.parametrize(("check", "changes", "level", "says", "mend"), CASES)
-def test_each_check_of_a_host(check: str, changes: dict[str, Any], level: Level, says: str, mend: str) -> None:
+def test_each_check_of_a_host(
+    check: str, changes: dict[str, Any], level: Severity, says: str, mend: str
+) -> None:
     diagnosis = diagnosed(replace(FACTS, **changes))
     found = only(diagnosis, check)
     assert (found.level, diagnosis.worst) == (level, level)
     assert says in found.message
-    assert bool(found.mend) == (level is not OK)
-    assert mend in found.mend
+    assert bool(found.remedy) == (level is not OK)
+    assert mend in found.remedy
 
 
 def test_a_local_host_has_no_login_and_our_clock() -> None:
-    diagnosis = diagnosed(replace(FACTS, login_s=9.0, skew_s=(5.0, 6.0)), replace(EDGE, connection=Connection.LOCAL))
+    diagnosis = diagnosed(
+        replace(FACTS, login_s=9.0, skew_s=(5.0, 6.0)), replace(EDGE, connection=Connection.LOCAL)
+    )
     assert diagnosis.worst is OK
     assert "host key" not in only(diagnosis, "login").message
 
 
 def test_a_robot_that_is_never_contacted_may_be_silent_but_must_be_on_the_way() -> None:
     blind = replace(ROBOT, probe=False)
-    assert only(diagnosed(replace(FACTS, links={"robot1": replace(LINK, reachable=None)}), robot=blind), "robot").level is OK
-    assert only(diagnosed(replace(FACTS, links={"robot1": replace(LINK, reachable=False)}), robot=blind), "robot").level is FAILED
+    assert (
+        only(
+            diagnosed(replace(FACTS, links={"robot1": replace(LINK, reachable=None)}), robot=blind), "robot"
+        ).level
+        is OK
+    )
+    assert (
+        only(
+            diagnosed(replace(FACTS, links={"robot1": replace(LINK, reachable=False)}), robot=blind), "robot"
+        ).level
+        is FAILED
+    )
     assumed = replace(LINK, capacity_source=CapacitySource.ASSUMED)
-    assert "--bandwidth" not in only(diagnosed(replace(FACTS, links={"robot1": assumed}), robot=blind), "capacity").mend
+    assert (
+        "--bandwidth"
+        not in only(diagnosed(replace(FACTS, links={"robot1": assumed}), robot=blind), "capacity").remedy
+    )
 
 
 SILENT: list[tuple[str, str, str, str]] = [
@@ -114,20 +148,25 @@ SILENT: list[tuple[str, str, str, str]] = [
 @pytest.mark.parametrize(("kind", "hint", "check", "mend"), SILENT)
 def test_a_host_that_cannot_be_asked_is_one_failed_check(kind: str, hint: str, check: str, mend: str) -> None:
     edge = replace(EDGE, port=2222, user="jetson", identity_file="~/.ssh/lab")
-    diagnosis = diagnosed(NoAnswer(kind=kind, error="it says so", hint=hint), edge)
+    diagnosis = diagnosed(UnreachableHost(kind=kind, error="it says so", hint=hint), edge)
     found = only(diagnosis, check)
     assert (found.level, found.message) == (FAILED, "it says so")
-    assert mend in found.mend
+    assert mend in found.remedy
     assert [finding.host for finding in diagnosis.findings] == [None, None, "edge1"]
 
 
-MANAGERS: list[tuple[dict[str, Any], str, Level, str]] = [
+MANAGERS: list[tuple[dict[str, Any], str, Severity, str]] = [
     ({}, "disk", OK, ""),
     ({"state": replace(DISK, obstacle="is not private to you")}, "state", FAILED, "sudo chown $(id -u)"),
     ({"state": replace(DISK, free_bytes=1.0)}, "disk", FAILED, "sudo journalctl --vacuum-size=100M"),
     ({}, "known_hosts", OK, ""),
     ({"known_hosts": {}}, "known_hosts", OK, ""),
-    ({"known_hosts": {"/k": "Permission denied"}}, "known_hosts", FAILED, "sudo chown $USER /k && chmod 600 /k"),
+    (
+        {"known_hosts": {"/k": "Permission denied"}},
+        "known_hosts",
+        FAILED,
+        "sudo chown $USER /k && chmod 600 /k",
+    ),
     ({"known_hosts": {"/k": "Is a directory"}}, "known_hosts", FAILED, "mv /k /k.old"),
     ({}, "ssh", OK, ""),
     ({"ssh": False}, "ssh", FAILED, "sudo apt-get install openssh-client"),
@@ -135,26 +174,30 @@ MANAGERS: list[tuple[dict[str, Any], str, Level, str]] = [
 
 
 @pytest.mark.parametrize(("changes", "check", "level", "mend"), MANAGERS)
-def test_each_check_of_this_machine(changes: dict[str, Any], check: str, level: Level, mend: str) -> None:
+def test_each_check_of_this_machine(changes: dict[str, Any], check: str, level: Severity, mend: str) -> None:
     edge = replace(EDGE, connection=Connection.OPENSSH)
     found = only(diagnosed(FACTS, edge, manager=replace(MANAGER, **changes)), check, None)
-    assert (found.level, bool(found.mend)) == (level, level is not OK)
-    assert mend in found.mend
-    assert not found.mend.startswith("on ")
+    assert (found.level, bool(found.remedy)) == (level, level is not OK)
+    assert mend in found.remedy
+    assert not found.remedy.startswith("on ")
 
 
 def test_what_no_host_needs_is_not_checked() -> None:
     local = replace(EDGE, connection=Connection.LOCAL), replace(ROBOT, connection=Connection.LOCAL)
     broken = replace(MANAGER, known_hosts={"/k": "Permission denied"}, ssh=False)
     assert diagnosed(FACTS, *local, manager=broken).worst is OK
-    assert [finding.check for finding in diagnosed(FACTS, manager=replace(broken, known_hosts={})).findings][:2] == ["disk", "known_hosts"]
-    assert judge(an_inventory(EDGE, ROBOT), MANAGER, {}).counts[OK] == 2
+    assert [finding.check for finding in diagnosed(FACTS, manager=replace(broken, known_hosts={})).findings][
+        :2
+    ] == ["disk", "known_hosts"]
+    assert diagnose_fleet(an_inventory(EDGE, ROBOT), MANAGER, {}).counts[OK] == 2
 
 
-def compared(*hosts: tuple[Host, HostFacts]) -> dict[str, tuple[Level, str, str]]:
+def compared(*hosts: tuple[Host, HostFacts]) -> dict[str, tuple[Severity, str, str]]:
     """What is said of ROS, by host: level, message, mend."""
-    diagnosis = judge(an_inventory(*(host for host, _ in hosts)), MANAGER, {host.name: facts for host, facts in hosts})
-    return {f.host: (f.level, f.message, f.mend) for f in diagnosis.findings if f.check == "ros" and f.host}
+    diagnosis = diagnose_fleet(
+        an_inventory(*(host for host, _ in hosts)), MANAGER, {host.name: facts for host, facts in hosts}
+    )
+    return {f.host: (f.level, f.message, f.remedy) for f in diagnosis.findings if f.check == "ros" and f.host}
 
 
 E1, E2, E3, R1 = an_edge("edge1"), an_edge("edge2"), an_edge("edge3"), a_robot("robot1")
@@ -167,7 +210,9 @@ def test_without_ros_nothing_is_said() -> None:
 
 def test_equal_variables_are_shown() -> None:
     same = ros(ROS_MASTER_URI=MASTER, ROS_DOMAIN_ID="")
-    assert compared((E1, same), (R1, same)) == dict.fromkeys(("edge1", "robot1"), (OK, f"ROS_MASTER_URI={MASTER}", ""))
+    assert compared((E1, same), (R1, same)) == dict.fromkeys(
+        ("edge1", "robot1"), (OK, f"ROS_MASTER_URI={MASTER}", "")
+    )
 
 
 def test_the_minority_is_told_and_its_mend_is_an_edit_that_has_the_last_word() -> None:
@@ -187,25 +232,42 @@ def test_what_is_not_set_counts_as_the_default_of_ros() -> None:
     assert {each[0] for each in compared((E1, ros(ROS_DOMAIN_ID="0")), (E2, ros())).values()} == {OK}
     said = compared((E1, ros(ROS_DOMAIN_ID="5")), (E2, ros()))["edge2"]
     assert (said[0], said[1]) == (FAILED, "ROS_DOMAIN_ID is not set (0 by default), but 5 on edge1")
-    assert compared((E1, ros(ROS_MASTER_URI=MASTER)), (E2, ros()))["edge2"][1] == f"ROS_MASTER_URI is not set, but {MASTER} on edge1"
+    assert (
+        compared((E1, ros(ROS_MASTER_URI=MASTER)), (E2, ros()))["edge2"][1]
+        == f"ROS_MASTER_URI is not set, but {MASTER} on edge1"
+    )
     rmw = compared((E1, ros(RMW_IMPLEMENTATION="rmw_cyclonedds_cpp")), (E2, ros()))["edge2"]
     assert rmw[0] is WARNING
-    assert {each[0] for each in compared((E1, ros(RMW_IMPLEMENTATION="rmw_fastrtps_cpp")), (E2, ros())).values()} == {OK}
+    assert {
+        each[0] for each in compared((E1, ros(RMW_IMPLEMENTATION="rmw_fastrtps_cpp")), (E2, ros())).values()
+    } == {OK}
 
 
 def test_a_robot_that_sets_nothing_is_not_compared_and_one_that_differs_is_a_warning() -> None:
     assert "robot1" not in compared((E1, ros(ROS_DOMAIN_ID="5")), (R1, ros()))
     assert compared((E1, ros(ROS_DOMAIN_ID="5")), (replace(R1, onboard=True), ros()))["robot1"][0] is WARNING
-    assert compared((E1, ros(ROS_DOMAIN_ID="5")), (E2, ros(ROS_DOMAIN_ID="5")), (R1, ros(ROS_DOMAIN_ID="6")))["robot1"][0] is WARNING
+    assert (
+        compared((E1, ros(ROS_DOMAIN_ID="5")), (E2, ros(ROS_DOMAIN_ID="5")), (R1, ros(ROS_DOMAIN_ID="6")))[
+            "robot1"
+        ][0]
+        is WARNING
+    )
 
 
 @pytest.mark.parametrize("uri", ["http://localhost:11311", "http://127.0.0.1:11311/"])
 def test_a_master_on_localhost_is_another_one_on_each_host(uri: str) -> None:
     own = ros(ROS_MASTER_URI=uri)
     said = compared((E1, own), (E2, own), (R1, own))
-    assert {name: each[0] for name, each in said.items()} == {"edge1": FAILED, "edge2": FAILED, "robot1": WARNING}
+    assert {name: each[0] for name, each in said.items()} == {
+        "edge1": FAILED,
+        "edge2": FAILED,
+        "robot1": WARNING,
+    }
     assert "each host has a master of its own" in said["edge1"][1]
-    assert said["edge1"][2] == 'in the inventory, for edge1: env: {ROS_MASTER_URI: "http://ADDRESS-OF-THE-MASTER:11311"}'
+    assert (
+        said["edge1"][2]
+        == 'in the inventory, for edge1: env: {ROS_MASTER_URI: "http://ADDRESS-OF-THE-MASTER:11311"}'
+    )
 
 
 def test_a_master_on_localhost_is_right_where_there_is_one_machine() -> None:

@@ -9,25 +9,25 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from edgectl.gateway.collect import ProbeOptions
+from edgectl.gateway.host_probe import ProbeOptions
 from edgectl.model.inventory import Capacity, Connection, Host, Inventory
 from edgectl.model.plan import Action, Plan
 from edgectl.model.policy import Policy, Weights
 from edgectl.model.snapshot import Snapshot, TaskSample
-from edgectl.model.task import Stop, Task, Tasks
-from edgectl.transport.choose import Transports
-from edgectl.usecases.apply import Applied, ApplyOptions, apply
+from edgectl.model.task import StopRule, Task, Tasks
+from edgectl.transport.fleet_transport import FleetTransport
+from edgectl.usecases.apply import ApplyOptions, ApplyResult, plan_and_apply
 from edgectl.usecases.fleet import Fleet
-from edgectl.usecases.plan import plan
-from edgectl.usecases.probe import probe
-from edgectl.usecases.stop import stop
+from edgectl.usecases.plan import make_plan
+from edgectl.usecases.probe import probe_fleet
+from edgectl.usecases.stop import stop_tasks
 from tests.builders import a_task, some_tasks
 
 QUICK = ProbeOptions(window=0.2, timeout=10.0)
 EAGER = Policy(min_dwell=0.0)
 # A small margin: on a busy machine a process that takes all it can get may get little.
 BY_CPU = Policy(min_dwell=0.0, move_margin=0.01, weights=Weights(cpu=1.0, memory=0.0, network=0.0, task=0.0))
-GENTLE = Stop(grace=2.0)
+GENTLE = StopRule(grace=2.0)
 _numbers = itertools.count(1)
 
 
@@ -90,25 +90,30 @@ class Bench:
         return Bench(fleet, self.said)
 
     def probe(self) -> Snapshot:
-        return probe(self.fleet, QUICK)
+        return probe_fleet(self.fleet, QUICK)
 
     def plan(self, policy: Policy = EAGER) -> Plan:
-        return plan(self.fleet, policy, options=QUICK)
+        return make_plan(self.fleet, policy, options=QUICK)
 
     def actions(self, policy: Policy = EAGER) -> dict[str, Action]:
         return {step.task: step.action for step in self.plan(policy).steps}
 
-    def apply(self, policy: Policy = EAGER) -> Applied:
-        applied = apply(self.fleet, policy, options=ApplyOptions(probe=QUICK))
+    def apply(self, policy: Policy = EAGER) -> ApplyResult:
+        applied = plan_and_apply(self.fleet, policy, options=ApplyOptions(probe=QUICK))
         assert applied.results is None or applied.results.done, applied.results
         return applied
 
-    def stop(self, *names: str) -> Applied:
-        return stop(self.fleet, names or None, options=ApplyOptions(probe=QUICK))
+    def stop(self, *names: str) -> ApplyResult:
+        return stop_tasks(self.fleet, names or None, options=ApplyOptions(probe=QUICK))
 
     def where(self) -> dict[str, str]:
         """Where each living task is."""
-        return {task: host for host, sample in self.probe().hosts.items() for task, entry in sample.tasks.items() if entry.state.alive}
+        return {
+            task: host
+            for host, sample in self.probe().hosts.items()
+            for task, entry in sample.tasks.items()
+            if entry.state.alive
+        }
 
     def sample(self, task: str) -> TaskSample:
         return next(host.tasks[task] for host in self.probe().hosts.values() if task in host.tasks)
@@ -119,7 +124,16 @@ def managing(inventory: Inventory, state: Path, clean: Callable[[], None] = lamb
     """A manager of ``inventory``; everything that it started is stopped at the end."""
     state.mkdir(mode=0o700)
     said: list[str] = []
-    bench = Bench(Fleet(inventory=inventory, tasks=Tasks(tasks={}), transport=Transports(), state=state, warn=said.append), said)
+    bench = Bench(
+        Fleet(
+            inventory=inventory,
+            tasks=Tasks(tasks={}),
+            transport=FleetTransport(),
+            state=state,
+            warn=said.append,
+        ),
+        said,
+    )
     try:
         yield bench
     finally:

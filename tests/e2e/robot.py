@@ -54,7 +54,12 @@ class Robot:
                 while (left := due - time.monotonic()) > 0:
                     for key, _ in self.selector.select(left):
                         self.accept(listener) if key.fileobj is listener else self.hear(key.fileobj)  # type: ignore[arg-type]
-                sample = {"t": time.monotonic(), "steer": sorted(self.steering.values()), "holds": self.holds, "told": self.told}
+                sample = {
+                    "t": time.monotonic(),
+                    "steer": sorted(self.steering.values()),
+                    "holds": self.holds,
+                    "told": self.told,
+                }
                 out.write(json.dumps(sample) + "\n")
                 self.told = []
 

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from edgectl.gateway.fetch import fetch
+from edgectl.gateway.fetch import fetch_file
 from edgectl.model.inventory import Connection, Role
 from edgectl.model.snapshot import TaskSample, TaskState
-from edgectl.model.task import Kind
+from edgectl.model.task import TaskKind
 from edgectl.state import store_rows as rows
 from edgectl.state.store import Store
 from tests.agent.conftest import eventually
@@ -30,21 +30,32 @@ def saying(bench: Bench, task: str, values: dict[str, float], state: TaskState) 
 
 
 @pytest.mark.parametrize("connection", [Connection.SSH, Connection.OPENSSH])
-def test_a_mapper_says_how_it_does_and_its_map_is_fetched(lab: Lab, tmp_path: Path, connection: Connection) -> None:
+def test_a_mapper_says_how_it_does_and_its_map_is_fetched(
+    lab: Lab, tmp_path: Path, connection: Connection
+) -> None:
     work, name = tmp_path / "work", f"mapper-{connection.value}-{time.time_ns()}"
     work.mkdir()
     picture = random.Random(1).randbytes(1_500_000)
     (work / "drawn").write_bytes(picture)
     command = 'echo "map/fps 29.97" >>"$EDGECTL_METRICS"; until [ -e go ]; do sleep 0.05; done; cp drawn map.pgm; echo "loss 1e-3" >>"$EDGECTL_METRICS"'
-    inventory = an_inventory(a_slice(lab.host("edge1", connection=connection)), a_slice(lab.host("robot1", role=Role.ROBOT)))
-    task = a_task(name, command=command, workdir=str(work), kind=Kind.JOB, stop=GENTLE)
+    inventory = an_inventory(
+        a_slice(lab.host("edge1", connection=connection)), a_slice(lab.host("robot1", role=Role.ROBOT))
+    )
+    task = a_task(name, command=command, workdir=str(work), kind=TaskKind.JOB, stop=GENTLE)
     with managing(inventory, tmp_path / "manager") as made:
         bench = made.using(task)
         bench.apply()
         saying(bench, name, {"map/fps": 29.97}, TaskState.RUNNING)
         (work / "go").touch()
         saying(bench, name, {"loss": 0.001, "map/fps": 29.97}, TaskState.COMPLETED)
-        assert fetch(bench.fleet.transport, inventory.hosts["edge1"], task, "map.pgm", timeout=60.0) == picture
+        assert (
+            fetch_file(bench.fleet.transport, inventory.hosts["edge1"], task, "map.pgm", timeout=60.0)
+            == picture
+        )
         with Store.open(bench.fleet.state) as store:
-            kept = [(point.name, point.value) for point in store.stream(rows.METRICS, "metric_samples", "at, name") if point.task == name]
+            kept = [
+                (point.name, point.value)
+                for point in store.stream(rows.METRICS, "metric_samples", "at, name")
+                if point.task == name
+            ]
         assert kept == [("map/fps", 29.97), ("loss", 0.001)]

@@ -33,14 +33,22 @@ class Shell:
         self.directory = directory
         self.mark = a_mark()
         (directory / "inventory.yaml").write_text(INVENTORY)
-        (directory / "tasks.yaml").write_text(TASKS.replace("MARK", self.mark).replace("GO", str(directory / "go")))
+        (directory / "tasks.yaml").write_text(
+            TASKS.replace("MARK", self.mark).replace("GO", str(directory / "go"))
+        )
 
     def command(self, *words: str) -> list[str]:
         return [sys.executable, "-m", "edgectl", *words, "-i", "inventory.yaml", "-t", "tasks.yaml"]
 
     def run(self, *words: str) -> subprocess.CompletedProcess[str]:
         return subprocess.run(
-            self.command(*words), cwd=self.directory, capture_output=True, text=True, check=False, timeout=60, stdin=subprocess.DEVNULL
+            self.command(*words),
+            cwd=self.directory,
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=60,
+            stdin=subprocess.DEVNULL,
         )
 
     def begin(self, *words: str) -> subprocess.Popen[str]:
@@ -96,7 +104,10 @@ def test_the_second_of_two_applies_exits_75(shell: Shell) -> None:
 def test_a_lock_timeout_waits_for_the_first(shell: Shell) -> None:
     first = shell.begin("apply", "--yes")
     second = subprocess.Popen(
-        shell.command("apply", "--yes", "--lock-timeout", "60s"), cwd=shell.directory, stdout=subprocess.DEVNULL, stdin=subprocess.DEVNULL
+        shell.command("apply", "--yes", "--lock-timeout", "60s"),
+        cwd=shell.directory,
+        stdout=subprocess.DEVNULL,
+        stdin=subprocess.DEVNULL,
     )
     time.sleep(0.5)
     shell.go()

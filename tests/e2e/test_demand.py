@@ -10,8 +10,8 @@ import pytest
 from edgectl.model.assignment import DemandSource, Resource
 from edgectl.model.snapshot import Snapshot
 from edgectl.state.store import Store
-from edgectl.usecases.demands import profiles
-from edgectl.usecases.probe import probe
+from edgectl.usecases.measured_demand import load_class_profiles
+from edgectl.usecases.probe import probe_fleet
 from tests.builders import a_task, an_edge, an_inventory
 from tests.e2e.bench import GENTLE, QUICK, Bench, a_local, managing
 
@@ -23,7 +23,9 @@ while True:
     while time.process_time() < end: pass
     time.sleep(0.07)
 """
-SLAM = a_task("slam", command=f"exec {sys.executable} -c '{BURN}'", cpu=None, memory=None, throughput=None, stop=GENTLE)
+SLAM = a_task(
+    "slam", command=f"exec {sys.executable} -c '{BURN}'", cpu=None, memory=None, throughput=None, stop=GENTLE
+)
 
 
 @pytest.fixture
@@ -35,26 +37,36 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
 def earlier(snapshot: Snapshot, seconds: float) -> Snapshot:
     """The same readings so many seconds earlier, of a task that ran for a quarter of an hour by then."""
     host = snapshot.hosts["edge1"]
-    tasks = {name: replace(task, started_at=task.started_at - 900.0 - seconds) for name, task in host.tasks.items()}
-    return replace(snapshot, taken_at=snapshot.taken_at - seconds, hosts={"edge1": replace(host, tasks=tasks)})
+    tasks = {
+        name: replace(task, started_at=task.started_at - 900.0 - seconds) for name, task in host.tasks.items()
+    }
+    return replace(
+        snapshot, taken_at=snapshot.taken_at - seconds, hosts={"edge1": replace(host, tasks=tasks)}
+    )
 
 
 def test_what_a_task_burns_is_what_the_next_plan_charges(bench: Bench) -> None:
     bench.apply()
     unknown = bench.plan().steps[0].decision.demand
     assert [(rho.value, rho.source) for rho in unknown] == [(0.0, DemandSource.NONE)] * 2
-    seen = [probe(bench.fleet, QUICK) for _ in range(PROBES)]
-    with Store.open(bench.fleet.state) as store:  # what was measured, again and again: a test has not got a quarter of an hour
+    seen = [probe_fleet(bench.fleet, QUICK) for _ in range(PROBES)]
+    with Store.open(
+        bench.fleet.state
+    ) as store:  # what was measured, again and again: a test has not got a quarter of an hour
         for number in range(1, REPEATED):
             for snapshot in seen:
                 store.record_snapshot(earlier(snapshot, 20.0 * number))
     plan = bench.plan()
-    (found,) = profiles(bench.fleet, [SLAM])  # of the samples that the plan saw
+    (found,) = load_class_profiles(bench.fleet, [SLAM])  # of the samples that the plan saw
     assert found.enough
     assert found.profile.samples >= PROBES * (REPEATED - 1)
     assert 0.02 < found.profile.cpu.p95 < 1.0, "it burns 0.3 cores, less where the machine has little to give"
     cpu, memory = plan.steps[0].decision.demand
-    assert (cpu.resource, cpu.value, cpu.source) == (Resource.CPU, found.profile.cpu.p95, DemandSource.MEASURED)
+    assert (cpu.resource, cpu.value, cpu.source) == (
+        Resource.CPU,
+        found.profile.cpu.p95,
+        DemandSource.MEASURED,
+    )
     assert (memory.value, memory.source) == (found.profile.memory.p95, DemandSource.MEASURED)
     assert memory.value > 1e6
     assert plan.expected["edge1"].used_cores == pytest.approx(cpu.value)

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from edgectl.model.finding import Diagnosis, Disk, Finding, Level
+from edgectl.model.diagnosis import Diagnosis, Disk, Finding, Severity
 from edgectl.model.inventory import Connection, Host, Inventory, Role
 from edgectl.model.task import Tasks
-from edgectl.state.contacts import load_contacts
-from edgectl.state.standing import standing
-from edgectl.transport.choose import Transports
-from edgectl.usecases.doctor import doctor
+from edgectl.state.heartbeats import load_heartbeats
+from edgectl.state.state_dir_check import inspect_state_dir
+from edgectl.transport.fleet_transport import FleetTransport
+from edgectl.usecases.doctor import run_doctor
 from edgectl.usecases.fleet import Fleet
 from tests.agent.conftest import forget_fallback_agents
 from tests.builders import a_robot, a_task, an_inventory, some_tasks
@@ -23,7 +23,10 @@ from tests.sshd import Lab
 NOWHERE = "255.255.255.255"
 LINKS = {(edge, "robot1"): 10e6 for edge in ("edge1", "edge2")}
 # Slow machines log in slowly; what the file system and the memory have left is theirs.
-OWN = {("login", Level.WARNING), *((check, level) for check in ("disk", "memory", "logind", "clock") for level in Level)}
+OWN = {
+    ("login", Severity.WARNING),
+    *((check, level) for check in ("disk", "memory", "logind", "clock") for level in Severity),
+}
 
 
 @pytest.fixture
@@ -42,17 +45,23 @@ def inventory(lab: Lab) -> Iterator[Inventory]:
 @pytest.fixture
 def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Disk:
     monkeypatch.setenv("EDGECTL_STATE_DIR", str(tmp_path / "state"))
-    return standing(tmp_path / "lab.yaml")
+    return inspect_state_dir(tmp_path / "lab.yaml")
 
 
 def diagnosed(inventory: Inventory, state: Disk, *names: str, tasks: Tasks | None = None) -> Diagnosis:
-    fleet = Fleet(inventory=inventory, tasks=tasks or some_tasks(), transport=Transports(), state=Path(state.path))
-    return doctor(fleet, state, names, timeout=30.0)
+    fleet = Fleet(
+        inventory=inventory, tasks=tasks or some_tasks(), transport=FleetTransport(), state=Path(state.path)
+    )
+    return run_doctor(fleet, state, names, timeout=30.0)
 
 
 def complaints(diagnosis: Diagnosis) -> list[Finding]:
     """What is wrong beside what depends on the machine that runs the tests."""
-    return [finding for finding in diagnosis.findings if finding.level is not Level.OK and (finding.check, finding.level) not in OWN]
+    return [
+        finding
+        for finding in diagnosis.findings
+        if finding.level is not Severity.OK and (finding.check, finding.level) not in OWN
+    ]
 
 
 def changed(inventory: Inventory, *hosts: Host) -> Inventory:
@@ -60,34 +69,49 @@ def changed(inventory: Inventory, *hosts: Host) -> Inventory:
 
 
 @pytest.mark.parametrize("connection", [Connection.SSH, Connection.OPENSSH])
-def test_a_fleet_on_which_all_is_well(lab: Lab, inventory: Inventory, state: Disk, connection: Connection) -> None:
+def test_a_fleet_on_which_all_is_well(
+    lab: Lab, inventory: Inventory, state: Disk, connection: Connection
+) -> None:
     hosts = (replace(host, connection=connection) for host in inventory.hosts.values())
     diagnosis = diagnosed(changed(inventory, *hosts), state)
     assert complaints(diagnosis) == []
     said = {(finding.host, finding.check): finding.message for finding in diagnosis.findings}
     assert said[None, "known_hosts"] == f"{lab.known_hosts} can be read"
-    assert said["edge1", "login"].endswith("s, host key known") or "every command pays" in said["edge1", "login"]
+    assert (
+        said["edge1", "login"].endswith("s, host key known") or "every command pays" in said["edge1", "login"]
+    )
     assert said["edge1", "robot"].startswith("robot1 answers")
     assert said["edge1", "disk"].endswith(f"free for {lab['edge1'].home}/state/edgectl")
     assert said["edge1", "capacity"] == "robot1 10.0MB/s (declared)"
     assert ("robot1", "robot") not in said
-    assert [finding.host for finding in diagnosis.findings] == sorted((f.host for f in diagnosis.findings), key=lambda name: name or "")
-    assert load_contacts(Path(state.path)).instants
+    assert [finding.host for finding in diagnosis.findings] == sorted(
+        (f.host for f in diagnosis.findings), key=lambda name: name or ""
+    )
+    assert load_heartbeats(Path(state.path)).to_instants
 
 
 def test_one_host_alone_can_be_asked(inventory: Inventory, state: Disk) -> None:
     assert {finding.host for finding in diagnosed(inventory, state, "edge2").findings} == {None, "edge2"}
 
 
-def test_hosts_that_cannot_be_asked_cost_no_other_host_its_answer(lab: Lab, inventory: Inventory, state: Disk, tmp_path: Path) -> None:
-    lab.known_hosts.write_text("".join(server.known_hosts_line for server in lab.servers.values() if server.name != "edge1"))
+def test_hosts_that_cannot_be_asked_cost_no_other_host_its_answer(
+    lab: Lab, inventory: Inventory, state: Disk, tmp_path: Path
+) -> None:
+    lab.known_hosts.write_text(
+        "".join(server.known_hosts_line for server in lab.servers.values() if server.name != "edge1")
+    )
     lab["robot1"].stop()
     diagnosis = diagnosed(inventory, state)
-    found = {finding.host: finding for finding in complaints(diagnosis) if finding.level is Level.FAILED}
-    assert (found["edge1"].check, "edgectl trust edge1" in found["edge1"].mend) == ("host key", True)
-    assert (found["robot1"].check, "switch robot1 on" in found["robot1"].mend) == ("reachability", True)
+    found = {finding.host: finding for finding in complaints(diagnosis) if finding.level is Severity.FAILED}
+    assert (found["edge1"].check, "edgectl trust edge1" in found["edge1"].remedy) == ("host key", True)
+    assert (found["robot1"].check, "switch robot1 on" in found["robot1"].remedy) == ("reachability", True)
     assert set(found) == {"edge1", "robot1"}
-    assert {finding.check for finding in diagnosis.findings if finding.host == "edge2"} >= {"login", "python", "robot", "prelude"}
+    assert {finding.check for finding in diagnosis.findings if finding.host == "edge2"} >= {
+        "login",
+        "python",
+        "robot",
+        "prelude",
+    }
 
 
 def test_a_host_without_python(lab: Lab, inventory: Inventory, state: Disk) -> None:
@@ -96,8 +120,8 @@ def test_a_host_without_python(lab: Lab, inventory: Inventory, state: Disk) -> N
     server.restart()
     try:
         (found,) = complaints(diagnosed(inventory, state, "edge1"))
-        assert (found.check, found.level) == ("python", Level.FAILED)
-        assert found.mend == "on edge1: sudo apt-get install python3   (3.6 or later)"
+        assert (found.check, found.level) == ("python", Severity.FAILED)
+        assert found.remedy == "on edge1: sudo apt-get install python3   (3.6 or later)"
     finally:
         lab.configure(server)
         server.restart()
@@ -108,22 +132,24 @@ def test_ros_variables_that_differ_and_their_mend(inventory: Inventory, state: D
     edge1 = replace(inventory.hosts["edge1"], env={"ROS_DOMAIN_ID": "7"})
     edge2 = replace(inventory.hosts["edge2"], env={"ROS_DOMAIN_ID": "7"}, prelude="export ROS_DOMAIN_ID=9")
     (found,) = complaints(diagnosed(changed(inventory, edge1, edge2), state))
-    assert (found.host, found.check, found.level) == ("edge2", "ros", Level.FAILED)
+    assert (found.host, found.check, found.level) == ("edge2", "ros", Severity.FAILED)
     assert found.message == "ROS_DOMAIN_ID is 9, but 7 on edge1"
-    assert found.mend == "in the inventory, end the prelude of edge2 with: export ROS_DOMAIN_ID=7"
-    mended = replace(edge2, prelude=f"{edge2.prelude}\n{found.mend.partition('with: ')[2]}")
+    assert found.remedy == "in the inventory, end the prelude of edge2 with: export ROS_DOMAIN_ID=7"
+    mended = replace(edge2, prelude=f"{edge2.prelude}\n{found.remedy.partition('with: ')[2]}")
     assert complaints(diagnosed(changed(inventory, edge1, mended), state)) == []
 
 
-def test_a_state_directory_of_a_host_that_others_may_write_to(lab: Lab, inventory: Inventory, state: Disk) -> None:
+def test_a_state_directory_of_a_host_that_others_may_write_to(
+    lab: Lab, inventory: Inventory, state: Disk
+) -> None:
     """Its agent does without, from shared memory, and says so; the mend mends it."""
     folder = lab["edge1"].home / "state" / "edgectl"
     folder.mkdir(parents=True, exist_ok=True)
     folder.chmod(0o777)
     try:
         (found,) = complaints(diagnosed(inventory, state, "edge1"))
-        assert (found.check, found.level) == ("state", Level.WARNING)
-        assert found.mend.endswith(f" && chmod 700 {folder}")
+        assert (found.check, found.level) == ("state", Severity.WARNING)
+        assert found.remedy.endswith(f" && chmod 700 {folder}")
         folder.chmod(0o700)
         assert complaints(diagnosed(inventory, state, "edge1")) == []
     finally:
@@ -134,7 +160,7 @@ def test_a_state_directory_of_a_host_that_others_may_write_to(lab: Lab, inventor
 def test_a_prelude_that_fails(inventory: Inventory, state: Disk) -> None:
     broken = replace(inventory.hosts["edge1"], prelude="source /opt/ros/none/setup.bash")
     (found,) = complaints(diagnosed(changed(inventory, broken), state, "edge1"))
-    assert (found.check, found.level) == ("prelude", Level.WARNING)
+    assert (found.check, found.level) == ("prelude", Severity.WARNING)
     assert "ends with status 1" in found.message
     assert "/opt/ros/none/setup.bash" in found.message
 
@@ -143,9 +169,12 @@ def test_a_robot_that_the_manager_reaches_and_an_edge_does_not(inventory: Invent
     """The knock from the edge counts: a robot whose address leads nowhere there, and one of which no link is known."""
     far = a_robot("robot1", host=NOWHERE, probe=False)
     found = complaints(diagnosed(replace(changed(inventory, far), links={}), state, "edge1"))
-    assert [(each.check, each.level) for each in found] == [("robot", Level.FAILED), ("capacity", Level.WARNING)]
+    assert [(each.check, each.level) for each in found] == [
+        ("robot", Severity.FAILED),
+        ("capacity", Severity.WARNING),
+    ]
     assert f"({NOWHERE})" in found[0].message
-    assert "links: [{edge: edge1, robot: robot1, throughput: ..}]" in found[1].mend
+    assert "links: [{edge: edge1, robot: robot1, throughput: ..}]" in found[1].remedy
 
 
 def test_a_known_hosts_file_that_cannot_be_read_is_named(lab: Lab, inventory: Inventory, state: Disk) -> None:
@@ -155,42 +184,57 @@ def test_a_known_hosts_file_that_cannot_be_read_is_named(lab: Lab, inventory: In
         found = next(each for each in complaints(diagnosed(inventory, state, "edge1")) if each.host is None)
     finally:
         lab.known_hosts.rmdir()
-    assert (found.check, found.message) == ("known_hosts", f"{lab.known_hosts} cannot be read: Is a directory")
+    assert (found.check, found.message) == (
+        "known_hosts",
+        f"{lab.known_hosts} cannot be read: Is a directory",
+    )
 
 
-def test_a_state_directory_that_is_not_private(inventory: Inventory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_state_directory_that_is_not_private(
+    inventory: Inventory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The hosts are asked all the same, unless a task lives by contacts that could not be recorded; the mend mends it."""
     monkeypatch.setenv("EDGECTL_STATE_DIR", str(tmp_path / "state"))
-    good = standing(tmp_path / "lab.yaml")
+    good = inspect_state_dir(tmp_path / "lab.yaml")
     Path(good.path).chmod(0o777)
-    bad = standing(tmp_path / "lab.yaml")
+    bad = inspect_state_dir(tmp_path / "lab.yaml")
     (found,) = complaints(diagnosed(inventory, bad, "edge1"))
-    assert (found.host, found.check, found.level) == (None, "state", Level.FAILED)
-    assert f"chmod 700 {good.path}" in found.mend
+    assert (found.host, found.check, found.level) == (None, "state", Severity.FAILED)
+    assert f"chmod 700 {good.path}" in found.remedy
     fencing = some_tasks(a_task("slam", self_fence=30.0))
-    assert {(each.host, each.check) for each in complaints(diagnosed(inventory, bad, "edge1", tasks=fencing))} == {
+    assert {
+        (each.host, each.check) for each in complaints(diagnosed(inventory, bad, "edge1", tasks=fencing))
+    } == {
         (None, "state"),
         ("edge1", "agent"),
     }
     Path(good.path).chmod(0o700)
-    assert standing(tmp_path / "lab.yaml").obstacle == ""
+    assert inspect_state_dir(tmp_path / "lab.yaml").obstacle == ""
 
 
-def test_something_else_stands_in_the_place_of_the_state_directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_something_else_stands_in_the_place_of_the_state_directory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "file").touch()
     monkeypatch.setenv("EDGECTL_STATE_DIR", str(tmp_path / "file"))
-    bad = standing(tmp_path / "lab.yaml")
+    bad = inspect_state_dir(tmp_path / "lab.yaml")
     assert (bad.path, "no directory" in bad.obstacle) == (str(tmp_path / "file"), True)
     (tmp_path / "file").rename(tmp_path / "file.old")
-    assert standing(tmp_path / "lab.yaml").obstacle == ""
+    assert inspect_state_dir(tmp_path / "lab.yaml").obstacle == ""
 
 
-def test_the_command(lab: Lab, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
+def test_the_command(
+    lab: Lab, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
     from edgectl.cli.main import main
 
     monkeypatch.setenv("EDGECTL_STATE_DIR", str(tmp_path / "state"))
-    (tmp_path / "lab.yaml").write_text("version: 1\nedges:\n  edge1: {host: edge1, env: {ROS_DOMAIN_ID: '7'}}\n  edge2: {host: edge2}\n")
-    (tmp_path / "tasks.yaml").write_text("version: 1\ntasks:\n  idle: {command: sleep 1, demand: {cpu: 0.1, memory: 1Mi}}\n")
+    (tmp_path / "lab.yaml").write_text(
+        "version: 1\nedges:\n  edge1: {host: edge1, env: {ROS_DOMAIN_ID: '7'}}\n  edge2: {host: edge2}\n"
+    )
+    (tmp_path / "tasks.yaml").write_text(
+        "version: 1\ntasks:\n  idle: {command: sleep 1, demand: {cpu: 0.1, memory: 1Mi}}\n"
+    )
     files = ("-i", str(tmp_path / "lab.yaml"), "-t", str(tmp_path / "tasks.yaml"))
     assert main(["doctor", *files]) == 1
     out, err = capfd.readouterr()

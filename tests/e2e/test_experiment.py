@@ -11,13 +11,13 @@ from pathlib import Path
 
 import pytest
 
-from edgectl.model.evidence import Variant
-from edgectl.model.experiment import Experiment
+from edgectl.experiments.files.run_directory import load_run
+from edgectl.experiments.model.comparison import Scheme
+from edgectl.experiments.model.experiment import Experiment
+from edgectl.experiments.runner import ExperimentOptions, run_experiment
 from edgectl.model.plan import Action
 from edgectl.model.policy import Policy, PolicyName
-from edgectl.model.task import Kind, Need, Until
-from edgectl.state.runs import read_run
-from edgectl.usecases.experiment import ExperimentOptions, experiment
+from edgectl.model.task import Need, NeedCondition, TaskKind
 from tests.builders import a_robot, a_task, an_edge, an_inventory
 from tests.e2e.bench import Bench, a_local, a_mark, a_sleeper, managing, sleeping
 from tests.sshd import Lab
@@ -25,8 +25,13 @@ from tests.sshd import Lab
 EDGES = [a_local(an_edge("edge1"), "127.0.0.31"), a_local(an_edge("edge2"), "127.0.0.32")]
 ROBOT = replace(a_local(a_robot("robot1"), "127.0.0.41"), onboard=True)
 LINKS = {("edge1", "robot1"): 10e6, ("edge2", "robot1"): 10e6}
-SCHEMES = tuple(Variant(name=name.value, policy=Policy(name=name, min_dwell=0.0)) for name in (PolicyName.LOCAL, PolicyName.UTILITY))
-SPEC = Experiment(name="mission", variants=SCHEMES, until=("merge",), repetitions=2, every=0.5, limit=120.0, idle=1.0)
+SCHEMES = tuple(
+    Scheme(name=name.value, policy=Policy(name=name, min_dwell=0.0))
+    for name in (PolicyName.LOCAL, PolicyName.UTILITY)
+)
+SPEC = Experiment(
+    name="mission", schemes=SCHEMES, until=("merge",), repetitions=2, every=0.5, limit=120.0, idle=1.0
+)
 
 
 @pytest.fixture
@@ -39,15 +44,26 @@ def test_two_schemes_twice_with_real_processes(bench: Bench, tmp_path: Path) -> 
     mark = a_mark()
     slam = a_sleeper("slam", mark, robots=("robot1",))
     slam = replace(slam, command='echo "fps 12.5" >> "$EDGECTL_METRICS"; ' + slam.command)
-    merge = a_task("merge", command="sleep 0.5", kind=Kind.JOB, robots=("robot1",), needs=[Need(task="slam", until=Until.READY)])
+    merge = a_task(
+        "merge",
+        command="sleep 0.5",
+        kind=TaskKind.JOB,
+        robots=("robot1",),
+        needs=[Need(task="slam", until=NeedCondition.READY)],
+    )
     bench = bench.using(slam, merge)
-    run = experiment(bench.fleet, SPEC, ExperimentOptions(directory=tmp_path / "run", beside=tmp_path))
+    run = run_experiment(bench.fleet, SPEC, ExperimentOptions(directory=tmp_path / "run", beside=tmp_path))
     assert sleeping(mark) == []
     assert [(trial.scheme, trial.repetition, trial.finished) for trial in run.trials] == [
         (scheme, repetition, True) for scheme in ("local", "utility") for repetition in (1, 2)
     ]
     began = {(trial.scheme, trial.repetition): trial.began_at for trial in run.trials}
-    assert sorted(began, key=began.__getitem__) == [("local", 1), ("utility", 1), ("local", 2), ("utility", 2)]
+    assert sorted(began, key=began.__getitem__) == [
+        ("local", 1),
+        ("utility", 1),
+        ("local", 2),
+        ("utility", 2),
+    ]
     for trial in run.trials:
         assert {span.host == "robot1" for span in trial.spans} == {trial.scheme == "local"}
         assert {span.task for span in trial.spans} == {"slam", "merge"}
@@ -56,8 +72,10 @@ def test_two_schemes_twice_with_real_processes(bench: Bench, tmp_path: Path) -> 
         assert trial.latency == trial.completed["merge"] == job.end
         assert [reading.value for reading in trial.readings["fps"]["slam"]][-1] == 12.5
         assert trial.loads.keys() == {"edge1", "edge2", "robot1"}
-    assert read_run(tmp_path / "run") == run
-    assert bench.actions() == {"slam": Action.START, "merge": Action.START}, "its completion counts for the trial alone"
+    assert load_run(tmp_path / "run") == run
+    assert bench.actions() == {"slam": Action.START, "merge": Action.START}, (
+        "its completion counts for the trial alone"
+    )
 
 
 # -- the command, over ssh ---------------------------------------------------------------------------------------------------------------
@@ -96,7 +114,11 @@ idle: 100%
 
 def command(site: Path, *words: str) -> "subprocess.Popen[str]":
     return subprocess.Popen(
-        [sys.executable, "-m", "edgectl", "experiment", *words], cwd=site, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [sys.executable, "-m", "edgectl", "experiment", *words],
+        cwd=site,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
     )
 
 
@@ -107,7 +129,9 @@ def until(condition: Callable[[], object]) -> None:
         time.sleep(0.05)
 
 
-def test_killed_in_a_trial_interrupted_in_the_next_try_and_finished_in_the_third(lab: Lab, tmp_path: Path) -> None:
+def test_killed_in_a_trial_interrupted_in_the_next_try_and_finished_in_the_third(
+    lab: Lab, tmp_path: Path
+) -> None:
     mark, hold = a_mark(), tmp_path / "hold"
     (tmp_path / "inventory.yaml").write_text(INVENTORY.format("capacity: {cpu: 2, memory: 1Gi}"))
     (tmp_path / "tasks.yaml").write_text(TASKS.format(mark, hold))
@@ -136,7 +160,9 @@ def test_killed_in_a_trial_interrupted_in_the_next_try_and_finished_in_the_third
     assert (whole.returncode, sleeping(mark)) == (0, []), said
     assert json.loads(out)["done"] == 1
     assert said.splitlines()[0] == "trial 1 of 1: utility all, repetition 1"
-    assert [(trial.scheme, trial.finished) for trial in read_run(tmp_path / "runs" / "mission").trials] == [("utility all", True)]
+    assert [(trial.scheme, trial.finished) for trial in load_run(tmp_path / "runs" / "mission").trials] == [
+        ("utility all", True)
+    ]
 
     shown = command(tmp_path, "show", "-o", "json")
     again, _ = shown.communicate(timeout=60)

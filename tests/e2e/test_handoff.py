@@ -15,11 +15,11 @@ from typing import Any
 import pytest
 
 from edgectl.model.result import ActionResult, Outcome, Phase
-from edgectl.model.task import Check, Handoff, HandoffOrder, Task, Where
-from edgectl.state import points
-from edgectl.state.memory import load_memory
-from edgectl.usecases.apply import ApplyOptions, apply
-from edgectl.usecases.stop import restart
+from edgectl.model.task import Check, CheckLocation, HandoffContract, HandoffOrder, Task
+from edgectl.state import failpoints
+from edgectl.state.manager_state import load_manager_state
+from edgectl.usecases.apply import ApplyOptions, plan_and_apply
+from edgectl.usecases.stop import restart_task
 from tests.builders import a_robot, a_task, an_edge, an_inventory
 from tests.e2e import robot
 from tests.e2e.bench import EAGER, GENTLE, QUICK, Bench, a_local, managing
@@ -43,14 +43,17 @@ class Scene:
         return shlex.join([sys.executable, robot.__file__, *words])
 
     def task(self, order: HandoffOrder, safe_within: float = 15.0, **fields: object) -> Task:
-        hooks = {hook: Check(command=self.words(word, str(self.socket)), on=Where.ROBOT) for hook, word in HOOKS[order].items()}
+        hooks = {
+            hook: Check(command=self.words(word, str(self.socket)), on=CheckLocation.ROBOT)
+            for hook, word in HOOKS[order].items()
+        }
         task = a_task(
             "steer",
             command="exec " + self.words("steer", str(self.socket), str(self.ready)),
             robots=["robot1"],
             ready=Check(command=f"test -e {shlex.quote(str(self.ready))}/$EDGECTL_INSTANCE", timeout=15.0),
             stop=GENTLE,
-            handoff=Handoff(order=order, timeout=safe_within, **hooks),
+            handoff=HandoffContract(order=order, timeout=safe_within, **hooks),
         )
         return replace(task, **fields)  # type: ignore[arg-type]
 
@@ -61,7 +64,7 @@ class Scene:
         Path(f"{self.socket}.unsafe").touch()
 
     def apply(self, task: Task) -> ActionResult | None:
-        applied = apply(self.bench.using(task).fleet, EAGER, options=ApplyOptions(probe=QUICK))
+        applied = plan_and_apply(self.bench.using(task).fleet, EAGER, options=ApplyOptions(probe=QUICK))
         return applied.results.actions[0] if applied.results else None
 
     def running(self, task: Task) -> str:
@@ -96,7 +99,9 @@ HOOKS = {
 def scene(tmp_path: Path) -> Iterator[Scene]:
     ready = tmp_path / "ready"
     ready.mkdir()
-    with tempfile.TemporaryDirectory(prefix="edgectl-robot-") as short:  # the path of a socket has at most 107 bytes
+    with tempfile.TemporaryDirectory(
+        prefix="edgectl-robot-"
+    ) as short:  # the path of a socket has at most 107 bytes
         socket, record = Path(short) / "s", tmp_path / "record"
         process = subprocess.Popen([sys.executable, robot.__file__, "serve", str(socket), str(record)])
         try:
@@ -157,7 +162,7 @@ def test_the_hold_covers_the_whole_gap_of_stop_first(scene: Scene) -> None:
     assert 0.0 < gap_s(samples) <= result.downtime_s + 2 * robot.PERIOD_S
     spent = {phase.phase: phase.seconds for phase in result.phases}
     assert spent[Phase.STOP] + spent[Phase.START] + spent[Phase.READY] <= result.downtime_s + 0.001
-    measured = load_memory(scene.bench.fleet.state).downtimes[("steer", str(result.located))]
+    measured = load_manager_state(scene.bench.fleet.state).downtimes[("steer", str(result.located))]
     assert measured == pytest.approx((result.downtime_s,))
 
 
@@ -204,7 +209,9 @@ def test_a_robot_that_nothing_steers_holds_until_a_restart_mends_it(scene: Scene
     scene.broken()
     assert scene.apply(away_from(task, old)) is None
     assert scene.since(begin)[-1]["holds"]
-    mended = restart(scene.bench.using(away_from(task, old)).fleet, "steer", options=ApplyOptions(probe=QUICK)).results
+    mended = restart_task(
+        scene.bench.using(away_from(task, old)).fleet, "steer", options=ApplyOptions(probe=QUICK)
+    ).results
     assert mended is not None
     assert mended.done
     samples = scene.since(begin)
@@ -226,7 +233,7 @@ def test_a_manager_that_dies_leaves_the_robot_holding_until_it_is_steered(scene:
         if reached == point:
             raise Killed
 
-    remove = points.install(die)
+    remove = failpoints.install_hook(die)
     with suppress(Killed):
         scene.apply(away_from(task, old))
     remove()

@@ -14,13 +14,26 @@ from edgectl.formats import plan as plan_form
 from edgectl.model.plan import Action
 from edgectl.model.result import Outcome
 from edgectl.model.snapshot import TaskState
-from edgectl.model.task import Check, Handoff, Kind, Where
-from edgectl.usecases.apply import ApplyOptions, apply, apply_saved
-from edgectl.usecases.logs import logs
+from edgectl.model.task import Check, CheckLocation, HandoffContract, TaskKind
+from edgectl.usecases.apply import ApplyOptions, apply_saved_plan, plan_and_apply
+from edgectl.usecases.logs import read_log
 from edgectl.usecases.probe import measure_links
-from edgectl.usecases.stop import restart
+from edgectl.usecases.stop import restart_task
 from tests.builders import a_robot, a_task, an_edge, an_inventory
-from tests.e2e.bench import BY_CPU, EAGER, GENTLE, QUICK, Bench, a_local, a_mark, a_sleeper, asleep, kill, managing, sleeping
+from tests.e2e.bench import (
+    BY_CPU,
+    EAGER,
+    GENTLE,
+    QUICK,
+    Bench,
+    a_local,
+    a_mark,
+    a_sleeper,
+    asleep,
+    kill,
+    managing,
+    sleeping,
+)
 
 EDGES = [a_local(an_edge("edge1"), "127.0.0.31"), a_local(an_edge("edge2"), "127.0.0.32")]
 ROBOT = a_local(a_robot("robot1"), "127.0.0.41")
@@ -45,10 +58,13 @@ def test_probe_plan_apply_status_and_nothing_more_to_do(bench: Bench) -> None:
     assert applied.results is not None
     assert [result.outcome for result in applied.results.actions] == [Outcome.DONE] * 2
     assert len(asleep(slam)) == len(asleep(navigation)) == 2
-    assert (bench.sample("slam").state, bench.sample("navigation").state) == (TaskState.READY, TaskState.RUNNING)
+    assert (bench.sample("slam").state, bench.sample("navigation").state) == (
+        TaskState.READY,
+        TaskState.RUNNING,
+    )
     assert not bench.plan().changes
     assert bench.apply().results is None
-    assert logs(bench.fleet, "slam").splitlines() == ["up"]
+    assert read_log(bench.fleet, "slam").splitlines() == ["up"]
     bench.stop()
     assert sleeping(slam) == sleeping(navigation) == []
     assert bench.where() == {}
@@ -76,7 +92,7 @@ def test_what_failed_under_restart_never_is_started_on_a_word_only(bench: Bench)
         assert bench.actions() == {"slam": Action.UNPLACED}
         assert bench.apply().results is None
     assert sleeping(mark) == []
-    restart(bench.fleet, "slam", options=ApplyOptions(probe=QUICK))
+    restart_task(bench.fleet, "slam", options=ApplyOptions(probe=QUICK))
     assert len(asleep(mark)) == 2
     assert bench.actions() == {"slam": Action.KEEP}
 
@@ -103,12 +119,15 @@ def test_a_load_that_rises_moves_a_task(bench: Bench) -> None:
 
 def test_a_move_that_fails_restores_the_old_instance(bench: Bench, tmp_path: Path) -> None:
     mark = a_mark()
-    hooks = {name: Check(command=f"echo {name} >> {tmp_path}/hooks", on=Where.ROBOT) for name in ("safe_when", "hold", "release")}
+    hooks = {
+        name: Check(command=f"echo {name} >> {tmp_path}/hooks", on=CheckLocation.ROBOT)
+        for name in ("safe_when", "hold", "release")
+    }
     ready = Check(command='test "$EDGECTL_HOST" = edge1', timeout=5.0)
-    task = a_sleeper("slam", mark, robots=("robot1",), ready=ready, handoff=Handoff(**hooks))
+    task = a_sleeper("slam", mark, robots=("robot1",), ready=ready, handoff=HandoffContract(**hooks))
     bench.using(task).apply()
     elsewhere = replace(task, hosts=replace(task.hosts, never=("edge1",)))
-    applied = apply(bench.using(elsewhere).fleet, EAGER, options=ApplyOptions(probe=QUICK))
+    applied = plan_and_apply(bench.using(elsewhere).fleet, EAGER, options=ApplyOptions(probe=QUICK))
     assert applied.results is not None
     (result,) = applied.results.actions
     assert (result.outcome, result.located) == (Outcome.FAILED, "edge1")
@@ -122,10 +141,16 @@ def test_a_stale_plan_is_refused(bench: Bench) -> None:
     mark = a_mark()
     bench = bench.using(a_sleeper("slam", mark))
     bench.apply()
-    made = plan_form.decode(plan_form.encode(bench.using(a_sleeper("slam", mark), a_sleeper("camera", a_mark())).plan()))
-    restart(bench.fleet, "slam", options=ApplyOptions(probe=QUICK))
+    made = plan_form.decode(
+        plan_form.encode(bench.using(a_sleeper("slam", mark), a_sleeper("camera", a_mark())).plan())
+    )
+    restart_task(bench.fleet, "slam", options=ApplyOptions(probe=QUICK))
     with pytest.raises(StalePlanError, match="slam was started anew on edge1"):
-        apply_saved(bench.using(a_sleeper("slam", mark), a_sleeper("camera", a_mark())).fleet, made, ApplyOptions(probe=QUICK))
+        apply_saved_plan(
+            bench.using(a_sleeper("slam", mark), a_sleeper("camera", a_mark())).fleet,
+            made,
+            ApplyOptions(probe=QUICK),
+        )
 
 
 def test_of_two_applies_at_once_one_is_told_to_come_again(bench: Bench) -> None:
@@ -137,13 +162,16 @@ def test_of_two_applies_at_once_one_is_told_to_come_again(bench: Bench) -> None:
         assert caught.value.exit_code == 75
         return True
 
-    assert apply(bench.fleet, EAGER, confirm, ApplyOptions(probe=QUICK)).results is not None
+    assert plan_and_apply(bench.fleet, EAGER, confirm, ApplyOptions(probe=QUICK)).results is not None
 
 
 def test_a_job_completes_and_a_mission_is_done_when_its_robot_says_so(bench: Bench, tmp_path: Path) -> None:
     mark = a_mark()
-    done = Check(command=f"test -e {tmp_path}/home", on=Where.ROBOT)
-    bench = bench.using(a_task("job", command="true", kind=Kind.JOB), a_sleeper("mission", mark, robots=("robot1",), done_when=done))
+    done = Check(command=f"test -e {tmp_path}/home", on=CheckLocation.ROBOT)
+    bench = bench.using(
+        a_task("job", command="true", kind=TaskKind.JOB),
+        a_sleeper("mission", mark, robots=("robot1",), done_when=done),
+    )
     bench.apply()
     assert bench.actions() == {"job": Action.NONE, "mission": Action.KEEP}
     (tmp_path / "home").touch()
@@ -159,7 +187,7 @@ def test_tasks_outlive_a_manager_that_is_killed(bench: Bench, tmp_path: Path) ->
     mark, other = a_mark(), a_mark()
     script.write_text(
         "import os, signal, sys\nfrom pathlib import Path\nfrom edgectl.state import points\nfrom tests.e2e import test_local as t\n"
-        "from tests.e2e.bench import Bench, a_sleeper\nfrom edgectl.usecases.fleet import Fleet\nfrom edgectl.transport.choose import Transports\n"
+        "from tests.e2e.bench import Bench, a_sleeper\nfrom edgectl.usecases.fleet import Fleet\nfrom edgectl.transport.fleet_transport import Transports\n"
         "from tests.builders import an_inventory\nfrom edgectl.model.task import Tasks\n"
         "points.install(lambda point: os.kill(os.getpid(), signal.SIGKILL) if point == 'start acknowledged' else None)\n"
         "inventory = an_inventory(*t.EDGES, t.ROBOT, links=t.LINKS)\n"
@@ -168,7 +196,9 @@ def test_tasks_outlive_a_manager_that_is_killed(bench: Bench, tmp_path: Path) ->
     )
     root = Path(__file__).parents[2]
     command = [sys.executable, str(script), str(bench.fleet.state), mark, other]
-    killed = subprocess.run(command, cwd=root, env={**os.environ, "PYTHONPATH": str(root)}, check=False, timeout=60)
+    killed = subprocess.run(
+        command, cwd=root, env={**os.environ, "PYTHONPATH": str(root)}, check=False, timeout=60
+    )
     assert killed.returncode == -9
     bench = bench.using(a_sleeper("slam", mark), a_sleeper("camera", other))
     bench.apply()

@@ -9,14 +9,14 @@ from pathlib import Path
 import pytest
 
 from edgectl.agent import proc
-from edgectl.cli import exits
+from edgectl.cli import exit_codes
 from edgectl.errors import ExitCode, UsageError
-from edgectl.gateway.collect import ProbeOptions
+from edgectl.gateway.host_probe import ProbeOptions
 from edgectl.model.inventory import Inventory, Role
 from edgectl.model.profiler import Profiler, ProfilerState
 from edgectl.model.snapshot import Snapshot
 from edgectl.usecases import profilers
-from edgectl.usecases.probe import probe
+from edgectl.usecases.probe import probe_fleet
 from tests.agent.conftest import eventually, is_running
 from tests.builders import an_inventory
 from tests.e2e.bench import Bench, a_mark, a_sleeper, a_slice, managing
@@ -28,7 +28,11 @@ ENDLESS = ProbeOptions(window=10.0, timeout=60.0)
 
 def fleet(lab: Lab) -> Inventory:
     edges = [a_slice(lab.host(name)) for name in ("edge1", "edge2")]
-    return an_inventory(*edges, a_slice(lab.host("robot1", role=Role.ROBOT)), links={("edge1", "robot1"): 10e6, ("edge2", "robot1"): 10e6})
+    return an_inventory(
+        *edges,
+        a_slice(lab.host("robot1", role=Role.ROBOT)),
+        links={("edge1", "robot1"): 10e6, ("edge2", "robot1"): 10e6},
+    )
 
 
 @pytest.fixture
@@ -37,7 +41,7 @@ def bench(lab: Lab, tmp_path: Path) -> Iterator[Bench]:
         for server in lab.servers.values():
             if server.process is None:
                 server.restart()
-        profilers.stop(bench.fleet)
+        profilers.stop_profilers(bench.fleet)
 
     with managing(fleet(lab), tmp_path / "manager", mended) as bench:
         yield bench
@@ -60,48 +64,50 @@ def resident(bench: Bench) -> Snapshot:
 
 def test_a_probe_reads_what_the_profilers_measured(lab: Lab, bench: Bench) -> None:
     bench = bench.using(a_sleeper("slam", a_mark(), robots=("robot1",)))
-    started = profilers.start(bench.fleet)
+    started = profilers.start_profilers(bench.fleet)
     assert set(states(started).values()) == {ProfilerState.STARTED}
     assert all(is_running(each.pid) for each in started), "the session that started them is over"
-    assert all(b"edgectl" not in proc.read(f"/proc/{each.pid}/cmdline") for each in started), "the command line tells nothing"
+    assert all(b"edgectl" not in proc.read(f"/proc/{each.pid}/cmdline") for each in started), (
+        "the command line tells nothing"
+    )
 
     snapshot = resident(bench)
     assert all(0.0 <= host.sample_age_s < 30.0 for host in snapshot.hosts.values())
     assert set(snapshot.hosts["edge1"].links) == {"robot1"}
     began = time.monotonic()
-    if all(host.resident for host in probe(bench.fleet, ENDLESS).hosts.values()):
+    if all(host.resident for host in probe_fleet(bench.fleet, ENDLESS).hosts.values()):
         assert time.monotonic() - began < ENDLESS.window, "no window passed"
     bench.apply()
     assert resident(bench).hosts["edge1"].tasks["slam"].state.alive
 
-    assert set(states(profilers.start(bench.fleet)).values()) == {ProfilerState.ALREADY_RUNNING}
+    assert set(states(profilers.start_profilers(bench.fleet)).values()) == {ProfilerState.ALREADY_RUNNING}
     os.kill(started[0].pid, signal.SIGKILL)
     eventually(lambda: not is_running(started[0].pid))
     hosts = bench.probe().hosts
     assert (hosts["edge1"].ok, hosts["edge1"].resident) == (True, False)
-    said = {each.host: each for each in profilers.status(bench.fleet)}
+    said = {each.host: each for each in profilers.list_profilers(bench.fleet)}
     assert (said["edge1"].state, said["edge1"].detail) == (ProfilerState.NOT_RUNNING, "it was killed")
     assert said["edge2"].state.alive
     assert said["edge2"].current
     assert 0 < said["edge2"].ttl_left <= 3600
 
     lab["edge2"].stop()
-    found = profilers.status(bench.fleet, ["edge2", "robot1"])
+    found = profilers.list_profilers(bench.fleet, ["edge2", "robot1"])
     assert [each.host for each in found] == ["edge2", "robot1"]
     assert (found[0].state, found[1].state.alive) == (ProfilerState.UNREACHABLE, True)
     assert found[0].error
-    assert exits.of_profilers(found) is ExitCode.PARTLY
+    assert exit_codes.of_profilers(found) is ExitCode.PARTLY
     lab["edge2"].restart()
 
-    stopped = profilers.stop(bench.fleet)
+    stopped = profilers.stop_profilers(bench.fleet)
     assert states(stopped)["robot1"] is ProfilerState.STOPPED
-    assert exits.of_profilers(stopped) is ExitCode.DONE
+    assert exit_codes.of_profilers(stopped) is ExitCode.DONE
     assert not any(is_running(each.pid) for each in started)
 
 
 def test_wishes_that_make_no_sense_are_refused(bench: Bench) -> None:
     for wrong in ({"every": 0.01}, {"every": 61.0}, {"every": 10.0, "ttl": 99.0}):
         with pytest.raises(UsageError):
-            profilers.start(bench.fleet, **wrong)
+            profilers.start_profilers(bench.fleet, **wrong)
     with pytest.raises(UsageError, match="unknown host 'edge7'"):
-        profilers.stop(bench.fleet, ["edge7"])
+        profilers.stop_profilers(bench.fleet, ["edge7"])

@@ -36,7 +36,12 @@ sys.exit(main())
 def forms(secret: str) -> dict[str, bytes]:
     """The secret as it may be written: as it is, and in the usual encodings, base64 at each of its three alignments."""
     raw = secret.encode()
-    found = {"plain": raw, "hex": raw.hex().encode(), "HEX": raw.hex().upper().encode(), "latin": secret.encode("latin-1")}
+    found = {
+        "plain": raw,
+        "hex": raw.hex().encode(),
+        "HEX": raw.hex().upper().encode(),
+        "latin": secret.encode("latin-1"),
+    }
     for pad in range(3):
         coded = base64.b64encode(b"\0" * pad + raw).rstrip(b"=")
         found[f"base64+{pad}"] = coded[-(-pad * 4 // 3) + (1 if pad else 0) : -1]
@@ -46,13 +51,17 @@ def forms(secret: str) -> dict[str, bytes]:
         found[f"form{safe}"] = urllib.parse.quote_plus(secret, safe=safe).encode()
     for ascii_only in (True, False):
         found[f"json{ascii_only}"] = json.dumps(secret, ensure_ascii=ascii_only)[1:-1].encode()
-        found[f"json-json{ascii_only}"] = json.dumps(json.dumps(secret, ensure_ascii=ascii_only))[3:-3].encode()
+        found[f"json-json{ascii_only}"] = json.dumps(json.dumps(secret, ensure_ascii=ascii_only))[
+            3:-3
+        ].encode()
     found["repr"] = repr(secret)[1:-1].encode()
     found["shell"] = shlex.quote(secret).encode()
     return found
 
 
-FORMS = {f"{name} as {form}": text for name, secret in CANARIES.items() for form, text in forms(secret).items()}
+FORMS = {
+    f"{name} as {form}": text for name, secret in CANARIES.items() for form, text in forms(secret).items()
+}
 
 
 ANY = re.compile(b"|".join(re.escape(text) for text in FORMS.values()))
@@ -68,7 +77,12 @@ def test_the_search_finds_every_form() -> None:
         raw = secret.encode()
         for prefix in (b"", b"x", b"xy", b"xyz"):
             assert any(name in hit for hit in hits(base64.b64encode(prefix + raw + b"tail")))
-        for text in (raw, raw.hex().encode(), json.dumps({"k": secret}).encode(), urllib.parse.quote(secret).encode()):
+        for text in (
+            raw,
+            raw.hex().encode(),
+            json.dumps({"k": secret}).encode(),
+            urllib.parse.quote(secret).encode(),
+        ):
             assert any(name in hit for hit in hits(b"before" + text + b"after"))
 
 
@@ -82,16 +96,30 @@ class Stage:
         self.directory.mkdir()
         self.vault.mkdir()
         for name in ("task-command", "host-command"):
-            (self.vault / name).write_text(f"# from the vault\n{name.upper().replace('-', '_')}={CANARIES[name]}\n")
+            (self.vault / name).write_text(
+                f"# from the vault\n{name.upper().replace('-', '_')}={CANARIES[name]}\n"
+            )
         (self.vault / "password").write_text(CANARIES["password"] + "\n")
         self._write_inventory(port)
         self.write_tasks()
 
     def _write_inventory(self, port: int) -> None:
-        env = {"env": {"HOST": {"value": CANARIES["host"], "secret": True}}, "env_command": ["cat", str(self.vault / "host-command")]}
+        env = {
+            "env": {"HOST": {"value": CANARIES["host"], "secret": True}},
+            "env_command": ["cat", str(self.vault / "host-command")],
+        }
         slice_ = {"capacity": {"cpu": 2, "memory": "1Gi"}}
-        locked = {"host": "127.0.0.1", "port": port, "user": "nobody", "password_command": ["cat", str(self.vault / "password")]}
-        edges = {"edge1": {"host": "edge1", **slice_}, "edge2": {"connection": "local", **slice_}, "locked": locked}
+        locked = {
+            "host": "127.0.0.1",
+            "port": port,
+            "user": "nobody",
+            "password_command": ["cat", str(self.vault / "password")],
+        }
+        edges = {
+            "edge1": {"host": "edge1", **slice_},
+            "edge2": {"connection": "local", **slice_},
+            "locked": locked,
+        }
         text = json.dumps({"version": 1, "defaults": env, "edges": edges}, ensure_ascii=False)
         (self.directory / "inventory.yaml").write_text(text)
 
@@ -105,7 +133,10 @@ class Stage:
             "stop": {"grace": "2s"},
             "ready": "true",
             "done_when": "false",
-            "handoff": {"safe_when": {"command": "env", "on": "host"}, "hold": {"command": "env; true", "on": "host"}},
+            "handoff": {
+                "safe_when": {"command": "env", "on": "host"},
+                "hold": {"command": "env; true", "on": "host"},
+            },
         }
         text = json.dumps({"version": 1, "tasks": {"uplink": {**task, **fields}}}, ensure_ascii=False)
         (self.directory / "tasks.yaml").write_text(text)
@@ -113,14 +144,26 @@ class Stage:
     def run(self, *words: str, program: tuple[str, ...] = ("-m", "edgectl")) -> int:
         command = [sys.executable, *program, *words, "-i", "inventory.yaml", "-t", "tasks.yaml"]
         with looking_at_processes(self):
-            done = subprocess.run(command, cwd=self.directory, capture_output=True, check=False, timeout=60, stdin=subprocess.DEVNULL)
+            done = subprocess.run(
+                command,
+                cwd=self.directory,
+                capture_output=True,
+                check=False,
+                timeout=60,
+                stdin=subprocess.DEVNULL,
+            )
         self.outputs.append(done.stdout + done.stderr)
         return done.returncode
 
     def searched(self) -> Iterator[Path]:
         """Every file that this test, the manager or the hosts wrote, but for the sources of the canaries."""
         sources = {self.directory / "inventory.yaml", self.directory / "tasks.yaml", *self.vault.iterdir()}
-        roots = (self.directory.parent, Path(os.environ["HOME"]), self.lab.directory, Path(f"/dev/shm/edgectl-{os.geteuid()}"))
+        roots = (
+            self.directory.parent,
+            Path(os.environ["HOME"]),
+            self.lab.directory,
+            Path(f"/dev/shm/edgectl-{os.geteuid()}"),
+        )
         for root in roots:
             for path in root.rglob("*") if root.exists() else ():
                 if path not in sources and path.is_file() and not path.is_symlink():
@@ -179,9 +222,16 @@ def test_a_secret_is_nowhere_but_in_the_environment_of_the_task(stage: Stage) ->
         assert stage.run("apply", "--dry-run", "-o", form) == 0
         assert b"***" in stage.outputs[-1]
     assert stage.run("apply", lenient, "saved.plan") == 0
-    expected = {"TASK": "task", "HOST": "host", "TASK_COMMAND": "task-command", "HOST_COMMAND": "host-command"}
+    expected = {
+        "TASK": "task",
+        "HOST": "host",
+        "TASK_COMMAND": "task-command",
+        "HOST_COMMAND": "host-command",
+    }
     environment = the_environment(stage)
-    assert {name: environment.get(name) for name in expected} == {name: CANARIES[canary] for name, canary in expected.items()}
+    assert {name: environment.get(name) for name in expected} == {
+        name: CANARIES[canary] for name, canary in expected.items()
+    }
     assert stage.run("status", lenient, "-o", "json") == 0
     assert stage.run("logs", "uplink") == 0
     # a move, with hooks that print their environment

@@ -12,9 +12,9 @@ from edgectl.model.plan import Action
 from edgectl.model.result import Outcome
 from edgectl.model.snapshot import HostStatus
 from edgectl.model.task import Check
-from edgectl.usecases.apply import ApplyOptions, apply
-from edgectl.usecases.logs import follow
-from edgectl.usecases.stop import restart
+from edgectl.usecases.apply import ApplyOptions, plan_and_apply
+from edgectl.usecases.logs import follow_log
+from edgectl.usecases.stop import restart_task
 from tests.builders import a_robot, an_inventory
 from tests.e2e.bench import EAGER, QUICK, Bench, a_mark, a_sleeper, a_slice, asleep, managing, sleeping
 from tests.sshd import Lab
@@ -57,14 +57,15 @@ def test_the_main_job(lab: Lab, manager: Managing, connection: Connection) -> No
     name = f"slam-{connection.value}"
     ready = Check(command='test -n "$EDGECTL_ROBOT_HOST"', timeout=10.0)
     bench = manager(fleet(lab, connection=connection)).using(
-        a_sleeper(name, slam, robots=("robot1",), ready=ready), a_sleeper(f"{name}-navigation", navigation, robots=("robot1",))
+        a_sleeper(name, slam, robots=("robot1",), ready=ready),
+        a_sleeper(f"{name}-navigation", navigation, robots=("robot1",)),
     )
     assert bench.apply().plan.summary == {Action.START: 2}
     assert (len(asleep(slam)), len(asleep(navigation))) == (2, 2)  # every session of the apply has ended
     assert bench.apply().results is None
-    restart(bench.fleet, name, options=ApplyOptions(probe=QUICK))
+    restart_task(bench.fleet, name, options=ApplyOptions(probe=QUICK))
     assert len(asleep(slam)) == 2
-    with closing(follow(bench.fleet, name)) as printed:
+    with closing(follow_log(bench.fleet, name)) as printed:
         assert next(printed).endswith(b"up\n")
     bench.stop()
     assert sleeping(slam) == sleeping(navigation) == []
@@ -86,7 +87,11 @@ def test_a_changed_host_key_costs_that_host_and_no_other(lab: Lab, manager: Mana
     lab.known_hosts.write_text(lab.known_hosts.read_text().replace(lab["edge2"].key, lab["edge1"].key))
     bench = manager(fleet(lab)).using(a_sleeper("slam", a_mark()))
     hosts = bench.probe().hosts
-    assert {name: sample.error_kind for name, sample in hosts.items()} == {"edge1": "", "edge2": "host-key", "robot1": ""}
+    assert {name: sample.error_kind for name, sample in hosts.items()} == {
+        "edge1": "",
+        "edge2": "host-key",
+        "robot1": "",
+    }
     assert "edgectl trust" in hosts["edge2"].hint
     bench.apply()
     assert bench.where() == {"slam": "edge1"}
@@ -111,7 +116,9 @@ def test_noise_around_the_answers_does_no_harm(lab: Lab, manager: Managing) -> N
 def test_a_host_behind_another(lab: Lab, manager: Managing, connection: Connection) -> None:
     inventory = fleet(lab, connection=connection)
     behind = replace(inventory.hosts["edge2"], proxy_jump="edge1")
-    bench = manager(an_inventory(inventory.hosts["edge1"], behind, a_robot("robot1", probe=False), links=LINKS))
+    bench = manager(
+        an_inventory(inventory.hosts["edge1"], behind, a_robot("robot1", probe=False), links=LINKS)
+    )
     task = a_sleeper("slam", a_mark())
     bench = bench.using(replace(task, hosts=replace(task.hosts, only=("edge2",))))
     bench.apply()
@@ -133,7 +140,10 @@ def test_a_host_that_goes_between_plan_and_start_costs_its_action_only(lab: Lab,
     bench = manager(fleet(lab)).using(
         *(
             replace(task, hosts=replace(task.hosts, only=(host,)))
-            for task, host in ((a_sleeper("slam", a_mark()), "edge1"), (a_sleeper("camera", a_mark()), "edge2"))
+            for task, host in (
+                (a_sleeper("slam", a_mark()), "edge1"),
+                (a_sleeper("camera", a_mark()), "edge2"),
+            )
         )
     )
 
@@ -141,6 +151,9 @@ def test_a_host_that_goes_between_plan_and_start_costs_its_action_only(lab: Lab,
         lab["edge1"].stop()
         return True
 
-    applied = apply(bench.fleet, EAGER, confirm, ApplyOptions(probe=QUICK))
+    applied = plan_and_apply(bench.fleet, EAGER, confirm, ApplyOptions(probe=QUICK))
     assert applied.results is not None
-    assert {result.task: result.outcome for result in applied.results.actions} == {"slam": Outcome.FAILED, "camera": Outcome.DONE}
+    assert {result.task: result.outcome for result in applied.results.actions} == {
+        "slam": Outcome.FAILED,
+        "camera": Outcome.DONE,
+    }

@@ -11,9 +11,9 @@ from edgectl.model.inventory import Inventory, Role
 from edgectl.model.plan import Action, Step
 from edgectl.model.result import Phase
 from edgectl.model.snapshot import TaskState
-from edgectl.model.task import Check, Handoff, OnUnreachable, Where
-from edgectl.usecases import marks
-from edgectl.views.reasons import reason
+from edgectl.model.task import Check, CheckLocation, HandoffContract, UnreachablePolicy
+from edgectl.usecases import operator_marks
+from edgectl.views.reasons import describe_reason
 from tests.builders import an_inventory
 from tests.e2e.bench import Bench, a_mark, a_sleeper, a_slice, asleep, managing, sleeping
 from tests.sshd import Lab, Server
@@ -61,15 +61,21 @@ def wait_until(condition: Callable[[], bool], within: float) -> None:
         time.sleep(0.3)
 
 
-def told(robot: Path) -> Handoff:
+def told(robot: Path) -> HandoffContract:
     """A robot that writes down what it is told."""
-    hold, release = (Check(command=f"echo {word} >> {robot}", on=Where.ROBOT) for word in ("hold", "release"))
-    return Handoff(hold=hold, release=release)
+    hold, release = (
+        Check(command=f"echo {word} >> {robot}", on=CheckLocation.ROBOT) for word in ("hold", "release")
+    )
+    return HandoffContract(hold=hold, release=release)
 
 
-def test_a_task_that_fences_itself_is_replaced_and_its_host_comes_back(lab: Lab, bench: Bench, tmp_path: Path) -> None:
+def test_a_task_that_fences_itself_is_replaced_and_its_host_comes_back(
+    lab: Lab, bench: Bench, tmp_path: Path
+) -> None:
     mark, robot = a_mark(), tmp_path / "robot"
-    fenced = a_sleeper("slam", mark, on_unreachable=OnUnreachable.REPLACE, replace_after=1.0, self_fence=6.0)
+    fenced = a_sleeper(
+        "slam", mark, on_unreachable=UnreachablePolicy.REPLACE, replace_after=1.0, self_fence=6.0
+    )
     bench = bench.using(replace(fenced, robots=("robot1",), handoff=told(robot)))
     bench.apply()
     assert bench.where() == {"slam": "edge1"}
@@ -101,14 +107,14 @@ def test_a_copy_that_outlived_the_operators_word_is_stopped_on_return(lab: Lab, 
     old = asleep(mark)
     cut(lab["edge1"])
     assert slam(bench).action is Action.HOLD
-    marks.fence(bench.fleet, ["edge1"])
+    operator_marks.fence_hosts(bench.fleet, ["edge1"])
     bench.apply()
     assert bench.where() == {"slam": "edge2"}
     new = sorted(set(asleep(mark, 4)) - set(old))
     mend(lab["edge1"])
     step = slam(bench)
     assert (step.action, step.stop) == (Action.KEEP, ("edge1",))
-    assert reason(step).endswith("stop the one on edge1")
+    assert describe_reason(step).endswith("stop the one on edge1")
     assert bench.said[-1] == "edge1 answers, so it is not switched off: its fence is lifted"
     bench.apply()
     assert sorted(sleeping(mark)) == new
@@ -118,7 +124,9 @@ def test_a_copy_that_outlived_the_operators_word_is_stopped_on_return(lab: Lab, 
 
 def test_a_host_that_is_asked_often_enough_keeps_its_task(bench: Bench) -> None:
     mark = a_mark()
-    bench = bench.using(a_sleeper("slam", mark, on_unreachable=OnUnreachable.REPLACE, replace_after=1.0, self_fence=5.0))
+    bench = bench.using(
+        a_sleeper("slam", mark, on_unreachable=UnreachablePolicy.REPLACE, replace_after=1.0, self_fence=5.0)
+    )
     bench.apply()
     before = asleep(mark)
     end = time.monotonic() + 7.0

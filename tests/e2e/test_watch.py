@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from edgectl.gateway.collect import ProbeOptions
+from edgectl.gateway.host_probe import ProbeOptions
 from edgectl.model.cycle import Cycle
 from edgectl.model.inventory import Capacity, Inventory, Role
 from edgectl.model.plan import Action
 from edgectl.model.result import Outcome
 from edgectl.model.task import HostRules
-from edgectl.usecases.watch import WatchOptions, watch
+from edgectl.usecases.watch import WatchOptions, watch_fleet
 from tests.builders import an_inventory
 from tests.e2e.bench import BY_CPU, Bench, a_mark, a_sleeper, asleep, kill, managing, sleeping
 from tests.sshd import Lab, Server, _descendants
@@ -56,7 +56,9 @@ def moves(cycles: list[Cycle]) -> list[tuple[str, str | None]]:
 
 def place(cycle: Cycle, task: str) -> str | None:
     hosts = cycle.snapshot.hosts if cycle.snapshot is not None else {}
-    return next((name for name, host in hosts.items() if task in host.tasks and host.tasks[task].state.alive), None)
+    return next(
+        (name for name, host in hosts.items() if task in host.tasks and host.tasks[task].state.alive), None
+    )
 
 
 def cut(server: Server) -> None:
@@ -70,8 +72,13 @@ def cut(server: Server) -> None:
 def test_a_load_moves_a_task_once_and_a_host_that_was_cut_off_keeps_it(lab: Lab, bench: Bench) -> None:
     mark, hands = a_mark(), Hands()
     # Their names come last: a task that is placed earlier counts with its demand from then on, not with what it burns.
-    burners = [a_sleeper(f"zz-burner-{name}", a_mark(), command=BURNER, hosts=HostRules(pin=name)) for name in ("edge1", "edge2")]
-    fleet = replace(bench.using(a_sleeper("slam", mark), *burners).fleet, clock=hands.wall, uptime=hands.uptime)
+    burners = [
+        a_sleeper(f"zz-burner-{name}", a_mark(), command=BURNER, hosts=HostRules(pin=name))
+        for name in ("edge1", "edge2")
+    ]
+    fleet = replace(
+        bench.using(a_sleeper("slam", mark), *burners).fleet, clock=hands.wall, uptime=hands.uptime
+    )
     options = WatchOptions(
         every=EVERY,
         apply=True,
@@ -79,7 +86,7 @@ def test_a_load_moves_a_task_once_and_a_host_that_was_cut_off_keeps_it(lab: Lab,
         probe=ProbeOptions(window=0.4, timeout=10.0),
         policy=lambda _: replace(BY_CPU, move_margin=0.1),
     )
-    with closing(watch(fleet, options)) as running:
+    with closing(watch_fleet(fleet, options)) as running:
         first = list(itertools.islice(running, 3))
         before = place(first[-1], "slam")
         assert before is not None
@@ -98,7 +105,9 @@ def test_a_load_moves_a_task_once_and_a_host_that_was_cut_off_keeps_it(lab: Lab,
         server = lab[str(after)]
         cut(server)
         silent = list(itertools.islice(running, 2))
-        assert all(cycle.snapshot is not None and not cycle.snapshot.hosts[server.name].ok for cycle in silent)
+        assert all(
+            cycle.snapshot is not None and not cycle.snapshot.hosts[server.name].ok for cycle in silent
+        )
         assert all(cycle.plan is not None and cycle.plan.summary[Action.HOLD] == 2 for cycle in silent)
         assert sleeping(mark) == now, "held, not doubled"
         server.start()

@@ -6,8 +6,8 @@ from io import BytesIO
 import numpy as np
 from PIL import Image
 
-from edgectl.evidence.ssim import Picture
-from edgectl.model.map import MapSheet
+from edgectl.experiments.files.map_file import MapMetadata
+from edgectl.experiments.ssim import MapImage
 
 Rows = Sequence[Sequence[int]] | np.ndarray
 
@@ -40,11 +40,11 @@ def room(width: int = 24, height: int = 16) -> np.ndarray:
     return cells
 
 
-def sheet(x: float = 0.0, y: float = 0.0, resolution: float = 0.5, **more: object) -> MapSheet:
+def sheet(x: float = 0.0, y: float = 0.0, resolution: float = 0.5, **more: object) -> MapMetadata:
     """Where a map lies."""
-    return MapSheet(image="map.pgm", resolution=resolution, origin=(x, y), **more)  # type: ignore[arg-type]
+    return MapMetadata(image="map.pgm", resolution=resolution, origin=(x, y), **more)  # type: ignore[arg-type]
 
 
-def picture(rows: Rows, lies: MapSheet | None = None, name: str = "map.pgm") -> Picture:
+def picture(rows: Rows, lies: MapMetadata | None = None, name: str = "map.pgm") -> MapImage:
     """The rows as a .pgm, with or without a sheet."""
-    return Picture(name=name, data=pgm(rows), sheet=lies)
+    return MapImage(name=name, data=pgm(rows), metadata=lies)

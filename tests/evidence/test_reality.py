@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import pytest
 
-from edgectl.evidence.measured import columns
-from edgectl.evidence.reality import measured
-from edgectl.model.evidence import Column, Figure, Variant
-from edgectl.model.experiment import Machine, Run, Summary
+from edgectl.experiments.model.comparison import Estimate, Scheme, SchemeResult
+from edgectl.experiments.model.experiment import ExperimentRun, HostCapacity, MetricAggregation
+from edgectl.experiments.reference_values import reference_from_run
+from edgectl.experiments.scheme_results import summarize_trials
 from edgectl.model.inventory import Role
 from edgectl.model.policy import Policy
 from tests.evidence.runs import a_run
@@ -15,45 +15,58 @@ from tests.evidence.runs import a_run
 HOSTED = ("cpu", "cpu peak", "memory", "throughput", "rate")
 
 
-def model(name: str, *hosts: str) -> Column:
-    figures = {metric: (Figure(mean=1.0),) * max(1, len(hosts)) for metric in HOSTED}
-    whole = {metric: (Figure(mean=1.0),) for metric in ("latency", "handoffs")}
-    return Column(variant=Variant(name=name, policy=Policy()), runs=5, unfinished=0, unplaced=0, figures=figures | whole, hosts=hosts)
+def model(name: str, *hosts: str) -> SchemeResult:
+    figures = {metric: (Estimate(mean=1.0),) * max(1, len(hosts)) for metric in HOSTED}
+    whole = {metric: (Estimate(mean=1.0),) for metric in ("latency", "handoffs")}
+    return SchemeResult(
+        scheme=Scheme(name=name, policy=Policy()),
+        runs=5,
+        unfinished=0,
+        unplaced=0,
+        estimates=figures | whole,
+        hosts=hosts,
+    )
 
 
-def real(run: Run, name: str) -> Column:
-    return next(each for each in columns(run) if each.variant.name == name)
+def real(run: ExperimentRun, name: str) -> SchemeResult:
+    return next(each for each in summarize_trials(run) if each.scheme.name == name)
 
 
 def test_hosts_are_matched_by_their_names() -> None:
     run = a_run()
-    expected = dict(zip(("edge1", "edge2", "edge3"), (figure.mean for figure in real(run, "static").figures["cpu"] if figure), strict=True))
-    beside = measured([model("static", "edge3", "edge1", "edge9")], run)
-    assert beside.figures["static"]["cpu"] == (expected["edge3"], expected["edge1"], None)
+    expected = dict(
+        zip(
+            ("edge1", "edge2", "edge3"),
+            (figure.mean for figure in real(run, "static").estimates["cpu"] if figure),
+            strict=True,
+        )
+    )
+    beside = reference_from_run([model("static", "edge3", "edge1", "edge9")], run)
+    assert beside.means["static"]["cpu"] == (expected["edge3"], expected["edge1"], None)
     assert "Edges of the model that were not measured: edge9." in beside.notes
     assert "Measured edges that the model does not have: edge2." in beside.notes
 
 
 def test_one_host_is_no_other_host() -> None:
-    beside = measured([model("static", "lab7")], a_run())
-    assert "cpu" not in beside.figures["static"]
-    assert beside.figures["static"]["latency"] != (None,)
+    beside = reference_from_run([model("static", "lab7")], a_run())
+    assert "cpu" not in beside.means["static"]
+    assert beside.means["static"]["latency"] != (None,)
 
 
 def test_the_mission_the_robots_and_the_application_are_compared_as_wholes() -> None:
     run = a_run()
-    beside = measured([model("local"), model("static", "edge1", "edge2", "edge3")], run)
+    beside = reference_from_run([model("local"), model("static", "edge1", "edge2", "edge3")], run)
     local = real(run, "local")
     for metric in ("latency", "cpu", "memory", "throughput", "handoffs"):
-        figure = local.figures[metric][0]
+        figure = local.estimates[metric][0]
         assert figure is not None
-        assert beside.figures["local"][metric] == (figure.mean,)
+        assert beside.means["local"][metric] == (figure.mean,)
     fps, ssim = local.metrics["fps"], local.maps["ssim"]
     assert fps is not None
     assert ssim is not None
-    assert beside.figures["local"]["rate"] == (fps.mean,)
-    assert beside.figures["local"]["ssim"] == (ssim.mean,)
-    assert beside.word == "measured"
+    assert beside.means["local"]["rate"] == (fps.mean,)
+    assert beside.means["local"]["ssim"] == (ssim.mean,)
+    assert beside.label == "measured"
     assert beside.notes == (
         "Measured: 18 trials of mission.",
         "Measured, but not in the model: utility cpu, utility memory, utility network, utility all.",
@@ -62,24 +75,33 @@ def test_the_mission_the_robots_and_the_application_are_compared_as_wholes() -> 
 
 
 def test_what_was_not_measured_is_said() -> None:
-    beside = measured([model("local"), model("paper cpu", "edge1"), model("utility all", "edge1")], a_run(trials=3))
-    assert set(beside.figures) == {"local"}
+    beside = reference_from_run(
+        [model("local"), model("paper cpu", "edge1"), model("utility all", "edge1")], a_run(trials=3)
+    )
+    assert set(beside.means) == {"local"}
     assert "In the model, but not measured: paper cpu, utility all." in beside.notes
     assert "Measured: 3 trials of mission." in beside.notes
 
 
 def test_a_run_without_anything_leaves_nothing_to_compare() -> None:
     run = a_run(trials=0)
-    assert measured([model("local")], run).figures == {}
-    bare = replace(run, machines={"edge1": Machine(role=Role.EDGE, cores=1.0, memory=1.0)}, trials=a_run().trials)
-    assert measured([model("local")], bare).figures["local"].keys() >= {"latency", "handoffs"}
+    assert reference_from_run([model("local")], run).means == {}
+    bare = replace(
+        run, machines={"edge1": HostCapacity(role=Role.EDGE, cores=1.0, memory=1.0)}, trials=a_run().trials
+    )
+    assert reference_from_run([model("local")], bare).means["local"].keys() >= {"latency", "handoffs"}
 
 
-@pytest.mark.parametrize(("metrics", "modelled"), [({"rate": Summary.MEAN}, True), ({"loss": Summary.LAST}, False)])
-def test_only_frames_are_modelled(metrics: dict[str, Summary], modelled: bool) -> None:
+@pytest.mark.parametrize(
+    ("metrics", "modelled"),
+    [({"rate": MetricAggregation.MEAN}, True), ({"loss": MetricAggregation.LAST}, False)],
+)
+def test_only_frames_are_modelled(metrics: dict[str, MetricAggregation], modelled: bool) -> None:
     run = a_run()
-    trials = tuple(replace(trial, readings=dict.fromkeys(metrics, trial.readings["fps"])) for trial in run.trials)
+    trials = tuple(
+        replace(trial, readings=dict.fromkeys(metrics, trial.readings["fps"])) for trial in run.trials
+    )
     run = replace(run, experiment=replace(run.experiment, metrics=metrics), trials=trials)
-    beside = measured([model("static", "edge1")], run)
-    assert ("rate" in beside.figures["static"]) is modelled
+    beside = reference_from_run([model("static", "edge1")], run)
+    assert ("rate" in beside.means["static"]) is modelled
     assert any(note.startswith("Not modelled") for note in beside.notes) is not modelled

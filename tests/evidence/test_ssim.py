@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from edgectl.errors import EdgectlError, FileError, UsageError
-from edgectl.evidence import ssim
-from edgectl.evidence.ssim import Picture, similarity
+from edgectl.experiments import ssim
+from edgectl.experiments.ssim import MapImage, compute_ssim
 from tests.evidence.pictures import Rows, grey, pgm, picture, png, room, sheet
 
 ROOM = room()
@@ -33,20 +33,20 @@ def noise(seed: int, size: int = 7) -> Rows:
 @given(st.integers(0, 1000), st.integers(0, 1000))
 @settings(deadline=None, max_examples=30)
 def test_one_window_is_the_formula(one: int, other: int) -> None:
-    found = similarity(picture(noise(one)), picture(noise(other)))
+    found = compute_ssim(picture(noise(one)), picture(noise(other)))
     assert found == pytest.approx(by_formula(noise(one), noise(other)), abs=1e-9)
     assert -1.0 <= found <= 1.0
-    assert found == pytest.approx(similarity(picture(noise(other)), picture(noise(one))))
+    assert found == pytest.approx(compute_ssim(picture(noise(other)), picture(noise(one))))
 
 
 def test_the_same_is_one_and_the_opposite_is_below_zero() -> None:
-    assert similarity(picture(ROOM), picture(ROOM)) == EXACTLY
-    assert similarity(picture(noise(1, 40)), picture(255 - noise(1, 40))) < -0.5
+    assert compute_ssim(picture(ROOM), picture(ROOM)) == EXACTLY
+    assert compute_ssim(picture(noise(1, 40)), picture(255 - noise(1, 40))) < -0.5
 
 
 @pytest.mark.parametrize(("one", "other"), [(0, 0), (255, 255), (100, 100), (0, 255), (100, 120)])
 def test_images_of_one_grey_differ_by_their_brightness_alone(one: int, other: int) -> None:
-    found = similarity(picture(np.full((9, 8), one)), picture(np.full((9, 8), other)))
+    found = compute_ssim(picture(np.full((9, 8), one)), picture(np.full((9, 8), other)))
     assert found == pytest.approx((2 * one * other + C1) / (one**2 + other**2 + C1), abs=1e-9)
 
 
@@ -55,7 +55,7 @@ def test_the_more_is_wrong_the_lower() -> None:
     for rows in (0, 2, 5, 9):
         wrong = ROOM.copy()
         wrong[1 : 1 + rows, 10:20] = 0
-        found.append(similarity(picture(wrong), picture(ROOM)))
+        found.append(compute_ssim(picture(wrong), picture(ROOM)))
     assert found == sorted(found, reverse=True)
     assert found[0] > found[-1] + 0.2
 
@@ -73,7 +73,7 @@ def test_the_more_is_wrong_the_lower() -> None:
     ids=["8 bits", "colours", "alpha", "grey and alpha", "palette", "16 bits"],
 )
 def test_every_kind_of_png_shows_the_same(image: Image.Image) -> None:
-    found = similarity(Picture(name="map.png", data=png(image)), picture(ROOM))
+    found = compute_ssim(MapImage(name="map.png", data=png(image)), picture(ROOM))
     assert found == pytest.approx(1.0, abs=1e-6)
 
 
@@ -81,60 +81,68 @@ def test_ascii_and_16_bit_and_black_and_white_images_are_read() -> None:
     height, width = ROOM.shape
     listed = " ".join(map(str, ROOM.ravel()))
     wide = (ROOM * 257).astype(">u2").tobytes()
-    for data in (f"P2 {width} {height} 255 {listed}\n".encode(), f"P5 {width} {height} 65535\n".encode() + wide):
-        assert similarity(Picture(name="map.pgm", data=data), picture(ROOM)) == pytest.approx(1.0, abs=1e-6)
+    for data in (
+        f"P2 {width} {height} 255 {listed}\n".encode(),
+        f"P5 {width} {height} 65535\n".encode() + wide,
+    ):
+        assert compute_ssim(MapImage(name="map.pgm", data=data), picture(ROOM)) == pytest.approx(
+            1.0, abs=1e-6
+        )
     walls = np.where(ROOM == 0, 0, 255)
-    found = similarity(Picture(name="map.png", data=png(grey(walls).convert("1"))), picture(walls))
+    found = compute_ssim(MapImage(name="map.png", data=png(grey(walls).convert("1"))), picture(walls))
     assert found == EXACTLY
 
 
 def test_sizes_must_agree_where_nothing_says_where_the_images_lie() -> None:
-    for one, other in ((picture(ROOM[:, :-1]), picture(ROOM)), (picture(ROOM[:, :-1], sheet()), picture(ROOM))):
+    for one, other in (
+        (picture(ROOM[:, :-1]), picture(ROOM)),
+        (picture(ROOM[:, :-1], sheet()), picture(ROOM)),
+    ):
         with pytest.raises(UsageError, match=r"map\.pgm has 23x16 pixels, map\.pgm 24x16") as caught:
-            similarity(one, other)
+            compute_ssim(one, other)
         assert ".yaml of both" in caught.value.hint
 
 
 def test_less_than_a_window_cannot_be_compared() -> None:
     for lies in (None, sheet()):
         with pytest.raises(UsageError, match="8x6 pixels, too few"):
-            similarity(picture(np.zeros((6, 8)), lies), picture(np.zeros((6, 8)), lies))
+            compute_ssim(picture(np.zeros((6, 8)), lies), picture(np.zeros((6, 8)), lies))
 
 
 def test_maps_are_laid_over_each_other_where_they_lie() -> None:
     """The produced map begins two cells to the left of the truth and one below, and is larger: what it shows of the truth is right."""
     larger = np.full((ROOM.shape[0] + 4, ROOM.shape[1] + 5), 205)
     larger[3:-1, 2:-3] = ROOM
-    assert similarity(picture(larger, sheet(-1.0, -0.5)), picture(ROOM, sheet())) == EXACTLY
-    assert similarity(picture(larger, sheet(-0.5, -0.5)), picture(ROOM, sheet())) < 0.9
+    assert compute_ssim(picture(larger, sheet(-1.0, -0.5)), picture(ROOM, sheet())) == EXACTLY
+    assert compute_ssim(picture(larger, sheet(-0.5, -0.5)), picture(ROOM, sheet())) < 0.9
 
 
 def test_what_was_not_seen_is_unknown() -> None:
     half, unseen = ROOM[:, :12], ROOM.copy()
     unseen[:, 12:] = 205
-    found = similarity(picture(half, sheet()), picture(ROOM, sheet()))
-    assert found == pytest.approx(similarity(picture(unseen, sheet()), picture(ROOM, sheet())))
+    found = compute_ssim(picture(half, sheet()), picture(ROOM, sheet()))
+    assert found == pytest.approx(compute_ssim(picture(unseen, sheet()), picture(ROOM, sheet())))
     assert found < 0.9
 
 
 @pytest.mark.parametrize("times", [2, 3, 5])
 def test_finer_and_coarser_maps_of_the_same_are_alike(times: int) -> None:
     finer = ROOM.repeat(times, axis=0).repeat(times, axis=1)
-    assert similarity(picture(finer, sheet(resolution=0.5 / times)), picture(ROOM, sheet())) == EXACTLY
-    assert similarity(picture(ROOM, sheet()), picture(finer, sheet(resolution=0.5 / times))) == EXACTLY
+    assert compute_ssim(picture(finer, sheet(resolution=0.5 / times)), picture(ROOM, sheet())) == EXACTLY
+    assert compute_ssim(picture(ROOM, sheet()), picture(finer, sheet(resolution=0.5 / times))) == EXACTLY
 
 
 @given(st.floats(-1e4, 1e4), st.floats(-1e4, 1e4))
 @settings(deadline=None, max_examples=50)
 def test_it_is_the_same_anywhere_in_the_world(x: float, y: float) -> None:
     shifted = np.roll(ROOM, 1, axis=1)
-    here = similarity(picture(shifted, sheet()), picture(ROOM, sheet()))
-    assert similarity(picture(shifted, sheet(x, y)), picture(ROOM, sheet(x, y))) == pytest.approx(here)
+    here = compute_ssim(picture(shifted, sheet()), picture(ROOM, sheet()))
+    assert compute_ssim(picture(shifted, sheet(x, y)), picture(ROOM, sheet(x, y))) == pytest.approx(here)
 
 
 def test_maps_that_do_not_overlap_are_told() -> None:
     with pytest.raises(UsageError, match="do not overlap") as caught:
-        similarity(picture(ROOM, sheet(x=500.0)), picture(ROOM, sheet()))
+        compute_ssim(picture(ROOM, sheet(x=500.0)), picture(ROOM, sheet()))
     assert "origin" in caught.value.hint
 
 
@@ -144,10 +152,10 @@ def test_greys_mean_what_the_sheet_says() -> None:
     negated = np.where(ROOM == 205, 128, 254 - ROOM)
     dull = np.select([ROOM == 0, ROOM == 254], [90, 180], 130)
     truth = picture(ROOM, sheet())
-    assert similarity(picture(drawn, sheet()), truth) == EXACTLY
-    assert similarity(picture(negated, sheet(negate=True)), truth) == EXACTLY
-    assert similarity(picture(dull, sheet(occupied=0.6, free=0.4)), truth) == EXACTLY
-    assert similarity(picture(dull, sheet()), truth) < 0.5
+    assert compute_ssim(picture(drawn, sheet()), truth) == EXACTLY
+    assert compute_ssim(picture(negated, sheet(negate=True)), truth) == EXACTLY
+    assert compute_ssim(picture(dull, sheet(occupied=0.6, free=0.4)), truth) == EXACTLY
+    assert compute_ssim(picture(dull, sheet()), truth) < 0.5
 
 
 @pytest.mark.parametrize(
@@ -157,25 +165,33 @@ def test_greys_mean_what_the_sheet_says() -> None:
 )  # fmt: skip
 def test_what_is_no_image_is_refused(data: bytes) -> None:
     with pytest.raises(FileError, match=r"broken\.pgm is no image that can be read") as caught:
-        similarity(Picture(name="broken.pgm", data=data), picture(ROOM))
+        compute_ssim(MapImage(name="broken.pgm", data=data), picture(ROOM))
     assert caught.value.hint
 
 
 def test_no_image_is_unfolded_that_is_too_large() -> None:
     for size in ("5000 5000", "12000 12000"):
         with pytest.raises(FileError, match="too many to compare"):
-            similarity(Picture(name="map.pgm", data=f"P5 {size} 255\n".encode()), picture(ROOM))
+            compute_ssim(MapImage(name="map.pgm", data=f"P5 {size} 255\n".encode()), picture(ROOM))
 
 
 def test_damage_is_told_or_shown_but_never_raises_otherwise() -> None:
     dice = random.Random(7)
-    originals = [pgm(ROOM), png(grey(ROOM)), png(grey(ROOM).quantize(8)), png(Image.fromarray((ROOM * 257).astype(np.uint16)))]
+    originals = [
+        pgm(ROOM),
+        png(grey(ROOM)),
+        png(grey(ROOM).quantize(8)),
+        png(Image.fromarray((ROOM * 257).astype(np.uint16))),
+    ]
     for number in range(400):
         data = bytearray(originals[number % len(originals)])
         for _ in range(dice.randint(1, 4)):
             data[dice.randrange(len(data))] = dice.randrange(256)
         try:
-            found = similarity(Picture(name="map", data=bytes(data[: dice.choice([len(data), dice.randrange(len(data))])])), picture(ROOM))
+            found = compute_ssim(
+                MapImage(name="map", data=bytes(data[: dice.choice([len(data), dice.randrange(len(data))])])),
+                picture(ROOM),
+            )
         except EdgectlError:
             continue
         assert -1.0 <= found <= 1.0 + 1e-12
@@ -183,7 +199,7 @@ def test_damage_is_told_or_shown_but_never_raises_otherwise() -> None:
 
 def test_large_maps_are_compared_strip_by_strip(monkeypatch: pytest.MonkeyPatch) -> None:
     wrong = np.roll(ROOM, 2, axis=0)
-    whole = similarity(picture(wrong), picture(ROOM))
+    whole = compute_ssim(picture(wrong), picture(ROOM))
     for strip in (1, 24 * 3, 24 * 7):
-        monkeypatch.setattr(ssim, "_STRIP", strip)
-        assert similarity(picture(wrong), picture(ROOM)) == pytest.approx(whole, abs=1e-12)
+        monkeypatch.setattr(ssim, "_STRIP_PIXELS", strip)
+        assert compute_ssim(picture(wrong), picture(ROOM)) == pytest.approx(whole, abs=1e-12)

@@ -67,7 +67,9 @@ class FakeHost:
         name, generation = str(request["task"]), request["generation"]
         assert isinstance(generation, int)
         if generation < self.seen.get(name, 0):
-            raise RefusedError(f"generation {generation} of {name} is older than {self.seen[name]}, which this host has seen")
+            raise RefusedError(
+                f"generation {generation} of {name} is older than {self.seen[name]}, which this host has seen"
+            )
         self.seen[name] = generation
 
     def _start(self, request: Request) -> Request:
@@ -114,10 +116,16 @@ class FakeHost:
         self._fence(request)
         self.world.note(f"stop {name} {self.name}")
         self.world.ends(name, self.name)
-        return {"state": "stopped" if self.tasks.pop(name, None) else "not-running", "left": [], "seconds": 0.0}
+        return {
+            "state": "stopped" if self.tasks.pop(name, None) else "not-running",
+            "left": [],
+            "seconds": 0.0,
+        }
 
     def _status(self, request: Request) -> Request:
-        return {"tasks": {name: entry for name, entry in self.tasks.items() if request["task"] in (None, name)}}
+        return {
+            "tasks": {name: entry for name, entry in self.tasks.items() if request["task"] in (None, name)}
+        }
 
     def _check(self, request: Request) -> Request:
         command = str(request["command"])
@@ -153,7 +161,9 @@ class FakeHost:
             "wall": 0.0,
             "cpu": {"cores": self.cores, "used_cores": self.used},
             "memory": {"total_bytes": 4 * 2**30, "used_bytes": 0},
-            "links": {robot: {"rx_bytes_per_s": 0.0, "tx_bytes_per_s": 0.0, "rtt_ms": 1.0} for robot in links},
+            "links": {
+                robot: {"rx_bytes_per_s": 0.0, "tx_bytes_per_s": 0.0, "rtt_ms": 1.0} for robot in links
+            },
             "tasks": entries,
             "generations": dict(self.seen),
             "checks": {},
@@ -200,7 +210,9 @@ class FakeFleet:
 
     @property
     def transport(self) -> FakeTransport:
-        handlers: dict[str, Handler | HostError] = {name: self._answer(host) for name, host in self.hosts.items()}
+        handlers: dict[str, Handler | HostError] = {
+            name: self._answer(host) for name, host in self.hosts.items()
+        }
         return FakeTransport(_Reachable(handlers, self.down))
 
     def _answer(self, host: FakeHost) -> Callable[[Request], Request]:

@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 
 from edgectl.errors import HostError
-from edgectl.executor.brake import INTERRUPTED, Brake
+from edgectl.executor.cancellation import INTERRUPTED, Cancellation
 from edgectl.model.plan import Action
 from edgectl.model.result import ActionResult, Outcome, Results
 from edgectl.state.journal import Journal
-from edgectl.state.journal_read import read as read_journal
+from edgectl.state.journal_reader import read_journal
 from tests.builders import a_task
 from tests.executor.fake_fleet import FakeFleet
 from tests.executor.test_run import EDGES, carried_out, plan, step
@@ -28,7 +28,9 @@ def journal(tmp_path: Path) -> Iterator[Journal]:
 def three(fleet: FakeFleet, journal: Journal, **options: object) -> Results:
     """Three starts, one after the other; the first fails."""
     fleet["edge1"].faults["start:one"] = HostError("no space left")
-    steps = [step(name, Action.START, host=host) for name, host in zip(("one", "two", "three"), EDGES, strict=True)]
+    steps = [
+        step(name, Action.START, host=host) for name, host in zip(("one", "two", "three"), EDGES, strict=True)
+    ]
     tasks = [a_task(name) for name in ("one", "two", "three")]
     return carried_out(fleet, journal, plan(*steps), *tasks, max_parallel=1, **options)
 
@@ -69,7 +71,9 @@ def test_what_was_begun_beside_the_failure_is_finished(journal: Journal) -> None
 
     fleet["edge1"].faults["start:one"] = fails
     fleet["edge2"].faults["wait:two"] = goes_on
-    steps = [step(name, Action.START, host=host) for name, host in zip(("one", "two", "three"), EDGES, strict=True)]
+    steps = [
+        step(name, Action.START, host=host) for name, host in zip(("one", "two", "three"), EDGES, strict=True)
+    ]
     tasks = [a_task(name) for name in ("one", "two")] + [a_task("three", needs=["two"])]
     results = carried_out(fleet, journal, plan(*steps), *tasks, fail_fast=True)
     assert [outcome for _, outcome, _ in outcomes(results)] == [Outcome.FAILED, Outcome.DONE, Outcome.SKIPPED]
@@ -94,14 +98,19 @@ def test_nothing_begins_after_the_deadline(journal: Journal) -> None:
 
     fleet["edge1"].faults["wait:one"] = late
     steps = [step(name, Action.START, host="edge1") for name in ("one", "two")]
-    results = carried_out(fleet, journal, plan(*steps), a_task("one"), a_task("two"), max_parallel=1, deadline=deadline)
-    assert outcomes(results) == [("one", Outcome.DONE, ""), ("two", Outcome.SKIPPED, "not begun before the deadline (--timeout)")]
+    results = carried_out(
+        fleet, journal, plan(*steps), a_task("one"), a_task("two"), max_parallel=1, deadline=deadline
+    )
+    assert outcomes(results) == [
+        ("one", Outcome.DONE, ""),
+        ("two", Outcome.SKIPPED, "not begun before the deadline (--timeout)"),
+    ]
     assert not results.interrupted
 
 
 def test_an_interruption_is_named_before_everything_else() -> None:
     stop = threading.Event()
-    brake = Brake(stop, fail_fast=True, deadline=0.0)
+    brake = Cancellation(stop, fail_fast=True, deadline=0.0)
     assert brake.reason().startswith("not begun before the deadline")
     brake.seen(ActionResult(task="slam", action=Action.START, outcome=Outcome.FAILED))
     assert brake.reason() == "not begun, because slam failed (--fail-fast)"

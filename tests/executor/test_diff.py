@@ -2,30 +2,34 @@
 
 import pytest
 
-from edgectl.executor.diff import diff, plan_of, select
+from edgectl.executor.diff import diff_assignment, plan_from_assignment, select_targets
 from edgectl.model.assignment import Assignment, Decision, Reason, Verdict
-from edgectl.model.memory import Memory, Placement
+from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.plan import Action, Step
 from edgectl.model.policy import Policy
 from edgectl.model.snapshot import Snapshot, TaskSample, TaskState
 from edgectl.model.task import Task
 from tests.builders import NOW, a_run, a_sample, a_snapshot, a_task, an_edge, an_inventory, silent, some_tasks
 
-NOTHING = Memory()
+NOTHING = ManagerState()
 EDGES = ("edge1", "edge2", "edge3")
 
 
-def decided(verdict: Verdict, reason: Reason, host: str | None = None, before: str | None = None, task: str = "slam") -> Decision:
+def decided(
+    verdict: Verdict, reason: Reason, host: str | None = None, before: str | None = None, task: str = "slam"
+) -> Decision:
     return Decision(task=task, verdict=verdict, reason=reason, host=host, previous_host=before)
 
 
 def step(decision: Decision, snapshot: Snapshot, task: Task | None = None) -> Step:
     assignment = Assignment(policy=Policy(), decisions=(decision,), expected={})
-    return diff(assignment, some_tasks(task or a_task()), snapshot, NOTHING)[0]
+    return diff_assignment(assignment, some_tasks(task or a_task()), snapshot, NOTHING)[0]
 
 
 def fleet(**runs: TaskSample) -> Snapshot:
-    return a_snapshot(**{edge: a_sample(tasks={"slam": runs[edge]} if edge in runs else {}) for edge in EDGES})
+    return a_snapshot(
+        **{edge: a_sample(tasks={"slam": runs[edge]} if edge in runs else {}) for edge in EDGES}
+    )
 
 
 @pytest.mark.parametrize(
@@ -57,16 +61,32 @@ def fleet(**runs: TaskSample) -> Snapshot:
          {"edge1": "instance-1"}, ()),
     ],
 )  # fmt: skip
-def test_actions(decision: Decision, runs: dict[str, TaskSample], action: Action, instances: dict[str, str], stop: tuple[str, ...]) -> None:
-    assert step(decision, fleet(**runs)) == Step(decision=decision, action=action, instances=instances, stop=stop)
+def test_actions(
+    decision: Decision,
+    runs: dict[str, TaskSample],
+    action: Action,
+    instances: dict[str, str],
+    stop: tuple[str, ...],
+) -> None:
+    assert step(decision, fleet(**runs)) == Step(
+        decision=decision, action=action, instances=instances, stop=stop
+    )
 
 
-@pytest.mark.parametrize(("spec_hash", "action"), [("hash-slam", Action.KEEP), ("older", Action.RESTART), ("", Action.KEEP)])
+@pytest.mark.parametrize(
+    ("spec_hash", "action"), [("hash-slam", Action.KEEP), ("older", Action.RESTART), ("", Action.KEEP)]
+)
 def test_a_changed_specification_restarts_in_place_where_it_is_known(spec_hash: str, action: Action) -> None:
-    found = step(decided(Verdict.KEPT, Reason.STILL_BEST, "edge1", "edge1"), fleet(edge1=a_run(spec_hash=spec_hash)))
+    found = step(
+        decided(Verdict.KEPT, Reason.STILL_BEST, "edge1", "edge1"), fleet(edge1=a_run(spec_hash=spec_hash))
+    )
     assert found.action is action
     if action is Action.RESTART:
-        assert (found.decision.reason, found.instances, found.changed) == (Reason.SPEC_CHANGED, {"edge1": "instance-1"}, ("spec",))
+        assert (found.decision.reason, found.instances, found.changed) == (
+            Reason.SPEC_CHANGED,
+            {"edge1": "instance-1"},
+            ("spec",),
+        )
 
 
 @pytest.mark.parametrize(
@@ -75,7 +95,10 @@ def test_a_changed_specification_restarts_in_place_where_it_is_known(spec_hash: 
         ({"command": "1", "env": "2"}, ("env",)),
         ({"command": "0", "env": "0", "secrets": "3"}, ("command", "env", "secrets")),
         ({"command": "1"}, ("env",)),
-        ({"command": "1", "env": "3"}, ("spec",)),  # the hash differs and no field does: an edgectl with other fields started it
+        (
+            {"command": "1", "env": "3"},
+            ("spec",),
+        ),  # the hash differs and no field does: an edgectl with other fields started it
     ],
 )
 def test_a_restart_says_what_changed(before: dict[str, str], changed: tuple[str, ...]) -> None:
@@ -85,7 +108,12 @@ def test_a_restart_says_what_changed(before: dict[str, str], changed: tuple[str,
 
 
 def test_a_move_is_a_move_even_with_a_changed_specification() -> None:
-    assert step(decided(Verdict.PLACED, Reason.GAIN, "edge2", "edge1"), fleet(edge1=a_run(spec_hash="older"))).action is Action.MOVE
+    assert (
+        step(
+            decided(Verdict.PLACED, Reason.GAIN, "edge2", "edge1"), fleet(edge1=a_run(spec_hash="older"))
+        ).action
+        is Action.MOVE
+    )
 
 
 @pytest.mark.parametrize(
@@ -104,29 +132,55 @@ def test_nothing_unmanaged_is_ever_stopped(decision: Decision, action: Action) -
 
 
 def test_tasks_that_left_the_file_are_stopped_last_and_only_if_ours() -> None:
-    runs = {"old10": a_run(), "old2": a_run(), "foreign": a_run(managed=False), "dead": a_run(TaskState.FAILED)}
-    snapshot = a_snapshot(edge1=a_sample(tasks=runs), edge2=a_sample(tasks={"old2": a_run(instance="b")}), edge3=silent())
-    assignment = Assignment(policy=Policy(), decisions=(decided(Verdict.PLACED, Reason.BEST, "edge1"),), expected={})
-    memory = Memory(placements={"old2": Placement(host="edge2", since=NOW)})
-    start, old2, old10 = diff(assignment, some_tasks(a_task()), snapshot, memory)
+    runs = {
+        "old10": a_run(),
+        "old2": a_run(),
+        "foreign": a_run(managed=False),
+        "dead": a_run(TaskState.FAILED),
+    }
+    snapshot = a_snapshot(
+        edge1=a_sample(tasks=runs), edge2=a_sample(tasks={"old2": a_run(instance="b")}), edge3=silent()
+    )
+    assignment = Assignment(
+        policy=Policy(), decisions=(decided(Verdict.PLACED, Reason.BEST, "edge1"),), expected={}
+    )
+    memory = ManagerState(placements={"old2": Placement(host="edge2", since=NOW)})
+    start, old2, old10 = diff_assignment(assignment, some_tasks(a_task()), snapshot, memory)
     assert start.action is Action.START
-    assert (old2.task, old2.action, old2.decision.reason, old2.decision.previous_host) == ("old2", Action.STOP, Reason.LEFT_FILE, "edge2")
+    assert (old2.task, old2.action, old2.decision.reason, old2.decision.previous_host) == (
+        "old2",
+        Action.STOP,
+        Reason.LEFT_FILE,
+        "edge2",
+    )
     assert (dict(old2.instances), old2.stop) == ({"edge1": "instance-1", "edge2": "b"}, ("edge1",))
     assert (old10.task, old10.decision.host, old10.stop) == ("old10", None, ())
 
 
 def test_a_plan_can_be_repeated_from_itself() -> None:
     inventory, tasks = an_inventory(an_edge()), some_tasks(a_task())
-    snapshot, memory = a_snapshot(edge1=a_sample()), Memory(cordons=frozenset({"edge9"}))
-    assignment = Assignment(policy=Policy(), decisions=(decided(Verdict.PLACED, Reason.BEST, "edge1"),), expected={}, settled=False)
-    plan = plan_of(inventory, tasks, snapshot, memory, assignment)
-    assert (plan.created_at, plan.inventory_digest, plan.tasks_digest) == (NOW, "inventory-digest", "tasks-digest")
-    assert plan.snapshot.memory == memory
+    snapshot, memory = a_snapshot(edge1=a_sample()), ManagerState(cordons=frozenset({"edge9"}))
+    assignment = Assignment(
+        policy=Policy(),
+        decisions=(decided(Verdict.PLACED, Reason.BEST, "edge1"),),
+        expected={},
+        settled=False,
+    )
+    plan = plan_from_assignment(inventory, tasks, snapshot, memory, assignment)
+    assert (plan.created_at, plan.inventory_digest, plan.tasks_digest) == (
+        NOW,
+        "inventory-digest",
+        "tasks-digest",
+    )
+    assert plan.snapshot.manager == memory
     assert (plan.settled, plan.summary, plan.changes) == (False, {Action.START: 1}, True)
 
 
 def test_selecting_targets_shows_all_and_does_some() -> None:
-    inventory, tasks = an_inventory(an_edge("edge1"), an_edge("edge2")), some_tasks(a_task("a"), a_task("b"), a_task("c"))
+    inventory, tasks = (
+        an_inventory(an_edge("edge1"), an_edge("edge2")),
+        some_tasks(a_task("a"), a_task("b"), a_task("c")),
+    )
     runs = {"edge1": a_sample(tasks={"b": a_run(), "c": a_run()}), "edge2": a_sample(tasks={"c": a_run()})}
     decisions = (
         decided(Verdict.PLACED, Reason.BEST, "edge1", task="a"),
@@ -134,12 +188,16 @@ def test_selecting_targets_shows_all_and_does_some() -> None:
         decided(Verdict.KEPT, Reason.STILL_BEST, "edge1", "edge1", task="c"),
     )
     assignment = Assignment(policy=Policy(), decisions=decisions, expected={})
-    plan = plan_of(inventory, tasks, a_snapshot(**runs), NOTHING, assignment)
-    assert [(s.action, s.stop) for s in plan.steps] == [(Action.START, ()), (Action.MOVE, ()), (Action.KEEP, ("edge2",))]
-    chosen = select(plan, {"b"})
+    plan = plan_from_assignment(inventory, tasks, a_snapshot(**runs), NOTHING, assignment)
+    assert [(s.action, s.stop) for s in plan.steps] == [
+        (Action.START, ()),
+        (Action.MOVE, ()),
+        (Action.KEEP, ("edge2",)),
+    ]
+    chosen = select_targets(plan, {"b"})
     assert [(s.action, s.stop, s.decision) for s in chosen.steps] == [
         (Action.NONE, (), decisions[0]),
         (Action.MOVE, (), decisions[1]),
         (Action.KEEP, (), decisions[2]),
     ]
-    assert not select(plan, set()).changes
+    assert not select_targets(plan, set()).changes

@@ -2,9 +2,9 @@
 
 import dataclasses
 
-from edgectl.executor.remember import generations, remember
+from edgectl.executor.manager_state_update import compute_next_generations, update_manager_state
 from edgectl.model.assignment import Decision, Reason, Verdict
-from edgectl.model.memory import Memory, Placement
+from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.policy import Policy
 from edgectl.model.result import ActionResult, Outcome, Phase, PhaseResult, Results
@@ -15,13 +15,25 @@ TASKS = some_tasks(a_task("slam"))
 OLD = Placement(host="edge1", since=5.0, spec_hash="old", generation=3)
 
 
-def a_step(action: Action, *, host: str | None = None, previous: str | None = None, verdict: Verdict = Verdict.PLACED) -> Step:
-    return Step(decision=Decision(task="slam", verdict=verdict, reason=Reason.BEST, host=host, previous_host=previous), action=action)
+def a_step(
+    action: Action, *, host: str | None = None, previous: str | None = None, verdict: Verdict = Verdict.PLACED
+) -> Step:
+    return Step(
+        decision=Decision(
+            task="slam", verdict=verdict, reason=Reason.BEST, host=host, previous_host=previous
+        ),
+        action=action,
+    )
 
 
 def after(
-    step: Step, *, located: str | None = None, outcome: Outcome | None = None, world: Snapshot | None = None, **fields: object
-) -> Memory:
+    step: Step,
+    *,
+    located: str | None = None,
+    outcome: Outcome | None = None,
+    world: Snapshot | None = None,
+    **fields: object,
+) -> ManagerState:
     """Memory that knew slam on edge1, after one step; without an outcome the step was not carried out."""
     plan = Plan(
         created_at=NOW,
@@ -37,19 +49,30 @@ def after(
         task="slam", action=step.action, outcome=outcome or Outcome.DONE, host=step.decision.host, located=located, **fields  # type: ignore[arg-type]
     )  # fmt: skip
     results = Results(revision=1, actions=(result,) if outcome else (), seconds=0.0)
-    return remember(Memory(placements={"slam": OLD}), plan, TASKS, results, {"slam": 9}, NOW)
+    return update_manager_state(
+        ManagerState(placements={"slam": OLD}), plan, TASKS, results, {"slam": 9}, NOW
+    )
 
 
 def test_a_start_is_a_new_place() -> None:
     memory = after(a_step(Action.START, host="edge2"), outcome=Outcome.DONE, located="edge2")
-    assert memory.placements == {"slam": Placement(host="edge2", since=NOW, spec_hash="hash-slam", generation=9)}
+    assert memory.placements == {
+        "slam": Placement(host="edge2", since=NOW, spec_hash="hash-slam", generation=9)
+    }
     assert memory.managed
     assert memory.first == {"slam": "edge2"}
 
 
 def test_a_restart_keeps_its_dwell() -> None:
-    memory = after(a_step(Action.RESTART, host="edge1", previous="edge1"), outcome=Outcome.DONE, located="edge1", downtime_s=0.5)
-    assert memory.placements["slam"] == Placement(host="edge1", since=5.0, spec_hash="hash-slam", generation=9)
+    memory = after(
+        a_step(Action.RESTART, host="edge1", previous="edge1"),
+        outcome=Outcome.DONE,
+        located="edge1",
+        downtime_s=0.5,
+    )
+    assert memory.placements["slam"] == Placement(
+        host="edge1", since=5.0, spec_hash="hash-slam", generation=9
+    )
     assert memory.downtimes == {("slam", "edge1"): (0.5,)}
 
 
@@ -74,7 +97,12 @@ def test_a_stopped_task_is_forgotten_and_a_deferred_one_is_not() -> None:
 
 def test_a_restored_task_has_a_generation_of_its_own() -> None:
     phases = (PhaseResult(phase=Phase.RESTORE, host="edge1", seconds=0.1, ok=True),)
-    memory = after(a_step(Action.MOVE, host="edge2", previous="edge1"), outcome=Outcome.FAILED, located="edge1", phases=phases)
+    memory = after(
+        a_step(Action.MOVE, host="edge2", previous="edge1"),
+        outcome=Outcome.FAILED,
+        located="edge1",
+        phases=phases,
+    )
     assert (memory.placements["slam"].since, memory.placements["slam"].generation) == (5.0, 10)
 
 
@@ -89,7 +117,9 @@ def test_an_untouched_task_is_where_the_snapshot_shows_it() -> None:
     run = a_run(spec_hash="seen", generation=4)
     world = a_snapshot(edge1=a_sample(), edge2=a_sample(tasks={"slam": run}))
     memory = after(a_step(Action.KEEP, host="edge2"), world=world)
-    assert memory.placements["slam"] == Placement(host="edge2", since=run.started_at, spec_hash="seen", generation=4)
+    assert memory.placements["slam"] == Placement(
+        host="edge2", since=run.started_at, spec_hash="seen", generation=4
+    )
 
 
 def test_completed_tasks_are_marked_by_their_specification() -> None:
@@ -103,16 +133,16 @@ def test_the_journal_knows_generations_that_nobody_else_does() -> None:
     """The task is nowhere, its host keeps the generation, and the clock went back."""
     decision = Decision(task="slam", verdict=Verdict.PLACED, reason=Reason.BEST, host="edge1")
     steps = (Step(decision=decision, action=Action.START),)
-    assert generations(Memory(), a_snapshot(), steps, 5.0, {"slam": 90}) == {"slam": 91}
+    assert compute_next_generations(ManagerState(), a_snapshot(), steps, 5.0, {"slam": 90}) == {"slam": 91}
 
 
 def test_generations_are_above_all_that_is_known_and_never_below_the_clock() -> None:
     steps = (a_step(Action.START, host="edge1"),)
     far = int(NOW) + 500
     world = a_snapshot(edge1=a_sample(tasks={"slam": a_run(TaskState.FAILED, generation=far)}))
-    assert generations(Memory(), a_snapshot(), steps, NOW) == {"slam": int(NOW)}
-    assert generations(Memory(), world, steps, NOW) == {"slam": far + 1}
+    assert compute_next_generations(ManagerState(), a_snapshot(), steps, NOW) == {"slam": int(NOW)}
+    assert compute_next_generations(ManagerState(), world, steps, NOW) == {"slam": far + 1}
     stopped = a_snapshot(edge1=dataclasses.replace(a_sample(), generations={"slam": far}))
-    assert generations(Memory(), stopped, steps, NOW) == {"slam": far + 1}
-    known = Memory(placements={"slam": Placement(host="edge1", since=0.0, generation=far + 7)})
-    assert generations(known, world, steps, NOW) == {"slam": far + 8}
+    assert compute_next_generations(ManagerState(), stopped, steps, NOW) == {"slam": far + 1}
+    known = ManagerState(placements={"slam": Placement(host="edge1", since=0.0, generation=far + 7)})
+    assert compute_next_generations(known, world, steps, NOW) == {"slam": far + 8}

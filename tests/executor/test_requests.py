@@ -1,23 +1,28 @@
 """What is asked of hosts: requests, environment, dry run, order."""
 
-from edgectl.executor import requests
-from edgectl.executor.dryrun import dry_run
-from edgectl.executor.order import order, stops
+from edgectl.executor import host_requests
+from edgectl.executor.dependencies import build_step_dependencies, list_stop_hosts
+from edgectl.executor.dry_run import list_dry_run_requests
 from edgectl.model.assignment import Decision, Reason, Verdict
-from edgectl.model.environment import environment
+from edgectl.model.environment import merge_environment
 from edgectl.model.inventory import Runtime
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.policy import Policy
-from edgectl.model.task import Check, Handoff, HandoffOrder, Stop, Where
+from edgectl.model.task import Check, CheckLocation, HandoffContract, HandoffOrder, StopRule
 from tests.builders import a_robot, a_snapshot, a_task, an_edge, an_inventory, some_tasks
 
-EDGE = an_edge("edge1", env={"ROS_MASTER_URI": "http://a", "LEVEL": "host"}, prelude="source setup.bash", runtime=Runtime.PROCESS)
+EDGE = an_edge(
+    "edge1",
+    env={"ROS_MASTER_URI": "http://a", "LEVEL": "host"},
+    prelude="source setup.bash",
+    runtime=Runtime.PROCESS,
+)
 FLEET = an_inventory(EDGE, an_edge("edge2"), a_robot("robot1"), a_robot("robot2"))
 
 
 def test_the_tasks_variables_win_over_the_hosts() -> None:
     task = a_task("slam", robots=["robot2", "robot1"], env={"LEVEL": "task"})
-    assert environment(task, EDGE, FLEET.hosts) == {
+    assert merge_environment(task, EDGE, FLEET.hosts) == {
         "ROS_MASTER_URI": "http://a",
         "LEVEL": "task",
         "EDGECTL_TASK": "slam",
@@ -27,55 +32,78 @@ def test_the_tasks_variables_win_over_the_hosts() -> None:
         "EDGECTL_ROBOTS": "robot2 robot1",
         "EDGECTL_ROBOT_HOSTS": "robot2.lab robot1.lab",
     }
-    assert "EDGECTL_ROBOT" not in environment(a_task("merge"), EDGE, FLEET.hosts)
+    assert "EDGECTL_ROBOT" not in merge_environment(a_task("merge"), EDGE, FLEET.hosts)
 
 
 def test_a_start_request_is_the_task_as_it_will_run() -> None:
-    task = a_task("slam", ready=Check(command="is up", timeout=7.0), stop=Stop(preset="ros"), workdir="/data")
-    request = requests.start(task, EDGE, FLEET.hosts, instance="i", generation=4)
+    task = a_task(
+        "slam", ready=Check(command="is up", timeout=7.0), stop=StopRule(preset="ros"), workdir="/data"
+    )
+    request = host_requests.build_start_request(task, EDGE, FLEET.hosts, instance="i", generation=4)
     assert {key: request[key] for key in ("op", "host", "task", "instance", "generation")} == {
         "op": "start", "host": "edge1", "task": "slam", "instance": "i", "generation": 4,
     }  # fmt: skip
     spec = request["spec"]
     assert isinstance(spec, dict)
-    assert (spec["command"], spec["prelude"], spec["workdir"], spec["runtime"]) == ("run slam", "source setup.bash", "/data", "process")
-    assert (spec["ready"], spec["stop"]) == ({"command": "is up", "timeout_s": 7.0}, {"signal": "TERM", "grace_s": 20.0, "preset": "ros"})
+    assert (spec["command"], spec["prelude"], spec["workdir"], spec["runtime"]) == (
+        "run slam",
+        "source setup.bash",
+        "/data",
+        "process",
+    )
+    assert (spec["ready"], spec["stop"]) == (
+        {"command": "is up", "timeout_s": 7.0},
+        {"signal": "TERM", "grace_s": 20.0, "preset": "ros"},
+    )
 
 
 def test_a_ready_check_on_the_robot_stays_with_the_manager() -> None:
-    task = a_task("slam", ready=Check(command="sees the map", on=Where.ROBOT))
-    spec = requests.start(task, EDGE, FLEET.hosts, instance="i", generation=1)["spec"]
+    task = a_task("slam", ready=Check(command="sees the map", on=CheckLocation.ROBOT))
+    spec = host_requests.build_start_request(task, EDGE, FLEET.hosts, instance="i", generation=1)["spec"]
     assert isinstance(spec, dict)
     assert spec["ready"] is None
 
 
 def test_an_instance_is_named_by_run_task_host_and_attempt() -> None:
-    name = requests.instance_id("plan:1", "slam", "edge1", 1)
-    assert name == requests.instance_id("plan:1", "slam", "edge1", 1)
+    name = host_requests.build_instance_id("plan:1", "slam", "edge1", 1)
+    assert name == host_requests.build_instance_id("plan:1", "slam", "edge1", 1)
     others = [
         ("plan:2", "slam", "edge1", 1),
         ("plan:1", "slan", "edge1", 1),
         ("plan:1", "slam", "edge2", 1),
         ("plan:1", "slam", "edge1", 2),
     ]
-    assert len({name, *(requests.instance_id(*other) for other in others)}) == 5
+    assert len({name, *(host_requests.build_instance_id(*other) for other in others)}) == 5
 
 
 def a_plan(*steps: Step) -> Plan:
     return Plan(
-        created_at=0.0, policy=Policy(), inventory_digest="", tasks_digest="", snapshot=a_snapshot(), settled=True, steps=steps, expected={}
+        created_at=0.0,
+        policy=Policy(),
+        inventory_digest="",
+        tasks_digest="",
+        snapshot=a_snapshot(),
+        settled=True,
+        steps=steps,
+        expected={},
     )
 
 
-def a_step(task: str, action: Action, host: str | None, previous: str | None = None, stop: tuple[str, ...] = ()) -> Step:
-    decision = Decision(task=task, verdict=Verdict.PLACED, reason=Reason.BEST, host=host, previous_host=previous)
+def a_step(
+    task: str, action: Action, host: str | None, previous: str | None = None, stop: tuple[str, ...] = ()
+) -> Step:
+    decision = Decision(
+        task=task, verdict=Verdict.PLACED, reason=Reason.BEST, host=host, previous_host=previous
+    )
     return Step(decision=decision, action=action, instances={previous: "old"} if previous else {}, stop=stop)
 
 
 def shown(order_of_move: HandoffOrder) -> list[tuple[object, object]]:
-    hooks = {name: Check(command=name, on=Where.ROBOT) for name in ("safe_when", "hold", "release")}
-    task = a_task("slam", robots=["robot1"], handoff=Handoff(order=order_of_move, **hooks))
-    entries = dry_run(a_plan(a_step("slam", Action.MOVE, "edge2", "edge1")), FLEET, some_tasks(task))
+    hooks = {name: Check(command=name, on=CheckLocation.ROBOT) for name in ("safe_when", "hold", "release")}
+    task = a_task("slam", robots=["robot1"], handoff=HandoffContract(order=order_of_move, **hooks))
+    entries = list_dry_run_requests(
+        a_plan(a_step("slam", Action.MOVE, "edge2", "edge1")), FLEET, some_tasks(task)
+    )
     return [(entry["phase"], entry["host"]) for entry in entries]
 
 
@@ -87,8 +115,10 @@ def test_a_dry_run_of_a_move_shows_its_phases_in_order() -> None:
 
 
 def test_a_dry_run_shows_stops_first_and_duplicates_once() -> None:
-    plan = a_plan(a_step("slam", Action.START, "edge1", stop=("edge2",)), a_step("old", Action.STOP, None, "edge1"))
-    entries = dry_run(plan, FLEET, some_tasks(a_task("slam")))
+    plan = a_plan(
+        a_step("slam", Action.START, "edge1", stop=("edge2",)), a_step("old", Action.STOP, None, "edge1")
+    )
+    entries = list_dry_run_requests(plan, FLEET, some_tasks(a_task("slam")))
     assert [(entry["task"], entry["phase"], entry["host"]) for entry in entries] == [
         ("slam", "stop", "edge2"),
         ("old", "stop", "edge1"),
@@ -104,7 +134,9 @@ def test_starts_wait_for_needs_and_for_room_but_never_in_a_circle() -> None:
         a_step("b", Action.MOVE, "edge1", "edge3"),
         a_step("c", Action.MOVE, "edge3", "edge2"),
     )
-    waits = order(steps, some_tasks(a_task("a"), a_task("b", needs=["a", "other"]), a_task("c")))
+    waits = build_step_dependencies(
+        steps, some_tasks(a_task("a"), a_task("b", needs=["a", "other"]), a_task("c"))
+    )
     assert list(waits) == ["a", "b", "c"]
     assert [need.task for need in waits["b"].needs] == ["a"]
     assert [need.task for need in waits["b"].others] == ["other"]
@@ -114,6 +146,6 @@ def test_starts_wait_for_needs_and_for_room_but_never_in_a_circle() -> None:
 
 
 def test_what_a_step_stops_first() -> None:
-    assert stops(a_step("a", Action.MOVE, "edge2", "edge1", stop=("edge3",))) == ("edge3",)
-    assert stops(a_step("a", Action.STOP, None, "edge1", stop=("edge2",))) == ("edge1", "edge2")
-    assert stops(a_step("a", Action.KEEP, "edge1")) == ()
+    assert list_stop_hosts(a_step("a", Action.MOVE, "edge2", "edge1", stop=("edge3",))) == ("edge3",)
+    assert list_stop_hosts(a_step("a", Action.STOP, None, "edge1", stop=("edge2",))) == ("edge1", "edge2")
+    assert list_stop_hosts(a_step("a", Action.KEEP, "edge1")) == ()

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from edgectl.errors import HostError
-from edgectl.executor import requests
-from edgectl.executor.reveal import printed, reveal
-from edgectl.gateway.request import probe_request
+from edgectl.executor import host_requests
+from edgectl.executor.secrets import resolve_environment, run_env_command
+from edgectl.gateway.probe_request import build_probe_request
 from edgectl.model.secret import Secret
 from edgectl.model.task import Check
 from tests.builders import a_robot, a_task, an_edge, an_inventory, some_tasks
@@ -22,9 +22,12 @@ def command(text: str) -> tuple[str, ...]:
 
 
 def test_the_later_wins_and_everything_is_in_clear() -> None:
-    host = an_edge(env={"A": "host", "B": "host", "C": Secret("host")}, env_command=command("print('B=hc'); print('C=hc'); print('D=hc')"))
+    host = an_edge(
+        env={"A": "host", "B": "host", "C": Secret("host")},
+        env_command=command("print('B=hc'); print('C=hc'); print('D=hc')"),
+    )
     task = a_task(env={"C": Secret("task"), "D": "task"}, env_command=command("print('D=tc')"))
-    found = reveal(task, host, {host.name: host})
+    found = resolve_environment(task, host, {host.name: host})
     assert {name: found[name] for name in "ABCD"} == {"A": "host", "B": "hc", "C": "task", "D": "tc"}
     assert found["EDGECTL_TASK"] == "slam"
 
@@ -34,20 +37,27 @@ def test_only_a_start_that_is_sent_carries_secrets() -> None:
     inventory = an_inventory(an_edge(env={"KEY": Secret(CANARY)}), a_robot())
     host = inventory.hosts["edge1"]
     task = a_task(env={"TOKEN": Secret(CANARY), "PLAIN": "x"}, done_when=check)
-    sent = requests.start(task, host, inventory.hosts, instance="i", generation=1, variables=reveal(task, host, inventory.hosts))
+    sent = host_requests.build_start_request(
+        task,
+        host,
+        inventory.hosts,
+        instance="i",
+        generation=1,
+        variables=resolve_environment(task, host, inventory.hosts),
+    )
     assert json.dumps(sent).count(CANARY) == 2
-    looked_at = requests.start(task, host, inventory.hosts, instance="i", generation=1)
+    looked_at = host_requests.build_start_request(task, host, inventory.hosts, instance="i", generation=1)
     assert looked_at["spec"]["env"]["TOKEN"] == "***"  # type: ignore[index]
-    asked = requests.check(task, check, host, inventory.hosts)
+    asked = host_requests.build_check_request(task, check, host, inventory.hosts)
     assert "TOKEN" not in asked["env"]  # type: ignore[operator]
     assert asked["env"]["PLAIN"] == "x"  # type: ignore[index]
-    probed = probe_request(host, inventory, some_tasks(task), {}, window_s=0.1, timeout_s=5.0)
+    probed = build_probe_request(host, inventory, some_tasks(task), {}, window_s=0.1, timeout_s=5.0)
     assert CANARY not in json.dumps([looked_at, asked, probed])
 
 
 def test_lines_are_read_as_they_are_written() -> None:
     text = "print('# a comment\\n\\nA=1\\r\\nB=x=y $(z) \\\\n\\n_C2=')"
-    assert printed(command(text), "task t") == {"A": "1", "B": "x=y $(z) \\n", "_C2": ""}
+    assert run_env_command(command(text), "task t") == {"A": "1", "B": "x=y $(z) \\n", "_C2": ""}
 
 
 @pytest.mark.parametrize(
@@ -57,14 +67,19 @@ def test_lines_are_read_as_they_are_written() -> None:
         (f"print('A=1'); print('{CANARY}')", "printed a line 2 that is not NAME=value"),
         (f"print('A-B={CANARY}')", "printed a line 1 that is not NAME=value"),
         (f"print('A={CANARY}\\0')", "printed a line 1 that is not NAME=value"),
-        (f"import sys; sys.stdout.buffer.write(b'A={CANARY}\\xff')", "printed a line 1 that is not NAME=value"),
+        (
+            f"import sys; sys.stdout.buffer.write(b'A={CANARY}\\xff')",
+            "printed a line 1 that is not NAME=value",
+        ),
         (f"import time; print('A={CANARY}', flush=True); time.sleep(60)", "did not end within 0.5 s"),
     ],
 )
-def test_a_command_that_fails_says_why_and_nothing_that_it_printed(text: str, why: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("edgectl.executor.reveal.COMMAND_S", 0.5 if "sleep" in text else 10.0)
+def test_a_command_that_fails_says_why_and_nothing_that_it_printed(
+    text: str, why: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("edgectl.executor.secrets.ENV_COMMAND_TIMEOUT_S", 0.5 if "sleep" in text else 10.0)
     with pytest.raises(HostError) as raised:
-        printed(command(text), "task t")
+        run_env_command(command(text), "task t")
     assert raised.value.message == f"env_command of task t {why}"
     assert raised.value.__suppress_context__ or raised.value.__context__ is None
     assert "canary" not in raised.value.hint
@@ -72,10 +87,10 @@ def test_a_command_that_fails_says_why_and_nothing_that_it_printed(text: str, wh
 
 def test_a_command_that_is_not_there() -> None:
     with pytest.raises(HostError, match="env_command of task t cannot be run: No such file or directory"):
-        printed(("/nowhere/vault",), "task t")
+        run_env_command(("/nowhere/vault",), "task t")
 
 
 def test_no_shell_reads_the_command(tmp_path: Path) -> None:
     made = tmp_path / "made"
-    printed(("echo", f"A=$(touch {made})"), "task t")
+    run_env_command(("echo", f"A=$(touch {made})"), "task t")
     assert not made.exists()

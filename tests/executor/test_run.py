@@ -8,15 +8,15 @@ from pathlib import Path
 import pytest
 
 from edgectl.errors import ConnectError, DeadlineError, RefusedError
-from edgectl.executor.run import RunOptions, run
+from edgectl.executor.run import RunOptions, run_plan
 from edgectl.model.assignment import Decision, Reason, Verdict
 from edgectl.model.inventory import Inventory
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.policy import Policy
-from edgectl.model.progress import Progress, Stage
+from edgectl.model.progress import ProgressEvent, ProgressStage
 from edgectl.model.result import ActionResult, Outcome, Phase, Results
 from edgectl.model.snapshot import Snapshot
-from edgectl.model.task import Check, Handoff, HandoffOrder, Need, Task, Until, Where
+from edgectl.model.task import Check, CheckLocation, HandoffContract, HandoffOrder, Need, NeedCondition, Task
 from edgectl.state.journal import Journal
 from tests.builders import a_robot, a_run, a_sample, a_snapshot, a_task, an_edge, an_inventory, some_tasks
 from tests.executor.fake_fleet import FakeFleet
@@ -40,10 +40,18 @@ def inventory() -> Inventory:
     return an_inventory(*(an_edge(name) for name in EDGES), a_robot("robot1"))
 
 
-def step(task: str, action: Action, *, host: str | None = None, previous: str | None = None, **fields: object) -> Step:
-    verdict = {Action.COMPLETE: Verdict.COMPLETED, Action.KEEP: Verdict.KEPT, Action.HOLD: Verdict.HELD}.get(action, Verdict.PLACED)
+def step(
+    task: str, action: Action, *, host: str | None = None, previous: str | None = None, **fields: object
+) -> Step:
+    verdict = {Action.COMPLETE: Verdict.COMPLETED, Action.KEEP: Verdict.KEPT, Action.HOLD: Verdict.HELD}.get(
+        action, Verdict.PLACED
+    )
     decision = Decision(task=task, verdict=verdict, reason=Reason.BEST, host=host, previous_host=previous)
-    concerned = {previous: "old"} if previous and action in (Action.MOVE, Action.STOP, Action.RESTART, Action.COMPLETE) else {}
+    concerned = (
+        {previous: "old"}
+        if previous and action in (Action.MOVE, Action.STOP, Action.RESTART, Action.COMPLETE)
+        else {}
+    )
     return Step(decision=decision, action=action, instances=concerned, **fields)  # type: ignore[arg-type]
 
 
@@ -62,7 +70,7 @@ def plan(*steps: Step, snapshot: Snapshot | None = None) -> Plan:
 
 def carried_out(fleet: FakeFleet, journal: Journal, made: Plan, *tasks: Task, **options: object) -> Results:
     settings = RunOptions(plan_id="p", revision=1, poll_s=0.01, **options)  # type: ignore[arg-type]
-    return run(made, inventory(), some_tasks(*tasks), fleet.transport, journal, settings)
+    return run_plan(made, inventory(), some_tasks(*tasks), fleet.transport, journal, settings)
 
 
 def of(results: Results, task: str) -> ActionResult:
@@ -80,12 +88,21 @@ def test_stops_come_before_starts_and_starts_follow_needs(fleet: FakeFleet, jour
     )
     ready = Check(command="is ready")
     results = carried_out(
-        fleet, journal, made, a_task("slam", ready=ready), a_task("navigation", needs=["slam"], ready=ready), a_task("finished")
+        fleet,
+        journal,
+        made,
+        a_task("slam", ready=ready),
+        a_task("navigation", needs=["slam"], ready=ready),
+        a_task("finished"),
     )
     assert results.done
     assert {*fleet.changes[:2]} == {"stop old edge1", "stop finished edge2"}
     order = fleet.world.events
-    assert order.index("start slam edge2") < order.index("ready slam edge2") < order.index("start navigation edge1")
+    assert (
+        order.index("start slam edge2")
+        < order.index("ready slam edge2")
+        < order.index("start navigation edge1")
+    )
     assert [result.task for result in results.actions] == ["navigation", "slam", "old", "finished"]
     assert of(results, "slam").located == "edge2"
     assert of(results, "old").located is None
@@ -109,7 +126,13 @@ def test_max_parallel_bounds_the_actions_at_once(fleet: FakeFleet, journal: Jour
     fleet["edge1"].delay = 0.1
     tasks = [a_task(f"task{number}") for number in range(3)]
     began = time.monotonic()
-    carried_out(fleet, journal, plan(*(step(task.name, Action.START, host="edge1") for task in tasks)), *tasks, max_parallel=1)
+    carried_out(
+        fleet,
+        journal,
+        plan(*(step(task.name, Action.START, host="edge1") for task in tasks)),
+        *tasks,
+        max_parallel=1,
+    )
     assert time.monotonic() - began >= 0.3
 
 
@@ -120,7 +143,9 @@ def test_a_failed_start_skips_its_successors_and_nobody_else(fleet: FakeFleet, j
         step("navigation", Action.START, host="edge2"),
         step("camera", Action.START, host="edge1"),
     )
-    results = carried_out(fleet, journal, made, a_task("slam"), a_task("navigation", needs=["slam"]), a_task("camera"))
+    results = carried_out(
+        fleet, journal, made, a_task("slam"), a_task("navigation", needs=["slam"]), a_task("camera")
+    )
     assert (of(results, "slam").outcome, of(results, "slam").error) == (Outcome.FAILED, "disk is full")
     assert of(results, "navigation").outcome is Outcome.SKIPPED
     assert of(results, "navigation").error == "needs slam, which did not start"
@@ -151,10 +176,16 @@ def test_a_task_that_is_not_ready_in_time_is_left_running(fleet: FakeFleet, jour
 
 
 def test_a_task_that_keeps_ending_says_how_it_ended(fleet: FakeFleet, journal: Journal) -> None:
-    fleet["edge1"].faults["wait"] = lambda _request: {"state": "starting", "detail": "exited with 7; starts again in 2.0 s"}
+    fleet["edge1"].faults["wait"] = lambda _request: {
+        "state": "starting",
+        "detail": "exited with 7; starts again in 2.0 s",
+    }
     slow = a_task("slam", ready=Check(command="never", timeout=0.1))
     results = carried_out(fleet, journal, plan(step("slam", Action.START, host="edge1")), slow)
-    assert of(results, "slam").error == "slam was not ready on edge1 within 0.1 s: exited with 7; starts again in 2.0 s"
+    assert (
+        of(results, "slam").error
+        == "slam was not ready on edge1 within 0.1 s: exited with 7; starts again in 2.0 s"
+    )
 
 
 def test_a_task_that_dies_at_once_is_a_failure_with_its_exit_code(fleet: FakeFleet, journal: Journal) -> None:
@@ -165,8 +196,14 @@ def test_a_task_that_dies_at_once_is_a_failure_with_its_exit_code(fleet: FakeFle
 
 def test_ready_on_the_robot_is_asked_there_and_marked_on_the_host(fleet: FakeFleet, journal: Journal) -> None:
     answers = iter([1, 1, 0])
-    fleet["robot1"].faults["check"] = lambda _request: {"exit": next(answers), "timed_out": False, "output": ""}
-    task = a_task("slam", robots=["robot1"], ready=Check(command="sees the map", on=Where.ROBOT, timeout=5.0))
+    fleet["robot1"].faults["check"] = lambda _request: {
+        "exit": next(answers),
+        "timed_out": False,
+        "output": "",
+    }
+    task = a_task(
+        "slam", robots=["robot1"], ready=Check(command="sees the map", on=CheckLocation.ROBOT, timeout=5.0)
+    )
     results = carried_out(fleet, journal, plan(step("slam", Action.START, host="edge1")), task)
     assert results.done
     assert "mark slam edge1" in fleet.world.events
@@ -176,29 +213,46 @@ def test_a_running_predecessor_is_waited_for(fleet: FakeFleet, journal: Journal)
     fleet["edge1"].runs("slam", state="starting")
     slam = a_task("slam", ready=Check(command="is ready"))
     world = a_snapshot(edge1=a_sample(tasks={"slam": a_run(instance="old", state="starting")}))  # type: ignore[arg-type]
-    made = plan(step("slam", Action.KEEP, host="edge1"), step("navigation", Action.START, host="edge2"), snapshot=world)
+    made = plan(
+        step("slam", Action.KEEP, host="edge1"),
+        step("navigation", Action.START, host="edge2"),
+        snapshot=world,
+    )
     assert carried_out(fleet, journal, made, slam, a_task("navigation", needs=["slam"])).done
     assert fleet.world.events.index("ready slam edge1") < fleet.world.events.index("start navigation edge2")
 
 
-def test_a_successor_of_an_unfinished_job_is_deferred(fleet: FakeFleet, journal: Journal, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_successor_of_an_unfinished_job_is_deferred(
+    fleet: FakeFleet, journal: Journal, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("edgectl.executor.predecessors._COMPLETION_S", 0.1)
     made = plan(step("job", Action.START, host="edge1"), step("after", Action.START, host="edge1"))
-    needs = Need(task="job", until=Until.COMPLETED)
+    needs = Need(task="job", until=NeedCondition.COMPLETED)
     results = carried_out(fleet, journal, made, a_task("job"), a_task("after", needs=[needs]))
-    assert (of(results, "after").outcome, of(results, "after").error) == (Outcome.DEFERRED, "waits for job to complete")
+    assert (of(results, "after").outcome, of(results, "after").error) == (
+        Outcome.DEFERRED,
+        "waits for job to complete",
+    )
     assert fleet.placed == {"job": "edge1"}
 
 
 def test_a_successor_starts_once_its_job_has_completed(fleet: FakeFleet, journal: Journal) -> None:
     fleet["edge1"].faults["status:job"] = lambda _request: {"tasks": {"job": {"state": "completed"}}}
     made = plan(step("job", Action.START, host="edge1"), step("after", Action.START, host="edge1"))
-    assert carried_out(fleet, journal, made, a_task("job"), a_task("after", needs=[Need(task="job", until=Until.COMPLETED)])).done
+    assert carried_out(
+        fleet,
+        journal,
+        made,
+        a_task("job"),
+        a_task("after", needs=[Need(task="job", until=NeedCondition.COMPLETED)]),
+    ).done
 
 
 def test_a_newcomer_waits_for_the_move_that_makes_room(fleet: FakeFleet, journal: Journal) -> None:
     fleet["edge1"].runs("slam")
-    made = plan(step("camera", Action.START, host="edge1"), step("slam", Action.MOVE, host="edge2", previous="edge1"))
+    made = plan(
+        step("camera", Action.START, host="edge1"), step("slam", Action.MOVE, host="edge2", previous="edge1")
+    )
     assert carried_out(fleet, journal, made, a_task("camera"), a_task("slam")).done
     assert fleet.changes == ["stop slam edge1", "start slam edge2", "start camera edge1"]
 
@@ -206,7 +260,9 @@ def test_a_newcomer_waits_for_the_move_that_makes_room(fleet: FakeFleet, journal
 def test_duplicates_are_stopped_and_the_kept_one_is_left_alone(fleet: FakeFleet, journal: Journal) -> None:
     fleet["edge1"].runs("slam")
     fleet["edge2"].runs("slam")
-    results = carried_out(fleet, journal, plan(step("slam", Action.KEEP, host="edge1", stop=("edge2",))), a_task("slam"))
+    results = carried_out(
+        fleet, journal, plan(step("slam", Action.KEEP, host="edge1", stop=("edge2",))), a_task("slam")
+    )
     assert results.done
     assert fleet.placed == {"slam": "edge1"}
     assert of(results, "slam").located == "edge1"
@@ -215,25 +271,39 @@ def test_duplicates_are_stopped_and_the_kept_one_is_left_alone(fleet: FakeFleet,
 def test_a_duplicate_that_stays_keeps_its_task_from_starting(fleet: FakeFleet, journal: Journal) -> None:
     fleet["edge2"].runs("slam")
     fleet["edge2"].faults["stop"] = lambda _request: {"state": "stop-incomplete", "left": [77]}
-    results = carried_out(fleet, journal, plan(step("slam", Action.START, host="edge1", stop=("edge2",))), a_task("slam"))
+    results = carried_out(
+        fleet, journal, plan(step("slam", Action.START, host="edge1", stop=("edge2",))), a_task("slam")
+    )
     assert of(results, "slam").error == "slam did not stop completely on edge2: processes left [77]"
     assert fleet.changes == []
 
 
-def test_an_interrupted_run_finishes_what_it_began(fleet: FakeFleet, journal: Journal, tmp_path: Path) -> None:
+def test_an_interrupted_run_finishes_what_it_began(
+    fleet: FakeFleet, journal: Journal, tmp_path: Path
+) -> None:
     stop = threading.Event()
     fleet["edge1"].faults["wait:slam"] = lambda _request: stop.set() or {"state": "running"}  # type: ignore[func-returns-value]
     made = plan(step("slam", Action.START, host="edge1"), step("navigation", Action.START, host="edge2"))
-    results = carried_out(fleet, journal, made, a_task("slam"), a_task("navigation", needs=["slam"]), stop_requested=stop)
+    results = carried_out(
+        fleet, journal, made, a_task("slam"), a_task("navigation", needs=["slam"]), stop_requested=stop
+    )
     assert results.interrupted
     assert of(results, "slam").outcome is Outcome.DONE
     assert of(results, "navigation").outcome is Outcome.SKIPPED
     log = entries(tmp_path / "journal.jsonl")
-    assert [entry["event"] for entry in log if entry["event"] != "phase"] == ["begin", "intent", "commit", "skipped", "end"]
+    assert [entry["event"] for entry in log if entry["event"] != "phase"] == [
+        "begin",
+        "intent",
+        "commit",
+        "skipped",
+        "end",
+    ]
     assert log[-1]["interrupted"] is True
 
 
-def test_every_side_effect_is_in_the_journal_before_it_happens(fleet: FakeFleet, journal: Journal, tmp_path: Path) -> None:
+def test_every_side_effect_is_in_the_journal_before_it_happens(
+    fleet: FakeFleet, journal: Journal, tmp_path: Path
+) -> None:
     seen: list[list[str]] = []
 
     def start(request: dict[str, object]) -> dict[str, object]:
@@ -246,9 +316,9 @@ def test_every_side_effect_is_in_the_journal_before_it_happens(fleet: FakeFleet,
 
 
 def test_progress_is_told_in_the_callers_thread(fleet: FakeFleet, journal: Journal) -> None:
-    heard: list[tuple[Progress, int]] = []
+    heard: list[tuple[ProgressEvent, int]] = []
     made = plan(step("slam", Action.START, host="edge1"))
-    run(
+    run_plan(
         made,
         inventory(),
         some_tasks(a_task("slam")),
@@ -258,12 +328,12 @@ def test_progress_is_told_in_the_callers_thread(fleet: FakeFleet, journal: Journ
         lambda event: heard.append((event, threading.get_ident())),
     )
     assert [event.stage for event, _ in heard] == [
-        Stage.ACTION_BEGIN,
-        Stage.PHASE_BEGIN,
-        Stage.PHASE_END,
-        Stage.PHASE_BEGIN,
-        Stage.PHASE_END,
-        Stage.ACTION_END,
+        ProgressStage.ACTION_BEGIN,
+        ProgressStage.PHASE_BEGIN,
+        ProgressStage.PHASE_END,
+        ProgressStage.PHASE_BEGIN,
+        ProgressStage.PHASE_END,
+        ProgressStage.ACTION_END,
     ]
     assert {thread for _, thread in heard} == {threading.get_ident()}
 
@@ -283,35 +353,52 @@ def test_a_repeated_start_is_the_same_start(fleet: FakeFleet, journal: Journal) 
     assert fleet.changes == ["start slam edge1"]
 
 
-def handoff(order: HandoffOrder = HandoffOrder.STOP_FIRST, **fields: object) -> Handoff:
-    hooks = {name: Check(command=name, on=Where.ROBOT) for name in ("safe_when", "hold", "release")}
-    return Handoff(order=order, timeout=0.1, **{**hooks, **fields})  # type: ignore[arg-type]
+def handoff(order: HandoffOrder = HandoffOrder.STOP_FIRST, **fields: object) -> HandoffContract:
+    hooks = {name: Check(command=name, on=CheckLocation.ROBOT) for name in ("safe_when", "hold", "release")}
+    return HandoffContract(order=order, timeout=0.1, **{**hooks, **fields})  # type: ignore[arg-type]
 
 
-def moving(fleet: FakeFleet, journal: Journal, contract: Handoff, **fields: object) -> ActionResult:
+def moving(fleet: FakeFleet, journal: Journal, contract: HandoffContract, **fields: object) -> ActionResult:
     fleet["edge1"].runs("slam")
     task = a_task("slam", robots=["robot1"], handoff=contract, **fields)  # type: ignore[arg-type]
-    return of(carried_out(fleet, journal, plan(step("slam", Action.MOVE, host="edge2", previous="edge1")), task), "slam")
+    return of(
+        carried_out(fleet, journal, plan(step("slam", Action.MOVE, host="edge2", previous="edge1")), task),
+        "slam",
+    )
 
 
 def test_stop_first_goes_in_its_order_and_never_doubles(fleet: FakeFleet, journal: Journal) -> None:
     result = moving(fleet, journal, handoff())
     assert result.outcome is Outcome.DONE
-    assert [phase.phase for phase in result.phases] == [Phase.SAFE, Phase.HOLD, Phase.STOP, Phase.START, Phase.READY, Phase.RELEASE]
+    assert [phase.phase for phase in result.phases] == [
+        Phase.SAFE,
+        Phase.HOLD,
+        Phase.STOP,
+        Phase.START,
+        Phase.READY,
+        Phase.RELEASE,
+    ]
     assert not fleet.world.overlap
     assert result.downtime_s is not None
     assert 0 < result.downtime_s < 5
 
 
-def replacing(fleet: FakeFleet, journal: Journal, contract: Handoff, **fields: object) -> ActionResult:
+def replacing(
+    fleet: FakeFleet, journal: Journal, contract: HandoffContract, **fields: object
+) -> ActionResult:
     """edge1 is silent and its slam gone for certain; edge2 gets a new one."""
     fleet.down.add("edge1")
     task = a_task("slam", robots=["robot1"], handoff=contract, **fields)  # type: ignore[arg-type]
-    return of(carried_out(fleet, journal, plan(step("slam", Action.START, host="edge2", previous="edge1")), task), "slam")
+    return of(
+        carried_out(fleet, journal, plan(step("slam", Action.START, host="edge2", previous="edge1")), task),
+        "slam",
+    )
 
 
 @pytest.mark.parametrize("order", list(HandoffOrder))
-def test_a_replacement_holds_and_releases_and_asks_nothing_of_the_old_host(fleet: FakeFleet, journal: Journal, order: HandoffOrder) -> None:
+def test_a_replacement_holds_and_releases_and_asks_nothing_of_the_old_host(
+    fleet: FakeFleet, journal: Journal, order: HandoffOrder
+) -> None:
     result = replacing(fleet, journal, handoff(order))
     assert (result.outcome, result.located, result.downtime_s) == (Outcome.DONE, "edge2", None)
     assert [phase.phase for phase in result.phases] == [Phase.HOLD, Phase.START, Phase.READY, Phase.RELEASE]
@@ -326,9 +413,12 @@ def test_a_replacement_that_cannot_hold_is_deferred_and_stays_one(fleet: FakeFle
 
 
 def test_a_hold_on_the_silent_host_is_left_out(fleet: FakeFleet, journal: Journal) -> None:
-    hooks = {name: Check(command=name, on=Where.HOST) for name in ("hold", "release")}
+    hooks = {name: Check(command=name, on=CheckLocation.HOST) for name in ("hold", "release")}
     result = replacing(fleet, journal, handoff(**hooks))
-    assert (result.outcome, [phase.phase for phase in result.phases]) == (Outcome.DONE, [Phase.START, Phase.READY, Phase.RELEASE])
+    assert (result.outcome, [phase.phase for phase in result.phases]) == (
+        Outcome.DONE,
+        [Phase.START, Phase.READY, Phase.RELEASE],
+    )
     assert "check release edge2" in fleet.world.events
 
 
@@ -336,7 +426,9 @@ def test_a_replacement_that_is_not_ready_goes_on_holding(fleet: FakeFleet, journ
     fleet["edge2"].faults["wait"] = lambda _request: {"state": "failed", "exit_code": 3}
     result = replacing(fleet, journal, handoff())
     assert (result.outcome, result.located) == (Outcome.FAILED, "edge2")
-    assert result.error == "slam failed (exit code 3) on edge2; robot1 STILL HOLDS: no instance of slam is ready"
+    assert (
+        result.error == "slam failed (exit code 3) on edge2; robot1 STILL HOLDS: no instance of slam is ready"
+    )
     assert "check release robot1" not in fleet.world.events
 
 
@@ -347,7 +439,9 @@ def test_a_replacement_that_the_new_host_refuses_is_tried_again(fleet: FakeFleet
 
 
 def test_start_first_overlaps_and_its_downtime_is_nothing(fleet: FakeFleet, journal: Journal) -> None:
-    result = moving(fleet, journal, handoff(HandoffOrder.START_FIRST, safe_when=None, hold=None, release=None))
+    result = moving(
+        fleet, journal, handoff(HandoffOrder.START_FIRST, safe_when=None, hold=None, release=None)
+    )
     assert result.outcome is Outcome.DONE
     assert fleet.changes == ["start slam edge2", "stop slam edge1"]
     assert result.downtime_s == 0.0
@@ -361,14 +455,18 @@ def test_a_move_that_is_not_safe_is_deferred_and_touches_nothing(fleet: FakeFlee
     assert fleet.changes == []
 
 
-def test_a_move_to_a_host_that_is_off_is_deferred_and_touches_nothing(fleet: FakeFleet, journal: Journal) -> None:
+def test_a_move_to_a_host_that_is_off_is_deferred_and_touches_nothing(
+    fleet: FakeFleet, journal: Journal
+) -> None:
     fleet.down.add("edge2")
     result = moving(fleet, journal, handoff())
     assert (result.outcome, result.located, result.error) == (Outcome.DEFERRED, "edge1", "no route to host")
     assert fleet.world.events == []
 
 
-def test_a_new_instance_that_does_not_get_ready_is_replaced_by_the_old_one(fleet: FakeFleet, journal: Journal) -> None:
+def test_a_new_instance_that_does_not_get_ready_is_replaced_by_the_old_one(
+    fleet: FakeFleet, journal: Journal
+) -> None:
     fleet["edge2"].faults["wait"] = lambda _request: {"state": "failed", "exit_code": 3}
     result = moving(fleet, journal, handoff())
     assert (result.outcome, result.located) == (Outcome.FAILED, "edge1")
@@ -406,7 +504,9 @@ def test_a_failed_restoration_is_loud(fleet: FakeFleet, journal: Journal) -> Non
     assert "check release robot1" not in fleet.world.events
 
 
-def test_a_restored_instance_that_is_not_ready_does_not_release_the_robot(fleet: FakeFleet, journal: Journal) -> None:
+def test_a_restored_instance_that_is_not_ready_does_not_release_the_robot(
+    fleet: FakeFleet, journal: Journal
+) -> None:
     for edge in ("edge1", "edge2"):
         fleet[edge].faults["wait"] = lambda _request: {"state": "failed", "exit_code": 3}
     result = moving(fleet, journal, handoff())
@@ -419,7 +519,10 @@ def test_a_restart_that_is_not_ready_does_not_release_the_robot(fleet: FakeFleet
     fleet["edge1"].runs("slam")
     fleet["edge1"].faults["wait"] = lambda _request: {"state": "failed", "exit_code": 3}
     task = a_task("slam", robots=["robot1"], handoff=handoff())
-    result = of(carried_out(fleet, journal, plan(step("slam", Action.RESTART, host="edge1", previous="edge1")), task), "slam")
+    result = of(
+        carried_out(fleet, journal, plan(step("slam", Action.RESTART, host="edge1", previous="edge1")), task),
+        "slam",
+    )
     assert "robot1 STILL HOLDS" in result.error
     assert fleet.world.events[-1] != "check release robot1"
 
@@ -427,11 +530,17 @@ def test_a_restart_that_is_not_ready_does_not_release_the_robot(fleet: FakeFleet
 def test_a_stop_that_the_host_refuses_leaves_the_old_one_steering(fleet: FakeFleet, journal: Journal) -> None:
     fleet["edge1"].faults["stop"] = RefusedError("another manager was here")
     result = moving(fleet, journal, handoff())
-    assert (result.outcome, result.located, result.error) == (Outcome.FAILED, "edge1", "another manager was here")
+    assert (result.outcome, result.located, result.error) == (
+        Outcome.FAILED,
+        "edge1",
+        "another manager was here",
+    )
     assert fleet.world.events[-1] == "check release robot1"
 
 
-def test_an_env_command_that_fails_defers_a_move_and_touches_nothing(fleet: FakeFleet, journal: Journal) -> None:
+def test_an_env_command_that_fails_defers_a_move_and_touches_nothing(
+    fleet: FakeFleet, journal: Journal
+) -> None:
     result = moving(fleet, journal, handoff(), env_command=("false",))
     assert (result.outcome, result.located) == (Outcome.DEFERRED, "edge1")
     assert result.error == "env_command of task slam failed with exit code 1"
@@ -439,13 +548,15 @@ def test_an_env_command_that_fails_defers_a_move_and_touches_nothing(fleet: Fake
 
 
 def test_hooks_on_the_host_run_where_the_task_is(fleet: FakeFleet, journal: Journal) -> None:
-    hooks = {name: Check(command=name, on=Where.HOST) for name in ("safe_when", "hold", "release")}
+    hooks = {name: Check(command=name, on=CheckLocation.HOST) for name in ("safe_when", "hold", "release")}
     assert moving(fleet, journal, handoff(**hooks)).outcome is Outcome.DONE
     checks = [event for event in fleet.world.events if event.startswith("check")]
     assert checks == ["check safe_when edge1", "check hold edge1", "check release edge2"]
 
 
-def test_each_phase_and_the_downtime_stand_in_the_journal(fleet: FakeFleet, journal: Journal, tmp_path: Path) -> None:
+def test_each_phase_and_the_downtime_stand_in_the_journal(
+    fleet: FakeFleet, journal: Journal, tmp_path: Path
+) -> None:
     result = moving(fleet, journal, handoff())
     commit = next(entry for entry in entries(tmp_path / "journal.jsonl") if entry["event"] == "commit")
     phases = commit["phases"]
@@ -456,12 +567,16 @@ def test_each_phase_and_the_downtime_stand_in_the_journal(fleet: FakeFleet, jour
 
 def test_start_first_that_fails_leaves_the_old_one_untouched(fleet: FakeFleet, journal: Journal) -> None:
     fleet["edge2"].faults["wait"] = lambda _request: {"state": "crashloop"}
-    result = moving(fleet, journal, handoff(HandoffOrder.START_FIRST, safe_when=None, hold=None, release=None))
+    result = moving(
+        fleet, journal, handoff(HandoffOrder.START_FIRST, safe_when=None, hold=None, release=None)
+    )
     assert (result.outcome, result.located) == (Outcome.FAILED, "edge1")
     assert fleet.changes == ["start slam edge2", "stop slam edge2"]
 
 
-def test_an_old_instance_that_does_not_stop_keeps_the_new_one_from_starting(fleet: FakeFleet, journal: Journal) -> None:
+def test_an_old_instance_that_does_not_stop_keeps_the_new_one_from_starting(
+    fleet: FakeFleet, journal: Journal
+) -> None:
     fleet["edge1"].faults["stop"] = lambda _request: {"state": "stop-incomplete", "left": [7, 8]}
     result = moving(fleet, journal, handoff())
     assert (result.outcome, result.located) == (Outcome.FAILED, "edge1")
@@ -496,6 +611,9 @@ def test_a_restart_stops_and_starts_on_its_host(fleet: FakeFleet, journal: Journ
 def test_two_tasks_that_change_places_do_not_wait_for_each_other(fleet: FakeFleet, journal: Journal) -> None:
     fleet["edge1"].runs("a")
     fleet["edge2"].runs("b")
-    made = plan(step("a", Action.MOVE, host="edge2", previous="edge1"), step("b", Action.MOVE, host="edge1", previous="edge2"))
+    made = plan(
+        step("a", Action.MOVE, host="edge2", previous="edge1"),
+        step("b", Action.MOVE, host="edge1", previous="edge2"),
+    )
     assert carried_out(fleet, journal, made, a_task("a"), a_task("b")).done
     assert fleet.placed == {"a": "edge2", "b": "edge1"}

@@ -2,22 +2,24 @@
 
 import pytest
 
-from edgectl.executor.diff import plan_of
-from edgectl.executor.stale import moved
+from edgectl.executor.diff import plan_from_assignment
+from edgectl.executor.drift import list_drift
 from edgectl.model.assignment import Reason
-from edgectl.model.memory import Memory, Placement
-from edgectl.model.task import OnUnreachable
+from edgectl.model.manager_state import ManagerState, Placement
+from edgectl.model.task import UnreachablePolicy
 from edgectl.scheduler.assign import assign
 from tests.builders import NOW, a_sample, a_snapshot, a_task, an_edge, an_inventory, silent, some_tasks
 
 INVENTORY = an_inventory(an_edge("edge1"), an_edge("edge2"))
 SNAPSHOT = a_snapshot(edge1=silent(), edge2=a_sample())
-TASKS = some_tasks(a_task(on_unreachable=OnUnreachable.REPLACE, self_fence=60.0))
+TASKS = some_tasks(a_task(on_unreachable=UnreachablePolicy.REPLACE, self_fence=60.0))
 
 
-def remembered(contact: float, *fenced: str) -> Memory:
+def remembered(contact: float, *fenced: str) -> ManagerState:
     placements = {"slam": Placement(host="edge1", since=NOW - 900.0)}
-    return Memory(managed=True, placements=placements, contact={"edge1": NOW - contact}, fenced=frozenset(fenced))
+    return ManagerState(
+        managed=True, placements=placements, contact={"edge1": NOW - contact}, fenced=frozenset(fenced)
+    )
 
 
 @pytest.mark.parametrize(
@@ -29,8 +31,12 @@ def remembered(contact: float, *fenced: str) -> Memory:
         (remembered(20.0, "edge1"), remembered(20.0), True),  # unfenced by hand
     ],
 )
-def test_a_replacing_plan_holds_only_while_its_host_stays_silent(before: Memory, after: Memory, refused: bool) -> None:
-    plan = plan_of(INVENTORY, TASKS, SNAPSHOT, before, assign(INVENTORY, TASKS, SNAPSHOT, before, TASKS.policy, NOW))
+def test_a_replacing_plan_holds_only_while_its_host_stays_silent(
+    before: ManagerState, after: ManagerState, refused: bool
+) -> None:
+    plan = plan_from_assignment(
+        INVENTORY, TASKS, SNAPSHOT, before, assign(INVENTORY, TASKS, SNAPSHOT, before, TASKS.policy, NOW)
+    )
     assert plan.steps[0].decision.reason is Reason.REPLACED
-    changes = moved(plan, INVENTORY, TASKS, SNAPSHOT, after)
+    changes = list_drift(plan, INVENTORY, TASKS, SNAPSHOT, after)
     assert changes == (("edge1 was in touch since, or is no longer fenced",) if refused else ())

@@ -31,7 +31,9 @@ SETTLE_S, WINDOWS = 8.0, 5
 def edgectl(*words: str, prefix: list[str], env: dict[str, str]) -> int:
     """Run one command to its end; told to end, we tell it, and give it a minute to stop what it started."""
     sys.stdout.flush()
-    running = subprocess.Popen([*prefix, sys.executable, "-m", "edgectl", *words], env=env, cwd=ROOT, start_new_session=True)
+    running = subprocess.Popen(
+        [*prefix, sys.executable, "-m", "edgectl", *words], env=env, cwd=ROOT, start_new_session=True
+    )
     try:
         return running.wait(LIMIT_S)
     except KeyboardInterrupt:
@@ -47,8 +49,12 @@ def run(made: Lab, out: Path, repetitions: int, policies: str) -> int:
     """All trials, the table, the page, the figures."""
     spec = made.site / "experiment.yaml"
     spec.write_text(shortened(spec.read_text(), repetitions=repetitions, policies=policies))
-    code = edgectl("experiment", "run", str(spec), "--out", str(out), prefix=made.prefix, env=made.environment)
-    return code or edgectl("report", str(out), "--figures", str(out / "figures"), prefix=[], env=made.environment)
+    code = edgectl(
+        "experiment", "run", str(spec), "--out", str(out), prefix=made.prefix, env=made.environment
+    )
+    return code or edgectl(
+        "report", str(out), "--figures", str(out / "figures"), prefix=[], env=made.environment
+    )
 
 
 def profile(made: Lab) -> int:
@@ -58,7 +64,9 @@ def profile(made: Lab) -> int:
     before, began = {host.name: spent(host) for host in computers}, time.monotonic()
     edgectl("watch", "--every", "5s", "--cycles", "10", *files, prefix=made.prefix, env=made.environment)
     for host in computers:
-        print(f"{host.name}: a watch every 5 s uses {(spent(host) - before[host.name]) / (time.monotonic() - began):.3f} cores")
+        print(
+            f"{host.name}: a watch every 5 s uses {(spent(host) - before[host.name]) / (time.monotonic() - began):.3f} cores"
+        )
     edgectl("apply", "--yes", *files, prefix=made.prefix, env=made.environment)
     time.sleep(SETTLE_S)
     for _ in range(WINDOWS):
@@ -73,8 +81,14 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=ROOT / "runs" / "mission", help="where the run is kept")
     parser.add_argument("--repetitions", type=int, default=3)
     parser.add_argument("--policies", default="", help="such as local,utility; all where not given")
-    parser.add_argument("--plain", action="store_true", help="plain SSH servers, even where computers with CPU limits could be had")
-    parser.add_argument("--profile", action="store_true", help="no trials: what each task of one mission uses")
+    parser.add_argument(
+        "--plain",
+        action="store_true",
+        help="plain SSH servers, even where computers with CPU limits could be had",
+    )
+    parser.add_argument(
+        "--profile", action="store_true", help="no trials: what each task of one mission uses"
+    )
     args = parser.parse_args()
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     directory = Path(tempfile.mkdtemp(prefix="edgectl-experiment-"))

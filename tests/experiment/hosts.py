@@ -19,7 +19,11 @@ from tests.faults.hosts import Host, loopback_hosts
 from tests.faults.network import Site, tc
 
 FLEET = yaml.safe_load((MISSION / "fleet.yaml").read_text())
-CORES = {name: float(entry["capacity"]["cpu"]) for kind in ("edges", "robots") for name, entry in FLEET[kind].items()}
+CORES = {
+    name: float(entry["capacity"]["cpu"])
+    for kind in ("edges", "robots")
+    for name, entry in FLEET[kind].items()
+}
 LINK = FLEET["links"][0]["throughput"].removesuffix("/s").lower()
 
 
@@ -57,11 +61,19 @@ def lab(directory: Path, *, plain: bool = False) -> Iterator[Lab]:
             yield _lab(directory, hosts, [], "SSH servers", f"no CPU limits, no shaped links: {why}")
             return
         network, hosts = stack.enter_context(namespace_hosts(directory / "hosts", list(CORES), cores=CORES))
-        unshaped = "; ".join(sorted({_shape(network, host) for host in hosts.values() if isinstance(host, NamespaceHost)} - {""}))
+        unshaped = "; ".join(
+            sorted(
+                {_shape(network, host) for host in hosts.values() if isinstance(host, NamespaceHost)} - {""}
+            )
+        )
         limits = ", ".join(f"{name} {cores:g}" for name, cores in CORES.items())
         links = f"links as they are: {unshaped}" if unshaped else ""
         yield _lab(
-            directory, hosts, network.prefix, f"computers in namespaces, cores: {limits}; links: {LINK if not links else 'any'}", links
+            directory,
+            hosts,
+            network.prefix,
+            f"computers in namespaces, cores: {limits}; links: {LINK if not links else 'any'}",
+            links,
         )
 
 
@@ -94,7 +106,14 @@ def _lab(directory: Path, hosts: dict[str, Host], prefix: list[str], real: str, 
     for name in ("experiment.yaml", "tasks.yaml", "world.pgm", "world.yaml"):
         shutil.copy(MISSION / name, site / name)
     (site / "fleet.yaml").write_text(json.dumps(_fleet(hosts), indent=1))
-    return Lab(site=site, hosts=hosts, prefix=prefix, environment=_environment(directory, hosts), real=real, wanting=wanting)
+    return Lab(
+        site=site,
+        hosts=hosts,
+        prefix=prefix,
+        environment=_environment(directory, hosts),
+        real=real,
+        wanting=wanting,
+    )
 
 
 def _copy_programs(home: Path) -> None:
@@ -134,7 +153,9 @@ def _environment(directory: Path, hosts: dict[str, Host]) -> dict[str, str]:
         "GlobalKnownHostsFile": "none",
         "UserKnownHostsFile": directory / "known_hosts",
     }
-    (directory / "ssh_config").write_text("Host *\n" + "".join(f"  {name} {value}\n" for name, value in options.items()))
+    (directory / "ssh_config").write_text(
+        "Host *\n" + "".join(f"  {name} {value}\n" for name, value in options.items())
+    )
     (directory / "home").mkdir()
     own = {name: value for name, value in os.environ.items() if not name.startswith("EDGECTL_")}
     return own | {

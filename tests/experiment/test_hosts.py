@@ -14,10 +14,16 @@ def test_hosts_with_the_programs_on_them(tmp_path: Path) -> None:
     with lab(tmp_path) as made:
         files = ["-i", str(made.site / "fleet.yaml"), "-t", str(made.site / "tasks.yaml")]
         command = [*made.prefix, sys.executable, "-m", "edgectl", "plan", *files, "-o", "json"]
-        done = subprocess.run(command, env=made.environment, cwd=ROOT, capture_output=True, text=True, timeout=90, check=False)
+        done = subprocess.run(
+            command, env=made.environment, cwd=ROOT, capture_output=True, text=True, timeout=90, check=False
+        )
         assert done.returncode == 0, done.stderr
         plan = json.loads(done.stdout)
-        cores = {name: host["cpu"]["cores"] for name, host in plan["snapshot"]["hosts"].items() if host["status"] == "ok"}
+        cores = {
+            name: host["cpu"]["cores"]
+            for name, host in plan["snapshot"]["hosts"].items()
+            if host["status"] == "ok"
+        }
         assert cores == CORES
         assert plan["summary"]["start"] == 9
         for host in made.hosts.values():

@@ -28,7 +28,12 @@ def test_the_true_map_is_made_by_its_generator(tmp_path: Path) -> None:
 
 def test_the_programs_run_on_python_3_8() -> None:
     vermin = Path(sys.executable).parent / "vermin"
-    done = subprocess.run([vermin, "-q", "--no-tips", "-t=3.8-", "--violations", MISSION], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [vermin, "-q", "--no-tips", "-t=3.8-", "--violations", MISSION],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.returncode == 0, done.stdout
 
 
@@ -45,7 +50,11 @@ def test_a_robot_can_drive_its_tour(number: int) -> None:
 def test_a_ray_ends_where_the_first_solid_cell_begins(stand: tuple[float, float], angle: float) -> None:
     far = world.cast(PLAN.solid, *stand, angle, 20.0)
     step = 0.002
-    walked = next(n for n in range(20000) if not PLAN.free(stand[0] + n * step * math.cos(angle), stand[1] + n * step * math.sin(angle)))
+    walked = next(
+        n
+        for n in range(20000)
+        if not PLAN.free(stand[0] + n * step * math.cos(angle), stand[1] + n * step * math.sin(angle))
+    )
     # Small steps may jump over a corner that the ray touches, never the other way round.
     assert far <= walked * step + 1e-9
     assert not PLAN.free(stand[0] + (far + 1e-6) * math.cos(angle), stand[1] + (far + 1e-6) * math.sin(angle))
@@ -56,7 +65,9 @@ def test_a_ray_has_an_end() -> None:
 
 
 @given(COLUMN, ROW, COLUMN, ROW)
-def test_a_line_goes_from_cell_to_cell_and_stays_near_the_straight_one(x0: int, y0: int, x1: int, y1: int) -> None:
+def test_a_line_goes_from_cell_to_cell_and_stays_near_the_straight_one(
+    x0: int, y0: int, x1: int, y1: int
+) -> None:
     cells = [(cell % world.WIDTH, cell // world.WIDTH) for cell in grid.line(x0, y0, x1, y1)]
     assert len(cells) == max(abs(x1 - x0), abs(y1 - y0))
     whole = [*cells, (x1, y1)]
@@ -106,7 +117,11 @@ def test_a_mean_is_the_mean_of_its_square() -> None:
     found = detection.averaged(rows, 2)
     for row in range(7):
         for column in range(9):
-            around = [rows[r][c] for r in range(max(0, row - 2), min(7, row + 3)) for c in range(max(0, column - 2), min(9, column + 3))]
+            around = [
+                rows[r][c]
+                for r in range(max(0, row - 2), min(7, row + 3))
+                for c in range(max(0, column - 2), min(9, column + 3))
+            ]
             assert found[row][column] == sum(around) // len(around)
 
 
@@ -120,7 +135,9 @@ def test_every_ball_in_sight_is_found_where_it_is() -> None:
             found = detection.detect(pixels, robot.COLUMNS)
             near = [middle for _, middle, _ in robot.balls(PLAN, pose, focal)]
             assert len(found) >= shown
-            assert all(min(abs(column - middle) for middle in near) < 4 for column, _ in found), "nothing is found where nothing is"
+            assert all(min(abs(column - middle) for middle in near) < 4 for column, _ in found), (
+                "nothing is found where nothing is"
+            )
             sought += shown
     assert sought > 10
 
@@ -186,7 +203,9 @@ def test_a_mapper_elsewhere_goes_on_with_the_map(monkeypatch: pytest.MonkeyPatch
             serving.join()
 
 
-def test_metrics_are_lines_of_name_and_value(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_metrics_are_lines_of_name_and_value(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.delenv("EDGECTL_METRICS", raising=False)
     wire.report(fps=1.0)
     monkeypatch.setenv("EDGECTL_METRICS", str(tmp_path / "metrics"))

@@ -4,22 +4,22 @@ from pathlib import Path
 
 import pytest
 
-from edgectl.config.experiment import experiment_files, load_experiment
-from edgectl.config.load import load
-from edgectl.config.scenario import load_scenario, scenario_files
+from edgectl.config.load import load_inventory_and_tasks
+from edgectl.experiments.files.experiment_file import load_experiment, load_experiment_paths
+from edgectl.experiments.files.scenario_file import load_scenario, load_scenario_paths
 from tests.experiment.mission import MISSION, ROOT, follower, world
 
 SCENARIO = ROOT / "docs" / "scenarios" / "experiment.yaml"
 
 
 def test_the_shipped_spec_is_good() -> None:
-    inventory, tasks = experiment_files(MISSION / "experiment.yaml")
+    inventory, tasks = load_experiment_paths(MISSION / "experiment.yaml")
     assert inventory is not None
     assert tasks is not None
-    _, loaded, warnings = load(inventory, [tasks])
+    _, loaded, warnings = load_inventory_and_tasks(inventory, [tasks])
     spec = load_experiment(MISSION / "experiment.yaml", loaded)
     assert warnings == ()
-    assert [variant.name for variant in spec.variants] == [
+    assert [variant.name for variant in spec.schemes] == [
         "local",
         "static",
         *(f"utility {w}" for w in ("cpu", "memory", "network", "all")),
@@ -28,10 +28,10 @@ def test_the_shipped_spec_is_good() -> None:
 
 
 def test_the_models_inputs_are_the_missions_own() -> None:
-    inventory_file, tasks_file = scenario_files(SCENARIO)
+    inventory_file, tasks_file = load_scenario_paths(SCENARIO)
     assert inventory_file is not None
     assert tasks_file is not None
-    inventory, tasks, _ = load(inventory_file, [Path(tasks_file)])
+    inventory, tasks, _ = load_inventory_and_tasks(inventory_file, [Path(tasks_file)])
     scenario = load_scenario(SCENARIO, inventory, tasks)
     for name, host in scenario.hosts.items():
         capacity = inventory.hosts[name].capacity

@@ -2,17 +2,28 @@
 
 from dataclasses import replace
 
-from edgectl.executor.diff import plan_of
-from edgectl.export.readings import Picture
-from edgectl.model.memory import Memory, Placement
+from edgectl.executor.diff import plan_from_assignment
+from edgectl.export.metric_samples import MetricsInput
+from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.plan import Action
 from edgectl.model.result import ActionResult, Outcome
-from edgectl.model.revision import Ending, Revision
-from edgectl.model.snapshot import Device, InterfaceSample, LinkSample, TaskState
+from edgectl.model.revision import Revision, RevisionOutcome
+from edgectl.model.snapshot import DeviceSample, InterfaceSample, LinkSample, TaskState
 from edgectl.scheduler.assign import assign
-from tests.builders import NOW, a_robot, a_run, a_sample, a_snapshot, a_task, an_edge, an_inventory, silent, some_tasks
+from tests.builders import (
+    NOW,
+    a_robot,
+    a_run,
+    a_sample,
+    a_snapshot,
+    a_task,
+    an_edge,
+    an_inventory,
+    silent,
+    some_tasks,
+)
 
-DEVICE = Device(
+DEVICE = DeviceSample(
     temperature_c=51.5,
     gpu_share=0.25,
     clock_skew_s=-0.5,
@@ -25,17 +36,29 @@ DEVICE = Device(
 LINK = LinkSample(capacity_bytes_per_s=6e6, used_bytes_per_s=3e5, rtt_ms=4.0)
 
 
-def picture(*revisions: Revision) -> Picture:
+def picture(*revisions: Revision) -> MetricsInput:
     """edge1 runs slam; edge2 is silent and ran map; edge3 is idle; big fits nowhere; camera is for edge1 alone, which is cordoned."""
-    inventory = an_inventory(an_edge("edge1"), an_edge("edge2"), an_edge("edge3"), a_robot("robot1", probe=False))
+    inventory = an_inventory(
+        an_edge("edge1"), an_edge("edge2"), an_edge("edge3"), a_robot("robot1", probe=False)
+    )
     tasks = some_tasks(
         a_task("big", cpu=64.0), a_task("camera", cpu=0.5, only=["edge1"]), a_task("job"), a_task("map", cpu=1.0), a_task("slam", cpu=1.0, robots=["robot1"])
     )  # fmt: skip
-    run = a_run(TaskState.READY, used_cores=0.8, used_bytes=2e8, used_bytes_per_s=3e5, restarts=2, spec_hash="hash-slam")
+    run = a_run(
+        TaskState.READY,
+        used_cores=0.8,
+        used_bytes=2e8,
+        used_bytes_per_s=3e5,
+        restarts=2,
+        spec_hash="hash-slam",
+    )
     run = replace(run, metrics={"fps": 29.5, "map/loss:train.1": -1e300})
     over = a_run(TaskState.COMPLETED, metrics={"done": 1.0})
-    edge = replace(a_sample(used=0.9, used_memory=5e8, links={"robot1": LINK}, tasks={"slam": run, "job": over}), device=DEVICE)
-    memory = Memory(
+    edge = replace(
+        a_sample(used=0.9, used_memory=5e8, links={"robot1": LINK}, tasks={"slam": run, "job": over}),
+        device=DEVICE,
+    )
+    memory = ManagerState(
         managed=True,
         placements={"map": Placement(host="edge2", since=NOW - 900.0, spec_hash="hash-map")},
         cordons=frozenset({"edge1"}),
@@ -44,15 +67,36 @@ def picture(*revisions: Revision) -> Picture:
         contact={"edge1": NOW, "edge2": NOW - 60.0},
     )
     snapshot = a_snapshot(memory=memory, edge1=edge, edge2=silent(), edge3=a_sample(links={"robot1": LINK}))
-    plan = plan_of(inventory, tasks, snapshot, memory, assign(inventory, tasks, snapshot, memory, tasks.policy, snapshot.taken_at))
-    return Picture(version="1.2.3", snapshot=snapshot, plan=plan, revisions=revisions)
+    plan = plan_from_assignment(
+        inventory,
+        tasks,
+        snapshot,
+        memory,
+        assign(inventory, tasks, snapshot, memory, tasks.policy, snapshot.taken_at),
+    )
+    return MetricsInput(version="1.2.3", snapshot=snapshot, plan=plan, revisions=revisions)
 
 
 def a_revision(number: int, *actions: ActionResult) -> Revision:
     """One apply, an hour after the one before."""
-    return Revision(number=number, began_at=NOW + 3600.0 * number, ending=Ending.DONE, seconds=1.0, actions=actions)
+    return Revision(
+        number=number,
+        began_at=NOW + 3600.0 * number,
+        ending=RevisionOutcome.DONE,
+        seconds=1.0,
+        actions=actions,
+    )
 
 
-def a_move(task: str = "slam", downtime_s: float | None = 0.7, outcome: Outcome = Outcome.DONE) -> ActionResult:
+def a_move(
+    task: str = "slam", downtime_s: float | None = 0.7, outcome: Outcome = Outcome.DONE
+) -> ActionResult:
     """A move of ``task``."""
-    return ActionResult(task=task, action=Action.MOVE, outcome=outcome, host="edge1", previous_host="edge2", downtime_s=downtime_s)
+    return ActionResult(
+        task=task,
+        action=Action.MOVE,
+        outcome=outcome,
+        host="edge1",
+        previous_host="edge2",
+        downtime_s=downtime_s,
+    )

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from edgectl.export.cron import command, crontab, quoted, schedule
-from edgectl.export.job import Job, interval
+from edgectl.export.cron import format_cron_command, format_cron_schedule, format_crontab, quote_for_cron
+from edgectl.export.job import ScheduledJob, format_interval
 from tests.e2e.bench import a_mark, asleep, sleeping
 
-JOB = Job(
+JOB = ScheduledJob(
     name="lab", program=("/opt/edgectl/bin/edgectl",), inventory="/srv/lab/lab.yaml", tasks=("/srv/lab/tasks",), directory="/srv/lab", user="ana"
 )  # fmt: skip
 AWKWARD = 'it\'s 100% $HOME "a b" & co; #1'
@@ -42,29 +42,41 @@ def as_cron_reads(line: str, *, keeps_backslash: bool) -> str:
     ],
 )  # fmt: skip
 def test_intervals_that_cron_can_say(every_s: float, fields: str) -> None:
-    assert schedule(every_s) == fields
+    assert format_cron_schedule(every_s) == fields
 
 
 @pytest.mark.parametrize("every_s", [1, 59, 60.5, 90, 420, 5400, 18000, 172800])
 def test_intervals_that_cron_cannot_say(every_s: float) -> None:
     with pytest.raises(ValueError, match=r"cron cannot say every .*; write one that divides"):
-        schedule(every_s)
+        format_cron_schedule(every_s)
 
 
 def test_intervals_in_words() -> None:
-    assert [interval(s) for s in (10, 60, 300, 5400, 86400, 1.5)] == ["10s", "1m", "5m", "1h30m", "1d", "1.5s"]
+    assert [format_interval(s) for s in (10, 60, 300, 5400, 86400, 1.5)] == [
+        "10s",
+        "1m",
+        "5m",
+        "1h30m",
+        "1d",
+        "1.5s",
+    ]
 
 
 def test_the_line() -> None:
-    *comments, line = crontab(JOB).splitlines()
+    *comments, line = format_crontab(JOB).splitlines()
     assert all(comment.startswith("#") for comment in comments)
-    assert line == ("*/5 * * * * cd /srv/lab && /opt/edgectl/bin/edgectl apply --yes --quiet -i /srv/lab/lab.yaml -t /srv/lab/tasks")
+    assert line == (
+        "*/5 * * * * cd /srv/lab && /opt/edgectl/bin/edgectl apply --yes --quiet -i /srv/lab/lab.yaml -t /srv/lab/tasks"
+    )
 
 
 @pytest.mark.parametrize("word", [AWKWARD, "%", "a%b", "%d/%m", "plain", "", "100%"])
 @pytest.mark.parametrize("keeps_backslash", [False, True])
 def test_every_word_reaches_the_program_unchanged(word: str, keeps_backslash: bool) -> None:
-    line = as_cron_reads(f"* * * * * printf %s {quoted(word)}".replace("%s ", r"\%s ", 1), keeps_backslash=keeps_backslash)
+    line = as_cron_reads(
+        f"* * * * * printf %s {quote_for_cron(word)}".replace("%s ", r"\%s ", 1),
+        keeps_backslash=keeps_backslash,
+    )
     assert subprocess.run(["sh", "-c", line], capture_output=True, text=True, check=True).stdout == word
 
 
@@ -73,12 +85,14 @@ def test_what_cron_cannot_hold_is_refused(path: str) -> None:
     from dataclasses import replace
 
     with pytest.raises(ValueError, match="rename it"):
-        command(replace(JOB, inventory=path))
+        format_cron_command(replace(JOB, inventory=path))
     with pytest.raises(ValueError, match="cron takes 998"):
-        command(replace(JOB, inventory="/" + "x" * 990))
+        format_cron_command(replace(JOB, inventory="/" + "x" * 990))
 
 
-INVENTORY = "version: 1\nedges:\n  edge1: {host: 127.0.0.1, connection: local, capacity: {cpu: 1, memory: 1Gi}}\n"
+INVENTORY = (
+    "version: 1\nedges:\n  edge1: {host: 127.0.0.1, connection: local, capacity: {cpu: 1, memory: 1Gi}}\n"
+)
 TASKS = 'version: 1\ntasks:\n  idle: {{command: "exec sleep {}", demand: {{cpu: 0.1, memory: 10Mi}}, stop: {{grace: 2s}}}}\n'
 
 
@@ -110,9 +124,27 @@ def test_the_line_runs_as_cron_runs_it(site: tuple[Path, str], isolated: Path) -
     line = as_cron_reads(said.stdout.splitlines()[-1], keeps_backslash=False)
     env = shutil.which("env")
     assert env
-    poor = [env, "-i", f"HOME={isolated}", "LOGNAME=ana", "PATH=/usr/bin:/bin", "SHELL=/bin/sh", "/bin/sh", "-c", line]
+    poor = [
+        env,
+        "-i",
+        f"HOME={isolated}",
+        "LOGNAME=ana",
+        "PATH=/usr/bin:/bin",
+        "SHELL=/bin/sh",
+        "/bin/sh",
+        "-c",
+        line,
+    ]
     runs = [
-        subprocess.run(poor, cwd=isolated, capture_output=True, text=True, check=False, timeout=60, stdin=subprocess.DEVNULL)
+        subprocess.run(
+            poor,
+            cwd=isolated,
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=60,
+            stdin=subprocess.DEVNULL,
+        )
         for _ in range(2)
     ]
     assert (runs[0].returncode, runs[0].stderr) == (0, "")

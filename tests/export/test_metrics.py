@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from edgectl.export.metrics import METRICS, Kind
-from edgectl.export.prometheus import text
-from edgectl.export.readings import BUCKETS_S, STATES, Picture
+from edgectl.export.metric_samples import BUCKETS_S, TASK_STATES, MetricsInput
+from edgectl.export.metrics import METRICS, MetricType
+from edgectl.export.prometheus import render_metrics_page
 from edgectl.model.plan import Action
 from edgectl.model.result import ActionResult, Outcome
 from edgectl.model.snapshot import TaskState
@@ -26,10 +26,10 @@ from tests.export.pictures import a_move, a_revision, picture
 LABELS = {"host", "role", "edge", "robot", "task", "state", "action", "outcome", "version", "name"}
 
 
-def values(seen: Picture) -> dict[str, float]:
+def values(seen: MetricsInput) -> dict[str, float]:
     """``name{label values}`` -> value, as prometheus_client's parser reads the page."""
     found = {}
-    for family in text_string_to_metric_families(text(seen)):
+    for family in text_string_to_metric_families(render_metrics_page(seen)):
         for sample in family.samples:
             labels = ",".join(f"{key}={value}" for key, value in sample.labels.items())
             found[sample.name + (f"{{{labels}}}" if labels else "")] = sample.value
@@ -38,7 +38,12 @@ def values(seen: Picture) -> dict[str, float]:
 
 @pytest.fixture(scope="module")
 def page() -> dict[str, float]:
-    return values(picture(a_revision(1, a_move()), a_revision(2, a_move(downtime_s=3.0), a_move(outcome=Outcome.FAILED, downtime_s=None))))
+    return values(
+        picture(
+            a_revision(1, a_move()),
+            a_revision(2, a_move(downtime_s=3.0), a_move(outcome=Outcome.FAILED, downtime_s=None)),
+        )
+    )
 
 
 def test_hosts_and_links(page: dict[str, float]) -> None:
@@ -69,10 +74,13 @@ def test_a_silent_host_has_no_readings(page: dict[str, float]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("task", "state"), [("slam", "ready"), ("map", "unknown"), ("camera", "stopped"), ("big", "stopped"), ("job", "completed")]
+    ("task", "state"),
+    [("slam", "ready"), ("map", "unknown"), ("camera", "stopped"), ("big", "stopped"), ("job", "completed")],
 )
 def test_a_task_is_in_one_state(page: dict[str, float], task: str, state: str) -> None:
-    assert {each: page[f"edgectl_task_state{{state={each},task={task}}}"] for each in STATES} == {each: each == state for each in STATES}
+    assert {each: page[f"edgectl_task_state{{state={each},task={task}}}"] for each in TASK_STATES} == {
+        each: each == state for each in TASK_STATES
+    }
 
 
 def test_runs_and_decisions(page: dict[str, float]) -> None:
@@ -111,7 +119,10 @@ def test_handoffs_of_the_past(page: dict[str, float]) -> None:
     assert page["edgectl_task_moves_total{task=map}"] == 0.0
     assert page["edgectl_handoff_downtime_seconds_count{action=move}"] == 2.0
     assert page["edgectl_handoff_downtime_seconds_sum{action=move}"] == pytest.approx(3.7)
-    buckets = [page[f"edgectl_handoff_downtime_seconds_bucket{{action=move,le={bound}}}"] for bound in (*BUCKETS_S, "+Inf")]
+    buckets = [
+        page[f"edgectl_handoff_downtime_seconds_bucket{{action=move,le={bound}}}"]
+        for bound in (*BUCKETS_S, "+Inf")
+    ]
     assert buckets == [sum(value <= bound for value in (0.7, 3.0)) for bound in (*BUCKETS_S, float("inf"))]
     assert page["edgectl_last_change_timestamp_seconds"] == NOW + 7200.0
 
@@ -129,16 +140,24 @@ def test_before_the_first_change_counters_stand_at_zero() -> None:
     assert "edgectl_last_change_timestamp_seconds" not in page
 
 
-def growing() -> Iterator[Picture]:
+def growing() -> Iterator[MetricsInput]:
     """The same fleet over four applies."""
-    actions: list[ActionResult] = [a_move(), a_move(downtime_s=200.0), a_move(outcome=Outcome.DEFERRED, downtime_s=None), a_move("map")]
+    actions: list[ActionResult] = [
+        a_move(),
+        a_move(downtime_s=200.0),
+        a_move(outcome=Outcome.DEFERRED, downtime_s=None),
+        a_move("map"),
+    ]
     for count in range(len(actions) + 1):
         yield picture(*(a_revision(number, action) for number, action in enumerate(actions[:count], 1)))
 
 
 def test_counters_never_fall() -> None:
-    counted = tuple(m.name for m in METRICS if m.kind is not Kind.GAUGE)
-    pages = [{name: value for name, value in values(each).items() if name.startswith(counted)} for each in growing()]
+    counted = tuple(m.name for m in METRICS if m.kind is not MetricType.GAUGE)
+    pages = [
+        {name: value for name, value in values(each).items() if name.startswith(counted)}
+        for each in growing()
+    ]
     for before, after in pairwise(pages):
         assert before.keys() == after.keys()
         assert all(after[name] >= value for name, value in before.items())
@@ -151,8 +170,8 @@ def test_names_and_labels_keep_to_the_conventions() -> None:
         assert re.fullmatch(r"edgectl_[a-z]+(_[a-z]+)*", metric.name)
         assert set(metric.labels) <= LABELS
         assert metric.help.endswith(".")
-        assert metric.name.endswith("_total") == (metric.kind is Kind.COUNTER)
-    assert {state.value for state in TaskState} < set(STATES)
+        assert metric.name.endswith("_total") == (metric.kind is MetricType.COUNTER)
+    assert {state.value for state in TaskState} < set(TASK_STATES)
     assert len(Action) == 10
 
 
@@ -161,17 +180,19 @@ def promtool(*words: str, page: str = "") -> tuple[int, str]:
     beside = Path(sys.executable).parent
     program = shutil.which("promtool", path=f"{os.environ.get('PATH', os.defpath)}{os.pathsep}{beside}")
     assert program, "promtool is missing; run .ci/need-promtool"
-    done = subprocess.run([program, "check", *words], input=page, capture_output=True, text=True, check=False, timeout=60)
+    done = subprocess.run(
+        [program, "check", *words], input=page, capture_output=True, text=True, check=False, timeout=60
+    )
     return done.returncode, done.stdout + done.stderr
 
 
 def test_promtool_finds_nothing_to_say() -> None:
-    page = text(picture(a_revision(1, a_move())))
+    page = render_metrics_page(picture(a_revision(1, a_move())))
     assert promtool("metrics", page=page) == (0, "")
 
 
 def test_promtool_would_say_what_is_wrong() -> None:
-    page = text(picture()).replace("edgectl_actions_total", "edgectl_actions")
+    page = render_metrics_page(picture()).replace("edgectl_actions_total", "edgectl_actions")
     code, said = promtool("metrics", page=page)
     assert code != 0
     assert "edgectl_actions counter metrics should have" in said
@@ -180,17 +201,18 @@ def test_promtool_would_say_what_is_wrong() -> None:
 def test_every_metric_is_on_the_page() -> None:
     seen = picture(a_revision(1, a_move()))
     assert [metric.name for metric in METRICS if not metric.samples(seen)] == []
-    kinds = dict(re.findall(r"^# TYPE (\S+) (\S+)$", text(seen), re.MULTILINE))
+    kinds = dict(re.findall(r"^# TYPE (\S+) (\S+)$", render_metrics_page(seen), re.MULTILINE))
     assert kinds == {metric.name: metric.kind.value for metric in METRICS}
 
 
 def test_there_are_no_more_series_than_the_page_of_the_docs_says() -> None:
     seen = picture(a_revision(1, a_move()))
-    lines = [line for line in text(seen).splitlines() if not line.startswith("#")]
+    lines = [line for line in render_metrics_page(seen).splitlines() if not line.startswith("#")]
     hosts, links, tasks, runs, said_of_themselves = len(seen.snapshot.hosts), 2, len(seen.plan.steps), 1, 2
     said = PAGE.read_text()
     assert re.search(
-        r"at most 13 series per host, 3 per link,\s+12 per task and 6 more for each host on which it runs, and 60 besides", said
+        r"at most 13 series per host, 3 per link,\s+12 per task and 6 more for each host on which it runs, and 60 besides",
+        said,
     )
     assert len(lines) <= 13 * hosts + 3 * links + 12 * tasks + 6 * runs + 60 + said_of_themselves
 

@@ -12,8 +12,8 @@ from http.server import ThreadingHTTPServer
 import pytest
 
 from edgectl.errors import StateError
-from edgectl.export.prometheus import MOST, server
-from edgectl.export.readings import Picture
+from edgectl.export.metric_samples import MetricsInput
+from edgectl.export.prometheus import MAX_CONNECTIONS, bind_metrics_server
 from tests.export.pictures import picture
 
 
@@ -21,12 +21,12 @@ from tests.export.pictures import picture
 def running(*, fails: bool = False) -> Iterator[tuple[ThreadingHTTPServer, list[str]]]:
     said: list[str] = []
 
-    def look() -> Picture:
+    def look() -> MetricsInput:
         if fails:
             raise StateError("the disk <is> full")
         return picture()
 
-    made = server(("127.0.0.1", 0), look, said.append)
+    made = bind_metrics_server(("127.0.0.1", 0), look, said.append)
     # Nothing here may depend on how fast this machine is.
     made.RequestHandlerClass.timeout = 600.0  # type: ignore[attr-defined]
     thread = threading.Thread(target=made.serve_forever, kwargs={"poll_interval": 0.05})
@@ -41,7 +41,10 @@ def running(*, fails: bool = False) -> Iterator[tuple[ThreadingHTTPServer, list[
 
 def test_more_connections_than_there_is_room_for_are_hung_up_on() -> None:
     with running() as (made, _), contextlib.ExitStack() as stack:
-        idle = [stack.enter_context(socket.create_connection(made.server_address[:2], timeout=60)) for _ in range(MOST)]  # type: ignore[arg-type]
+        idle = [
+            stack.enter_context(socket.create_connection(made.server_address[:2], timeout=60))
+            for _ in range(MAX_CONNECTIONS)
+        ]  # type: ignore[arg-type]
         with socket.create_connection(made.server_address[:2], timeout=60) as late:  # type: ignore[arg-type]
             assert late.recv(1) == b""
         assert select.select(idle, [], [], 0)[0] == [], "those before it are still served"

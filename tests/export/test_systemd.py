@@ -12,13 +12,13 @@ from pathlib import Path
 
 import pytest
 
-from edgectl.export.job import Job
-from edgectl.export.systemd import timer_units, unit_name, watch_unit
+from edgectl.export.job import ScheduledJob
+from edgectl.export.systemd import build_timer_units, build_unit_name, build_watch_unit
 from tests.agent.user_systemd import UserSystemd, can_be_real, user_systemd
 from tests.e2e.bench import a_mark, asleep, sleeping
 from tests.sshd import Lab
 
-JOB = Job(
+JOB = ScheduledJob(
     name="lab", program=("/bin/true",), inventory="/srv/lab/lab.yaml", tasks=("/srv/lab/tasks",), directory="/srv/lab", user="root"
 )  # fmt: skip
 AWKWARD = 'it\'s 100% $HOME ${PATH} "a b" %h;'
@@ -44,13 +44,24 @@ def test_systemd_accepts_the_units(tmp_path: Path, user: bool, local: bool) -> N
     odd = tmp_path / AWKWARD
     odd.mkdir()
     for number, path in enumerate(("/srv/lab", str(odd))):
-        job = replace(JOB, inventory=f"{path}/lab.yaml", directory=path, environment={"EDGECTL_STATE_DIR": f"{path}/state"}, local=local)
-        verified(timer_units(job, user=user), tmp_path / f"apply{number}", user=user)
-        verified(watch_unit(replace(job, every_s=30.0), user=user), tmp_path / f"watch{number}", user=user)
+        job = replace(
+            JOB,
+            inventory=f"{path}/lab.yaml",
+            directory=path,
+            environment={"EDGECTL_STATE_DIR": f"{path}/state"},
+            local=local,
+        )
+        verified(build_timer_units(job, user=user), tmp_path / f"apply{number}", user=user)
+        verified(
+            build_watch_unit(replace(job, every_s=30.0), user=user), tmp_path / f"watch{number}", user=user
+        )
 
 
 def test_verification_finds_what_is_wrong(tmp_path: Path) -> None:
-    units = {name: text.replace("KillMode=process", "KillMode=maybe") for name, text in timer_units(JOB, user=False).items()}
+    units = {
+        name: text.replace("KillMode=process", "KillMode=maybe")
+        for name, text in build_timer_units(JOB, user=False).items()
+    }
     with pytest.raises(AssertionError):
         verified(units, tmp_path / "units", user=False)
 
@@ -60,35 +71,52 @@ def settings(text: str) -> dict[str, str]:
 
 
 def test_a_timer_and_its_service() -> None:
-    units = timer_units(replace(JOB, every_s=90.0), user=False)
+    units = build_timer_units(replace(JOB, every_s=90.0), user=False)
     assert list(units) == ["edgectl-lab.service", "edgectl-lab.timer"]
     service, timer = (settings(text) for text in units.values())
     assert service["ExecStart"] == "/bin/true apply --yes --quiet -i /srv/lab/lab.yaml -t /srv/lab/tasks"
-    assert (service["SuccessExitStatus"], service["User"], service["KillMode"]) == ("4 75 130", "root", "process")
+    assert (service["SuccessExitStatus"], service["User"], service["KillMode"]) == (
+        "4 75 130",
+        "root",
+        "process",
+    )
     assert timer["OnUnitActiveSec"] == "90s"
-    assert settings(timer_units(JOB, user=False)["edgectl-lab.timer"])["OnUnitActiveSec"] == "300s"
-    assert settings(timer_units(replace(JOB, every_s=1234567.0), user=False)["edgectl-lab.timer"])["OnUnitActiveSec"] == "1234567s"
-    assert "User" not in settings(timer_units(JOB, user=True)["edgectl-lab.service"])
+    assert settings(build_timer_units(JOB, user=False)["edgectl-lab.timer"])["OnUnitActiveSec"] == "300s"
+    assert (
+        settings(build_timer_units(replace(JOB, every_s=1234567.0), user=False)["edgectl-lab.timer"])[
+            "OnUnitActiveSec"
+        ]
+        == "1234567s"
+    )
+    assert "User" not in settings(build_timer_units(JOB, user=True)["edgectl-lab.service"])
     with pytest.raises(ValueError, match="too often"):
-        timer_units(replace(JOB, every_s=0.5), user=False)
+        build_timer_units(replace(JOB, every_s=0.5), user=False)
     with pytest.raises(ValueError, match="too often"):
-        watch_unit(replace(JOB, every_s=0.5), user=False)
+        build_watch_unit(replace(JOB, every_s=0.5), user=False)
 
 
 def test_a_watch_is_started_again_but_not_where_its_files_are_wrong() -> None:
-    unit = settings(watch_unit(replace(JOB, every_s=30.0), user=True)["edgectl-lab-watch.service"])
+    unit = settings(build_watch_unit(replace(JOB, every_s=30.0), user=True)["edgectl-lab-watch.service"])
     assert unit["ExecStart"].startswith("/bin/true watch --apply --every 30s -i ")
-    assert (unit["Restart"], unit["RestartPreventExitStatus"], unit["WantedBy"]) == ("always", "64", "default.target")
-    assert "--every" not in settings(watch_unit(JOB, user=False)["edgectl-lab-watch.service"])["ExecStart"]
+    assert (unit["Restart"], unit["RestartPreventExitStatus"], unit["WantedBy"]) == (
+        "always",
+        "64",
+        "default.target",
+    )
+    assert (
+        "--every" not in settings(build_watch_unit(JOB, user=False)["edgectl-lab-watch.service"])["ExecStart"]
+    )
 
 
 def test_tasks_on_this_machine_do_not_inherit_a_sandbox() -> None:
-    assert "NoNewPrivileges" in settings(timer_units(JOB, user=False)["edgectl-lab.service"])
-    assert "NoNewPrivileges" not in settings(timer_units(replace(JOB, local=True), user=False)["edgectl-lab.service"])
+    assert "NoNewPrivileges" in settings(build_timer_units(JOB, user=False)["edgectl-lab.service"])
+    assert "NoNewPrivileges" not in settings(
+        build_timer_units(replace(JOB, local=True), user=False)["edgectl-lab.service"]
+    )
 
 
 def test_names_of_units_are_names() -> None:
-    assert unit_name(replace(JOB, name="our lab (new)")) == "edgectl-our_lab__new_"
+    assert build_unit_name(replace(JOB, name="our lab (new)")) == "edgectl-our_lab__new_"
 
 
 @pytest.fixture(scope="module")
@@ -102,8 +130,15 @@ def manager(tmp_path_factory: pytest.TempPathFactory) -> Iterator[UserSystemd | 
 
 
 def systemctl(manager: UserSystemd, *words: str) -> "subprocess.CompletedProcess[str]":
-    inside = ["nsenter", f"--mount=/proc/{manager.pid}/ns/mnt", "env", f"XDG_RUNTIME_DIR=/run/user/{os.geteuid()}"]
-    return subprocess.run([*inside, "systemctl", "--user", *words], capture_output=True, text=True, check=False, timeout=90)
+    inside = [
+        "nsenter",
+        f"--mount=/proc/{manager.pid}/ns/mnt",
+        "env",
+        f"XDG_RUNTIME_DIR=/run/user/{os.geteuid()}",
+    ]
+    return subprocess.run(
+        [*inside, "systemctl", "--user", *words], capture_output=True, text=True, check=False, timeout=90
+    )
 
 
 def started(manager: UserSystemd, units: dict[str, str], name: str) -> dict[str, str]:
@@ -117,9 +152,15 @@ def started(manager: UserSystemd, units: dict[str, str], name: str) -> dict[str,
         (folder / unit).write_text(kept.replace("[Service]\n", said))
     systemctl(manager, "daemon-reload")
     done = systemctl(manager, "start", name)
-    shown = dict(line.split("=", 1) for line in systemctl(manager, "show", name).stdout.splitlines() if "=" in line)
+    shown = dict(
+        line.split("=", 1) for line in systemctl(manager, "show", name).stdout.splitlines() if "=" in line
+    )
     said = manager.folder / "said"
-    return {**shown, "ok": "yes" if done.returncode == 0 else done.stderr, "said": said.read_text() if said.exists() else ""}
+    return {
+        **shown,
+        "ok": "yes" if done.returncode == 0 else done.stderr,
+        "said": said.read_text() if said.exists() else "",
+    }
 
 
 def test_systemd_hands_over_every_word_as_it_was(manager: UserSystemd | None, tmp_path: Path) -> None:
@@ -133,23 +174,38 @@ def test_systemd_hands_over_every_word_as_it_was(manager: UserSystemd | None, tm
         JOB, program=(sys.executable, str(script)), inventory=f"{folder}/lab.yaml", tasks=("$A", "${B}", "%t"), directory=str(folder),
         environment={"EDGECTL_STATE_DIR": f"{folder}/$state"}, name="words", local=True,
     )  # fmt: skip
-    units = timer_units(job, user=False)
+    units = build_timer_units(job, user=False)
     if manager is None:
         verified(units, tmp_path / "units", user=False)
         return
     shown = started(manager, units, "edgectl-words.service")
     assert shown["ok"] == "yes", "a busy lock is no failure of the unit"
     said, directory, state = json.loads(Path(f"{script}.json").read_text())
-    assert said == ["apply", "--yes", "--quiet", "-i", f"{folder}/lab.yaml", "-t", "$A", "-t", "${B}", "-t", "%t"]
+    assert said == [
+        "apply",
+        "--yes",
+        "--quiet",
+        "-i",
+        f"{folder}/lab.yaml",
+        "-t",
+        "$A",
+        "-t",
+        "${B}",
+        "-t",
+        "%t",
+    ]
     assert (directory, state) == (str(folder), f"{folder}/$state")
 
 
 def possible(manager: UserSystemd, units: dict[str, str]) -> dict[str, str]:
     """The units as they are; without their sandbox where this machine cannot make one, not even around /bin/true (a container may not)."""
-    probe = timer_units(replace(JOB, name="nothing", directory="/"), user=False)
+    probe = build_timer_units(replace(JOB, name="nothing", directory="/"), user=False)
     if started(manager, probe, "edgectl-nothing.service")["ok"] == "yes":
         return units
-    return {name: re.sub(r"^(Protect|Restrict[AN]).*\n", "", text, flags=re.MULTILINE) for name, text in units.items()}
+    return {
+        name: re.sub(r"^(Protect|Restrict[AN]).*\n", "", text, flags=re.MULTILINE)
+        for name, text in units.items()
+    }
 
 
 # Slices: a busy machine has room for them all the same.
@@ -160,7 +216,9 @@ edges:
 """
 
 
-def test_a_run_in_the_sandbox_reaches_its_hosts(manager: UserSystemd | None, lab: Lab, tmp_path: Path) -> None:
+def test_a_run_in_the_sandbox_reaches_its_hosts(
+    manager: UserSystemd | None, lab: Lab, tmp_path: Path
+) -> None:
     """The whole unit as exported by the command, for hosts by paramiko and by the ssh program; then a file that is wrong fails the unit."""
     mark = a_mark()
     (tmp_path / "lab.yaml").write_text(HOSTS)
@@ -187,10 +245,19 @@ def test_a_run_in_the_sandbox_reaches_its_hosts(manager: UserSystemd | None, lab
         shown = started(manager, units, "edgectl-lab.service")
         assert shown["ok"] == "yes", shown
         assert shown["NoNewPrivileges"] == "yes"
-        assert shown["ProtectSystem"] == ("full" if "ProtectSystem=full" in units["edgectl-lab.service"] else "no")
+        assert shown["ProtectSystem"] == (
+            "full" if "ProtectSystem=full" in units["edgectl-lab.service"] else "no"
+        )
         assert len(asleep(mark)) == 2, shown["said"]
     finally:
-        subprocess.run([*edgectl, "stop", "--all", "--yes", *files], cwd=tmp_path, env=env, check=False, capture_output=True, timeout=60)
+        subprocess.run(
+            [*edgectl, "stop", "--all", "--yes", *files],
+            cwd=tmp_path,
+            env=env,
+            check=False,
+            capture_output=True,
+            timeout=60,
+        )
     assert sleeping(mark) == []
     (tmp_path / "tasks.yaml").write_text("version: 2\n")
     shown = started(manager, units, "edgectl-lab.service")

@@ -1,4 +1,4 @@
-"""Runs in place of edgectl: the very same command, with the named points of its code (`edgectl.state.points`) noted and one of them deadly.
+"""Runs in place of edgectl: the very same command, with the named points of its code (`edgectl.state.failpoints`) noted and one of them deadly.
 
 ``python -P -c PROGRAM NUMBER NOTES WORDS...``: at the NUMBER-th point that it reaches, the process is ended with SIGKILL. Nothing in the
 product can be armed from outside; this is another program, which imports it.

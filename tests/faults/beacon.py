@@ -24,18 +24,34 @@ def parse(argv):
     parser = argparse.ArgumentParser()
     parser.add_argument("--dir", required=True, help="directory of the records")
     parser.add_argument("--task", required=True)
-    parser.add_argument("--mark", required=True, help="word by which a scan of /proc finds every process of ours")
+    parser.add_argument(
+        "--mark", required=True, help="word by which a scan of /proc finds every process of ours"
+    )
     parser.add_argument("--period", type=float, default=0.03, help="seconds between ticks")
     parser.add_argument("--with", dest="roles", default="", help="further processes: " + ",".join(ROLES))
-    parser.add_argument("--bare", action="store_true", help="the further processes run with an empty environment")
-    parser.add_argument("--closed", action="store_true", help="the further processes close what they inherited")
-    parser.add_argument("--detach", action="store_true", help="the main process ends once the further ones run")
-    parser.add_argument("--deaf", action="store_true", help="TERM, INT and HUP are noted and otherwise ignored")
-    parser.add_argument("--for", dest="seconds", type=float, default=0, help="end by itself after this time; 0: never")
+    parser.add_argument(
+        "--bare", action="store_true", help="the further processes run with an empty environment"
+    )
+    parser.add_argument(
+        "--closed", action="store_true", help="the further processes close what they inherited"
+    )
+    parser.add_argument(
+        "--detach", action="store_true", help="the main process ends once the further ones run"
+    )
+    parser.add_argument(
+        "--deaf", action="store_true", help="TERM, INT and HUP are noted and otherwise ignored"
+    )
+    parser.add_argument(
+        "--for", dest="seconds", type=float, default=0, help="end by itself after this time; 0: never"
+    )
     parser.add_argument("--exit", dest="code", type=int, default=0, help="exit code at that end")
     parser.add_argument("--spam", type=float, default=0, help="bytes per second written to stdout")
-    parser.add_argument("--garbage", action="store_true", help="write bytes that are no UTF-8, NULs and no newline to stdout")
-    parser.add_argument("--touch", default="", help="file made once the task is ready (after --after seconds)")
+    parser.add_argument(
+        "--garbage", action="store_true", help="write bytes that are no UTF-8, NULs and no newline to stdout"
+    )
+    parser.add_argument(
+        "--touch", default="", help="file made once the task is ready (after --after seconds)"
+    )
     parser.add_argument("--after", type=float, default=0)
     parser.add_argument("--launch", default="")
     parser.add_argument("--role", default="main")
@@ -64,7 +80,9 @@ class Record:
 
 def spawn(options, argv, role):
     """Start one further process of this launch."""
-    command = [sys.executable, os.path.abspath(__file__)] + argv + ["--launch", options.launch, "--role", role]
+    command = (
+        [sys.executable, os.path.abspath(__file__)] + argv + ["--launch", options.launch, "--role", role]
+    )
     command = [word for word in command if word != "--detach"]
     environment = {} if options.bare else dict(os.environ)
     if role == "daemon":  # the classic double fork
@@ -119,7 +137,12 @@ def live(options, record):
         if options.role == "main" and options.seconds and age >= options.seconds:
             record.write("stop", code=options.code)
             return options.code
-        if options.role == "main" and options.touch and age >= options.after and not os.path.exists(options.touch):
+        if (
+            options.role == "main"
+            and options.touch
+            and age >= options.after
+            and not os.path.exists(options.touch)
+        ):
             open(options.touch, "w").close()
         record.write("tick")
         if options.role == "main":
@@ -136,7 +159,12 @@ def main(argv):
     options = parse(argv)
     options.launch = options.launch or os.urandom(6).hex()
     record = Record(options)
-    record.write("start", rest=options.rest, cwd=os.getcwd(), environment=sorted(os.environ) if options.role == "main" else [])
+    record.write(
+        "start",
+        rest=options.rest,
+        cwd=os.getcwd(),
+        environment=sorted(os.environ) if options.role == "main" else [],
+    )
     if options.role == "main":
         for role in filter(None, options.roles.split(",")):
             spawn(options, argv, role)

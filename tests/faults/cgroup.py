@@ -58,4 +58,6 @@ def make(name: str, cores: float | None) -> Group:
                 return group
         with suppress(OSError):
             directory.rmdir()
-    return Group(directories=(), limited=False, why=f"no writable cpu controller below {ROOT} for uid {os.geteuid()}")
+    return Group(
+        directories=(), limited=False, why=f"no writable cpu controller below {ROOT} for uid {os.geteuid()}"
+    )

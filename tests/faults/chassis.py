@@ -41,7 +41,14 @@ def make_disk(config: dict[str, str]) -> Path:
     mount("-t", "tmpfs", "-o", "size=256m", "disk", base / "disk")
     (base / "disk" / "upper").mkdir()
     (base / "disk" / "work").mkdir()
-    mount("-t", "overlay", "-o", f"lowerdir=/,upperdir={base}/disk/upper,workdir={base}/disk/work", "overlay", root)
+    mount(
+        "-t",
+        "overlay",
+        "-o",
+        f"lowerdir=/,upperdir={base}/disk/upper,workdir={base}/disk/work",
+        "overlay",
+        root,
+    )
     mount("-t", "tmpfs", "-o", f"size={config['home_size']},mode=755", "home", root / "home")
     for hidden in config["hidden"]:
         mount("-t", "tmpfs", "-o", "size=4k,mode=755", "hidden", root / hidden.lstrip("/"))

@@ -18,22 +18,52 @@ from pathlib import Path
 
 from tests import sshd
 from tests.faults import cgroup, scan
-from tests.faults.hosts import CABLE, DISK, HERE, LIMIT, MOUNTS, POWER, PYTHON, REBOOT, Host, put_programs, wait_for
+from tests.faults.hosts import (
+    CABLE,
+    DISK,
+    HERE,
+    LIMIT,
+    MOUNTS,
+    POWER,
+    PYTHON,
+    REBOOT,
+    Host,
+    put_programs,
+    wait_for,
+)
 from tests.faults.network import Site, ip
 from tests.faults.scan import Canary, Process
 
 REPOSITORY = HERE.parent.parent
 USER = "edge"
-AS_USER = ["setpriv", "--reuid=4711", "--regid=4711", "--clear-groups", "env", "-i", f"HOME=/home/{USER}", "PATH=/usr/bin:/bin"]
+AS_USER = [
+    "setpriv",
+    "--reuid=4711",
+    "--regid=4711",
+    "--clear-groups",
+    "env",
+    "-i",
+    f"HOME=/home/{USER}",
+    "PATH=/usr/bin:/bin",
+]
 
 
 def missing_for_namespaces() -> str:
     """Why computers in namespaces cannot be had here; empty if they can."""
     if os.geteuid() != 0:
         return "needs root"
-    if lacking := [name for name in ("unshare", "nsenter", "ip", "mount", "setpriv") if not shutil.which(name, path=sshd_path())]:
+    if lacking := [
+        name
+        for name in ("unshare", "nsenter", "ip", "mount", "setpriv")
+        if not shutil.which(name, path=sshd_path())
+    ]:
         return f"needs {', '.join(lacking)}"
-    probe = subprocess.run(["unshare", "--mount", "--net", "--pid", "--fork", "true"], capture_output=True, text=True, check=False)
+    probe = subprocess.run(
+        ["unshare", "--mount", "--net", "--pid", "--fork", "true"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     return f"namespaces are refused: {probe.stderr.strip()}" if probe.returncode else ""
 
 
@@ -105,7 +135,11 @@ class NamespaceHost:
             "KbdInteractiveAuthentication no",
             "MaxStartups 200:30:400",
             "PrintMotd no",
-            *(["SetEnv " + " ".join(f'"{name}={value}"' for name, value in self.env.items())] if self.env else []),
+            *(
+                ["SetEnv " + " ".join(f'"{name}={value}"' for name, value in self.env.items())]
+                if self.env
+                else []
+            ),
         ]
         (self.directory / "ssh" / "sshd_config").write_text("\n".join(lines) + "\n")
 
@@ -149,7 +183,20 @@ class NamespaceHost:
         if self.pid:
             return
         self.pid = self._order("on")
-        ip("link", "add", "name", self.cable, "type", "veth", "peer", "name", "eth0", "netns", str(self.pid), netns=self.site.process.pid)
+        ip(
+            "link",
+            "add",
+            "name",
+            self.cable,
+            "type",
+            "veth",
+            "peer",
+            "name",
+            "eth0",
+            "netns",
+            str(self.pid),
+            netns=self.site.process.pid,
+        )
         ip("link", "set", self.cable, "master", "br0", "up", netns=self.site.process.pid)
         # A real network card keeps its address over a reboot; another one would leave the manager's neighbour table wrong for seconds.
         card = f"link set eth0 address 02:e7:00:00:00:{self.number:02x}"
@@ -194,7 +241,11 @@ class NamespaceHost:
             return []
         inode = Path(f"/proc/{self.pid}/ns/pid").stat().st_ino
         ours = ("canary.py", "sshd")
-        return [each for each in scan.in_namespace("pid", inode) if each.pid != self.pid and not any(word in each.command for word in ours)]
+        return [
+            each
+            for each in scan.in_namespace("pid", inode)
+            if each.pid != self.pid and not any(word in each.command for word in ours)
+        ]
 
     def enter(self, *command: str, user: bool = True) -> list[str]:
         """The command line that runs ``command`` on this computer."""
@@ -214,7 +265,11 @@ class NamespaceHost:
         begin, after = (f"echo {pid - 1} > {last}; ", f"; echo 20000 > {last}") if pid else ("", "")
         script = f'{begin}{" ".join(AS_USER)} python3 /home/{USER}/oracle/canary.py "$0" "$@" </dev/null >/dev/null 2>&1 & echo $!{after}'
         done = subprocess.run(
-            self.enter("sh", "-c", script, inside, *words, user=False), capture_output=True, text=True, timeout=60, check=True
+            self.enter("sh", "-c", script, inside, *words, user=False),
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=True,
         )
         number = int(done.stdout)
         assert not pid or number == pid, f"wanted pid {pid}, got {number}"
@@ -223,7 +278,9 @@ class NamespaceHost:
     def inner_pid(self, each: Process) -> int:
         """The process id that the process has on this computer; 0 if it is gone."""
         with suppress(OSError):
-            return int(re.findall(r"^NSpid:.*?(\d+)$", Path(f"/proc/{each.pid}/status").read_text(), re.MULTILINE)[0])
+            return int(
+                re.findall(r"^NSpid:.*?(\d+)$", Path(f"/proc/{each.pid}/status").read_text(), re.MULTILINE)[0]
+            )
         return 0
 
     def _outside(self, inner: int) -> int:
@@ -308,7 +365,12 @@ def namespace_hosts(
         hosts: dict[str, Host] = {}
         for number, name in enumerate(names, start=11):
             host = NamespaceHost(
-                name=name, site=site, directory=directory / name, number=number, user_key=key, cores=(cores or {}).get(name)
+                name=name,
+                site=site,
+                directory=directory / name,
+                number=number,
+                user_key=key,
+                cores=(cores or {}).get(name),
             )
             stack.callback(host.close)
             hosts[name] = host

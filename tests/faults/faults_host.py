@@ -190,7 +190,9 @@ def python_vanishes(fleet: Fleet) -> None:
 
 def no_psutil_here() -> str:
     found = [
-        path for path in ("/usr/lib/python3/dist-packages/psutil", "/usr/local/lib/python3/dist-packages/psutil") if Path(path).exists()
+        path
+        for path in ("/usr/lib/python3/dist-packages/psutil", "/usr/local/lib/python3/dist-packages/psutil")
+        if Path(path).exists()
     ]
     return f"the system's Python has psutil: {found}" if found else ""
 

@@ -140,7 +140,9 @@ def two_managers(fleet: Fleet) -> None:
     for running in (first, second):
         fleet.end(running).must(0, 1, 4, 75)
     moment = oracle.now_ns()
-    most = max((count for count in oracle.live_at(oracle.lives(fleet.records), moment - 10**8).values()), default=0)
+    most = max(
+        (count for count in oracle.live_at(oracle.lives(fleet.records), moment - 10**8).values()), default=0
+    )
     if most > 1:
         raise ExpectationError(f"{most} at once")
 
@@ -181,7 +183,9 @@ def skewed(fleet: Fleet, seconds: int) -> dict[str, str]:
     """An environment in which the wall clock is off by so many seconds; the monotonic one stays true."""
     library = fleet.directory / "skew.so"
     if not library.exists():
-        subprocess.run(["cc", "-shared", "-fPIC", "-O1", "-o", str(library), str(SKEW)], check=True, timeout=60)
+        subprocess.run(
+            ["cc", "-shared", "-fPIC", "-O1", "-o", str(library), str(SKEW)], check=True, timeout=60
+        )
     return {"LD_PRELOAD": str(library), "CLOCK_SKEW": str(seconds)}
 
 
@@ -206,7 +210,9 @@ def clock_skew(fleet: Fleet) -> None:
     fleet.write()
     fleet.apply(**skewed(fleet, DAY)).must(0)
     fleet.check()
-    assert abs(int((fleet.hosts["edge1"].records / "date").read_text()) - time.time()) > HOUR / 2, "the host's clock was not skewed"
+    assert abs(int((fleet.hosts["edge1"].records / "date").read_text()) - time.time()) > HOUR / 2, (
+        "the host's clock was not skewed"
+    )
     fleet.edgectl("status").must(0)
     ages_are_sane(fleet)
 
@@ -279,7 +285,9 @@ def state_of_the_future(fleet: Fleet) -> None:
     for path in sorted(fleet.state.rglob("*")):
         if path.is_file() and b'"format_version":' in (data := path.read_bytes()):
             path.write_bytes(
-                data.replace(b'"format_version":1', b'"format_version":9').replace(b'"format_version": 1', b'"format_version": 9')
+                data.replace(b'"format_version":1', b'"format_version":9').replace(
+                    b'"format_version": 1', b'"format_version": 9'
+                )
             )
             changed.append(path)
     if not changed:
@@ -302,7 +310,11 @@ def saved_files_harmed(fleet: Fleet) -> None:
         for _ in range(3):
             path.write_bytes(good[: fleet.draw.randrange(len(good) - 2)])
             fleet.edgectl(*words, str(path)).must(64, 1, 75)
-        path.write_bytes(good.replace(b'"format_version": 1', b'"format_version": 9').replace(b'"format_version":1', b'"format_version":9'))
+        path.write_bytes(
+            good.replace(b'"format_version": 1', b'"format_version": 9').replace(
+                b'"format_version":1', b'"format_version":9'
+            )
+        )
         fleet.edgectl(*words, str(path)).must(64, 1, 75).says("version")
     fleet.check({"slam": "edge1", "nav": "edge2"})
 

@@ -72,7 +72,11 @@ def hostile_fields(fleet: Fleet) -> None:
     workdir = fleet.hosts["edge1"].records / f"dir '$(touch {CANARY})' \"x\""
     workdir.mkdir()
     workdir.chmod(0o777)
-    inside = workdir if fleet.hosts["edge1"].kind == "loopback" else Path("/home/edge/oracle/records") / workdir.name
+    inside = (
+        workdir
+        if fleet.hosts["edge1"].kind == "loopback"
+        else Path("/home/edge/oracle/records") / workdir.name
+    )
     dump = 'python3 -c \'import json, os; json.dump([os.getcwd(), dict(os.environ)], open(os.path.expanduser("~/oracle/records/dump"), "w"))\'; '
     fleet.want("slam", on="edge1", env=env, workdir=str(inside))
     fleet.tasks["slam"]["command"] = dump + str(fleet.tasks["slam"]["command"])
@@ -124,7 +128,9 @@ def hostile_host_env(fleet: Fleet) -> None:
     (trap / "json.py").write_text("raise SystemExit('poisoned')\n")
     (trap / "sitecustomize.py").write_text(f"open('/tmp/{CANARY}', 'w')\n")
     inside = trap if fleet.hosts["edge1"].kind == "loopback" else Path("/home/edge/oracle/records/trap")
-    fleet.hosts["edge1"].set_env(PYTHONPATH=str(inside), PYTHONSTARTUP="/nonexistent", LANG="xx_YY.no", LC_ALL="tr_TR.UTF-8", IFS="/")
+    fleet.hosts["edge1"].set_env(
+        PYTHONPATH=str(inside), PYTHONSTARTUP="/nonexistent", LANG="xx_YY.no", LC_ALL="tr_TR.UTF-8", IFS="/"
+    )
     fleet.want("slam", on="edge1", env={"PYTHONPATH": ""})
     fleet.settle()
     fleet.hosts["edge1"].set_env()

@@ -58,16 +58,27 @@ def host_is_lost(fleet: Fleet) -> None:
     if harmed:
         raise OracleError(Verdict(foreign=tuple(harmed)))
     # The power cut has ended the strangers there, too.
-    fleet.canaries = [each for each in fleet.canaries if each.seen.alive or each.record.parent != fleet.hosts[name].records]
+    fleet.canaries = [
+        each for each in fleet.canaries if each.seen.alive or each.record.parent != fleet.hosts[name].records
+    ]
 
 
 def line_is_cut(fleet: Fleet) -> None:
     relay = fleet.relay(fleet.draw.choice(["edge1", "edge2"]))
-    relay.set(Trouble(kind=fleet.draw.choice([Kind.CUT_RST, Kind.CUT_FIN]), after=fleet.draw.randrange(20_000)))
+    relay.set(
+        Trouble(kind=fleet.draw.choice([Kind.CUT_RST, Kind.CUT_FIN]), after=fleet.draw.randrange(20_000))
+    )
     fleet.apply().must(0, 1, 4, within=100)
 
 
-EVENTS: tuple[Callable[[Fleet], None], ...] = (wish, wish, manager_dies, process_dies, host_is_lost, line_is_cut)
+EVENTS: tuple[Callable[[Fleet], None], ...] = (
+    wish,
+    wish,
+    manager_dies,
+    process_dies,
+    host_is_lost,
+    line_is_cut,
+)
 
 
 @fault("a random life of twelve events", full=6)

@@ -63,7 +63,9 @@ def supervisor_killed(fleet: Fleet) -> None:
     fleet.want("slam", "--with", "daemon", on="edge1")
     fleet.settle()
     host = fleet.hosts["edge1"]
-    victims = [each for each in host.processes() if fleet.mark not in each.command and "sshd" not in each.command]
+    victims = [
+        each for each in host.processes() if fleet.mark not in each.command and "sshd" not in each.command
+    ]
     if not victims:
         raise ExpectationError("no supervisor was found")
     scan.end(victims)
@@ -78,7 +80,11 @@ def supervisor_killed(fleet: Fleet) -> None:
 def only_daemon_lives(fleet: Fleet) -> None:
     fleet.want("slam", "--with", "daemon", on="edge1")
     fleet.settle()
-    victims = [each for each in fleet.hosts["edge1"].processes() if "--role daemon" not in each.command and "sshd" not in each.command]
+    victims = [
+        each
+        for each in fleet.hosts["edge1"].processes()
+        if "--role daemon" not in each.command and "sshd" not in each.command
+    ]
     fleet.draw.shuffle(victims)
     scan.end(victims)
     fleet.apply().must(0, 4)

@@ -73,7 +73,11 @@ class Fleet:
         for place in ("home", "state", "tmp"):
             (self.directory / place).mkdir(parents=True)
         for name in self.hosts:
-            self.inventory[name] = {"host": name, "connection": self.connection, "capacity": {"cpu": 4, "memory": "8Gi"}}
+            self.inventory[name] = {
+                "host": name,
+                "connection": self.connection,
+                "capacity": {"cpu": 4, "memory": "8Gi"},
+            }
         self.write()
 
     # What should run
@@ -82,7 +86,12 @@ class Fleet:
         """Task ``name`` shall run, pinned to host ``on``; ``options`` are the beacon's."""
         words = " ".join(options)
         command = f'exec python3 "$HOME/oracle/beacon.py" --dir "$HOME/oracle/records" --task {name} --mark {self.mark} {words}'
-        entry: dict[str, object] = {"command": command, "demand": {"cpu": 0.1, "memory": "10Mi"}, "stop": {"grace": "3s"}, **fields}
+        entry: dict[str, object] = {
+            "command": command,
+            "demand": {"cpu": 0.1, "memory": "10Mi"},
+            "stop": {"grace": "3s"},
+            **fields,
+        }
         if on:
             entry["hosts"] = {"pin": on}
         self.tasks[name] = entry
@@ -123,10 +132,17 @@ class Fleet:
                 address, port = relay.address, relay.port
             config.append(f"Host {name}\n  HostName {address}\n  Port {port}\n  User {user}\n")
             known.append(f"{address if port == 22 else f'[{address}]:{port}'} {key}\n")
-        common = [f"IdentityFile {self.key_file}", "IdentitiesOnly yes", "IdentityAgent none", "GlobalKnownHostsFile none"]
+        common = [
+            f"IdentityFile {self.key_file}",
+            "IdentitiesOnly yes",
+            "IdentityAgent none",
+            "GlobalKnownHostsFile none",
+        ]
         common.append(f"UserKnownHostsFile {self.directory / 'known_hosts'}")
         (self.directory / "known_hosts").write_text("".join(known))
-        (self.directory / "ssh_config").write_text("".join(config) + "Host *\n" + "".join(f"  {line}\n" for line in common))
+        (self.directory / "ssh_config").write_text(
+            "".join(config) + "Host *\n" + "".join(f"  {line}\n" for line in common)
+        )
 
     def trust_again(self) -> None:
         """The operator accepts the present host keys."""
@@ -163,7 +179,11 @@ class Fleet:
             "LC_ALL": "C.UTF-8",
             "TMPDIR": str(self.directory / "tmp"),
         }
-        ours = {"EDGECTL_STATE_DIR": str(self.state), "EDGECTL_SSH_CONFIG": str(self.directory / "ssh_config"), "NO_COLOR": "1"}
+        ours = {
+            "EDGECTL_STATE_DIR": str(self.state),
+            "EDGECTL_SSH_CONFIG": str(self.directory / "ssh_config"),
+            "NO_COLOR": "1",
+        }
         return base | ours | ({"PYTHONPATH": str(self.code)} if self.code else {}) | more
 
     def line(self, *words: str) -> list[str]:
@@ -189,7 +209,9 @@ class Fleet:
             start_new_session=True,
         )
 
-    def end(self, process: "subprocess.Popen[str]", words: tuple[str, ...] = APPLY, *, begun: float | None = None) -> Outcome:
+    def end(
+        self, process: "subprocess.Popen[str]", words: tuple[str, ...] = APPLY, *, begun: float | None = None
+    ) -> Outcome:
         """Wait for edgectl (at most two minutes)."""
         begun = begun or time.monotonic()
         try:
@@ -197,8 +219,12 @@ class Fleet:
         except subprocess.TimeoutExpired as hung:
             os.killpg(process.pid, signal.SIGKILL)
             _, err = process.communicate()
-            raise ExpectationError(f"edgectl {' '.join(words)} still runs after {WORST_S:.0f} s: {err[-300:]}") from hung
-        outcome = Outcome(words=words, code=process.returncode, out=out, err=err, seconds=time.monotonic() - begun)
+            raise ExpectationError(
+                f"edgectl {' '.join(words)} still runs after {WORST_S:.0f} s: {err[-300:]}"
+            ) from hung
+        outcome = Outcome(
+            words=words, code=process.returncode, out=out, err=err, seconds=time.monotonic() - begun
+        )
         self.outcomes.append(outcome)
         if "Traceback" in outcome.err + outcome.out:
             raise ExpectationError(f"a traceback: {outcome}")
@@ -213,7 +239,12 @@ class Fleet:
         """What edgectl writes to a terminal."""
         ours, theirs = pty.openpty()
         done = subprocess.Popen(
-            self.line(*words), stdin=theirs, stdout=theirs, stderr=theirs, env=self.environment(TERM="xterm"), start_new_session=True
+            self.line(*words),
+            stdin=theirs,
+            stdout=theirs,
+            stderr=theirs,
+            env=self.environment(TERM="xterm"),
+            start_new_session=True,
         )
         os.close(theirs)
         data = b""
@@ -233,11 +264,22 @@ class Fleet:
     def records(self) -> dict[str, Path]:
         return {name: host.records for name, host in self.hosts.items()}
 
-    def judge(self, expected: Mapping[str, str | None] | None = None, *, seconds: float = 0.7, patience: float = 12.0) -> Verdict:
+    def judge(
+        self,
+        expected: Mapping[str, str | None] | None = None,
+        *,
+        seconds: float = 0.7,
+        patience: float = 12.0,
+    ) -> Verdict:
         """The oracle's word on what runs now and what ever overlapped; ``expected`` instead of what is wanted."""
         wanted = self.expected if expected is None else expected
         found = oracle.judge(
-            self.records, wanted, since_ns=self.begun_ns, overlap_allowed=self.overlap_allowed, seconds=seconds, patience=patience
+            self.records,
+            wanted,
+            since_ns=self.begun_ns,
+            overlap_allowed=self.overlap_allowed,
+            seconds=seconds,
+            patience=patience,
         )
         harm = tuple(word for canary in self.canaries for word in canary.harm())
         return Verdict(lost=found.lost, doubled=found.doubled, foreign=harm)
@@ -273,12 +315,25 @@ class Fleet:
 
     def leftovers(self) -> Verdict:
         """What there is after everything was stopped: processes, held locks, files that others may read."""
-        left = [f"{name}: process {each.pid} {each.command[:90]}" for name, host in self.hosts.items() for each in host.processes()]
+        left = [
+            f"{name}: process {each.pid} {each.command[:90]}"
+            for name, host in self.hosts.items()
+            for each in host.processes()
+        ]
         left += [f"process {each.pid} {each.command[:90]}" for each in scan.marked(self.mark)]
-        places = [path for host in self.hosts.values() for path in (host.home / ".local", host.home / "state")]
-        left += [f"temporary file {path}" for path in scan.files_under(self.state, *places) if path.suffix == ".tmp"]
+        places = [
+            path for host in self.hosts.values() for path in (host.home / ".local", host.home / "state")
+        ]
+        left += [
+            f"temporary file {path}"
+            for path in scan.files_under(self.state, *places)
+            if path.suffix == ".tmp"
+        ]
         left += scan.locks_under(self.state, *places)
-        left += [f"open to others: {path}" for path in scan.exposed(self.state / "fleets", *(place / "edgectl" for place in places))]
+        left += [
+            f"open to others: {path}"
+            for path in scan.exposed(self.state / "fleets", *(place / "edgectl" for place in places))
+        ]
         return Verdict(left=tuple(sorted(set(left))))
 
 
@@ -304,7 +359,9 @@ def heal(fleet: Fleet) -> None:
 
 
 @contextmanager
-def fleet_of(kind: str, directory: Path, names: list[str], seed: int, how: "How | None" = None) -> Iterator[Fleet]:
+def fleet_of(
+    kind: str, directory: Path, names: list[str], seed: int, how: "How | None" = None
+) -> Iterator[Fleet]:
     """A fleet of hosts of that kind, ended and cleaned at the end."""
     how = how or How()
     with ExitStack() as stack:

@@ -19,7 +19,15 @@ from tests.faults import scan
 from tests.faults.scan import Canary, Process
 
 HERE = Path(__file__).parent
-POWER, CABLE, REBOOT, DISK, MOUNTS, PYTHON, LIMIT = "power", "cable", "reboot", "disk", "mounts", "python", "limit"
+POWER, CABLE, REBOOT, DISK, MOUNTS, PYTHON, LIMIT = (
+    "power",
+    "cable",
+    "reboot",
+    "disk",
+    "mounts",
+    "python",
+    "limit",
+)
 
 
 class Host(Protocol):
@@ -103,7 +111,9 @@ class LoopbackHost:
         return scan.with_environment(sshd.MARK, str(self.server.directory))
 
     def run(self, *command: str) -> "subprocess.CompletedProcess[str]":
-        return subprocess.run(command, capture_output=True, text=True, env=self._env(), timeout=60, check=False)
+        return subprocess.run(
+            command, capture_output=True, text=True, env=self._env(), timeout=60, check=False
+        )
 
     def _env(self) -> dict[str, str]:
         return {"HOME": str(self.home), "PATH": sshd.PATH} | self.env

@@ -22,7 +22,12 @@ def tc(*words: str, netns: int) -> str:
     program = shutil.which("tc", path=f"{os.environ.get('PATH', '')}:/usr/sbin:/sbin")
     if program is None:
         return "tc is missing"
-    done = subprocess.run(["nsenter", f"--target={netns}", "--net", program, *words], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        ["nsenter", f"--target={netns}", "--net", program, *words],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     return done.stderr.strip() if done.returncode else ""
 
 
@@ -44,7 +49,9 @@ class Site:
 
     @classmethod
     def make(cls, network: str = "10.231.0") -> "Site":
-        process = subprocess.Popen(["unshare", "--net", "cat"], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL)
+        process = subprocess.Popen(
+            ["unshare", "--net", "cat"], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL
+        )
         site = cls(process=process, network=network)
         own = Path("/proc/self/ns/net").readlink()
         wait_for(lambda: site.netns.readlink() != own, "a network namespace")

@@ -192,8 +192,16 @@ def judge(
     """Exactly one launch of each ``expected`` task (on that host; None: anywhere), none of any other, and no clash since ``since_ns``."""
     alive = watch(records, seconds=seconds, patience=patience, expected=expected)
     lost = [f"{task} does not run" for task in expected if task not in alive]
-    doubled = [f"{task} runs {len(found)} times: {[life.host for life in found]}" for task, found in alive.items() if len(found) > 1]
-    doubled += [f"{task} runs on {found[0].host} and should not" for task, found in alive.items() if task not in expected]
+    doubled = [
+        f"{task} runs {len(found)} times: {[life.host for life in found]}"
+        for task, found in alive.items()
+        if len(found) > 1
+    ]
+    doubled += [
+        f"{task} runs on {found[0].host} and should not"
+        for task, found in alive.items()
+        if task not in expected
+    ]
     lost += [
         f"{task} runs on {alive[task][0].host}, not on {host}"
         for task, host in expected.items()

@@ -26,7 +26,9 @@ class Outcome:
     def must(self, *codes: int, within: float = WORST_S) -> "Outcome":
         """This outcome, if its exit code is one of these and it came in time."""
         if self.code not in codes or self.seconds > within:
-            raise ExpectationError(f"wanted exit {' or '.join(map(str, codes))} within {within:.0f} s: {self}")
+            raise ExpectationError(
+                f"wanted exit {' or '.join(map(str, codes))} within {within:.0f} s: {self}"
+            )
         return self
 
     def says(self, *words: str) -> "Outcome":

@@ -40,12 +40,19 @@ def _put(path: Path, data: bytes) -> None:
 
 def survivors(shadow: Path, root: Path) -> None:
     """Make the files below ``root`` what a power cut would leave of them."""
-    synced = {Path(path): (at, names) for at, path, names in (json.loads(note.read_text()) for note in shadow.glob("*.dir"))}
+    synced = {
+        Path(path): (at, names)
+        for at, path, names in (json.loads(note.read_text()) for note in shadow.glob("*.dir"))
+    }
     alone = [(*json.loads(note.read_text()), int(note.stem)) for note in shadow.glob("*.name")]
     for directory in [path for path in root.rglob("*") if path.is_dir()]:
         at, names = synced.get(directory, (0, {}))
         # As on ext4: a new file that was synced itself has its name on the disk, too.
-        names |= {Path(path).name: inode for when, path, inode in alone if Path(path).parent == directory and when > at}
+        names |= {
+            Path(path).name: inode
+            for when, path, inode in alone
+            if Path(path).parent == directory and when > at
+        }
         for path in directory.iterdir():
             if path.is_file():
                 path.unlink()

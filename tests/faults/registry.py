@@ -74,7 +74,9 @@ def fault(
     """Put a function on the list."""
 
     def add(inject: Inject) -> Inject:
-        FAULTS.append(Fault(name=name, inject=inject, kinds=kinds, quick=quick, full=full, hosts=hosts, missing=missing))
+        FAULTS.append(
+            Fault(name=name, inject=inject, kinds=kinds, quick=quick, full=full, hosts=hosts, missing=missing)
+        )
         return inject
 
     return add
@@ -161,7 +163,9 @@ def table(rows: Iterable[Row]) -> str:
         if row.not_run:
             lines.append(f"| {row.fault} | {row.kind} | not run: {row.not_run} | | | | |")
         else:
-            lines.append(f"| {row.fault} | {row.kind} | {row.injected} | {row.survived} | {row.lost} | {row.doubled} | {row.seconds:.0f} |")
+            lines.append(
+                f"| {row.fault} | {row.kind} | {row.injected} | {row.survived} | {row.lost} | {row.doubled} | {row.seconds:.0f} |"
+            )
     sums = [sum(getattr(row, name) for row in rows) for name in ("injected", "survived", "lost", "doubled")]
     lines.append(f"| **all** | | {' | '.join(map(str, sums))} | {sum(row.seconds for row in rows):.0f} |")
     if sums[0] == sums[1] > 0 == sums[2] + sums[3]:

@@ -40,7 +40,9 @@ class _Side:
 class Relay:
     """Listens on ``address`` (port chosen once, kept for good) and passes on to ``target``; ``netns`` is a path of a network namespace."""
 
-    def __init__(self, target: tuple[str, int], *, address: str = "127.0.0.1", netns: Path | None = None) -> None:
+    def __init__(
+        self, target: tuple[str, int], *, address: str = "127.0.0.1", netns: Path | None = None
+    ) -> None:
         self.target = target
         self.address = address
         self.port = 0
@@ -328,7 +330,9 @@ def _enter(netns: Path) -> None:
 
 
 @contextmanager
-def relaying(target: tuple[str, int], *, address: str = "127.0.0.1", netns: Path | None = None) -> Iterator[Relay]:
+def relaying(
+    target: tuple[str, int], *, address: str = "127.0.0.1", netns: Path | None = None
+) -> Iterator[Relay]:
     """A running relay."""
     relay = Relay(target, address=address, netns=netns)
     relay.start()

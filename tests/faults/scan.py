@@ -36,7 +36,9 @@ def process(pid: int) -> Process | None:
     """The process with that pid, or None."""
     try:
         fields = Path(f"/proc/{pid}/stat").read_text(errors="replace").rpartition(")")[2].split()
-        command = Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace").strip()
+        command = (
+            Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace").strip()
+        )
     except OSError:
         return None
     return Process(pid=pid, parent=int(fields[1]), state=fields[0], ticks=int(fields[19]), command=command)
@@ -44,7 +46,9 @@ def process(pid: int) -> Process | None:
 
 def processes() -> list[Process]:
     """All processes of the machine, zombies left out."""
-    found = (process(int(entry)) for entry in (each.name for each in Path("/proc").iterdir()) if entry.isdigit())
+    found = (
+        process(int(entry)) for entry in (each.name for each in Path("/proc").iterdir()) if entry.isdigit()
+    )
     return [each for each in found if each is not None and each.state not in "ZX"]
 
 
@@ -118,7 +122,9 @@ class Canary:
     def harm(self) -> list[str]:
         """One sentence for every signal, and for death or standstill."""
         signals = [
-            f"{self.name} got {event['event']} from {event['sender']}" for event in read_events(self.record) if event["event"] != "start"
+            f"{self.name} got {event['event']} from {event['sender']}"
+            for event in read_events(self.record)
+            if event["event"] != "start"
         ]
         if not self.seen.alive:
             return [*signals, f"{self.name} is dead"]
@@ -129,7 +135,9 @@ class Canary:
 def start_canary(directory: Path, name: str, *words: str) -> tuple[Canary, "subprocess.Popen[bytes]"]:
     """A canary on this machine; ``words`` go into its command line."""
     record = directory / f"{name}.canary"
-    running = subprocess.Popen([sys.executable, str(CANARY), str(record), *words], stdin=subprocess.DEVNULL, start_new_session=True)
+    running = subprocess.Popen(
+        [sys.executable, str(CANARY), str(record), *words], stdin=subprocess.DEVNULL, start_new_session=True
+    )
     return wait_for_canary(name, record, running.pid), running
 
 

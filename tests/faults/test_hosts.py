@@ -27,7 +27,9 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, Site
         yield directory, site, host
 
 
-def ssh(place: tuple[Path, Site, NamespaceHost], command: str, *, patience: int = 20) -> "subprocess.CompletedProcess[str]":
+def ssh(
+    place: tuple[Path, Site, NamespaceHost], command: str, *, patience: int = 20
+) -> "subprocess.CompletedProcess[str]":
     """Run a command on the computer, which is given ``patience`` seconds to answer: few where it cannot."""
     directory, site, host = place
     address, port, user, key = host.login
@@ -40,7 +42,17 @@ def ssh(place: tuple[Path, Site, NamespaceHost], command: str, *, patience: int 
         "IdentitiesOnly=yes",
     ]
     words = [word for option in options for word in ("-o", option)]
-    line = [*site.prefix, sshd.program("ssh"), "-F", "none", *words, "-p", str(port), f"{user}@{address}", command]
+    line = [
+        *site.prefix,
+        sshd.program("ssh"),
+        "-F",
+        "none",
+        *words,
+        "-p",
+        str(port),
+        f"{user}@{address}",
+        command,
+    ]
     return subprocess.run(line, capture_output=True, text=True, timeout=60, check=False)
 
 
@@ -62,7 +74,10 @@ def test_power(place: tuple[Path, Site, NamespaceHost]) -> None:
     assert "timed out" in said or "No route" in said
     host.boot()
     assert host.boot_id != before
-    assert ssh(place, "cat file; cat /proc/sys/kernel/random/boot_id").stdout.split() == ["kept", host.boot_id]
+    assert ssh(place, "cat file; cat /proc/sys/kernel/random/boot_id").stdout.split() == [
+        "kept",
+        host.boot_id,
+    ]
     wait_for(lambda: host.processes() == [], "the end of the login")
 
 
@@ -142,7 +157,9 @@ def test_nothing_remains(tmp_path: Path) -> None:
         spaces = [Path(f"/proc/{host.pid}/ns/{kind}").stat().st_ino for kind in ("pid", "net", "mnt")]
         groups = host.group.directories
         netns = site.netns.stat().st_ino
-    found = [scan.in_namespace(kind, inode) for kind, inode in zip(("pid", "net", "mnt"), spaces, strict=True)]
+    found = [
+        scan.in_namespace(kind, inode) for kind, inode in zip(("pid", "net", "mnt"), spaces, strict=True)
+    ]
     assert found == [[], [], []]
     assert scan.in_namespace("net", netns) == []
     assert scan.marked(str(tmp_path)) == []
@@ -159,7 +176,11 @@ def test_nothing_remains_of_a_killed_run(tmp_path: Path) -> None:
         "with namespace_hosts(pathlib.Path(sys.argv[1]), ['edge1']) as (site, hosts):\n"
         "    print('up', flush=True); time.sleep(60)\n"
     )
-    run = subprocess.Popen([sys.executable, "-c", script, str(tmp_path / "c")], stdout=subprocess.PIPE, cwd=Path(__file__).parents[2])
+    run = subprocess.Popen(
+        [sys.executable, "-c", script, str(tmp_path / "c")],
+        stdout=subprocess.PIPE,
+        cwd=Path(__file__).parents[2],
+    )
     assert run.stdout is not None
     with run.stdout:
         assert run.stdout.readline() == b"up\n"

@@ -44,7 +44,17 @@ def launch(records: dict[str, Path], mark: str) -> Iterator[Launch]:
     running: list[subprocess.Popen[bytes]] = []
 
     def start(task: str, host: str = "edge1", *options: str) -> "subprocess.Popen[bytes]":
-        command = [sys.executable, str(BEACON), "--dir", str(records[host]), "--task", task, "--mark", mark, *options]
+        command = [
+            sys.executable,
+            str(BEACON),
+            "--dir",
+            str(records[host]),
+            "--task",
+            task,
+            "--mark",
+            mark,
+            *options,
+        ]
         known = len(list(records[host].glob("*.jsonl")))
         running.append(subprocess.Popen(command, stdin=subprocess.DEVNULL, start_new_session=True))
         wait_until(lambda: len(list(records[host].glob("*.jsonl"))) > known)
@@ -129,7 +139,9 @@ def test_a_survivor_of_a_naive_stop_is_found(
     assert oracle.judge(records, {"slam": "edge2"}, seconds=0.3).doubled
 
 
-def test_an_emptied_environment_is_empty(records: dict[str, Path], launch: Launch, mark: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_emptied_environment_is_empty(
+    records: dict[str, Path], launch: Launch, mark: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("EDGECTL_INSTANCE", "cookie-1")
     launch("slam", "edge1", "--with", "daemon", "--bare")
     wait_until(lambda: len(scan.marked(mark)) == 2)
@@ -142,7 +154,13 @@ def test_an_emptied_environment_is_empty(records: dict[str, Path], launch: Launc
 
 def test_a_deaf_task_notes_the_signal_and_lives(records: dict[str, Path], launch: Launch) -> None:
     process = launch("slam", "edge1", "--deaf")
-    wait_until(lambda: any(event["event"] == "tick" for path in records["edge1"].iterdir() for event in oracle.read_events(path)))
+    wait_until(
+        lambda: any(
+            event["event"] == "tick"
+            for path in records["edge1"].iterdir()
+            for event in oracle.read_events(path)
+        )
+    )
     process.terminate()
     wait_until(lambda: oracle.lives(records)[0].signals == ("SIGTERM",))
     assert oracle.judge(records, {"slam": None}, seconds=0.2).clean
@@ -155,7 +173,8 @@ def test_a_torn_last_line_is_left_out(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("number", "harm"), [(signal.SIGTERM, "got SIGTERM from"), (signal.SIGKILL, "is dead"), (signal.SIGSTOP, "is stopped")]
+    ("number", "harm"),
+    [(signal.SIGTERM, "got SIGTERM from"), (signal.SIGKILL, "is dead"), (signal.SIGSTOP, "is stopped")],
 )
 def test_harm_to_a_foreign_process_is_found(tmp_path: Path, number: signal.Signals, harm: str) -> None:
     canary, running = scan.start_canary(tmp_path, "canary", "looks-like-slam")

@@ -52,7 +52,9 @@ PLANTS = [
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "kind", "file", "old", "new", "also_old", "also_new"), PLANTS)
-def test_a_planted_bug_is_caught(tmp_path: Path, name: str, kind: str, file: str, old: str, new: str, also_old: str, also_new: str) -> None:
+def test_a_planted_bug_is_caught(
+    tmp_path: Path, name: str, kind: str, file: str, old: str, new: str, also_old: str, also_new: str
+) -> None:
     if kind == "namespace" and (why := missing_for_namespaces()):
         pytest.skip(f"{name}: not run: {why}")
     copy = tmp_path / "code" / "edgectl"

@@ -16,9 +16,15 @@ CASES = {each.name: (each, kind) for each, kind in quick_cases() if matrix.MODUL
 @pytest.fixture(scope="module")
 def rows(request: pytest.FixtureRequest) -> Iterator[dict[str, "Future[Row]"]]:
     """What comes of each fault that was chosen."""
-    chosen = {item.callspec.params["name"] for item in request.session.items if getattr(item, "originalname", "") == test_survived.__name__}
+    chosen = {
+        item.callspec.params["name"]
+        for item in request.session.items
+        if getattr(item, "originalname", "") == test_survived.__name__
+    }
     with ThreadPoolExecutor(3) as pool:
-        yield {name: pool.submit(run, *CASES[name], 1, 1, How(sample=True)) for name in CASES if name in chosen}
+        yield {
+            name: pool.submit(run, *CASES[name], 1, 1, How(sample=True)) for name in CASES if name in chosen
+        }
         pool.shutdown(cancel_futures=True)
 
 

@@ -7,31 +7,31 @@ from hypothesis import strategies as st
 from edgectl.model.assignment import (
     Decision,
     DemandSource,
+    DemandSpread,
     ExpectedLoad,
     MoveCost,
     RankedHost,
     Reason,
     Rejection,
+    RejectionRule,
     Resource,
-    Rho,
-    Rule,
+    ResourceDemand,
     Terms,
-    Uneven,
     Verdict,
 )
 from edgectl.model.inventory import Role
-from edgectl.model.memory import MeasuredDemand, Memory, Placement
+from edgectl.model.manager_state import ManagerState, MeasuredDemand, Placement
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.policy import Policy, PolicyName, SequenceRule, Weights
 from edgectl.model.snapshot import (
     CapacitySource,
-    Cpu,
-    Device,
+    CpuUsage,
+    DeviceSample,
     HostSample,
     HostStatus,
     InterfaceSample,
     LinkSample,
-    MemoryUse,
+    MemoryUsage,
     Snapshot,
     TaskSample,
     TaskState,
@@ -87,9 +87,11 @@ task_samples = st.builds(
     ended_at=maybe(instants),
     metrics=st.dictionaries(names, st.floats(allow_nan=False, allow_infinity=False), max_size=3),
 )
-interfaces = st.builds(InterfaceSample, rx_bytes_per_s=amounts, tx_bytes_per_s=amounts, speed_bytes_per_s=maybe(amounts))
+interfaces = st.builds(
+    InterfaceSample, rx_bytes_per_s=amounts, tx_bytes_per_s=amounts, speed_bytes_per_s=maybe(amounts)
+)
 devices = st.builds(
-    Device,
+    DeviceSample,
     load_1m=maybe(amounts),
     temperature_c=maybe(signed),
     gpu_share=maybe(amounts),
@@ -103,15 +105,22 @@ hosts = st.builds(
     status=st.just(HostStatus.OK),
     sample_age_s=amounts,
     resident=st.booleans(),
-    cpu=st.builds(Cpu, cores=positive, used_cores=amounts),
-    memory=st.builds(MemoryUse, total_bytes=positive, used_bytes=amounts),
+    cpu=st.builds(CpuUsage, cores=positive, used_cores=amounts),
+    memory=st.builds(MemoryUsage, total_bytes=positive, used_bytes=amounts),
     links=by_name(links),
     tasks=by_name(task_samples),
     device=devices,
     generations=by_name(counts),
-) | st.builds(HostSample, role=st.sampled_from(Role), status=st.just(HostStatus.UNREACHABLE), error=texts, error_kind=texts, hint=texts)
+) | st.builds(
+    HostSample,
+    role=st.sampled_from(Role),
+    status=st.just(HostStatus.UNREACHABLE),
+    error=texts,
+    error_kind=texts,
+    hint=texts,
+)
 memories = st.builds(
-    Memory,
+    ManagerState,
     managed=st.booleans(),
     placements=by_name(st.builds(Placement, host=names, since=instants, spec_hash=texts, generation=counts)),
     first=by_name(names),
@@ -125,15 +134,23 @@ memories = st.builds(
     deferred=by_name(texts),
     measured=st.dictionaries(
         st.tuples(names, names),
-        st.builds(MeasuredDemand, samples=counts, span_s=amounts, cpu=amounts, memory=amounts, throughput=maybe(amounts), spec_hash=texts),
+        st.builds(
+            MeasuredDemand,
+            samples=counts,
+            span_s=amounts,
+            cpu=amounts,
+            memory=amounts,
+            throughput=maybe(amounts),
+            spec_hash=texts,
+        ),
         max_size=2,
     ),
 )
-snapshots = st.builds(Snapshot, taken_at=instants, hosts=by_name(hosts), memory=maybe(memories))
+snapshots = st.builds(Snapshot, taken_at=instants, hosts=by_name(hosts), manager=maybe(memories))
 
 rejections = st.builds(
     Rejection,
-    rule=st.sampled_from(Rule),
+    rule=st.sampled_from(RejectionRule),
     resource=maybe(st.sampled_from(Resource)),
     robot=maybe(names),
     demand=maybe(amounts),
@@ -141,7 +158,13 @@ rejections = st.builds(
     capacity=maybe(amounts),
 )
 demands = st.lists(
-    st.builds(Rho, resource=st.sampled_from(Resource), value=amounts, source=st.sampled_from(DemandSource), samples=maybe(counts)),
+    st.builds(
+        ResourceDemand,
+        resource=st.sampled_from(Resource),
+        value=amounts,
+        source=st.sampled_from(DemandSource),
+        samples=maybe(counts),
+    ),
     unique_by=lambda rho: rho.resource,
     max_size=3,
 ).map(lambda found: tuple(sorted(found, key=lambda rho: list(Resource).index(rho.resource))))
@@ -150,7 +173,9 @@ ranked = st.builds(
     host=names,
     rank=st.integers(0, 99),
     total=maybe(signed),
-    terms=st.builds(Terms, cpu=maybe(signed), memory=maybe(signed), network=maybe(signed), task=maybe(signed)),
+    terms=st.builds(
+        Terms, cpu=maybe(signed), memory=maybe(signed), network=maybe(signed), task=maybe(signed)
+    ),
     feasible=st.booleans(),
     affinity=st.integers(-9, 9),
     rejections=st.lists(rejections, max_size=2).map(tuple),
@@ -208,9 +233,9 @@ plans = st.builds(
     expected=by_name(st.builds(ExpectedLoad, used_cores=signed, used_bytes=signed, links=by_name(signed))),
     frozen=st.booleans(),
     unseen=st.lists(names, max_size=2).map(tuple),
-    uneven=st.lists(
+    demand_spreads=st.lists(
         st.builds(
-            Uneven,
+            DemandSpread,
             task=names,
             resource=st.sampled_from(Resource),
             share=amounts,

@@ -7,49 +7,58 @@ from typing import Any
 
 import pytest
 
-from edgectl.formats import memory, plan, snapshot
+from edgectl.formats import manager_state, plan, snapshot
 from edgectl.model.assignment import (
     Decision,
     DemandSource,
+    DemandSpread,
     ExpectedLoad,
     MoveCost,
     RankedHost,
     Reason,
     Rejection,
+    RejectionRule,
     Resource,
-    Rho,
-    Rule,
+    ResourceDemand,
     Terms,
-    Uneven,
     Verdict,
 )
 from edgectl.model.inventory import Role
-from edgectl.model.memory import MeasuredDemand, Memory, Placement
+from edgectl.model.manager_state import ManagerState, MeasuredDemand, Placement
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.policy import Policy, PolicyName, SequenceRule, Weights
 from edgectl.model.snapshot import (
     CapacitySource,
-    Cpu,
-    Device,
+    CpuUsage,
+    DeviceSample,
     HostSample,
     HostStatus,
     InterfaceSample,
     LinkSample,
-    MemoryUse,
+    MemoryUsage,
     Snapshot,
     TaskSample,
     TaskState,
 )
 
-LINK = LinkSample(capacity_bytes_per_s=1.0, used_bytes_per_s=2.0, rtt_ms=3.0, capacity_source=CapacitySource.NIC)
+LINK = LinkSample(
+    capacity_bytes_per_s=1.0, used_bytes_per_s=2.0, rtt_ms=3.0, capacity_source=CapacitySource.NIC
+)
 TASK = TaskSample(
     state=TaskState.FAILED, pid=1, started_at=2.0, used_cores=3.0, used_bytes=4.0, used_bytes_per_s=5.0, links={"r": 6.0}, instance="i",
     spec_hash="s", generation=7, managed=False, restarts=8, exit_code=-9, detail="d",
     fields={"command": "c"}, last_exit=3, log_tail=("l",), limits="enforced", given_up=True, metrics={"fps": 29.5}, ended_at=2.5,
 )  # fmt: skip
 INTERFACE = InterfaceSample(rx_bytes_per_s=1.0, tx_bytes_per_s=2.0, speed_bytes_per_s=3.0)
-DEVICE = Device(load_1m=1.0, temperature_c=-2.0, gpu_share=0.5, boot_id="b", clock_skew_s=-1.5, interfaces={"eth0": INTERFACE})
-CPU, MEMORY_USE = Cpu(cores=4.0, used_cores=1.5), MemoryUse(total_bytes=5.0, used_bytes=2.0)
+DEVICE = DeviceSample(
+    load_1m=1.0,
+    temperature_c=-2.0,
+    gpu_share=0.5,
+    boot_id="b",
+    clock_skew_s=-1.5,
+    interfaces={"eth0": INTERFACE},
+)
+CPU, MEMORY_USE = CpuUsage(cores=4.0, used_cores=1.5), MemoryUsage(total_bytes=5.0, used_bytes=2.0)
 HOST = HostSample(
     role=Role.ROBOT, status=HostStatus.UNREACHABLE, error="e", error_kind="k", hint="h", sample_age_s=1.5, resident=True, cpu=CPU,
     memory=MEMORY_USE,
@@ -57,22 +66,33 @@ HOST = HostSample(
 )  # fmt: skip
 PLACEMENT = Placement(host="h", since=1.0, spec_hash="s", generation=2)
 MEASURED = MeasuredDemand(samples=60, span_s=300.5, cpu=0.25, memory=7.0, throughput=1.5, spec_hash="s")
-MEMORY = Memory(
+MEMORY = ManagerState(
     managed=True, placements={"t": PLACEMENT}, first={"t": "h"}, cordons=frozenset({"a"}), draining=frozenset({"b"}), done={"t": "s"},
     downtimes={("t", "h"): (1.5, 2.0)}, stays={"t": (60.0, 90.5)}, contact={"h": 1.5}, fenced=frozenset({"c"}),
     deferred={"t": "d"}, measured={("t", "4c-8Gi"): MEASURED},
 )  # fmt: skip
-SNAPSHOT = Snapshot(taken_at=1.5, hosts={"h": HOST}, memory=MEMORY)
+SNAPSHOT = Snapshot(taken_at=1.5, hosts={"h": HOST}, manager=MEMORY)
 WEIGHTS = Weights(cpu=0.1, memory=0.2, network=0.3, task=0.4)
 POLICY = Policy(
     name=PolicyName.PAPER, weights=WEIGHTS, sequence=SequenceRule.SENSITIVITY, move_margin=0.2, min_dwell=3.0, max_moves=None, attended=False,
     best_effort=True, full=True, without=frozenset({"h"}),
 )  # fmt: skip
-REJECTION = Rejection(rule=Rule.INSUFFICIENT, resource=Resource.NETWORK, robot="r", demand=1.0, used=2.0, capacity=3.0)
+REJECTION = Rejection(
+    rule=RejectionRule.INSUFFICIENT, resource=Resource.NETWORK, robot="r", demand=1.0, used=2.0, capacity=3.0
+)
 TERMS = Terms(cpu=0.1, memory=-0.2, network=0.3, task=0.4)
-RHO = Rho(resource=Resource.NETWORK, value=1.5, source=DemandSource.MEASURED, samples=412)
-UNEVEN = Uneven(task="t", resource=Resource.MEMORY, share=0.25, least=1.5, most=3.0, hosts=("a", "b"))
-RANKED = RankedHost(host="h", rank=1, total=0.5, terms=TERMS, feasible=True, affinity=-1, rejections=(REJECTION,), demand=(RHO,))
+RHO = ResourceDemand(resource=Resource.NETWORK, value=1.5, source=DemandSource.MEASURED, samples=412)
+UNEVEN = DemandSpread(task="t", resource=Resource.MEMORY, share=0.25, least=1.5, most=3.0, hosts=("a", "b"))
+RANKED = RankedHost(
+    host="h",
+    rank=1,
+    total=0.5,
+    terms=TERMS,
+    feasible=True,
+    affinity=-1,
+    rejections=(REJECTION,),
+    demand=(RHO,),
+)
 COST = MoveCost(stay_s=600.0, downtime_s=4.5, per_s=0.25)
 DECISION = Decision(
     task="t", verdict=Verdict.KEPT, reason=Reason.DWELL, host="h", previous_host="g", total=0.1, lead=0.2, challenger="c", subject="s",
@@ -82,7 +102,7 @@ STEP = Step(decision=DECISION, action=Action.MOVE, instances={"h": "i"}, stop=("
 EXPECTED = ExpectedLoad(used_cores=1.0, used_bytes=2.0, links={"r": 3.0})
 PLAN = Plan(
     created_at=1.5, policy=POLICY, inventory_digest="a", tasks_digest="b", snapshot=SNAPSHOT, settled=False, steps=(STEP,),
-    expected={"h": EXPECTED}, frozen=True, unseen=("u",), uneven=(UNEVEN,),
+    expected={"h": EXPECTED}, frozen=True, unseen=("u",), demand_spreads=(UNEVEN,),
 )  # fmt: skip
 VALUES = [
     LINK, TASK, INTERFACE, DEVICE, CPU, MEMORY_USE, HOST, PLACEMENT, MEMORY, SNAPSHOT, WEIGHTS, POLICY, REJECTION, TERMS, RANKED, COST, DECISION,
@@ -101,7 +121,7 @@ def test_every_field_of_the_samples_is_set(value: Any) -> None:
 
 def test_every_field_survives() -> None:
     assert snapshot.decode(snapshot.encode(SNAPSHOT)) == SNAPSHOT
-    assert memory.decode(memory.encode(MEMORY)) == MEMORY
+    assert manager_state.decode(manager_state.encode(MEMORY)) == MEMORY
     assert plan.decode(plan.encode(PLAN)) == PLAN
 
 
@@ -112,5 +132,5 @@ def test_documents_hold_nothing_but_json() -> None:
         for inner in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
             walk(inner)
 
-    for document in (snapshot.encode(SNAPSHOT), memory.encode(MEMORY), plan.encode(PLAN)):
+    for document in (snapshot.encode(SNAPSHOT), manager_state.encode(MEMORY), plan.encode(PLAN)):
         walk(document)

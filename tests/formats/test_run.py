@@ -8,10 +8,21 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edgectl.formats import run as form
-from edgectl.formats.base import FormatErrors, dumps
-from edgectl.model.evidence import Variant
-from edgectl.model.experiment import Experiment, Handoff, Load, Machine, MapPair, Reading, Run, Span, Summary, Trial
+from edgectl.experiments.files import run_codec as form
+from edgectl.experiments.model.comparison import Scheme
+from edgectl.experiments.model.experiment import (
+    Experiment,
+    ExperimentRun,
+    HandoffRecord,
+    HostCapacity,
+    LoadSample,
+    MapPair,
+    MetricAggregation,
+    MetricReading,
+    PlacementInterval,
+    Trial,
+)
+from edgectl.formats.document import FormatErrors, dump_document
 from edgectl.model.inventory import Role
 from tests.formats.strategies import names, policies
 from tests.formats.test_complete import POLICY
@@ -19,22 +30,27 @@ from tests.formats.test_round_trip import bounded, json_values
 
 TRIAL = Trial(
     scheme="utility all", repetition=2, began_at=1.5, latency=62.125, finished=True, unplaced=3, completed={"merge": 62.125},
-    spans=(Span(task="slam", host="edge1", start=0.25, end=62.5),),
-    handoffs=(Handoff(task="slam", source="edge1", target="edge2", at=30.5, downtime=0.75),),
-    loads={"edge1": (Load(at=0.0, cores=0.5, memory=1e8, bytes_per_s=2000.0), Load(at=5.0, cores=1.25, memory=2e8, bytes_per_s=0.0))},
-    readings={"fps": {"slam": (Reading(at=5.0, value=-12.5),)}},
+    spans=(PlacementInterval(task="slam", host="edge1", start=0.25, end=62.5),),
+    handoffs=(HandoffRecord(task="slam", source="edge1", target="edge2", at=30.5, downtime=0.75),),
+    loads={"edge1": (LoadSample(at=0.0, cores=0.5, memory=1e8, bytes_per_s=2000.0), LoadSample(at=5.0, cores=1.25, memory=2e8, bytes_per_s=0.0))},
+    readings={"fps": {"slam": (MetricReading(at=5.0, value=-12.5),)}},
     ssim={"ssim": -0.25},
 )  # fmt: skip
 EXPERIMENT = Experiment(
-    name="mission", variants=(Variant(name="utility all", policy=POLICY),), until=("merge",), repetitions=2, every=2.5, limit=60.0, idle=0.5,
-    metrics={"fps": Summary.LAST}, maps={"ssim": MapPair(task="merge", file="out/map.yaml", truth="world.yaml")},
+    name="mission", schemes=(Scheme(name="utility all", policy=POLICY),), until=("merge",), repetitions=2, every=2.5, limit=60.0, idle=0.5,
+    metrics={"fps": MetricAggregation.LAST}, maps={"ssim": MapPair(task="merge", file="out/map.yaml", truth="world.yaml")},
 )  # fmt: skip
-RUN = Run(experiment=EXPERIMENT, digest="sha256:0", machines={"edge1": Machine(role=Role.ROBOT, cores=4.0, memory=8e9)}, trials=(TRIAL,))
+RUN = ExperimentRun(
+    experiment=EXPERIMENT,
+    digest="sha256:0",
+    machines={"edge1": HostCapacity(role=Role.ROBOT, cores=4.0, memory=8e9)},
+    trials=(TRIAL,),
+)
 
 amounts = st.floats(min_value=0.0, max_value=1e12)
 values = st.floats(allow_nan=False, allow_infinity=False)
-loads = st.builds(Load, at=amounts, cores=amounts, memory=amounts, bytes_per_s=amounts)
-readings = st.lists(st.builds(Reading, at=amounts, value=values), max_size=3).map(tuple)
+loads = st.builds(LoadSample, at=amounts, cores=amounts, memory=amounts, bytes_per_s=amounts)
+readings = st.lists(st.builds(MetricReading, at=amounts, value=values), max_size=3).map(tuple)
 trials = st.builds(
     Trial,
     scheme=names,
@@ -44,10 +60,15 @@ trials = st.builds(
     finished=st.booleans(),
     unplaced=st.integers(0, 1000),
     completed=st.dictionaries(names, amounts, max_size=3),
-    spans=st.lists(st.builds(Span, task=names, host=names, start=amounts, end=amounts), max_size=3).map(tuple),
-    handoffs=st.lists(st.builds(Handoff, task=names, source=names, target=names, at=amounts, downtime=st.none() | amounts), max_size=2).map(
-        tuple
-    ),
+    spans=st.lists(
+        st.builds(PlacementInterval, task=names, host=names, start=amounts, end=amounts), max_size=3
+    ).map(tuple),
+    handoffs=st.lists(
+        st.builds(
+            HandoffRecord, task=names, source=names, target=names, at=amounts, downtime=st.none() | amounts
+        ),
+        max_size=2,
+    ).map(tuple),
     loads=st.dictionaries(names, st.lists(loads, max_size=3).map(tuple), max_size=2),
     readings=st.dictionaries(names, st.dictionaries(names, readings, max_size=2), max_size=2),
     ssim=st.dictionaries(names, st.floats(-1.0, 1.0), max_size=2),
@@ -55,18 +76,20 @@ trials = st.builds(
 experiments = st.builds(
     Experiment,
     name=names,
-    variants=st.lists(st.builds(Variant, name=names, policy=policies), max_size=2).map(tuple),
+    schemes=st.lists(st.builds(Scheme, name=names, policy=policies), max_size=2).map(tuple),
     until=st.lists(names, max_size=2).map(tuple),
     repetitions=st.integers(1, 1000),
     every=st.floats(0.5, 1e6),
     limit=st.floats(0.5, 1e6),
     idle=st.floats(0.0, 1.0),
-    metrics=st.dictionaries(names, st.sampled_from(Summary), max_size=2),
+    metrics=st.dictionaries(names, st.sampled_from(MetricAggregation), max_size=2),
     maps=st.dictionaries(names, st.builds(MapPair, task=names, file=names, truth=names), max_size=2),
 )
-machines = st.builds(Machine, role=st.sampled_from(Role), cores=st.floats(0.1, 1e6), memory=st.floats(1.0, 1e15))
+machines = st.builds(
+    HostCapacity, role=st.sampled_from(Role), cores=st.floats(0.1, 1e6), memory=st.floats(1.0, 1e15)
+)
 runs = st.builds(
-    Run,
+    ExperimentRun,
     experiment=experiments,
     digest=names,
     machines=st.dictionaries(names, machines, max_size=2),
@@ -75,27 +98,31 @@ runs = st.builds(
 
 
 def test_every_field_survives() -> None:
-    assert form.decode(json.loads(dumps(form.encode(RUN)))) == RUN
-    assert form.decode_trial(json.loads(dumps(form.encode_trial(TRIAL)))) == TRIAL
+    assert form.decode_run(json.loads(dump_document(form.encode_run(RUN)))) == RUN
+    assert form.decode_trial(json.loads(dump_document(form.encode_trial(TRIAL)))) == TRIAL
 
 
 @bounded
 @given(runs)
-def test_what_was_written_once_is_written_again_as_it_is(value: Run) -> None:
-    text = dumps(form.encode(value))
-    back = form.decode(json.loads(text))
-    assert dumps(form.encode(back)) == text
+def test_what_was_written_once_is_written_again_as_it_is(value: ExperimentRun) -> None:
+    text = dump_document(form.encode_run(value))
+    back = form.decode_run(json.loads(text))
+    assert dump_document(form.encode_run(back)) == text
     assert replace(back, trials=()) == replace(value, trials=())
     for before, after in zip(value.trials, back.trials, strict=True):
         assert after.latency == pytest.approx(before.latency, abs=6e-4)
         assert after.readings.keys() == before.readings.keys()
-        assert (after.finished, after.unplaced, after.scheme) == (before.finished, before.unplaced, before.scheme)
+        assert (after.finished, after.unplaced, after.scheme) == (
+            before.finished,
+            before.unplaced,
+            before.scheme,
+        )
 
 
 @bounded
 @given(json_values)
 def test_any_json_value_is_read_or_refused(value: object) -> None:
-    for decode in (form.decode, form.decode_trial):
+    for decode in (form.decode_run, form.decode_trial):
         with suppress(FormatErrors):
             decode(value)
 

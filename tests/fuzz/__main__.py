@@ -26,7 +26,10 @@ def main() -> int:
             bad += tally.bad
             total += tally.cases
             short = short or tally.cases < cases_of(target, chosen.cases)
-    print(f"{total:,} cases, seed {chosen.seed}: {len(bad)} wrong" + ("; the time was too short for all" if short else ""))
+    print(
+        f"{total:,} cases, seed {chosen.seed}: {len(bad)} wrong"
+        + ("; the time was too short for all" if short else "")
+    )
     print("\n".join(bad[:20]))
     return 1 if bad or short else 0
 

@@ -11,27 +11,27 @@ from pathlib import Path
 
 from edgectl.agent import light, metrics
 from edgectl.config.documents import load_plan, load_snapshot
-from edgectl.config.experiment import load_experiment
-from edgectl.config.load import load
-from edgectl.config.maps import read_map
+from edgectl.config.load import load_inventory_and_tasks
 from edgectl.errors import StateError
-from edgectl.evidence.ssim import Picture, similarity
-from edgectl.formats import memory as memory_form
-from edgectl.formats.run import encode_trial
-from edgectl.gateway.decode import Context, decode
-from edgectl.gateway.facts import Asked, facts
-from edgectl.gateway.fetch import fetch
+from edgectl.experiments.files.experiment_file import load_experiment
+from edgectl.experiments.files.map_file import parse_map_metadata
+from edgectl.experiments.files.run_codec import encode_trial
+from edgectl.experiments.files.run_directory import load_run, save_run, save_trial
+from edgectl.experiments.ssim import MapImage, compute_ssim
+from edgectl.formats import manager_state as memory_form
+from edgectl.gateway.fetch import fetch_file
+from edgectl.gateway.host_facts import SentRequest, decode_host_facts
+from edgectl.gateway.probe_reply import ReplyContext, decode_host_sample
 from edgectl.model.inventory import Host
 from edgectl.model.plan import Action
 from edgectl.model.result import ActionResult, Outcome, Results
 from edgectl.model.snapshot import LinkSample, TaskSample, TaskState
 from edgectl.state import journal, store_rows
-from edgectl.state.memory import load_memory
-from edgectl.state.runs import read_run, save_run, save_trial
+from edgectl.state.manager_state import load_manager_state
 from edgectl.state.store import Store
-from edgectl.state.store_file import NAME as HISTORY
+from edgectl.state.store_file import HISTORY_FILE_NAME as HISTORY
+from edgectl.transport.agent_client import call_agent
 from edgectl.transport.base import Reply
-from edgectl.transport.call import call
 from tests import builders
 from tests.builders import NOW, a_sample, a_snapshot, an_edge, silent
 from tests.config.bad import INVENTORY, TASKS
@@ -47,7 +47,9 @@ from tests.gateway.test_decode import a_document, a_task
 from tests.gateway.test_facts import DOCUMENT as FACTS
 
 Read = Callable[[bytes], object]
-SECRETS = INVENTORY.replace('env: {ROS_DOMAIN_ID: "7"}', "env: {KEY: {value: x, secret: true}}, env_command: [vault, read]")
+SECRETS = INVENTORY.replace(
+    'env: {ROS_DOMAIN_ID: "7"}', "env: {KEY: {value: x, secret: true}}, env_command: [vault, read]"
+)
 
 
 @dataclass(frozen=True)
@@ -81,27 +83,57 @@ def targets(directory: Path) -> Iterator[list[Target]]:
         Target("doctor's answer", [json.dumps(FACTS).encode()], _as_facts),
         Target("snapshot", [TEXTS["snapshot"].encode()], _from_file(path, load_snapshot)),
         Target("plan", [TEXTS["plan"].encode()], _from_file(path, load_plan)),
-        Target("journal", _journals(directory / "journal"), _from_file(directory / "journal.jsonl", _read_journal)),
         Target(
-            "history", [_history(directory / "history")], _from_file(directory / "history" / HISTORY, _read_history), cost=20, damage=worn
+            "journal",
+            _journals(directory / "journal"),
+            _from_file(directory / "journal.jsonl", _read_journal),
         ),
-        Target("memory", [json.dumps(memory_form.encode(MEMORY)).encode()], _from_file(directory / "memory.json", _read_memory)),
-        Target("run", [_run(directory / "run")], _from_file(directory / "run" / "run.json", lambda file: read_run(file.parent))),
+        Target(
+            "history",
+            [_history(directory / "history")],
+            _from_file(directory / "history" / HISTORY, _read_history),
+            cost=20,
+            damage=worn,
+        ),
+        Target(
+            "memory",
+            [json.dumps(memory_form.encode(MEMORY)).encode()],
+            _from_file(directory / "memory.json", _read_memory),
+        ),
+        Target(
+            "run",
+            [_run(directory / "run")],
+            _from_file(directory / "run" / "run.json", lambda file: load_run(file.parent)),
+        ),
         Target(
             "trial",
             [json.dumps(encode_trial(TRIAL)).encode()],
-            _from_file(_trial(directory / "trial"), lambda file: read_run(file.parents[1])),
+            _from_file(_trial(directory / "trial"), lambda file: load_run(file.parents[1])),
         ),
-        Target("experiment", [SPEC.encode()], _from_file(path, lambda file: load_experiment(file, SPEC_TASKS))),
-        Target("inventory", [INVENTORY.encode(), SECRETS.encode()], _from_file(path, lambda file: load(file, good_tasks))),
-        Target("sheet of a map", [ROS1.encode(), ROS2.encode()], lambda data: read_map("map.yaml", data)),
+        Target(
+            "experiment", [SPEC.encode()], _from_file(path, lambda file: load_experiment(file, SPEC_TASKS))
+        ),
+        Target(
+            "inventory",
+            [INVENTORY.encode(), SECRETS.encode()],
+            _from_file(path, lambda file: load_inventory_and_tasks(file, good_tasks)),
+        ),
+        Target(
+            "sheet of a map",
+            [ROS1.encode(), ROS2.encode()],
+            lambda data: parse_map_metadata("map.yaml", data),
+        ),
         Target("image of a map", [pgm(room()), png(grey(room()))], _as_map),
-        Target("tasks", [TASKS.encode()], _from_file(path, lambda file: load(good_inventory, file))),
+        Target(
+            "tasks",
+            [TASKS.encode()],
+            _from_file(path, lambda file: load_inventory_and_tasks(good_inventory, file)),
+        ),
     ]
 
 
 def _as_map(data: bytes) -> object:
-    return similarity(Picture(name="map", data=data, sheet=sheet()), picture(room(), sheet()))
+    return compute_ssim(MapImage(name="map", data=data, metadata=sheet()), picture(room(), sheet()))
 
 
 def _from_file(path: Path, read: Callable[[Path], object]) -> Read:
@@ -130,13 +162,24 @@ def _documents() -> list[bytes]:
     whole = a_document(tasks=tasks, checks={"slam": {"exit": 0, "timed_out": False, "output": "x"}})
     return [
         json.dumps(document).encode()
-        for document in (whole, whole, whole, {"error": {"kind": "k", "message": "m", "hint": "h"}}, {"missing": True})
+        for document in (
+            whole,
+            whole,
+            whole,
+            {"error": {"kind": "k", "message": "m", "hint": "h"}},
+            {"missing": True},
+        )
     ]
 
 
 def _frame(payload: bytes) -> bytes:
     """A reply as a host sends it, with noise around; the marker is put in when it is asked."""
-    return b"Last login: today\r%s %d %s\n%s\r\nbye" % (MARK, len(payload), hashlib.sha256(payload).hexdigest().encode(), payload)
+    return b"Last login: today\r%s %d %s\n%s\r\nbye" % (
+        MARK,
+        len(payload),
+        hashlib.sha256(payload).hexdigest().encode(),
+        payload,
+    )
 
 
 class _Host:
@@ -170,8 +213,10 @@ def _as_payload(data: bytes) -> object:
 
 
 def _as_frame(data: bytes) -> object:
-    document = call(_Host(data), {"op": "probe", "host": "edge1"}, timeout=1.0)
-    return decode(document, Context(host=an_edge("edge1"), answered_at=NOW, robots=("robot1",)))
+    document = call_agent(_Host(data), {"op": "probe", "host": "edge1"}, timeout=1.0)
+    return decode_host_sample(
+        document, ReplyContext(host=an_edge("edge1"), answered_at=NOW, robots=("robot1",))
+    )
 
 
 METRICS = b"fps 29.97\nloss 0.03125\nmap/ssim 0.93\n" * 3
@@ -181,7 +226,10 @@ PIECE = {"op": "fetch", "size": 3, "mark": "1-2-3", "data": "YWJj"}
 def _as_metrics(data: bytes) -> object:
     """What a task wrote, from the agent's eyes to the manager's."""
     said = light.loads(light.dumps(metrics.parsed(data)))
-    return decode(json.loads(json.dumps(a_document(tasks={"slam": a_task(metrics=said)}))), Context(host=an_edge("edge1"), answered_at=NOW))
+    return decode_host_sample(
+        json.loads(json.dumps(a_document(tasks={"slam": a_task(metrics=said)}))),
+        ReplyContext(host=an_edge("edge1"), answered_at=NOW),
+    )
 
 
 class _Line:
@@ -198,12 +246,16 @@ class _Line:
 
 
 def _as_piece(data: bytes) -> object:
-    return fetch(_Line(_frame(data)), an_edge("edge1"), builders.a_task(), "map.pgm", timeout=0.2)
+    return fetch_file(_Line(_frame(data)), an_edge("edge1"), builders.a_task(), "map.pgm", timeout=0.2)
 
 
 def _as_facts(data: bytes) -> object:
-    document = call(_Host(_frame(data)), {"op": "doctor", "host": "edge1"}, timeout=1.0)
-    return facts(document, Context(host=an_edge("edge1"), answered_at=NOW), Asked(began=NOW, addresses={"robot1": "10.0.0.21"}))
+    document = call_agent(_Host(_frame(data)), {"op": "doctor", "host": "edge1"}, timeout=1.0)
+    return decode_host_facts(
+        document,
+        ReplyContext(host=an_edge("edge1"), answered_at=NOW),
+        SentRequest(began=NOW, addresses={"robot1": "10.0.0.21"}),
+    )
 
 
 # -- what stands on our own disk ---------------------------------------------------------------------------------------------------------
@@ -214,9 +266,13 @@ def _journals(directory: Path) -> list[bytes]:
     with journal.Journal.open(directory, clock=lambda: NOW) as written:
         for revision in (1, 2):
             written.append("begin", revision=revision, plan=f"p{revision}", actions=1)
-            written.append("intent", task="slam", action="move", host="edge1", previous_host="edge2", generation=revision)
+            written.append(
+                "intent", task="slam", action="move", host="edge1", previous_host="edge2", generation=revision
+            )
             written.append("phase", task="slam", phase="hold", host="robot1")
-            written.append("commit", task="slam", outcome="done", located="edge1", error="", downtime_s=1.5, phases=[])
+            written.append(
+                "commit", task="slam", outcome="done", located="edge1", error="", downtime_s=1.5, phases=[]
+            )
             written.append("end", revision=revision, interrupted=False)
     return [written.path.read_bytes()]
 
@@ -239,12 +295,25 @@ def _history(directory: Path) -> bytes:
         for second in range(4):
             tasks = {
                 "slam": TaskSample(
-                    state=TaskState.READY, started_at=NOW, instance=f"i{second // 2}", spec_hash="s", metrics={"fps": second}
+                    state=TaskState.READY,
+                    started_at=NOW,
+                    instance=f"i{second // 2}",
+                    spec_hash="s",
+                    metrics={"fps": second},
                 )
             }
             link = {"robot1": LinkSample(capacity_bytes_per_s=1e7, used_bytes_per_s=1e6, rtt_ms=1.5)}
-            store.record_snapshot(a_snapshot(taken_at=NOW + second, edge1=a_sample(tasks=tasks, links=link), edge2=silent()))
-        moved = ActionResult(task="slam", action=Action.MOVE, outcome=Outcome.DONE, host="edge1", previous_host="edge2", downtime_s=1.0)
+            store.record_snapshot(
+                a_snapshot(taken_at=NOW + second, edge1=a_sample(tasks=tasks, links=link), edge2=silent())
+            )
+        moved = ActionResult(
+            task="slam",
+            action=Action.MOVE,
+            outcome=Outcome.DONE,
+            host="edge1",
+            previous_host="edge2",
+            downtime_s=1.0,
+        )
         store.record_results(PLAN, Results(revision=1, actions=(moved,), seconds=1.0), NOW)
         store.record_plan(PLAN)
     return (directory / HISTORY).read_bytes()
@@ -261,7 +330,7 @@ def _read_history(path: Path) -> object:
                 store.task_points(limit=2),
                 store.handoffs(),
                 store.events(),
-                store.steady_uses("slam", {"edge1"}, "s", min_age_s=0.0, limit=9),
+                store.steady_usages("slam", {"edge1"}, "s", min_age_s=0.0, limit=9),
             )
             store.record_snapshot(a_snapshot(taken_at=NOW + 60, edge9=a_sample()))
             store.prune(NOW + 60)
@@ -290,7 +359,7 @@ def _trial(directory: Path) -> Path:
 
 def _read_memory(path: Path) -> object:
     try:
-        return load_memory(path.parent)
+        return load_manager_state(path.parent)
     finally:
         for left in path.parent.glob("memory.json.*"):
             left.unlink()

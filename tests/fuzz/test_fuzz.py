@@ -38,4 +38,6 @@ def test_a_slow_case_is_noticed() -> None:
             pass
         return None
 
-    assert "took 1." in run(Target("planted", [b"x"], read), seed=1, cases=1, until=time.monotonic() + 10).bad[0]
+    assert (
+        "took 1." in run(Target("planted", [b"x"], read), seed=1, cases=1, until=time.monotonic() + 10).bad[0]
+    )

@@ -5,12 +5,20 @@ import time
 
 import pytest
 
-from edgectl.errors import AuthError, ConnectError, DeadlineError, HostError, HostKeyError, NoPythonError, ReplyError
-from edgectl.gateway.collect import ProbeOptions, probe
+from edgectl.errors import (
+    AuthError,
+    ConnectError,
+    DeadlineError,
+    HostError,
+    HostKeyError,
+    NoPythonError,
+    ReplyError,
+)
 from edgectl.gateway.fanout import fan_out
+from edgectl.gateway.host_probe import ProbeOptions, probe_hosts
 from edgectl.model.inventory import Host, Inventory
 from edgectl.model.snapshot import HostSample, HostStatus, TaskState
-from edgectl.model.task import Check, Detect, Tasks, Where
+from edgectl.model.task import Check, CheckLocation, DetectRule, Tasks
 from edgectl.transport.base import Reply, Session
 from edgectl.transport.fake import FakeTransport
 from tests.builders import NOW, a_robot, a_task, an_edge, an_inventory, some_tasks
@@ -20,12 +28,18 @@ NONE = Tasks(tasks={})
 
 
 def fleet() -> Inventory:
-    return an_inventory(an_edge("edge1"), an_edge("edge2"), an_edge("edge10"), a_robot("robot1"), a_robot("robot2", probe=False))
+    return an_inventory(
+        an_edge("edge1"),
+        an_edge("edge2"),
+        an_edge("edge10"),
+        a_robot("robot1"),
+        a_robot("robot2", probe=False),
+    )
 
 
 def test_hosts_stand_in_the_order_of_the_inventory_and_unprobed_robots_are_left_out() -> None:
     hosts = FakeFleet.of(["edge1", "edge2", "edge10", "robot1"])
-    snapshot = probe(fleet(), NONE, hosts.transport, clock=lambda: NOW)
+    snapshot = probe_hosts(fleet(), NONE, hosts.transport, clock=lambda: NOW)
     assert list(snapshot.hosts) == ["edge1", "edge2", "edge10", "robot1"]
     assert snapshot.taken_at == NOW
     assert all(sample.ok for sample in snapshot.hosts.values())
@@ -48,16 +62,23 @@ def test_hosts_stand_in_the_order_of_the_inventory_and_unprobed_robots_are_left_
 def test_a_bad_host_is_unreachable_with_its_cause_and_costs_no_other(error: HostError) -> None:
     hosts = FakeFleet.of(["edge1", "edge2", "edge10", "robot1"])
     transport = FakeTransport({**dict(hosts.hosts), "edge2": error})
-    snapshot = probe(fleet(), NONE, transport)
+    snapshot = probe_hosts(fleet(), NONE, transport)
     bad = snapshot.hosts["edge2"]
-    assert (bad.status, bad.error, bad.error_kind, bad.hint) == (HostStatus.UNREACHABLE, error.message, error.kind, error.hint)
+    assert (bad.status, bad.error, bad.error_kind, bad.hint) == (
+        HostStatus.UNREACHABLE,
+        error.message,
+        error.kind,
+        error.hint,
+    )
     assert [name for name, sample in snapshot.hosts.items() if sample.ok] == ["edge1", "edge10", "robot1"]
 
 
 def test_a_host_that_lies_is_unreachable() -> None:
     hosts = FakeFleet.of(["edge1", "edge2", "edge10", "robot1"])
     liar = {**hosts["edge1"](_request("edge1")), "host": "edge2", "cpu": {"cores": 64, "used_cores": 0}}
-    snapshot = probe(fleet(), NONE, FakeTransport({**dict(hosts.hosts), "edge1": lambda _request: liar}))
+    snapshot = probe_hosts(
+        fleet(), NONE, FakeTransport({**dict(hosts.hosts), "edge1": lambda _request: liar})
+    )
     assert snapshot.hosts["edge1"].error_kind == "bad-reply"
     assert snapshot.hosts["edge2"].ok
 
@@ -86,7 +107,12 @@ def test_hosts_are_asked_at_once_and_each_is_told_as_it_ends() -> None:
         assert threading.current_thread() is threading.main_thread()
 
     inventory = an_inventory(*(an_edge(name) for name in hosts.hosts))
-    probe(inventory, NONE, FakeTransport({name: slow(name) for name in hosts.hosts}), options=ProbeOptions(on_host=on_host))
+    probe_hosts(
+        inventory,
+        NONE,
+        FakeTransport({name: slow(name) for name in hosts.hosts}),
+        options=ProbeOptions(on_host=on_host),
+    )
     assert sorted(heard) == sorted((name, True, True) for name in hosts.hosts)
 
 
@@ -135,7 +161,7 @@ def many(count: int) -> tuple[Inventory, FakeFleet]:
 def test_ten_dead_hosts_of_fifty_are_waited_for_together() -> None:
     inventory, hosts = many(50)
     dead = {f"edge{number}" for number in range(0, 50, 5)}
-    snapshot = probe(inventory, NONE, Slow(hosts, dead, together=10))
+    snapshot = probe_hosts(inventory, NONE, Slow(hosts, dead, together=10))
     assert {name for name, sample in snapshot.hosts.items() if not sample.ok} == dead
     assert {snapshot.hosts[name].error_kind for name in dead} == {"deadline"}
 
@@ -143,7 +169,7 @@ def test_ten_dead_hosts_of_fifty_are_waited_for_together() -> None:
 def test_connecting_and_calling_share_one_deadline_and_connections_are_bounded() -> None:
     inventory, hosts = many(12)
     transport = Slow(hosts, set(), together=4, connect_s=0.2)
-    probe(inventory, NONE, transport, options=ProbeOptions(timeout=20.0, workers=4))
+    probe_hosts(inventory, NONE, transport, options=ProbeOptions(timeout=20.0, workers=4))
     assert transport.most == 4
     assert len(transport.given) == 12
     assert max(transport.given) <= 19.8
@@ -153,17 +179,24 @@ def test_what_is_asked_depends_on_the_host() -> None:
     hosts = FakeFleet.of(["edge1", "edge2", "edge10", "robot1"])
     tasks = some_tasks(
         a_task("slam", robots=["robot1"], done_when=Check(command="map is whole", timeout=60.0)),
-        a_task("mission", robots=["robot1"], done_when=Check(command="is home", on=Where.ROBOT)),
-        a_task("roscore", managed=False, detect=Detect(cmdline="rosmaster")),
+        a_task("mission", robots=["robot1"], done_when=Check(command="is home", on=CheckLocation.ROBOT)),
+        a_task("roscore", managed=False, detect=DetectRule(cmdline="rosmaster")),
     )
     transport = hosts.transport
-    probe(fleet(), tasks, transport, options=ProbeOptions(window=0.2))
+    probe_hosts(fleet(), tasks, transport, options=ProbeOptions(window=0.2))
     asked = dict(transport.requests)
     assert asked["edge1"]["window_s"] == 0.2
-    assert asked["edge1"]["links"] == [{"robot": "robot1", "address": "robot1.lab"}, {"robot": "robot2", "address": "robot2.lab"}]
+    assert asked["edge1"]["links"] == [
+        {"robot": "robot1", "address": "robot1.lab"},
+        {"robot": "robot2", "address": "robot2.lab"},
+    ]
     assert asked["edge1"]["detect"] == [{"task": "roscore", "cmdline": "rosmaster"}]
     (check,) = asked["edge1"]["checks"]  # type: ignore[misc]
-    assert (check["task"], check["always"], check["timeout_s"]) == ("slam", False, 10.8)  # 15 - .2 - 4: it must not cost the probe
+    assert (check["task"], check["always"], check["timeout_s"]) == (
+        "slam",
+        False,
+        10.8,
+    )  # 15 - .2 - 4: it must not cost the probe
     assert check["env"]["EDGECTL_ROBOT"] == "robot1"
     names = {entry["task"]: entry["always"] for entry in asked["robot1"]["checks"]}  # type: ignore[attr-defined]
     assert names == {"slam": False, "mission": True}
@@ -174,9 +207,16 @@ def test_what_a_robot_says_is_done_is_done_where_it_runs() -> None:
     hosts = FakeFleet.of(["edge1", "edge2", "edge10", "robot1"])
     hosts["edge2"].runs("mission")
     hosts["edge2"].used = 1.0
-    said = {**hosts["robot1"](_request("robot1")), "checks": {"mission": {"exit": 0, "timed_out": False, "output": ""}}}
-    tasks = some_tasks(a_task("mission", robots=["robot1"], done_when=Check(command="is home", on=Where.ROBOT)))
-    snapshot = probe(fleet(), tasks, FakeTransport({**dict(hosts.hosts), "robot1": lambda _request: said}))
+    said = {
+        **hosts["robot1"](_request("robot1")),
+        "checks": {"mission": {"exit": 0, "timed_out": False, "output": ""}},
+    }
+    tasks = some_tasks(
+        a_task("mission", robots=["robot1"], done_when=Check(command="is home", on=CheckLocation.ROBOT))
+    )
+    snapshot = probe_hosts(
+        fleet(), tasks, FakeTransport({**dict(hosts.hosts), "robot1": lambda _request: said})
+    )
     sample = snapshot.hosts["edge2"]
     assert (sample.tasks["mission"].state, sample.tasks["mission"].pid) == (TaskState.COMPLETED, 99)
     assert sample.cpu is not None

@@ -9,13 +9,13 @@ from collections.abc import Callable
 import pytest
 
 from edgectl.errors import ReplyError
-from edgectl.gateway.decode import ASSUMED_BYTES_PER_S, Context, decode
-from edgectl.model.inventory import Base, Capacity, Host
+from edgectl.gateway.probe_reply import ASSUMED_BYTES_PER_S, ReplyContext, decode_host_sample
+from edgectl.model.inventory import BaseLoad, Capacity, Host
 from edgectl.model.snapshot import CapacitySource, HostSample, HostStatus, TaskState
 from tests.builders import NOW, a_robot, an_edge
 
 Document = dict[str, object]
-SLICE = an_edge("edge1", capacity=Capacity(cpu=2.0, memory=1e9), base=Base(cpu=0.25, memory=1e8))
+SLICE = an_edge("edge1", capacity=Capacity(cpu=2.0, memory=1e9), base=BaseLoad(cpu=0.25, memory=1e8))
 
 
 def a_task(**fields: object) -> Document:
@@ -55,7 +55,15 @@ def a_document(**fields: object) -> Document:
         "temperature_c": None,
         "gpu_share": None,
         "interfaces": {"eth0": {"rx_bytes_per_s": 1.0, "tx_bytes_per_s": 2.0, "speed_bytes_per_s": 125e6}},
-        "links": {"robot1": {"rx_bytes_per_s": 2000.0, "tx_bytes_per_s": 600.0, "rtt_ms": 1.2, "interface": "eth0", "reachable": True}},
+        "links": {
+            "robot1": {
+                "rx_bytes_per_s": 2000.0,
+                "tx_bytes_per_s": 600.0,
+                "rtt_ms": 1.2,
+                "interface": "eth0",
+                "reachable": True,
+            }
+        },
         "tasks": {"slam": a_task()},
         "checks": {},
         **fields,
@@ -64,7 +72,7 @@ def a_document(**fields: object) -> Document:
 
 def decoded(document: Document, host: Host | None = None, **context: object) -> HostSample:
     settings = {"robots": ("robot1",), "answered_at": NOW, **context}
-    return decode(document, Context(host=host or an_edge("edge1"), **settings))  # type: ignore[arg-type]
+    return decode_host_sample(document, ReplyContext(host=host or an_edge("edge1"), **settings))  # type: ignore[arg-type]
 
 
 def test_a_device_is_what_it_says() -> None:
@@ -75,7 +83,12 @@ def test_a_device_is_what_it_says() -> None:
     assert sample.memory is not None
     assert (sample.memory.total_bytes, sample.memory.used_bytes) == (8e9, 3e9)
     task = sample.tasks["slam"]
-    assert (task.state, task.pid, task.started_at, task.used_bytes_per_s) == (TaskState.READY, 71, NOW - 60.0, 1500.0)
+    assert (task.state, task.pid, task.started_at, task.used_bytes_per_s) == (
+        TaskState.READY,
+        71,
+        NOW - 60.0,
+        1500.0,
+    )
     assert (task.instance, task.spec_hash, task.generation, task.restarts) == ("i1", "h1", 3, 1)
 
 
@@ -131,9 +144,14 @@ def test_a_links_capacity_is_declared_measured_nominal_or_assumed(
 
 
 def test_a_robot_that_cannot_be_reached_is_a_dead_link_unless_it_is_never_asked() -> None:
-    document = a_document(links={"robot1": {"rx_bytes_per_s": 0.0, "tx_bytes_per_s": 0.0, "reachable": False}})
+    document = a_document(
+        links={"robot1": {"rx_bytes_per_s": 0.0, "tx_bytes_per_s": 0.0, "reachable": False}}
+    )
     assert decoded(document, declared={"robot1": 5e6}).links["robot1"].capacity_bytes_per_s == 0.0
-    assert decoded(document, blind=frozenset({"robot1"})).links["robot1"].capacity_bytes_per_s == ASSUMED_BYTES_PER_S
+    assert (
+        decoded(document, blind=frozenset({"robot1"})).links["robot1"].capacity_bytes_per_s
+        == ASSUMED_BYTES_PER_S
+    )
 
 
 def test_a_link_that_was_not_asked_for_is_left_out_and_a_missing_one_stays_missing() -> None:
@@ -253,7 +271,15 @@ def test_whatever_stands_in_a_document_it_is_a_sound_sample_or_a_reply_error() -
             continue
         assert sample.cpu is not None
         assert sample.memory is not None
-        assert all(math.isfinite(x) for x in (sample.cpu.cores, sample.cpu.used_cores, sample.memory.total_bytes, sample.memory.used_bytes))
+        assert all(
+            math.isfinite(x)
+            for x in (
+                sample.cpu.cores,
+                sample.cpu.used_cores,
+                sample.memory.total_bytes,
+                sample.memory.used_bytes,
+            )
+        )
         assert sample.cpu.cores > 0
         json.dumps(sample.device.boot_id, allow_nan=False)
     assert 5_000 < refused < 20_000
@@ -269,7 +295,9 @@ def test_a_profiler_s_readings_say_how_old_they_are() -> None:
 
 
 def test_a_run_that_no_longer_counts_has_used_its_generation_up() -> None:
-    document = a_document(tasks={"job": a_task(state="completed", generation=9)}, generations={"nav": 4, "job": 3})
+    document = a_document(
+        tasks={"job": a_task(state="completed", generation=9)}, generations={"nav": 4, "job": 3}
+    )
     sample = decoded(document, reopened=frozenset({"i1"}))
     assert (sample.tasks, sample.generations) == ({}, {"nav": 4, "job": 9})
     assert decoded(document).generations == {"nav": 4, "job": 3}

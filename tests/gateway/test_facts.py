@@ -5,9 +5,9 @@ import copy
 import pytest
 
 from edgectl.errors import ReplyError
-from edgectl.gateway.decode import Context
-from edgectl.gateway.facts import Asked, facts
-from edgectl.model.finding import Disk, HostFacts, Logind, Surroundings
+from edgectl.gateway.host_facts import SentRequest, decode_host_facts
+from edgectl.gateway.probe_reply import ReplyContext
+from edgectl.model.diagnosis import Disk, HostFacts, Logind, ShellEnvironment
 from edgectl.model.snapshot import CapacitySource
 from tests.builders import NOW, an_edge
 
@@ -25,8 +25,10 @@ DOCUMENT: Document = {
 
 def read(document: Document, **context: object) -> HostFacts:
     """As of a request that went out at NOW and was answered 2 s later."""
-    asked = Asked(began=NOW, addresses={"robot1": "10.0.0.21"})
-    return facts(document, Context(host=an_edge("edge1"), answered_at=NOW + 2.0, **context), asked)  # type: ignore[arg-type]
+    asked = SentRequest(began=NOW, addresses={"robot1": "10.0.0.21"})
+    return decode_host_facts(
+        document, ReplyContext(host=an_edge("edge1"), answered_at=NOW + 2.0, **context), asked
+    )  # type: ignore[arg-type]
 
 
 def test_a_whole_answer() -> None:
@@ -35,7 +37,9 @@ def test_a_whole_answer() -> None:
     assert found.skew_s == (8.5, 9.0)
     assert found.logind == Logind(user="jetson", present=True, removes_ipc=True)
     assert found.disk == Disk(path="/home/jetson/.local/state/edgectl", free_bytes=1e9, total_bytes=8e9)
-    assert found.surroundings == Surroundings(variables={"ROS_DOMAIN_ID": "7", "RMW_IMPLEMENTATION": ""}, status=1, said="no\\tsuch")
+    assert found.surroundings == ShellEnvironment(
+        variables={"ROS_DOMAIN_ID": "7", "RMW_IMPLEMENTATION": ""}, status=1, last_line="no\\tsuch"
+    )
     assert (found.links["robot1"].reachable, found.links["robot1"].capacity_bytes_per_s) == (None, 125e6)
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from edgectl.errors import ConnectError, DeadlineError, HostError, RefusedError, ReplyError
-from edgectl.gateway.fetch import MOST_BYTES, fetch
+from edgectl.gateway.fetch import MAX_FILE_BYTES, fetch_file
 from edgectl.transport.fake import FakeTransport
 from edgectl.transport.local import LocalTransport
 from tests.builders import a_task, an_edge
@@ -26,7 +26,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def fetched(file: str, folder: Path | None) -> bytes:
-    return fetch(LocalTransport(), HOST, a_task(workdir=folder and str(folder)), file, timeout=60.0)
+    return fetch_file(LocalTransport(), HOST, a_task(workdir=folder and str(folder)), file, timeout=60.0)
 
 
 @pytest.mark.parametrize("size", [0, 1, 640 << 10, (640 << 10) + 1, 3_000_000])
@@ -37,10 +37,17 @@ def test_a_file_comes_as_it_is(folder: Path, size: int) -> None:
     assert fetched("out/map é.pgm", folder) == data
 
 
-def test_a_path_begins_at_the_workdir_the_home_or_the_root(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_path_begins_at_the_workdir_the_home_or_the_root(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("HOME", str(folder))
     (folder / "map").write_bytes(b"free")
-    found = {fetched("map", folder), fetched("map", None), fetched("~/map", Path("/")), fetched(str(folder / "map"), Path("/"))}
+    found = {
+        fetched("map", folder),
+        fetched("map", None),
+        fetched("~/map", Path("/")),
+        fetched(str(folder / "map"), Path("/")),
+    }
     assert found == {b"free"}
 
 
@@ -51,7 +58,7 @@ def a_link(path: Path) -> None:
 
 def a_large_file(path: Path) -> None:
     with path.open("wb") as file:
-        file.truncate(MOST_BYTES + 1)
+        file.truncate(MAX_FILE_BYTES + 1)
 
 
 @pytest.mark.parametrize(
@@ -64,7 +71,9 @@ def a_large_file(path: Path) -> None:
         (a_large_file, "has 33554433 bytes, at most 33554432 are fetched"),
     ],
 )
-def test_what_cannot_be_had_is_refused_with_the_path(folder: Path, make: Callable[[Path], object], words: str) -> None:
+def test_what_cannot_be_had_is_refused_with_the_path(
+    folder: Path, make: Callable[[Path], object], words: str
+) -> None:
     make(folder / "map")
     with pytest.raises(RefusedError, match=words) as caught:
         fetched("map", folder)
@@ -90,7 +99,7 @@ def answered(*replies: Mapping[str, object] | HostError) -> bytes:
             raise reply
         return dict(reply)
 
-    return fetch(FakeTransport({"edge1": answer}), HOST, a_task(), "map", timeout=60.0)
+    return fetch_file(FakeTransport({"edge1": answer}), HOST, a_task(), "map", timeout=60.0)
 
 
 def test_pieces_are_put_together() -> None:
@@ -104,7 +113,7 @@ def test_pieces_are_put_together() -> None:
         ([a_piece(b"abc"), a_piece(b"")], ReplyError),
         ([a_piece(b"abc"), a_piece(b"defg")], ReplyError),
         ([a_piece(b"abcdef", size=5)], ReplyError),
-        ([a_piece(b"a", size=MOST_BYTES + 1)], ReplyError),
+        ([a_piece(b"a", size=MAX_FILE_BYTES + 1)], ReplyError),
         ([a_piece(b"a", size=-1)], ReplyError),
         ([a_piece(b"a", size="6")], ReplyError),
         ([a_piece(b"a", data="YQ=")], ReplyError),
@@ -115,12 +124,14 @@ def test_pieces_are_put_together() -> None:
         ([a_piece(b"abc"), DeadlineError("no answer")], DeadlineError),
     ],
 )
-def test_a_host_that_talks_nonsense_gives_nothing(replies: list[Mapping[str, object] | HostError], error: type[HostError]) -> None:
+def test_a_host_that_talks_nonsense_gives_nothing(
+    replies: list[Mapping[str, object] | HostError], error: type[HostError]
+) -> None:
     with pytest.raises(error):
         answered(*replies)
 
 
 def test_a_deadline_holds_for_all_pieces_together() -> None:
-    endless = FakeTransport({"edge1": lambda _request: a_piece(b"a", size=MOST_BYTES)})
+    endless = FakeTransport({"edge1": lambda _request: a_piece(b"a", size=MAX_FILE_BYTES)})
     with pytest.raises(DeadlineError, match=r"map did not come within 0\.2 s"):
-        fetch(endless, HOST, a_task(), "map", timeout=0.2)
+        fetch_file(endless, HOST, a_task(), "map", timeout=0.2)

@@ -19,24 +19,40 @@ def said(**fields: object) -> Document:
 
 
 def test_every_field_is_taken_over() -> None:
-    found = profilers.decode("edge1", said())
+    found = profilers.decode_profiler("edge1", said())
     assert (found.host, found.state, found.pid, found.age) == ("edge1", ProfilerState.RUNNING, 71, 60.5)
     assert (found.every, found.period, found.samples, found.sample_age) == (1.0, 2.0, 30, 0.4)
-    assert (found.used_cores, found.used_bytes, found.ttl, found.ttl_left, found.current) == (0.002, 11e6, 3600.0, 3599.0, False)
-    assert profilers.decode("edge1", said(sample_age_s=None, ttl_left_s=-0.5)).ttl_left == 0.0
+    assert (found.used_cores, found.used_bytes, found.ttl, found.ttl_left, found.current) == (
+        0.002,
+        11e6,
+        3600.0,
+        3599.0,
+        False,
+    )
+    assert profilers.decode_profiler("edge1", said(sample_age_s=None, ttl_left_s=-0.5)).ttl_left == 0.0
 
 
 def test_one_that_is_gone_says_why_and_nothing_else() -> None:
-    found = profilers.decode("edge1", {"state": "not-running", "pid": 0, "detail": "it was\x1b[2J killed"})
+    found = profilers.decode_profiler(
+        "edge1", {"state": "not-running", "pid": 0, "detail": "it was\x1b[2J killed"}
+    )
     assert (found.state.alive, found.detail) == (False, "it was\\x1b[2J killed")
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"state": "dancing"}, {"state": "unreachable"}, {"state": None}, {"pid": -1}, {"samples": 1.5}, {"age_s": "x"}]
+    "wrong",
+    [
+        {"state": "dancing"},
+        {"state": "unreachable"},
+        {"state": None},
+        {"pid": -1},
+        {"samples": 1.5},
+        {"age_s": "x"},
+    ],
 )
 def test_nonsense_is_refused(wrong: Document) -> None:
     with pytest.raises(ReplyError):
-        profilers.decode("edge1", said(**wrong))
+        profilers.decode_profiler("edge1", said(**wrong))
 
 
 def test_hosts_are_asked_for_their_own_links_and_answer_in_order() -> None:
@@ -51,8 +67,16 @@ def test_hosts_are_asked_for_their_own_links_and_answer_in_order() -> None:
 
     inventory = an_inventory(an_edge("edge1"), an_edge("edge2"), a_robot("robot1"))
     transport = FakeTransport({"edge1": edge, "edge2": gone, "robot1": lambda _: said(state="dancing")})
-    found = profilers.start(list(inventory.hosts.values()), inventory, some_tasks(), transport, every=2.0, ttl=60.0, timeout=5.0)
-    assert [(each.host, each.state.value) for each in found] == [("edge1", "started"), ("edge2", "unreachable"), ("robot1", "unreachable")]
+    found = profilers.start_profilers(
+        list(inventory.hosts.values()), inventory, some_tasks(), transport, every=2.0, ttl=60.0, timeout=5.0
+    )
+    assert [(each.host, each.state.value) for each in found] == [
+        ("edge1", "started"),
+        ("edge2", "unreachable"),
+        ("robot1", "unreachable"),
+    ]
     assert (found[1].error, found[1].hint) == ("no route", "look at the cable")
     assert "dancing" in found[2].error
-    assert [(sent["op"], sent["every_s"], sent["ttl_s"], len(sent["links"])) for sent in requests] == [("profiler-start", 2.0, 60.0, 1)]
+    assert [(sent["op"], sent["every_s"], sent["ttl_s"], len(sent["links"])) for sent in requests] == [
+        ("profiler-start", 2.0, 60.0, 1)
+    ]

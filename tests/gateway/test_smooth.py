@@ -4,8 +4,8 @@ import dataclasses
 
 import pytest
 
-from edgectl.gateway.smooth import smoothed
-from edgectl.model.snapshot import Device, Snapshot, TaskState
+from edgectl.gateway.smoothing import smooth_snapshot
+from edgectl.model.snapshot import DeviceSample, Snapshot, TaskState
 from tests.builders import GI, NOW, a_link, a_run, a_sample, a_snapshot, silent
 
 PERIOD = 10.0
@@ -15,7 +15,7 @@ def fold(*snapshots: Snapshot) -> Snapshot:
     """Each smoothed into those before it."""
     before: Snapshot | None = None
     for snapshot in snapshots:
-        before = smoothed(before, snapshot, period=PERIOD)
+        before = smooth_snapshot(before, snapshot, period=PERIOD)
     assert before is not None
     return before
 
@@ -37,7 +37,9 @@ def test_a_sample_one_period_later_weighs_three_tenths() -> None:
         a_snapshot(edge1=a_sample(used=1.0, used_memory=1 * GI, links=link)),
         a_snapshot(
             taken_at=NOW + PERIOD,
-            edge1=a_sample(used=2.0, used_memory=2 * GI, links={"robot1": a_link(used=2e6), "robot2": a_link(used=7.0)}),
+            edge1=a_sample(
+                used=2.0, used_memory=2 * GI, links={"robot1": a_link(used=2e6), "robot2": a_link(used=7.0)}
+            ),
         ),
     )
     host = made.hosts["edge1"]
@@ -59,7 +61,9 @@ def test_time_counts_not_the_number_of_samples() -> None:
 
 
 def test_a_clock_that_goes_back_counts_as_one_period() -> None:
-    assert used(fold(a_snapshot(edge1=a_sample(used=1.0)), a_snapshot(taken_at=NOW - 3600, edge1=a_sample(used=2.0)))) == pytest.approx(1.3)
+    assert used(
+        fold(a_snapshot(edge1=a_sample(used=1.0)), a_snapshot(taken_at=NOW - 3600, edge1=a_sample(used=2.0)))
+    ) == pytest.approx(1.3)
 
 
 def test_a_task_that_comes_or_goes_changes_the_load_at_once() -> None:
@@ -85,23 +89,34 @@ def test_a_tasks_use_is_averaged_with_its_host_and_anew_after_a_restart() -> Non
     assert (made.used_cores, made.used_bytes_per_s) == pytest.approx((1.3, 130.0))
     assert made.links == pytest.approx({"robot1": 130.0})
     assert used(fold(first, second)) == pytest.approx(1.3)
-    for new in (dataclasses.replace(more, instance="instance-2"), dataclasses.replace(more, state=TaskState.COMPLETED)):
+    for new in (
+        dataclasses.replace(more, instance="instance-2"),
+        dataclasses.replace(more, state=TaskState.COMPLETED),
+    ):
         third = dataclasses.replace(second, hosts={"edge1": a_sample(used=2.0, tasks={"slam": new})})
         assert fold(first, third).hosts["edge1"].tasks["slam"] == new
 
 
 def test_a_host_that_returns_or_was_rebooted_starts_anew() -> None:
-    first, back = a_snapshot(edge1=a_sample(used=1.0)), a_snapshot(taken_at=NOW + 2 * PERIOD, edge1=a_sample(used=3.0))
+    first, back = (
+        a_snapshot(edge1=a_sample(used=1.0)),
+        a_snapshot(taken_at=NOW + 2 * PERIOD, edge1=a_sample(used=3.0)),
+    )
     lost = a_snapshot(taken_at=NOW + PERIOD, edge1=silent())
     assert not fold(first, lost).hosts["edge1"].ok
     assert used(fold(first, lost, back)) == 3.0
-    rebooted = dataclasses.replace(back, hosts={"edge1": dataclasses.replace(a_sample(used=3.0), device=Device(boot_id="another"))})
+    rebooted = dataclasses.replace(
+        back, hosts={"edge1": dataclasses.replace(a_sample(used=3.0), device=DeviceSample(boot_id="another"))}
+    )
     assert used(fold(first, rebooted)) == 3.0
 
 
 def test_what_a_resident_profiler_smoothed_is_not_smoothed_again() -> None:
     resident = dataclasses.replace(a_sample(used=3.0), resident=True)
-    assert used(fold(a_snapshot(edge1=a_sample(used=1.0)), a_snapshot(taken_at=NOW + PERIOD, edge1=resident))) == 3.0
+    assert (
+        used(fold(a_snapshot(edge1=a_sample(used=1.0)), a_snapshot(taken_at=NOW + PERIOD, edge1=resident)))
+        == 3.0
+    )
 
 
 def test_nothing_is_ever_negative() -> None:

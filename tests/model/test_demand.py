@@ -2,7 +2,7 @@
 
 import pytest
 
-from edgectl.model.demand import host_class
+from edgectl.model.measured_demand import classify_host
 from tests.builders import GI, an_edge
 
 
@@ -14,8 +14,8 @@ from tests.builders import GI, an_edge
     ],
 )  # fmt: skip
 def test_hosts_of_one_make_are_of_one_class(cores: float, memory: float, name: str) -> None:
-    assert host_class(an_edge(), cores, memory) == name
+    assert classify_host(an_edge(), cores, memory) == name
 
 
 def test_the_label_says_otherwise() -> None:
-    assert host_class(an_edge(labels={"class": "orin", "gpu": "ampere"}), 8.0, 7.4 * GI) == "orin"
+    assert classify_host(an_edge(labels={"class": "orin", "gpu": "ampere"}), 8.0, 7.4 * GI) == "orin"

@@ -3,15 +3,22 @@
 import pytest
 
 from edgectl.errors import UsageError
-from edgectl.model.names import known, nearest
+from edgectl.names import check_known_names, suggest_name
 
 
 @pytest.mark.parametrize(
     ("word", "meant"),
-    [("edgy1", "edge1"), ("EDGE2", "Edge2"), ("slam-robt1", "slam-robot1"), ("nosuch", ""), ("", ""), ("edge1" * 1000, "")],
+    [
+        ("edgy1", "edge1"),
+        ("EDGE2", "Edge2"),
+        ("slam-robt1", "slam-robot1"),
+        ("nosuch", ""),
+        ("", ""),
+        ("edge1" * 1000, ""),
+    ],
 )
 def test_the_nearest_name_is_the_one_that_was_meant(word: str, meant: str) -> None:
-    assert nearest(word, ["edge1", "Edge2", "slam-robot1"]) == meant
+    assert suggest_name(word, ["edge1", "Edge2", "slam-robot1"]) == meant
 
 
 @pytest.mark.parametrize(
@@ -20,15 +27,18 @@ def test_the_nearest_name_is_the_one_that_was_meant(word: str, meant: str) -> No
         (["edge1", "edge2"], "did you mean edge1?"),
         (["edgy1-of-the-roof"], "did you mean edgy1-of-the-roof?"),
         (["jetson"], "known: jetson"),
-        ([f"host{number}" for number in range(20)], "known: " + ", ".join(f"host{number}" for number in range(12)) + ", .."),
+        (
+            [f"host{number}" for number in range(20)],
+            "known: " + ", ".join(f"host{number}" for number in range(12)) + ", ..",
+        ),
         ([], "there is no host at all"),
     ],
 )
 def test_an_unknown_name_is_refused_with_what_mends_it(among: list[str], hint: str) -> None:
     with pytest.raises(UsageError) as caught:
-        known(["edgy1"], among, "host")
+        check_known_names(["edgy1"], among, "host")
     assert (caught.value.message, caught.value.hint) == ("unknown host 'edgy1'", hint)
 
 
 def test_names_that_exist_pass() -> None:
-    known(["b", "a"], ["a", "b"], "host")
+    check_known_names(["b", "a"], ["a", "b"], "host")

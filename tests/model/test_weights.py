@@ -4,9 +4,9 @@ import math
 
 import pytest
 
-from edgectl.model.order import natural_key
 from edgectl.model.policy import Weights
-from edgectl.model.weights import PRESETS, normalised, parse_weights
+from edgectl.model.weights import WEIGHT_PRESETS, normalise_weights, parse_weights
+from edgectl.names import natural_key
 
 
 def weights(cpu: float, memory: float, network: float, task: float) -> Weights:
@@ -59,14 +59,20 @@ def test_what_cannot(raw: object, message: str) -> None:
 
 
 def test_presets_sum_to_one() -> None:
-    for preset in PRESETS.values():
+    for preset in WEIGHT_PRESETS.values():
         assert math.isclose(preset.cpu + preset.memory + preset.network + preset.task, 1.0)
 
 
 def test_normalising_keeps_proportions() -> None:
-    assert normalised(weights(1, 1, 2, 0)) == weights(0.25, 0.25, 0.5, 0)
+    assert normalise_weights(weights(1, 1, 2, 0)) == weights(0.25, 0.25, 0.5, 0)
     assert parse_weights(weights(2, 2, 4, 0)) == weights(0.25, 0.25, 0.5, 0)
 
 
 def test_names_are_ordered_as_people_count() -> None:
-    assert sorted(["edge10", "edge2", "edge", "a1", "a01"], key=natural_key) == ["a01", "a1", "edge", "edge2", "edge10"]
+    assert sorted(["edge10", "edge2", "edge", "a1", "a01"], key=natural_key) == [
+        "a01",
+        "a1",
+        "edge",
+        "edge2",
+        "edge10",
+    ]

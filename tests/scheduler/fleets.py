@@ -4,20 +4,26 @@ from dataclasses import replace
 
 from edgectl.model.assignment import Assignment, Decision, ExpectedLoad, RankedHost, Reason, Verdict
 from edgectl.model.inventory import Inventory, Role
-from edgectl.model.memory import Memory, Placement
+from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.policy import Policy
 from edgectl.model.snapshot import HostSample, Snapshot, TaskSample, TaskState
 from edgectl.model.task import ZERO, Task, Tasks
 from edgectl.scheduler.assign import assign
-from edgectl.scheduler.fleet import fleet_of
-from edgectl.scheduler.rho import demand_at, with_history
+from edgectl.scheduler.capacities import build_capacities
+from edgectl.scheduler.demand import add_measured_demands, demand_at
 from tests.builders import NOW, a_robot, an_edge, an_inventory
 
-NO_MEMORY = Memory(managed=True)
+NO_MEMORY = ManagerState(managed=True)
 
 
 def decide(
-    inventory: Inventory, tasks: Tasks, snapshot: Snapshot, *, memory: Memory = NO_MEMORY, policy: Policy | None = None, now: float = NOW
+    inventory: Inventory,
+    tasks: Tasks,
+    snapshot: Snapshot,
+    *,
+    memory: ManagerState = NO_MEMORY,
+    policy: Policy | None = None,
+    now: float = NOW,
 ) -> Assignment:
     """``assign`` with the policy of the task file."""
     return assign(inventory, tasks, snapshot, memory, policy or tasks.policy, now)
@@ -43,23 +49,42 @@ def terms(entry: RankedHost) -> tuple[float | None, ...]:
     return entry.terms.cpu, entry.terms.memory, entry.terms.network, entry.terms.task, entry.total
 
 
-def applied(assignment: Assignment, tasks: Tasks, snapshot: Snapshot, memory: Memory) -> tuple[Snapshot, Memory]:
+def applied(
+    assignment: Assignment, tasks: Tasks, snapshot: Snapshot, memory: ManagerState
+) -> tuple[Snapshot, ManagerState]:
     """The world right after a perfect apply: gamma is what was expected, each placed task runs where it was put and uses its rho."""
     worn = with_demands(tasks, snapshot, memory)
     samples = {name: _after(name, sample, assignment, worn[name]) for name, sample in snapshot.hosts.items()}
     moved = [d for d in assignment.decisions if d.verdict is Verdict.PLACED and d.host is not None]
-    placements = {**memory.placements, **{d.task: Placement(host=str(d.host), since=snapshot.taken_at) for d in moved}}
+    placements = {
+        **memory.placements,
+        **{d.task: Placement(host=str(d.host), since=snapshot.taken_at) for d in moved},
+    }
     first = {**{d.task: str(d.host) for d in moved}, **memory.first}
-    done = {d.task: tasks.tasks[d.task].spec_hash for d in assignment.decisions if d.verdict is Verdict.COMPLETED}
-    return replace(snapshot, hosts=samples), replace(memory, managed=True, placements=placements, first=first, done={**memory.done, **done})
+    done = {
+        d.task: tasks.tasks[d.task].spec_hash for d in assignment.decisions if d.verdict is Verdict.COMPLETED
+    }
+    return replace(snapshot, hosts=samples), replace(
+        memory, managed=True, placements=placements, first=first, done={**memory.done, **done}
+    )
 
 
-def with_demands(tasks: Tasks, snapshot: Snapshot, memory: Memory) -> dict[str, Tasks]:
+def with_demands(tasks: Tasks, snapshot: Snapshot, memory: ManagerState) -> dict[str, Tasks]:
     """The tasks as each host sees them: with the demand that counts there."""
-    hosts = [(an_edge if sample.role is Role.EDGE else a_robot)(name) for name, sample in snapshot.hosts.items()]
-    fleet = with_history(fleet_of(an_inventory(*hosts), snapshot, memory, frozenset()), tasks, memory)
+    hosts = [
+        (an_edge if sample.role is Role.EDGE else a_robot)(name) for name, sample in snapshot.hosts.items()
+    ]
+    fleet = add_measured_demands(
+        build_capacities(an_inventory(*hosts), snapshot, memory, frozenset()), tasks, memory
+    )
     return {
-        host: replace(tasks, tasks={name: replace(task, demand=demand_at(fleet, task, place)) for name, task in tasks.tasks.items()})
+        host: replace(
+            tasks,
+            tasks={
+                name: replace(task, demand=demand_at(fleet, task, place))
+                for name, task in tasks.tasks.items()
+            },
+        )
         for host, place in fleet.index.items()
     }
 
@@ -71,14 +96,27 @@ def _after(name: str, sample: HostSample, assignment: Assignment, tasks: Tasks) 
     load = assignment.expected.get(name, unchanged)
     running = {
         decision.task: _run(
-            tasks.tasks[decision.task], name, sample, snapshot_of=sample.tasks.get(decision.task), new=decision.previous_host != name
+            tasks.tasks[decision.task],
+            name,
+            sample,
+            snapshot_of=sample.tasks.get(decision.task),
+            new=decision.previous_host != name,
         )
         for decision in assignment.decisions
-        if decision.host == name and decision.verdict in (Verdict.PLACED, Verdict.KEPT) and decision.reason is not Reason.UNMANAGED
+        if decision.host == name
+        and decision.verdict in (Verdict.PLACED, Verdict.KEPT)
+        and decision.reason is not Reason.UNMANAGED
     }
-    held = {decision.task for decision in assignment.decisions if decision.host == name and decision.verdict is Verdict.HELD}
+    held = {
+        decision.task
+        for decision in assignment.decisions
+        if decision.host == name and decision.verdict is Verdict.HELD
+    }
     left = {task: run for task, run in sample.tasks.items() if task in held or not _ours(task, run, tasks)}
-    links = {robot: replace(link, used_bytes_per_s=load.links.get(robot, link.used_bytes_per_s)) for robot, link in sample.links.items()}
+    links = {
+        robot: replace(link, used_bytes_per_s=load.links.get(robot, link.used_bytes_per_s))
+        for robot, link in sample.links.items()
+    }
     return replace(
         sample,
         cpu=replace(sample.cpu, used_cores=load.used_cores),
@@ -92,11 +130,17 @@ def _ours(name: str, run: TaskSample, tasks: Tasks) -> bool:
     return run.managed and (name not in tasks.tasks or tasks.tasks[name].managed)
 
 
-def _run(task: Task, host: str, sample: HostSample, *, snapshot_of: TaskSample | None, new: bool) -> TaskSample:
+def _run(
+    task: Task, host: str, sample: HostSample, *, snapshot_of: TaskSample | None, new: bool
+) -> TaskSample:
     assert sample.cpu is not None
     assert sample.memory is not None
     rate = task.demand.throughput or ZERO
-    rates = {robot: rate.of(sample.links[robot].capacity_bytes_per_s) for robot in task.robots if robot in sample.links}
+    rates = {
+        robot: rate.of(sample.links[robot].capacity_bytes_per_s)
+        for robot in task.robots
+        if robot in sample.links
+    }
     return TaskSample(
         state=TaskState.READY,
         pid=1,

@@ -9,19 +9,34 @@ import random
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
-from edgectl.gateway.smooth import smoothed
-from edgectl.model.memory import Memory, Placement
+from edgectl.gateway.smoothing import smooth_snapshot
+from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.policy import Policy, PolicyName
 from edgectl.model.snapshot import HostSample, Snapshot
 from edgectl.model.task import Tasks
-from edgectl.model.weights import PRESETS
+from edgectl.model.weights import WEIGHT_PRESETS
 from edgectl.scheduler.assign import assign
-from tests.builders import GI, a_link, a_robot, a_run, a_sample, a_snapshot, a_task, an_edge, an_inventory, some_tasks
+from tests.builders import (
+    GI,
+    a_link,
+    a_robot,
+    a_run,
+    a_sample,
+    a_snapshot,
+    a_task,
+    an_edge,
+    an_inventory,
+    some_tasks,
+)
 from tests.scheduler.paper import DEMANDS, kind
 
 Points = tuple[float, float, float]
 # Percent of CPU, memory and each link that others use.
-BASE: Mapping[str, Points] = {"edge1": (12.0, 35.0, 3.0), "edge2": (10.0, 35.0, 3.0), "edge3": (11.0, 35.0, 3.0)}
+BASE: Mapping[str, Points] = {
+    "edge1": (12.0, 35.0, 3.0),
+    "edge2": (10.0, 35.0, 3.0),
+    "edge3": (11.0, 35.0, 3.0),
+}
 ROBOTS = ("robot1", "robot2")
 MIXED = ("detection-robot1", "detection-robot2", "navigation-robot1", "navigation-robot2")
 PERIOD_S = 10.0
@@ -75,7 +90,9 @@ def work(names: Iterable[str]) -> Tasks:
     for name in names:
         cpu, memory, throughput = DEMANDS[kind(name)]
         robot = name.rsplit("-", 1)[1]
-        made.append(a_task(name, cpu=f"{cpu}%", memory=f"{memory}%", throughput=f"{throughput}%", robots=[robot]))
+        made.append(
+            a_task(name, cpu=f"{cpu}%", memory=f"{memory}%", throughput=f"{throughput}%", robots=[robot])
+        )
     return some_tasks(*made)
 
 
@@ -83,18 +100,26 @@ def run(trial: Trial) -> list[tuple[int, str]]:
     """(cycle, task) of every change of host."""
     dice, site, tasks = random.Random(trial.seed), Site(), work(trial.names)
     inventory = an_inventory(*map(an_edge, BASE), *map(a_robot, ROBOTS))
-    downtimes = {(task, edge): (trial.downtime_s,) * 5 for task in trial.names for edge in BASE if trial.downtime_s is not None}
+    downtimes = {
+        (task, edge): (trial.downtime_s,) * 5
+        for task in trial.names
+        for edge in BASE
+        if trial.downtime_s is not None
+    }
     before: Snapshot | None = None
     stepped = ""
     for cycle in range(trial.cycles):
         now = cycle * trial.period_s
         if cycle == STEP_AT:
             stepped = site.where[trial.names[0]]
-        measured = {edge: sample(trial, site, edge, trial.step if edge == stepped else (0.0, 0.0, 0.0), dice) for edge in BASE}
+        measured = {
+            edge: sample(trial, site, edge, trial.step if edge == stepped else (0.0, 0.0, 0.0), dice)
+            for edge in BASE
+        }
         snapshot = a_snapshot(taken_at=now, **measured)
-        before = smoothed(before, snapshot, period=trial.period_s) if trial.smooth else snapshot
+        before = smooth_snapshot(before, snapshot, period=trial.period_s) if trial.smooth else snapshot
         placements = {task: Placement(host=host, since=site.since[task]) for task, host in site.where.items()}
-        memory = Memory(managed=True, placements=placements, downtimes=downtimes, stays=site.stays)
+        memory = ManagerState(managed=True, placements=placements, downtimes=downtimes, stays=site.stays)
         for decision in assign(inventory, tasks, before, memory, trial.policy, now).decisions:
             assert decision.host is not None
             site.put(decision.task, decision.host, cycle, now)
@@ -111,12 +136,18 @@ def sample(trial: Trial, site: Site, edge: str, step: Points, dice: random.Rando
                     used_bytes_per_s=LINK * DEMANDS[kind(task)][2] / 100, started_at=site.since[task])
         for task in here
     }  # fmt: skip
-    rates = {robot: link + sum(DEMANDS[kind(task)][2] for task in here if task.endswith(robot)) for robot in ROBOTS}
+    rates = {
+        robot: link + sum(DEMANDS[kind(task)][2] for task in here if task.endswith(robot)) for robot in ROBOTS
+    }
     return a_sample(
         used=4.0 * max(0.0, cpu + sum(DEMANDS[kind(task)][0] for task in here) + errors[0]) / 100,
-        used_memory=4 * GI * max(0.0, memory + sum(DEMANDS[kind(task)][1] for task in here) + errors[1]) / 100,
+        used_memory=4
+        * GI
+        * max(0.0, memory + sum(DEMANDS[kind(task)][1] for task in here) + errors[1])
+        / 100,
         links={
-            robot: a_link(LINK, LINK * max(0.0, rate + error) / 100) for (robot, rate), error in zip(rates.items(), errors[2:], strict=True)
+            robot: a_link(LINK, LINK * max(0.0, rate + error) / 100)
+            for (robot, rate), error in zip(rates.items(), errors[2:], strict=True)
         },
         tasks=tasks,
     )
@@ -124,7 +155,7 @@ def sample(trial: Trial, site: Site, edge: str, step: Points, dice: random.Rando
 
 def watching(variant: str) -> Policy:
     """The defaults, as ``watch`` uses them."""
-    return Policy(weights=PRESETS[variant], attended=False)
+    return Policy(weights=WEIGHT_PRESETS[variant], attended=False)
 
 
 def handoffs(trial: Trial) -> float:
@@ -151,8 +182,10 @@ def main() -> None:
     print(
         "Last column: a load of 25 points that comes to one task's host and stays: cycles until it is answered, and moves that it took.\n"
     )
-    print(f"{'variant':<10}{'paper':>8}{'utility, unbraked':>20}{'margin and dwell':>18}{'as watch':>10}   answered after")
-    for variant, weights in PRESETS.items():
+    print(
+        f"{'variant':<10}{'paper':>8}{'utility, unbraked':>20}{'margin and dwell':>18}{'as watch':>10}   answered after"
+    )
+    for variant, weights in WEIGHT_PRESETS.items():
         free = Policy(weights=weights, move_margin=0.0, min_dwell=0.0, max_moves=None)
         schemes = (
             steady(variant, policy=Policy(name=PolicyName.PAPER, weights=weights), smooth=False),
@@ -160,14 +193,19 @@ def main() -> None:
             steady(variant, smooth=False),
             steady(variant),
         )
-        figures = [sum(handoffs(replace(trial, cycles=cycles, seed=seed)) for seed in seeds) / len(seeds) for trial in schemes]
+        figures = [
+            sum(handoffs(replace(trial, cycles=cycles, seed=seed)) for seed in seeds) / len(seeds)
+            for trial in schemes
+        ]
         answers = [response(variant, seed) for seed in seeds]
         told = (
             f"{min(a[0] for a in answers)} to {max(a[0] for a in answers)} cycles, {max(map(len, answers))} move"
             if all(answers)
             else "no move"
         )
-        print(f"{variant:<10}{figures[0]:>8.2f}{figures[1]:>20.3f}{figures[2]:>18.3f}{figures[3]:>10.4f}   {told}")
+        print(
+            f"{variant:<10}{figures[0]:>8.2f}{figures[1]:>20.3f}{figures[2]:>18.3f}{figures[3]:>10.4f}   {told}"
+        )
 
 
 if __name__ == "__main__":

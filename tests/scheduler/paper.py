@@ -22,14 +22,19 @@ def paper_snapshot(placed: dict[str, str]) -> Snapshot:
     samples = {}
     for edge, (cpu, memory, throughput) in BASE.items():
         here = [name for name, host in placed.items() if host == edge]
-        rates = {robot: throughput + sum(DEMANDS[kind(name)][2] for name in here if serves(name, robot)) for robot in ROBOTS}
+        rates = {
+            robot: throughput + sum(DEMANDS[kind(name)][2] for name in here if serves(name, robot))
+            for robot in ROBOTS
+        }
         samples[edge] = a_sample(
             cores=CORES, used=CORES * (cpu + sum(DEMANDS[kind(name)][0] for name in here)) / 100, memory=MEMORY,
             used_memory=MEMORY * (memory + sum(DEMANDS[kind(name)][1] for name in here)) / 100,
             links={robot: a_link(LINK, LINK * rate / 100) for robot, rate in rates.items()}, tasks={name: run_of(name) for name in here},
         )  # fmt: skip
     for robot in ROBOTS:
-        samples[robot] = a_sample(tasks={name: run_of(name) for name, host in placed.items() if host == robot})
+        samples[robot] = a_sample(
+            tasks={name: run_of(name) for name, host in placed.items() if host == robot}
+        )
     return a_snapshot(**samples)
 
 
@@ -37,7 +42,12 @@ def run_of(name: str) -> TaskSample:
     """A task that runs and uses exactly its demand."""
     cpu, memory, throughput = DEMANDS[kind(name)]
     links = {robot: LINK * throughput / 100 for robot in ROBOTS if serves(name, robot)}
-    return a_run(used_cores=CORES * cpu / 100, used_bytes=MEMORY * memory / 100, used_bytes_per_s=sum(links.values()), links=links)
+    return a_run(
+        used_cores=CORES * cpu / 100,
+        used_bytes=MEMORY * memory / 100,
+        used_bytes_per_s=sum(links.values()),
+        links=links,
+    )
 
 
 def kind(name: str) -> str:
@@ -53,11 +63,17 @@ def serves(name: str, robot: str) -> bool:
 Numbers = dict[str, tuple[float, float, float, float, float]]
 
 
-def naive(placed: dict[str, str], order: list[str], weights: Weights, needs: dict[str, str]) -> tuple[dict[str, str], dict[str, Numbers]]:
+def naive(
+    placed: dict[str, str], order: list[str], weights: Weights, needs: dict[str, str]
+) -> tuple[dict[str, str], dict[str, Numbers]]:
     """Place ``order`` on the three edges in percent, by the equations as they stand in the paper; nothing of edgectl is used."""
     cpu = {e: BASE[e][0] + sum(DEMANDS[kind(t)][0] for t in placed if placed[t] == e) for e in BASE}
     memory = {e: BASE[e][1] + sum(DEMANDS[kind(t)][1] for t in placed if placed[t] == e) for e in BASE}
-    net = {(e, r): BASE[e][2] + sum(DEMANDS[kind(t)][2] for t in placed if placed[t] == e and serves(t, r)) for e in BASE for r in ROBOTS}
+    net = {
+        (e, r): BASE[e][2] + sum(DEMANDS[kind(t)][2] for t in placed if placed[t] == e and serves(t, r))
+        for e in BASE
+        for r in ROBOTS
+    }
     where, numbers = dict(placed), {}
     for task in order:
         rho = DEMANDS[kind(task)]
@@ -71,9 +87,22 @@ def naive(placed: dict[str, str], order: list[str], weights: Weights, needs: dic
                 (100 - net[e, robot] - rho[2]) / 100,
                 float(e in near) if near else 0.5,
             )
-            table[e] = (*terms, weights.cpu * terms[0] + weights.memory * terms[1] + weights.network * terms[2] + weights.task * terms[3])
+            table[e] = (
+                *terms,
+                weights.cpu * terms[0]
+                + weights.memory * terms[1]
+                + weights.network * terms[2]
+                + weights.task * terms[3],
+            )
         fitting = [e for e in BASE if min(table[e][:3]) >= 0]
-        best = max(fitting, key=lambda e: (round(table[e][4], 9), -sum(where[t] == e for t in where if t not in placed), -int(e[-1])))
+        best = max(
+            fitting,
+            key=lambda e: (
+                round(table[e][4], 9),
+                -sum(where[t] == e for t in where if t not in placed),
+                -int(e[-1]),
+            ),
+        )
         cpu[best] += rho[0]
         memory[best] += rho[1]
         net[best, robot] += rho[2]

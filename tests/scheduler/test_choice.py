@@ -4,7 +4,7 @@ import pytest
 
 from edgectl.model.assignment import Decision, Reason, Verdict
 from edgectl.model.inventory import Inventory
-from edgectl.model.memory import Memory, Placement
+from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.policy import Policy
 from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Task
@@ -17,8 +17,17 @@ THREE = an_inventory(an_edge("edge1"), an_edge("edge2"), an_edge("edge3"))
 CPU = Policy(weights=parse_weights("cpu"), min_dwell=0.0)
 
 
-def one(inventory: Inventory, task: Task, snapshot: Snapshot, memory: Memory = NO_MEMORY, policy: Policy = CPU, *others: Task) -> Decision:
-    return decisions(decide(inventory, some_tasks(task, *others), snapshot, memory=memory, policy=policy))[task.name]
+def one(
+    inventory: Inventory,
+    task: Task,
+    snapshot: Snapshot,
+    memory: ManagerState = NO_MEMORY,
+    policy: Policy = CPU,
+    *others: Task,
+) -> Decision:
+    return decisions(decide(inventory, some_tasks(task, *others), snapshot, memory=memory, policy=policy))[
+        task.name
+    ]
 
 
 def test_affinity_draws_a_successor_to_its_predecessor() -> None:
@@ -32,7 +41,9 @@ def test_affinity_draws_a_successor_to_its_predecessor() -> None:
 
 def test_placements_of_this_plan_draw_too() -> None:
     snapshot = a_snapshot(edge1=a_sample(used=1.0), edge2=a_sample())
-    found = decide(TWO, some_tasks(a_task("slam", cpu=0.4), a_task("nav", needs=["slam"])), snapshot, policy=Policy())
+    found = decide(
+        TWO, some_tasks(a_task("slam", cpu=0.4), a_task("nav", needs=["slam"])), snapshot, policy=Policy()
+    )
     assert hosts(found) == {"slam": "edge2", "nav": "edge2"}
 
 
@@ -40,7 +51,9 @@ def test_hosts_without_predecessor_share_a_rank() -> None:
     runs = {"edge1": "a", "edge2": "b"}
     samples = {host: a_sample(tasks={task: a_run()}) for host, task in runs.items()}
     snapshot = a_snapshot(**samples, edge3=a_sample())
-    decision = one(THREE, a_task("c", needs=["a", "b"]), snapshot, NO_MEMORY, Policy(), a_task("a"), a_task("b"))
+    decision = one(
+        THREE, a_task("c", needs=["a", "b"]), snapshot, NO_MEMORY, Policy(), a_task("a"), a_task("b")
+    )
     # a(edge1) = a(edge2) = 1 - 1 = 0, a(edge3) = -2: m = 2, so 1, 1 and 0
     assert {name: (entry.affinity, entry.terms.task) for name, entry in ranked(decision).items()} == {
         "edge1": (0, 1.0),
@@ -52,13 +65,29 @@ def test_hosts_without_predecessor_share_a_rank() -> None:
 def test_only_candidates_are_ranked_by_affinity() -> None:
     # slam is on edge1, which is cordoned: the two others are equal, so .5 each
     snapshot = a_snapshot(edge1=a_sample(tasks={"slam": a_run()}), edge2=a_sample(), edge3=a_sample())
-    decision = one(THREE, a_task("nav", needs=["slam"]), snapshot, Memory(cordons=frozenset({"edge1"})), Policy(), a_task("slam"))
+    decision = one(
+        THREE,
+        a_task("nav", needs=["slam"]),
+        snapshot,
+        ManagerState(cordons=frozenset({"edge1"})),
+        Policy(),
+        a_task("slam"),
+    )
     assert [ranked(decision)[name].terms.task for name in ("edge1", "edge2", "edge3")] == [None, 0.5, 0.5]
 
 
 def test_an_infeasible_candidate_still_counts_in_the_ranks() -> None:
-    snapshot = a_snapshot(edge1=a_sample(used=4.0, tasks={"slam": a_run()}), edge2=a_sample(), edge3=a_sample())
-    decision = one(THREE, a_task("nav", cpu=1.0, needs=["slam"]), snapshot, NO_MEMORY, Policy(), a_task("slam", pin="edge1"))
+    snapshot = a_snapshot(
+        edge1=a_sample(used=4.0, tasks={"slam": a_run()}), edge2=a_sample(), edge3=a_sample()
+    )
+    decision = one(
+        THREE,
+        a_task("nav", cpu=1.0, needs=["slam"]),
+        snapshot,
+        NO_MEMORY,
+        Policy(),
+        a_task("slam", pin="edge1"),
+    )
     assert [ranked(decision)[name].terms.task for name in ("edge1", "edge2", "edge3")] == [1.0, 0.0, 0.0]
     assert decision.host == "edge2"
 
@@ -84,7 +113,11 @@ def test_equal_within_1e_9_is_a_tie() -> None:
 @pytest.mark.parametrize(
     ("used", "host", "reason"),
     [
-        (0.40, "edge1", Reason.BELOW_MARGIN),  # edge1 (4 - .4) / 4 = .9, edge2 1: exactly the margin is not more
+        (
+            0.40,
+            "edge1",
+            Reason.BELOW_MARGIN,
+        ),  # edge1 (4 - .4) / 4 = .9, edge2 1: exactly the margin is not more
         (0.44, "edge2", Reason.GAIN),  # .89: gain .11
         (0.00, "edge1", Reason.STILL_BEST),
     ],
@@ -105,13 +138,13 @@ def test_the_margin_must_be_exceeded(used: float, host: str, reason: Reason) -> 
         (NO_MEMORY, 119.0, "edge1", 1.0),
         (NO_MEMORY, 120.0, "edge2", None),
         # the memory knows since when it is here; a restart in place does not make it young
-        (Memory(placements={"slam": Placement(host="edge1", since=NOW - 500.0)}), 5.0, "edge2", None),
-        (Memory(placements={"slam": Placement(host="edge1", since=NOW - 20.0)}), 500.0, "edge1", 100.0),
+        (ManagerState(placements={"slam": Placement(host="edge1", since=NOW - 500.0)}), 5.0, "edge2", None),
+        (ManagerState(placements={"slam": Placement(host="edge1", since=NOW - 20.0)}), 500.0, "edge1", 100.0),
         # it remembers another host: the start counts
-        (Memory(placements={"slam": Placement(host="edge2", since=NOW - 500.0)}), 5.0, "edge1", 115.0),
+        (ManagerState(placements={"slam": Placement(host="edge2", since=NOW - 500.0)}), 5.0, "edge1", 115.0),
     ],
 )
-def test_dwell(memory: Memory, started_s_ago: float, host: str, left: float | None) -> None:
+def test_dwell(memory: ManagerState, started_s_ago: float, host: str, left: float | None) -> None:
     run = a_run(started_at=NOW - started_s_ago)
     snapshot = a_snapshot(edge1=a_sample(used=2.0, tasks={"slam": run}), edge2=a_sample())
     decision = one(TWO, a_task(), snapshot, memory, Policy(weights=parse_weights("cpu")))
@@ -120,17 +153,26 @@ def test_dwell(memory: Memory, started_s_ago: float, host: str, left: float | No
         assert (decision.reason, decision.amount) == (Reason.DWELL, pytest.approx(left))
 
 
-@pytest.mark.parametrize(("attended", "max_moves", "moved"), [(True, 1, 3), (False, 1, 1), (False, 2, 2), (False, None, 3), (False, 0, 0)])
+@pytest.mark.parametrize(
+    ("attended", "max_moves", "moved"),
+    [(True, 1, 3), (False, 1, 1), (False, 2, 2), (False, None, 3), (False, 0, 0)],
+)
 def test_max_moves_acts_when_nobody_looks(attended: bool, max_moves: int | None, moved: int) -> None:
     inventory = an_inventory(*(an_edge(f"edge{n}") for n in range(1, 5)))
     runs = {name: a_run() for name in "abc"}
-    snapshot = a_snapshot(edge1=a_sample(used=3.9, tasks=runs), edge2=a_sample(), edge3=a_sample(), edge4=a_sample())
+    snapshot = a_snapshot(
+        edge1=a_sample(used=3.9, tasks=runs), edge2=a_sample(), edge3=a_sample(), edge4=a_sample()
+    )
     policy = Policy(weights=parse_weights("cpu"), attended=attended, max_moves=max_moves)
     found = decide(inventory, some_tasks(*(a_task(name, cpu=1.0) for name in "abc")), snapshot, policy=policy)
     forced = [d for d in found.decisions if d.reason is Reason.FORCED_INFEASIBLE]
     assert len(forced) == 3  # nothing fits on edge1 any more: forced, whatever max_moves says
-    snapshot = a_snapshot(edge1=a_sample(used=2.0, tasks=runs), edge2=a_sample(), edge3=a_sample(), edge4=a_sample())
-    found = decide(inventory, some_tasks(*(a_task(name, cpu=0.01) for name in "abc")), snapshot, policy=policy)
+    snapshot = a_snapshot(
+        edge1=a_sample(used=2.0, tasks=runs), edge2=a_sample(), edge3=a_sample(), edge4=a_sample()
+    )
+    found = decide(
+        inventory, some_tasks(*(a_task(name, cpu=0.01) for name in "abc")), snapshot, policy=policy
+    )
     assert sum(d.reason is Reason.GAIN for d in found.decisions) == moved
     assert sum(d.reason is Reason.MAX_MOVES for d in found.decisions) == 3 - moved
 
@@ -138,21 +180,35 @@ def test_max_moves_acts_when_nobody_looks(attended: bool, max_moves: int | None,
 @pytest.mark.parametrize(
     ("memory", "policy", "task", "reason"),
     [
-        (Memory(draining=frozenset({"edge1"})), CPU, a_task(), Reason.FORCED_DRAIN),
-        (NO_MEMORY, Policy(weights=parse_weights("cpu"), without=frozenset({"edge1"})), a_task(), Reason.FORCED_RULE),
+        (ManagerState(draining=frozenset({"edge1"})), CPU, a_task(), Reason.FORCED_DRAIN),
+        (
+            NO_MEMORY,
+            Policy(weights=parse_weights("cpu"), without=frozenset({"edge1"})),
+            a_task(),
+            Reason.FORCED_RULE,
+        ),
         (NO_MEMORY, Policy(), a_task(never=["edge1"]), Reason.FORCED_RULE),
         (NO_MEMORY, Policy(), a_task(pin="edge2"), Reason.FORCED_RULE),
         (NO_MEMORY, Policy(max_moves=0, attended=False), a_task(cpu=3.0), Reason.FORCED_INFEASIBLE),
     ],
 )
-def test_forced_moves_bypass_margin_dwell_and_max_moves(memory: Memory, policy: Policy, task: Task, reason: Reason) -> None:
-    snapshot = a_snapshot(edge1=a_sample(used=2.0, tasks={"slam": a_run(started_at=NOW)}), edge2=a_sample(used=1.0))
+def test_forced_moves_bypass_margin_dwell_and_max_moves(
+    memory: ManagerState, policy: Policy, task: Task, reason: Reason
+) -> None:
+    snapshot = a_snapshot(
+        edge1=a_sample(used=2.0, tasks={"slam": a_run(started_at=NOW)}), edge2=a_sample(used=1.0)
+    )
     decision = one(TWO, task, snapshot, memory, policy)
-    assert (decision.host, decision.previous_host, decision.reason, decision.subject) == ("edge2", "edge1", reason, "edge1")
+    assert (decision.host, decision.previous_host, decision.reason, decision.subject) == (
+        "edge2",
+        "edge1",
+        reason,
+        "edge1",
+    )
 
 
-@pytest.mark.parametrize("memory", [Memory(cordons=frozenset({"edge1"})), NO_MEMORY])
-def test_a_cordon_or_an_old_sample_only_closes_to_new_work(memory: Memory) -> None:
+@pytest.mark.parametrize("memory", [ManagerState(cordons=frozenset({"edge1"})), NO_MEMORY])
+def test_a_cordon_or_an_old_sample_only_closes_to_new_work(memory: ManagerState) -> None:
     age = 0.0 if memory.cordons else 600.0
     snapshot = a_snapshot(edge1=a_sample(tasks={"slam": a_run()}, age=age), edge2=a_sample(used=2.0))
     found = decide(TWO, some_tasks(a_task("slam"), a_task("zoom")), snapshot, memory=memory, policy=CPU)
@@ -160,18 +216,32 @@ def test_a_cordon_or_an_old_sample_only_closes_to_new_work(memory: Memory) -> No
 
 
 def test_a_drained_task_that_fits_nowhere_else_stays_with_its_total() -> None:
-    snapshot = a_snapshot(edge1=a_sample(used=1.0, tasks={"slam": a_run(used_cores=1.0)}), edge2=a_sample(used=3.5))
-    decision = one(TWO, a_task(cpu=1.0), snapshot, Memory(draining=frozenset({"edge1"})))
-    assert (decision.host, decision.reason, decision.total) == ("edge1", Reason.NOTHING_FITS, pytest.approx(0.75))
+    snapshot = a_snapshot(
+        edge1=a_sample(used=1.0, tasks={"slam": a_run(used_cores=1.0)}), edge2=a_sample(used=3.5)
+    )
+    decision = one(TWO, a_task(cpu=1.0), snapshot, ManagerState(draining=frozenset({"edge1"})))
+    assert (decision.host, decision.reason, decision.total) == (
+        "edge1",
+        Reason.NOTHING_FITS,
+        pytest.approx(0.75),
+    )
     assert not ranked(decision)["edge1"].feasible
 
 
-@pytest.mark.parametrize(("edges", "quiet", "frozen"), [(2, 1, False), (4, 2, False), (20, 11, False), (20, 12, True), (3, 2, True)])
-def test_with_most_edges_silent_nothing_moves_but_starts_are_allowed(edges: int, quiet: int, frozen: bool) -> None:
+@pytest.mark.parametrize(
+    ("edges", "quiet", "frozen"),
+    [(2, 1, False), (4, 2, False), (20, 11, False), (20, 12, True), (3, 2, True)],
+)
+def test_with_most_edges_silent_nothing_moves_but_starts_are_allowed(
+    edges: int, quiet: int, frozen: bool
+) -> None:
     # .55 x 20 = 11 silent is not more than 55 %, 12 is
     inventory = an_inventory(*(an_edge(f"edge{n}") for n in range(1, edges + 1)))
     answered = edges - quiet
-    samples = {f"edge{n}": a_sample(used=3.0 if n == 1 else 0.0) if n <= answered else silent() for n in range(1, edges + 1)}
+    samples = {
+        f"edge{n}": a_sample(used=3.0 if n == 1 else 0.0) if n <= answered else silent()
+        for n in range(1, edges + 1)
+    }
     samples["edge1"] = a_sample(used=3.0, tasks={"old": a_run()})
     found = decide(inventory, some_tasks(a_task("new"), a_task("old")), a_snapshot(**samples), policy=CPU)
     assert found.frozen is frozen
@@ -184,7 +254,11 @@ def test_frozen_says_so() -> None:
     inventory = an_inventory(*(an_edge(f"edge{n}") for n in range(1, 6)))
     for used in (3.0, 5.0):  # worth a move; not even feasible
         snapshot = a_snapshot(
-            edge1=a_sample(used=used, tasks={"slam": a_run()}), edge2=a_sample(), edge3=silent(), edge4=silent(), edge5=silent()
+            edge1=a_sample(used=used, tasks={"slam": a_run()}),
+            edge2=a_sample(),
+            edge3=silent(),
+            edge4=silent(),
+            edge5=silent(),
         )
         decision = one(inventory, a_task(), snapshot)
         assert (decision.host, decision.reason) == ("edge1", Reason.MOVES_FROZEN)

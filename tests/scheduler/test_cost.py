@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from edgectl.model.assignment import Decision, MoveCost, Reason
-from edgectl.model.memory import Memory, Placement
+from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.policy import Policy
 from edgectl.model.weights import parse_weights
 from tests.builders import NOW, a_run, a_sample, a_snapshot, a_task, an_edge, an_inventory, some_tasks
@@ -23,15 +23,19 @@ def weigh(
     cost: float = 10.0, min_dwell: float = 0.0, max_moves: int | None = None,
 ) -> Decision:  # fmt: skip
     """The decision on slam, which has been on edge1 for ``here_s`` and would gain ``gain`` on edge2; edge3 is full."""
-    memory = Memory(
+    memory = ManagerState(
         managed=True,
         placements={"slam": Placement(host="edge1", since=NOW - here_s)},
         downtimes={("slam", host): seconds for host, seconds in (downtimes or {}).items()},
         stays={"slam": stays} if stays else {},
     )
-    samples = a_snapshot(edge1=a_sample(used=4 * gain, tasks={"slam": a_run()}), edge2=a_sample(), edge3=a_sample(used=4.0))
+    samples = a_snapshot(
+        edge1=a_sample(used=4 * gain, tasks={"slam": a_run()}), edge2=a_sample(), edge3=a_sample(used=4.0)
+    )
     policy = Policy(weights=parse_weights("cpu"), min_dwell=min_dwell, max_moves=max_moves, attended=False)
-    return decisions(decide(INVENTORY, some_tasks(a_task(downtime_cost=cost)), samples, memory=memory, policy=policy))["slam"]
+    return decisions(
+        decide(INVENTORY, some_tasks(a_task(downtime_cost=cost)), samples, memory=memory, policy=policy)
+    )["slam"]
 
 
 @pytest.mark.parametrize(
@@ -58,13 +62,18 @@ def weigh(
         (0.25, {"cost": 18.75}, Reason.COST_ABOVE_GAIN, 0.25),
     ],
 )
-def test_a_measured_move_must_pay_for_its_downtime(gain: float, world: dict[str, object], reason: Reason, needed: float) -> None:
+def test_a_measured_move_must_pay_for_its_downtime(
+    gain: float, world: dict[str, object], reason: Reason, needed: float
+) -> None:
     decision = weigh(gain, downtimes={"edge2": FOUR_S}, **world)  # type: ignore[arg-type]
     assert decision.reason is reason
     assert decision.cost is not None
     assert (decision.cost.downtime_s, decision.cost.needed) == pytest.approx((4.0, needed))
     moved = reason is Reason.GAIN_OVER_COST
-    assert (decision.host, decision.amount) == ("edge2" if moved else "edge1", pytest.approx(gain if moved else needed))
+    assert (decision.host, decision.amount) == (
+        "edge2" if moved else "edge1",
+        pytest.approx(gain if moved else needed),
+    )
 
 
 @pytest.mark.parametrize(
@@ -89,14 +98,24 @@ def test_with_fewer_than_five_the_bare_margin_decides(gain: float, count: int, c
 
 
 @quick
-@given(st.floats(0.0, 1.0), st.floats(0.0, 100.0), st.floats(0.0, 100.0), st.lists(st.floats(0.0, 1e5), max_size=3), st.floats(0.0, 1e5))
-def test_a_higher_cost_never_moves_what_a_lower_one_keeps(gain: float, cost: float, more: float, stays: list[float], here_s: float) -> None:
+@given(
+    st.floats(0.0, 1.0),
+    st.floats(0.0, 100.0),
+    st.floats(0.0, 100.0),
+    st.lists(st.floats(0.0, 1e5), max_size=3),
+    st.floats(0.0, 1e5),
+)
+def test_a_higher_cost_never_moves_what_a_lower_one_keeps(
+    gain: float, cost: float, more: float, stays: list[float], here_s: float
+) -> None:
     world = {"downtimes": {"edge2": FOUR_S}, "stays": tuple(stays), "here_s": here_s}
     low, high = weigh(gain, cost=cost, **world), weigh(gain, cost=cost + more, **world)  # type: ignore[arg-type]
     assert low.host == "edge2" or high.host == "edge1"
 
 
-@pytest.mark.parametrize(("brake", "reason"), [({"min_dwell": 400.0}, Reason.DWELL), ({"max_moves": 0}, Reason.MAX_MOVES)])
+@pytest.mark.parametrize(
+    ("brake", "reason"), [({"min_dwell": 400.0}, Reason.DWELL), ({"max_moves": 0}, Reason.MAX_MOVES)]
+)
 def test_a_move_that_pays_still_waits_for_the_brakes(brake: dict[str, object], reason: Reason) -> None:
     assert weigh(0.9, downtimes={"edge2": FOUR_S}, **brake).reason is reason  # type: ignore[arg-type]
 

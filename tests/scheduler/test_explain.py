@@ -7,15 +7,27 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from edgectl.model.assignment import Assignment, Reason
-from edgectl.model.explanation import Change, Explanation, Flip, Term
+from edgectl.model.explanation import ChangeKind, Explanation, Flip, Term
 from edgectl.model.inventory import Inventory
-from edgectl.model.memory import Memory, Placement
+from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.policy import Policy, Weights
-from edgectl.model.snapshot import Cpu, LinkSample, MemoryUse, Snapshot
+from edgectl.model.snapshot import CpuUsage, LinkSample, MemoryUsage, Snapshot
 from edgectl.model.task import Tasks
 from edgectl.scheduler.assign import assign
-from edgectl.scheduler.explain import Noise, explain
-from tests.builders import GI, NOW, a_link, a_robot, a_run, a_sample, a_snapshot, a_task, an_edge, an_inventory, some_tasks
+from edgectl.scheduler.explain import TermNoise, explain_decision
+from tests.builders import (
+    GI,
+    NOW,
+    a_link,
+    a_robot,
+    a_run,
+    a_sample,
+    a_snapshot,
+    a_task,
+    an_edge,
+    an_inventory,
+    some_tasks,
+)
 
 LINK = 10e6
 # How far beyond a crossing to look, as a share of the capacity: totals then differ by more than what counts as equal.
@@ -23,18 +35,26 @@ STEP = 1e-6
 
 
 def decide(inventory: Inventory, tasks: Tasks, snapshot: Snapshot, policy: Policy) -> Assignment:
-    return assign(inventory, tasks, snapshot, snapshot.memory or Memory(), policy, NOW)
+    return assign(inventory, tasks, snapshot, snapshot.manager or ManagerState(), policy, NOW)
 
 
-def explained(inventory: Inventory, tasks: Tasks, snapshot: Snapshot, policy: Policy, **noise: Noise) -> Explanation:
+def explained(
+    inventory: Inventory, tasks: Tasks, snapshot: Snapshot, policy: Policy, **noise: TermNoise
+) -> Explanation:
     assignment = decide(inventory, tasks, snapshot, policy)
-    return explain(inventory, tasks.tasks["slam"], snapshot, assignment.decisions[0], assignment.policy, noise or None)
+    return explain_decision(
+        inventory, tasks.tasks["slam"], snapshot, assignment.decisions[0], assignment.policy, noise or None
+    )
 
 
 def two_edges(used1: float, used2: float, **fields: float) -> tuple[Inventory, Tasks, Snapshot]:
     """Two edges of 4 cores, one task of 0.4 cores."""
     snapshot = a_snapshot(edge1=a_sample(used=used1), edge2=a_sample(used=used2))
-    return an_inventory(an_edge("edge1"), an_edge("edge2")), some_tasks(a_task(cpu=fields.get("cpu", 0.4))), snapshot
+    return (
+        an_inventory(an_edge("edge1"), an_edge("edge2")),
+        some_tasks(a_task(cpu=fields.get("cpu", 0.4))),
+        snapshot,
+    )
 
 
 CPU = Policy(weights=Weights(cpu=1.0, memory=0.0, network=0.0, task=0.0))
@@ -46,8 +66,8 @@ def test_by_hand_a_load_that_rises_and_one_that_falls() -> None:
     assert found.runner_up == "edge2"
     assert [round(each.lead, 9) for each in found.contributions] == [0.25, 0.0, 0.0, 0.0]
     flips = {(flip.change, flip.host): flip for flip in found.flips if flip.term is Term.CPU}
-    assert flips[Change.LOAD_RISES, "edge1"].amount == pytest.approx(1.0)
-    assert flips[Change.LOAD_FALLS, "edge2"].amount == pytest.approx(1.0)
+    assert flips[ChangeKind.LOAD_RISES, "edge1"].amount == pytest.approx(1.0)
+    assert flips[ChangeKind.LOAD_FALLS, "edge2"].amount == pytest.approx(1.0)
     assert {flip.winner for flip in flips.values()} == {"edge2"}
     assert found.slack == pytest.approx(0.25)
 
@@ -58,7 +78,9 @@ def test_by_hand_a_weight() -> None:
     world = a_snapshot(edge1=a_sample(used=1.0, used_memory=2 * GI), edge2=a_sample(used=2.0))
     policy = Policy(weights=Weights(cpu=0.9, memory=0.1, network=0.0, task=0.0))
     found = explained(inventory, tasks, world, policy)
-    falls = next(flip for flip in found.flips if flip.change is Change.WEIGHT_FALLS and flip.term is Term.CPU)
+    falls = next(
+        flip for flip in found.flips if flip.change is ChangeKind.WEIGHT_FALLS and flip.term is Term.CPU
+    )
     assert falls.amount == pytest.approx(2 / 3)
     assert falls.winner == "edge2"
 
@@ -67,12 +89,12 @@ def test_a_running_task_flips_only_beyond_the_margin() -> None:
     inventory, tasks, _ = two_edges(0.0, 0.0)
     run = a_run(used_cores=0.4, spec_hash="hash-slam")
     world = a_snapshot(
-        memory=Memory(managed=True, placements={"slam": Placement(host="edge1", since=NOW - 3600.0)}),
+        memory=ManagerState(managed=True, placements={"slam": Placement(host="edge1", since=NOW - 3600.0)}),
         edge1=a_sample(used=1.4, tasks={"slam": run}),
         edge2=a_sample(used=1.0),
     )
     found = explained(inventory, tasks, world, CPU)
-    rises = next(flip for flip in found.flips if flip.change is Change.LOAD_RISES)
+    rises = next(flip for flip in found.flips if flip.change is ChangeKind.LOAD_RISES)
     assert (rises.host, rises.winner) == ("edge1", "edge2")
     assert rises.amount == pytest.approx(0.4)
 
@@ -80,13 +102,13 @@ def test_a_running_task_flips_only_beyond_the_margin() -> None:
 def test_an_unplaced_task_says_what_would_have_to_go() -> None:
     found = explained(*two_edges(3.9, 3.8), CPU)
     assert found.decision.reason is Reason.NO_FEASIBLE_HOST
-    falls = next(flip for flip in found.flips if flip.change is Change.LOAD_FALLS)
+    falls = next(flip for flip in found.flips if flip.change is ChangeKind.LOAD_FALLS)
     assert (falls.host, falls.winner) == ("edge2", "edge2")
     assert falls.amount == pytest.approx(0.2)
 
 
 def test_a_lead_within_the_noise_is_fragile() -> None:
-    noise = {"edge1": Noise(cpu=0.03), "edge2": Noise(cpu=0.04)}
+    noise = {"edge1": TermNoise(cpu=0.03), "edge2": TermNoise(cpu=0.04)}
     near = explained(*two_edges(1.0, 1.16), CPU, **noise)
     assert near.noise == pytest.approx(0.05)
     assert near.slack == pytest.approx(0.04)
@@ -114,21 +136,35 @@ def worlds(draw: st.DrawFn) -> tuple[Inventory, Tasks, Snapshot, Policy]:
     weights = draw(st.tuples(*[st.integers(1, 20)] * 4))
     total = sum(weights)
     policy = Policy(
-        weights=Weights(**{name: value / total for name, value in zip(("cpu", "memory", "network", "task"), weights, strict=True)})
+        weights=Weights(
+            **{
+                name: value / total
+                for name, value in zip(("cpu", "memory", "network", "task"), weights, strict=True)
+            }
+        )
     )
     inventory = an_inventory(*(an_edge(name) for name in edges), a_robot("robot1", probe=False))
-    return inventory, some_tasks(task), a_snapshot(memory=Memory(managed=True, placements=placements), **samples), policy
+    return (
+        inventory,
+        some_tasks(task),
+        a_snapshot(memory=ManagerState(managed=True, placements=placements), **samples),
+        policy,
+    )
 
 
 @settings(max_examples=300)
 @given(worlds(), st.data())
-def test_every_flip_flips_and_nothing_smaller_does(world: tuple[Inventory, Tasks, Snapshot, Policy], data: st.DataObject) -> None:
+def test_every_flip_flips_and_nothing_smaller_does(
+    world: tuple[Inventory, Tasks, Snapshot, Policy], data: st.DataObject
+) -> None:
     inventory, tasks, snapshot, policy = world
     found = explained(*world)
     assume(found.flips)
     flip = data.draw(st.sampled_from(found.flips))
     assume(flip.size > 2 * STEP)
-    just_before, just_after = (changed(snapshot, policy, flip, 1 + step / flip.size) for step in (-STEP, STEP))
+    just_before, just_after = (
+        changed(snapshot, policy, flip, 1 + step / flip.size) for step in (-STEP, STEP)
+    )
     assume(just_after is not None)
     assert just_before is not None
     assert just_after is not None
@@ -141,21 +177,31 @@ def changed(snapshot: Snapshot, policy: Policy, flip: Flip, share: float) -> tup
     if flip.host is None:
         assume(1e-3 < flip.amount < 1 - 1e-3)
         return snapshot, reweighted(policy, flip, share)
-    host, sign = snapshot.hosts[flip.host], 1.0 if flip.change is Change.LOAD_RISES else -1.0
+    host, sign = snapshot.hosts[flip.host], 1.0 if flip.change is ChangeKind.LOAD_RISES else -1.0
     delta = sign * flip.amount * share
     assert host.cpu is not None
     assert host.memory is not None
     if flip.term is Term.CPU:
-        host = replace(host, cpu=Cpu(cores=host.cpu.cores, used_cores=host.cpu.used_cores + delta))
+        host = replace(host, cpu=CpuUsage(cores=host.cpu.cores, used_cores=host.cpu.used_cores + delta))
         left = host.cpu.used_cores
     elif flip.term is Term.MEMORY:
-        host = replace(host, memory=MemoryUse(total_bytes=host.memory.total_bytes, used_bytes=host.memory.used_bytes + delta))
+        host = replace(
+            host,
+            memory=MemoryUsage(
+                total_bytes=host.memory.total_bytes, used_bytes=host.memory.used_bytes + delta
+            ),
+        )
         left = host.memory.used_bytes
     else:
         assert flip.robot is not None
         link = host.links[flip.robot]
         left = link.used_bytes_per_s + delta
-        host = replace(host, links={flip.robot: LinkSample(capacity_bytes_per_s=link.capacity_bytes_per_s, used_bytes_per_s=left)})
+        host = replace(
+            host,
+            links={
+                flip.robot: LinkSample(capacity_bytes_per_s=link.capacity_bytes_per_s, used_bytes_per_s=left)
+            },
+        )
     return (replace(snapshot, hosts={**snapshot.hosts, flip.host: host}), policy) if left >= 0 else None
 
 
@@ -163,4 +209,9 @@ def reweighted(policy: Policy, flip: Flip, share: float) -> Policy:
     old = {term: getattr(policy.weights, term.value) for term in Term}
     weight = old[flip.term] + (flip.amount - old[flip.term]) * share
     rest = (1 - weight) / (1 - old[flip.term])
-    return replace(policy, weights=Weights(**{term.value: weight if term is flip.term else value * rest for term, value in old.items()}))
+    return replace(
+        policy,
+        weights=Weights(
+            **{term.value: weight if term is flip.term else value * rest for term, value in old.items()}
+        ),
+    )

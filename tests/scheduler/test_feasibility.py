@@ -2,13 +2,25 @@
 
 import pytest
 
-from edgectl.model.assignment import Reason, Rejection, Resource, Rule, Verdict
+from edgectl.model.assignment import Reason, Rejection, RejectionRule, Resource, Verdict
 from edgectl.model.inventory import Host
-from edgectl.model.memory import Memory
+from edgectl.model.manager_state import ManagerState
 from edgectl.model.policy import Policy
 from edgectl.model.snapshot import HostSample
-from edgectl.model.task import Need, Onboard, Task, Until
-from tests.builders import GI, a_link, a_robot, a_run, a_sample, a_snapshot, a_task, an_edge, an_inventory, silent, some_tasks
+from edgectl.model.task import Need, NeedCondition, OnboardRule, Task
+from tests.builders import (
+    GI,
+    a_link,
+    a_robot,
+    a_run,
+    a_sample,
+    a_snapshot,
+    a_task,
+    an_edge,
+    an_inventory,
+    silent,
+    some_tasks,
+)
 from tests.scheduler.fleets import NO_MEMORY, decide, decisions, ranked
 
 LINKS = {"robot1": a_link()}
@@ -17,20 +29,36 @@ LINKS = {"robot1": a_link()}
 @pytest.mark.parametrize(
     ("host", "sample", "memory", "task", "rule"),
     [
-        (an_edge(), silent(), NO_MEMORY, a_task(), Rule.UNREACHABLE),
-        (an_edge(), a_sample(age=61.0), NO_MEMORY, a_task(), Rule.STALE),
-        (an_edge(), a_sample(), Memory(cordons=frozenset({"edge1"})), a_task(), Rule.CORDONED),
-        (an_edge(), a_sample(), Memory(draining=frozenset({"edge1"})), a_task(), Rule.CORDONED),
-        (an_edge(), a_sample(), NO_MEMORY, a_task(only=["edge2"]), Rule.NOT_ONLY),
-        (an_edge(), a_sample(), NO_MEMORY, a_task(never=["edge1"]), Rule.NEVER),
-        (an_edge(), a_sample(), NO_MEMORY, a_task(pin="edge2"), Rule.PIN),
-        (an_edge(labels={"gpu": "ampere"}), a_sample(), NO_MEMORY, a_task(labels={"gpu": "maxwell"}), Rule.LABELS),
-        (an_edge(), a_sample(), NO_MEMORY, a_task(labels={"gpu": "maxwell"}), Rule.LABELS),
-        (an_edge(), a_sample(), NO_MEMORY, a_task(onboard=Onboard.ONLY), Rule.ONBOARD),
+        (an_edge(), silent(), NO_MEMORY, a_task(), RejectionRule.UNREACHABLE),
+        (an_edge(), a_sample(age=61.0), NO_MEMORY, a_task(), RejectionRule.STALE),
+        (an_edge(), a_sample(), ManagerState(cordons=frozenset({"edge1"})), a_task(), RejectionRule.CORDONED),
+        (
+            an_edge(),
+            a_sample(),
+            ManagerState(draining=frozenset({"edge1"})),
+            a_task(),
+            RejectionRule.CORDONED,
+        ),
+        (an_edge(), a_sample(), NO_MEMORY, a_task(only=["edge2"]), RejectionRule.NOT_ONLY),
+        (an_edge(), a_sample(), NO_MEMORY, a_task(never=["edge1"]), RejectionRule.NEVER),
+        (an_edge(), a_sample(), NO_MEMORY, a_task(pin="edge2"), RejectionRule.PIN),
+        (
+            an_edge(labels={"gpu": "ampere"}),
+            a_sample(),
+            NO_MEMORY,
+            a_task(labels={"gpu": "maxwell"}),
+            RejectionRule.LABELS,
+        ),
+        (an_edge(), a_sample(), NO_MEMORY, a_task(labels={"gpu": "maxwell"}), RejectionRule.LABELS),
+        (an_edge(), a_sample(), NO_MEMORY, a_task(onboard=OnboardRule.ONLY), RejectionRule.ONBOARD),
     ],
 )
-def test_no_candidate(host: Host, sample: HostSample, memory: Memory, task: Task, rule: Rule) -> None:
-    decision = decide(an_inventory(host), some_tasks(task), a_snapshot(edge1=sample), memory=memory).decisions[0]
+def test_no_candidate(
+    host: Host, sample: HostSample, memory: ManagerState, task: Task, rule: RejectionRule
+) -> None:
+    decision = decide(
+        an_inventory(host), some_tasks(task), a_snapshot(edge1=sample), memory=memory
+    ).decisions[0]
     assert (decision.verdict, decision.reason, decision.host) == (Verdict.UNPLACED, Reason.NO_CANDIDATE, None)
     assert decision.ranking[0].rejections == (Rejection(rule=rule),)
     assert (decision.ranking[0].rank, decision.ranking[0].total) == (0, None)
@@ -46,23 +74,27 @@ def test_a_fresh_enough_sample_and_matching_rules_pass() -> None:
 def test_without_is_what_if() -> None:
     inventory = an_inventory(an_edge("edge1"), an_edge("edge2"))
     policy = Policy(without=frozenset({"edge1"}))
-    decision = decide(inventory, some_tasks(a_task()), a_snapshot(edge1=a_sample(), edge2=a_sample(used=1.0)), policy=policy).decisions[0]
+    decision = decide(
+        inventory, some_tasks(a_task()), a_snapshot(edge1=a_sample(), edge2=a_sample(used=1.0)), policy=policy
+    ).decisions[0]
     assert (decision.host, decision.reason) == ("edge2", Reason.ONLY_FEASIBLE)
-    assert ranked(decision)["edge1"].rejections == (Rejection(rule=Rule.WITHOUT),)
+    assert ranked(decision)["edge1"].rejections == (Rejection(rule=RejectionRule.WITHOUT),)
 
 
 @pytest.mark.parametrize(
     ("onboard", "allowed", "robots", "candidate"),
     [
-        (True, Onboard.ALLOW, ["robot1"], True),
-        (True, Onboard.ONLY, ["robot1"], True),
-        (True, Onboard.NEVER, ["robot1"], False),
-        (False, Onboard.ALLOW, ["robot1"], False),
-        (True, Onboard.ALLOW, ["robot1", "robot2"], False),
-        (True, Onboard.ALLOW, [], False),
+        (True, OnboardRule.ALLOW, ["robot1"], True),
+        (True, OnboardRule.ONLY, ["robot1"], True),
+        (True, OnboardRule.NEVER, ["robot1"], False),
+        (False, OnboardRule.ALLOW, ["robot1"], False),
+        (True, OnboardRule.ALLOW, ["robot1", "robot2"], False),
+        (True, OnboardRule.ALLOW, [], False),
     ],
 )
-def test_when_the_robot_is_a_candidate(onboard: bool, allowed: Onboard, robots: list[str], candidate: bool) -> None:
+def test_when_the_robot_is_a_candidate(
+    onboard: bool, allowed: OnboardRule, robots: list[str], candidate: bool
+) -> None:
     inventory = an_inventory(an_edge(), a_robot("robot1", onboard=onboard), a_robot("robot2"))
     links = {"robot1": a_link(), "robot2": a_link()}
     snapshot = a_snapshot(edge1=a_sample(used=3.0, links=links), robot1=a_sample(), robot2=a_sample())
@@ -73,16 +105,20 @@ def test_when_the_robot_is_a_candidate(onboard: bool, allowed: Onboard, robots: 
 
 def test_an_onboard_robot_that_is_never_probed_is_no_host() -> None:
     inventory = an_inventory(an_edge(), a_robot(onboard=True, probe=False))
-    decision = decide(inventory, some_tasks(a_task(robots=["robot1"])), a_snapshot(edge1=a_sample(links=LINKS))).decisions[0]
+    decision = decide(
+        inventory, some_tasks(a_task(robots=["robot1"])), a_snapshot(edge1=a_sample(links=LINKS))
+    ).decisions[0]
     assert decision.host == "edge1"
-    assert ranked(decision)["robot1"].rejections == (Rejection(rule=Rule.UNREACHABLE),)
+    assert ranked(decision)["robot1"].rejections == (Rejection(rule=RejectionRule.UNREACHABLE),)
 
 
 def test_a_rejection_says_what_is_lacking() -> None:
     inventory = an_inventory(an_edge(cpu_limit=0.5), a_robot())
     snapshot = a_snapshot(edge1=a_sample(used=1.5, used_memory=3 * GI, links={"robot1": a_link(10e6, 8e6)}))
-    decision = decide(inventory, some_tasks(a_task(cpu=1.0, memory=2 * GI, throughput=3e6, robots=["robot1"])), snapshot).decisions[0]
-    rule = Rule.INSUFFICIENT
+    decision = decide(
+        inventory, some_tasks(a_task(cpu=1.0, memory=2 * GI, throughput=3e6, robots=["robot1"])), snapshot
+    ).decisions[0]
+    rule = RejectionRule.INSUFFICIENT
     assert decision.ranking[0].rejections == (
         Rejection(rule=rule, resource=Resource.CPU, demand=1.0, used=1.5, capacity=2.0),
         Rejection(rule=rule, resource=Resource.MEMORY, demand=2 * GI, used=3 * GI, capacity=4 * GI),
@@ -90,17 +126,25 @@ def test_a_rejection_says_what_is_lacking() -> None:
     )
     # cpu (2 - 1.5 - 1) / 2 = -.25; mem (4 - 3 - 2) / 4 = -.25; net (10 - 8 - 3) / 10 = -.1; total (-.25 - .25 - .1 + .5) / 4 = -.025
     assert decision.ranking[0].total == pytest.approx(-0.025)
-    assert (decision.verdict, decision.reason, decision.nearest) == (Verdict.UNPLACED, Reason.NO_FEASIBLE_HOST, "edge1")
+    assert (decision.verdict, decision.reason, decision.nearest) == (
+        Verdict.UNPLACED,
+        Reason.NO_FEASIBLE_HOST,
+        "edge1",
+    )
 
 
 def test_exactly_full_still_fits() -> None:
-    decision = decide(an_inventory(an_edge()), some_tasks(a_task(cpu=1.0)), a_snapshot(edge1=a_sample(used=3.0 + 1e-10))).decisions[0]
+    decision = decide(
+        an_inventory(an_edge()), some_tasks(a_task(cpu=1.0)), a_snapshot(edge1=a_sample(used=3.0 + 1e-10))
+    ).decisions[0]
     assert (decision.host, decision.reason) == ("edge1", Reason.ONLY_FEASIBLE)
 
 
 def test_demand_larger_than_any_host_names_the_nearest_miss() -> None:
     inventory = an_inventory(an_edge("edge1"), an_edge("edge2"), an_edge("edge3"))
-    snapshot = a_snapshot(edge1=a_sample(), edge2=a_sample(cores=8.0), edge3=a_sample(cores=16.0, used_memory=4 * GI))
+    snapshot = a_snapshot(
+        edge1=a_sample(), edge2=a_sample(cores=8.0), edge3=a_sample(cores=16.0, used_memory=4 * GI)
+    )
     decision = decide(inventory, some_tasks(a_task(cpu=10.0, memory=2 * GI)), snapshot).decisions[0]
     # worst terms: edge1 cpu (4-10)/4 = -1.5; edge2 cpu (8-10)/8 = -.25; edge3 mem (4-4-2)/4 = -.5
     assert (decision.verdict, decision.nearest, decision.host) == (Verdict.UNPLACED, "edge2", None)
@@ -108,11 +152,18 @@ def test_demand_larger_than_any_host_names_the_nearest_miss() -> None:
 
 def test_best_effort_takes_the_highest_total_all_the_same() -> None:
     inventory = an_inventory(an_edge("edge1"), an_edge("edge2"), an_edge("edge3"), a_robot())
-    snapshot = a_snapshot(edge1=a_sample(links=LINKS), edge2=a_sample(cores=8.0, links=LINKS), edge3=a_sample(cores=64.0))
+    snapshot = a_snapshot(
+        edge1=a_sample(links=LINKS), edge2=a_sample(cores=8.0, links=LINKS), edge3=a_sample(cores=64.0)
+    )
     task = a_task(cpu=10.0, robots=["robot1"])
     assignment = decide(inventory, some_tasks(task), snapshot, policy=Policy(best_effort=True))
     decision = assignment.decisions[0]
-    assert (decision.verdict, decision.reason, decision.host, decision.overcommitted) == (Verdict.PLACED, Reason.BEST_EFFORT, "edge2", True)
+    assert (decision.verdict, decision.reason, decision.host, decision.overcommitted) == (
+        Verdict.PLACED,
+        Reason.BEST_EFFORT,
+        "edge2",
+        True,
+    )
     assert assignment.expected["edge2"].used_cores == 10.0
 
 
@@ -133,7 +184,7 @@ def test_a_running_task_that_fits_nowhere_stays_and_is_charged() -> None:
     [
         (["slam"], [a_task("slam", cpu=9.0)], "slam"),  # unplaced
         (["slam"], [a_task("slam")], None),  # placed in this plan
-        ([Need(task="slam", until=Until.RUNNING)], [a_task("slam")], None),
+        ([Need(task="slam", until=NeedCondition.RUNNING)], [a_task("slam")], None),
         (["ghost"], [], "ghost"),
         (["maps", "slam"], [a_task("maps"), a_task("slam", cpu=9.0)], "slam"),
     ],
@@ -144,16 +195,28 @@ def test_predecessors(needs: list[str | Need], others: list[Task], missing: str 
     if missing is None:
         assert decision.host == "edge1"
     else:
-        assert (decision.verdict, decision.reason, decision.subject) == (Verdict.UNPLACED, Reason.PREDECESSOR_MISSING, missing)
+        assert (decision.verdict, decision.reason, decision.subject) == (
+            Verdict.UNPLACED,
+            Reason.PREDECESSOR_MISSING,
+            missing,
+        )
 
 
 def test_a_predecessor_that_must_complete_is_not_called_missing_once_it_is_placed() -> None:
-    tasks = some_tasks(a_task("nav", needs=[Need(task="slam", until=Until.COMPLETED)]), a_task("slam"))
+    tasks = some_tasks(
+        a_task("nav", needs=[Need(task="slam", until=NeedCondition.COMPLETED)]), a_task("slam")
+    )
     decision = decisions(decide(an_inventory(an_edge()), tasks, a_snapshot(edge1=a_sample())))["nav"]
-    assert (decision.verdict, decision.reason, decision.subject) == (Verdict.UNPLACED, Reason.PREDECESSOR_INCOMPLETE, "slam")
+    assert (decision.verdict, decision.reason, decision.subject) == (
+        Verdict.UNPLACED,
+        Reason.PREDECESSOR_INCOMPLETE,
+        "slam",
+    )
 
 
 def test_a_running_task_does_not_lose_its_host_to_a_missing_predecessor() -> None:
     tasks = some_tasks(a_task("nav", needs=["slam"]), a_task("slam", cpu=9.0))
-    decision = decisions(decide(an_inventory(an_edge()), tasks, a_snapshot(edge1=a_sample(tasks={"nav": a_run()}))))["nav"]
+    decision = decisions(
+        decide(an_inventory(an_edge()), tasks, a_snapshot(edge1=a_sample(tasks={"nav": a_run()})))
+    )["nav"]
     assert (decision.verdict, decision.host) == (Verdict.KEPT, "edge1")

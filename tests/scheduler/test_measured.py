@@ -4,39 +4,62 @@ from dataclasses import replace
 
 import pytest
 
-from edgectl.model.assignment import DemandSource, Resource, Rho
-from edgectl.model.memory import MeasuredDemand, Memory
+from edgectl.model.assignment import DemandSource, Resource, ResourceDemand
+from edgectl.model.manager_state import ManagerState, MeasuredDemand
 from edgectl.model.task import Quantity, Tasks
-from tests.builders import GI, a_link, a_robot, a_sample, a_snapshot, a_task, an_edge, an_inventory, some_tasks
+from tests.builders import (
+    GI,
+    a_link,
+    a_robot,
+    a_sample,
+    a_snapshot,
+    a_task,
+    an_edge,
+    an_inventory,
+    some_tasks,
+)
 from tests.scheduler.fleets import decide, decisions, ranked
 
 SMALL, LARGE = "4c-4Gi", "8c-8Gi"
 INVENTORY = an_inventory(an_edge("edge1"), an_edge("edge2"), a_robot())
 LINKS = {"robot1": a_link(10e6)}
 SNAPSHOT = a_snapshot(
-    edge1=a_sample(cores=4, memory=4 * GI, links=LINKS), edge2=a_sample(cores=8, memory=7.4 * GI, links={"robot1": a_link(5e6)})
+    edge1=a_sample(cores=4, memory=4 * GI, links=LINKS),
+    edge2=a_sample(cores=8, memory=7.4 * GI, links={"robot1": a_link(5e6)}),
 )
 LEFT_OUT = a_task(cpu=None, memory=None, throughput=None, robots=["robot1"])
 DECLARED = a_task(cpu=3.0, memory=GI, throughput=1e6, robots=["robot1"])
 
 
-def history(**of: MeasuredDemand) -> Memory:
+def history(**of: MeasuredDemand) -> ManagerState:
     kinds = {"small": SMALL, "large": LARGE}
-    return Memory(managed=True, measured={("slam", kinds[name]): found for name, found in of.items()})
+    return ManagerState(managed=True, measured={("slam", kinds[name]): found for name, found in of.items()})
 
 
 def a_history(
-    cpu: float = 2.0, memory: float = GI, throughput: float | None = 1e6, *, samples: int = 412, span: float = 900.0
+    cpu: float = 2.0,
+    memory: float = GI,
+    throughput: float | None = 1e6,
+    *,
+    samples: int = 412,
+    span: float = 900.0,
 ) -> MeasuredDemand:
     return MeasuredDemand(samples=samples, span_s=span, cpu=cpu, memory=memory, throughput=throughput)
 
 
-def cpu_terms(tasks: Tasks, memory: Memory) -> dict[str, float | None]:
-    return {host: entry.terms.cpu for host, entry in ranked(decisions(decide(INVENTORY, tasks, SNAPSHOT, memory=memory))["slam"]).items()}
+def cpu_terms(tasks: Tasks, memory: ManagerState) -> dict[str, float | None]:
+    return {
+        host: entry.terms.cpu
+        for host, entry in ranked(
+            decisions(decide(INVENTORY, tasks, SNAPSHOT, memory=memory))["slam"]
+        ).items()
+    }
 
 
 def test_the_demand_of_the_class_that_is_looked_at_counts_and_is_charged() -> None:
-    memory = history(small=a_history(cpu=2.0), large=a_history(cpu=5.0, throughput=2e6, samples=60, span=300.0))
+    memory = history(
+        small=a_history(cpu=2.0), large=a_history(cpu=5.0, throughput=2e6, samples=60, span=300.0)
+    )
     found = decide(INVENTORY, some_tasks(LEFT_OUT), SNAPSHOT, memory=memory)
     entries = ranked(decisions(found)["slam"])
     assert entries["edge1"].terms.cpu == (4 - 2) / 4
@@ -48,9 +71,9 @@ def test_the_demand_of_the_class_that_is_looked_at_counts_and_is_charged() -> No
     assert found.expected["edge1"].used_cores == 2.0
     assert found.expected["edge1"].links == {"robot1": 1e6}
     assert entries["edge2"].demand == (
-        Rho(resource=Resource.CPU, value=5.0, source=DemandSource.MEASURED, samples=60),
-        Rho(resource=Resource.MEMORY, value=GI, source=DemandSource.MEASURED, samples=60),
-        Rho(resource=Resource.NETWORK, value=2e6, source=DemandSource.MEASURED, samples=60),
+        ResourceDemand(resource=Resource.CPU, value=5.0, source=DemandSource.MEASURED, samples=60),
+        ResourceDemand(resource=Resource.MEMORY, value=GI, source=DemandSource.MEASURED, samples=60),
+        ResourceDemand(resource=Resource.NETWORK, value=2e6, source=DemandSource.MEASURED, samples=60),
     )
     assert decisions(found)["slam"].demand == entries["edge1"].demand
 
@@ -85,22 +108,37 @@ def test_what_is_declared_is_never_replaced() -> None:
 def test_until_it_is_measured_the_declared_value_counts() -> None:
     task = a_task(cpu=Quantity(value=3.0, measured=True), robots=["robot1"])
     assert cpu_terms(some_tasks(task), history()) == {"edge1": (4 - 3) / 4, "edge2": (8 - 3) / 8}
-    assert cpu_terms(some_tasks(task), history(small=a_history(cpu=2.0))) == {"edge1": (4 - 2) / 4, "edge2": (8 - 3) / 8}
+    assert cpu_terms(some_tasks(task), history(small=a_history(cpu=2.0))) == {
+        "edge1": (4 - 2) / 4,
+        "edge2": (8 - 3) / 8,
+    }
     share = replace(task, demand=replace(task.demand, cpu=Quantity(value=0.5, relative=True, measured=True)))
-    assert cpu_terms(some_tasks(share), history(large=a_history(cpu=2.0))) == {"edge1": 0.5, "edge2": (8 - 2) / 8}
+    assert cpu_terms(some_tasks(share), history(large=a_history(cpu=2.0))) == {
+        "edge1": 0.5,
+        "edge2": (8 - 2) / 8,
+    }
 
 
 def test_a_class_without_history_is_no_bait() -> None:
     """Nothing is declared and edge2 is unknown: the most that was measured elsewhere counts there, not 0."""
-    found = decide(INVENTORY, some_tasks(LEFT_OUT), SNAPSHOT, memory=history(small=a_history(cpu=2.0), large=a_history(samples=3)))
+    found = decide(
+        INVENTORY,
+        some_tasks(LEFT_OUT),
+        SNAPSHOT,
+        memory=history(small=a_history(cpu=2.0), large=a_history(samples=3)),
+    )
     entries = ranked(decisions(found)["slam"])
     assert entries["edge2"].terms.cpu == (8 - 2) / 8
-    assert entries["edge2"].demand[0] == Rho(resource=Resource.CPU, value=2.0, source=DemandSource.MEASURED_ELSEWHERE, samples=3)
+    assert entries["edge2"].demand[0] == ResourceDemand(
+        resource=Resource.CPU, value=2.0, source=DemandSource.MEASURED_ELSEWHERE, samples=3
+    )
 
 
 def test_no_traffic_seen_is_no_figure() -> None:
     task = replace(DECLARED, demand=replace(DECLARED.demand, throughput=Quantity(value=1e6, measured=True)))
-    found = decisions(decide(INVENTORY, some_tasks(task), SNAPSHOT, memory=history(small=a_history(throughput=None))))["slam"]
+    found = decisions(
+        decide(INVENTORY, some_tasks(task), SNAPSHOT, memory=history(small=a_history(throughput=None)))
+    )["slam"]
     assert {entry.host: entry.demand[2].source for entry in found.ranking} == {
         "edge1": DemandSource.DECLARED,
         "edge2": DemandSource.DECLARED,
@@ -109,8 +147,10 @@ def test_no_traffic_seen_is_no_figure() -> None:
 
 
 def test_a_label_makes_a_class() -> None:
-    labelled = an_inventory(*(an_edge(name, labels={"class": "jetson"}) for name in ("edge1", "edge2")), a_robot())
-    memory = Memory(managed=True, measured={("slam", "jetson"): a_history(cpu=2.0)})
+    labelled = an_inventory(
+        *(an_edge(name, labels={"class": "jetson"}) for name in ("edge1", "edge2")), a_robot()
+    )
+    memory = ManagerState(managed=True, measured={("slam", "jetson"): a_history(cpu=2.0)})
     found = decisions(decide(labelled, some_tasks(LEFT_OUT), SNAPSHOT, memory=memory))["slam"]
     assert {entry.host: entry.terms.cpu for entry in found.ranking} == {"edge1": 0.5, "edge2": 0.75}
 
@@ -120,7 +160,7 @@ def test_a_percent_demand_of_unlike_hosts_is_told_once_with_the_figures() -> Non
         a_task("a-robot1", cpu="35%", memory="10%", template="a"), a_task("a-robot2", cpu="35%", memory="10%", template="a"),
         a_task("b", cpu=1.4, memory=GI), a_task("c", cpu="35%", memory=GI, only=["edge1"]),
     )  # fmt: skip
-    found = decide(INVENTORY, tasks, SNAPSHOT).uneven
+    found = decide(INVENTORY, tasks, SNAPSHOT).demand_spreads
     assert [(each.task, each.resource, each.hosts) for each in found] == [
         ("a", Resource.CPU, ("edge1", "edge2")), ("a", Resource.MEMORY, ("edge1", "edge2")),
     ]  # fmt: skip
@@ -130,4 +170,4 @@ def test_a_percent_demand_of_unlike_hosts_is_told_once_with_the_figures() -> Non
 @pytest.mark.parametrize(("cores", "told"), [(5.0, False), (5.1, True)])
 def test_hosts_up_to_a_quarter_apart_are_alike(cores: float, told: bool) -> None:
     snapshot = a_snapshot(edge1=a_sample(cores=4), edge2=a_sample(cores=cores))
-    assert bool(decide(INVENTORY, some_tasks(a_task(cpu="35%")), snapshot).uneven) == told
+    assert bool(decide(INVENTORY, some_tasks(a_task(cpu="35%")), snapshot).demand_spreads) == told

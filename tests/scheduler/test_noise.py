@@ -3,7 +3,7 @@
 import pytest
 
 from edgectl.model.policy import Policy, PolicyName
-from edgectl.model.weights import PRESETS
+from edgectl.model.weights import WEIGHT_PRESETS
 from tests.scheduler.noise import MIXED, STEP_AT, STEPS, Trial, handoffs, response, run, steady
 
 # Cycles of 10 s within which a lasting step of 25 points must be answered.
@@ -12,17 +12,23 @@ WITHIN = 6
 
 @pytest.mark.parametrize("variant", ["cpu", "memory", "network", "all", "resources"])
 def test_the_paper_hops(variant: str) -> None:
-    assert handoffs(Trial(policy=Policy(name=PolicyName.PAPER, weights=PRESETS[variant]), cycles=60)) > 0.9
+    assert (
+        handoffs(Trial(policy=Policy(name=PolicyName.PAPER, weights=WEIGHT_PRESETS[variant]), cycles=60))
+        > 0.9
+    )
 
 
-@pytest.mark.parametrize("variant", PRESETS)
+@pytest.mark.parametrize("variant", WEIGHT_PRESETS)
 def test_utility_as_watch_uses_it_stays_under_noise_of_every_load(variant: str) -> None:
     assert handoffs(steady(variant)) < 0.02
 
 
 def test_what_keeps_it_still_is_the_margin_the_dwell_and_the_smoothing() -> None:
-    free = Policy(weights=PRESETS["network"], move_margin=0.0, min_dwell=0.0, max_moves=None)
-    unbraked, braked = steady("network", policy=free, smooth=False, cycles=100), steady("network", smooth=False, cycles=100)
+    free = Policy(weights=WEIGHT_PRESETS["network"], move_margin=0.0, min_dwell=0.0, max_moves=None)
+    unbraked, braked = (
+        steady("network", policy=free, smooth=False, cycles=100),
+        steady("network", smooth=False, cycles=100),
+    )
     assert handoffs(unbraked) > 1.0
     assert handoffs(unbraked) > 10 * handoffs(braked) > 0.0
     assert handoffs(steady("network", cycles=100)) == 0.0
@@ -30,10 +36,15 @@ def test_what_keeps_it_still_is_the_margin_the_dwell_and_the_smoothing() -> None
 
 @pytest.mark.parametrize("variant", ["cpu", "memory", "network"])
 def test_measured_downtimes_of_five_seconds_calm_it_as_the_margin_does(variant: str) -> None:
-    assert handoffs(Trial(policy=Policy(weights=PRESETS[variant]), period_s=25.0, cycles=100, downtime_s=5.0)) < 0.05
+    assert (
+        handoffs(
+            Trial(policy=Policy(weights=WEIGHT_PRESETS[variant]), period_s=25.0, cycles=100, downtime_s=5.0)
+        )
+        < 0.05
+    )
 
 
-@pytest.mark.parametrize("variant", [variant for variant in PRESETS if variant != "task"])
+@pytest.mark.parametrize("variant", [variant for variant in WEIGHT_PRESETS if variant != "task"])
 def test_a_load_that_lasts_is_answered_by_one_move(variant: str) -> None:
     (after,) = response(variant)
     assert 0 <= after <= WITHIN

@@ -5,12 +5,12 @@ from pathlib import Path
 import pytest
 
 import edgectl
-from edgectl.config.load import load
+from edgectl.config.load import load_inventory_and_tasks
 from edgectl.model.assignment import Assignment, Verdict
 from edgectl.model.inventory import Inventory
 from edgectl.model.policy import Policy
 from edgectl.model.task import Tasks
-from edgectl.model.weights import PRESETS
+from edgectl.model.weights import WEIGHT_PRESETS
 from tests.scheduler.fleets import decide, decisions, hosts, ranked, terms
 from tests.scheduler.paper import BASE, ROBOTS, naive, paper_snapshot
 
@@ -28,21 +28,28 @@ EXPECTED = {
 
 
 def scenario(number: int) -> tuple[Inventory, Tasks]:
-    inventory, tasks, _ = load(ROOT / "inventories/paper.yaml", [ROOT / f"tasks/paper-scenario-{number}.yaml"])
+    inventory, tasks, _ = load_inventory_and_tasks(
+        ROOT / "inventories/paper.yaml", [ROOT / f"tasks/paper-scenario-{number}.yaml"]
+    )
     return inventory, tasks
 
 
 def assignment(number: int, variant: str) -> Assignment:
     inventory, tasks = scenario(number)
     # scenario 1 starts from nothing; in scenario 2 mapping and merging run on the edges
-    return decide(inventory, tasks, paper_snapshot({} if number == 1 else STATIC), policy=Policy(weights=PRESETS[variant]))
+    return decide(
+        inventory,
+        tasks,
+        paper_snapshot({} if number == 1 else STATIC),
+        policy=Policy(weights=WEIGHT_PRESETS[variant]),
+    )
 
 
 @pytest.mark.parametrize(("number", "variant"), EXPECTED)
 def test_every_number(number: int, variant: str) -> None:
     found = decisions(assignment(number, variant))
     order = [name for name in found if name.startswith(("detection", "navigation"))]
-    where, numbers = naive(ONBOARD if number == 1 else STATIC, order, PRESETS[variant], NEEDS)
+    where, numbers = naive(ONBOARD if number == 1 else STATIC, order, WEIGHT_PRESETS[variant], NEEDS)
     for name in order:
         assert found[name].host == where[name]
         assert found[name].total == pytest.approx(numbers[name][where[name]][4])
@@ -55,7 +62,9 @@ def test_every_number(number: int, variant: str) -> None:
 def test_where_everything_goes(number: int, variant: str) -> None:
     made = assignment(number, variant)
     found = hosts(made)
-    edges = ["".join(str(found[f"{kind}-{robot}"])[-1] for robot in ROBOTS) for kind in ("detection", "navigation")]
+    edges = [
+        "".join(str(found[f"{kind}-{robot}"])[-1] for robot in ROBOTS) for kind in ("detection", "navigation")
+    ]
     assert " ".join(edges) == EXPECTED[number, variant]
     assert made.settled
     assert not any(decision.verdict is Verdict.UNPLACED for decision in made.decisions)

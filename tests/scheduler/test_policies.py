@@ -3,12 +3,24 @@
 import pytest
 
 from edgectl.model.assignment import Reason, Verdict
-from edgectl.model.memory import Memory, Placement
+from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.policy import Policy, PolicyName
 from edgectl.model.snapshot import Snapshot
-from edgectl.model.task import Onboard, Task
+from edgectl.model.task import OnboardRule, Task
 from edgectl.model.weights import parse_weights
-from tests.builders import NOW, a_link, a_robot, a_run, a_sample, a_snapshot, a_task, an_edge, an_inventory, silent, some_tasks
+from tests.builders import (
+    NOW,
+    a_link,
+    a_robot,
+    a_run,
+    a_sample,
+    a_snapshot,
+    a_task,
+    an_edge,
+    an_inventory,
+    silent,
+    some_tasks,
+)
 from tests.scheduler.fleets import NO_MEMORY, decide, decisions, hosts, ranked, terms
 
 TWO = an_inventory(an_edge("edge1"), an_edge("edge2"))
@@ -23,12 +35,20 @@ def policy(name: str, weights: str = "all") -> Policy:
 
 
 def test_paper_counts_a_running_task_twice_and_so_hops() -> None:
-    snapshot = a_snapshot(edge1=a_sample(used=1.0, tasks={"slam": a_run(used_cores=1.0)}), edge2=a_sample(used=0.2))
+    snapshot = a_snapshot(
+        edge1=a_sample(used=1.0, tasks={"slam": a_run(used_cores=1.0)}), edge2=a_sample(used=0.2)
+    )
     found = decide(TWO, some_tasks(a_task(cpu=1.0)), snapshot, policy=policy("paper", "cpu"))
     # gross: edge1 (4 - 1 - 1) / 4 = .5, edge2 (4 - .2 - 1) / 4 = .7
     assert [entry.terms.cpu for entry in found.decisions[0].ranking] == pytest.approx([0.7, 0.5])
-    assert (found.decisions[0].host, found.decisions[0].previous_host, found.settled) == ("edge2", "edge1", False)
-    assert hosts(decide(TWO, some_tasks(a_task(cpu=1.0)), snapshot, policy=policy("utility", "cpu"))) == {"slam": "edge1"}
+    assert (found.decisions[0].host, found.decisions[0].previous_host, found.settled) == (
+        "edge2",
+        "edge1",
+        False,
+    )
+    assert hosts(decide(TWO, some_tasks(a_task(cpu=1.0)), snapshot, policy=policy("utility", "cpu"))) == {
+        "slam": "edge1"
+    }
 
 
 @pytest.mark.parametrize("others", [1, 2])
@@ -39,14 +59,24 @@ def test_paper_follows_a_predecessor_to_where_nothing_fits(others: int) -> None:
     world = a_snapshot(edge1=full, **{edge: a_sample() for edge in edges[1:]})
     tasks = some_tasks(a_task("nav", cpu=0.5, needs=["slam"]), a_task("slam", managed=False))
     nav = decisions(decide(an_inventory(*map(an_edge, edges)), tasks, world, policy=policy("paper")))["nav"]
-    assert (nav.host, nav.reason, nav.subject, nav.overcommitted) == ("edge1", Reason.WITH_PREDECESSOR, "slam", True)
+    assert (nav.host, nav.reason, nav.subject, nav.overcommitted) == (
+        "edge1",
+        Reason.WITH_PREDECESSOR,
+        "slam",
+        True,
+    )
 
 
 def test_paper_rewards_only_what_already_runs_with_plus_and_minus_one() -> None:
     tasks = some_tasks(a_task("nav", needs=["slam"]), a_task("slam"))
     cold = decide(TWO, tasks, a_snapshot(edge1=a_sample(), edge2=a_sample()), policy=policy("paper"))
     assert {entry.terms.task for entry in decisions(cold)["nav"].ranking} == {-1.0}
-    warm = decide(TWO, tasks, a_snapshot(edge1=a_sample(), edge2=a_sample(tasks={"slam": a_run()})), policy=policy("paper"))
+    warm = decide(
+        TWO,
+        tasks,
+        a_snapshot(edge1=a_sample(), edge2=a_sample(tasks={"slam": a_run()})),
+        policy=policy("paper"),
+    )
     nav = decisions(warm)["nav"]
     # the predecessor is on edge2: (1 + 1 + 1 + 1) / 4 there, (1 + 1 + 1 - 1) / 4 on edge1
     assert terms(ranked(nav)["edge2"]) == pytest.approx((1.0, 1.0, 1.0, 1.0, 1.0))
@@ -89,25 +119,34 @@ def test_paper_never_offers_the_robot_and_still_needs_an_edge() -> None:
         # first placement ever: by utility
         (a_task(cpu=1.0), NO_MEMORY, a_snapshot(edge1=a_sample(used=2.0), edge2=a_sample()), "edge2", Reason.BEST),
         # later: where it was first, whatever the load, even beyond capacity
-        (a_task(cpu=1.0), Memory(first={"slam": "edge1"}), a_snapshot(edge1=a_sample(used=3.9), edge2=a_sample()), "edge1",
+        (a_task(cpu=1.0), ManagerState(first={"slam": "edge1"}), a_snapshot(edge1=a_sample(used=3.9), edge2=a_sample()), "edge1",
          Reason.FIRST_PLACEMENT),
-        (a_task(pin="edge1"), Memory(first={"slam": "edge2"}), a_snapshot(edge1=a_sample(used=2.0), edge2=a_sample()), "edge1", Reason.PINNED),
+        (a_task(pin="edge1"), ManagerState(first={"slam": "edge2"}), a_snapshot(edge1=a_sample(used=2.0), edge2=a_sample()), "edge1", Reason.PINNED),
         # runs: never moved, neither by load nor by a drain
-        (a_task(), Memory(draining=frozenset({"edge1"})), a_snapshot(edge1=a_sample(used=3.9, tasks={"slam": a_run()}), edge2=a_sample()),
+        (a_task(), ManagerState(draining=frozenset({"edge1"})), a_snapshot(edge1=a_sample(used=3.9, tasks={"slam": a_run()}), edge2=a_sample()),
          "edge1", Reason.NEVER_MOVED),
         # its first host is away: it waits for it
-        (a_task(), Memory(first={"slam": "edge1"}), a_snapshot(edge1=silent(), edge2=a_sample()), None, Reason.NO_CANDIDATE),
+        (a_task(), ManagerState(first={"slam": "edge1"}), a_snapshot(edge1=silent(), edge2=a_sample()), None, Reason.NO_CANDIDATE),
         # its first host has left the inventory: a first placement again
-        (a_task(), Memory(first={"slam": "old"}), a_snapshot(edge1=a_sample(), edge2=a_sample()), "edge1", Reason.BEST),
+        (a_task(), ManagerState(first={"slam": "old"}), a_snapshot(edge1=a_sample(), edge2=a_sample()), "edge1", Reason.BEST),
     ],
 )  # fmt: skip
-def test_static(task: Task, memory: Memory, snapshot: Snapshot, host: str | None, reason: Reason) -> None:
+def test_static(
+    task: Task, memory: ManagerState, snapshot: Snapshot, host: str | None, reason: Reason
+) -> None:
     found = decide(TWO, some_tasks(task), snapshot, memory=memory, policy=policy("static"))
     assert (found.decisions[0].host, found.decisions[0].reason, found.settled) == (host, reason, True)
-    assert found.decisions[0].overcommitted == (task.demand.cpu is not None and reason is Reason.FIRST_PLACEMENT)
+    assert found.decisions[0].overcommitted == (
+        task.demand.cpu is not None and reason is Reason.FIRST_PLACEMENT
+    )
 
 
-GONE = Memory(managed=True, placements={"slam": Placement(host="edge1", since=NOW)}, first={"slam": "edge1"}, fenced=frozenset({"edge1"}))
+GONE = ManagerState(
+    managed=True,
+    placements={"slam": Placement(host="edge1", since=NOW)},
+    first={"slam": "edge1"},
+    fenced=frozenset({"edge1"}),
+)
 RETURNED = a_snapshot(edge1=a_sample(), edge2=a_sample(used=3.9, tasks={"slam": a_run()}))
 
 
@@ -121,7 +160,9 @@ def test_static_replaces_on_the_best_other_host_and_stays_there() -> None:
 
 def test_static_does_not_replace_what_is_pinned_to_the_silent_host() -> None:
     silent_pin = a_snapshot(edge1=silent(), edge2=a_sample())
-    found = decide(TWO, some_tasks(a_task(pin="edge1")), silent_pin, memory=GONE, policy=policy("static")).decisions[0]
+    found = decide(
+        TWO, some_tasks(a_task(pin="edge1")), silent_pin, memory=GONE, policy=policy("static")
+    ).decisions[0]
     assert (found.verdict, found.reason) == (Verdict.UNPLACED, Reason.NO_CANDIDATE)
 
 
@@ -133,16 +174,27 @@ def test_local_puts_everything_on_its_first_robot() -> None:
     tasks = some_tasks(
         a_task("a", cpu=5.0, robots=["robot1"]),
         a_task("b", cpu=1.0, robots=["robot2", "robot1"], needs=["a"]),
-        a_task("c", cpu=1.0, robots=["robot2"], onboard=Onboard.NEVER),
+        a_task("c", cpu=1.0, robots=["robot2"], onboard=OnboardRule.NEVER),
         a_task("d"),
     )
-    snapshot = a_snapshot(edge1=a_sample(links=LINKS, tasks={"b": a_run()}), robot1=a_sample(), robot2=a_sample())
+    snapshot = a_snapshot(
+        edge1=a_sample(links=LINKS, tasks={"b": a_run()}), robot1=a_sample(), robot2=a_sample()
+    )
     found = decide(inventory, tasks, snapshot, policy=policy("local"))
     assert hosts(found) == {"a": "robot1", "b": "robot2", "c": "robot2", "d": None}
     a, b, d = (decisions(found)[name] for name in "abd")
-    assert (a.reason, a.overcommitted, b.previous_host, b.reason) == (Reason.ONBOARD_LOCAL, True, "edge1", Reason.ONBOARD_LOCAL)
+    assert (a.reason, a.overcommitted, b.previous_host, b.reason) == (
+        Reason.ONBOARD_LOCAL,
+        True,
+        "edge1",
+        Reason.ONBOARD_LOCAL,
+    )
     assert (d.verdict, d.reason) == (Verdict.UNPLACED, Reason.NO_CANDIDATE)
-    assert {name: load.used_cores for name, load in found.expected.items()} == {"edge1": 0.0, "robot1": 5.0, "robot2": 2.0}
+    assert {name: load.used_cores for name, load in found.expected.items()} == {
+        "edge1": 0.0,
+        "robot1": 5.0,
+        "robot2": 2.0,
+    }
     assert found.settled
 
 
@@ -157,6 +209,8 @@ def test_local_without_a_robot_to_run_on() -> None:
 
 def test_local_does_not_move_when_moves_are_frozen() -> None:
     inventory = an_inventory(*(an_edge(f"edge{n}") for n in (1, 2, 3)), a_robot())
-    snapshot = a_snapshot(edge1=a_sample(links=LINKS, tasks={"a": a_run()}), edge2=silent(), edge3=silent(), robot1=a_sample())
+    snapshot = a_snapshot(
+        edge1=a_sample(links=LINKS, tasks={"a": a_run()}), edge2=silent(), edge3=silent(), robot1=a_sample()
+    )
     found = decide(inventory, some_tasks(a_task("a", robots=["robot1"])), snapshot, policy=policy("local"))
     assert (found.decisions[0].host, found.decisions[0].reason) == ("edge1", Reason.MOVES_FROZEN)

@@ -7,16 +7,29 @@ from random import Random
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from edgectl.executor.diff import diff
+from edgectl.executor.diff import diff_assignment
 from edgectl.model.assignment import Assignment, Reason, Verdict
 from edgectl.model.inventory import Host, Inventory
-from edgectl.model.memory import MeasuredDemand, Memory
+from edgectl.model.manager_state import ManagerState, MeasuredDemand
 from edgectl.model.plan import Action
 from edgectl.model.policy import Policy, PolicyName, Weights
 from edgectl.model.snapshot import HostSample, Snapshot, TaskSample, TaskState
-from edgectl.model.task import Onboard, Task, Tasks
+from edgectl.model.task import OnboardRule, Task, Tasks
 from edgectl.scheduler.assign import assign
-from tests.builders import GI, NOW, a_link, a_robot, a_run, a_sample, a_snapshot, a_task, an_edge, an_inventory, silent, some_tasks
+from tests.builders import (
+    GI,
+    NOW,
+    a_link,
+    a_robot,
+    a_run,
+    a_sample,
+    a_snapshot,
+    a_task,
+    an_edge,
+    an_inventory,
+    silent,
+    some_tasks,
+)
 from tests.scheduler.fleets import applied, decisions, hosts
 
 ROBOTS = ("robot1", "robot2")
@@ -30,7 +43,7 @@ class Case:
     inventory: Inventory
     tasks: Tasks
     snapshot: Snapshot
-    memory: Memory
+    memory: ManagerState
     policy: Policy
 
     def assign(self) -> Assignment:
@@ -59,7 +72,7 @@ def some_task(draw: st.DrawFn, number: int) -> Task:
         robots=draw(st.lists(st.sampled_from(ROBOTS), unique=True, max_size=2)),
         needs=draw(st.lists(st.sampled_from(earlier), unique=True, max_size=2)) if earlier else [],
         never=draw(st.lists(st.sampled_from(["edge1", "edge2"]), max_size=1)),
-        onboard=draw(st.sampled_from(Onboard)),
+        onboard=draw(st.sampled_from(OnboardRule)),
         priority=draw(st.sampled_from([0.0, 1.0])),
         managed=draw(st.sampled_from([True, True, True, False])),
         downtime_cost=draw(st.sampled_from([0.0, 1.0, 10.0])),
@@ -79,7 +92,11 @@ def some_history(draw: st.DrawFn) -> MeasuredDemand:
 def a_host_sample(draw: st.DrawFn, host: Host, running: dict[str, TaskSample]) -> HostSample:
     if draw(st.integers(0, 9)) == 0:
         return silent(host.role)
-    links = {robot: a_link(draw(st.sampled_from([0.0, 6e6, 9e6])), draw(shares) * 6e6) for robot in ROBOTS if draw(st.integers(0, 9))}
+    links = {
+        robot: a_link(draw(st.sampled_from([0.0, 6e6, 9e6])), draw(shares) * 6e6)
+        for robot in ROBOTS
+        if draw(st.integers(0, 9))
+    }
     return a_sample(
         cores=draw(st.sampled_from([2.0, 4.0])), used=draw(shares) * 4, used_memory=draw(shares) * 4 * GI, links=links, tasks=running, role=host.role,
     )  # fmt: skip
@@ -87,26 +104,39 @@ def a_host_sample(draw: st.DrawFn, host: Host, running: dict[str, TaskSample]) -
 
 @st.composite
 def cases(draw: st.DrawFn) -> Case:
-    edges = [an_edge(f"edge{n}", cpu_limit=draw(st.sampled_from([0.8, 1.0, 1.2]))) for n in range(1, draw(st.integers(1, 5)) + 1)]
+    edges = [
+        an_edge(f"edge{n}", cpu_limit=draw(st.sampled_from([0.8, 1.0, 1.2])))
+        for n in range(1, draw(st.integers(1, 5)) + 1)
+    ]
     robots = [a_robot(robot, onboard=draw(st.booleans())) for robot in ROBOTS]
     tasks = [draw(some_task(n)) for n in range(draw(st.integers(1, 7)))]
     running: dict[str, dict[str, TaskSample]] = {host.name: {} for host in (*edges, *robots)}
     for name in [*(task.name for task in tasks), "left", "foreign"]:
-        for host in draw(st.lists(st.sampled_from(sorted(running)), max_size=2, unique=True)) if draw(st.booleans()) else ():
+        for host in (
+            draw(st.lists(st.sampled_from(sorted(running)), max_size=2, unique=True))
+            if draw(st.booleans())
+            else ()
+        ):
             running[host][name] = a_run(
                 draw(st.sampled_from(TaskState)), used_cores=draw(shares), used_bytes=draw(shares) * GI, used_bytes_per_s=draw(shares) * 1e6,
                 managed=name != "foreign",
             )  # fmt: skip
     samples = {host.name: draw(a_host_sample(host, running[host.name])) for host in (*edges, *robots)}
-    memory = Memory(
+    memory = ManagerState(
         managed=draw(st.booleans()),
         cordons=frozenset(draw(st.sets(st.sampled_from(["edge1"])))),
         draining=frozenset(draw(st.sets(st.sampled_from(["edge2"])))),
         done={task.name: task.spec_hash for task in tasks if draw(st.integers(0, 9)) == 0},
         downtimes={
-            (task.name, draw(st.sampled_from(edges)).name): (draw(st.sampled_from([0.5, 5.0])),) * draw(st.integers(4, 5)) for task in tasks
+            (task.name, draw(st.sampled_from(edges)).name): (draw(st.sampled_from([0.5, 5.0])),)
+            * draw(st.integers(4, 5))
+            for task in tasks
         },
-        stays={task.name: (draw(st.sampled_from([30.0, 300.0, 3000.0])),) for task in tasks if draw(st.booleans())},
+        stays={
+            task.name: (draw(st.sampled_from([30.0, 300.0, 3000.0])),)
+            for task in tasks
+            if draw(st.booleans())
+        },
         measured={
             (task.name, kind): draw(some_history())
             for task in tasks
@@ -114,9 +144,17 @@ def cases(draw: st.DrawFn) -> Case:
             for kind in draw(st.lists(st.sampled_from(["2c-4Gi", "4c-4Gi"]), unique=True))
         },
     )
-    policy = Policy(weights=draw(weights), min_dwell=draw(st.sampled_from([0.0, 120.0])), move_margin=draw(st.sampled_from([0.0, 0.1])))
+    policy = Policy(
+        weights=draw(weights),
+        min_dwell=draw(st.sampled_from([0.0, 120.0])),
+        move_margin=draw(st.sampled_from([0.0, 0.1])),
+    )
     return Case(
-        inventory=an_inventory(*edges, *robots), tasks=some_tasks(*tasks), snapshot=a_snapshot(**samples), memory=memory, policy=policy
+        inventory=an_inventory(*edges, *robots),
+        tasks=some_tasks(*tasks),
+        snapshot=a_snapshot(**samples),
+        memory=memory,
+        policy=policy,
     )
 
 
@@ -180,7 +218,9 @@ def test_the_order_of_the_files_is_irrelevant(case: Case, dice: Random) -> None:
 @given(cases(), st.sampled_from([0.5, 2.0, 8.0]))
 def test_scaled_weights_are_the_same_weights(case: Case, factor: float) -> None:
     w = case.policy.weights
-    scaled = Weights(cpu=w.cpu * factor, memory=w.memory * factor, network=w.network * factor, task=w.task * factor)
+    scaled = Weights(
+        cpu=w.cpu * factor, memory=w.memory * factor, network=w.network * factor, task=w.task * factor
+    )
     assert repr(replace(case, policy=replace(case.policy, weights=scaled)).assign()) == repr(case.assign())
 
 
@@ -188,7 +228,11 @@ def test_scaled_weights_are_the_same_weights(case: Case, factor: float) -> None:
 @given(cases(), st.floats(0.01, 2.0))
 def test_utility_falls_as_load_rises(case: Case, more: float) -> None:
     tasks = some_tasks(replace(next(iter(case.tasks.tasks.values())), needs=(), managed=True))
-    one = replace(case, tasks=tasks, policy=replace(case.policy, weights=Weights(cpu=1.0, memory=0.0, network=0.0, task=0.0)))
+    one = replace(
+        case,
+        tasks=tasks,
+        policy=replace(case.policy, weights=Weights(cpu=1.0, memory=0.0, network=0.0, task=0.0)),
+    )
     sample = one.snapshot.hosts["edge1"]
     assume(sample.cpu is not None)
     assert sample.cpu is not None
@@ -200,7 +244,12 @@ def test_utility_falls_as_load_rises(case: Case, more: float) -> None:
 
 
 def _totals(assignment: Assignment, host: str) -> list[float]:
-    return [entry.terms.cpu for d in assignment.decisions for entry in d.ranking if entry.host == host and entry.terms.cpu is not None]
+    return [
+        entry.terms.cpu
+        for d in assignment.decisions
+        for entry in d.ranking
+        if entry.host == host and entry.terms.cpu is not None
+    ]
 
 
 @quick
@@ -211,7 +260,7 @@ def test_a_plan_after_the_apply_of_a_settled_plan_changes_nothing(case: Case) ->
     snapshot, memory = applied(first, case.tasks, case.snapshot, case.memory)
     again = replace(case, snapshot=snapshot, memory=memory).assign()
     assert hosts(again) == hosts(first)
-    steps = diff(again, case.tasks, snapshot, memory)
+    steps = diff_assignment(again, case.tasks, snapshot, memory)
     assert {step.action for step in steps} <= {Action.KEEP, Action.HOLD, Action.UNPLACED, Action.NONE}
     assert not any(step.stop for step in steps)
 
@@ -220,7 +269,7 @@ def test_a_plan_after_the_apply_of_a_settled_plan_changes_nothing(case: Case) ->
 @given(cases())
 def test_nothing_unmanaged_is_ever_stopped_and_nothing_runs_twice(case: Case) -> None:
     found = case.assign()
-    for step in diff(found, case.tasks, case.snapshot, case.memory):
+    for step in diff_assignment(found, case.tasks, case.snapshot, case.memory):
         task = case.tasks.tasks.get(step.task)
         assert step.task != "foreign"
         if task is not None and not task.managed:
@@ -233,7 +282,11 @@ def test_nothing_unmanaged_is_ever_stopped_and_nothing_runs_twice(case: Case) ->
             for host, sample in case.snapshot.hosts.items()
             if sample.ok and step.task in sample.tasks and sample.tasks[step.task].state.alive
         }
-        if task is not None and task.managed and step.action in (Action.START, Action.MOVE, Action.KEEP, Action.RESTART):
+        if (
+            task is not None
+            and task.managed
+            and step.action in (Action.START, Action.MOVE, Action.KEEP, Action.RESTART)
+        ):
             goes = {*step.stop, step.decision.previous_host if step.action is Action.MOVE else None}
             assert running - goes <= {step.decision.host}
 
@@ -262,11 +315,13 @@ def test_what_is_kept_would_gain_no_more_than_a_move_costs(case: Case) -> None:
 
 @quick
 @given(cases(), st.sampled_from(PolicyName), st.booleans(), st.booleans())
-def test_every_policy_decides_every_task(case: Case, name: PolicyName, best_effort: bool, attended: bool) -> None:
+def test_every_policy_decides_every_task(
+    case: Case, name: PolicyName, best_effort: bool, attended: bool
+) -> None:
     policy = replace(case.policy, name=name, best_effort=best_effort, attended=attended)
     found = replace(case, policy=policy).assign()
     assert sorted(decision.task for decision in found.decisions) == sorted(case.tasks.tasks)
-    for step in diff(found, case.tasks, case.snapshot, case.memory):
+    for step in diff_assignment(found, case.tasks, case.snapshot, case.memory):
         if step.action is Action.MOVE:
             assert step.decision.previous_host in step.instances
     for decision in found.decisions:

@@ -7,17 +7,29 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edgectl.executor.diff import diff, plan_of
-from edgectl.executor.remember import generations, remember
-from edgectl.model.assignment import Decision, Reason, Rule, Verdict
+from edgectl.executor.diff import diff_assignment, plan_from_assignment
+from edgectl.executor.manager_state_update import compute_next_generations, update_manager_state
+from edgectl.model.assignment import Decision, Reason, RejectionRule, Verdict
 from edgectl.model.inventory import Role
-from edgectl.model.memory import Memory, Placement
+from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.policy import Policy
 from edgectl.model.result import ActionResult, Outcome, Results
 from edgectl.model.snapshot import HostSample, Snapshot, TaskState
-from edgectl.model.task import OnUnreachable, Stop, Task
-from tests.builders import NOW, a_link, a_robot, a_run, a_sample, a_snapshot, a_task, an_edge, an_inventory, silent, some_tasks
+from edgectl.model.task import StopRule, Task, UnreachablePolicy
+from tests.builders import (
+    NOW,
+    a_link,
+    a_robot,
+    a_run,
+    a_sample,
+    a_snapshot,
+    a_task,
+    an_edge,
+    an_inventory,
+    silent,
+    some_tasks,
+)
 from tests.scheduler.fleets import decide, decisions, ranked
 from tests.scheduler.test_properties import quick
 
@@ -26,12 +38,21 @@ AROUND = a_snapshot(edge1=silent(), edge2=a_sample(), edge3=a_sample(used=1.0))
 
 
 def replaceable(name: str = "slam", **fields: object) -> Task:
-    return a_task(name, **{"on_unreachable": OnUnreachable.REPLACE, "replace_after": 120.0, "self_fence": 60.0, "cpu": 1.0, **fields})  # type: ignore[arg-type]
+    return a_task(
+        name,
+        **{
+            "on_unreachable": UnreachablePolicy.REPLACE,
+            "replace_after": 120.0,
+            "self_fence": 60.0,
+            "cpu": 1.0,
+            **fields,
+        },
+    )  # type: ignore[arg-type]
 
 
-def remembered(*, contact: float | None = None, fenced: bool = False, generation: int = 7) -> Memory:
+def remembered(*, contact: float | None = None, fenced: bool = False, generation: int = 7) -> ManagerState:
     """slam was last on edge1, which was heard of ``contact`` seconds ago."""
-    return Memory(
+    return ManagerState(
         managed=True,
         placements={"slam": Placement(host="edge1", since=NOW - 900.0, generation=generation)},
         contact={} if contact is None else {"edge1": NOW - contact},
@@ -39,7 +60,7 @@ def remembered(*, contact: float | None = None, fenced: bool = False, generation
     )
 
 
-def one(task: Task, memory: Memory, snapshot: Snapshot = AROUND) -> Decision:
+def one(task: Task, memory: ManagerState, snapshot: Snapshot = AROUND) -> Decision:
     return decide(THREE, some_tasks(task), snapshot, memory=memory).decisions[0]
 
 
@@ -50,28 +71,48 @@ def one(task: Task, memory: Memory, snapshot: Snapshot = AROUND) -> Decision:
         (replaceable(), remembered(contact=120.0), 0.0),
         (replaceable(self_fence=300.0), remembered(contact=120.0), 210.0),  # 300 + 20 + 10
         (replaceable(self_fence=300.0), remembered(contact=330.0), 0.0),
-        (replaceable(self_fence=300.0, stop=Stop(grace=100.0)), remembered(contact=330.0), 80.0),  # 300 + 100 + 10
-        (replaceable(self_fence=300.0, stop=Stop(signal="INT", grace=1.0, preset="ros")), remembered(contact=330.0), 5.0),  # 300 + 25 + 10
+        (
+            replaceable(self_fence=300.0, stop=StopRule(grace=100.0)),
+            remembered(contact=330.0),
+            80.0,
+        ),  # 300 + 100 + 10
+        (
+            replaceable(self_fence=300.0, stop=StopRule(signal="INT", grace=1.0, preset="ros")),
+            remembered(contact=330.0),
+            5.0,
+        ),  # 300 + 25 + 10
         (replaceable(), remembered(), None),  # when it was heard of is not known
         (replaceable(), remembered(contact=-3600.0), 3720.0),  # the clock went back by an hour
         (replaceable(self_fence=None), remembered(contact=1e6), None),  # nothing stops it there
-        (replaceable(on_unreachable=OnUnreachable.HOLD), remembered(contact=1e6), None),
+        (replaceable(on_unreachable=UnreachablePolicy.HOLD), remembered(contact=1e6), None),
         (replaceable(), remembered(fenced=True), 0.0),  # the operator's word
-        (replaceable(on_unreachable=OnUnreachable.HOLD, self_fence=None), remembered(fenced=True), 0.0),
+        (replaceable(on_unreachable=UnreachablePolicy.HOLD, self_fence=None), remembered(fenced=True), 0.0),
     ],
 )
-def test_when_a_task_is_replaced(task: Task, memory: Memory, left: float | None) -> None:
+def test_when_a_task_is_replaced(task: Task, memory: ManagerState, left: float | None) -> None:
     decision = one(task, memory)
     if left == 0.0:
-        assert (decision.verdict, decision.reason, decision.host) == (Verdict.PLACED, Reason.REPLACED, "edge2")
+        assert (decision.verdict, decision.reason, decision.host) == (
+            Verdict.PLACED,
+            Reason.REPLACED,
+            "edge2",
+        )
         assert (decision.previous_host, decision.subject) == ("edge1", "edge1")
     else:
-        assert (decision.verdict, decision.reason, decision.host) == (Verdict.HELD, Reason.HOST_SILENT, "edge1")
+        assert (decision.verdict, decision.reason, decision.host) == (
+            Verdict.HELD,
+            Reason.HOST_SILENT,
+            "edge1",
+        )
         assert decision.amount == (None if left is None else pytest.approx(left))
 
 
-@pytest.mark.parametrize(("started", "verdict"), [("hash-slam", Verdict.PLACED), ("with a longer self_fence", Verdict.HELD)])
-def test_a_file_that_was_changed_since_says_nothing_of_the_copy_on_the_silent_host(started: str, verdict: Verdict) -> None:
+@pytest.mark.parametrize(
+    ("started", "verdict"), [("hash-slam", Verdict.PLACED), ("with a longer self_fence", Verdict.HELD)]
+)
+def test_a_file_that_was_changed_since_says_nothing_of_the_copy_on_the_silent_host(
+    started: str, verdict: Verdict
+) -> None:
     memory = remembered(contact=1e6)
     memory = replace(memory, placements={"slam": replace(memory.placements["slam"], spec_hash=started)})
     assert one(replaceable(), memory).verdict is verdict
@@ -83,15 +124,19 @@ def test_a_replaced_task_is_started_elsewhere_and_its_demand_is_charged() -> Non
     found = decide(THREE, tasks, AROUND, memory=remembered(contact=500.0))
     slam, nav = (decisions(found)[name] for name in ("slam", "nav"))
     assert found.expected["edge2"].used_cores == 1.0
-    assert [entry.rule for entry in ranked(slam)["edge1"].rejections] == [Rule.UNREACHABLE]
+    assert [entry.rule for entry in ranked(slam)["edge1"].rejections] == [RejectionRule.UNREACHABLE]
     assert (nav.host, nav.reason) == ("edge2", Reason.BEST)
-    (step, _) = diff(found, tasks, AROUND, remembered())
+    (step, _) = diff_assignment(found, tasks, AROUND, remembered())
     assert (step.action, step.instances, step.stop) == (Action.START, {}, ())
 
 
 def test_a_replaced_task_that_fits_nowhere_is_unplaced() -> None:
     decision = one(replaceable(cpu=9.0), remembered(contact=500.0))
-    assert (decision.verdict, decision.reason, decision.previous_host) == (Verdict.UNPLACED, Reason.NO_FEASIBLE_HOST, "edge1")
+    assert (decision.verdict, decision.reason, decision.previous_host) == (
+        Verdict.UNPLACED,
+        Reason.NO_FEASIBLE_HOST,
+        "edge1",
+    )
 
 
 def test_nothing_is_replaced_while_most_edges_are_silent() -> None:
@@ -104,7 +149,12 @@ def test_nothing_is_replaced_while_most_edges_are_silent() -> None:
 
 def test_a_silent_robot_still_holds_its_task() -> None:
     inventory = an_inventory(*THREE.edges, a_robot())
-    snapshot = a_snapshot(edge1=silent(), edge2=a_sample(links={"robot1": a_link()}), edge3=a_sample(), robot1=silent(Role.ROBOT))
+    snapshot = a_snapshot(
+        edge1=silent(),
+        edge2=a_sample(links={"robot1": a_link()}),
+        edge3=a_sample(),
+        robot1=silent(Role.ROBOT),
+    )
     tasks = some_tasks(replaceable(robots=["robot1"]))
     decision = decide(inventory, tasks, snapshot, memory=remembered(fenced=True)).decisions[0]
     assert (decision.reason, decision.host, decision.subject) == (Reason.ROBOT_SILENT, "edge1", "robot1")
@@ -113,8 +163,20 @@ def test_a_silent_robot_still_holds_its_task() -> None:
 @pytest.mark.parametrize(
     ("generation", "contact", "host", "reason", "stop"),
     [
-        (6, 30.0, "edge1", Reason.HOST_SILENT, ("edge2",)),  # an older copy came back: it is stopped, the newer one waited for
-        (6, 500.0, "edge2", Reason.STILL_BEST, ()),  # the newer one is gone by now: the older one is all there is
+        (
+            6,
+            30.0,
+            "edge1",
+            Reason.HOST_SILENT,
+            ("edge2",),
+        ),  # an older copy came back: it is stopped, the newer one waited for
+        (
+            6,
+            500.0,
+            "edge2",
+            Reason.STILL_BEST,
+            (),
+        ),  # the newer one is gone by now: the older one is all there is
         (7, 30.0, "edge2", Reason.STILL_BEST, ()),  # not older: it was started by somebody else since
         (8, 30.0, "edge2", Reason.STILL_BEST, ()),
     ],
@@ -123,16 +185,20 @@ def test_a_copy_that_is_seen_may_be_older_than_one_that_is_silent(
     generation: int, contact: float, host: str, reason: Reason, stop: tuple[str, ...]
 ) -> None:
     copy = a_run(used_cores=1.0, generation=generation)
-    snapshot = a_snapshot(edge1=silent(), edge2=a_sample(used=1.0, tasks={"slam": copy}), edge3=a_sample(used=1.0))
+    snapshot = a_snapshot(
+        edge1=silent(), edge2=a_sample(used=1.0, tasks={"slam": copy}), edge3=a_sample(used=1.0)
+    )
     tasks, memory = some_tasks(replaceable()), remembered(contact=contact)
     found = decide(THREE, tasks, snapshot, memory=memory)
     assert (found.decisions[0].host, found.decisions[0].reason) == (host, reason)
     assert found.expected["edge2"].used_cores == (0.0 if stop else 1.0)
-    assert diff(found, tasks, snapshot, memory)[0].stop == stop
+    assert diff_assignment(found, tasks, snapshot, memory)[0].stop == stop
 
 
 def test_what_somebody_else_started_is_not_stopped_for_a_silent_copy() -> None:
-    snapshot = a_snapshot(edge1=silent(), edge2=a_sample(tasks={"slam": a_run(managed=False)}), edge3=a_sample())
+    snapshot = a_snapshot(
+        edge1=silent(), edge2=a_sample(tasks={"slam": a_run(managed=False)}), edge3=a_sample()
+    )
     decision = one(replaceable(), remembered(contact=30.0), snapshot)
     assert (decision.host, decision.reason) == ("edge2", Reason.UNMANAGED)
 
@@ -143,7 +209,7 @@ EDGES = ("edge1", "edge2", "edge3", "edge4", "edge5")
 FLEET = an_inventory(*map(an_edge, EDGES))
 WORK = some_tasks(
     replaceable("a", cpu=0.5),
-    replaceable("b", cpu=0.3, needs=["a"], self_fence=200.0, stop=Stop(grace=30.0)),
+    replaceable("b", cpu=0.3, needs=["a"], self_fence=200.0, stop=StopRule(grace=30.0)),
     a_task("c", cpu=0.3),
     a_task("d", cpu=0.2, needs=["c"]),
 )
@@ -161,14 +227,17 @@ class Truth:
     copies: dict[tuple[str, str], int] = field(default_factory=dict)
     cut: set[str] = field(default_factory=set)
     off: set[str] = field(default_factory=set)
-    memory: Memory = field(default_factory=Memory)
+    memory: ManagerState = field(default_factory=ManagerState)
 
     def wait(self, seconds: float) -> None:
         """Time passes; whoever was not heard of for so long stops itself."""
         self.now += seconds
         for task, host in list(self.copies) if self.sound else ():
             spec = WORK.tasks[task]
-            fenced = spec.self_fence is not None and self.now - self.memory.contact[host] >= spec.self_fence + spec.stop.grace
+            fenced = (
+                spec.self_fence is not None
+                and self.now - self.memory.contact[host] >= spec.self_fence + spec.stop.grace
+            )
             if host in self.cut and fenced:
                 del self.copies[task, host]
 
@@ -184,11 +253,25 @@ class Truth:
         heard = [host for host in EDGES if host not in self.cut | self.off]
         contact = {**self.memory.contact, **dict.fromkeys(heard, self.now)}
         self.memory = replace(self.memory, contact=contact, fenced=self.memory.fenced - set(heard))
-        snapshot = a_snapshot(taken_at=self.now, **{host: self._sample(host) if host in heard else silent() for host in EDGES})
-        plan = plan_of(FLEET, WORK, snapshot, self.memory, decide(FLEET, WORK, snapshot, memory=self.memory, policy=Policy(), now=self.now))
-        numbers = generations(self.memory, snapshot, plan.steps, self.now)
-        results = tuple(self._carry_out(step, numbers[step.task]) for step in plan.steps if step.action.changes or step.stop)
-        self.memory = remember(self.memory, plan, WORK, Results(revision=1, actions=results, seconds=0.0), numbers, self.now)
+        snapshot = a_snapshot(
+            taken_at=self.now, **{host: self._sample(host) if host in heard else silent() for host in EDGES}
+        )
+        plan = plan_from_assignment(
+            FLEET,
+            WORK,
+            snapshot,
+            self.memory,
+            decide(FLEET, WORK, snapshot, memory=self.memory, policy=Policy(), now=self.now),
+        )
+        numbers = compute_next_generations(self.memory, snapshot, plan.steps, self.now)
+        results = tuple(
+            self._carry_out(step, numbers[step.task])
+            for step in plan.steps
+            if step.action.changes or step.stop
+        )
+        self.memory = update_manager_state(
+            self.memory, plan, WORK, Results(revision=1, actions=results, seconds=0.0), numbers, self.now
+        )
         return plan
 
     def _sample(self, host: str) -> HostSample:
@@ -250,7 +333,9 @@ def test_no_task_ever_runs_twice_while_hosts_go_and_come_back(dice: Random, step
 
 @quick
 @given(st.randoms(use_true_random=False), st.integers(1, 25))
-def test_where_a_supervisor_failed_to_stop_its_task_the_newest_copy_wins_on_return(dice: Random, steps: int) -> None:
+def test_where_a_supervisor_failed_to_stop_its_task_the_newest_copy_wins_on_return(
+    dice: Random, steps: int
+) -> None:
     truth = Truth(sound=False)
     truth.apply()
     for _ in range(steps):
@@ -262,7 +347,9 @@ def test_where_a_supervisor_failed_to_stop_its_task_the_newest_copy_wins_on_retu
         assert len({step.task for step in plan.steps}) == len(plan.steps)
     truth.cut.clear()
     truth.off.clear()
-    newest = {task: max(g for (name, _), g in truth.copies.items() if name == task) for task, _ in truth.copies}
+    newest = {
+        task: max(g for (name, _), g in truth.copies.items() if name == task) for task, _ in truth.copies
+    }
     truth.apply()
     assert truth.most() <= 1
     assert all(generation >= newest.get(task, 0) for (task, _), generation in truth.copies.items())

@@ -5,24 +5,39 @@ import random
 import pytest
 
 from edgectl.model.assignment import Reason
-from edgectl.model.memory import MeasuredDemand, Memory
+from edgectl.model.manager_state import ManagerState, MeasuredDemand
 from edgectl.model.policy import Policy
 from edgectl.model.weights import parse_weights
-from edgectl.scheduler.cost import handoffs_of
-from edgectl.scheduler.fleet import fleet_of
-from edgectl.scheduler.ledger import measured
-from edgectl.scheduler.rho import with_history
-from edgectl.scheduler.scan import EXCLUDED, fits, shares_of
-from edgectl.scheduler.view import Setting, View, look, terms_at
-from tests.builders import GI, a_link, a_robot, a_run, a_sample, a_snapshot, a_task, an_edge, an_inventory, silent, some_tasks
+from edgectl.scheduler.candidates import AssignmentContext, CandidateSet, evaluate_candidates, terms_at
+from edgectl.scheduler.capacities import build_capacities
+from edgectl.scheduler.demand import add_measured_demands
+from edgectl.scheduler.ledger import build_measured_ledger
+from edgectl.scheduler.move_cost import collect_handoff_history
+from edgectl.scheduler.scan import EXCLUDED_TOTAL, build_demand_shares, is_feasible_total
+from tests.builders import (
+    GI,
+    a_link,
+    a_robot,
+    a_run,
+    a_sample,
+    a_snapshot,
+    a_task,
+    an_edge,
+    an_inventory,
+    silent,
+    some_tasks,
+)
 from tests.scheduler.fleets import NO_MEMORY, decide, ranked
 
 
-def a_view(seed: int) -> View:
+def a_view(seed: int) -> CandidateSet:
     """A task in a fleet of thirty edges with every odd thing that can be wrong with one."""
     dice = random.Random(seed)
     robots = ["robot1", "robot2"]
-    inventory = an_inventory(*(an_edge(f"edge{n}", cpu_limit=dice.choice([0.0, 0.5, 1.0, 1.2])) for n in range(30)), *map(a_robot, robots))
+    inventory = an_inventory(
+        *(an_edge(f"edge{n}", cpu_limit=dice.choice([0.0, 0.5, 1.0, 1.2])) for n in range(30)),
+        *map(a_robot, robots),
+    )
     samples = {
         f"edge{n}": a_sample(
             cores=dice.choice([2.0, 4.0, 8.0]), used=dice.uniform(0, 5), used_memory=dice.uniform(0, 5) * GI, age=dice.choice([0.0, 0.0, 99.0]),
@@ -36,18 +51,31 @@ def a_view(seed: int) -> View:
         robots=dice.sample(robots, dice.randint(0, 2)), never=["edge3"], needs=["a", "b"],
     )  # fmt: skip
     kinds = [f"{cores}c-4Gi" for cores in (2, 4, 8) if dice.random() < 0.7]
-    memory = Memory(
+    memory = ManagerState(
         cordons=frozenset({"edge4"}),
         measured={(task.name, kind): MeasuredDemand(
             samples=dice.choice([59, 60]), span_s=300.0, cpu=dice.uniform(0, 2), memory=dice.uniform(0, 2) * GI,
             throughput=dice.choice([None, 2e6]),
         ) for kind in kinds if dice.random() < 0.7},
     )  # fmt: skip
-    fleet = with_history(fleet_of(inventory, a_snapshot(**samples), memory, frozenset({"edge5"})), some_tasks(task), memory)
+    fleet = add_measured_demands(
+        build_capacities(inventory, a_snapshot(**samples), memory, frozenset({"edge5"})),
+        some_tasks(task),
+        memory,
+    )
     policy = Policy(weights=parse_weights(dice.choice(["all", "cpu", "network", "cpu=.1,task=.9"])))
-    setting = Setting(fleet=fleet, policy=policy, shares=shares_of(fleet), now=0.0, first={}, handoffs=handoffs_of(Memory()))
+    setting = AssignmentContext(
+        fleet=fleet,
+        policy=policy,
+        shares=build_demand_shares(fleet),
+        now=0.0,
+        first={},
+        handoffs=collect_handoff_history(ManagerState()),
+    )
     places = {"a": dice.randrange(30), "b": dice.randrange(30)}
-    return look(setting, measured(fleet), task, incumbent=None, predecessors=places, placed={})
+    return evaluate_candidates(
+        setting, build_measured_ledger(fleet), task, incumbent=None, predecessors=places, placed={}
+    )
 
 
 @pytest.mark.parametrize("seed", range(40))
@@ -55,10 +83,10 @@ def test_the_scan_agrees_with_the_reference(seed: int) -> None:
     view = a_view(seed)
     for place in view.listed:
         if place in view.denied:
-            assert view.totals[place] == EXCLUDED
+            assert view.totals[place] == EXCLUDED_TOTAL
             continue
         _, total, rejections = terms_at(view, place)
-        assert fits(view.totals[place]) == (not rejections)
+        assert is_feasible_total(view.totals[place]) == (not rejections)
         if not rejections:
             assert view.totals[place] == pytest.approx(total, abs=1e-12)
 
@@ -74,26 +102,40 @@ def test_a_long_ranking_keeps_the_winner_the_incumbent_and_the_best_16() -> None
     samples["edge90"] = silent()
     samples["edge91"] = a_sample(used=4.0, links=links)
     samples["edge92"] = a_sample(used=4.0)
-    memory = Memory(managed=True, cordons=frozenset({"edge93", "edge94"}))
+    memory = ManagerState(managed=True, cordons=frozenset({"edge93", "edge94"}))
     tasks = some_tasks(a_task(cpu=0.5, robots=["robot1"]))
-    decision = decide(inventory, tasks, a_snapshot(**samples), memory=memory, policy=Policy(weights=parse_weights("cpu"))).decisions[0]
+    decision = decide(
+        inventory, tasks, a_snapshot(**samples), memory=memory, policy=Policy(weights=parse_weights("cpu"))
+    ).decisions[0]
     assert (decision.host, decision.reason, decision.challenger) == ("edge1", Reason.GAIN, "edge2")
     assert [entry.host for entry in decision.ranking] == [*HUNDRED[:16], "edge60"]
     # edge60 (4 - 2 - .5) / 4 = .375; better: (4 - .03 n - .5) / 4 > .375, that is n < 66.7: n = 0..66 without n = 59, so rank 67
     assert ranked(decision)["edge60"].rank == 67
     # left out: one silent, two cordoned, edge91 full, edge92 without a link
     assert decision.rejection_counts == {"cordoned": 2, "insufficient": 1, "no-link": 1, "unreachable": 1}
-    full = decide(inventory, tasks, a_snapshot(**samples), memory=memory, policy=Policy(weights=parse_weights("cpu"), full=True)).decisions[
-        0
-    ]
-    assert (len(full.ranking), full.rejection_counts, full.total, full.lead) == (100, {}, decision.total, decision.lead)
+    full = decide(
+        inventory,
+        tasks,
+        a_snapshot(**samples),
+        memory=memory,
+        policy=Policy(weights=parse_weights("cpu"), full=True),
+    ).decisions[0]
+    assert (len(full.ranking), full.rejection_counts, full.total, full.lead) == (
+        100,
+        {},
+        decision.total,
+        decision.lead,
+    )
     assert ranked(full)["edge60"].rank == 67
 
 
 def test_up_to_64_hosts_all_are_kept() -> None:
     inventory = an_inventory(*map(an_edge, HUNDRED[:64]))
     decision = decide(
-        inventory, some_tasks(a_task()), a_snapshot(**{name: a_sample() for name in HUNDRED[:64]}), memory=NO_MEMORY
+        inventory,
+        some_tasks(a_task()),
+        a_snapshot(**{name: a_sample() for name in HUNDRED[:64]}),
+        memory=NO_MEMORY,
     ).decisions[0]
     assert len(decision.ranking) == 64
 

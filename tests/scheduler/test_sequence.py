@@ -4,7 +4,7 @@ import pytest
 
 from edgectl.model.policy import SequenceRule
 from edgectl.model.task import Task
-from edgectl.scheduler.sequence import sequence
+from edgectl.scheduler.sequence import order_tasks
 from tests.builders import a_task
 
 CONNECTIVITY, SENSITIVITY = SequenceRule.CONNECTIVITY, SequenceRule.SENSITIVITY
@@ -32,11 +32,11 @@ CONNECTIVITY, SENSITIVITY = SequenceRule.CONNECTIVITY, SequenceRule.SENSITIVITY
     ],
 )  # fmt: skip
 def test_order(rule: SequenceRule, tasks: list[Task], expected: str) -> None:
-    assert [task.name for task in sequence(tasks, rule)] == expected.split()
-    assert [task.name for task in sequence(tasks[::-1], rule)] == expected.split()
+    assert [task.name for task in order_tasks(tasks, rule)] == expected.split()
+    assert [task.name for task in order_tasks(tasks[::-1], rule)] == expected.split()
 
 
 def test_a_cycle_is_refused_by_name() -> None:
     tasks = [a_task("a", needs=["c"]), a_task("b", needs=["a"]), a_task("c", needs=["b"]), a_task("free")]
     with pytest.raises(ValueError, match="cycle among a, b, c"):
-        sequence(tasks, CONNECTIVITY)
+        order_tasks(tasks, CONNECTIVITY)

@@ -25,7 +25,9 @@ def test_a_later_pass_mends_what_the_first_could_not_know() -> None:
 
 
 def test_nothing_changes_after_the_apply() -> None:
-    tasks = some_tasks(a_task("a", cpu=0.5), a_task("b", cpu=3.0, only=["edge1"]), a_task("c", cpu=1.0, needs=["a"]))
+    tasks = some_tasks(
+        a_task("a", cpu=0.5), a_task("b", cpu=3.0, only=["edge1"]), a_task("c", cpu=1.0, needs=["a"])
+    )
     snapshot = a_snapshot(edge1=a_sample(used=0.3), edge2=a_sample(used=0.2))
     for min_dwell in (0.0, 120.0):
         policy = Policy(weights=parse_weights("resources"), min_dwell=min_dwell)
@@ -53,7 +55,9 @@ def test_a_chase_without_end_is_cut_short() -> None:
 def test_a_move_of_a_later_pass_is_told_from_where_the_task_really_runs() -> None:
     # Pass 1: a leaves edge1 (gain), then b, which fits on edge2 alone, comes there; pass 2: a goes on to edge3.
     inventory = an_inventory(an_edge("edge1"), an_edge("edge2"), an_edge("edge3"))
-    snapshot = a_snapshot(edge1=a_sample(used=3.0, tasks={"a": a_run()}), edge2=a_sample(), edge3=a_sample(used=0.2))
+    snapshot = a_snapshot(
+        edge1=a_sample(used=3.0, tasks={"a": a_run()}), edge2=a_sample(), edge3=a_sample(used=0.2)
+    )
     tasks = some_tasks(a_task("a", cpu=0.5), a_task("b", cpu=3.0, only=["edge2"]))
     found = decide(inventory, tasks, snapshot, policy=Policy(weights=parse_weights("cpu")))
     a = decisions(found)["a"]

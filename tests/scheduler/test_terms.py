@@ -2,10 +2,21 @@
 
 import pytest
 
-from edgectl.model.assignment import Resource, Rule
+from edgectl.model.assignment import RejectionRule, Resource
 from edgectl.model.inventory import Capacity
 from edgectl.model.snapshot import TaskState
-from tests.builders import GI, a_link, a_robot, a_run, a_sample, a_snapshot, a_task, an_edge, an_inventory, some_tasks
+from tests.builders import (
+    GI,
+    a_link,
+    a_robot,
+    a_run,
+    a_sample,
+    a_snapshot,
+    a_task,
+    an_edge,
+    an_inventory,
+    some_tasks,
+)
 from tests.scheduler.fleets import decide, decisions, ranked, terms
 
 
@@ -25,7 +36,9 @@ def test_one_edge_one_task() -> None:
 def test_limits_stand_in_numerator_and_denominator() -> None:
     inventory = an_inventory(an_edge(cpu_limit=0.8, memory_limit=1.2))
     snapshot = a_snapshot(edge1=a_sample(used=1.0, used_memory=1 * GI))
-    entry = ranked(decisions(decide(inventory, some_tasks(a_task(cpu=0.6, memory=1 * GI)), snapshot))["slam"])["edge1"]
+    entry = ranked(
+        decisions(decide(inventory, some_tasks(a_task(cpu=0.6, memory=1 * GI)), snapshot))["slam"]
+    )["edge1"]
     # cpu: Delta = 4 x .8 = 3.2, (3.2 - 1 - .6) / 3.2 = .5; mem: Delta = 4 x 1.2 = 4.8, (4.8 - 1 - 1) / 4.8 = .58333
     assert (entry.terms.cpu, entry.terms.memory) == pytest.approx((0.5, 2.8 / 4.8))
 
@@ -40,9 +53,15 @@ def test_a_percent_demand_is_of_the_capacity_before_limits_and_of_the_link() -> 
 
 
 def test_declared_capacity_and_declared_link_win() -> None:
-    inventory = an_inventory(an_edge(capacity=Capacity(cpu=2.0, memory=2 * GI)), a_robot(), links={("edge1", "robot1"): 4e6})
+    inventory = an_inventory(
+        an_edge(capacity=Capacity(cpu=2.0, memory=2 * GI)), a_robot(), links={("edge1", "robot1"): 4e6}
+    )
     snapshot = a_snapshot(edge1=a_sample(used=0.5, links={"robot1": a_link(100e6, 1e6)}))
-    entry = ranked(decisions(decide(inventory, some_tasks(a_task(cpu=0.5, throughput=1e6, robots=["robot1"])), snapshot))["slam"])["edge1"]
+    entry = ranked(
+        decisions(
+            decide(inventory, some_tasks(a_task(cpu=0.5, throughput=1e6, robots=["robot1"])), snapshot)
+        )["slam"]
+    )["edge1"]
     # cpu (2 - .5 - .5) / 2 = .5; net (4 - 1 - 1) / 4 = .5
     assert (entry.terms.cpu, entry.terms.network) == pytest.approx((0.5, 0.5))
 
@@ -58,7 +77,9 @@ def test_the_worst_link_counts_and_demand_is_per_link() -> None:
 
 def test_without_a_robot_the_network_term_is_1() -> None:
     inventory = an_inventory(an_edge(), an_edge("edge2"))
-    decision = decisions(decide(inventory, some_tasks(a_task(throughput=1e6)), a_snapshot(edge1=a_sample(), edge2=a_sample())))["slam"]
+    decision = decisions(
+        decide(inventory, some_tasks(a_task(throughput=1e6)), a_snapshot(edge1=a_sample(), edge2=a_sample()))
+    )["slam"]
     assert [entry.terms.network for entry in decision.ranking] == [1.0, 1.0]
 
 
@@ -113,7 +134,9 @@ def test_every_living_state_counts_as_running(state: TaskState) -> None:
 def test_own_use_of_several_links(links: dict[str, float] | None, left: dict[str, float]) -> None:
     inventory = an_inventory(an_edge(), a_robot("robot1"), a_robot("robot2"))
     run = a_run(used_bytes_per_s=2e6, links=links)
-    snapshot = a_snapshot(edge1=a_sample(links={"robot1": a_link(10e6, 4e6), "robot2": a_link(10e6, 2e6)}, tasks={"slam": run}))
+    snapshot = a_snapshot(
+        edge1=a_sample(links={"robot1": a_link(10e6, 4e6), "robot2": a_link(10e6, 2e6)}, tasks={"slam": run})
+    )
     assignment = decide(inventory, some_tasks(a_task(robots=["robot1", "robot2"])), snapshot)
     assert assignment.expected["edge1"].links == left
 
@@ -125,34 +148,52 @@ def test_use_leaves_the_old_host_when_a_task_moves() -> None:
     # edge1 (4 - 2.9 - .8) / 4 = .075, edge2 (4 - .8) / 4 = .8: gain .725 / 4 = .18125 > .10
     assert assignment.decisions[0].host == "edge2"
     assert assignment.decisions[0].amount == pytest.approx(0.18125)
-    assert {name: load.used_cores for name, load in assignment.expected.items()} == pytest.approx({"edge1": 2.9, "edge2": 0.8})
+    assert {name: load.used_cores for name, load in assignment.expected.items()} == pytest.approx(
+        {"edge1": 2.9, "edge2": 0.8}
+    )
 
 
 def test_a_dead_link_and_a_missing_link() -> None:
     inventory = an_inventory(an_edge("edge1"), an_edge("edge2"), an_edge("edge3"), a_robot())
     snapshot = a_snapshot(
-        edge1=a_sample(links={"robot1": a_link(0.0)}), edge2=a_sample(), edge3=a_sample(used=3.0, links={"robot1": a_link()})
+        edge1=a_sample(links={"robot1": a_link(0.0)}),
+        edge2=a_sample(),
+        edge3=a_sample(used=3.0, links={"robot1": a_link()}),
     )
-    decision = decisions(decide(inventory, some_tasks(a_task(cpu=0.5, throughput=1e6, robots=["robot1"])), snapshot))["slam"]
+    decision = decisions(
+        decide(inventory, some_tasks(a_task(cpu=0.5, throughput=1e6, robots=["robot1"])), snapshot)
+    )["slam"]
     found = ranked(decision)
     assert decision.host == "edge3"
-    assert [(r.rule, r.resource, r.robot) for r in found["edge1"].rejections] == [(Rule.NO_CAPACITY, Resource.NETWORK, "robot1")]
-    assert [(r.rule, r.resource, r.robot) for r in found["edge2"].rejections] == [(Rule.NO_LINK, Resource.NETWORK, "robot1")]
+    assert [(r.rule, r.resource, r.robot) for r in found["edge1"].rejections] == [
+        (RejectionRule.NO_CAPACITY, Resource.NETWORK, "robot1")
+    ]
+    assert [(r.rule, r.resource, r.robot) for r in found["edge2"].rejections] == [
+        (RejectionRule.NO_LINK, Resource.NETWORK, "robot1")
+    ]
     assert (found["edge1"].terms.network, found["edge1"].total, found["edge2"].total) == (None, None, None)
     assert found["edge1"].terms.cpu == pytest.approx(0.875)
 
 
 def test_an_edge_with_a_limit_of_nothing_has_no_capacity() -> None:
     inventory = an_inventory(an_edge("edge1", cpu_limit=0.0), an_edge("edge2"))
-    decision = decisions(decide(inventory, some_tasks(a_task()), a_snapshot(edge1=a_sample(), edge2=a_sample(used=4.0))))["slam"]
+    decision = decisions(
+        decide(inventory, some_tasks(a_task()), a_snapshot(edge1=a_sample(), edge2=a_sample(used=4.0)))
+    )["slam"]
     assert decision.host == "edge2"
-    assert [(r.rule, r.resource) for r in ranked(decision)["edge1"].rejections] == [(Rule.NO_CAPACITY, Resource.CPU)]
+    assert [(r.rule, r.resource) for r in ranked(decision)["edge1"].rejections] == [
+        (RejectionRule.NO_CAPACITY, Resource.CPU)
+    ]
 
 
 def test_no_robots_at_all() -> None:
     inventory = an_inventory(an_edge("edge1"), an_edge("edge2"))
     found = decisions(
-        decide(inventory, some_tasks(a_task("a", cpu=1.0), a_task("b", cpu=1.0)), a_snapshot(edge1=a_sample(), edge2=a_sample()))
+        decide(
+            inventory,
+            some_tasks(a_task("a", cpu=1.0), a_task("b", cpu=1.0)),
+            a_snapshot(edge1=a_sample(), edge2=a_sample()),
+        )
     )
     # a: tie -> natural order; b: edge1 (4 - 1 - 1) / 4 = .5 < edge2 .75
     assert (found["a"].host, found["b"].host) == ("edge1", "edge2")

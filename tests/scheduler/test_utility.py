@@ -4,8 +4,13 @@ import pytest
 
 from edgectl.model.assignment import Terms
 from edgectl.model.policy import Weights
-from edgectl.scheduler.affinity import reward, signs, task_utilities
-from edgectl.scheduler.utility import resource_utility, total_utility
+from edgectl.scheduler.utility import (
+    compute_affinity,
+    paper_task_utilities,
+    resource_utility,
+    task_utilities,
+    total_utility,
+)
 
 
 @pytest.mark.parametrize(
@@ -33,7 +38,7 @@ def test_total_is_the_weighted_sum() -> None:
     [((), 0, 0), ((0,), 0, 1), ((0,), 1, -1), ((0, 0, 1), 0, 1), ((0, 0, 1), 1, -1), ((0, 0, 1), 2, -3)],
 )
 def test_reward(predecessors: tuple[int, ...], place: int, expected: int) -> None:
-    assert reward(predecessors, place) == expected
+    assert compute_affinity(predecessors, place) == expected
 
 
 @pytest.mark.parametrize(
@@ -45,10 +50,12 @@ def test_reward(predecessors: tuple[int, ...], place: int, expected: int) -> Non
         ([3, 1, -1, -3], {3: 1.0, 1: 2 / 3, -1: 1 / 3, -3: 0.0}),
     ],
 )
-def test_task_utility_is_the_rank_over_distinct_rewards(rewards: list[int], expected: dict[int, float]) -> None:
+def test_task_utility_is_the_rank_over_distinct_rewards(
+    rewards: list[int], expected: dict[int, float]
+) -> None:
     assert task_utilities(rewards) == pytest.approx(expected)
 
 
 def test_algorithm_1_gives_signs() -> None:
-    assert signs({1, -1, -3}, 3) == {1: 1.0, -1: 1.0, -3: -1.0}
-    assert signs({0}, 0) == {0: -1.0}
+    assert paper_task_utilities({1, -1, -3}, 3) == {1: 1.0, -1: 1.0, -3: -1.0}
+    assert paper_task_utilities({0}, 0) == {0: -1.0}

@@ -6,12 +6,24 @@ import pytest
 
 from edgectl.model.assignment import Decision, Reason, Verdict
 from edgectl.model.inventory import Inventory, Role
-from edgectl.model.memory import Memory, Placement
+from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.policy import Policy
 from edgectl.model.snapshot import Snapshot, TaskState
-from edgectl.model.task import Detect, Need, Task, Until
+from edgectl.model.task import DetectRule, Need, NeedCondition, Task
 from edgectl.model.weights import parse_weights
-from tests.builders import NOW, a_link, a_robot, a_run, a_sample, a_snapshot, a_task, an_edge, an_inventory, silent, some_tasks
+from tests.builders import (
+    NOW,
+    a_link,
+    a_robot,
+    a_run,
+    a_sample,
+    a_snapshot,
+    a_task,
+    an_edge,
+    an_inventory,
+    silent,
+    some_tasks,
+)
 from tests.scheduler.fleets import NO_MEMORY, decide, decisions, hosts, ranked
 
 ONE, TWO = an_inventory(an_edge()), an_inventory(an_edge("edge1"), an_edge("edge2"))
@@ -24,8 +36,8 @@ def verdict(decision: Decision) -> tuple[Verdict, Reason, str | None, str | None
     return decision.verdict, decision.reason, decision.host, decision.subject
 
 
-def remembered(task: str, host: str, **fields: object) -> Memory:
-    return Memory(managed=True, placements={task: Placement(host=host, since=NOW - 900.0)}, **fields)  # type: ignore[arg-type]
+def remembered(task: str, host: str, **fields: object) -> ManagerState:
+    return ManagerState(managed=True, placements={task: Placement(host=host, since=NOW - 900.0)}, **fields)  # type: ignore[arg-type]
 
 
 # --- 5.11 completed tasks
@@ -33,7 +45,7 @@ def remembered(task: str, host: str, **fields: object) -> Memory:
 
 def test_a_marked_task_is_stopped_and_its_use_is_free_for_every_task_of_the_same_plan() -> None:
     snapshot = a_snapshot(edge1=a_sample(used=3.5, tasks={"zoom": a_run(used_cores=3.0)}))
-    memory = Memory(managed=True, done={"zoom": "hash-zoom"})
+    memory = ManagerState(managed=True, done={"zoom": "hash-zoom"})
     found = decide(ONE, some_tasks(a_task("slam", cpu=2.0), a_task("zoom", cpu=3.0)), snapshot, memory=memory)
     # slam comes first by name, and yet sees only 3.5 - 3 = .5 in use: (4 - .5 - 2) / 4
     assert decisions(found)["slam"].ranking[0].terms.cpu == pytest.approx(0.375)
@@ -46,13 +58,17 @@ def test_a_marked_task_is_stopped_and_its_use_is_free_for_every_task_of_the_same
     [
         (NO_MEMORY, {"slam": a_run(TaskState.COMPLETED, pid=0)}, True),  # a job that exited with 0
         (NO_MEMORY, {"slam": a_run(TaskState.COMPLETED, spec_hash="hash-slam")}, True),  # done_when said yes
-        (NO_MEMORY, {"slam": a_run(TaskState.COMPLETED, spec_hash="older")}, False),  # the spec has changed since
-        (Memory(done={"slam": "hash-slam"}), {}, True),
-        (Memory(done={"slam": "older"}), {}, False),
+        (
+            NO_MEMORY,
+            {"slam": a_run(TaskState.COMPLETED, spec_hash="older")},
+            False,
+        ),  # the spec has changed since
+        (ManagerState(done={"slam": "hash-slam"}), {}, True),
+        (ManagerState(done={"slam": "older"}), {}, False),
         (NO_MEMORY, {"slam": a_run(TaskState.FAILED)}, False),
     ],
 )
-def test_when_a_task_is_completed(memory: Memory, tasks: dict[str, object], completed: bool) -> None:
+def test_when_a_task_is_completed(memory: ManagerState, tasks: dict[str, object], completed: bool) -> None:
     snapshot = a_snapshot(edge1=a_sample(tasks=tasks))  # type: ignore[arg-type]
     decision = decide(ONE, some_tasks(a_task()), snapshot, memory=memory).decisions[0]
     assert (decision.verdict is Verdict.COMPLETED) == completed
@@ -61,19 +77,30 @@ def test_when_a_task_is_completed(memory: Memory, tasks: dict[str, object], comp
 
 def test_a_newer_instance_that_is_alive_is_not_completed() -> None:
     old, new = a_run(TaskState.COMPLETED, pid=0, generation=1), a_run(generation=2)
-    found = decide(TWO, some_tasks(a_task()), a_snapshot(edge1=a_sample(tasks={"slam": old}), edge2=a_sample(tasks={"slam": new})))
+    found = decide(
+        TWO,
+        some_tasks(a_task()),
+        a_snapshot(edge1=a_sample(tasks={"slam": old}), edge2=a_sample(tasks={"slam": new})),
+    )
     assert hosts(found) == {"slam": "edge2"}
 
 
 def test_what_the_gateway_took_out_is_not_taken_out_again() -> None:
-    snapshot = a_snapshot(edge1=a_sample(used=1.0, tasks={"slam": a_run(TaskState.COMPLETED, used_cores=0.8)}))
+    snapshot = a_snapshot(
+        edge1=a_sample(used=1.0, tasks={"slam": a_run(TaskState.COMPLETED, used_cores=0.8)})
+    )
     assert decide(ONE, some_tasks(a_task()), snapshot).expected["edge1"].used_cores == 1.0
 
 
-@pytest.mark.parametrize("until", list(Until))
-def test_a_completed_predecessor_satisfies_every_need_and_draws_nobody(until: Until) -> None:
+@pytest.mark.parametrize("until", list(NeedCondition))
+def test_a_completed_predecessor_satisfies_every_need_and_draws_nobody(until: NeedCondition) -> None:
     tasks = some_tasks(a_task("map"), a_task("nav", needs=[Need(task="map", until=until)]))
-    found = decide(TWO, tasks, a_snapshot(edge1=a_sample(), edge2=a_sample()), memory=Memory(done={"map": "hash-map"}))
+    found = decide(
+        TWO,
+        tasks,
+        a_snapshot(edge1=a_sample(), edge2=a_sample()),
+        memory=ManagerState(done={"map": "hash-map"}),
+    )
     nav = decisions(found)["nav"]
     assert nav.host == "edge1"
     assert {entry.terms.task for entry in nav.ranking} == {0.5}
@@ -89,7 +116,7 @@ def test_tasks_that_left_the_file_are_no_load_of_the_outcome() -> None:
 
 
 def unmanaged(name: str = "slam") -> Task:
-    return a_task(name, cpu=3.0, managed=False, detect=Detect(cmdline="gmapping"))
+    return a_task(name, cpu=3.0, managed=False, detect=DetectRule(cmdline="gmapping"))
 
 
 def test_an_unmanaged_task_is_load_and_predecessor_where_it_was_found() -> None:
@@ -107,7 +134,11 @@ def test_an_unmanaged_task_that_was_not_found_is_nowhere_and_its_successor_waits
 
 
 def test_a_task_of_ours_that_somebody_else_started_is_left_alone() -> None:
-    found = decide(TWO, some_tasks(a_task()), a_snapshot(edge1=a_sample(), edge2=a_sample(tasks={"slam": a_run(managed=False)})))
+    found = decide(
+        TWO,
+        some_tasks(a_task()),
+        a_snapshot(edge1=a_sample(), edge2=a_sample(tasks={"slam": a_run(managed=False)})),
+    )
     assert verdict(decisions(found)["slam"]) == (Verdict.KEPT, Reason.UNMANAGED, "edge2", None)
 
 
@@ -116,7 +147,9 @@ def test_a_task_of_ours_that_somebody_else_started_is_left_alone() -> None:
 
 def test_a_task_on_a_silent_host_is_held_and_still_a_predecessor() -> None:
     tasks = some_tasks(a_task("slam"), a_task("nav", needs=["slam"]))
-    found = decide(TWO, tasks, a_snapshot(edge1=silent(), edge2=a_sample()), memory=remembered("slam", "edge1"))
+    found = decide(
+        TWO, tasks, a_snapshot(edge1=silent(), edge2=a_sample()), memory=remembered("slam", "edge1")
+    )
     assert verdict(decisions(found)["slam"]) == (Verdict.HELD, Reason.HOST_SILENT, "edge1", "edge1")
     assert decisions(found)["nav"].host == "edge2"
     assert ranked(decisions(found)["nav"])["edge2"].affinity == -1
@@ -128,19 +161,27 @@ def test_a_task_on_a_silent_host_is_held_and_still_a_predecessor() -> None:
         # its host answers and it is not there: it is gone, and starts anew
         (remembered("slam", "edge1"), a_snapshot(edge1=a_sample(used=1.0), edge2=a_sample()), "edge2"),
         # it was seen elsewhere, whatever is remembered
-        (remembered("slam", "edge1"), a_snapshot(edge1=silent(), edge2=a_sample(tasks={"slam": a_run()})), "edge2"),
+        (
+            remembered("slam", "edge1"),
+            a_snapshot(edge1=silent(), edge2=a_sample(tasks={"slam": a_run()})),
+            "edge2",
+        ),
         # it was on a host that left the inventory
         (remembered("slam", "old-edge"), a_snapshot(edge1=a_sample(used=1.0), edge2=a_sample()), "edge2"),
         # an edge of the inventory that the snapshot does not mention is silent
         (remembered("slam", "edge1"), a_snapshot(edge2=a_sample()), "edge1"),
     ],
 )
-def test_what_is_remembered_and_what_is_seen(memory: Memory, snapshot: Snapshot, host: str) -> None:
+def test_what_is_remembered_and_what_is_seen(memory: ManagerState, snapshot: Snapshot, host: str) -> None:
     assert hosts(decide(TWO, some_tasks(a_task()), snapshot, memory=memory)) == {"slam": host}
 
 
-@pytest.mark.parametrize(("memory", "unseen"), [(Memory(), ("edge1",)), (Memory(managed=True), ())])
-def test_a_new_manager_starts_what_it_does_not_see_and_names_the_silent_hosts(memory: Memory, unseen: tuple[str, ...]) -> None:
+@pytest.mark.parametrize(
+    ("memory", "unseen"), [(ManagerState(), ("edge1",)), (ManagerState(managed=True), ())]
+)
+def test_a_new_manager_starts_what_it_does_not_see_and_names_the_silent_hosts(
+    memory: ManagerState, unseen: tuple[str, ...]
+) -> None:
     found = decide(TWO, some_tasks(a_task()), a_snapshot(edge1=silent(), edge2=a_sample()), memory=memory)
     assert hosts(found) == {"slam": "edge2"}
     assert found.unseen == unseen
@@ -149,7 +190,11 @@ def test_a_new_manager_starts_what_it_does_not_see_and_names_the_silent_hosts(me
 def test_an_unreachable_robot_holds_its_tasks() -> None:
     tasks = some_tasks(a_task("nav", robots=["robot1"]), a_task("slam", robots=["robot1"]), a_task("web"))
     runs = {"slam": a_run(used_cores=1.0)}
-    snapshot = a_snapshot(edge1=a_sample(used=1.5, links=LINKS, tasks=runs), edge2=a_sample(links=LINKS), robot1=silent(Role.ROBOT))
+    snapshot = a_snapshot(
+        edge1=a_sample(used=1.5, links=LINKS, tasks=runs),
+        edge2=a_sample(links=LINKS),
+        robot1=silent(Role.ROBOT),
+    )
     found = decide(ROBOTIC, tasks, snapshot, policy=CPU)
     assert verdict(decisions(found)["nav"]) == (Verdict.HELD, Reason.ROBOT_SILENT, None, "robot1")
     assert verdict(decisions(found)["slam"]) == (Verdict.HELD, Reason.ROBOT_SILENT, "edge1", "robot1")
@@ -166,13 +211,20 @@ def test_a_robot_that_is_never_probed_is_taken_as_reachable() -> None:
 @pytest.mark.parametrize(
     ("first", "second", "memory", "winner"),
     [
-        ({"generation": 3}, {"generation": 2, "started_at": NOW}, remembered("slam", "edge2"), "edge1"),  # generation
+        (
+            {"generation": 3},
+            {"generation": 2, "started_at": NOW},
+            remembered("slam", "edge2"),
+            "edge1",
+        ),  # generation
         ({"started_at": NOW}, {}, remembered("slam", "edge2"), "edge2"),  # then the memory
         ({"started_at": NOW - 10}, {"started_at": NOW - 500}, NO_MEMORY, "edge1"),  # then the later start
         ({}, {}, NO_MEMORY, "edge1"),  # then the name
     ],
 )
-def test_of_two_copies_the_newer_assignment_wins(first: dict[str, object], second: dict[str, object], memory: Memory, winner: str) -> None:
+def test_of_two_copies_the_newer_assignment_wins(
+    first: dict[str, object], second: dict[str, object], memory: ManagerState, winner: str
+) -> None:
     snapshot = a_snapshot(
         edge1=a_sample(used=1.0, tasks={"slam": a_run(used_cores=1.0, **first)}),
         edge2=a_sample(used=1.0, tasks={"slam": a_run(used_cores=1.0, **second)}),
@@ -196,8 +248,12 @@ GIVEN_UP = a_run(TaskState.CRASHLOOP, pid=0, given_up=True, exit_code=1, spec_ha
 @pytest.mark.parametrize("state", [TaskState.FAILED, TaskState.CRASHLOOP])
 def test_a_task_that_was_given_up_waits_for_a_word(state: TaskState) -> None:
     """Not even the idle host gets it, although the one where it failed is busy."""
-    snapshot = a_snapshot(edge1=a_sample(used=1.0, tasks={"slam": replace(GIVEN_UP, state=state)}), edge2=a_sample())
-    found = decide(TWO, some_tasks(a_task(), a_task("nav", needs=["slam"])), snapshot, memory=remembered("slam", "edge1"))
+    snapshot = a_snapshot(
+        edge1=a_sample(used=1.0, tasks={"slam": replace(GIVEN_UP, state=state)}), edge2=a_sample()
+    )
+    found = decide(
+        TWO, some_tasks(a_task(), a_task("nav", needs=["slam"])), snapshot, memory=remembered("slam", "edge1")
+    )
     assert verdict(decisions(found)["slam"]) == (Verdict.UNPLACED, Reason.GIVEN_UP, None, "edge1")
     assert decisions(found)["slam"].amount == 1.0
     assert verdict(decisions(found)["nav"]) == (Verdict.UNPLACED, Reason.PREDECESSOR_MISSING, None, "slam")
@@ -209,17 +265,25 @@ def test_a_task_that_was_given_up_waits_for_a_word(state: TaskState) -> None:
         ({"spec_hash": "older"}, NO_MEMORY, 0),  # it may do better now
         ({"given_up": False}, NO_MEMORY, 0),  # it died with its host, or its supervisor was lost
         ({}, NO_MEMORY, 6),  # started and stopped on edge2 since
-        ({}, Memory(placements={"slam": Placement(host="edge2", since=NOW, generation=6)}), 0),  # and wiped from there
+        (
+            {},
+            ManagerState(placements={"slam": Placement(host="edge2", since=NOW, generation=6)}),
+            0,
+        ),  # and wiped from there
     ],
 )
-def test_when_a_task_that_ended_is_started_again(ended: dict[str, object], memory: Memory, told: int) -> None:
+def test_when_a_task_that_ended_is_started_again(
+    ended: dict[str, object], memory: ManagerState, told: int
+) -> None:
     edge2 = replace(a_sample(), generations={"slam": told})
     snapshot = a_snapshot(edge1=a_sample(used=1.0, tasks={"slam": replace(GIVEN_UP, **ended)}), edge2=edge2)  # type: ignore[arg-type]
     assert hosts(decide(TWO, some_tasks(a_task()), snapshot, memory=memory)) == {"slam": "edge2"}
 
 
 def test_the_run_of_now_counts_and_not_the_one_that_was_given_up_before() -> None:
-    snapshot = a_snapshot(edge1=a_sample(tasks={"slam": GIVEN_UP}), edge2=a_sample(tasks={"slam": a_run(generation=6)}))
+    snapshot = a_snapshot(
+        edge1=a_sample(tasks={"slam": GIVEN_UP}), edge2=a_sample(tasks={"slam": a_run(generation=6)})
+    )
     decision = decide(TWO, some_tasks(a_task()), snapshot).decisions[0]
     assert (decision.verdict, decision.host) == (Verdict.KEPT, "edge2")
 

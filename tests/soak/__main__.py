@@ -22,7 +22,9 @@ def main(simulated: int = 10_000, over_ssh: int = 200) -> int:
     return 1 if wrong else 0
 
 
-def report(name: str, cycles: int, seconds: float, warm: Reading, end: Reading, counts: dict[str, int]) -> None:
+def report(
+    name: str, cycles: int, seconds: float, warm: Reading, end: Reading, counts: dict[str, int]
+) -> None:
     print(table(name, cycles, seconds, warm, end))
     print(", ".join(f"{count} {what}" for what, count in counts.items()), "\n", flush=True)
 
@@ -31,5 +33,9 @@ if __name__ == "__main__":
     with tempfile.TemporaryDirectory(prefix="edgectl-soak-home-") as home:
         import os
 
-        os.environ |= {"HOME": home, "XDG_STATE_HOME": str(Path(home) / "state"), "EDGECTL_STATE_DIR": str(Path(home) / "state")}
+        os.environ |= {
+            "HOME": home,
+            "XDG_STATE_HOME": str(Path(home) / "state"),
+            "EDGECTL_STATE_DIR": str(Path(home) / "state"),
+        }
         sys.exit(main(*map(int, sys.argv[1:3])))

@@ -55,7 +55,11 @@ class Trouble:
             hosts.down.discard(name)
             del self.back[name]
         for name in EDGES:
-            hosts[name].used = min(3.0, max(0.0, hosts[name].used + self.dice.uniform(-0.4, 0.4))) if number < self.last else 0.5
+            hosts[name].used = (
+                min(3.0, max(0.0, hosts[name].used + self.dice.uniform(-0.4, 0.4)))
+                if number < self.last
+                else 0.5
+            )
         if number < self.last and number % 7:
             return
         for name in EDGES:
@@ -83,7 +87,9 @@ class Trouble:
             hosts.world.ends(task, name)
 
 
-def soak(cycles: int, quiet: int = QUIET, warm_at: float = WARM_AT, seed: int = 1) -> tuple[Reading, Reading, dict[str, int]]:
+def soak(
+    cycles: int, quiet: int = QUIET, warm_at: float = WARM_AT, seed: int = 1
+) -> tuple[Reading, Reading, dict[str, int]]:
     """Readings after a share ``warm_at`` of the cycles and at the end, and what happened; in the end every task runs, and none ran twice."""
     with directory() as state:
         inventory = an_inventory(*map(an_edge, EDGES), a_robot("robot1"))

@@ -7,11 +7,11 @@ from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from edgectl.gateway.collect import ProbeOptions
+from edgectl.gateway.host_probe import ProbeOptions
 from edgectl.model.inventory import Inventory, Role
 from edgectl.model.plan import Action
 from edgectl.model.result import Outcome
-from edgectl.usecases.watch import WatchOptions, watch
+from edgectl.usecases.watch import WatchOptions, watch_fleet
 from tests.builders import an_inventory, some_tasks
 from tests.e2e.bench import a_mark, a_sleeper, a_slice, managing
 from tests.soak.gauge import Reading, at_rest, take
@@ -69,7 +69,9 @@ class Power:
             self.losses += 1
 
 
-def soak(lab: Lab, directory: Path, cycles: int, rhythm: Rhythm = Rhythm()) -> tuple[Reading, Reading, dict[str, int]]:
+def soak(
+    lab: Lab, directory: Path, cycles: int, rhythm: Rhythm = Rhythm()
+) -> tuple[Reading, Reading, dict[str, int]]:
     """Readings after the first host has come back and at the end, and what happened; all tasks run once in the end, none afterwards."""
     marks = {"first": a_mark(), "second": a_mark(), "third": a_mark()}
     tasks = some_tasks(*(a_sleeper(name, mark, robots=("robot1",)) for name, mark in marks.items()))
@@ -79,8 +81,14 @@ def soak(lab: Lab, directory: Path, cycles: int, rhythm: Rhythm = Rhythm()) -> t
     with managing(fleet(lab), directory / "manager") as bench:
         power = Power(lab, cycles, rhythm)
         made = replace(bench.using(*tasks.tasks.values()).fleet, clock=hands.wall, uptime=hands.uptime)
-        options = WatchOptions(every=EVERY, apply=True, cycles=cycles, control=control, probe=ProbeOptions(window=0.1, timeout=10.0))
-        with closing(watch(made, options)) as running:
+        options = WatchOptions(
+            every=EVERY,
+            apply=True,
+            cycles=cycles,
+            control=control,
+            probe=ProbeOptions(window=0.1, timeout=10.0),
+        )
+        with closing(watch_fleet(made, options)) as running:
             for cycle in running:
                 for action in cycle.results.actions if cycle.results is not None else ():
                     counts["moves"] += action.action is Action.MOVE and action.outcome is Outcome.DONE
@@ -93,7 +101,12 @@ def soak(lab: Lab, directory: Path, cycles: int, rhythm: Rhythm = Rhythm()) -> t
                     assert warm is not None
                     end = at_rest(warm, lambda: living(lab))
                     assert cycle.snapshot is not None
-                    alive = [task for host in cycle.snapshot.hosts.values() for task, entry in host.tasks.items() if entry.state.alive]
+                    alive = [
+                        task
+                        for host in cycle.snapshot.hosts.values()
+                        for task, entry in host.tasks.items()
+                        if entry.state.alive
+                    ]
                     assert sorted(alive) == sorted(marks), alive
                 power.strike(cycle.number)
         counts["losses"] = power.losses
@@ -107,7 +120,10 @@ def soak(lab: Lab, directory: Path, cycles: int, rhythm: Rhythm = Rhythm()) -> t
 
 def timed(cycles: int) -> tuple[float, Reading, Reading, dict[str, int]]:
     """The same over servers of its own, with the seconds that it took."""
-    with tempfile.TemporaryDirectory(prefix="edgectl-soak-") as name, running_lab(Path(name) / "lab", NAMES) as lab:
+    with (
+        tempfile.TemporaryDirectory(prefix="edgectl-soak-") as name,
+        running_lab(Path(name) / "lab", NAMES) as lab,
+    ):
         os.environ.update(lab.environment)
         began = time.monotonic()
         warm, end, counts = soak(lab, Path(name), cycles)

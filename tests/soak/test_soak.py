@@ -31,7 +31,9 @@ def test_a_watch_over_simulated_hosts_grows_nothing() -> None:
     assert counts["errors"] == 0
 
 
-def test_a_watch_over_real_hosts_of_which_one_dies_and_returns_grows_nothing(lab: Lab, tmp_path: Path) -> None:
+def test_a_watch_over_real_hosts_of_which_one_dies_and_returns_grows_nothing(
+    lab: Lab, tmp_path: Path
+) -> None:
     warm, end, counts = real.soak(lab, tmp_path, 18, real.Rhythm(period=5, dead=3, quiet=10))
     assert grown(warm, end) == []
     assert (counts["losses"], counts["errors"], counts["left behind"]) == (1, 0, 0)

@@ -2,11 +2,11 @@
 
 from pathlib import Path
 
-from edgectl.state.journal_read import Entry, read
+from edgectl.state.journal_reader import JournalEntry, read_journal
 
 
-def entries(path: Path) -> list[Entry]:
+def entries(path: Path) -> list[JournalEntry]:
     """Its entries, oldest first."""
-    found: list[Entry] = []
-    read(path, found.append)
+    found: list[JournalEntry] = []
+    read_journal(path, found.append)
     return found

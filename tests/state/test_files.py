@@ -9,14 +9,18 @@ from pathlib import Path
 import pytest
 
 from edgectl.errors import StateError
-from edgectl.model.memory import Memory, Placement
-from edgectl.state import points
-from edgectl.state.files import read_json, write_json
-from edgectl.state.links import load_links, save_links
-from edgectl.state.memory import load_memory, save_memory
-from edgectl.state.paths import fleet_dir, private_dir, root
+from edgectl.model.manager_state import ManagerState, Placement
+from edgectl.state import failpoints
+from edgectl.state.json_files import read_json, write_json
+from edgectl.state.manager_state import (
+    load_link_capacities,
+    load_manager_state,
+    save_link_capacities,
+    save_manager_state,
+)
+from edgectl.state.paths import ensure_fleet_dir, ensure_private_dir, get_state_root
 
-MEMORY = Memory(
+MEMORY = ManagerState(
     managed=True,
     placements={"slam": Placement(host="edge1", since=1000.0, spec_hash="abc", generation=3)},
     first={"slam": "edge2"},
@@ -27,67 +31,75 @@ MEMORY = Memory(
 
 
 def test_memory_survives(tmp_path: Path) -> None:
-    assert load_memory(tmp_path) == Memory()
-    save_memory(tmp_path, MEMORY)
-    assert load_memory(tmp_path) == MEMORY
+    assert load_manager_state(tmp_path) == ManagerState()
+    save_manager_state(tmp_path, MEMORY)
+    assert load_manager_state(tmp_path) == MEMORY
     assert (tmp_path / "memory.json").stat().st_mode & 0o777 == 0o600
 
 
 def test_a_broken_memory_is_set_aside_and_the_previous_one_used(tmp_path: Path) -> None:
-    save_memory(tmp_path, MEMORY)
-    save_memory(tmp_path, dataclasses.replace(MEMORY, cordons=frozenset()))
+    save_manager_state(tmp_path, MEMORY)
+    save_manager_state(tmp_path, dataclasses.replace(MEMORY, cordons=frozenset()))
     (tmp_path / "memory.json").write_text("{")
     said: list[str] = []
-    assert load_memory(tmp_path, said.append) == MEMORY
+    assert load_manager_state(tmp_path, said.append) == MEMORY
     assert "set aside as memory.json.broken-1" in said[0]
     assert (tmp_path / "memory.json.broken-1").read_text() == "{"
 
 
 def test_every_truncation_of_memory_is_survived(tmp_path: Path) -> None:
-    save_memory(tmp_path, MEMORY)
+    save_manager_state(tmp_path, MEMORY)
     data = (tmp_path / "memory.json").read_bytes()
     for length in range(len(data) - 2):
         (tmp_path / "memory.json").write_bytes(data[:length])
         said: list[str] = []
-        assert load_memory(tmp_path, said.append) == Memory()
+        assert load_manager_state(tmp_path, said.append) == ManagerState()
         assert len(said) == 1
         (tmp_path / "memory.json.broken-1").unlink()
 
 
 @pytest.mark.parametrize(
-    "text", ["[]", "null", '{"format_version": 1, "managed": "yes"}', "[" * 100_000, "\x00", '{"format_version": 1, "placements": 3}']
+    "text",
+    [
+        "[]",
+        "null",
+        '{"format_version": 1, "managed": "yes"}',
+        "[" * 100_000,
+        "\x00",
+        '{"format_version": 1, "placements": 3}',
+    ],
 )
 def test_odd_memory_is_survived(tmp_path: Path, text: str) -> None:
     (tmp_path / "memory.json").write_text(text)
     said: list[str] = []
-    assert load_memory(tmp_path, said.append) == Memory()
+    assert load_manager_state(tmp_path, said.append) == ManagerState()
     assert said
 
 
 def test_a_newer_memory_is_refused_and_kept(tmp_path: Path) -> None:
     (tmp_path / "memory.json").write_text(json.dumps({"format_version": 99}))
     with pytest.raises(StateError, match="newer edgectl"):
-        load_memory(tmp_path)
+        load_manager_state(tmp_path)
     assert (tmp_path / "memory.json").exists()
 
 
 def test_a_cut_off_save_leaves_the_old_memory(tmp_path: Path) -> None:
-    save_memory(tmp_path, MEMORY)
+    save_manager_state(tmp_path, MEMORY)
 
     def cut(point: str) -> None:
         if point == "state temp written":
             raise KeyboardInterrupt
 
-    remove = points.install(cut)
+    remove = failpoints.install_hook(cut)
     try:
         with pytest.raises(KeyboardInterrupt):
-            save_memory(tmp_path, Memory())
+            save_manager_state(tmp_path, ManagerState())
     finally:
         remove()
-    assert load_memory(tmp_path) == MEMORY
+    assert load_manager_state(tmp_path) == MEMORY
     assert (tmp_path / "memory.json.tmp").exists()
-    save_memory(tmp_path, Memory())
-    assert load_memory(tmp_path) == Memory()
+    save_manager_state(tmp_path, ManagerState())
+    assert load_manager_state(tmp_path) == ManagerState()
     assert not list(tmp_path.glob("*.tmp")), "what a killed edgectl left behind is used by the next one"
 
 
@@ -101,11 +113,11 @@ def test_two_writers_at_once_leave_one_whole_document(tmp_path: Path) -> None:
 
 
 def test_measured_links_survive_and_broken_ones_are_survived(tmp_path: Path) -> None:
-    save_links(tmp_path, {("edge1", "robot1"): 1e6, ("edge1", "robot2"): 2.5e6})
-    assert load_links(tmp_path) == {("edge1", "robot1"): 1e6, ("edge1", "robot2"): 2.5e6}
+    save_link_capacities(tmp_path, {("edge1", "robot1"): 1e6, ("edge1", "robot2"): 2.5e6})
+    assert load_link_capacities(tmp_path) == {("edge1", "robot1"): 1e6, ("edge1", "robot2"): 2.5e6}
     (tmp_path / "links.json").write_text('{"format_version": 1, "links": {"edge1": {"robot1": -1}}}')
     said: list[str] = []
-    assert load_links(tmp_path, said.append) == {}
+    assert load_link_capacities(tmp_path, said.append) == {}
     assert "not a rate" in said[0]
 
 
@@ -113,13 +125,16 @@ def test_each_inventory_has_a_directory_of_its_own(tmp_path: Path, monkeypatch: 
     monkeypatch.setenv("EDGECTL_STATE_DIR", str(tmp_path / "state"))
     old = os.umask(0)
     try:
-        one, other = fleet_dir(tmp_path / "a" / "lab.yaml"), fleet_dir(tmp_path / "b" / "lab.yaml")
+        one, other = (
+            ensure_fleet_dir(tmp_path / "a" / "lab.yaml"),
+            ensure_fleet_dir(tmp_path / "b" / "lab.yaml"),
+        )
     finally:
         os.umask(old)
     assert one != other
-    assert one.parent == root() / "fleets"
+    assert one.parent == get_state_root() / "fleets"
     assert one.name.startswith("lab-")
-    assert {path.stat().st_mode & 0o777 for path in (one, other, root())} == {0o700}
+    assert {path.stat().st_mode & 0o777 for path in (one, other, get_state_root())} == {0o700}
 
 
 def test_a_directory_that_others_may_write_is_refused(tmp_path: Path) -> None:
@@ -127,11 +142,11 @@ def test_a_directory_that_others_may_write_is_refused(tmp_path: Path) -> None:
     shared.mkdir()
     shared.chmod(0o777)
     with pytest.raises(StateError, match="not private"):
-        private_dir(shared)
+        ensure_private_dir(shared)
 
 
 def test_a_link_in_place_of_the_lock_is_refused(tmp_path: Path) -> None:
     (tmp_path / "elsewhere").write_text("")
     (tmp_path / "memory.json").symlink_to(tmp_path / "elsewhere")
-    save_memory(tmp_path, MEMORY)
+    save_manager_state(tmp_path, MEMORY)
     assert (tmp_path / "elsewhere").read_text() == ""

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from edgectl.errors import StateError
-from edgectl.state.journal import NAME, Journal
-from edgectl.state.journal_read import Log, read, standing
+from edgectl.state.journal import JOURNAL_FILE_NAME, Journal
+from edgectl.state.journal_reader import JournalSummary, read_journal, read_journal_cached
 from tests.state.journals import entries
 
 
@@ -29,8 +29,8 @@ def written(directory: Path) -> Path:
 
 
 def test_what_was_written_is_read(tmp_path: Path) -> None:
-    log = read(written(tmp_path))
-    assert [entry["event"] for entry in entries(tmp_path / NAME)] == [
+    log = read_journal(written(tmp_path))
+    assert [entry["event"] for entry in entries(tmp_path / JOURNAL_FILE_NAME)] == [
         "begin",
         "intent",
         "commit",
@@ -45,8 +45,8 @@ def test_what_was_written_is_read(tmp_path: Path) -> None:
 
 
 def test_no_journal_is_an_empty_one(tmp_path: Path) -> None:
-    log = read(tmp_path / "journal.jsonl")
-    assert (log.revision, log.applied, log.unfinished, log) == (0, set(), (), Log())
+    log = read_journal(tmp_path / "journal.jsonl")
+    assert (log.revision, log.applied, log.unfinished, log) == (0, set(), (), JournalSummary())
 
 
 def test_every_truncation_is_a_torn_line_and_never_a_wrong_entry(tmp_path: Path) -> None:
@@ -56,7 +56,7 @@ def test_every_truncation_is_a_torn_line_and_never_a_wrong_entry(tmp_path: Path)
     for length in range(len(data)):
         path = tmp_path / "cut.jsonl"
         path.write_bytes(data[:length])
-        log = read(path)
+        log = read_journal(path)
         sound = [end for end in ends if end <= length]
         assert entries(path) == whole[: len(sound)]
         assert (log.size, log.torn, log.broken) == (max(sound, default=0), length - max(sound, default=0), 0)
@@ -69,16 +69,16 @@ def test_every_flipped_bit_is_noticed_where_it_is(tmp_path: Path) -> None:
         flipped = bytearray(data)
         flipped[position] ^= 1 << (position % 7)
         path.write_bytes(flipped)
-        assert read(path).broken == data.count(b"\n", 0, position) + 1, position
+        assert read_journal(path).broken == data.count(b"\n", 0, position) + 1, position
 
 
 def test_a_removed_or_exchanged_line_breaks_the_chain(tmp_path: Path) -> None:
     lines = written(tmp_path).read_bytes().splitlines(keepends=True)
     path = tmp_path / "edited.jsonl"
     path.write_bytes(b"".join(lines[:2] + lines[3:]))
-    assert read(path).broken == 3
+    assert read_journal(path).broken == 3
     path.write_bytes(b"".join([lines[1], lines[0], *lines[2:]]))
-    assert read(path).broken == 1
+    assert read_journal(path).broken == 1
 
 
 def test_a_torn_line_is_cut_off_said_and_recorded(tmp_path: Path) -> None:
@@ -88,7 +88,7 @@ def test_a_torn_line_is_cut_off_said_and_recorded(tmp_path: Path) -> None:
     said: list[str] = []
     with Journal.open(tmp_path, warn=said.append) as journal:
         journal.append("begin", revision=3, plan="plan-c")
-    log = read(path)
+    log = read_journal(path)
     assert "unfinished last line (10 bytes) was cut off" in said[0]
     assert [entry["event"] for entry in entries(path)[-2:]] == ["torn", "begin"]
     assert (log.torn, log.broken) == (0, 0)
@@ -103,28 +103,32 @@ def test_a_damaged_journal_is_set_aside_and_its_plans_still_count(tmp_path: Path
         assert journal.log.revision == 2
         journal.append("begin", revision=3, plan="plan-c")
     assert "damaged at line 7; set aside as journal.jsonl.broken-1" in said[0]
-    again = read(path)
+    again = read_journal(path)
     assert (again.revision, again.applied, again.broken) == (3, {"plan-a", "plan-b", "plan-c"}, 0)
 
 
 def test_a_long_journal_is_put_away_and_continued(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = written(tmp_path)
-    monkeypatch.setattr("edgectl.state.journal._LONG", 100)
+    monkeypatch.setattr("edgectl.state.journal._ROTATE_BYTES", 100)
     with Journal.open(tmp_path) as journal:
         assert not (tmp_path / "journal-2.jsonl").exists()  # slam is unfinished
         journal.append("recovered")
-    last = read(path).last
+    last = read_journal(path).last
     with Journal.open(tmp_path) as journal:
         assert journal.log.revision == 2
         journal.append("begin", revision=3, plan="plan-c")
-    log = read(path)
-    assert (log.revision, log.applied, entries(tmp_path / NAME)[0]["after"]) == (3, {"plan-a", "plan-b", "plan-c"}, last)
-    assert read(tmp_path / "journal-2.jsonl").last == last
+    log = read_journal(path)
+    assert (log.revision, log.applied, entries(tmp_path / JOURNAL_FILE_NAME)[0]["after"]) == (
+        3,
+        {"plan-a", "plan-b", "plan-c"},
+        last,
+    )
+    assert read_journal(tmp_path / "journal-2.jsonl").last == last
 
 
 def test_a_newer_format_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as patch:
-        patch.setattr("edgectl.state.journal.FORMAT", 2)
+        patch.setattr("edgectl.state.journal.JOURNAL_FORMAT", 2)
         written(tmp_path)
     with pytest.raises(StateError, match="written by a newer edgectl"):
         Journal.open(tmp_path)
@@ -139,18 +143,21 @@ def test_a_full_disk_stops_the_caller(tmp_path: Path) -> None:
         journal._descriptor = kept
         os.close(full)
         journal.append("intent", task="slam")
-    assert read(tmp_path / "journal.jsonl").broken == 0
+    assert read_journal(tmp_path / "journal.jsonl").broken == 0
 
 
 def test_threads_keep_the_chain(tmp_path: Path) -> None:
     with Journal.open(tmp_path) as journal:
-        threads = [threading.Thread(target=lambda: [journal.append("phase", task="t") for _ in range(10)]) for _ in range(8)]
+        threads = [
+            threading.Thread(target=lambda: [journal.append("phase", task="t") for _ in range(10)])
+            for _ in range(8)
+        ]
         for thread in threads:
             thread.start()
         for thread in threads:
             thread.join()
-    log = read(tmp_path / "journal.jsonl")
-    assert (len(entries(tmp_path / NAME)), log.broken) == (80, 0)
+    log = read_journal(tmp_path / "journal.jsonl")
+    assert (len(entries(tmp_path / JOURNAL_FILE_NAME)), log.broken) == (80, 0)
 
 
 def test_the_file_is_private_and_plain_json(tmp_path: Path) -> None:
@@ -159,25 +166,29 @@ def test_the_file_is_private_and_plain_json(tmp_path: Path) -> None:
     assert json.loads(path.read_text().splitlines()[0][65:])["at"] == "1970-01-01T00:00:00Z"
 
 
-def test_how_a_journal_stands_is_read_anew_only_where_it_changed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    log = standing(tmp_path / NAME)
+def test_how_a_journal_stands_is_read_anew_only_where_it_changed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log = read_journal_cached(tmp_path / JOURNAL_FILE_NAME)
     assert (log.located, log.sound) == ({}, True)
     with Journal.open(tmp_path) as journal:
         journal.append("begin", revision=1, plan="p")
         journal.append("intent", task="slam", generation=7)
         journal.append("phase", task="slam", phase="start", host="edge1")
-        log = standing(tmp_path / NAME)
+        log = read_journal_cached(tmp_path / JOURNAL_FILE_NAME)
         assert (log.located, log.sound) == ({"slam": ("edge1", 7)}, False)
         reads = []
-        monkeypatch.setattr("edgectl.state.journal_read.read", lambda path: reads.append(path) or read(path))
+        monkeypatch.setattr(
+            "edgectl.state.journal_reader.read_journal", lambda path: reads.append(path) or read_journal(path)
+        )
         for _ in range(3):
-            assert not standing(tmp_path / NAME).sound
+            assert not read_journal_cached(tmp_path / JOURNAL_FILE_NAME).sound
         assert reads == []
         journal.append("commit", task="slam", located="edge1")
         journal.append("end", revision=1)
         journal.append("placed", revision=1, placements={"slam": "edge1"})
         for _ in range(3):
-            log = standing(tmp_path / NAME)
+            log = read_journal_cached(tmp_path / JOURNAL_FILE_NAME)
             assert (log.located, log.sound) == ({}, True)
         assert len(reads) == 1
 
@@ -188,9 +199,9 @@ def test_a_long_journal_costs_no_memory(tmp_path: Path) -> None:
             journal.append("begin", revision=number, plan=f"plan-{number}", note="x" * 100_000)
     tracemalloc.start()
     try:
-        log = read(tmp_path / NAME)
+        log = read_journal(tmp_path / JOURNAL_FILE_NAME)
         _, peak = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
-    assert (log.revision, log.size) == (39, (tmp_path / NAME).stat().st_size)
+    assert (log.revision, log.size) == (39, (tmp_path / JOURNAL_FILE_NAME).stat().st_size)
     assert peak < log.size / 4

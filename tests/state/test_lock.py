@@ -26,14 +26,20 @@ with FleetLock(Path(sys.argv[1]), verb="apply"):
 
 def holder(directory: Path) -> tuple[subprocess.Popen[str], int]:
     """A process that holds the lock, and its child that must not."""
-    process = subprocess.Popen([sys.executable, "-c", HOLDER, str(directory)], stdout=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        [sys.executable, "-c", HOLDER, str(directory)], stdout=subprocess.PIPE, text=True
+    )
     assert process.stdout is not None
     with process.stdout as out:
         return process, int(out.readline())
 
 
 def test_a_second_one_is_told_who_holds_it(tmp_path: Path) -> None:
-    with FleetLock(tmp_path, verb="apply", clock=lambda: 0.0), pytest.raises(LockBusyError) as caught, FleetLock(tmp_path):
+    with (
+        FleetLock(tmp_path, verb="apply", clock=lambda: 0.0),
+        pytest.raises(LockBusyError) as caught,
+        FleetLock(tmp_path),
+    ):
         pass
     assert f"(pid {os.getpid()}, apply, since 1970-01-01T00:00:00Z)" in caught.value.message
     assert caught.value.exit_code == 75
@@ -82,7 +88,12 @@ def test_of_many_at_once_one_wins(tmp_path: Path) -> None:
         "except LockBusyError:\n    print('busy', flush=True)\n"
     )
     processes = [
-        subprocess.Popen([sys.executable, "-c", script, str(tmp_path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        subprocess.Popen(
+            [sys.executable, "-c", script, str(tmp_path)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
         for _ in range(8)
     ]
     said = []

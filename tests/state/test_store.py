@@ -12,7 +12,14 @@ from tests.builders import NOW, a_sample, a_snapshot, silent
 
 def a_task(**changes: object) -> TaskSample:
     """A ready task, 100 s old, using half a core."""
-    ready = TaskSample(state=TaskState.READY, started_at=NOW - 100, used_cores=0.5, used_bytes=1e6, instance="i1", spec_hash="s1")
+    ready = TaskSample(
+        state=TaskState.READY,
+        started_at=NOW - 100,
+        used_cores=0.5,
+        used_bytes=1e6,
+        instance="i1",
+        spec_hash="s1",
+    )
     return dataclasses.replace(ready, **changes)  # type: ignore[arg-type]
 
 
@@ -28,10 +35,13 @@ def test_what_is_recorded_is_read_back(tmp_path: Path) -> None:
         assert [point.used_cores for point in store.host_points("edge1", since=NOW + 2)] == [2.0]
         assert {point.status for point in store.host_points("edge2")} == {HostStatus.UNREACHABLE}
         assert len(store.host_points(limit=1)) == 2
-        assert [(point.edge, point.robot, point.rtt_ms) for point in store.link_points(limit=1)] == [("edge1", "robot1", 1.5)]
-        assert [(point.task, point.host, point.age_s, point.spec_hash) for point in store.task_points("slam", limit=1)] == [
-            ("slam", "edge1", 102.0, "s1")
+        assert [(point.edge, point.robot, point.rtt_ms) for point in store.link_points(limit=1)] == [
+            ("edge1", "robot1", 1.5)
         ]
+        assert [
+            (point.task, point.host, point.age_s, point.spec_hash)
+            for point in store.task_points("slam", limit=1)
+        ] == [("slam", "edge1", 102.0, "s1")]
 
 
 def test_the_same_snapshot_again_changes_nothing(tmp_path: Path) -> None:
@@ -54,7 +64,16 @@ def test_the_files_are_private(tmp_path: Path) -> None:
 def test_events_are_found_by_place_and_time(tmp_path: Path) -> None:
     with Store.open(tmp_path) as store:
         for number in range(5):
-            store.record_events([Event(at=NOW + number, kind=EventKind.HOST_LOST, host=f"edge{number % 2}", message=str(number))])
+            store.record_events(
+                [
+                    Event(
+                        at=NOW + number,
+                        kind=EventKind.HOST_LOST,
+                        host=f"edge{number % 2}",
+                        message=str(number),
+                    )
+                ]
+            )
         assert [event.message for event in store.events()] == ["0", "1", "2", "3", "4"]
         assert [event.message for event in store.events(host="edge1")] == ["1", "3"]
         assert [event.message for event in store.events(since=NOW + 3)] == ["3", "4"]
@@ -69,12 +88,12 @@ def test_old_rows_go(tmp_path: Path) -> None:
     with Store.open(tmp_path, retention=Retention(samples_s=10, records_s=100)) as store:
         store.record_snapshot(a_snapshot(taken_at=NOW, edge1=silent()))
         store.record_snapshot(a_snapshot(taken_at=NOW + 50, edge1=a_sample()))
-        assert not store.prune_due(NOW)
-        assert store.prune_due(NOW + 3600)
+        assert not store.is_prune_due(NOW)
+        assert store.is_prune_due(NOW + 3600)
         store.prune(NOW + 61)
         assert store.host_points() == ()
         assert len(store.events()) == 2
-        assert not store.prune_due(NOW + 61)
+        assert not store.is_prune_due(NOW + 61)
         store.prune(NOW + 120)
         assert [event.kind for event in store.events()] == [EventKind.HOST_BACK]
 

@@ -4,11 +4,11 @@ import dataclasses
 
 from edgectl.model.plan import Action
 from edgectl.model.result import ActionResult, Outcome, Phase, PhaseResult, Results
-from edgectl.model.snapshot import Device, HostSample, HostStatus, Snapshot, TaskSample, TaskState
-from edgectl.state.store_events import Known, KnownHost, KnownTask, done, seen
+from edgectl.model.snapshot import DeviceSample, HostSample, HostStatus, Snapshot, TaskSample, TaskState
+from edgectl.state.store_events import KnownFleet, KnownHost, KnownTask, detect_events, detect_result_events
 from tests.builders import NOW, a_sample, a_snapshot, silent
 
-NOTHING = Known()
+NOTHING = KnownFleet()
 
 
 def a_task(**changes: object) -> TaskSample:
@@ -19,15 +19,19 @@ def a_task(**changes: object) -> TaskSample:
 
 def a_host(boot: str = "boot1", **tasks: TaskSample) -> HostSample:
     """A host that answers, and what runs there."""
-    return dataclasses.replace(a_sample(tasks=tasks), device=Device(boot_id=boot))
+    return dataclasses.replace(a_sample(tasks=tasks), device=DeviceSample(boot_id=boot))
 
 
-def told(*pictures: Snapshot, known: Known = NOTHING, changing: bool = False) -> tuple[list[tuple[str, ...]], Known]:
+def told(
+    *pictures: Snapshot, known: KnownFleet = NOTHING, changing: bool = False
+) -> tuple[list[tuple[str, ...]], KnownFleet]:
     """What the last picture tells after those before it: (kind, task or -, host or -, message)."""
     events = ()
     for picture in pictures:
-        events, known = seen(known, picture, changing=changing)
-    return [(event.kind.value, event.task or "-", event.host or "-", event.message) for event in events], known
+        events, known = detect_events(known, picture, changing=changing)
+    return [
+        (event.kind.value, event.task or "-", event.host or "-", event.message) for event in events
+    ], known
 
 
 def at(second: float, **hosts: HostSample) -> Snapshot:
@@ -38,14 +42,31 @@ def at(second: float, **hosts: HostSample) -> Snapshot:
 
 
 def test_the_first_picture_tells_only_what_is_wrong() -> None:
-    first = at(0, edge1=a_host(slam=a_task(), camera=a_task(state=TaskState.FAILED, exit_code=3)), edge2=silent())
-    assert told(first)[0] == [("host-lost", "-", "edge2", "connection refused"), ("task-failed", "camera", "edge1", "exit code 3")]
+    first = at(
+        0, edge1=a_host(slam=a_task(), camera=a_task(state=TaskState.FAILED, exit_code=3)), edge2=silent()
+    )
+    assert told(first)[0] == [
+        ("host-lost", "-", "edge2", "connection refused"),
+        ("task-failed", "camera", "edge1", "exit code 3"),
+    ]
 
 
 def test_a_host_is_lost_once_and_comes_back_once() -> None:
-    pictures = [at(0, edge1=a_host()), at(10, edge1=silent()), at(20, edge1=silent()), at(75, edge1=a_host()), at(80, edge1=a_host())]
+    pictures = [
+        at(0, edge1=a_host()),
+        at(10, edge1=silent()),
+        at(20, edge1=silent()),
+        at(75, edge1=a_host()),
+        at(80, edge1=a_host()),
+    ]
     each = [told(*pictures[: count + 1])[0] for count in range(len(pictures))]
-    assert each == [[], [("host-lost", "-", "edge1", "connection refused")], [], [("host-back", "-", "edge1", "after 1m05s")], []]
+    assert each == [
+        [],
+        [("host-lost", "-", "edge1", "connection refused")],
+        [],
+        [("host-back", "-", "edge1", "after 1m05s")],
+        [],
+    ]
 
 
 def test_a_host_that_started_anew_is_told_with_and_without_a_silence() -> None:
@@ -61,7 +82,9 @@ def test_a_host_that_started_anew_is_told_with_and_without_a_silence() -> None:
 # -- tasks -------------------------------------------------------------------------------------------------------------------------------
 
 
-def after(now: TaskSample | None, *, before: TaskSample | None = None, host: str = "edge1") -> list[tuple[str, ...]]:
+def after(
+    now: TaskSample | None, *, before: TaskSample | None = None, host: str = "edge1"
+) -> list[tuple[str, ...]]:
     """What a second picture tells, with ``now`` on ``host``, after ``before`` (a ready task) on edge1."""
     there = {"slam": now} if now is not None else {}
     hosts = {"edge1": a_host(), "edge2": a_host()} | {host: a_host(**there)}
@@ -74,8 +97,12 @@ def test_a_task_that_is_as_it_was_tells_nothing() -> None:
 
 
 def test_how_a_task_ends() -> None:
-    assert after(a_task(state=TaskState.COMPLETED, exit_code=0)) == [("task-completed", "slam", "edge1", "exit code 0")]
-    assert after(a_task(state=TaskState.FAILED, exit_code=1, detail="killed")) == [("task-failed", "slam", "edge1", "exit code 1; killed")]
+    assert after(a_task(state=TaskState.COMPLETED, exit_code=0)) == [
+        ("task-completed", "slam", "edge1", "exit code 0")
+    ]
+    assert after(a_task(state=TaskState.FAILED, exit_code=1, detail="killed")) == [
+        ("task-failed", "slam", "edge1", "exit code 1; killed")
+    ]
     gone_wrong = a_task(state=TaskState.CRASHLOOP, restarts=5, last_exit=7)
     assert after(gone_wrong) == [
         ("task-restarted", "slam", "edge1", "by its supervisor 5 times, after exit code 7"),
@@ -91,14 +118,18 @@ def test_a_task_becomes_ready_once() -> None:
 
 
 def test_a_restart_by_the_supervisor_and_one_by_somebody_else() -> None:
-    assert after(a_task(restarts=1, last_exit=-9)) == [("task-restarted", "slam", "edge1", "by its supervisor once, after exit code -9")]
+    assert after(a_task(restarts=1, last_exit=-9)) == [
+        ("task-restarted", "slam", "edge1", "by its supervisor once, after exit code -9")
+    ]
     assert after(a_task(instance="i2")) == [("task-restarted", "slam", "edge1", "found started anew")]
 
 
 def test_a_task_that_vanished_or_moved_without_us() -> None:
     assert after(None) == [("task-lost", "slam", "edge1", "gone, and no edgectl here stopped it")]
     assert after(None, before=a_task(state=TaskState.COMPLETED)) == []
-    assert after(a_task(instance="i2"), host="edge2") == [("task-moved", "slam", "edge2", "found there; it was on edge1")]
+    assert after(a_task(instance="i2"), host="edge2") == [
+        ("task-moved", "slam", "edge2", "found there; it was on edge1")
+    ]
 
 
 def test_a_task_on_a_silent_host_is_not_lost_until_it_is_seen_elsewhere() -> None:
@@ -106,11 +137,15 @@ def test_a_task_on_a_silent_host_is_not_lost_until_it_is_seen_elsewhere() -> Non
     assert told(first, dark)[0] == [("host-lost", "-", "edge1", "connection refused")]
     moved = at(20, edge1=silent(), edge2=a_host(slam=a_task(instance="i2")))
     assert told(first, dark, moved)[0] == [("task-moved", "slam", "edge2", "found there; it was on edge1")]
-    assert told(first, dark, at(20, edge1=a_host(slam=a_task()), edge2=a_host()))[0] == [("host-back", "-", "edge1", "after 10s")]
+    assert told(first, dark, at(20, edge1=a_host(slam=a_task()), edge2=a_host()))[0] == [
+        ("host-back", "-", "edge1", "after 10s")
+    ]
 
 
 def test_a_task_found_on_a_known_host_was_started_by_somebody() -> None:
-    assert told(at(0, edge1=a_host()), at(10, edge1=a_host(slam=a_task())))[0] == [("task-started", "slam", "edge1", "found running")]
+    assert told(at(0, edge1=a_host()), at(10, edge1=a_host(slam=a_task())))[0] == [
+        ("task-started", "slam", "edge1", "found running")
+    ]
     over = at(10, edge1=a_host(slam=a_task(state=TaskState.COMPLETED)))
     assert told(at(0, edge1=a_host()), over)[0] == [("task-completed", "slam", "edge1", "")]
 
@@ -128,9 +163,13 @@ def test_of_two_places_the_one_where_it_lives_counts() -> None:
 def test_what_is_left_of_an_old_run_tells_nothing() -> None:
     first = at(0, edge1=a_host(), edge2=a_host(slam=a_task()))
     left = a_task(state=TaskState.FAILED, instance="i0")
-    assert told(first, at(10, edge1=a_host(slam=left), edge2=silent()))[0] == [("host-lost", "-", "edge2", "connection refused")]
+    assert told(first, at(10, edge1=a_host(slam=left), edge2=silent()))[0] == [
+        ("host-lost", "-", "edge2", "connection refused")
+    ]
     gone = at(10, edge1=a_host(), edge2=a_host())
-    assert told(first, gone, at(20, edge1=a_host(), edge2=a_host(slam=a_task(state=TaskState.FAILED))))[0] == []
+    assert (
+        told(first, gone, at(20, edge1=a_host(), edge2=a_host(slam=a_task(state=TaskState.FAILED))))[0] == []
+    )
 
 
 def test_an_older_picture_and_the_same_one_tell_nothing_but_a_clock_set_back_does() -> None:
@@ -149,26 +188,38 @@ def a_result(action: Action, outcome: Outcome = Outcome.DONE, **changes: object)
         PhaseResult(phase=Phase.START, host="edge2", seconds=1.5, ok=True),
         PhaseResult(phase=Phase.READY, host="edge2", seconds=0.5, ok=True),
     )
-    result = ActionResult(task="slam", action=action, outcome=outcome, host="edge2", phases=phases, located="edge2")
+    result = ActionResult(
+        task="slam", action=action, outcome=outcome, host="edge2", phases=phases, located="edge2"
+    )
     return dataclasses.replace(result, **changes)  # type: ignore[arg-type]
 
 
-def applied(*results: ActionResult, known: Known = NOTHING, second: float = 20.0) -> tuple[list[tuple[str, ...]], Known]:
-    events, after = done(known, Results(revision=1, actions=results, seconds=3.0), NOW + second)
-    return [(event.kind.value, event.task or "-", event.host or "-", event.message) for event in events], after
+def applied(
+    *results: ActionResult, known: KnownFleet = NOTHING, second: float = 20.0
+) -> tuple[list[tuple[str, ...]], KnownFleet]:
+    events, after = detect_result_events(
+        known, Results(revision=1, actions=results, seconds=3.0), NOW + second
+    )
+    return [
+        (event.kind.value, event.task or "-", event.host or "-", event.message) for event in events
+    ], after
 
 
 def test_what_an_apply_did() -> None:
     assert applied(a_result(Action.START))[0] == [("task-started", "slam", "edge2", "took 2.0s")]
     move = a_result(Action.MOVE, previous_host="edge1", downtime_s=1.25)
     assert applied(move)[0] == [("task-moved", "slam", "edge2", "from edge1, gap 1.2s")]
-    assert applied(a_result(Action.RESTART, downtime_s=1.0))[0] == [("task-restarted", "slam", "edge2", "gap 1.0s")]
+    assert applied(a_result(Action.RESTART, downtime_s=1.0))[0] == [
+        ("task-restarted", "slam", "edge2", "gap 1.0s")
+    ]
     stop = a_result(Action.STOP, host=None, previous_host="edge1", located=None)
     assert applied(stop)[0] == [("task-stopped", "slam", "edge1", "took 2.0s")]
     assert applied(a_result(Action.COMPLETE, host=None, previous_host="edge1", located=None))[0] == [
         ("task-stopped", "slam", "edge1", "it has completed, took 2.0s")
     ]
-    assert applied(a_result(Action.MOVE, Outcome.FAILED, error="no route"))[0] == [("action-failed", "slam", "edge2", "move: no route")]
+    assert applied(a_result(Action.MOVE, Outcome.FAILED, error="no route"))[0] == [
+        ("action-failed", "slam", "edge2", "move: no route")
+    ]
     assert applied(a_result(Action.START, Outcome.DEFERRED, phases=(), error="later"))[0] == [
         ("task-deferred", "slam", "edge2", "start: later")
     ]
@@ -196,17 +247,28 @@ def test_a_picture_from_within_an_apply_leaves_its_work_to_it() -> None:
     ]
     # The same picture, recorded only after the apply had ended, is older than what it left.
     _, known = applied(a_result(Action.MOVE, previous_host="edge1", downtime_s=1.0), known=before)
-    assert ("task-lost", "slam", "edge1", "gone, and no edgectl here stopped it") not in told(half, known=known)[0]
+    assert ("task-lost", "slam", "edge1", "gone, and no edgectl here stopped it") not in told(
+        half, known=known
+    )[0]
 
 
 def test_a_failed_action_that_touched_nothing_leaves_what_was_known() -> None:
     known = told(at(0, edge1=a_host(slam=a_task())))[1]
-    assert applied(a_result(Action.MOVE, Outcome.FAILED, phases=(), error="no route", located="edge1"), known=known)[1] == known
+    assert (
+        applied(
+            a_result(Action.MOVE, Outcome.FAILED, phases=(), error="no route", located="edge1"), known=known
+        )[1]
+        == known
+    )
 
 
 def test_all_that_is_known_is_that_of_the_last_picture() -> None:
-    known = told(at(0, edge1=a_host(slam=a_task())), at(10, edge1=a_host(slam=a_task(restarts=1))), at(20, edge1=a_host()))[1]
-    assert known == Known(
+    known = told(
+        at(0, edge1=a_host(slam=a_task())),
+        at(10, edge1=a_host(slam=a_task(restarts=1))),
+        at(20, edge1=a_host()),
+    )[1]
+    assert known == KnownFleet(
         hosts={"edge1": KnownHost(at=NOW + 20, since=NOW, status=HostStatus.OK, boot_id="boot1")},
         tasks={"slam": KnownTask(at=NOW + 20, host=None, instance="i1")},
     )

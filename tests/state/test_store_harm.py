@@ -15,7 +15,7 @@ import pytest
 
 from edgectl.model.event import Event, EventKind
 from edgectl.state.store import Retention, Store
-from edgectl.state.store_file import NAME
+from edgectl.state.store_file import HISTORY_FILE_NAME
 from tests.builders import NOW, a_sample, a_snapshot
 from tests.state.test_store import a_task
 
@@ -34,7 +34,9 @@ for number in range(count):
 """
 
 
-def writer(directory: Path, name: str, count: int, limit: Callable[[], None] | None = None) -> subprocess.Popen[str]:
+def writer(
+    directory: Path, name: str, count: int, limit: Callable[[], None] | None = None
+) -> subprocess.Popen[str]:
     """A process that records ``count`` snapshots, and prints the number of each once it is recorded."""
     words = [sys.executable, "-c", WRITER, str(directory), name, str(count)]
     return subprocess.Popen(words, cwd=ROOT, stdout=subprocess.PIPE, text=True, preexec_fn=limit)
@@ -42,7 +44,12 @@ def writer(directory: Path, name: str, count: int, limit: Callable[[], None] | N
 
 def everything(store: Store) -> int:
     """Read all that there is; how many rows."""
-    return sum(map(len, (store.host_points(), store.link_points(), store.task_points(), store.handoffs(), store.events())))
+    return sum(
+        map(
+            len,
+            (store.host_points(), store.link_points(), store.task_points(), store.handoffs(), store.events()),
+        )
+    )
 
 
 def test_what_a_killed_writer_had_recorded_is_there(tmp_path: Path) -> None:
@@ -59,7 +66,7 @@ def test_what_a_killed_writer_had_recorded_is_there(tmp_path: Path) -> None:
             assert len(store.host_points(f"edge{run}")) >= len(said)
             assert len(store.task_points(f"task-edge{run}")) >= len(said)
         assert warnings == []
-    with sqlite3.connect(tmp_path / NAME) as connection:
+    with sqlite3.connect(tmp_path / HISTORY_FILE_NAME) as connection:
         assert connection.execute("PRAGMA integrity_check").fetchall() == [("ok",)]
     connection.close()
 
@@ -95,7 +102,7 @@ def test_a_disk_that_takes_no_more_is_said_once_per_store_and_harms_nothing(tmp_
 
 def test_a_history_of_a_newer_edgectl_is_left_alone(tmp_path: Path) -> None:
     Store.open(tmp_path).close()
-    with sqlite3.connect(tmp_path / NAME) as connection:
+    with sqlite3.connect(tmp_path / HISTORY_FILE_NAME) as connection:
         connection.execute("PRAGMA user_version = 99")
     connection.close()
     said: list[str] = []
@@ -104,17 +111,17 @@ def test_a_history_of_a_newer_edgectl_is_left_alone(tmp_path: Path) -> None:
         assert everything(store) == 0
     assert len(said) == 1
     assert "newer edgectl (schema 99)" in said[0]
-    assert [path.name for path in tmp_path.iterdir()] == [NAME]
+    assert [path.name for path in tmp_path.iterdir()] == [HISTORY_FILE_NAME]
 
 
 def test_a_place_that_cannot_be_used_is_said(tmp_path: Path) -> None:
-    (tmp_path / NAME).mkdir()
+    (tmp_path / HISTORY_FILE_NAME).mkdir()
     for directory in (tmp_path, tmp_path / "missing"):
         said: list[str] = []
         with Store.open(directory, warn=said.append) as store:
             store.record_events([Event(at=NOW, kind=EventKind.PLANNED)])
             assert everything(store) == 0
-            assert not store.prune_due(NOW)
+            assert not store.is_prune_due(NOW)
         assert len(said) == 1
         assert said[0].startswith("history is not kept")
 
@@ -128,9 +135,11 @@ def a_history(directory: Path) -> bytes:
     with Store.open(directory) as store:
         for number in range(40):
             tasks = {f"task{each}": a_task(used_cores=float(each)) for each in range(4)}
-            store.record_snapshot(a_snapshot(taken_at=NOW + number, edge1=a_sample(tasks=tasks), edge2=a_sample()))
+            store.record_snapshot(
+                a_snapshot(taken_at=NOW + number, edge1=a_sample(tasks=tasks), edge2=a_sample())
+            )
             store.record_events([Event(at=NOW + number, kind=EventKind.PLANNED, message="1 start")])
-    return (directory / NAME).read_bytes()
+    return (directory / HISTORY_FILE_NAME).read_bytes()
 
 
 def lives_on(directory: Path) -> list[str]:
@@ -147,15 +156,17 @@ def lives_on(directory: Path) -> list[str]:
 
 def test_a_truncated_history_is_set_aside_or_read_but_never_fatal(tmp_path: Path) -> None:
     sound = a_history(tmp_path / "sound")
-    places = sorted({0, 1, 50, 99, 100, 512, 4095, 4096, 4097, *range(8192, len(sound), 4096), len(sound) - 1})
+    places = sorted(
+        {0, 1, 50, 99, 100, 512, 4095, 4096, 4097, *range(8192, len(sound), 4096), len(sound) - 1}
+    )
     for place in places:
         directory = tmp_path / f"cut-{place}"
         directory.mkdir()
-        (directory / NAME).write_bytes(sound[:place])
+        (directory / HISTORY_FILE_NAME).write_bytes(sound[:place])
         said = lives_on(directory)
         with Store.open(directory) as store:
             assert len(store.host_points("edge9")) == 2, place
-        assert bool(said) == (directory / f"{NAME}.broken-1").exists(), (place, said)
+        assert bool(said) == (directory / f"{HISTORY_FILE_NAME}.broken-1").exists(), (place, said)
         shutil.rmtree(directory)
 
 
@@ -168,9 +179,9 @@ def test_flipped_bits_are_never_fatal(tmp_path: Path) -> None:
         data = bytearray(sound)
         for _ in range(chance.choice((1, 1, 8, 64))):
             data[chance.randrange(4096 if number % 3 else len(data))] ^= 1 << chance.randrange(8)
-        (directory / NAME).write_bytes(data)
+        (directory / HISTORY_FILE_NAME).write_bytes(data)
         lives_on(directory)
-        aside += (directory / f"{NAME}.broken-1").exists()
+        aside += (directory / f"{HISTORY_FILE_NAME}.broken-1").exists()
         shutil.rmtree(directory)
     assert aside > 5
 
@@ -178,22 +189,30 @@ def test_flipped_bits_are_never_fatal(tmp_path: Path) -> None:
 def test_a_log_that_is_cut_or_damaged_costs_at_most_what_was_in_it(tmp_path: Path) -> None:
     (tmp_path / "sound").mkdir()
     process = writer(tmp_path / "sound", "edge1", 100_000)
-    with Store.open(tmp_path / "sound"):  # as long as another one is open, no writer that ends empties the log
+    with Store.open(
+        tmp_path / "sound"
+    ):  # as long as another one is open, no writer that ends empties the log
         assert process.stdout is not None
         with process.stdout as out:
             for _ in range(10):
                 out.readline()
             os.kill(process.pid, signal.SIGKILL)
             process.wait(30)
-        parts = {path.name: path.read_bytes() for path in (tmp_path / "sound").iterdir() if not path.name.endswith("-shm")}
-    log = parts[f"{NAME}-wal"]
+        parts = {
+            path.name: path.read_bytes()
+            for path in (tmp_path / "sound").iterdir()
+            if not path.name.endswith("-shm")
+        }
+    log = parts[f"{HISTORY_FILE_NAME}-wal"]
     assert len(log) > 4096
     for place in (0, 1, 31, 32, 40, 56, 2000, len(log) // 2, len(log) - 1):
         directory = tmp_path / f"log-{place}"
         directory.mkdir()
         for name, data in parts.items():
             (directory / name).write_bytes(data)
-        (directory / f"{NAME}-wal").write_bytes(log[:place] + b"\xff" + log[place + 1 :] if place % 2 else log[:place])
+        (directory / f"{HISTORY_FILE_NAME}-wal").write_bytes(
+            log[:place] + b"\xff" + log[place + 1 :] if place % 2 else log[:place]
+        )
         lives_on(directory)
         with Store.open(directory) as store:
             assert len(store.host_points("edge9")) == 2
@@ -202,11 +221,11 @@ def test_a_log_that_is_cut_or_damaged_costs_at_most_what_was_in_it(tmp_path: Pat
 
 def test_few_broken_files_are_kept(tmp_path: Path) -> None:
     for number in range(6):
-        (tmp_path / NAME).write_bytes(b"%d is no database, however long it is" % number * 50)
+        (tmp_path / HISTORY_FILE_NAME).write_bytes(b"%d is no database, however long it is" % number * 50)
         said: list[str] = []
         Store.open(tmp_path, warn=said.append).close()
         assert len(said) == 1
-    kept = sorted(path.name for path in tmp_path.glob(f"{NAME}.broken-*"))
+    kept = sorted(path.name for path in tmp_path.glob(f"{HISTORY_FILE_NAME}.broken-*"))
     assert len(kept) == 2
     assert any(b"5 is no database" in (tmp_path / name).read_bytes() for name in kept)
 
@@ -226,7 +245,7 @@ def test_the_file_is_kept_small_by_the_oldest_samples(tmp_path: Path) -> None:
         assert points[-1].at == NOW + 299
         assert 20 < len(points) < 300
         assert [event.kind for event in store.events()] == [EventKind.PLANNED]
-    assert (tmp_path / NAME).stat().st_size <= most
+    assert (tmp_path / HISTORY_FILE_NAME).stat().st_size <= most
 
 
 @pytest.mark.parametrize("most", [0, 20_000])

@@ -12,14 +12,17 @@ from edgectl.model.point import MetricPoint
 from edgectl.model.snapshot import Snapshot
 from edgectl.state import store_rows as rows
 from edgectl.state.store import Retention, Store
-from edgectl.state.store_file import NAME, SCHEMA
+from edgectl.state.store_file import HISTORY_FILE_NAME, SCHEMA_VERSION
 from tests.builders import NOW, a_sample, a_snapshot
 from tests.state.test_store import a_task
 
 
 def saying(second: float, metrics: Mapping[str, float], **changes: object) -> Snapshot:
     """A snapshot in which slam says this."""
-    return a_snapshot(taken_at=NOW + second, edge1=a_sample(tasks={"slam": a_task(metrics=metrics, **changes), "nav": a_task()}))
+    return a_snapshot(
+        taken_at=NOW + second,
+        edge1=a_sample(tasks={"slam": a_task(metrics=metrics, **changes), "nav": a_task()}),
+    )
 
 
 def points(store: Store) -> list[MetricPoint]:
@@ -37,7 +40,9 @@ def test_a_value_is_kept_when_it_changes(tmp_path: Path) -> None:
         store.record_snapshot(saying(5, {}))
         store.record_snapshot(saying(6, {"fps": 29.5}))
         assert said(store) == [(0, "fps", 29.5), (0, "map/loss", -1e300), (2, "fps", 30.0), (4, "fps", 29.5)]
-        assert {(point.task, point.host, point.instance) for point in points(store)} == {("slam", "edge1", "i1")}
+        assert {(point.task, point.host, point.instance) for point in points(store)} == {
+            ("slam", "edge1", "i1")
+        }
 
 
 def test_the_same_snapshot_again_changes_nothing(tmp_path: Path) -> None:
@@ -65,12 +70,16 @@ def test_old_values_go_as_samples_do(tmp_path: Path) -> None:
         assert said(store) == []
         store.record_snapshot(saying(101, {"fps": 2.0}))
         assert said(store) == [(101, "fps", 2.0)]
-    left = dict(columns(tmp_path, "SELECT 'metrics', count(*) FROM metrics UNION SELECT 'starts', count(*) FROM starts"))
+    left = dict(
+        columns(
+            tmp_path, "SELECT 'metrics', count(*) FROM metrics UNION SELECT 'starts', count(*) FROM starts"
+        )
+    )
     assert left == {"metrics": 1, "starts": 2}
 
 
 def columns(directory: Path, sql: str) -> list[tuple[str, int]]:
-    connection = sqlite3.connect(directory / NAME)
+    connection = sqlite3.connect(directory / HISTORY_FILE_NAME)
     try:
         return connection.execute(sql).fetchall()
     finally:
@@ -86,15 +95,17 @@ def test_much_that_is_said_does_not_make_the_file_larger_than_it_may_be(tmp_path
         kept = said(store)
         assert kept[-1][0] == 299
         assert 32 < len(kept) < 32 * 300
-    assert (tmp_path / NAME).stat().st_size <= most
+    assert (tmp_path / HISTORY_FILE_NAME).stat().st_size <= most
 
 
 def an_older_history(directory: Path) -> None:
     """As the edgectl before this one left it: with samples, and no place for what applications say."""
     with Store.open(directory) as store:
         store.record_snapshot(saying(0, {"fps": 1.0}))
-    connection = sqlite3.connect(directory / NAME, isolation_level=None)
-    connection.executescript("DROP VIEW metric_samples; DROP TABLE readings; DROP TABLE metrics; PRAGMA user_version = 1;")
+    connection = sqlite3.connect(directory / HISTORY_FILE_NAME, isolation_level=None)
+    connection.executescript(
+        "DROP VIEW metric_samples; DROP TABLE readings; DROP TABLE metrics; PRAGMA user_version = 1;"
+    )
     connection.close()
 
 
@@ -107,7 +118,7 @@ def test_a_history_of_an_older_edgectl_is_kept_and_goes_on(tmp_path: Path) -> No
         assert said(store) == [(1, "fps", 2.0)]
         assert [point.at - NOW for point in store.task_points("slam")] == [0, 1]
     assert warnings == []
-    assert columns(tmp_path, "PRAGMA user_version") == [(SCHEMA,)]
+    assert columns(tmp_path, "PRAGMA user_version") == [(SCHEMA_VERSION,)]
 
 
 def test_several_may_bring_it_up_to_date_at_once(tmp_path: Path) -> None:
@@ -134,12 +145,12 @@ def test_several_may_bring_it_up_to_date_at_once(tmp_path: Path) -> None:
 def test_a_value_that_edgectl_did_not_write_is_damage(tmp_path: Path, value: str) -> None:
     with Store.open(tmp_path) as store:
         store.record_snapshot(saying(0, {"fps": 1.0}))
-    connection = sqlite3.connect(tmp_path / NAME, isolation_level=None)
+    connection = sqlite3.connect(tmp_path / HISTORY_FILE_NAME, isolation_level=None)
     connection.executescript(
         "PRAGMA writable_schema = ON; UPDATE sqlite_schema SET sql = replace(sql, ') STRICT,', ')') WHERE name = 'readings';"
     )
     connection.close()
-    connection = sqlite3.connect(tmp_path / NAME, isolation_level=None)
+    connection = sqlite3.connect(tmp_path / HISTORY_FILE_NAME, isolation_level=None)
     connection.execute(f"UPDATE readings SET value = {value}")
     connection.close()
     with Store.open(tmp_path) as store, pytest.raises(StateError, match="cannot be read to its end"):

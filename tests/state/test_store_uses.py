@@ -13,7 +13,7 @@ def record(store: Store, at: float, host: str, **changes: object) -> None:
 
 
 def cores(store: Store, *hosts: str, limit: int = 100) -> list[float]:
-    return [use.cores for use in store.steady_uses("slam", hosts, "s1", min_age_s=10.0, limit=limit)]
+    return [use.cores for use in store.steady_usages("slam", hosts, "s1", min_age_s=10.0, limit=limit)]
 
 
 def test_only_steady_samples_of_this_specification_on_these_hosts(tmp_path: Path) -> None:
@@ -34,6 +34,16 @@ def test_only_steady_samples_of_this_specification_on_these_hosts(tmp_path: Path
 
 def test_a_use_is_read_whole(tmp_path: Path) -> None:
     with Store.open(tmp_path) as store:
-        record(store, 100, "edge1", used_cores=0.5, used_bytes=7.0, used_bytes_per_s=30.0, links={"robot1": 10.0, "robot2": 20.0})
-        assert store.steady_uses("slam", ["edge1"], "s1", min_age_s=10.0, limit=9) == ((NOW + 100, 0.5, 7.0, 30.0, 2),)
-        assert store.steady_uses("other", ["edge1"], "s1", min_age_s=10.0, limit=9) == ()
+        record(
+            store,
+            100,
+            "edge1",
+            used_cores=0.5,
+            used_bytes=7.0,
+            used_bytes_per_s=30.0,
+            links={"robot1": 10.0, "robot2": 20.0},
+        )
+        assert store.steady_usages("slam", ["edge1"], "s1", min_age_s=10.0, limit=9) == (
+            (NOW + 100, 0.5, 7.0, 30.0, 2),
+        )
+        assert store.steady_usages("other", ["edge1"], "s1", min_age_s=10.0, limit=9) == ()

@@ -15,8 +15,8 @@ from typing import Any, Self
 import pytest
 
 from edgectl.errors import DeadlineError, NoPythonError, RefusedError, ReplyError
+from edgectl.transport.agent_client import build_agent_command, call_agent, stream_agent_log
 from edgectl.transport.base import Reply
-from edgectl.transport.call import call, command_line, stream
 from edgectl.transport.local import LocalSession
 
 REQUEST = {"op": "status", "host": "edge1", "task": None}
@@ -49,7 +49,11 @@ class Scripted:
 
 def frame(marker: str, payload: bytes, *, length: int | None = None, digest: str | None = None) -> bytes:
     digest = digest or hashlib.sha256(payload).hexdigest()
-    return f"\nedgectl-frame {marker} {len(payload) if length is None else length} {digest}\n".encode() + payload + b"\n"
+    return (
+        f"\nedgectl-frame {marker} {len(payload) if length is None else length} {digest}\n".encode()
+        + payload
+        + b"\n"
+    )
 
 
 GOOD = b'{"v": 1}'
@@ -57,7 +61,7 @@ OTHER = "0" * 32
 
 
 def asked(answer: Callable[[str], Reply | bytes]) -> dict[str, object]:
-    return call(Scripted(answer), REQUEST, timeout=30.0)
+    return call_agent(Scripted(answer), REQUEST, timeout=30.0)
 
 
 @pytest.mark.parametrize(
@@ -149,28 +153,47 @@ def test_old_python_says_its_version() -> None:
 
 def test_stream_takes_chunks_apart_whatever_their_borders() -> None:
     def answer(marker: str) -> bytes:
-        return b"motd\n" + frame(marker, b'{"stream": true}') + b"3\na\nb0\n2\n\xff\n" + b"end\n" + b"logout\n"
+        return (
+            b"motd\n" + frame(marker, b'{"stream": true}') + b"3\na\nb0\n2\n\xff\n" + b"end\n" + b"logout\n"
+        )
 
-    assert list(stream(Scripted(answer), {**REQUEST, "op": "follow"}, idle_timeout=20)) == [b"a\nb", b"\xff\n"]
+    assert list(stream_agent_log(Scripted(answer), {**REQUEST, "op": "follow"}, idle_timeout=20)) == [
+        b"a\nb",
+        b"\xff\n",
+    ]
 
 
 def test_garbled_stream_is_a_bad_reply() -> None:
     with pytest.raises(ReplyError):
-        list(stream(Scripted(lambda marker: frame(marker, b'{"stream": true}') + b"what\n"), {**REQUEST, "op": "follow"}, idle_timeout=20))
+        list(
+            stream_agent_log(
+                Scripted(lambda marker: frame(marker, b'{"stream": true}') + b"what\n"),
+                {**REQUEST, "op": "follow"},
+                idle_timeout=20,
+            )
+        )
 
 
 def test_command_line_is_constant_and_survives_every_shell(tmp_path: Path) -> None:
-    line = command_line("python3")
+    line = build_agent_command("python3")
     assert re.fullmatch(r"exec python3 -I -S -c '[^'\\!\n]+'", line)
-    for shell in filter(None, map(shutil.which, ("sh", "bash", "dash", "zsh", "fish", "tcsh", "ksh", "busybox"))):
+    for shell in filter(
+        None, map(shutil.which, ("sh", "bash", "dash", "zsh", "fish", "tcsh", "ksh", "busybox"))
+    ):
         argv = [shell, "sh", "-c"] if shell.endswith("busybox") else [shell, "-c"]
-        done = subprocess.run([*argv, command_line(sys.executable)], input=b"10\nprint('x')", capture_output=True, check=False, timeout=20)
+        done = subprocess.run(
+            [*argv, build_agent_command(sys.executable)],
+            input=b"10\nprint('x')",
+            capture_output=True,
+            check=False,
+            timeout=20,
+        )
         assert done.stdout == b"x\n", shell
 
 
 def test_page_about_hosts_shows_the_command_line() -> None:
     page = Path(__file__).parents[2] / "docs" / "concepts" / "host.md"
-    assert f"    {command_line('python3')}\n" in page.read_text()
+    assert f"    {build_agent_command('python3')}\n" in page.read_text()
 
 
 @pytest.fixture
@@ -193,14 +216,14 @@ def test_noisy_login_on_a_real_agent(wrapped: Callable[[str], Any]) -> None:
     session = wrapped(
         f"""echo Welcome; printf '\\377\\nedgectl-frame x 1 2\\n'; echo warning >&2; {sys.executable} "$@"; echo bye; exit 3"""
     )
-    assert call(session, REQUEST, timeout=20)["op"] == "status"
+    assert call_agent(session, REQUEST, timeout=20)["op"] == "status"
 
 
 def test_background_noise_cannot_get_into_the_frame(wrapped: Callable[[str], Any]) -> None:
     noise = "(for i in 1 2 3 4 5 6 7 8; do echo noise; sleep 0.02; done) & "
     session = wrapped(f'{noise} {sys.executable} "$@"; wait')
     for _ in range(3):
-        assert call(session, REQUEST, timeout=20)["op"] == "status"
+        assert call_agent(session, REQUEST, timeout=20)["op"] == "status"
 
 
 def test_a_host_that_gave_up_at_the_deadline_met_the_deadline() -> None:
@@ -211,23 +234,34 @@ def test_a_host_that_gave_up_at_the_deadline_met_the_deadline() -> None:
         return Reply(stdout=b"", stderr=b"", status=124)
 
     with pytest.raises(DeadlineError, match=r"no answer within 0\.1 s"):
-        call(Scripted(gave_up), REQUEST, timeout=0.1)
+        call_agent(Scripted(gave_up), REQUEST, timeout=0.1)
 
 
 def test_real_missing_python(wrapped: Callable[[str], Any]) -> None:
     with pytest.raises(NoPythonError):
-        call(wrapped("exec no-such-python"), REQUEST, timeout=20)
+        call_agent(wrapped("exec no-such-python"), REQUEST, timeout=20)
 
 
 def test_hung_agent_ends_on_both_sides(wrapped: Callable[[str], Any]) -> None:
     session = wrapped(f'exec {sys.executable} "$@"')
-    call(session, REQUEST, timeout=20)
+    call_agent(session, REQUEST, timeout=20)
     began, mark = time.monotonic(), f"4321.{os.getpid()}"
-    request = {"op": "check", "host": "edge1", "command": f"sleep {mark}", "prelude": "", "env": {}, "timeout_s": 60}
+    request = {
+        "op": "check",
+        "host": "edge1",
+        "command": f"sleep {mark}",
+        "prelude": "",
+        "env": {},
+        "timeout_s": 60,
+    }
     with pytest.raises(DeadlineError):
-        call(session, request, timeout=1.0)
+        call_agent(session, request, timeout=1.0)
     assert time.monotonic() - began < 20
-    while any(mark.encode() in (path / "cmdline").read_bytes() for path in Path("/proc").glob("[0-9]*") if _readable(path)):
+    while any(
+        mark.encode() in (path / "cmdline").read_bytes()
+        for path in Path("/proc").glob("[0-9]*")
+        if _readable(path)
+    ):
         assert time.monotonic() - began < 30, "the check runs on"
         time.sleep(0.1)
 

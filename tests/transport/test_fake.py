@@ -4,9 +4,9 @@ import pytest
 
 from edgectl.errors import ConnectError, DeadlineError, HostError, RefusedError
 from edgectl.model.inventory import Connection, Host, Role
-from edgectl.transport.call import call, stream
-from edgectl.transport.choose import Transports
+from edgectl.transport.agent_client import call_agent, stream_agent_log
 from edgectl.transport.fake import FakeTransport
+from edgectl.transport.fleet_transport import FleetTransport
 
 
 def a_host(name: str = "edge1") -> Host:
@@ -21,7 +21,7 @@ def test_requests_and_replies_travel_in_frames() -> None:
     transport = FakeTransport({"edge1": echo})
     request = {"op": "probe", "host": "edge1", "odd": 'quotes " and ümlauts\n'}
     with transport.connect(a_host(), timeout=30) as session:
-        assert call(session, request, timeout=30) == {"seen": request}
+        assert call_agent(session, request, timeout=30) == {"seen": request}
     assert transport.requests == [("edge1", request)]
     assert transport.address(a_host()) == "10.0.0.1"
 
@@ -33,11 +33,13 @@ def raising(error: HostError) -> object:
     return handler
 
 
-@pytest.mark.parametrize("error", [RefusedError("no", hint="because"), DeadlineError("slow"), ConnectError("gone")])
+@pytest.mark.parametrize(
+    "error", [RefusedError("no", hint="because"), DeadlineError("slow"), ConnectError("gone")]
+)
 def test_errors_of_a_handler(error: HostError) -> None:
     transport = FakeTransport({"edge1": raising(error)})  # type: ignore[dict-item]
     with pytest.raises(type(error), match=error.message) as caught:
-        call(transport.connect(a_host(), timeout=30), {"op": "status"}, timeout=30)
+        call_agent(transport.connect(a_host(), timeout=30), {"op": "status"}, timeout=30)
     assert caught.value.hint == error.hint
 
 
@@ -57,14 +59,18 @@ def test_only_the_agents_command_line_runs() -> None:
 
 def test_logs_are_followed() -> None:
     transport = FakeTransport({"edge1": lambda request: {"text": "one\ntwo\n", "tasks": {}}})
-    pieces = stream(transport.connect(a_host(), timeout=30), {"op": "follow", "host": "edge1", "task": "slam", "tail": 5}, idle_timeout=30)
+    pieces = stream_agent_log(
+        transport.connect(a_host(), timeout=30),
+        {"op": "follow", "host": "edge1", "task": "slam", "tail": 5},
+        idle_timeout=30,
+    )
     assert b"".join(pieces) == b"one\ntwo\n"
 
 
 def test_a_local_host_needs_no_ssh() -> None:
     import sys
 
-    transports = Transports()
+    transports = FleetTransport()
     host = Host(name="here", role=Role.EDGE, host="localhost", connection=Connection.LOCAL)
     loaded = "paramiko" in sys.modules
     with transports.connect(host, timeout=30) as session:

@@ -10,14 +10,21 @@ import pytest
 
 from edgectl.errors import HostKeyError
 from edgectl.model.inventory import Connection, Host, Role
-from edgectl.transport.knownhosts import Key, KnownHosts, Verdict, append_line, hash_name, lookup_name
-from edgectl.transport.trust import fetch_host_keys, trust
+from edgectl.transport.known_hosts import (
+    HostKey,
+    HostKeyVerdict,
+    KnownHosts,
+    append_line,
+    build_known_hosts_name,
+    hash_host_name,
+)
+from edgectl.transport.trust import fetch_host_keys, trust_host_key
 from tests.sshd import Lab, make_key
 
 
-def key_of(line: str) -> Key:
+def key_of(line: str) -> HostKey:
     kind, encoded = line.split()[:2]
-    return Key(kind, base64.b64decode(encoded))
+    return HostKey(kind, base64.b64decode(encoded))
 
 
 def made_key(path: Path, kind: str) -> str:
@@ -27,61 +34,86 @@ def made_key(path: Path, kind: str) -> str:
 
 # {name}: how the server is filed, {key}: its key, {other}: another of the same type, {ecdsa}: one of another type, {hashed}: its name hashed.
 LINES = {
-    "nothing": ("", Verdict.UNKNOWN),
-    "plain": ("{name} {key}", Verdict.KNOWN),
-    "with comment and blanks": ("  {name}\t{key} root@edge1 laptop", Verdict.KNOWN),
-    "hashed": ("{hashed} {key}", Verdict.KNOWN),
-    "hashed, other key": ("{hashed} {other}", Verdict.CHANGED),
-    "comma list": ("edge9,{name},10.0.0.9 {key}", Verdict.KNOWN),
-    "pattern": ("[127.*]:* {key}", Verdict.KNOWN),
-    "pattern of one": ("[{almost}]:* {key}", Verdict.KNOWN),
-    "negated pattern": ("[127.*]:*,!{name} {key}", Verdict.UNKNOWN),
-    "name without port": ("{bare} {key}", Verdict.KNOWN),
-    "name without port, other key": ("{bare} {other}", Verdict.UNKNOWN),
-    "same type, other key": ("{name} {other}", Verdict.CHANGED),
-    "other type only": ("{name} {ecdsa}", Verdict.CHANGED),
-    "two keys of one type": ("{name} {other}\n{name} {key}", Verdict.KNOWN),
-    "two types": ("{name} {ecdsa}\n{name} {key}", Verdict.KNOWN),
-    "plain other, hashed right": ("{name} {other}\n{hashed} {key}", Verdict.KNOWN),
-    "revoked": ("{name} {key}\n@revoked {name} {key}", Verdict.REVOKED),
-    "revoked everywhere": ("@revoked * {key}\n{name} {key}", Verdict.REVOKED),
-    "revoked by hashed name": ("{name} {key}\n@revoked {hashed} {key}", Verdict.REVOKED),
-    "revoked other key": ("{name} {key}\n@revoked {name} {other}", Verdict.KNOWN),
-    "revoked elsewhere": ("{name} {key}\n@revoked example.com {key}", Verdict.KNOWN),
-    "revoked alone": ("@revoked {name} {key}", Verdict.REVOKED),
-    "authority alone": ("@cert-authority * {key}", Verdict.UNKNOWN),
-    "authority beside a key": ("@cert-authority * {other}\n{name} {key}", Verdict.KNOWN),
-    "comment": ("# {name} {key}", Verdict.UNKNOWN),
-    "broken lines around": ("garbage\n\n{name}\n{name} ssh-ed25519 AAAA\n@nonsense {name} {other}\n{name} {key}", Verdict.KNOWN),
-    "type that is not the key's": ("{name} ssh-rsa {encoded}", Verdict.UNKNOWN),
-    "broken hash": ("|1|zz|yy {key}\n|2|a|b {key}", Verdict.UNKNOWN),
+    "nothing": ("", HostKeyVerdict.UNKNOWN),
+    "plain": ("{name} {key}", HostKeyVerdict.KNOWN),
+    "with comment and blanks": ("  {name}\t{key} root@edge1 laptop", HostKeyVerdict.KNOWN),
+    "hashed": ("{hashed} {key}", HostKeyVerdict.KNOWN),
+    "hashed, other key": ("{hashed} {other}", HostKeyVerdict.CHANGED),
+    "comma list": ("edge9,{name},10.0.0.9 {key}", HostKeyVerdict.KNOWN),
+    "pattern": ("[127.*]:* {key}", HostKeyVerdict.KNOWN),
+    "pattern of one": ("[{almost}]:* {key}", HostKeyVerdict.KNOWN),
+    "negated pattern": ("[127.*]:*,!{name} {key}", HostKeyVerdict.UNKNOWN),
+    "name without port": ("{bare} {key}", HostKeyVerdict.KNOWN),
+    "name without port, other key": ("{bare} {other}", HostKeyVerdict.UNKNOWN),
+    "same type, other key": ("{name} {other}", HostKeyVerdict.CHANGED),
+    "other type only": ("{name} {ecdsa}", HostKeyVerdict.CHANGED),
+    "two keys of one type": ("{name} {other}\n{name} {key}", HostKeyVerdict.KNOWN),
+    "two types": ("{name} {ecdsa}\n{name} {key}", HostKeyVerdict.KNOWN),
+    "plain other, hashed right": ("{name} {other}\n{hashed} {key}", HostKeyVerdict.KNOWN),
+    "revoked": ("{name} {key}\n@revoked {name} {key}", HostKeyVerdict.REVOKED),
+    "revoked everywhere": ("@revoked * {key}\n{name} {key}", HostKeyVerdict.REVOKED),
+    "revoked by hashed name": ("{name} {key}\n@revoked {hashed} {key}", HostKeyVerdict.REVOKED),
+    "revoked other key": ("{name} {key}\n@revoked {name} {other}", HostKeyVerdict.KNOWN),
+    "revoked elsewhere": ("{name} {key}\n@revoked example.com {key}", HostKeyVerdict.KNOWN),
+    "revoked alone": ("@revoked {name} {key}", HostKeyVerdict.REVOKED),
+    "authority alone": ("@cert-authority * {key}", HostKeyVerdict.UNKNOWN),
+    "authority beside a key": ("@cert-authority * {other}\n{name} {key}", HostKeyVerdict.KNOWN),
+    "comment": ("# {name} {key}", HostKeyVerdict.UNKNOWN),
+    "broken lines around": (
+        "garbage\n\n{name}\n{name} ssh-ed25519 AAAA\n@nonsense {name} {other}\n{name} {key}",
+        HostKeyVerdict.KNOWN,
+    ),
+    "type that is not the key's": ("{name} ssh-rsa {encoded}", HostKeyVerdict.UNKNOWN),
+    "broken hash": ("|1|zz|yy {key}\n|2|a|b {key}", HostKeyVerdict.UNKNOWN),
 }
 
 
 @pytest.fixture(scope="module")
 def others(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     directory = tmp_path_factory.mktemp("keys")
-    return {"other": made_key(directory / "other", "ed25519"), "ecdsa": made_key(directory / "ecdsa", "ecdsa")}
+    return {
+        "other": made_key(directory / "other", "ed25519"),
+        "ecdsa": made_key(directory / "ecdsa", "ecdsa"),
+    }
 
 
 @pytest.mark.parametrize("kind", LINES)
 def test_lines_mean_what_ssh_makes_of_them(lab: Lab, others: dict[str, str], kind: str) -> None:
     server = lab["edge1"]
     name = f"[{server.address}]:{server.port}"
-    words = {"name": name, "bare": server.address, "key": server.key, "encoded": server.key.split()[1], "hashed": hash_name(name)} | others
+    words = {
+        "name": name,
+        "bare": server.address,
+        "key": server.key,
+        "encoded": server.key.split()[1],
+        "hashed": hash_host_name(name),
+    } | others
     words["almost"] = server.address[:-1] + "?"
     lines, expected = LINES[kind]
     lab.known_hosts.write_text(lines.format(**words) + "\n")
 
-    assert KnownHosts([lab.known_hosts]).check(key_of(server.key), server.address, server.port).verdict is expected
+    assert (
+        KnownHosts([lab.known_hosts]).check(key_of(server.key), server.address, server.port).verdict
+        is expected
+    )
 
-    command = ["ssh", "-F", lab.ssh_config, "-o", "BatchMode=yes", "-o", "StrictHostKeyChecking=yes", "edge1", "true"]
+    command = [
+        "ssh",
+        "-F",
+        lab.ssh_config,
+        "-o",
+        "BatchMode=yes",
+        "-o",
+        "StrictHostKeyChecking=yes",
+        "edge1",
+        "true",
+    ]
     ssh = subprocess.run(command, capture_output=True, text=True, check=False)
     said = {
-        Verdict.KNOWN: ssh.returncode == 0,
-        Verdict.UNKNOWN: "host key is known for" in ssh.stderr,
-        Verdict.CHANGED: "HAS CHANGED" in ssh.stderr,
-        Verdict.REVOKED: "REVOKED" in ssh.stderr,
+        HostKeyVerdict.KNOWN: ssh.returncode == 0,
+        HostKeyVerdict.UNKNOWN: "host key is known for" in ssh.stderr,
+        HostKeyVerdict.CHANGED: "HAS CHANGED" in ssh.stderr,
+        HostKeyVerdict.REVOKED: "REVOKED" in ssh.stderr,
     }
     assert [verdict for verdict, yes in said.items() if yes] == [expected], ssh.stderr
 
@@ -104,22 +136,29 @@ def test_lines_mean_what_ssh_makes_of_them(lab: Lab, others: dict[str, str], kin
 def test_names(tmp_path: Path, others: dict[str, str], names: str, host: str, port: int, found: bool) -> None:
     (tmp_path / "known_hosts").write_text(f"{names} {others['other']}\n")
     known = KnownHosts([tmp_path / "known_hosts"])
-    assert (known.check(key_of(others["other"]), host, port).verdict is Verdict.KNOWN) is found
+    assert (known.check(key_of(others["other"]), host, port).verdict is HostKeyVerdict.KNOWN) is found
     if port == 22:
-        asked = subprocess.run(["ssh-keygen", "-F", host.lower(), "-f", tmp_path / "known_hosts"], capture_output=True, check=False)
+        asked = subprocess.run(
+            ["ssh-keygen", "-F", host.lower(), "-f", tmp_path / "known_hosts"],
+            capture_output=True,
+            check=False,
+        )
         assert (asked.returncode == 0) is found
 
 
 def test_alias_is_used_without_the_port(tmp_path: Path, others: dict[str, str]) -> None:
     (tmp_path / "known_hosts").write_text(f"gate {others['other']}\n")
-    assert KnownHosts([tmp_path / "known_hosts"]).check(key_of(others["other"]), "1.2.3.4", 2222, "Gate").verdict is Verdict.KNOWN
+    assert (
+        KnownHosts([tmp_path / "known_hosts"]).check(key_of(others["other"]), "1.2.3.4", 2222, "Gate").verdict
+        is HostKeyVerdict.KNOWN
+    )
 
 
 def test_files_add_up_and_may_be_missing(tmp_path: Path, others: dict[str, str]) -> None:
     (tmp_path / "system").write_text(f"edge1 {others['ecdsa']}\n")
     (tmp_path / "user").write_text(f"edge1 {others['other']}\n")
     known = KnownHosts([tmp_path / "user", tmp_path / "missing", tmp_path / "system"])
-    assert known.check(key_of(others["ecdsa"]), "edge1", 22).verdict is Verdict.KNOWN
+    assert known.check(key_of(others["ecdsa"]), "edge1", 22).verdict is HostKeyVerdict.KNOWN
     assert known.key_types("edge1", 22) == ["ssh-ed25519", "ecdsa-sha2-nistp256"]
     assert known.key_types("[edge1]", 22) == []
 
@@ -133,7 +172,9 @@ def test_a_finding_names_the_lines_it_rests_on(tmp_path: Path, others: dict[str,
 
 def test_fingerprint_is_the_one_that_ssh_keygen_prints(tmp_path: Path, others: dict[str, str]) -> None:
     (tmp_path / "key.pub").write_text(others["ecdsa"] + "\n")
-    printed = subprocess.run(["ssh-keygen", "-l", "-f", tmp_path / "key.pub"], capture_output=True, text=True, check=True).stdout
+    printed = subprocess.run(
+        ["ssh-keygen", "-l", "-f", tmp_path / "key.pub"], capture_output=True, text=True, check=True
+    ).stdout
     assert key_of(others["ecdsa"]).fingerprint == printed.split()[1]
 
 
@@ -148,7 +189,7 @@ def test_appending_changes_no_line(tmp_path: Path) -> None:
 
 
 def test_hashed_names_are_those_of_openssh() -> None:
-    _, _, salt, digest = hash_name("edge1").split("|")
+    _, _, salt, digest = hash_host_name("edge1").split("|")
     assert hmac.digest(base64.b64decode(salt), b"edge1", "sha1") == base64.b64decode(digest)
 
 
@@ -161,10 +202,10 @@ def test_a_file_that_cannot_be_written(tmp_path: Path, others: dict[str, str]) -
 def test_four_thousand_lines_are_read_and_searched_quickly(tmp_path: Path, others: dict[str, str]) -> None:
     """paramiko needs 5.6 s to load as many hashed lines, and more to search them."""
     path = tmp_path / "known_hosts"
-    path.write_text("".join(f"{hash_name(f'edge{n}')} {others['other']}\n" for n in range(4096)))
+    path.write_text("".join(f"{hash_host_name(f'edge{n}')} {others['other']}\n" for n in range(4096)))
     start = time.process_time()
     known = KnownHosts([path])
-    assert known.check(key_of(others["other"]), "edge4000", 22).verdict is Verdict.KNOWN
+    assert known.check(key_of(others["other"]), "edge4000", 22).verdict is HostKeyVerdict.KNOWN
     assert time.process_time() - start < 4.0
 
 
@@ -173,10 +214,14 @@ def test_trust(lab: Lab) -> None:
     host = lab.host("edge1")
     [(kind, fingerprint, line)] = fetch_host_keys(host, timeout=20)
     server = lab["edge1"]
-    assert (kind, fingerprint, line) == ("ssh-ed25519", key_of(server.key).fingerprint, server.known_hosts_line.strip())
+    assert (kind, fingerprint, line) == (
+        "ssh-ed25519",
+        key_of(server.key).fingerprint,
+        server.known_hosts_line.strip(),
+    )
     assert lab.known_hosts.read_text() == ""
-    assert trust(host, line) == lab.known_hosts
-    assert trust(host, line) == lab.known_hosts
+    assert trust_host_key(host, line) == lab.known_hosts
+    assert trust_host_key(host, line) == lab.known_hosts
     assert lab.known_hosts.read_text() == server.known_hosts_line
 
 
@@ -185,14 +230,21 @@ def test_trust_does_not_replace_a_key(lab: Lab, tmp_path: Path) -> None:
     lab.known_hosts.write_text(f"[{server.address}]:{server.port} {other}\n")
     [(_, _, line)] = fetch_host_keys(lab.host("edge1"), timeout=20)
     with pytest.raises(HostKeyError, match="changed"):
-        trust(lab.host("edge1"), line)
+        trust_host_key(lab.host("edge1"), line)
     with pytest.raises(HostKeyError, match="not a line"):
-        trust(lab.host("edge1"), "nonsense")
+        trust_host_key(lab.host("edge1"), "nonsense")
 
 
 def test_trust_of_this_machine() -> None:
-    assert fetch_host_keys(Host(name="here", role=Role.EDGE, host="localhost", connection=Connection.LOCAL)) == []
+    assert (
+        fetch_host_keys(Host(name="here", role=Role.EDGE, host="localhost", connection=Connection.LOCAL))
+        == []
+    )
 
 
 def test_lookup_names() -> None:
-    assert [lookup_name("Edge1", 22), lookup_name("::1", 2222), lookup_name("edge1", 2222, "Gate")] == ["edge1", "[::1]:2222", "gate"]
+    assert [
+        build_known_hosts_name("Edge1", 22),
+        build_known_hosts_name("::1", 2222),
+        build_known_hosts_name("edge1", 2222, "Gate"),
+    ] == ["edge1", "[::1]:2222", "gate"]

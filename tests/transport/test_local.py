@@ -46,7 +46,10 @@ def test_too_much_output_is_refused() -> None:
 
 
 def test_stream_yields_as_it_comes_and_ends_with_the_command() -> None:
-    assert b"".join(LocalSession("edge1").stream("cat; sleep 0.1; echo more", b"first\n", idle_timeout=20)) == b"first\nmore\n"
+    assert (
+        b"".join(LocalSession("edge1").stream("cat; sleep 0.1; echo more", b"first\n", idle_timeout=20))
+        == b"first\nmore\n"
+    )
 
 
 def test_silent_stream_meets_its_deadline() -> None:
@@ -55,7 +58,9 @@ def test_silent_stream_meets_its_deadline() -> None:
 
 
 def test_closed_stream_ends_its_command(tmp_path: Path) -> None:
-    running = LocalSession("edge1").stream(f"echo $$ > {tmp_path}/pid; echo up; exec sleep 600", b"", idle_timeout=20)
+    running = LocalSession("edge1").stream(
+        f"echo $$ > {tmp_path}/pid; echo up; exec sleep 600", b"", idle_timeout=20
+    )
     assert next(running) == b"up\n"
     running.close()  # type: ignore[attr-defined]
     assert not Path(f"/proc/{(tmp_path / 'pid').read_text().strip()}").exists()

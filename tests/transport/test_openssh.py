@@ -53,4 +53,8 @@ def test_without_an_ssh_program(lab: Lab, tmp_path: Path, monkeypatch: pytest.Mo
 
 def test_exit_statuses_are_the_commands_own(lab: Lab) -> None:
     with OpenSshTransport().connect(lab.host("edge1"), timeout=20) as session:
-        assert [session.run(f"exit {status}", b"", timeout=20).status for status in (0, 1, 127)] == [0, 1, 127]
+        assert [session.run(f"exit {status}", b"", timeout=20).status for status in (0, 1, 127)] == [
+            0,
+            1,
+            127,
+        ]

@@ -3,7 +3,7 @@
 import pytest
 
 from edgectl.errors import AuthError, ConnectError, DeadlineError, HostError
-from edgectl.transport.patient import Patient, rest_s
+from edgectl.transport.connections import BackoffTransport, compute_backoff_s
 from tests.builders import an_edge
 from tests.transport.test_pool import Counting
 
@@ -20,12 +20,14 @@ class Hands:
         return self.now
 
 
-def ask(patient: Patient, name: str = "edge1") -> bytes:
+def ask(patient: BackoffTransport, name: str = "edge1") -> bytes:
     with patient.connect(an_edge(name), timeout=1.0) as session:
         return session.run("c", b"in", timeout=1.0).stdout
 
 
-def knocks(transport: Counting, patient: Patient, hands: Hands, seconds: int, every: float = 10.0) -> int:
+def knocks(
+    transport: Counting, patient: BackoffTransport, hands: Hands, seconds: int, every: float = 10.0
+) -> int:
     """How often the host was tried in ``seconds`` of asking every ``every``."""
     before = len(transport.opened)
     for _ in range(int(seconds / every)):
@@ -37,7 +39,7 @@ def knocks(transport: Counting, patient: Patient, hands: Hands, seconds: int, ev
 
 def test_a_dead_host_is_asked_once_a_minute_in_the_end_and_at_once_when_it_is_back() -> None:
     transport, hands = Counting(), Hands()
-    patient = Patient(transport, clock=hands)
+    patient = BackoffTransport(transport, clock=hands)
     transport.refusal = ConnectError("no route to host", hint="switch it on")
     assert knocks(transport, patient, hands, 600) == 13, "at 0, 10, 20, 40, 80, 140, 200 .. s"
     with pytest.raises(ConnectError, match="no route to host") as raised:
@@ -47,12 +49,14 @@ def test_a_dead_host_is_asked_once_a_minute_in_the_end_and_at_once_when_it_is_ba
     hands.now += 60.0
     assert ask(patient) == b"in"
     transport.refusal = ConnectError("gone again")
-    assert knocks(transport, patient, hands, 20) == 2, "what was before is forgotten, so the first loss is forgiven again"
+    assert knocks(transport, patient, hands, 20) == 2, (
+        "what was before is forgotten, so the first loss is forgiven again"
+    )
 
 
 def test_other_hosts_are_asked_all_the_while() -> None:
     transport, hands = Counting(), Hands()
-    patient = Patient(transport, clock=hands)
+    patient = BackoffTransport(transport, clock=hands)
     transport.refusal = ConnectError("off")
     knocks(transport, patient, hands, 60)
     transport.refusal = None
@@ -61,11 +65,25 @@ def test_other_hosts_are_asked_all_the_while() -> None:
 
 def test_a_host_that_connects_and_never_answers_rests_too() -> None:
     transport, hands = Counting(), Hands()
-    patient = Patient(transport, clock=hands)
+    patient = BackoffTransport(transport, clock=hands)
     transport.fault = DeadlineError("frozen")
     assert knocks(transport, patient, hands, 600) == 13
 
 
 def test_who_refuses_is_left_alone_for_longer() -> None:
-    assert [rest_s(AuthError("no"), n) for n in (1, 2, 3, 4, 5, 50)] == [60.0, 120.0, 240.0, 480.0, 600.0, 600.0]
-    assert [rest_s(ConnectError("no"), n) for n in (1, 2, 3, 4, 5, 50)] == [0.0, 10.0, 20.0, 40.0, 60.0, 60.0]
+    assert [compute_backoff_s(AuthError("no"), n) for n in (1, 2, 3, 4, 5, 50)] == [
+        60.0,
+        120.0,
+        240.0,
+        480.0,
+        600.0,
+        600.0,
+    ]
+    assert [compute_backoff_s(ConnectError("no"), n) for n in (1, 2, 3, 4, 5, 50)] == [
+        0.0,
+        10.0,
+        20.0,
+        40.0,
+        60.0,
+        60.0,
+    ]

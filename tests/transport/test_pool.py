@@ -9,7 +9,7 @@ import pytest
 from edgectl.errors import AuthError, ConnectError, HostError
 from edgectl.model.inventory import Host
 from edgectl.transport.base import Reply
-from edgectl.transport.pool import SessionPool
+from edgectl.transport.connections import SessionPool
 from tests.builders import an_edge
 
 
@@ -74,7 +74,10 @@ def test_a_host_is_opened_once_and_closed_at_the_end() -> None:
     with SessionPool(transport) as pool:
         assert [use(pool), use(pool), use(pool, "edge2")] == [b"in"] * 3
         with pool.connect(an_edge("edge1"), timeout=1.0) as session:
-            assert (session.python, b"".join(session.stream("c", b"out", idle_timeout=1.0))) == ("python3", b"out")
+            assert (session.python, b"".join(session.stream("c", b"out", idle_timeout=1.0))) == (
+                "python3",
+                b"out",
+            )
         assert pool.address(an_edge("edge1")) == "address of edge1"
         assert (transport.opened, transport.closed) == (["edge1", "edge2"], 0)
     assert transport.closed == 2

@@ -12,10 +12,10 @@ import pytest
 
 from edgectl.errors import AuthError, ConnectError, DeadlineError, HostError, HostKeyError, ReplyError
 from edgectl.model.inventory import Connection, Host
+from edgectl.transport.agent_client import call_agent
 from edgectl.transport.base import Reply, Transport
-from edgectl.transport.call import call
-from edgectl.transport.choose import Transports
-from edgectl.transport.dial import ProxyLine, proxy
+from edgectl.transport.fleet_transport import FleetTransport
+from edgectl.transport.sockets import ProxySocket, start_proxy_command
 from tests.relay import Fault, mute_server, relay
 from tests.sshd import Lab, make_key, running_lab
 
@@ -27,11 +27,17 @@ def connection(request: pytest.FixtureRequest) -> Connection:
 
 @pytest.fixture
 def transport() -> Transport:
-    return Transports()
+    return FleetTransport()
 
 
 def ask(
-    transport: Transport, host: Host, command: str = "echo here", stdin: bytes = b"", *, timeout: float = 10.0, limit: int = 1 << 20
+    transport: Transport,
+    host: Host,
+    command: str = "echo here",
+    stdin: bytes = b"",
+    *,
+    timeout: float = 10.0,
+    limit: int = 1 << 20,
 ) -> Reply:
     with transport.connect(host, timeout=timeout) as session:
         return session.run(command, stdin, timeout=timeout, limit=limit)
@@ -41,7 +47,9 @@ def ask(
 BUSY_S = 15.0
 
 
-def failure(transport: Transport, host: Host, command: str = "echo here", *, timeout: float = 10.0) -> tuple[HostError, float]:
+def failure(
+    transport: Transport, host: Host, command: str = "echo here", *, timeout: float = 10.0
+) -> tuple[HostError, float]:
     """The error and how long it took."""
     start = time.monotonic()
     with pytest.raises(HostError) as caught:
@@ -53,12 +61,17 @@ def failure(transport: Transport, host: Host, command: str = "echo here", *, tim
 
 def test_bytes_go_in_and_out_unchanged(lab: Lab, transport: Transport, connection: Connection) -> None:
     data = bytes(range(256)) * 8000
-    reply = ask(transport, lab.host("edge1", connection=connection), "cat; echo oops >&2; exit 3", data, limit=4 << 20)
+    reply = ask(
+        transport, lab.host("edge1", connection=connection), "cat; echo oops >&2; exit 3", data, limit=4 << 20
+    )
     assert (reply.stdout, reply.stderr, reply.status) == (data, b"oops\n", 3)
 
 
 def test_each_server_is_a_host_of_its_own(lab: Lab, transport: Transport, connection: Connection) -> None:
-    homes = [ask(transport, lab.host(name, connection=connection), "echo $HOME").stdout.decode().strip() for name in lab.servers]
+    homes = [
+        ask(transport, lab.host(name, connection=connection), "echo $HOME").stdout.decode().strip()
+        for name in lab.servers
+    ]
     assert homes == [str(server.home) for server in lab.servers.values()]
 
 
@@ -67,17 +80,29 @@ def test_a_program_may_leave_its_input_unread(lab: Lab, transport: Transport, co
 
 
 def test_large_stderr_does_not_block(lab: Lab, transport: Transport, connection: Connection) -> None:
-    reply = ask(transport, lab.host("edge1", connection=connection), "head -c 5000000 /dev/zero >&2; echo end", limit=8 << 20)
+    reply = ask(
+        transport,
+        lab.host("edge1", connection=connection),
+        "head -c 5000000 /dev/zero >&2; echo end",
+        limit=8 << 20,
+    )
     assert (len(reply.stderr), reply.stdout) == (5_000_000, b"end\n")
 
 
 def test_output_is_capped(lab: Lab, transport: Transport, connection: Connection) -> None:
     with pytest.raises(ReplyError, match="more than 1048576 bytes"):
-        ask(transport, lab.host("edge1", connection=connection), "head -c 20000000 /dev/zero; sleep 30", timeout=20.0)
+        ask(
+            transport,
+            lab.host("edge1", connection=connection),
+            "head -c 20000000 /dev/zero; sleep 30",
+            timeout=20.0,
+        )
 
 
 def test_deadline_of_a_command(lab: Lab, transport: Transport, connection: Connection) -> None:
-    error, seconds = failure(transport, lab.host("edge1", connection=connection), "exec sleep 60", timeout=2.0)
+    error, seconds = failure(
+        transport, lab.host("edge1", connection=connection), "exec sleep 60", timeout=2.0
+    )
     assert isinstance(error, DeadlineError)
     assert seconds < BUSY_S
 
@@ -102,7 +127,7 @@ def test_noise_of_the_login_shell_changes_no_reply(
         )
         reply = ask(transport, lab.host("edge1", connection=connection), "echo here")
         with transport.connect(lab.host("edge1", connection=connection), timeout=10) as session:
-            document = call(session, {"op": "status", "host": "edge1", "task": None}, timeout=10)
+            document = call_agent(session, {"op": "status", "host": "edge1", "task": None}, timeout=10)
     assert reply.stdout.startswith(b"Welcome")
     assert reply.stdout.endswith(b"here\n")
     assert b"Authorised" not in reply.stdout
@@ -115,16 +140,25 @@ def test_a_restricted_key_is_enough(lab: Lab, transport: Transport, connection: 
     lab.authorized_keys.write_text("restrict " + before)
     try:
         with transport.connect(lab.host("edge2", connection=connection), timeout=10) as session:
-            assert call(session, {"op": "status", "host": "edge2", "task": None}, timeout=10)["tasks"] == {}
+            assert (
+                call_agent(session, {"op": "status", "host": "edge2", "task": None}, timeout=10)["tasks"]
+                == {}
+            )
     finally:
         lab.authorized_keys.write_text(before)
 
 
-def test_output_comes_as_a_stream(lab: Lab, transport: Transport, connection: Connection, tmp_path: Path) -> None:
+def test_output_comes_as_a_stream(
+    lab: Lab, transport: Transport, connection: Connection, tmp_path: Path
+) -> None:
     """The second line is not said before the first was heard."""
     heard = tmp_path / "heard"
     with transport.connect(lab.host("edge1", connection=connection), timeout=10) as session:
-        pieces = session.stream(f"read a; echo first $a; until [ -e {heard} ]; do sleep 0.05; done; echo second", b"x\n", idle_timeout=20)
+        pieces = session.stream(
+            f"read a; echo first $a; until [ -e {heard} ]; do sleep 0.05; done; echo second",
+            b"x\n",
+            idle_timeout=20,
+        )
         assert next(pieces) == b"first x\n"
         heard.touch()
         assert b"".join(pieces) == b"second\n"
@@ -150,13 +184,20 @@ def test_a_stream_can_be_left(lab: Lab, transport: Transport, connection: Connec
 def test_sixteen_at_once(lab: Lab, transport: Transport, connection: Connection) -> None:
     hosts = [lab.host(name, connection=connection) for name in lab.servers] * 6
     with ThreadPoolExecutor(16) as pool:
-        replies = list(pool.map(lambda host: ask(transport, host, "cat", host.name.encode(), timeout=30).stdout.decode(), hosts[:16]))
+        replies = list(
+            pool.map(
+                lambda host: ask(transport, host, "cat", host.name.encode(), timeout=30).stdout.decode(),
+                hosts[:16],
+            )
+        )
     assert replies == [host.name for host in hosts[:16]]
 
 
 def test_one_session_serves_many_threads(lab: Lab, transport: Transport) -> None:
     with transport.connect(lab.host("edge1"), timeout=10) as session, ThreadPoolExecutor(8) as pool:
-        replies = list(pool.map(lambda n: session.run("cat", b"%d" % n * 10_000, timeout=20).stdout, range(24)))
+        replies = list(
+            pool.map(lambda n: session.run("cat", b"%d" % n * 10_000, timeout=20).stdout, range(24))
+        )
     assert replies == [b"%d" % n * 10_000 for n in range(24)]
 
 
@@ -198,7 +239,13 @@ def known_hosts(kind: str, lab: Lab, name: str, other: str) -> str:
     ],
 )
 def test_host_keys(
-    lab: Lab, transport: Transport, connection: Connection, tmp_path: Path, through: str | None, kind: str, words: str | None
+    lab: Lab,
+    transport: Transport,
+    connection: Connection,
+    tmp_path: Path,
+    through: str | None,
+    kind: str,
+    words: str | None,
 ) -> None:
     """The key in question is the target's, or, with a jump host, the jump host's."""
     lab.known_hosts.write_text(known_hosts(kind, lab, through or "edge1", other_key(tmp_path)))
@@ -211,12 +258,18 @@ def test_host_keys(
         assert isinstance(error, HostKeyError)
         assert words in error.message
         assert error.hint
-        assert kind == "revoked" or ("ssh robot1" if through and connection is Connection.SSH else "edgectl trust edge1") in error.hint
+        assert (
+            kind == "revoked"
+            or ("ssh robot1" if through and connection is Connection.SSH else "edgectl trust edge1")
+            in error.hint
+        )
     assert lab.known_hosts.read_bytes() == before
 
 
 @pytest.mark.parametrize("form", ["list", "krl", "other", "missing"])
-def test_revoked_host_keys(lab: Lab, transport: Transport, connection: Connection, tmp_path: Path, form: str) -> None:
+def test_revoked_host_keys(
+    lab: Lab, transport: Transport, connection: Connection, tmp_path: Path, form: str
+) -> None:
     """A list or a KRL of ssh_config's RevokedHostKeys; one that cannot be read revokes everything."""
     keys, krl = tmp_path / "revoked", tmp_path / "krl"
     keys.write_text((lab["edge1"].key if form != "other" else other_key(tmp_path)) + "\n")
@@ -233,14 +286,18 @@ def test_revoked_host_keys(lab: Lab, transport: Transport, connection: Connectio
 
 
 @pytest.mark.parametrize("through", [None, "robot1"])
-def test_ssh_config_cannot_switch_verification_off(lab: Lab, transport: Transport, connection: Connection, through: str | None) -> None:
+def test_ssh_config_cannot_switch_verification_off(
+    lab: Lab, transport: Transport, connection: Connection, through: str | None
+) -> None:
     lab.write_files("StrictHostKeyChecking no", "NoHostAuthenticationForLocalhost yes")
     lab.known_hosts.write_text(known_hosts("unknown", lab, through or "edge1", ""))
     error, _ = failure(transport, lab.host("edge1", connection=connection, proxy_jump=through))
     assert isinstance(error, HostKeyError)
 
 
-def test_the_target_behind_a_jump_host_is_verified_too(lab: Lab, transport: Transport, connection: Connection, tmp_path: Path) -> None:
+def test_the_target_behind_a_jump_host_is_verified_too(
+    lab: Lab, transport: Transport, connection: Connection, tmp_path: Path
+) -> None:
     lab.known_hosts.write_text(known_hosts("changed", lab, "edge1", other_key(tmp_path)))
     error, _ = failure(transport, lab.host("edge1", connection=connection, proxy_jump="robot1"))
     assert isinstance(error, HostKeyError)
@@ -254,13 +311,17 @@ def test_fingerprints_are_shown(lab: Lab, transport: Transport, connection: Conn
 
 
 @pytest.mark.parametrize("hashed", [False, True])
-def test_accept_new_records_unknown_keys_only(lab: Lab, connection: Connection, tmp_path: Path, hashed: bool) -> None:
+def test_accept_new_records_unknown_keys_only(
+    lab: Lab, connection: Connection, tmp_path: Path, hashed: bool
+) -> None:
     server, other = lab["edge1"], other_key(tmp_path)
     lab.write_files(*(["HashKnownHosts yes"] if hashed else []))
     lab.known_hosts.unlink()
     os.umask(0o000)
     try:
-        assert ask(Transports(accept_new=True), lab.host("edge1", connection=connection)).stdout == b"here\n"
+        assert (
+            ask(FleetTransport(accept_new=True), lab.host("edge1", connection=connection)).stdout == b"here\n"
+        )
     finally:
         os.umask(0o022)
     line = lab.known_hosts.read_text()
@@ -269,9 +330,11 @@ def test_accept_new_records_unknown_keys_only(lab: Lab, connection: Connection, 
     assert lab.known_hosts.stat().st_mode & (0o777 if connection is Connection.SSH else 0o022) == (
         0o600 if connection is Connection.SSH else 0
     )
-    assert ask(Transports(), lab.host("edge1", connection=connection)).stdout == b"here\n"
+    assert ask(FleetTransport(), lab.host("edge1", connection=connection)).stdout == b"here\n"
     lab.known_hosts.write_text(f"[{server.address}]:{server.port} {other}\n")
-    assert isinstance(failure(Transports(accept_new=True), lab.host("edge1", connection=connection))[0], HostKeyError)
+    assert isinstance(
+        failure(FleetTransport(accept_new=True), lab.host("edge1", connection=connection))[0], HostKeyError
+    )
     assert other in lab.known_hosts.read_text()
     assert server.key not in lab.known_hosts.read_text()
 
@@ -319,19 +382,26 @@ def test_closed_port(lab: Lab, transport: Transport, connection: Connection) -> 
 
 
 def test_closed_port_behind_a_jump_host(lab: Lab, transport: Transport, connection: Connection) -> None:
-    error, seconds = failure(transport, lab.host("edge1", connection=connection, port=1, proxy_jump="robot1"), timeout=20.0)
+    error, seconds = failure(
+        transport, lab.host("edge1", connection=connection, port=1, proxy_jump="robot1"), timeout=20.0
+    )
     assert isinstance(error, ConnectError)
     assert seconds < BUSY_S
 
 
 def test_unknown_name(lab: Lab, transport: Transport, connection: Connection) -> None:
-    error, _ = failure(transport, Host(name="x", role=lab.host("edge1").role, host="no-such-host.invalid", connection=connection))
+    error, _ = failure(
+        transport,
+        Host(name="x", role=lab.host("edge1").role, host="no-such-host.invalid", connection=connection),
+    )
     assert isinstance(error, ConnectError)
 
 
 def test_a_name_is_no_option(lab: Lab, transport: Transport, connection: Connection, tmp_path: Path) -> None:
     canary = tmp_path / "canary"
-    error, _ = failure(transport, lab.host("edge1", host=f"-oProxyCommand=touch {canary}", connection=connection))
+    error, _ = failure(
+        transport, lab.host("edge1", host=f"-oProxyCommand=touch {canary}", connection=connection)
+    )
     assert isinstance(error, ConnectError)
     assert not canary.exists()
 
@@ -339,7 +409,9 @@ def test_a_name_is_no_option(lab: Lab, transport: Transport, connection: Connect
 def test_a_mute_server(transport: Transport, connection: Connection, lab: Lab) -> None:
     with mute_server() as port:
         error, seconds = failure(
-            transport, Host(name="m", role=lab.host("edge1").role, host="127.0.0.1", port=port, connection=connection), timeout=2
+            transport,
+            Host(name="m", role=lab.host("edge1").role, host="127.0.0.1", port=port, connection=connection),
+            timeout=2,
         )
     assert isinstance(error, DeadlineError)
     assert seconds < BUSY_S
@@ -350,7 +422,9 @@ def test_silence_during_login(lab: Lab, transport: Transport, connection: Connec
     server = lab["edge1"]
     with relay((server.address, server.port), Fault.SILENCE, after) as port:
         lab.known_hosts.write_text(f"[127.0.0.1]:{port} {server.key}\n")
-        error, seconds = failure(transport, lab.host("edge1", host="127.0.0.1", port=port, connection=connection), timeout=2)
+        error, seconds = failure(
+            transport, lab.host("edge1", host="127.0.0.1", port=port, connection=connection), timeout=2
+        )
     assert isinstance(error, DeadlineError)
     assert seconds < BUSY_S
 
@@ -371,7 +445,9 @@ def test_a_jump_host_that_falls_silent(lab: Lab, transport: Transport, connectio
     jump = lab["robot1"]
     with relay((jump.address, jump.port), Fault.SILENCE, 300_000) as port:
         lab.known_hosts.write_text(lab.known_hosts.read_text() + f"[127.0.0.1]:{port} {jump.key}\n")
-        session = transport.connect(lab.host("edge1", proxy_jump=f"127.0.0.1:{port}", connection=connection), timeout=20)
+        session = transport.connect(
+            lab.host("edge1", proxy_jump=f"127.0.0.1:{port}", connection=connection), timeout=20
+        )
         start = time.monotonic()
         with pytest.raises(DeadlineError):
             session.run("head -c 900000 /dev/zero", b"", timeout=2)
@@ -407,13 +483,18 @@ def test_a_host_that_dies_during_a_stream(
 
 
 def test_two_jumps(lab: Lab, transport: Transport, connection: Connection) -> None:
-    assert ask(transport, lab.host("edge1", connection=connection, proxy_jump="edge2,robot1")).stdout == b"here\n"
+    assert (
+        ask(transport, lab.host("edge1", connection=connection, proxy_jump="edge2,robot1")).stdout
+        == b"here\n"
+    )
 
 
 def test_proxy_jump_of_ssh_config(lab: Lab, transport: Transport, connection: Connection) -> None:
     server = lab["edge2"]
     lab.write_files(f"Host far\n  HostName {server.address}\n  Port {server.port}\n  ProxyJump robot1")
-    assert ask(transport, lab.host("edge2", host="far", connection=connection), "echo $HOME").stdout.decode().strip() == str(server.home)
+    assert ask(
+        transport, lab.host("edge2", host="far", connection=connection), "echo $HOME"
+    ).stdout.decode().strip() == str(server.home)
 
 
 def test_jumpers_share_a_jump_host(lab: Lab, transport: Transport) -> None:
@@ -441,7 +522,9 @@ def test_proxy_command(lab: Lab, transport: Transport, connection: Connection) -
 
 
 @pytest.mark.parametrize("command", ["false", "sleep 0.2; exit 3", "echo this is not ssh"])
-def test_a_dead_proxy_command_costs_nothing(lab: Lab, transport: Transport, connection: Connection, command: str) -> None:
+def test_a_dead_proxy_command_costs_nothing(
+    lab: Lab, transport: Transport, connection: Connection, command: str
+) -> None:
     lab.write_files(f"Host far\n  HostName 127.0.0.1\n  ProxyCommand {command}")
     spent = time.process_time()
     error, seconds = failure(transport, lab.host("edge1", host="far", connection=connection), timeout=30.0)
@@ -454,11 +537,11 @@ def test_a_dead_proxy_command_costs_nothing(lab: Lab, transport: Transport, conn
 def test_whoever_closes_a_proxy_command_finds_it_reaped() -> None:
     for _ in range(30):
         before = {*children()}
-        line = proxy("sleep 60")
+        line = start_proxy_command("sleep 60")
         (pid,) = {*children()} - before
         both = threading.Barrier(2)
 
-        def close(line: ProxyLine = line, pid: str = pid, both: threading.Barrier = both) -> bool:
+        def close(line: ProxySocket = line, pid: str = pid, both: threading.Barrier = both) -> bool:
             both.wait()
             line.close()
             return Path(f"/proc/{pid}").exists()

@@ -15,10 +15,10 @@ import pytest
 
 from edgectl.errors import AuthError
 from edgectl.model.inventory import Host, Role
-from edgectl.transport.knownhosts import Key
+from edgectl.transport.known_hosts import HostKey
 from edgectl.transport.ssh import SshTransport
-from edgectl.transport.ssh_auth import BoundedAgent, Keyring
-from edgectl.transport.sshconfig import Resolver
+from edgectl.transport.ssh_auth import Keyring, SshAgentClient
+from edgectl.transport.ssh_config import SshConfigResolver
 from tests.relay import callers
 from tests.sshd import Lab, make_key
 
@@ -49,7 +49,11 @@ def agent_with(directory: Path, *keys: Path) -> Iterator[str]:
 def with_agent(lab: Lab, path: str, *lines: str) -> None:
     """The lab's ssh_config, but with an agent, and no key unless ``lines`` name one."""
     lab.write_files(key=Path("none"))
-    text = lab.ssh_config.read_text().replace("IdentityAgent none", f"IdentityAgent {path}").replace("  IdentitiesOnly yes\n", "")
+    text = (
+        lab.ssh_config.read_text()
+        .replace("IdentityAgent none", f"IdentityAgent {path}")
+        .replace("  IdentitiesOnly yes\n", "")
+    )
     lab.ssh_config.write_text(text.replace("  IdentityFile none\n", "".join(f"  {line}\n" for line in lines)))
 
 
@@ -94,7 +98,7 @@ def test_a_mute_agent_is_waited_for_three_seconds(lab: Lab, tmp_path: Path) -> N
 
 
 def test_agents_that_are_none(tmp_path: Path) -> None:
-    assert BoundedAgent(str(tmp_path / "missing")).keys() == []
+    assert SshAgentClient(str(tmp_path / "missing")).keys() == []
     ours, theirs = socket.socketpair()
     ours.close()
     theirs.close()
@@ -110,7 +114,7 @@ def test_agents_that_are_none(tmp_path: Path) -> None:
 
         thread = threading.Thread(target=answer)
         thread.start()
-        assert BoundedAgent(str(tmp_path / "odd")).keys() == []
+        assert SshAgentClient(str(tmp_path / "odd")).keys() == []
         thread.join()
 
 
@@ -132,8 +136,11 @@ def test_user_certificate(lab: Lab, tmp_path: Path) -> None:
     key, authority = tmp_path / "key", tmp_path / "authority"
     make_key(key)
     public = make_key(authority)
-    user = Resolver().resolve(lab.host("edge1")).user
-    subprocess.run(["ssh-keygen", "-q", "-s", authority, "-I", "test", "-n", user, "-V", "-1h:+1h", f"{key}.pub"], check=True)
+    user = SshConfigResolver().resolve(lab.host("edge1")).user
+    subprocess.run(
+        ["ssh-keygen", "-q", "-s", authority, "-I", "test", "-n", user, "-V", "-1h:+1h", f"{key}.pub"],
+        check=True,
+    )
     before = lab.authorized_keys.read_text()
     lab.authorized_keys.write_text(f"{before}cert-authority {public}\n")
     try:
@@ -144,15 +151,19 @@ def test_user_certificate(lab: Lab, tmp_path: Path) -> None:
 
 
 def test_keys_are_parsed_once(lab: Lab) -> None:
-    keyring, resolved = Keyring(), Resolver().resolve(lab.host("edge1"))
+    keyring, resolved = Keyring(), SshConfigResolver().resolve(lab.host("edge1"))
     assert keyring.keys_for(resolved)[0] is keyring.keys_for(resolved)[0]
 
 
 def test_files_that_are_no_keys(lab: Lab, tmp_path: Path) -> None:
     (tmp_path / "odd").write_text("hello")
     (tmp_path / "directory").mkdir()
-    subprocess.run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "passphrase", "-f", tmp_path / "locked"], check=True)
-    lab.write_files(*(f"IdentityFile {tmp_path}/{name}" for name in ("odd", "directory", "locked", "missing")))
+    subprocess.run(
+        ["ssh-keygen", "-q", "-t", "ed25519", "-N", "passphrase", "-f", tmp_path / "locked"], check=True
+    )
+    lab.write_files(
+        *(f"IdentityFile {tmp_path}/{name}" for name in ("odd", "directory", "locked", "missing"))
+    )
     assert works(lab.host("edge1"))
 
 
@@ -183,7 +194,9 @@ class PasswordOnly(paramiko.ServerInterface):
         return True
 
     def _answer(self, channel: paramiko.Channel) -> None:
-        while channel.recv(1024):  # up to the end of the input: paramiko's server says only after this thread has started that it accepts
+        while channel.recv(
+            1024
+        ):  # up to the end of the input: paramiko's server says only after this thread has started that it accepts
             pass
         channel.sendall(b"in\n")
         channel.send_exit_status(0)
@@ -212,7 +225,7 @@ def password_server(lab: Lab) -> Iterator[tuple[int, list[str]]]:
     thread = threading.Thread(target=serve)
     thread.start()
     port = listener.getsockname()[1]
-    lab.known_hosts.write_text(f"[127.0.0.1]:{port} {Key(key.get_name(), key.asbytes()).text}\n")
+    lab.known_hosts.write_text(f"[127.0.0.1]:{port} {HostKey(key.get_name(), key.asbytes()).text}\n")
     try:
         yield port, tried
     finally:

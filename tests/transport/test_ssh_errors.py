@@ -21,18 +21,22 @@ def exceptions_of_paramiko() -> set[type[BaseException]]:
         if module.name in ("_winapi", "win_openssh", "win_pageant"):
             continue
         members = vars(importlib.import_module(f"paramiko.{module.name}")).values()
-        found |= {m for m in members if inspect.isclass(m) and issubclass(m, BaseException) and m.__module__.startswith("paramiko")}
+        found |= {
+            m
+            for m in members
+            if inspect.isclass(m) and issubclass(m, BaseException) and m.__module__.startswith("paramiko")
+        }
     return found
 
 
 def test_the_table_is_complete() -> None:
-    mapped = {kind for kind, _, _ in ssh_errors.TABLE}
+    mapped = {kind for kind, _, _ in ssh_errors.SSH_ERRORS}
     missing = {kind.__name__ for kind in exceptions_of_paramiko() - mapped} - INTERNAL
     assert not missing, f"give them a row in ssh_errors.TABLE: {missing}"
 
 
 def test_the_most_specific_row_comes_first() -> None:
-    kinds = [kind for kind, _, _ in ssh_errors.TABLE]
+    kinds = [kind for kind, _, _ in ssh_errors.SSH_ERRORS]
     for place, kind in enumerate(kinds):
         assert not any(issubclass(kind, earlier) for earlier in kinds[:place]), kind
 
@@ -45,8 +49,16 @@ def test_the_most_specific_row_comes_first() -> None:
         (paramiko.ChannelException(2, "Connect failed"), ConnectError, "the host refused to open a channel"),
         (paramiko.SSHException("Incompatible version"), ConnectError, "SSH failed (Incompatible version)"),
         (ConnectionRefusedError(111, "Connection refused"), ConnectError, "connection refused"),
-        (ConnectionResetError(104, "Connection reset by peer"), ConnectError, "connection lost (Connection reset by peer)"),
-        (socket.gaierror(-2, "Name or service not known"), ConnectError, "name unknown (Name or service not known)"),
+        (
+            ConnectionResetError(104, "Connection reset by peer"),
+            ConnectError,
+            "connection lost (Connection reset by peer)",
+        ),
+        (
+            socket.gaierror(-2, "Name or service not known"),
+            ConnectError,
+            "name unknown (Name or service not known)",
+        ),
         (TimeoutError(), DeadlineError, "no answer in time"),
         (EOFError(), ConnectError, "connection closed by the host"),
         (OSError(113, "No route to host"), ConnectError, "connection failed (No route to host)"),
@@ -55,7 +67,7 @@ def test_the_most_specific_row_comes_first() -> None:
     ],
 )
 def test_rows(error: Exception, kind: type[HostError], words: str) -> None:
-    ours = ssh_errors.translate(error, "edge1")
+    ours = ssh_errors.translate_ssh_error(error, "edge1")
     assert type(ours) is kind
     assert ours.message.startswith(words)
     assert (ours.host, "\n" in ours.message) == ("edge1", False)
@@ -63,7 +75,7 @@ def test_rows(error: Exception, kind: type[HostError], words: str) -> None:
 
 def test_our_own_errors_pass() -> None:
     error = HostKeyError("changed", hint="look")
-    assert ssh_errors.translate(error, "edge1") is error
+    assert ssh_errors.translate_ssh_error(error, "edge1") is error
     assert error.host == "edge1"
 
 
@@ -74,20 +86,26 @@ def test_our_own_errors_pass() -> None:
         ("ssh: connect to host 10.0.0.1 port 22: Connection timed out\r\n", ConnectError),
         ("ssh: connect to host 10.0.0.1 port 22: No route to host\r\n", ConnectError),
         ("ssh: Could not resolve hostname edge9: Name or service not known\r\n", ConnectError),
-        ("Connection timed out during banner exchange\r\nConnection to 10.0.0.1 port 22 timed out\r\n", DeadlineError),
+        (
+            "Connection timed out during banner exchange\r\nConnection to 10.0.0.1 port 22 timed out\r\n",
+            DeadlineError,
+        ),
         ("Permission denied (publickey,password).\r\n", AuthError),
         ("Received disconnect from 10.0.0.1 port 22:2: Too many authentication failures\r\n", AuthError),
         (
             "No ED25519 host key is known for [10.0.0.1]:22 and you have requested strict checking.\r\nHost key verification failed.\r\n",
             HostKeyError,
         ),
-        ("@ WARNING: REMOTE HOST IDENTIFICATION HAS CHANGED! @\r\nHost key verification failed.\r\n", HostKeyError),
+        (
+            "@ WARNING: REMOTE HOST IDENTIFICATION HAS CHANGED! @\r\nHost key verification failed.\r\n",
+            HostKeyError,
+        ),
         ("@ WARNING: REVOKED HOST KEY DETECTED! @\r\nHost key verification failed.\r\n", HostKeyError),
         ("client_loop: send disconnect: Broken pipe\r\n", ConnectError),
         ("", ConnectError),
     ],
 )
 def test_what_ssh_says(said: str, kind: type[HostError]) -> None:
-    error = openssh.translate(said.encode(), "edge1")
+    error = openssh.translate_openssh_error(said.encode(), "edge1")
     assert type(error) is kind
     assert (error.host, "\n" in error.message, bool(error.hint)) == ("edge1", False, True)

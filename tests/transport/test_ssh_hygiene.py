@@ -14,10 +14,10 @@ import pytest
 
 from edgectl.errors import ConnectError, HostError
 from edgectl.transport import ssh
-from edgectl.transport.dial import dial, watchdog
+from edgectl.transport.sockets import connect_tcp, watchdog
 from edgectl.transport.ssh import SshTransport
-from edgectl.transport.ssh_auth import Login
-from edgectl.transport.sshconfig import Resolver
+from edgectl.transport.ssh_auth import LoginStrategy
+from edgectl.transport.ssh_config import SshConfigResolver
 from tests.relay import callers, mute_server
 from tests.sshd import Lab, make_key, running_lab
 
@@ -43,7 +43,11 @@ def test_nothing_is_left_open(lab: Lab, tmp_path: Path) -> None:
         with transport.connect(lab.host("edge1", proxy_jump="robot1"), timeout=10) as session:
             session.run("true", b"", timeout=20)
     with mute_server() as port:
-        for host in (lab.host("edge1", port=1), lab.host("edge1", host="127.0.0.1", port=port), lab.host("edge1", proxy_jump="edge9")):
+        for host in (
+            lab.host("edge1", port=1),
+            lab.host("edge1", host="127.0.0.1", port=port),
+            lab.host("edge1", proxy_jump="edge9"),
+        ):
             with pytest.raises(HostError):
                 transport.connect(host, timeout=1)
     lab.known_hosts.write_text("")
@@ -92,7 +96,15 @@ def test_no_file_of_fabric_is_executed_or_read(lab: Lab, tmp_path: Path) -> None
     )
     root = Path(__file__).parents[2]
     env = {"PATH": os.environ["PATH"], "HOME": str(home), "PYTHONPATH": str(root), **lab.environment}
-    ran = subprocess.run([sys.executable, "-c", script], cwd=home, env=env, capture_output=True, text=True, timeout=60, check=False)
+    ran = subprocess.run(
+        [sys.executable, "-c", script],
+        cwd=home,
+        env=env,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
     assert ran.stdout == "b'in\\n'\n", ran.stderr
     assert not list(home.rglob("canary"))
 
@@ -177,8 +189,8 @@ def test_a_second_key_type_is_no_change(tmp_path: Path, monkeypatch: pytest.Monk
 
 def test_connections_are_made_in_many_threads(lab: Lab) -> None:
     """A Config of Fabric's that connections share is cleared by one while another reads it."""
-    transport, login = SshTransport(), Login("me", ())
-    resolved = Resolver().resolve(lab.host("edge1"))
+    transport, login = SshTransport(), LoginStrategy("me", ())
+    resolved = SshConfigResolver().resolve(lab.host("edge1"))
     interval = sys.getswitchinterval()
     sys.setswitchinterval(1e-6)
     try:
@@ -204,7 +216,7 @@ def test_a_name_is_looked_up_with_a_deadline(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr("socket.getaddrinfo", never)
     try:
         with pytest.raises(OSError, match="name service"):
-            dial("edge1.example", 22, timeout=0.2)
+            connect_tcp("edge1.example", 22, timeout=0.2)
         assert asked.wait(30)
     finally:
         over.set()

@@ -9,7 +9,14 @@ import pytest
 
 from edgectl.errors import ConnectError
 from edgectl.model.inventory import Host, Role
-from edgectl.transport.sshconfig import ResolvedHost, Resolver, expand, home, jump_host, tilde
+from edgectl.transport.ssh_config import (
+    ResolvedHost,
+    SshConfigResolver,
+    expand_tilde,
+    expand_tokens,
+    get_home_dir,
+    parse_jump_host,
+)
 
 
 @pytest.fixture
@@ -24,23 +31,27 @@ def a_host(address: str = "edge1", **values: object) -> Host:
 
 
 def resolve(address: str = "edge1", **values: object) -> ResolvedHost:
-    return Resolver().resolve(a_host(address, **values))
+    return SshConfigResolver().resolve(a_host(address, **values))
 
 
 def test_aliases_and_defaults(config: Path) -> None:
-    config.write_text("Host edge1\n  HostName 10.0.0.1\n  User jetson\n  Port 2222\nHost *\n  IdentityFile ~/.ssh/lab\n")
+    config.write_text(
+        "Host edge1\n  HostName 10.0.0.1\n  User jetson\n  Port 2222\nHost *\n  IdentityFile ~/.ssh/lab\n"
+    )
     found = resolve()
     assert (found.hostname, found.user, found.port) == ("10.0.0.1", "jetson", 2222)
-    assert found.identity_files == (f"{home()}/.ssh/lab",)
+    assert found.identity_files == (f"{get_home_dir()}/.ssh/lab",)
     assert resolve("10.9.9.9").user == getpass.getuser()
     assert resolve("10.9.9.9").port == 22
 
 
 def test_the_inventory_wins(config: Path) -> None:
-    config.write_text("Host edge1\n  User jetson\n  Port 2222\n  ProxyJump gate\n  IdentityFile /keys/other\n")
+    config.write_text(
+        "Host edge1\n  User jetson\n  Port 2222\n  ProxyJump gate\n  IdentityFile /keys/other\n"
+    )
     found = resolve(user="me", port=99, proxy_jump="none", identity_file="~/keys/lab %h")
     assert (found.user, found.port, found.proxy_jump) == ("me", 99, "")
-    assert found.identity_files[0].startswith(f"{home()}/keys/lab ")
+    assert found.identity_files[0].startswith(f"{get_home_dir()}/keys/lab ")
     assert found.identities_only
 
 
@@ -64,7 +75,7 @@ def test_files_of_known_hosts(config: Path, tmp_path: Path) -> None:
     assert found.known_hosts == (tmp_path / "one", tmp_path / "two")
     assert (found.global_known_hosts, found.hash_known_hosts, found.host_key_alias) == ((), True, "gate")
     config.write_text("Host x\n")
-    assert resolve().known_hosts[0] == Path(home()) / ".ssh/known_hosts"
+    assert resolve().known_hosts[0] == Path(get_home_dir()) / ".ssh/known_hosts"
 
 
 def test_proxies_and_tokens(config: Path) -> None:
@@ -74,13 +85,18 @@ def test_proxies_and_tokens(config: Path) -> None:
     config.write_text("Host edge1\n  ProxyJump gate\n  IdentityFile /k/%h-%d\n  CertificateFile ${HOME}/c\n")
     found = resolve()
     assert (found.proxy_jump, found.proxy_command) == ("gate", "")
-    assert found.identity_files == (f"/k/edge1-{home()}",)
+    assert found.identity_files == (f"/k/edge1-{get_home_dir()}",)
     assert found.certificate_files == (os.environ["HOME"] + "/c",)
 
 
 @pytest.mark.parametrize(
     ("line", "agent"),
-    [("", "/run/agent"), ("IdentityAgent none", ""), ("IdentityAgent ~/a", f"{home()}/a"), ("IdentityAgent $OTHER", "/o")],
+    [
+        ("", "/run/agent"),
+        ("IdentityAgent none", ""),
+        ("IdentityAgent ~/a", f"{get_home_dir()}/a"),
+        ("IdentityAgent $OTHER", "/o"),
+    ],
 )
 def test_agent(config: Path, monkeypatch: pytest.MonkeyPatch, line: str, agent: str) -> None:
     monkeypatch.setenv("SSH_AUTH_SOCK", "/run/agent")
@@ -106,13 +122,13 @@ def test_a_match_that_hangs(config: Path) -> None:
     config.write_text('Match exec "exec sleep 30"\n  Port 1\n')
     start = time.monotonic()
     with pytest.raises(ConnectError, match="did not end"):
-        Resolver().resolve(a_host(), timeout=0.3)
+        SshConfigResolver().resolve(a_host(), timeout=0.3)
     assert time.monotonic() - start < 15
 
 
 def test_each_host_is_asked_for_once(config: Path, tmp_path: Path) -> None:
     config.write_text(f'Match exec "echo x >> {tmp_path}/asked"\n  Port 7\n')
-    resolver = Resolver()
+    resolver = SshConfigResolver()
     assert [resolver.resolve(a_host()).port for _ in range(5)] == [7] * 5
     assert (tmp_path / "asked").read_text() == "x\n"
     assert resolver.resolve(a_host(user="other")).user == "other"
@@ -122,9 +138,21 @@ def test_without_an_ssh_program(config: Path, monkeypatch: pytest.MonkeyPatch, t
     monkeypatch.setenv("PATH", str(tmp_path))
     config.write_text("# nothing\n\nHost *\n    SendEnv LANG LC_*\n    HashKnownHosts yes\n")
     found = resolve(user="me", port=7, identity_file="~/k", proxy_jump="gate")
-    assert (found.hostname, found.user, found.port, found.proxy_jump, found.identity_files) == ("edge1", "me", 7, "gate", (f"{home()}/k",))
-    assert found.known_hosts == (Path(home()) / ".ssh/known_hosts",)
-    for text in ("Include x\n", "Host edge1\n  Port 7\n", "match all\n", "User x\n", "Host *\n  ProxyJump x\n"):
+    assert (found.hostname, found.user, found.port, found.proxy_jump, found.identity_files) == (
+        "edge1",
+        "me",
+        7,
+        "gate",
+        (f"{get_home_dir()}/k",),
+    )
+    assert found.known_hosts == (Path(get_home_dir()) / ".ssh/known_hosts",)
+    for text in (
+        "Include x\n",
+        "Host edge1\n  Port 7\n",
+        "match all\n",
+        "User x\n",
+        "Host *\n  ProxyJump x\n",
+    ):
         config.write_text(text)
         with pytest.raises(ConnectError, match="without the ssh program"):
             resolve()
@@ -140,11 +168,11 @@ def test_without_an_ssh_program(config: Path, monkeypatch: pytest.MonkeyPatch, t
     ],
 )
 def test_jump_hosts(jump: str, expected: tuple[str, str | None, int | None, str | None]) -> None:
-    host = jump_host(jump)
+    host = parse_jump_host(jump)
     assert (host.host, host.user, host.port, host.proxy_jump) == expected
 
 
 def test_tilde_and_tokens() -> None:
-    assert tilde("~/x") == f"{home()}/x"
-    assert tilde("~other/x") == "~other/x"
-    assert expand("%h %% %q", {"h": "edge1", "%": "%"}) == "edge1 % %q"
+    assert expand_tilde("~/x") == f"{get_home_dir()}/x"
+    assert expand_tilde("~other/x") == "~other/x"
+    assert expand_tokens("%h %% %q", {"h": "edge1", "%": "%"}) == "edge1 % %q"

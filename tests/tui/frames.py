@@ -10,12 +10,12 @@ from textual.pilot import Pilot
 
 from edgectl.errors import EdgectlError
 from edgectl.model.inventory import Role
-from edgectl.model.memory import Memory
+from edgectl.model.manager_state import ManagerState
 from edgectl.model.point import HostPoint, TaskPoint
 from edgectl.model.snapshot import HostSample, HostStatus, TaskState
-from edgectl.tui.app import Fleetwork, Top
+from edgectl.tui.app import FleetBackend, TopApp
 from edgectl.tui.rows import Frame
-from edgectl.views.top import by_host, by_task
+from edgectl.views.top import group_points_by_host, group_points_by_task
 from tests.builders import GI, NOW, a_run, a_sample, a_snapshot, a_task, an_edge, an_inventory, some_tasks
 
 LIMIT_S = 60.0
@@ -29,16 +29,30 @@ def a_frame(cordons: frozenset[str] = frozenset()) -> Frame:
     failed = a_run(TaskState.FAILED, log_tail=("it broke", HARM))
     camera = a_run(TaskState.RUNNING, used_cores=3.2, used_bytes=1e8)
     snapshot = a_snapshot(
-        memory=Memory(cordons=cordons),
+        memory=ManagerState(cordons=cordons),
         edge1=a_sample(used=0.6, used_memory=GI, tasks={"slam": slam, "map": failed}),
-        edge2=HostSample(role=Role.EDGE, status=HostStatus.UNREACHABLE, error=HARM, error_kind="connect", hint="is it switched on?"),
+        edge2=HostSample(
+            role=Role.EDGE,
+            status=HostStatus.UNREACHABLE,
+            error=HARM,
+            error_kind="connect",
+            hint="is it switched on?",
+        ),
         edge10=a_sample(used=3.4, used_memory=3 * GI, tasks={"camera": camera}),
     )
     hosts = [
         HostPoint(at=NOW + at, host="edge1", status=HostStatus.OK, cores=4.0, used_cores=at, total_bytes=4 * GI, used_bytes=GI) for at in range(5)
     ]  # fmt: skip
     tasks = [
-        TaskPoint(at=NOW + at, task="slam", host="edge1", state=TaskState.READY, used_cores=at / 4, used_bytes=1.0, used_bytes_per_s=0.0)
+        TaskPoint(
+            at=NOW + at,
+            task="slam",
+            host="edge1",
+            state=TaskState.READY,
+            used_cores=at / 4,
+            used_bytes=1.0,
+            used_bytes_per_s=0.0,
+        )
         for at in range(5)
     ]
     tasks_of = some_tasks(a_task("camera", cpu=2.0), a_task("idle"), a_task("map"), a_task("slam", cpu=1.0))
@@ -46,8 +60,8 @@ def a_frame(cordons: frozenset[str] = frozenset()) -> Frame:
         snapshot=snapshot,
         inventory=an_inventory(*map(an_edge, snapshot.hosts)),
         tasks=tasks_of,
-        host_points=by_host(hosts),
-        task_points=by_task(tasks),
+        host_points=group_points_by_host(hosts),
+        task_points=group_points_by_task(tasks),
     )
 
 
@@ -61,11 +75,16 @@ class Bench:
     asked: list[str] = field(default_factory=list)
     hang: threading.Event | None = None
 
-    def view(self, *, every: float = 600.0) -> Top:
+    def view(self, *, every: float = 600.0) -> TopApp:
         """The view. It looks again where ``next`` says so."""
-        return Top(Fleetwork(frames=self._frames, logs=self._logs, cordon=None if self.readonly else self._cordon), every=every)
+        return TopApp(
+            FleetBackend(
+                frames=self._frames, logs=self._logs, cordon=None if self.readonly else self._cordon
+            ),
+            every=every,
+        )
 
-    def next(self, view: Top, *frames: Frame | EdgectlError) -> None:
+    def next(self, view: TopApp, *frames: Frame | EdgectlError) -> None:
         """Look again now, and see ``frames``."""
         self.frames = list(frames)
         view._again.set()
@@ -91,13 +110,13 @@ class Bench:
         self.asked.append(f"{'cordon' if close else 'uncordon'} {host}")
 
 
-def shown(view: Top) -> str:
+def shown(view: TopApp) -> str:
     """The screen as a person sees it, without the blanks at the ends of lines."""
     strips = view.screen._compositor.render_strips()
     return "\n".join("".join(segment.text for segment in strip).rstrip() for strip in strips)
 
 
-async def until(pilot: Pilot[None], view: Top, *texts: str, gone: bool = False) -> str:
+async def until(pilot: Pilot[None], view: TopApp, *texts: str, gone: bool = False) -> str:
     """Wait until every one of ``texts`` is (or none is any longer) on the screen."""
     end = time.monotonic() + LIMIT_S
     while not all((text in shown(view)) is not gone for text in texts):
@@ -118,7 +137,9 @@ async def eventually(pilot: Pilot[None], check: Callable[[], None]) -> None:
         await pilot.pause(0.02)
 
 
-def session(bench: Bench, act: Callable[[Pilot[None], Top], Awaitable[None]], *, size: tuple[int, int] = (80, 24)) -> None:
+def session(
+    bench: Bench, act: Callable[[Pilot[None], TopApp], Awaitable[None]], *, size: tuple[int, int] = (80, 24)
+) -> None:
     """Run a view without a terminal, from its first picture on."""
 
     async def run() -> None:
@@ -135,6 +156,14 @@ def crowded(hosts: int, tasks: int) -> Frame:
     """A fleet larger than the screen."""
     frame = a_frame()
     runs = {f"task{number}": a_run(used_cores=0.01) for number in range(tasks)}
-    every = {f"edge{number}": replace(a_sample(used=1.0), tasks=runs if number == 0 else {}) for number in range(hosts)}
+    every = {
+        f"edge{number}": replace(a_sample(used=1.0), tasks=runs if number == 0 else {})
+        for number in range(hosts)
+    }
     inventory = an_inventory(*map(an_edge, every))
-    return Frame(snapshot=a_snapshot(**every), inventory=inventory, tasks=some_tasks(*map(a_task, runs)), host_points=frame.host_points)
+    return Frame(
+        snapshot=a_snapshot(**every),
+        inventory=inventory,
+        tasks=some_tasks(*map(a_task, runs)),
+        host_points=frame.host_points,
+    )

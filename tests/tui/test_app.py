@@ -6,12 +6,12 @@ import pytest
 from textual.pilot import Pilot
 
 from edgectl.errors import LockBusyError, StateError
-from edgectl.tui.app import Top
+from edgectl.tui.app import TopApp
 from tests.tui.frames import HARM, Bench, a_frame, crowded, eventually, session, shown, until
 
 
 def test_two_tables_in_80_by_24() -> None:
-    def check(view: Top) -> None:
+    def check(view: TopApp) -> None:
         lines = shown(view).split("\n")
         assert len(lines) == 24
         assert max(map(len, lines)) <= 80
@@ -25,9 +25,24 @@ def test_two_tables_in_80_by_24() -> None:
             ["camera", "edge10", "running"], ["idle", "-", "not"], ["map", "edge1", "failed"], ["slam", "edge1", "ready"],
         ]  # fmt: skip
         assert "3.20/2.00" in lines[7].split()
-        assert lines[-1].split() == ["q", "Quit", "/", "Filter", "s", "Sort", "d", "Describe", "l", "Logs", "c", "Cordon", "?", "Help"]
+        assert lines[-1].split() == [
+            "q",
+            "Quit",
+            "/",
+            "Filter",
+            "s",
+            "Sort",
+            "d",
+            "Describe",
+            "l",
+            "Logs",
+            "c",
+            "Cordon",
+            "?",
+            "Help",
+        ]
 
-    async def act(pilot: Pilot[None], view: Top) -> None:
+    async def act(pilot: Pilot[None], view: TopApp) -> None:
         await eventually(pilot, lambda: check(view))
 
     session(Bench(), act)
@@ -35,13 +50,13 @@ def test_two_tables_in_80_by_24() -> None:
 
 @pytest.mark.parametrize("size", [(80, 24), (160, 50)])
 def test_sparklines_fill_the_width_and_no_more(size: tuple[int, int]) -> None:
-    def check(view: Top, width: int) -> None:
+    def check(view: TopApp, width: int) -> None:
         assert "NETWORK" in shown(view)
         hosts, tasks = (table.virtual_size.width for table in view.query("DataTable"))
         assert width - 6 <= hosts <= width
         assert min(width, 110) - 6 <= tasks <= width
 
-    async def act(pilot: Pilot[None], view: Top) -> None:
+    async def act(pilot: Pilot[None], view: TopApp) -> None:
         await eventually(pilot, lambda: check(view, size[0]))
         await pilot.resize_terminal(100, 30)
         await eventually(pilot, lambda: check(view, 100))
@@ -50,7 +65,7 @@ def test_sparklines_fill_the_width_and_no_more(size: tuple[int, int]) -> None:
 
 
 def test_more_than_fits_scrolls_and_the_cursor_stays() -> None:
-    async def act(pilot: Pilot[None], view: Top) -> None:
+    async def act(pilot: Pilot[None], view: TopApp) -> None:
         await until(pilot, view, "task0")
         await pilot.press("tab", "ctrl+end")
         screen = await until(pilot, view, "task79")
@@ -66,7 +81,7 @@ def test_more_than_fits_scrolls_and_the_cursor_stays() -> None:
 
 
 def test_filter() -> None:
-    async def act(pilot: Pilot[None], view: Top) -> None:
+    async def act(pilot: Pilot[None], view: TopApp) -> None:
         await pilot.press("slash", *"slam")
         screen = await until(pilot, view, "camera", gone=True)
         assert "slam" in screen
@@ -81,7 +96,7 @@ def test_filter() -> None:
 
 
 def test_sort() -> None:
-    async def act(pilot: Pilot[None], view: Top) -> None:
+    async def act(pilot: Pilot[None], view: TopApp) -> None:
         await pilot.press("s")
         screen = await until(pilot, view, "hosts by cpu")
         assert [line.split()[0] for line in screen.split("\n")[2:5]] == ["edge10", "edge1", "edge2"]
@@ -93,7 +108,7 @@ def test_sort() -> None:
 
 
 def test_describe_a_host_that_means_harm() -> None:
-    async def act(pilot: Pilot[None], view: Top) -> None:
+    async def act(pilot: Pilot[None], view: TopApp) -> None:
         await pilot.press("down", "d")
         screen = await until(pilot, view, "is it switched on?")
         assert "[red]no[/red] \\x1b[2J\\x9b1mroute" in screen
@@ -104,7 +119,7 @@ def test_describe_a_host_that_means_harm() -> None:
 
 
 def test_describe_a_task() -> None:
-    async def act(pilot: Pilot[None], view: Top) -> None:
+    async def act(pilot: Pilot[None], view: TopApp) -> None:
         await pilot.press("tab", "down", "down", "d")
         screen = await until(pilot, view, "it broke")
         assert "failed" in screen
@@ -117,7 +132,7 @@ def test_describe_a_task() -> None:
 def test_logs() -> None:
     bench = Bench(log=f"line 1\n{HARM}\nlast line\n")
 
-    async def act(pilot: Pilot[None], view: Top) -> None:
+    async def act(pilot: Pilot[None], view: TopApp) -> None:
         await pilot.press("l")
         await until(pilot, view, "a host has no log")
         await pilot.press("tab", "l")
@@ -130,7 +145,7 @@ def test_logs() -> None:
 
 
 def test_a_log_that_cannot_be_had_is_said() -> None:
-    async def act(pilot: Pilot[None], view: Top) -> None:
+    async def act(pilot: Pilot[None], view: TopApp) -> None:
         await pilot.press("tab", "l")
         await until(pilot, view, "no answer from edge10")
 
@@ -140,7 +155,7 @@ def test_a_log_that_cannot_be_had_is_said() -> None:
 def test_cordon_asks_first() -> None:
     bench = Bench()
 
-    async def act(pilot: Pilot[None], view: Top) -> None:
+    async def act(pilot: Pilot[None], view: TopApp) -> None:
         for answer in ("n", "escape", "enter", "y"):
             await pilot.press("c")
             await until(pilot, view, "Close edge1 to new tasks?")
@@ -161,7 +176,7 @@ def test_cordon_asks_first() -> None:
 
 
 def test_readonly_changes_nothing() -> None:
-    async def act(pilot: Pilot[None], view: Top) -> None:
+    async def act(pilot: Pilot[None], view: TopApp) -> None:
         await pilot.press("c")
         screen = await until(pilot, view, "--readonly: nothing is changed")
         assert "to new tasks?" not in screen
@@ -170,7 +185,7 @@ def test_readonly_changes_nothing() -> None:
 
 
 def test_help_says_every_key() -> None:
-    async def act(pilot: Pilot[None], view: Top) -> None:
+    async def act(pilot: Pilot[None], view: TopApp) -> None:
         await pilot.press("question_mark")
         screen = await until(pilot, view, "Esc closes")
         assert all(f"│ {key} " in screen for key in "/sdlcq")
@@ -184,7 +199,7 @@ def test_help_says_every_key() -> None:
 def test_a_look_that_fails_is_said_and_the_next_one_shown() -> None:
     bench = Bench(frames=[LockBusyError("the disk is full")])
 
-    async def act(pilot: Pilot[None], view: Top) -> None:
+    async def act(pilot: Pilot[None], view: TopApp) -> None:
         await until(pilot, view, "the disk is full")
         bench.next(view, a_frame())
         await until(pilot, view, "edge10")
@@ -195,7 +210,7 @@ def test_a_look_that_fails_is_said_and_the_next_one_shown() -> None:
 def test_quit_waits_for_no_host() -> None:
     bench = Bench(hang=threading.Event())
 
-    async def act(pilot: Pilot[None], view: Top) -> None:
+    async def act(pilot: Pilot[None], view: TopApp) -> None:
         assert "first look" in shown(view)
         await pilot.press("q")
         assert not view.is_running

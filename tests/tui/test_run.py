@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from edgectl.state.memory import load_memory
-from edgectl.tui.run import fleetwork
+from edgectl.state.manager_state import load_manager_state
+from edgectl.tui.run import build_fleet_backend
 from edgectl.usecases.fleet import Fleet
 from tests.builders import NOW, a_task, an_edge, an_inventory, some_tasks
 from tests.executor.fake_fleet import FakeFleet
@@ -28,20 +28,20 @@ def fleet(tmp_path: Path) -> Fleet:
 
 def test_each_picture_has_the_samples_before_it(fleet: Fleet) -> None:
     ends = iter([False, False, True])
-    frames = list(fleetwork(fleet).frames(lambda: next(ends)))
+    frames = list(build_fleet_backend(fleet).frames(lambda: next(ends)))
     assert [len(frame.host_points["edge1"]) for frame in frames] == [1, 2, 3]
     assert frames[-1].host_points["edge1"][-1].at == frames[-1].snapshot.taken_at
     assert list(frames[0].tasks.tasks) == ["slam"]
 
 
 def test_cordon_and_back(fleet: Fleet) -> None:
-    cordon = fleetwork(fleet).cordon
+    cordon = build_fleet_backend(fleet).cordon
     assert cordon is not None
     cordon("edge1", True)
-    assert load_memory(fleet.state).cordons == {"edge1"}
+    assert load_manager_state(fleet.state).cordons == {"edge1"}
     cordon("edge1", False)
-    assert load_memory(fleet.state).cordons == set()
+    assert load_manager_state(fleet.state).cordons == set()
 
 
 def test_readonly_has_no_way_to_cordon(fleet: Fleet) -> None:
-    assert fleetwork(fleet, readonly=True).cordon is None
+    assert build_fleet_backend(fleet, readonly=True).cordon is None

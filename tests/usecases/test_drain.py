@@ -9,20 +9,20 @@ from edgectl.errors import HostError, UsageError
 from edgectl.model.plan import Action
 from edgectl.model.policy import Policy
 from edgectl.model.result import Outcome
-from edgectl.model.task import Check, Handoff, Where
-from edgectl.state.memory import load_memory
-from edgectl.usecases import marks
-from edgectl.usecases.apply import ApplyOptions, apply
-from edgectl.usecases.drain import Drained, drain
+from edgectl.model.task import Check, CheckLocation, HandoffContract
+from edgectl.state.manager_state import load_manager_state
+from edgectl.usecases import operator_marks
+from edgectl.usecases.apply import ApplyOptions, plan_and_apply
+from edgectl.usecases.drain import DrainResult, drain_hosts
 from edgectl.usecases.fleet import Fleet
-from edgectl.usecases.history import history
-from edgectl.usecases.plan import plan
+from edgectl.usecases.history import list_revisions
+from edgectl.usecases.plan import make_plan
 from tests.builders import NOW, a_robot, a_task, an_edge, an_inventory, some_tasks
 from tests.executor.fake_fleet import FakeFleet
 
 POLICY = Policy(min_dwell=0.0)
-SAFE = Check(command="safe", on=Where.ROBOT, timeout=1.0)
-SLAM = a_task("slam", cpu=1.0, robots=["robot1"], handoff=Handoff(safe_when=SAFE, timeout=0.0))
+SAFE = Check(command="safe", on=CheckLocation.ROBOT, timeout=1.0)
+SLAM = a_task("slam", cpu=1.0, robots=["robot1"], handoff=HandoffContract(safe_when=SAFE, timeout=0.0))
 CAMERA = a_task("camera", cpu=1.0, pin="edge2")
 
 
@@ -38,18 +38,18 @@ class Bench:
         )  # fmt: skip
         self.hosts["edge1"].runs("slam")
         self.hosts["edge2"].runs("camera")
-        apply(self.fleet, POLICY)
+        plan_and_apply(self.fleet, POLICY)
 
-    def drain(self, *hosts: str, timeout: float = 20.0, **options: object) -> Drained:
+    def drain(self, *hosts: str, timeout: float = 20.0, **options: object) -> DrainResult:
         chosen = ApplyOptions(**options)  # type: ignore[arg-type]
-        return drain(self.fleet, POLICY, hosts, options=chosen, timeout=timeout, pause=self.pause)
+        return drain_hosts(self.fleet, POLICY, hosts, options=chosen, timeout=timeout, pause=self.pause)
 
     def pause(self, seconds: float) -> None:
         self.paused.append(seconds)
 
     @property
     def marks(self) -> tuple[frozenset[str], frozenset[str]]:
-        memory = load_memory(self.fleet.state)
+        memory = load_manager_state(self.fleet.state)
         return memory.cordons, memory.draining
 
 
@@ -65,14 +65,14 @@ def test_the_tasks_of_the_host_leave_and_it_stays_closed(bench: Bench) -> None:
     assert bench.hosts.placed == {"slam": "edge2", "camera": "edge2"}
     assert "check safe robot1" in bench.hosts.world.events
     assert bench.marks == ({"edge1"}, {"edge1"})
-    assert history(bench.fleet)[-1].verb == "drain"
-    assert not plan(bench.fleet, POLICY).changes
-    marks.uncordon(bench.fleet, ["edge1"])
+    assert list_revisions(bench.fleet)[-1].verb == "drain"
+    assert not make_plan(bench.fleet, POLICY).changes
+    operator_marks.uncordon_hosts(bench.fleet, ["edge1"])
     assert bench.marks == (frozenset(), frozenset())
 
 
 def test_a_declined_drain_closes_nothing(bench: Bench) -> None:
-    assert drain(bench.fleet, POLICY, ["edge1"], lambda _plan: False).applied.declined
+    assert drain_hosts(bench.fleet, POLICY, ["edge1"], lambda _plan: False).applied.declined
     assert bench.marks == (frozenset(), frozenset())
     with pytest.raises(UsageError, match="unknown host 'edge9'"):
         bench.drain("edge9")
@@ -80,7 +80,7 @@ def test_a_declined_drain_closes_nothing(bench: Bench) -> None:
 
 def test_an_empty_host_is_closed_without_a_question(bench: Bench) -> None:
     bench.drain("edge1")
-    again = drain(bench.fleet, POLICY, ["edge1"], lambda _plan: False)
+    again = drain_hosts(bench.fleet, POLICY, ["edge1"], lambda _plan: False)
     assert (again.done, again.applied.results) == (True, None)
 
 
@@ -90,11 +90,13 @@ def test_what_is_not_safe_yet_is_tried_again(bench: Bench) -> None:
     def calm(_seconds: float) -> None:
         bench.hosts["robot1"].checks["safe"] = 0
 
-    drained = drain(bench.fleet, POLICY, ["edge1"], timeout=20.0, pause=calm)
+    drained = drain_hosts(bench.fleet, POLICY, ["edge1"], timeout=20.0, pause=calm)
     assert drained.done
     assert bench.hosts.placed["slam"] == "edge2"
-    assert len(history(bench.fleet)) == 2
-    outcomes = [[action.outcome for action in each.results.actions] for each in drained.passes if each.results]
+    assert len(list_revisions(bench.fleet)) == 2
+    outcomes = [
+        [action.outcome for action in each.results.actions] for each in drained.passes if each.results
+    ]
     assert outcomes == [[Outcome.DEFERRED], [Outcome.DONE]], "every pass is told"
 
 
@@ -131,7 +133,9 @@ def test_a_drain_that_is_asked_to_stop_begins_nothing_new(bench: Bench) -> None:
         options.stop_requested.set()
         return True
 
-    drained = drain(bench.fleet, POLICY, ["edge1"], stop, dataclasses.replace(options), timeout=5.0, pause=bench.pause)
+    drained = drain_hosts(
+        bench.fleet, POLICY, ["edge1"], stop, dataclasses.replace(options), timeout=5.0, pause=bench.pause
+    )
     assert drained.applied.results is not None
     assert drained.applied.results.interrupted
     assert bench.hosts.placed["slam"] == "edge1"

@@ -8,30 +8,32 @@ from pathlib import Path
 import pytest
 
 from edgectl.errors import ConnectError, FleetBusyError, HostError, LockBusyError, UsageError
-from edgectl.model.course import Course
-from edgectl.model.evidence import Variant
-from edgectl.model.experiment import Experiment, MapPair, Run
+from edgectl.experiments.model.comparison import Scheme
+from edgectl.experiments.model.experiment import Experiment, ExperimentRun, MapPair, TrialProgress
+from edgectl.experiments.runner import ExperimentOptions, run_experiment
 from edgectl.model.inventory import Inventory
 from edgectl.model.plan import Action
 from edgectl.model.policy import Policy, PolicyName
-from edgectl.model.task import Check, Handoff, Kind, Tasks
-from edgectl.state.journal import NAME, Journal
-from edgectl.state.journal_read import read
+from edgectl.model.task import Check, HandoffContract, TaskKind, Tasks
+from edgectl.state.failpoints import install_hook
+from edgectl.state.journal import JOURNAL_FILE_NAME, Journal
+from edgectl.state.journal_reader import read_journal
 from edgectl.state.lock import FleetLock
-from edgectl.state.points import install
-from edgectl.usecases.experiment import ExperimentOptions, experiment
-from edgectl.usecases.marks import cordon
-from edgectl.usecases.plan import plan
-from edgectl.usecases.stop import stop
+from edgectl.usecases.operator_marks import cordon_hosts
+from edgectl.usecases.plan import make_plan
+from edgectl.usecases.stop import stop_tasks
 from tests.builders import a_robot, a_task, an_edge, an_inventory, some_tasks
 from tests.usecases.watching import Hurried, Site
 
 FLEET: Inventory = an_inventory(an_edge("edge1"), an_edge("edge2"), a_robot("robot1", onboard=True))
 TASKS: Tasks = some_tasks(
-    a_task("slam", cpu=1.0, robots=["robot1"]), a_task("merge", cpu=0.5, robots=["robot1"], needs=["slam"], kind=Kind.JOB)
+    a_task("slam", cpu=1.0, robots=["robot1"]),
+    a_task("merge", cpu=0.5, robots=["robot1"], needs=["slam"], kind=TaskKind.JOB),
 )
-SCHEMES = tuple(Variant(name=name.value, policy=Policy(name=name)) for name in (PolicyName.LOCAL, PolicyName.UTILITY))
-SPEC = Experiment(name="mission", variants=SCHEMES, until=("merge",), repetitions=2, every=5.0, limit=60.0)
+SCHEMES = tuple(
+    Scheme(name=name.value, policy=Policy(name=name)) for name in (PolicyName.LOCAL, PolicyName.UTILITY)
+)
+SPEC = Experiment(name="mission", schemes=SCHEMES, until=("merge",), repetitions=2, every=5.0, limit=60.0)
 
 
 class Lab(Site):
@@ -43,20 +45,22 @@ class Lab(Site):
         super().__init__(state, tasks=TASKS, inventory=FLEET)
         self.directory = tmp_path / "run"
         self.said: list[str] = []
-        self.seen: list[Course] = []
-        self.mission: Callable[[Course], None] = self.complete
+        self.seen: list[TrialProgress] = []
+        self.mission: Callable[[TrialProgress], None] = self.complete
         self.fleet = replace(self.fleet, warn=self.said.append)
 
-    def run(self, spec: Experiment = SPEC) -> Run:
-        def watcher(course: Course) -> None:
+    def run(self, spec: Experiment = SPEC) -> ExperimentRun:
+        def watcher(course: TrialProgress) -> None:
             self.seen.append(course)
             if course.cycle is not None:
                 self.mission(course)
 
-        options = ExperimentOptions(directory=self.directory, beside=Path(), watcher=watcher, control=self.control)
-        return experiment(self.fleet, spec, options)
+        options = ExperimentOptions(
+            directory=self.directory, beside=Path(), watcher=watcher, control=self.control
+        )
+        return run_experiment(self.fleet, spec, options)
 
-    def complete(self, course: Course) -> None:
+    def complete(self, course: TrialProgress) -> None:
         """The job ends by itself."""
         assert course.cycle is not None
         if course.cycle.number == 3:
@@ -79,7 +83,11 @@ def lab(tmp_path: Path) -> Lab:
 
 def order(lab: Lab) -> list[tuple[str, int, int]]:
     """The trials as they began."""
-    return [(course.scheme, course.repetition, course.number) for course in lab.seen if course.cycle is None and course.trial is None]
+    return [
+        (course.scheme, course.repetition, course.number)
+        for course in lab.seen
+        if course.cycle is None and course.trial is None
+    ]
 
 
 def test_every_repetition_of_all_schemes_comes_before_the_next_and_nothing_is_left(lab: Lab) -> None:
@@ -88,20 +96,25 @@ def test_every_repetition_of_all_schemes_comes_before_the_next_and_nothing_is_le
     assert [(trial.scheme, trial.repetition, trial.finished) for trial in run.trials] == [
         (scheme, repetition, True) for scheme in ("local", "utility") for repetition in (1, 2)
     ]
-    assert {(span.task, span.host) for span in run.trials[0].spans} == {("slam", "robot1"), ("merge", "robot1")}
+    assert {(span.task, span.host) for span in run.trials[0].spans} == {
+        ("slam", "robot1"),
+        ("merge", "robot1"),
+    }
     assert {span.host for span in run.trials[2].spans} == {"edge1"}
     assert {(machine.cores, machine.memory) for machine in run.machines.values()} == {(4.0, 4.0 * 2**30)}
     assert (lab.running(), lab.hosts.world.overlap) == ([], set())
-    assert sorted(path.name for path in lab.fleet.state.iterdir() if not path.name.startswith("reopened")) == ["lock"]
+    assert sorted(
+        path.name for path in lab.fleet.state.iterdir() if not path.name.startswith("reopened")
+    ) == ["lock"]
     assert lab.said == []
 
 
 def test_the_fleet_s_own_manager_knows_nothing_of_the_trials(lab: Lab) -> None:
     lab.run()
-    made = plan(lab.fleet, Policy())
+    made = make_plan(lab.fleet, Policy())
     assert made.summary == {Action.START: 2}
-    assert made.snapshot.memory is not None
-    assert not made.snapshot.memory.managed
+    assert made.snapshot.manager is not None
+    assert not made.snapshot.manager.managed
 
 
 def test_a_run_that_is_whole_stays_as_it_is_and_one_that_grows_goes_on(lab: Lab) -> None:
@@ -110,15 +123,17 @@ def test_a_run_that_is_whole_stays_as_it_is_and_one_that_grows_goes_on(lab: Lab)
     lab.seen.clear()
     assert len(lab.run(replace(SPEC, repetitions=1)).trials) == 2
     assert lab.seen == []
-    static = Variant(name="static", policy=Policy(name=PolicyName.STATIC))
-    run = lab.run(replace(SPEC, variants=(*SCHEMES, static)))
+    static = Scheme(name="static", policy=Policy(name=PolicyName.STATIC))
+    run = lab.run(replace(SPEC, schemes=(*SCHEMES, static)))
     assert order(lab) == [("static", 1, 3), ("local", 2, 4), ("utility", 2, 5), ("static", 2, 6)]
     assert len(run.trials) == 6
     assert {path: (lab.directory / "trials" / path).read_bytes() for path in before} == before
 
 
 @pytest.mark.parametrize("change", [{"every": 6.0}, {"limit": 61.0}, {"until": ("slam",)}, {"idle": 0.5}])
-def test_a_run_of_something_else_is_refused_before_any_host_is_asked(lab: Lab, change: dict[str, object]) -> None:
+def test_a_run_of_something_else_is_refused_before_any_host_is_asked(
+    lab: Lab, change: dict[str, object]
+) -> None:
     lab.run(replace(SPEC, repetitions=1))
     lab.transport.connected.clear()
     with pytest.raises(UsageError, match="the files have changed") as caught:
@@ -127,7 +142,7 @@ def test_a_run_of_something_else_is_refused_before_any_host_is_asked(lab: Lab, c
     assert not lab.transport.connected
     other = replace(lab.fleet, tasks=replace(TASKS, digest="other"))
     with pytest.raises(UsageError):
-        experiment(other, SPEC, ExperimentOptions(directory=lab.directory, beside=Path()))
+        run_experiment(other, SPEC, ExperimentOptions(directory=lab.directory, beside=Path()))
 
 
 def test_tasks_that_run_already_are_named_and_not_touched(lab: Lab) -> None:
@@ -151,7 +166,11 @@ def test_a_host_that_does_not_answer_is_named(lab: Lab) -> None:
     lab.hosts.down.add("edge2")
     with pytest.raises(FleetBusyError, match="edge2 does not answer: no route to host") as caught:
         lab.run()
-    assert (caught.value.exit_code, caught.value.hint, lab.directory.exists()) == (75, "edgectl doctor edge2", False)
+    assert (caught.value.exit_code, caught.value.hint, lab.directory.exists()) == (
+        75,
+        "edgectl doctor edge2",
+        False,
+    )
 
 
 def test_a_trial_that_reaches_its_limit_is_kept_as_unfinished_and_the_next_comes(lab: Lab) -> None:
@@ -162,7 +181,7 @@ def test_a_trial_that_reaches_its_limit_is_kept_as_unfinished_and_the_next_comes
 
 
 def test_a_mission_whose_last_task_was_given_up_is_not_waited_for(lab: Lab) -> None:
-    def fail(course: Course) -> None:
+    def fail(course: TrialProgress) -> None:
         for host in lab.hosts.hosts.values():
             if host.tasks.get("merge", {}).get("pid"):
                 host.tasks["merge"] |= {"state": "crashloop", "pid": 0, "exit_code": 1, "given_up": True}
@@ -177,7 +196,7 @@ def test_a_mission_whose_last_task_was_given_up_is_not_waited_for(lab: Lab) -> N
 
 
 def test_one_that_is_told_to_end_stops_its_tasks_and_the_same_call_goes_on(lab: Lab) -> None:
-    def ended_in_the_second(course: Course) -> None:
+    def ended_in_the_second(course: TrialProgress) -> None:
         if course.number == 2:
             lab.control.stop()
         else:
@@ -199,7 +218,7 @@ class KilledError(BaseException):
 def killed(lab: Lab) -> None:
     """End as a kill does in the second cycle of the second trial."""
 
-    def kill(course: Course) -> None:
+    def kill(course: TrialProgress) -> None:
         assert course.cycle is not None
         if course.number == 2 and course.cycle.number == 2:
             raise KilledError
@@ -228,7 +247,7 @@ class Bomb:
         self.at, self.count = at, 0
 
     def __enter__(self) -> "Bomb":
-        self.defuse = install(self.reached)
+        self.defuse = install_hook(self.reached)
         return self
 
     def __exit__(self, *exc: object) -> None:
@@ -241,8 +260,10 @@ class Bomb:
                 raise KilledError
 
 
-def test_killed_at_any_point_of_a_trial_the_same_call_ends_with_it_done_and_nothing_left(tmp_path: Path) -> None:
-    once = replace(SPEC, repetitions=1, variants=SCHEMES[1:])
+def test_killed_at_any_point_of_a_trial_the_same_call_ends_with_it_done_and_nothing_left(
+    tmp_path: Path,
+) -> None:
+    once = replace(SPEC, repetitions=1, schemes=SCHEMES[1:])
     with Bomb() as counted:
         Lab(tmp_path / "whole").run(once)
     assert counted.count > 20
@@ -254,7 +275,7 @@ def test_killed_at_any_point_of_a_trial_the_same_call_ends_with_it_done_and_noth
         assert [trial.finished for trial in run.trials] == [True], at
         assert (lab.running(), lab.hosts.world.overlap) == ([], set()), at
         assert not list(lab.fleet.state.glob("trial-*")), at
-        assert plan(lab.fleet, Policy()).summary == {Action.START: 2}, at
+        assert make_plan(lab.fleet, Policy()).summary == {Action.START: 2}, at
 
 
 def test_after_a_kill_another_experiment_clears_the_fleet_too(lab: Lab) -> None:
@@ -265,11 +286,11 @@ def test_after_a_kill_another_experiment_clears_the_fleet_too(lab: Lab) -> None:
 
 def test_what_another_edgectl_has_taken_over_since_is_not_stopped(lab: Lab) -> None:
     killed(lab)
-    stop(lab.fleet, ["merge"])  # by hand, with the fleet's own state: it is managed again
+    stop_tasks(lab.fleet, ["merge"])  # by hand, with the fleet's own state: it is managed again
     with pytest.raises(FleetBusyError, match="slam runs on edge1"):
         lab.run()
     assert lab.running() == ["slam"]
-    stop(lab.fleet, None)
+    stop_tasks(lab.fleet, None)
     assert len(lab.run().trials) == 4
 
 
@@ -283,7 +304,7 @@ def test_a_later_start_by_another_manager_is_not_ours(lab: Lab) -> None:
 
 @pytest.mark.parametrize("exit_code", [0, 1])
 def test_a_robot_that_holds_is_let_go_by_a_trial_or_remembered_after_it(lab: Lab, exit_code: int) -> None:
-    handoff = Handoff(hold=Check(command="hold"), release=Check(command="let go"))
+    handoff = HandoffContract(hold=Check(command="hold"), release=Check(command="let go"))
     tasks = some_tasks(replace(TASKS.tasks["slam"], handoff=handoff), TASKS.tasks["merge"])
     lab.fleet = replace(lab.fleet, tasks=tasks)
     for host in lab.hosts.hosts.values():
@@ -291,7 +312,7 @@ def test_a_robot_that_holds_is_let_go_by_a_trial_or_remembered_after_it(lab: Lab
     with Journal.open(lab.fleet.state) as journal:
         journal.append("phase", task="slam", phase="hold", host="robot1")
     lab.run(replace(SPEC, repetitions=1))
-    assert read(lab.fleet.state / NAME).held == (() if exit_code == 0 else ("slam",))
+    assert read_journal(lab.fleet.state / JOURNAL_FILE_NAME).held == (() if exit_code == 0 else ("slam",))
     assert [event for event in lab.hosts.world.events if "let go" in event][:1]
 
 
@@ -305,7 +326,7 @@ def test_what_cannot_be_stopped_is_said_and_its_trial_is_kept(lab: Lab) -> None:
 
 
 def test_a_host_that_falls_silent_in_a_trial_ends_the_run_after_it(lab: Lab) -> None:
-    def falls(course: Course) -> None:
+    def falls(course: TrialProgress) -> None:
         lab.complete(course)
         if course.number == 2 and course.cycle is not None and course.cycle.number == 1:
             lab.hosts.down.add("edge2")
@@ -322,7 +343,7 @@ def test_a_host_that_falls_silent_in_a_trial_ends_the_run_after_it(lab: Lab) -> 
 
 
 def test_no_other_edgectl_changes_the_fleet_meanwhile(lab: Lab) -> None:
-    def look(course: Course) -> None:
+    def look(course: TrialProgress) -> None:
         with pytest.raises(LockBusyError, match="experiment"), FleetLock(lab.fleet.state):
             pytest.fail("the lock is free")
         lab.complete(course)
@@ -332,7 +353,7 @@ def test_no_other_edgectl_changes_the_fleet_meanwhile(lab: Lab) -> None:
 
 
 def test_cordoned_hosts_get_no_task_and_are_named(lab: Lab) -> None:
-    cordon(lab.fleet, ["edge1"])
+    cordon_hosts(lab.fleet, ["edge1"])
     run = lab.run(replace(SPEC, repetitions=1))
     assert {span.host for span in run.trials[1].spans} == {"edge2"}
     assert lab.said == ["edge1 cordoned: no trial starts a task there"]

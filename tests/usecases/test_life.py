@@ -12,19 +12,22 @@ from pathlib import Path
 import pytest
 
 from edgectl.model.policy import Policy
-from edgectl.model.task import Check, Detect, Handoff, Task, Where
-from edgectl.state import points
-from edgectl.usecases import marks
-from edgectl.usecases.apply import ApplyOptions, apply
+from edgectl.model.task import Check, CheckLocation, DetectRule, HandoffContract, Task
+from edgectl.state import failpoints
+from edgectl.usecases import operator_marks
+from edgectl.usecases.apply import ApplyOptions, plan_and_apply
 from edgectl.usecases.fleet import Fleet
-from edgectl.usecases.plan import plan
+from edgectl.usecases.plan import make_plan
 from tests.builders import NOW, a_robot, a_task, an_edge, an_inventory, some_tasks
 from tests.executor.fake_fleet import FakeFleet
 
 EDGES = ("edge1", "edge2", "edge3")
 EVENTS = 30
-HOOKS = Handoff(hold=Check(command="hold", on=Where.ROBOT), release=Check(command="release", on=Where.ROBOT))
-FOREIGN = a_task("roscore", managed=False, detect=Detect(cmdline="roscore"))
+HOOKS = HandoffContract(
+    hold=Check(command="hold", on=CheckLocation.ROBOT),
+    release=Check(command="release", on=CheckLocation.ROBOT),
+)
+FOREIGN = a_task("roscore", managed=False, detect=DetectRule(cmdline="roscore"))
 POLICY = Policy(min_dwell=0.0, move_margin=0.05)
 
 
@@ -57,7 +60,14 @@ class Life:
 
 def a_life(state: Path, seed: int) -> Life:
     hosts = FakeFleet.of([*EDGES, "robot1"])
-    hosts["edge3"].tasks["roscore"] = {"state": "running", "pid": 7, "instance": "", "generation": 0, "spec_hash": "", "managed": False}
+    hosts["edge3"].tasks["roscore"] = {
+        "state": "running",
+        "pid": 7,
+        "instance": "",
+        "generation": 0,
+        "spec_hash": "",
+        "managed": False,
+    }
     inventory = an_inventory(*(an_edge(name) for name in EDGES), a_robot("robot1"))
     tasks = some_tasks(
         a_task("slam", cpu=0.5, robots=["robot1"], handoff=HOOKS, ready=Check(command="ready")),
@@ -72,7 +82,7 @@ def a_life(state: Path, seed: int) -> Life:
 
 def applied(life: Life) -> None:
     life.applies += 1
-    apply(life.current, POLICY, options=ApplyOptions(max_parallel=1))
+    plan_and_apply(life.current, POLICY, options=ApplyOptions(max_parallel=1))
 
 
 def killed(life: Life) -> None:
@@ -84,7 +94,7 @@ def killed(life: Life) -> None:
         if left[0] < 0:
             raise Died
 
-    remove = points.install(die)
+    remove = failpoints.install_hook(die)
     try:
         with contextlib.suppress(Died):
             applied(life)
@@ -126,19 +136,21 @@ def edited(life: Life) -> None:
 
 
 def cordoned(life: Life) -> None:
-    marks.cordon(life.current, [life.fate.choice(EDGES)], drain=life.fate.random() < 0.5)
+    operator_marks.cordon_hosts(life.current, [life.fate.choice(EDGES)], drain=life.fate.random() < 0.5)
 
 
 def uncordoned(life: Life) -> None:
-    marks.uncordon(life.current, list(EDGES))
+    operator_marks.uncordon_hosts(life.current, list(EDGES))
 
 
 def finished(life: Life) -> None:
-    marks.done(life.current, [life.task().name])
+    operator_marks.mark_tasks_done(life.current, [life.task().name])
 
 
 def reopened(life: Life) -> None:
-    marks.reopen(life.current, [task.name for task in life.fleet.tasks.tasks.values() if task.managed])
+    operator_marks.reopen_tasks(
+        life.current, [task.name for task in life.fleet.tasks.tasks.values() if task.managed]
+    )
 
 
 FATES: tuple[Callable[[Life], None], ...] = (
@@ -161,9 +173,14 @@ def mended(life: Life) -> None:
     reopened(life)
     applied(life)
     sound(life)
-    alive = [name for host in life.hosts.hosts.values() for name, entry in host.tasks.items() if entry["state"] in ("running", "ready")]
+    alive = [
+        name
+        for host in life.hosts.hosts.values()
+        for name, entry in host.tasks.items()
+        if entry["state"] in ("running", "ready")
+    ]
     assert sorted(alive) == sorted(life.fleet.tasks.tasks)
-    assert not plan(life.current, POLICY).changes
+    assert not make_plan(life.current, POLICY).changes
 
 
 @pytest.mark.parametrize("block", range(4))

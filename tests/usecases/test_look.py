@@ -9,7 +9,7 @@ from edgectl.model.inventory import Host
 from edgectl.model.task import Task
 from edgectl.transport.base import Session, Transport
 from edgectl.usecases.fleet import Fleet
-from edgectl.usecases.look import host_history, last_events, looks, task_history
+from edgectl.usecases.status import load_host_points, load_last_events, load_task_points, probe_repeatedly
 from tests.builders import NOW, a_robot, a_task, an_edge, an_inventory, some_tasks
 from tests.executor.fake_fleet import FakeFleet
 
@@ -54,15 +54,22 @@ class Bench:
             before(number)
             return False
 
-        return [{name: host.ok for name, host in snapshot.hosts.items()} for snapshot in looks(self.fleet, told)]
+        return [
+            {name: host.ok for name, host in snapshot.hosts.items()}
+            for snapshot in probe_repeatedly(self.fleet, told)
+        ]
 
 
 def test_sessions_stay_open_and_every_look_is_remembered(tmp_path: Path) -> None:
     bench = Bench(tmp_path, a_task("slam"))
     assert bench.looks(4) == [{"edge1": True, "edge2": True, "robot1": True}] * 4
     assert sorted(bench.transport.opened) == ["edge1", "edge2", "robot1"]
-    assert [point.at - NOW for point in host_history(bench.fleet, 3) if point.host == "edge1"] == [1.0, 2.0, 3.0]
-    assert [point.at - NOW for point in task_history(bench.fleet, 60)] == [0.0, 1.0, 2.0, 3.0]
+    assert [point.at - NOW for point in load_host_points(bench.fleet, 3) if point.host == "edge1"] == [
+        1.0,
+        2.0,
+        3.0,
+    ]
+    assert [point.at - NOW for point in load_task_points(bench.fleet, 60)] == [0.0, 1.0, 2.0, 3.0]
 
 
 def test_a_host_that_goes_away_and_comes_back_is_told(tmp_path: Path) -> None:
@@ -71,11 +78,20 @@ def test_a_host_that_goes_away_and_comes_back_is_told(tmp_path: Path) -> None:
     seen = bench.looks(4, lambda number: steps.get(number, lambda: None)())
     assert [look["edge2"] for look in seen] == [True, True, False, True]
     assert all(look["edge1"] for look in seen)
-    assert [event.kind for event in last_events(bench.fleet, 10, host="edge2")] == [EventKind.HOST_LOST, EventKind.HOST_BACK]
-    assert [point.used_cores is None for point in host_history(bench.fleet, 60) if point.host == "edge2"] == [False, False, True, False]
+    assert [event.kind for event in load_last_events(bench.fleet, 10, host="edge2")] == [
+        EventKind.HOST_LOST,
+        EventKind.HOST_BACK,
+    ]
+    assert [
+        point.used_cores is None for point in load_host_points(bench.fleet, 60) if point.host == "edge2"
+    ] == [False, False, True, False]
 
 
 def test_there_is_nothing_to_look_back_on_at_first(tmp_path: Path) -> None:
     fleet = dataclasses.replace(Bench(tmp_path).fleet, state=tmp_path / "new")
     (tmp_path / "new").mkdir(mode=0o700)
-    assert (host_history(fleet, 60), task_history(fleet, 60), last_events(fleet, 10, host="edge1")) == ((), (), ())
+    assert (
+        load_host_points(fleet, 60),
+        load_task_points(fleet, 60),
+        load_last_events(fleet, 10, host="edge1"),
+    ) == ((), (), ())

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from edgectl.errors import EdgectlError, FileError, InputError, UsageError
-from edgectl.usecases import maps
-from edgectl.usecases.maps import local, similarity
+from edgectl.experiments import map_comparison
+from edgectl.experiments.map_comparison import compare_maps, read_local_file
 from tests.evidence.pictures import grey, pgm, png, room
 from tests.views.fixtures import ROOT
 
@@ -22,13 +22,15 @@ def truth(tmp_path: Path) -> Path:
 
 def test_a_sheet_names_its_image_beside_itself(truth: Path) -> None:
     there = {"out/map.yaml": SHEET, "out/map.pgm": pgm(room())}
-    assert similarity("out/map.yaml", there.__getitem__, truth) == pytest.approx(1.0)
+    assert compare_maps("out/map.yaml", there.__getitem__, truth) == pytest.approx(1.0)
     absolute = {"out/map.yaml": SHEET.replace(b"map.pgm", b"/srv/m.pgm"), "/srv/m.pgm": pgm(room())}
-    assert similarity("out/map.yaml", absolute.__getitem__, truth) == pytest.approx(1.0)
+    assert compare_maps("out/map.yaml", absolute.__getitem__, truth) == pytest.approx(1.0)
 
 
 def test_images_are_compared_as_they_are(truth: Path) -> None:
-    assert similarity("map.PNG", lambda _: png(grey(room())), truth.parent / "map.pgm") == pytest.approx(1.0)
+    assert compare_maps("map.PNG", lambda _: png(grey(room())), truth.parent / "map.pgm") == pytest.approx(
+        1.0
+    )
 
 
 def test_what_is_fetched_and_fails_is_told_as_it_is(truth: Path) -> None:
@@ -36,7 +38,7 @@ def test_what_is_fetched_and_fails_is_told_as_it_is(truth: Path) -> None:
         raise FileError(f"{name} is not there")
 
     with pytest.raises(FileError, match=r"out/map\.yaml is not there"):
-        similarity("out/map.yaml", gone, truth)
+        compare_maps("out/map.yaml", gone, truth)
 
 
 def test_files_that_cannot_be_compared(truth: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -45,25 +47,30 @@ def test_files_that_cannot_be_compared(truth: Path, monkeypatch: pytest.MonkeyPa
     cases: list[tuple[str, Path, type[EdgectlError], str]] = [
         ("map.tiff", truth, UsageError, "map.tiff is no map by its name"),
         (str(truth), directory / "none.yaml", FileError, "none.yaml cannot be read: No such file"),
-        (str(truth), directory / "bad.yaml", InputError, r"bad\.yaml:1:1: a map needs resolution \(and 2 more\)"),
+        (
+            str(truth),
+            directory / "bad.yaml",
+            InputError,
+            r"bad\.yaml:1:1: a map needs resolution \(and 2 more\)",
+        ),
     ]
     for file, other, kind, words in cases:
         with pytest.raises(kind, match=words) as caught:
-            similarity(file, local, other)
+            compare_maps(file, read_local_file, other)
         assert caught.value.hint or kind is InputError
-    monkeypatch.setattr(maps, "MAX_BYTES", 10)
+    monkeypatch.setattr(map_comparison, "MAX_MAP_BYTES", 10)
     with pytest.raises(FileError, match="is larger than"):
-        similarity(str(truth), local, truth)
+        compare_maps(str(truth), read_local_file, truth)
 
 
 def test_a_truth_is_checked_before_anything_is_done(truth: Path) -> None:
-    maps.check(truth)
+    map_comparison.check_truth_map(truth)
     truth.with_name("map.pgm").write_bytes(b"P5")
     with pytest.raises(FileError, match="no image that can be read"):
-        maps.check(truth)
+        map_comparison.check_truth_map(truth)
 
 
 def test_the_maps_of_the_page_are_as_it_says() -> None:
     examples = ROOT / "docs" / "examples"
-    found = similarity(str(examples / "map.yaml"), local, examples / "world.yaml")
+    found = compare_maps(str(examples / "map.yaml"), read_local_file, examples / "world.yaml")
     assert f"{found:.4f}" in (ROOT / "docs" / "concepts" / "ssim.md").read_text()

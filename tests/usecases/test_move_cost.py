@@ -4,8 +4,8 @@ from pathlib import Path
 
 from edgectl.model.assignment import Decision, Reason
 from edgectl.model.policy import Policy
-from edgectl.usecases.apply import apply
-from edgectl.usecases.plan import plan
+from edgectl.usecases.apply import plan_and_apply
+from edgectl.usecases.plan import make_plan
 from tests.builders import a_task, some_tasks
 from tests.usecases.test_usecases import Bench
 
@@ -20,7 +20,7 @@ def drive_away(bench: Bench, times: int) -> None:
         here = bench.hosts.placed["slam"]
         bench.hosts[here].used = 4.5
         bench.now += 600.0
-        apply(bench.fleet, POLICY)
+        plan_and_apply(bench.fleet, POLICY)
         assert bench.hosts.placed["slam"] != here
         bench.hosts[here].used = 0.0
 
@@ -30,13 +30,13 @@ def slam(bench: Bench, cost: float) -> Decision:
     bench.hosts[bench.hosts.placed["slam"]].used = SMALL
     bench.now += 600.0
     tasks = some_tasks(a_task("slam", robots=["robot1"], downtime_cost=cost))
-    return plan(bench.with_tasks(tasks), POLICY).steps[0].decision
+    return make_plan(bench.with_tasks(tasks), POLICY).steps[0].decision
 
 
 def test_after_five_measured_moves_their_downtime_decides(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     bench.fleet = bench.with_tasks(some_tasks(a_task("slam", robots=["robot1"])))
-    apply(bench.fleet, POLICY)
+    plan_and_apply(bench.fleet, POLICY)
     drive_away(bench, 8)
     assert sorted(map(len, bench.memory.downtimes.values())) == [4, 4]
     assert slam(bench, 10.0).reason is Reason.BELOW_MARGIN

@@ -10,14 +10,14 @@ import pytest
 
 from edgectl.errors import ConnectError
 from edgectl.model.event import Event, EventKind
-from edgectl.state.lock import FleetLock, held_elsewhere
+from edgectl.state.lock import FleetLock, is_locked_elsewhere
 from edgectl.state.store import Store
-from edgectl.usecases.apply import apply
-from edgectl.usecases.events import Wanted, events, follow
-from edgectl.usecases.plan import plan
-from edgectl.usecases.probe import probe
+from edgectl.usecases.apply import plan_and_apply
+from edgectl.usecases.events import EventFilter, follow_events, list_events
+from edgectl.usecases.plan import make_plan
+from edgectl.usecases.probe import probe_fleet
 from edgectl.usecases.record import record_snapshot
-from edgectl.usecases.stop import stop
+from edgectl.usecases.stop import stop_tasks
 from tests.usecases.test_usecases import POLICY, Bench
 
 HOLDER = """
@@ -40,124 +40,134 @@ def kinds(found: tuple[Event, ...]) -> list[tuple[str, str | None]]:
 
 
 def told(bench: Bench) -> list[tuple[str, str | None]]:
-    return kinds(events(bench.fleet, Wanted()))
+    return kinds(list_events(bench.fleet, EventFilter()))
 
 
 def test_every_probe_is_kept(bench: Bench) -> None:
     bench.hosts["edge1"].used = 1.5
-    probe(bench.fleet)
-    probe(bench.fleet)
+    probe_fleet(bench.fleet)
+    probe_fleet(bench.fleet)
     with Store.open(bench.fleet.state) as store:
         assert [point.used_cores for point in store.host_points("edge1")] == [1.5, 1.5]
         assert len(store.host_points()) == 6
 
 
 def test_an_apply_tells_what_it_planned_and_did_once(bench: Bench) -> None:
-    apply(bench.fleet, POLICY)
+    plan_and_apply(bench.fleet, POLICY)
     started = [("planned", None), ("task-started", "slam"), ("task-started", "navigation")]
     assert told(bench) == started
-    probe(bench.fleet)
-    apply(bench.fleet, POLICY)
+    probe_fleet(bench.fleet)
+    plan_and_apply(bench.fleet, POLICY)
     assert told(bench) == started
-    stop(bench.fleet, ["navigation"])
-    probe(bench.fleet)
+    stop_tasks(bench.fleet, ["navigation"])
+    probe_fleet(bench.fleet)
     assert told(bench) == [*started, ("task-stopped", "navigation")]
 
 
 def test_a_move_is_a_handoff_with_its_gap(bench: Bench) -> None:
-    apply(bench.fleet, POLICY)
+    plan_and_apply(bench.fleet, POLICY)
     first = bench.hosts.placed["slam"]
     bench.hosts[first].used = 4.0
     bench.now += 600.0
-    apply(bench.fleet, POLICY)
-    probe(bench.fleet)
+    plan_and_apply(bench.fleet, POLICY)
+    probe_fleet(bench.fleet)
     with Store.open(bench.fleet.state) as store:
         (handoff,) = (each for each in store.handoffs() if each.task == "slam")
     assert (handoff.previous_host, handoff.host) == (first, bench.hosts.placed["slam"])
     assert handoff.downtime_s is not None
-    moved = [event for event in events(bench.fleet, Wanted(task="slam")) if event.kind is EventKind.TASK_MOVED]
+    moved = [
+        event
+        for event in list_events(bench.fleet, EventFilter(task="slam"))
+        if event.kind is EventKind.TASK_MOVED
+    ]
     assert len(moved) == 1
     assert moved[0].message.startswith(f"from {first}, gap ")
 
 
 def test_the_same_plan_again_is_told_once(bench: Bench) -> None:
     for _ in range(3):
-        plan(bench.fleet, POLICY)
+        make_plan(bench.fleet, POLICY)
     assert told(bench) == [("planned", None)]
 
 
 def test_a_plan_from_a_snapshot_is_not_kept(bench: Bench, tmp_path: Path) -> None:
-    snapshot = probe(bench.fleet)
+    snapshot = probe_fleet(bench.fleet)
     (tmp_path / "history.db").unlink()
-    plan(bench.fleet, POLICY, snapshot=snapshot)
+    make_plan(bench.fleet, POLICY, snapshot=snapshot)
     assert not (tmp_path / "history.db").exists()
 
 
 def test_a_host_that_is_lost_and_back_is_told(bench: Bench) -> None:
-    probe(bench.fleet)
+    probe_fleet(bench.fleet)
     bench.hosts["edge2"].faults["probe"] = ConnectError("connection refused", host="edge2")
-    probe(bench.fleet)
-    probe(bench.fleet)
+    probe_fleet(bench.fleet)
+    probe_fleet(bench.fleet)
     del bench.hosts["edge2"].faults["probe"]
-    probe(bench.fleet)
-    assert kinds(events(bench.fleet, Wanted(host="edge2"))) == [("host-lost", "edge2"), ("host-back", "edge2")]
+    probe_fleet(bench.fleet)
+    assert kinds(list_events(bench.fleet, EventFilter(host="edge2"))) == [
+        ("host-lost", "edge2"),
+        ("host-back", "edge2"),
+    ]
 
 
 def test_trouble_with_the_history_is_said_once_and_costs_nothing_else(bench: Bench, tmp_path: Path) -> None:
     (tmp_path / "history.db").mkdir()
-    applied = apply(bench.fleet, POLICY)
-    probe(bench.fleet)
+    applied = plan_and_apply(bench.fleet, POLICY)
+    probe_fleet(bench.fleet)
     assert applied.results is not None
     assert applied.results.done
     assert len([text for text in bench.said if "history is not kept" in text]) == 1
 
 
 def test_what_another_edgectl_is_doing_is_left_to_its_own_record(bench: Bench) -> None:
-    apply(bench.fleet, POLICY)
+    plan_and_apply(bench.fleet, POLICY)
     before = told(bench)
     place = bench.hosts.placed["slam"]
     running = bench.hosts[place].tasks.pop("slam")
     holder = subprocess.Popen(
-        [sys.executable, "-c", HOLDER, str(bench.fleet.state)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        [sys.executable, "-c", HOLDER, str(bench.fleet.state)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
     )
     assert holder.stdout is not None
     assert holder.stdout.readline() == "held\n"
     try:
-        assert held_elsewhere(bench.fleet.state)
-        probe(bench.fleet)
+        assert is_locked_elsewhere(bench.fleet.state)
+        probe_fleet(bench.fleet)
         assert told(bench) == before
     finally:
         holder.communicate("", timeout=30)
-    assert not held_elsewhere(bench.fleet.state)
-    probe(bench.fleet)
+    assert not is_locked_elsewhere(bench.fleet.state)
+    probe_fleet(bench.fleet)
     assert told(bench) == [*before, ("task-lost", "slam")]
     bench.hosts[place].tasks["slam"] = running
-    probe(bench.fleet)
+    probe_fleet(bench.fleet)
     assert told(bench)[-1] == ("task-started", "slam")
 
 
 def test_a_lock_that_nobody_holds_is_not_held(bench: Bench) -> None:
-    assert not held_elsewhere(bench.fleet.state)
+    assert not is_locked_elsewhere(bench.fleet.state)
     with FleetLock(bench.fleet.state):
-        assert not held_elsewhere(bench.fleet.state)  # it is ours
+        assert not is_locked_elsewhere(bench.fleet.state)  # it is ours
     (bench.fleet.state / "lock").write_text('{"pid": 1}')  # of one that was killed
-    assert not held_elsewhere(bench.fleet.state)
+    assert not is_locked_elsewhere(bench.fleet.state)
     for text in ("[]", "no json", '{"pid": []}'):
         (bench.fleet.state / "lock").write_text(text)
-        assert not held_elsewhere(bench.fleet.state)
+        assert not is_locked_elsewhere(bench.fleet.state)
 
 
 def test_events_are_followed_even_into_another_history(bench: Bench, tmp_path: Path) -> None:
-    apply(bench.fleet, POLICY)
-    snapshot = probe(bench.fleet)
+    plan_and_apply(bench.fleet, POLICY)
+    snapshot = probe_fleet(bench.fleet)
 
     def begin_anew() -> None:
         (tmp_path / "history.db").unlink()
         record_snapshot(bench.fleet, snapshot)
         bench.hosts["edge1"].faults["probe"] = ConnectError("connection refused", host="edge1")
-        probe(bench.fleet)
+        probe_fleet(bench.fleet)
 
-    steps = iter([lambda: None, lambda: stop(bench.fleet, ["navigation"]), begin_anew, lambda: None])
+    steps = iter([lambda: None, lambda: stop_tasks(bench.fleet, ["navigation"]), begin_anew, lambda: None])
 
     def told_to_end() -> bool:
         step = next(steps, None)
@@ -165,7 +175,7 @@ def test_events_are_followed_even_into_another_history(bench: Bench, tmp_path: P
             step()
         return step is None
 
-    batches = [kinds(batch) for batch in follow(bench.fleet, Wanted(), told_to_end)]
+    batches = [kinds(batch) for batch in follow_events(bench.fleet, EventFilter(), told_to_end)]
     assert batches == [
         [("planned", None), ("task-started", "slam"), ("task-started", "navigation")],
         [("task-stopped", "navigation")],
@@ -176,14 +186,18 @@ def test_events_are_followed_even_into_another_history(bench: Bench, tmp_path: P
 def test_one_history_is_open_for_all_that_share_a_fleet_and_none_afterwards(tmp_path: Path) -> None:
     def open_files() -> list[str]:
         links = (str(path.readlink()) for path in Path("/proc/self/fd").iterdir() if path.exists())
-        return [link for link in links if link.startswith(str(tmp_path)) and "history.db" in link and not link.endswith("-shm")]
+        return [
+            link
+            for link in links
+            if link.startswith(str(tmp_path)) and "history.db" in link and not link.endswith("-shm")
+        ]
 
     bench = Bench(tmp_path)
     for _ in range(3):
-        probe(dataclasses.replace(bench.fleet, warn=bench.said.append))
+        probe_fleet(dataclasses.replace(bench.fleet, warn=bench.said.append))
     assert len(open_files()) == 2  # the file and its log
     (tmp_path / "history.db").rename(tmp_path / "moved.db")
-    probe(bench.fleet)
+    probe_fleet(bench.fleet)
     with Store.open(tmp_path) as store:
         assert len(store.host_points("edge1")) == 1
     del bench

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from edgectl.gateway.collect import ProbeOptions
+from edgectl.gateway.host_probe import ProbeOptions
 from edgectl.model.policy import Policy
-from edgectl.usecases.apply import apply
+from edgectl.usecases.apply import plan_and_apply
 from edgectl.usecases.fleet import Fleet
-from edgectl.usecases.scrape import Past, Shared, held, picture
+from edgectl.usecases.scrape import RevisionCache, SharedCache, collect_fleet_metrics, keep_sessions_open
 from tests.builders import NOW, a_task, an_edge, an_inventory, some_tasks
 from tests.executor.fake_fleet import FakeFleet
 
@@ -32,7 +32,7 @@ class Maker:
 
 def test_a_value_is_kept_for_a_while() -> None:
     make, now = Maker(), [100.0]
-    shared = Shared(make, every=10.0, now=lambda: now[0])
+    shared = SharedCache(make, every=10.0, now=lambda: now[0])
     assert [shared(), shared()] == [1, 1]
     now[0] = 109.9
     assert shared() == 1
@@ -41,13 +41,13 @@ def test_a_value_is_kept_for_a_while() -> None:
 
 
 def test_nothing_is_kept_where_nothing_may_be() -> None:
-    shared = Shared(Maker(), every=0.0)
+    shared = SharedCache(Maker(), every=0.0)
     assert [shared(), shared(), shared()] == [1, 2, 3]
 
 
 def test_an_error_is_kept_as_long_as_a_value() -> None:
     make, now = Maker(), [100.0]
-    shared = Shared(make, every=10.0, now=lambda: now[0])
+    shared = SharedCache(make, every=10.0, now=lambda: now[0])
     make.fails = True
     for _ in range(2):
         with pytest.raises(ValueError, match="1"):
@@ -66,7 +66,7 @@ def test_many_at_once_share_one_call() -> None:
         assert go.wait(60)
         return len(calls)
 
-    shared = Shared(make, every=600.0)
+    shared = SharedCache(make, every=600.0)
     with ThreadPoolExecutor(8) as pool:
         asked = [pool.submit(shared) for _ in range(8)]
         assert began.wait(60)
@@ -78,7 +78,7 @@ def test_many_at_once_share_one_call() -> None:
 def test_who_comes_while_it_is_made_does_not_ask_again() -> None:
     """Even where nothing is kept: whoever waited behind a call takes its value."""
     inside: list[int] = []
-    shared: Shared[int]
+    shared: SharedCache[int]
 
     def make() -> int:
         if not inside:
@@ -92,7 +92,7 @@ def test_who_comes_while_it_is_made_does_not_ask_again() -> None:
     got: list[int] = []
     waiting = threading.Event()
     later = threading.Thread(target=lambda: got.append(shared()))
-    shared = Shared(make, every=0.0)
+    shared = SharedCache(make, every=0.0)
     guard = shared._guard
 
     class Told:
@@ -124,13 +124,15 @@ def test_the_past_is_read_again_only_where_it_changed(tmp_path: Path) -> None:
         inventory=an_inventory(an_edge("edge1"), an_edge("edge2")), tasks=some_tasks(a_task("slam")), transport=hosts.transport,
         state=tmp_path, clock=clock,
     )  # fmt: skip
-    with held(fleet) as near:
-        past = Past(near)
-        assert picture(near, ProbeOptions(), past).revisions == ()
-        apply(fleet, Policy())
-        first = picture(near, ProbeOptions(), past)
+    with keep_sessions_open(fleet) as near:
+        past = RevisionCache(near)
+        assert collect_fleet_metrics(near, ProbeOptions(), past).revisions == ()
+        plan_and_apply(fleet, Policy())
+        first = collect_fleet_metrics(near, ProbeOptions(), past)
         assert [revision.number for revision in first.revisions] == [1]
-        assert picture(near, ProbeOptions(), past).revisions is first.revisions
-        apply(dataclasses.replace(fleet, tasks=some_tasks(a_task("slam"), a_task("camera"))), Policy())
+        assert collect_fleet_metrics(near, ProbeOptions(), past).revisions is first.revisions
+        plan_and_apply(
+            dataclasses.replace(fleet, tasks=some_tasks(a_task("slam"), a_task("camera"))), Policy()
+        )
         assert [revision.number for revision in past()] == [1, 2]
     assert first.plan.policy.attended is False

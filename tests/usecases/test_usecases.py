@@ -7,23 +7,23 @@ import pytest
 
 from edgectl.errors import LockBusyError, StalePlanError, UsageError
 from edgectl.formats import plan as plan_form
-from edgectl.model.memory import Memory, Placement
+from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.plan import Action, Plan
 from edgectl.model.policy import Policy
 from edgectl.model.result import Outcome
-from edgectl.model.task import Check, Kind, Tasks
-from edgectl.state import points
-from edgectl.state.journal_read import read as read_journal
+from edgectl.model.task import Check, TaskKind, Tasks
+from edgectl.state import failpoints
+from edgectl.state.journal_reader import read_journal
 from edgectl.state.lock import FleetLock
-from edgectl.state.memory import kept, load_memory, save_memory
-from edgectl.transport.call import command_line
-from edgectl.usecases import marks
-from edgectl.usecases.apply import ApplyOptions, apply, apply_saved
+from edgectl.state.manager_state import load_manager_state, save_manager_state, select_saved_fields
+from edgectl.transport.agent_client import build_agent_command
+from edgectl.usecases import operator_marks
+from edgectl.usecases.apply import ApplyOptions, apply_saved_plan, plan_and_apply
 from edgectl.usecases.fleet import Fleet
-from edgectl.usecases.logs import follow, logs
-from edgectl.usecases.plan import commands, plan, targeted
-from edgectl.usecases.probe import probe
-from edgectl.usecases.stop import restart, stop
+from edgectl.usecases.logs import follow_log, read_log
+from edgectl.usecases.plan import limit_plan_to_tasks, list_remote_commands, make_plan
+from edgectl.usecases.probe import probe_fleet
+from edgectl.usecases.stop import restart_task, stop_tasks
 from tests.builders import NOW, a_robot, a_task, an_edge, an_inventory, some_tasks
 from tests.executor.fake_fleet import FakeFleet, FakeHost
 
@@ -38,9 +38,17 @@ class Bench:
         self.said: list[str] = []
         self.now = NOW
         inventory = an_inventory(an_edge("edge1"), an_edge("edge2"), a_robot("robot1"))
-        tasks = some_tasks(a_task("slam", cpu=1.0, robots=["robot1"]), a_task("navigation", cpu=0.5, robots=["robot1"], needs=["slam"]))
+        tasks = some_tasks(
+            a_task("slam", cpu=1.0, robots=["robot1"]),
+            a_task("navigation", cpu=0.5, robots=["robot1"], needs=["slam"]),
+        )
         self.fleet = Fleet(
-            inventory=inventory, tasks=tasks, transport=self.hosts.transport, state=state, clock=self._tick, warn=self.said.append
+            inventory=inventory,
+            tasks=tasks,
+            transport=self.hosts.transport,
+            state=state,
+            clock=self._tick,
+            warn=self.said.append,
         )
 
     def _tick(self) -> float:
@@ -51,8 +59,8 @@ class Bench:
         return dataclasses.replace(self.fleet, tasks=tasks)
 
     @property
-    def memory(self) -> Memory:
-        return load_memory(self.fleet.state)
+    def memory(self) -> ManagerState:
+        return load_manager_state(self.fleet.state)
 
 
 @pytest.fixture
@@ -65,7 +73,7 @@ def actions(made: Plan) -> dict[str, Action]:
 
 
 def test_apply_starts_what_is_missing_and_a_second_one_changes_nothing(bench: Bench) -> None:
-    applied = apply(bench.fleet, POLICY)
+    applied = plan_and_apply(bench.fleet, POLICY)
     assert applied.results is not None
     assert applied.results.done
     assert applied.results.revision == 1
@@ -73,7 +81,7 @@ def test_apply_starts_what_is_missing_and_a_second_one_changes_nothing(bench: Be
     assert bench.memory.managed
     assert bench.memory.placements["slam"].host == bench.hosts.placed["slam"]
     assert bench.memory.first == bench.hosts.placed
-    again = apply(bench.fleet, POLICY)
+    again = plan_and_apply(bench.fleet, POLICY)
     assert again.results is None
     assert actions(again.plan) == {"slam": Action.KEEP, "navigation": Action.KEEP}
     assert read_journal(bench.fleet.state / "journal.jsonl").revision == 1
@@ -81,7 +89,7 @@ def test_apply_starts_what_is_missing_and_a_second_one_changes_nothing(bench: Be
 
 def test_a_declined_plan_touches_nothing(bench: Bench) -> None:
     shown: list[Plan] = []
-    applied = apply(bench.fleet, POLICY, lambda made: bool(shown.append(made)))
+    applied = plan_and_apply(bench.fleet, POLICY, lambda made: bool(shown.append(made)))
     assert applied.declined
     assert shown[0].summary == {Action.START: 2}
     assert bench.hosts.world.events == []
@@ -90,16 +98,16 @@ def test_a_declined_plan_touches_nothing(bench: Bench) -> None:
 
 def test_one_apply_at_a_time(bench: Bench) -> None:
     with FleetLock(bench.fleet.state), pytest.raises(LockBusyError):
-        apply(bench.fleet, POLICY)
+        plan_and_apply(bench.fleet, POLICY)
 
 
 def test_load_elsewhere_moves_a_task_after_its_dwell(bench: Bench) -> None:
-    apply(bench.fleet, POLICY)
+    plan_and_apply(bench.fleet, POLICY)
     first = bench.hosts.placed["slam"]
     other = "edge2" if first == "edge1" else "edge1"
     bench.hosts[first].used = 4.0
     bench.now += 600.0
-    made = apply(bench.fleet, POLICY)
+    made = plan_and_apply(bench.fleet, POLICY)
     assert made.results is not None
     assert made.results.done
     assert bench.hosts.placed["slam"] == other
@@ -110,93 +118,97 @@ def test_load_elsewhere_moves_a_task_after_its_dwell(bench: Bench) -> None:
 
 
 def test_a_task_that_died_is_started_again(bench: Bench) -> None:
-    apply(bench.fleet, POLICY)
+    plan_and_apply(bench.fleet, POLICY)
     bench.hosts[bench.hosts.placed["slam"]].tasks.pop("slam")
-    applied = apply(bench.fleet, POLICY)
+    applied = plan_and_apply(bench.fleet, POLICY)
     assert actions(applied.plan)["slam"] is Action.START
     assert "slam" in bench.hosts.placed
 
 
 def test_tasks_of_a_silent_host_are_held_and_not_doubled(bench: Bench) -> None:
-    apply(bench.fleet, POLICY)
+    plan_and_apply(bench.fleet, POLICY)
     silent = bench.hosts.placed["slam"]
     bench.hosts.down.add(silent)
-    applied = apply(bench.fleet, POLICY)
+    applied = plan_and_apply(bench.fleet, POLICY)
     assert actions(applied.plan)["slam"] is Action.HOLD
     assert applied.results is None
     assert bench.memory.placements["slam"].host == silent
     bench.hosts.down.clear()
-    assert not plan(bench.fleet, POLICY).changes
+    assert not make_plan(bench.fleet, POLICY).changes
 
 
 def test_generations_grow_even_when_the_manager_forgot(bench: Bench) -> None:
-    apply(bench.fleet, POLICY)
+    plan_and_apply(bench.fleet, POLICY)
     before = bench.memory.placements["slam"].generation
     (bench.fleet.state / "memory.json").unlink()
-    stop(bench.fleet, ["slam"])
-    apply(bench.fleet, POLICY)
+    stop_tasks(bench.fleet, ["slam"])
+    plan_and_apply(bench.fleet, POLICY)
     assert bench.memory.placements["slam"].generation > before >= NOW
 
 
-def test_a_manager_whose_clock_is_behind_takes_over_what_another_one_stopped(bench: Bench, tmp_path: Path) -> None:
-    apply(bench.fleet, POLICY)
-    stop(bench.fleet, ["slam"])
+def test_a_manager_whose_clock_is_behind_takes_over_what_another_one_stopped(
+    bench: Bench, tmp_path: Path
+) -> None:
+    plan_and_apply(bench.fleet, POLICY)
+    stop_tasks(bench.fleet, ["slam"])
     (tmp_path / "other").mkdir(mode=0o700)
     bench.now -= 3600.0
-    applied = apply(dataclasses.replace(bench.fleet, state=tmp_path / "other"), POLICY)
+    applied = plan_and_apply(dataclasses.replace(bench.fleet, state=tmp_path / "other"), POLICY)
     assert applied.results is not None
     assert applied.results.done, applied.results
 
 
 def test_a_manager_that_was_overtaken_is_refused_and_recovers(bench: Bench, tmp_path: Path) -> None:
     """Two managers, each with a state of its own: the second restarts slam while the first looks at its plan."""
-    apply(bench.fleet, POLICY)
+    plan_and_apply(bench.fleet, POLICY)
     (tmp_path / "other").mkdir(mode=0o700)
     other = dataclasses.replace(bench.fleet, state=tmp_path / "other")
-    changed = bench.with_tasks(some_tasks(dataclasses.replace(bench.fleet.tasks.tasks["slam"], spec_hash="new")))
+    changed = bench.with_tasks(
+        some_tasks(dataclasses.replace(bench.fleet.tasks.tasks["slam"], spec_hash="new"))
+    )
 
     def overtaken(_plan: Plan) -> bool:
         bench.now += 100.0
-        restart(other, "slam")
+        restart_task(other, "slam")
         bench.now -= 50.0
         return True
 
-    applied = apply(changed, POLICY, overtaken)
+    applied = plan_and_apply(changed, POLICY, overtaken)
     assert applied.results is not None
     (result,) = (result for result in applied.results.actions if result.task == "slam")
     assert result.outcome is Outcome.FAILED
     assert "is older than" in result.error
     assert not bench.hosts.world.overlap
-    again = apply(changed, POLICY)
+    again = plan_and_apply(changed, POLICY)
     assert again.results is not None
     assert again.results.done
 
 
 def test_a_saved_plan_is_applied_once(bench: Bench) -> None:
-    made = plan_form.decode(plan_form.encode(plan(bench.fleet, POLICY)))
-    applied = apply_saved(bench.fleet, made)
+    made = plan_form.decode(plan_form.encode(make_plan(bench.fleet, POLICY)))
+    applied = apply_saved_plan(bench.fleet, made)
     assert applied.results is not None
     assert applied.results.done
     with pytest.raises(StalePlanError, match="it was applied before"):
-        apply_saved(bench.fleet, made)
+        apply_saved_plan(bench.fleet, made)
 
 
 def test_a_plan_without_changes_applies_as_often_as_one_likes(bench: Bench) -> None:
-    apply(bench.fleet, POLICY)
-    made = plan(bench.fleet, POLICY)
-    assert apply_saved(bench.fleet, made).results is None
-    assert apply_saved(bench.fleet, made).results is None
+    plan_and_apply(bench.fleet, POLICY)
+    made = make_plan(bench.fleet, POLICY)
+    assert apply_saved_plan(bench.fleet, made).results is None
+    assert apply_saved_plan(bench.fleet, made).results is None
 
 
 def test_a_stale_plan_is_refused_with_all_that_moved(bench: Bench) -> None:
-    made = plan(bench.fleet, POLICY)
+    made = make_plan(bench.fleet, POLICY)
     bench.hosts["edge1"].used = 0.41  # 10 % of 4 cores is 0.4
     bench.hosts["edge2"].runs("slam")
     bench.hosts.down.add("robot1")
-    marks.cordon(bench.fleet, ["edge2"])
+    operator_marks.cordon_hosts(bench.fleet, ["edge2"])
     changed = dataclasses.replace(bench.fleet, tasks=dataclasses.replace(bench.fleet.tasks, digest="other"))
     with pytest.raises(StalePlanError) as caught:
-        apply_saved(changed, made)
+        apply_saved_plan(changed, made)
     assert caught.value.changes == (
         "the task files changed",
         "the cordoned hosts changed",
@@ -208,104 +220,106 @@ def test_a_stale_plan_is_refused_with_all_that_moved(bench: Bench) -> None:
 
 
 def test_a_load_within_the_tolerance_is_no_reason_to_refuse(bench: Bench) -> None:
-    made = plan(bench.fleet, POLICY)
+    made = make_plan(bench.fleet, POLICY)
     bench.hosts["edge1"].used = 0.39
-    assert apply_saved(bench.fleet, made).results is not None
+    assert apply_saved_plan(bench.fleet, made).results is not None
 
 
 def test_a_restarted_task_makes_a_plan_stale(bench: Bench) -> None:
-    apply(bench.fleet, POLICY)
-    made = plan(bench.fleet, POLICY)
+    plan_and_apply(bench.fleet, POLICY)
+    made = make_plan(bench.fleet, POLICY)
     host = bench.hosts.placed["slam"]
     bench.hosts[host].tasks["slam"]["instance"] = "another"
     with pytest.raises(StalePlanError, match=f"slam was started anew on {host}"):
-        apply_saved(bench.fleet, made)
+        apply_saved_plan(bench.fleet, made)
 
 
 def test_targets_act_on_a_part_of_the_plan(bench: Bench) -> None:
-    applied = apply(bench.fleet, POLICY, options=ApplyOptions(choose=lambda made: targeted(made, {"slam"})))
+    applied = plan_and_apply(
+        bench.fleet, POLICY, options=ApplyOptions(choose=lambda made: limit_plan_to_tasks(made, {"slam"}))
+    )
     assert applied.results is not None
     assert [result.task for result in applied.results.actions] == ["slam"]
     assert bench.hosts.placed.keys() == {"slam"}
 
 
 def test_stop_and_apply_again(bench: Bench) -> None:
-    apply(bench.fleet, POLICY)
-    applied = stop(bench.fleet, ["navigation"])
+    plan_and_apply(bench.fleet, POLICY)
+    applied = stop_tasks(bench.fleet, ["navigation"])
     assert applied.results is not None
     assert applied.results.revision == 2
     assert bench.hosts.placed.keys() == {"slam"}
     assert "navigation" not in bench.memory.placements
-    apply(bench.fleet, POLICY)
+    plan_and_apply(bench.fleet, POLICY)
     assert bench.hosts.placed.keys() == {"slam", "navigation"}
 
 
 def test_stop_all_takes_tasks_of_other_files_too(bench: Bench) -> None:
-    apply(bench.fleet, POLICY)
+    plan_and_apply(bench.fleet, POLICY)
     bench.hosts["edge2"].runs("stranger")
-    applied = stop(bench.fleet, None)
+    applied = stop_tasks(bench.fleet, None)
     assert applied.results is not None
     assert applied.results.done
     assert bench.hosts.placed == {}
-    assert stop(bench.fleet, None).results is None
+    assert stop_tasks(bench.fleet, None).results is None
 
 
 def test_stop_of_an_unknown_task_is_a_usage_error(bench: Bench) -> None:
     with pytest.raises(UsageError, match="unknown task 'slamm'"):
-        stop(bench.fleet, ["slamm"])
-    assert stop(bench.fleet, ["slam"]).results is None
+        stop_tasks(bench.fleet, ["slamm"])
+    assert stop_tasks(bench.fleet, ["slam"]).results is None
 
 
 def test_restart_keeps_the_place(bench: Bench) -> None:
-    apply(bench.fleet, POLICY)
+    plan_and_apply(bench.fleet, POLICY)
     host = bench.hosts.placed["slam"]
     since = bench.memory.placements["slam"].since
     old = bench.hosts[host].tasks["slam"]["instance"]
-    applied = restart(bench.fleet, "slam")
+    applied = restart_task(bench.fleet, "slam")
     assert applied.results is not None
     assert applied.results.actions[0].outcome is Outcome.DONE
     assert bench.hosts[host].tasks["slam"]["instance"] != old
     assert bench.memory.placements["slam"].since == since
     with pytest.raises(UsageError, match="camera"):
-        restart(bench.fleet, "camera")
+        restart_task(bench.fleet, "camera")
 
 
 def test_done_stops_a_task_until_it_is_reopened(bench: Bench) -> None:
-    apply(bench.fleet, POLICY)
-    marks.done(bench.fleet, ["navigation"])
-    assert actions(apply(bench.fleet, POLICY).plan)["navigation"] is Action.COMPLETE
+    plan_and_apply(bench.fleet, POLICY)
+    operator_marks.mark_tasks_done(bench.fleet, ["navigation"])
+    assert actions(plan_and_apply(bench.fleet, POLICY).plan)["navigation"] is Action.COMPLETE
     assert bench.hosts.placed.keys() == {"slam"}
-    assert not plan(bench.fleet, POLICY).changes
-    marks.reopen(bench.fleet, ["navigation"])
-    assert actions(plan(bench.fleet, POLICY))["navigation"] is Action.START
+    assert not make_plan(bench.fleet, POLICY).changes
+    operator_marks.reopen_tasks(bench.fleet, ["navigation"])
+    assert actions(make_plan(bench.fleet, POLICY))["navigation"] is Action.START
     with pytest.raises(UsageError, match="unknown task 'nav'"):
-        marks.done(bench.fleet, ["nav"])
+        operator_marks.mark_tasks_done(bench.fleet, ["nav"])
 
 
 def test_a_job_that_ended_is_remembered(bench: Bench) -> None:
-    job = bench.with_tasks(some_tasks(a_task("job", kind=Kind.JOB)))
-    apply(job, POLICY)
+    job = bench.with_tasks(some_tasks(a_task("job", kind=TaskKind.JOB)))
+    plan_and_apply(job, POLICY)
     host = bench.hosts[bench.hosts.placed["job"]]
     host.tasks["job"] |= {"state": "completed", "pid": 0, "exit_code": 0}
-    assert not apply(job, POLICY).plan.changes
+    assert not plan_and_apply(job, POLICY).plan.changes
     host.tasks.clear()
-    assert not apply(job, POLICY).plan.changes
+    assert not plan_and_apply(job, POLICY).plan.changes
     assert bench.memory.done == {"job": "hash-job"}
 
 
 def test_a_reopened_job_runs_again(bench: Bench) -> None:
-    job = bench.with_tasks(some_tasks(a_task("job", kind=Kind.JOB)))
-    apply(job, POLICY)
+    job = bench.with_tasks(some_tasks(a_task("job", kind=TaskKind.JOB)))
+    plan_and_apply(job, POLICY)
     host = bench.hosts[bench.hosts.placed["job"]]
     host.tasks["job"] |= {"state": "completed", "pid": 0, "exit_code": 0}
-    apply(job, POLICY)
-    marks.reopen(job, ["job"])
-    assert actions(plan(job, POLICY))["job"] is Action.START
+    plan_and_apply(job, POLICY)
+    operator_marks.reopen_tasks(job, ["job"])
+    assert actions(make_plan(job, POLICY))["job"] is Action.START
 
 
 def given_up(bench: Bench) -> FakeHost:
     """slam has crashed again and again; its host."""
-    apply(bench.fleet, POLICY)
+    plan_and_apply(bench.fleet, POLICY)
     host = bench.hosts[bench.hosts.placed["slam"]]
     host.tasks["slam"] |= {"state": "crashloop", "pid": 0, "exit_code": 1, "given_up": True}
     return host
@@ -315,81 +329,87 @@ def test_a_crash_loop_is_not_started_again_by_every_apply(bench: Bench) -> None:
     host = given_up(bench)
     before = list(bench.hosts.changes)
     for _ in range(3):
-        assert actions(apply(bench.fleet, POLICY).plan)["slam"] is Action.UNPLACED
+        assert actions(plan_and_apply(bench.fleet, POLICY).plan)["slam"] is Action.UNPLACED
     bench.hosts.down.add(host.name)
-    assert actions(apply(bench.fleet, POLICY).plan)["slam"] is Action.HOLD, "nor elsewhere, when its host falls silent"
+    assert actions(plan_and_apply(bench.fleet, POLICY).plan)["slam"] is Action.HOLD, (
+        "nor elsewhere, when its host falls silent"
+    )
     assert bench.hosts.changes == before
     bench.hosts.down.clear()
     changed = dataclasses.replace(bench.fleet.tasks.tasks["slam"], spec_hash="new")
-    assert actions(plan(bench.with_tasks(some_tasks(changed)), POLICY))["slam"] is Action.START
+    assert actions(make_plan(bench.with_tasks(some_tasks(changed)), POLICY))["slam"] is Action.START
 
 
 def test_restart_starts_what_was_given_up(bench: Bench) -> None:
     host = given_up(bench)
-    assert restart(bench.fleet, "slam", lambda _plan: False).declined
-    assert actions(plan(bench.fleet, POLICY))["slam"] is Action.UNPLACED, "declined, so it is still given up"
-    applied = restart(bench.fleet, "slam")
+    assert restart_task(bench.fleet, "slam", lambda _plan: False).declined
+    assert actions(make_plan(bench.fleet, POLICY))["slam"] is Action.UNPLACED, (
+        "declined, so it is still given up"
+    )
+    applied = restart_task(bench.fleet, "slam")
     assert applied.results is not None
     assert applied.results.done
     assert [action.task for action in applied.results.actions] == ["slam"]
     assert host.tasks["slam"]["pid"]
-    assert not plan(bench.fleet, POLICY).changes
+    assert not make_plan(bench.fleet, POLICY).changes
 
 
 def test_restart_of_what_was_given_up_and_has_no_place(bench: Bench) -> None:
     given_up(bench)
-    marks.cordon(bench.fleet, ["edge1", "edge2"])
+    operator_marks.cordon_hosts(bench.fleet, ["edge1", "edge2"])
     with pytest.raises(UsageError, match="slam has no place now"):
-        restart(bench.fleet, "slam")
+        restart_task(bench.fleet, "slam")
 
 
 def test_reopen_lets_the_next_apply_start_what_was_given_up(bench: Bench) -> None:
     given_up(bench)
-    marks.reopen(bench.fleet, ["slam"])
-    assert actions(apply(bench.fleet, POLICY).plan)["slam"] is Action.START
+    operator_marks.reopen_tasks(bench.fleet, ["slam"])
+    assert actions(plan_and_apply(bench.fleet, POLICY).plan)["slam"] is Action.START
 
 
 def test_drained_hosts_are_left(bench: Bench) -> None:
-    apply(bench.fleet, POLICY)
+    plan_and_apply(bench.fleet, POLICY)
     host = bench.hosts.placed["slam"]
-    marks.cordon(bench.fleet, [host], drain=True)
-    apply(bench.fleet, POLICY)
+    operator_marks.cordon_hosts(bench.fleet, [host], drain=True)
+    plan_and_apply(bench.fleet, POLICY)
     assert host not in bench.hosts.placed.values()
-    marks.uncordon(bench.fleet, [host])
+    operator_marks.uncordon_hosts(bench.fleet, [host])
     assert bench.memory.cordons == bench.memory.draining == frozenset()
 
 
 def test_logs_come_from_where_the_task_is(bench: Bench) -> None:
-    apply(bench.fleet, POLICY)
-    assert logs(bench.fleet, "slam", tail=7) == "7 lines of slam\n"
-    assert b"".join(follow(bench.fleet, "slam", tail=3)) == b"3 lines of slam\n"
+    plan_and_apply(bench.fleet, POLICY)
+    assert read_log(bench.fleet, "slam", tail=7) == "7 lines of slam\n"
+    assert b"".join(follow_log(bench.fleet, "slam", tail=3)) == b"3 lines of slam\n"
     with pytest.raises(UsageError, match="unknown task 'camera'"):
-        logs(bench.fleet, "camera")
+        read_log(bench.fleet, "camera")
     bench.hosts.down.update({"edge1", "edge2"})
     with pytest.raises(UsageError, match="no answer from edge1, edge2"):
-        logs(bench.fleet, "slam")
+        read_log(bench.fleet, "slam")
 
 
 def test_a_probe_carries_the_memory_and_a_plan_from_it_needs_no_host(bench: Bench) -> None:
-    save_memory(bench.fleet.state, Memory(managed=True, placements={"slam": Placement(host="edge2", since=1.0)}))
-    snapshot = probe(bench.fleet)
-    assert snapshot.memory is not None
-    assert kept(snapshot.memory) == bench.memory
-    assert snapshot.memory.contact.keys() == {"edge1", "edge2", "robot1"}
+    save_manager_state(
+        bench.fleet.state, ManagerState(managed=True, placements={"slam": Placement(host="edge2", since=1.0)})
+    )
+    snapshot = probe_fleet(bench.fleet)
+    assert snapshot.manager is not None
+    assert select_saved_fields(snapshot.manager) == bench.memory
+    assert snapshot.manager.contact.keys() == {"edge1", "edge2", "robot1"}
     bench.hosts.down.update(bench.hosts.hosts)
-    assert plan(bench.fleet, POLICY, snapshot=snapshot).summary == {Action.START: 2}
+    assert make_plan(bench.fleet, POLICY, snapshot=snapshot).summary == {Action.START: 2}
 
 
 def test_a_dry_run_shows_the_exact_requests_and_sends_none(bench: Bench) -> None:
-    made = plan(bench.fleet, POLICY)
-    entries = commands(bench.fleet, made)
+    made = make_plan(bench.fleet, POLICY)
+    entries = list_remote_commands(bench.fleet, made)
     assert [(entry["task"], entry["phase"]) for entry in entries] == [
         ("slam", "start"),
         ("slam", "ready"),
         ("navigation", "start"),
         ("navigation", "ready"),
     ]
-    assert entries[0]["command"] == command_line("python3")
+    assert entries[0]["command"] == build_agent_command("python3")
     stdin = entries[0]["stdin"]
     assert isinstance(stdin, dict)
     assert stdin["spec"]["env"]["EDGECTL_ROBOT_HOST"] == "robot1.lab"
@@ -403,14 +423,14 @@ def test_a_cut_off_apply_is_said_and_mended_by_the_next(bench: Bench) -> None:
         if point == "start acknowledged":
             raise KeyboardInterrupt
 
-    remove = points.install(die)
+    remove = failpoints.install_hook(die)
     try:
         with pytest.raises(KeyboardInterrupt):
-            apply(bench.fleet, POLICY)
+            plan_and_apply(bench.fleet, POLICY)
     finally:
         remove()
     assert bench.hosts.changes == [f"start slam {bench.hosts.placed['slam']}"]
-    applied = apply(bench.fleet, POLICY)
+    applied = plan_and_apply(bench.fleet, POLICY)
     assert actions(applied.plan) == {"slam": Action.KEEP, "navigation": Action.START}
     assert bench.said == ["revision 1 was cut off while it changed slam; the hosts were asked what runs now"]
     assert not bench.hosts.world.overlap
@@ -421,7 +441,10 @@ def test_a_failed_action_is_in_the_results_and_the_rest_goes_on(bench: Bench) ->
     tasks = some_tasks(never, a_task("camera"))
     for name in ("edge1", "edge2"):
         bench.hosts[name].faults["wait:slam"] = lambda _request: {"state": "running"}
-    applied = apply(bench.with_tasks(tasks), POLICY)
+    applied = plan_and_apply(bench.with_tasks(tasks), POLICY)
     assert applied.results is not None
-    assert {result.task: result.outcome for result in applied.results.actions} == {"slam": Outcome.FAILED, "camera": Outcome.DONE}
+    assert {result.task: result.outcome for result in applied.results.actions} == {
+        "slam": Outcome.FAILED,
+        "camera": Outcome.DONE,
+    }
     assert bench.memory.placements.keys() == {"slam", "camera"}

@@ -10,15 +10,15 @@ import pytest
 from edgectl.errors import InputError, Problem, RefusedError
 from edgectl.model.cycle import Cycle
 from edgectl.model.event import EventKind
-from edgectl.model.memory import Memory
+from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Action
 from edgectl.model.policy import Policy
 from edgectl.model.result import Outcome
-from edgectl.model.weights import PRESETS
+from edgectl.model.weights import WEIGHT_PRESETS
 from edgectl.state.lock import FleetLock
-from edgectl.state.memory import load_memory
-from edgectl.usecases import marks
-from edgectl.usecases.control import Control, Wish
+from edgectl.state.manager_state import load_manager_state
+from edgectl.usecases import operator_marks
+from edgectl.usecases.control import Control, ControlRequest
 from edgectl.usecases.fleet import Fleet
 from tests.builders import a_task, some_tasks
 from tests.state.journals import entries
@@ -32,7 +32,9 @@ def site(tmp_path: Path) -> Site:
 
 def acted(cycles: list[Cycle]) -> dict[int, list[tuple[str, Action]]]:
     """What was carried out, by the number of the cycle."""
-    return {c.number: [(a.task, a.action) for a in c.results.actions] for c in cycles if c.results is not None}
+    return {
+        c.number: [(a.task, a.action) for a in c.results.actions] for c in cycles if c.results is not None
+    }
 
 
 def well(cycles: list[Cycle]) -> bool:
@@ -48,7 +50,7 @@ def test_it_starts_what_is_missing_and_then_changes_nothing(site: Site) -> None:
     assert site.transport.connected == {"edge1": 1, "edge2": 1, "robot1": 1}
     assert [c.next_in is None for c in cycles] == [False] * 19 + [True]
     assert cycles[-1].at - cycles[0].at == pytest.approx(19 * EVERY, abs=1.0)
-    assert load_memory(site.fleet.state).placements.keys() == {"slam", "navigation"}
+    assert load_manager_state(site.fleet.state).placements.keys() == {"slam", "navigation"}
 
 
 def test_without_apply_it_only_says_what_it_would_do(site: Site) -> None:
@@ -60,7 +62,9 @@ def test_without_apply_it_only_says_what_it_would_do(site: Site) -> None:
 
 
 def test_a_lasting_load_moves_each_task_once_after_its_dwell(tmp_path: Path) -> None:
-    tasks = some_tasks(a_task("slam", cpu=1.0), a_task("navigation", cpu=0.5), policy=Policy(weights=PRESETS["cpu"]))
+    tasks = some_tasks(
+        a_task("slam", cpu=1.0), a_task("navigation", cpu=0.5), policy=Policy(weights=WEIGHT_PRESETS["cpu"])
+    )
     site = Site(tmp_path, tasks=tasks)
     site.hosts["edge1"].cores = site.hosts["edge2"].cores = 8.0
 
@@ -119,16 +123,18 @@ def test_a_host_that_flaps_costs_no_move(site: Site) -> None:
 def test_a_failing_action_is_not_repeated_in_every_cycle(site: Site) -> None:
     for edge in ("edge1", "edge2"):
         site.hosts[edge].faults["start:slam"] = RefusedError("disk full")
-    cycles = list(site.watch(55, {40: lambda: [site.hosts[edge].faults.clear() for edge in ("edge1", "edge2")]}))
+    cycles = list(
+        site.watch(55, {40: lambda: [site.hosts[edge].faults.clear() for edge in ("edge1", "edge2")]})
+    )
     tried = [number for number, actions in acted(cycles).items() if ("slam", Action.START) in actions]
     assert tried[0] == 1
     assert 4 <= len(tried) <= 7, tried
     assert [b - a for a, b in pairwise(tried)][:3] == [4, 7, 13], "30, 60, 120 s"
     assert cycles[1].resting == ("slam",)
     assert all(c.results is None or c.results.actions[0].outcome is Outcome.FAILED for c in cycles[:40])
-    assert all(c.results is None or c.number > 40 or c.results.actions[1].outcome is Outcome.SKIPPED for c in cycles), (
-        "nor begun without it"
-    )
+    assert all(
+        c.results is None or c.number > 40 or c.results.actions[1].outcome is Outcome.SKIPPED for c in cycles
+    ), "nor begun without it"
     assert site.hosts.placed.keys() == {"slam", "navigation"}
     assert not any(c.error for c in cycles)
 
@@ -151,7 +157,7 @@ def test_a_fleet_changed_by_another_edgectl_since_the_sample_is_planned_anew(sit
     site.hosts[away].tasks.clear()
     other = dataclasses.replace(site.fleet, transport=site.hosts.transport)
     policy = site.fleet.tasks.policy
-    answers = [lambda: marks.cordon(other, [away])]
+    answers = [lambda: operator_marks.cordon_hosts(other, [away])]
 
     def meanwhile(_fleet: Fleet) -> object:
         if answers:
@@ -172,7 +178,7 @@ def test_completed_tasks_are_remembered_although_nothing_is_carried_out(site: Si
     cycles = list(site.watch(3))
     assert well(cycles)
     assert acted(cycles) == {}
-    assert load_memory(site.fleet.state).done == {"navigation": "hash-navigation"}
+    assert load_manager_state(site.fleet.state).done == {"navigation": "hash-navigation"}
 
 
 def test_pausing_samples_on_and_plans_nothing_until_asked(site: Site) -> None:
@@ -206,8 +212,12 @@ def test_cycles_that_take_too_long_do_not_pile_up(site: Site) -> None:
 
 
 def test_changed_files_are_taken_over_and_broken_ones_said(site: Site) -> None:
-    new = dataclasses.replace(site.fleet, tasks=some_tasks(a_task("slam", cpu=1.0, robots=["robot1"])), transport=site.transport)
-    mistake = InputError([Problem(file="tasks.yaml", line=3, column=5, code="EC012", message="unknown field 'demnd'")])
+    new = dataclasses.replace(
+        site.fleet, tasks=some_tasks(a_task("slam", cpu=1.0, robots=["robot1"])), transport=site.transport
+    )
+    mistake = InputError(
+        [Problem(file="tasks.yaml", line=3, column=5, code="EC012", message="unknown field 'demnd'")]
+    )
     answers: list[Fleet | InputError | None] = [None, mistake, mistake, new, None]
 
     def refresh() -> Fleet | None:
@@ -240,7 +250,10 @@ def test_noise_does_not_move_what_a_lasting_load_would(site: Site) -> None:
     list(site.watch(1))
     site.hands.seconds += 600.0
     busy = site.hosts[site.hosts.placed["slam"]]
-    spikes = {number: (lambda n=number: setattr(busy, "used", 3.2 if n % 9 == 0 else 0.0)) for number in range(1, 80)}
+    spikes = {
+        number: (lambda n=number: setattr(busy, "used", 3.2 if n % 9 == 0 else 0.0))
+        for number in range(1, 80)
+    }
     assert acted(list(site.watch(80, spikes))) == {}
 
 
@@ -248,17 +261,19 @@ def test_the_journal_says_who_did_it(site: Site) -> None:
     list(site.watch(2))
     log = entries(site.fleet.state / "journal.jsonl")
     assert [entry["verb"] for entry in log if entry["event"] == "begin"] == ["watch"]
-    assert isinstance(load_memory(site.fleet.state), Memory)
+    assert isinstance(load_manager_state(site.fleet.state), ManagerState)
 
 
 def test_tasks_that_fence_themselves_hear_of_it_between_the_cycles(tmp_path: Path) -> None:
     site = Site(tmp_path, tasks=some_tasks(a_task("slam", cpu=1.0, self_fence=0.2)))
     asked: list[str] = []
     for name in ("edge1", "edge2"):
-        site.hosts[name].faults["status"] = lambda request: asked.append(str(request["host"])) or {"tasks": {}}  # type: ignore[func-returns-value]
+        site.hosts[name].faults["status"] = lambda request: (
+            asked.append(str(request["host"])) or {"tasks": {}}
+        )  # type: ignore[func-returns-value]
 
     class Patiently(Control):
-        def wait(self, seconds: float) -> Wish | None:
+        def wait(self, seconds: float) -> ControlRequest | None:
             deadline = time.monotonic() + 20
             while set(asked) != {"edge1", "edge2"} and time.monotonic() < deadline:
                 time.sleep(0.01)

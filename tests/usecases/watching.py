@@ -11,9 +11,9 @@ from edgectl.model.inventory import Host, Inventory
 from edgectl.model.task import Tasks
 from edgectl.state.uptime import Uptime
 from edgectl.transport.fake import FakeSession, FakeTransport
-from edgectl.usecases.control import Control, Wish
+from edgectl.usecases.control import Control, ControlRequest
 from edgectl.usecases.fleet import Fleet
-from edgectl.usecases.watch import WatchOptions, watch
+from edgectl.usecases.watch import WatchOptions, watch_fleet
 from tests.builders import NOW, a_robot, a_task, an_edge, an_inventory, some_tasks
 from tests.executor.fake_fleet import FakeFleet
 
@@ -43,7 +43,7 @@ class Hurried(Control):
         self.hands = hands
         self.waited: list[float] = []
 
-    def wait(self, seconds: float) -> Wish | None:
+    def wait(self, seconds: float) -> ControlRequest | None:
         wish = super().wait(0)
         if wish is None:
             self.hands.seconds += seconds
@@ -54,23 +54,35 @@ class Hurried(Control):
 class Site:
     """Two edges, a robot, two tasks and a watch over them. ``transport`` keeps no list of requests, unlike the FakeTransport below it."""
 
-    def __init__(self, state: Path, *, tasks: Tasks | None = None, inventory: Inventory | None = None) -> None:
+    def __init__(
+        self, state: Path, *, tasks: Tasks | None = None, inventory: Inventory | None = None
+    ) -> None:
         inventory = inventory or an_inventory(an_edge("edge1"), an_edge("edge2"), a_robot("robot1"))
         tasks = tasks or some_tasks(
-            a_task("slam", cpu=1.0, robots=["robot1"]), a_task("navigation", cpu=0.5, robots=["robot1"], needs=["slam"])
+            a_task("slam", cpu=1.0, robots=["robot1"]),
+            a_task("navigation", cpu=0.5, robots=["robot1"], needs=["slam"]),
         )
         self.hosts = FakeFleet.of(inventory.hosts)
         self.hands = Hands()
         self.control = Hurried(self.hands)
         self.transport = Forgetful(self.hosts.transport)
         self.fleet = Fleet(
-            inventory=inventory, tasks=tasks, transport=self.transport, state=state, clock=self.hands.wall, uptime=self.hands.uptime
+            inventory=inventory,
+            tasks=tasks,
+            transport=self.transport,
+            state=state,
+            clock=self.hands.wall,
+            uptime=self.hands.uptime,
         )
 
-    def watch(self, cycles: int, between: Mapping[int, Callable[[], object]] | None = None, **changes: object) -> Iterator[Cycle]:
+    def watch(
+        self, cycles: int, between: Mapping[int, Callable[[], object]] | None = None, **changes: object
+    ) -> Iterator[Cycle]:
         """The cycles; after that of a number in ``between`` something happens. Changes are for `WatchOptions`."""
-        options = dataclasses.replace(WatchOptions(every=EVERY, apply=True, control=self.control, cycles=cycles), **changes)  # type: ignore[arg-type]
-        with closing(watch(self.fleet, options)) as running:
+        options = dataclasses.replace(
+            WatchOptions(every=EVERY, apply=True, control=self.control, cycles=cycles), **changes
+        )  # type: ignore[arg-type]
+        with closing(watch_fleet(self.fleet, options)) as running:
             for cycle in islice(running, 2 * cycles):
                 yield cycle
                 (between or {}).get(cycle.number, int)()

@@ -4,10 +4,10 @@ from functools import cache
 from pathlib import Path
 
 from edgectl.config.documents import load_snapshot
-from edgectl.config.load import load
-from edgectl.executor.diff import plan_of
+from edgectl.config.load import load_inventory_and_tasks
+from edgectl.executor.diff import plan_from_assignment
 from edgectl.model.inventory import Inventory
-from edgectl.model.memory import Memory
+from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Plan
 from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Tasks
@@ -19,12 +19,20 @@ SNAPSHOT = ROOT / "docs" / "examples" / "snapshot.json"
 
 @cache
 def fleet() -> tuple[Inventory, Tasks, Snapshot]:
-    inventory, tasks, _ = load(ROOT / "inventories" / "local.yaml", [ROOT / "tasks" / "demo.yaml"])
+    inventory, tasks, _ = load_inventory_and_tasks(
+        ROOT / "inventories" / "local.yaml", [ROOT / "tasks" / "demo.yaml"]
+    )
     return inventory, tasks, load_snapshot(SNAPSHOT)
 
 
 @cache
 def plan() -> Plan:
     inventory, tasks, snapshot = fleet()
-    memory = snapshot.memory or Memory()
-    return plan_of(inventory, tasks, snapshot, memory, assign(inventory, tasks, snapshot, memory, tasks.policy, snapshot.taken_at))
+    memory = snapshot.manager or ManagerState()
+    return plan_from_assignment(
+        inventory,
+        tasks,
+        snapshot,
+        memory,
+        assign(inventory, tasks, snapshot, memory, tasks.policy, snapshot.taken_at),
+    )

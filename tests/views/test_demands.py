@@ -4,24 +4,40 @@ from dataclasses import replace
 
 import pytest
 
-from edgectl.executor.diff import plan_of
-from edgectl.model.memory import MeasuredDemand, Memory
+from edgectl.executor.diff import plan_from_assignment
+from edgectl.model.manager_state import ManagerState, MeasuredDemand
 from edgectl.model.plan import Plan
 from edgectl.model.policy import Policy
-from edgectl.model.profile import ClassProfile, Profile, Spread
+from edgectl.model.profile import ClassProfile, UsagePercentiles, UsageProfile
 from edgectl.model.task import Quantity
 from edgectl.scheduler.assign import assign
 from edgectl.views import markdown, table, wide, yaml
-from edgectl.views.demands import demands
-from edgectl.views.text import Look
-from tests.builders import GI, NOW, a_link, a_robot, a_run, a_sample, a_snapshot, a_task, an_edge, an_inventory, some_tasks
+from edgectl.views.demands import render_demands
+from edgectl.views.text import RenderOptions
+from tests.builders import (
+    GI,
+    NOW,
+    a_link,
+    a_robot,
+    a_run,
+    a_sample,
+    a_snapshot,
+    a_task,
+    an_edge,
+    an_inventory,
+    some_tasks,
+)
 
 LINKS = {"robot1": a_link()}
-SNAPSHOT = a_snapshot(edge1=a_sample(links=LINKS), edge2=a_sample(cores=8.0, memory=8 * GI, used_memory=6 * GI, links=LINKS))
-MEMORY = Memory(
+SNAPSHOT = a_snapshot(
+    edge1=a_sample(links=LINKS), edge2=a_sample(cores=8.0, memory=8 * GI, used_memory=6 * GI, links=LINKS)
+)
+MEMORY = ManagerState(
     managed=True,
     measured={
-        ("slam", "4c-4Gi"): MeasuredDemand(samples=412, span_s=900.0, cpu=1.0, memory=100 * 2.0**20, throughput=None),
+        ("slam", "4c-4Gi"): MeasuredDemand(
+            samples=412, span_s=900.0, cpu=1.0, memory=100 * 2.0**20, throughput=None
+        ),
         ("map", "4c-4Gi"): MeasuredDemand(samples=12, span_s=60.0, cpu=1.0, memory=GI),
     },
 )
@@ -32,7 +48,9 @@ TASKS = some_tasks(
 
 def a_plan() -> Plan:
     inventory = an_inventory(an_edge("edge1"), an_edge("edge2"), a_robot())
-    return plan_of(inventory, TASKS, SNAPSHOT, MEMORY, assign(inventory, TASKS, SNAPSHOT, MEMORY, Policy(), NOW))
+    return plan_from_assignment(
+        inventory, TASKS, SNAPSHOT, MEMORY, assign(inventory, TASKS, SNAPSHOT, MEMORY, Policy(), NOW)
+    )
 
 
 def test_wide_tells_every_source() -> None:
@@ -41,7 +59,18 @@ def test_wide_tells_every_source() -> None:
         ["TASK", "HOST", "CPU", "MEMORY", "THROUGHPUT"],
         ["map", "edge1", "0.00", "none", "(12", "of", "60", "samples)", "1.0Gi", "declared", "-"],
         ["old", "edge1", "1.41", "declared", "0B", "declared", "-"],
-        ["slam", "edge1", "1.00", "measured", "n=412", "100.0Mi", "measured", "n=412", "300.0kB/s", "declared"],
+        [
+            "slam",
+            "edge1",
+            "1.00",
+            "measured",
+            "n=412",
+            "100.0Mi",
+            "measured",
+            "n=412",
+            "300.0kB/s",
+            "declared",
+        ],
         ["edge2", "1.00", "measured-elsewhere", "100.0Mi", "measured-elsewhere", "300.0kB/s", "declared"],
     ]
 
@@ -59,15 +88,15 @@ def test_the_table_has_a_note_for_each_thing_to_know() -> None:
 def test_a_plan_with_declared_demands_alone_has_no_note() -> None:
     plan = a_plan()
     steps = tuple(replace(step, decision=replace(step.decision, demand=())) for step in plan.steps)
-    silent = replace(plan, steps=steps, uneven=())
+    silent = replace(plan, steps=steps, demand_spreads=())
     assert "note:" not in table.plan(silent)
     assert "Demands" not in wide.plan(replace(silent, steps=()))
 
 
 def test_long_lists_are_cut_and_fit_the_terminal() -> None:
     plan = a_plan()
-    many = replace(plan, uneven=plan.uneven * 9)
-    text = table.plan(many, Look(width=80))
+    many = replace(plan, demand_spreads=plan.demand_spreads * 9)
+    text = table.plan(many, RenderOptions(width=80))
     assert "and 5 more" in text
     assert max(map(len, text.splitlines())) <= 80
 
@@ -75,28 +104,50 @@ def test_long_lists_are_cut_and_fit_the_terminal() -> None:
 def test_status_sets_the_measured_demand_beside_the_use() -> None:
     inventory = an_inventory(an_edge("edge1"), an_edge("edge2"), a_robot())
     hosts = {"edge1": replace(SNAPSHOT.hosts["edge1"], tasks={"slam": a_run(used_cores=1.25)})}
-    text = table.status(replace(SNAPSHOT, hosts=hosts, memory=MEMORY), inventory, TASKS)
+    text = table.status(replace(SNAPSHOT, hosts=hosts, manager=MEMORY), inventory, TASKS)
     assert text.splitlines()[1].split()[4:] == ["1.25", "1.00", "0B", "100.0Mi", "0B/s", "300.0kB/s"]
 
 
 def a_profile(name: str = "slam-of-the-second-robot") -> ClassProfile:
-    spread = Spread(p50=0.5, p95=123.456, most=1234.5)
-    found = Profile(samples=12, span_s=990.0, cpu=spread, memory=spread, throughput=spread)
+    spread = UsagePercentiles(p50=0.5, p95=123.456, most=1234.5)
+    found = UsageProfile(samples=12, span_s=990.0, cpu=spread, memory=spread, throughput=spread)
     task = a_task(
-        name, cpu=Quantity(value=1.2, measured=True), memory="2.5%", throughput=Quantity(value=0.0, measured=True), robots=["robot1"]
+        name,
+        cpu=Quantity(value=1.2, measured=True),
+        memory="2.5%",
+        throughput=Quantity(value=0.0, measured=True),
+        robots=["robot1"],
     )
     return ClassProfile(task=task, kind="4c-8Gi", hosts=("edge1", "edge2"), profile=found, enough=False)
 
 
 @pytest.mark.parametrize("width", [80, 160])
 def test_profiles_and_demands_pass_no_edge(width: int) -> None:
-    for text in (table.profile([a_profile()], Look(width=width)), demands(a_plan(), Look(width=width))):
+    for text in (
+        table.profile([a_profile()], RenderOptions(width=width)),
+        render_demands(a_plan(), RenderOptions(width=width)),
+    ):
         assert max(map(len, text.splitlines())) <= width
 
 
 def test_a_profile_says_how_a_demand_is_declared() -> None:
     rows = [line.split() for line in table.profile([a_profile()]).splitlines()]
-    assert rows[1][2:] == ["cpu", "until:", "1.20", "0.50", "123.46", "1234.50", "12", "of", "60", "16m30s", "edge1,", "edge2"]
+    assert rows[1][2:] == [
+        "cpu",
+        "until:",
+        "1.20",
+        "0.50",
+        "123.46",
+        "1234.50",
+        "12",
+        "of",
+        "60",
+        "16m30s",
+        "edge1,",
+        "edge2",
+    ]
     assert rows[2] == ["memory", "2.5%", "0B", "123B", "1.2Ki"]
     assert rows[3] == ["throughput", "measured", "0B/s", "123B/s", "1.2kB/s"]
-    assert yaml.profile([a_profile()]).startswith("format_version: 1\nprofiles:\n- task: slam-of-the-second-robot\n  class: 4c-8Gi\n")
+    assert yaml.profile([a_profile()]).startswith(
+        "format_version: 1\nprofiles:\n- task: slam-of-the-second-robot\n  class: 4c-8Gi\n"
+    )

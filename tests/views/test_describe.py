@@ -8,13 +8,33 @@ import yaml
 
 from edgectl.model.event import Event, EventKind
 from edgectl.model.inventory import Capacity
-from edgectl.model.memory import Memory, Placement
+from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.secret import Secret
-from edgectl.model.snapshot import CapacitySource, Device, HostSample, InterfaceSample, LinkSample, Snapshot, TaskState
-from edgectl.model.task import Check, Demand, Handoff, Need, Quantity, Until, Where
-from edgectl.views.form import Form, view
-from edgectl.views.text import Look
-from tests.builders import GI, NOW, a_robot, a_run, a_sample, a_snapshot, a_task, an_edge, an_inventory, silent, some_tasks
+from edgectl.model.snapshot import (
+    CapacitySource,
+    DeviceSample,
+    HostSample,
+    InterfaceSample,
+    LinkSample,
+    Snapshot,
+    TaskState,
+)
+from edgectl.model.task import Check, CheckLocation, Demand, HandoffContract, Need, NeedCondition, Quantity
+from edgectl.views.output_format import OutputFormat, get_renderer
+from edgectl.views.text import RenderOptions
+from tests.builders import (
+    GI,
+    NOW,
+    a_robot,
+    a_run,
+    a_sample,
+    a_snapshot,
+    a_task,
+    an_edge,
+    an_inventory,
+    silent,
+    some_tasks,
+)
 from tests.views.fixtures import plan
 
 FLEET = an_inventory(
@@ -23,42 +43,74 @@ FLEET = an_inventory(
     an_edge("edge2", capacity=Capacity(cpu=2.0, memory=GI)), a_robot("robot1", onboard=True), a_robot("robot2", probe=False),
 )  # fmt: skip
 SLAM = a_task(
-    "slam-robot1", template="slam", robots=["robot1"], needs=[Need(task="pose", until=Until.RUNNING)], pin="edge1", priority=2.0,
+    "slam-robot1", template="slam", robots=["robot1"], needs=[Need(task="pose", until=NeedCondition.RUNNING)], pin="edge1", priority=2.0,
     command="roslaunch edge_robot slam.launch robot:=robot1 with:=a-rather-long-line-of-arguments and:=more",
     env={"API_KEY": Secret("canary-task"), "MODE": "fast"}, demand=Demand(cpu=Quantity(value=0.5, relative=True), memory=Quantity(value=GI)),
     ready=Check(command="rosnode info /slam"),
-    handoff=Handoff(safe_when=Check(command="at-rest", on=Where.ROBOT, timeout=5.0)),
+    handoff=HandoffContract(safe_when=Check(command="at-rest", on=CheckLocation.ROBOT, timeout=5.0)),
     self_fence=60.0,
 )  # fmt: skip
 TASKS = some_tasks(SLAM, a_task("idle"))
-LINK = LinkSample(capacity_bytes_per_s=10e6, used_bytes_per_s=4e6, rtt_ms=2.25, capacity_source=CapacitySource.MEASURED)
-RUN = a_run(started_at=NOW - 252, used_cores=2.5, used_bytes=0.5 * GI, used_bytes_per_s=2e6, restarts=1, last_exit=3, generation=7)
-MEMORY = Memory(
+LINK = LinkSample(
+    capacity_bytes_per_s=10e6, used_bytes_per_s=4e6, rtt_ms=2.25, capacity_source=CapacitySource.MEASURED
+)
+RUN = a_run(
+    started_at=NOW - 252,
+    used_cores=2.5,
+    used_bytes=0.5 * GI,
+    used_bytes_per_s=2e6,
+    restarts=1,
+    last_exit=3,
+    generation=7,
+)
+MEMORY = ManagerState(
     contact={"edge1": NOW - 1.5}, cordons=frozenset({"edge1"}), placements={"slam-robot1": Placement(host="edge1", since=NOW - 260)},
     downtimes={("slam-robot1", "edge1"): (0.75, 1.25), ("slam-robot1", "edge2"): (2.0,), ("idle", "edge1"): (9.0,)},
 )  # fmt: skip
 EVENTS = (
-    Event(id=3, at=NOW - 260, kind=EventKind.TASK_STARTED, host="edge1", task="slam-robot1", message="took 0.7s"),
-    Event(id=4, at=NOW - 200, kind=EventKind.TASK_RESTARTED, host="edge1", task="slam-robot1", message="exit code 3\x1b[2J"),
+    Event(
+        id=3, at=NOW - 260, kind=EventKind.TASK_STARTED, host="edge1", task="slam-robot1", message="took 0.7s"
+    ),
+    Event(
+        id=4,
+        at=NOW - 200,
+        kind=EventKind.TASK_RESTARTED,
+        host="edge1",
+        task="slam-robot1",
+        message="exit code 3\x1b[2J",
+    ),
 )
 
 
 def edge1() -> HostSample:
-    device = Device(load_1m=3.5, temperature_c=61.4, interfaces={"eth0": InterfaceSample(rx_bytes_per_s=1e6, tx_bytes_per_s=2e6)})
-    return replace(a_sample(used=3.6, used_memory=GI, tasks={"slam-robot1": RUN}, links={"robot1": LINK}), device=device)
+    device = DeviceSample(
+        load_1m=3.5,
+        temperature_c=61.4,
+        interfaces={"eth0": InterfaceSample(rx_bytes_per_s=1e6, tx_bytes_per_s=2e6)},
+    )
+    return replace(
+        a_sample(used=3.6, used_memory=GI, tasks={"slam-robot1": RUN}, links={"robot1": LINK}), device=device
+    )
 
 
 def snapshot(**hosts: HostSample) -> Snapshot:
     return a_snapshot(**{"edge1": edge1(), "edge2": silent(), "robot1": a_sample(), **hosts}, memory=MEMORY)
 
 
-def host(name: str, form: Form = Form.TABLE, look: Look | None = None) -> str:
-    return view(form, "host_details")(name, snapshot(), FLEET, TASKS, EVENTS, look or Look())
+def host(name: str, form: OutputFormat = OutputFormat.TABLE, look: RenderOptions | None = None) -> str:
+    return get_renderer(form, "host_details")(name, snapshot(), FLEET, TASKS, EVENTS, look or RenderOptions())
 
 
-def task(name: str = "slam-robot1", form: Form = Form.TABLE, look: Look | None = None, value: Snapshot | None = None) -> str:
+def task(
+    name: str = "slam-robot1",
+    form: OutputFormat = OutputFormat.TABLE,
+    look: RenderOptions | None = None,
+    value: Snapshot | None = None,
+) -> str:
     step = next(step for step in plan().steps if step.task == "slam-robot1")
-    return view(form, "task_details")(name, value or snapshot(), FLEET, TASKS, step, EVENTS, look or Look())
+    return get_renderer(form, "task_details")(
+        name, value or snapshot(), FLEET, TASKS, step, EVENTS, look or RenderOptions()
+    )
 
 
 HAPPENED = """\
@@ -137,20 +189,22 @@ Use on edge1:
 
 def test_an_edge_as_text() -> None:
     assert host("edge1") == EDGE1
-    assert host("edge1", look=Look(width=160, unicode=True)) == EDGE1.replace("  90%!", "  ███████▎  90%!").replace(
-        "  25%   1", "  ██        25%   1"
-    ).replace("  40%   4", "  ███▎      40%   4")
+    assert host("edge1", look=RenderOptions(width=160, unicode=True)) == EDGE1.replace(
+        "  90%!", "  ███████▎  90%!"
+    ).replace("  25%   1", "  ██        25%   1").replace("  40%   4", "  ███▎      40%   4")
 
 
 def test_a_task_as_text() -> None:
     assert task() == SLAM_TEXT
-    assert task(look=Look(width=160, unicode=True)) == SLAM_TEXT
+    assert task(look=RenderOptions(width=160, unicode=True)) == SLAM_TEXT
 
 
 def test_80_columns_are_enough() -> None:
-    narrow = Look(width=80, unicode=True)
+    narrow = RenderOptions(width=80, unicode=True)
     assert max(map(len, (host("edge1", look=narrow) + task(look=narrow)).splitlines())) <= 80
-    assert "robot:=robot1\n              with:=a-rather-long-line-of-arguments and:=more\n" in task(look=narrow), "it goes on below itself"
+    assert "robot:=robot1\n              with:=a-rather-long-line-of-arguments and:=more\n" in task(
+        look=narrow
+    ), "it goes on below itself"
 
 
 def test_a_silent_host_and_one_that_is_never_asked() -> None:
@@ -169,21 +223,25 @@ def test_what_an_application_says_of_itself_stands_with_its_run() -> None:
 
 def test_a_task_that_does_not_run_and_one_that_no_file_names() -> None:
     assert "State:        not running\n" in task("idle")
-    stray = snapshot(robot1=a_sample(tasks={"stray": a_run(TaskState.FAILED, exit_code=2, log_tail=("Traceback", "\x1b[31mboom"))}))
+    stray = snapshot(
+        robot1=a_sample(
+            tasks={"stray": a_run(TaskState.FAILED, exit_code=2, log_tail=("Traceback", "\x1b[31mboom"))}
+        )
+    )
     text = task("stray", value=stray)
     assert "Command:   not in the task files\n" in text
     assert "Said last:\n  Traceback\n  \\x1b[31mboom\n" in text
 
 
-@pytest.mark.parametrize("form", [Form.TABLE, Form.JSON, Form.YAML])
-def test_secrets_stay_hidden(form: Form) -> None:
+@pytest.mark.parametrize("form", [OutputFormat.TABLE, OutputFormat.JSON, OutputFormat.YAML])
+def test_secrets_stay_hidden(form: OutputFormat) -> None:
     for text in (host("edge1", form), task(form=form)):
         assert "canary" not in text
         assert "***" in text
 
 
 def test_documents() -> None:
-    document = json.loads(host("edge1", Form.JSON))
+    document = json.loads(host("edge1", OutputFormat.JSON))
     assert (document["kind"], document["closed"], document["env"]["TOKEN"], document["last_contact"]) == (
         "edge",
         "cordoned",
@@ -191,8 +249,8 @@ def test_documents() -> None:
         "2025-11-21T01:53:18.500Z",
     )
     assert [event["kind"] for event in document["events"]] == ["task-started", "task-restarted"]
-    assert yaml.safe_load(host("edge1", Form.YAML)) == document
-    document = json.loads(task(form=Form.JSON))
+    assert yaml.safe_load(host("edge1", OutputFormat.YAML)) == document
+    document = json.loads(task(form=OutputFormat.JSON))
     assert document["runs"][0]["off"] == {"cores": 0.5, "bytes": -0.5 * GI}
     assert document["downtimes_s"] == {"edge1": [0.75, 1.25], "edge2": [2]}
     assert (document["decision"]["action"], document["placed"]["host"], document["spec"]["needs"]) == (
@@ -200,4 +258,4 @@ def test_documents() -> None:
         "edge1",
         [{"task": "pose", "until": "running"}],
     )
-    assert yaml.safe_load(task(form=Form.YAML)) == document
+    assert yaml.safe_load(task(form=OutputFormat.YAML)) == document

@@ -5,16 +5,30 @@ import json
 import pytest
 import yaml
 
-from edgectl.model.finding import Diagnosis, Finding, Level
-from edgectl.views.form import Form, view
-from edgectl.views.text import Look
+from edgectl.model.diagnosis import Diagnosis, Finding, Severity
+from edgectl.views.output_format import OutputFormat, get_renderer
+from edgectl.views.text import RenderOptions
 
-LONG = "RemoveIPC=yes and jetson does not linger: shared memory goes with the last login, and ROS 2 falls silent"
+LONG = (
+    "RemoveIPC=yes and jetson does not linger: shared memory goes with the last login, and ROS 2 falls silent"
+)
 FOUND = Diagnosis(
     findings=(
-        Finding(host=None, check="disk", level=Level.OK, message="10.0Gi of 28.0Gi free for /state"),
-        Finding(host="edge1", check="logind", level=Level.WARNING, message=LONG, mend="on edge1: sudo loginctl enable-linger jetson"),
-        Finding(host="edge2", check="reachability", level=Level.FAILED, message="connection \x1b[2Jrefused", mend="switch edge2 on"),
+        Finding(host=None, check="disk", level=Severity.OK, message="10.0Gi of 28.0Gi free for /state"),
+        Finding(
+            host="edge1",
+            check="logind",
+            level=Severity.WARNING,
+            message=LONG,
+            remedy="on edge1: sudo loginctl enable-linger jetson",
+        ),
+        Finding(
+            host="edge2",
+            check="reachability",
+            level=Severity.FAILED,
+            message="connection \x1b[2Jrefused",
+            remedy="switch edge2 on",
+        ),
     )
 )
 PIPED = f"""this machine
@@ -33,7 +47,7 @@ FAIL  reachability  connection \\x1b[2Jrefused
 
 
 def shown(**look: object) -> str:
-    return view(Form.TABLE, "diagnosis")(FOUND, Look(**look))  # type: ignore[arg-type]
+    return get_renderer(OutputFormat.TABLE, "diagnosis")(FOUND, RenderOptions(**look))  # type: ignore[arg-type]
 
 
 def test_in_a_pipe_nothing_is_cut_and_all_is_ascii() -> None:
@@ -60,8 +74,17 @@ def test_colour_carries_no_meaning_of_its_own() -> None:
 
 
 def test_the_document() -> None:
-    document = json.loads(view(Form.JSON, "diagnosis")(FOUND))
-    assert (document["format_version"], document["worst"], document["counts"]) == (1, "failed", {"ok": 1, "warning": 1, "failed": 1})
-    assert document["findings"][0] == {"host": None, "check": "disk", "level": "ok", "message": "10.0Gi of 28.0Gi free for /state"}
+    document = json.loads(get_renderer(OutputFormat.JSON, "diagnosis")(FOUND))
+    assert (document["format_version"], document["worst"], document["counts"]) == (
+        1,
+        "failed",
+        {"ok": 1, "warning": 1, "failed": 1},
+    )
+    assert document["findings"][0] == {
+        "host": None,
+        "check": "disk",
+        "level": "ok",
+        "message": "10.0Gi of 28.0Gi free for /state",
+    }
     assert document["findings"][1]["mend"] == "on edge1: sudo loginctl enable-linger jetson"
-    assert yaml.safe_load(view(Form.YAML, "diagnosis")(FOUND)) == document
+    assert yaml.safe_load(get_renderer(OutputFormat.YAML, "diagnosis")(FOUND)) == document

@@ -18,7 +18,7 @@ PROBLEM = Problem(
 
 
 def test_a_problem_shows_its_place() -> None:
-    assert errors.text(InputError([PROBLEM])) == (
+    assert errors.render_error(InputError([PROBLEM])) == (
         "error[EC012]: tasks/a.yaml:9:7: unknown key demnd\n"
         "    9 |       demnd: {cpu: 1}\n"
         "      |       ^^^^^\n"
@@ -28,28 +28,41 @@ def test_a_problem_shows_its_place() -> None:
 
 def test_the_caret_stands_under_the_mistake_even_after_odd_characters() -> None:
     odd = Problem(file="a", line=1, column=3, code="", message="m", source="\t\x1bx: 1", length=1)
-    line, caret = errors.problem(odd).splitlines()[1:3]
+    line, caret = errors.render_problem(odd).splitlines()[1:3]
     assert line == "    1 | \\t\\x1bx: 1"
     assert line[caret.index("^")] == "x"
 
 
 def test_a_stale_plan_lists_what_moved() -> None:
-    text = errors.text(StalePlanError(["slam stopped", "edge2 is silent"]))
+    text = errors.render_error(StalePlanError(["slam stopped", "edge2 is silent"]))
     assert text.splitlines()[1:3] == ["  slam stopped", "  edge2 is silent"]
-    assert json.loads(errors.json(StalePlanError(["x"])))["changes"] == ["x"]
+    assert json.loads(errors.render_error_json(StalePlanError(["x"])))["changes"] == ["x"]
 
 
 def test_json_names_the_kind_and_the_exit_code() -> None:
-    document = json.loads(errors.json(LockBusyError("held by ana", hint="wait")))
-    assert document["error"] == {"kind": "lock-busy", "message": "held by ana", "hint": "wait", "exit_code": 75}
-    assert json.loads(errors.json(InputError([PROBLEM])))["problems"][0]["line"] == 9
+    document = json.loads(errors.render_error_json(LockBusyError("held by ana", hint="wait")))
+    assert document["error"] == {
+        "kind": "lock-busy",
+        "message": "held by ana",
+        "hint": "wait",
+        "exit_code": 75,
+    }
+    assert json.loads(errors.render_error_json(InputError([PROBLEM])))["problems"][0]["line"] == 9
 
 
 def test_an_error_of_a_host_names_it() -> None:
-    assert errors.text(ConnectError("connection refused", host="edge1")) == "error: edge1: connection refused\n"
-    assert errors.text(ConnectError("edge1 is off", host="edge1")) == "error: edge1 is off\n"
+    assert (
+        errors.render_error(ConnectError("connection refused", host="edge1"))
+        == "error: edge1: connection refused\n"
+    )
+    assert errors.render_error(ConnectError("edge1 is off", host="edge1")) == "error: edge1 is off\n"
 
 
 def test_github_annotations_escape_what_would_end_them() -> None:
-    odd = Problem(file="a,b:c.yaml", line=2, column=3, code="EC1", message="100%\nsure", hint="", length=2, warning=True)
-    assert github.problems([odd]) == "::warning file=a%2Cb%3Ac.yaml,line=2,col=3,endColumn=5,title=EC1::100%25%0Asure\n"
+    odd = Problem(
+        file="a,b:c.yaml", line=2, column=3, code="EC1", message="100%\nsure", hint="", length=2, warning=True
+    )
+    assert (
+        github.problems([odd])
+        == "::warning file=a%2Cb%3Ac.yaml,line=2,col=3,endColumn=5,title=EC1::100%25%0Asure\n"
+    )

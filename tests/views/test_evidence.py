@@ -2,26 +2,40 @@
 
 import json
 
-from edgectl.model.evidence import Column, Figure, Reality, Replayed, Share, Variant
+from edgectl.experiments.model.comparison import (
+    Estimate,
+    ReferenceValues,
+    ReplayResult,
+    Scheme,
+    SchemeResult,
+    Utilisation,
+)
+from edgectl.experiments.model.scenario import Scenario
 from edgectl.model.policy import Policy
-from edgectl.model.scenario import Scenario
 from edgectl.views import json as json_view
 from edgectl.views import table, wide
-from edgectl.views.text import Look
+from edgectl.views.text import RenderOptions
 
 SCENARIO = Scenario(name="test", assumptions=("all is well",), hosts={}, jobs=())
-REAL = Reality(
-    word="published",
-    figures={"local": {"latency": (4.0,), "cpu": (99.0,)}, "utility all": {"latency": (2.0,), "cpu": (50.0, 0.0)}},
+REAL = ReferenceValues(
+    label="published",
+    means={"local": {"latency": (4.0,), "cpu": (99.0,)}, "utility all": {"latency": (2.0,), "cpu": (50.0, 0.0)}},
 )  # fmt: skip
 
 
-def simulated(name: str, latency: float, *cpu: float) -> Column:
-    others = {metric: tuple(Figure(mean=1.0) for _ in cpu) for metric in ("cpu peak", "memory", "throughput", "rate")}
-    figures = {"latency": (Figure(mean=latency, std=0.5, half=0.1, count=5),), "cpu": tuple(Figure(mean=each) for each in cpu), **others}
-    return Column(
-        variant=Variant(name=name, policy=Policy()), runs=5, unfinished=int(name == "local"), unplaced=0,
-        figures=figures | {"handoffs": (Figure(mean=0.2),)},
+def simulated(name: str, latency: float, *cpu: float) -> SchemeResult:
+    others = {
+        metric: tuple(Estimate(mean=1.0) for _ in cpu)
+        for metric in ("cpu peak", "memory", "throughput", "rate")
+    }
+    figures = {
+        "latency": (Estimate(mean=latency, std=0.5, half_ci95=0.1, count=5),),
+        "cpu": tuple(Estimate(mean=each) for each in cpu),
+        **others,
+    }
+    return SchemeResult(
+        scheme=Scheme(name=name, policy=Policy()), runs=5, unfinished=int(name == "local"), unplaced=0,
+        estimates=figures | {"handoffs": (Estimate(mean=0.2),)},
     )  # fmt: skip
 
 
@@ -46,8 +60,21 @@ def test_the_published_stands_below_the_model_with_the_deviation() -> None:
 
 
 def test_wide_has_every_metric_and_its_deviation() -> None:
-    head = wide.simulated(SCENARIO, FOUND, REAL, Look(width=160)).splitlines()[0]
-    assert head.split() == ["SCHEME", "LATENCY", "min", "CPU", "%", "PEAK", "%", "MEMORY", "%", "MB/s", "FRAMES/s", "HANDOFFS"]
+    head = wide.simulated(SCENARIO, FOUND, REAL, RenderOptions(width=160)).splitlines()[0]
+    assert head.split() == [
+        "SCHEME",
+        "LATENCY",
+        "min",
+        "CPU",
+        "%",
+        "PEAK",
+        "%",
+        "MEMORY",
+        "%",
+        "MB/s",
+        "FRAMES/s",
+        "HANDOFFS",
+    ]
 
 
 def test_the_document_holds_figures_and_assumptions() -> None:
@@ -59,9 +86,9 @@ def test_the_document_holds_figures_and_assumptions() -> None:
 
 
 def test_replayed_variants_stand_side_by_side() -> None:
-    share = Share(mean=0.5, peak=1.2)
-    value = Replayed(
-        variant=Variant(name="paper all", policy=Policy()),
+    share = Utilisation(mean=0.5, peak=1.2)
+    value = ReplayResult(
+        scheme=Scheme(name="paper all", policy=Policy()),
         cycles=4,
         handoffs=6,
         unplaced=1,
@@ -75,15 +102,21 @@ def test_replayed_variants_stand_side_by_side() -> None:
     assert lines[0].split() == ["VARIANT", "HANDOFFS", "PER", "CYCLE", "UNPLACED", "CPU", "MEMORY", "NETWORK"]
     assert lines[1].split() == ["paper", "all", "6", "1.500", "1", "50%/120%", "50%/120%", "50%/120%"]
     assert lines[2].startswith("4 cycles; ")
-    assert lines[3] == "note: never seen running, so that what it demands counts as its use: slam-robot2, slam-robot10 (2)"
-    assert json.loads(json_view.replayed([value]))["variants"][0]["assumed"] == ["slam-robot10", "slam-robot2"]
+    assert (
+        lines[3]
+        == "note: never seen running, so that what it demands counts as its use: slam-robot2, slam-robot10 (2)"
+    )
+    assert json.loads(json_view.replayed([value]))["variants"][0]["assumed"] == [
+        "slam-robot10",
+        "slam-robot2",
+    ]
     assert json.loads(json_view.replayed([value]))["variants"][0]["cpu"] == {"mean": 0.5, "peak": 1.2}
 
 
 def test_where_nothing_was_recorded_no_number_is_shown() -> None:
-    nothing = Share(mean=0.0, peak=0.0)
-    value = Replayed(
-        variant=Variant(name="paper all", policy=Policy()), cycles=0, handoffs=0, unplaced=0, unsettled=0, cpu=nothing, memory=nothing,
+    nothing = Utilisation(mean=0.0, peak=0.0)
+    value = ReplayResult(
+        scheme=Scheme(name="paper all", policy=Policy()), cycles=0, handoffs=0, unplaced=0, unsettled=0, cpu=nothing, memory=nothing,
         network=nothing,
     )  # fmt: skip
     assert table.replayed([value]).splitlines()[1].split() == ["paper", "all", "0", "-", "0", "-", "-", "-"]

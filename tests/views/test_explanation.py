@@ -2,18 +2,18 @@
 
 import json
 
-from edgectl.executor.diff import plan_of
+from edgectl.executor.diff import plan_from_assignment
 from edgectl.model.assignment import Assignment
 from edgectl.model.explanation import Explanation
 from edgectl.model.inventory import Inventory
-from edgectl.model.memory import Memory
+from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Step
 from edgectl.model.policy import Policy, Weights
 from edgectl.scheduler.assign import assign
-from edgectl.scheduler.explain import Noise, explain
+from edgectl.scheduler.explain import TermNoise, explain_decision
 from edgectl.views import json as json_view
 from edgectl.views import table, wide
-from edgectl.views.text import Look
+from edgectl.views.text import RenderOptions
 from tests.builders import NOW, a_sample, a_snapshot, a_task, an_edge, an_inventory, some_tasks
 
 INVENTORY: Inventory = an_inventory(an_edge("edge1"), an_edge("edge2"))
@@ -36,17 +36,19 @@ edge2 would win if the cpu load of edge1 rose by more than 1.000 cores.
 def taken_apart() -> tuple[Step, Explanation]:
     world = a_snapshot(edge1=a_sample(used=1.0), edge2=a_sample(used=2.0))
     tasks = some_tasks(a_task(cpu=0.4))
-    assignment: Assignment = assign(INVENTORY, tasks, world, Memory(), POLICY, NOW)
-    noise = {"edge1": Noise(cpu=0.2), "edge2": Noise(cpu=0.2)}
-    found = explain(INVENTORY, tasks.tasks["slam"], world, assignment.decisions[0], assignment.policy, noise)
-    return plan_of(INVENTORY, tasks, world, Memory(), assignment).steps[0], found
+    assignment: Assignment = assign(INVENTORY, tasks, world, ManagerState(), POLICY, NOW)
+    noise = {"edge1": TermNoise(cpu=0.2), "edge2": TermNoise(cpu=0.2)}
+    found = explain_decision(
+        INVENTORY, tasks.tasks["slam"], world, assignment.decisions[0], assignment.policy, noise
+    )
+    return plan_from_assignment(INVENTORY, tasks, world, ManagerState(), assignment).steps[0], found
 
 
 def test_the_table_says_what_each_term_adds_and_what_would_flip_it() -> None:
     step, found = taken_apart()
     fragile = "fragile: it would change 0.188 below, and the measurements alone vary by 0.212.\n"
     assert table.explanation(step, found) == TEXT + fragile
-    assert max(map(len, table.explanation(step, found, Look(width=60)).splitlines())) <= 60
+    assert max(map(len, table.explanation(step, found, RenderOptions(width=60)).splitlines())) <= 60
 
 
 def test_wide_lists_every_change() -> None:
@@ -61,4 +63,9 @@ def test_the_document_holds_every_number() -> None:
     assert (document["host"], document["runner_up"], document["fragile"]) == ("edge1", "edge2", True)
     assert document["lead"] == sum(each["adds"] for each in document["contributions"])
     flip = document["flips"][0]
-    assert (flip["change"], flip["term"], flip["unit"], flip["winner"]) == ("load-rises", "cpu", "cores", "edge2")
+    assert (flip["change"], flip["term"], flip["unit"], flip["winner"]) == (
+        "load-rises",
+        "cpu",
+        "cores",
+        "edge2",
+    )

@@ -11,15 +11,14 @@ import yaml
 from edgectl.errors import UsageError
 from edgectl.formats import plan as plan_format
 from edgectl.formats import snapshot as snapshot_format
-from edgectl.model.bandwidth import Measurement
 from edgectl.model.inventory import Role
-from edgectl.model.memory import Memory
+from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Action
 from edgectl.model.result import ActionResult, Outcome, Phase, PhaseResult, Results
-from edgectl.model.snapshot import HostSample, HostStatus, TaskState
+from edgectl.model.snapshot import BandwidthMeasurement, HostSample, HostStatus, TaskState
 from edgectl.views import markdown, table
-from edgectl.views.form import Form, forms_of, view
-from edgectl.views.text import Look
+from edgectl.views.output_format import OutputFormat, get_renderer, list_output_formats
+from edgectl.views.text import RenderOptions
 from tests.views.fixtures import fleet, plan
 
 FAILED = ActionResult(
@@ -43,12 +42,16 @@ def values(what: str) -> tuple[object, ...]:
     }[what]
 
 
-CASES = [(form, what) for what in ("plan", "snapshot", "status", "results", "validated", "fields") for form in forms_of(what)]
+CASES = [
+    (form, what)
+    for what in ("plan", "snapshot", "status", "results", "validated", "fields")
+    for form in list_output_formats(what)
+]
 
 
 @pytest.mark.parametrize(("form", "what"), CASES)
-def test_every_form_is_plain_complete_text(form: Form, what: str) -> None:
-    text = view(form, what)(*values(what))
+def test_every_form_is_plain_complete_text(form: OutputFormat, what: str) -> None:
+    text = get_renderer(form, what)(*values(what))
     assert text.endswith("\n")
     assert "\x1b" not in text
     assert "…" not in text
@@ -57,28 +60,34 @@ def test_every_form_is_plain_complete_text(form: Form, what: str) -> None:
 
 @pytest.mark.parametrize("what", ["plan", "snapshot", "status", "results", "validated", "fields"])
 def test_json_and_yaml_are_the_same_document(what: str) -> None:
-    document = json.loads(view(Form.JSON, what)(*values(what)))
+    document = json.loads(get_renderer(OutputFormat.JSON, what)(*values(what)))
     assert document["format_version"] == 1
-    assert yaml.safe_load(view(Form.YAML, what)(*values(what))) == document
+    assert yaml.safe_load(get_renderer(OutputFormat.YAML, what)(*values(what))) == document
 
 
 def test_documents_read_back() -> None:
-    assert plan_format.decode(json.loads(view(Form.JSON, "plan")(plan()))) == plan()
+    assert plan_format.decode(json.loads(get_renderer(OutputFormat.JSON, "plan")(plan()))) == plan()
     snapshot = fleet()[2]
-    assert snapshot_format.decode(json.loads(view(Form.JSON, "snapshot")(snapshot))) == snapshot
+    assert (
+        snapshot_format.decode(json.loads(get_renderer(OutputFormat.JSON, "snapshot")(snapshot))) == snapshot
+    )
 
 
 def test_plan_table() -> None:
     text = table.plan(plan())
     lines = text.splitlines()
-    assert lines[0].startswith("Policy utility; weights cpu 0.25, memory 0.25, network 0.25, task 0.25; snapshot of 2026-")
+    assert lines[0].startswith(
+        "Policy utility; weights cpu 0.25, memory 0.25, network 0.25, task 0.25; snapshot of 2026-"
+    )
     assert re.match(r" +TASK +NOW +NEXT +UTILITY +LEAD +REASON$", lines[2])
-    assert re.match(r"~ +detection-robot1 +edge1 +edge2 +0\.\d{3} +[+-]0\.\d{3} +move: edge1 short of cpu by", lines[3])
+    assert re.match(
+        r"~ +detection-robot1 +edge1 +edge2 +0\.\d{3} +[+-]0\.\d{3} +move: edge1 short of cpu by", lines[3]
+    )
     assert lines[-1] == "Plan: 0 to start, 1 to move, 0 to stop, 9 kept, 0 unplaced."
 
 
 def test_wide_shows_four_terms_of_every_host_and_what_losers_lack() -> None:
-    text = view(Form.WIDE, "plan")(plan())
+    text = get_renderer(OutputFormat.WIDE, "plan")(plan())
     rows = [line for line in text.splitlines() if re.match(r" {3,}edge\d", line)]
     assert len(rows) == 20, "ten tasks, two losers each"
     assert any("short of cpu by" in row for row in rows)
@@ -93,8 +102,8 @@ def test_no_changes_in_one_line() -> None:
 
 
 def test_names_can_be_piped() -> None:
-    assert view(Form.NAME, "plan")(plan()).splitlines()[0] == "task/detection-robot1"
-    assert view(Form.NAME, "snapshot")(fleet()[2]).splitlines()[0] == "edge/edge1"
+    assert get_renderer(OutputFormat.NAME, "plan")(plan()).splitlines()[0] == "task/detection-robot1"
+    assert get_renderer(OutputFormat.NAME, "snapshot")(fleet()[2]).splitlines()[0] == "edge/edge1"
 
 
 def test_markdown_carries_a_hidden_marker_and_one_row_per_task() -> None:
@@ -108,8 +117,8 @@ def test_a_host_cannot_steer_the_terminal() -> None:
     nasty = HostSample(role=Role.EDGE, status=HostStatus.UNREACHABLE, error="gone\x1b[2J\u202e\r\n<b>|x|`")
     sick = dataclasses.replace(snapshot, hosts={**snapshot.hosts, "edge3": nasty})
     inventory, tasks, _ = fleet()
-    for form in (Form.TABLE, Form.WIDE, Form.NAME):
-        assert view(form, "snapshot")(sick).isascii()
+    for form in (OutputFormat.TABLE, OutputFormat.WIDE, OutputFormat.NAME):
+        assert get_renderer(form, "snapshot")(sick).isascii()
     assert table.status(sick, inventory, tasks).isascii()
     shown = dataclasses.replace(plan(), snapshot=sick)
     assert table.plan(shown).isascii()
@@ -118,14 +127,18 @@ def test_a_host_cannot_steer_the_terminal() -> None:
 
 def test_status_tells_silence_from_absence() -> None:
     inventory, tasks, snapshot = fleet()
-    memory = snapshot.memory or Memory()
+    memory = snapshot.manager or ManagerState()
     gone = HostSample(role=Role.EDGE, status=HostStatus.UNREACHABLE, error="no route")
     done = {"slam-robot2": tasks.tasks["slam-robot2"].spec_hash}
     without = dataclasses.replace(snapshot.hosts["edge2"], tasks={})
     changed = dataclasses.replace(
-        snapshot, hosts={**snapshot.hosts, "edge3": gone, "edge2": without}, memory=dataclasses.replace(memory, done=done)
+        snapshot,
+        hosts={**snapshot.hosts, "edge3": gone, "edge2": without},
+        manager=dataclasses.replace(memory, done=done),
     )
-    rows = {line.split()[0]: line.split()[1:] for line in table.status(changed, inventory, tasks).splitlines()}
+    rows = {
+        line.split()[0]: line.split()[1:] for line in table.status(changed, inventory, tasks).splitlines()
+    }
     assert rows["map-merge"][:2] == ["edge3", "unknown"]
     assert rows["detection-robot2"][:3] == ["-", "not", "running"]
     assert rows["slam-robot2"][:2] == ["-", "completed"]
@@ -133,14 +146,14 @@ def test_status_tells_silence_from_absence() -> None:
 
 
 def test_colour_never_carries_meaning_alone() -> None:
-    coloured = table.plan(plan(), Look(colour=True))
+    coloured = table.plan(plan(), RenderOptions(colour=True))
     assert "\x1b[33m" in coloured
     assert re.sub(r"\x1b\[\d+m", "", coloured) == table.plan(plan())
 
 
 @pytest.mark.parametrize("width", [80, 160])
 def test_a_terminal_wraps_the_reason_under_itself(width: int) -> None:
-    text = table.plan(plan(), Look(width=width))
+    text = table.plan(plan(), RenderOptions(width=width))
     body = text.split("\n\n")[1]
     assert all(len(line) <= width for line in body.splitlines())
     assert "".join(body.split()) == "".join(table.plan(plan()).split("\n\n")[1].split()), "nothing is lost"
@@ -153,58 +166,85 @@ def test_results_name_the_phase_that_failed_and_the_hint() -> None:
 
 
 def test_a_drain_shows_every_pass_and_how_it_ended() -> None:
-    good = Results(revision=8, actions=(dataclasses.replace(FAILED, outcome=Outcome.DONE, error="", hint=""),), seconds=1.0)
-    document = json.loads(view(Form.JSON, "drained")([RESULTS, good], [("slam", "edge1")], False))
-    assert (document["revision"], document["done"], document["left"]) == (8, False, [{"task": "slam", "host": "edge1"}])
+    good = Results(
+        revision=8,
+        actions=(dataclasses.replace(FAILED, outcome=Outcome.DONE, error="", hint=""),),
+        seconds=1.0,
+    )
+    document = json.loads(
+        get_renderer(OutputFormat.JSON, "drained")([RESULTS, good], [("slam", "edge1")], False)
+    )
+    assert (document["revision"], document["done"], document["left"]) == (
+        8,
+        False,
+        [{"task": "slam", "host": "edge1"}],
+    )
     assert [(each["revision"], each["done"]) for each in document["passes"]] == [(7, False), (8, True)]
-    assert yaml.safe_load(view(Form.YAML, "drained")([RESULTS, good], [("slam", "edge1")], False)) == document
-    text = view(Form.TABLE, "drained")([RESULTS, good], [], True)
+    assert (
+        yaml.safe_load(
+            get_renderer(OutputFormat.YAML, "drained")([RESULTS, good], [("slam", "edge1")], False)
+        )
+        == document
+    )
+    text = get_renderer(OutputFormat.TABLE, "drained")([RESULTS, good], [], True)
     assert text == table.results(RESULTS) + "\n" + table.results(good)
-    assert view(Form.NAME, "drained")([RESULTS, good], [], True) == "task/detection-robot1\n"
+    assert get_renderer(OutputFormat.NAME, "drained")([RESULTS, good], [], True) == "task/detection-robot1\n"
 
 
 def test_what_links_carry_stands_in_every_form() -> None:
     snapshot = fleet()[2]
     links = (
-        Measurement(edge="edge1", robot="robot1", bytes_per_s=12.5e6),
-        Measurement(edge="edge2", robot="robot1", bytes_per_s=None, error="off"),
+        BandwidthMeasurement(edge="edge1", robot="robot1", bytes_per_s=12.5e6),
+        BandwidthMeasurement(edge="edge2", robot="robot1", bytes_per_s=None, error="off"),
     )
-    document = json.loads(view(Form.JSON, "bandwidth")(snapshot, links))
+    document = json.loads(get_renderer(OutputFormat.JSON, "bandwidth")(snapshot, links))
     assert document["bandwidth"] == [
         {"edge": "edge1", "robot": "robot1", "bytes_per_s": 12500000},
         {"edge": "edge2", "robot": "robot1", "error": "off"},
     ]
     assert snapshot_format.decode(document) == snapshot, "it is still a snapshot"
-    assert yaml.safe_load(view(Form.YAML, "bandwidth")(snapshot, links)) == document
-    for form, plain in ((Form.TABLE, view(Form.TABLE, "snapshot")), (Form.WIDE, view(Form.WIDE, "snapshot"))):
-        assert view(form, "bandwidth")(snapshot, links) == (
+    assert yaml.safe_load(get_renderer(OutputFormat.YAML, "bandwidth")(snapshot, links)) == document
+    for form, plain in (
+        (OutputFormat.TABLE, get_renderer(OutputFormat.TABLE, "snapshot")),
+        (OutputFormat.WIDE, get_renderer(OutputFormat.WIDE, "snapshot")),
+    ):
+        assert get_renderer(form, "bandwidth")(snapshot, links) == (
             "EDGE   ROBOT   CARRIED\nedge1  robot1  12.5MB/s\nedge2  robot1  off\n\n" + plain(snapshot)
         )
-    assert view(Form.NAME, "bandwidth")(snapshot, links) == view(Form.NAME, "snapshot")(snapshot)
+    assert get_renderer(OutputFormat.NAME, "bandwidth")(snapshot, links) == get_renderer(
+        OutputFormat.NAME, "snapshot"
+    )(snapshot)
 
 
 @pytest.mark.parametrize("width", [80, 160])
 def test_no_table_passes_the_edge_of_the_terminal(width: int) -> None:
     inventory, tasks, snapshot = fleet()
     edge1 = snapshot.hosts["edge1"]
-    broken = dataclasses.replace(next(iter(edge1.tasks.values())), state=TaskState.CRASHLOOP, restarts=5, last_exit=1)
-    sick = dataclasses.replace(snapshot, hosts={**snapshot.hosts, "edge1": dataclasses.replace(edge1, tasks={"detection-robot1": broken})})
-    look = Look(width=width)
+    broken = dataclasses.replace(
+        next(iter(edge1.tasks.values())), state=TaskState.CRASHLOOP, restarts=5, last_exit=1
+    )
+    sick = dataclasses.replace(
+        snapshot,
+        hosts={**snapshot.hosts, "edge1": dataclasses.replace(edge1, tasks={"detection-robot1": broken})},
+    )
+    look = RenderOptions(width=width)
     shown = {
         "status": table.status(sick, inventory, tasks, look),
         "plan": table.plan(plan(), look),
-        "wide plan": view(Form.WIDE, "plan")(plan(), look),
+        "wide plan": get_renderer(OutputFormat.WIDE, "plan")(plan(), look),
         "probe": table.snapshot(sick, look),
-        "wide probe": view(Form.WIDE, "snapshot")(sick, look),
+        "wide probe": get_renderer(OutputFormat.WIDE, "snapshot")(sick, look),
         "results": table.results(RESULTS, look),
     }
-    assert {what: line for what, text in shown.items() for line in text.splitlines() if len(line) > width} == {}
+    assert {
+        what: line for what, text in shown.items() for line in text.splitlines() if len(line) > width
+    } == {}
     assert shown["status"].splitlines()[0].split()[:3] == ["TASK", "HOST", "STATE"]
 
 
 def test_a_status_on_a_narrow_terminal_has_the_demands_below() -> None:
     inventory, tasks, snapshot = fleet()
-    lines = table.status(snapshot, inventory, tasks, Look(width=80)).splitlines()
+    lines = table.status(snapshot, inventory, tasks, RenderOptions(width=80)).splitlines()
     whole = table.status(snapshot, inventory, tasks).splitlines()
     assert lines[0].split() == ["TASK", "HOST", "STATE", "AGE", "CPU", "MEMORY", "NETWORK"]
     used, demanded = lines[1].split(), lines[2].split()
@@ -214,15 +254,17 @@ def test_a_status_on_a_narrow_terminal_has_the_demands_below() -> None:
 
 def test_results_say_an_error_once() -> None:
     late = dataclasses.replace(FAILED.phases[1], detail=FAILED.error)
-    shown = view(Form.TABLE, "results")(
-        Results(revision=7, actions=(dataclasses.replace(FAILED, phases=(FAILED.phases[0], late)),), seconds=4.0)
+    shown = get_renderer(OutputFormat.TABLE, "results")(
+        Results(
+            revision=7, actions=(dataclasses.replace(FAILED, phases=(FAILED.phases[0], late)),), seconds=4.0
+        )
     )
     assert shown.count("not ready") == 1
 
 
 def test_a_form_that_does_not_exist_says_which_do() -> None:
     with pytest.raises(UsageError) as caught:
-        view(Form.MARKDOWN, "status")
+        get_renderer(OutputFormat.MARKDOWN, "status")
     assert caught.value.hint == "write -o table, json, yaml or name"
 
 
@@ -234,16 +276,18 @@ def test_names_as_long_as_they_get_fit_too(width: int) -> None:
     renamed = dataclasses.replace(
         snapshot,
         hosts={
-            name: dataclasses.replace(host, tasks={f"{task}-{long}"[:63]: run for task, run in host.tasks.items()})
+            name: dataclasses.replace(
+                host, tasks={f"{task}-{long}"[:63]: run for task, run in host.tasks.items()}
+            )
             for name, host in hosts.items()
         },
     )
-    look = Look(width=width)
+    look = RenderOptions(width=width)
     shown = [
         table.status(renamed, inventory, tasks, look),
         table.snapshot(renamed, look),
-        view(Form.WIDE, "snapshot")(renamed, look),
-        view(Form.TABLE, "top_hosts")(renamed, inventory, (), look),
-        view(Form.TABLE, "top_tasks")(renamed, inventory, tasks, (), look),
+        get_renderer(OutputFormat.WIDE, "snapshot")(renamed, look),
+        get_renderer(OutputFormat.TABLE, "top_hosts")(renamed, inventory, (), look),
+        get_renderer(OutputFormat.TABLE, "top_tasks")(renamed, inventory, tasks, (), look),
     ]
     assert [line for text in shown for line in text.splitlines() if len(line) > width] == []

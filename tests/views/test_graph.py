@@ -1,7 +1,7 @@
 """The picture of a plan, in both languages."""
 
-from edgectl.executor.diff import plan_of
-from edgectl.model.memory import Memory
+from edgectl.executor.diff import plan_from_assignment
+from edgectl.model.manager_state import ManagerState
 from edgectl.model.policy import Policy
 from edgectl.scheduler.assign import assign
 from edgectl.views import dot, mermaid
@@ -34,9 +34,17 @@ digraph fleet {
 
 def test_hosts_hold_their_tasks_and_needs_are_arrows() -> None:
     inventory = an_inventory(an_edge("edge1"), an_edge("edge2"))
-    tasks = some_tasks(a_task("slam", cpu=0.5), a_task("map-merge", cpu=0.2, needs=["slam"]), a_task("huge", cpu=99.0))
+    tasks = some_tasks(
+        a_task("slam", cpu=0.5), a_task("map-merge", cpu=0.2, needs=["slam"]), a_task("huge", cpu=99.0)
+    )
     world = a_snapshot(edge1=a_sample(), edge2=a_sample(used=3.0))
-    plan = plan_of(inventory, tasks, world, Memory(), assign(inventory, tasks, world, Memory(), Policy(), NOW))
+    plan = plan_from_assignment(
+        inventory,
+        tasks,
+        world,
+        ManagerState(),
+        assign(inventory, tasks, world, ManagerState(), Policy(), NOW),
+    )
     assert mermaid.graph(plan, tasks) == MERMAID
     assert dot.graph(plan, tasks).startswith(DOT)
     assert dot.graph(plan, tasks).endswith('  "slam" -> "map-merge";\n}\n')

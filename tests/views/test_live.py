@@ -10,31 +10,43 @@ from edgectl.model.event import Event, EventKind
 from edgectl.model.plan import Action
 from edgectl.model.policy import Weights
 from edgectl.model.result import ActionResult, Outcome, Results
-from edgectl.model.weights import PRESETS
+from edgectl.model.weights import WEIGHT_PRESETS
 from edgectl.units import format_instant
-from edgectl.views import jsonl, rounds
-from edgectl.views.live import Title, frame
-from edgectl.views.rounds import Tally, tallied
-from edgectl.views.text import Look
+from edgectl.views import jsonl, watch_cycle
+from edgectl.views.text import RenderOptions
+from edgectl.views.watch_cycle import WatchTally, add_cycle_to_tally
+from edgectl.views.watch_screen import WatchTitle, render_watch_screen
 from tests.builders import NOW, silent
 from tests.views.fixtures import fleet, plan
 
-TITLE = Title(fleet="lab", variant="all", applies=True)
+TITLE = WatchTitle(fleet="lab", variant="all", applies=True)
 MOVED = ActionResult(
-    task="slam-robot1", action=Action.MOVE, outcome=Outcome.DONE, host="edge2", previous_host="edge1", located="edge2", downtime_s=5.3
+    task="slam-robot1",
+    action=Action.MOVE,
+    outcome=Outcome.DONE,
+    host="edge2",
+    previous_host="edge1",
+    located="edge2",
+    downtime_s=5.3,
 )
 EVENT = Event(at=NOW, kind=EventKind.TASK_MOVED, host="edge2", task="slam-robot1", message="from edge1", id=7)
 
 
 def cycle(number: int = 1, **parts: object) -> Cycle:
-    whole = Cycle(number=number, at=NOW + 10.0 * number, seconds=0.5, next_in=9.5, snapshot=fleet()[2], plan=plan())
+    whole = Cycle(
+        number=number, at=NOW + 10.0 * number, seconds=0.5, next_in=9.5, snapshot=fleet()[2], plan=plan()
+    )
     return dataclasses.replace(whole, **parts)  # type: ignore[arg-type]
 
 
 def steady() -> Cycle:
     """A cycle whose plan changes nothing."""
     made = plan()
-    return cycle(plan=dataclasses.replace(made, steps=tuple(dataclasses.replace(step, action=Action.KEEP, stop=()) for step in made.steps)))
+    return cycle(
+        plan=dataclasses.replace(
+            made, steps=tuple(dataclasses.replace(step, action=Action.KEEP, stop=()) for step in made.steps)
+        )
+    )
 
 
 def results(*actions: ActionResult) -> Results:
@@ -42,28 +54,41 @@ def results(*actions: ActionResult) -> Results:
 
 
 def test_a_steady_cycle_has_no_line_and_trouble_is_told_when_it_begins_and_when_it_is_over() -> None:
-    assert rounds.line(None, cycle()) == ""
+    assert watch_cycle.render_cycle_line(None, cycle()) == ""
     warned = cycle(2, warnings=("the disk is full",), busy="lock held by ana@manager (pid 1, apply)")
     told = "warning: the disk is full; waiting: lock held by ana@manager (pid 1, apply)"
-    assert rounds.line(cycle(), warned) == f"{format_instant(NOW + 20)} {told}\n"
-    assert rounds.line(warned, cycle(3, warnings=warned.warnings, busy="lock held by bob@manager (pid 2, apply)")) == ""
+    assert watch_cycle.render_cycle_line(cycle(), warned) == f"{format_instant(NOW + 20)} {told}\n"
+    assert (
+        watch_cycle.render_cycle_line(
+            warned, cycle(3, warnings=warned.warnings, busy="lock held by bob@manager (pid 2, apply)")
+        )
+        == ""
+    )
     failed = cycle(4, error="cannot write the journal")
-    assert rounds.line(cycle(3), failed).endswith(" error: cannot write the journal\n")
-    assert rounds.line(failed, cycle(5, error="cannot write the journal")) == ""
-    assert rounds.line(failed, cycle(5)).endswith(" well again\n")
+    assert watch_cycle.render_cycle_line(cycle(3), failed).endswith(" error: cannot write the journal\n")
+    assert watch_cycle.render_cycle_line(failed, cycle(5, error="cannot write the journal")) == ""
+    assert watch_cycle.render_cycle_line(failed, cycle(5)).endswith(" well again\n")
 
 
 def test_what_happened_is_told_by_events_or_without_a_history_by_results() -> None:
-    assert rounds.line(None, cycle(events=(EVENT,), results=results(MOVED))).endswith("Z task-moved slam-robot1 on edge2: from edge1\n")
-    assert rounds.line(None, cycle(results=results(MOVED))).endswith("Z move slam-robot1 on edge2 done: gap 5.3s\n")
+    assert watch_cycle.render_cycle_line(None, cycle(events=(EVENT,), results=results(MOVED))).endswith(
+        "Z task-moved slam-robot1 on edge2: from edge1\n"
+    )
+    assert watch_cycle.render_cycle_line(None, cycle(results=results(MOVED))).endswith(
+        "Z move slam-robot1 on edge2 done: gap 5.3s\n"
+    )
     planned = Event(at=NOW, kind=EventKind.PLANNED, message="10 start", id=8)
-    assert rounds.line(None, cycle(events=(planned,))).endswith("Z planned: 10 start\n")
-    assert "planned" not in rounds.line(None, cycle(events=(planned, EVENT), results=results(MOVED)))
-    assert "\x1b" not in rounds.line(None, cycle(warnings=("\x1b[2J gone",)))
+    assert watch_cycle.render_cycle_line(None, cycle(events=(planned,))).endswith("Z planned: 10 start\n")
+    assert "planned" not in watch_cycle.render_cycle_line(
+        None, cycle(events=(planned, EVENT), results=results(MOVED))
+    )
+    assert "\x1b" not in watch_cycle.render_cycle_line(None, cycle(warnings=("\x1b[2J gone",)))
 
 
 def test_the_object_of_a_cycle() -> None:
-    document = json.loads(jsonl.cycle(cycle(results=results(MOVED), events=(EVENT,), resting=("detection-robot1",))))
+    document = json.loads(
+        jsonl.cycle(cycle(results=results(MOVED), events=(EVENT,), resting=("detection-robot1",)))
+    )
     assert list(document) == [
         "format_version", "cycle", "at", "seconds", "next_in_s", "paused", "hosts", "tasks", "pending", "actions", "events", "resting",
         "warnings",
@@ -90,28 +115,28 @@ def test_the_object_of_a_cycle() -> None:
 
 
 def test_the_sum_counts_moves_and_steady_cycles_and_stays_bounded() -> None:
-    tally = tallied(Tally(), cycle(results=results(MOVED), events=(EVENT,)))
+    tally = add_cycle_to_tally(WatchTally(), cycle(results=results(MOVED), events=(EVENT,)))
     assert (tally.moves, tally.steady, tally.moved_at) == (1, 0, NOW + 10.5)
     for _ in range(300):
-        tally = tallied(tally, steady())
-        tally = tallied(tally, dataclasses.replace(steady(), error="odd"))
+        tally = add_cycle_to_tally(tally, steady())
+        tally = add_cycle_to_tally(tally, dataclasses.replace(steady(), error="odd"))
     assert (tally.cycles, tally.moves, tally.steady) == (601, 1, 0)
     assert all(len(values) == 60 for values in tally.shares.values())
     assert len(tally.past) == 50
     for _ in range(7):
-        tally = tallied(tally, steady())
+        tally = add_cycle_to_tally(tally, steady())
     assert tally.steady == 7
-    assert tallied(tally, cycle(plan=None, paused=True)).steady == 7
+    assert add_cycle_to_tally(tally, cycle(plan=None, paused=True)).steady == 7
 
 
 @pytest.mark.parametrize(("width", "rows"), [(80, 24), (160, 50), (60, 12)])
-@pytest.mark.parametrize("look", [Look(), Look(colour=True, unicode=True)])
-def test_the_screen_fits_and_says_what_counts(width: int, rows: int, look: Look) -> None:
+@pytest.mark.parametrize("look", [RenderOptions(), RenderOptions(colour=True, unicode=True)])
+def test_the_screen_fits_and_says_what_counts(width: int, rows: int, look: RenderOptions) -> None:
     look = dataclasses.replace(look, width=width)
-    tally = Tally()
+    tally = WatchTally()
     for number in range(1, 9):
-        tally = tallied(tally, cycle(number, results=results(MOVED), events=(EVENT,)))
-    text = frame(TITLE, tally, NOW + 325.5, rows=rows, look=look)
+        tally = add_cycle_to_tally(tally, cycle(number, results=results(MOVED), events=(EVENT,)))
+    text = render_watch_screen(TITLE, tally, NOW + 325.5, rows=rows, look=look)
     lines = text.splitlines()
     assert len(lines) <= rows
     assert "variant all" in lines[0]
@@ -129,17 +154,38 @@ def test_the_screen_fits_and_says_what_counts(width: int, rows: int, look: Look)
 
 
 def test_the_first_line_says_what_it_is_about_to_do() -> None:
-    once = tallied(Tally(), steady())
-    assert frame(TITLE, Tally(), NOW).splitlines()[0] == "lab | variant all | applies | first cycle | moves 0 | steady 0 cycles"
-    assert frame(TITLE, once, NOW + 12.0).splitlines()[0] == "lab | variant all | applies | next in 8s | moves 0 | steady 1 cycle"
-    assert " | paused | " in frame(dataclasses.replace(TITLE, applies=False), once, NOW, paused=True).splitlines()[0]
-    assert "plans only" in frame(dataclasses.replace(TITLE, applies=False), once, NOW).splitlines()[0]
+    once = add_cycle_to_tally(WatchTally(), steady())
+    assert (
+        render_watch_screen(TITLE, WatchTally(), NOW).splitlines()[0]
+        == "lab | variant all | applies | first cycle | moves 0 | steady 0 cycles"
+    )
+    assert (
+        render_watch_screen(TITLE, once, NOW + 12.0).splitlines()[0]
+        == "lab | variant all | applies | next in 8s | moves 0 | steady 1 cycle"
+    )
+    assert (
+        " | paused | "
+        in render_watch_screen(
+            dataclasses.replace(TITLE, applies=False), once, NOW, paused=True
+        ).splitlines()[0]
+    )
+    assert (
+        "plans only"
+        in render_watch_screen(dataclasses.replace(TITLE, applies=False), once, NOW).splitlines()[0]
+    )
 
 
 def test_a_silent_host_and_a_resting_task_are_shown_as_such() -> None:
     snapshot = fleet()[2]
     gone = dataclasses.replace(snapshot, hosts={**snapshot.hosts, "edge2": silent()})
-    text = frame(TITLE, tallied(tallied(Tally(), cycle()), cycle(snapshot=gone, resting=("slam-robot1",))), NOW, rows=60)
+    text = render_watch_screen(
+        TITLE,
+        add_cycle_to_tally(
+            add_cycle_to_tally(WatchTally(), cycle()), cycle(snapshot=gone, resting=("slam-robot1",))
+        ),
+        NOW,
+        rows=60,
+    )
     (line,) = (line for line in text.splitlines() if line.startswith("edge2 "))
     assert "unreachable" in line
     assert "connection refused" in line
@@ -147,5 +193,10 @@ def test_a_silent_host_and_a_resting_task_are_shown_as_such() -> None:
 
 
 def test_presets_have_names() -> None:
-    assert [rounds.variant(weights) for weights in PRESETS.values()] == list(PRESETS)
-    assert rounds.variant(Weights(cpu=3.0, memory=1.0, network=0.0, task=0.0)) == "cpu=0.75 memory=0.25 network=0 task=0"
+    assert [watch_cycle.format_weights(weights) for weights in WEIGHT_PRESETS.values()] == list(
+        WEIGHT_PRESETS
+    )
+    assert (
+        watch_cycle.format_weights(Weights(cpu=3.0, memory=1.0, network=0.0, task=0.0))
+        == "cpu=0.75 memory=0.25 network=0 task=0"
+    )

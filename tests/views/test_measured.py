@@ -5,37 +5,50 @@ import json
 import pytest
 import yaml
 
-from edgectl.evidence.measured import columns
-from edgectl.model.evidence import Column, Figure, Variant
-from edgectl.model.experiment import Experiment, MapPair, Run, Summary
+from edgectl.experiments.model.comparison import Estimate, Scheme, SchemeResult
+from edgectl.experiments.model.experiment import Experiment, ExperimentRun, MapPair, MetricAggregation
+from edgectl.experiments.scheme_results import summarize_trials
 from edgectl.model.policy import Policy
-from edgectl.views.form import Form, forms_of, view
-from edgectl.views.text import PLAIN, Look
+from edgectl.views.output_format import OutputFormat, get_renderer, list_output_formats
+from edgectl.views.text import PLAIN, RenderOptions
 from tests.evidence.runs import a_run
 
 POLICY = Policy()
 EXPERIMENT = Experiment(
-    name="mission", variants=(), until=("merge",), repetitions=3, metrics={"fps": Summary.MEAN, "loss": Summary.LAST},
+    name="mission", schemes=(), until=("merge",), repetitions=3, metrics={"fps": MetricAggregation.MEAN, "loss": MetricAggregation.LAST},
     maps={"ssim": MapPair(task="merge", file="map.yaml", truth="world.yaml")},
 )  # fmt: skip
-RUN = Run(experiment=EXPERIMENT, digest="0123", machines={})
+RUN = ExperimentRun(experiment=EXPERIMENT, digest="0123", machines={})
 WHOLE = ("latency", "handoffs", "downtime", "unplaced")
 
 
-def column(name: str, latency_min: float, *cpu: float | None, runs: int = 3, fps: float | None = 9.5) -> Column:
-    def figure(mean: float | None, std: float = 0.0) -> Figure | None:
-        return None if mean is None else Figure(mean=mean, std=std, half=2.5 * std, count=runs)
+def column(
+    name: str, latency_min: float, *cpu: float | None, runs: int = 3, fps: float | None = 9.5
+) -> SchemeResult:
+    def figure(mean: float | None, std: float = 0.0) -> Estimate | None:
+        return None if mean is None else Estimate(mean=mean, std=std, half_ci95=2.5 * std, count=runs)
 
-    figures = {metric: tuple(figure(each) for each in cpu) for metric in ("cpu", "cpu peak", "memory", "throughput")}
-    figures |= {"latency": (figure(latency_min, 0.05),), "handoffs": (figure(1.5, 0.5),), "downtime": (None,), "unplaced": (figure(0.0),)}
-    return Column(
-        variant=Variant(name=name, policy=POLICY), runs=runs, unfinished=int(name == "local"), unplaced=2 if name == "static" else 0,
-        figures=figures, hosts=("edge1", "edge2", "edge3") if len(cpu) == 3 else (),
+    figures = {
+        metric: tuple(figure(each) for each in cpu) for metric in ("cpu", "cpu peak", "memory", "throughput")
+    }
+    figures |= {
+        "latency": (figure(latency_min, 0.05),),
+        "handoffs": (figure(1.5, 0.5),),
+        "downtime": (None,),
+        "unplaced": (figure(0.0),),
+    }
+    return SchemeResult(
+        scheme=Scheme(name=name, policy=POLICY), runs=runs, unfinished=int(name == "local"), unplaced=2 if name == "static" else 0,
+        estimates=figures, hosts=("edge1", "edge2", "edge3") if len(cpu) == 3 else (),
         metrics={"fps": figure(fps, 0.25), "loss": figure(0.0123, 0.001)}, maps={"ssim": figure(0.8125, 0.03)},
     )  # fmt: skip
 
 
-DONE = [column("local", 0.75, 98.7), column("static", 0.5, 80.2, None, 61.0), column("utility network", 0.4, 55.0, 52.0, 49.9)]
+DONE = [
+    column("local", 0.75, 98.7),
+    column("static", 0.5, 80.2, None, 61.0),
+    column("utility network", 0.4, 55.0, 52.0, 49.9),
+]
 TEXT = """\
 SCHEME           LATENCY s     CPU %  MEMORY %  HANDOFFS   FPS    LOSS   SSIM
 local             45.0±3.0        99        99       1.5  9.50  0.0123  0.812
@@ -52,11 +65,13 @@ Latency as a share of static execution: utility network 0.80.
 
 
 def test_the_table_fits_80_columns() -> None:
-    assert view(Form.TABLE, "measured")(RUN, DONE, Look(width=80)) == TEXT
+    assert get_renderer(OutputFormat.TABLE, "measured")(RUN, DONE, RenderOptions(width=80)) == TEXT
 
 
 def test_trials_are_counted_where_some_are_missing() -> None:
-    text = view(Form.TABLE, "measured")(RUN, [*DONE[:2], column("utility all", 0.4, 55.0, 52.0, 50.0, runs=1)], PLAIN)
+    text = get_renderer(OutputFormat.TABLE, "measured")(
+        RUN, [*DONE[:2], column("utility all", 0.4, 55.0, 52.0, 50.0, runs=1)], PLAIN
+    )
     lines = text.splitlines()
     assert lines[0].split()[:3] == ["SCHEME", "TRIALS", "LATENCY"]
     assert lines[3].split()[:4] == ["utility", "all", "1/3", "24.0"], "one trial has no deviation"
@@ -65,26 +80,33 @@ def test_trials_are_counted_where_some_are_missing() -> None:
 
 def test_a_scheme_without_a_trial_has_no_figures() -> None:
     run = a_run(trials=3)
-    lines = view(Form.TABLE, "measured")(run, columns(run), PLAIN).splitlines()
+    lines = get_renderer(OutputFormat.TABLE, "measured")(run, summarize_trials(run), PLAIN).splitlines()
     assert lines[2].split() == ["static", "0/3", *["-"] * 7]
     assert not [line for line in lines if line.startswith("Latency as a share")]
 
 
 @pytest.mark.parametrize("width", [60, 80, 120])
-@pytest.mark.parametrize("form", [Form.TABLE, Form.WIDE])
-def test_what_does_not_fit_stands_below(form: Form, width: int) -> None:
+@pytest.mark.parametrize("form", [OutputFormat.TABLE, OutputFormat.WIDE])
+def test_what_does_not_fit_stands_below(form: OutputFormat, width: int) -> None:
     run = a_run()
-    whole, fitted = (view(form, "measured")(run, columns(run), look) for look in (PLAIN, Look(width=width)))
+    whole, fitted = (
+        get_renderer(form, "measured")(run, summarize_trials(run), look)
+        for look in (PLAIN, RenderOptions(width=width))
+    )
     head, rows = whole.splitlines()[0], whole.split("\n\n")[0]
     assert all(len(line) <= width for line in fitted.splitlines()), fitted
     parts = fitted.split("\n\n")[:-1]
-    assert all(part.startswith("SCHEME") and len(part.splitlines()) == len(rows.splitlines()) for part in parts)
+    assert all(
+        part.startswith("SCHEME") and len(part.splitlines()) == len(rows.splitlines()) for part in parts
+    )
     assert [word for part in parts for word in part.splitlines()[0].split()[1:]] == head.split()[1:]
-    assert [word for part in parts for word in part.splitlines()[2].split()[1:]] == rows.splitlines()[2].split()[1:]
+    assert [word for part in parts for word in part.splitlines()[2].split()[1:]] == rows.splitlines()[
+        2
+    ].split()[1:]
 
 
 def test_wide_has_every_metric_with_its_deviation() -> None:
-    text = view(Form.WIDE, "measured")(RUN, DONE, PLAIN)
+    text = get_renderer(OutputFormat.WIDE, "measured")(RUN, DONE, PLAIN)
     head = "SCHEME TRIALS LATENCY s CPU % PEAK % MEMORY % MB/s HANDOFFS DOWNTIME s UNPLACED FPS LOSS SSIM"
     lines = text.splitlines()
     assert lines[0].split() == head.split()
@@ -93,13 +115,15 @@ def test_wide_has_every_metric_with_its_deviation() -> None:
 
 
 def test_latencies_of_minutes_are_minutes_as_in_the_paper() -> None:
-    text = view(Form.TABLE, "measured")(RUN, [column("local", 14.4, 99.0), column("static", 0.5, 1.0, 1.0, 1.0)], PLAIN)
+    text = get_renderer(OutputFormat.TABLE, "measured")(
+        RUN, [column("local", 14.4, 99.0), column("static", 0.5, 1.0, 1.0, 1.0)], PLAIN
+    )
     assert "LATENCY min" in text.splitlines()[0]
     assert text.splitlines()[1].split()[1] == "14.40±0.05"
 
 
 def test_markdown_is_one_table_and_a_list() -> None:
-    lines = view(Form.MARKDOWN, "measured")(RUN, DONE, PLAIN).splitlines()
+    lines = get_renderer(OutputFormat.MARKDOWN, "measured")(RUN, DONE, PLAIN).splitlines()
     table = [line for line in lines if line.startswith("|")]
     assert len(table) == 2 + len(DONE)
     assert {line.count("|") for line in table} == {14}
@@ -109,9 +133,14 @@ def test_markdown_is_one_table_and_a_list() -> None:
 
 
 def test_the_documents_hold_every_figure_and_null_where_there_is_none() -> None:
-    document = json.loads(view(Form.JSON, "measured")(RUN, DONE, PLAIN))
-    assert yaml.safe_load(view(Form.YAML, "measured")(RUN, DONE, PLAIN)) == document
-    assert (document["experiment"], document["digest"], document["planned"], document["done"]) == ("mission", "0123", 3, 9)
+    document = json.loads(get_renderer(OutputFormat.JSON, "measured")(RUN, DONE, PLAIN))
+    assert yaml.safe_load(get_renderer(OutputFormat.YAML, "measured")(RUN, DONE, PLAIN)) == document
+    assert (document["experiment"], document["digest"], document["planned"], document["done"]) == (
+        "mission",
+        "0123",
+        3,
+        9,
+    )
     static = document["schemes"][1]
     assert static["hosts"] == ["edge1", "edge2", "edge3"]
     assert static["figures"]["latency"] == [{"mean": 0.5, "std": 0.05, "half_ci95": 0.125, "runs": 3}]
@@ -119,11 +148,17 @@ def test_the_documents_hold_every_figure_and_null_where_there_is_none() -> None:
     assert static["figures"]["downtime"] == [None]
     assert static["metrics"]["fps"]["mean"] == 9.5
     assert static["ssim"]["ssim"]["mean"] == 0.8125
-    single = json.loads(view(Form.JSON, "measured")(RUN, [column("static", 0.5, 1.0, 1.0, 1.0, runs=1)], PLAIN))
-    assert single["schemes"][0]["figures"]["latency"] == [{"mean": 0.5, "std": None, "half_ci95": None, "runs": 1}]
+    single = json.loads(
+        get_renderer(OutputFormat.JSON, "measured")(
+            RUN, [column("static", 0.5, 1.0, 1.0, 1.0, runs=1)], PLAIN
+        )
+    )
+    assert single["schemes"][0]["figures"]["latency"] == [
+        {"mean": 0.5, "std": None, "half_ci95": None, "runs": 1}
+    ]
 
 
 def test_names_steer_no_terminal() -> None:
     run = a_run(name="mis\x1b[31msion")
-    for form in forms_of("measured"):
-        assert "\x1b" not in view(form, "measured")(run, columns(run), PLAIN)
+    for form in list_output_formats("measured"):
+        assert "\x1b" not in get_renderer(form, "measured")(run, summarize_trials(run), PLAIN)

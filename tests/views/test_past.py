@@ -5,13 +5,13 @@ import json
 import pytest
 import yaml
 
-from edgectl.cli import exits
-from edgectl.model.memory import Memory, Placement
+from edgectl.cli import exit_codes
+from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.plan import Action
 from edgectl.model.result import ActionResult, Outcome, Phase, PhaseResult
-from edgectl.model.revision import Ending, Revision
+from edgectl.model.revision import Revision, RevisionOutcome
 from edgectl.views import json as json_view
-from edgectl.views import name, sections, table
+from edgectl.views import name, plan_sections, table
 from edgectl.views import yaml as yaml_view
 from tests.builders import NOW, a_sample, a_snapshot, a_task, an_edge, an_inventory, silent, some_tasks
 
@@ -21,10 +21,19 @@ MOVED = ActionResult(
     error="no space\x1b[2J left; restored on edge1",
 )  # fmt: skip
 PAST = [
-    Revision(number=9, began_at=NOW, verb="apply", user="ada", ending=Ending.PARTLY, seconds=2.5, counts={"move": 1}, actions=(MOVED,)),
+    Revision(
+        number=9,
+        began_at=NOW,
+        verb="apply",
+        user="ada",
+        ending=RevisionOutcome.PARTLY,
+        seconds=2.5,
+        counts={"move": 1},
+        actions=(MOVED,),
+    ),
     Revision(number=10, began_at=NOW + 60.0),
 ]
-MEMORY = Memory(
+MEMORY = ManagerState(
     managed=True, placements={"slam": Placement(host="edge1", since=NOW - 900.0)}, cordons=frozenset({"edge2", "edge3"}),
     draining=frozenset({"edge3"}), contact={"edge1": NOW - 90.0},
 )  # fmt: skip
@@ -44,7 +53,10 @@ def test_history_is_one_line_per_revision() -> None:
 
 def test_a_revision_shows_its_phases_and_cannot_steer_the_terminal() -> None:
     text = table.revision(PAST[0])
-    assert "slam  failed  stop edge1 0.2s > start edge2 1.0s FAILED; gap 1.5s; no space\\x1b[2J left; restored on edge1" in text
+    assert (
+        "slam  failed  stop edge1 0.2s > start edge2 1.0s FAILED; gap 1.5s; no space\\x1b[2J left; restored on edge1"
+        in text
+    )
     assert name.revision(PAST[0]) == "task/slam\n"
 
 
@@ -52,13 +64,21 @@ def test_json_and_yaml_of_the_past_say_the_same() -> None:
     document = json.loads(json_view.revision(PAST[0]))
     assert yaml.safe_load(yaml_view.revision(PAST[0])) == document
     assert yaml.safe_load(yaml_view.history(PAST)) == json.loads(json_view.history(PAST))
-    assert (document["revision"], document["outcome"], document["seconds"], document["placements"]) == (9, "partly", 2.5, None)
+    assert (document["revision"], document["outcome"], document["seconds"], document["placements"]) == (
+        9,
+        "partly",
+        2.5,
+        None,
+    )
     assert [phase["seconds"] for phase in document["actions"][0]["phases"]] == [0.25, 1]
 
 
 def test_closed_hosts_show_everywhere() -> None:
-    assert [line.split()[2:4] for line in table.snapshot(SNAPSHOT).splitlines()[2:4]] == [["ok,", "cordoned"], ["ok,", "draining"]]
-    assert sections.closed(SNAPSHOT) == [
+    assert [line.split()[2:4] for line in table.snapshot(SNAPSHOT).splitlines()[2:4]] == [
+        ["ok,", "cordoned"],
+        ["ok,", "draining"],
+    ]
+    assert plan_sections.list_operator_mark_notes(SNAPSHOT) == [
         "cordoned, no new tasks: edge2 (edgectl uncordon)", "drained, its tasks leave: edge3 (edgectl uncordon)",
     ]  # fmt: skip
     text = table.status(SNAPSHOT, FLEET, some_tasks(a_task("slam")))
@@ -81,6 +101,8 @@ def test_a_silent_host_is_told_with_how_long() -> None:
 
 @pytest.mark.parametrize(("fenced", "code"), [(frozenset[str](), 4), (frozenset({"edge1"}), 0)])
 def test_a_host_that_is_declared_off_need_not_answer(fenced: frozenset[str], code: int) -> None:
-    snapshot = a_snapshot(edge1=silent(), memory=Memory(fenced=fenced))
-    assert exits.of_snapshot(snapshot, FLEET) == code
-    assert sections.closed(snapshot) == (["fenced, counts as switched off: edge1 (edgectl unfence)"] if fenced else [])
+    snapshot = a_snapshot(edge1=silent(), memory=ManagerState(fenced=fenced))
+    assert exit_codes.of_snapshot(snapshot, FLEET) == code
+    assert plan_sections.list_operator_mark_notes(snapshot) == (
+        ["fenced, counts as switched off: edge1 (edgectl unfence)"] if fenced else []
+    )

@@ -7,8 +7,8 @@ import pytest
 import yaml
 
 from edgectl.model.profiler import Profiler, ProfilerState
-from edgectl.views.form import Form, forms_of, view
-from edgectl.views.text import Look
+from edgectl.views.output_format import OutputFormat, get_renderer, list_output_formats
+from edgectl.views.text import RenderOptions
 
 RUNNING = Profiler(
     host="edge1", state=ProfilerState.RUNNING, pid=32101, age=3725.0, every=1.0, period=1.0, samples=3725, sample_age=0.41,
@@ -24,33 +24,59 @@ FOUND = (
 
 
 def test_the_table_fits_80_columns_and_says_what_to_do() -> None:
-    table = view(Form.TABLE, "profilers")(FOUND)
+    table = get_renderer(OutputFormat.TABLE, "profilers")(FOUND)
     rows, notes = table.splitlines()[:6], table.splitlines()[6:]
     assert max(map(len, rows)) <= 80
     assert rows[0].split() == ["HOST", "STATE", "PID", "AGE", "EVERY", "LAST", "CPU", "MEMORY", "TTL", "LEFT"]
-    assert rows[1].split() == ["edge1", "running", "32101", "1h02m", "1.0s", "0.4s", "0.23%", "11.0Mi", "59m59s"]
+    assert rows[1].split() == [
+        "edge1",
+        "running",
+        "32101",
+        "1h02m",
+        "1.0s",
+        "0.4s",
+        "0.23%",
+        "11.0Mi",
+        "59m59s",
+    ]
     assert rows[4].split() == ["robot2", "not-running", *"-------"]
     assert [note.split(":")[1].strip() for note in notes] == ["edge2", "robot1", "robot2", "robot3"]
     assert "every 2.5s instead of 1.0s" in notes[0]
     assert notes[3].endswith("no route (look at the cable)")
     assert "\x1b" not in table
-    assert "\x1b" in view(Form.TABLE, "profilers")(FOUND, Look(colour=True, width=80))
+    assert "\x1b" in get_renderer(OutputFormat.TABLE, "profilers")(
+        FOUND, RenderOptions(colour=True, width=80)
+    )
 
 
 def test_the_document_has_what_there_is() -> None:
-    document = json.loads(view(Form.JSON, "profilers")(FOUND))
+    document = json.loads(get_renderer(OutputFormat.JSON, "profilers")(FOUND))
     assert document["format_version"] == 1
     assert document["profilers"][0]["used_cores"] == 0.0023
     assert document["profilers"][1]["sample_age_s"] is None
-    assert document["profilers"][3] == {"host": "robot2", "state": "not-running", "detail": "the host was rebooted"}
-    assert document["profilers"][4] == {"host": "robot3", "state": "unreachable", "error": "no route", "hint": "look at the cable"}
-    assert yaml.safe_load(view(Form.YAML, "profilers")(FOUND)) == document
+    assert document["profilers"][3] == {
+        "host": "robot2",
+        "state": "not-running",
+        "detail": "the host was rebooted",
+    }
+    assert document["profilers"][4] == {
+        "host": "robot3",
+        "state": "unreachable",
+        "error": "no route",
+        "hint": "look at the cable",
+    }
+    assert yaml.safe_load(get_renderer(OutputFormat.YAML, "profilers")(FOUND)) == document
 
 
 def test_names_are_of_living_ones() -> None:
-    assert view(Form.NAME, "profilers")(FOUND) == "profiler/edge1\nprofiler/edge2\nprofiler/robot1\n"
+    assert (
+        get_renderer(OutputFormat.NAME, "profilers")(FOUND)
+        == "profiler/edge1\nprofiler/edge2\nprofiler/robot1\n"
+    )
 
 
-@pytest.mark.parametrize("form", [Form.TABLE, Form.JSON, Form.YAML, Form.NAME])
-def test_every_form_that_is_offered_exists(form: Form) -> None:
-    assert form in forms_of("profilers")
+@pytest.mark.parametrize(
+    "form", [OutputFormat.TABLE, OutputFormat.JSON, OutputFormat.YAML, OutputFormat.NAME]
+)
+def test_every_form_that_is_offered_exists(form: OutputFormat) -> None:
+    assert form in list_output_formats("profilers")

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from edgectl.views.spark import bar, spark
+from edgectl.views.sparkline import render_bar, render_sparkline
 
 
 @pytest.mark.parametrize(
@@ -24,26 +24,35 @@ from edgectl.views.spark import bar, spark
     ],
 )
 def test_a_bar_counts_eighths(share: float, drawn: str) -> None:
-    assert bar(share, 8, unicode=True) == drawn
+    assert render_bar(share, 8, unicode=True) == drawn
 
 
 @pytest.mark.parametrize(
     ("share", "drawn"),
-    [(0.0, "........"), (0.01, "#......."), (0.5, "####...."), (0.64, "#####..."), (0.99, "#######."), (1.0, "########")],
+    [
+        (0.0, "........"),
+        (0.01, "#......."),
+        (0.5, "####...."),
+        (0.64, "#####..."),
+        (0.99, "#######."),
+        (1.0, "########"),
+    ],
 )
 def test_a_bar_in_ascii_counts_columns(share: float, drawn: str) -> None:
-    assert bar(share, 8, unicode=False) == drawn
+    assert render_bar(share, 8, unicode=False) == drawn
 
 
 def test_a_sparkline_has_eight_steps() -> None:
     steps = [0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0]
-    assert spark(steps, 4.0, unicode=True) == "▁▂▃▄▅▆▇██"
-    assert spark(steps, 4.0, unicode=False) == "_.-:=+*##"
+    assert render_sparkline(steps, 4.0, unicode=True) == "▁▂▃▄▅▆▇██"
+    assert render_sparkline(steps, 4.0, unicode=False) == "_.-:=+*##"
 
 
 def test_a_sparkline_keeps_the_newest_and_shows_gaps() -> None:
-    assert spark([4.0, 4.0, 0.0, None, 9.0, -1.0], 4.0, 4, unicode=True) == "▁ █▁"
-    assert spark([math.nan, math.inf, 1.0], 0.0, unicode=True) == " ▁▁", "without a scale everything is low"
-    assert spark([1.0] * 100, 1.0, unicode=True) == "█" * 60
-    assert spark([1.0], 1.0, 0, unicode=True) == ""
-    assert spark([], 1.0, unicode=True) == ""
+    assert render_sparkline([4.0, 4.0, 0.0, None, 9.0, -1.0], 4.0, 4, unicode=True) == "▁ █▁"
+    assert render_sparkline([math.nan, math.inf, 1.0], 0.0, unicode=True) == " ▁▁", (
+        "without a scale everything is low"
+    )
+    assert render_sparkline([1.0] * 100, 1.0, unicode=True) == "█" * 60
+    assert render_sparkline([1.0], 1.0, 0, unicode=True) == ""
+    assert render_sparkline([], 1.0, unicode=True) == ""

@@ -4,24 +4,43 @@ from dataclasses import replace
 
 from edgectl.model.snapshot import TaskState
 from edgectl.views import table
-from edgectl.views.state import phrase
+from edgectl.views.state import format_task_state
 from tests.builders import a_run
 from tests.views.fixtures import fleet
 
 
 def test_crash_loop_is_a_failure_with_its_figures() -> None:
-    given_up = a_run(TaskState.CRASHLOOP, restarts=5, last_exit=1, exit_code=1, detail="exited with 1; 5 restarts in 10 minutes")
-    assert phrase(given_up) == "failed (5 restarts, last exit 1)"
-    assert phrase(a_run(TaskState.FAILED, detail="fenced: no manager call for 60 s")) == "failed (fenced: no manager call for 60 s)"
-    assert phrase(a_run()) == "ready"
-    assert phrase(a_run(TaskState.FAILED, detail="exited with 0", exit_code=0)) == "exited (exit code 0)"
+    given_up = a_run(
+        TaskState.CRASHLOOP,
+        restarts=5,
+        last_exit=1,
+        exit_code=1,
+        detail="exited with 1; 5 restarts in 10 minutes",
+    )
+    assert format_task_state(given_up) == "failed (5 restarts, last exit 1)"
+    assert (
+        format_task_state(a_run(TaskState.FAILED, detail="fenced: no manager call for 60 s"))
+        == "failed (fenced: no manager call for 60 s)"
+    )
+    assert format_task_state(a_run()) == "ready"
+    assert (
+        format_task_state(a_run(TaskState.FAILED, detail="exited with 0", exit_code=0))
+        == "exited (exit code 0)"
+    )
 
 
 def test_status_ends_with_last_words_and_limits_that_do_not_hold() -> None:
     inventory, tasks, snapshot = fleet()
     host = next(name for name, each in snapshot.hosts.items() if each.ok)
     runs = {
-        "broken": a_run(TaskState.CRASHLOOP, pid=0, restarts=5, last_exit=1, given_up=True, log_tail=("Traceback", "\x1b[31mboom")),
+        "broken": a_run(
+            TaskState.CRASHLOOP,
+            pid=0,
+            restarts=5,
+            last_exit=1,
+            given_up=True,
+            log_tail=("Traceback", "\x1b[31mboom"),
+        ),
         "limited": a_run(limits="not enforced: lingering is off for edge"),
         "held": a_run(limits="enforced"),
     }

@@ -4,11 +4,24 @@ import io
 
 import pytest
 
-from edgectl.views.text import Cell, Look, columns, fits, flowed, look_of, room_beside
+from edgectl.views.text import (
+    Cell,
+    RenderOptions,
+    compute_remaining_width,
+    detect_render_options,
+    is_within_width,
+    render_columns,
+    wrap_text,
+)
 
 ROWS = [
     ("NAME", "STATE", "N", "REASON"),
-    (Cell("slam-robot1", "name"), "failed (5 restarts, last exit 1)", "7", "it was asked to stop and did not"),
+    (
+        Cell("slam-robot1", "name"),
+        "failed (5 restarts, last exit 1)",
+        "7",
+        "it was asked to stop and did not",
+    ),
 ]
 
 
@@ -17,14 +30,14 @@ def widest(text: str) -> int:
 
 
 def test_nothing_is_wrapped_where_there_is_no_terminal() -> None:
-    assert columns(ROWS, right={2}).splitlines() == [
+    assert render_columns(ROWS, right={2}).splitlines() == [
         "NAME         STATE                             N  REASON",
         "slam-robot1  failed (5 restarts, last exit 1)  7  it was asked to stop and did not",
     ]
 
 
 def test_the_last_column_wraps_first() -> None:
-    assert columns(ROWS, Look(width=78), right={2}, wrap={1}).splitlines() == [
+    assert render_columns(ROWS, RenderOptions(width=78), right={2}, wrap={1}).splitlines() == [
         "NAME         STATE                             N  REASON",
         "slam-robot1  failed (5 restarts, last exit 1)  7  it was asked to stop and did",
         "                                                  not",
@@ -32,7 +45,7 @@ def test_the_last_column_wraps_first() -> None:
 
 
 def test_other_columns_wrap_where_that_is_not_enough() -> None:
-    assert columns(ROWS, Look(width=61), right={2}, wrap={1}).splitlines() == [
+    assert render_columns(ROWS, RenderOptions(width=61), right={2}, wrap={1}).splitlines() == [
         "NAME         STATE                N  REASON",
         "slam-robot1  failed (5 restarts,  7  it was asked to stop and",
         "             last exit 1)            did not",
@@ -40,7 +53,7 @@ def test_other_columns_wrap_where_that_is_not_enough() -> None:
 
 
 def test_what_has_no_room_stands_below() -> None:
-    assert columns(ROWS, Look(width=52), right={2}).splitlines() == [
+    assert render_columns(ROWS, RenderOptions(width=52), right={2}).splitlines() == [
         "NAME         STATE                             N",
         "    REASON",
         "slam-robot1  failed (5 restarts, last exit 1)  7",
@@ -50,14 +63,14 @@ def test_what_has_no_room_stands_below() -> None:
 
 @pytest.mark.parametrize("width", range(34, 90))
 def test_a_table_with_columns_to_wrap_never_passes_the_edge(width: int) -> None:
-    text = columns(ROWS, Look(width=width), right={2}, wrap={0, 1})
+    text = render_columns(ROWS, RenderOptions(width=width), right={2}, wrap={0, 1})
     assert widest(text) <= width
-    assert sorted("".join(text.split())) == sorted("".join(columns(ROWS).split())), "nothing is lost"
+    assert sorted("".join(text.split())) == sorted("".join(render_columns(ROWS).split())), "nothing is lost"
 
 
 def test_names_break_after_hyphens_and_lists_after_commas() -> None:
     rows = [("NAME", "NEEDS", "UP"), ("navigation-robot1", "slam-robot1,slam-robot2", "3s")]
-    assert columns(rows, Look(width=29), wrap={0, 1}).splitlines() == [
+    assert render_columns(rows, RenderOptions(width=29), wrap={0, 1}).splitlines() == [
         "NAME         NEEDS         UP",
         "navigation-  slam-robot1,  3s",
         "robot1       slam-robot2",
@@ -66,24 +79,24 @@ def test_names_break_after_hyphens_and_lists_after_commas() -> None:
 
 def test_names_stay_whole_in_a_table_that_is_too_wide_all_the_same() -> None:
     rows = [("NAME", "A NUMBER", "UP"), ("navigation-robot1", "0123456789", "3s")]
-    assert columns(rows, Look(width=15), wrap={0}) == columns(rows)
+    assert render_columns(rows, RenderOptions(width=15), wrap={0}) == render_columns(rows)
 
 
 def test_columns_keep_the_widths_they_had() -> None:
-    assert columns([("a", "b")], least=[4, 0, 0]) == "a     b\n"
+    assert render_columns([("a", "b")], least=[4, 0, 0]) == "a     b\n"
 
 
 def test_room_beside() -> None:
-    assert room_beside([("abc", "de")], Look(width=20)) == 20 - 5 - 2 - 2
-    assert room_beside([("abc", "de")], Look(width=4)) == 0
-    assert room_beside([("abc", "de")], Look()) == 0
-    assert fits([("abc", "de")], Look(width=7))
-    assert not fits([("abc", "de")], Look(width=6))
+    assert compute_remaining_width([("abc", "de")], RenderOptions(width=20)) == 20 - 5 - 2 - 2
+    assert compute_remaining_width([("abc", "de")], RenderOptions(width=4)) == 0
+    assert compute_remaining_width([("abc", "de")], RenderOptions()) == 0
+    assert is_within_width([("abc", "de")], RenderOptions(width=7))
+    assert not is_within_width([("abc", "de")], RenderOptions(width=6))
 
 
 def test_a_line_flows() -> None:
-    assert flowed("one two three", Look(width=8)) == "one two\n  three\n"
-    assert flowed("one two three", Look()) == "one two three\n"
+    assert wrap_text("one two three", RenderOptions(width=8)) == "one two\n  three\n"
+    assert wrap_text("one two three", RenderOptions()) == "one two three\n"
 
 
 class Stream(io.StringIO):
@@ -119,10 +132,10 @@ def test_what_a_terminal_can_show(
         monkeypatch.delenv(name, raising=False)
     for name, value in variables.items():
         monkeypatch.setenv(name, value)
-    look = look_of(Stream(encoding))
+    look = detect_render_options(Stream(encoding))
     assert (look.unicode, look.colour) == (unicode, colour)
     assert look.width is not None
 
 
 def test_a_pipe_is_plain() -> None:
-    assert look_of(io.StringIO()) == Look()
+    assert detect_render_options(io.StringIO()) == RenderOptions()

@@ -5,13 +5,26 @@ from dataclasses import replace
 
 import yaml
 
-from edgectl.model.memory import MeasuredDemand, Memory
+from edgectl.model.manager_state import ManagerState, MeasuredDemand
 from edgectl.model.point import HostPoint, TaskPoint
-from edgectl.model.snapshot import Device, HostStatus, InterfaceSample, Snapshot, TaskState
+from edgectl.model.snapshot import DeviceSample, HostStatus, InterfaceSample, Snapshot, TaskState
 from edgectl.model.task import Check, Quantity
-from edgectl.views.form import Form, view
-from edgectl.views.text import Look
-from tests.builders import GI, NOW, a_link, a_robot, a_run, a_sample, a_snapshot, a_task, an_edge, an_inventory, silent, some_tasks
+from edgectl.views.output_format import OutputFormat, get_renderer
+from edgectl.views.text import RenderOptions
+from tests.builders import (
+    GI,
+    NOW,
+    a_link,
+    a_robot,
+    a_run,
+    a_sample,
+    a_snapshot,
+    a_task,
+    an_edge,
+    an_inventory,
+    silent,
+    some_tasks,
+)
 
 FLEET = an_inventory(an_edge("edge1", cpu_limit=0.8), an_edge("edge2"), a_robot("robot1"))
 TASKS = some_tasks(
@@ -21,17 +34,28 @@ TASKS = some_tasks(
 )
 RUNS = {
     "detection": a_run(started_at=NOW - 252, used_cores=2.5, used_bytes=0.75 * GI, used_bytes_per_s=2e6),
-    "slam": a_run(TaskState.RUNNING, started_at=NOW - 3780, used_cores=0.9, used_bytes=GI / 2, used_bytes_per_s=5e5),
+    "slam": a_run(
+        TaskState.RUNNING, started_at=NOW - 3780, used_cores=0.9, used_bytes=GI / 2, used_bytes_per_s=5e5
+    ),
     "stray": a_run(TaskState.STARTING, used_cores=0.1),
     "dead": a_run(TaskState.FAILED, used_cores=9.0),
 }
 
 
 def snapshot() -> Snapshot:
-    edge1 = a_sample(used=3.9, used_memory=GI, tasks=RUNS, links={"robot1": a_link(10e6, 4e6), "robot2": a_link(10e6, 1e6)})
-    device = Device(load_1m=3.5, temperature_c=61.4, interfaces={"eth0": InterfaceSample(rx_bytes_per_s=1e6, tx_bytes_per_s=2e6)})
+    edge1 = a_sample(
+        used=3.9, used_memory=GI, tasks=RUNS, links={"robot1": a_link(10e6, 4e6), "robot2": a_link(10e6, 1e6)}
+    )
+    device = DeviceSample(
+        load_1m=3.5,
+        temperature_c=61.4,
+        interfaces={"eth0": InterfaceSample(rx_bytes_per_s=1e6, tx_bytes_per_s=2e6)},
+    )
     return a_snapshot(
-        edge1=replace(edge1, device=device), edge2=silent(), robot1=a_sample(cores=2.0), memory=Memory(cordons=frozenset({"robot1"}))
+        edge1=replace(edge1, device=device),
+        edge2=silent(),
+        robot1=a_sample(cores=2.0),
+        memory=ManagerState(cordons=frozenset({"robot1"})),
     )
 
 
@@ -39,7 +63,13 @@ def host_points() -> tuple[HostPoint, ...]:
     """Edge1 rose from 0 to 3.5 of 4 cores in eight samples and was silent before the last one; of robot1 nothing is known."""
     used = [0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, None, 4.0]
     return tuple(
-        HostPoint(at=NOW + n, host="edge1", status=HostStatus.OK, cores=None if cores is None else 4.0, used_cores=cores)
+        HostPoint(
+            at=NOW + n,
+            host="edge1",
+            status=HostStatus.OK,
+            cores=None if cores is None else 4.0,
+            used_cores=cores,
+        )
         for n, cores in enumerate(used)
     )
 
@@ -47,17 +77,29 @@ def host_points() -> tuple[HostPoint, ...]:
 def task_points() -> tuple[TaskPoint, ...]:
     """Detection used 1, 2 and 4 cores; its demand is 2."""
     return tuple(
-        TaskPoint(at=NOW + n, task="detection", host="edge1", state=TaskState.READY, used_cores=cores, used_bytes=GI, used_bytes_per_s=0.0)
+        TaskPoint(
+            at=NOW + n,
+            task="detection",
+            host="edge1",
+            state=TaskState.READY,
+            used_cores=cores,
+            used_bytes=GI,
+            used_bytes_per_s=0.0,
+        )
         for n, cores in enumerate((1.0, 2.0, 4.0))
     )
 
 
-def hosts(form: Form = Form.TABLE, look: Look | None = None) -> str:
-    return view(form, "top_hosts")(snapshot(), FLEET, host_points(), look or Look())
+def hosts(form: OutputFormat = OutputFormat.TABLE, look: RenderOptions | None = None) -> str:
+    return get_renderer(form, "top_hosts")(snapshot(), FLEET, host_points(), look or RenderOptions())
 
 
-def tasks(form: Form = Form.TABLE, look: Look | None = None, value: Snapshot | None = None) -> str:
-    return view(form, "top_tasks")(value or snapshot(), FLEET, TASKS, task_points(), look or Look())
+def tasks(
+    form: OutputFormat = OutputFormat.TABLE, look: RenderOptions | None = None, value: Snapshot | None = None
+) -> str:
+    return get_renderer(form, "top_tasks")(
+        value or snapshot(), FLEET, TASKS, task_points(), look or RenderOptions()
+    )
 
 
 NOTES = "note: edge1 uses 98% of its cpu; its limit is 80%\nnote: edge2 does not answer: connection refused\n"
@@ -81,35 +123,49 @@ REST = [
 
 
 def test_hosts_on_a_wide_terminal() -> None:
-    lines = hosts(look=Look(width=160, unicode=True)).splitlines()
+    lines = hosts(look=RenderOptions(width=160, unicode=True)).splitlines()
     assert lines[:4] == [HEAD + "  CPU, LAST 10 SAMPLES", EDGE1 + "  ▁▂▃▄▅▆▇█ █", *REST]
 
 
 def test_hosts_on_a_narrow_terminal() -> None:
-    lines = hosts(look=Look(width=80, unicode=True)).splitlines()
+    lines = hosts(look=RenderOptions(width=80, unicode=True)).splitlines()
     assert lines[:5] == [HEAD, EDGE1, "    ▁▂▃▄▅▆▇█ █", *REST]
 
 
 def test_hosts_in_ascii() -> None:
-    text = hosts(look=Look(width=160))
-    assert "edge1   ok            #######.  98%!  ##......  25%  40% robot1      3  _.-:=+*# #\n" in text, "98 % of 8 is 7.8, but not all"
+    text = hosts(look=RenderOptions(width=160))
+    assert "edge1   ok            #######.  98%!  ##......  25%  40% robot1      3  _.-:=+*# #\n" in text, (
+        "98 % of 8 is 7.8, but not all"
+    )
     assert text.isascii()
 
 
 def test_sixty_samples_stand_below_where_there_is_no_room_beside() -> None:
     points = tuple(
-        HostPoint(at=NOW + n, host="edge1", status=HostStatus.OK, cores=4.0, used_cores=4.0 if n % 2 else 0.0) for n in range(100)
+        HostPoint(at=NOW + n, host="edge1", status=HostStatus.OK, cores=4.0, used_cores=4.0 if n % 2 else 0.0)
+        for n in range(100)
     )
-    lines = view(Form.TABLE, "top_hosts")(snapshot(), FLEET, points, Look(width=80, unicode=True)).splitlines()
+    lines = get_renderer(OutputFormat.TABLE, "top_hosts")(
+        snapshot(), FLEET, points, RenderOptions(width=80, unicode=True)
+    ).splitlines()
     assert lines[1].startswith("edge1 ")
     assert lines[2] == "    " + "▁█" * 30
-    wide = view(Form.TABLE, "top_hosts")(snapshot(), FLEET, points, Look(width=160, unicode=True)).splitlines()
+    wide = get_renderer(OutputFormat.TABLE, "top_hosts")(
+        snapshot(), FLEET, points, RenderOptions(width=160, unicode=True)
+    ).splitlines()
     assert wide[0].endswith("CPU, LAST 60 SAMPLES")
     assert wide[1].endswith("3  " + "▁█" * 30)
 
 
 def test_wide_hosts_say_absolute_numbers() -> None:
-    assert hosts(Form.WIDE).splitlines()[1].split()[-6:] == ["3.90/4.00", "1.0Gi/4.0Gi", "1.0MB/s", "2.0MB/s", "3.50", "61C"]
+    assert hosts(OutputFormat.WIDE).splitlines()[1].split()[-6:] == [
+        "3.90/4.00",
+        "1.0Gi/4.0Gi",
+        "1.0MB/s",
+        "2.0MB/s",
+        "3.50",
+        "61C",
+    ]
 
 
 TABLE = (
@@ -118,7 +174,9 @@ TABLE = (
     "slam       edge1  0.90    1.00  -0.10  512.0Mi  500.0kB/s  1h03m  -\n"
     "stray      edge1  0.10       -      -       0B       0B/s  1h00m  no\n"
 )
-TASK_NOTES = "note: 1 of 3 tasks do not run: edgectl status\nnote: edge2 does not answer: connection refused\n"
+TASK_NOTES = (
+    "note: 1 of 3 tasks do not run: edgectl status\nnote: edge2 does not answer: connection refused\n"
+)
 
 
 def test_tasks_piped() -> None:
@@ -129,65 +187,93 @@ METRICS = {f"m{number}": number / 3 for number in range(12)}
 
 
 def saying() -> Snapshot:
-    runs = {**RUNS, "slam": replace(RUNS["slam"], metrics={"fps": 29.97, "loss": 1.5e-7}), "stray": replace(RUNS["stray"], metrics=METRICS)}
+    runs = {
+        **RUNS,
+        "slam": replace(RUNS["slam"], metrics={"fps": 29.97, "loss": 1.5e-7}),
+        "stray": replace(RUNS["stray"], metrics=METRICS),
+    }
     runs["dead"] = replace(RUNS["dead"], metrics={"fps": 1.0})
-    return replace(snapshot(), hosts={**snapshot().hosts, "edge1": replace(snapshot().hosts["edge1"], tasks=runs)})
+    return replace(
+        snapshot(), hosts={**snapshot().hosts, "edge1": replace(snapshot().hosts["edge1"], tasks=runs)}
+    )
 
 
 def test_what_applications_say_of_themselves_stands_below() -> None:
     said = ", ".join(f"{name} {value:.6g}" for name, value in METRICS.items())
     below = f"\nTASK   HOST   METRICS\nslam   edge1  fps 29.97, loss 1.5e-07\nstray  edge1  {said}\n"
     assert tasks(value=saying()) == TABLE + below + TASK_NOTES
-    narrow = tasks(value=saying(), look=Look(width=80))
+    narrow = tasks(value=saying(), look=RenderOptions(width=80))
     assert max(map(len, narrow.splitlines())) <= 80
-    assert "stray  edge1  m0 0, m1 0.333333, m2 0.666667, m3 1, m4 1.33333, m5 1.66667, m6\n              2, m7 2.33333," in narrow
-    found = {task["name"]: task.get("metrics") for task in json.loads(tasks(Form.JSON, value=saying()))["tasks"]}
+    assert (
+        "stray  edge1  m0 0, m1 0.333333, m2 0.666667, m3 1, m4 1.33333, m5 1.66667, m6\n              2, m7 2.33333,"
+        in narrow
+    )
+    found = {
+        task["name"]: task.get("metrics")
+        for task in json.loads(tasks(OutputFormat.JSON, value=saying()))["tasks"]
+    }
     assert found == {"detection": None, "slam": {"fps": 29.97, "loss": 1.5e-7}, "stray": METRICS}
 
 
 def test_tasks_on_a_terminal() -> None:
-    lines = tasks(look=Look(width=160, unicode=True)).splitlines()
+    lines = tasks(look=RenderOptions(width=160, unicode=True)).splitlines()
     assert lines[0] == TABLE.splitlines()[0] + "  CPU, LAST 3 SAMPLES"
     assert lines[1] == TABLE.splitlines()[1] + "    ▃▅█", "of the highest, 4 cores: a quarter, a half, all"
     assert lines[2] == TABLE.splitlines()[2]
-    narrow = tasks(look=Look(width=80, unicode=True)).splitlines()
+    narrow = tasks(look=RenderOptions(width=80, unicode=True)).splitlines()
     assert narrow[1] == lines[1]
     assert max(map(len, narrow)) <= 80
 
 
 def test_more_than_demanded_is_marked_without_colour_too() -> None:
-    assert "\x1b[33m+0.50\x1b[0m" in tasks(look=Look(colour=True))
-    assert "\x1b[33m-0.10" not in tasks(look=Look(colour=True))
+    assert "\x1b[33m+0.50\x1b[0m" in tasks(look=RenderOptions(colour=True))
+    assert "\x1b[33m-0.10" not in tasks(look=RenderOptions(colour=True))
 
 
 def test_wide_tasks_say_every_demand() -> None:
-    assert tasks(Form.WIDE).splitlines()[1].split()[9:] == ["1.0Gi", "-256.0Mi", "2.0MB/s", "0B/s", "0"]
-    assert tasks(Form.WIDE).splitlines()[2].split()[9:] == ["-", "-", "-", "-", "0"]
+    assert tasks(OutputFormat.WIDE).splitlines()[1].split()[9:] == [
+        "1.0Gi",
+        "-256.0Mi",
+        "2.0MB/s",
+        "0B/s",
+        "0",
+    ]
+    assert tasks(OutputFormat.WIDE).splitlines()[2].split()[9:] == ["-", "-", "-", "-", "0"]
 
 
 def test_a_measured_demand_counts_where_it_was_asked_for() -> None:
-    measured = replace(TASKS.tasks["slam"], demand=replace(TASKS.tasks["slam"].demand, cpu=Quantity(value=1.0, measured=True)))
+    measured = replace(
+        TASKS.tasks["slam"],
+        demand=replace(TASKS.tasks["slam"].demand, cpu=Quantity(value=1.0, measured=True)),
+    )
     found = MeasuredDemand(samples=400, span_s=4000.0, cpu=0.75, memory=GI)
-    value = replace(snapshot(), memory=Memory(measured={("slam", "4c-4Gi"): found, ("detection", "4c-4Gi"): found}))
-    rows = view(Form.WIDE, "top_tasks")(value, FLEET, some_tasks(measured, TASKS.tasks["detection"]), ()).splitlines()
+    value = replace(
+        snapshot(), manager=ManagerState(measured={("slam", "4c-4Gi"): found, ("detection", "4c-4Gi"): found})
+    )
+    rows = get_renderer(OutputFormat.WIDE, "top_tasks")(
+        value, FLEET, some_tasks(measured, TASKS.tasks["detection"]), ()
+    ).splitlines()
     assert rows[2].split()[2:5] == ["0.90", "0.75", "+0.15"]
     assert rows[2].split()[9:11] == ["1.0Gi", "-512.0Mi"], "left out is measured too"
     assert rows[1].split()[3] == "2.00", "declared stays declared"
 
 
 def test_nothing_runs() -> None:
-    assert view(Form.TABLE, "top_tasks")(a_snapshot(edge1=a_sample()), FLEET, TASKS, ()) == "No task runs.\n"
+    assert (
+        get_renderer(OutputFormat.TABLE, "top_tasks")(a_snapshot(edge1=a_sample()), FLEET, TASKS, ())
+        == "No task runs.\n"
+    )
 
 
 def test_documents() -> None:
-    document = json.loads(hosts(Form.JSON))
+    document = json.loads(hosts(OutputFormat.JSON))
     assert [host["name"] for host in document["hosts"]] == ["edge1", "edge2", "robot1"]
     assert document["hosts"][0]["history"][-2:] == [
         {"at": "2025-11-21T01:53:28Z", "used_cores": None, "used_bytes": None},
         {"at": "2025-11-21T01:53:29Z", "used_cores": 4, "used_bytes": None},
     ]
-    assert yaml.safe_load(hosts(Form.YAML)) == document
-    document = json.loads(tasks(Form.JSON))
+    assert yaml.safe_load(hosts(OutputFormat.YAML)) == document
+    document = json.loads(tasks(OutputFormat.JSON))
     assert [task["name"] for task in document["tasks"]] == ["detection", "slam", "stray"]
     first = document["tasks"][0]
     assert (first["demand"], first["off"]) == (
@@ -195,8 +281,11 @@ def test_documents() -> None:
         {"cores": 0.5, "bytes": -0.25 * GI, "bytes_per_s": 0},
     )
     assert document["tasks"][2]["demand"] == {}
-    assert yaml.safe_load(tasks(Form.YAML)) == document
-    for what, values in (("top_hosts_line", (FLEET, host_points())), ("top_tasks_line", (FLEET, TASKS, task_points()))):
-        line = view(Form.JSON, what)(snapshot(), *values)
+    assert yaml.safe_load(tasks(OutputFormat.YAML)) == document
+    for what, values in (
+        ("top_hosts_line", (FLEET, host_points())),
+        ("top_tasks_line", (FLEET, TASKS, task_points())),
+    ):
+        line = get_renderer(OutputFormat.JSON, what)(snapshot(), *values)
         assert line.count("\n") == 1
         assert json.loads(line)["taken_at"] == "2025-11-21T01:53:20Z"

@@ -3,21 +3,29 @@
 from dataclasses import replace
 
 from edgectl.model.event import Event, EventKind
-from edgectl.model.snapshot import Device
-from edgectl.views import events, host_sheet
+from edgectl.model.snapshot import DeviceSample
+from edgectl.views import describe_host, events
 from tests.builders import NOW, a_sample, a_snapshot, an_edge, an_inventory, some_tasks
 
 
 def test_why_a_task_has_no_place() -> None:
     event = Event(at=NOW, kind=EventKind.TASK_UNPLACED, task="slam", message="no-candidate")
-    assert events.text([event]).splitlines()[1].endswith("  task-unplaced  slam  no host may run it now")
-    assert events.line(event)["message"] == "no-candidate"
+    assert (
+        events.render_events([event])
+        .splitlines()[1]
+        .endswith("  task-unplaced  slam  no host may run it now")
+    )
+    assert events.encode_event(event)["message"] == "no-candidate"
 
 
 def test_a_clock_is_ahead_or_behind() -> None:
     said = [
-        host_sheet.host(
-            "edge1", a_snapshot(edge1=replace(a_sample(), device=Device(clock_skew_s=skew))), an_inventory(an_edge()), some_tasks(), None
+        describe_host.render_host_details(
+            "edge1",
+            a_snapshot(edge1=replace(a_sample(), device=DeviceSample(clock_skew_s=skew))),
+            an_inventory(an_edge()),
+            some_tasks(),
+            None,
         )
         for skew in (-0.14, 2.0)
     ]

@@ -1,0 +1,147 @@
+"""What every command shares that changes hosts: asking, live progress, two kinds of Ctrl-C, the report."""
+
+import contextlib
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from types import FrameType
+
+from edgectl.cli import console
+from edgectl.errors import ExitCode, UsageError
+from edgectl.model.plan import Plan
+from edgectl.model.policy import Policy
+from edgectl.model.progress import ProgressEvent, ProgressListener, ignore_progress
+from edgectl.usecases.fleet import Fleet
+from edgectl.usecases.plan import keep_whole_plan, list_remote_commands, make_plan
+from edgectl.usecases.plan_execution import ApplyOptions, ApplyResult
+from edgectl.views.output_format import OutputFormat, get_renderer
+from edgectl.views.progress import show_apply_progress
+
+_HUMAN_FORMATS = (OutputFormat.TABLE, OutputFormat.WIDE)
+
+
+def check_can_confirm(*, asked: bool, first: str = "look first: edgectl plan") -> bool:
+    """Whether a person is asked; refuses where nobody can answer, before anything is done. ``first`` is what to do before a blind yes.
+
+    Raises:
+        UsageError: standard input is not a terminal.
+    """
+    if asked and not sys.stdin.isatty():
+        raise UsageError(
+            "standard input is not a terminal, so nobody can say yes", hint=f"pass --yes, or {first}"
+        )
+    return asked
+
+
+class ApplySession:
+    """One change under way: what to show before, during and after it."""
+
+    def __init__(
+        self, *, quiet: bool, output: OutputFormat, asked: bool, within: contextlib.ExitStack
+    ) -> None:
+        self._quiet, self._output, self._asked, self._within = quiet, output, asked, within
+        self._listener: ProgressListener = ignore_progress
+        self.stop_requested = threading.Event()
+
+    def options(
+        self,
+        *,
+        lock_timeout: float,
+        max_parallel: int = 16,
+        fail_fast: bool = False,
+        choose: Callable[[Plan], Plan] = keep_whole_plan,
+    ) -> ApplyOptions:
+        """The options of the use case."""
+        return ApplyOptions(
+            lock_timeout=lock_timeout,
+            max_parallel=max_parallel,
+            fail_fast=fail_fast,
+            choose=choose,
+            progress=self._hear,
+            stop_requested=self.stop_requested,
+        )
+
+    def confirm(self, plan: Plan) -> bool:
+        """Show the plan; where a person is asked, only ``yes`` is a yes."""
+        if self._output in _HUMAN_FORMATS and (self._asked or not self._quiet):
+            console.print_view(self._output, "plan", plan)
+        count = sum(step.action.changes for step in plan.steps)
+        agreed = not self._asked or ask_confirmation(
+            f'\nCarry out {"this action" if count == 1 else f"these {count} actions"}? Only "yes" is accepted: '
+        )
+        if agreed:
+            self._listener = self._within.enter_context(show_apply_progress(count, quiet=self._quiet))
+        return agreed
+
+    def _hear(self, event: ProgressEvent) -> None:
+        self._listener(event)
+
+    def report(self, applied: ApplyResult, code: ExitCode = ExitCode.DONE) -> None:
+        """What was done. Quiet: nothing where nothing was to be done and the exit code is 0; else why it is not."""
+        if applied.declined:
+            console.print_message("nothing was done")
+        elif applied.results is not None:
+            console.print_view(self._output, "results", applied.results)
+        elif not self._quiet and self._output in _HUMAN_FORMATS:
+            console.print_view(self._output, "plan", applied.plan)
+        elif not self._quiet:
+            console.print_view(self._output, "nothing")
+        if self._quiet:
+            _explain_exit_code(applied.plan, code)
+
+
+def _explain_exit_code(plan: Plan, code: ExitCode) -> None:
+    """The causes of an exit code that a plan nobody was shown accounts for."""
+    from edgectl.cli.exit_codes import list_unreachable_hosts
+    from edgectl.views import plan_sections
+
+    if code is ExitCode.PARTLY:
+        console.print_stderr(
+            plan_sections.render_unreachable_hosts(plan.snapshot, list_unreachable_hosts(plan.snapshot))
+        )
+    elif code is ExitCode.UNPLACED:
+        console.print_stderr(plan_sections.render_unplaced_tasks(plan))
+
+
+def ask_confirmation(question: str, answer: str = "yes") -> bool:
+    """Put a question on standard error; only the word ``answer`` is a yes."""
+    sys.stderr.write(question)
+    sys.stderr.flush()
+    return sys.stdin.readline().strip() == answer
+
+
+@contextlib.contextmanager
+def open_apply_session(*, quiet: bool, output: OutputFormat, asked: bool) -> Iterator[ApplySession]:
+    """A change, in which the first Ctrl-C (or SIGTERM) lets the running actions finish and the second stops at once."""
+    get_renderer(output, "results")  # refuse an unknown form before anything is done
+    with contextlib.ExitStack() as within:
+        act = ApplySession(quiet=quiet, output=output, asked=asked, within=within)
+        within.enter_context(_request_stop_on_signal(act.stop_requested))
+        yield act
+
+
+@contextlib.contextmanager
+def _request_stop_on_signal(stop_requested: threading.Event) -> Iterator[None]:
+    def first(_signal: int, _frame: FrameType | None) -> None:
+        if stop_requested.is_set():
+            raise KeyboardInterrupt
+        stop_requested.set()
+        console.print_message("finishing what is under way; Ctrl-C again stops at once")
+
+    before = {number: signal.signal(number, first) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def print_dry_run(
+    fleet: Fleet, policy: Policy, saved: Plan | None, choose: Callable[[Plan], Plan], output: OutputFormat
+) -> ExitCode:
+    """Print what apply would send, host by host."""
+    get_renderer(output, "commands")
+    plan = saved if saved is not None else choose(make_plan(fleet, policy))
+    console.print_view(output, "commands", list_remote_commands(fleet, plan))
+    return ExitCode.DONE

@@ -1,0 +1,77 @@
+"""From files to a fleet that a use case can work on."""
+
+import sys
+from pathlib import Path
+
+from edgectl.cli import console
+from edgectl.cli.user_files import LoadedInputs
+from edgectl.errors import UsageError
+from edgectl.model.diagnosis import Disk
+from edgectl.units import parse_duration
+from edgectl.usecases.fleet import Fleet
+
+
+def build_fleet(loaded: LoadedInputs, *, accept_new: bool = False, asking: bool = True) -> Fleet:
+    """The fleet with a way to its hosts and its state directory. Nothing is contacted yet.
+
+    ``asking``: a person at the terminal may be asked for a password.
+    """
+    from edgectl.state.paths import ensure_fleet_dir
+
+    return _build_fleet_with_state(
+        loaded, ensure_fleet_dir(loaded.path), accept_new=accept_new, asking=asking
+    )
+
+
+def _build_fleet_with_state(
+    loaded: LoadedInputs, state: Path, *, accept_new: bool = False, asking: bool = True
+) -> Fleet:
+    from edgectl.transport.fleet_transport import FleetTransport
+
+    transport = FleetTransport(
+        accept_new=accept_new, ask_password=_ask_password if asking and sys.stdin.isatty() else None
+    )
+    return Fleet(
+        inventory=loaded.inventory, tasks=loaded.tasks, transport=transport, state=state, warn=print_warning
+    )
+
+
+def build_fleet_with_state_check(loaded: LoadedInputs) -> tuple[Fleet, Disk]:
+    """The fleet, also where its state directory cannot be used, and that directory as it stands."""
+    from edgectl.state.state_dir_check import inspect_state_dir
+
+    state = inspect_state_dir(loaded.path)
+    return (
+        build_fleet(loaded) if not state.obstacle else _build_fleet_with_state(loaded, Path(state.path))
+    ), state
+
+
+def build_offline_fleet(loaded: LoadedInputs) -> Fleet:
+    """The fleet for decisions from a file: no host is reached and no state is read."""
+    from edgectl.transport.fake import FakeTransport
+
+    return Fleet(inventory=loaded.inventory, tasks=loaded.tasks, transport=FakeTransport({}), state=Path())
+
+
+def _ask_password(prompt: str) -> str:
+    from getpass import getpass
+
+    return getpass(prompt)
+
+
+def print_warning(message: str) -> None:
+    """Say what a user should know although the call goes on."""
+    console.print_message(f"warning: {message}")
+
+
+def parse_duration_option(text: str, option: str) -> float:
+    """A duration given to an option.
+
+    Raises:
+        UsageError: it is none.
+    """
+    try:
+        return parse_duration(float(text) if text.replace(".", "", 1).isdigit() else text)
+    except ValueError as error:
+        message, _, hint = str(error).partition("; ")
+        raise UsageError(f"{option} {message}", hint=hint) from None

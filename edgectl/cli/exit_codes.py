@@ -1,0 +1,75 @@
+"""Which exit code a result means (DESIGN section 7)."""
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+from edgectl.errors import ExitCode
+from edgectl.model.cycle import Cycle
+from edgectl.model.diagnosis import Diagnosis, Severity
+from edgectl.model.inventory import Inventory
+from edgectl.model.plan import Action, Plan
+from edgectl.model.profiler import Profiler, ProfilerState
+from edgectl.model.snapshot import Snapshot
+
+if TYPE_CHECKING:
+    from edgectl.usecases.plan_execution import ApplyResult
+
+
+def of_snapshot(snapshot: Snapshot, inventory: Inventory, *, allow_unreachable: bool = False) -> ExitCode:
+    """4 where a host that should answer did not."""
+    silent = any(name in inventory.hosts for name in list_unreachable_hosts(snapshot))
+    return ExitCode.PARTLY if silent and not allow_unreachable else ExitCode.DONE
+
+
+def list_unreachable_hosts(snapshot: Snapshot) -> list[str]:
+    """Hosts that should have answered: one that the operator declared switched off should not."""
+    fenced = snapshot.manager.fenced if snapshot.manager else frozenset()
+    return [name for name, host in snapshot.hosts.items() if not host.ok and name not in fenced]
+
+
+def of_profilers(profilers: Iterable[Profiler]) -> ExitCode:
+    """4 where a host did not say."""
+    return (
+        ExitCode.PARTLY
+        if any(each.state is ProfilerState.UNREACHABLE for each in profilers)
+        else ExitCode.DONE
+    )
+
+
+def of_plan(plan: Plan, *, detailed: bool, allow_unreachable: bool) -> ExitCode:
+    """4 beats 3 beats 2; 2 and 3 only where they were asked for."""
+    if not allow_unreachable and list_unreachable_hosts(plan.snapshot):
+        return ExitCode.PARTLY
+    if detailed and Action.UNPLACED in plan.summary:
+        return ExitCode.UNPLACED
+    return ExitCode.CHANGES if detailed and plan.changes else ExitCode.DONE
+
+
+def of_applied(applied: "ApplyResult", *, detailed: bool = False, allow_unreachable: bool = True) -> ExitCode:
+    """1 where it was declined, 130 interrupted, 4 where an action failed or was deferred; silent hosts and unplaced tasks as in a plan."""
+    results = applied.results
+    if applied.declined:
+        return ExitCode.FAILED
+    if results is not None and not results.done:
+        return ExitCode.INTERRUPTED if results.interrupted else ExitCode.PARTLY
+    code = of_plan(applied.plan, detailed=detailed, allow_unreachable=allow_unreachable)
+    return ExitCode.DONE if code is ExitCode.CHANGES else code
+
+
+def of_cycle(cycle: Cycle) -> ExitCode:
+    """1 where it was cut short, 75 where another edgectl held the lock, 4 where an action or a host failed it."""
+    if cycle.error:
+        return ExitCode.FAILED
+    if cycle.busy:
+        return ExitCode.TRY_AGAIN
+    failed = cycle.results is not None and not cycle.results.done
+    return (
+        ExitCode.PARTLY
+        if failed or (cycle.snapshot is not None and list_unreachable_hosts(cycle.snapshot))
+        else ExitCode.DONE
+    )
+
+
+def of_diagnosis(diagnosis: Diagnosis) -> ExitCode:
+    """1 where a check failed."""
+    return ExitCode.FAILED if diagnosis.worst is Severity.FAILED else ExitCode.DONE

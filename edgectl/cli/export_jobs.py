@@ -1,0 +1,139 @@
+"""export cron and export systemd: run a fleet by itself."""
+
+import os
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated
+
+from typer import Option
+
+from edgectl.cli import console, options
+from edgectl.cli.user_files import (
+    load_inputs,
+    make_directory,
+    resolve_inventory_path,
+    resolve_task_paths,
+    save_file,
+)
+from edgectl.errors import UsageError
+from edgectl.export.job import ScheduledJob
+
+JobPeriodOption = Annotated[
+    str | None, Option("--every", metavar="TIME", help="From one run to the next.", show_default=False)
+]
+
+
+def export_cron_command(
+    *,
+    inventory: options.InventoryOption = None,
+    tasks: options.TasksOption = None,
+    every: JobPeriodOption = None,
+    out: Annotated[
+        Path | None, Option("--out", metavar="FILE", help="Write to a file instead of standard output.")
+    ] = None,
+) -> None:
+    """Print the line of a crontab that applies this fleet's tasks every 5 minutes, or --every.
+
+    Paths are absolute, and EDGECTL_STATE_DIR goes along: cron starts with an almost empty environment.
+
+    Examples:
+        edgectl export cron --every 15m
+    """
+    from edgectl.export.cron import format_crontab
+
+    job = _build_job(inventory, tasks, every)
+    try:
+        text = format_crontab(job)
+    except ValueError as error:
+        raise _usage_error_from(error) from None
+    _write_output(text, out)
+
+
+def export_systemd_command(
+    *,
+    inventory: options.InventoryOption = None,
+    tasks: options.TasksOption = None,
+    every: JobPeriodOption = None,
+    watch: Annotated[bool, Option("--watch", help="One service that runs edgectl watch --apply.")] = False,
+    user: Annotated[bool, Option("--user", help="For your own systemd instead of the system's.")] = False,
+    out: Annotated[
+        Path | None, Option("--out", metavar="DIR", help="Write the files there, made where missing.")
+    ] = None,
+) -> None:
+    """Print systemd units: a service and a timer that apply every 5 minutes, or --every; or with --watch one service.
+
+    Comments in the units say how to install them. Unreachable hosts (4) and a busy lock (75) are no failure of the unit.
+
+    Examples:
+        edgectl export systemd --user --every 90s --out units
+        edgectl export systemd --watch
+    """
+    from edgectl.export.systemd import build_timer_units, build_watch_unit
+
+    job = _build_job(inventory, tasks, every)
+    try:
+        units = build_watch_unit(job, user=user) if watch else build_timer_units(job, user=user)
+    except ValueError as error:
+        raise _usage_error_from(error) from None
+    if out is None:
+        _write_output("\n".join(units.values()), None)
+        return
+    make_directory(out)
+    for name, text in units.items():
+        _write_output(text, out / name)
+
+
+def _usage_error_from(error: ValueError) -> UsageError:
+    message, _, hint = str(error).partition("; ")
+    return UsageError(message, hint=hint)
+
+
+def _write_output(text: str, out: Path | None) -> None:
+    if out is None:
+        console.print_text(text)
+    else:
+        save_file(out, text)
+        console.print_message(f"wrote {out}")
+
+
+def _build_job(inventory: Path | None, tasks: Sequence[Path] | None, every: str | None) -> ScheduledJob:
+    """The fleet as it is called now; files that are wrong are found here and not at night."""
+    from edgectl.cli.connect import parse_duration_option
+    from edgectl.model.inventory import Connection
+    from edgectl.state.lock import get_user_name
+
+    loaded = load_inputs(inventory, tasks)
+    return ScheduledJob(
+        name=loaded.path.stem,
+        program=_find_own_command(),
+        inventory=str(resolve_inventory_path(inventory).absolute()),
+        tasks=tuple(str(path.absolute()) for path in tasks or resolve_task_paths(None)),
+        directory=str(Path.cwd()),
+        user=get_user_name(),
+        environment=_collect_job_environment(os.environ),
+        every_s=None if every is None else parse_duration_option(every, "--every"),
+        local=any(host.connection is Connection.LOCAL for host in loaded.inventory.hosts.values()),
+    )
+
+
+def _find_own_command() -> tuple[str, ...]:
+    """The edgectl that runs now."""
+    beside = Path(sys.executable).with_name("edgectl")
+    return (str(beside),) if os.access(beside, os.X_OK) else (sys.executable, "-m", "edgectl")
+
+
+def _collect_job_environment(here: Mapping[str, str]) -> dict[str, str]:
+    """Another state directory would be another lock and another memory, so it goes along."""
+    from edgectl.state.paths import get_state_root
+
+    found = (
+        {"EDGECTL_STATE_DIR": str(get_state_root().absolute())}
+        if here.get("EDGECTL_STATE_DIR") or here.get("XDG_STATE_HOME")
+        else {}
+    )
+    return found | (
+        {"EDGECTL_SSH_CONFIG": os.path.abspath(here["EDGECTL_SSH_CONFIG"])}  # noqa: PTH100
+        if here.get("EDGECTL_SSH_CONFIG")
+        else {}
+    )

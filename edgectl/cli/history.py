@@ -1,0 +1,119 @@
+"""history, show and rollback."""
+
+from pathlib import Path
+from typing import Annotated
+
+from typer import Argument, Exit, Option
+
+from edgectl.cli import console, exit_codes, options
+from edgectl.cli.user_files import load_inputs
+from edgectl.views.output_format import OutputFormat
+
+
+def history_command(
+    *,
+    inventory: options.InventoryOption = None,
+    tasks: options.TasksOption = None,
+    output: options.ResultOutput = OutputFormat.TABLE,
+) -> None:
+    """List what was done to the fleet: each apply, stop, restart, drain and rollback, with who, when and how it ended.
+
+    Examples:
+        edgectl history
+        edgectl history -o json
+    """
+    from edgectl.cli.connect import build_fleet
+    from edgectl.usecases.history import list_revisions
+
+    console.print_view(output, "history", list_revisions(build_fleet(load_inputs(inventory, tasks))))
+
+
+def show_command(
+    *,
+    what: Annotated[
+        str,
+        Argument(
+            metavar="REV|PLAN", help="A number of edgectl history, or a saved plan.", show_default=False
+        ),
+    ],
+    inventory: options.InventoryOption = None,
+    tasks: options.TasksOption = None,
+    output: options.PlanOutput = OutputFormat.TABLE,
+    detailed: options.DetailedExitcodeOption = False,
+    allow_unreachable: options.AllowUnreachableOption = False,
+) -> None:
+    """Print one revision (its actions, their phases and durations), or a saved plan. Nothing is contacted.
+
+    Examples:
+        edgectl show 1
+        edgectl show next.plan
+        edgectl show next.plan -o wide
+    """
+    from edgectl.cli.connect import build_fleet
+    from edgectl.config.documents import load_plan
+    from edgectl.usecases.history import get_revision
+
+    if what.isdecimal():
+        console.print_view(
+            output, "revision", get_revision(build_fleet(load_inputs(inventory, tasks)), int(what))
+        )
+        return
+    saved = load_plan(Path(what))
+    console.print_view(output, "plan", saved)
+    raise Exit(exit_codes.of_plan(saved, detailed=detailed, allow_unreachable=allow_unreachable))
+
+
+def rollback_command(
+    *,
+    revision: Annotated[
+        int | None,
+        Argument(
+            metavar="[REV]",
+            min=1,
+            help="Of edgectl history; without it, undo the last one.",
+            show_default=False,
+        ),
+    ] = None,
+    inventory: options.InventoryOption = None,
+    tasks: options.TasksOption = None,
+    output: options.ResultOutput = OutputFormat.TABLE,
+    yes: options.YesOption = False,
+    quiet: options.QuietOption = False,
+    dry_run: Annotated[bool, Option("--dry-run", help="Only print the exact remote commands.")] = False,
+    max_parallel: options.MaxParallelOption = 16,
+    fail_fast: options.FailFastOption = False,
+    lock_timeout: options.LockTimeoutOption = "0s",
+    allow_unreachable: options.AllowUnreachableOption = False,
+) -> None:
+    """Plan towards where the tasks stood after a revision, ask, and carry it out. Commands and demands are those of today's files.
+
+    Examples:
+        edgectl rollback
+        edgectl rollback 1 --yes
+        edgectl rollback 1 --dry-run
+    """
+    from edgectl.cli import apply_session
+    from edgectl.cli.connect import build_fleet, parse_duration_option
+    from edgectl.usecases.history import plan_rollback, roll_back_fleet
+    from edgectl.usecases.plan import keep_whole_plan
+    from edgectl.usecases.plan_execution import ApplyOptions
+
+    asked = apply_session.check_can_confirm(asked=not yes and not dry_run)
+    fleet = build_fleet(load_inputs(inventory, tasks))
+    policy = fleet.tasks.policy
+    if dry_run:
+        raise Exit(
+            apply_session.print_dry_run(
+                fleet, policy, plan_rollback(fleet, policy, revision, ApplyOptions()), keep_whole_plan, output
+            )
+        )
+    with apply_session.open_apply_session(quiet=quiet, output=output, asked=asked) as act:
+        chosen = act.options(
+            lock_timeout=parse_duration_option(lock_timeout, "--lock-timeout"),
+            max_parallel=max_parallel,
+            fail_fast=fail_fast,
+        )
+        applied = roll_back_fleet(fleet, policy, revision, act.confirm, chosen)
+    code = exit_codes.of_applied(applied, allow_unreachable=allow_unreachable)
+    act.report(applied, code)
+    raise Exit(code)

@@ -1,0 +1,64 @@
+"""Serve over HTTP until told to end."""
+
+import contextlib
+import signal
+from collections.abc import Callable, Iterator
+from http.server import ThreadingHTTPServer
+from types import FrameType
+
+from edgectl.cli import console
+from edgectl.errors import EdgectlError, UsageError
+
+_LOOPBACK = "127.0.0.1"
+_MAX_PORT = 65535
+
+
+def serve_http(make: Callable[[tuple[str, int]], ThreadingHTTPServer], where: str) -> None:
+    """Serve at the address ``where`` until SIGINT or SIGTERM, which is how such a command ends well.
+
+    Raises:
+        UsageError: ``where`` is no address.
+        EdgectlError: the address cannot be bound.
+    """
+    address = parse_listen_address(where)
+    try:
+        server = make(address)
+    except OSError as error:
+        raise EdgectlError(
+            f"cannot listen on {where}: {error.strerror}",
+            hint="write an address of this machine and a free port",
+        ) from error
+    with server, _return_on_signal():
+        host = f"[{address[0]}]" if ":" in address[0] else address[0]
+        console.print_message(f"serving http://{host}:{server.server_port}/metrics; Ctrl-C ends it")
+        server.serve_forever()
+
+
+def parse_listen_address(text: str) -> tuple[str, int]:
+    """``HOST:PORT``, ``[HOST]:PORT`` or ``PORT``; without a host only this machine is served.
+
+    Raises:
+        UsageError: it is none of these.
+    """
+    host, _, port = text.rpartition(":")
+    if not (port.isascii() and port.isdigit() and int(port) <= _MAX_PORT):
+        raise UsageError(
+            f"--listen: cannot read the address {text!r}", hint="write 127.0.0.1:9815, [::1]:9815 or 9815"
+        )
+    return host.removeprefix("[").removesuffix("]") or _LOOPBACK, int(port)
+
+
+@contextlib.contextmanager
+def _return_on_signal() -> Iterator[None]:
+    """Until the first SIGINT or SIGTERM."""
+
+    def end(_number: int, _frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        with contextlib.suppress(KeyboardInterrupt):
+            yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -1,0 +1,90 @@
+"""init, validate, version, completion."""
+
+from pathlib import Path
+from typing import Annotated
+
+from typer import Argument
+
+from edgectl.cli import console
+from edgectl.cli.options import FieldsOutput, InventoryOption, Shell, TasksOption, ValidateOutput
+from edgectl.cli.user_files import load_inputs
+from edgectl.errors import FileError
+from edgectl.views.output_format import OutputFormat
+
+
+def init_command(
+    directory: Annotated[
+        Path,
+        Argument(
+            metavar="DIR", help="Made where missing; files that exist are left alone.", show_default=False
+        ),
+    ],
+) -> None:
+    """Write a small fleet on this machine (inventories/, tasks/, README.md) that plans and applies at once.
+
+    Examples:
+        edgectl init demo
+        edgectl init .
+    """
+    from edgectl.scaffold.write import write_scaffold
+
+    try:
+        written = write_scaffold(directory)
+    except OSError as error:
+        raise FileError(f"cannot write {error.filename or directory}: {error.strerror}") from error
+    console.print_text("".join(f"{'wrote' if new else 'kept '} {path}\n" for path, new in written.items()))
+    console.print_message(
+        f"next: cd {directory} && edgectl plan" if directory.resolve() != Path.cwd() else "next: edgectl plan"
+    )
+
+
+def validate_command(
+    inventory: InventoryOption = None, tasks: TasksOption = None, output: ValidateOutput = OutputFormat.TABLE
+) -> None:
+    """Check the inventory and the task files: every mistake at once, with its place and a hint. No host is contacted.
+
+    Examples:
+        edgectl validate
+        edgectl validate -i inventories/local.yaml -t tasks/demo.yaml
+        edgectl validate -o json
+        edgectl validate -o github
+    """
+    from edgectl.usecases.validate import list_uneven_demands
+    from edgectl.views.demands import list_demand_spread_notes
+
+    loaded = load_inputs(inventory, tasks, every_warning=True)
+    for line in list_demand_spread_notes(list_uneven_demands(loaded.inventory, loaded.tasks)):
+        console.print_message(f"note: {line}")
+    if output is not OutputFormat.GITHUB:
+        console.print_view(output, "validated", loaded.inventory, loaded.tasks)
+
+
+def version_command(output: FieldsOutput = OutputFormat.TABLE) -> None:
+    """Print the version of edgectl and of the Python that runs it.
+
+    Examples:
+        edgectl version
+        edgectl version -o json
+    """
+    from platform import python_version
+
+    from edgectl import __version__
+
+    console.print_view(output, "fields", {"edgectl": __version__, "python": python_version()})
+
+
+def completion_command(
+    shell: Annotated[Shell, Argument(metavar="SHELL", help="bash, zsh or fish.", show_default=False)],
+) -> None:
+    """Print the completion script of a shell. Names come from the files at hand; Tab never contacts a host.
+
+    Examples:
+        edgectl completion bash
+        edgectl completion zsh
+        edgectl completion fish
+    """
+    from typer._completion_shared import get_completion_script
+
+    console.print_text(
+        get_completion_script(prog_name="edgectl", complete_var="_EDGECTL_COMPLETE", shell=shell) + "\n"
+    )

@@ -1,0 +1,157 @@
+"""trust, cordon, uncordon, fence, unfence, done, reopen."""
+
+from collections.abc import Iterable
+from typing import Annotated
+
+from typer import Exit, Option
+
+from edgectl.cli import apply_session, console, options
+from edgectl.cli.user_files import load_inputs
+from edgectl.errors import ExitCode
+from edgectl.names import check_known_names
+
+
+def trust_command(
+    *,
+    host: options.HostArgument,
+    inventory: options.InventoryOption = None,
+    tasks: options.TasksOption = None,
+    yes: options.YesOption = False,
+) -> None:
+    """Show the fingerprint of the key that a host shows; after a yes it is remembered in known_hosts.
+
+    Examples:
+        edgectl trust edge1 --yes
+    """
+    from edgectl.transport.trust import fetch_host_keys, get_public_key_path, trust_host_key
+
+    loaded = load_inputs(inventory, tasks)
+    check_known_names([host], loaded.inventory.hosts, "host")
+    keys = fetch_host_keys(loaded.inventory.hosts[host])
+    if not keys:
+        console.print_text(f"{host} is this machine; it has no host key\n")
+        return
+    for kind, fingerprint, _ in keys:
+        console.print_text(f"{host} {kind} {fingerprint}\n")
+    compare = " && ".join(f"ssh-keygen -lf {get_public_key_path(kind)}" for kind, _, _ in keys)
+    apply_session.check_can_confirm(
+        asked=not yes, first=f"compare the fingerprint with what this prints on {host} itself: {compare}"
+    )
+    if not yes and not apply_session.ask_confirmation(
+        f'Compare with what this prints on {host} itself: {compare}\nTrust it? Only "yes" is accepted: '
+    ):
+        raise Exit(ExitCode.FAILED)
+    for _, _, line in keys:
+        console.print_message(f"remembered in {trust_host_key(loaded.inventory.hosts[host], line)}")
+
+
+def cordon_command(
+    *,
+    hosts: options.HostsArgument,
+    drain: Annotated[bool, Option("--drain", help="Tasks leave too, at the next apply.")] = False,
+    inventory: options.InventoryOption = None,
+    tasks: options.TasksOption = None,
+) -> None:
+    """Close hosts to new tasks.
+
+    Examples:
+        edgectl cordon edge1
+        edgectl cordon edge1 --drain
+    """
+    from edgectl.cli.connect import build_fleet
+    from edgectl.usecases import operator_marks
+
+    memory = operator_marks.cordon_hosts(build_fleet(load_inputs(inventory, tasks)), hosts, drain=drain)
+    _print_marked_names("cordoned", memory.cordons)
+
+
+def uncordon_command(
+    hosts: options.HostsArgument, inventory: options.InventoryOption = None, tasks: options.TasksOption = None
+) -> None:
+    """Open cordoned hosts again.
+
+    Examples:
+        edgectl uncordon edge1
+    """
+    from edgectl.cli.connect import build_fleet
+    from edgectl.usecases import operator_marks
+
+    memory = operator_marks.uncordon_hosts(build_fleet(load_inputs(inventory, tasks)), hosts)
+    _print_marked_names("cordoned", memory.cordons)
+
+
+def fence_command(
+    *,
+    host: options.HostArgument,
+    inventory: options.InventoryOption = None,
+    tasks: options.TasksOption = None,
+    yes: options.YesOption = False,
+) -> None:
+    """Say that a host is switched off, so that its tasks may start elsewhere at the next apply although it cannot be asked.
+
+    Make sure first: a task that still runs there would run twice. A host that answers again is fenced no longer.
+
+    Examples:
+        edgectl fence edge1 --yes
+    """
+    from edgectl.cli.connect import build_fleet
+    from edgectl.usecases import operator_marks
+
+    loaded = load_inputs(inventory, tasks)
+    check_known_names([host], loaded.inventory.hosts, "host")
+    apply_session.check_can_confirm(asked=not yes)
+    if not yes and not apply_session.ask_confirmation(
+        f"If {host} still runs, its tasks will run twice. Type its name if it is switched off: ", host
+    ):
+        raise Exit(ExitCode.FAILED)
+    _print_marked_names("fenced", operator_marks.fence_hosts(build_fleet(loaded), [host]))
+
+
+def unfence_command(
+    hosts: options.HostsArgument, inventory: options.InventoryOption = None, tasks: options.TasksOption = None
+) -> None:
+    """Take back that hosts are switched off.
+
+    Examples:
+        edgectl unfence edge1
+    """
+    from edgectl.cli.connect import build_fleet
+    from edgectl.usecases import operator_marks
+
+    _print_marked_names(
+        "fenced", operator_marks.unfence_hosts(build_fleet(load_inputs(inventory, tasks)), hosts)
+    )
+
+
+def done_command(
+    names: options.TasksArgument, inventory: options.InventoryOption = None, tasks: options.TasksOption = None
+) -> None:
+    """Say that tasks have completed: the next apply stops them, and they stay stopped until reopened or changed.
+
+    Examples:
+        edgectl done navigation-robot1
+    """
+    from edgectl.cli.connect import build_fleet
+    from edgectl.usecases import operator_marks
+
+    memory = operator_marks.mark_tasks_done(build_fleet(load_inputs(inventory, tasks)), names)
+    _print_marked_names("done", memory.done)
+
+
+def reopen_command(
+    names: options.TasksArgument, inventory: options.InventoryOption = None, tasks: options.TasksOption = None
+) -> None:
+    """Let completed tasks, and tasks that were given up, be scheduled again.
+
+    Examples:
+        edgectl reopen navigation-robot1
+    """
+    from edgectl.cli.connect import build_fleet
+    from edgectl.usecases import operator_marks
+
+    memory = operator_marks.reopen_tasks(build_fleet(load_inputs(inventory, tasks)), names)
+    _print_marked_names("done", memory.done)
+
+
+def _print_marked_names(what: str, names: Iterable[str]) -> None:
+    console.print_text(f"{what}: {', '.join(sorted(names)) or 'none'}\n")

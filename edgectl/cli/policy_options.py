@@ -1,0 +1,109 @@
+"""What the options of plan and apply mean: a policy, and a choice of tasks."""
+
+import dataclasses
+import sys
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+
+from edgectl.cli import console
+from edgectl.cli.selector import matches_selector
+from edgectl.errors import UsageError
+from edgectl.model.plan import Plan
+from edgectl.model.policy import Policy, PolicyName, Weights
+from edgectl.model.task import Tasks
+from edgectl.model.weights import parse_weights
+from edgectl.names import check_known_names
+from edgectl.usecases.fleet import Fleet
+from edgectl.usecases.plan import keep_whole_plan, limit_plan_to_tasks
+
+
+def policy_from_options(
+    fleet: Fleet,
+    *,
+    weights: str | None,
+    policy: PolicyName | None,
+    without: Sequence[str] | None,
+    best_effort: bool,
+    full: bool,
+    attended: bool = True,
+) -> Policy:
+    """The policy of the task files, with what the command line says instead.
+
+    Raises:
+        UsageError: weights that are none, or a host that does not exist.
+    """
+    check_known_names(without or (), fleet.inventory.hosts, "host")
+    stated = fleet.tasks.policy
+    return dataclasses.replace(
+        stated,
+        name=policy or stated.name,
+        weights=_parse_weights_option(weights) if weights is not None else stated.weights,
+        without=frozenset(without or ()),
+        best_effort=best_effort,
+        full=full,
+        attended=attended,
+    )
+
+
+def _parse_weights_option(text: str) -> Weights:
+    try:
+        return parse_weights(text)
+    except ValueError as error:
+        message, _, hint = str(error).partition("; ")
+        raise UsageError(f"--weights: {message}", hint=hint) from None
+
+
+def load_saved_plan(path: Path | None, *decisions: object) -> Plan | None:
+    """The saved plan, where one is given; it is carried out as it is.
+
+    Raises:
+        UsageError: an option of ``decisions`` is given as well.
+        InputError: everything that is wrong with the file.
+    """
+    from edgectl.config.documents import load_plan
+
+    if path is None:
+        return None
+    if any(decisions):
+        raise UsageError(
+            f"{path} is decided already, so options that decide have no effect",
+            hint="pass them to: edgectl plan --out PLAN",
+        )
+    return load_plan(path)
+
+
+def build_plan_filter(
+    tasks: Tasks, names: Sequence[str] | None, selector: str | None, *, quiet: bool = False
+) -> Callable[[Plan], Plan]:
+    """What narrows a plan to ``--target`` and ``-l``; everything is still decided for all tasks. ``quiet``: without a warning of that.
+
+    Raises:
+        UsageError: a task that does not exist, or a selector that is none.
+    """
+    if not names and selector is None:
+        return keep_whole_plan
+    check_known_names(names or (), tasks.tasks, "task")
+    wanted = set(names or ())
+    if selector is not None:
+        wanted |= {
+            task.name
+            for task in tasks.tasks.values()
+            if matches_selector(selector, {**task.labels, "task": task.template})
+        }
+    return partial(_filter_plan, wanted=frozenset(wanted), quiet=quiet)
+
+
+def _filter_plan(plan: Plan, wanted: frozenset[str], *, quiet: bool) -> Plan:
+    chosen = limit_plan_to_tasks(plan, wanted)
+    left = sum(step.action.changes for step in plan.steps) - sum(step.action.changes for step in chosen.steps)
+    if left and not quiet:
+        console.print_message(
+            f"warning: {left} other changes are left out, although this plan counts on them"
+        )
+    return chosen
+
+
+def is_interactive() -> bool:
+    """Whether a person can be asked."""
+    return sys.stdin.isatty()

@@ -1,0 +1,62 @@
+"""status and logs."""
+
+from typing import Annotated
+
+from typer import Exit, Option
+
+from edgectl.cli import console, exit_codes, options
+from edgectl.cli.user_files import load_inputs
+from edgectl.views.output_format import OutputFormat
+
+
+def status_command(
+    *,
+    inventory: options.InventoryOption = None,
+    tasks: options.TasksOption = None,
+    output: options.FleetOutput = OutputFormat.TABLE,
+    allow_unreachable: options.AllowUnreachableOption = False,
+) -> None:
+    """Show what runs where, since when, and what it uses against its demand.
+
+    Examples:
+        edgectl status
+        edgectl status -o json
+        edgectl status -o name
+    """
+    from edgectl.cli.connect import build_fleet
+    from edgectl.usecases.probe import probe_fleet
+
+    fleet = build_fleet(load_inputs(inventory, tasks))
+    snapshot = probe_fleet(fleet)
+    console.print_view(output, "status", snapshot, fleet.inventory, fleet.tasks)
+    raise Exit(exit_codes.of_snapshot(snapshot, fleet.inventory, allow_unreachable=allow_unreachable))
+
+
+def logs_command(
+    *,
+    task: options.TaskArgument,
+    inventory: options.InventoryOption = None,
+    tasks: options.TasksOption = None,
+    follow: Annotated[bool, Option("--follow", "-f", help="Go on as more is printed, until Ctrl-C.")] = False,
+    tail: Annotated[
+        int, Option("--tail", "-n", metavar="N", min=0, help="How many of the last lines.")
+    ] = 100,
+) -> None:
+    """Print the log of a task, from the host where it runs or ran last.
+
+    Examples:
+        edgectl logs slam-robot1
+        edgectl logs slam-robot1 --tail 20
+        edgectl logs slam-robot1 -f
+    """
+    from edgectl.cli.connect import build_fleet
+    from edgectl.usecases import logs
+
+    fleet = build_fleet(load_inputs(inventory, tasks))
+    if not follow:
+        text = logs.read_log(fleet, task, tail=tail)
+        console.print_log(text.encode()) if text else console.print_message("nothing was printed")
+        return
+    for part in logs.follow_log(fleet, task, tail=tail):
+        if not console.print_log(part):
+            return

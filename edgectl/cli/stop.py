@@ -1,0 +1,83 @@
+"""stop and restart."""
+
+from typing import Annotated
+
+from typer import Argument, Exit, Option
+
+from edgectl.cli import exit_codes, options
+from edgectl.cli.completion import complete_tasks as task_names
+from edgectl.cli.user_files import load_inputs
+from edgectl.errors import UsageError
+from edgectl.views.output_format import OutputFormat
+
+
+def stop_command(
+    *,
+    names: Annotated[
+        list[str] | None,
+        Argument(metavar="[TASK...]", autocompletion=task_names, help="Names of tasks.", show_default=False),
+    ] = None,
+    every: Annotated[bool, Option("--all", help="Every task that runs, wherever it runs.")] = False,
+    inventory: options.InventoryOption = None,
+    tasks: options.TasksOption = None,
+    output: options.ResultOutput = OutputFormat.TABLE,
+    yes: options.YesOption = False,
+    max_parallel: options.MaxParallelOption = 16,
+    fail_fast: options.FailFastOption = False,
+    lock_timeout: options.LockTimeoutOption = "0s",
+) -> None:
+    """Stop tasks and prove that they are gone. The next apply starts them again, unless edgectl done says otherwise.
+
+    Examples:
+        edgectl stop slam-robot1 --yes
+        edgectl stop --all --yes
+    """
+    from edgectl.cli import apply_session
+    from edgectl.cli.connect import build_fleet, parse_duration_option
+    from edgectl.usecases.stop import stop_tasks
+
+    if bool(names) == every:
+        raise UsageError("name tasks, or pass --all", hint="edgectl status lists what runs")
+    apply_session.check_can_confirm(asked=not yes)
+    fleet = build_fleet(load_inputs(inventory, tasks))
+    with apply_session.open_apply_session(quiet=False, output=output, asked=not yes) as act:
+        chosen = act.options(
+            lock_timeout=parse_duration_option(lock_timeout, "--lock-timeout"),
+            max_parallel=max_parallel,
+            fail_fast=fail_fast,
+        )
+        applied = stop_tasks(fleet, names or None, act.confirm, chosen)
+    act.report(applied)
+    raise Exit(exit_codes.of_applied(applied))
+
+
+def restart_command(
+    *,
+    task: options.TaskArgument,
+    inventory: options.InventoryOption = None,
+    tasks: options.TasksOption = None,
+    output: options.ResultOutput = OutputFormat.TABLE,
+    yes: options.YesOption = False,
+    lock_timeout: options.LockTimeoutOption = "0s",
+) -> None:
+    """Stop a task and start it again on the host where it runs; or start one that was given up (status says so).
+
+    Examples:
+        edgectl restart slam-robot1 --yes
+        edgectl restart slam-robot1 --yes -o json
+    """
+    from edgectl.cli import apply_session
+    from edgectl.cli.connect import build_fleet, parse_duration_option
+    from edgectl.usecases.stop import restart_task
+
+    apply_session.check_can_confirm(asked=not yes)
+    fleet = build_fleet(load_inputs(inventory, tasks))
+    with apply_session.open_apply_session(quiet=False, output=output, asked=not yes) as act:
+        applied = restart_task(
+            fleet,
+            task,
+            act.confirm,
+            act.options(lock_timeout=parse_duration_option(lock_timeout, "--lock-timeout")),
+        )
+    act.report(applied)
+    raise Exit(exit_codes.of_applied(applied))

@@ -1,0 +1,126 @@
+"""Templates to tasks: one per robot where ``for_each`` says so, with placeholders filled in and needs resolved."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import Any
+
+from edgectl.config.needs import resolve_needs
+from edgectl.config.node import Node
+from edgectl.config.placeholders import fill_placeholders
+from edgectl.config.problems import ProblemCode, Problems
+from edgectl.config.scalars import MAX_NAME_LENGTH
+from edgectl.config.task_file import MAX_TASKS, TaskDraft, TaskTemplate
+from edgectl.config.task_rules import FleetIndex, check_draft, check_template, index_fleet, resolve_host_rules
+from edgectl.formats.digest import hash_spec, hash_spec_fields
+from edgectl.model.inventory import Inventory
+from edgectl.model.task import HostRules, Need, Task
+from edgectl.names import natural_key
+
+_KEYS_READ_ELSEWHERE = ("for_each", "robot", "robots", "needs", "hosts", "on_unreachable")
+
+
+def expand_templates(
+    templates: Mapping[str, TaskTemplate], inventory: Inventory, problems: Problems
+) -> dict[str, Task]:
+    """All tasks in natural order of their names, with everything wrong noted."""
+    fleet = index_fleet(inventory)
+    drafts: dict[str, TaskDraft] = {}
+    for template in templates.values():
+        check_template(template, problems)
+        for draft in _expand_template(template, fleet.robots, problems):
+            if len(drafts) >= MAX_TASKS:
+                problems.add(
+                    template.named_at,
+                    ProblemCode.TOO_MANY,
+                    f"more than {MAX_TASKS:,} tasks after for_each",
+                    "split them over several fleets",
+                )
+                return {}
+            _add_draft(draft, drafts, problems)
+    needs = resolve_needs(drafts, templates, problems)
+    tasks = {}
+    for name in sorted(drafts, key=natural_key):
+        check_draft(drafts[name], fleet, problems)
+        tasks[name] = _build_task(
+            drafts[name], needs[name], resolve_host_rules(drafts[name], fleet, problems), fleet
+        )
+    return tasks
+
+
+def _add_draft(draft: TaskDraft, drafts: dict[str, TaskDraft], problems: Problems) -> None:
+    mark = draft.template.named_at
+    if draft.name in drafts:
+        message = f"{draft.template.name} makes a task {draft.name}, and {drafts[draft.name].template.name} does too"
+        problems.add(mark, ProblemCode.TAKEN, message, "rename one of the two")
+    elif len(draft.name) > MAX_NAME_LENGTH:
+        problems.add(
+            mark,
+            ProblemCode.NAME,
+            f"the task's name {draft.name} is longer than {MAX_NAME_LENGTH} characters",
+            "shorten the task's or the robot's name",
+        )
+    else:
+        drafts[draft.name] = draft
+
+
+def _expand_template(
+    template: TaskTemplate, every: tuple[str, ...], problems: Problems
+) -> Iterator[TaskDraft]:
+    fields = template.fields
+    if "for_each" in fields:
+        node = fields.at("for_each")
+        if not every:
+            problems.add(
+                node.mark,
+                ProblemCode.UNKNOWN_NAME,
+                "for_each: robot, and the inventory has no robots",
+                "add robots: to the inventory",
+            )
+        for robot in _resolve_robots(fields.values.get("for_each", ()), every, problems):
+            yield TaskDraft(template, f"{template.name}-{robot}", (robot,), each=robot)
+    elif "robot" in fields:
+        entries = ((fields.values["robot"], fields.at("robot")),) if "robot" in fields.values else ()
+        yield TaskDraft(template, template.name, _resolve_robots(entries, every, problems))
+    else:
+        yield TaskDraft(
+            template, template.name, _resolve_robots(fields.values.get("robots", ()), every, problems)
+        )
+
+
+def _resolve_robots(
+    wanted: str | tuple[tuple[str, Node], ...], every: tuple[str, ...], problems: Problems
+) -> tuple[str, ...]:
+    """The robots that are meant, in the order written, those of the inventory only."""
+    if isinstance(wanted, str):
+        return every
+    for name, node in wanted:
+        if name not in every:
+            problems.add(
+                node.mark,
+                ProblemCode.UNKNOWN_NAME,
+                f"unknown robot {name}",
+                problems.did_you_mean(name, every, "the robots are"),
+            )
+    return tuple(dict.fromkeys(name for name, _ in wanted if name in every))
+
+
+def _build_task(draft: TaskDraft, needs: tuple[Need, ...], hosts: HostRules, fleet: FleetIndex) -> Task:
+    values: dict[str, Any] = {
+        key: value for key, value in draft.template.fields.values.items() if key not in _KEYS_READ_ELSEWHERE
+    }
+    if len(draft.robots) == 1:
+        values = fill_placeholders(values, fleet.hosts[draft.robots[0]])
+    policy, after = draft.template.fields.values.get("on_unreachable", (None, None))
+    values |= {"on_unreachable": policy} if policy is not None else {}
+    values |= {"replace_after": after} if after is not None else {}
+    values.setdefault("command", "")
+    task = Task(
+        name=draft.name,
+        template=draft.template.name,
+        spec_hash="",
+        robots=draft.robots,
+        needs=needs,
+        hosts=hosts,
+        **values,
+    )
+    return replace(task, spec_hash=hash_spec(task), spec_fields=hash_spec_fields(task))

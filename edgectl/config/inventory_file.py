@@ -1,0 +1,245 @@
+"""The inventory file: tables of its keys, and the hosts and links that come out of it."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from edgectl.config.fields import (
+    Fields,
+    keep_node,
+    read_argument_vector,
+    read_environment,
+    read_fields,
+    read_labels,
+    record_reader,
+)
+from edgectl.config.node import Node
+from edgectl.config.problems import ProblemCode, Problems
+from edgectl.config.scalars import (
+    NodeReader,
+    check_name,
+    enum_reader,
+    integer_reader,
+    quantity_reader,
+    read_bool,
+    read_name,
+    read_safe_argument,
+    read_text,
+    read_text_or_empty,
+    read_version,
+    report_wrong_type,
+)
+from edgectl.formats.digest import digest_inventory
+from edgectl.model.inventory import BaseLoad, Capacity, Connection, Host, Inventory, Limits, Role, Runtime
+from edgectl.names import natural_key
+from edgectl.units import parse_bytes, parse_cores, parse_rate, parse_share
+
+MAX_HOSTS = 10_000
+
+
+_read_share = quantity_reader(parse_share, above_zero=True)
+LIMITS_KEYS: Mapping[str, NodeReader] = {"cpu": _read_share, "memory": _read_share}
+CAPACITY_KEYS: Mapping[str, NodeReader] = {
+    "cpu": quantity_reader(parse_cores, above_zero=True),
+    "memory": quantity_reader(parse_bytes, above_zero=True),
+}
+BASE_KEYS: Mapping[str, NodeReader] = {
+    "cpu": quantity_reader(parse_cores),
+    "memory": quantity_reader(parse_bytes),
+}
+DEFAULTS_KEYS: Mapping[str, NodeReader] = {
+    "connection": enum_reader(Connection),
+    "port": integer_reader(1, 65535),
+    "user": read_safe_argument,
+    "identity_file": read_text,
+    "proxy_jump": read_safe_argument,
+    "password_command": read_argument_vector,
+    "labels": read_labels,
+    "limits": record_reader(LIMITS_KEYS, Limits, "limits"),
+    "env": read_environment,
+    "env_command": read_argument_vector,
+    "prelude": read_text_or_empty,
+    "runtime": enum_reader(Runtime),
+}
+EDGE_KEYS: Mapping[str, NodeReader] = {
+    "host": read_safe_argument,
+    **DEFAULTS_KEYS,
+    "capacity": record_reader(CAPACITY_KEYS, Capacity, "capacity", ("cpu", "memory")),
+    "base": record_reader(BASE_KEYS, BaseLoad, "base"),
+}
+ROBOT_KEYS: Mapping[str, NodeReader] = {**EDGE_KEYS, "onboard": read_bool, "probe": read_bool}
+LINK_KEYS: Mapping[str, NodeReader] = {
+    "edge": read_name,
+    "robot": read_name,
+    "throughput": quantity_reader(parse_rate),
+}
+
+
+INVENTORY_KEYS: Mapping[str, NodeReader] = {
+    "version": read_version,
+    "defaults": keep_node,
+    "edges": keep_node,
+    "robots": keep_node,
+    "links": keep_node,
+}
+
+
+def read_inventory(node: Node, problems: Problems) -> Inventory:
+    """The inventory, with everything wrong noted; hosts that have mistakes are in it, so that tasks can refer to them."""
+    top = read_fields(node, problems, INVENTORY_KEYS, required=("version",), what="an inventory")
+    defaults = (
+        read_fields(top.at("defaults"), problems, DEFAULTS_KEYS, what="defaults").values
+        if "defaults" in top
+        else {}
+    )
+    hosts: dict[str, Host] = {}
+    for key, role in (("edges", Role.EDGE), ("robots", Role.ROBOT)):
+        if key in top:
+            _read_host_entries(top.at(key), role, defaults, hosts, problems)
+    if not hosts and not problems.errors:
+        problems.add(
+            node.mark,
+            ProblemCode.MISSING,
+            "the inventory names no host",
+            "add edges: {edge1: {host: 192.168.1.20}}",
+        )
+    ordered = {key: hosts[key] for key in sorted(hosts, key=natural_key)}
+    links = _read_link_entries(top.at("links"), ordered, problems) if "links" in top else {}
+    digest = digest_inventory(Inventory(hosts=ordered, links=links))
+    return Inventory(
+        hosts={key: _expand_identity_file(host) for key, host in ordered.items()}, links=links, digest=digest
+    )
+
+
+def _expand_identity_file(host: Host) -> Host:
+    """``~`` of the identity file expanded: after the digest, so that the same file has the same digest for every user."""
+    path = host.identity_file
+    return (
+        replace(host, identity_file=str(Path(path).expanduser()))
+        if path is not None and path.startswith("~/")
+        else host
+    )
+
+
+def _read_host_entries(
+    node: Node, role: Role, defaults: Mapping[str, Any], hosts: dict[str, Host], problems: Problems
+) -> None:
+    if not isinstance(node.value, dict):
+        report_wrong_type(
+            node,
+            problems,
+            f"{role}s must be a mapping of names",
+            f"write {role}1: {{host: 192.168.1.20}} on a line of its own",
+        )
+        return
+    if len(hosts) + len(node.value) > MAX_HOSTS:
+        problems.add(
+            node.mark,
+            ProblemCode.TOO_MANY,
+            f"more than {MAX_HOSTS:,} hosts",
+            "split the fleet over several inventories",
+        )
+        return
+    for key, inner in node.value.items():
+        check_name(key, node, problems, f"{'an' if role is Role.EDGE else 'a'} {role}")
+        if key in hosts:
+            problems.add(
+                node.key_mark(key),
+                ProblemCode.TAKEN,
+                f"{key} is an edge already; edges and robots share their names",
+                "rename one of the two",
+            )
+            continue
+        hosts[key] = _read_host_entry(key, role, inner, defaults, problems)
+
+
+def _read_host_entry(
+    key: str, role: Role, node: Node, defaults: Mapping[str, Any], problems: Problems
+) -> Host:
+    what = f"{role} {key}"
+    fields = read_fields(node, problems, EDGE_KEYS if role is Role.EDGE else ROBOT_KEYS, what=what)
+    values = {**defaults, **fields.values}
+    for mapping in ("labels", "env"):
+        values[mapping] = {**defaults.get(mapping, {}), **fields.values.get(mapping, {})}
+    if "limits" in defaults and "limits" in fields.values:
+        values["limits"] = _merge_limits(fields, defaults["limits"])
+    local = values.get("connection") is Connection.LOCAL
+    if "host" not in fields and isinstance(node.value, dict) and not local:
+        problems.add(
+            node.mark,
+            ProblemCode.MISSING,
+            f"{what} needs host",
+            "add host: 192.168.1.20 (an address or an ssh_config alias)",
+        )
+    _check_host_contradictions(fields, problems)
+    return Host(name=key, role=role, **({"host": "127.0.0.1" if local else ""} | values))
+
+
+def _merge_limits(fields: Fields, default: Limits) -> Limits:
+    own: Limits = fields.values["limits"]
+    stated = fields.at("limits").value
+    changed = {key: getattr(own, key) for key in LIMITS_KEYS if isinstance(stated, dict) and key in stated}
+    return replace(default, **changed)
+
+
+def _check_host_contradictions(fields: Fields, problems: Problems) -> None:
+    if "base" in fields and "capacity" not in fields:
+        message = "base counts only on a slice, and this host declares no capacity"
+        problems.add(
+            fields.node.key_mark("base"),
+            ProblemCode.CONTRADICTION,
+            message,
+            "add capacity: {cpu: .., memory: ..}, or remove base",
+        )
+    if fields.values.get("onboard") and fields.values.get("probe") is False:
+        message = "a robot with probe: false is never contacted, so it cannot run its own tasks"
+        problems.add(
+            fields.node.key_mark("onboard"),
+            ProblemCode.CONTRADICTION,
+            message,
+            "remove onboard: true or probe: false",
+        )
+
+
+def _read_link_entries(
+    node: Node, hosts: Mapping[str, Host], problems: Problems
+) -> dict[tuple[str, str], float]:
+    if not isinstance(node.value, list):
+        report_wrong_type(
+            node,
+            problems,
+            "links must be a list",
+            "write - {edge: edge1, robot: robot1, throughput: 54Mbit/s}",
+        )
+        return {}
+    links: dict[tuple[str, str], float] = {}
+    for inner in node.value:
+        fields = read_fields(inner, problems, LINK_KEYS, required=tuple(LINK_KEYS), what="a link")
+        ends = [_find_link_host(fields, role, hosts, problems) for role in Role]
+        if None in ends or "throughput" not in fields.values:
+            continue
+        pair = (str(ends[0]), str(ends[1]))
+        if pair in links:
+            problems.add(
+                inner.mark,
+                ProblemCode.TAKEN,
+                f"the link of {pair[0]} and {pair[1]} is declared twice",
+                "remove one of the two",
+            )
+        links[pair] = fields.values["throughput"]
+    return dict(sorted(links.items(), key=lambda item: (natural_key(item[0][0]), natural_key(item[0][1]))))
+
+
+def _find_link_host(fields: Fields, role: Role, hosts: Mapping[str, Host], problems: Problems) -> str | None:
+    wanted = fields.values.get(role.value)
+    if wanted is None or (wanted in hosts and hosts[wanted].role is role):
+        return wanted
+    known = [host.name for host in hosts.values() if host.role is role]
+    problems.add(
+        fields.at(role.value).mark,
+        ProblemCode.UNKNOWN_NAME,
+        f"unknown {role} {wanted}",
+        problems.did_you_mean(wanted, known, f"the {role}s are"),
+    )
+    return None

@@ -1,0 +1,372 @@
+"""The keys of the task files and how each is read."""
+
+import re
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from edgectl.config.fields import (
+    Fields,
+    keep_node,
+    list_reader_with_nodes,
+    read_argument_vector,
+    read_environment,
+    read_fields,
+    read_labels,
+    record_reader,
+)
+from edgectl.config.node import Node, value_from_node
+from edgectl.config.problems import Mark, ProblemCode, Problems
+from edgectl.config.quantities import demand_parser, parse_cost, parse_margin
+from edgectl.config.scalars import (
+    INVALID,
+    NodeReader,
+    check_name,
+    enum_reader,
+    integer_reader,
+    quantity_reader,
+    read_bool,
+    read_name,
+    read_text,
+    read_version,
+    report_wrong_type,
+)
+from edgectl.model.policy import Policy, PolicyName, SequenceRule
+from edgectl.model.task import (
+    Check,
+    CheckLocation,
+    Demand,
+    DetectRule,
+    HandoffContract,
+    HandoffOrder,
+    LogLimits,
+    Need,
+    NeedCondition,
+    OnboardRule,
+    Quantity,
+    RestartPolicy,
+    StopRule,
+    TaskKind,
+    TaskLimits,
+    UnreachablePolicy,
+)
+from edgectl.model.weights import parse_weights
+from edgectl.units import parse_bytes, parse_cores, parse_duration, parse_rate
+
+_SIGNALS = ("TERM", "INT", "HUP", "QUIT", "KILL", "USR1", "USR2")
+_read_duration = quantity_reader(parse_duration, above_zero=True)
+MEASURED_WORD, MEASURED = "measured", Quantity(value=0.0, measured=True)
+
+
+def _check_reader(where: CheckLocation) -> NodeReader:
+    """A check: its command alone, or a mapping. ``where`` it runs unless it says so."""
+    mapping = record_reader(CHECK_KEYS, Check, "a check", ("command",))
+
+    def read(node: Node, problems: Problems) -> Any:  # noqa: ANN401
+        if isinstance(node.value, str):
+            command = read_text(node, problems)
+            return command if command is INVALID else Check(command=command, on=where)
+        check = mapping(node, problems)
+        stated = isinstance(node.value, dict) and "on" in node.value
+        return check if check is INVALID or stated else replace(check, on=where)
+
+    return read
+
+
+def _read_need(node: Node, problems: Problems) -> Any:  # noqa: ANN401
+    if isinstance(node.value, dict):
+        return record_reader(NEED_KEYS, Need, "a need", ("task",))(node, problems)
+    task = read_name(node, problems)
+    return task if task is INVALID else Need(task=task)
+
+
+def _read_signal(node: Node, problems: Problems) -> Any:  # noqa: ANN401
+    if node.value in _SIGNALS:
+        return node.value
+    problems.add(
+        node.mark,
+        ProblemCode.WORD,
+        f"unknown signal {node.text!r}",
+        problems.did_you_mean(node.text.upper().removeprefix("SIG"), _SIGNALS),
+    )
+    return INVALID
+
+
+def _read_stop(node: Node, problems: Problems) -> Any:  # noqa: ANN401
+    if node.value == "ros":
+        return StopRule(signal="INT", preset="ros")
+    if isinstance(node.value, dict):
+        stop = record_reader(STOP_KEYS, StopRule, "stop")(node, problems)
+        ros = stop is not INVALID and stop.preset == "ros" and "signal" not in node.value
+        return replace(stop, signal="INT") if ros else stop
+    problems.add(
+        node.mark,
+        ProblemCode.WORD,
+        f"unknown way to stop: {node.text or '?'}",
+        "write ros, or {signal: TERM, grace: 20s}",
+    )
+    return INVALID
+
+
+def _read_stop_preset(node: Node, problems: Problems) -> Any:  # noqa: ANN401
+    if node.value == "ros":
+        return "ros"
+    problems.add(node.mark, ProblemCode.WORD, f"unknown preset {node.text!r}", "write ros, or remove preset")
+    return INVALID
+
+
+def _read_regex(node: Node, problems: Problems) -> Any:  # noqa: ANN401
+    value = read_text(node, problems)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter(
+                "ignore", FutureWarning
+            )  # Python's own plans for "[[" are nothing to whoever runs edgectl
+            re.compile(value) if isinstance(value, str) else None
+    except (re.error, OverflowError, RecursionError) as error:
+        hint = f"escape it to mean the characters themselves: '{re.escape(str(value))}'"
+        problems.add(node.mark, ProblemCode.REGEX, f"not a regular expression: {error}", hint)
+        return INVALID
+    return value
+
+
+def _read_on_unreachable(node: Node, problems: Problems) -> Any:  # noqa: ANN401
+    if isinstance(node.value, dict):
+        fields = read_fields(node, problems, ON_UNREACHABLE_KEYS, required=("policy",), what="on_unreachable")
+        policy = fields.values.get("policy", INVALID)
+        return INVALID if policy is INVALID else (policy, fields.values.get("after"))
+    policy = enum_reader(UnreachablePolicy)(node, problems)
+    return policy if policy is INVALID else (policy, None)
+
+
+def _read_robots(node: Node, problems: Problems) -> Any:  # noqa: ANN401
+    return "all" if node.value == "all" else list_reader_with_nodes(read_name)(node, problems)
+
+
+def _read_for_each(node: Node, problems: Problems) -> Any:  # noqa: ANN401
+    if isinstance(node.value, list) and node.value:
+        return list_reader_with_nodes(read_name)(node, problems)
+    if node.value == "robot":
+        return "all"
+    return report_wrong_type(
+        node, problems, "must be the word robot, or a list of robots", "write for_each: robot"
+    )
+
+
+def _read_priority(node: Node, problems: Problems) -> Any:  # noqa: ANN401
+    value = node.value
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return report_wrong_type(node, problems, "must be a number", "write 10, or -1; high goes first")
+    if not abs(value) <= 1e9:
+        problems.add(
+            node.mark,
+            ProblemCode.QUANTITY,
+            f"must be a finite number, not {node.text}",
+            "write a number between -1e9 and 1e9",
+        )
+        return INVALID
+    return float(value)
+
+
+def _read_host_rules(node: Node, problems: Problems) -> Any:  # noqa: ANN401
+    return read_fields(node, problems, HOST_RULES_KEYS, what="hosts")
+
+
+def _read_weights(node: Node, problems: Problems) -> Any:  # noqa: ANN401
+    try:
+        return parse_weights(value_from_node(node))
+    except ValueError as error:
+        message, _, hint = str(error).partition("; ")
+        problems.add(_find_weight_mark(node, message), ProblemCode.QUANTITY, message, hint)
+        return INVALID
+
+
+def _find_weight_mark(node: Node, message: str) -> Mark:
+    """Where the weight stands that ``message`` names."""
+    for key, inner in node.value.items() if isinstance(node.value, dict) else ():
+        if message == f"unknown weight {key!r}":
+            return node.key_mark(key)
+        if message.startswith(f"weight {key} "):
+            return inner.mark
+    return node.mark
+
+
+def _read_demand(node: Node, problems: Problems) -> Any:  # noqa: ANN401
+    if node.value == MEASURED_WORD:
+        return Demand(cpu=MEASURED, memory=MEASURED, throughput=MEASURED)
+    return record_reader(DEMAND_KEYS, Demand, "demand")(node, problems)
+
+
+def _demand_quantity_reader(parse: Callable[[object], Quantity]) -> NodeReader:
+    """One demand: a quantity, the word ``measured``, or a quantity that counts until then."""
+    quantity = quantity_reader(parse)
+
+    def read(node: Node, problems: Problems) -> Any:  # noqa: ANN401
+        if node.value == MEASURED_WORD:
+            return MEASURED
+        if isinstance(node.value, str) and node.value.isalpha():
+            hint = problems.did_you_mean(node.value, [MEASURED_WORD], "write a quantity, or")
+            problems.add(node.mark, ProblemCode.WORD, f"unknown word {node.value!r}", hint)
+            return INVALID
+        if not isinstance(node.value, dict):
+            return quantity(node, problems)
+        until = record_reader(
+            {"until_measured": quantity}, _mark_measured, "a measured demand", ("until_measured",)
+        )
+        return until(node, problems)
+
+    return read
+
+
+def _mark_measured(*, until_measured: Quantity) -> Quantity:
+    return replace(until_measured, measured=True)
+
+
+def _read_max_moves(node: Node, problems: Problems) -> Any:  # noqa: ANN401
+    return None if node.value == "unlimited" else integer_reader(0, 1_000_000)(node, problems)
+
+
+CHECK_KEYS: Mapping[str, NodeReader] = {
+    "command": read_text,
+    "on": enum_reader(CheckLocation),
+    "timeout": _read_duration,
+}
+NEED_KEYS: Mapping[str, NodeReader] = {"task": read_name, "until": enum_reader(NeedCondition)}
+DEMAND_KEYS: Mapping[str, NodeReader] = {
+    "cpu": _demand_quantity_reader(demand_parser(parse_cores, "1.5")),
+    "memory": _demand_quantity_reader(demand_parser(parse_bytes, "900Mi")),
+    "throughput": _demand_quantity_reader(demand_parser(parse_rate, "12MB/s")),
+}
+HOST_RULES_KEYS: Mapping[str, NodeReader] = {
+    "only": list_reader_with_nodes(read_name),
+    "never": list_reader_with_nodes(read_name),
+    "labels": read_labels,
+    "pin": read_name,
+}
+DETECT_KEYS: Mapping[str, NodeReader] = {"cmdline": _read_regex, "ros_node": read_text}
+STOP_KEYS: Mapping[str, NodeReader] = {
+    "signal": _read_signal,
+    "grace": quantity_reader(parse_duration),
+    "preset": _read_stop_preset,
+}
+HANDOFF_KEYS: Mapping[str, NodeReader] = {
+    "order": enum_reader(HandoffOrder),
+    "safe_when": _check_reader(CheckLocation.ROBOT),
+    "hold": _check_reader(CheckLocation.ROBOT),
+    "release": _check_reader(CheckLocation.ROBOT),
+    "timeout": _read_duration,
+}
+TASK_LIMITS_KEYS: Mapping[str, NodeReader] = {
+    "cpu": quantity_reader(parse_cores, above_zero=True),
+    "memory": quantity_reader(parse_bytes, above_zero=True),
+}
+LOG_KEYS: Mapping[str, NodeReader] = {
+    "max_size": quantity_reader(parse_bytes, above_zero=True),
+    "files": integer_reader(1, 100),
+}
+ON_UNREACHABLE_KEYS: Mapping[str, NodeReader] = {
+    "policy": enum_reader(UnreachablePolicy),
+    "after": _read_duration,
+}
+TASK_KEYS: Mapping[str, NodeReader] = {
+    "command": read_text,
+    "for_each": _read_for_each,
+    "robot": read_name,
+    "robots": _read_robots,
+    "needs": list_reader_with_nodes(_read_need),
+    "demand": _read_demand,
+    "priority": _read_priority,
+    "deadline": _read_duration,
+    "hosts": _read_host_rules,
+    "onboard": enum_reader(OnboardRule),
+    "kind": enum_reader(TaskKind),
+    "managed": read_bool,
+    "detect": record_reader(DETECT_KEYS, DetectRule, "detect"),
+    "ready": _check_reader(CheckLocation.HOST),
+    "done_when": _check_reader(CheckLocation.HOST),
+    "stop": _read_stop,
+    "restart": enum_reader(RestartPolicy),
+    "handoff": record_reader(HANDOFF_KEYS, HandoffContract, "handoff"),
+    "env": read_environment,
+    "env_command": read_argument_vector,
+    "workdir": read_text,
+    "limits": record_reader(TASK_LIMITS_KEYS, TaskLimits, "limits"),
+    "log": record_reader(LOG_KEYS, LogLimits, "log"),
+    "on_unreachable": _read_on_unreachable,
+    "self_fence": _read_duration,
+    "downtime_cost": quantity_reader(parse_cost),
+    "labels": read_labels,
+}
+POLICY_KEYS: Mapping[str, NodeReader] = {
+    "policy": enum_reader(PolicyName),
+    "weights": _read_weights,
+    "sequence": enum_reader(SequenceRule),
+    "move_margin": quantity_reader(parse_margin),
+    "min_dwell": quantity_reader(parse_duration),
+    "max_moves": _read_max_moves,
+}
+TASK_FILE_KEYS: Mapping[str, NodeReader] = {"version": read_version, **POLICY_KEYS, "tasks": keep_node}
+
+
+MAX_TASKS = 10_000
+
+
+@dataclass(frozen=True, slots=True)
+class TaskTemplate:
+    """One entry of ``tasks:`` as written, before ``for_each`` is expanded."""
+
+    name: str
+    fields: Fields
+    named_at: Mark
+
+
+@dataclass(frozen=True, slots=True)
+class TaskDraft:
+    """One task to be: its template, its own name and its robots. ``each`` is the robot that ``for_each`` made it for."""
+
+    template: TaskTemplate
+    name: str
+    robots: tuple[str, ...]
+    each: str | None = None
+
+
+def read_templates(node: Node, problems: Problems, templates: dict[str, TaskTemplate]) -> Fields:
+    """Add one file's templates to ``templates``, with everything wrong noted; gives the file's other keys."""
+    top = read_fields(node, problems, TASK_FILE_KEYS, required=("version", "tasks"), what="a task file")
+    entries = top.at("tasks")
+    if "tasks" in top and not isinstance(entries.value, dict):
+        report_wrong_type(
+            entries,
+            problems,
+            "tasks must be a mapping of names",
+            "write a name, a colon and the task's keys below it",
+        )
+    for key, inner in entries.value.items() if "tasks" in top and isinstance(entries.value, dict) else ():
+        check_name(key, entries, problems, "a task")
+        if key in templates:
+            first = templates[key].named_at
+            message = f"a task {key} stands in {first.source.file} already, on line {first.line}"
+            problems.add(entries.key_mark(key), ProblemCode.TAKEN, message, "rename or remove one of the two")
+            continue
+        fields = read_fields(inner, problems, TASK_KEYS, what=f"task {key}")
+        templates[key] = TaskTemplate(key, fields, entries.key_mark(key))
+    return top
+
+
+def merge_policy(files: list[Fields], problems: Problems) -> Policy:
+    """The policy that the files state together; stating a key twice differently is a mistake."""
+    stated: dict[str, Any] = {}
+    for fields in files:
+        for key in POLICY_KEYS:
+            if key not in fields.values:
+                continue
+            if key in stated and stated[key] != fields.values[key]:
+                problems.add(
+                    fields.node.key_mark(key),
+                    ProblemCode.TAKEN,
+                    f"{key} is stated differently in another file",
+                    f"keep {key} in one file",
+                )
+            stated[key] = fields.values[key]
+    return Policy(**({"name": stated.pop("policy")} if "policy" in stated else {}), **stated)

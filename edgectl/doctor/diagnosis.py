@@ -1,0 +1,98 @@
+"""Hosts that could not be asked: one finding that names the first thing that is wrong."""
+
+from edgectl.doctor.host import diagnose_host
+from edgectl.doctor.manager import diagnose_manager
+from edgectl.doctor.ros import diagnose_ros
+from edgectl.model.diagnosis import (
+    Diagnosis,
+    FactsByHost,
+    Finding,
+    HostFacts,
+    ManagerFacts,
+    Severity,
+    UnreachableHost,
+)
+from edgectl.model.inventory import Connection, Host, Inventory
+
+# HostError.kind -> the check that failed.
+_CHECKS = {
+    "connect": "reachability",
+    "deadline": "reachability",
+    "host-key": "host key",
+    "auth": "login",
+    "no-python": "python",
+}
+_INSTALL_PYTHON = "on {name}: sudo apt-get install python3   (3.6 or later)"
+
+
+def diagnose_no_answer(host: Host, answer: UnreachableHost) -> Finding:
+    """The finding of a host that did not answer."""
+    check = _CHECKS.get(answer.kind, "agent")
+    return Finding(
+        host=host.name,
+        check=check,
+        level=Severity.FAILED,
+        message=answer.error,
+        remedy=_suggest_fix(host, answer),
+    )
+
+
+def _suggest_fix(host: Host, answer: UnreachableHost) -> str:
+    """A command or an edit; where the error knows better than the rule, its own."""
+    name = host.name
+    by_kind = {
+        "connect": f"switch {name} on and see that sshd runs there, or correct its host: ({host.host}) in the inventory",
+        "deadline": f"see what keeps it from answering: {_format_ssh_command(host)} uptime; a slow link needs: edgectl doctor {name} --timeout 60s",
+        "auth": f"let it know your key: {_format_copy_id_command(host)}; or name the right one: identity_file: in the inventory",
+        "no-python": _INSTALL_PYTHON.format(name=name),
+    }
+    if answer.kind == "host-key":
+        return answer.hint or f"compare the fingerprint, then: edgectl trust {name}"
+    return (
+        by_kind.get(answer.kind, "")
+        or answer.hint
+        or f"look at what it says: {_format_ssh_command(host)} python3 --version"
+    )
+
+
+def _format_ssh_target(host: Host) -> str:
+    return f"{host.user}@{host.host}" if host.user else host.host
+
+
+def _format_ssh_options(host: Host) -> str:
+    jump = f" -J {host.proxy_jump}" if host.proxy_jump else ""
+    return (
+        (f" -p {host.port}" if host.port else "")
+        + (f" -i {host.identity_file}" if host.identity_file else "")
+        + jump
+    )
+
+
+def _format_ssh_command(host: Host) -> str:
+    """The login by hand."""
+    return (
+        ""
+        if host.connection is Connection.LOCAL
+        else f"ssh{_format_ssh_options(host)} {_format_ssh_target(host)}"
+    )
+
+
+def _format_copy_id_command(host: Host) -> str:
+    jump = f" -o ProxyJump={host.proxy_jump}" if host.proxy_jump else ""
+    port = f" -p {host.port}" if host.port else ""
+    key = f" -i {host.identity_file}" if host.identity_file else ""
+    return f"ssh-copy-id{port}{key}{jump} {_format_ssh_target(host)}"
+
+
+def diagnose_fleet(inventory: Inventory, manager: ManagerFacts, answers: FactsByHost) -> Diagnosis:
+    """Findings about this machine, then host by host in the order of the inventory; ``answers`` holds the hosts that were asked."""
+    findings = diagnose_manager(inventory, manager)
+    facts = {name: answer for name, answer in answers.items() if isinstance(answer, HostFacts)}
+    ros = diagnose_ros(inventory, facts)
+    for name, host in inventory.hosts.items():
+        answer = answers.get(name)
+        if isinstance(answer, HostFacts):
+            findings += [*diagnose_host(host, answer, inventory), *ros.get(name, ())]
+        elif answer is not None:
+            findings.append(diagnose_no_answer(host, answer))
+    return Diagnosis(findings=tuple(findings))

@@ -1,0 +1,94 @@
+"""Whether a saved plan still describes the world. Pure."""
+
+from collections.abc import Iterator, Mapping
+
+from edgectl.model.assignment import Reason
+from edgectl.model.inventory import Inventory
+from edgectl.model.manager_state import ManagerState
+from edgectl.model.plan import Plan
+from edgectl.model.snapshot import HostSample, Snapshot, TaskSample
+from edgectl.model.task import Tasks
+from edgectl.names import natural_key
+
+# A load that moved by more than this share of the capacity makes another plan likely.
+LOAD_TOLERANCE = 0.10
+# Contacts are remembered by uptime; told by the wall clock, one instant may differ by so many seconds between two readings.
+CONTACT_TOLERANCE_S = 1.0
+
+
+def list_drift(
+    plan: Plan, inventory: Inventory, tasks: Tasks, snapshot: Snapshot, memory: ManagerState
+) -> tuple[str, ...]:
+    """What is different from when ``plan`` was made, one line each; empty where it still holds."""
+    changes = []
+    if plan.inventory_digest != inventory.digest:
+        changes.append("the inventory changed")
+    if plan.tasks_digest != tasks.digest:
+        changes.append("the task files changed")
+    changes += _list_mark_drift(plan.snapshot.manager or ManagerState(), memory)
+    changes += _list_contact_drift(plan, memory)
+    for name, host in snapshot.hosts.items():
+        before = plan.snapshot.hosts.get(name)
+        if before is not None:
+            changes += _list_host_drift(name, before, host)
+    return tuple(changes)
+
+
+def _list_mark_drift(before: ManagerState, now: ManagerState) -> Iterator[str]:
+    if (before.cordons, before.draining) != (now.cordons, now.draining):
+        yield "the cordoned hosts changed"
+    if before.done != now.done:
+        yield "the tasks marked done changed"
+
+
+def _list_contact_drift(plan: Plan, now: ManagerState) -> Iterator[str]:
+    """Hosts whose tasks the plan replaces, and that were not silent all the time since: what it took for gone may run."""
+    before = plan.snapshot.manager or ManagerState()
+    replaced = {step.decision.subject or "" for step in plan.steps if step.decision.reason is Reason.REPLACED}
+    for host in sorted(replaced, key=natural_key):
+        later = now.contact.get(host, 0.0) > before.contact.get(host, 0.0) + CONTACT_TOLERANCE_S
+        if later or (host in before.fenced and host not in now.fenced):
+            yield f"{host} was in touch since, or is no longer fenced"
+
+
+def _list_host_drift(name: str, before: HostSample, now: HostSample) -> Iterator[str]:
+    if before.ok != now.ok:
+        yield f"{name} answers again" if now.ok else f"{name} does not answer any more"
+        return
+    yield from _list_task_drift(name, before.tasks, now.tasks)
+    if (
+        before.cpu
+        and now.cpu
+        and _is_beyond_tolerance(before.cpu.used_cores, now.cpu.used_cores, now.cpu.cores)
+    ):
+        yield f"cpu of {name} went from {before.cpu.used_cores:.2f} to {now.cpu.used_cores:.2f} cores"
+    if (
+        before.memory
+        and now.memory
+        and _is_beyond_tolerance(before.memory.used_bytes, now.memory.used_bytes, now.memory.total_bytes)
+    ):
+        yield f"memory of {name} went from {before.memory.used_bytes:.3g} to {now.memory.used_bytes:.3g} bytes"
+    for robot, link in now.links.items():
+        old = before.links.get(robot)
+        if old is not None and _is_beyond_tolerance(
+            old.used_bytes_per_s, link.used_bytes_per_s, link.capacity_bytes_per_s
+        ):
+            yield f"load of the link {name}-{robot} went from {old.used_bytes_per_s:.3g} to {link.used_bytes_per_s:.3g} bytes/s"
+
+
+def _list_task_drift(
+    name: str, before: Mapping[str, TaskSample], now: Mapping[str, TaskSample]
+) -> Iterator[str]:
+    old = {task: sample.instance for task, sample in before.items() if sample.state.alive}
+    new = {task: sample.instance for task, sample in now.items() if sample.state.alive}
+    for task in sorted(old.keys() | new.keys()):
+        if task not in new:
+            yield f"{task} does not run on {name} any more"
+        elif task not in old:
+            yield f"{task} runs on {name} now"
+        elif old[task] != new[task]:
+            yield f"{task} was started anew on {name}"
+
+
+def _is_beyond_tolerance(before: float, now: float, capacity: float) -> bool:
+    return abs(now - before) > LOAD_TOLERANCE * capacity

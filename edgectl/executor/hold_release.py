@@ -1,0 +1,97 @@
+"""What a handoff that was cut off, or that ended with no ready instance, leaves behind besides processes: a robot that still holds."""
+
+from collections.abc import Callable
+
+from edgectl.errors import HostError
+from edgectl.executor import host_requests
+from edgectl.model.inventory import Host, Inventory
+from edgectl.model.task import Check, CheckLocation, Task, Tasks
+from edgectl.transport.agent_client import call_agent
+from edgectl.transport.base import Transport
+
+_MARGIN_S = 15.0
+# How long an instance that is still starting is waited for.
+_WAIT_S = 15.0
+Warn = Callable[[str], None]
+
+
+def release_hold(
+    name: str, located: str | None, inventory: Inventory, tasks: Tasks, transport: Transport, warn: Warn
+) -> bool:
+    """Run the release hook of a task, if an instance of it is ready on ``located``. False where it holds on; the next apply tries again.
+
+    A task without such a hook (any more) has nothing to release.
+    """
+    task = tasks.tasks.get(name)
+    rule = task.handoff.release if task else None
+    if task is None or rule is None:
+        return True
+    host = inventory.hosts.get(located or "")
+    what = task.robots[0] if task.robots else name
+    try:
+        if host is None or not _is_instance_ready(task, host, inventory, transport):
+            warn(
+                f"{what} STILL HOLDS: no instance of {name} is ready; it is released once an apply gets one ready"
+            )
+            return False
+        if _ask_check(task, rule, host, inventory, transport):
+            return True
+    except HostError as error:
+        warn(f"{what} may still hold for {name}: {error.message}")
+        return False
+    warn(f"{what} may still hold for {name}: its release hook failed")
+    return False
+
+
+def _is_instance_ready(task: Task, host: Host, inventory: Inventory, transport: Transport) -> bool:
+    """Whether the task is ready on ``host``. A ready check on the robot is asked again: nobody may have waited for its answer."""
+    entry = _ask_task_entry(task, host, transport)
+    instance, state = str(entry.get("instance")), entry.get("state")
+    if state == "starting":
+        wait_s = min(_WAIT_S, task.ready.timeout if task.ready else _WAIT_S)
+        entry = _ask_host(
+            transport,
+            host,
+            host_requests.build_wait_request(task.name, host, instance=instance, timeout_s=wait_s),
+            wait_s,
+        )
+        state = entry.get("state")
+    if state == "ready":
+        return True
+    if state != "running" or entry.get("detail"):
+        return False
+    if task.ready is None:
+        return True
+    if task.ready.on is CheckLocation.HOST or not _ask_check(task, task.ready, host, inventory, transport):
+        return False
+    _ask_host(
+        transport, host, host_requests.build_mark_ready_request(task.name, host, instance=instance), 0.0
+    )
+    return True
+
+
+def _ask_task_entry(task: Task, host: Host, transport: Transport) -> host_requests.Request:
+    """What the host knows of the task; nothing where it does not run."""
+    found = _ask_host(transport, host, host_requests.build_status_request(host, task.name), 0.0).get("tasks")
+    entry = found.get(task.name) if isinstance(found, dict) else None
+    return entry if isinstance(entry, dict) else {}
+
+
+def _ask_check(task: Task, rule: Check, host: Host, inventory: Inventory, transport: Transport) -> bool:
+    where = inventory.hosts[task.robots[0]] if rule.on is CheckLocation.ROBOT and task.robots else host
+    return (
+        _ask_host(
+            transport,
+            where,
+            host_requests.build_check_request(task, rule, where, inventory.hosts),
+            rule.timeout,
+        ).get("exit")
+        == 0
+    )
+
+
+def _ask_host(
+    transport: Transport, host: Host, request: host_requests.Request, seconds: float
+) -> host_requests.Request:
+    with transport.connect(host, timeout=_MARGIN_S) as session:
+        return call_agent(session, request, timeout=seconds + _MARGIN_S)

@@ -1,0 +1,176 @@
+"""What the manager remembers after an apply. Pure."""
+
+import dataclasses
+from collections.abc import Mapping
+
+from edgectl.executor.dependencies import is_replacement
+from edgectl.model.assignment import Reason, Verdict
+from edgectl.model.manager_state import ManagerState, Placement
+from edgectl.model.plan import Action, Plan, Step
+from edgectl.model.result import ActionResult, Outcome, Phase, Results
+from edgectl.model.snapshot import Snapshot
+from edgectl.model.task import Tasks
+
+# Measurements kept of each kind: enough for a median and a mean that follow a change of the task.
+_MAX_MEASUREMENTS = 20
+
+
+def compute_next_generations(
+    memory: ManagerState,
+    snapshot: Snapshot,
+    steps: tuple[Step, ...],
+    now: float,
+    journalled: Mapping[str, int] | None = None,
+) -> dict[str, int]:
+    """The generation of each task's next start: above all that memory, journal and hosts know, and never below the clock's seconds.
+
+    The clock as a floor lets a manager that lost its state, or that another one overtook, start tasks again.
+    """
+    known = dict(journalled or {})
+    for name, placement in memory.placements.items():
+        known[name] = max(known.get(name, 0), placement.generation)
+    for host in snapshot.hosts.values():
+        for name, sample in host.tasks.items():
+            known[name] = max(known.get(name, 0), sample.generation)
+        for name, generation in host.generations.items():
+            known[name] = max(known.get(name, 0), generation)
+    return {step.task: max(int(now), known.get(step.task, 0) + 1) for step in steps}
+
+
+def update_manager_state(
+    memory: ManagerState, plan: Plan, tasks: Tasks, results: Results, used: Mapping[str, int], now: float
+) -> ManagerState:
+    """``memory`` after ``plan`` went as ``results`` say: places, first places, done marks, downtimes, stays. ``used``: generations."""
+    ended = {result.task: result for result in results.actions}
+    placements, done = dict(memory.placements), dict(memory.done)
+    for step in plan.steps:
+        result, task = ended.get(step.task), tasks.tasks.get(step.task)
+        located = result.located if result is not None else _find_running_host(plan.snapshot, step)
+        if located is not None and task is not None and _is_newly_started(result):
+            since = _get_placed_since(memory.placements.get(step.task), step, now)
+            placements[step.task] = Placement(
+                host=located, since=since, spec_hash=task.spec_hash, generation=used.get(step.task, 0)
+            )
+        elif located is not None:
+            least = used.get(step.task, 0) + 1 if _is_restored(result) else 0
+            placements[step.task] = _keep_placement(memory, plan.snapshot, step.task, located, now, least)
+        elif _is_task_gone(plan.snapshot, step, result, placements.get(step.task)):
+            placements.pop(step.task, None)
+        if task is not None and _is_step_completed(step, result):
+            done[step.task] = task.spec_hash
+    first = {
+        **{name: placement.host for name, placement in placements.items()},
+        **memory.first,
+        **_collect_replacement_hosts(plan, results),
+    }
+    return dataclasses.replace(
+        memory, managed=True, placements=placements, first=first, done=done, downtimes=_collect_downtimes(memory, results),
+        stays=_collect_stays(memory, results, now), deferred=_collect_deferrals(memory, plan, results),
+    )  # fmt: skip
+
+
+def _find_running_host(snapshot: Snapshot, step: Step) -> str | None:
+    """Where the snapshot shows an untouched task running, its decided host first."""
+    for name in (step.decision.host, step.decision.previous_host, *snapshot.hosts):
+        host = snapshot.hosts.get(name or "")
+        if host is not None and step.task in host.tasks and host.tasks[step.task].state.alive:
+            return name
+    return None
+
+
+def _collect_replacement_hosts(plan: Plan, results: Results) -> dict[str, str]:
+    """The new place of each task that was replaced: where it is at home from now on (policy static)."""
+    started = {
+        result.task: result.host
+        for result in results.actions
+        if result.host is not None and _is_newly_started(result)
+    }
+    return {
+        step.task: started[step.task] for step in plan.steps if is_replacement(step) and step.task in started
+    }
+
+
+def _is_task_gone(
+    snapshot: Snapshot, step: Step, result: ActionResult | None, placement: Placement | None
+) -> bool:
+    """Whether the task is to be forgotten. A silent host keeps its tasks in memory, any host one that was given up there."""
+    if result is not None:
+        return True
+    host = snapshot.hosts.get(placement.host) if placement else None
+    return host is not None and host.ok and step.decision.reason is not Reason.GIVEN_UP
+
+
+def _is_step_completed(step: Step, result: ActionResult | None) -> bool:
+    """Whether the task is over: stopped because it was done, or ended by itself and found so."""
+    if step.decision.verdict is not Verdict.COMPLETED:
+        return False
+    return step.action is Action.NONE if result is None else result.outcome is Outcome.DONE
+
+
+def _is_newly_started(result: ActionResult | None) -> bool:
+    return (
+        result is not None
+        and result.action in (Action.START, Action.MOVE, Action.RESTART)
+        and result.located == result.host
+    )
+
+
+def _get_placed_since(old: Placement | None, step: Step, now: float) -> float:
+    """When the task came to its host: a restart in place does not renew its dwell."""
+    return old.since if old is not None and step.action is Action.RESTART else now
+
+
+def _is_restored(result: ActionResult | None) -> bool:
+    """Whether the old instance was started again, which takes a generation of its own."""
+    return result is not None and any(phase.phase is Phase.RESTORE for phase in result.phases)
+
+
+def _keep_placement(
+    memory: ManagerState, snapshot: Snapshot, task: str, located: str, now: float, least: int
+) -> Placement:
+    """A task that stands where it stood: what is remembered of it, else what its host shows; at least generation ``least``."""
+    host = snapshot.hosts.get(located)
+    sample = host.tasks.get(task) if host else None
+    old = memory.placements.get(task)
+    if old is not None and old.host == located:
+        return dataclasses.replace(
+            old, generation=max(least, old.generation, sample.generation if sample else 0)
+        )
+    if sample is None:
+        return Placement(host=located, since=now, generation=least)
+    return Placement(
+        host=located,
+        since=sample.started_at,
+        spec_hash=sample.spec_hash,
+        generation=max(least, sample.generation),
+    )
+
+
+def _collect_downtimes(memory: ManagerState, results: Results) -> dict[tuple[str, str], tuple[float, ...]]:
+    """A restored task says nothing of the host that it came back to: the time that its new instance failed for is in it."""
+    downtimes = dict(memory.downtimes)
+    for result in results.actions:
+        if result.downtime_s is not None and result.located is not None and result.located == result.host:
+            key = (result.task, result.located)
+            downtimes[key] = (*downtimes.get(key, ()), result.downtime_s)[-_MAX_MEASUREMENTS:]
+    return downtimes
+
+
+def _collect_deferrals(memory: ManagerState, plan: Plan, results: Results) -> dict[str, str]:
+    """Why an action was put off, until the task is planned again and it is not."""
+    planned = {step.task for step in plan.steps}
+    others = {task: why for task, why in memory.deferred.items() if task not in planned}
+    return others | {
+        result.task: result.error for result in results.actions if result.outcome is Outcome.DEFERRED
+    }
+
+
+def _collect_stays(memory: ManagerState, results: Results, now: float) -> dict[str, tuple[float, ...]]:
+    """How long each task that moved had been on the host that it left."""
+    stays = dict(memory.stays)
+    for result in results.actions:
+        old = memory.placements.get(result.task)
+        moved = result.action is Action.MOVE and result.located == result.host
+        if moved and old is not None and old.host == result.previous_host:
+            stays[result.task] = (*stays.get(result.task, ()), max(0.0, now - old.since))[-_MAX_MEASUREMENTS:]
+    return stays

@@ -1,0 +1,122 @@
+"""Plans that an operator asks for by name: stop these, restart that. Pure."""
+
+import dataclasses
+from collections.abc import Iterable, Iterator, Mapping
+
+from edgectl.model.assignment import Decision, Reason, Verdict
+from edgectl.model.inventory import Inventory
+from edgectl.model.plan import Action, Plan, Step
+from edgectl.model.snapshot import HostSample, Snapshot
+from edgectl.model.task import Tasks
+
+
+def list_running_instances(snapshot: Snapshot) -> dict[str, dict[str, str]]:
+    """The managed tasks that have processes, each with its instances by host, in the order of the hosts."""
+    found: dict[str, dict[str, str]] = {}
+    for host, sample in snapshot.hosts.items():
+        for name, task in sample.tasks.items():
+            if task.managed and (task.state.alive or task.pid > 0):
+                found.setdefault(name, {})[host] = task.instance
+    return found
+
+
+def build_stop_plan(names: Iterable[str], inventory: Inventory, tasks: Tasks, snapshot: Snapshot) -> Plan:
+    """Stop the named tasks wherever they run; those that do not run need no step."""
+    places = list_running_instances(snapshot)
+    steps = []
+    for name in names:
+        if name in places:
+            decision = Decision(
+                task=name,
+                verdict=Verdict.UNPLACED,
+                reason=Reason.OPERATOR,
+                previous_host=next(iter(places[name])),
+            )
+            steps.append(Step(decision=decision, action=Action.STOP, instances=places[name]))
+    return _build_operator_plan(tuple(steps), inventory, tasks, snapshot)
+
+
+def build_restart_plan(name: str, inventory: Inventory, tasks: Tasks, snapshot: Snapshot) -> Plan:
+    """Stop a running task and start it again on its host; further instances elsewhere are stopped."""
+    places = list_running_instances(snapshot)[name]
+    host, *others = places
+    decision = Decision(
+        task=name, verdict=Verdict.KEPT, reason=Reason.OPERATOR, host=host, previous_host=host
+    )
+    return _build_operator_plan(
+        (Step(decision=decision, action=Action.RESTART, instances=places, stop=tuple(others)),),
+        inventory,
+        tasks,
+        snapshot,
+    )
+
+
+def drop_given_up_runs(name: str, snapshot: Snapshot) -> Snapshot:
+    """``snapshot`` without the runs of a task that were given up; their generations stay known."""
+    return dataclasses.replace(
+        snapshot, hosts={host: _drop_given_up_run(name, sample) for host, sample in snapshot.hosts.items()}
+    )
+
+
+def _drop_given_up_run(name: str, sample: HostSample) -> HostSample:
+    run = sample.tasks.get(name)
+    if run is None or not run.given_up:
+        return sample
+    others = {task: other for task, other in sample.tasks.items() if task != name}
+    return dataclasses.replace(sample, tasks=others, generations={**sample.generations, name: run.generation})
+
+
+def _build_operator_plan(
+    steps: tuple[Step, ...], inventory: Inventory, tasks: Tasks, snapshot: Snapshot
+) -> Plan:
+    return Plan(
+        created_at=snapshot.taken_at,
+        policy=tasks.policy,
+        inventory_digest=inventory.digest,
+        tasks_digest=tasks.digest,
+        snapshot=snapshot,
+        settled=True,
+        steps=steps,
+        expected={},
+    )
+
+
+def build_rollback_plan(plan: Plan, wanted: Mapping[str, str], revision: int) -> Plan:
+    """``plan``, in which every task of ``wanted`` was held to its old host, without the tasks that did not run then.
+
+    Of those, what runs now is stopped; what does not is left out.
+    """
+    places = list_running_instances(plan.snapshot)
+    steps = (
+        step
+        for step in plan.steps
+        for step in _build_rollback_steps(step, wanted, places.get(step.task, {}), revision)
+    )
+    return dataclasses.replace(plan, steps=tuple(steps))
+
+
+def _build_rollback_steps(
+    step: Step, wanted: Mapping[str, str], places: Mapping[str, str], revision: int
+) -> Iterator[Step]:
+    decision = step.decision
+    if (
+        step.task in wanted
+        or decision.reason is Reason.UNMANAGED
+        or decision.verdict in (Verdict.COMPLETED, Verdict.HELD)
+    ):
+        asked = step.action in (Action.START, Action.MOVE) and decision.host == wanted.get(step.task)
+        reason = (
+            dataclasses.replace(decision, reason=Reason.ROLLBACK, amount=float(revision))
+            if asked
+            else decision
+        )
+        yield dataclasses.replace(step, decision=reason)
+    elif places:
+        left = Decision(
+            task=step.task,
+            verdict=Verdict.UNPLACED,
+            reason=Reason.ROLLBACK,
+            previous_host=next(iter(places)),
+            amount=float(revision),
+        )
+        yield Step(decision=left, action=Action.STOP, instances=places)

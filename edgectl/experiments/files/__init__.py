@@ -1,0 +1,1 @@
+"""Files of experiments: specs, scenarios, maps, run directories."""

@@ -1,0 +1,249 @@
+"""Spec files of ``edgectl experiment run``: the schemes, how often, until when, and what is measured besides."""
+
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from edgectl.config.fields import Fields, list_reader_with_nodes, mapping_reader, read_fields, record_reader
+from edgectl.config.node import Node
+from edgectl.config.problems import ProblemCode, Problems
+from edgectl.config.scalars import (
+    INVALID,
+    NAME_PATTERN,
+    NodeReader,
+    check_name,
+    enum_reader,
+    integer_reader,
+    quantity_reader,
+    read_name,
+    read_safe_argument,
+    read_text,
+    read_version,
+)
+from edgectl.config.source import read_source
+from edgectl.config.yaml_parser import parse_yaml
+from edgectl.experiments.model.comparison import Scheme
+from edgectl.experiments.model.experiment import Experiment, MapPair, MetricAggregation
+from edgectl.experiments.model.schemes import build_schemes
+from edgectl.model.policy import Policy, PolicyName
+from edgectl.model.task import Task, TaskKind, Tasks
+from edgectl.model.weights import parse_weights
+from edgectl.units import parse_duration, parse_share
+
+EntriesWithNodes = tuple[tuple[Any, Node], ...]
+
+MIN_SAMPLE_PERIOD_S, MAX_REPETITIONS = 0.5, 1000
+# As for ``edgectl simulate`` without options.
+DEFAULT_POLICIES = (PolicyName.LOCAL, PolicyName.STATIC, PolicyName.UTILITY)
+DEFAULT_WEIGHTS = ("cpu", "memory", "network", "all")
+_METRIC_NAME_PATTERN = re.compile(r"[A-Za-z_][A-Za-z0-9_.:/-]{0,62}")
+_MAP_NAME_PATTERN = re.compile(r"[A-Za-z][A-Za-z0-9 ._-]{0,62}")
+
+
+def _read_scheme_weights(node: Node, problems: Problems) -> Any:  # noqa: ANN401 - INVALID stands for any type
+    """A preset, or a set such as ``cpu=.5,task=1``; given back as it is written."""
+    value = read_text(node, problems)
+    if value is INVALID:
+        return INVALID
+    try:
+        parse_weights(value)
+    except ValueError as error:
+        message, _, hint = str(error).partition("; ")
+        problems.add(node.mark, ProblemCode.WORD, message, hint)
+        return INVALID
+    return value.strip()
+
+
+def _read_period(node: Node, problems: Problems) -> Any:  # noqa: ANN401
+    value = quantity_reader(parse_duration, above_zero=True)(node, problems)
+    if value is not INVALID and value < MIN_SAMPLE_PERIOD_S:
+        problems.add(node.mark, ProblemCode.QUANTITY, f"{node.text} is too often", "write 500ms or more")
+        return INVALID
+    return value
+
+
+def _read_idle_share(node: Node, problems: Problems) -> Any:  # noqa: ANN401
+    value = quantity_reader(parse_share)(node, problems)
+    if value is not INVALID and not 0.0 < value <= 1.0:
+        problems.add(
+            node.mark,
+            ProblemCode.QUANTITY,
+            f"must be above 0% and at most 100%, not {node.text}",
+            "write 25%",
+        )
+        return INVALID
+    return value
+
+
+SCHEMES_KEYS: Mapping[str, NodeReader] = {
+    "policies": list_reader_with_nodes(enum_reader(PolicyName)),
+    "weights": list_reader_with_nodes(_read_scheme_weights),
+}
+MAP_PAIR_KEYS: Mapping[str, NodeReader] = {
+    "task": read_name,
+    "file": read_safe_argument,
+    "truth": read_safe_argument,
+}
+
+
+def _read_schemes(node: Node, problems: Problems) -> Any:  # noqa: ANN401
+    return read_fields(node, problems, SCHEMES_KEYS, required=("policies",), what="schemes")
+
+
+EXPERIMENT_KEYS: Mapping[str, NodeReader] = {
+    "version": read_version,
+    "name": read_name,
+    "inventory": read_safe_argument,
+    "tasks": read_safe_argument,
+    "schemes": _read_schemes,
+    "repetitions": integer_reader(1, MAX_REPETITIONS),
+    "every": _read_period,
+    "limit": quantity_reader(parse_duration, above_zero=True),
+    "until": list_reader_with_nodes(read_name),
+    "idle": _read_idle_share,
+    "metrics": mapping_reader(_METRIC_NAME_PATTERN, "a metric", enum_reader(MetricAggregation)),
+    "maps": mapping_reader(
+        _MAP_NAME_PATTERN,
+        "a column",
+        record_reader(MAP_PAIR_KEYS, MapPair, "a map", ("task", "file", "truth")),
+    ),
+}
+
+
+def load_experiment_paths(path: Path) -> tuple[Path | None, Path | None]:
+    """The inventory and the task files that a spec names, beside itself; None where it names none.
+
+    Raises:
+        InputError: everything that is wrong with the file's form.
+    """
+    fields, problems = _read_experiment_fields(path)
+    problems.check()
+    named = [fields.values.get(key) if fields else None for key in ("inventory", "tasks")]
+    inventory, tasks = (None if word is None else path.parent / word for word in named)
+    return inventory, tasks
+
+
+def load_experiment(path: Path, tasks: Tasks) -> Experiment:
+    """The experiment in a file, for this fleet. The ``truth`` of its maps is as written: beside the file.
+
+    Raises:
+        InputError: everything that is wrong with it.
+    """
+    fields, problems = _read_experiment_fields(path)
+    experiment = _build_experiment(fields, path.parent, tasks, problems) if fields else None
+    problems.check()
+    assert experiment is not None  # noqa: S101 - without a problem there is one
+    return experiment
+
+
+def _read_experiment_fields(path: Path) -> tuple[Fields | None, Problems]:
+    problems = Problems()
+    source = read_source(path, problems)
+    node = parse_yaml(source, problems) if source is not None else None
+    required = ("version", "name", "until")
+    return (
+        None
+        if node is None
+        else read_fields(node, problems, EXPERIMENT_KEYS, required=required, what="an experiment")
+    ), problems
+
+
+def _build_experiment(fields: Fields, beside: Path, tasks: Tasks, problems: Problems) -> Experiment:
+    values = fields.values
+    if "name" in values and not NAME_PATTERN.fullmatch(values["name"]):
+        check_name(values["name"], fields.at("name"), problems, "an experiment")
+    _check_map_pairs(fields.at("maps"), values.get("maps", {}), beside, tasks, problems)
+    stated = {
+        key: values[key]
+        for key in ("repetitions", "every", "limit", "idle", "metrics", "maps")
+        if key in values
+    }
+    return Experiment(
+        name=values.get("name", ""),
+        schemes=_build_experiment_schemes(values.get("schemes"), tasks.policy, problems),
+        until=tuple(dict.fromkeys(_resolve_until_tasks(fields, tasks, problems))),
+        **stated,
+    )
+
+
+def _build_experiment_schemes(schemes: Fields | None, base: Policy, problems: Problems) -> tuple[Scheme, ...]:
+    if schemes is None:
+        return build_schemes(base, DEFAULT_POLICIES, DEFAULT_WEIGHTS, [])
+    policies, weights = (
+        list(_drop_duplicates(schemes.values.get(key, ()), problems)) for key in ("policies", "weights")
+    )
+    if schemes.values.get("policies") == ():
+        problems.add(
+            schemes.at("policies").mark,
+            ProblemCode.MISSING,
+            "there is no scheme to try",
+            "write policies: [local, static, utility]",
+        )
+    return build_schemes(base, policies, weights, [])
+
+
+def _resolve_until_tasks(fields: Fields, tasks: Tasks, problems: Problems) -> Iterator[str]:
+    """The tasks whose completion ends a trial: each is there, and can complete. A template stands for all that it makes."""
+    entries: EntriesWithNodes = fields.values.get("until", ())
+    if fields.values.get("until") == ():
+        problems.add(
+            fields.at("until").mark, ProblemCode.MISSING, "nothing ends a trial", "name a task that completes"
+        )
+    for wanted in _drop_duplicates(entries, problems):
+        node = next(inner for each, inner in entries if each == wanted)
+        named = [task for task in tasks.tasks.values() if wanted in (task.name, task.template)]
+        if not named:
+            _check_task_exists(node, wanted, tasks, problems)
+        elif not all(map(_can_complete, named)):
+            message = f"{wanted} never completes, so no trial would end"
+            problems.add(
+                node.mark,
+                ProblemCode.CONTRADICTION,
+                message,
+                "name a task with kind: job or done_when, or give it one of them",
+            )
+        yield from (task.name for task in named)
+
+
+def _can_complete(task: Task) -> bool:
+    return task.managed and (task.kind is TaskKind.JOB or task.done_when is not None)
+
+
+def _check_map_pairs(
+    node: Node, maps: Mapping[str, MapPair], beside: Path, tasks: Tasks, problems: Problems
+) -> None:
+    """Every map is of a task that is there, and has its truth."""
+    for column, pair in maps.items():
+        at = node.inner(column)
+        _check_task_exists(at.inner("task"), pair.task, tasks, problems)
+        if not (beside / pair.truth).is_file():
+            message = f"there is no file {beside / pair.truth}"
+            problems.add(
+                at.inner("truth").mark,
+                ProblemCode.UNREADABLE,
+                message,
+                "name a map, as from this file: .yaml, .pgm or .png",
+            )
+
+
+def _check_task_exists(node: Node, task: str, tasks: Tasks, problems: Problems) -> bool:
+    if task not in tasks.tasks:
+        problems.add(
+            node.mark,
+            ProblemCode.UNKNOWN_NAME,
+            f"no task is named {task}",
+            problems.did_you_mean(task, tasks.tasks, "tasks:"),
+        )
+    return task in tasks.tasks
+
+
+def _drop_duplicates(entries: EntriesWithNodes, problems: Problems) -> Iterator[Any]:
+    """The values, each once."""
+    seen = set()
+    for value, node in entries:
+        if value in seen:
+            problems.add(node.mark, ProblemCode.TAKEN, f"{value} stands here twice", "remove it once")
+        else:
+            seen.add(value)
+            yield value

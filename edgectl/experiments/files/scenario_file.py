@@ -1,0 +1,242 @@
+"""Scenario files of ``edgectl simulate``: computers, a mission and timing, for an inventory and its tasks."""
+
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from edgectl.config.fields import (
+    Fields,
+    keep_node,
+    list_reader,
+    list_reader_with_nodes,
+    mapping_reader,
+    read_fields,
+    record_reader,
+)
+from edgectl.config.node import Node
+from edgectl.config.problems import ProblemCode, Problems
+from edgectl.config.scalars import (
+    NodeReader,
+    quantity_reader,
+    read_name,
+    read_safe_argument,
+    read_text,
+    read_version,
+    report_wrong_type,
+)
+from edgectl.config.source import read_source
+from edgectl.config.yaml_parser import parse_yaml
+from edgectl.experiments.model.scenario import Scenario, SimHost, SimJob, SimTiming
+from edgectl.model.inventory import Inventory, Role
+from edgectl.model.task import Tasks
+from edgectl.units import parse_bytes, parse_cores, parse_duration, parse_share
+
+_TASK_NAME_PATTERN = re.compile(r"[a-z0-9][a-z0-9._-]{0,62}")
+_PUBLISHED_NAME_PATTERN = re.compile(r"[A-Za-z][A-Za-z0-9 ._-]{0,62}")
+_read_duration_s = quantity_reader(parse_duration)
+
+
+def _parse_float(raw: object) -> float:
+    if isinstance(raw, bool) or not isinstance(raw, int | float):
+        raise ValueError("must be a number; write 3.5")
+    return float(raw)
+
+
+_read_number = quantity_reader(_parse_float)
+SIM_HOST_KEYS: Mapping[str, NodeReader] = {
+    "cores": quantity_reader(parse_cores, above_zero=True),
+    "memory": quantity_reader(parse_bytes, above_zero=True),
+    "base_cores": quantity_reader(parse_cores),
+    "base_memory": quantity_reader(parse_bytes),
+}
+JOB_KEYS: Mapping[str, NodeReader] = {
+    "for_each": read_text, "task": read_name, "work": quantity_reader(parse_duration, above_zero=True), "after": list_reader_with_nodes(read_name), "spread": quantity_reader(parse_share),
+}  # fmt: skip
+TIMING_KEYS: Mapping[str, NodeReader] = {
+    "start": _read_duration_s, "stop": _read_duration_s, "every": quantity_reader(parse_duration, above_zero=True), "noise": quantity_reader(parse_share),
+    "limit": quantity_reader(parse_duration, above_zero=True),
+}  # fmt: skip
+SCENARIO_KEYS: Mapping[str, NodeReader] = {
+    "version": read_version,
+    "name": read_name,
+    "inventory": read_safe_argument,
+    "tasks": read_safe_argument,
+    "assumptions": list_reader(read_text),
+    "hosts": keep_node,
+    "jobs": keep_node,
+    "placed": mapping_reader(_TASK_NAME_PATTERN, "a task", read_name),
+    "rate": mapping_reader(_TASK_NAME_PATTERN, "a task", _read_number),
+    "timing": record_reader(TIMING_KEYS, SimTiming, "timing"),
+    "published": mapping_reader(
+        _PUBLISHED_NAME_PATTERN,
+        "a scheme",
+        mapping_reader(_PUBLISHED_NAME_PATTERN, "a metric", list_reader(_read_number)),
+    ),
+}
+
+
+def load_scenario_paths(path: Path) -> tuple[Path | None, Path | None]:
+    """The inventory and the task files that a scenario names, beside itself; None where it names none.
+
+    Raises:
+        InputError: everything that is wrong with the file's form.
+    """
+    fields, problems = _read_scenario_fields(path)
+    problems.check()
+    named = (fields.values.get(key) for key in ("inventory", "tasks")) if fields else ()
+    inventory, tasks = (None if word is None else path.parent / word for word in (*named, None, None)[:2])
+    return inventory, tasks
+
+
+def load_scenario(path: Path, inventory: Inventory, tasks: Tasks) -> Scenario:
+    """The scenario in a file, for this fleet.
+
+    Raises:
+        InputError: everything that is wrong with it.
+    """
+    fields, problems = _read_scenario_fields(path)
+    scenario = _build_scenario(fields, inventory, tasks, problems) if fields else None
+    problems.check()
+    assert scenario is not None  # noqa: S101 - without a problem there is one
+    return scenario
+
+
+def _read_scenario_fields(path: Path) -> tuple[Fields | None, Problems]:
+    problems = Problems()
+    source = read_source(path, problems, maker="")
+    node = parse_yaml(source, problems) if source is not None else None
+    required = ("version", "name", "hosts", "jobs")
+    return (
+        None
+        if node is None
+        else read_fields(node, problems, SCENARIO_KEYS, required=required, what="a scenario")
+    ), problems
+
+
+def _build_scenario(fields: Fields, inventory: Inventory, tasks: Tasks, problems: Problems) -> Scenario:
+    values = fields.values
+    for key in ("placed", "rate"):
+        for task in values.get(key, {}):
+            _check_name_exists(fields.at(key), task, tasks.tasks, "task", problems)
+    for task, host in values.get("placed", {}).items():
+        _check_name_exists(fields.at("placed").inner(task), host, inventory.hosts, "host", problems)
+    return Scenario(
+        name=values.get("name", ""),
+        assumptions=values.get("assumptions", ()),
+        hosts=_read_sim_hosts(fields.at("hosts"), inventory, problems) if "hosts" in fields else {},
+        jobs=tuple(_read_jobs(fields.at("jobs"), inventory, tasks, problems)) if "jobs" in fields else (),
+        timing=values.get("timing", SimTiming()),
+        placed=values.get("placed", {}),
+        rate=values.get("rate", {}),
+        published=values.get("published", {}),
+    )
+
+
+def _check_name_exists(node: Node, word: str, known: Iterable[str], what: str, problems: Problems) -> bool:
+    if word in known:
+        return True
+    problems.add(
+        node.key_mark(word),
+        ProblemCode.UNKNOWN_NAME,
+        f"unknown {what} {word}",
+        problems.did_you_mean(word, known, f"{what}s:"),
+    )
+    return False
+
+
+def _read_sim_hosts(node: Node, inventory: Inventory, problems: Problems) -> dict[str, SimHost]:
+    """Every host of the inventory: by its own name, else as ``edges`` or ``robots`` say."""
+    if not isinstance(node.value, dict):
+        report_wrong_type(node, problems, "hosts must be a mapping", "write edges: {cores: 4, memory: 4Gi}")
+        return {}
+    read = record_reader(SIM_HOST_KEYS, SimHost, "a computer", ("cores", "memory"))
+    for key in node.value:
+        _check_name_exists(node, key, (*inventory.hosts, "edges", "robots"), "host", problems)
+    stated = {key: read(inner, problems) for key, inner in node.value.items()}
+    found = {}
+    for host in inventory.hosts.values():
+        value = stated.get(host.name, stated.get("edges" if host.role is Role.EDGE else "robots"))
+        if value is None:
+            problems.add(
+                node.mark,
+                ProblemCode.MISSING,
+                f"nothing is said of {host.name}",
+                "add edges: or robots: for all of a kind",
+            )
+        elif isinstance(value, SimHost):
+            found[host.name] = value
+    return found
+
+
+def _read_jobs(node: Node, inventory: Inventory, tasks: Tasks, problems: Problems) -> Iterator[SimJob]:
+    """The jobs; those with ``for_each: robot`` once per robot, named JOB-ROBOT, with ``{robot}`` as it were in the task's name."""
+    if not isinstance(node.value, dict):
+        report_wrong_type(node, problems, "jobs must be a mapping", "write map: {task: slam, work: 5m}")
+        return
+    read = {
+        key: read_fields(inner, problems, JOB_KEYS, required=("task", "work"), what="a job")
+        for key, inner in node.value.items()
+    }
+    if problems.errors:
+        return
+    robots = [robot.name for robot in inventory.robots]
+    names = {
+        key: [f"{key}-{robot}" for robot in robots] if "for_each" in fields else [key]
+        for key, fields in read.items()
+    }
+    _check_order(node, read, problems)
+    for key, fields in read.items():
+        for index, job in enumerate(names[key]):
+            task = (
+                f"{fields.values['task']}-{robots[index]}" if "for_each" in fields else fields.values["task"]
+            )
+            if not _check_name_exists(fields.at("task"), task, tasks.tasks, "task", problems):
+                continue
+            before = [
+                _select_predecessors(
+                    names[other], index, both="for_each" in fields and "for_each" in read[other]
+                )
+                for other in _list_predecessor_keys(fields)
+                if other in read
+            ]
+            yield SimJob(
+                name=job, task=task, work=fields.values["work"], after=tuple(word for words in before for word in words),
+                spread=fields.values.get("spread", 0.0),
+            )  # fmt: skip
+
+
+def _select_predecessors(names: list[str], index: int, *, both: bool) -> list[str]:
+    """The same robot's where both are for each robot, else all of them."""
+    return [names[index]] if both else names
+
+
+def _list_predecessor_keys(fields: Fields) -> list[str]:
+    return [word for word, _ in fields.values.get("after", ())]
+
+
+def _check_order(node: Node, read: Mapping[str, Fields], problems: Problems) -> None:
+    """Every job that is waited for is there, and none waits for itself."""
+    for fields in read.values():
+        for word, inner in fields.values.get("after", ()):
+            if word not in read:
+                problems.add(
+                    inner.mark,
+                    ProblemCode.UNKNOWN_NAME,
+                    f"no job is named {word}",
+                    problems.did_you_mean(word, read, "jobs:"),
+                )
+    left: dict[str, Any] = {
+        key: set(_list_predecessor_keys(fields)) & set(read) for key, fields in read.items()
+    }
+    while ready := [key for key, before in left.items() if not before & set(left)]:
+        for key in ready:
+            del left[key]
+    if left:
+        first = next(iter(left))
+        problems.add(
+            node.key_mark(first),
+            ProblemCode.CYCLE,
+            f"{first} waits for itself, through {', '.join(left)}",
+            "remove one of their after",
+        )

@@ -1,0 +1,1 @@
+"""Data types of experiments, scenarios, replays and maps."""

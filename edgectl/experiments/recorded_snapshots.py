@@ -1,0 +1,105 @@
+"""Snapshots again, from the rows of the history."""
+
+from collections.abc import Iterable, Sequence
+from itertools import groupby
+from typing import TypeVar
+
+from edgectl.experiments.model.comparison import ReplayResult, Scheme
+from edgectl.experiments.replay import replay_snapshots as replayed
+from edgectl.model.inventory import Inventory
+from edgectl.model.point import HostPoint, LinkPoint, TaskPoint
+from edgectl.model.snapshot import (
+    CpuUsage,
+    HostSample,
+    HostStatus,
+    LinkSample,
+    MemoryUsage,
+    Snapshot,
+    TaskSample,
+)
+from edgectl.usecases.fleet import Fleet
+
+LinkOrTaskPoint = TypeVar("LinkOrTaskPoint", LinkPoint, TaskPoint)
+
+
+def snapshots_from_points(
+    inventory: Inventory, hosts: Iterable[HostPoint], links: Iterable[LinkPoint], tasks: Iterable[TaskPoint]
+) -> tuple[Snapshot, ...]:
+    """One snapshot per instant, oldest first; hosts that left the inventory are left out. Rows need not be in order."""
+    by_link = _group_points((point.at, point.edge, point) for point in links)
+    by_task = _group_points((point.at, point.host, point) for point in tasks)
+    ordered = sorted((point for point in hosts if point.host in inventory.hosts), key=lambda point: point.at)
+    return tuple(
+        Snapshot(
+            taken_at=at,
+            hosts={
+                point.host: _host_sample_from_point(
+                    inventory, point, by_link.get((at, point.host), []), by_task.get((at, point.host), [])
+                )
+                for point in points
+            },
+        )
+        for at, points in groupby(ordered, key=lambda point: point.at)
+    )
+
+
+def _group_points(
+    rows: Iterable[tuple[float, str, LinkOrTaskPoint]],
+) -> dict[tuple[float, str], list[LinkOrTaskPoint]]:
+    found: dict[tuple[float, str], list[LinkOrTaskPoint]] = {}
+    for at, host, point in rows:
+        found.setdefault((at, host), []).append(point)
+    return found
+
+
+def _host_sample_from_point(
+    inventory: Inventory, point: HostPoint, links: list[LinkPoint], tasks: list[TaskPoint]
+) -> HostSample:
+    role = inventory.hosts[point.host].role
+    if point.status is not HostStatus.OK or not point.cores or not point.total_bytes:
+        return HostSample(role=role, status=HostStatus.UNREACHABLE, error="did not answer then")
+    return HostSample(
+        role=role,
+        status=HostStatus.OK,
+        cpu=CpuUsage(cores=point.cores, used_cores=point.used_cores or 0.0),
+        memory=MemoryUsage(total_bytes=point.total_bytes, used_bytes=point.used_bytes or 0.0),
+        links={link.robot: _link_sample_from_point(link) for link in links},
+        tasks={task.task: _task_sample_from_point(task) for task in tasks},
+    )
+
+
+def _link_sample_from_point(point: LinkPoint) -> LinkSample:
+    return LinkSample(
+        capacity_bytes_per_s=point.capacity_bytes_per_s,
+        used_bytes_per_s=point.used_bytes_per_s,
+        rtt_ms=point.rtt_ms,
+    )
+
+
+def _task_sample_from_point(point: TaskPoint) -> TaskSample:
+    return TaskSample(
+        state=point.state, started_at=point.at - point.age_s, used_cores=point.used_cores, used_bytes=point.used_bytes,
+        used_bytes_per_s=point.used_bytes_per_s, instance=point.instance, spec_hash=point.spec_hash,
+    )  # fmt: skip
+
+
+def replay_schemes(
+    fleet: Fleet, snapshots: Sequence[Snapshot], variants: Sequence[Scheme]
+) -> tuple[ReplayResult, ...]:
+    """Each variant over ``snapshots``, which may stand in any order."""
+    ordered = sorted(snapshots, key=lambda snapshot: snapshot.taken_at)
+    return tuple(replayed(fleet.inventory, fleet.tasks, ordered, variant) for variant in variants)
+
+
+def read_recorded_snapshots(fleet: Fleet, since: float | None = None) -> tuple[Snapshot, ...]:
+    """The snapshots that the history can make again. ``since``: s since 1970."""
+    rows = fleet.history.use(
+        fleet.state,
+        fleet.warn,
+        lambda store: (
+            store.host_points(since=since),
+            store.link_points(since=since),
+            store.task_points(since=since),
+        ),
+    )
+    return snapshots_from_points(fleet.inventory, *rows)

@@ -1,0 +1,202 @@
+"""From runs to figures: means, deviations and confidence intervals."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import pairwise
+from math import sqrt
+from statistics import fmean, stdev
+
+from edgectl.experiments.model.comparison import Estimate, Scheme, SchemeResult
+from edgectl.experiments.model.experiment import (
+    ExperimentRun,
+    HostCapacity,
+    LoadSample,
+    MetricAggregation,
+    MetricReading,
+    Trial,
+)
+from edgectl.experiments.model.scenario import SimHostUsage, SimRun
+from edgectl.model.inventory import Inventory, Role
+from edgectl.model.policy import PolicyName
+
+# What one run gave, by metric: one value for each host of the column, or one alone; None where there is none.
+MetricValues = Mapping[str, tuple[float | None, ...]]
+# Student's t for two-sided 95 % by degrees of freedom; beyond, the normal distribution is near enough.
+_STUDENT_T_95 = (12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228, 2.201, 2.179, 2.160, 2.145, 2.131, 2.120, 2.110, 2.101, 2.093,
+      2.086, 2.080, 2.074, 2.069, 2.064, 2.060, 2.056, 2.052, 2.048, 2.045, 2.042)  # fmt: skip
+_NORMAL_95 = 1.960
+# A value from here on is taken for none: applications may write anything, and sums of it overflow.
+MAX_METRIC_VALUE = 1e100
+_SIM_HOST_METRICS: dict[str, Callable[[SimHostUsage], float | None]] = {
+    "cpu": lambda usage: 100 * usage.cpu,
+    "cpu peak": lambda usage: 100 * usage.cpu_peak,
+    "memory": lambda usage: 100 * usage.memory,
+    "throughput": lambda usage: usage.network_bytes_per_s / 1e6,
+    "rate": lambda usage: usage.rate,
+}
+
+
+def compute_estimate(values: Sequence[float]) -> Estimate:
+    """Mean, deviation and 95 % interval of independent values; at least one."""
+    if len(values) == 1:
+        return Estimate(mean=values[0])
+    spread = stdev(values)
+    t = _STUDENT_T_95[len(values) - 2] if len(values) - 2 < len(_STUDENT_T_95) else _NORMAL_95
+    return Estimate(
+        mean=fmean(values), std=spread, half_ci95=t * spread / sqrt(len(values)), count=len(values)
+    )
+
+
+def select_usable_values(values: Iterable[float | None]) -> list[float]:
+    """The values that can be reckoned with."""
+    return [value for value in values if value is not None and abs(value) < MAX_METRIC_VALUE]
+
+
+def estimate_usable_values(values: Iterable[float | None]) -> Estimate | None:
+    """The figure of the runs that have a value."""
+    found = select_usable_values(values)
+    return compute_estimate(found) if found else None
+
+
+def compute_usable_mean(values: Iterable[float | None]) -> float | None:
+    """The mean of the values that are there."""
+    found = select_usable_values(values)
+    return fmean(found) if found else None
+
+
+def summarize_sim_runs(inventory: Inventory, variant: Scheme, runs: Sequence[SimRun]) -> SchemeResult:
+    """One scheme's column of the model. Under local execution the robots count, in all others the edges, each for itself."""
+    local = variant.policy.name is PolicyName.LOCAL
+    hosts = [host.name for host in (inventory.robots if local else inventory.edges)]
+    return SchemeResult(
+        scheme=variant,
+        runs=len(runs),
+        unfinished=sum(not run.finished for run in runs),
+        unplaced=sum(run.unplaced for run in runs),
+        estimates=estimate_metrics([_collect_sim_run_values(run, hosts, together=local) for run in runs]),
+        hosts=() if local else tuple(hosts),
+    )
+
+
+def _collect_sim_run_values(run: SimRun, hosts: Sequence[str], *, together: bool) -> MetricValues:
+    per_host = {
+        metric: tuple(read(run.usage[host]) for host in hosts) for metric, read in _SIM_HOST_METRICS.items()
+    }
+    return {
+        "latency": (run.latency / 60,),
+        **average_over_hosts(per_host, together=together),
+        "handoffs": (float(run.handoffs),),
+    }
+
+
+def average_over_hosts(values: MetricValues, *, together: bool) -> MetricValues:
+    """The same, or with ``together`` the mean over the hosts."""
+    return {metric: (compute_usable_mean(row),) for metric, row in values.items()} if together else values
+
+
+def estimate_metrics(runs: Sequence[MetricValues]) -> dict[str, tuple[Estimate | None, ...]]:
+    """The figure of each value over runs that all have the same metrics and hosts."""
+    metrics = runs[0] if runs else {}
+    return {
+        metric: tuple(estimate_usable_values(row) for row in zip(*(run[metric] for run in runs), strict=True))
+        for metric in metrics
+    }
+
+
+_AGGREGATORS: Mapping[MetricAggregation, Callable[[Sequence[float]], float]] = {
+    MetricAggregation.MEAN: fmean,
+    MetricAggregation.LAST: lambda values: values[-1],
+    MetricAggregation.MIN: min,
+    MetricAggregation.MAX: max,
+}
+HOST_METRICS = ("cpu", "cpu peak", "memory", "throughput")
+# A scheme without a trial has the columns of one that says nothing.
+_EMPTY_TRIAL = Trial(scheme="", repetition=0, began_at=0.0, latency=0.0, finished=False)
+
+
+def summarize_trials(run: ExperimentRun) -> list[SchemeResult]:
+    """One column per scheme of the experiment, also where no trial has been done yet. The order of the trials is of no account."""
+    return [_summarize_scheme(run, variant) for variant in run.experiment.schemes]
+
+
+def _summarize_scheme(run: ExperimentRun, variant: Scheme) -> SchemeResult:
+    trials = sorted(
+        (trial for trial in run.trials if trial.scheme == variant.name), key=lambda trial: trial.repetition
+    )
+    local = variant.policy.name is PolicyName.LOCAL
+    hosts = {name: machine for name, machine in run.machines.items() if (machine.role is Role.ROBOT) is local}
+    figures = estimate_metrics([_collect_trial_values(trial, hosts, together=local) for trial in trials])
+    return SchemeResult(
+        scheme=variant,
+        runs=len(trials),
+        unfinished=sum(not trial.finished for trial in trials),
+        unplaced=sum(trial.unplaced for trial in trials),
+        estimates=figures
+        or {
+            metric: (None,) * len(values)
+            for metric, values in _collect_trial_values(_EMPTY_TRIAL, hosts, together=local).items()
+        },
+        hosts=() if local else tuple(hosts),
+        metrics={
+            name: estimate_usable_values(
+                _aggregate_readings(trial.readings.get(name, {}), summary) for trial in trials
+            )
+            for name, summary in run.experiment.metrics.items()
+        },
+        maps={
+            name: estimate_usable_values(trial.ssim.get(name) for trial in trials)
+            for name in run.experiment.maps
+        },
+    )
+
+
+def _collect_trial_values(trial: Trial, hosts: Mapping[str, HostCapacity], *, together: bool) -> MetricValues:
+    used = [
+        _summarize_host_loads(sorted(trial.loads.get(name, ()), key=lambda load: load.at), machine)
+        for name, machine in hosts.items()
+    ]
+    return {
+        "latency": (trial.latency / 60,),
+        **average_over_hosts(
+            {metric: tuple(each[metric] for each in used) for metric in HOST_METRICS}, together=together
+        ),
+        "handoffs": (float(len(trial.handoffs)),),
+        "downtime": (compute_usable_mean(handoff.downtime for handoff in trial.handoffs),),
+        "unplaced": (float(trial.unplaced),),
+    }
+
+
+def _summarize_host_loads(loads: Sequence[LoadSample], machine: HostCapacity) -> dict[str, float | None]:
+    """What one host used, in the units of the table."""
+    at, cpu = [load.at for load in loads], [100 * load.cores / machine.cores for load in loads]
+    return {
+        "cpu": _compute_time_weighted_mean(at, cpu),
+        "cpu peak": max(cpu, default=None),
+        "memory": _compute_time_weighted_mean(at, [100 * load.memory / machine.memory for load in loads]),
+        "throughput": _compute_time_weighted_mean(at, [load.bytes_per_s / 1e6 for load in loads]),
+    }
+
+
+def _compute_time_weighted_mean(at: Sequence[float], values: Sequence[float]) -> float | None:
+    """The mean over time, as if values changed evenly between two samples; None without samples."""
+    if not values:
+        return None
+    seconds = at[-1] - at[0]
+    if seconds <= 0:
+        return compute_usable_mean(values)
+    return (
+        sum(
+            (end - start) * (one + other) / 2
+            for (start, end), (one, other) in zip(pairwise(at), pairwise(values), strict=True)
+        )
+        / seconds
+    )
+
+
+def _aggregate_readings(
+    readings: Mapping[str, Sequence[MetricReading]], summary: MetricAggregation
+) -> float | None:
+    """One number of a trial: of each task, then the mean over the tasks that have any."""
+    summarise = _AGGREGATORS[summary]
+    ordered = (sorted(each, key=lambda reading: reading.at) for each in readings.values())
+    values = (select_usable_values(reading.value for reading in each) for each in ordered)
+    return compute_usable_mean(summarise(each) for each in values if each)

@@ -1,0 +1,80 @@
+"""What the gateway asks a host: its links, the tasks to detect and the checks to run."""
+
+from collections.abc import Mapping
+
+from edgectl.model.environment import drop_secrets, merge_environment
+from edgectl.model.inventory import Host, Inventory, Role
+from edgectl.model.task import Check, CheckLocation, DetectRule, Task, Tasks
+
+# What a probe costs besides its window and its checks.
+_OVERHEAD_S = 4.0
+
+
+def build_probe_request(
+    host: Host,
+    inventory: Inventory,
+    tasks: Tasks,
+    addresses: Mapping[str, str],
+    *,
+    window_s: float,
+    timeout_s: float,
+) -> dict[str, object]:
+    """The probe request of one host; ``addresses`` are the robots' as the network knows them.
+
+    Checks are cut short, so that a slow one says no in time instead of costing the whole probe its ``timeout_s``.
+    """
+    longest = max(1.0, timeout_s - window_s - _OVERHEAD_S)
+    return {
+        "op": "probe",
+        "host": host.name,
+        "window_s": window_s,
+        **build_probe_spec(host, tasks, addresses),
+        "checks": [
+            _encode_done_check(task, task.done_when, host, inventory, longest)
+            for task in tasks.tasks.values()
+            if task.done_when and _can_check_done(task, host)
+        ],
+    }
+
+
+def build_probe_spec(host: Host, tasks: Tasks, addresses: Mapping[str, str]) -> dict[str, object]:
+    """What is measured on one host besides the host itself and its own tasks: links to robots, and tasks that others started."""
+    links = (
+        [{"robot": robot, "address": address} for robot, address in addresses.items()]
+        if host.role is Role.EDGE
+        else []
+    )
+    return {
+        "links": links,
+        "detect": [_encode_detect(task.name, task.detect) for task in tasks.tasks.values() if task.detect],
+    }
+
+
+def _can_check_done(task: Task, host: Host) -> bool:
+    """Whether this host is the one to say that ``task`` is done: any host it may run on, or its robot."""
+    if task.done_when is None:
+        return False
+    if task.done_when.on is CheckLocation.ROBOT:
+        return bool(task.robots) and host.name == task.robots[0]
+    return host.role is Role.EDGE or host.name in task.robots
+
+
+def _encode_detect(task: str, detect: DetectRule) -> dict[str, object]:
+    return (
+        {"task": task, "cmdline": detect.cmdline}
+        if detect.cmdline is not None
+        else {"task": task, "ros_node": detect.ros_node}
+    )
+
+
+def _encode_done_check(
+    task: Task, check: Check, host: Host, inventory: Inventory, longest: float
+) -> dict[str, object]:
+    return {
+        "task": task.name,
+        "command": check.command,
+        "prelude": host.prelude,
+        "env": drop_secrets(merge_environment(task, host, inventory.hosts)),
+        "timeout_s": min(check.timeout, longest),
+        "always": check.on is CheckLocation.ROBOT,
+    }

@@ -1,0 +1,155 @@
+"""What ``edgectl doctor`` sees (facts) and what it makes of it (findings).
+
+Quantities are bytes, seconds and bytes per second; clocks are seconds since 1970.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+from edgectl.model.snapshot import CapacitySource
+
+
+class Severity(StrEnum):
+    """How much a finding matters, least first."""
+
+    OK = "ok"
+    WARNING = "warning"
+    FAILED = "failed"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finding:
+    """One check: on ``host`` (None: this machine), what was found, and the command or edit that mends it (empty where all is well)."""
+
+    host: str | None
+    check: str
+    level: Severity
+    message: str
+    remedy: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Logind:
+    """What systemd-logind does when the last login of ``user`` ends; ``present`` is false where no logind runs.
+
+    ``removes_ipc``: it removes the user's shared memory (never that of root and system users). ``kills``: it kills what is left running.
+    """
+
+    user: str
+    present: bool = False
+    lingers: bool = False
+    removes_ipc: bool = False
+    kills: bool = False
+
+
+# The obstacle where something else stands in the place of a state directory.
+NOT_A_DIRECTORY = "something that is no directory stands there"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Disk:
+    """The file system of a state directory at ``path``; ``files_left`` is None where it does not count files.
+
+    ``obstacle`` says why the directory cannot be used; empty where it can. ``spare``: shared memory takes its place until a reboot.
+    """
+
+    path: str
+    free_bytes: float
+    total_bytes: float
+    files_left: int | None = None
+    obstacle: str = ""
+    in_shared_memory: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShellEnvironment:
+    """What a task's command would see on a host, after its prelude: ROS variables by name, empty where they are not set.
+
+    ``status`` is that of the prelude's last command; None where the prelude ended the shell, or did not end in time (``timed_out``).
+    ``said`` is the last line that it printed.
+    """
+
+    variables: Mapping[str, str] = field(default_factory=dict)
+    status: int | None = 0
+    timed_out: bool = False
+    last_line: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LinkFacts:
+    """The way from an edge to a robot. ``address`` is where the robot is looked for; ``found`` whether that name means anything there.
+
+    ``reachable``: None where nothing came back. ``interface``: None where there is no route. ``capacity_bytes_per_s`` and its source as in
+    a probe.
+    """
+
+    address: str
+    found: bool
+    reachable: bool | None
+    interface: str | None
+    rtt_ms: float | None
+    capacity_bytes_per_s: float
+    capacity_source: CapacitySource
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HostFacts:
+    """What one host that answered says of itself.
+
+    ``login_s``: from the first packet to the agent's first step, and back. ``skew_s``: the least and the most by which its clock may be
+    ahead of ours (below 0: behind).
+    """
+
+    login_s: float
+    python: str
+    psutil: bool
+    skew_s: tuple[float, float]
+    logind: Logind
+    disk: Disk
+    total_bytes: float
+    used_bytes: float
+    surroundings: ShellEnvironment = ShellEnvironment()
+    links: Mapping[str, LinkFacts] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UnreachableHost:
+    """Why a host could not be asked: ``kind`` as ``HostError.kind``, and what mends it where the error knows."""
+
+    kind: str
+    error: str
+    hint: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ManagerFacts:
+    """The machine on which edgectl runs. ``known_hosts``: files that hold host keys, each with why it cannot be read (empty: it can).
+
+    ``ssh``: whether there is an ssh program.
+    """
+
+    state: Disk
+    known_hosts: Mapping[str, str] = field(default_factory=dict)
+    ssh: bool = True
+
+
+FactsByHost = Mapping[str, HostFacts | UnreachableHost]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Diagnosis:
+    """All findings: this machine's first, then host by host in the order of the inventory."""
+
+    findings: tuple[Finding, ...]
+
+    @property
+    def worst(self) -> Severity:
+        """The level of the worst finding."""
+        levels = {finding.level for finding in self.findings}
+        return next((level for level in (Severity.FAILED, Severity.WARNING) if level in levels), Severity.OK)
+
+    @property
+    def counts(self) -> dict[Severity, int]:
+        """How many findings there are of each level."""
+        return {level: sum(finding.level is level for finding in self.findings) for level in Severity}

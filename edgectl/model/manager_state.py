@@ -1,0 +1,59 @@
+"""What the manager remembers between runs: a cache and a history, never the truth about what runs."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Placement:
+    """Where a task was last known: ``since`` (s since 1970) is when it came to that host."""
+
+    host: str
+    since: float
+    spec_hash: str = ""
+    generation: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MeasuredDemand:
+    """What one task used on one class of hosts: p95 in cores, bytes and bytes/s on each of its links, of the newest samples.
+
+    ``samples`` of them over ``span_s`` seconds. ``throughput`` is None where no traffic was seen (only TCP can be). ``spec_hash``: what
+    ran; empty: not known.
+    """
+
+    samples: int
+    span_s: float
+    cpu: float
+    memory: float
+    throughput: float | None = None
+    spec_hash: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ManagerState:
+    """DESIGN section 5.12.
+
+    ``managed``: this manager has applied a plan to this fleet before. ``placements``: last known place of each task.
+    ``first``: the first placement ever made (policy static). ``cordons``: hosts closed to new work.
+    ``draining``: cordoned hosts whose tasks must leave. ``done``: completed tasks by the spec hash that completed.
+    ``downtimes``: measured handoff downtimes in seconds by task and host, newest last.
+    ``stays``: how long each task stayed on the hosts that it has moved away from, in seconds, newest last.
+    ``contact``: when each host was last in touch (s since 1970, the manager's clock): never earlier than the last request that may have
+    reached it. ``fenced``: hosts that the operator declared switched off; a host that answers is not.
+    ``deferred``: tasks whose last action was put off with nothing touched, and why.
+    ``measured``: by task and class of host, of the tasks whose demand is not all declared.
+    """
+
+    managed: bool = False
+    placements: Mapping[str, Placement] = field(default_factory=dict)
+    first: Mapping[str, str] = field(default_factory=dict)
+    cordons: frozenset[str] = frozenset()
+    draining: frozenset[str] = frozenset()
+    done: Mapping[str, str] = field(default_factory=dict)
+    downtimes: Mapping[tuple[str, str], tuple[float, ...]] = field(default_factory=dict)
+    stays: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    contact: Mapping[str, float] = field(default_factory=dict)
+    fenced: frozenset[str] = frozenset()
+    deferred: Mapping[str, str] = field(default_factory=dict)
+    measured: Mapping[tuple[str, str], MeasuredDemand] = field(default_factory=dict)

@@ -1,0 +1,80 @@
+"""Measured demand (ADR 0025): which hosts are alike, when there is enough history, and what counts until then."""
+
+from collections.abc import Iterable
+from math import log2
+
+from edgectl.model.inventory import Host
+from edgectl.model.manager_state import MeasuredDemand
+from edgectl.model.task import Demand, Quantity, Task
+
+# So many samples, over so many seconds, make a figure.
+MIN_SAMPLES, MIN_SPAN_S = 60, 300.0
+# The label that puts hosts into one class by the operator's word.
+CLASS_LABEL = "class"
+_GIB = 2.0**30
+
+
+def classify_host(host: Host, cores: float, total_bytes: float) -> str:
+    """Hosts of one class are taken to run a task at the same cost: the label ``class``, else cores and nominal memory (``4c-8Gi``)."""
+    if CLASS_LABEL in host.labels:
+        return host.labels[CLASS_LABEL]
+    return f"{round(cores, 1):g}c-{_round_to_nominal_bytes(total_bytes) / _GIB:g}Gi"
+
+
+def _round_to_nominal_bytes(total: float) -> float:
+    """The least of 2^n and 3 x 2^(n-1) bytes that holds ``total`` (> 0): what a kernel shows is a little less than what was bought."""
+    power = 2.0 ** (int(log2(total)) + 1)
+    return next(size for size in (power / 2, power * 3 / 4, power) if total <= size)
+
+
+def has_enough_samples(found: MeasuredDemand) -> bool:
+    """Whether there are samples enough to trust."""
+    return found.samples >= MIN_SAMPLES and found.span_s >= MIN_SPAN_S
+
+
+def is_of_current_spec(task: Task, found: MeasuredDemand) -> bool:
+    """Whether it was measured of the task as it is specified now: the history of another command says nothing."""
+    return found.spec_hash in ("", task.spec_hash)
+
+
+def follows_history(demand: Demand) -> bool:
+    """Whether any resource of ``demand`` counts as measured once it is."""
+    return any(
+        quantity is None or quantity.measured for quantity in (demand.cpu, demand.memory, demand.throughput)
+    )
+
+
+def resolve_demand(demand: Demand, found: MeasuredDemand) -> Demand:
+    """``demand`` on hosts of a class with enough history: every resource that follows history is as measured there."""
+    return Demand(
+        cpu=_prefer_measured(demand.cpu, found.cpu),
+        memory=_prefer_measured(demand.memory, found.memory),
+        throughput=_prefer_measured(demand.throughput, found.throughput),
+    )
+
+
+def _prefer_measured(stated: Quantity | None, value: float | None) -> Quantity | None:
+    follows = stated is None or stated.measured
+    return Quantity(value=value, measured=True) if follows and value is not None else stated
+
+
+def estimate_demand(demand: Demand, found: Iterable[MeasuredDemand]) -> Demand:
+    """``demand`` on a class of hosts without enough history, known from others: what is declared, else the most that was measured."""
+    known = list(found)
+    most = MeasuredDemand(
+        samples=0,
+        span_s=0.0,
+        cpu=max(each.cpu for each in known),
+        memory=max(each.memory for each in known),
+        throughput=max((each.throughput for each in known if each.throughput is not None), default=None),
+    )
+    wide = resolve_demand(demand, most)
+    return Demand(
+        cpu=_prefer_stated(demand.cpu, wide.cpu),
+        memory=_prefer_stated(demand.memory, wide.memory),
+        throughput=_prefer_stated(demand.throughput, wide.throughput),
+    )
+
+
+def _prefer_stated(stated: Quantity | None, otherwise: Quantity | None) -> Quantity | None:
+    return stated if stated is not None and (stated.value > 0 or not stated.measured) else otherwise

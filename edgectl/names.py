@@ -1,0 +1,57 @@
+"""Names that a person wrote: whether there is such a thing, and which one was probably meant."""
+
+import difflib
+import re
+from collections.abc import Iterable, Sequence
+
+from edgectl.errors import UsageError
+
+_MAX_WORD, _MAX_NAMES_LISTED = 100, 12
+
+
+def suggest_name(word: str, known: Iterable[str]) -> str:
+    """The known word that was probably meant, or nothing."""
+    by_folded = {candidate.lower(): candidate for candidate in known}
+    matches = difflib.get_close_matches(word.lower()[:_MAX_WORD], list(by_folded), n=1, cutoff=0.6)
+    return by_folded[matches[0]] if matches else ""
+
+
+def format_name_list(words: Sequence[str]) -> str:
+    """The first words of a list that may be long."""
+    return ", ".join(words[:_MAX_NAMES_LISTED]) + (", .." if len(words) > _MAX_NAMES_LISTED else "")
+
+
+def format_alternatives(words: Sequence[str]) -> str:
+    """``a, b or c``."""
+    return " or ".join(part for part in (", ".join(words[:-1]), *words[-1:]) if part)
+
+
+def check_known_names(names: Iterable[str], among: Iterable[str], what: str) -> None:
+    """Refuse names of the command line that do not exist; ``what`` says of which kind they are.
+
+    Raises:
+        UsageError: with the nearest name, or the list of them, as hint.
+    """
+    every = list(dict.fromkeys(among))
+    for name in names:
+        if name not in every:
+            match = suggest_name(name, every) or next(
+                (each for each in every if name and each.startswith(name)), ""
+            )
+            hint = (
+                f"did you mean {match}?"
+                if match
+                else f"known: {format_name_list(every)}"
+                if every
+                else f"there is no {what} at all"
+            )
+            raise UsageError(f"unknown {what} {name!r}", hint=hint)
+
+
+_DIGITS = re.compile(r"([0-9]+)")
+
+
+def natural_key(name: str) -> tuple[tuple[str | int, ...], str]:
+    """Sort key by which runs of digits compare as numbers; the name itself separates ``e1`` from ``e01``."""
+    parts = _DIGITS.split(name)
+    return tuple(int(part) if position % 2 else part for position, part in enumerate(parts)), name

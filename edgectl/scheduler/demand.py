@@ -1,0 +1,112 @@
+"""rho, the demand of a task on the host that is looked at (ADR 0025): declared, or measured on that class of hosts."""
+
+from dataclasses import replace
+
+from edgectl.model.assignment import DemandSource, Resource, ResourceDemand
+from edgectl.model.manager_state import ManagerState, MeasuredDemand
+from edgectl.model.measured_demand import (
+    classify_host,
+    estimate_demand,
+    has_enough_samples,
+    is_of_current_spec,
+    resolve_demand,
+)
+from edgectl.model.task import ZERO, Demand, Quantity, Task, Tasks
+from edgectl.scheduler.capacities import Capacities
+
+# In place of a class without enough history.
+OTHER_CLASS = ""
+
+
+def add_measured_demands(fleet: Capacities, tasks: Tasks, memory: ManagerState) -> Capacities:
+    """The fleet with the demands that ``memory`` has measured; nothing is done where there are none."""
+    if not memory.measured:
+        return fleet
+    known: dict[str, dict[str, MeasuredDemand]] = {}
+    history = {
+        key: found
+        for key, found in memory.measured.items()
+        if key[0] in tasks.tasks and is_of_current_spec(tasks.tasks[key[0]], found)
+    }
+    for (task, kind), found in history.items():
+        if has_enough_samples(found):
+            known.setdefault(task, {})[kind] = found
+    demands = {
+        task: _resolve_demand_by_class(tasks.tasks[task].demand, found) for task, found in known.items()
+    }
+    classes = tuple(
+        classify_host(host, cores, total) if cores > 0 and total > 0 else OTHER_CLASS
+        for host, cores, total in zip(fleet.places, fleet.raw_cpu, fleet.raw_memory, strict=True)
+    )
+    return replace(fleet, classes=classes, demands=demands, history=history)
+
+
+def _resolve_demand_by_class(stated: Demand, known: dict[str, MeasuredDemand]) -> dict[str, Demand]:
+    return {kind: resolve_demand(stated, found) for kind, found in known.items()} | {
+        OTHER_CLASS: estimate_demand(stated, known.values())
+    }
+
+
+def demand_at(fleet: Capacities, task: Task, place: int) -> Demand:
+    """What ``task`` demands at ``place``."""
+    own = fleet.demands.get(task.name)
+    if own is None:
+        return task.demand
+    return own.get(fleet.classes[place]) or own[OTHER_CLASS]
+
+
+def list_resource_demands(fleet: Capacities, task: Task, place: int) -> tuple[ResourceDemand, ...]:
+    """The demands of ``task`` at ``place`` in absolute numbers, and where they come from."""
+    wanted = demand_at(fleet, task, place)
+    links = (
+        (fleet.links[robot][place] for robot in task.robots if robot in fleet.links)
+        if place < fleet.edges
+        else ()
+    )
+    capacity = max((link for link in links if link is not None), default=None)
+    found = [
+        _build_resource_demand(
+            fleet, task, place, Resource.CPU, (task.demand.cpu, wanted.cpu), fleet.raw_cpu[place]
+        ),
+        _build_resource_demand(
+            fleet, task, place, Resource.MEMORY, (task.demand.memory, wanted.memory), fleet.raw_memory[place]
+        ),
+    ]
+    if capacity is not None:
+        found.append(
+            _build_resource_demand(
+                fleet, task, place, Resource.NETWORK, (task.demand.throughput, wanted.throughput), capacity
+            )
+        )
+    return tuple(found)
+
+
+def _build_resource_demand(
+    fleet: Capacities,
+    task: Task,
+    place: int,
+    resource: Resource,
+    quantities: tuple[Quantity | None, Quantity | None],
+    capacity: float,
+) -> ResourceDemand:
+    """``quantities``: as stated, and as it counts at ``place``."""
+    stated, wanted = quantities
+    value = (wanted or ZERO).of(capacity)
+    if stated is not None and not stated.measured:
+        return ResourceDemand(resource=resource, value=value, source=DemandSource.DECLARED)
+    history = fleet.history.get((task.name, fleet.classes[place])) if fleet.classes else None
+    return ResourceDemand(
+        resource=resource,
+        value=value,
+        source=_find_demand_source(fleet, task, place, stated, wanted),
+        samples=history.samples if history else 0,
+    )
+
+
+def _find_demand_source(
+    fleet: Capacities, task: Task, place: int, stated: Quantity | None, wanted: Quantity | None
+) -> DemandSource:
+    if wanted is not stated and wanted is not None:
+        here = fleet.classes[place] in fleet.demands[task.name]
+        return DemandSource.MEASURED if here else DemandSource.MEASURED_ELSEWHERE
+    return DemandSource.DECLARED if stated is not None and stated.value > 0 else DemandSource.NONE

@@ -1,0 +1,300 @@
+"""What runs where before a pass, read from the snapshot and the memory; and which tasks no pass decides (DESIGN 5.9, 5.11, 5.12)."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+from edgectl.model.assignment import Decision, Reason, Verdict
+from edgectl.model.manager_state import ManagerState
+from edgectl.model.snapshot import TaskSample, TaskState
+from edgectl.model.task import Task, Tasks
+from edgectl.scheduler.capacities import Capacities
+from edgectl.scheduler.ledger import Ledger, TaskUsage, build_measured_ledger, compute_measured_usage
+from edgectl.scheduler.partition import seconds_until_replaced
+
+# With more than this share of the edges silent the manager's own link is the suspect, and nothing moves (DESIGN 5.9).
+MAX_UNREACHABLE_SHARE = 0.55
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunningTask:
+    """A task that occupies ``place`` with ``use``. ``since``: when it came there; None: this very plan puts it there."""
+
+    place: int
+    use: TaskUsage
+    since: float | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class InitialState:
+    """The state that a pass starts from.
+
+    ``ledger``: gamma, without what is about to be stopped. ``running``: tasks that the pass may keep or move. ``located``: the place of
+    every task that counts as a predecessor. ``completed``: predecessors that need no place. ``fixed``: decisions that no pass makes.
+    ``replaced``: the silent host of every task that is placed anew although it was never seen to end.
+    """
+
+    ledger: Ledger
+    running: Mapping[str, RunningTask]
+    located: Mapping[str, int]
+    completed: frozenset[str]
+    fixed: Mapping[str, Decision]
+    replaced: Mapping[str, str] = field(default_factory=dict)
+    frozen: bool = False
+    unseen: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FoundInstance:
+    """One task found at one place."""
+
+    place: int
+    sample: TaskSample
+
+
+@dataclass(slots=True, kw_only=True)
+class _InitialStateBuilder:
+    """Collects the world task by task."""
+
+    fleet: Capacities
+    ledger: Ledger
+    memory: ManagerState
+    now: float
+    frozen: bool
+    running: dict[str, RunningTask] = field(default_factory=dict)
+    located: dict[str, int] = field(default_factory=dict)
+    completed: set[str] = field(default_factory=set)
+    fixed: dict[str, Decision] = field(default_factory=dict)
+    replaced: dict[str, str] = field(default_factory=dict)
+
+
+def build_initial_state(tasks: Tasks, memory: ManagerState, fleet: Capacities, now: float) -> InitialState:
+    """The world as the snapshot (in ``fleet``) and the memory tell it."""
+    seen = _collect_instances(fleet)
+    builder = _InitialStateBuilder(
+        fleet=fleet,
+        ledger=build_measured_ledger(fleet),
+        memory=memory,
+        now=now,
+        frozen=_is_partition_suspected(fleet, memory),
+    )
+    # In the order of the names: sums of floats depend on their order, and the order of a file must not matter.
+    for name in sorted(tasks.tasks):
+        _add_task(builder, tasks.tasks[name], seen.pop(name, ()))
+    for name in sorted(seen):
+        _release_usage(builder, (s for s in seen[name] if s.sample.managed), ())
+    silent = [
+        host.name
+        for place, host in enumerate(fleet.places)
+        if (place < fleet.edges or host.onboard) and fleet.is_unreachable(place)
+    ]
+    return InitialState(
+        ledger=builder.ledger,
+        running=builder.running,
+        located=builder.located,
+        completed=frozenset(builder.completed),
+        fixed=builder.fixed,
+        replaced=builder.replaced,
+        frozen=builder.frozen,
+        unseen=() if memory.managed else tuple(silent),
+    )
+
+
+def _is_partition_suspected(fleet: Capacities, memory: ManagerState) -> bool:
+    """Whether so many edges are silent that the manager's own link is the suspect. Those known to be off say nothing of the link."""
+    asked = [
+        place
+        for place in range(fleet.edges)
+        if not (fleet.is_unreachable(place) and fleet.places[place].name in memory.fenced)
+    ]
+    return sum(map(fleet.is_unreachable, asked)) > MAX_UNREACHABLE_SHARE * len(asked)
+
+
+def _collect_instances(fleet: Capacities) -> dict[str, tuple[FoundInstance, ...]]:
+    found: dict[str, tuple[FoundInstance, ...]] = {}
+    for place, sample in enumerate(fleet.samples):
+        for name, task in sample.tasks.items() if sample and sample.ok else ():
+            found[name] = (*found.get(name, ()), FoundInstance(place=place, sample=task))
+    return found
+
+
+def _add_task(builder: _InitialStateBuilder, task: Task, sightings: tuple[FoundInstance, ...]) -> None:
+    """One task of the file: completed, not ours, held, running or absent."""
+    alive = [s for s in sightings if s.sample.state.alive]
+    ours = [s for s in alive if s.sample.managed and task.managed]
+    current = _find_newest_instance(builder, task, ours or alive)
+    if _is_completed(builder.memory, task, sightings, current):
+        _release_usage(builder, ours, task.robots)
+        lingering = [s for s in sightings if s.sample.state is TaskState.COMPLETED and s.sample.pid > 0]
+        current = current or _find_newest_instance(builder, task, lingering)
+        builder.completed.add(task.name)
+        builder.fixed[task.name] = Decision(
+            task=task.name,
+            verdict=Verdict.COMPLETED,
+            reason=Reason.DONE,
+            previous_host=_get_instance_host(builder, current),
+        )
+        return
+    away = _find_unreachable_newest_host(builder, task, ours, current)
+    left = (
+        None
+        if away is None or builder.frozen
+        else seconds_until_replaced(task, away, builder.memory, builder.now)
+    )
+    if away is not None and left != 0.0:
+        _release_usage(builder, ours, task.robots)
+        _hold_task(builder, task, away, Reason.HOST_SILENT, away, left)
+    elif not task.managed or (alive and not ours):
+        _keep_unmanaged(builder, task, current)
+    elif (robot := _find_unreachable_robot(builder, task)) is not None:
+        _hold_task(builder, task, _get_instance_host(builder, current) or away, Reason.ROBOT_SILENT, robot)
+    elif current is not None:
+        _release_usage(builder, (s for s in ours if s is not current), task.robots)
+        _add_running_task(builder, task, current)
+    elif away is not None:
+        builder.replaced[task.name] = away
+    elif (ended := _find_given_up_run(builder, task, sightings)) is not None:
+        builder.fixed[task.name] = _build_given_up_decision(task, ended, _get_instance_host(builder, ended))
+
+
+def _add_running_task(builder: _InitialStateBuilder, task: Task, current: FoundInstance) -> None:
+    placement = builder.memory.placements.get(task.name)
+    remembered = placement is not None and placement.host == builder.fleet.places[current.place].name
+    builder.running[task.name] = RunningTask(
+        place=current.place,
+        use=compute_measured_usage(builder.fleet, current.sample, task.robots, current.place),
+        since=placement.since if placement is not None and remembered else current.sample.started_at,
+    )
+    builder.located[task.name] = current.place
+
+
+def _find_newest_instance(
+    builder: _InitialStateBuilder, task: Task, sightings: Iterable[FoundInstance]
+) -> FoundInstance | None:
+    """Of several copies the newer assignment wins: generation, then the remembered place, then the later start."""
+    placement = builder.memory.placements.get(task.name)
+    remembered = builder.fleet.index.get(placement.host) if placement else None
+    return max(
+        sightings,
+        key=lambda s: (
+            s.sample.generation,
+            s.place == remembered,
+            s.sample.started_at,
+            -builder.fleet.order[s.place],
+        ),
+        default=None,
+    )
+
+
+def _is_completed(
+    memory: ManagerState, task: Task, sightings: Iterable[FoundInstance], current: FoundInstance | None
+) -> bool:
+    """Marked done, or seen completed, with the specification of now; a newer instance that is alive says otherwise."""
+    if memory.done.get(task.name) == task.spec_hash:
+        return True
+    finished = [
+        s.sample
+        for s in sightings
+        if s.sample.state is TaskState.COMPLETED and s.sample.spec_hash in ("", task.spec_hash)
+    ]
+    newest = max((sample.generation for sample in finished), default=None)
+    return newest is not None and (current is None or current.sample.generation <= newest)
+
+
+def _find_given_up_run(
+    builder: _InitialStateBuilder, task: Task, sightings: Iterable[FoundInstance]
+) -> FoundInstance | None:
+    """The last run of ``task``, if it ended by itself and must not be started again unasked (ADR 0022): the same would only happen again.
+
+    A changed specification may do better; so may a run whose host was told of a newer one since, be it only to stop it.
+    """
+    ended = [
+        s
+        for s in sightings
+        if s.sample.managed and s.sample.given_up and s.sample.spec_hash in ("", task.spec_hash)
+    ]
+    last = _find_newest_instance(builder, task, ended)
+    placement = builder.memory.placements.get(task.name)
+    told = [sample.generations.get(task.name, 0) for sample in builder.fleet.samples if sample is not None]
+    known = max(
+        [s.sample.generation for s in sightings]
+        + told
+        + [placement.generation if placement is not None else 0],
+        default=0,
+    )
+    return last if last is not None and last.sample.generation >= known else None
+
+
+def _build_given_up_decision(task: Task, ended: FoundInstance, host: str | None) -> Decision:
+    code = ended.sample.exit_code
+    amount = None if code is None else float(code)
+    return Decision(
+        task=task.name, verdict=Verdict.UNPLACED, reason=Reason.GIVEN_UP, subject=host, amount=amount
+    )
+
+
+def _find_unreachable_newest_host(
+    builder: _InitialStateBuilder, task: Task, ours: Iterable[FoundInstance], current: FoundInstance | None
+) -> str | None:
+    """The silent host that has the newest copy of ``task``, as far as is known.
+
+    A copy that is seen may be older: left behind by a host that went silent, was replaced, and came back after its replacement fell silent.
+    """
+    placement = builder.memory.placements.get(task.name)
+    place = builder.fleet.index.get(placement.host) if placement else None
+    if placement is None or place is None or not builder.fleet.is_unreachable(place):
+        return None
+    older = current is None or (current in ours and current.sample.generation < placement.generation)
+    return placement.host if older else None
+
+
+def _find_unreachable_robot(builder: _InitialStateBuilder, task: Task) -> str | None:
+    places = ((robot, builder.fleet.index.get(robot)) for robot in task.robots)
+    return next(
+        (robot for robot, place in places if place is not None and builder.fleet.is_unreachable(place)), None
+    )
+
+
+def _hold_task(
+    builder: _InitialStateBuilder,
+    task: Task,
+    host: str | None,
+    reason: Reason,
+    subject: str,
+    left: float | None = None,
+) -> None:
+    if host is not None:
+        builder.located[task.name] = builder.fleet.index[host]
+    builder.fixed[task.name] = Decision(
+        task=task.name,
+        verdict=Verdict.HELD,
+        reason=reason,
+        host=host,
+        previous_host=host,
+        subject=subject,
+        amount=left,
+    )
+
+
+def _keep_unmanaged(builder: _InitialStateBuilder, task: Task, current: FoundInstance | None) -> None:
+    """Load and predecessor where it was found; nothing is ever done about it (ADR 0014)."""
+    host = _get_instance_host(builder, current)
+    if current is not None:
+        builder.located[task.name] = current.place
+    builder.fixed[task.name] = Decision(
+        task=task.name, verdict=Verdict.KEPT, reason=Reason.UNMANAGED, host=host, previous_host=host
+    )
+
+
+def _release_usage(
+    builder: _InitialStateBuilder, sightings: Iterable[FoundInstance], robots: tuple[str, ...]
+) -> None:
+    """What this plan stops is no load of its outcome; a COMPLETED sample was taken out by the gateway already."""
+    for sighting in sightings:
+        if sighting.sample.state.alive:
+            builder.ledger.release(
+                sighting.place, compute_measured_usage(builder.fleet, sighting.sample, robots, sighting.place)
+            )
+
+
+def _get_instance_host(builder: _InitialStateBuilder, sighting: FoundInstance | None) -> str | None:
+    return None if sighting is None else builder.fleet.places[sighting.place].name

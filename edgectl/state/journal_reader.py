@@ -1,0 +1,170 @@
+"""A journal as it stands: what of it is sound, and what its entries add up to. Read line by line, so that a long one costs no memory."""
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+
+from edgectl.errors import StateError
+
+JOURNAL_FORMAT = 1
+GENESIS_HASH = "0" * 64
+JournalEntry = Mapping[str, object]
+
+
+@dataclass(slots=True, kw_only=True)
+class JournalSummary:
+    """What a journal says, without its entries, the hash of the last one, and where it stops being sound.
+
+    ``revision``: number of the newest apply, 0 where there was none. ``begun``: ids of the plans that this file saw applied; ``before``:
+    those of the files that it continues. ``generations``: the highest generation that a start of each task may have had: that of its
+    intent, and one more for a restored instance. ``located``: host and generation of each task that was, or may have been, started since
+    the memory was last saved. ``size``: bytes of sound lines. ``torn``: bytes of an unfinished last line. ``broken``: number of the first
+    damaged line, 0 if none.
+    """
+
+    revision: int = 0
+    begun: set[str] = field(default_factory=set)
+    before: set[str] = field(default_factory=set)
+    generations: dict[str, int] = field(default_factory=dict)
+    located: dict[str, tuple[str, int]] = field(default_factory=dict)
+    last: str = GENESIS_HASH
+    size: int = 0
+    torn: int = 0
+    broken: int = 0
+    _intended: dict[str, int] = field(default_factory=dict)
+    _unfinished: dict[str, None] = field(default_factory=dict)
+    _held: dict[str, None] = field(default_factory=dict)
+
+    @property
+    def applied(self) -> set[str]:
+        """Ids of the plans that this file and the ones before saw applied."""
+        return self.begun | self.before
+
+    @property
+    def unfinished(self) -> tuple[str, ...]:
+        """Tasks whose action had begun when the newest apply was cut off; empty where it ended properly."""
+        return tuple(self._unfinished)
+
+    @property
+    def held(self) -> tuple[str, ...]:
+        """Tasks whose robot was told to hold for a handoff, and of which no release is known."""
+        return tuple(self._held)
+
+    @property
+    def sound(self) -> bool:
+        """Nothing is torn or damaged, nothing cut off, nobody held."""
+        return not (self._unfinished or self._held or self.torn or self.broken)
+
+    def take(self, entry: JournalEntry) -> None:
+        """Add one entry."""
+        event, task = entry.get("event"), str(entry.get("task"))
+        if isinstance(revision := entry.get("revision"), int):
+            self.revision = max(self.revision, revision)
+        if event == "begin":
+            self.begun.add(str(entry.get("plan")))
+        elif event == "continued" and isinstance(names := entry.get("applied"), list):
+            self.before.update(map(str, names))
+        elif event == "intent":
+            self._take_intent(task, entry.get("generation"))
+        elif event == "phase":
+            self._take_phase(task, entry)
+        elif event == "commit":
+            self._take_commit(task, entry.get("located"))
+        elif event == "released":
+            self._held.pop(task, None)
+        if event in ("end", "recovered"):
+            self._unfinished.clear()
+        if event in ("placed", "recovered"):
+            self.located.clear()
+
+    def _take_intent(self, task: str, generation: object) -> None:
+        self._unfinished[task] = None
+        if isinstance(generation, int):
+            self._intended[task] = generation
+            self.generations[task] = max(self.generations.get(task, 0), generation + 1)
+
+    def _take_phase(self, task: str, entry: JournalEntry) -> None:
+        phase = entry.get("phase")
+        if phase == "hold":
+            self._held[task] = None
+        elif phase in ("start", "restore"):
+            self.located[task] = (str(entry.get("host")), self._intended.get(task, 0) + (phase == "restore"))
+
+    def _take_commit(self, task: str, located: object) -> None:
+        self._unfinished.pop(task, None)
+        started = self.located.pop(task, None)
+        if started is not None and isinstance(located, str):
+            self.located[task] = (located, started[1])
+
+
+def read_journal(path: Path, take: Callable[[JournalEntry], None] | None = None) -> JournalSummary:
+    """Read and verify a journal, and give ``take`` each entry; a missing file is an empty one.
+
+    Raises:
+        StateError: it cannot be read, or a newer edgectl wrote it.
+    """
+    log = JournalSummary()
+    try:
+        with path.open("rb") as file:
+            for number, line in enumerate(file, 1):
+                if not line.endswith(b"\n"):
+                    log.torn = len(line)
+                    break  # whoever writes it may go on; what comes is no line of its own
+                _read_line(path, log, number, line[:-1], take)
+    except FileNotFoundError:
+        return log
+    except OSError as error:
+        raise StateError(f"cannot read {path}: {error.strerror}") from error
+    return log
+
+
+def _read_line(
+    path: Path, log: JournalSummary, number: int, line: bytes, take: Callable[[JournalEntry], None] | None
+) -> None:
+    digest, entry = _decode_line(line)
+    sound = hashlib.sha256(log.last.encode() + line[65:]).hexdigest() == digest
+    if sound and entry.get("v") != JOURNAL_FORMAT:
+        raise StateError(
+            f"{path} was written by a newer edgectl (format {entry.get('v')})",
+            hint="use that edgectl, or move the file away",
+        )
+    if not sound and not log.broken:
+        log.broken = number
+    log.last, log.size = digest, log.size + len(line) + 1
+    if entry:
+        log.take(entry)
+        if take is not None:
+            take(entry)
+
+
+def read_journal_cached(path: Path) -> JournalSummary:
+    """`read`, anew only where the file changed: a watch asks in every cycle. Not to be changed.
+
+    Raises:
+        StateError: as `read`.
+    """
+    try:
+        found = path.stat()
+    except FileNotFoundError:
+        return JournalSummary()
+    except OSError as error:
+        raise StateError(f"cannot read {path}: {error.strerror}") from error
+    return _read_journal_version(path, (found.st_ino, found.st_size, found.st_mtime_ns))
+
+
+@lru_cache(maxsize=4)
+def _read_journal_version(path: Path, _stamp: tuple[int, int, int]) -> JournalSummary:
+    return read_journal(path)
+
+
+def _decode_line(line: bytes) -> tuple[str, JournalEntry]:
+    """The digest and the entry of one line; an empty entry where it cannot be read."""
+    try:
+        text = line.decode("ascii")
+        entry = json.loads(text[65:])
+    except (ValueError, RecursionError):
+        return "", {}
+    return text[:65].removesuffix(" "), entry if isinstance(entry, dict) else {}

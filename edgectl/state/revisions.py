@@ -1,0 +1,174 @@
+"""The journal, read as a list of revisions. What an older edgectl did not write yet is left open, never guessed."""
+
+import math
+import re
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from functools import partial
+from pathlib import Path
+from typing import TypeVar
+
+from edgectl.model.plan import Action
+from edgectl.model.result import ActionResult, Outcome, Phase, PhaseResult
+from edgectl.model.revision import Revision, RevisionOutcome
+from edgectl.state.journal import JOURNAL_FILE_NAME
+from edgectl.state.journal_reader import JournalEntry, read_journal
+from edgectl.state.json_files import Warn, ignore_warning
+from edgectl.units import parse_instant
+
+Word = TypeVar("Word", bound=StrEnum)
+_ROTATED_NAME = re.compile(r"journal-([0-9]+)\.jsonl")
+_CUT_OFF_ERROR = "cut off before it ended"
+
+
+def load_revisions(fleet_dir: Path, warn: Warn = ignore_warning) -> tuple[Revision, ...]:
+    """Every revision that can be read, oldest first, from the journals that were put away and the present one.
+
+    Raises:
+        StateError: a journal cannot be read, or a newer edgectl wrote it.
+    """
+    put_away = sorted(
+        (int(found[1]), path)
+        for path in fleet_dir.glob("journal-*.jsonl")
+        if (found := _ROTATED_NAME.fullmatch(path.name))
+    )
+    opened: list[_OpenRevision] = []
+    for path in (*(path for _, path in put_away), fleet_dir / JOURNAL_FILE_NAME):
+        log = read_journal(path, partial(_add_entry, opened))
+        if log.broken:
+            warn(f"{path} is damaged at line {log.broken}; the revisions around it may be incomplete")
+    return tuple(map(_build_revision, opened))
+
+
+@dataclass(slots=True)
+class _OpenRevision:
+    """One revision while its entries are read."""
+
+    begin: JournalEntry
+    intents: dict[str, JournalEntry] = field(default_factory=dict)
+    ended: dict[str, JournalEntry] = field(default_factory=dict)
+    end: JournalEntry | None = None
+    placements: dict[str, str] | None = None
+
+
+def _add_entry(found: list[_OpenRevision], entry: JournalEntry) -> None:
+    event = entry.get("event")
+    if event == "begin" and _positive_int_or_zero(entry.get("revision")):
+        found.append(_OpenRevision(entry))
+    elif found:
+        _update_open_revision(found[-1], str(event), entry)
+
+
+def _update_open_revision(current: _OpenRevision, event: str, entry: JournalEntry) -> None:
+    task = str(entry.get("task"))
+    if event == "intent":
+        current.intents[task] = entry
+    elif event in ("commit", "skipped"):
+        current.ended[task] = {**current.intents.pop(task, {}), **entry}
+    elif event == "end":
+        current.end = entry
+    elif event == "placed" and entry.get("revision") == current.begin.get("revision"):
+        current.placements = {
+            name: str(host) for name, host in _object_or_empty(entry.get("placements")).items()
+        }
+
+
+def _build_revision(found: _OpenRevision) -> Revision:
+    actions = (
+        *(_decode_action_result(entry) for entry in found.ended.values()),
+        *(_decode_action_result(entry, cut_off=True) for entry in found.intents.values()),
+    )
+    counts = {
+        name: _positive_int_or_zero(count)
+        for name, count in _object_or_empty(found.begin.get("counts")).items()
+    }
+    return Revision(
+        number=_positive_int_or_zero(found.begin.get("revision")),
+        began_at=_instant_or_zero(found.begin.get("at")),
+        verb=_text_or_empty(found.begin.get("verb")),
+        user=_text_or_empty(found.begin.get("user")),
+        ending=_determine_ending(found, actions),
+        seconds=_compute_duration_s(found),
+        counts=counts or Counter(action.action.value for action in actions),
+        actions=actions,
+        placements=found.placements,
+    )
+
+
+def _determine_ending(found: _OpenRevision, actions: tuple[ActionResult, ...]) -> RevisionOutcome:
+    if found.end is None:
+        return RevisionOutcome.CUT_OFF
+    if found.end.get("interrupted") is True:
+        return RevisionOutcome.INTERRUPTED
+    done = sum(action.outcome is Outcome.DONE for action in actions)
+    if done == len(actions):
+        return RevisionOutcome.DONE
+    return RevisionOutcome.PARTLY if done else RevisionOutcome.FAILED
+
+
+def _compute_duration_s(found: _OpenRevision) -> float | None:
+    """How long it took: as written, else (an older journal) from the clock."""
+    if found.end is None:
+        return None
+    stated = _finite_or_none(found.end.get("seconds"))
+    return (
+        max(0.0, _instant_or_zero(found.end.get("at")) - _instant_or_zero(found.begin.get("at")))
+        if stated is None
+        else stated
+    )
+
+
+def _decode_action_result(entry: JournalEntry, *, cut_off: bool = False) -> ActionResult:
+    phases = entry.get("phases")
+    return ActionResult(
+        task=_text_or_empty(entry.get("task")),
+        action=_decode_enum(Action, entry.get("action"), Action.NONE),
+        outcome=Outcome.FAILED if cut_off else _decode_enum(Outcome, entry.get("outcome"), Outcome.FAILED),
+        host=_text_or_empty(entry.get("host")) or None,
+        previous_host=_text_or_empty(entry.get("previous_host")) or None,
+        phases=tuple(_decode_phase_result(phase) for phase in phases if isinstance(phase, dict))
+        if isinstance(phases, list)
+        else (),
+        downtime_s=_finite_or_none(entry.get("downtime_s")),
+        error=_CUT_OFF_ERROR if cut_off else _text_or_empty(entry.get("error")),
+        located=_text_or_empty(entry.get("located")) or None,
+    )
+
+
+def _decode_phase_result(entry: JournalEntry) -> PhaseResult:
+    return PhaseResult(
+        phase=_decode_enum(Phase, entry.get("phase"), Phase.SAFE),
+        host=_text_or_empty(entry.get("host")),
+        seconds=_finite_or_none(entry.get("seconds")) or 0.0,
+        ok=entry.get("ok") is True,
+    )
+
+
+def _decode_enum(kind: type[Word], value: object, otherwise: Word) -> Word:
+    return kind(value) if isinstance(value, str) and value in {word.value for word in kind} else otherwise
+
+
+def _text_or_empty(value: object) -> str:
+    return value if isinstance(value, str) else ""
+
+
+def _positive_int_or_zero(value: object) -> int:
+    return value if isinstance(value, int) and not isinstance(value, bool) and value > 0 else 0
+
+
+def _finite_or_none(value: object) -> float | None:
+    good = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    return float(value) if good and isinstance(value, int | float) else None
+
+
+def _object_or_empty(value: object) -> Mapping[str, object]:
+    return value if isinstance(value, dict) else {}
+
+
+def _instant_or_zero(value: object) -> float:
+    try:
+        return parse_instant(value)
+    except ValueError:
+        return 0.0

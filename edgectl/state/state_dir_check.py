@@ -1,0 +1,34 @@
+"""Whether the fleet's state directory can be used, and what its file system has left, as facts."""
+
+import os
+from pathlib import Path
+
+from edgectl.errors import StateError
+from edgectl.model.diagnosis import NOT_A_DIRECTORY, Disk
+from edgectl.state.paths import ensure_private_dir, get_fleet_path
+
+
+def inspect_state_dir(inventory: Path) -> Disk:
+    """The state directory of the fleet that the file ``inventory`` describes; it is made where missing, as by every command."""
+    obstacle, path = "", get_fleet_path(inventory)
+    try:
+        ensure_private_dir(path)
+    except StateError as error:
+        cause = error.__cause__
+        obstacle = (cause.strerror or str(cause)) if isinstance(cause, OSError) else "is not private to you"
+    there = _find_nearest_existing(path)
+    if obstacle and not there.is_dir():
+        obstacle, path = NOT_A_DIRECTORY, there
+    found = os.statvfs(there)
+    return Disk(
+        path=str(path),
+        free_bytes=found.f_bavail * found.f_frsize,
+        total_bytes=found.f_blocks * found.f_frsize,
+        files_left=found.f_favail if found.f_files else None,
+        obstacle=obstacle,
+    )
+
+
+def _find_nearest_existing(path: Path) -> Path:
+    """``path``, or the closest above it that is there."""
+    return next(each for each in (path.absolute(), *path.absolute().parents) if each.exists())

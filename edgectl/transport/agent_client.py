@@ -1,0 +1,280 @@
+"""The manager's side of the agent protocol: one constant command line, a request on standard input, a framed reply.
+
+A login shell may print anything before and after (MOTD, rc files, banners): only a frame that carries this request's random
+marker, its length and its SHA-256 counts, so noise never changes a reading.
+"""
+
+import hashlib
+import io
+import json
+import re
+import secrets
+import shlex
+import time
+import zipfile
+from collections.abc import Iterator, Mapping
+from functools import cache
+from pathlib import Path
+
+from edgectl.errors import DeadlineError, NoPythonError, RefusedError, ReplyError
+from edgectl.transport.base import Reply, Session
+
+_AGENT_DIR = Path(__file__).parent.parent / "agent"
+_AGENT_PACKAGE = "edgectl_agent"
+# Survives sh, bash, zsh, fish and tcsh between single quotes: no newline, quote, backslash or exclamation mark.
+# The alarm ends a host's side whose program never comes, as when the line dies without a word; the program sets the manager's deadline.
+_BOOTSTRAP = "import sys,_signal;_signal.alarm(30);s=sys.stdin.buffer;exec(s.read(int(s.readline())))"
+_MAX_REPLY_BYTES = 1 << 20
+_FRAME_MARK = b"\nedgectl-frame "
+_NOT_FOUND_PATTERN = re.compile(
+    rb"not found|no such file or directory|unknown command|cannot execute", re.IGNORECASE
+)
+_TOO_OLD_PATTERN = re.compile(rb"unknown option:? -[IS]", re.IGNORECASE)
+_PYTHON_HINT = "install python3 (3.6 or later) on the host"
+
+
+def build_agent_command(python: str) -> str:
+    """The one command line that is ever run on a host: it reads a program from standard input and runs it.
+
+    Isolated (-I) and without ``site`` (-S): no user or site code runs there, and the start costs a third less.
+    """
+    return f"exec {shlex.quote(python)} -I -S -c '{_BOOTSTRAP}'"
+
+
+@cache
+def build_agent_zipapp() -> bytes:
+    """The agent as a zipapp. The same sources give the same bytes: sorted names, fixed dates, nothing compressed."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_STORED) as archive:
+        for path in sorted(_AGENT_DIR.glob("*.py")):
+            entry = zipfile.ZipInfo(f"{_AGENT_PACKAGE}/{path.name}", date_time=(1980, 1, 1, 0, 0, 0))
+            entry.create_system = 3
+            entry.external_attr = 0o100600 << 16
+            archive.writestr(entry, path.read_bytes())
+    return buffer.getvalue()
+
+
+@cache
+def compute_agent_hash() -> str:
+    """SHA-256 of the agent: the name under which hosts keep it."""
+    return hashlib.sha256(build_agent_zipapp()).hexdigest()
+
+
+@cache
+def _read_boot_program() -> bytes:
+    text = (_AGENT_DIR / "boot.py").read_bytes()
+    return b"%d\n%s" % (len(text), text)
+
+
+def _build_packet(request: Mapping[str, object], marker: str, timeout: float, agent: bytes) -> bytes:
+    body = json.dumps(request, allow_nan=False).encode()
+    head = f"{marker} {compute_agent_hash()} {len(body)} {len(agent)} {timeout:.3f}\n"
+    return _read_boot_program() + head.encode() + body + agent
+
+
+def call_agent(session: Session, request: Mapping[str, object], *, timeout: float) -> dict[str, object]:
+    """Carry out ``request`` on the host; the agent is sent only where the host does not have it yet.
+
+    Raises:
+        RefusedError: the agent declined.
+        NoPythonError: no python3, or one older than 3.6.
+        ReplyError: no valid frame in the answer.
+        DeadlineError: no answer within ``timeout`` seconds (of one round trip; the host gives up by itself then).
+        ConnectError: the connection was lost.
+    """
+    reply = _send_request(session, request, timeout, b"")
+    if reply.get("missing") is True:
+        reply = _send_request(session, request, timeout, build_agent_zipapp())
+    return _check_reply(reply)
+
+
+def _send_request(
+    session: Session, request: Mapping[str, object], timeout: float, agent: bytes
+) -> dict[str, object]:
+    marker, began = secrets.token_hex(16), time.monotonic()
+    answer = session.run(
+        build_agent_command(session.python),
+        _build_packet(request, marker, timeout, agent),
+        timeout=timeout,
+        limit=_MAX_REPLY_BYTES,
+    )
+    payload = _find_payload(answer.stdout, marker)
+    if payload is None and time.monotonic() - began >= timeout:
+        raise DeadlineError(f"no answer within {timeout:g} s")  # the host's own deadline was seen before ours
+    if payload is None:
+        raise _build_frame_error(answer)
+    return _parse_reply_json(payload)
+
+
+def _check_reply(reply: dict[str, object]) -> dict[str, object]:
+    if reply.get("too_old") is True:
+        raise NoPythonError(
+            f"python on the host is {reply.get('python')}, 3.6 or later is needed", hint=_PYTHON_HINT
+        )
+    if reply.get("missing") is True:
+        raise ReplyError("the agent arrived damaged on the host")
+    error = reply.get("error")
+    if error is None:
+        return reply
+    if not isinstance(error, dict):
+        raise ReplyError("the agent's error is not an object")
+    raise RefusedError(
+        _escape_unprintable(str(error.get("message") or "the host refused, without a reason")),
+        hint=_escape_unprintable(str(error.get("hint") or "")),
+    )
+
+
+def _find_payload(stdout: bytes, marker: str) -> bytes | None:
+    """The payload of the frame with our marker, digest checked; None where there is none. Two that differ are not believed."""
+    found = {
+        payload
+        for at in _list_mark_ends(stdout, _FRAME_MARK + marker.encode() + b" ")
+        if (payload := _parse_frame_at(stdout, at)) is not None
+    }
+    return found.pop() if len(found) == 1 else None
+
+
+def _list_mark_ends(text: bytes, mark: bytes) -> Iterator[int]:
+    at = text.find(mark)
+    while at >= 0:
+        yield at + len(mark)
+        at = text.find(mark, at + 1)
+
+
+def _parse_frame_at(text: bytes, at: int) -> bytes | None:
+    match = re.compile(rb"([0-9]{1,8}) ([0-9a-f]{64})\n").match(text, at)
+    if match is None:
+        return None
+    payload = text[match.end() : match.end() + int(match[1])]
+    return payload if hashlib.sha256(payload).hexdigest().encode() == match[2] else None
+
+
+def _build_frame_error(answer: Reply) -> Exception:
+    """What an answer without a frame means."""
+    if _TOO_OLD_PATTERN.search(answer.stderr):
+        return NoPythonError("python on the host is older than 3.6", hint=_PYTHON_HINT)
+    if answer.status in (126, 127) or _NOT_FOUND_PATTERN.search(answer.stderr):
+        return NoPythonError(
+            f"no usable python on the host: {_format_excerpt(answer.stderr)}", hint=_PYTHON_HINT
+        )
+    return ReplyError(
+        f"no valid reply from the agent (exit status {answer.status}): {_format_excerpt(answer.stdout + answer.stderr)}"
+    )
+
+
+def _format_excerpt(noise: bytes) -> str:
+    """The end of what was printed, on one line and harmless to a terminal."""
+    text = noise[-400:].decode("utf-8", "replace").strip()
+    return _escape_unprintable(" ".join(text.split()))[-160:] or "nothing was printed"
+
+
+def _escape_unprintable(text: str) -> str:
+    return "".join(letter if letter.isprintable() else f"\\x{ord(letter):02x}" for letter in text)
+
+
+def _parse_reply_json(payload: bytes) -> dict[str, object]:
+    """Strict JSON: UTF-8, one object, no NaN, no infinity, no repeated names."""
+    try:
+        document = json.loads(
+            payload.decode("utf-8"),
+            parse_constant=_reject_constant,
+            object_pairs_hook=_reject_duplicate_names,
+            parse_float=_parse_finite_float,
+        )
+    except (ValueError, RecursionError) as error:
+        raise ReplyError(
+            f"the agent's reply is not valid JSON: {_escape_unprintable(str(error))[:160]}"
+        ) from None
+    if not isinstance(document, dict):
+        raise ReplyError("the agent's reply is not an object")
+    return document
+
+
+def _reject_constant(constant: str) -> object:
+    raise ValueError(f"{constant} is not a number")
+
+
+def _parse_finite_float(text: str) -> float:
+    value = float(text)
+    if value in (float("inf"), float("-inf")):
+        raise ValueError(f"{text} is too large")
+    return value
+
+
+def _reject_duplicate_names(pairs: list[tuple[str, object]]) -> dict[str, object]:
+    document = dict(pairs)
+    if len(document) != len(pairs):
+        raise ValueError("a name stands twice in one object")
+    return document
+
+
+def stream_agent_log(
+    session: Session, request: Mapping[str, object], *, idle_timeout: float
+) -> Iterator[bytes]:
+    """Follow a log: its bytes as they come, until the task ends or the iterator is closed.
+
+    The host sends a sign of life every few seconds, so ``idle_timeout`` (at least 10 s is wise) tells a dead link from a quiet log.
+
+    Raises:
+        RefusedError, NoPythonError, ReplyError: as ``call``.
+        DeadlineError: nothing came for ``idle_timeout`` seconds.
+        ConnectError: the connection was lost.
+    """
+    # An agent that is already there answers ``status`` quickly; one that is missing is put there by this call.
+    call_agent(
+        session,
+        {"op": "status", "host": request["host"], "task": request["task"]},
+        timeout=max(idle_timeout, 5.0),
+    )
+    marker = secrets.token_hex(16)
+    packet = _build_packet(request, marker, 0.0, b"")
+    reader = _ChunkReader(marker)
+    for data in session.stream(build_agent_command(session.python), packet, idle_timeout=idle_timeout):
+        yield from reader.feed(data)
+        if reader.ended:
+            return
+
+
+class _ChunkReader:
+    """Takes a stream apart: a frame, then chunks ``length newline bytes``; length ``0`` is a sign of life, ``end`` the end."""
+
+    def __init__(self, marker: str) -> None:
+        self._marker = marker
+        self._buffer = b""
+        self._open = False
+        self.ended = False
+
+    def feed(self, data: bytes) -> Iterator[bytes]:
+        """Whole chunks that ``data`` completes."""
+        self._buffer += data
+        if not self._open and not self._opened():
+            return
+        while not self.ended:
+            head, newline, rest = self._buffer.partition(b"\n")
+            if not newline:
+                return
+            if head == b"end":
+                self.ended = True
+                return
+            if re.fullmatch(rb"[0-9]{1,7}", head) is None:
+                raise ReplyError(f"the log stream is garbled: {_format_excerpt(head)}")
+            length = int(head)
+            if len(rest) < length:
+                return
+            self._buffer = rest[length:]
+            if length:
+                yield rest[:length]
+
+    def _opened(self) -> bool:
+        mark = _FRAME_MARK + self._marker.encode() + b" "
+        at = self._buffer.find(mark)
+        payload = _parse_frame_at(self._buffer, at + len(mark)) if at >= 0 else None
+        end = self._buffer.find(b"\n", at + len(mark)) + 1 + len(payload or b"")
+        if payload is None or self._buffer[end : end + 1] != b"\n":
+            if len(self._buffer) > _MAX_REPLY_BYTES:
+                raise ReplyError(f"no valid reply from the agent: {_format_excerpt(self._buffer)}")
+            return False
+        _check_reply(_parse_reply_json(payload))
+        self._buffer = self._buffer[end + 1 :]
+        self._open = True
+        return True

@@ -1,0 +1,47 @@
+"""Which transport reaches which host: by its ``connection``, each transport made when the first host needs it."""
+
+import threading
+from collections.abc import Callable
+
+from edgectl.model.inventory import Connection, Host
+from edgectl.transport.base import Session, Transport
+
+
+class FleetTransport:
+    """A Transport for a mixed fleet. Fabric and paramiko are imported only if a host is ``connection: ssh``.
+
+    ``accept_new`` records the keys of unknown hosts. ``ask_password`` is called with a prompt, at most once per host; None never asks.
+    """
+
+    def __init__(self, *, accept_new: bool = False, ask_password: Callable[[str], str] | None = None) -> None:
+        self._accept_new = accept_new
+        self._ask_password = ask_password
+        self._made: dict[Connection, Transport] = {}
+        self._lock = threading.Lock()
+
+    def connect(self, host: Host, *, timeout: float) -> Session:
+        """As `Transport.connect`."""
+        return self._for(host).connect(host, timeout=timeout)
+
+    def address(self, host: Host) -> str:
+        """As `Transport.address`."""
+        return self._for(host).address(host)
+
+    def _for(self, host: Host) -> Transport:
+        with self._lock:
+            if host.connection not in self._made:
+                self._made[host.connection] = self._make(host.connection)
+            return self._made[host.connection]
+
+    def _make(self, connection: Connection) -> Transport:
+        if connection is Connection.LOCAL:
+            from edgectl.transport.local import LocalTransport
+
+            return LocalTransport()
+        if connection is Connection.OPENSSH:
+            from edgectl.transport.openssh import OpenSshTransport
+
+            return OpenSshTransport(accept_new=self._accept_new)
+        from edgectl.transport.ssh import SshTransport
+
+        return SshTransport(accept_new=self._accept_new, ask_password=self._ask_password)

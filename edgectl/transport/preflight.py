@@ -1,0 +1,30 @@
+"""What the ways over SSH need on this machine: files of host keys that can be read, and an ssh program."""
+
+import shutil
+from pathlib import Path
+
+from edgectl.errors import HostError
+from edgectl.model.inventory import Host
+from edgectl.transport.ssh_config import SshConfigResolver
+
+
+def list_known_hosts_files(host: Host) -> dict[str, str]:
+    """The user's known_hosts files for ``host`` that exist, each with the reason why it cannot be read; empty where it can."""
+    try:
+        files = SshConfigResolver().resolve(host).known_hosts
+    except HostError:
+        return {}
+    return {str(path): _explain_read_failure(path) for path in files if path.exists()}
+
+
+def _explain_read_failure(path: Path) -> str:
+    try:
+        path.read_bytes()
+    except OSError as error:
+        return error.strerror or str(error)
+    return ""
+
+
+def has_ssh_program() -> bool:
+    """Whether there is an ssh program."""
+    return shutil.which("ssh") is not None

@@ -1,0 +1,185 @@
+"""Sockets of our own under every SSH connection, so that they can be tuned, and closed from outside when a deadline passes."""
+
+import contextlib
+import ipaddress
+import os
+import queue
+import signal
+import socket
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+# Bounds of RELIABILITY R2, seconds.
+CONNECT_TIMEOUT_S = 5.0
+# Data that stays unacknowledged this long means a dead line, milliseconds.
+TCP_USER_TIMEOUT_MS = 20_000
+# paramiko asks for 0.1 s on each of its sockets: ten wake-ups per second and connection that see nothing.
+MIN_POLL_S = 2.0
+# More than any login needs, bytes.
+MAX_LOGIN_BYTES = 1 << 18
+_QUICKACK = getattr(socket, "TCP_QUICKACK", None)
+_USER_TIMEOUT = getattr(socket, "TCP_USER_TIMEOUT", None)
+
+
+class TunedSocket(socket.socket):
+    """A socket without the two 40 ms stalls of an SSH login: Nagle's here, and the acknowledgement that sshd's Nagle waits for.
+
+    ``allowance`` is how many bytes may still come; then it reads as closed. It keeps a server that talks without end from filling our
+    memory before the login; afterwards every command has a cap of its own.
+    """
+
+    allowance: float = MAX_LOGIN_BYTES
+
+    def recv(self, size: int, flags: int = 0, /) -> bytes:
+        """Receive, and acknowledge at once; the kernel forgets that wish, so it is renewed each time."""
+        data = super().recv(size, flags)
+        self.allowance -= len(data)
+        if self.allowance < 0:
+            return b""
+        if _QUICKACK is not None and data:
+            with contextlib.suppress(OSError):
+                self.setsockopt(socket.IPPROTO_TCP, _QUICKACK, 1)
+        return data
+
+    def settimeout(self, value: float | None, /) -> None:
+        """Never poll more often than every two seconds: whoever wants us to stop shuts the socket down."""
+        super().settimeout(None if value is None else max(value, MIN_POLL_S))
+
+
+def connect_tcp(address: str, port: int, *, timeout: float) -> TunedSocket:
+    """Open a TCP connection; every address of the name is tried in turn, all within ``timeout`` seconds.
+
+    Raises:
+        OSError: the last failure (TimeoutError, ConnectionRefusedError, socket.gaierror, ..).
+    """
+    deadline = time.monotonic() + timeout
+    failure: OSError = TimeoutError("timed out")
+    for family, kind, protocol, _, target in _resolve_addresses(address, port, timeout):
+        line = TunedSocket(family, kind, protocol)
+        try:
+            _connect_socket(line, target, deadline - time.monotonic())
+        except OSError as error:
+            line.close()
+            failure = error
+        else:
+            return line
+    raise failure
+
+
+def _connect_socket(line: TunedSocket, target: object, seconds: float) -> None:
+    if seconds <= 0:
+        raise TimeoutError("timed out")
+    socket.socket.settimeout(line, seconds)
+    line.connect(target)  # type: ignore[arg-type]
+    line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    if _QUICKACK is not None:
+        line.setsockopt(socket.IPPROTO_TCP, _QUICKACK, 1)
+    if _USER_TIMEOUT is not None:
+        line.setsockopt(socket.IPPROTO_TCP, _USER_TIMEOUT, TCP_USER_TIMEOUT_MS)
+
+
+def _resolve_addresses(address: str, port: int, timeout: float) -> list[tuple[int, int, int, str, object]]:
+    """Addresses of a name. The resolver of the C library knows no deadline, so it runs in a thread that may be left behind."""
+    with contextlib.suppress(ValueError):
+        family = socket.AF_INET6 if ipaddress.ip_address(address).version == 6 else socket.AF_INET
+        return [(family, socket.SOCK_STREAM, 0, "", (address, port))]
+    answer: queue.SimpleQueue[object] = queue.SimpleQueue()
+
+    def ask() -> None:
+        try:
+            answer.put(socket.getaddrinfo(address, port, type=socket.SOCK_STREAM))
+        except (OSError, UnicodeError) as error:
+            answer.put(error)
+
+    threading.Thread(target=ask, name="edgectl-resolve", daemon=True).start()
+    try:
+        found = answer.get(timeout=timeout)
+    except queue.Empty:
+        raise socket.gaierror(socket.EAI_AGAIN, "no answer from the name service") from None
+    if isinstance(found, UnicodeError):
+        raise socket.gaierror(socket.EAI_NONAME, "not a name") from found
+    if isinstance(found, OSError):
+        raise found
+    return found  # type: ignore[return-value]
+
+
+class ProxySocket(TunedSocket):
+    """Our end of a ProxyCommand. Closing it ends the command and reaps it: a dead proxy costs neither CPU time nor a zombie."""
+
+    def __init__(self, fileno: int) -> None:
+        super().__init__(fileno=fileno)
+        self._process: subprocess.Popen[bytes] | None = None
+        # paramiko's thread and whoever gave up both close: only one ends the group, and both return only once it is reaped.
+        self._ending = threading.Lock()
+
+    def close(self) -> None:
+        """Close, end the command's process group, wait for it."""
+        super().close()
+        with self._ending:
+            process, self._process = self._process, None
+            if process is not None:
+                with contextlib.suppress(ProcessLookupError, PermissionError):
+                    os.killpg(process.pid, signal.SIGKILL)
+                process.wait()
+
+
+def start_proxy_command(command: str) -> ProxySocket:
+    """Start the user's ProxyCommand, as OpenSSH does: ``exec COMMAND`` in the user's shell, its stdin and stdout being the line.
+
+    Raises:
+        OSError: the shell cannot be started.
+    """
+    ours, theirs = socket.socketpair()
+    line = ProxySocket(fileno=ours.detach())
+    try:
+        shell = os.environ.get("SHELL") or "/bin/sh"
+        line._process = subprocess.Popen(  # noqa: SLF001 - our own class
+            [shell, "-c", f"exec {command}"],
+            stdin=theirs.fileno(),
+            stdout=theirs.fileno(),
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+    except OSError:
+        line.close()
+        raise
+    finally:
+        theirs.close()
+    return line
+
+
+def hang_up(line: object) -> None:
+    """Wake whoever waits on a line, in any thread, by ending it at once. Never raises."""
+    with contextlib.suppress(Exception):
+        if isinstance(line, socket.socket):
+            line.shutdown(socket.SHUT_RDWR)
+        else:
+            line.close()  # type: ignore[attr-defined]
+
+
+@dataclass(slots=True)
+class DeadlineWatch:
+    """Whether a deadline passed while it was watched."""
+
+    expired: bool = False
+
+
+@contextlib.contextmanager
+def watchdog(seconds: float, action: Callable[[], object]) -> Iterator[DeadlineWatch]:
+    """Call ``action`` from another thread if the block has not ended in ``seconds``."""
+    watch = DeadlineWatch()
+
+    def bite() -> None:
+        watch.expired = True
+        action()
+
+    timer = threading.Timer(max(0.0, seconds), bite)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield watch
+    finally:
+        timer.cancel()

@@ -1,0 +1,115 @@
+"""What tasks were measured to use, out of the history: for a plan, and for the operator who asks."""
+
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from typing import TYPE_CHECKING
+
+from edgectl.model.inventory import Inventory
+from edgectl.model.manager_state import MeasuredDemand
+from edgectl.model.measured_demand import classify_host, follows_history, has_enough_samples
+from edgectl.model.point import HostPoint
+from edgectl.model.profile import ClassProfile, UsageProfile
+from edgectl.model.snapshot import Snapshot
+from edgectl.model.task import Task
+from edgectl.scheduler.profile import build_usage_profile, measured_demand_from_profile
+from edgectl.usecases.fleet import Fleet
+
+if TYPE_CHECKING:
+    from edgectl.state.store import Store
+
+# The first seconds of a start are no habit; so many samples of a task on a class of hosts are looked at.
+WARM_UP_S, MAX_SAMPLES = 10.0, 1000
+_HISTORY_FILE = "history.db"
+
+
+def load_measured_demands(fleet: Fleet, snapshot: Snapshot) -> Mapping[tuple[str, str], MeasuredDemand]:
+    """By task and class of hosts, of the tasks whose demand follows it. Nothing is read where there are none."""
+    tasks = [task for task in fleet.tasks.tasks.values() if task.managed and follows_history(task.demand)]
+    if not tasks or not (fleet.state / _HISTORY_FILE).exists():
+        return {}
+
+    def read(store: "Store") -> Mapping[tuple[str, str], MeasuredDemand]:
+        classes = _group_hosts_by_class(
+            _classify_answering_hosts(fleet.inventory, snapshot)
+            | _classify_by_last_sample(fleet.inventory, snapshot, store)
+        )
+        return {
+            (task.name, kind): measured_demand_from_profile(found, task.spec_hash)
+            for task in tasks
+            for kind, _, found in _compute_class_profiles(store, task, classes)
+        }
+
+    return fleet.history.use(fleet.state, fleet.warn, read)
+
+
+def load_class_profiles(fleet: Fleet, tasks: Iterable[Task]) -> list[ClassProfile]:
+    """The history of ``tasks`` by class of hosts; no host is contacted."""
+    if not (fleet.state / _HISTORY_FILE).exists():
+        return []
+
+    def read(store: "Store") -> list[ClassProfile]:
+        classes = _group_hosts_by_class(_classify_by_last_sample(fleet.inventory, None, store))
+        return [
+            ClassProfile(
+                task=task,
+                kind=kind,
+                hosts=tuple(hosts),
+                profile=found,
+                enough=has_enough_samples(measured_demand_from_profile(found)),
+            )
+            for task in tasks
+            for kind, hosts, found in _compute_class_profiles(store, task, classes)
+        ]
+
+    return fleet.history.use(fleet.state, fleet.warn, read)
+
+
+def _compute_class_profiles(
+    store: "Store", task: Task, classes: Mapping[str, Collection[str]]
+) -> Iterator[tuple[str, Collection[str], UsageProfile]]:
+    for kind, hosts in classes.items():
+        uses = store.steady_usages(
+            task.name, hosts, task.spec_hash if task.managed else "", min_age_s=WARM_UP_S, limit=MAX_SAMPLES
+        )
+        found = build_usage_profile(uses, len(task.robots))
+        if found is not None:
+            yield kind, hosts, found
+
+
+def _classify_answering_hosts(inventory: Inventory, snapshot: Snapshot) -> dict[str, str]:
+    """The class of every host that answered."""
+    found = {}
+    for name, sample in snapshot.hosts.items():
+        if name in inventory.hosts and sample.cpu is not None and sample.memory is not None:
+            found[name] = classify_host(inventory.hosts[name], sample.cpu.cores, sample.memory.total_bytes)
+    return found
+
+
+def _classify_by_last_sample(
+    inventory: Inventory, snapshot: Snapshot | None, store: "Store"
+) -> dict[str, str]:
+    """The class of every other host, by its last sample that has numbers."""
+    found = {}
+    for name, host in inventory.hosts.items():
+        if snapshot is not None and name in snapshot.hosts and snapshot.hosts[name].cpu is not None:
+            continue
+        point = _find_last_answer(store, name)
+        if point is not None and point.cores and point.total_bytes:
+            found[name] = classify_host(host, point.cores, point.total_bytes)
+    return found
+
+
+def _find_last_answer(store: "Store", host: str) -> HostPoint | None:
+    """The last sample with numbers; a host that has been silent for very long has none."""
+    for limit in (1, MAX_SAMPLES):
+        for point in reversed(store.host_points(host, limit=limit)):
+            if point.cores is not None:
+                return point
+    return None
+
+
+def _group_hosts_by_class(classes: Mapping[str, str]) -> dict[str, list[str]]:
+    """Hosts by class, in order."""
+    grouped: dict[str, list[str]] = {}
+    for host in sorted(classes):
+        grouped.setdefault(classes[host], []).append(host)
+    return dict(sorted(grouped.items()))

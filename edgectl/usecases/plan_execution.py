@@ -1,0 +1,180 @@
+"""What every verb that changes a fleet shares: the lock, the open sessions, the journal, and the memory afterwards."""
+
+import contextlib
+import dataclasses
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+from edgectl.errors import StateError
+from edgectl.executor.hold_release import release_hold
+from edgectl.executor.manager_state_update import compute_next_generations, update_manager_state
+from edgectl.executor.run import RunOptions, run_plan
+from edgectl.gateway.host_probe import ProbeOptions
+from edgectl.model.manager_state import ManagerState
+from edgectl.model.plan import Plan
+from edgectl.model.progress import ProgressListener, ignore_progress
+from edgectl.model.result import Results
+from edgectl.state.journal import JOURNAL_FILE_NAME, Journal
+from edgectl.state.journal_reader import JournalSummary, read_journal_cached
+from edgectl.state.lock import FleetLock, get_user_name
+from edgectl.state.manager_state import load_manager_state, save_manager_state, select_saved_fields
+from edgectl.transport.connections import SessionPool
+from edgectl.usecases.fleet import Fleet
+from edgectl.usecases.heartbeat import send_heartbeats, track_heartbeats
+from edgectl.usecases.plan import compute_plan_id, keep_whole_plan
+from edgectl.usecases.record import record_results
+
+Confirm = Callable[[Plan], bool]
+_NO_RESULTS = Results(revision=0, actions=(), seconds=0.0)
+
+
+def confirm_always(_plan: Plan) -> bool:
+    """Say yes without asking."""
+    return True
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ApplyOptions:
+    """``lock_timeout`` (s): how long to wait for another edgectl. ``max_parallel``: actions at once.
+
+    ``fail_fast``: after a failure nothing new begins; ``deadline`` (monotonic): nor after it.
+
+    ``choose`` narrows a plan (``--target``). ``stop_requested``: set it, and no further action begins.
+    """
+
+    lock_timeout: float = 0.0
+    max_parallel: int = 16
+    fail_fast: bool = False
+    deadline: float | None = None
+    probe: ProbeOptions | None = None
+    choose: Callable[[Plan], Plan] = keep_whole_plan
+    progress: ProgressListener = ignore_progress
+    stop_requested: threading.Event = field(default_factory=threading.Event)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ApplyResult:
+    """The plan, and how it went; no results where there was nothing to do, or it was declined."""
+
+    plan: Plan
+    results: Results | None = None
+    declined: bool = False
+
+
+@contextlib.contextmanager
+def lock_fleet(fleet: Fleet, verb: str, options: ApplyOptions) -> Iterator[Fleet]:
+    """The fleet, locked against every other edgectl of this machine, its sessions kept open until the end.
+
+    Raises:
+        LockBusyError: another edgectl is changing this fleet.
+    """
+    with (
+        FleetLock(fleet.state, verb=verb, timeout=options.lock_timeout, clock=fleet.clock),
+        SessionPool(fleet.transport) as pool,
+    ):
+        yield dataclasses.replace(fleet, transport=pool)
+
+
+def confirm_and_execute(
+    fleet: Fleet,
+    plan: Plan,
+    confirm: Confirm,
+    options: ApplyOptions,
+    *,
+    verb: str = "apply",
+    name: str | None = None,
+) -> ApplyResult:
+    """Ask, record, run and remember; ``verb`` goes into the journal; ``name`` is the id of a saved plan. Call it within ``changing``."""
+    memory = plan.snapshot.manager or ManagerState()
+    if plan.changes and not confirm(plan):
+        return ApplyResult(plan=plan, declined=True)
+    cut_off = _warn_of_unfinished_apply(fleet)
+    if not plan.changes:
+        _save_manager_state(fleet, plan, memory, _NO_RESULTS, {})
+        _recover_interrupted_apply(fleet, cut_off)
+        return ApplyResult(plan=plan)
+    used = compute_next_generations(memory, plan.snapshot, plan.steps, fleet.clock(), cut_off.generations)
+    with Journal.open(fleet.state, clock=fleet.clock, warn=fleet.warn) as journal:
+        run_options = RunOptions(
+            plan_id=name or compute_plan_id(plan),
+            revision=journal.log.revision + 1,
+            generations=used,
+            max_parallel=options.max_parallel,
+            stop_requested=options.stop_requested,
+            fail_fast=options.fail_fast,
+            deadline=options.deadline,
+            verb=verb,
+            user=get_user_name(),
+        )
+        with track_heartbeats(fleet) as near, send_heartbeats(near, plan.snapshot):
+            results = run_plan(
+                plan, fleet.inventory, fleet.tasks, near.transport, journal, run_options, options.progress
+            )
+        after = _save_manager_state(fleet, plan, memory, results, used)
+        _record_placements(fleet, journal, results.revision, after)
+    record_results(fleet, plan, results)
+    _recover_interrupted_apply(fleet, cut_off)
+    return ApplyResult(plan=plan, results=results)
+
+
+def has_nothing_to_do(fleet: Fleet, plan: Plan) -> bool:
+    """Whether `carry_out` would do nothing at all: no action, nothing new to remember, nothing cut off to recover from."""
+    if plan.changes:
+        return False
+    after = update_manager_state(
+        plan.snapshot.manager or ManagerState(), plan, fleet.tasks, _NO_RESULTS, {}, fleet.clock()
+    )
+    return (
+        select_saved_fields(after) == load_manager_state(fleet.state)
+        and read_journal_cached(fleet.state / JOURNAL_FILE_NAME).sound
+    )
+
+
+def _record_placements(fleet: Fleet, journal: Journal, revision: int, after: ManagerState) -> None:
+    """Where every task stands now: what a rollback goes back to."""
+    placements = {task: placement.host for task, placement in after.placements.items()}
+    try:
+        journal.append("placed", revision=revision, placements=placements)
+    except StateError as error:
+        fleet.warn(f"{error.message}: revision {revision} cannot be gone back to")
+
+
+def _warn_of_unfinished_apply(fleet: Fleet) -> JournalSummary:
+    """What the journal knows of an apply that was cut off."""
+    log = JournalSummary()
+    if (fleet.state / JOURNAL_FILE_NAME).exists():
+        with Journal.open(fleet.state, clock=fleet.clock, warn=fleet.warn) as journal:
+            log = journal.log
+    if log.unfinished:
+        fleet.warn(
+            f"revision {log.revision} was cut off while it changed {', '.join(log.unfinished)}; the hosts were asked what runs now"
+        )
+    return log
+
+
+def _recover_interrupted_apply(fleet: Fleet, log: JournalSummary) -> None:
+    """Let robots go that an earlier handoff left holding, once they are steered; close the record of the apply that was cut off."""
+    if not log.unfinished and not log.held:
+        return
+    with Journal.open(fleet.state, clock=fleet.clock, warn=fleet.warn) as journal:
+        places = load_manager_state(fleet.state).placements
+        for task in journal.log.held:
+            located = places[task].host if task in places else None
+            with track_heartbeats(fleet) as near:
+                released = release_hold(
+                    task, located, fleet.inventory, fleet.tasks, near.transport, fleet.warn
+                )
+            if released:
+                journal.append("released", task=task)
+        journal.append("recovered", tasks=list(log.unfinished))
+
+
+def _save_manager_state(
+    fleet: Fleet, plan: Plan, memory: ManagerState, results: Results, used: dict[str, int]
+) -> ManagerState:
+    """Save what is known now. A disk that does not take it costs history, not the apply."""
+    after = update_manager_state(memory, plan, fleet.tasks, results, used, fleet.clock())
+    if select_saved_fields(after) != load_manager_state(fleet.state):
+        save_manager_state(fleet.state, after)
+    return after

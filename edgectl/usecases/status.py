@@ -1,0 +1,42 @@
+"""get, top and describe: what the fleet is and does, once or again and again."""
+
+import dataclasses
+from collections.abc import Callable, Iterator
+
+from edgectl.gateway.host_probe import ProbeOptions
+from edgectl.model.event import Event
+from edgectl.model.point import HostPoint, TaskPoint
+from edgectl.model.snapshot import Snapshot
+from edgectl.transport.connections import REFUSED_BACKOFF_S, BackoffTransport, SessionPool
+from edgectl.usecases.fleet import Fleet
+from edgectl.usecases.probe import probe_fleet
+
+
+def probe_repeatedly(
+    fleet: Fleet, told_to_end: Callable[[], bool], options: ProbeOptions | None = None
+) -> Iterator[Snapshot]:
+    """A probe, and another one each time ``told_to_end`` (which waits in between) says no; sessions stay open."""
+    with SessionPool(fleet.transport, forget_s=REFUSED_BACKOFF_S) as pool:
+        held = dataclasses.replace(fleet, transport=BackoffTransport(pool))
+        yield probe_fleet(held, options)
+        while not told_to_end():
+            yield probe_fleet(held, options)
+
+
+def load_host_points(fleet: Fleet, samples: int) -> tuple[HostPoint, ...]:
+    """The newest ``samples`` of each host, oldest first."""
+    return fleet.history.use(fleet.state, fleet.warn, lambda store: store.host_points(limit=samples))
+
+
+def load_task_points(fleet: Fleet, samples: int) -> tuple[TaskPoint, ...]:
+    """The newest ``samples`` of each task, oldest first."""
+    return fleet.history.use(fleet.state, fleet.warn, lambda store: store.task_points(limit=samples))
+
+
+def load_last_events(
+    fleet: Fleet, count: int, *, host: str | None = None, task: str | None = None
+) -> tuple[Event, ...]:
+    """The newest ``count`` events of a host or a task, oldest first."""
+    return fleet.history.use(
+        fleet.state, fleet.warn, lambda store: store.events(host=host, task=task, limit=count)
+    )

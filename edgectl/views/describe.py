@@ -1,0 +1,48 @@
+"""The parts of which a description is made: fields, sections and what happened last."""
+
+import textwrap
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+
+from edgectl.model.event import Event
+from edgectl.views import events as events_view
+from edgectl.views.text import Cell, RenderOptions, Row, render_columns, style_text
+
+Field = tuple[str, str | Cell]
+_INDENT = 2
+
+
+def render_fields(found: Iterable[Field], look: RenderOptions) -> str:
+    """A line per field that says something."""
+    return render_columns([(Cell(f"{name}:", "bold"), text) for name, text in found if text], look)
+
+
+def render_section(title: str, rows: Sequence[Row], look: RenderOptions) -> str:
+    """Indented rows below a title, where there are any."""
+    if not rows:
+        return ""
+    narrow = look if look.width is None else replace(look, width=max(1, look.width - _INDENT))
+    return (
+        style_text(f"{title}:", "bold", look)
+        + "\n"
+        + textwrap.indent(render_columns(rows, narrow, wrap=set(range(8))), " " * _INDENT)
+    )
+
+
+def render_events_section(values: Sequence[Event] | None, look: RenderOptions) -> str:
+    """The last events; nothing where nobody looked for any."""
+    if values is None:
+        return ""
+    if not values:
+        return style_text("Events:", "bold", look) + " none\n"
+    narrow = look if look.width is None else replace(look, width=max(1, look.width - _INDENT))
+    return (
+        style_text("Events:", "bold", look)
+        + "\n"
+        + textwrap.indent(events_view.render_events(values, narrow), " " * _INDENT)
+    )
+
+
+def format_pairs(values: Mapping[str, str]) -> str:
+    """Names and values; a secret shows as its mask."""
+    return ", ".join(f"{name}={text}" for name, text in values.items())

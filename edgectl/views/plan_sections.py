@@ -1,0 +1,206 @@
+"""The parts of which every text form of a plan is made: how it was decided, expected load, notes, the line that sums up."""
+
+import dataclasses
+from collections.abc import Collection, Iterable
+
+from edgectl.model.assignment import ExpectedLoad
+from edgectl.model.manager_state import ManagerState
+from edgectl.model.plan import Action, Plan
+from edgectl.model.snapshot import HostSample, LinkSample, Snapshot
+from edgectl.names import natural_key
+from edgectl.units import format_bytes, format_cores, format_instant, format_rate
+from edgectl.views.demands import list_demand_notes
+from edgectl.views.reasons import describe_reason, is_left_out, is_not_found, join_words
+from edgectl.views.state import format_silence
+from edgectl.views.text import (
+    PLAIN,
+    Cell,
+    RenderOptions,
+    Row,
+    escape_unprintable,
+    render_columns,
+    style_text,
+    wrap_text,
+)
+
+ACTION_STYLES = {
+    Action.START: "good", Action.STOP: "bad", Action.MOVE: "warn", Action.RESTART: "warn", Action.COMPLETE: "good",
+    Action.KEEP: "dim", Action.NONE: "dim", Action.HOLD: "warn", Action.UNPLACED: "bad", Action.DEFER: "warn",
+}  # fmt: skip
+
+
+def render_plan_header(value: Plan, look: RenderOptions = PLAIN) -> str:
+    """How the plan was decided: policy, weights as used, snapshot."""
+    weights = value.policy.weights
+    shown = f"cpu {weights.cpu:.3g}, memory {weights.memory:.3g}, network {weights.network:.3g}, task {weights.task:.3g}"
+    return wrap_text(
+        f"Policy {value.policy.name}; weights {shown}; snapshot of {format_instant(value.created_at)}", look
+    )
+
+
+def format_utility(value: float | None, *, signed: bool = False) -> str:
+    """A utility with three decimals, or a dash."""
+    if value is None:
+        return "-"
+    return f"{value:+.3f}" if signed else f"{value:.3f}"
+
+
+def render_expected_load(value: Plan, look: RenderOptions = PLAIN) -> str:
+    """Load of each host after the plan, against its measured or declared capacity."""
+    rows: list[Row] = [("HOST", "CPU", "MEMORY", "LINKS")]
+    rows += [
+        _render_expected_load_row(name, load, value.snapshot.hosts.get(name))
+        for name, load in value.expected.items()
+    ]
+    return "Expected load after this plan:\n" + render_columns(rows, look) if value.expected else ""
+
+
+def _render_expected_load_row(name: str, load: ExpectedLoad, sample: HostSample | None) -> Row:
+    cores = sample.cpu.cores if sample and sample.cpu else None
+    total = sample.memory.total_bytes if sample and sample.memory else None
+    links = sample.links if sample else {}
+    return (
+        Cell(name, "name"),
+        _render_load_cell(load.used_cores, cores, format_cores(load.used_cores)),
+        _render_load_cell(load.used_bytes, total, format_bytes(load.used_bytes)),
+        ", ".join(
+            _format_expected_link(robot, rate, links.get(robot)) for robot, rate in load.links.items() if rate
+        )
+        or "-",
+    )
+
+
+def _format_expected_link(robot: str, rate: float, link: LinkSample | None) -> str:
+    return f"{robot} {format_rate(rate)}" + (
+        f" ({rate / link.capacity_bytes_per_s:.0%})" if link and link.capacity_bytes_per_s else ""
+    )
+
+
+def _render_load_cell(used: float, capacity: float | None, shown: str) -> Cell:
+    if not capacity:
+        return Cell(shown)
+    share = used / capacity
+    return Cell(f"{shown} ({share:.0%})", "bad" if share > 1 else "")
+
+
+def render_plan_notes(value: Plan, look: RenderOptions = PLAIN) -> str:
+    """What a reader has to know besides the table."""
+    lines = list_unreachable_notes(value.snapshot) + list_operator_mark_notes(value.snapshot)
+    deferred = value.snapshot.manager.deferred if value.snapshot.manager else {}
+    changing = (step.task for step in value.steps if step.action.changes)
+    lines += [
+        f"{task}: put off by the last apply, with nothing touched: {deferred[task]}"
+        for task in changing
+        if task in deferred
+    ]
+    if value.frozen:
+        lines.append("too many edges are silent: nothing moves, starts are still allowed")
+    if not value.settled:
+        lines.append("no settled plan exists; tasks that run stay where they are")
+    if value.unseen:
+        lines.append(
+            f"first plan of this fleet: tasks on {join_words(value.unseen)} could not be seen and count as not running"
+        )
+    return render_notes(lines + list_demand_notes(value), look)
+
+
+def list_unreachable_notes(value: Snapshot) -> list[str]:
+    """One line for each host that does not answer, with what mends it."""
+    contact = value.manager.contact if value.manager else {}
+    return [
+        f"{name} does not answer: {host.error or 'no cause given'}"
+        + (f" ({host.hint})" if host.hint else "")
+        + format_silence(contact.get(name), value.taken_at)
+        for name, host in value.hosts.items()
+        if not host.ok
+    ]
+
+
+def list_operator_mark_notes(value: Snapshot) -> list[str]:
+    """One line for each way in which the operator closed hosts."""
+    memory = value.manager or ManagerState()
+    fenced, draining = sorted(memory.fenced, key=natural_key), sorted(memory.draining, key=natural_key)
+    cordoned = sorted(memory.cordons - memory.draining, key=natural_key)
+    lines = [f"cordoned, no new tasks: {join_words(cordoned)} (edgectl uncordon)"] if cordoned else []
+    lines += [f"drained, its tasks leave: {join_words(draining)} (edgectl uncordon)"] if draining else []
+    return lines + (
+        [f"fenced, counts as switched off: {join_words(fenced)} (edgectl unfence)"] if fenced else []
+    )
+
+
+def render_notes(lines: Iterable[str], look: RenderOptions) -> str:
+    """Each line as a note."""
+    return "".join(
+        style_text("note:", "warn", look)
+        + wrap_text(f"note: {escape_unprintable(line)}", look).removeprefix("note:")
+        for line in lines
+    )
+
+
+def render_plan_summary(value: Plan, look: RenderOptions = PLAIN) -> str:
+    """One line that counts the actions."""
+    counts = value.summary
+    aside = sum(is_left_out(step) for step in value.steps)
+    missing = sum(is_not_found(step) for step in value.steps)
+    if (
+        not value.changes
+        and not aside
+        and not missing
+        and not counts.get(Action.UNPLACED)
+        and not counts.get(Action.HOLD)
+    ):
+        return style_text("No changes." + _describe_unchanged_tasks(len(value.steps)), "good", look) + "\n"
+    text = (
+        f"Plan: {counts.get(Action.START, 0)} to start, {counts.get(Action.MOVE, 0)} to move, {_count_stops(value)} to stop, "
+        f"{counts.get(Action.KEEP, 0)} kept, {counts.get(Action.UNPLACED, 0)} unplaced"
+    )
+    rare = {**counts, Action.NONE: counts.get(Action.NONE, 0) - aside - missing}
+    extra = [f"{rare[action]} {word}" for action, word in _RARE_ACTION_TEXTS.items() if rare.get(action)]
+    extra += [f"{missing} not managed and found nowhere"] if missing else []
+    extra += [f"{aside} left out"] if aside else []
+    return (
+        style_text(wrap_text(", ".join([text, *extra]) + ".", look).removesuffix("\n"), "bold", look) + "\n"
+    )
+
+
+_RARE_ACTION_TEXTS = {
+    Action.RESTART: "to restart",
+    Action.HOLD: "held",
+    Action.COMPLETE: "to complete",
+    Action.DEFER: "deferred",
+    Action.NONE: "completed before",
+}
+
+
+def _count_stops(value: Plan) -> int:
+    return value.summary.get(Action.STOP, 0) + sum(
+        1 for step in value.steps if step.stop and step.action in (Action.KEEP, Action.HOLD, Action.NONE)
+    )
+
+
+def _describe_unchanged_tasks(count: int) -> str:
+    return (
+        ""
+        if not count
+        else " 1 task is where it should be."
+        if count == 1
+        else f" {count} tasks are where they should be."
+    )
+
+
+def render_unreachable_hosts(value: Snapshot, names: Collection[str]) -> str:
+    """The hosts of ``names``, each with its cause, what mends it and how long it has been silent."""
+    hosts = {name: host for name, host in value.hosts.items() if name in names}
+    return "".join(
+        f"{escape_unprintable(line)}\n"
+        for line in list_unreachable_notes(dataclasses.replace(value, hosts=hosts))
+    )
+
+
+def render_unplaced_tasks(value: Plan) -> str:
+    """The tasks that have no host."""
+    return "".join(
+        f"{escape_unprintable(f'{step.task}: {describe_reason(step)}')}\n"
+        for step in value.steps
+        if step.action is Action.UNPLACED
+    )

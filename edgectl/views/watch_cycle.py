@@ -1,0 +1,199 @@
+"""The cycles of a watch: one line for people where something happened, one object each for programs, and the sum that a live view shows."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from edgectl.formats.document import FORMAT_VERSION, Document, encode_number, encode_optional, without_none
+from edgectl.model.cycle import Cycle
+from edgectl.model.event import Event, EventKind
+from edgectl.model.plan import Action
+from edgectl.model.policy import Weights
+from edgectl.model.result import ActionResult, Outcome
+from edgectl.model.snapshot import HostSample, Snapshot
+from edgectl.model.weights import WEIGHT_NAMES, WEIGHT_PRESETS, normalise_weights
+from edgectl.units import format_instant
+from edgectl.views.events import encode_event as event_document
+from edgectl.views.sparkline import SPARKLINE_SAMPLES
+from edgectl.views.table import format_action_result
+from edgectl.views.text import escape_unprintable
+
+# Lines of the past that a live view keeps.
+_MAX_KEPT_LINES = 50
+
+
+def list_cycle_news(before: Cycle | None, cycle: Cycle) -> list[str]:
+    """What is new in ``cycle``, one text each; nothing in a steady one. Trouble that lasts is told when it begins."""
+    told = [
+        format_event(event)
+        for event in cycle.events
+        if event.kind is not EventKind.PLANNED or cycle.results is None
+    ]
+    if not told and cycle.results is not None:
+        told = [_format_cycle_action(action) for action in cycle.results.actions]
+    known = set(before.warnings) if before is not None else set()
+    told += [f"warning: {warning}" for warning in cycle.warnings if warning not in known]
+    if cycle.busy and (before is None or not before.busy):
+        told.append(f"waiting: {cycle.busy}")
+    if cycle.error and (before is None or cycle.error != before.error):
+        told.append(f"error: {cycle.error}")
+    elif before is not None and before.error and not cycle.error:
+        told.append("well again")
+    return [escape_unprintable(text) for text in told]
+
+
+def format_event(event: Event) -> str:
+    """``task-moved slam on edge2: from edge1``."""
+    what = " on ".join(name for name in (event.task, event.host) if name)
+    return " ".join(part for part in (event.kind.value, what) if part) + (
+        f": {event.message}" if event.message else ""
+    )
+
+
+def _format_cycle_action(action: ActionResult) -> str:
+    where = f" on {action.located}" if action.located else ""
+    return f"{action.action} {action.task}{where} {action.outcome}: {format_action_result(action)}"
+
+
+def render_cycle_line(before: Cycle | None, cycle: Cycle) -> str:
+    """The plain line of a cycle in which something happened, else nothing."""
+    told = list_cycle_news(before, cycle)
+    return f"{format_instant(float(int(cycle.at)))} {'; '.join(told)}\n" if told else ""
+
+
+def encode_cycle(cycle: Cycle) -> Document:
+    """A cycle as JSON types (docs/concepts/watch.md)."""
+    hosts = cycle.snapshot.hosts if cycle.snapshot is not None else {}
+    entries: Document = {
+        "format_version": FORMAT_VERSION,
+        "cycle": cycle.number,
+        "at": format_instant(cycle.at),
+        "seconds": encode_number(round(cycle.seconds, 3)),
+        "next_in_s": None if cycle.next_in is None else encode_number(round(cycle.next_in, 3)),
+        "paused": cycle.paused,
+        "hosts": {name: _encode_cycle_host(host) for name, host in hosts.items()},
+        "tasks": collect_task_hosts(cycle.snapshot),
+        "pending": _encode_pending_steps(cycle),
+        "actions": [
+            _encode_cycle_action(action)
+            for action in (cycle.results.actions if cycle.results is not None else ())
+        ],
+        "events": [event_document(event) for event in cycle.events],
+        "resting": list(cycle.resting),
+        "warnings": list(cycle.warnings),
+        "lock": cycle.busy or None,
+        "error": cycle.error or None,
+    }
+    return without_none(**entries)
+
+
+def _encode_pending_steps(cycle: Cycle) -> list[Document]:
+    """What the plan would do and nobody has done."""
+    return [
+        {
+            "task": step.task,
+            "action": step.action.value,
+            "host": step.decision.host,
+            "previous_host": step.decision.previous_host,
+        }
+        for step in (cycle.plan.steps if cycle.plan is not None and cycle.results is None else ())
+        if step.action.changes
+    ]
+
+
+def _encode_cycle_host(host: HostSample) -> Document:
+    if host.cpu is None or host.memory is None:
+        return {"status": host.status.value, "error": host.error}
+    return {
+        "status": host.status.value, "cores": encode_number(host.cpu.cores), "used_cores": encode_number(host.cpu.used_cores),
+        "total_bytes": encode_number(host.memory.total_bytes), "used_bytes": encode_number(host.memory.used_bytes),
+    }  # fmt: skip
+
+
+def _encode_cycle_action(action: ActionResult) -> Document:
+    return without_none(
+        task=action.task,
+        action=action.action.value,
+        outcome=action.outcome.value,
+        host=action.host,
+        previous_host=action.previous_host,
+        located=action.located,
+        downtime_s=encode_optional(action.downtime_s),
+        error=action.error or None,
+    )
+
+
+def collect_task_hosts(snapshot: Snapshot | None) -> dict[str, str]:
+    """Where each task that is alive runs."""
+    hosts = snapshot.hosts if snapshot is not None else {}
+    return {
+        name: host
+        for host, sample in hosts.items()
+        for name, task in sample.tasks.items()
+        if task.state.alive
+    }
+
+
+def format_weights(weights: Weights) -> str:
+    """The name of a preset, else the weights themselves."""
+    used = normalise_weights(weights)
+    known = next((name for name, preset in WEIGHT_PRESETS.items() if normalise_weights(preset) == used), None)
+    return known or " ".join(f"{name}={getattr(used, name):.3g}" for name in WEIGHT_NAMES)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WatchTally:
+    """What the cycles so far come to; bounded, however many they are.
+
+    ``moves`` and ``moved_at`` (s since 1970): tasks that were moved, and when last. ``steady``: cycles since anything was to be done.
+    ``shares``: used share of each host's cores, oldest first, None where it was silent. ``past``: (instant, text), oldest first.
+    ``due``: when the next cycle begins.
+    """
+
+    cycles: int = 0
+    moves: int = 0
+    moved_at: float | None = None
+    steady: int = 0
+    shares: Mapping[str, tuple[float | None, ...]] = field(default_factory=dict)
+    past: tuple[tuple[float, str], ...] = ()
+    due: float | None = None
+    last: Cycle | None = None
+    snapshot: Snapshot | None = None
+
+
+def add_cycle_to_tally(tally: WatchTally, cycle: Cycle) -> WatchTally:
+    """``tally`` with one more cycle."""
+    moves = sum(
+        a.action is Action.MOVE and a.outcome is Outcome.DONE
+        for a in (cycle.results.actions if cycle.results else ())
+    )
+    ended = cycle.at + cycle.seconds
+    quiet = cycle.plan is not None and not cycle.plan.changes and not cycle.error
+    snapshot = cycle.snapshot or tally.snapshot
+    return WatchTally(
+        cycles=tally.cycles + 1,
+        moves=tally.moves + moves,
+        moved_at=ended if moves else tally.moved_at,
+        steady=tally.steady + 1 if quiet else tally.steady if cycle.paused else 0,
+        shares=_append_cpu_shares(tally, cycle.snapshot),
+        past=(*tally.past, *((cycle.at, text) for text in list_cycle_news(tally.last, cycle)))[
+            -_MAX_KEPT_LINES:
+        ],
+        due=None if cycle.next_in is None else ended + cycle.next_in,
+        last=cycle,
+        snapshot=snapshot,
+    )
+
+
+def _append_cpu_shares(
+    tally: WatchTally, snapshot: Snapshot | None
+) -> Mapping[str, tuple[float | None, ...]]:
+    if snapshot is None:
+        return tally.shares
+    return {
+        name: (*tally.shares.get(name, ()), _compute_cpu_share(host))[-SPARKLINE_SAMPLES:]
+        for name, host in snapshot.hosts.items()
+    }
+
+
+def _compute_cpu_share(host: HostSample) -> float | None:
+    return None if host.cpu is None else host.cpu.used_cores / host.cpu.cores

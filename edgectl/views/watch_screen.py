@@ -1,0 +1,229 @@
+"""The live view of a watch: pure text for what is known, and the screen that shows it until it is left."""
+
+import contextlib
+import math
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+from edgectl.model.cycle import Cycle
+from edgectl.model.plan import Step
+from edgectl.model.snapshot import HostSample, TaskSample
+from edgectl.units import format_bytes, format_cores, format_duration, format_rate
+from edgectl.views.reasons import describe_reason
+from edgectl.views.sparkline import render_bar, render_sparkline
+from edgectl.views.state import TASK_STATE_STYLES, format_task_state
+from edgectl.views.text import (
+    PLAIN,
+    Cell,
+    RenderOptions,
+    Row,
+    detect_render_options,
+    escape_unprintable,
+    render_columns,
+    style_text,
+)
+from edgectl.views.watch_cycle import WatchTally, add_cycle_to_tally
+
+_KEY_HELP = "q quit   p plan now   a pause"
+_HIGH_SHARE = 0.9
+_HEAD_LINES, _FOOT_LINES, _MAX_PAST_LINES = 2, 2, 5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WatchTitle:
+    """What stands in the first line whatever happens: the fleet's name, the weights, and whether plans are carried out."""
+
+    fleet: str
+    variant: str
+    applies: bool
+
+
+def render_watch_screen(
+    title: WatchTitle,
+    tally: WatchTally,
+    now: float,
+    *,
+    paused: bool = False,
+    rows: int = 24,
+    look: RenderOptions = PLAIN,
+) -> str:
+    """All lines of the screen, at most ``rows``. ``now``: s since 1970."""
+    hosts, tasks = _render_watch_hosts(tally, look), _render_watch_tasks(tally, look)
+    past = _render_past_lines(tally, min(_MAX_PAST_LINES, max(1, rows // 5)), look)
+    room = rows - _HEAD_LINES - _FOOT_LINES - len(past) - 2
+    shown_hosts = _truncate_lines(hosts, max(3, room - len(tasks), room // 2))
+    shown_tasks = _truncate_lines(tasks, max(2, room - len(shown_hosts)))
+    lines = [
+        _render_watch_header(title, tally, now, paused, look),
+        "",
+        *shown_hosts,
+        "",
+        *shown_tasks,
+        "",
+        *past,
+        "",
+        style_text(_KEY_HELP, "dim", look),
+    ]
+    return "\n".join(lines[:rows])
+
+
+def _render_watch_header(
+    title: WatchTitle,
+    tally: WatchTally,
+    now: float,
+    paused: bool,  # noqa: FBT001
+    look: RenderOptions,
+) -> str:
+    dot = " · " if look.unicode else " | "
+    ago = "" if tally.moved_at is None else f" (last {format_duration(max(0.0, now - tally.moved_at))} ago)"
+    parts = [
+        style_text(escape_unprintable(title.fleet), "bold", look),
+        f"variant {title.variant}",
+        "applies" if title.applies else "plans only",
+        style_text("paused", "warn", look) if paused else _format_next_cycle(tally, now),
+        f"moves {tally.moves}{ago}",
+        f"steady {tally.steady} {'cycle' if tally.steady == 1 else 'cycles'}",
+    ]
+    return dot.join(parts)
+
+
+def _format_next_cycle(tally: WatchTally, now: float) -> str:
+    if tally.last is None:
+        return "first cycle"
+    left = 0.0 if tally.due is None else tally.due - now
+    return f"next in {math.ceil(left)}s" if left > 0 else "working"
+
+
+def _render_watch_hosts(tally: WatchTally, look: RenderOptions) -> list[str]:
+    rows: list[Row] = [("HOST", "STATUS", "CPU", "", "MEMORY", "TASKS")]
+    for name, host in tally.snapshot.hosts.items() if tally.snapshot is not None else ():
+        rows.append(_render_watch_host_row(name, host, tally, look))
+    return render_columns(rows, RenderOptions(colour=look.colour), right={3}).splitlines()
+
+
+def _render_watch_host_row(name: str, host: HostSample, tally: WatchTally, look: RenderOptions) -> Row:
+    strip = render_sparkline(
+        tally.shares.get(name, ()), 1.0, 12 if (look.width or 80) < 120 else 40, unicode=look.unicode
+    )
+    if host.cpu is None or host.memory is None:
+        return (Cell(name, "name"), Cell(host.status.value, "bad"), strip, "-", "-", Cell(host.error, "bad"))
+    share, memory = host.cpu.used_cores / host.cpu.cores, host.memory.used_bytes / host.memory.total_bytes
+    running = [task for task, sample in host.tasks.items() if sample.state.alive]
+    return (
+        Cell(name, "name"),
+        Cell(host.status.value, "good"),
+        strip,
+        Cell(f"{share:.0%}", "bad" if share > _HIGH_SHARE else ""),
+        Cell(
+            f"{render_bar(memory, 8, unicode=look.unicode)} {memory:4.0%}",
+            "bad" if memory > _HIGH_SHARE else "",
+        ),
+        " ".join(running) or "-",
+    )
+
+
+def _render_watch_tasks(tally: WatchTally, look: RenderOptions) -> list[str]:
+    rows: list[Row] = [("", "TASK", "HOST", "STATE", "CPU", "MEMORY", "NET", "DECISION")]
+    cycle = tally.last
+    steps = cycle.plan.steps if cycle is not None and cycle.plan is not None else ()
+    found = {
+        name: (host, task)
+        for host, sample in (tally.snapshot.hosts.items() if tally.snapshot is not None else ())
+        for name, task in sample.tasks.items()
+    }
+    decided = {step.task: step for step in steps}
+    resting = frozenset(cycle.resting) if cycle is not None else frozenset()
+    rows += [
+        _render_watch_task_row(name, found.get(name), decided.get(name), name in resting)
+        for name in dict.fromkeys((*decided, *found))
+    ]
+    return (
+        render_columns(rows, RenderOptions(colour=look.colour), right={4, 5, 6}).splitlines()
+        if len(rows) > 1
+        else ["No tasks yet."]
+    )
+
+
+def _render_watch_task_row(
+    name: str,
+    found: tuple[str, TaskSample] | None,
+    step: Step | None,
+    resting: bool,  # noqa: FBT001
+) -> Row:
+    symbol, why = (step.action.symbol, describe_reason(step)) if step is not None else ("", "-")
+    why = f"left alone for a while, because its last action failed; {why}" if resting else why
+    if found is None:
+        return (symbol, Cell(name, "name"), "-", "-", "-", "-", "-", why)
+    host, sample = found
+    return (
+        symbol,
+        Cell(name, "name"),
+        host,
+        Cell(format_task_state(sample), TASK_STATE_STYLES[sample.state]),
+        format_cores(sample.used_cores),
+        format_bytes(sample.used_bytes),
+        format_rate(sample.used_bytes_per_s),
+        why,
+    )
+
+
+def _render_past_lines(tally: WatchTally, count: int, look: RenderOptions) -> list[str]:
+    lines = [
+        f"{style_text(time.strftime('%H:%M:%S', time.localtime(at)), 'dim', look)} {text}"
+        for at, text in tally.past[-count:]
+    ]
+    return lines or [style_text("Nothing happened yet.", "dim", look)]
+
+
+def _truncate_lines(lines: list[str], room: int) -> list[str]:
+    """``lines``, of which the last says how many more there are where not all fit."""
+    return lines if len(lines) <= room else [*lines[: room - 1], f"and {len(lines) - room + 1} more"]
+
+
+class WatchScreen:
+    """What the live view knows. It is told of each cycle, and asked for its text by the thread that draws."""
+
+    def __init__(self, title: WatchTitle, paused: Callable[[], bool]) -> None:
+        self._title = title
+        self._paused = paused
+        self._tally = WatchTally()
+
+    def show(self, cycle: Cycle) -> None:
+        """Take one more cycle."""
+        self._tally = add_cycle_to_tally(self._tally, cycle)
+
+    def text(self, rows: int) -> str:
+        """The screen now."""
+        return render_watch_screen(
+            self._title,
+            self._tally,
+            time.time(),
+            paused=self._paused(),
+            rows=rows,
+            look=detect_render_options(sys.stdout),
+        )
+
+
+@contextlib.contextmanager
+def show_watch_screen(screen: WatchScreen) -> Iterator[None]:
+    """Draw ``screen`` twice a second on standard output, on a screen of its own, until this is left; then the terminal is as before."""
+    from rich.console import Console
+    from rich.live import Live
+    from rich.text import Text
+
+    console = Console(file=sys.stdout)
+
+    def drawn() -> Text:
+        return Text.from_ansi(screen.text(console.size.height), no_wrap=True, overflow="ellipsis")
+
+    with Live(
+        console=console,
+        screen=True,
+        get_renderable=drawn,
+        refresh_per_second=2,
+        redirect_stdout=False,
+        redirect_stderr=False,
+    ):
+        yield
