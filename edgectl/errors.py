@@ -26,7 +26,7 @@ from enum import IntEnum
 
 
 class ExitCode(IntEnum):
-    """Exit status of the command, DESIGN section 7."""
+    """Exit status of the command (docs/cli.md, "Exit codes")."""
 
     DONE = 0
     FAILED = 1
@@ -42,9 +42,9 @@ class ExitCode(IntEnum):
 class Problem:
     """One mistake in an input file, or a warning about something legal but suspicious.
 
-    ``line`` and ``column`` count from 1; 0 means that the file as a whole is meant.
-    ``source`` is the offending line as it stands in the file, ``length`` how many columns the caret marks.
-    ``code`` is stable ("EC012"); ``hint``, applied, mends the mistake.
+    ``line`` and ``column`` count from 1; 0 refers to the file as a whole.
+    ``source`` is the offending line as written, ``length`` the number of columns that the caret marks.
+    ``code`` is stable ("EC012"); ``hint`` tells how to correct the mistake.
     """
 
     file: str
@@ -59,7 +59,7 @@ class Problem:
 
 
 class EdgectlError(Exception):
-    """Root of the tree: a one-line message, a hint that mends it, and the exit code it ends in."""
+    """Root of the exception tree: a one-line message, a hint that mends it, and the exit code."""
 
     exit_code = ExitCode.FAILED
 
@@ -80,7 +80,7 @@ class InputError(EdgectlError):
 
 
 def _format_first_problem(problems: Sequence[Problem]) -> str:
-    """The first one with its place, for whoever has one line for all of them."""
+    """Message of the first problem with its position, and the number of the others."""
     if not problems:
         return "the input is wrong"
     first, more = problems[0], len(problems) - 1
@@ -109,7 +109,7 @@ class LockBusyError(EdgectlError):
 
 
 class StalePlanError(EdgectlError):
-    """The saved plan no longer describes the world; ``changes`` lists what moved."""
+    """The saved plan no longer matches the fleet; ``changes`` lists the differences."""
 
     exit_code = ExitCode.TRY_AGAIN
 
@@ -121,13 +121,13 @@ class StalePlanError(EdgectlError):
 
 
 class FleetBusyError(EdgectlError):
-    """The fleet is not free for an experiment: something runs there, or a host does not answer."""
+    """The fleet is not free for an experiment: tasks run on it, or a host does not answer."""
 
     exit_code = ExitCode.TRY_AGAIN
 
 
 class HostError(EdgectlError):
-    """One host did not do what was asked. ``kind`` is the stable word for JSON."""
+    """Failure of one host. ``kind`` is its stable name in JSON."""
 
     kind = "failed"
 
@@ -137,7 +137,7 @@ class HostError(EdgectlError):
 
 
 class ConnectError(HostError):
-    """No session: the host is off, refuses, has no route or no known name."""
+    """No session: the host is off, refuses connections, has no route or no known name."""
 
     kind = "connect"
 
@@ -149,13 +149,13 @@ class HostKeyError(HostError):
 
 
 class AuthError(HostError):
-    """The host refused every key (or the password) we were allowed to offer."""
+    """The host refused every key (or the password) that was offered."""
 
     kind = "auth"
 
 
 class DeadlineError(HostError):
-    """Connected, but not answered in time."""
+    """Connected, but no answer in time."""
 
     kind = "deadline"
 
@@ -167,12 +167,12 @@ class NoPythonError(HostError):
 
 
 class ReplyError(HostError):
-    """The answer is not a valid document of ours."""
+    """The answer is not a valid agent reply."""
 
     kind = "bad-reply"
 
 
 class RefusedError(HostError):
-    """The agent understood the request and declined it."""
+    """The agent understood the request and refused it."""
 
     kind = "refused"

@@ -1,4 +1,4 @@
-"""Names that a person wrote: whether there is such a thing, and which one was probably meant."""
+"""Lookup of names that a user typed, with suggestions, and their natural order."""
 
 import difflib
 import re
@@ -10,14 +10,14 @@ _MAX_WORD, _MAX_NAMES_LISTED = 100, 12
 
 
 def suggest_name(word: str, known: Iterable[str]) -> str:
-    """The known word that was probably meant, or nothing."""
+    """The most similar known name, or an empty string."""
     by_folded = {candidate.lower(): candidate for candidate in known}
     matches = difflib.get_close_matches(word.lower()[:_MAX_WORD], list(by_folded), n=1, cutoff=0.6)
     return by_folded[matches[0]] if matches else ""
 
 
 def format_name_list(words: Sequence[str]) -> str:
-    """The first words of a list that may be long."""
+    """The first words of a list that may be long, comma-separated."""
     return ", ".join(words[:_MAX_NAMES_LISTED]) + (", .." if len(words) > _MAX_NAMES_LISTED else "")
 
 
@@ -27,10 +27,10 @@ def format_alternatives(words: Sequence[str]) -> str:
 
 
 def check_known_names(names: Iterable[str], among: Iterable[str], what: str) -> None:
-    """Refuse names of the command line that do not exist; ``what`` says of which kind they are.
+    """Check that every name exists; ``what`` names their kind.
 
     Raises:
-        UsageError: with the nearest name, or the list of them, as hint.
+        UsageError: a name is unknown; the hint suggests the nearest name, or lists the known ones.
     """
     every = list(dict.fromkeys(among))
     for name in names:
@@ -43,7 +43,7 @@ def check_known_names(names: Iterable[str], among: Iterable[str], what: str) -> 
                 if match
                 else f"known: {format_name_list(every)}"
                 if every
-                else f"there is no {what} at all"
+                else f"there is no {what}"
             )
             raise UsageError(f"unknown {what} {name!r}", hint=hint)
 

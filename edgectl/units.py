@@ -1,6 +1,7 @@
-"""Quantities as people write them: cores, bytes, bytes per second, shares, durations, instants.
+"""Parsing and formatting of quantities: cores, bytes, bytes per second, shares, durations, instants.
 
-Parsers take what YAML gave (a number or a string) and raise ``ValueError`` with a message that names the accepted forms.
+Parsers take a YAML value (number or string) and raise ``ValueError`` with a message that names the accepted
+forms.
 """
 
 import math
@@ -8,12 +9,27 @@ import re
 from datetime import UTC, datetime
 
 _BYTE_UNITS = {
-    "": 1, "B": 1,
-    "k": 10**3, "K": 10**3, "M": 10**6, "G": 10**9, "T": 10**12,
-    "kB": 10**3, "KB": 10**3, "MB": 10**6, "GB": 10**9, "TB": 10**12,
-    "Ki": 2**10, "Mi": 2**20, "Gi": 2**30, "Ti": 2**40,
-    "KiB": 2**10, "MiB": 2**20, "GiB": 2**30, "TiB": 2**40,
-}  # fmt: skip
+    "": 1,
+    "B": 1,
+    "k": 10**3,
+    "K": 10**3,
+    "M": 10**6,
+    "G": 10**9,
+    "T": 10**12,
+    "kB": 10**3,
+    "KB": 10**3,
+    "MB": 10**6,
+    "GB": 10**9,
+    "TB": 10**12,
+    "Ki": 2**10,
+    "Mi": 2**20,
+    "Gi": 2**30,
+    "Ti": 2**40,
+    "KiB": 2**10,
+    "MiB": 2**20,
+    "GiB": 2**30,
+    "TiB": 2**40,
+}
 _BIT_UNITS = {"bit": 1, "kbit": 10**3, "Kbit": 10**3, "Mbit": 10**6, "Gbit": 10**9}
 _SECONDS_PER_UNIT = {"ms": 0.001, "s": 1.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
 _NUMBER = r"([0-9]+(?:\.[0-9]+)?(?:[eE][+-]?[0-9]{1,3})?)"
@@ -154,7 +170,7 @@ def format_rate_for_file(value: float) -> str:
 
 
 def _format_rounded_up(value: float) -> str:
-    """Three significant digits, never less than ``value``; never in exponents that a unit could not follow."""
+    """Round up to three significant digits, never below ``value``, without exponents."""
     if value <= 0:
         return "0"
     digits = max(0, 2 - math.floor(math.log10(value)))

@@ -1,4 +1,4 @@
-"""The command: names in help groups. Only the command that is wanted is imported and has its options built."""
+"""The typer application: commands in help groups; only the requested command is imported."""
 
 import os
 from collections.abc import Callable, Sequence
@@ -12,137 +12,125 @@ from edgectl import __version__
 
 
 class CommandEntry(NamedTuple):
-    """Where a command stands (``module`` below edgectl), its help group and its one-line help."""
+    """Module of a command (below edgectl), its help group and its one-line help."""
 
     module: str
     group: str
     help: str
 
 
-# A name of two words is a command of the group that its first word names.
+# A name of two words is a command of the group named by its first word.
 COMMANDS = {
-    "probe": CommandEntry("cli.probe", "Schedule", "Measure every host and link."),
+    "probe": CommandEntry("cli.probe", "Schedule", "Measure hosts, links and tasks."),
     "plan": CommandEntry(
-        "cli.plan", "Schedule", "Rank the hosts for every task and show what would be done, and why."
+        "cli.plan", "Schedule", "Rank hosts for each task and show the changes, with reasons."
     ),
-    "apply": CommandEntry("cli.apply", "Schedule", "Make reality match: start, stop and move tasks."),
-    "watch": CommandEntry("cli.watch", "Schedule", "Look, plan and, where allowed, apply again and again."),
-    "status": CommandEntry("cli.status", "Inspect", "Show what runs where, since when, and what it uses."),
-    "describe edge": CommandEntry("cli.describe", "Inspect", "Say everything that is known of an edge."),
-    "describe robot": CommandEntry("cli.describe", "Inspect", "Say everything that is known of a robot."),
-    "describe task": CommandEntry("cli.describe", "Inspect", "Say everything that is known of a task."),
-    "top hosts": CommandEntry("cli.top", "Inspect", "Show how much each host uses, now and lately."),
+    "apply": CommandEntry("cli.apply", "Schedule", "Start, stop and move tasks to match the plan."),
+    "watch": CommandEntry("cli.watch", "Schedule", "Re-plan periodically; with --apply, also apply."),
+    "status": CommandEntry("cli.status", "Inspect", "Show where tasks run and what needs attention."),
+    "get": CommandEntry(
+        "cli.get", "Inspect", "List edges, robots, tasks or links; with -w, also their changes."
+    ),
+    "describe edge": CommandEntry("cli.describe", "Inspect", "Show details of an edge."),
+    "describe robot": CommandEntry("cli.describe", "Inspect", "Show details of a robot."),
+    "describe task": CommandEntry("cli.describe", "Inspect", "Show details of a task."),
+    "top hosts": CommandEntry("cli.top", "Inspect", "Show resource usage of hosts, now and lately."),
     "top tasks": CommandEntry(
-        "cli.top", "Inspect", "Show how much each task uses against its demand, now and lately."
+        "cli.top", "Inspect", "Show resource usage of tasks against their demand, now and lately."
     ),
-    "get": CommandEntry("cli.get", "Inspect", "List edges, robots, tasks or links; with -w, what changes."),
-    "logs": CommandEntry("cli.status", "Inspect", "Print the log of a task."),
-    "explain": CommandEntry(
-        "cli.explain", "Inspect", "Say why a task goes where it goes, and what would change that."
+    "logs": CommandEntry("cli.status", "Inspect", "Print the logs of a task."),
+    "events": CommandEntry("cli.events", "Inspect", "List recent events."),
+    "explain": CommandEntry("cli.explain", "Inspect", "Explain a placement and what would change it."),
+    "graph": CommandEntry("cli.graph", "Inspect", "Export the task graph as Mermaid or DOT."),
+    "history": CommandEntry("cli.history", "Inspect", "List applied revisions."),
+    "show": CommandEntry("cli.history", "Inspect", "Show a revision or a saved plan."),
+    "profile": CommandEntry(
+        "cli.profile", "Inspect", "Show measured usage of a task; --write saves it as its demand."
     ),
-    "graph": CommandEntry("cli.graph", "Inspect", "Draw tasks, what they need and where the plan puts them."),
-    "events": CommandEntry(
-        "cli.events", "Inspect", "Say what happened: hosts lost and back, tasks started, moved, failed."
+    "stop": CommandEntry("cli.stop", "Operate", "Stop tasks."),
+    "restart": CommandEntry("cli.stop", "Operate", "Restart a task in place."),
+    "rollback": CommandEntry("cli.history", "Operate", "Restore the placement of an earlier revision."),
+    "cordon": CommandEntry("cli.operator_marks", "Operate", "Mark hosts as unschedulable."),
+    "uncordon": CommandEntry("cli.operator_marks", "Operate", "Mark hosts as schedulable."),
+    "drain": CommandEntry("cli.drain", "Operate", "Cordon hosts and move their tasks away."),
+    "fence": CommandEntry(
+        "cli.operator_marks", "Operate", "Declare a host powered off so that its tasks can be rescheduled."
     ),
+    "unfence": CommandEntry("cli.operator_marks", "Operate", "Clear the fence of hosts."),
+    "done": CommandEntry(
+        "cli.operator_marks", "Operate", "Mark tasks as completed; they are stopped and stay stopped."
+    ),
+    "reopen": CommandEntry(
+        "cli.operator_marks", "Operate", "Make completed or failed tasks schedulable again."
+    ),
+    "trust": CommandEntry("cli.operator_marks", "Operate", "Record the SSH host key of a host."),
+    "doctor": CommandEntry("cli.doctor", "Operate", "Diagnose hosts, links and configuration."),
+    "profilers start": CommandEntry("cli.profilers", "Operate", "Start resident profilers on the hosts."),
+    "profilers status": CommandEntry("cli.profilers", "Operate", "Show resident profilers and their cost."),
+    "profilers stop": CommandEntry("cli.profilers", "Operate", "Stop resident profilers."),
     "replay": CommandEntry(
         "experiments.commands.replay",
-        "Evidence",
-        "Decide what was recorded again, under other rules, side by side.",
+        "Evaluate",
+        "Re-run the scheduler on recorded snapshots under other policies.",
     ),
     "simulate": CommandEntry(
         "experiments.commands.simulate",
-        "Evidence",
-        "Run a mission in a model, under several schemes, several times.",
+        "Evaluate",
+        "Simulate a mission under several schemes.",
     ),
     "experiment run": CommandEntry(
         "experiments.commands.experiment",
-        "Evidence",
-        "Run a mission on the real hosts, under several schemes, several times.",
+        "Evaluate",
+        "Run a mission on real hosts under several schemes.",
     ),
     "experiment show": CommandEntry(
-        "experiments.commands.experiment", "Evidence", "Compare what an experiment has measured so far."
+        "experiments.commands.experiment", "Evaluate", "Compare the results of an experiment so far."
     ),
     "report": CommandEntry(
         "experiments.commands.report",
-        "Evidence",
-        "Write a run of an experiment as a page with its table and figures.",
+        "Evaluate",
+        "Render an experiment as HTML and figures.",
     ),
     "ssim": CommandEntry(
-        "experiments.commands.ssim", "Evidence", "Say how like the truth a map is that a robot has made."
+        "experiments.commands.ssim", "Evaluate", "Score a robot's map against ground truth (SSIM)."
     ),
-    "profile": CommandEntry(
-        "cli.profile", "Inspect", "Show what a task was measured to use; put it into its file."
-    ),
-    "history": CommandEntry(
-        "cli.history", "Inspect", "List what was done to the fleet, by whom and how it ended."
-    ),
-    "show": CommandEntry("cli.history", "Inspect", "Print one revision of the history, or a saved plan."),
-    "rollback": CommandEntry(
-        "cli.history", "Fleet", "Go back to where the tasks stood after an earlier revision."
-    ),
-    "stop": CommandEntry("cli.stop", "Fleet", "Stop tasks."),
-    "restart": CommandEntry("cli.stop", "Fleet", "Stop a task and start it again where it runs."),
-    "doctor": CommandEntry(
-        "cli.doctor", "Fleet", "Find what is wrong with hosts and links, and what mends it."
-    ),
-    "profilers start": CommandEntry(
-        "cli.profilers", "Fleet", "Start a small process on each host that measures all the time."
-    ),
-    "profilers status": CommandEntry(
-        "cli.profilers", "Fleet", "Show which profilers run and what they cost."
-    ),
-    "profilers stop": CommandEntry("cli.profilers", "Fleet", "Stop the profilers."),
-    "trust": CommandEntry("cli.operator_marks", "Fleet", "Show a host's key and, after a yes, remember it."),
-    "cordon": CommandEntry("cli.operator_marks", "Fleet", "Close hosts to new tasks."),
-    "drain": CommandEntry("cli.drain", "Fleet", "Close hosts and move their tasks away now."),
-    "uncordon": CommandEntry("cli.operator_marks", "Fleet", "Open cordoned hosts again."),
-    "fence": CommandEntry(
-        "cli.operator_marks", "Fleet", "Say that a host is off, so that its tasks may start elsewhere."
-    ),
-    "unfence": CommandEntry("cli.operator_marks", "Fleet", "Take back that hosts are switched off."),
-    "done": CommandEntry(
-        "cli.operator_marks", "Fleet", "Say that tasks have completed; they are stopped by the next apply."
-    ),
-    "reopen": CommandEntry("cli.operator_marks", "Fleet", "Let completed tasks be scheduled again."),
-    "init": CommandEntry(
-        "cli.offline_commands", "Files", "Write a small fleet that plans and applies at once."
-    ),
-    "validate": CommandEntry(
-        "cli.offline_commands", "Files", "Check the inventory and the task files without touching a host."
-    ),
+    "init": CommandEntry("cli.offline_commands", "Files", "Create an example fleet."),
+    "validate": CommandEntry("cli.offline_commands", "Files", "Check inventory and task files offline."),
     "export prometheus": CommandEntry(
-        "cli.export", "Files", "Say what was measured and decided as Prometheus metrics."
+        "cli.export", "Files", "Export measurements and decisions as Prometheus metrics."
     ),
-    "export csv": CommandEntry("cli.export", "Files", "Write the history as CSV."),
-    "export jsonl": CommandEntry("cli.export", "Files", "Write the history as JSON Lines."),
+    "export csv": CommandEntry("cli.export", "Files", "Export the history as CSV."),
+    "export jsonl": CommandEntry("cli.export", "Files", "Export the history as JSON Lines."),
     "export cron": CommandEntry(
-        "cli.export_jobs", "Files", "Write the crontab line that applies again and again."
+        "cli.export_jobs", "Files", "Print a crontab line that applies periodically."
     ),
     "export systemd": CommandEntry(
-        "cli.export_jobs", "Files", "Write the systemd units that apply again and again, or watch."
+        "cli.export_jobs", "Files", "Print systemd units that apply periodically, or watch."
     ),
     "version": CommandEntry("cli.offline_commands", "Settings", "Print the version."),
     "completion": CommandEntry("cli.offline_commands", "Settings", "Print the completion script of a shell."),
 }
-# First word of such names -> one line of help.
+# Help of the command groups.
 GROUP_HELP: dict[str, str] = {
-    "describe": "Say everything that is known of one edge, robot or task.",
-    "top": "Show who uses how much; with -w live, with -i full screen.",
-    "profilers": "Let hosts measure all the time, so that a probe need not wait.",
-    "export": "Write for other programs.",
-    "experiment": "Compare schemes on the real hosts.",
+    "describe": "Show details of an edge, robot or task.",
+    "top": "Show resource usage (-w to refresh, -i for the full-screen view).",
+    "profilers": "Manage resident profilers on the hosts.",
+    "export": "Export for cron, systemd, Prometheus, CSV and others.",
+    "experiment": "Compare schemes on real hosts.",
 }
 SUMMARY = "Place robot tasks on edge computers by measured utility: probe, plan, apply, over SSH."
 EPILOG = (
-    "Exit codes: 0 done; 1 failed; 2 changes pending, 3 unplaced (plan --detailed-exitcode); 4 partly done; 64 usage; "
+    "Exit codes: 0 done; 1 failed; 2 changes pending, 3 unplaced (plan --detailed-exitcode); 4 partly "
+    "done; 64 usage; "
     "75 locked, stale or busy, try again; 130 interrupted.\n\n"
-    "Environment: EDGECTL_INVENTORY, EDGECTL_TASKS, EDGECTL_OUTPUT, EDGECTL_STATE_DIR, EDGECTL_DEBUG, NO_COLOR, FORCE_COLOR."
+    "Environment: EDGECTL_INVENTORY, EDGECTL_TASKS, EDGECTL_OUTPUT, EDGECTL_STATE_DIR, EDGECTL_DEBUG, "
+    "NO_COLOR, FORCE_COLOR."
 )
 CONTEXT_SETTINGS: dict[str, Any] = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
 
 
 class SectionedHelpGroup(TyperGroup):
-    """Help with the commands in their groups; and examples, which keep their lines."""
+    """Help with commands in their groups, and with examples that keep their lines."""
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401, ARG002
         """Write one section per group, in the order of ``COMMANDS``."""
@@ -158,7 +146,7 @@ class SectionedHelpGroup(TyperGroup):
 
 
 def build_app(words: Sequence[str]) -> typer.Typer:
-    """The application for this command line: all names, but only the wanted command with its options."""
+    """The application for this command line: all names, but options only of the requested command."""
     completing = "_EDGECTL_COMPLETE" in os.environ
     named = [word for word in words if not word.startswith("-")]
     wanted = " ".join(named[: 2 if named and named[0] in GROUP_HELP else 1])
@@ -166,11 +154,16 @@ def build_app(words: Sequence[str]) -> typer.Typer:
 
 
 def build_app_with_commands(wanted: Sequence[str], *, completing: bool = False) -> typer.Typer:
-    """The application with the options of the ``wanted`` commands."""
+    """The application with the options of the commands in ``wanted``."""
     app = typer.Typer(
-        cls=SectionedHelpGroup, add_completion=completing, rich_markup_mode=None, context_settings=CONTEXT_SETTINGS, epilog=EPILOG, no_args_is_help=False,
+        cls=SectionedHelpGroup,
+        add_completion=completing,
+        rich_markup_mode=None,
+        context_settings=CONTEXT_SETTINGS,
+        epilog=EPILOG,
+        no_args_is_help=False,
         pretty_exceptions_enable=False,
-    )  # fmt: skip
+    )
     app.callback(help=SUMMARY)(_root_callback)
     groups = {name: _add_command_group(app, name, text) for name, text in GROUP_HELP.items()}
     for name, entry in COMMANDS.items():
@@ -191,13 +184,13 @@ def build_app_with_commands(wanted: Sequence[str], *, completing: bool = False) 
 
 
 def _add_command_group(app: typer.Typer, name: str, text: str) -> typer.Typer:
-    """A place for the commands whose names begin with ``name``; alone it shows what there is."""
+    """Add a command group; called without a subcommand it prints its help."""
     group = typer.Typer(rich_markup_mode=None, context_settings=CONTEXT_SETTINGS, no_args_is_help=True)
     app.add_typer(group, name=name, help=text)
     return group
 
 
-def _print_version(wanted: bool) -> None:  # noqa: FBT001 - as typer calls it
+def _print_version(wanted: bool) -> None:  # noqa: FBT001 - typer passes it by position
     if wanted:
         typer.echo(f"edgectl {__version__}")
         raise typer.Exit
@@ -209,14 +202,14 @@ def _root_callback(
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
     ] = False,
 ) -> None:
-    """What stands before every command."""
+    """Options that precede every command."""
 
 
 def _placeholder_command() -> None:
-    """Stand where a command stands that nobody asked for."""
+    """Stand-in for a command that is not requested."""
 
 
 def split_docstring(function: Callable[..., object]) -> tuple[str, str]:
-    """The docstring of a command: what it does, and its examples, one per line."""
+    """The docstring of a command, split into its description and its examples, one per line."""
     text, _, examples = (function.__doc__ or "").partition("Examples:")
     return text.strip(), "\n".join(f"  {line.strip()}" for line in examples.strip().splitlines())

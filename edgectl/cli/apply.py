@@ -1,4 +1,4 @@
-"""apply."""
+"""apply command."""
 
 from pathlib import Path
 from typing import Annotated
@@ -14,9 +14,7 @@ def apply_command(
     *,
     plan: Annotated[
         Path | None,
-        Argument(
-            metavar="[PLAN]", help="Saved by edgectl plan --out; carried out unasked.", show_default=False
-        ),
+        Argument(metavar="[PLAN]", help="Saved by plan --out; applied without asking.", show_default=False),
     ] = None,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
@@ -38,7 +36,7 @@ def apply_command(
     allow_unreachable: options.AllowUnreachableOption = False,
     accept_new: options.AcceptNewOption = False,
 ) -> None:
-    """Make reality match: plan, ask, then start, stop and move tasks; or carry out a saved plan, once, if nothing moved since.
+    """Start, stop and move tasks to match the plan; or apply a saved plan, once, if nothing changed since.
 
     Examples:
         edgectl apply

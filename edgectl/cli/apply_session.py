@@ -1,4 +1,4 @@
-"""What every command shares that changes hosts: asking, live progress, two kinds of Ctrl-C, the report."""
+"""Session of a command that changes hosts: confirmation, live progress, Ctrl-C, report."""
 
 import contextlib
 import signal
@@ -21,21 +21,23 @@ from edgectl.views.progress import show_apply_progress
 _HUMAN_FORMATS = (OutputFormat.TABLE, OutputFormat.WIDE)
 
 
-def check_can_confirm(*, asked: bool, first: str = "look first: edgectl plan") -> bool:
-    """Whether a person is asked; refuses where nobody can answer, before anything is done. ``first`` is what to do before a blind yes.
+def check_can_confirm(*, asked: bool, first: str = "check first: edgectl plan") -> bool:
+    """Whether to ask for confirmation; refused before anything is done where nobody can answer.
+
+    ``first`` is what to check before passing --yes.
 
     Raises:
-        UsageError: standard input is not a terminal.
+        UsageError: stdin is not a terminal.
     """
     if asked and not sys.stdin.isatty():
         raise UsageError(
-            "standard input is not a terminal, so nobody can say yes", hint=f"pass --yes, or {first}"
+            "stdin is not a terminal: cannot ask for confirmation", hint=f"pass --yes, or {first}"
         )
     return asked
 
 
 class ApplySession:
-    """One change under way: what to show before, during and after it."""
+    """One change: output before, during and after it."""
 
     def __init__(
         self, *, quiet: bool, output: OutputFormat, asked: bool, within: contextlib.ExitStack
@@ -52,7 +54,7 @@ class ApplySession:
         fail_fast: bool = False,
         choose: Callable[[Plan], Plan] = keep_whole_plan,
     ) -> ApplyOptions:
-        """The options of the use case."""
+        """Options of the use case."""
         return ApplyOptions(
             lock_timeout=lock_timeout,
             max_parallel=max_parallel,
@@ -63,12 +65,12 @@ class ApplySession:
         )
 
     def confirm(self, plan: Plan) -> bool:
-        """Show the plan; where a person is asked, only ``yes`` is a yes."""
+        """Show the plan; if asked, only the answer ``yes`` confirms."""
         if self._output in _HUMAN_FORMATS and (self._asked or not self._quiet):
             console.print_view(self._output, "plan", plan)
         count = sum(step.action.changes for step in plan.steps)
         agreed = not self._asked or ask_confirmation(
-            f'\nCarry out {"this action" if count == 1 else f"these {count} actions"}? Only "yes" is accepted: '
+            f'\nApply {"this action" if count == 1 else f"these {count} actions"}? Only "yes" is accepted: '
         )
         if agreed:
             self._listener = self._within.enter_context(show_apply_progress(count, quiet=self._quiet))
@@ -78,7 +80,9 @@ class ApplySession:
         self._listener(event)
 
     def report(self, applied: ApplyResult, code: ExitCode = ExitCode.DONE) -> None:
-        """What was done. Quiet: nothing where nothing was to be done and the exit code is 0; else why it is not."""
+        """Print the results. Quiet: print nothing if nothing was to be done and the exit code is 0, else the
+        reason.
+        """
         if applied.declined:
             console.print_message("nothing was done")
         elif applied.results is not None:
@@ -92,7 +96,7 @@ class ApplySession:
 
 
 def _explain_exit_code(plan: Plan, code: ExitCode) -> None:
-    """The causes of an exit code that a plan nobody was shown accounts for."""
+    """Print the causes of an exit code of a plan that was not shown."""
     from edgectl.cli.exit_codes import list_unreachable_hosts
     from edgectl.views import plan_sections
 
@@ -105,7 +109,7 @@ def _explain_exit_code(plan: Plan, code: ExitCode) -> None:
 
 
 def ask_confirmation(question: str, answer: str = "yes") -> bool:
-    """Put a question on standard error; only the word ``answer`` is a yes."""
+    """Ask on stderr; only the word ``answer`` confirms."""
     sys.stderr.write(question)
     sys.stderr.flush()
     return sys.stdin.readline().strip() == answer
@@ -113,8 +117,10 @@ def ask_confirmation(question: str, answer: str = "yes") -> bool:
 
 @contextlib.contextmanager
 def open_apply_session(*, quiet: bool, output: OutputFormat, asked: bool) -> Iterator[ApplySession]:
-    """A change, in which the first Ctrl-C (or SIGTERM) lets the running actions finish and the second stops at once."""
-    get_renderer(output, "results")  # refuse an unknown form before anything is done
+    """A session in which the first Ctrl-C (or SIGTERM) lets running actions finish and the second stops at
+    once.
+    """
+    get_renderer(output, "results")  # reject an unsupported format before anything is done
     with contextlib.ExitStack() as within:
         act = ApplySession(quiet=quiet, output=output, asked=asked, within=within)
         within.enter_context(_request_stop_on_signal(act.stop_requested))
@@ -127,7 +133,7 @@ def _request_stop_on_signal(stop_requested: threading.Event) -> Iterator[None]:
         if stop_requested.is_set():
             raise KeyboardInterrupt
         stop_requested.set()
-        console.print_message("finishing what is under way; Ctrl-C again stops at once")
+        console.print_message("finishing the running actions; press Ctrl-C again to stop at once")
 
     before = {number: signal.signal(number, first) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
@@ -140,7 +146,7 @@ def _request_stop_on_signal(stop_requested: threading.Event) -> Iterator[None]:
 def print_dry_run(
     fleet: Fleet, policy: Policy, saved: Plan | None, choose: Callable[[Plan], Plan], output: OutputFormat
 ) -> ExitCode:
-    """Print what apply would send, host by host."""
+    """Print the requests of apply, host by host."""
     get_renderer(output, "commands")
     plan = saved if saved is not None else choose(make_plan(fleet, policy))
     console.print_view(output, "commands", list_remote_commands(fleet, plan))

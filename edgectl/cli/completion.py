@@ -1,4 +1,4 @@
-"""What Tab offers: names from the files at hand. A host is never asked."""
+"""Shell completion from local files; no host is contacted."""
 
 import os
 from collections.abc import Sequence
@@ -9,7 +9,7 @@ from edgectl.errors import EdgectlError
 
 
 def complete_hosts(incomplete: str) -> list[str]:
-    """Hosts of the inventory."""
+    """Names of hosts in the inventory."""
     from edgectl.cli.user_files import resolve_inventory_path
     from edgectl.config.load import load_inventory
 
@@ -25,7 +25,7 @@ def complete_hosts(incomplete: str) -> list[str]:
 
 
 def complete_tasks(incomplete: str) -> list[str]:
-    """Tasks of the task files."""
+    """Names of tasks in the task files."""
     from edgectl.cli.user_files import resolve_inventory_path, resolve_task_paths
     from edgectl.config.load import load_inventory_and_tasks
 
@@ -41,7 +41,7 @@ def complete_tasks(incomplete: str) -> list[str]:
 
 
 def _find_named_file(short: str, long: str, variable: str) -> Path | None:
-    """The file that stands on the line being completed, or in the environment."""
+    """The file named on the line being completed, or in the environment."""
     words = _split_completed_line()
     following = [after for word, after in pairwise(words) if word in (short, long)]
     text = following[-1] if following else os.environ.get(variable)

@@ -1,4 +1,4 @@
-"""From files to a fleet that a use case can work on."""
+"""Construction of a fleet from its files."""
 
 import sys
 from pathlib import Path
@@ -12,9 +12,9 @@ from edgectl.usecases.fleet import Fleet
 
 
 def build_fleet(loaded: LoadedInputs, *, accept_new: bool = False, asking: bool = True) -> Fleet:
-    """The fleet with a way to its hosts and its state directory. Nothing is contacted yet.
+    """The fleet with a transport and its state directory. Nothing is contacted yet.
 
-    ``asking``: a person at the terminal may be asked for a password.
+    ``asking``: passwords may be asked for at the terminal.
     """
     from edgectl.state.paths import ensure_fleet_dir
 
@@ -37,7 +37,7 @@ def _build_fleet_with_state(
 
 
 def build_fleet_with_state_check(loaded: LoadedInputs) -> tuple[Fleet, Disk]:
-    """The fleet, also where its state directory cannot be used, and that directory as it stands."""
+    """The fleet, even if its state directory is unusable, and the condition of that directory."""
     from edgectl.state.state_dir_check import inspect_state_dir
 
     state = inspect_state_dir(loaded.path)
@@ -47,7 +47,7 @@ def build_fleet_with_state_check(loaded: LoadedInputs) -> tuple[Fleet, Disk]:
 
 
 def build_offline_fleet(loaded: LoadedInputs) -> Fleet:
-    """The fleet for decisions from a file: no host is reached and no state is read."""
+    """The fleet for decisions from a file: no host is contacted and no state is read."""
     from edgectl.transport.fake import FakeTransport
 
     return Fleet(inventory=loaded.inventory, tasks=loaded.tasks, transport=FakeTransport({}), state=Path())
@@ -60,15 +60,15 @@ def _ask_password(prompt: str) -> str:
 
 
 def print_warning(message: str) -> None:
-    """Say what a user should know although the call goes on."""
+    """Print a warning that does not stop the call."""
     console.print_message(f"warning: {message}")
 
 
 def parse_duration_option(text: str, option: str) -> float:
-    """A duration given to an option.
+    """Parse a duration given to an option.
 
     Raises:
-        UsageError: it is none.
+        UsageError: it is not a duration.
     """
     try:
         return parse_duration(float(text) if text.replace(".", "", 1).isdigit() else text)

@@ -1,4 +1,4 @@
-"""Standard output for data, standard error for everything else."""
+"""Output of data on stdout and of messages on stderr."""
 
 import contextlib
 import os
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def print_view(form: "OutputFormat", what: str, *values: object) -> None:
-    """Print ``values`` on standard output in ``form``."""
+    """Print ``values`` on stdout in the output format ``form``."""
     from edgectl.views.output_format import get_renderer
     from edgectl.views.text import detect_render_options
 
@@ -22,7 +22,7 @@ def print_view(form: "OutputFormat", what: str, *values: object) -> None:
 
 
 def print_view_series(form: "OutputFormat", what: str, series: Iterable[tuple[object, ...]]) -> None:
-    """Print one after the other as they come, as long as somebody reads."""
+    """Print views as they come, until the reader closes stdout."""
     from edgectl.views.output_format import get_renderer
     from edgectl.views.text import detect_render_options
 
@@ -32,28 +32,28 @@ def print_view_series(form: "OutputFormat", what: str, series: Iterable[tuple[ob
 
 
 def render_view(form: "OutputFormat", what: str, *values: object) -> str:
-    """``values`` in ``form`` as they stand in a file: no colour, nothing wrapped."""
+    """Render ``values`` for a file: no colour, nothing wrapped."""
     from edgectl.views.output_format import get_renderer
 
     return get_renderer(form, what)(*values)
 
 
 def print_text(text: str) -> None:
-    """Data to standard output. A reader that has gone away is no error: what is done goes on, unseen."""
+    """Print data on stdout. A closed pipe is no error: the command continues without output."""
     with _ignore_closed_pipe(sys.stdout) as stream:
         stream.write(text)
         stream.flush()
 
 
 def print_lines(lines: Iterable[str]) -> None:
-    """Data to standard output, as it comes; no more once nobody reads."""
+    """Print lines on stdout as they come, until the reader closes it."""
     with _ignore_closed_pipe(sys.stdout) as stream:
         stream.writelines(lines)
         stream.flush()
 
 
 def print_log(data: bytes) -> bool:
-    """Raw bytes of a task's log to standard output, control characters written out; False once nobody reads any more."""
+    """Print raw log bytes on stdout with control characters escaped; False once the reader has closed it."""
     from edgectl.views.text import decode_log_output
 
     return _try_print(decode_log_output(data))
@@ -70,27 +70,27 @@ def _try_print(text: str) -> bool:
 
 
 def print_message(text: str) -> None:
-    """A line for people, on standard error."""
+    """Print a message line on stderr."""
     from edgectl.views.text import escape_unprintable
 
     print_stderr(escape_unprintable(text) + "\n")
 
 
 def print_stderr(text: str) -> None:
-    """Text for people, on standard error, as it stands."""
+    """Print text on stderr unchanged."""
     with _ignore_closed_pipe(sys.stderr) as stream:
         stream.write(text)
 
 
 def get_stderr_render_options() -> "RenderOptions":
-    """What standard error can show."""
+    """Render options of stderr."""
     from edgectl.views.text import detect_render_options
 
     return detect_render_options(sys.stderr)
 
 
 def print_input_warnings(problems: Iterable["Problem"]) -> None:
-    """Warnings about files that are good enough to go on with."""
+    """Print warnings about input files that are valid."""
     from edgectl.views import errors
 
     print_stderr("".join(errors.render_problem(problem, get_stderr_render_options()) for problem in problems))
@@ -106,7 +106,7 @@ def _ignore_closed_pipe(stream: TextIO) -> Iterator[TextIO]:
 
 @contextlib.contextmanager
 def guard_standard_streams() -> Iterator[None]:
-    """Help and the last flush go straight to standard output: a closed pipe there is no error either, nor is a narrow encoding."""
+    """Handle closed pipes and narrow encodings of help texts and of the final flush."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
@@ -119,13 +119,13 @@ def guard_standard_streams() -> Iterator[None]:
         try:
             sys.stdout.flush()
         except OSError:
-            # The interpreter would try once more, and end with words and an exit code of its own.
+            # The interpreter would flush again and fail with its own message and exit code.
             _redirect_to_devnull(sys.stdout)
         raise
 
 
 def _redirect_to_devnull(stream: TextIO) -> None:
-    """Let everything that still follows on ``stream``, and the interpreter's own last flush, go nowhere."""
+    """Discard further output on ``stream`` and the interpreter's final flush."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, stream.fileno())
     os.close(nowhere)

@@ -1,4 +1,4 @@
-"""describe edge, robot and task."""
+"""describe edge, robot and task commands."""
 
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Annotated
@@ -32,7 +32,7 @@ def describe_edge_command(
     output: options.FieldsOutput = OutputFormat.TABLE,
     allow_unreachable: options.AllowUnreachableOption = False,
 ) -> None:
-    """Say everything that is known of an edge: address, labels, capacity, limits, use, links, tasks and its last events.
+    """Show details of an edge: address, labels, capacity, limits, usage, links, tasks and recent events.
 
     Examples:
         edgectl describe edge edge1
@@ -49,7 +49,7 @@ def describe_robot_command(
     output: options.FieldsOutput = OutputFormat.TABLE,
     allow_unreachable: options.AllowUnreachableOption = False,
 ) -> None:
-    """Say everything that is known of a robot: address, labels, capacity, limits, use, tasks and its last events.
+    """Show details of a robot: address, labels, capacity, limits, usage, tasks and recent events.
 
     Examples:
         edgectl describe robot robot1
@@ -89,9 +89,9 @@ def describe_task_command(
     output: options.FieldsOutput = OutputFormat.TABLE,
     allow_unreachable: options.AllowUnreachableOption = False,
 ) -> None:
-    """Say everything that is known of a task: what its file says, where it runs, its use against its demand, downtimes, last events.
+    """Show details of a task: spec, placement, usage against demand, downtimes, recent events.
 
-    Secrets show as ***. "Decision" is what a plan would do now.
+    Secrets show as ***. "Decision" is the decision of a plan made now.
 
     Examples:
         edgectl describe task slam-robot1 -o yaml

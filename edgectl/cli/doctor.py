@@ -1,4 +1,4 @@
-"""doctor."""
+"""doctor command."""
 
 from typing import Annotated
 
@@ -17,7 +17,7 @@ def doctor_command(
         Argument(
             metavar="[HOST...]",
             autocompletion=host_names,
-            help="Names in the inventory; all.",
+            help="Names in the inventory; default: all.",
             show_default=False,
         ),
     ] = None,
@@ -26,9 +26,10 @@ def doctor_command(
     output: options.FieldsOutput = OutputFormat.TABLE,
     timeout: options.TimeoutOption = "15s",
 ) -> None:
-    """Find what is wrong with this machine, the hosts and the ways between them, each with what mends it. Nothing is changed.
+    """Diagnose this machine, the hosts and the links between them, with a fix for each finding. Nothing is
+    changed.
 
-    Ends with 1 where a check failed; warnings alone end with 0.
+    Exit code 1 if a check failed; warnings alone exit with 0.
 
     Examples:
         edgectl doctor

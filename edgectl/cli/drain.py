@@ -1,4 +1,4 @@
-"""drain."""
+"""drain command."""
 
 from typing import Annotated
 
@@ -17,12 +17,12 @@ def drain_command(
     tasks: options.TasksOption = None,
     output: options.ResultOutput = OutputFormat.TABLE,
     yes: options.YesOption = False,
-    timeout: Annotated[str, Option("--timeout", metavar="TIME", help="How long to try again.")] = "5m",
+    timeout: Annotated[str, Option("--timeout", metavar="TIME", help="How long to retry.")] = "5m",
     max_parallel: options.MaxParallelOption = 16,
     fail_fast: options.FailFastOption = False,
     lock_timeout: options.LockTimeoutOption = "0s",
 ) -> None:
-    """Close hosts to new tasks and move theirs away now, through their handoff contracts; exit 4 if something is left there.
+    """Cordon hosts and move their tasks away now, through their handoff contracts; exit 4 if tasks are left.
 
     Examples:
         edgectl drain edge1

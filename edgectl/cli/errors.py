@@ -1,4 +1,4 @@
-"""How a command ends that did not go well: one form for every error, and its exit code."""
+"""Conversion of exceptions into messages and exit codes."""
 
 import errno
 import os
@@ -9,15 +9,15 @@ from edgectl.cli import console
 from edgectl.errors import EdgectlError, ExitCode, InputError, UsageError
 from edgectl.names import format_alternatives
 
-# What typer says of a word that it does not know, with those that were meant.
+# Typer's message for an unknown word, with its suggestions.
 _TYPER_SUGGESTION = re.compile(r"(.+?)\.? \(?(?:Did you mean(?: one of:)?|Possible options:) (.+?)[?)]+")
 
 
 def handle_error(error: Exception, words: Sequence[str]) -> int:
-    """Say what went wrong. The result is the exit code.
+    """Print the error and return the exit code.
 
     Raises:
-        Exception: the error itself, where it is a bug and EDGECTL_DEBUG asks to see it.
+        Exception: the error itself, if it is a bug and EDGECTL_DEBUG is set.
     """
     known = error if isinstance(error, EdgectlError) else _usage_error_from_typer(error)
     if known is None:
@@ -29,9 +29,9 @@ def handle_error(error: Exception, words: Sequence[str]) -> int:
 
 
 def _usage_error_from_typer(error: Exception) -> UsageError | None:
-    """Typer's usage errors and its aborts carry no public class, but an exit code or a name."""
+    """Convert typer's usage errors and aborts, which have no public class, by exit code and class name."""
     if type(error).__name__ == "Abort":
-        return UsageError("no answer on standard input", hint="pass --yes to go on without a question")
+        return UsageError("no answer on stdin", hint="pass --yes to continue without asking")
     if getattr(error, "exit_code", None) != ExitCode.CHANGES or not hasattr(error, "format_message"):
         return None
     context = getattr(error, "ctx", None)
@@ -39,7 +39,8 @@ def _usage_error_from_typer(error: Exception) -> UsageError | None:
     if type(error).__name__ == "NoArgsIsHelpError":  # its message is the whole help
         words = list(context.command.commands) if context else []
         return UsageError(
-            f"{command} needs a further word", hint=f"write {command} {format_alternatives(words)}"
+            f"missing subcommand: {', '.join(f'{command.split()[-1]} {word}' for word in words)}",
+            hint=f"run {command} {format_alternatives(words)}",
         )
     said = " ".join(error.format_message().split()).replace("a valid int range", "a whole number").rstrip(".")
     if guessed := _TYPER_SUGGESTION.fullmatch(said):
@@ -60,10 +61,10 @@ def _wrap_unexpected_error(error: Exception) -> EdgectlError:
 
 
 def _wrap_os_error(error: OSError, why: str) -> EdgectlError:
-    """A full disk or a right that is missing is no bug of ours."""
+    """Convert operating system errors such as a full disk or missing permissions."""
     full = error.errno in (errno.ENOSPC, errno.EDQUOT)
     hint = (
-        "free some space; what runs on the hosts is not affected"
+        "free some space; tasks on the hosts are not affected"
         if full
         else "EDGECTL_DEBUG=1 shows where it happened"
     )
@@ -71,8 +72,9 @@ def _wrap_os_error(error: OSError, why: str) -> EdgectlError:
 
 
 def print_error(error: EdgectlError, words: Sequence[str]) -> None:
-    """Text on standard error; JSON there where ``-o json`` was asked for. On standard output: annotations for ``-o github``, and
-    what ``validate -o json`` found, which is its data.
+    """Print an error on stderr, as JSON with ``-o json``.
+
+    On stdout: annotations of ``-o github``, and the problems of ``validate -o json``, which are its data.
     """
     from edgectl.views import errors, github
 
@@ -87,7 +89,7 @@ def print_error(error: EdgectlError, words: Sequence[str]) -> None:
 
 
 def _find_output_format(words: Sequence[str]) -> str:
-    """What ``-o`` says, read from the words: a usage error leaves nothing parsed."""
+    """The value of ``-o`` in the raw words: after a usage error nothing is parsed."""
     form = os.environ.get("EDGECTL_OUTPUT", "table")
     for word, following in zip(words, [*words, ""][1:], strict=True):
         if word in ("-o", "--output"):

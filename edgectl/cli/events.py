@@ -1,4 +1,4 @@
-"""events."""
+"""events command."""
 
 import time
 from typing import Annotated
@@ -15,10 +15,12 @@ from edgectl.views.output_format import OutputFormat
 
 _POLL_INTERVAL_S = 1.0
 _HostOption = Annotated[
-    str | None, Option("--host", metavar="HOST", autocompletion=complete_hosts, help="Only of this host.")
+    str | None,
+    Option("--host", metavar="HOST", autocompletion=complete_hosts, help="Only events of this host."),
 ]
 _TaskOption = Annotated[
-    str | None, Option("--task", metavar="TASK", autocompletion=complete_tasks, help="Only of this task.")
+    str | None,
+    Option("--task", metavar="TASK", autocompletion=complete_tasks, help="Only events of this task."),
 ]
 
 
@@ -27,14 +29,15 @@ def events_command(
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
     output: options.FieldsOutput = OutputFormat.TABLE,
-    since: Annotated[str, Option("--since", metavar="TIME", help="Not older than this.")] = "24h",
+    since: Annotated[str, Option("--since", metavar="TIME", help="Only events newer than this.")] = "24h",
     host: _HostOption = None,
     task: _TaskOption = None,
-    watch: Annotated[bool, Option("--watch", "-w", help="Go on as more happens, until Ctrl-C.")] = False,
+    watch: Annotated[bool, Option("--watch", "-w", help="Keep watching until Ctrl-C.")] = False,
 ) -> None:
-    """Say what happened: hosts lost and back, tasks started, moved, failed, and what an apply did. No host is asked.
+    """List recent events: hosts lost and back, tasks started, moved, failed, and the actions of apply. No
+    host is asked.
 
-    What is seen is what some edgectl saw: a probe, a plan, an apply or a watch. With -w, -o json prints one object per line.
+    Events are recorded by probe, plan, apply and watch. With -w, -o json prints one object per line.
 
     Examples:
         edgectl events
@@ -45,7 +48,9 @@ def events_command(
     from edgectl.usecases.events import EventFilter, follow_events, list_events
 
     if watch and output is OutputFormat.YAML:
-        raise UsageError("no yaml form of events as they come", hint="write -o json, for one object per line")
+        raise UsageError(
+            'output format "yaml" is not supported with -w', hint="use -o json: one object per line"
+        )
     fleet = build_fleet(load_inputs(inventory, tasks))
     wanted = EventFilter(since=time.time() - parse_duration_option(since, "--since"), host=host, task=task)
     if watch:
@@ -58,7 +63,7 @@ def events_command(
         return
     found = list_events(fleet, wanted)
     if not found:
-        # Not before: a host or a task that left the files has a history too.
+        # Checked late: hosts and tasks that left the files have a history, too.
         check_known_names([host] if host else [], fleet.inventory.hosts, "host")
         check_known_names([task] if task else [], fleet.tasks.tasks, "task")
     console.print_view(output, "events", found)

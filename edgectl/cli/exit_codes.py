@@ -1,4 +1,4 @@
-"""Which exit code a result means (DESIGN section 7)."""
+"""Exit codes of results (docs/cli.md, "Exit codes")."""
 
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
@@ -16,19 +16,19 @@ if TYPE_CHECKING:
 
 
 def of_snapshot(snapshot: Snapshot, inventory: Inventory, *, allow_unreachable: bool = False) -> ExitCode:
-    """4 where a host that should answer did not."""
+    """4 if a host that should answer did not."""
     silent = any(name in inventory.hosts for name in list_unreachable_hosts(snapshot))
     return ExitCode.PARTLY if silent and not allow_unreachable else ExitCode.DONE
 
 
 def list_unreachable_hosts(snapshot: Snapshot) -> list[str]:
-    """Hosts that should have answered: one that the operator declared switched off should not."""
+    """Unreachable hosts, without those that the operator declared powered off."""
     fenced = snapshot.manager.fenced if snapshot.manager else frozenset()
     return [name for name, host in snapshot.hosts.items() if not host.ok and name not in fenced]
 
 
 def of_profilers(profilers: Iterable[Profiler]) -> ExitCode:
-    """4 where a host did not say."""
+    """4 if a host did not answer."""
     return (
         ExitCode.PARTLY
         if any(each.state is ProfilerState.UNREACHABLE for each in profilers)
@@ -37,7 +37,7 @@ def of_profilers(profilers: Iterable[Profiler]) -> ExitCode:
 
 
 def of_plan(plan: Plan, *, detailed: bool, allow_unreachable: bool) -> ExitCode:
-    """4 beats 3 beats 2; 2 and 3 only where they were asked for."""
+    """4 beats 3 beats 2; 2 and 3 only with --detailed-exitcode."""
     if not allow_unreachable and list_unreachable_hosts(plan.snapshot):
         return ExitCode.PARTLY
     if detailed and Action.UNPLACED in plan.summary:
@@ -46,7 +46,9 @@ def of_plan(plan: Plan, *, detailed: bool, allow_unreachable: bool) -> ExitCode:
 
 
 def of_applied(applied: "ApplyResult", *, detailed: bool = False, allow_unreachable: bool = True) -> ExitCode:
-    """1 where it was declined, 130 interrupted, 4 where an action failed or was deferred; silent hosts and unplaced tasks as in a plan."""
+    """1 if declined, 130 if interrupted, 4 if an action failed or was deferred; unreachable hosts and
+    unplaced tasks as in a plan.
+    """
     results = applied.results
     if applied.declined:
         return ExitCode.FAILED
@@ -57,7 +59,7 @@ def of_applied(applied: "ApplyResult", *, detailed: bool = False, allow_unreacha
 
 
 def of_cycle(cycle: Cycle) -> ExitCode:
-    """1 where it was cut short, 75 where another edgectl held the lock, 4 where an action or a host failed it."""
+    """1 if the cycle failed, 75 if the lock was busy, 4 if an action failed or a host did not answer."""
     if cycle.error:
         return ExitCode.FAILED
     if cycle.busy:
@@ -71,5 +73,5 @@ def of_cycle(cycle: Cycle) -> ExitCode:
 
 
 def of_diagnosis(diagnosis: Diagnosis) -> ExitCode:
-    """1 where a check failed."""
+    """1 if a check failed."""
     return ExitCode.FAILED if diagnosis.worst is Severity.FAILED else ExitCode.DONE

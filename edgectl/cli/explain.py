@@ -1,4 +1,4 @@
-"""explain."""
+"""explain command."""
 
 from edgectl.cli import console, options
 from edgectl.cli.user_files import load_inputs
@@ -18,9 +18,11 @@ def explain_command(
     without: options.WithoutOption = None,
     accept_new: options.AcceptNewOption = False,
 ) -> None:
-    """Say why a task goes where it goes: what each term adds, and the smallest changes that would send it elsewhere.
+    """Explain a placement: the contribution of each term, and the smallest changes that would change the
+    host.
 
-    All other tasks are taken to stay where they are. A lead below what the measurements vary by is called fragile.
+    All other tasks are assumed to stay where they are. A lead below the variation of the measurements is
+    called fragile.
 
     Examples:
         edgectl explain slam-robot1

@@ -1,4 +1,4 @@
-"""export prometheus, csv and jsonl."""
+"""export prometheus, csv and jsonl commands."""
 
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -19,12 +19,12 @@ _KindArgument = Annotated[
     Argument(metavar="KIND", help="hosts, links, tasks, metrics, handoffs or events.", show_default=False),
 ]
 _SinceOption = Annotated[
-    str | None, Option("--since", metavar="TIME", help="Not older than this; else everything.")
+    str | None, Option("--since", metavar="TIME", help="Only rows newer than this; default: all.")
 ]
 _OutOption = Annotated[
-    Path | None, Option("--out", metavar="FILE", help="Replace this file; else to standard output.")
+    Path | None, Option("--out", metavar="FILE", help="Replace this file; default: stdout.")
 ]
-# node_exporter runs as somebody else.
+# node_exporter reads it as another user.
 _WORLD_READABLE_MODE = 0o644
 
 
@@ -36,15 +36,15 @@ def export_prometheus_command(
         Path | None, Option("--textfile", metavar="FILE", help="Replace this file, for node_exporter.")
     ] = None,
     listen: Annotated[
-        str | None, Option("--listen", metavar="[HOST:]PORT", help="Serve /metrics; HOST is 127.0.0.1.")
+        str | None, Option("--listen", metavar="[HOST:]PORT", help="Serve /metrics; default HOST: 127.0.0.1.")
     ] = None,
     every: Annotated[
-        str, Option("--every", metavar="TIME", help="Probe at most this often (--listen).")
+        str, Option("--every", metavar="TIME", help="Minimum time between probes (--listen).")
     ] = "15s",
     timeout: options.TimeoutOption = "8s",
     allow_unreachable: options.AllowUnreachableOption = False,
 ) -> None:
-    """Probe, and say what was found as Prometheus metrics: hosts, links, tasks, decisions, handoffs. Nothing is changed.
+    """Probe and print Prometheus metrics: hosts, links, tasks, decisions, handoffs. Nothing is changed.
 
     Needs the extra edgectl[metrics].
 
@@ -88,7 +88,8 @@ def export_csv_command(
     since: _SinceOption = None,
     out: _OutOption = None,
 ) -> None:
-    """Write the history as CSV: what was measured of hosts, links and tasks, what applications said, handoffs, or events.
+    """Export the history as CSV: measurements of hosts, links and tasks, application metrics, handoffs, or
+    events.
 
     No host is asked.
 
@@ -106,7 +107,8 @@ def export_jsonl_command(
     since: _SinceOption = None,
     out: _OutOption = None,
 ) -> None:
-    """Write the history as JSON Lines: what was measured of hosts, links and tasks, what applications said, handoffs, or events.
+    """Export the history as JSON Lines: measurements of hosts, links and tasks, application metrics,
+    handoffs, or events.
 
     No host is asked.
 

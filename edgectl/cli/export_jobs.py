@@ -1,4 +1,4 @@
-"""export cron and export systemd: run a fleet by itself."""
+"""export cron and export systemd commands."""
 
 import os
 import sys
@@ -20,7 +20,7 @@ from edgectl.errors import UsageError
 from edgectl.export.job import ScheduledJob
 
 JobPeriodOption = Annotated[
-    str | None, Option("--every", metavar="TIME", help="From one run to the next.", show_default=False)
+    str | None, Option("--every", metavar="TIME", help="Time between runs.", show_default=False)
 ]
 
 
@@ -30,12 +30,12 @@ def export_cron_command(
     tasks: options.TasksOption = None,
     every: JobPeriodOption = None,
     out: Annotated[
-        Path | None, Option("--out", metavar="FILE", help="Write to a file instead of standard output.")
+        Path | None, Option("--out", metavar="FILE", help="Write to a file; default: stdout.")
     ] = None,
 ) -> None:
-    """Print the line of a crontab that applies this fleet's tasks every 5 minutes, or --every.
+    """Print a crontab line that applies this fleet's tasks every 5 minutes, or --every.
 
-    Paths are absolute, and EDGECTL_STATE_DIR goes along: cron starts with an almost empty environment.
+    Paths are absolute, and EDGECTL_STATE_DIR is included: cron starts with an almost empty environment.
 
     Examples:
         edgectl export cron --every 15m
@@ -56,14 +56,16 @@ def export_systemd_command(
     tasks: options.TasksOption = None,
     every: JobPeriodOption = None,
     watch: Annotated[bool, Option("--watch", help="One service that runs edgectl watch --apply.")] = False,
-    user: Annotated[bool, Option("--user", help="For your own systemd instead of the system's.")] = False,
+    user: Annotated[bool, Option("--user", help="For your user's systemd instance.")] = False,
     out: Annotated[
-        Path | None, Option("--out", metavar="DIR", help="Write the files there, made where missing.")
+        Path | None, Option("--out", metavar="DIR", help="Write the files to this directory.")
     ] = None,
 ) -> None:
-    """Print systemd units: a service and a timer that apply every 5 minutes, or --every; or with --watch one service.
+    """Print systemd units: a service and a timer that apply every 5 minutes, or --every; or with --watch one
+    service.
 
-    Comments in the units say how to install them. Unreachable hosts (4) and a busy lock (75) are no failure of the unit.
+    Comments in the units tell how to install them. Unreachable hosts (4) and a busy lock (75) do not fail the
+    unit.
 
     Examples:
         edgectl export systemd --user --every 90s --out units
@@ -98,7 +100,7 @@ def _write_output(text: str, out: Path | None) -> None:
 
 
 def _build_job(inventory: Path | None, tasks: Sequence[Path] | None, every: str | None) -> ScheduledJob:
-    """The fleet as it is called now; files that are wrong are found here and not at night."""
+    """The job for the fleet as called now; invalid files are found here, not at night."""
     from edgectl.cli.connect import parse_duration_option
     from edgectl.model.inventory import Connection
     from edgectl.state.lock import get_user_name
@@ -118,13 +120,13 @@ def _build_job(inventory: Path | None, tasks: Sequence[Path] | None, every: str 
 
 
 def _find_own_command() -> tuple[str, ...]:
-    """The edgectl that runs now."""
+    """Path of the edgectl that runs now."""
     beside = Path(sys.executable).with_name("edgectl")
     return (str(beside),) if os.access(beside, os.X_OK) else (sys.executable, "-m", "edgectl")
 
 
 def _collect_job_environment(here: Mapping[str, str]) -> dict[str, str]:
-    """Another state directory would be another lock and another memory, so it goes along."""
+    """Environment of the job; another state directory would mean another lock and another history."""
     from edgectl.state.paths import get_state_root
 
     found = (

@@ -1,4 +1,4 @@
-"""Optional packages: imported when they are needed, and named where they are missing."""
+"""Optional packages: imported on demand, with an install hint if missing."""
 
 import contextlib
 from collections.abc import Iterator
@@ -8,10 +8,10 @@ from edgectl.errors import UsageError
 
 @contextlib.contextmanager
 def require_extra(name: str) -> Iterator[None]:
-    """Import what belongs to the extra ``name`` within.
+    """Import the packages of the extra ``name`` inside the block.
 
     Raises:
-        UsageError: a package of it is not installed.
+        UsageError: one of its packages is not installed.
     """
     try:
         yield

@@ -1,4 +1,4 @@
-"""get."""
+"""get command."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -46,7 +46,7 @@ def get_command(
         Argument(
             metavar="[NAME...]",
             autocompletion=_complete_names,
-            help="Only these; of links, an end.",
+            help="Only these names; of links, an end.",
             show_default=False,
         ),
     ] = None,
@@ -58,9 +58,11 @@ def get_command(
     every: options.EveryOption = "2s",
     allow_unreachable: options.AllowUnreachableOption = False,
 ) -> None:
-    """List edges, robots, tasks or links, from a probe. With -w a line follows whenever something but a measurement changes.
+    """List edges, robots, tasks or links from a probe. With -w, also print a line at each change that is not
+    a measurement.
 
-    With -w, -o json prints one object per line: {"type": "ADDED", "MODIFIED" or "DELETED", "at": .., "object": ..}.
+    With -w, -o json prints one object per line: {"type": "ADDED", "MODIFIED" or "DELETED", "at": ..,
+    "object": ..}.
 
     Examples:
         edgectl get edges -o wide
@@ -79,7 +81,7 @@ def get_command(
     if watch:
         if output is OutputFormat.YAML:
             raise UsageError(
-                "no yaml form of changes as they come", hint="write -o json, for one object per line"
+                'output format "yaml" is not supported with -w', hint="use -o json: one object per line"
             )
         with catch_stop_signals(period) as end:
             found = (
@@ -98,14 +100,16 @@ def get_command(
 
 
 def _resolve_kind(word: str) -> str:
-    """The kind that is meant by its name, one of it, or its first letter."""
+    """The kind by its plural, singular or first letter."""
     named = next((kind for kind in _KIND_NAMES if word and word in (kind, kind[:-1], kind[0])), word)
     check_known_names([named], _KIND_NAMES, "kind")
     return named
 
 
 def _check_names_and_selector(kind: str, names: Sequence[str], selector: str | None, fleet: "Fleet") -> None:
-    """Refuse what is none before a host is asked. A task that left the files may still run, so its name is not refused here."""
+    """Reject unknown names before a host is asked. A task that left the files may still run, so its name is
+    accepted.
+    """
     if selector is not None:
         matches_selector(selector, {})
     if kind == "tasks":
@@ -120,10 +124,10 @@ def _check_names_and_selector(kind: str, names: Sequence[str], selector: str | N
 
 
 def _filter_listing(value: "Listing", names: Sequence[str] | None, selector: str | None) -> "Listing":
-    """Only what is named and fits the selector.
+    """The items that match names and selector.
 
     Raises:
-        UsageError: a name that nothing has.
+        UsageError: no item has this name.
     """
     if names:
         check_known_names(
@@ -141,14 +145,14 @@ def _filter_listing(value: "Listing", names: Sequence[str] | None, selector: str
 
 
 def _list_item_names(item: "ListingItem") -> list[str]:
-    """What may be written for an item: its name, or of a link one of its ends."""
+    """Names that select an item: its own, or for a link one of its ends."""
     return [str(item.document[key]) for key in ("name", "edge", "robot") if key in item.document]
 
 
 def _stream_listing_changes(
     found: "Iterator[Listing]",
 ) -> "Iterator[tuple[Listing, list[tuple[ItemChange, ListingItem]], Listing | None]]":
-    """Each look that changed something: itself, what changed, and the first one."""
+    """Each probe with changes: its listing, the changes, and the first listing."""
     from edgectl.views.listing import compare_listings
 
     first: Listing | None = None

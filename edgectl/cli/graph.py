@@ -1,4 +1,4 @@
-"""graph."""
+"""graph command."""
 
 from edgectl.cli import console, options
 from edgectl.cli.user_files import load_inputs
@@ -16,7 +16,7 @@ def graph_command(
     without: options.WithoutOption = None,
     accept_new: options.AcceptNewOption = False,
 ) -> None:
-    """Draw the tasks, what they need, and the hosts on which the plan puts them.
+    """Export the task graph with the hosts of the plan as Mermaid or DOT.
 
     Examples:
         edgectl graph

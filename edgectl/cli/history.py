@@ -1,4 +1,4 @@
-"""history, show and rollback."""
+"""history, show and rollback commands."""
 
 from pathlib import Path
 from typing import Annotated
@@ -16,7 +16,7 @@ def history_command(
     tasks: options.TasksOption = None,
     output: options.ResultOutput = OutputFormat.TABLE,
 ) -> None:
-    """List what was done to the fleet: each apply, stop, restart, drain and rollback, with who, when and how it ended.
+    """List applied revisions: each apply, stop, restart, drain and rollback, with its time, user and outcome.
 
     Examples:
         edgectl history
@@ -42,7 +42,7 @@ def show_command(
     detailed: options.DetailedExitcodeOption = False,
     allow_unreachable: options.AllowUnreachableOption = False,
 ) -> None:
-    """Print one revision (its actions, their phases and durations), or a saved plan. Nothing is contacted.
+    """Show a revision (its actions, their phases and durations), or a saved plan. Nothing is contacted.
 
     Examples:
         edgectl show 1
@@ -70,7 +70,7 @@ def rollback_command(
         Argument(
             metavar="[REV]",
             min=1,
-            help="Of edgectl history; without it, undo the last one.",
+            help="Number of a revision; default: the one before the last.",
             show_default=False,
         ),
     ] = None,
@@ -85,7 +85,8 @@ def rollback_command(
     lock_timeout: options.LockTimeoutOption = "0s",
     allow_unreachable: options.AllowUnreachableOption = False,
 ) -> None:
-    """Plan towards where the tasks stood after a revision, ask, and carry it out. Commands and demands are those of today's files.
+    """Restore the placement of an earlier revision: plan, ask, apply. Commands and demands are those of the
+    present files.
 
     Examples:
         edgectl rollback

@@ -1,4 +1,4 @@
-"""Serve over HTTP until told to end."""
+"""HTTP server of export prometheus."""
 
 import contextlib
 import signal
@@ -14,10 +14,10 @@ _MAX_PORT = 65535
 
 
 def serve_http(make: Callable[[tuple[str, int]], ThreadingHTTPServer], where: str) -> None:
-    """Serve at the address ``where`` until SIGINT or SIGTERM, which is how such a command ends well.
+    """Serve at the address ``where`` until SIGINT or SIGTERM, which end it with exit code 0.
 
     Raises:
-        UsageError: ``where`` is no address.
+        UsageError: ``where`` is not an address.
         EdgectlError: the address cannot be bound.
     """
     address = parse_listen_address(where)
@@ -26,16 +26,16 @@ def serve_http(make: Callable[[tuple[str, int]], ThreadingHTTPServer], where: st
     except OSError as error:
         raise EdgectlError(
             f"cannot listen on {where}: {error.strerror}",
-            hint="write an address of this machine and a free port",
+            hint="choose an address of this machine and a free port",
         ) from error
     with server, _return_on_signal():
         host = f"[{address[0]}]" if ":" in address[0] else address[0]
-        console.print_message(f"serving http://{host}:{server.server_port}/metrics; Ctrl-C ends it")
+        console.print_message(f"serving http://{host}:{server.server_port}/metrics; press Ctrl-C to stop")
         server.serve_forever()
 
 
 def parse_listen_address(text: str) -> tuple[str, int]:
-    """``HOST:PORT``, ``[HOST]:PORT`` or ``PORT``; without a host only this machine is served.
+    """Parse ``HOST:PORT``, ``[HOST]:PORT`` or ``PORT``; without a host only this machine is served.
 
     Raises:
         UsageError: it is none of these.
@@ -50,7 +50,7 @@ def parse_listen_address(text: str) -> tuple[str, int]:
 
 @contextlib.contextmanager
 def _return_on_signal() -> Iterator[None]:
-    """Until the first SIGINT or SIGTERM."""
+    """Run until the first SIGINT or SIGTERM."""
 
     def end(_number: int, _frame: FrameType | None) -> None:
         raise KeyboardInterrupt

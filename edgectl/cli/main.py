@@ -1,4 +1,4 @@
-"""The entry: build the command, run it, end every way with the right exit code and never with a traceback.
+"""Entry point: build the command, run it, and end with the right exit code and never with a traceback.
 
 Nothing is imported here that ``edgectl --help`` does not need.
 """
@@ -11,7 +11,7 @@ _INTERRUPTED = 130  # ExitCode.INTERRUPTED
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line; the result is the exit code (DESIGN section 7)."""
+    """Run the command line and return its exit code (docs/cli.md, "Exit codes")."""
     words = list(sys.argv[1:] if argv is None else argv)
     _replace_closed_streams()
     try:
@@ -28,7 +28,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _replace_closed_streams() -> None:
-    """A standard stream that the caller closed becomes /dev/null, before a file or socket of ours gets its number."""
+    """Open /dev/null for standard streams that the caller closed, before another file or socket gets their
+    number.
+    """
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         if getattr(sys, name) is None:
             nowhere = os.open(os.devnull, os.O_RDWR)
@@ -51,11 +53,12 @@ def _run_command(words: list[str]) -> int:
         try:
             code = get_command(build_app(args)).main(args=args, prog_name="edgectl", standalone_mode=False)
         except SystemExit:
-            raise BrokenPipeError from None  # the one exit that typer makes by itself: nobody reads its help any more
+            # the only exit that typer makes by itself: the reader of the help is gone
+            raise BrokenPipeError from None
     return code if isinstance(code, int) else 0
 
 
 def expand_top_shorthand(words: Sequence[str]) -> list[str]:
-    """``top -i`` is short for ``top hosts -I``; after ``hosts``, ``-i`` names the inventory as everywhere."""
+    """Expand ``top -i`` to ``top hosts -I``; after ``hosts``, ``-i`` names the inventory as everywhere."""
     live = list(words[:2]) in (["top", "-i"], ["top", "-I"], ["top", "--interactive"])
     return ["top", "hosts", "-I", *words[2:]] if live else list(words)

@@ -1,4 +1,4 @@
-"""init, validate, version, completion."""
+"""init, validate, version and completion commands."""
 
 from pathlib import Path
 from typing import Annotated
@@ -15,12 +15,11 @@ from edgectl.views.output_format import OutputFormat
 def init_command(
     directory: Annotated[
         Path,
-        Argument(
-            metavar="DIR", help="Made where missing; files that exist are left alone.", show_default=False
-        ),
+        Argument(metavar="DIR", help="Created if missing; existing files are kept.", show_default=False),
     ],
 ) -> None:
-    """Write a small fleet on this machine (inventories/, tasks/, README.md) that plans and applies at once.
+    """Create an example fleet on this machine (inventories/, tasks/, README.md) that plans and applies at
+    once.
 
     Examples:
         edgectl init demo
@@ -41,7 +40,8 @@ def init_command(
 def validate_command(
     inventory: InventoryOption = None, tasks: TasksOption = None, output: ValidateOutput = OutputFormat.TABLE
 ) -> None:
-    """Check the inventory and the task files: every mistake at once, with its place and a hint. No host is contacted.
+    """Check inventory and task files offline: all problems at once, with positions and hints. No host is
+    contacted.
 
     Examples:
         edgectl validate
@@ -60,7 +60,7 @@ def validate_command(
 
 
 def version_command(output: FieldsOutput = OutputFormat.TABLE) -> None:
-    """Print the version of edgectl and of the Python that runs it.
+    """Print the version of edgectl and of its Python.
 
     Examples:
         edgectl version
@@ -76,7 +76,7 @@ def version_command(output: FieldsOutput = OutputFormat.TABLE) -> None:
 def completion_command(
     shell: Annotated[Shell, Argument(metavar="SHELL", help="bash, zsh or fish.", show_default=False)],
 ) -> None:
-    """Print the completion script of a shell. Names come from the files at hand; Tab never contacts a host.
+    """Print the completion script of a shell. Names come from local files; completion never contacts a host.
 
     Examples:
         edgectl completion bash

@@ -1,4 +1,4 @@
-"""trust, cordon, uncordon, fence, unfence, done, reopen."""
+"""Commands that mark hosts and tasks: trust, cordon, uncordon, fence, unfence, done, reopen."""
 
 from collections.abc import Iterable
 from typing import Annotated
@@ -18,7 +18,7 @@ def trust_command(
     tasks: options.TasksOption = None,
     yes: options.YesOption = False,
 ) -> None:
-    """Show the fingerprint of the key that a host shows; after a yes it is remembered in known_hosts.
+    """Show the fingerprint of a host's key, ask, and record it in known_hosts.
 
     Examples:
         edgectl trust edge1 --yes
@@ -35,24 +35,26 @@ def trust_command(
         console.print_text(f"{host} {kind} {fingerprint}\n")
     compare = " && ".join(f"ssh-keygen -lf {get_public_key_path(kind)}" for kind, _, _ in keys)
     apply_session.check_can_confirm(
-        asked=not yes, first=f"compare the fingerprint with what this prints on {host} itself: {compare}"
+        asked=not yes,
+        first=f"compare the fingerprint with the output of this command on {host} itself: {compare}",
     )
     if not yes and not apply_session.ask_confirmation(
-        f'Compare with what this prints on {host} itself: {compare}\nTrust it? Only "yes" is accepted: '
+        f'Compare with the output of this command on {host} itself: {compare}\nTrust it? Only "yes" is '
+        "accepted: "
     ):
         raise Exit(ExitCode.FAILED)
     for _, _, line in keys:
-        console.print_message(f"remembered in {trust_host_key(loaded.inventory.hosts[host], line)}")
+        console.print_message(f"recorded in {trust_host_key(loaded.inventory.hosts[host], line)}")
 
 
 def cordon_command(
     *,
     hosts: options.HostsArgument,
-    drain: Annotated[bool, Option("--drain", help="Tasks leave too, at the next apply.")] = False,
+    drain: Annotated[bool, Option("--drain", help="Tasks move away, too, at the next apply.")] = False,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
 ) -> None:
-    """Close hosts to new tasks.
+    """Mark hosts as unschedulable.
 
     Examples:
         edgectl cordon edge1
@@ -61,14 +63,14 @@ def cordon_command(
     from edgectl.cli.connect import build_fleet
     from edgectl.usecases import operator_marks
 
-    memory = operator_marks.cordon_hosts(build_fleet(load_inputs(inventory, tasks)), hosts, drain=drain)
-    _print_marked_names("cordoned", memory.cordons)
+    manager = operator_marks.cordon_hosts(build_fleet(load_inputs(inventory, tasks)), hosts, drain=drain)
+    _print_marked_names("cordoned", manager.cordons)
 
 
 def uncordon_command(
     hosts: options.HostsArgument, inventory: options.InventoryOption = None, tasks: options.TasksOption = None
 ) -> None:
-    """Open cordoned hosts again.
+    """Mark hosts as schedulable.
 
     Examples:
         edgectl uncordon edge1
@@ -76,8 +78,8 @@ def uncordon_command(
     from edgectl.cli.connect import build_fleet
     from edgectl.usecases import operator_marks
 
-    memory = operator_marks.uncordon_hosts(build_fleet(load_inputs(inventory, tasks)), hosts)
-    _print_marked_names("cordoned", memory.cordons)
+    manager = operator_marks.uncordon_hosts(build_fleet(load_inputs(inventory, tasks)), hosts)
+    _print_marked_names("cordoned", manager.cordons)
 
 
 def fence_command(
@@ -87,9 +89,11 @@ def fence_command(
     tasks: options.TasksOption = None,
     yes: options.YesOption = False,
 ) -> None:
-    """Say that a host is switched off, so that its tasks may start elsewhere at the next apply although it cannot be asked.
+    """Declare a host powered off so that its tasks can be rescheduled by the next apply, although it does not
+    answer.
 
-    Make sure first: a task that still runs there would run twice. A host that answers again is fenced no longer.
+    Check first: a task that still runs there would run twice. The fence is cleared when the host answers
+    again.
 
     Examples:
         edgectl fence edge1 --yes
@@ -101,7 +105,7 @@ def fence_command(
     check_known_names([host], loaded.inventory.hosts, "host")
     apply_session.check_can_confirm(asked=not yes)
     if not yes and not apply_session.ask_confirmation(
-        f"If {host} still runs, its tasks will run twice. Type its name if it is switched off: ", host
+        f"If {host} is still on, its tasks will run twice. Type its name if it is powered off: ", host
     ):
         raise Exit(ExitCode.FAILED)
     _print_marked_names("fenced", operator_marks.fence_hosts(build_fleet(loaded), [host]))
@@ -110,7 +114,7 @@ def fence_command(
 def unfence_command(
     hosts: options.HostsArgument, inventory: options.InventoryOption = None, tasks: options.TasksOption = None
 ) -> None:
-    """Take back that hosts are switched off.
+    """Clear the fence of hosts.
 
     Examples:
         edgectl unfence edge1
@@ -126,7 +130,7 @@ def unfence_command(
 def done_command(
     names: options.TasksArgument, inventory: options.InventoryOption = None, tasks: options.TasksOption = None
 ) -> None:
-    """Say that tasks have completed: the next apply stops them, and they stay stopped until reopened or changed.
+    """Mark tasks as completed: the next apply stops them, and they stay stopped until reopened or changed.
 
     Examples:
         edgectl done navigation-robot1
@@ -134,14 +138,14 @@ def done_command(
     from edgectl.cli.connect import build_fleet
     from edgectl.usecases import operator_marks
 
-    memory = operator_marks.mark_tasks_done(build_fleet(load_inputs(inventory, tasks)), names)
-    _print_marked_names("done", memory.done)
+    manager = operator_marks.mark_tasks_done(build_fleet(load_inputs(inventory, tasks)), names)
+    _print_marked_names("done", manager.done)
 
 
 def reopen_command(
     names: options.TasksArgument, inventory: options.InventoryOption = None, tasks: options.TasksOption = None
 ) -> None:
-    """Let completed tasks, and tasks that were given up, be scheduled again.
+    """Make completed or failed tasks schedulable again.
 
     Examples:
         edgectl reopen navigation-robot1
@@ -149,8 +153,8 @@ def reopen_command(
     from edgectl.cli.connect import build_fleet
     from edgectl.usecases import operator_marks
 
-    memory = operator_marks.reopen_tasks(build_fleet(load_inputs(inventory, tasks)), names)
-    _print_marked_names("done", memory.done)
+    manager = operator_marks.reopen_tasks(build_fleet(load_inputs(inventory, tasks)), names)
+    _print_marked_names("done", manager.done)
 
 
 def _print_marked_names(what: str, names: Iterable[str]) -> None:

@@ -1,4 +1,4 @@
-"""The options that commands share, each defined once."""
+"""Options shared by commands, each defined once."""
 
 from pathlib import Path
 from typing import Annotated, Literal
@@ -36,20 +36,31 @@ TasksOption = Annotated[
 
 
 def build_output_option(*forms: str) -> object:
-    """``-o`` of a command that has these forms; the first is the default. Another one is a UsageError that names them."""
+    """``-o`` of a command with these formats; the first is the default. Another one is a UsageError that
+    lists them.
+    """
 
     def form(text: str) -> OutputFormat:
-        if text not in (*forms, OutputFormat.WIDE):  # where nothing wider exists, wide is the table
-            raise UsageError(f"no {text} form of this", hint=f"write -o {format_alternatives(forms)}")
+        if text not in (*forms, OutputFormat.WIDE):  # without a wider view, wide is the table
+            raise UsageError(
+                f'output format "{text}" is not supported here', hint=f"use -o {format_alternatives(forms)}"
+            )
         return OutputFormat(text)
 
     def beginning(incomplete: str) -> list[str]:
         return [form for form in forms if form.startswith(incomplete)]
 
     return Option(
-        "--output", "-o", metavar="FORM", envvar="EDGECTL_OUTPUT", show_envvar=False, show_default=False,
-        parser=form, autocompletion=beginning, help=f"{format_alternatives(forms)}.",
-    )  # fmt: skip
+        "--output",
+        "-o",
+        metavar="FORM",
+        envvar="EDGECTL_OUTPUT",
+        show_envvar=False,
+        show_default=False,
+        parser=form,
+        autocompletion=beginning,
+        help=f"{format_alternatives(forms)}.",
+    )
 
 
 PlanOutput = Annotated[OutputFormat, build_output_option("table", "wide", "json", "yaml", "name", "markdown")]
@@ -77,7 +88,7 @@ FieldsOutput = Annotated[OutputFormat, build_output_option("table", "json", "yam
 ValidateOutput = Annotated[OutputFormat, build_output_option("table", "json", "yaml", "github")]
 
 SnapshotOption = Annotated[
-    Path | None, Option("--snapshot", metavar="FILE", help="Decide from this file; no host is contacted.")
+    Path | None, Option("--snapshot", metavar="FILE", help="Plan from this file; no host is contacted.")
 ]
 WeightsOption = Annotated[
     str | None,
@@ -94,7 +105,7 @@ WithoutOption = Annotated[
         "--without",
         metavar="HOST",
         autocompletion=complete_hosts,
-        help="What if this host were gone? Repeatable.",
+        help="Plan as if this host were gone; repeatable.",
     ),
 ]
 TargetOption = Annotated[
@@ -103,7 +114,12 @@ TargetOption = Annotated[
 ]
 SelectorOption = Annotated[
     str | None,
-    Option("--selector", "-l", metavar="LABELS", help="Only with these: a=b, a!=b, a in (b,c), a, !a."),
+    Option(
+        "--selector",
+        "-l",
+        metavar="LABELS",
+        help="Only tasks with these labels: a=b, a!=b, a in (b,c), a, !a.",
+    ),
 ]
 DetailedExitcodeOption = Annotated[
     bool, Option("--detailed-exitcode", help="Exit 2: changes pending, 3: a task is unplaced.")
@@ -115,24 +131,24 @@ SavePlanOption = Annotated[
     Path | None, Option("--out", metavar="PLAN", help="Save the plan for: edgectl apply PLAN.")
 ]
 YesOption = Annotated[bool, Option("--yes", "-y", help="Do not ask.")]
-QuietOption = Annotated[bool, Option("--quiet", "-q", help="Print nothing where nothing had to be done.")]
+QuietOption = Annotated[bool, Option("--quiet", "-q", help="Print nothing if there is nothing to do.")]
 LockTimeoutOption = Annotated[
-    str, Option("--lock-timeout", metavar="TIME", help="Wait this long for another edgectl.")
+    str, Option("--lock-timeout", metavar="TIME", help="How long to wait for another edgectl.")
 ]
 MaxParallelOption = Annotated[
     int, Option("--max-parallel", metavar="N", min=1, help="At most N actions at once.")
 ]
-FailFastOption = Annotated[bool, Option("--fail-fast", help="After the first failure begin nothing new.")]
-WindowOption = Annotated[str, Option("--window", metavar="TIME", help="How long use is measured.")]
-WatchOption = Annotated[bool, Option("--watch", "-w", help="Go on, until Ctrl-C.")]
-EveryOption = Annotated[str, Option("--every", metavar="TIME", help="With -w: pause between two looks.")]
-ReadonlyOption = Annotated[bool, Option("--readonly", help="With -I: no key changes anything.")]
+FailFastOption = Annotated[bool, Option("--fail-fast", help="After a failure, start no new action.")]
+WindowOption = Annotated[str, Option("--window", metavar="TIME", help="How long usage is measured.")]
+WatchOption = Annotated[bool, Option("--watch", "-w", help="Keep watching until Ctrl-C.")]
+EveryOption = Annotated[str, Option("--every", metavar="TIME", help="With -w: time between probes.")]
+ReadonlyOption = Annotated[bool, Option("--readonly", help="With -I: keys change nothing.")]
 InteractiveOption = Annotated[
-    bool, Option("--interactive", "-I", help="Full screen, with keys (needs edgectl[tui]).")
+    bool, Option("--interactive", "-I", help="Full-screen view with keys (needs edgectl[tui]).")
 ]
 TimeoutOption = Annotated[str, Option("--timeout", metavar="TIME", help="Deadline of each host.")]
 AcceptNewOption = Annotated[
-    bool, Option("--accept-new", help="Trust hosts never seen before, as OpenSSH does.")
+    bool, Option("--accept-new", help="Trust hosts with unknown keys, as OpenSSH does.")
 ]
 
 HostsArgument = Annotated[

@@ -1,4 +1,4 @@
-"""plan."""
+"""plan command."""
 
 from typer import Exit
 
@@ -25,7 +25,7 @@ def plan_command(
     allow_unreachable: options.AllowUnreachableOption = False,
     accept_new: options.AcceptNewOption = False,
 ) -> None:
-    """Rank the hosts for every task by utility, and show what would be done and why. Nothing is changed.
+    """Rank hosts for each task by utility and show the changes, with reasons. Nothing is changed.
 
     Examples:
         edgectl plan
@@ -47,6 +47,6 @@ def plan_command(
     result = choose(make_plan(fleet, how, snapshot=load_snapshot(snapshot) if snapshot else None))
     if out is not None:
         save_file(out, console.render_view(OutputFormat.JSON, "plan", result))
-        console.print_message(f"saved {out}; carry it out with: edgectl apply {out}")
+        console.print_message(f"saved {out}; apply it with: edgectl apply {out}")
     console.print_view(output, "plan", result)
     raise Exit(exit_codes.of_plan(result, detailed=detailed, allow_unreachable=allow_unreachable))

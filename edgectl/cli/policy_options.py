@@ -1,4 +1,4 @@
-"""What the options of plan and apply mean: a policy, and a choice of tasks."""
+"""Policy and task filter from the options of plan and apply."""
 
 import dataclasses
 import sys
@@ -28,10 +28,10 @@ def policy_from_options(
     full: bool,
     attended: bool = True,
 ) -> Policy:
-    """The policy of the task files, with what the command line says instead.
+    """The policy of the task files with the overrides of the command line.
 
     Raises:
-        UsageError: weights that are none, or a host that does not exist.
+        UsageError: invalid weights, or an unknown host.
     """
     check_known_names(without or (), fleet.inventory.hosts, "host")
     stated = fleet.tasks.policy
@@ -55,7 +55,7 @@ def _parse_weights_option(text: str) -> Weights:
 
 
 def load_saved_plan(path: Path | None, *decisions: object) -> Plan | None:
-    """The saved plan, where one is given; it is carried out as it is.
+    """The saved plan if one is given; it is applied as it is.
 
     Raises:
         UsageError: an option of ``decisions`` is given as well.
@@ -67,7 +67,7 @@ def load_saved_plan(path: Path | None, *decisions: object) -> Plan | None:
         return None
     if any(decisions):
         raise UsageError(
-            f"{path} is decided already, so options that decide have no effect",
+            f"{path} is a saved plan: options that change decisions do not apply to it",
             hint="pass them to: edgectl plan --out PLAN",
         )
     return load_plan(path)
@@ -76,10 +76,11 @@ def load_saved_plan(path: Path | None, *decisions: object) -> Plan | None:
 def build_plan_filter(
     tasks: Tasks, names: Sequence[str] | None, selector: str | None, *, quiet: bool = False
 ) -> Callable[[Plan], Plan]:
-    """What narrows a plan to ``--target`` and ``-l``; everything is still decided for all tasks. ``quiet``: without a warning of that.
+    """Filter that limits a plan to ``--target`` and ``-l``; decisions still cover all tasks. ``quiet``:
+    without a warning about that.
 
     Raises:
-        UsageError: a task that does not exist, or a selector that is none.
+        UsageError: an unknown task, or an invalid selector.
     """
     if not names and selector is None:
         return keep_whole_plan
@@ -99,7 +100,7 @@ def _filter_plan(plan: Plan, wanted: frozenset[str], *, quiet: bool) -> Plan:
     left = sum(step.action.changes for step in plan.steps) - sum(step.action.changes for step in chosen.steps)
     if left and not quiet:
         console.print_message(
-            f"warning: {left} other changes are left out, although this plan counts on them"
+            f"warning: {left} other changes are left out, although this plan depends on them"
         )
     return chosen
 

@@ -1,4 +1,4 @@
-"""probe."""
+"""probe command."""
 
 from pathlib import Path
 from typing import Annotated
@@ -26,7 +26,7 @@ def probe_command(
     accept_new: options.AcceptNewOption = False,
     allow_unreachable: options.AllowUnreachableOption = False,
 ) -> None:
-    """Measure every host, every link and every task. Nothing is changed.
+    """Measure hosts, links and tasks. Nothing is changed.
 
     Examples:
         edgectl probe

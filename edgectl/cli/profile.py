@@ -1,4 +1,4 @@
-"""profile."""
+"""profile command."""
 
 from typing import Annotated
 
@@ -14,15 +14,16 @@ from edgectl.views.output_format import OutputFormat
 def profile_command(
     *,
     task: options.TaskArgument,
-    write: Annotated[bool, Option("--write", help="Put p95 into the task file, and nothing else.")] = False,
+    write: Annotated[bool, Option("--write", help="Save p95 as the demand in the task file.")] = False,
     yes: options.YesOption = False,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
     output: options.FieldsOutput = OutputFormat.TABLE,
 ) -> None:
-    """Show what a task was measured to use, by class of hosts: median, p95 and most, beside what is declared. No host is contacted.
+    """Show measured usage of a task by class of hosts (median, p95, maximum) beside its declared demand. No
+    host is contacted.
 
-    TASK may also be an entry that is made for each robot. --write shows the change and asks.
+    TASK may be an entry with for_each. --write shows the change and asks.
 
     Examples:
         edgectl profile slam-robot1
@@ -33,7 +34,7 @@ def profile_command(
     from edgectl.usecases.measured_demand import load_class_profiles
     from edgectl.usecases.profile import build_demand_edit, get_tasks_by_name
 
-    apply_session.check_can_confirm(asked=write and not yes, first="look first: edgectl profile TASK")
+    apply_session.check_can_confirm(asked=write and not yes, first="check first: edgectl profile TASK")
     files = resolve_task_paths(tasks)
     fleet = build_fleet(load_inputs(inventory, files))
     check_known_names(
@@ -45,11 +46,11 @@ def profile_command(
         return
     change = build_demand_edit(fleet, files, named[0])
     if change.before == change.after:
-        console.print_message(f"{change.file} says so already")
+        console.print_message(f"{change.file} is up to date")
         return
     if len(change.tasks) > 1:
         console.print_message(
-            f"{change.entry} is one entry for {', '.join(change.tasks)}: it gets the greatest p95 of them"
+            f"{change.entry} is one entry for {', '.join(change.tasks)}: it gets the maximum of their p95"
         )
     console.print_stderr(change.diff())
     if not yes and not apply_session.ask_confirmation(

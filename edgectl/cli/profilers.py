@@ -1,4 +1,4 @@
-"""profilers start, profilers stop, profilers status."""
+"""Commands for resident profilers: start, stop, status."""
 
 from typing import Annotated
 
@@ -14,7 +14,7 @@ _HostsArgument = Annotated[
     Argument(
         metavar="[HOST...]",
         autocompletion=host_names,
-        help="Names in the inventory; all.",
+        help="Names in the inventory; default: all.",
         show_default=False,
     ),
 ]
@@ -26,14 +26,15 @@ def profilers_start_command(
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
     output: options.ResultOutput = OutputFormat.TABLE,
-    every: Annotated[
-        str, Option("--every", metavar="TIME", help="From sample to sample, 100ms to 1m.")
-    ] = "1s",
-    ttl: Annotated[str, Option("--ttl", metavar="TIME", help="End after so long without a call.")] = "1h",
+    every: Annotated[str, Option("--every", metavar="TIME", help="Sampling period, 100ms to 1m.")] = "1s",
+    ttl: Annotated[
+        str, Option("--ttl", metavar="TIME", help="End after this time without a request.")
+    ] = "1h",
 ) -> None:
-    """Start a small process on each host that measures all the time, so that a probe needs no sample window.
+    """Start a resident profiler on each host, so that a probe needs no sample window.
 
-    Start them again after a change of robots or of detect, and after a host was rebooted: what runs and fits stays.
+    Start them again after a change of robots or of detect, and after a reboot: profilers with the same
+    options stay.
 
     Examples:
         edgectl profilers start
@@ -60,7 +61,7 @@ def profilers_status_command(
     tasks: options.TasksOption = None,
     output: options.ResultOutput = OutputFormat.TABLE,
 ) -> None:
-    """Show which profilers run, what they cost and when they would end.
+    """Show resident profilers, their cost and their remaining time.
 
     Examples:
         edgectl profilers status
@@ -80,7 +81,7 @@ def profilers_stop_command(
     tasks: options.TasksOption = None,
     output: options.ResultOutput = OutputFormat.TABLE,
 ) -> None:
-    """Stop the profilers and prove that they are gone. Probes measure over a window again.
+    """Stop resident profilers and verify that they are gone. Probes use a sample window again.
 
     Examples:
         edgectl profilers stop

@@ -1,4 +1,4 @@
-"""A fleet that follows its files: read anew where they changed."""
+"""Reload of a fleet when its files change."""
 
 import os
 from collections.abc import Callable, Iterable, Sequence
@@ -15,7 +15,8 @@ FileStats = tuple[tuple[str, int, int, int], ...]
 def build_fleet_reloader(
     inventory: Path | None, tasks: Sequence[Path] | None, *, accept_new: bool
 ) -> Callable[[], Fleet | None]:
-    """What to call now and then: a new fleet where its files, or those of ssh, changed since the last call, else None.
+    """A function that returns a new fleet if its files, or those of ssh, changed since the last call, else
+    None.
 
     It raises an EdgectlError while the files are broken.
     """
@@ -51,7 +52,7 @@ def _load_inputs_quietly(inventory: Path | None, tasks: Sequence[Path] | None) -
 def _fingerprint_files(
     inventory: Path | None, tasks: Sequence[Path] | None, *, accept_new: bool
 ) -> FileStats:
-    """Which files there are, and when they changed. Keys that we accept ourselves change known_hosts, which is no news then."""
+    """Names and times of the files. Keys that edgectl accepts change known_hosts; they are not a change."""
     try:
         files = [resolve_inventory_path(inventory), *resolve_task_paths(tasks)]
     except EdgectlError:

@@ -15,10 +15,10 @@ _SYNTAX_HINT = "write a=b, a!=b, a in (b,c), a notin (b,c), a or !a, joined by c
 
 
 def matches_selector(selector: str, labels: Mapping[str, str]) -> bool:
-    """Whether labels satisfy every part of ``selector``; ``!=`` and ``notin`` hold where the label is missing.
+    """Whether labels satisfy every part of ``selector``; ``!=`` and ``notin`` hold if the label is missing.
 
     Raises:
-        UsageError: a part that is none.
+        UsageError: a part cannot be parsed.
     """
     parts = [_parse_requirement(part.strip()) for part in _COMMA.split(selector)]
     return all(_is_requirement_met(part, labels) for part in parts)
@@ -27,7 +27,7 @@ def matches_selector(selector: str, labels: Mapping[str, str]) -> bool:
 def _parse_requirement(part: str) -> re.Match[str]:
     found = _REQUIREMENT.fullmatch(part)
     if found is None or (found["absent"] and (found["sign"] or found["word"])):
-        raise UsageError(f"cannot read the selector {part!r}", hint=_SYNTAX_HINT)
+        raise UsageError(f"cannot parse the selector {part!r}", hint=_SYNTAX_HINT)
     return found
 
 

@@ -1,4 +1,4 @@
-"""How a command ends well that goes on until it is told to end."""
+"""Signal handling for long-running commands."""
 
 import contextlib
 import queue
@@ -14,28 +14,28 @@ _MIN_PERIOD_S = 0.1
 
 
 def parse_every_option(text: str) -> float:
-    """Seconds between two looks, as ``--every`` states them.
+    """Parse the seconds between two probes given by ``--every``.
 
     Raises:
-        UsageError: it is no duration, or so short that it would do nothing but look.
+        UsageError: it is not a duration, or too short.
     """
     from edgectl.cli.connect import parse_duration_option
 
     every = parse_duration_option(text, "--every")
     if every < _MIN_PERIOD_S:
-        raise UsageError(f"--every {text} is too often", hint="write 100ms or more")
+        raise UsageError(f"--every {text} is too short", hint="write 100ms or more")
     return every
 
 
 @contextlib.contextmanager
 def catch_stop_signals(every: float) -> Iterator[Callable[[], bool]]:
-    """A wait of ``every`` seconds that says whether SIGINT or SIGTERM came; it ends at once when one comes."""
-    # The one queue of the standard library that a signal handler may put into at any moment.
+    """A wait of ``every`` seconds that returns whether SIGINT or SIGTERM came; a signal ends it at once."""
+    # The only queue of the standard library that a signal handler may use at any moment.
     ends: queue.SimpleQueue[int] = queue.SimpleQueue()
 
     def end(number: int, _frame: FrameType | None) -> None:
         if not ends.empty():
-            raise KeyboardInterrupt  # asked twice, so what is under way is not waited for
+            raise KeyboardInterrupt  # the second signal: do not wait for the work in progress
         ends.put(number)
 
     def wait() -> bool:
@@ -50,10 +50,11 @@ def catch_stop_signals(every: float) -> Iterator[Callable[[], bool]]:
 
 
 @contextlib.contextmanager
-def stop_control_on_signal(control: Control, saying: str = "") -> Iterator[list[int]]:
-    """The first Ctrl-C or SIGTERM lets what is under way finish, the second stops at once; the list tells which came.
+def stop_control_on_signal(control: Control, message: str = "") -> Iterator[list[int]]:
+    """The first Ctrl-C or SIGTERM lets the work in progress finish, the second stops at once; the list
+    receives the signals.
 
-    ``saying`` is told at the first.
+    ``saying`` is printed at the first.
     """
     came: list[int] = []
 
@@ -62,8 +63,8 @@ def stop_control_on_signal(control: Control, saying: str = "") -> Iterator[list[
         if len(came) > 1:
             raise KeyboardInterrupt
         control.stop()
-        if saying:
-            console.print_message(saying)
+        if message:
+            console.print_message(message)
 
     with _install_handlers(heard):
         yield came
@@ -71,7 +72,7 @@ def stop_control_on_signal(control: Control, saying: str = "") -> Iterator[list[
 
 @contextlib.contextmanager
 def _install_handlers(heard: Callable[[int, FrameType | None], None]) -> Iterator[None]:
-    """Ctrl-C and SIGTERM go to ``heard``; afterwards to whom they went before."""
+    """Install ``heard`` as handler of Ctrl-C and SIGTERM; restore the earlier handlers afterwards."""
     before = {number: signal.signal(number, heard) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield

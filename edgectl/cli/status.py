@@ -1,4 +1,4 @@
-"""status and logs."""
+"""status and logs commands."""
 
 from typing import Annotated
 
@@ -16,7 +16,7 @@ def status_command(
     output: options.FleetOutput = OutputFormat.TABLE,
     allow_unreachable: options.AllowUnreachableOption = False,
 ) -> None:
-    """Show what runs where, since when, and what it uses against its demand.
+    """Show where tasks run, their age, and their usage against demand.
 
     Examples:
         edgectl status
@@ -37,12 +37,12 @@ def logs_command(
     task: options.TaskArgument,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
-    follow: Annotated[bool, Option("--follow", "-f", help="Go on as more is printed, until Ctrl-C.")] = False,
+    follow: Annotated[bool, Option("--follow", "-f", help="Keep printing until Ctrl-C.")] = False,
     tail: Annotated[
-        int, Option("--tail", "-n", metavar="N", min=0, help="How many of the last lines.")
+        int, Option("--tail", "-n", metavar="N", min=0, help="Number of last lines to print.")
     ] = 100,
 ) -> None:
-    """Print the log of a task, from the host where it runs or ran last.
+    """Print the logs of a task from the host where it runs or ran last.
 
     Examples:
         edgectl logs slam-robot1
@@ -55,7 +55,7 @@ def logs_command(
     fleet = build_fleet(load_inputs(inventory, tasks))
     if not follow:
         text = logs.read_log(fleet, task, tail=tail)
-        console.print_log(text.encode()) if text else console.print_message("nothing was printed")
+        console.print_log(text.encode()) if text else console.print_message("the log is empty")
         return
     for part in logs.follow_log(fleet, task, tail=tail):
         if not console.print_log(part):

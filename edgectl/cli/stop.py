@@ -1,4 +1,4 @@
-"""stop and restart."""
+"""stop and restart commands."""
 
 from typing import Annotated
 
@@ -17,7 +17,7 @@ def stop_command(
         list[str] | None,
         Argument(metavar="[TASK...]", autocompletion=task_names, help="Names of tasks.", show_default=False),
     ] = None,
-    every: Annotated[bool, Option("--all", help="Every task that runs, wherever it runs.")] = False,
+    every: Annotated[bool, Option("--all", help="Every running task on every host.")] = False,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
     output: options.ResultOutput = OutputFormat.TABLE,
@@ -26,7 +26,8 @@ def stop_command(
     fail_fast: options.FailFastOption = False,
     lock_timeout: options.LockTimeoutOption = "0s",
 ) -> None:
-    """Stop tasks and prove that they are gone. The next apply starts them again, unless edgectl done says otherwise.
+    """Stop tasks and verify that they are gone. The next apply starts them again, unless they are marked
+    done.
 
     Examples:
         edgectl stop slam-robot1 --yes
@@ -37,7 +38,7 @@ def stop_command(
     from edgectl.usecases.stop import stop_tasks
 
     if bool(names) == every:
-        raise UsageError("name tasks, or pass --all", hint="edgectl status lists what runs")
+        raise UsageError("name tasks, or pass --all", hint="list running tasks: edgectl status")
     apply_session.check_can_confirm(asked=not yes)
     fleet = build_fleet(load_inputs(inventory, tasks))
     with apply_session.open_apply_session(quiet=False, output=output, asked=not yes) as act:
@@ -60,7 +61,7 @@ def restart_command(
     yes: options.YesOption = False,
     lock_timeout: options.LockTimeoutOption = "0s",
 ) -> None:
-    """Stop a task and start it again on the host where it runs; or start one that was given up (status says so).
+    """Stop a task and start it again on the same host; or start one that failed for good.
 
     Examples:
         edgectl restart slam-robot1 --yes

@@ -1,4 +1,4 @@
-"""Single keys from the terminal, while something else runs."""
+"""Key presses and full-screen text on the terminal."""
 
 import contextlib
 import os
@@ -14,18 +14,20 @@ _KEY_POLL_S = 0.2
 
 
 def is_foreground() -> bool:
-    """Whether standard input is a terminal whose keys are ours: a command in the background may not touch it."""
+    """Whether stdin is a terminal in whose foreground this command runs; a background command must not change
+    it.
+    """
     if not sys.stdin.isatty():
         return False
     try:
         return os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
     except OSError:
-        return True  # a terminal, but not the one that controls jobs
+        return True  # a terminal, but not the controlling one
 
 
 @contextlib.contextmanager
 def listen_for_keys(heard: Callable[[str], None]) -> Iterator[None]:
-    """Call ``heard`` with each key, from a thread of its own; afterwards the terminal is as it was before."""
+    """Call ``heard`` with each key from a thread; the terminal is restored afterwards."""
     if not is_foreground():
         yield
         return
@@ -58,7 +60,9 @@ _ENTER_SCREEN, _LEAVE_SCREEN = "\x1b[?1049h\x1b[?25l", "\x1b[?25h\x1b[?1049l"
 
 
 def render_screen(text: str, rows: int) -> str:
-    """What shows ``text`` from the top left corner: at most ``rows`` lines, the last of them says how many more there are."""
+    """Escape sequences that show ``text`` from the top left corner: at most ``rows`` lines, the last with the
+    number of hidden ones.
+    """
     lines = text.splitlines()
     if len(lines) > rows:
         lines = [*lines[: rows - 1], f"and {len(lines) - rows + 1} more lines"]
@@ -67,7 +71,9 @@ def render_screen(text: str, rows: int) -> str:
 
 @contextlib.contextmanager
 def open_screen() -> Iterator[Callable[[str], None]]:
-    """A way to show texts on a screen of its own. Whatever happens the terminal is as before afterwards, and the last text stands on it."""
+    """A function that shows texts on the alternate screen. The terminal is restored afterwards in any case,
+    with the last text on it.
+    """
     shown = ""
 
     def show(text: str) -> None:

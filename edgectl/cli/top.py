@@ -1,4 +1,4 @@
-"""top hosts and top tasks."""
+"""top hosts and top tasks commands."""
 
 import dataclasses
 import os
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from edgectl.model.snapshot import Snapshot
     from edgectl.usecases.fleet import Fleet
 
-# What a view is given of one look at the fleet.
+# Arguments of the view of one probe.
 ViewValues = tuple[Any, ...]
 _WATCH_FORMATS = (OutputFormat.TABLE, OutputFormat.WIDE, OutputFormat.JSON)
 
@@ -36,9 +36,10 @@ def top_hosts_command(
     readonly: options.ReadonlyOption = False,
     allow_unreachable: options.AllowUnreachableOption = False,
 ) -> None:
-    """Show how much of its CPU, memory and busiest link each host uses, now and over its last 60 samples, whoever took them.
+    """Show CPU, memory and busiest link of each host, now and over its last 60 recorded samples.
 
-    A share above the limit of the inventory ends in "!". On a pipe there are numbers only; -w -o json is one object per line.
+    A share above the limit of the inventory ends in "!". Without a terminal the output is numbers only; -w -o
+    json is one object per line.
 
     Examples:
         edgectl top hosts
@@ -67,9 +68,10 @@ def top_tasks_command(
     readonly: options.ReadonlyOption = False,
     allow_unreachable: options.AllowUnreachableOption = False,
 ) -> None:
-    """Show how much each task uses against its demand (OFF: use minus demand), now and over its last 60 samples, whoever took them.
+    """Show usage of each task against its demand (OFF: usage minus demand), now and over its last 60 recorded
+    samples.
 
-    On a pipe there are numbers only; -w -o json is one object per line.
+    Without a terminal the output is numbers only; -w -o json is one object per line.
 
     Examples:
         edgectl top tasks -o wide
@@ -88,7 +90,7 @@ def top_tasks_command(
 def _print_top(
     loaded: LoadedInputs, what: str, output: OutputFormat, every: float | None, *, allow_unreachable: bool
 ) -> int:
-    """Once, or with ``every`` again and again."""
+    """Print once, or with ``every`` repeatedly."""
     from edgectl.cli.connect import build_fleet
     from edgectl.usecases.probe import probe_fleet
 
@@ -99,7 +101,8 @@ def _print_top(
         return exit_codes.of_snapshot(snapshot, fleet.inventory, allow_unreachable=allow_unreachable)
     if output not in _WATCH_FORMATS:
         raise UsageError(
-            f"no {output} form that goes on", hint=f"write -o {format_alternatives(_WATCH_FORMATS)}"
+            f'output format "{output}" is not supported with -w',
+            hint=f"use -o {format_alternatives(_WATCH_FORMATS)}",
         )
     _watch_top(fleet, what, output, every)
     return 0
@@ -115,7 +118,7 @@ def _collect_view_values(fleet: "Fleet", what: str, snapshot: "Snapshot") -> Vie
 
 
 def _watch_top(fleet: "Fleet", what: str, output: OutputFormat, every: float) -> None:
-    """On a terminal in place, elsewhere one after the other, until Ctrl-C (or q)."""
+    """Refresh in place on a terminal, else print one after the other, until Ctrl-C (or q)."""
     from edgectl.usecases.status import probe_repeatedly
 
     said: dict[str, None] = {}
@@ -147,18 +150,16 @@ def _quit_on_q(key: str) -> None:
 
 
 def _run_live_view(loaded: LoadedInputs, every: float, *, readonly: bool, first: str) -> None:
-    """The live view of edgectl[tui].
+    """The full-screen view of edgectl[tui].
 
     Raises:
-        UsageError: standard output is no terminal, or the extra is not installed.
+        UsageError: stdout is not a terminal, or the extra is not installed.
     """
     from edgectl.cli.connect import build_fleet
     from edgectl.cli.extras import require_extra
 
     if not sys.stdout.isatty():
-        raise UsageError(
-            "standard output is not a terminal", hint="edgectl top hosts -w -o json is for programs"
-        )
+        raise UsageError("stdout is not a terminal", hint="for programs: edgectl top hosts -w -o json")
     with require_extra("tui"):
         from edgectl.tui import run_top_view
     run_top_view(build_fleet(loaded, asking=False), every=every, readonly=readonly, first=first)

@@ -1,4 +1,4 @@
-"""Which files a command works on, and what they hold."""
+"""Choice, reading and writing of the user's files."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ _YAML_SUFFIXES = (".yaml", ".yml")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LoadedInputs:
-    """The two inputs as read, and where the inventory stands (it names the fleet's state)."""
+    """Inventory and tasks as read, and the path of the inventory, which identifies the fleet's state."""
 
     inventory: Inventory
     tasks: Tasks
@@ -24,7 +24,8 @@ class LoadedInputs:
 def load_inputs(
     inventory: Path | None, tasks: Sequence[Path] | None, *, every_warning: bool = False, quiet: bool = False
 ) -> LoadedInputs:
-    """Both files, given or found; warnings go to standard error, unless a plan says the same and knows better, or ``quiet`` is wanted.
+    """Load both files, given or found; warnings go to stderr unless ``quiet`` or repeated with more detail by
+    a plan.
 
     Raises:
         UsageError: none is given and none can be chosen.
@@ -45,12 +46,12 @@ def load_inputs(
 
 
 def resolve_inventory_path(given: Path | None) -> Path:
-    """The inventory that is given, or the only one in inventories/."""
+    """The given inventory, or the only one in inventories/."""
     return given if given is not None else _get_only_file("inventory", "inventories", "-i")
 
 
 def resolve_task_paths(given: Sequence[Path] | None) -> list[Path]:
-    """The task files that are given (of a directory: all of its YAML files), or the only one in tasks/."""
+    """The given task files (of a directory: all of its YAML files), or the only one in tasks/."""
     if not given:
         return [_get_only_file("task file", "tasks", "-t")]
     return [file for path in given for file in (_get_yaml_files(path) if path.is_dir() else [path])]
@@ -74,7 +75,7 @@ def _get_only_file(what: str, directory: str, option: str) -> Path:
     if not files:
         raise UsageError(
             f"no {what} given, and there is none in {directory}/",
-            hint=f"pass {option} FILE, or make a fleet to start from: edgectl init .",
+            hint=f"pass {option} FILE, or create an example fleet: edgectl init .",
         )
     names = ", ".join(file.name for file in files)
     raise UsageError(
@@ -83,9 +84,9 @@ def _get_only_file(what: str, directory: str, option: str) -> Path:
 
 
 def save_file(path: Path, text: str | bytes | Iterable[str], *, mode: int | None = None) -> None:
-    """Write a file of the user, whole or not at all; through a link, and straight into a pipe or a device.
+    """Write a user's file, whole or not at all; through a link, and directly to a pipe or a device.
 
-    ``text`` may come in parts. ``mode``: rights of the file; as the umask has it where None.
+    ``text`` may come in parts. ``mode``: permissions of the file; by the umask if None.
 
     Raises:
         FileError: it cannot be written.
@@ -100,22 +101,23 @@ def save_file(path: Path, text: str | bytes | Iterable[str], *, mode: int | None
 
 
 def make_directory(directory: Path) -> None:
-    """See that there is such a directory.
+    """Create the directory if it is missing.
 
     Raises:
-        FileError: it cannot be made.
+        FileError: it cannot be created.
     """
     try:
         directory.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise FileError(f"cannot make {directory}: {error.strerror}") from error
+        raise FileError(f"cannot create {directory}: {error.strerror}") from error
 
 
 def replace_file_text(path: Path, before: str, after: str) -> None:
-    """Write ``after`` to a file of the user that still holds ``before``, whole or not at all; its rights and its byte order mark stay.
+    """Write ``after`` to a user's file that still holds ``before``, whole or not at all; permissions and byte
+    order mark stay.
 
     Raises:
-        FileError: it holds something else by now, or cannot be written.
+        FileError: it changed meanwhile, or cannot be written.
     """
     mark = "\ufeff"
     try:
@@ -123,7 +125,7 @@ def replace_file_text(path: Path, before: str, after: str) -> None:
     except (OSError, UnicodeDecodeError) as error:
         raise FileError(f"cannot read {path}: {error}") from error
     if now.removeprefix(mark) != before:
-        raise FileError(f"{path} changed meanwhile; it was left alone", hint="say it again")
+        raise FileError(f"{path} changed meanwhile; it was not written", hint="run the command again")
     save_file(path, mark * now.startswith(mark) + after, mode=mode)
 
 
@@ -139,7 +141,7 @@ def _write_atomically(path: Path, text: str | bytes | Iterable[str], mode: int |
     partial = path.with_name(f".{path.name}.partial")
     try:
         if mode is not None:
-            partial.touch(mode)  # never wider than it will be, not even for a moment
+            partial.touch(mode)  # never with wider permissions than the final ones
         _write_content(partial, text)
         if mode is not None:
             partial.chmod(mode)

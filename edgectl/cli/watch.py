@@ -1,4 +1,4 @@
-"""watch."""
+"""watch command."""
 
 import contextlib
 import os
@@ -19,8 +19,8 @@ from edgectl.usecases.fleet import Fleet
 from edgectl.views.output_format import OutputFormat
 
 _MIN_PERIOD_S = 1.0
-_ApplyOption = Annotated[bool, Option("--apply", help="Carry the plans out, unasked.")]
-_EveryOption = Annotated[str, Option("--every", metavar="TIME", help="From one cycle to the next.")]
+_ApplyOption = Annotated[bool, Option("--apply", help="Apply the plans, without asking.")]
+_EveryOption = Annotated[str, Option("--every", metavar="TIME", help="Time from one cycle to the next.")]
 _CyclesOption = Annotated[int | None, Option("--cycles", metavar="N", min=1, help="End after N cycles.")]
 CyclePrinter = Callable[[Cycle], None]
 
@@ -40,9 +40,10 @@ def watch_command(
     without: options.WithoutOption = None,
     accept_new: options.AcceptNewOption = False,
 ) -> None:
-    """Look at the fleet again and again, plan each time, and with --apply keep everything where it should be.
+    """Re-plan periodically; with --apply, also apply.
 
-    On a terminal: a live view; q quits, p plans now, a pauses. Elsewhere: a line where something happened. SIGTERM ends it with 0.
+    On a terminal: a live view; q quits, p plans now, a pauses. Else: one line per event. SIGTERM ends it with
+    exit code 0.
 
     Examples:
         edgectl watch --cycles 3 --every 2s
@@ -57,7 +58,7 @@ def watch_command(
 
     pause = parse_duration_option(every, "--every")
     if pause < _MIN_PERIOD_S:
-        raise UsageError(f"--every {every} is too often", hint="write 1s or more")
+        raise UsageError(f"--every {every} is too short", hint="write 1s or more")
 
     def how(fleet: Fleet) -> Policy:
         return policy_options.policy_from_options(
@@ -104,13 +105,13 @@ def _yield_and_close(cycles: Iterator[Cycle]) -> Iterator[Cycle]:
 def _open_cycle_printer(
     output: OutputFormat, name: str, policy: Policy, control: Control, *, apply: bool
 ) -> Iterator[CyclePrinter]:
-    """What to do with each cycle: draw it, write its line, or write its object."""
+    """A function that shows each cycle: draws it, prints its line, or prints its object."""
     from edgectl.cli.terminal import is_foreground, listen_for_keys
     from edgectl.views import watch_cycle
     from edgectl.views.output_format import get_renderer
 
     if output is not OutputFormat.TABLE:
-        get_renderer(output, "cycle")  # refuse an unknown form before anything is done
+        get_renderer(output, "cycle")  # reject an unsupported format before anything is done
         yield lambda cycle: console.print_view(output, "cycle", cycle)
         return
     if not (sys.stdout.isatty() and is_foreground() and os.environ.get("TERM") != "dumb"):
@@ -126,7 +127,7 @@ def _open_cycle_printer(
 
 
 def _build_line_printer(line: Callable[[Cycle | None, Cycle], str]) -> CyclePrinter:
-    """Write the line of each cycle that has one."""
+    """A function that prints the line of each cycle that has one."""
     before: list[Cycle] = []
 
     def show(cycle: Cycle) -> None:
@@ -139,4 +140,4 @@ def _build_line_printer(line: Callable[[Cycle | None, Cycle], str]) -> CyclePrin
 
 
 def _ignore_key() -> None:
-    """A key that means nothing."""
+    """Ignore a key."""

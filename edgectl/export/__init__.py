@@ -1,1 +1,1 @@
-"""Export: what edgectl knows, in the words of other programs."""
+"""Export for other programs: Prometheus, cron, systemd, CSV, JSON Lines."""

@@ -1,28 +1,30 @@
-"""The line of a crontab that applies a fleet's tasks: it says nothing, and so sends no mail, where nothing had to be done."""
+"""Crontab line that applies a fleet's tasks; without changes it prints nothing, so cron sends no mail."""
 
 import shlex
 
 from edgectl.export.job import ScheduledJob, build_arguments, format_interval
 
-# Of Vixie cron, whose daemon takes a longer command for none.
+# Limit of Vixie cron, whose daemon ignores longer commands.
 _MAX_COMMAND_LENGTH = 998
 _MINUTE, _HOUR, _DAY = 60, 3600, 86400
 _DEFAULT_INTERVAL_S = 5 * _MINUTE
 
 
 def format_crontab(job: ScheduledJob) -> str:
-    """The line, below comments that say how to install it.
+    """The line, below comments with installation instructions.
 
     Raises:
-        ValueError: cron cannot say this interval, or the line is longer than cron takes, or holds what cannot be quoted.
+        ValueError: cron cannot express this interval, the line is too long for cron, or a value cannot be
+        quoted.
     """
     every = _DEFAULT_INTERVAL_S if job.every_s is None else job.every_s
     line = f"{format_cron_schedule(every)} {format_cron_command(job)}"
     return (
         f"# edgectl apply for {job.inventory}, every {format_interval(every)}.\n"
         "# Install: (crontab -l; edgectl export cron ..) | crontab -      Remove: crontab -e\n"
-        "# cron mails what is printed: what was done, and what failed. Nothing is printed where nothing had to be done. Put\n"
-        "# MAILTO=you@example.org above the line; for a file instead, append to the line: >> /path/to/edgectl.log 2>&1\n"
+        "# cron mails the output: changes and failures. Without changes there is no output. Put\n"
+        "# MAILTO=you@example.org above the line; for a file instead, append to the line: >> "
+        "/path/to/edgectl.log 2>&1\n"
         f"{line}\n"
     )
 
@@ -31,7 +33,7 @@ def format_cron_schedule(every_s: float) -> str:
     """The five fields for an interval that divides an hour or a day evenly.
 
     Raises:
-        ValueError: no five fields mean that.
+        ValueError: five fields cannot express it.
     """
     whole = int(every_s)
     if whole == every_s and whole >= _MINUTE:
@@ -43,26 +45,33 @@ def format_cron_schedule(every_s: float) -> str:
             return "0 0 * * *"
     said = format_interval(every_s)
     raise ValueError(
-        f"cron cannot say every {said}; write one that divides an hour or a day (5m, 15m, 1h, 6h), or use edgectl export systemd"
+        f"cron cannot express every {said}; choose one that divides an hour or a day (5m, 15m, 1h, 6h), or "
+        "use edgectl export systemd"
     )
 
 
 def format_cron_command(job: ScheduledJob) -> str:
-    """What sh is given, in the words of a crontab.
+    """The command for sh, quoted for a crontab.
 
     Raises:
-        ValueError: it is too long, or holds what cannot be quoted.
+        ValueError: it is too long, or cannot be quoted.
     """
     arguments = build_arguments(job, "apply", "--yes", "--quiet")
     variables = "".join(f"{name}={quote_for_cron(value)} " for name, value in job.environment.items())
-    text = f"cd {quote_for_cron(job.directory)} && {variables}{' '.join(quote_for_cron(word) for word in (*job.program, *arguments))}"
+    text = (
+        f"cd {quote_for_cron(job.directory)} && "
+        f"{variables}{' '.join(quote_for_cron(word) for word in (*job.program, *arguments))}"
+    )
     if len(text) > _MAX_COMMAND_LENGTH:
         raise ValueError(
-            f"the line has {len(text)} characters, and cron takes {_MAX_COMMAND_LENGTH}; shorten the paths, or use edgectl export systemd"
+            f"the line has {len(text)} characters, but cron accepts {_MAX_COMMAND_LENGTH}; shorten the "
+            "paths, or use edgectl export systemd"
         )
     return text
 
 
 def quote_for_cron(word: str) -> str:
-    """One word for sh, its percent signs outside of quotes: some crons take the backslash before one away and some leave it to sh."""
+    """Quote one word for sh, its percent signs outside of quotes: some crons remove the backslash before one,
+    some leave it to sh.
+    """
     return r"\%".join(shlex.quote(part) if part else "" for part in word.split("%")) or "''"

@@ -1,6 +1,6 @@
-"""History as rows for other programs: CSV and JSON Lines, with the same columns in the same order for ever. Pure.
+"""History as rows for other programs: CSV and JSON Lines with stable columns. Pure.
 
-Units stand in the names of the columns; instants are RFC 3339 in UTC; what is not known is empty (null in JSON).
+Column names contain units; instants are RFC 3339 in UTC; unknown values are empty (null in JSON).
 """
 
 import csv
@@ -17,7 +17,7 @@ RowValue = str | int | float | None
 
 
 class RowKind(StrEnum):
-    """What there are rows of."""
+    """Kinds of rows."""
 
     HOSTS = "hosts"
     LINKS = "links"
@@ -27,38 +27,77 @@ class RowKind(StrEnum):
     EVENTS = "events"
 
 
-# Columns by kind, each with the field that it shows. New ones are added at the end.
+# Columns by kind, each with its field. New ones are added at the end.
 COLUMNS: Mapping[RowKind, Mapping[str, str]] = {
     RowKind.HOSTS: {
-        "at": "at", "host": "host", "status": "status", "cores": "cores", "used_cores": "used_cores", "total_bytes": "total_bytes",
-        "used_bytes": "used_bytes", "rx_bytes_per_s": "rx_bytes_per_s", "tx_bytes_per_s": "tx_bytes_per_s",
+        "at": "at",
+        "host": "host",
+        "status": "status",
+        "cores": "cores",
+        "used_cores": "used_cores",
+        "total_bytes": "total_bytes",
+        "used_bytes": "used_bytes",
+        "rx_bytes_per_s": "rx_bytes_per_s",
+        "tx_bytes_per_s": "tx_bytes_per_s",
     },
     RowKind.LINKS: {
-        "at": "at", "edge": "edge", "robot": "robot", "capacity_bytes_per_s": "capacity_bytes_per_s",
-        "used_bytes_per_s": "used_bytes_per_s", "rtt_ms": "rtt_ms",
+        "at": "at",
+        "edge": "edge",
+        "robot": "robot",
+        "capacity_bytes_per_s": "capacity_bytes_per_s",
+        "used_bytes_per_s": "used_bytes_per_s",
+        "rtt_ms": "rtt_ms",
     },
     RowKind.TASKS: {
-        "at": "at", "task": "task", "host": "host", "state": "state", "used_cores": "used_cores", "used_bytes": "used_bytes",
-        "used_bytes_per_s": "used_bytes_per_s", "links": "links", "age_s": "age_s", "instance": "instance", "spec_hash": "spec_hash",
+        "at": "at",
+        "task": "task",
+        "host": "host",
+        "state": "state",
+        "used_cores": "used_cores",
+        "used_bytes": "used_bytes",
+        "used_bytes_per_s": "used_bytes_per_s",
+        "links": "links",
+        "age_s": "age_s",
+        "instance": "instance",
+        "spec_hash": "spec_hash",
     },
-    RowKind.METRICS: {"at": "at", "task": "task", "host": "host", "name": "name", "value": "value", "instance": "instance"},
+    RowKind.METRICS: {
+        "at": "at",
+        "task": "task",
+        "host": "host",
+        "name": "name",
+        "value": "value",
+        "instance": "instance",
+    },
     RowKind.HANDOFFS: {
-        "at": "at", "task": "task", "host": "host", "previous_host": "previous_host", "outcome": "outcome", "downtime_s": "downtime_s",
+        "at": "at",
+        "task": "task",
+        "host": "host",
+        "previous_host": "previous_host",
+        "outcome": "outcome",
+        "downtime_s": "downtime_s",
         "duration_s": "seconds",
     },
-    RowKind.EVENTS: {"at": "at", "id": "id", "kind": "kind", "host": "host", "task": "task", "message": "message"},
-}  # fmt: skip
+    RowKind.EVENTS: {
+        "at": "at",
+        "id": "id",
+        "kind": "kind",
+        "host": "host",
+        "task": "task",
+        "message": "message",
+    },
+}
 
 
 class _LineEcho:
-    """A file for csv.writer that hands each line back."""
+    """A file for csv.writer that returns each line."""
 
     def write(self, line: str) -> str:
         return line
 
 
 def format_csv_lines(kind: RowKind, points: Iterable[HistoryPoint]) -> Iterator[str]:
-    """A header, then one line each, as the csv module reads them back."""
+    """The header, then one line per row, readable by the csv module."""
     writer = csv.writer(_LineEcho(), lineterminator="\n")
     yield writer.writerow(COLUMNS[kind])
     for point in points:

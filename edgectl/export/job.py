@@ -1,4 +1,4 @@
-"""What cron or systemd is to run again and again."""
+"""A job that cron or systemd runs periodically."""
 
 import re
 from collections.abc import Mapping
@@ -9,11 +9,12 @@ from edgectl.units import format_duration
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScheduledJob:
-    """One fleet. All paths are absolute.
+    """The job of one fleet. All paths are absolute.
 
-    ``name`` names the units. ``program`` are the words that start edgectl, ``directory`` is where it is started.
-    ``environment``: what it needs from the environment besides HOME. ``every_s``: seconds from one start to the next; None: its own
-    default. ``user`` runs it. ``local``: a host of the fleet is this machine, so tasks run below edgectl itself.
+    ``name`` names the units. ``program``: the words that start edgectl; ``directory``: where it starts.
+    ``environment``: variables besides HOME. ``every_s``: seconds between starts; None: the default of the
+    format.
+    ``user`` runs it. ``local``: a host of the fleet is this machine, so tasks run below edgectl itself.
     """
 
     name: str
@@ -31,17 +32,18 @@ def build_arguments(job: ScheduledJob, *command: str) -> tuple[str, ...]:
     """The arguments of ``command``, without the program.
 
     Raises:
-        ValueError: a path or a variable has characters that a crontab or a unit cannot hold the same everywhere.
+        ValueError: a path or a variable has characters that crontabs and units do not quote alike.
     """
     files = ("-i", job.inventory, *(word for path in job.tasks for word in ("-t", path)))
     for text in (*job.program, *files, job.directory, *job.environment.values()):
         if not text.isprintable() or "\\" in text or text != text.strip():
             raise ValueError(
-                f"cannot be written down for cron or systemd: {text!r}; rename it: no control characters, backslashes, outer blanks"
+                f"cannot be written for cron or systemd: {text!r}; rename it: no control characters, "
+                "backslashes, outer blanks"
             )
     return (*command, *files)
 
 
 def format_interval(every_s: float) -> str:
-    """An interval as people write it: ``5m``, ``1h30m``, ``10s``."""
+    """Format an interval for people: ``5m``, ``1h30m``, ``10s``."""
     return re.sub(r"(?<=[dhm])00[hms]$", "", format_duration(every_s).replace(".0s", "s"))

@@ -1,4 +1,4 @@
-"""How each metric is read from a picture of the fleet: samples of label values and a number. Pure."""
+"""Samples of each metric: label values and a number. Pure."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ from edgectl.model.snapshot import (
 )
 
 BUCKETS_S = (0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 60.0, 120.0)
-# States of a task that no host reports: it does not run, or stands on a host that is silent.
+# States of a task that no host reports: it is not running, or was on a host that is unreachable now.
 STOPPED, UNKNOWN = "stopped", "unknown"
 TASK_STATES = (*(state.value for state in TaskState), STOPPED, UNKNOWN)
 _CHANGING_ACTIONS = tuple(action for action in Action if action.changes)
@@ -29,7 +29,7 @@ _HANDOFF_ACTIONS = (Action.MOVE, Action.RESTART)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MetricsInput:
-    """What metrics are made of: a snapshot, what the scheduler makes of it, and everything that was done before, oldest first."""
+    """Input of the metrics: a snapshot, its plan, and all earlier revisions, oldest first."""
 
     version: str
     snapshot: Snapshot
@@ -38,13 +38,13 @@ class MetricsInput:
 
     @property
     def actions(self) -> Iterator[ActionResult]:
-        """Every action of the past."""
+        """All actions of the revisions."""
         return (action for revision in self.revisions for action in revision.actions)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Histogram:
-    """A histogram: how many values are at most each of ``BUCKETS_S``, how many there are in all, and their sum (s)."""
+    """A histogram: number of values up to each of ``BUCKETS_S``, their total number, and their sum (s)."""
 
     counts: tuple[int, ...]
     count: int
@@ -66,12 +66,12 @@ def sample_hosts(read: Callable[[HostSample], float | None]) -> Sampler:
 
 
 def sample_host_cpu(read: Callable[[CpuUsage], float]) -> Sampler:
-    """One sample per host that told its CPU."""
+    """One sample per host that reports its CPU."""
     return sample_hosts(lambda host: read(host.cpu) if host.cpu else None)
 
 
 def sample_host_memory(read: Callable[[MemoryUsage], float]) -> Sampler:
-    """One sample per host that told its memory."""
+    """One sample per host that reports its memory."""
     return sample_hosts(lambda host: read(host.memory) if host.memory else None)
 
 
@@ -81,14 +81,14 @@ def sample_host_up(picture: MetricsInput) -> Iterable[MetricSample]:
 
 
 def sample_operator_mark(read: Callable[[ManagerState], frozenset[str]]) -> Sampler:
-    """One sample per host: whether the operator closed it."""
+    """One sample per host: whether the operator set the mark."""
     return lambda picture: [
         ((name,), float(name in read(_get_manager_state(picture)))) for name in picture.snapshot.hosts
     ]
 
 
 def sample_contacts(picture: MetricsInput) -> Iterable[MetricSample]:
-    """One sample per host that was ever in touch: when."""
+    """One sample per host with a heartbeat: its time."""
     return [((name,), _get_manager_state(picture).contact.get(name)) for name in picture.snapshot.hosts]
 
 
@@ -97,7 +97,7 @@ def _get_manager_state(picture: MetricsInput) -> ManagerState:
 
 
 def sample_traffic(read: Callable[[HostSample], Iterable[float]]) -> Sampler:
-    """One sample per host that told its interfaces: their sum."""
+    """One sample per host that reports its interfaces: their sum."""
     return sample_hosts(lambda host: sum(read(host)) if host.device.interfaces else None)
 
 
@@ -122,7 +122,7 @@ def sample_links(read: Callable[[LinkSample], float | None]) -> Sampler:
 
 
 def sample_running_tasks(read: Callable[[TaskSample], float | None]) -> Sampler:
-    """One sample per task and host that it runs on."""
+    """One sample per task and host where it runs."""
     return lambda picture: [
         ((task, name), read(sample))
         for name, host in picture.snapshot.hosts.items()
@@ -132,7 +132,7 @@ def sample_running_tasks(read: Callable[[TaskSample], float | None]) -> Sampler:
 
 
 def sample_app_metrics(picture: MetricsInput) -> Iterable[MetricSample]:
-    """One sample per metric of each task that runs, by the name that the application gives it."""
+    """One sample per application metric of each running task."""
     for host, found in picture.snapshot.hosts.items():
         for task, sample in found.tasks.items():
             yield from (
@@ -141,14 +141,14 @@ def sample_app_metrics(picture: MetricsInput) -> Iterable[MetricSample]:
 
 
 def sample_task_states(picture: MetricsInput) -> Iterable[MetricSample]:
-    """One sample per task and state: 1 for the state that it is in."""
+    """One sample per task and state: 1 for its present state."""
     for step in picture.plan.steps:
         now = _find_task_state(step, picture.snapshot)
         yield from (((step.task, state), float(state == now)) for state in TASK_STATES)
 
 
 def _find_task_state(step: Step, snapshot: Snapshot) -> str:
-    """How a task is: as the host says that runs it; else as any host says; else by what is known of it."""
+    """State of a task: by the host where it runs; else by any host; else by the manager's state."""
     found = [host.tasks[step.task].state for host in snapshot.hosts.values() if step.task in host.tasks]
     if found:
         return max(found, key=lambda state: state.alive).value
@@ -165,12 +165,12 @@ def sample_steps(read: Callable[[Step], float | None]) -> Sampler:
 
 
 def count_planned_actions(picture: MetricsInput) -> Iterable[MetricSample]:
-    """One sample per action: how many tasks of the plan have it."""
+    """One sample per action: the number of tasks of the plan with it."""
     return [((action.value,), float(picture.plan.summary.get(action, 0))) for action in Action]
 
 
 def count_finished_actions(picture: MetricsInput) -> Iterable[MetricSample]:
-    """One sample per action and outcome: how many there were."""
+    """One sample per action and outcome: their number."""
     counts = dict.fromkeys(((action, outcome) for action in _CHANGING_ACTIONS for outcome in Outcome), 0)
     for action in picture.actions:
         if (action.action, action.outcome) in counts:
@@ -179,7 +179,7 @@ def count_finished_actions(picture: MetricsInput) -> Iterable[MetricSample]:
 
 
 def count_moves(picture: MetricsInput) -> Iterable[MetricSample]:
-    """One sample per task of the plan: how often it was moved."""
+    """One sample per task of the plan: its number of moves."""
     counts = dict.fromkeys((step.task for step in picture.plan.steps), 0)
     for action in picture.actions:
         if action.action is Action.MOVE and action.outcome is Outcome.DONE and action.task in counts:
@@ -205,5 +205,5 @@ def _build_histogram(values: list[float]) -> Histogram:
 
 
 def find_last_change(picture: MetricsInput) -> float | None:
-    """When the newest revision began; None before the first."""
+    """Start of the newest revision; None before the first."""
     return picture.revisions[-1].began_at if picture.revisions else None

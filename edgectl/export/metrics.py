@@ -1,8 +1,8 @@
-"""Every metric: its name, what it says, its labels, and how it is read from a picture of the fleet. Pure.
+"""Definition of every metric: name, help, labels and samples. Pure.
 
-Names follow Prometheus' conventions: base units, a unit at the end of each name, ``_total`` for what only grows. Labels are names of the
-inventory and the task files, and words of closed sets; so there are never more series than the files allow. What applications say of
-themselves is the exception, and a task may say at most 32 things.
+Names follow Prometheus' conventions: base units, the unit at the end of each name, ``_total`` for counters.
+Labels are names of the inventory and the task files, and words of closed sets, so the files bound the number
+of series. Application metrics are the exception; a task may have at most 32.
 """
 
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from edgectl.model.plan import Action
 
 
 class MetricType(StrEnum):
-    """What a metric is to Prometheus."""
+    """Prometheus type of a metric."""
 
     GAUGE = "gauge"
     COUNTER = "counter"
@@ -23,7 +23,7 @@ class MetricType(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MetricDefinition:
-    """One metric. ``read`` gives its samples: values of the labels, and a value, None where there is none."""
+    """One metric. ``read`` gives its samples: label values, and a value or None."""
 
     name: str
     help: str
@@ -32,7 +32,7 @@ class MetricDefinition:
     kind: MetricType = MetricType.GAUGE
 
     def samples(self, picture: MetricsInput) -> tuple[tuple[tuple[str, ...], float | Histogram], ...]:
-        """The samples that have a value."""
+        """The samples with a value."""
         return tuple((labels, value) for labels, value in self.read(picture) if value is not None)
 
 
@@ -52,36 +52,36 @@ METRICS = (
     ),
     MetricDefinition(
         name="edgectl_last_probe_timestamp_seconds",
-        help="When the hosts were last asked, by the manager's clock.",
+        help="Time of the last probe, by the manager's clock.",
         read=metric_samples.sample_fleet(lambda it: it.snapshot.taken_at),
     ),
     MetricDefinition(
         name="edgectl_host_up",
-        help="1 where the host answered, else 0.",
+        help="1 if the host answered, else 0.",
         labels=("host", "role"),
         read=metric_samples.sample_host_up,
     ),
     MetricDefinition(
         name="edgectl_host_cordoned",
-        help="1 where the host is closed to new tasks.",
+        help="1 if the host is cordoned.",
         labels=_HOST_LABELS,
         read=metric_samples.sample_operator_mark(lambda m: m.cordons),
     ),
     MetricDefinition(
         name="edgectl_host_fenced",
-        help="1 where the operator said that the host is switched off.",
+        help="1 if the operator declared the host powered off.",
         labels=_HOST_LABELS,
         read=metric_samples.sample_operator_mark(lambda memory: memory.fenced),
     ),
     MetricDefinition(
         name="edgectl_host_last_contact_timestamp_seconds",
-        help="When the host was last in touch, by the manager's clock.",
+        help="Time of the last heartbeat of the host, by the manager's clock.",
         labels=_HOST_LABELS,
         read=metric_samples.sample_contacts,
     ),
     MetricDefinition(
         name="edgectl_host_cpu_cores",
-        help="Cores that the host has (measured or declared, before limits).",
+        help="Cores of the host (measured or declared, before limits).",
         labels=_HOST_LABELS,
         read=metric_samples.sample_host_cpu(lambda cpu: cpu.cores),
     ),
@@ -93,7 +93,7 @@ METRICS = (
     ),
     MetricDefinition(
         name="edgectl_host_memory_bytes",
-        help="Memory that the host has (measured or declared, before limits).",
+        help="Memory of the host (measured or declared, before limits).",
         labels=_HOST_LABELS,
         read=metric_samples.sample_host_memory(lambda use: use.total_bytes),
     ),
@@ -105,43 +105,43 @@ METRICS = (
     ),
     MetricDefinition(
         name="edgectl_host_network_receive_bytes_per_second",
-        help="Bytes in, over all interfaces but loopback.",
+        help="Bytes received, over all interfaces but loopback.",
         labels=_HOST_LABELS,
         read=metric_samples.sample_traffic(metric_samples.list_receive_rates),
     ),
     MetricDefinition(
         name="edgectl_host_network_transmit_bytes_per_second",
-        help="Bytes out, over all interfaces but loopback.",
+        help="Bytes sent, over all interfaces but loopback.",
         labels=_HOST_LABELS,
         read=metric_samples.sample_traffic(metric_samples.list_transmit_rates),
     ),
     MetricDefinition(
         name="edgectl_host_gpu_used_ratio",
-        help="Share of the GPU in use, where the host shows it.",
+        help="Share of the GPU in use, where the host reports it.",
         labels=_HOST_LABELS,
         read=metric_samples.sample_hosts(lambda host: host.device.gpu_share),
     ),
     MetricDefinition(
         name="edgectl_host_temperature_celsius",
-        help="Temperature, where the host shows it.",
+        help="Temperature, where the host reports it.",
         labels=_HOST_LABELS,
         read=metric_samples.sample_hosts(lambda host: host.device.temperature_c),
     ),
     MetricDefinition(
         name="edgectl_host_clock_skew_seconds",
-        help="How far the host's clock is ahead of the manager's, where known.",
+        help="Offset of the host's clock from the manager's, where known.",
         labels=_HOST_LABELS,
         read=metric_samples.sample_hosts(lambda host: host.device.clock_skew_s),
     ),
     MetricDefinition(
         name="edgectl_link_capacity_bytes_per_second",
-        help="What the link between an edge and a robot can carry.",
+        help="Capacity of the link between an edge and a robot.",
         labels=_LINK_LABELS,
         read=metric_samples.sample_links(lambda link: link.capacity_bytes_per_s),
     ),
     MetricDefinition(
         name="edgectl_link_used_bytes_per_second",
-        help="What the link carries, in plus out.",
+        help="Traffic of the link, in plus out.",
         labels=_LINK_LABELS,
         read=metric_samples.sample_links(lambda link: link.used_bytes_per_s),
     ),
@@ -153,7 +153,7 @@ METRICS = (
     ),
     MetricDefinition(
         name="edgectl_task_state",
-        help="1 for the state in which the task is, 0 for the others.",
+        help="1 for the state of the task, 0 for the others.",
         labels=("task", "state"),
         read=metric_samples.sample_task_states,
     ),
@@ -165,13 +165,13 @@ METRICS = (
     ),
     MetricDefinition(
         name="edgectl_task_start_timestamp_seconds",
-        help="When the running instance started, by the manager's clock.",
+        help="Start of the running instance, by the manager's clock.",
         labels=_RUN_LABELS,
         read=metric_samples.sample_running_tasks(lambda task: task.started_at or None),
     ),
     MetricDefinition(
         name="edgectl_task_restarts_total",
-        help="How often the supervisor started the running instance again.",
+        help="Restarts of the running instance by its supervisor.",
         labels=_RUN_LABELS,
         kind=MetricType.COUNTER,
         read=metric_samples.sample_running_tasks(lambda task: float(task.restarts)),
@@ -190,13 +190,13 @@ METRICS = (
     ),
     MetricDefinition(
         name="edgectl_task_network_used_bytes_per_second",
-        help="What the task exchanges with its robots.",
+        help="Traffic of the task with its robots.",
         labels=_RUN_LABELS,
         read=metric_samples.sample_running_tasks(lambda task: task.used_bytes_per_s),
     ),
     MetricDefinition(
         name="edgectl_task_app_metric",
-        help="What the application says of itself: the last value that it wrote.",
+        help="Last value of a metric that the application wrote.",
         labels=(*_RUN_LABELS, "name"),
         read=metric_samples.sample_app_metrics,
     ),
@@ -214,31 +214,31 @@ METRICS = (
     ),
     MetricDefinition(
         name="edgectl_task_unplaced",
-        help="1 where no host fits the task.",
+        help="1 if no host fits the task.",
         labels=_TASK_LABELS,
         read=metric_samples.sample_steps(lambda step: float(step.action is Action.UNPLACED)),
     ),
     MetricDefinition(
         name="edgectl_plan_actions",
-        help="How many tasks an apply would now start, stop, move, keep and so on.",
+        help="Number of tasks that an apply would now start, stop, move, keep and so on.",
         labels=("action",),
         read=metric_samples.count_planned_actions,
     ),
     MetricDefinition(
         name="edgectl_plan_settled",
-        help="1 where the plan stands on its own outcome.",
+        help="1 if the plan is settled.",
         read=metric_samples.sample_fleet(lambda it: float(it.plan.settled)),
     ),
     MetricDefinition(
         name="edgectl_actions_total",
-        help="Actions of every apply so far, by how they ended.",
+        help="Actions of all applies, by outcome.",
         labels=("action", "outcome"),
         kind=MetricType.COUNTER,
         read=metric_samples.count_finished_actions,
     ),
     MetricDefinition(
         name="edgectl_task_moves_total",
-        help="Moves of the task that were carried out.",
+        help="Completed moves of the task.",
         labels=_TASK_LABELS,
         kind=MetricType.COUNTER,
         read=metric_samples.count_moves,
@@ -252,7 +252,7 @@ METRICS = (
     ),
     MetricDefinition(
         name="edgectl_last_change_timestamp_seconds",
-        help="When the fleet was last changed by apply, stop, restart, drain or rollback.",
+        help="Time of the last change of the fleet by apply, stop, restart, drain or rollback.",
         read=metric_samples.sample_fleet(metric_samples.find_last_change),
     ),
 )

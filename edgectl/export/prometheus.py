@@ -1,4 +1,4 @@
-"""Metrics in Prometheus' text formats, as a page and over HTTP. The one module that imports prometheus_client."""
+"""Metrics in Prometheus' text formats, as a page and over HTTP (with prometheus_client)."""
 
 import socket
 import threading
@@ -17,19 +17,19 @@ from edgectl.export import metrics
 from edgectl.export.metric_samples import BUCKETS_S, Histogram, MetricsInput
 from edgectl.export.metrics import METRICS, MetricType
 
-# Of a client that connects and says nothing.
+# Of a client that connects and sends nothing.
 _IDLE_TIMEOUT_S = 10.0
 # Connections at once.
 MAX_CONNECTIONS = 64
 
 
 def render_metrics_page(picture: MetricsInput) -> str:
-    """The page that Prometheus, or node_exporter's textfile collector, reads."""
+    """The page for Prometheus, or for node_exporter's textfile collector."""
     return generate_latest(_FamilyCollector(build_metric_families(picture))).decode()
 
 
 def build_metric_families(picture: MetricsInput) -> list[Metric]:
-    """Every metric with its samples, in the words of prometheus_client."""
+    """All metrics with their samples as families of prometheus_client."""
     return [_build_metric_family(metric, picture) for metric in METRICS]
 
 
@@ -56,7 +56,7 @@ def _list_buckets(spread: Histogram) -> Iterator[tuple[str, float]]:
 
 
 class _FamilyCollector(Collector):
-    """Families that were made already."""
+    """A collector of given families."""
 
     def __init__(self, families: Iterable[Metric]) -> None:
         self._families = families
@@ -68,9 +68,10 @@ class _FamilyCollector(Collector):
 def bind_metrics_server(
     address: tuple[str, int], look: Callable[[], MetricsInput], warn: Callable[[str], None]
 ) -> ThreadingHTTPServer:
-    """A server, bound to ``address``, that answers ``/metrics`` with what ``look`` gives; ``look`` is called from many threads.
+    """A server bound to ``address`` that answers ``/metrics`` with the result of ``look``, which is called
+    from many threads.
 
-    Where ``look`` fails the answer is 503 with the reason, which ``warn`` hears, too.
+    If ``look`` fails, the answer is 503 with the reason, which is passed to ``warn``, too.
 
     Raises:
         OSError: the address cannot be bound.
@@ -83,7 +84,7 @@ def bind_metrics_server(
 
 
 class _BoundedServer(ThreadingHTTPServer):
-    """One thread per connection, and so many at most: what comes beyond them is hung up on."""
+    """One thread per connection, up to a maximum; further connections are closed."""
 
     daemon_threads = True
     request_queue_size = MAX_CONNECTIONS
@@ -93,21 +94,21 @@ class _BoundedServer(ThreadingHTTPServer):
         super().__init__(address, handler)
 
     def process_request(self, request: Any, client_address: Any) -> None:  # noqa: ANN401
-        """Answer in a thread of its own, where there is room for one."""
+        """Answer in a thread if the maximum is not reached."""
         if self._free.acquire(blocking=False):
             super().process_request(request, client_address)
         else:
             self.shutdown_request(request)
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:  # noqa: ANN401
-        """Answer, and make room again."""
+        """Answer, and release the thread."""
         try:
             super().process_request_thread(request, client_address)
         finally:
             self._free.release()
 
     def handle_error(self, request: object, client_address: object) -> None:
-        """Say nothing of a client that went away."""
+        """Ignore a client that went away."""
 
 
 class _BoundedServerIPv6(_BoundedServer):
@@ -122,13 +123,13 @@ class _MetricsRequestHandler(MetricsHandler):
     warn: Callable[[str], None]
 
     def do_GET(self) -> None:  # noqa: N802, the name that http.server calls
-        """Answer ``/metrics``; nothing else is here."""
+        """Answer ``/metrics``; every other path is 404."""
         if urlsplit(self.path).path != "/metrics":
             self.send_error(HTTPStatus.NOT_FOUND, "metrics are at /metrics")
             return
         try:
             self.registry = _FamilyCollector(build_metric_families(self.look()))
-        except Exception as error:  # one scrape, never the server
+        except Exception as error:  # an error ends one scrape, never the server
             reason = (
                 error.message
                 if isinstance(error, EdgectlError)

@@ -1,13 +1,17 @@
-"""systemd units: a service with its timer for ``apply``, or one service for ``watch --apply``. As plain text, by file name."""
+"""systemd units: a service with its timer for ``apply``, or one service for ``watch --apply``; text by file
+name.
+"""
 
 import re
 
 from edgectl.export.job import ScheduledJob, build_arguments, format_interval
 
 _DEFAULT_INTERVAL_S, _MIN_INTERVAL_S = 300.0, 1.0
-# What ends well beside 0: hosts that do not answer (4) and a busy lock (75) are for the next run; 130 is a stop in good order.
+# Exit codes that count as success beside 0: unreachable hosts (4) and a busy lock (75) are for the next run;
+# 130 is an orderly stop.
 _APPLY_SUCCESS_STATUSES, _WATCH_SUCCESS_STATUSES = "4 75 130", "4 130"
-# Takes rights away that neither edgectl nor ssh needs. Of these a user's own systemd can do the first five without more rights.
+# Removes permissions that neither edgectl nor ssh needs. A user's systemd instance supports only the first
+# five.
 _HARDENING_SETTINGS = (
     "NoNewPrivileges=yes",
     "LockPersonality=yes",
@@ -24,24 +28,33 @@ _USER_SETTINGS_COUNT = 5
 
 
 def build_timer_units(job: ScheduledJob, *, user: bool) -> dict[str, str]:
-    """``apply`` every so often: a service and its timer. ``user``: for the user's own systemd, else for the system's.
+    """Units that run ``apply`` periodically: a service and its timer. ``user``: for the user's systemd
+    instance, else the system's.
 
     Raises:
-        ValueError: what cannot be quoted, or an interval below a second.
+        ValueError: a value cannot be quoted, or the interval is below a second.
     """
     every = _check_interval(_DEFAULT_INTERVAL_S if job.every_s is None else job.every_s)
     name, title = build_unit_name(job), f"edgectl apply for {job.inventory}"
     service = [
         *_build_unit_section(title, user=user),
-        "[Service]", "Type=oneshot", *_build_service_settings(job, ("apply", "--yes", "--quiet"), _APPLY_SUCCESS_STATUSES, user=user),
-    ]  # fmt: skip
+        "[Service]",
+        "Type=oneshot",
+        *_build_service_settings(job, ("apply", "--yes", "--quiet"), _APPLY_SUCCESS_STATUSES, user=user),
+    ]
     timer = [
-        "[Unit]", f"Description={_escape_specifiers(title)}, every {format_interval(every)}", "",
+        "[Unit]",
+        f"Description={_escape_specifiers(title)}, every {format_interval(every)}",
+        "",
         "[Timer]",
-        "# From the start of one run to the start of the next; a run that takes longer is not overtaken.",
-        "OnActiveSec=10s", f"OnUnitActiveSec={every:.12g}s", "AccuracySec=1s", "",
-        "[Install]", "WantedBy=timers.target",
-    ]  # fmt: skip
+        "# From the start of one run to the start of the next; runs do not overlap.",
+        "OnActiveSec=10s",
+        f"OnUnitActiveSec={every:.12g}s",
+        "AccuracySec=1s",
+        "",
+        "[Install]",
+        "WantedBy=timers.target",
+    ]
     head = _list_install_comments(f"{name}.timer", user=user)
     return {
         f"{name}.service": _format_unit_file(f"{name}.service", head, service),
@@ -50,10 +63,10 @@ def build_timer_units(job: ScheduledJob, *, user: bool) -> dict[str, str]:
 
 
 def build_watch_unit(job: ScheduledJob, *, user: bool) -> dict[str, str]:
-    """``watch --apply`` for as long as the machine runs.
+    """Unit that runs ``watch --apply`` continuously.
 
     Raises:
-        ValueError: what cannot be quoted, or an interval below a second.
+        ValueError: a value cannot be quoted, or the interval is below a second.
     """
     name = f"{build_unit_name(job)}-watch"
     command = (
@@ -63,12 +76,17 @@ def build_watch_unit(job: ScheduledJob, *, user: bool) -> dict[str, str]:
     )
     service = [
         *_build_unit_section(f"edgectl watch for {job.inventory}", user=user),
-        "[Service]", "Type=exec",
-        "# A call or a file that is wrong (64) stays wrong until somebody mends it.",
-        "Restart=always", "RestartSec=10s", "RestartPreventExitStatus=64",
+        "[Service]",
+        "Type=exec",
+        "# An invalid call or file (64) is not retried: somebody has to correct it.",
+        "Restart=always",
+        "RestartSec=10s",
+        "RestartPreventExitStatus=64",
         *_build_service_settings(job, command, _WATCH_SUCCESS_STATUSES, user=user),
-        "", "[Install]", f"WantedBy={'default' if user else 'multi-user'}.target",
-    ]  # fmt: skip
+        "",
+        "[Install]",
+        f"WantedBy={'default' if user else 'multi-user'}.target",
+    ]
     return {
         f"{name}.service": _format_unit_file(
             f"{name}.service", _list_install_comments(f"{name}.service", user=user), service
@@ -78,12 +96,12 @@ def build_watch_unit(job: ScheduledJob, *, user: bool) -> dict[str, str]:
 
 def _check_interval(every_s: float) -> float:
     if every_s < _MIN_INTERVAL_S:
-        raise ValueError(f"every {every_s:g}s is too often; write 10s or more")
+        raise ValueError(f"every {every_s:g}s is too short; write 10s or more")
     return every_s
 
 
 def build_unit_name(job: ScheduledJob) -> str:
-    """The name without its kind: letters, digits and ``:_.-`` are allowed."""
+    """The unit name without its suffix: letters, digits and ``:_.-``."""
     return "edgectl-" + re.sub(r"[^A-Za-z0-9:_.-]", "_", job.name)
 
 
@@ -109,17 +127,18 @@ def _build_service_settings(
         *(f"Environment={quote_for_systemd(f'{name}={value}')}" for name, value in job.environment.items()),
         f"ExecStart={line}",
         f"SuccessExitStatus={ends}",
-        "# Only edgectl itself is stopped, and it finishes what is under way: tasks on this machine and their supervisors stay.",
-        "KillMode=process", "TimeoutStopSec=2min",
+        "# Only edgectl itself is stopped, after the running actions; tasks and their supervisors stay.",
+        "KillMode=process",
+        "TimeoutStopSec=2min",
         *_list_hardening_settings(job, user=user),
-    ]  # fmt: skip
+    ]
 
 
 def _list_hardening_settings(job: ScheduledJob, *, user: bool) -> list[str]:
     if job.local:
         return ["# No sandbox: a host of this fleet is this machine, and its tasks would inherit it."]
     return [
-        "# What neither edgectl nor ssh needs. A password_command that uses sudo needs NoNewPrivileges=no.",
+        "# Not needed by edgectl and ssh. A password_command that uses sudo needs NoNewPrivileges=no.",
         *_HARDENING_SETTINGS[: _USER_SETTINGS_COUNT if user else None],
     ]
 
@@ -142,12 +161,12 @@ def _format_unit_file(name: str, head: list[str], lines: list[str]) -> str:
 
 
 def _escape_specifiers(text: str) -> str:
-    """A value that systemd does not split into words: only specifiers mean something in it."""
+    """Escape specifiers in a value that systemd does not split into words."""
     return text.replace("%", "%%")
 
 
 def quote_for_systemd(word: str) -> str:
-    """One word of a list: in quotes where it needs them, specifiers switched off."""
+    """Quote one word of a list where needed, with specifiers escaped."""
     if re.fullmatch(r"[A-Za-z0-9_@+=:,./-]+", word):
         return word
     return '"' + _escape_specifiers(word).replace('"', r"\"") + '"'

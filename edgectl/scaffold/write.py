@@ -1,4 +1,4 @@
-"""Write the scaffold."""
+"""The example fleet that ``init`` writes."""
 
 import json
 import shlex
@@ -25,7 +25,7 @@ SCAFFOLD_FILES = (
 
 
 def write_scaffold(directory: Path) -> dict[Path, bool]:
-    """Write the files of the scaffold into ``directory``; for each whether it is new. A file that exists is never touched.
+    """Write the example files into ``directory``; each path with whether it is new. Existing files are kept.
 
     Raises:
         OSError: a file or directory cannot be made.
@@ -40,7 +40,7 @@ def write_scaffold(directory: Path) -> dict[Path, bool]:
 
 
 def _fill_in_directory(content: bytes, directory: Path) -> bytes:
-    """The content with the place where the programs stand filled in."""
+    """The content with the programs' directory filled in."""
     return content.replace(
         _DIRECTORY_PLACEHOLDER,
         b"prelude: " + json.dumps(f"cd {shlex.quote(str(directory.resolve()))}").encode(),

@@ -1,1 +1,1 @@
-"""One module per verb: wires ports, owns no rules."""
+"""One module per command: wiring of ports, without rules of its own."""

@@ -1,4 +1,4 @@
-"""apply: make reality match, one edgectl at a time, with a record of every step."""
+"""Apply a plan under the fleet's lock and record every step."""
 
 import dataclasses
 
@@ -27,7 +27,7 @@ __all__ = ["ApplyOptions", "ApplyResult", "Confirm", "apply_saved_plan", "plan_a
 def plan_and_apply(
     fleet: Fleet, policy: Policy, confirm: Confirm = confirm_always, options: ApplyOptions | None = None
 ) -> ApplyResult:
-    """Probe, plan, ask ``confirm``, carry out, remember.
+    """Probe, plan, ask ``confirm``, execute and record.
 
     Raises:
         LockBusyError: another edgectl is changing this fleet.
@@ -39,10 +39,10 @@ def plan_and_apply(
 
 
 def apply_saved_plan(fleet: Fleet, plan: Plan, options: ApplyOptions | None = None) -> ApplyResult:
-    """Carry out a saved plan, once, and only if nothing moved since it was made.
+    """Execute a saved plan once, and only if nothing changed since it was made.
 
     Raises:
-        StalePlanError: something moved, or the plan was applied before.
+        StalePlanError: something changed, or the plan was applied before.
         LockBusyError: another edgectl is changing this fleet.
     """
     options = options or ApplyOptions()

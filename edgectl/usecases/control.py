@@ -1,4 +1,4 @@
-"""What a person or a signal wants of a running watch; from any thread, and from a signal handler."""
+"""Control of a running watch by keys or signals; safe from any thread and from signal handlers."""
 
 import queue
 import threading
@@ -6,23 +6,27 @@ from enum import Enum, auto
 
 
 class ControlRequest(Enum):
-    """What was asked for."""
+    """A request to a running watch."""
 
     STOP = auto()
     NOW = auto()
 
 
 class Control:
-    """``stop_requested``: no further action begins. ``paused``: nothing is planned or carried out; samples are taken all the same."""
+    """Control of one watch.
+
+    ``stop_requested``: no further action begins. ``paused``: nothing is planned or applied; hosts are still
+    sampled.
+    """
 
     def __init__(self) -> None:
         self.stop_requested = threading.Event()
         self.paused = False
-        # The one queue of the standard library that a signal handler may put into at any moment.
+        # The only queue of the standard library that a signal handler may use at any moment.
         self._wishes: queue.SimpleQueue[ControlRequest] = queue.SimpleQueue()
 
     def stop(self) -> None:
-        """End after what is under way."""
+        """End after the work in progress."""
         self.stop_requested.set()
         self._wishes.put(ControlRequest.STOP)
 
@@ -31,11 +35,11 @@ class Control:
         self._wishes.put(ControlRequest.NOW)
 
     def pause(self) -> None:
-        """Pause, or go on."""
+        """Toggle pause."""
         self.paused = not self.paused
 
     def wait(self, seconds: float) -> ControlRequest | None:
-        """What was wished for within ``seconds``, None where nothing was."""
+        """The next request within ``seconds``; None if there was none."""
         try:
             return self._wishes.get(timeout=seconds)
         except queue.Empty:

@@ -1,4 +1,4 @@
-"""doctor: what is wrong with this machine and the hosts, and what mends it. Nothing is changed."""
+"""Diagnose this machine and the hosts. Nothing is changed."""
 
 import contextlib
 from collections.abc import Sequence
@@ -18,7 +18,8 @@ _WORKERS = 16
 
 
 def run_doctor(fleet: Fleet, state: Disk, names: Sequence[str] = (), *, timeout: float = 15.0) -> Diagnosis:
-    """Examine this machine and every host, or only those of ``names``. ``state`` is the fleet's state directory as it stands.
+    """Examine this machine and every host, or only those of ``names``. ``state`` is the condition of the
+    fleet's state directory.
 
     Raises:
         UsageError: a host is unknown.
@@ -33,7 +34,7 @@ def run_doctor(fleet: Fleet, state: Disk, names: Sequence[str] = (), *, timeout:
 
 
 def _collect_manager_facts(hosts: Sequence[Host], state: Disk) -> ManagerFacts:
-    """Asking ssh_config costs a process per host, so all are asked at once."""
+    """Collect the facts of this machine; ``ssh -G`` costs one process per host, so all run at once."""
     remote = [host for host in hosts if host.connection is not Connection.LOCAL]
     files = [found for _, found in fan_out(list_known_hosts_files, remote, workers=_WORKERS)]
     return ManagerFacts(
@@ -44,13 +45,17 @@ def _collect_manager_facts(hosts: Sequence[Host], state: Disk) -> ManagerFacts:
 
 
 def _collect_answers(fleet: Fleet, hosts: Sequence[Host], state: Disk, timeout: float) -> FactsByHost:
-    """Each request renews what a task with ``self_fence`` lives by: none leaves where that cannot be recorded."""
+    """Ask every host for its facts.
+
+    Each request renews the heartbeat of tasks with ``self_fence``, so none is sent where it cannot be
+    recorded.
+    """
     if state.obstacle and any(task.self_fence is not None for task in fleet.tasks.tasks.values()):
-        hint = f"first mend the state directory {state.path}"
+        hint = f"first repair the state directory {state.path}"
         return {
             host.name: UnreachableHost(
                 kind="failed",
-                error="not asked: a task has self_fence, and contacts cannot be kept",
+                error="not asked: a task has self_fence, and heartbeats cannot be recorded",
                 hint=hint,
             )
             for host in hosts

@@ -1,4 +1,4 @@
-"""drain: close hosts and move away what runs there, through the handoff contracts, until a deadline."""
+"""Cordon hosts and move their tasks away through the handoff contracts, until a deadline."""
 
 import dataclasses
 import time
@@ -30,14 +30,16 @@ _RETRY_PAUSE_S = 2.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DrainResult:
-    """Every pass that did something (else the first), in order, and what is still on the hosts, or may be: (task, host)."""
+    """The passes that changed something (else the first), in order, and the tasks that are or may be left:
+    (task, host).
+    """
 
     passes: tuple[ApplyResult, ...]
     left: tuple[tuple[str, str], ...] = ()
 
     @property
     def applied(self) -> ApplyResult:
-        """The last pass, which tells how it ended."""
+        """The last pass; its results decide the exit code."""
         return self.passes[-1]
 
     @property
@@ -56,9 +58,11 @@ def drain_hosts(
     timeout: float = 300.0,
     pause: Callable[[float], None] = time.sleep,
 ) -> DrainResult:
-    """Close ``names`` to new tasks and move theirs away; what is deferred or fails is tried again until ``timeout`` seconds have passed.
+    """Cordon ``names`` and move their tasks away; retry deferred and failed moves until ``timeout`` seconds
+    have passed.
 
-    Asked once, before anything is done; ``uncordon`` opens the hosts again. Nothing else moves.
+    The operator is asked once, before anything is done; ``uncordon`` makes the hosts schedulable again. No
+    other task moves.
 
     Raises:
         UsageError: a host is unknown.
@@ -89,16 +93,18 @@ def drain_hosts(
 
 
 def _plan_drain(fleet: Fleet, policy: Policy, names: Sequence[str], options: ApplyOptions) -> Plan:
-    """The plan of the drained hosts' tasks alone, decided as if the mark were set already. Nothing moves for another reason."""
+    """The plan limited to the tasks of the drained hosts, made as if the hosts were cordoned. No other task
+    moves.
+    """
     snapshot = probe_fleet(fleet, options.probe)
-    memory = snapshot.manager or ManagerState()
+    manager = snapshot.manager or ManagerState()
     closed = dataclasses.replace(
-        memory, cordons=memory.cordons | set(names), draining=memory.draining | set(names)
+        manager, cordons=manager.cordons | set(names), draining=manager.draining | set(names)
     )
     still = dataclasses.replace(policy, attended=False, max_moves=0)
     made = make_plan(fleet, still, snapshot=dataclasses.replace(snapshot, manager=closed))
     leaving = _list_tasks_on(snapshot, names) | {
-        task for task, placement in memory.placements.items() if placement.host in names
+        task for task, placement in manager.placements.items() if placement.host in names
     }
     return dataclasses.replace(
         made, steps=tuple(step for step in made.steps if step.task in leaving), expected={}
@@ -114,18 +120,18 @@ def _list_tasks_on(snapshot: Snapshot, names: Sequence[str]) -> set[str]:
 
 
 def _mark_draining(fleet: Fleet, names: Sequence[str]) -> bool:
-    memory = load_manager_state(fleet.state, fleet.warn)
+    manager = load_manager_state(fleet.state, fleet.warn)
     save_manager_state(
         fleet.state,
         dataclasses.replace(
-            memory, cordons=memory.cordons | set(names), draining=memory.draining | set(names)
+            manager, cordons=manager.cordons | set(names), draining=manager.draining | set(names)
         ),
     )
     return True
 
 
 def _can_retry(applied: ApplyResult, options: ApplyOptions, deadline: float) -> bool:
-    """Whether something went wrong that may go right, and there is time for it."""
+    """Whether an action failed that may succeed on retry, with time left."""
     results = applied.results
     if results is None or options.stop_requested.is_set() or time.monotonic() >= deadline:
         return False
@@ -136,7 +142,7 @@ def _can_retry(applied: ApplyResult, options: ApplyOptions, deadline: float) -> 
 def _list_remaining_tasks(
     fleet: Fleet, names: Sequence[str], made: Plan, options: ApplyOptions
 ) -> tuple[tuple[str, str], ...]:
-    """What still runs on the hosts, and what was known on those that do not answer."""
+    """Tasks that run on the hosts, and tasks last known on those that do not answer."""
     snapshot = probe_fleet(fleet, options.probe)
     seen = [
         (task, host)

@@ -1,4 +1,4 @@
-"""events: what happened to the fleet, from the history alone. No host is asked."""
+"""Events from the history; no host is asked."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from edgectl.usecases.record import get_newest_event_id
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EventFilter:
-    """Which events: not older than ``since`` (s since 1970), of one host, of one task."""
+    """Filter of events: not older than ``since`` (s since 1970), of one host, of one task."""
 
     since: float | None = None
     host: str | None = None
@@ -18,7 +18,7 @@ class EventFilter:
 
 
 def list_events(fleet: Fleet, wanted: EventFilter, *, after: int = 0) -> tuple[Event, ...]:
-    """Those with an id above ``after``, oldest first; none where nothing was recorded."""
+    """Events with an id above ``after``, oldest first; empty where nothing was recorded."""
     return fleet.history.use(
         fleet.state,
         fleet.warn,
@@ -27,15 +27,17 @@ def list_events(fleet: Fleet, wanted: EventFilter, *, after: int = 0) -> tuple[E
 
 
 def follow_events(
-    fleet: Fleet, wanted: EventFilter, told_to_end: Callable[[], bool]
+    fleet: Fleet, wanted: EventFilter, should_stop: Callable[[], bool]
 ) -> Iterator[tuple[Event, ...]]:
-    """Those that are there (perhaps none), then batches as they come. ``told_to_end`` is asked between two looks, and may wait."""
+    """The recorded events (perhaps none), then batches as they come. ``should_stop`` is called between two
+    reads and may wait.
+    """
     last = get_newest_event_id(fleet)
     yield tuple(event for event in list_events(fleet, wanted) if event.id <= last)
-    while not told_to_end():
+    while not should_stop():
         newest = get_newest_event_id(fleet)
         if newest < last:
-            # Another history began, whose numbers begin anew: the one before was broken, or taken away.
+            # The history was replaced (broken or deleted): its ids start again.
             last = 0
         found = list_events(fleet, wanted, after=last) if newest > last else ()
         if found:

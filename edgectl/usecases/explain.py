@@ -1,4 +1,4 @@
-"""explain: why one task goes where it goes, and what would send it elsewhere."""
+"""Explanation of one placement and of what would change it."""
 
 from collections.abc import Mapping, Sequence
 from statistics import pstdev
@@ -10,20 +10,20 @@ from edgectl.scheduler.explain import TermNoise
 from edgectl.scheduler.explain import explain_decision as explained
 from edgectl.usecases.fleet import Fleet
 
-# So many of the last samples say how much the readings vary; fewer than the least say nothing.
+# Number of recent samples that measure the variation of readings, and the least number that counts.
 _MAX_SAMPLES, _MIN_SAMPLES = 60, 10
 
 
 def explain_placement(
     fleet: Fleet, plan: Plan, task: str, noise: Mapping[str, TermNoise] | None = None
 ) -> Explanation:
-    """The decision of ``plan`` on ``task`` taken apart."""
+    """Explain the decision of ``plan`` on ``task``."""
     decision = next(step.decision for step in plan.steps if step.task == task)
     return explained(fleet.inventory, fleet.tasks.tasks[task], plan.snapshot, decision, plan.policy, noise)
 
 
 def compute_noise_by_host(fleet: Fleet) -> dict[str, TermNoise]:
-    """How much the readings of each host varied lately, as the history has them."""
+    """The recent variation of each host's readings, from the history."""
     points: dict[str, list[HostPoint]] = {}
     for point in fleet.history.use(
         fleet.state, fleet.warn, lambda store: store.host_points(limit=_MAX_SAMPLES)

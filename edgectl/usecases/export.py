@@ -1,4 +1,4 @@
-"""export csv and jsonl: the history, row by row. No host is asked."""
+"""Export of the history as rows; no host is asked."""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -10,7 +10,7 @@ from edgectl.state.json_files import Warn, ignore_warning
 from edgectl.state.store_handle import StoreHandle
 from edgectl.state.store_rows import RowMapper
 
-# Where the rows of each kind lie, and their order: by time, then by name.
+# Table and order of the rows of each kind: by time, then by name.
 _TABLES: dict[RowKind, tuple[RowMapper[Any], str, str]] = {
     RowKind.HOSTS: (rows.HOSTS, "host_samples", "at, host"),
     RowKind.LINKS: (rows.LINKS, "link_samples", "at, edge, robot"),
@@ -29,7 +29,8 @@ def export_history(
     since: float | None = None,
     warn: Warn = ignore_warning,
 ) -> None:
-    """Give ``take`` everything of one kind that is not older than ``since`` (s since 1970), oldest first, however much it is.
+    """Pass all rows of one kind that are not older than ``since`` (s since 1970) to ``take``, oldest first,
+    in bounded memory.
 
     Raises:
         StateError: the history cannot be read to its end.

@@ -1,4 +1,4 @@
-"""What every use case is given: the fleet, the way to it, and where its state lies."""
+"""The fleet as every use case receives it: inventory, tasks, transport and state."""
 
 import time
 from collections.abc import Callable
@@ -15,10 +15,11 @@ from edgectl.transport.base import Transport
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fleet:
-    """Inventory and tasks as loaded, a transport, and the fleet's state directory (``state.paths.fleet_dir``).
+    """Inventory and tasks as loaded, a transport, and the fleet's state directory
+    (``state.paths.fleet_dir``).
 
-    ``clock`` gives s since 1970, ``uptime`` time that nobody sets. ``warn`` hears what a user should know although the call goes on;
-    ``history`` keeps what is seen and done.
+    ``clock`` gives s since 1970, ``uptime`` monotonic seconds. ``warn`` receives warnings that do not stop
+    the call; ``history`` records samples and actions.
     """
 
     inventory: Inventory

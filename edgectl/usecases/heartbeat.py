@@ -1,4 +1,6 @@
-"""Keep the record of which host was in touch when, for every command that asks one."""
+"""Record heartbeats of hosts, and send them to idle hosts during a long apply so that self_fence does not
+fire.
+"""
 
 import contextlib
 import dataclasses
@@ -18,18 +20,18 @@ from edgectl.transport.agent_client import call_agent
 from edgectl.transport.connections import HeartbeatTransport
 from edgectl.usecases.fleet import Fleet
 
-# Two requests closer than this count as one where each contact is written before the request leaves.
+# Two requests closer than this share one heartbeat where each is written before the request is sent.
 _MIN_WRITE_INTERVAL_S = 1.0
 
 
 @contextlib.contextmanager
 def track_heartbeats(fleet: Fleet) -> Iterator[Fleet]:
-    """The fleet over a transport that notes contacts; they are written at the end.
+    """The fleet over a transport that records heartbeats; they are saved at the end.
 
-    Where a task stops itself after a silence (``self_fence``), a contact is on disk before its request leaves, so that a command
-    that is killed leaves no host believing that it was heard of later than this manager knows.
+    Where a task stops itself after a silence (``self_fence``), the heartbeat is on disk before the request is
+    sent, so that after a crash no host has heard from this manager later than the manager's record says.
 
-    A contact that the disk does not take then is a HostError: the request did not leave.
+    A heartbeat that cannot be written then is a HostError: the request was not sent.
     """
     register = _HeartbeatRecorder(fleet)
     try:
@@ -39,15 +41,15 @@ def track_heartbeats(fleet: Fleet) -> Iterator[Fleet]:
 
 
 def load_state_with_heartbeats(fleet: Fleet) -> ManagerState:
-    """What this manager remembers of the fleet, its contacts and fences included."""
-    memory, contacts = load_manager_state(fleet.state, fleet.warn), load_heartbeats(fleet.state, fleet.warn)
+    """The manager's state of the fleet with its heartbeats and fences."""
+    manager, contacts = load_manager_state(fleet.state, fleet.warn), load_heartbeats(fleet.state, fleet.warn)
     return dataclasses.replace(
-        memory, contact=contacts.to_instants(fleet.clock(), fleet.uptime()), fenced=contacts.fenced
+        manager, contact=contacts.to_instants(fleet.clock(), fleet.uptime()), fenced=contacts.fenced
     )
 
 
 class _HeartbeatRecorder:
-    """The contacts of one command; from any thread."""
+    """The heartbeats of one command; safe from any thread."""
 
     def __init__(self, fleet: Fleet) -> None:
         self._fleet = fleet
@@ -57,7 +59,7 @@ class _HeartbeatRecorder:
         self._guard = threading.Lock()
 
     def note(self, host: str) -> None:
-        """``host`` is in touch now."""
+        """Record a heartbeat of ``host`` now."""
         now = self._fleet.uptime()
         with self._guard:
             self._heard[host] = now
@@ -73,23 +75,27 @@ class _HeartbeatRecorder:
         self._written[host] = now
 
     def save(self) -> None:
-        """Write what was heard. That the disk is full is said, not more: what must be on it was written before."""
+        """Save the recorded heartbeats. A full disk is only a warning here: what must be durable was written
+        before.
+        """
         with self._guard:
             try:
                 record_heartbeats(self._fleet.state, self._heard)
             except StateError as error:
-                self._fleet.warn(f"{error.message}: when the hosts were last in touch is not remembered")
+                self._fleet.warn(f"{error.message}: the last heartbeats of the hosts are not recorded")
 
 
 _HEARTBEAT_TIMEOUT_S = 10.0
 _WORKERS = 8
-# Of the shortest self_fence: three calls may be lost.
+# Fraction of the shortest self_fence between heartbeats: three may be lost.
 _SELF_FENCE_SHARE = 0.25
 
 
 @contextlib.contextmanager
 def send_heartbeats(fleet: Fleet, snapshot: Snapshot) -> Iterator[None]:
-    """Ask every host of ``snapshot`` that answered from time to time, where a task has ``self_fence``; else do nothing."""
+    """Send heartbeats periodically to every host of ``snapshot`` that answered, if a task has ``self_fence``;
+    else do nothing.
+    """
     fences = [task.self_fence for task in fleet.tasks.tasks.values() if task.self_fence is not None]
     if not fences:
         yield
@@ -118,7 +124,7 @@ def _send_heartbeats_until(fleet: Fleet, hosts: list[Host], pause: float, over: 
 
 
 def _send_heartbeat(fleet: Fleet, host: Host, over: threading.Event) -> None:
-    """One sign of life; a host that does not take it is found out by the action that needs it."""
+    """Send one heartbeat; a host that does not take it is found out by the action that needs it."""
     if over.is_set():
         return
     with (

@@ -1,4 +1,4 @@
-"""history, show REV and rollback: what was done to the fleet, and a new plan towards how it was."""
+"""Revisions of a fleet, and rollback to the placement of an earlier one."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -31,16 +31,16 @@ def list_revisions(fleet: Fleet) -> tuple[Revision, ...]:
 
 
 def get_revision(fleet: Fleet, number: int) -> Revision:
-    """One revision.
+    """The revision of this number.
 
     Raises:
-        UsageError: there is none of this number.
+        UsageError: there is no such revision.
     """
     known = list_revisions(fleet)
     found = next((each for each in reversed(known) if each.number == number), None)
     if found is None:
         hint = (
-            f"the last one is {known[-1].number}; edgectl history lists them"
+            f"the last one is {known[-1].number}; list them: edgectl history"
             if known
             else "nothing was applied yet"
         )
@@ -49,7 +49,7 @@ def get_revision(fleet: Fleet, number: int) -> Revision:
 
 
 def plan_rollback(fleet: Fleet, policy: Policy, number: int | None, options: ApplyOptions) -> Plan:
-    """A new plan towards where the tasks stood after revision ``number`` (None: before the last one).
+    """A new plan that restores the placement after revision ``number`` (None: before the last one).
 
     Raises:
         UsageError: there is no such revision, or its placement was not recorded.
@@ -57,15 +57,15 @@ def plan_rollback(fleet: Fleet, policy: Policy, number: int | None, options: App
     target = _get_rollback_target(fleet, number)
     wanted = _get_placements(target)
     snapshot = probe_fleet(fleet, options.probe)
-    memory = snapshot.manager or ManagerState()
+    manager = snapshot.manager or ManagerState()
     pinned = dataclasses.replace(
         fleet.tasks, tasks={name: _pin_task(fleet, task, wanted) for name, task in fleet.tasks.tasks.items()}
     )
     how = dataclasses.replace(policy, name=PolicyName.UTILITY)
-    assignment = assign(fleet.inventory, pinned, snapshot, memory, how, snapshot.taken_at)
+    assignment = assign(fleet.inventory, pinned, snapshot, manager, how, snapshot.taken_at)
     _warn_of_missing(fleet, wanted, fleet.tasks)
     return build_rollback_plan(
-        plan_from_assignment(fleet.inventory, pinned, snapshot, memory, assignment), wanted, target.number
+        plan_from_assignment(fleet.inventory, pinned, snapshot, manager, assignment), wanted, target.number
     )
 
 
@@ -76,7 +76,7 @@ def roll_back_fleet(
     confirm: Confirm = confirm_always,
     options: ApplyOptions | None = None,
 ) -> ApplyResult:
-    """Plan towards an old placement, ask, carry out.
+    """Plan towards an earlier placement, ask, execute.
 
     Raises:
         UsageError: there is no such revision, or its placement was not recorded.
@@ -94,21 +94,22 @@ def _get_rollback_target(fleet: Fleet, number: int | None) -> Revision:
         return get_revision(fleet, number)
     known = list_revisions(fleet)
     if len(known) < 2:
-        raise UsageError("there is no revision before the last one", hint="edgectl history lists them")
+        raise UsageError("there is no revision before the last one", hint="list revisions: edgectl history")
     return known[-2]
 
 
 def _get_placements(target: Revision) -> Mapping[str, str]:
     if target.placements is None:
         raise UsageError(
-            f"where the tasks stood after revision {target.number} was not recorded: it was cut off, or made by an older edgectl",
-            hint="edgectl history shows the others; edgectl rollback REV",
+            f"the placement after revision {target.number} was not recorded: it was interrupted, or made by "
+            "an older edgectl",
+            hint="choose another one: edgectl history; edgectl rollback REV",
         )
     return target.placements
 
 
 def _pin_task(fleet: Fleet, task: Task, wanted: Mapping[str, str]) -> Task:
-    """The task with its old host as its only one; what the file pins, and where that host is gone, stays as it is."""
+    """The task restricted to its earlier host; a pin in the file wins, and a host that is gone is ignored."""
     host = wanted.get(task.name)
     if host is None or host not in fleet.inventory.hosts or task.hosts.pin is not None:
         return task
@@ -118,8 +119,8 @@ def _pin_task(fleet: Fleet, task: Task, wanted: Mapping[str, str]) -> Task:
 def _warn_of_missing(fleet: Fleet, wanted: Mapping[str, str], tasks: Tasks) -> None:
     for name, host in wanted.items():
         if name not in tasks.tasks:
-            fleet.warn(f"{name} ran on {host} then and is not in the task files any more; it is not started")
+            fleet.warn(f"{name} ran on {host} then but is no longer in the task files; it is not started")
         elif host not in fleet.inventory.hosts:
             fleet.warn(
-                f"{name} ran on {host} then, which is not in the inventory any more; it is placed as by apply"
+                f"{name} ran on {host} then, which is no longer in the inventory; it is placed as by apply"
             )

@@ -1,4 +1,4 @@
-"""logs: what a task printed, from the host where it runs or ran last."""
+"""Logs of a task from the host where it runs or ran last."""
 
 import contextlib
 from collections.abc import Iterator
@@ -13,7 +13,7 @@ from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.heartbeat import track_heartbeats
 
 _TIMEOUT_S = 15.0
-# The host sends a sign of life every few seconds, however quiet the task.
+# The host sends a heartbeat every few seconds, also while the task prints nothing.
 _IDLE_TIMEOUT_S = 20.0
 
 
@@ -22,7 +22,7 @@ def read_log(fleet: Fleet, task: str, *, tail: int = 100) -> str:
 
     Raises:
         UsageError: no host that answers knows the task.
-        HostError: its host did not give them.
+        HostError: its host did not return them.
     """
     with track_heartbeats(fleet) as near, _connect_to_task_host(near, task) as (host, session):
         answer = call_agent(
@@ -32,11 +32,11 @@ def read_log(fleet: Fleet, task: str, *, tail: int = 100) -> str:
 
 
 def follow_log(fleet: Fleet, task: str, *, tail: int = 10) -> Iterator[bytes]:
-    """The last ``tail`` lines, then everything as it is printed, until the iterator is closed.
+    """The last ``tail`` lines, then new output as it is printed, until the iterator is closed.
 
     Raises:
         UsageError: no host that answers knows the task.
-        HostError: its host did not give them.
+        HostError: its host did not return them.
     """
     with track_heartbeats(fleet) as near, _connect_to_task_host(near, task) as (host, session):
         yield from stream_agent_log(

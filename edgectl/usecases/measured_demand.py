@@ -1,4 +1,4 @@
-"""What tasks were measured to use, out of the history: for a plan, and for the operator who asks."""
+"""Measured demand of tasks from the history, for plans and for the operator."""
 
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING
@@ -16,13 +16,16 @@ from edgectl.usecases.fleet import Fleet
 if TYPE_CHECKING:
     from edgectl.state.store import Store
 
-# The first seconds of a start are no habit; so many samples of a task on a class of hosts are looked at.
+# Start-up is not typical use and is left out; at most this many samples of a task on a class of hosts are
+# read.
 WARM_UP_S, MAX_SAMPLES = 10.0, 1000
 _HISTORY_FILE = "history.db"
 
 
 def load_measured_demands(fleet: Fleet, snapshot: Snapshot) -> Mapping[tuple[str, str], MeasuredDemand]:
-    """By task and class of hosts, of the tasks whose demand follows it. Nothing is read where there are none."""
+    """Measured demand by task and class of hosts, of the tasks whose demand follows it. Nothing is read where
+    there are none.
+    """
     tasks = [task for task in fleet.tasks.tasks.values() if task.managed and follows_history(task.demand)]
     if not tasks or not (fleet.state / _HISTORY_FILE).exists():
         return {}
@@ -42,7 +45,7 @@ def load_measured_demands(fleet: Fleet, snapshot: Snapshot) -> Mapping[tuple[str
 
 
 def load_class_profiles(fleet: Fleet, tasks: Iterable[Task]) -> list[ClassProfile]:
-    """The history of ``tasks`` by class of hosts; no host is contacted."""
+    """The usage history of ``tasks`` by class of hosts; no host is contacted."""
     if not (fleet.state / _HISTORY_FILE).exists():
         return []
 
@@ -87,7 +90,7 @@ def _classify_answering_hosts(inventory: Inventory, snapshot: Snapshot) -> dict[
 def _classify_by_last_sample(
     inventory: Inventory, snapshot: Snapshot | None, store: "Store"
 ) -> dict[str, str]:
-    """The class of every other host, by its last sample that has numbers."""
+    """The class of every other host, by its last sample with values."""
     found = {}
     for name, host in inventory.hosts.items():
         if snapshot is not None and name in snapshot.hosts and snapshot.hosts[name].cpu is not None:
@@ -99,7 +102,7 @@ def _classify_by_last_sample(
 
 
 def _find_last_answer(store: "Store", host: str) -> HostPoint | None:
-    """The last sample with numbers; a host that has been silent for very long has none."""
+    """The last sample with values; a host that has been unreachable for very long has none."""
     for limit in (1, MAX_SAMPLES):
         for point in reversed(store.host_points(host, limit=limit)):
             if point.cores is not None:

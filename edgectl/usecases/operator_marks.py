@@ -1,4 +1,4 @@
-"""done, reopen, cordon, uncordon, fence, unfence: what the manager is told to remember, under the fleet's lock."""
+"""Marks that operators set on tasks and hosts (done, cordon, fence), changed under the fleet's lock."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -21,76 +21,78 @@ _TIMEOUT_S = 15.0
 
 
 def mark_tasks_done(fleet: Fleet, names: Sequence[str]) -> ManagerState:
-    """Mark tasks completed: the next apply stops them, and none starts them until ``reopen`` or a changed spec."""
+    """Mark tasks as completed: the next apply stops them, and none starts them until ``reopen`` or a changed
+    spec.
+    """
     check_known_names(names, fleet.tasks.tasks, "task")
     with FleetLock(fleet.state, verb="done", clock=fleet.clock):
-        memory = load_manager_state(fleet.state, fleet.warn)
+        manager = load_manager_state(fleet.state, fleet.warn)
         marked = {name: fleet.tasks.tasks[name].spec_hash for name in names}
-        return _save_and_return(fleet, dataclasses.replace(memory, done={**memory.done, **marked}))
+        return _save_and_return(fleet, dataclasses.replace(manager, done={**manager.done, **marked}))
 
 
 def reopen_tasks(fleet: Fleet, names: Sequence[str]) -> ManagerState:
-    """Take the marks of completed tasks away, and forget that their hosts saw them complete, or gave them up."""
+    """Remove the marks of completed tasks, and forget their recorded completion or failure."""
     check_known_names(names, fleet.tasks.tasks, "task")
     with FleetLock(fleet.state, verb="reopen", clock=fleet.clock):
         _ignore_ended_instances(fleet, names)
-        memory = load_manager_state(fleet.state, fleet.warn)
-        kept = {name: spec for name, spec in memory.done.items() if name not in names}
-        return _save_and_return(fleet, dataclasses.replace(memory, done=kept))
+        manager = load_manager_state(fleet.state, fleet.warn)
+        kept = {name: spec for name, spec in manager.done.items() if name not in names}
+        return _save_and_return(fleet, dataclasses.replace(manager, done=kept))
 
 
 def _ignore_ended_instances(fleet: Fleet, names: Sequence[str]) -> None:
-    """Note which ended instances count no longer; a host that does not answer may bring one back."""
+    """Record which ended instances are ignored; a host that does not answer may report one later."""
     reopened = load_ignored_instances(fleet.state, fleet.warn)
     for name in names:
-        with track_heartbeats(fleet) as near:
+        with track_heartbeats(fleet) as tracked:
             instances, silent = list_ended_instances(
-                name, fleet.inventory, near.transport, timeout=_TIMEOUT_S
+                name, fleet.inventory, tracked.transport, timeout=_TIMEOUT_S
             )
         reopened = (*reopened, *sorted(instances - set(reopened)))
         if silent:
-            fleet.warn(f"{', '.join(silent)} did not answer: if {name} ended there, reopen it again")
+            fleet.warn(f"{', '.join(silent)} did not answer: if {name} ended there, run reopen again")
     save_ignored_instances(fleet.state, reopened)
 
 
 def cordon_hosts(fleet: Fleet, names: Sequence[str], *, drain: bool = False) -> ManagerState:
-    """Close hosts to new tasks; with ``drain`` their tasks leave at the next apply."""
+    """Mark hosts as unschedulable; with ``drain`` their tasks move away at the next apply."""
     check_known_names(names, fleet.inventory.hosts, "host")
     with FleetLock(fleet.state, verb="cordon", clock=fleet.clock):
-        memory = load_manager_state(fleet.state, fleet.warn)
-        draining = memory.draining | set(names) if drain else memory.draining
+        manager = load_manager_state(fleet.state, fleet.warn)
+        draining = manager.draining | set(names) if drain else manager.draining
         return _save_and_return(
-            fleet, dataclasses.replace(memory, cordons=memory.cordons | set(names), draining=draining)
+            fleet, dataclasses.replace(manager, cordons=manager.cordons | set(names), draining=draining)
         )
 
 
 def uncordon_hosts(fleet: Fleet, names: Sequence[str]) -> ManagerState:
-    """Open cordoned hosts again."""
+    """Mark hosts as schedulable."""
     check_known_names(names, fleet.inventory.hosts, "host")
     with FleetLock(fleet.state, verb="uncordon", clock=fleet.clock):
-        memory = load_manager_state(fleet.state, fleet.warn)
+        manager = load_manager_state(fleet.state, fleet.warn)
         return _save_and_return(
             fleet,
             dataclasses.replace(
-                memory, cordons=memory.cordons - set(names), draining=memory.draining - set(names)
+                manager, cordons=manager.cordons - set(names), draining=manager.draining - set(names)
             ),
         )
 
 
 def fence_hosts(fleet: Fleet, names: Sequence[str]) -> frozenset[str]:
-    """Take the operator's word that hosts are switched off: their tasks are no longer waited for. All hosts that count as off."""
+    """Declare hosts powered off: their tasks can be rescheduled. Returns all fenced hosts."""
     check_known_names(names, fleet.inventory.hosts, "host")
     with FleetLock(fleet.state, verb="fence", clock=fleet.clock):
         return heartbeats.add_fences(fleet.state, names).fenced
 
 
 def unfence_hosts(fleet: Fleet, names: Sequence[str]) -> frozenset[str]:
-    """Take that back. All hosts that still count as off."""
+    """Clear the fence of hosts. Returns all hosts that are still fenced."""
     check_known_names(names, fleet.inventory.hosts, "host")
     with FleetLock(fleet.state, verb="unfence", clock=fleet.clock):
         return heartbeats.remove_fences(fleet.state, names).fenced
 
 
-def _save_and_return(fleet: Fleet, memory: ManagerState) -> ManagerState:
-    save_manager_state(fleet.state, memory)
-    return memory
+def _save_and_return(fleet: Fleet, manager: ManagerState) -> ManagerState:
+    save_manager_state(fleet.state, manager)
+    return manager

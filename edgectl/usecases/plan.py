@@ -1,4 +1,4 @@
-"""plan: what should be done, and why."""
+"""Plan: ranking of hosts and changes, with reasons."""
 
 import hashlib
 from collections.abc import Collection
@@ -23,29 +23,30 @@ def make_plan(
 ) -> Plan:
     """Decide for every task, from a fresh probe or from ``snapshot``.
 
-    With a given snapshot no host is asked, ``now`` is its ``taken_at`` and the memory is the one in it: the same on any day.
+    With a given snapshot no host is asked, ``now`` is its ``taken_at`` and the manager's state is the one in
+    it: the result is the same on any day.
     """
     if snapshot is None:
         made = make_plan(fleet, policy, snapshot=probe_fleet(fleet, options))
         record_plan(fleet, made)
         return made
-    memory = snapshot.manager or ManagerState()
-    assignment = assign(fleet.inventory, fleet.tasks, snapshot, memory, policy, snapshot.taken_at)
-    return plan_from_assignment(fleet.inventory, fleet.tasks, snapshot, memory, assignment)
+    manager = snapshot.manager or ManagerState()
+    assignment = assign(fleet.inventory, fleet.tasks, snapshot, manager, policy, snapshot.taken_at)
+    return plan_from_assignment(fleet.inventory, fleet.tasks, snapshot, manager, assignment)
 
 
 def keep_whole_plan(plan: Plan) -> Plan:
-    """Choose all of a plan."""
+    """Keep every step of the plan."""
     return plan
 
 
 def limit_plan_to_tasks(plan: Plan, tasks: Collection[str]) -> Plan:
-    """The plan with action on ``tasks`` alone; everything was decided for all of them."""
+    """The plan with actions for ``tasks`` only; the decisions cover all tasks."""
     return select_targets(plan, tasks)
 
 
 def compute_plan_id(plan: Plan) -> str:
-    """The digest of a plan's text: the name under which it is applied at most once."""
+    """The digest of a plan's text, under which it is applied at most once."""
     return hashlib.sha256(dump_document(form.encode(plan)).encode()).hexdigest()
 
 

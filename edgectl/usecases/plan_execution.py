@@ -1,4 +1,4 @@
-"""What every verb that changes a fleet shares: the lock, the open sessions, the journal, and the memory afterwards."""
+"""Execution of plans: lock, open sessions, journal, and the manager's state afterwards."""
 
 import contextlib
 import dataclasses
@@ -30,17 +30,18 @@ _NO_RESULTS = Results(revision=0, actions=(), seconds=0.0)
 
 
 def confirm_always(_plan: Plan) -> bool:
-    """Say yes without asking."""
+    """Agree without asking."""
     return True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ApplyOptions:
-    """``lock_timeout`` (s): how long to wait for another edgectl. ``max_parallel``: actions at once.
+    """Options of one execution.
 
-    ``fail_fast``: after a failure nothing new begins; ``deadline`` (monotonic): nor after it.
-
-    ``choose`` narrows a plan (``--target``). ``stop_requested``: set it, and no further action begins.
+    ``lock_timeout`` (s): how long to wait for another edgectl. ``max_parallel``: actions at once.
+    ``fail_fast``: after a failure no new action begins. ``deadline`` (monotonic s): no action begins after
+    it.
+    ``choose`` narrows a plan (``--target``). ``stop_requested``: when set, no further action begins.
     """
 
     lock_timeout: float = 0.0
@@ -55,7 +56,7 @@ class ApplyOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ApplyResult:
-    """The plan, and how it went; no results where there was nothing to do, or it was declined."""
+    """A plan and its results; no results where there was nothing to do or it was declined."""
 
     plan: Plan
     results: Results | None = None
@@ -64,7 +65,7 @@ class ApplyResult:
 
 @contextlib.contextmanager
 def lock_fleet(fleet: Fleet, verb: str, options: ApplyOptions) -> Iterator[Fleet]:
-    """The fleet, locked against every other edgectl of this machine, its sessions kept open until the end.
+    """The fleet, locked against every other edgectl of this machine, with sessions kept open until the end.
 
     Raises:
         LockBusyError: another edgectl is changing this fleet.
@@ -85,16 +86,18 @@ def confirm_and_execute(
     verb: str = "apply",
     name: str | None = None,
 ) -> ApplyResult:
-    """Ask, record, run and remember; ``verb`` goes into the journal; ``name`` is the id of a saved plan. Call it within ``changing``."""
-    memory = plan.snapshot.manager or ManagerState()
+    """Ask, journal, execute and save; ``verb`` goes into the journal; ``name`` is the id of a saved plan.
+    Call it within ``lock_fleet``.
+    """
+    manager = plan.snapshot.manager or ManagerState()
     if plan.changes and not confirm(plan):
         return ApplyResult(plan=plan, declined=True)
     cut_off = _warn_of_unfinished_apply(fleet)
     if not plan.changes:
-        _save_manager_state(fleet, plan, memory, _NO_RESULTS, {})
+        _save_manager_state(fleet, plan, manager, _NO_RESULTS, {})
         _recover_interrupted_apply(fleet, cut_off)
         return ApplyResult(plan=plan)
-    used = compute_next_generations(memory, plan.snapshot, plan.steps, fleet.clock(), cut_off.generations)
+    used = compute_next_generations(manager, plan.snapshot, plan.steps, fleet.clock(), cut_off.generations)
     with Journal.open(fleet.state, clock=fleet.clock, warn=fleet.warn) as journal:
         run_options = RunOptions(
             plan_id=name or compute_plan_id(plan),
@@ -107,11 +110,11 @@ def confirm_and_execute(
             verb=verb,
             user=get_user_name(),
         )
-        with track_heartbeats(fleet) as near, send_heartbeats(near, plan.snapshot):
+        with track_heartbeats(fleet) as tracked, send_heartbeats(tracked, plan.snapshot):
             results = run_plan(
-                plan, fleet.inventory, fleet.tasks, near.transport, journal, run_options, options.progress
+                plan, fleet.inventory, fleet.tasks, tracked.transport, journal, run_options, options.progress
             )
-        after = _save_manager_state(fleet, plan, memory, results, used)
+        after = _save_manager_state(fleet, plan, manager, results, used)
         _record_placements(fleet, journal, results.revision, after)
     record_results(fleet, plan, results)
     _recover_interrupted_apply(fleet, cut_off)
@@ -119,7 +122,9 @@ def confirm_and_execute(
 
 
 def has_nothing_to_do(fleet: Fleet, plan: Plan) -> bool:
-    """Whether `carry_out` would do nothing at all: no action, nothing new to remember, nothing cut off to recover from."""
+    """Whether executing the plan would do nothing: no action, nothing to record, no interrupted apply to
+    recover.
+    """
     if plan.changes:
         return False
     after = update_manager_state(
@@ -132,38 +137,39 @@ def has_nothing_to_do(fleet: Fleet, plan: Plan) -> bool:
 
 
 def _record_placements(fleet: Fleet, journal: Journal, revision: int, after: ManagerState) -> None:
-    """Where every task stands now: what a rollback goes back to."""
+    """The present placement of every task, to which a rollback returns."""
     placements = {task: placement.host for task, placement in after.placements.items()}
     try:
         journal.append("placed", revision=revision, placements=placements)
     except StateError as error:
-        fleet.warn(f"{error.message}: revision {revision} cannot be gone back to")
+        fleet.warn(f"{error.message}: revision {revision} cannot be restored")
 
 
 def _warn_of_unfinished_apply(fleet: Fleet) -> JournalSummary:
-    """What the journal knows of an apply that was cut off."""
+    """Warn about an apply that was interrupted, as the journal shows it."""
     log = JournalSummary()
     if (fleet.state / JOURNAL_FILE_NAME).exists():
         with Journal.open(fleet.state, clock=fleet.clock, warn=fleet.warn) as journal:
             log = journal.log
     if log.unfinished:
         fleet.warn(
-            f"revision {log.revision} was cut off while it changed {', '.join(log.unfinished)}; the hosts were asked what runs now"
+            f"revision {log.revision} was interrupted while it changed {', '.join(log.unfinished)}; the "
+            "hosts were asked for their running tasks"
         )
     return log
 
 
 def _recover_interrupted_apply(fleet: Fleet, log: JournalSummary) -> None:
-    """Let robots go that an earlier handoff left holding, once they are steered; close the record of the apply that was cut off."""
+    """Release held robots once a ready instance controls them; close the record of the interrupted apply."""
     if not log.unfinished and not log.held:
         return
     with Journal.open(fleet.state, clock=fleet.clock, warn=fleet.warn) as journal:
         places = load_manager_state(fleet.state).placements
         for task in journal.log.held:
             located = places[task].host if task in places else None
-            with track_heartbeats(fleet) as near:
+            with track_heartbeats(fleet) as tracked:
                 released = release_hold(
-                    task, located, fleet.inventory, fleet.tasks, near.transport, fleet.warn
+                    task, located, fleet.inventory, fleet.tasks, tracked.transport, fleet.warn
                 )
             if released:
                 journal.append("released", task=task)
@@ -171,10 +177,10 @@ def _recover_interrupted_apply(fleet: Fleet, log: JournalSummary) -> None:
 
 
 def _save_manager_state(
-    fleet: Fleet, plan: Plan, memory: ManagerState, results: Results, used: dict[str, int]
+    fleet: Fleet, plan: Plan, manager: ManagerState, results: Results, used: dict[str, int]
 ) -> ManagerState:
-    """Save what is known now. A disk that does not take it costs history, not the apply."""
-    after = update_manager_state(memory, plan, fleet.tasks, results, used, fleet.clock())
+    """Save the manager's state. A full disk costs history, not the apply."""
+    after = update_manager_state(manager, plan, fleet.tasks, results, used, fleet.clock())
     if select_saved_fields(after) != load_manager_state(fleet.state):
         save_manager_state(fleet.state, after)
     return after

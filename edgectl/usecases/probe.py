@@ -1,4 +1,4 @@
-"""probe: measure the fleet."""
+"""Probe of the fleet: hosts, links and tasks."""
 
 import dataclasses
 
@@ -17,43 +17,46 @@ from edgectl.usecases.record import record_snapshot
 
 
 def probe_fleet(fleet: Fleet, options: ProbeOptions | None = None) -> Snapshot:
-    """Measure every host; the snapshot carries the memory, so that it alone is enough to repeat a decision."""
+    """Measure every host; the snapshot includes the manager's state, so that it suffices to repeat a
+    decision.
+    """
     measured = load_link_capacities(fleet.state, fleet.warn)
     reopened = frozenset(load_ignored_instances(fleet.state, fleet.warn))
     options = dataclasses.replace(options or ProbeOptions(), measured=measured, reopened=reopened)
     fenced = load_heartbeats(fleet.state, fleet.warn).fenced
-    with track_heartbeats(fleet) as near:
+    with track_heartbeats(fleet) as tracked:
         snapshot = host_probe.probe_hosts(
-            fleet.inventory, fleet.tasks, near.transport, options=options, clock=fleet.clock
+            fleet.inventory, fleet.tasks, tracked.transport, options=options, clock=fleet.clock
         )
-    memory = load_state_with_heartbeats(fleet)
-    for host in sorted(fenced - memory.fenced):
-        fleet.warn(f"{host} answers, so it is not switched off: its fence is lifted")
+    manager = load_state_with_heartbeats(fleet)
+    for host in sorted(fenced - manager.fenced):
+        fleet.warn(f"{host} answers, so it is not powered off: its fence is cleared")
     record_snapshot(fleet, snapshot)
-    memory = dataclasses.replace(
-        _add_journaled_starts(fleet, memory, snapshot), measured=load_measured_demands(fleet, snapshot)
+    manager = dataclasses.replace(
+        _add_journaled_starts(fleet, manager, snapshot), measured=load_measured_demands(fleet, snapshot)
     )
-    return dataclasses.replace(snapshot, manager=memory)
+    return dataclasses.replace(snapshot, manager=manager)
 
 
-def _add_journaled_starts(fleet: Fleet, memory: ManagerState, snapshot: Snapshot) -> ManagerState:
-    """The memory, with what an edgectl that was killed before it saved its own may have started on hosts that are silent now.
+def _add_journaled_starts(fleet: Fleet, manager: ManagerState, snapshot: Snapshot) -> ManagerState:
+    """The manager's state with starts that only the journal records, on hosts that are unreachable now.
 
-    Only the journal knows of it; without it such a task would be started a second time elsewhere.
+    An edgectl that was killed before it saved its state may have started them; without them such a task would
+    be started a second time elsewhere.
     """
     started = {
         task: Placement(host=host, since=snapshot.taken_at, generation=generation)
         for task, (host, generation) in read_journal_cached(fleet.state / JOURNAL_FILE_NAME).located.items()
         if host in snapshot.hosts and not snapshot.hosts[host].ok
-        if task not in memory.placements or memory.placements[task].generation < generation
+        if task not in manager.placements or manager.placements[task].generation < generation
     }
-    return dataclasses.replace(memory, placements={**memory.placements, **started}) if started else memory
+    return dataclasses.replace(manager, placements={**manager.placements, **started}) if started else manager
 
 
 def measure_links(fleet: Fleet, *, seconds: float = 2.0) -> tuple[BandwidthMeasurement, ...]:
-    """Measure each link's capacity by sending for ``seconds``, one link after the other, and keep what was measured."""
-    with track_heartbeats(fleet) as near:
-        measurements = tuple(bandwidth.measure_bandwidth(fleet.inventory, near.transport, seconds=seconds))
+    """Measure the capacity of each link by sending for ``seconds``, one link at a time, and save it."""
+    with track_heartbeats(fleet) as tracked:
+        measurements = tuple(bandwidth.measure_bandwidth(fleet.inventory, tracked.transport, seconds=seconds))
     known = dict(load_link_capacities(fleet.state, fleet.warn))
     known |= {
         (found.edge, found.robot): found.bytes_per_s

@@ -1,4 +1,4 @@
-"""profile: what a task was measured to use, and how that gets into its file."""
+"""Measured usage of a task, and writing it into the task file as its demand."""
 
 import difflib
 import tempfile
@@ -36,7 +36,7 @@ _PARSERS = {"cpu": parse_cores, "memory": parse_bytes, "throughput": parse_rate}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DemandEdit:
-    """A task file as it would be. ``tasks``: all that come out of the entry; ``before`` and ``after``: its text."""
+    """An edited task file. ``tasks``: all tasks of the edited entry; ``before`` and ``after``: its text."""
 
     file: Path
     entry: str
@@ -45,7 +45,7 @@ class DemandEdit:
     after: str
 
     def diff(self) -> str:
-        """The lines that change, none around them; a line on which a secret may stand is not shown."""
+        """The changed lines without context; a line that may contain a secret is masked."""
         old, new = self.before.splitlines(), self.after.splitlines()
         head, body = (
             [f"--- {self.file}\n", f"+++ {self.file}\n"],
@@ -55,12 +55,12 @@ class DemandEdit:
 
 
 def _hide_secret_line(line: str) -> str:
-    """The line, unless a secret may stand on it."""
+    """The line, masked if it may contain a secret."""
     return Source(file="", text=line, lines=(line,)).line(1) or "(not shown)"
 
 
 def get_tasks_by_name(tasks: Tasks, name: str) -> list[Task]:
-    """The task of that name, or all that come out of the entry of that name.
+    """The task of this name, or all tasks of the entry of this name.
 
     Raises:
         KeyError: there is neither.
@@ -74,12 +74,13 @@ def get_tasks_by_name(tasks: Tasks, name: str) -> list[Task]:
 
 
 def build_demand_edit(fleet: Fleet, files: Sequence[Path], task: Task) -> DemandEdit:
-    """The file with p95 as the demand of the entry of ``task``: the greatest of its tasks and classes of hosts.
+    """The file with p95 as the demand of the entry of ``task``: the maximum over its tasks and classes of
+    hosts.
 
     Raises:
-        EdgectlError: nothing has been measured long enough.
+        EdgectlError: there are too few samples.
         InputError: the entry cannot be edited safely.
-        FileError: the edited file would not mean the same, or is not there any more.
+        FileError: the edited file would have another meaning, or is gone.
     """
     group = [each for each in fleet.tasks.tasks.values() if each.template == task.template]
     amounts = _format_p95_amounts(task.template, load_class_profiles(fleet, group))
@@ -97,11 +98,11 @@ def build_demand_edit(fleet: Fleet, files: Sequence[Path], task: Task) -> Demand
                 before=source.text,
                 after=after,
             )
-    raise FileError(f"{task.template} stands in none of the task files any more", hint="say it again")
+    raise FileError(f"{task.template} is no longer in any of the task files", hint="run the command again")
 
 
 def _format_p95_amounts(entry: str, found: Iterable[ClassProfile]) -> dict[str, str]:
-    """The demands as they are written, by resource; no throughput where no traffic was seen."""
+    """The demands as written in the file, by resource; no throughput where no traffic was measured."""
     known = list(found)
     trusted = [each for each in known if each.enough]
     if not trusted:
@@ -111,8 +112,11 @@ def _format_p95_amounts(entry: str, found: Iterable[ClassProfile]) -> dict[str, 
             if most
             else "no sample"
         )
-        hint = f"{MIN_SAMPLES} samples over {format_duration(MIN_SPAN_S)} are needed; let it run while edgectl probes or watches"
-        raise EdgectlError(f"of {entry} there is {so_far}: too few to write a demand", hint=hint)
+        hint = (
+            f"{MIN_SAMPLES} samples over {format_duration(MIN_SPAN_S)} are needed; let it run while edgectl "
+            "probes or watches"
+        )
+        raise EdgectlError(f"{entry} has {so_far}: too few to write a demand", hint=hint)
     amounts = {key: max(getattr(each.profile, key).p95 for each in trusted) for key in ("cpu", "memory")}
     seen = [
         each.profile.throughput for each in trusted if each.task.robots and each.profile.throughput.most > 0
@@ -122,7 +126,9 @@ def _format_p95_amounts(entry: str, found: Iterable[ClassProfile]) -> dict[str, 
 
 
 def _build_expected_demands(group: Sequence[Task], amounts: dict[str, str]) -> dict[str, Demand]:
-    """The demands that the edited file must state: what is measured stays measured, everything else is as it was."""
+    """The demands that the edited file must give: what follows history still does, everything else is
+    unchanged.
+    """
     return {
         task.name: replace(
             task.demand,
@@ -139,7 +145,7 @@ def _parse_amount(old: Quantity | None, key: str, amount: str) -> Quantity:
 def _check_meaning(
     fleet: Fleet, files: Sequence[Path], file: Path, after: str, meant: dict[str, Demand]
 ) -> None:
-    """Read all files with the edited one among them: nothing but the demands may have changed."""
+    """Read all files with the edited one among them: only the demands may differ."""
     wanted = {
         name: replace(task, demand=meant.get(name, task.demand)) for name, task in fleet.tasks.tasks.items()
     }
@@ -149,6 +155,6 @@ def _check_meaning(
         found = load_tasks([edited if each == file else each for each in files], fleet.inventory)
     if found.tasks != wanted or found.policy != fleet.tasks.policy:
         raise FileError(
-            f"{file} changed meanwhile, or would not mean the same",
-            hint="say it again; if it stays so, write the demand by hand",
+            f"{file} changed meanwhile, or would have another meaning",
+            hint="run the command again; if it happens again, edit the demand by hand",
         )

@@ -1,4 +1,4 @@
-"""profilers start, stop and status."""
+"""Control of the resident profilers on the hosts."""
 
 from collections.abc import Sequence
 
@@ -18,19 +18,17 @@ _TIMEOUT_S = 30.0
 def start_profilers(
     fleet: Fleet, names: Sequence[str] = (), *, every: float = DEFAULT_PERIOD_S, ttl: float = DEFAULT_TTL_S
 ) -> tuple[Profiler, ...]:
-    """A profiler on every host, or on those of ``names``; one that runs already and was asked for the same stays.
+    """Start a profiler on every host, or on those of ``names``; one that runs with the same options stays.
 
-    ``every`` (s): from sample to sample. ``ttl`` (s): it ends by itself when no edgectl called for so long.
+    ``every`` (s): sampling period. ``ttl`` (s): the profiler ends after this time without a request.
 
     Raises:
-        UsageError: a host is unknown, ``every`` is not 0.1 s to 1 min, or ``ttl`` is shorter than ten periods.
+        UsageError: a host is unknown, ``every`` is not 0.1 to 60 s, or ``ttl`` is below ten periods.
     """
     if not _MIN_PERIOD_S <= every <= _MAX_PERIOD_S:
-        raise UsageError(f"a sample every {every:g} s is not possible", hint="from 100ms to 1m")
+        raise UsageError(f"a sampling period of {every:g} s is not supported", hint="choose 100ms to 1m")
     if ttl < 10 * every:
-        raise UsageError(
-            f"profilers that end after {ttl:g} s would hardly have begun", hint="at least ten times --every"
-        )
+        raise UsageError(f"a ttl of {ttl:g} s is too short", hint="choose at least ten times --every")
     hosts = _select_probed_hosts(fleet, names)
     with track_heartbeats(fleet) as near:
         return profilers.start_profilers(
@@ -39,7 +37,7 @@ def start_profilers(
 
 
 def stop_profilers(fleet: Fleet, names: Sequence[str] = ()) -> tuple[Profiler, ...]:
-    """No profiler on any host, or on any of ``names``.
+    """Stop the profilers on all hosts, or on those of ``names``.
 
     Raises:
         UsageError: a host is unknown.
@@ -50,7 +48,7 @@ def stop_profilers(fleet: Fleet, names: Sequence[str] = ()) -> tuple[Profiler, .
 
 
 def list_profilers(fleet: Fleet, names: Sequence[str] = ()) -> tuple[Profiler, ...]:
-    """What profilers there are on the hosts, or on those of ``names``.
+    """The profilers on all hosts, or on those of ``names``.
 
     Raises:
         UsageError: a host is unknown.

@@ -1,4 +1,4 @@
-"""Keep what was seen and done for those who look back: best effort, said once where it fails, never in the way of the command."""
+"""Best-effort recording of samples, plans and results; a failure is one warning, never an error."""
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING
@@ -15,23 +15,25 @@ if TYPE_CHECKING:
 
 
 def record_snapshot(fleet: Fleet, snapshot: Snapshot) -> None:
-    """Keep the samples of a probe and the events that they show."""
+    """Record the samples of a probe and the events that they show."""
     changing = is_locked_elsewhere(fleet.state)
     _record_and_prune(fleet, lambda store: store.record_snapshot(snapshot, changing=changing))
 
 
 def record_plan(fleet: Fleet, plan: Plan) -> None:
-    """Keep a plan that was made with the hosts."""
+    """Record a plan that was made from a probe."""
     _record_and_prune(fleet, lambda store: store.record_plan(plan))
 
 
 def record_results(fleet: Fleet, plan: Plan, results: Results) -> None:
-    """Keep what an apply did. Call it before the lock is released, so that nobody takes its work for an event of its own."""
+    """Record the results of an apply. Call it before the lock is released, so that no later probe reports
+    them as external events.
+    """
     _record_and_prune(fleet, lambda store: store.record_results(plan, results, fleet.clock()))
 
 
 def get_newest_event_id(fleet: Fleet) -> int:
-    """The id of the newest event that is kept, 0 where there is none."""
+    """The id of the newest recorded event, 0 where there is none."""
     return max((event.id for event in _read_events(fleet, lambda store: store.events(limit=1))), default=0)
 
 

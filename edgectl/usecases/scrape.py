@@ -1,4 +1,4 @@
-"""export prometheus: a picture of the fleet for metrics, and one probe for all who ask at once."""
+"""Metrics of the fleet for Prometheus, from one probe shared by all scrapes."""
 
 import contextlib
 import dataclasses
@@ -24,7 +24,9 @@ Value = TypeVar("Value")
 def collect_fleet_metrics(
     fleet: Fleet, options: ProbeOptions, past: Callable[[], tuple[Revision, ...]] | None = None
 ) -> MetricsInput:
-    """Probe, decide as an unattended apply would, and take what was done before from ``past``, else from the journal."""
+    """Probe, plan as an unattended apply would, and take earlier actions from ``past``, else from the
+    journal.
+    """
     snapshot = probe_fleet(fleet, options)
     policy = dataclasses.replace(fleet.tasks.policy, attended=False)
     done = past() if past is not None else list_revisions(fleet)
@@ -37,7 +39,9 @@ def collect_fleet_metrics(
 
 
 class RevisionCache:
-    """What was done before, read again only where the journal changed: a long one takes a while. For one thread at a time."""
+    """Cache of the revisions, reread only where the journal changed: a long journal takes a while. For one
+    thread at a time.
+    """
 
     def __init__(self, fleet: Fleet) -> None:
         self._fleet = fleet
@@ -54,15 +58,17 @@ class RevisionCache:
 
 @contextlib.contextmanager
 def keep_sessions_open(fleet: Fleet) -> Iterator[Fleet]:
-    """The fleet over sessions that stay open from scrape to scrape; a host that is silent is not knocked at each time."""
+    """The fleet over sessions that stay open from scrape to scrape; an unreachable host is retried with
+    back-off.
+    """
     with SessionPool(fleet.transport, forget_s=REFUSED_BACKOFF_S) as pool:
         yield dataclasses.replace(fleet, transport=BackoffTransport(pool))
 
 
 class SharedCache(Generic[Value]):
-    """What ``make`` gives, made anew at most every ``every`` seconds, and once for all who ask while it is being made.
+    """A value made at most once every ``every`` seconds, and once for all concurrent callers.
 
-    An error is shared like a value. ``now`` is time that nobody sets, in s.
+    An error is shared like a value. ``now`` is a monotonic clock in s.
     """
 
     def __init__(
@@ -76,10 +82,10 @@ class SharedCache(Generic[Value]):
         self._error: Exception | None = None
 
     def __call__(self) -> Value:
-        """The value of now, of the call that was under way, or of at most ``every`` seconds ago.
+        """The present value: of the call in progress, or at most ``every`` seconds old.
 
         Raises:
-            Exception: what ``make`` raised then.
+            Exception: what ``make`` raised.
         """
         seen = self._made
         with self._guard:
@@ -96,7 +102,7 @@ class SharedCache(Generic[Value]):
         self._value = self._error = None
         try:
             self._value = self._make()
-        except Exception as error:  # handed to everybody who waits
+        except Exception as error:  # raised to every waiting caller
             self._error = error
         self._made += 1
         self._made_at = self._now()

@@ -1,4 +1,4 @@
-"""get, top and describe: what the fleet is and does, once or again and again."""
+"""Snapshots and recent samples for get, top and describe, once or repeatedly."""
 
 import dataclasses
 from collections.abc import Callable, Iterator
@@ -13,13 +13,15 @@ from edgectl.usecases.probe import probe_fleet
 
 
 def probe_repeatedly(
-    fleet: Fleet, told_to_end: Callable[[], bool], options: ProbeOptions | None = None
+    fleet: Fleet, should_stop: Callable[[], bool], options: ProbeOptions | None = None
 ) -> Iterator[Snapshot]:
-    """A probe, and another one each time ``told_to_end`` (which waits in between) says no; sessions stay open."""
+    """One probe, and another each time ``should_stop`` (which waits in between) returns false; sessions stay
+    open.
+    """
     with SessionPool(fleet.transport, forget_s=REFUSED_BACKOFF_S) as pool:
         held = dataclasses.replace(fleet, transport=BackoffTransport(pool))
         yield probe_fleet(held, options)
-        while not told_to_end():
+        while not should_stop():
             yield probe_fleet(held, options)
 
 

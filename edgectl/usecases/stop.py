@@ -1,4 +1,4 @@
-"""stop and restart: what an operator asks for by name, through the same executor as apply."""
+"""Stop and restart of tasks by name, through the same executor as apply."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -32,7 +32,8 @@ def stop_tasks(
     confirm: Confirm = confirm_always,
     options: ApplyOptions | None = None,
 ) -> ApplyResult:
-    """Stop the named tasks (None: all) wherever they run. The next apply starts them again, unless they are marked done.
+    """Stop the named tasks (None: all) on every host. The next apply starts them again unless they are marked
+    done.
 
     Raises:
         UsageError: a name is neither in the files nor running.
@@ -58,10 +59,11 @@ def stop_tasks(
 def restart_task(
     fleet: Fleet, name: str, confirm: Confirm = confirm_always, options: ApplyOptions | None = None
 ) -> ApplyResult:
-    """Stop a running task and start it again on its host; one that was given up is started where it is placed now.
+    """Stop a running task and start it again on its host; one that failed for good is started where it is
+    placed now.
 
     Raises:
-        UsageError: it is not in the files, neither runs nor was given up, or has no place now.
+        UsageError: it is not in the files, neither runs nor failed for good, or has no placement.
         LockBusyError: another edgectl is changing this fleet.
     """
     options = options or ApplyOptions()
@@ -80,12 +82,12 @@ def _plan_restart(fleet: Fleet, name: str, snapshot: Snapshot) -> Plan:
         return build_restart_plan(name, fleet.inventory, fleet.tasks, snapshot)
     forgiven = drop_given_up_runs(name, snapshot)
     if forgiven == snapshot:
-        raise UsageError(f"{name} does not run", hint="edgectl apply")
+        raise UsageError(f"{name} is not running", hint="edgectl apply")
     made = make_plan(fleet, fleet.tasks.policy, snapshot=forgiven)
     steps = tuple(step for step in made.steps if step.task == name and step.action is Action.START)
     if not steps:
         raise UsageError(
-            f"{name} has no place now", hint=f"edgectl reopen {name}; edgectl plan then says why"
+            f"{name} has no placement now", hint=f"edgectl reopen {name}; edgectl plan then shows the reason"
         )
     return dataclasses.replace(made, steps=steps, expected={})
 

@@ -1,4 +1,4 @@
-"""validate: what can be said of two good files without asking a host."""
+"""Offline checks of valid files."""
 
 from edgectl.model.assignment import DemandSpread
 from edgectl.model.inventory import Host, Inventory
@@ -10,7 +10,7 @@ from edgectl.scheduler.demand_spread import find_demand_spreads
 
 
 def list_uneven_demands(inventory: Inventory, tasks: Tasks) -> tuple[DemandSpread, ...]:
-    """Percent demands that mean different amounts on the hosts whose capacity is declared; a plan knows all of them."""
+    """Percent demands that mean different amounts on hosts with a declared capacity."""
     hosts = {
         name: sample
         for name, host in inventory.hosts.items()

@@ -1,4 +1,4 @@
-"""watch: the loop. Sample, smooth, plan and, where it is allowed, carry out, over connections that stay open."""
+"""Watch loop: sample, smooth, plan and, if allowed, apply, over sessions that stay open."""
 
 import dataclasses
 import math
@@ -32,9 +32,9 @@ from edgectl.usecases.plan_execution import (
 from edgectl.usecases.probe import probe_fleet
 from edgectl.usecases.record import get_newest_event_id, list_events_after, record_plan
 
-# A task whose action failed is left alone for a while, longer each time: a move that fails stops the task each time it is tried.
+# A task whose action failed is retried with back-off: each failed move stops the task.
 _MIN_BACKOFF_S, _MAX_BACKOFF_S = 30.0, 600.0
-# A host that hangs may not hold a cycle up for as long as a person would wait for a probe.
+# Probe deadline of a watch: a hanging host must not delay a cycle as long as it may delay a single probe.
 _PROBE_TIMEOUT_S = 10.0
 
 
@@ -47,17 +47,19 @@ def policy_from_files(fleet: Fleet) -> Policy:
 
 
 def never_reload() -> Fleet | None:
-    """Never read the files again."""
+    """Keep the files as they are."""
     return None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WatchOptions:
-    """``every``: s from the beginning of a cycle to that of the next. ``apply``: carry plans out. ``cycles``: end after so many.
+    """Options of a watch.
 
-    ``policy``: how to decide for a fleet; nobody looks at these plans, so ``max_moves`` acts.
-    ``debug``: a bug ends the loop, instead of its cycle alone.
-    ``refresh``: a new fleet where its files changed, else None; an EdgectlError where they are broken, and the old ones are used.
+    ``every``: s between the starts of two cycles. ``apply``: execute plans. ``cycles``: end after so many.
+    ``policy``: the policy for a fleet; nobody reviews these plans, so ``max_moves`` applies.
+    ``debug``: a bug ends the loop instead of one cycle.
+    ``refresh``: a new fleet if its files changed, else None; raises EdgectlError if they are broken, and the
+    old ones stay in use.
     """
 
     every: float = 10.0
@@ -73,9 +75,10 @@ class WatchOptions:
 
 
 def watch_fleet(fleet: Fleet, options: WatchOptions) -> Iterator[Cycle]:
-    """One `Cycle` after the other, until ``options.control`` is told to stop. What goes wrong in a cycle is said in it; the loop goes on.
+    """Yield one `Cycle` after the other until ``options.control`` requests a stop. An error belongs to its
+    cycle; the loop continues.
 
-    Close the iterator (``contextlib.closing``) where it is not read to its end: it holds connections.
+    Close the iterator (``contextlib.closing``) if it is not read to its end: it holds connections.
     """
     with _WatchLoop(fleet, options) as loop:
         yield from loop.cycles()
@@ -83,14 +86,14 @@ def watch_fleet(fleet: Fleet, options: WatchOptions) -> Iterator[Cycle]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _TaskBackoff:
-    """``failures`` in a row of the actions of one task; the next one not before ``until`` (uptime, s)."""
+    """Consecutive ``failures`` of a task's actions; no attempt before ``until`` (uptime, s)."""
 
     failures: int
     until: float
 
 
 class _WatchLoop:
-    """What a watch keeps from cycle to cycle: nothing of it grows with their number."""
+    """State that a watch keeps from cycle to cycle; its size does not grow with their number."""
 
     def __init__(self, fleet: Fleet, options: WatchOptions) -> None:
         self._options = options
@@ -108,7 +111,7 @@ class _WatchLoop:
         self._pool.close()
 
     def _take(self, fleet: Fleet) -> None:
-        """Work on ``fleet`` from now on, over new connections."""
+        """Switch to ``fleet`` with new connections."""
         self._pool = SessionPool(fleet.transport, forget_s=REFUSED_BACKOFF_S, clock=self._now_of(fleet))
         self._patient = BackoffTransport(self._pool, clock=self._now_of(fleet))
         self._fleet = dataclasses.replace(fleet, transport=self._pool, warn=self._said.append)
@@ -118,11 +121,11 @@ class _WatchLoop:
         return lambda: fleet.uptime().seconds
 
     def _now(self) -> float:
-        """Seconds on a clock that nobody sets."""
+        """Seconds on a monotonic clock."""
         return self._fleet.uptime().seconds
 
     def cycles(self) -> Iterator[Cycle]:
-        """The loop itself. A cycle that overran its time is followed by the next whole one: they do not pile up."""
+        """Yield the cycles. Cycles that a long one overran are skipped; they do not accumulate."""
         number, wish = 0, None
         while wish is not ControlRequest.STOP:
             number += 1
@@ -139,7 +142,7 @@ class _WatchLoop:
             wish = self._wait(began + seconds + left)
 
     def _wait(self, until: float) -> ControlRequest | None:
-        """Wait for the next cycle, or for a wish. Tasks that fence themselves hear of this manager all the while."""
+        """Wait for the next cycle or a request. Heartbeats for tasks with self_fence continue meanwhile."""
         left = max(0.0, until - self._now())
         if self._smooth is None or not any(
             task.self_fence is not None for task in self._fleet.tasks.tasks.values()
@@ -149,7 +152,7 @@ class _WatchLoop:
             return self._options.control.wait(left)
 
     def _cycle(self, number: int, *, paused: bool) -> Cycle:
-        """One round. Whatever goes wrong belongs to this round alone."""
+        """Run one cycle; an error is recorded in it."""
         draft = _CycleBuilder(Cycle(number=number, at=self._fleet.clock(), paused=paused))
         self._said.clear()
         try:
@@ -164,7 +167,7 @@ class _WatchLoop:
             if self._options.debug:
                 raise
             what = f"unexpected {type(error).__name__}: {error}".splitlines()[0]
-            draft.put(error=f"{what} (a bug in edgectl; EDGECTL_DEBUG=1 ends with where it happened)")
+            draft.put(error=f"{what} (a bug in edgectl; EDGECTL_DEBUG=1 shows where)")
         events = list_events_after(self._fleet, self._heard)
         self._heard = max((event.id for event in events), default=self._heard)
         return dataclasses.replace(
@@ -184,11 +187,11 @@ class _WatchLoop:
             draft.put(results=self._apply(plan, before))
 
     def _refresh(self) -> None:
-        """Take over files that changed; broken ones are said, and those from before stay."""
+        """Load changed files; if they are broken, warn and keep the old ones."""
         try:
             fleet = self._options.refresh()
         except EdgectlError as error:
-            self._said.append(f"{error.message}; what was read before is used")
+            self._said.append(f"{error.message}; the files as read before stay in use")
             return
         if fleet is not None:
             self._pool.close()
@@ -196,13 +199,13 @@ class _WatchLoop:
             self._resting = {task: rest for task, rest in self._resting.items() if task in fleet.tasks.tasks}
 
     def _sample(self) -> Snapshot:
-        """Measure, and let hosts that are silent rest."""
+        """Probe the fleet; unreachable hosts are retried with back-off."""
         snapshot = probe_fleet(dataclasses.replace(self._fleet, transport=self._patient), self._options.probe)
         self._smooth = smooth_snapshot(self._smooth, snapshot, period=self._options.every)
         return snapshot
 
     def _plan(self, snapshot: Snapshot) -> Plan:
-        """Decide from the smoothed loads; tasks that rest stay as they are."""
+        """Plan from the smoothed loads; tasks in back-off stay as they are."""
         policy = dataclasses.replace(self._options.policy(self._fleet), attended=False)
         plan = make_plan(self._fleet, policy, snapshot=self._smooth or snapshot)
         signature = tuple((step.task, step.action, step.decision.host) for step in plan.steps)
@@ -217,7 +220,7 @@ class _WatchLoop:
         return tuple(sorted(task for task, rest in self._resting.items() if now < rest.until))
 
     def _apply(self, plan: Plan, before: StateFingerprint) -> Results | None:
-        """Carry out, under the lock, unless another edgectl changed the fleet after the plan's snapshot was begun.
+        """Apply under the lock, unless another edgectl changed the fleet after the plan's snapshot was begun.
 
         Raises:
             LockBusyError: another edgectl is changing this fleet.
@@ -229,7 +232,7 @@ class _WatchLoop:
         )
         with FleetLock(self._fleet.state, verb="watch", clock=self._fleet.clock):
             if fingerprint_state_files(self._fleet.state) != before:
-                self._said.append("another edgectl changed the fleet meanwhile; the next cycle plans anew")
+                self._said.append("another edgectl changed the fleet meanwhile; the next cycle plans again")
                 return None
             results = confirm_and_execute(self._fleet, plan, confirm_always, options, verb="watch").results
         self._note_failures(results)
@@ -246,7 +249,7 @@ class _WatchLoop:
 
 
 def _expand_tasks_in_backoff(plan: Plan, tasks: Tasks, resting: Iterable[str]) -> set[str]:
-    """Tasks that rest, and those that would start after one that would start if it did not rest."""
+    """Tasks in back-off, and those that would start after one that is in back-off."""
     alone = set(resting)
     starting = {step.task for step in plan.steps if step.action is Action.START}
     for step in plan.steps:
@@ -257,11 +260,11 @@ def _expand_tasks_in_backoff(plan: Plan, tasks: Tasks, resting: Iterable[str]) -
 
 
 class _CycleBuilder:
-    """A cycle as far as it came."""
+    """A cycle under construction."""
 
     def __init__(self, cycle: Cycle) -> None:
         self.cycle = cycle
 
     def put(self, **parts: object) -> None:
-        """Add what is known now."""
+        """Set fields of the cycle."""
         self.cycle = dataclasses.replace(self.cycle, **parts)  # type: ignore[arg-type]

@@ -44,10 +44,11 @@ def test_get_refuses_what_there_is_not(run: Run, site: Path) -> None:
     assert run("get", "edges", "-l", "a b").code == 64
     assert (
         run("get", "edges", "-w", "--every", "0").err
-        == "error: --every 0 is too often\nhint: write 100ms or more\n"
+        == "error: --every 0 is too short\nhint: write 100ms or more\n"
     )
     assert (
-        run("top").err == "error: edgectl top needs a further word\nhint: write edgectl top hosts or tasks\n"
+        run("top").err
+        == "error: missing subcommand: top hosts, top tasks\nhint: run edgectl top hosts or tasks\n"
     )
 
 
@@ -84,7 +85,7 @@ def test_top_shows_every_host_and_no_task(run: Run, site: Path) -> None:
     assert [len(host["history"]) for host in document["hosts"]] == [3] * 6, "one sample of each look"
     assert run("top", "hosts", "-w", "-o", "yaml").code == 64
     said = run("top", "hosts", "--interactive")
-    assert (said.code, said.err.splitlines()[0]) == (64, "error: standard output is not a terminal")
+    assert (said.code, said.err.splitlines()[0]) == (64, "error: stdout is not a terminal")
 
 
 def test_top_w_gives_programs_one_object_per_look(site: Path) -> None:

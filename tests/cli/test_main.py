@@ -84,7 +84,7 @@ def test_a_full_disk_is_no_bug_of_ours(site: Path) -> None:
     assert said.returncode == 1
     assert (
         said.stderr
-        == "error: No space left on device\nhint: free some space; what runs on the hosts is not affected\n"
+        == "error: No space left on device\nhint: free some space; tasks on the hosts are not affected\n"
     )
 
 

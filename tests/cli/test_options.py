@@ -13,7 +13,9 @@ from tests.cli.conftest import Run
 def test_a_form_that_a_command_has_not_is_refused_with_those_it_has(run: Run, words: tuple[str, ...]) -> None:
     said = run(*words)
     assert (said.code, said.out) == (64, "")
-    assert said.err.endswith(" form of this\nhint: write -o table, wide, json, yaml, name or markdown\n")
+    assert said.err.endswith(
+        'output format "github" is not supported here\nhint: use -o table, wide, json, yaml, name or markdown\n'
+    )
 
 
 def test_the_environment_may_ask_for_more_than_a_command_has(
@@ -22,7 +24,10 @@ def test_the_environment_may_ask_for_more_than_a_command_has(
     monkeypatch.setenv("EDGECTL_OUTPUT", "wide")
     assert run("version").code == 0
     monkeypatch.setenv("EDGECTL_OUTPUT", "name")
-    assert run("version").err == "error: no name form of this\nhint: write -o table, json or yaml\n"
+    assert (
+        run("version").err
+        == 'error: output format "name" is not supported here\nhint: use -o table, json or yaml\n'
+    )
 
 
 def test_version(run: Run) -> None:

@@ -110,5 +110,5 @@ def test_fence_takes_the_name_of_the_host_for_a_yes(run: Run, small: Path) -> No
     assert run("fence", "edge2", "--yes").out == "fenced: edge1, edge2\n"
     assert run("unfence", "edge2").out == "fenced: edge1\n"
     said = run("probe")
-    assert "warning: edge1 answers, so it is not switched off: its fence is lifted\n" in said.err
+    assert "warning: edge1 answers, so it is not powered off: its fence is cleared\n" in said.err
     assert run("unfence", "edge1").out == "fenced: none\n"

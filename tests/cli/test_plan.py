@@ -57,7 +57,7 @@ def test_a_silent_host_beats_everything_unless_allowed(run: Run, site: Path) -> 
 
 def test_a_saved_plan_is_shown_as_it_was_printed(run: Run, site: Path) -> None:
     printed = run(*PLAN, "--out", "next.plan", "-o", "wide")
-    assert printed.err == "saved next.plan; carry it out with: edgectl apply next.plan\n"
+    assert printed.err == "saved next.plan; apply it with: edgectl apply next.plan\n"
     assert run("show", "next.plan", "-o", "wide").out == printed.out
     assert run("show", "next.plan", "--detailed-exitcode").code == 2
     assert (site / "next.plan").read_text() == run(*PLAN, "-o", "json").out
@@ -73,7 +73,7 @@ def test_target_and_selector_choose_what_is_done(run: Run, site: Path) -> None:
     said = run(*PLAN, "--target", "detection-robot2")
     assert "none: left out by --target or -l" in said.out
     assert said.out.endswith("Plan: 0 to start, 0 to move, 0 to stop, 9 kept, 0 unplaced, 1 left out.\n")
-    assert said.err == "warning: 1 other changes are left out, although this plan counts on them\n"
+    assert said.err == "warning: 1 other changes are left out, although this plan depends on them\n"
     assert "1 to move" in run(*PLAN, "-l", "task=detection").out
     assert "1 left out" in run(*PLAN, "-l", "task!=detection").out
 
@@ -110,7 +110,7 @@ def test_policy_and_weights_stand_in_the_plan(run: Run, site: Path) -> None:
         (("--weights", "sun"), "--weights: unknown weights 'sun'", "write one of cpu"),
         (("--without", "edgy1"), "unknown host 'edgy1'", "did you mean edge1?"),
         (("--target", "slam"), "unknown task 'slam'", "did you mean slam-robot"),
-        (("-l", "a b"), "cannot read the selector 'a b'", "write a=b"),
+        (("-l", "a b"), "cannot parse the selector 'a b'", "write a=b"),
         (("--snapshot", "inventories/local.yaml"), "error[EC", "hint: "),
     ],
 )

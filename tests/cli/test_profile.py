@@ -84,14 +84,14 @@ def test_the_greatest_of_the_group_is_written_and_nothing_else(site: Path, run: 
     file.chmod(0o640)
     said = run("profile", "slam-robot1", "--write", "--yes")
     assert said.code == 0
-    assert "slam is one entry for slam-robot1, slam-robot2: it gets the greatest p95 of them" in said.err
+    assert "slam is one entry for slam-robot1, slam-robot2: it gets the maximum of their p95" in said.err
     assert (
         '-    demand: {cpu: 35.2%, memory: "1Gi"}   # guessed\n+    demand: {cpu: 1.9, memory: "256Mi"}   # guessed\n'
         in said.err
     )
     assert file.read_text() == TASKS.replace('{cpu: 35.2%, memory: "1Gi"}', '{cpu: 1.9, memory: "256Mi"}')
     assert file.stat().st_mode & 0o777 == 0o640
-    assert run("profile", "slam", "--write", "--yes").err == "tasks/tasks.yaml says so already\n"
+    assert run("profile", "slam", "--write", "--yes").err == "tasks/tasks.yaml is up to date\n"
     assert sorted(path.name for path in file.parent.iterdir()) == ["tasks.yaml"]
 
 

@@ -69,7 +69,7 @@ def test_a_place_that_cannot_be_written_is_named(run: Run) -> None:
     assert "cannot write file/page.html" in said.err
     said = run("report", "--figures", "file")
     assert said.code == 1
-    assert "cannot make file" in said.err
+    assert "cannot create file" in said.err
 
 
 def nothing_but_latencies() -> Measured:

@@ -14,7 +14,7 @@ from matplotlib.transforms import Bbox
 
 from edgectl.experiments.model.comparison import Scheme
 from edgectl.experiments.model.experiment import ExperimentRun, HostCapacity, LoadSample, MetricReading, Trial
-from edgectl.experiments.report.figure_style import render_inline_svg, render_pdf, render_svg
+from edgectl.experiments.report.figure_style import ReportFigure, render_inline_svg, render_pdf, render_svg
 from edgectl.experiments.report.page import EmbeddedFigure, ReportTable, render_report_page
 from edgectl.experiments.report.report import draw_figures
 from edgectl.experiments.report.trial_selection import (
@@ -300,7 +300,7 @@ def test_words_neither_overlap_nor_leave_the_figure(run: ExperimentRun) -> None:
         ] == [], drawing.name
 
 
-def extents(drawing: Drawing) -> list[tuple[str, Bbox]]:
+def extents(drawing: ReportFigure) -> list[tuple[str, Bbox]]:
     """Where each word of a figure stands, in pixels."""
     canvas = FigureCanvasAgg(drawing.figure)
     drawing.figure.set_dpi(150)
@@ -314,7 +314,7 @@ def extents(drawing: Drawing) -> list[tuple[str, Bbox]]:
     return [(text.get_text(), text.get_window_extent(canvas.get_renderer())) for text in texts]
 
 
-def _beyond(drawing: Drawing) -> Iterator[Text]:
+def _beyond(drawing: ReportFigure) -> Iterator[Text]:
     """Labels of ticks that are not drawn, because they lie outside of the axis."""
     for axis in (axis for axes in drawing.figure.axes for axis in (axes.xaxis, axes.yaxis)):
         low, high = sorted(axis.get_view_interval())

@@ -47,7 +47,7 @@ def test_intervals_that_cron_can_say(every_s: float, fields: str) -> None:
 
 @pytest.mark.parametrize("every_s", [1, 59, 60.5, 90, 420, 5400, 18000, 172800])
 def test_intervals_that_cron_cannot_say(every_s: float) -> None:
-    with pytest.raises(ValueError, match=r"cron cannot say every .*; write one that divides"):
+    with pytest.raises(ValueError, match=r"cron cannot express every .*; write one that divides"):
         format_cron_schedule(every_s)
 
 

@@ -198,7 +198,7 @@ def test_systemd_hands_over_every_word_as_it_was(manager: UserSystemd | None, tm
 
 
 def possible(manager: UserSystemd, units: dict[str, str]) -> dict[str, str]:
-    """The units as they are; without their sandbox where this machine cannot make one, not even around /bin/true (a container may not)."""
+    """The units as they are; without their sandbox where this machine cannot create one, not even around /bin/true (a container may not)."""
     probe = build_timer_units(replace(JOB, name="nothing", directory="/"), user=False)
     if started(manager, probe, "edgectl-nothing.service")["ok"] == "yes":
         return units

@@ -97,7 +97,7 @@ def test_a_revision_that_does_not_exist_names_those_that_do(bench: Bench) -> Non
     bench.apply(SLAM)
     with pytest.raises(UsageError, match="no revision 7") as caught:
         get_revision(bench.fleet, 7)
-    assert caught.value.hint == "the last one is 1; edgectl history lists them"
+    assert caught.value.hint == "the last one is 1; list them: edgectl history"
 
 
 def test_failures_skips_and_cut_offs_are_told_apart(bench: Bench) -> None:
@@ -194,7 +194,7 @@ def test_without_a_record_there_is_nothing_to_go_back_to(bench: Bench) -> None:
     (old,) = bench.past
     assert (old.ending, old.counts, old.verb, old.seconds) == (RevisionOutcome.DONE, {"start": 1}, "", 0.0)
     with pytest.raises(
-        UsageError, match="after revision 1 was not recorded: it was cut off, or made by an older edgectl"
+        UsageError, match="after revision 1 was not recorded: it was interrupted, or made by an older edgectl"
     ):
         roll_back_fleet(bench.fleet, POLICY, 1)
 

@@ -175,7 +175,7 @@ def test_without_self_fence_it_is_held_until_the_operator_says_that_the_host_is_
     assert bench.actions()["camera"] is Action.START
     bench.hosts.down.clear()
     bench.actions()
-    assert bench.said[-1] == f"{silent} answers, so it is not switched off: its fence is lifted"
+    assert bench.said[-1] == f"{silent} answers, so it is not powered off: its fence is cleared"
     bench.hosts.down.add(silent)
     assert bench.actions()["camera"] is Action.HOLD
     operator_marks.fence_hosts(bench.fleet, [silent])

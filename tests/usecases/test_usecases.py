@@ -357,7 +357,7 @@ def test_restart_starts_what_was_given_up(bench: Bench) -> None:
 def test_restart_of_what_was_given_up_and_has_no_place(bench: Bench) -> None:
     given_up(bench)
     operator_marks.cordon_hosts(bench.fleet, ["edge1", "edge2"])
-    with pytest.raises(UsageError, match="slam has no place now"):
+    with pytest.raises(UsageError, match="slam has no placement now"):
         restart_task(bench.fleet, "slam")
 
 
@@ -432,7 +432,9 @@ def test_a_cut_off_apply_is_said_and_mended_by_the_next(bench: Bench) -> None:
     assert bench.hosts.changes == [f"start slam {bench.hosts.placed['slam']}"]
     applied = plan_and_apply(bench.fleet, POLICY)
     assert actions(applied.plan) == {"slam": Action.KEEP, "navigation": Action.START}
-    assert bench.said == ["revision 1 was cut off while it changed slam; the hosts were asked what runs now"]
+    assert bench.said == [
+        "revision 1 was interrupted while it changed slam; the hosts were asked for their running tasks"
+    ]
     assert not bench.hosts.world.overlap
 
 

@@ -227,7 +227,7 @@ def test_changed_files_are_taken_over_and_broken_ones_said(site: Site) -> None:
         return answer
 
     cycles = list(site.watch(6, refresh=refresh))
-    said = "tasks.yaml:3:5: unknown field 'demnd'; what was read before is used"
+    said = "tasks.yaml:3:5: unknown field 'demnd'; the files as read before stay in use"
     assert [c.warnings for c in cycles] == [(), (said,), (said,), (), (), ()]
     assert acted(cycles)[4] == [("navigation", Action.STOP)]
     assert site.hosts.placed.keys() == {"slam"}
