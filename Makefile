@@ -16,7 +16,7 @@ check: setup
 	@.venv/bin/mypy
 
 # Two files of tests at a time: most of them wait for real hosts, and each makes hosts of its own. What fails is run once more, alone,
-# and named (docs/adr/0030-a-second-chance-for-a-test.md).
+# and named (docs/adr/0030-rerun-failed-tests-once.md).
 test: check
 	@.ci/need-faults
 	@.ci/need-promtool
