@@ -1,6 +1,7 @@
-"""The direction of imports between rooms."""
+"""The direction of imports between rooms, and inside the agent."""
 
 import ast
+import sys
 from pathlib import Path
 
 import pytest
@@ -56,6 +57,9 @@ ALLOWED = {
     "agent": set(),
     "scaffold": set(),
 }
+# The one module of the agent that both sides read, and the rooms that read it.
+PROTOCOL = "edgectl.agent.link.protocol"
+PROTOCOL_READERS = {"model", "config", "transport", "gateway", "executor", "usecases", "experiments"}
 # third-party package -> the only modules that may import it
 OWNERS = {
     "typer": ("cli", "experiments/commands"),
@@ -114,8 +118,8 @@ def imports(path: Path) -> list[str]:
             names += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
             names.append(node.module)
-            if node.module == "edgectl":
-                names += [f"edgectl.{alias.name}" for alias in node.names]
+            if node.module in ("edgectl", "edgectl.agent", "edgectl.agent.link"):
+                names += [f"{node.module}.{alias.name}" for alias in node.names]
     return names
 
 
@@ -128,6 +132,8 @@ def test_room_imports_only_its_neighbours(module: str) -> None:
     if room in ("__init__", "__main__"):
         return
     for name in imports(ROOT / module):
+        if room in PROTOCOL_READERS and name in ("edgectl.agent.link", PROTOCOL):
+            continue
         if name.startswith("edgectl."):
             target = name.split(".")[1]
             assert target == room or target in ALLOWED[room] or target == "__version__", (
@@ -135,6 +141,51 @@ def test_room_imports_only_its_neighbours(module: str) -> None:
             )
     if room == "executor" and module.endswith("diff.py"):
         assert all(n.split(".")[1] in PURE for n in imports(ROOT / module) if n.startswith("edgectl."))
+
+
+def agent_imports(module: str) -> set[str]:
+    """The modules of the agent that ``module`` imports anywhere, by path; what serves type checks alone does not count."""
+    tree = ast.parse((ROOT / module).read_text())
+    for_types = {
+        id(inner)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+        for inner in ast.walk(node)
+    }
+    found = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and node.level and id(node) not in for_types:
+            package = [*Path(module).parts[: -node.level], *(node.module or "").split(".")]
+            base = "/".join(part for part in package if part)
+            found |= {
+                f"{base}/{alias.name}.py" if (ROOT / base / f"{alias.name}.py").exists() else f"{base}.py"
+                for alias in node.names
+            }
+    return found
+
+
+AGENT = {module: agent_imports(module) for module in MODULES if module.startswith("agent/")}
+
+
+def test_the_agent_needs_the_standard_library_alone() -> None:
+    for module in AGENT:
+        roots = {name.split(".")[0] for name in imports(ROOT / module)}
+        assert roots <= {*sys.stdlib_module_names, "psutil", "_sha2", "_sha256"}, module
+
+
+def test_the_protocol_imports_nothing() -> None:
+    assert not any(
+        isinstance(node, ast.Import | ast.ImportFrom)
+        for node in ast.walk(ast.parse((ROOT / "agent/link/protocol.py").read_text()))
+    )
+
+
+def test_no_import_circle_in_the_agent() -> None:
+    left = dict(AGENT)
+    while free := [module for module, needs in left.items() if not needs & left.keys()]:
+        for module in free:
+            del left[module]
+    assert not left, f"in an import circle, or importing one: {sorted(left)}"
 
 
 @pytest.mark.parametrize("module", MODULES)

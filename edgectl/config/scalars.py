@@ -6,6 +6,7 @@ from collections.abc import Callable
 from enum import StrEnum
 from typing import Any, Final
 
+from edgectl.agent.link import protocol
 from edgectl.config.node import Node, describe_node_type
 from edgectl.config.problems import ProblemCode, Problems
 from edgectl.config.quantities import suggest_quantity
@@ -13,8 +14,8 @@ from edgectl.config.quantities import suggest_quantity
 INVALID: Final = object()
 NodeReader = Callable[[Node, Problems], Any]
 FILE_VERSION = 1
-MAX_NAME_LENGTH = 63
-NAME_PATTERN = re.compile(r"[a-z0-9][a-z0-9._-]{0,62}")
+MAX_NAME_LENGTH = protocol.MAX_NAME_LENGTH
+NAME_PATTERN = re.compile(protocol.NAME_PATTERN)
 
 
 def read_version(node: Node, problems: Problems) -> Any:  # noqa: ANN401 - INVALID stands for any type

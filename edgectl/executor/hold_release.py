@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 
+from edgectl.agent.link import protocol
 from edgectl.errors import HostError
 from edgectl.executor import host_requests
 from edgectl.model.inventory import Host, Inventory
@@ -47,7 +48,7 @@ def _is_instance_ready(task: Task, host: Host, inventory: Inventory, transport: 
     """Whether the task is ready on ``host``. A ready check on the robot is asked again: nobody may have waited for its answer."""
     entry = _ask_task_entry(task, host, transport)
     instance, state = str(entry.get("instance")), entry.get("state")
-    if state == "starting":
+    if state == protocol.STARTING:
         wait_s = min(_WAIT_S, task.ready.timeout if task.ready else _WAIT_S)
         entry = _ask_host(
             transport,
@@ -56,9 +57,9 @@ def _is_instance_ready(task: Task, host: Host, inventory: Inventory, transport: 
             wait_s,
         )
         state = entry.get("state")
-    if state == "ready":
+    if state == protocol.READY:
         return True
-    if state != "running" or entry.get("detail"):
+    if state != protocol.RUNNING or entry.get("detail"):
         return False
     if task.ready is None:
         return True

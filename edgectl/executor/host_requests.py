@@ -3,6 +3,7 @@
 import hashlib
 from collections.abc import Mapping
 
+from edgectl.agent.link import protocol
 from edgectl.model.environment import drop_secrets, merge_environment
 from edgectl.model.inventory import Host
 from edgectl.model.task import Check, CheckLocation, StopRule, Task
@@ -47,7 +48,7 @@ def build_start_request(
         "fields": dict(task.spec_fields),
     }
     return {
-        "op": "start",
+        "op": protocol.OP_START,
         "host": host.name,
         "task": task.name,
         "instance": instance,
@@ -62,7 +63,7 @@ def build_stop_request(
     """Stop what runs as ``name``; a task that left the file (None) is stopped as it was started."""
     rule = None if task is None else encode_stop_rule(task.stop)
     return {
-        "op": "stop",
+        "op": protocol.OP_STOP,
         "host": host.name,
         "task": name,
         "instance": instance or None,
@@ -78,12 +79,18 @@ def encode_stop_rule(rule: StopRule) -> Request:
 
 def build_wait_request(name: str, host: Host, *, instance: str, timeout_s: float) -> Request:
     """Wait on the host until the instance is ready, has failed or is gone."""
-    return {"op": "wait", "host": host.name, "task": name, "instance": instance, "timeout_s": timeout_s}
+    return {
+        "op": protocol.OP_WAIT,
+        "host": host.name,
+        "task": name,
+        "instance": instance,
+        "timeout_s": timeout_s,
+    }
 
 
 def build_mark_ready_request(name: str, host: Host, *, instance: str) -> Request:
     """Tell the host that a ready check elsewhere said yes."""
-    return {"op": "mark", "host": host.name, "task": name, "instance": instance, "ready": True}
+    return {"op": protocol.OP_MARK, "host": host.name, "task": name, "instance": instance, "ready": True}
 
 
 def build_check_request(
@@ -91,7 +98,7 @@ def build_check_request(
 ) -> Request:
     """Run a check or hook of ``task`` on ``host``; secrets are for the task alone."""
     return {
-        "op": "check",
+        "op": protocol.OP_CHECK,
         "host": host.name,
         "command": rule.command,
         "prelude": host.prelude,
@@ -102,4 +109,4 @@ def build_check_request(
 
 def build_status_request(host: Host, name: str | None = None) -> Request:
     """What the host knows of one task, or of all, without measuring."""
-    return {"op": "status", "host": host.name, "task": name}
+    return {"op": protocol.OP_STATUS, "host": host.name, "task": name}

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Mapping
 
+from edgectl.agent.link import protocol
 from edgectl.errors import HostError
 from edgectl.executor import host_requests
 from edgectl.executor.host_requests import Request
@@ -35,7 +36,7 @@ def stop_task(act: StepRun, host_name: str, *, instance: str | None, phase: Phas
     )
     with act.phase(phase, host_name):
         answer = act.run.ask(host, request, timeout=grace + _STOP_MARGIN_S)
-        if answer.get("state") not in ("stopped", "not-running"):
+        if answer.get("state") not in (protocol.STOPPED, protocol.NOT_RUNNING):
             raise HostError(
                 f"{act.name} did not stop completely on {host_name}: processes left {answer.get('left')}",
                 hint=f"end them on {host_name}, then apply again",
@@ -66,7 +67,7 @@ def start_task(
     )
     with act.phase(phase, host_name):
         answer = act.run.ask(host, request)
-        if answer.get("state") not in ("started", "already-running"):
+        if answer.get("state") not in (protocol.STARTED, protocol.ALREADY_RUNNING):
             raise HostError(
                 f"{act.name} did not start on {host_name}: {answer.get('detail')}", host=host_name
             )
@@ -99,7 +100,7 @@ def wait_for_ready_on_host(run: RunContext, task: Task, host: Host, instance: st
         entry = run.ask(host, request, timeout=piece + run.options.call_s)
         if _is_ready(task, str(entry.get("state")), checked=here):
             return
-        if entry.get("state") not in ("starting", "running"):
+        if entry.get("state") not in (protocol.STARTING, protocol.RUNNING):
             raise HostError(f"{task.name} {_describe_end(entry)} on {host.name}", hint=hint, host=host.name)
         if time.monotonic() >= deadline:
             timeout = task.ready.timeout if task.ready else _DEFAULT_READY_S
@@ -113,9 +114,9 @@ def wait_for_ready_on_host(run: RunContext, task: Task, host: Host, instance: st
 
 def _is_ready(task: Task, state: str, *, checked: bool) -> bool:
     return (
-        state == "ready"
-        or (state == "running" and not checked)
-        or (state == "completed" and task.kind is TaskKind.JOB)
+        state == protocol.READY
+        or (state == protocol.RUNNING and not checked)
+        or (state == protocol.COMPLETED and task.kind is TaskKind.JOB)
     )
 
 

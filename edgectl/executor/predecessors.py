@@ -3,6 +3,7 @@
 import time
 from collections.abc import Iterable
 
+from edgectl.agent.link import protocol
 from edgectl.errors import HostError
 from edgectl.executor import host_requests, phases
 from edgectl.executor.step_run import RunContext
@@ -90,4 +91,4 @@ def _wait_for_predecessor(run: RunContext, need: Need, task: Task, step: Step) -
 def _is_reported_completed(answer: host_requests.Request, name: str) -> bool:
     entries = answer.get("tasks")
     entry = entries.get(name) if isinstance(entries, dict) else None
-    return isinstance(entry, dict) and entry.get("state") == "completed"
+    return isinstance(entry, dict) and entry.get("state") == protocol.COMPLETED

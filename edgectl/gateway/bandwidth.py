@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 
+from edgectl.agent.link import protocol
 from edgectl.errors import HostError, ReplyError
 from edgectl.gateway.reply_fields import get_int, get_positive, get_text
 from edgectl.model.inventory import Host, Inventory
@@ -36,8 +37,15 @@ def _measure_throughput(edge: Host, robot: Host, transport: Transport, seconds: 
     """Receive on the robot, send from the edge."""
     timeout = seconds + _MARGIN_S
     with transport.connect(robot, timeout=_CONNECT_S) as session:
-        sink = call_agent(session, {"op": "sink", "host": robot.name, "seconds": seconds}, timeout=timeout)
-    request = {"op": "send", "host": edge.name, "address": transport.address(robot), "seconds": seconds}
+        sink = call_agent(
+            session, {"op": protocol.OP_SINK, "host": robot.name, "seconds": seconds}, timeout=timeout
+        )
+    request = {
+        "op": protocol.OP_SEND,
+        "host": edge.name,
+        "address": transport.address(robot),
+        "seconds": seconds,
+    }
     with transport.connect(edge, timeout=_CONNECT_S) as session:
         sent = call_agent(
             session,

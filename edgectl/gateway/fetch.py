@@ -3,6 +3,7 @@
 import binascii
 import time
 
+from edgectl.agent.link import protocol
 from edgectl.errors import DeadlineError, RefusedError, ReplyError
 from edgectl.gateway.reply_fields import ReplyDocument, get_int, get_text
 from edgectl.model.inventory import Host
@@ -24,7 +25,7 @@ def fetch_file(transport: Transport, host: Host, task: Task, file: str, *, timeo
     """
     deadline = time.monotonic() + timeout
     request = {
-        "op": "fetch",
+        "op": protocol.OP_FETCH,
         "host": host.name,
         "task": task.name,
         "workdir": task.workdir,

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
+from edgectl.agent.link import protocol
 from edgectl.errors import HostError, ReplyError
 from edgectl.gateway.fanout import fan_out
 from edgectl.gateway.host_probe import resolve_robot_addresses
@@ -47,7 +48,7 @@ def decode_host_facts(document: ReplyDocument, context: ReplyContext, asked: Sen
     host = context.host
     if (
         document.get("v") != PROTOCOL_VERSION
-        or document.get("op") != "doctor"
+        or document.get("op") != protocol.OP_DOCTOR
         or document.get("host") != host.name
     ):
         raise ReplyError(
@@ -199,7 +200,7 @@ def _build_facts_context(
 
 def _build_doctor_request(host: Host, links: Mapping[str, str], timeout: float) -> dict[str, object]:
     return {
-        "op": "doctor",
+        "op": protocol.OP_DOCTOR,
         "host": host.name,
         "links": [{"robot": robot, "address": address} for robot, address in links.items()],
         "prelude": host.prelude,

@@ -1,11 +1,11 @@
 """An agent's document -> a HostSample. Pure and strict: anything odd costs this host its sample, and no other host anything."""
 
 import dataclasses
-import re
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from edgectl.agent.link import protocol
 from edgectl.errors import ReplyError
 from edgectl.gateway.reply_fields import (
     ReplyDocument,
@@ -35,12 +35,10 @@ from edgectl.model.snapshot import (
     TaskState,
 )
 
-PROTOCOL_VERSION = 1
+PROTOCOL_VERSION = protocol.VERSION
 # Delta_thp where nothing else is known: 54 Mbit/s, the paper's wireless network.
 ASSUMED_BYTES_PER_S = 6.75e6
 # Of one task, and how they are named: as the agent reads them.
-MAX_METRICS = 32
-METRIC_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_.:/-]{0,62}")
 _STATES = {state.value: state for state in TaskState}
 
 
@@ -94,7 +92,7 @@ def _check_origin(document: ReplyDocument, host: Host) -> None:
         raise ReplyError(
             f"document version {escape_unprintable(repr(document.get('v')))[:80]}, expected {PROTOCOL_VERSION}"
         )
-    if document.get("op") != "probe" or document.get("host") != host.name:
+    if document.get("op") != protocol.OP_PROBE or document.get("host") != host.name:
         raise ReplyError(
             f"document of {escape_unprintable(repr(document.get('host')))[:80]}, expected {host.name}"
         )
@@ -177,10 +175,10 @@ def _decode_task(name: str, entry: ReplyDocument, context: ReplyContext) -> Task
 
 def _decode_metrics(values: ReplyDocument) -> dict[str, float]:
     """What the application says of itself; the agent lets nothing else pass."""
-    if len(values) > MAX_METRICS:
-        raise ReplyError(f"more than {MAX_METRICS} metrics of one task")
+    if len(values) > protocol.MAX_TASK_METRICS:
+        raise ReplyError(f"more than {protocol.MAX_TASK_METRICS} metrics of one task")
     for name in values:
-        if not METRIC_NAME.fullmatch(name):
+        if not protocol.is_metric_name(name):
             raise ReplyError(f"not the name of a metric: {escape_unprintable(name)[:80]}")
     return {name: get_finite(values, name, most=sys.float_info.max) for name in values}
 

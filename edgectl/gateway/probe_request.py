@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 
+from edgectl.agent.link import protocol
 from edgectl.model.environment import drop_secrets, merge_environment
 from edgectl.model.inventory import Host, Inventory, Role
 from edgectl.model.task import Check, CheckLocation, DetectRule, Task, Tasks
@@ -25,7 +26,7 @@ def build_probe_request(
     """
     longest = max(1.0, timeout_s - window_s - _OVERHEAD_S)
     return {
-        "op": "probe",
+        "op": protocol.OP_PROBE,
         "host": host.name,
         "window_s": window_s,
         **build_probe_spec(host, tasks, addresses),

@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 
+from edgectl.agent.link import protocol
 from edgectl.errors import HostError, ReplyError
 from edgectl.gateway.fanout import fan_out
 from edgectl.gateway.host_probe import resolve_robot_addresses
@@ -40,14 +41,17 @@ def start_profilers(
     """One profiler on each of ``hosts``: it takes a sample ``every`` so many seconds and ends ``ttl`` seconds after the last request."""
     wanted = _make_probe_spec_builder(inventory, tasks, transport)
     requests = {
-        host.name: {"op": "profiler-start", "every_s": every, "ttl_s": ttl, **wanted(host)} for host in hosts
+        host.name: {"op": protocol.OP_PROFILER_START, "every_s": every, "ttl_s": ttl, **wanted(host)}
+        for host in hosts
     }
     return _ask_profilers(hosts, requests, transport, timeout)
 
 
 def stop_profilers(hosts: Sequence[Host], transport: Transport, *, timeout: float) -> tuple[Profiler, ...]:
     """No profiler on any of ``hosts``."""
-    return _ask_profilers(hosts, {host.name: {"op": "profiler-stop"} for host in hosts}, transport, timeout)
+    return _ask_profilers(
+        hosts, {host.name: {"op": protocol.OP_PROFILER_STOP} for host in hosts}, transport, timeout
+    )
 
 
 def list_profilers(
@@ -56,7 +60,10 @@ def list_profilers(
     """What profilers there are."""
     wanted = _make_probe_spec_builder(inventory, tasks, transport)
     return _ask_profilers(
-        hosts, {host.name: {"op": "profiler-status", **wanted(host)} for host in hosts}, transport, timeout
+        hosts,
+        {host.name: {"op": protocol.OP_PROFILER_STATUS, **wanted(host)} for host in hosts},
+        transport,
+        timeout,
     )
 
 

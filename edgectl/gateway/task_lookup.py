@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 
+from edgectl.agent.link import protocol
 from edgectl.errors import HostError
 from edgectl.gateway.fanout import fan_out
 from edgectl.gateway.reply_fields import (
@@ -17,7 +18,6 @@ from edgectl.transport.agent_client import call_agent
 from edgectl.transport.base import Transport
 
 _WORKERS = 32
-_ALIVE_STATES = ("starting", "running", "ready")
 
 
 def find_task_host(
@@ -41,7 +41,8 @@ def list_ended_instances(
     over = (
         entry
         for entry in answers.values()
-        if entry and (get_text(entry, "state") == "completed" or get_flag(entry, "given_up", default=False))
+        if entry
+        and (get_text(entry, "state") == protocol.COMPLETED or get_flag(entry, "given_up", default=False))
     )
     instances = (get_text(entry, "instance") for entry in over)
     return frozenset(instances), _list_unanswered(answers)
@@ -57,7 +58,7 @@ def _ask_task_status(
         try:
             with transport.connect(host, timeout=timeout) as session:
                 answer = call_agent(
-                    session, {"op": "status", "host": host.name, "task": task}, timeout=timeout
+                    session, {"op": protocol.OP_STATUS, "host": host.name, "task": task}, timeout=timeout
                 )
             return get_objects(answer, "tasks").get(task, {})
         except HostError:
@@ -72,4 +73,6 @@ def _list_unanswered(answers: Mapping[str, ReplyDocument | None]) -> tuple[str, 
 
 
 def _rank_status(entry: ReplyDocument) -> tuple[bool, float]:
-    return get_text(entry, "state") not in _ALIVE_STATES, get_optional(entry, "age_s", get_number) or 0.0
+    return get_text(entry, "state") not in protocol.ALIVE_STATES, get_optional(
+        entry, "age_s", get_number
+    ) or 0.0

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
+from edgectl.agent.link import protocol
 from edgectl.model.snapshot import CapacitySource
 
 
@@ -44,7 +45,7 @@ class Logind:
 
 
 # The obstacle where something else stands in the place of a state directory.
-NOT_A_DIRECTORY = "something that is no directory stands there"
+NOT_A_DIRECTORY = protocol.NO_DIRECTORY
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
+from edgectl.agent.link import protocol
 from edgectl.model.inventory import Role
 from edgectl.model.manager_state import ManagerState
 
@@ -21,17 +22,17 @@ class HostStatus(StrEnum):
 class TaskState(StrEnum):
     """Where a task is in its life on a host."""
 
-    STARTING = "starting"
-    RUNNING = "running"
-    READY = "ready"
-    COMPLETED = "completed"
-    FAILED = "failed"
-    CRASHLOOP = "crashloop"
+    STARTING = protocol.STARTING
+    RUNNING = protocol.RUNNING
+    READY = protocol.READY
+    COMPLETED = protocol.COMPLETED
+    FAILED = protocol.FAILED
+    CRASHLOOP = protocol.CRASHLOOP
 
     @property
     def alive(self) -> bool:
         """Whether the task occupies its host (starting, running or ready)."""
-        return self in (TaskState.STARTING, TaskState.RUNNING, TaskState.READY)
+        return self in protocol.ALIVE_STATES
 
 
 class CapacitySource(StrEnum):

@@ -16,6 +16,7 @@ from collections.abc import Iterator, Mapping
 from functools import cache
 from pathlib import Path
 
+from edgectl.agent.link import protocol
 from edgectl.errors import DeadlineError, NoPythonError, RefusedError, ReplyError
 from edgectl.transport.base import Reply, Session
 
@@ -24,7 +25,6 @@ _AGENT_PACKAGE = "edgectl_agent"
 # Survives sh, bash, zsh, fish and tcsh between single quotes: no newline, quote, backslash or exclamation mark.
 # The alarm ends a host's side whose program never comes, as when the line dies without a word; the program sets the manager's deadline.
 _BOOTSTRAP = "import sys,_signal;_signal.alarm(30);s=sys.stdin.buffer;exec(s.read(int(s.readline())))"
-_MAX_REPLY_BYTES = 1 << 20
 _FRAME_MARK = b"\nedgectl-frame "
 _NOT_FOUND_PATTERN = re.compile(
     rb"not found|no such file or directory|unknown command|cannot execute", re.IGNORECASE
@@ -46,8 +46,10 @@ def build_agent_zipapp() -> bytes:
     """The agent as a zipapp. The same sources give the same bytes: sorted names, fixed dates, nothing compressed."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_STORED) as archive:
-        for path in sorted(_AGENT_DIR.glob("*.py")):
-            entry = zipfile.ZipInfo(f"{_AGENT_PACKAGE}/{path.name}", date_time=(1980, 1, 1, 0, 0, 0))
+        for name, path in sorted(
+            (path.relative_to(_AGENT_DIR).as_posix(), path) for path in _AGENT_DIR.rglob("*.py")
+        ):
+            entry = zipfile.ZipInfo(f"{_AGENT_PACKAGE}/{name}", date_time=(1980, 1, 1, 0, 0, 0))
             entry.create_system = 3
             entry.external_attr = 0o100600 << 16
             archive.writestr(entry, path.read_bytes())
@@ -62,7 +64,7 @@ def compute_agent_hash() -> str:
 
 @cache
 def _read_boot_program() -> bytes:
-    text = (_AGENT_DIR / "boot.py").read_bytes()
+    text = (_AGENT_DIR / "link" / "boot.py").read_bytes()
     return b"%d\n%s" % (len(text), text)
 
 
@@ -96,7 +98,7 @@ def _send_request(
         build_agent_command(session.python),
         _build_packet(request, marker, timeout, agent),
         timeout=timeout,
-        limit=_MAX_REPLY_BYTES,
+        limit=protocol.MAX_REPLY_BYTES,
     )
     payload = _find_payload(answer.stdout, marker)
     if payload is None and time.monotonic() - began >= timeout:
@@ -223,7 +225,7 @@ def stream_agent_log(
     # An agent that is already there answers ``status`` quickly; one that is missing is put there by this call.
     call_agent(
         session,
-        {"op": "status", "host": request["host"], "task": request["task"]},
+        {"op": protocol.OP_STATUS, "host": request["host"], "task": request["task"]},
         timeout=max(idle_timeout, 5.0),
     )
     marker = secrets.token_hex(16)
@@ -271,7 +273,7 @@ class _ChunkReader:
         payload = _parse_frame_at(self._buffer, at + len(mark)) if at >= 0 else None
         end = self._buffer.find(b"\n", at + len(mark)) + 1 + len(payload or b"")
         if payload is None or self._buffer[end : end + 1] != b"\n":
-            if len(self._buffer) > _MAX_REPLY_BYTES:
+            if len(self._buffer) > protocol.MAX_REPLY_BYTES:
                 raise ReplyError(f"no valid reply from the agent: {_format_excerpt(self._buffer)}")
             return False
         _check_reply(_parse_reply_json(payload))

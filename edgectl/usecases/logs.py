@@ -3,6 +3,7 @@
 import contextlib
 from collections.abc import Iterator
 
+from edgectl.agent.link import protocol
 from edgectl.errors import UsageError
 from edgectl.gateway.task_lookup import find_task_host
 from edgectl.model.inventory import Host
@@ -26,7 +27,9 @@ def read_log(fleet: Fleet, task: str, *, tail: int = 100) -> str:
     """
     with track_heartbeats(fleet) as near, _connect_to_task_host(near, task) as (host, session):
         answer = call_agent(
-            session, {"op": "logs", "host": host.name, "task": task, "tail": tail}, timeout=_TIMEOUT_S
+            session,
+            {"op": protocol.OP_LOGS, "host": host.name, "task": task, "tail": tail},
+            timeout=_TIMEOUT_S,
         )
     return str(answer.get("text") or "")
 
@@ -41,7 +44,7 @@ def follow_log(fleet: Fleet, task: str, *, tail: int = 10) -> Iterator[bytes]:
     with track_heartbeats(fleet) as near, _connect_to_task_host(near, task) as (host, session):
         yield from stream_agent_log(
             session,
-            {"op": "follow", "host": host.name, "task": task, "tail": tail},
+            {"op": protocol.OP_FOLLOW, "host": host.name, "task": task, "tail": tail},
             idle_timeout=_IDLE_TIMEOUT_S,
         )
 

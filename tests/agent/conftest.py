@@ -1,4 +1,4 @@
-"""A real host on this machine: the agent through LocalTransport's session, a state directory of its own, everything ended at the end."""
+"""A real host on this machine: the agent in a local session, with a state directory of its own; every task is ended after the test."""
 
 import os
 import shutil
@@ -11,14 +11,15 @@ from typing import Any
 
 import pytest
 
-from edgectl.agent import life, proc
+from edgectl.agent.measure import proc
+from edgectl.agent.supervise import liveness
 from edgectl.transport.agent_client import call_agent, compute_agent_hash
 from edgectl.transport.local import LocalSession
 from tests.agent.user_systemd import UserSystemd, can_be_real, user_systemd
 
 
 class AgentHost:
-    """Asks the agent of one pretend host. ``python`` is the interpreter that runs it."""
+    """Client of the agent of one simulated host. ``python`` is the interpreter that runs it."""
 
     def __init__(self, name: str, state: Path, python: str = sys.executable) -> None:
         self.name, self.state = name, state
@@ -52,11 +53,13 @@ class AgentHost:
         return self.state / "hosts" / self.name / "tasks" / task
 
     def supervisor(self, task: str) -> int:
-        return life.trace(str(self.folder(task))).instance["supervisor"]
+        return liveness.read_instance(str(self.folder(task))).instance["supervisor"]
 
     def members(self, task: str) -> set[int]:
-        trace, table = life.trace(str(self.folder(task))), proc.processes()
-        return (life.members(trace, table) | life.orphans(trace, table)) - {trace.instance.get("supervisor")}
+        record, table = liveness.read_instance(str(self.folder(task))), proc.read_process_table()
+        return (liveness.find_processes(record, table) | liveness.find_orphans(record, table)) - {
+            record.instance.get("supervisor")
+        }
 
     def until(self, task: str, state: str, *, seconds: float = 30.0) -> dict[str, Any]:
         return eventually(
@@ -64,10 +67,10 @@ class AgentHost:
         )
 
     def end(self) -> None:
-        """Kill what a failed test left, supervisors first; only processes that carry this host's marks."""
+        """Kill the leftovers of a failed test, supervisors first; only processes with this host's cookies."""
         for folder in (self.state / "hosts" / self.name / "tasks").glob("*"):
-            trace = life.trace(str(folder))
-            for pid in (life.supervisor(trace), *self.members(folder.name)):
+            record = liveness.read_instance(str(folder))
+            for pid in (liveness.find_supervisor(record), *self.members(folder.name)):
                 if pid:
                     os.kill(pid, signal.SIGKILL)
 
@@ -82,7 +85,7 @@ def a_spec(command: str, **fields: object) -> dict[str, object]:
 
 
 def eventually(found: Callable[[], Any], *, seconds: float = 30.0) -> Any:
-    """The first true value of ``found``, asked again and again."""
+    """Poll ``found`` until it returns a true value; returns that."""
     deadline = time.monotonic() + seconds
     while not (value := found()):
         assert time.monotonic() < deadline, "did not happen in time"
@@ -91,13 +94,13 @@ def eventually(found: Callable[[], Any], *, seconds: float = 30.0) -> Any:
 
 
 def forget_fallback_agents() -> None:
-    """Remove the agent that a test has put into shared memory; whoever else uses it there sends it again."""
+    """Remove the agent that a test has put into shared memory; other users of it send it again."""
     for path in Path(f"/dev/shm/edgectl-{os.geteuid()}/agent").glob(f"{compute_agent_hash()}*"):
         shutil.rmtree(path) if path.is_dir() else path.unlink()
 
 
 def is_running(pid: int) -> bool:
-    seen = proc.process(pid)
+    seen = proc.read_process(pid)
     return seen is not None and seen.state not in "ZX"
 
 
@@ -116,7 +119,7 @@ def host(
 
 @pytest.fixture(scope="session")
 def systemd(tmp_path_factory: pytest.TempPathFactory) -> Iterator[UserSystemd]:
-    """A systemd --user; where the tests cannot have one, its stand-in."""
+    """A systemd --user, or its stub where the tests cannot have one."""
     with user_systemd(tmp_path_factory.mktemp("systemd") / "user", real=can_be_real()) as found:
         yield found
 

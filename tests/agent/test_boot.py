@@ -1,5 +1,6 @@
-"""How the agent gets on a host: sent once, kept under its hash, checked each time, run from memory."""
+"""Boot of the agent: sent once, cached under its hash, verified each time, run from memory."""
 
+import ast
 import hashlib
 import os
 import stat
@@ -14,7 +15,7 @@ from pathlib import Path
 import pytest
 
 import edgectl
-from edgectl.agent import boot
+from edgectl.agent.link import boot
 from edgectl.transport import agent_client as protocol
 from edgectl.transport.base import Reply
 from tests.agent.conftest import AgentHost, forget_fallback_agents
@@ -23,7 +24,7 @@ AGENT = Path(edgectl.__file__).parent / "agent"
 
 
 class Counting:
-    """Notes how many round trips a call took, and how large they were."""
+    """Counter of a call's round trips and their sizes."""
 
     def __init__(self, host: AgentHost) -> None:
         self.sizes: list[int] = []
@@ -82,15 +83,15 @@ def test_directory_that_others_may_write_is_not_used(host: AgentHost) -> None:
 
 def test_runs_from_memory_where_nothing_can_be_kept(host: AgentHost, tmp_path: Path) -> None:
     program = (
-        f"import sys; sys.path.insert(0, {str(AGENT)!r})\n"
+        f"import sys; sys.path.insert(0, {str(AGENT / 'link')!r})\n"
         "import boot\n"
-        "boot.state_bases = lambda: ['/proc/nowhere', '/proc/nowhere-else']\n"
-        "boot.boot(sys.stdin.buffer)\n"
+        "boot.list_state_bases = lambda: ['/proc/nowhere', '/proc/nowhere-else']\n"
+        "boot.boot_agent(sys.stdin.buffer)\n"
     )
     packet = protocol._build_packet(
         {"op": "probe", "host": "edge1", "window_s": 0.05}, "m" * 32, 10.0, protocol.build_agent_zipapp()
     )
-    packet = packet.split(b"\n", 1)[1][len((AGENT / "boot.py").read_bytes()) :]
+    packet = packet.split(b"\n", 1)[1][len((AGENT / "link" / "boot.py").read_bytes()) :]
     done = subprocess.run(
         [sys.executable, "-I", "-c", program],
         input=packet,
@@ -140,7 +141,13 @@ def test_archive_is_a_plain_zip_and_always_the_same() -> None:
         names = archive.namelist()
         assert names == sorted(names)
         assert {entry.date_time for entry in archive.infolist()} == {(1980, 1, 1, 0, 0, 0)}
-        assert {name: archive.read(name) for name in names} == boot.sources(agent)
+        assert {name: archive.read(name) for name in names} == boot.read_archive(agent)
+
+
+def test_packages_of_the_agent_have_no_code() -> None:
+    for path in AGENT.rglob("__init__.py"):
+        (docstring,) = ast.parse(path.read_text()).body
+        assert isinstance(docstring, ast.Expr), f"{path}: the boot program does not run it"
 
 
 def test_no_user_code_runs_on_the_host(

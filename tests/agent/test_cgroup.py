@@ -1,10 +1,10 @@
-"""Control group limits, read from trees of fixture files: v1, v2, hybrid without controllers, containers."""
+"""Control group limits, read from fixture trees: v1, v2, hybrid without controllers, containers."""
 
 from pathlib import Path
 
 import pytest
 
-from edgectl.agent import cgroup
+from edgectl.agent.measure import cgroup
 
 
 def tree(root: Path, files: dict[str, str]) -> str:
@@ -45,23 +45,23 @@ V2 = {
 
 def test_v1_limit_of_a_parent_counts(tmp_path: Path) -> None:
     root = tree(tmp_path, V1)
-    limit = cgroup.cpu_limit(root)
+    limit = cgroup.find_cpu_limit(root)
     assert limit.value == 0.4
-    assert cgroup.cpu_used_s(limit, root) == 2.5
-    memory = cgroup.memory_limit(root)
+    assert cgroup.read_cpu_used_s(limit, root) == 2.5
+    memory = cgroup.find_memory_limit(root)
     assert memory.value == 1 << 30
-    # 500 MB in use, 200 MB of it page cache, but 50 MB of that shared memory, which cannot be given back.
-    assert cgroup.memory_used(memory) == 350_000_000
+    # 500 MB in use, 200 MB of it page cache, of which 50 MB are shared memory and not reclaimable.
+    assert cgroup.read_memory_used(memory) == 350_000_000
 
 
 def test_v2_smallest_limit_on_the_way_up_counts(tmp_path: Path) -> None:
     root = tree(tmp_path, V2)
-    limit = cgroup.cpu_limit(root)
+    limit = cgroup.find_cpu_limit(root)
     assert limit.value == 1.5
-    assert cgroup.cpu_used_s(limit, root) == 7.5
-    memory = cgroup.memory_limit(root)
+    assert cgroup.read_cpu_used_s(limit, root) == 7.5
+    memory = cgroup.find_memory_limit(root)
     assert memory.value == 1 << 29
-    assert cgroup.memory_used(memory) == 200_000_000
+    assert cgroup.read_memory_used(memory) == 200_000_000
 
 
 def test_v1_joint_hierarchy(tmp_path: Path) -> None:
@@ -72,18 +72,18 @@ def test_v1_joint_hierarchy(tmp_path: Path) -> None:
         "sys/fs/cgroup/cpu,cpuacct/box/cpuacct.usage": "3000000000",
     }
     root = tree(tmp_path, files)
-    limit = cgroup.cpu_limit(root)
-    assert (limit.value, cgroup.cpu_used_s(limit, root)) == (2.0, 3.0)
+    limit = cgroup.find_cpu_limit(root)
+    assert (limit.value, cgroup.read_cpu_used_s(limit, root)) == (2.0, 3.0)
 
 
 def test_container_that_sees_only_its_own_group(tmp_path: Path) -> None:
-    """Without a cgroup namespace /proc names a path that is mounted as the root."""
+    """Without a cgroup namespace /proc shows a path that is mounted as the root."""
     files = {
         "proc/self/cgroup": "3:cpu:/docker/abc\n",
         "sys/fs/cgroup/cpu/cpu.cfs_quota_us": "50000",
         "sys/fs/cgroup/cpu/cpu.cfs_period_us": "100000",
     }
-    assert cgroup.cpu_limit(tree(tmp_path, files)).value == 0.5
+    assert cgroup.find_cpu_limit(tree(tmp_path, files)).value == 0.5
 
 
 @pytest.mark.parametrize(
@@ -106,5 +106,5 @@ def test_container_that_sees_only_its_own_group(tmp_path: Path) -> None:
 )
 def test_no_limit_where_none_can_be_read(tmp_path: Path, files: dict[str, str]) -> None:
     root = tree(tmp_path, files)
-    assert cgroup.cpu_limit(root) is None
-    assert cgroup.memory_limit(root) is None
+    assert cgroup.find_cpu_limit(root) is None
+    assert cgroup.find_memory_limit(root) is None

@@ -1,11 +1,11 @@
-"""A command that fails again and again is given up, and says so."""
+"""Crash loop: a command that keeps failing is given up and reported."""
 
-from edgectl.agent import life
+from edgectl.agent.supervise import lockfile
 from tests.agent.conftest import AgentHost, eventually
 
 
-def test_crash_loop_is_given_up_with_its_last_words(host: AgentHost) -> None:
-    """Five restarts with their pauses of 1 to 16 s: half a minute that cannot be had for less."""
+def test_crash_loop_is_given_up_with_the_end_of_its_log(host: AgentHost) -> None:
+    """Five restarts with their real pauses of 1 to 16 s, half a minute in all."""
     host.start(
         "slam", "seq 8; printf 'x%.0s' $(seq 300); echo; printf 'caf\\351\\n'; exit 1", restart="on-failure"
     )
@@ -15,6 +15,6 @@ def test_crash_loop_is_given_up_with_its_last_words(host: AgentHost) -> None:
     assert (entry["restarts"], entry["exit_code"], entry["last_exit"], entry["pid"]) == (5, 1, 1, 0)
     assert (entry["detail"], entry["given_up"]) == ("exited with 1; 5 restarts in 10 minutes", True)
     assert entry["log_tail"] == ["6", "7", "8", "x" * 200, "caf\ufffd"]
-    assert not life.lock_held(str(host.folder("slam")))
+    assert not lockfile.is_lock_held(str(host.folder("slam")))
     assert host.stop("slam")["state"] == "not-running"
-    assert host.entry("slam") is None, "a stop ends the news"
+    assert host.entry("slam") is None, "a stop clears the failure"

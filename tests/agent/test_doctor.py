@@ -1,4 +1,4 @@
-"""What the agent says of its host: real answers of this machine, and fixture trees for what this machine does not have."""
+"""Facts of ``doctor``: real ones of this machine, and fixture trees for configurations that it does not have."""
 
 import os
 import sys
@@ -7,28 +7,29 @@ from pathlib import Path
 
 import pytest
 
-from edgectl.agent import doctor, logind
-from edgectl.agent.shell import Command
+from edgectl.agent.measure import doctor
+from edgectl.agent.supervise import logind
+from edgectl.agent.supervise.shell import ShellCommand
 from tests.agent.conftest import AgentHost
 
-# Nothing is ever sent there: a connection to it is refused by our own kernel, for want of a way.
+# The kernel refuses a connection to the broadcast address without sending anything.
 NOWHERE = "255.255.255.255"
 
 
 def seen(prelude: str, env: dict[str, str] | None = None, timeout_s: float = 20.0) -> dict[str, object]:
-    """What a task would see after ``prelude``."""
-    return doctor.surroundings(Command(doctor._script(prelude), "", env, timeout_s).result())
+    """The surroundings of a task after ``prelude``."""
+    return doctor.parse_surroundings(ShellCommand(doctor._build_script(prelude), "", env, timeout_s).result())
 
 
 @pytest.fixture(autouse=True)
 def no_ros(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in doctor.VARIABLES:
+    for name in doctor.ROS_VARIABLES:
         monkeypatch.delenv(name, raising=False)
 
 
 def test_this_machine(host: AgentHost) -> None:
     links = [
-        {"robot": "near", "address": "127.0.0.1"},  # a refusal is an answer
+        {"robot": "near", "address": "127.0.0.1"},  # a refusal counts as an answer
         {"robot": "far", "address": NOWHERE},
         {"robot": "who", "address": "no-such-robot.invalid"},
     ]
@@ -51,7 +52,7 @@ def test_this_machine(host: AgentHost) -> None:
     assert 0 < answer["memory"]["used_bytes"] < answer["memory"]["total_bytes"]
 
 
-def test_the_prelude_has_the_last_word_and_only_what_it_exports_counts() -> None:
+def test_the_prelude_overrides_and_only_its_exports_count() -> None:
     assert seen("export ROS_DOMAIN_ID=8", {"ROS_DOMAIN_ID": "7"})["variables"]["ROS_DOMAIN_ID"] == "8"  # type: ignore[index]
     assert seen("RMW_IMPLEMENTATION=x")["variables"]["RMW_IMPLEMENTATION"] == ""  # type: ignore[index]
     assert seen("unset ROS_DOMAIN_ID", {"ROS_DOMAIN_ID": "7"})["variables"]["ROS_DOMAIN_ID"] == ""  # type: ignore[index]
@@ -79,20 +80,20 @@ def test_a_prelude_that_hangs_is_ended() -> None:
 
 
 def test_a_state_directory_that_cannot_be_used(tmp_path: Path) -> None:
-    assert doctor.disk(str(tmp_path / "a" / "b"))["obstacle"] == ""
-    assert not (tmp_path / "a").exists(), "looking makes nothing"
+    assert doctor.read_disk_facts(str(tmp_path / "a" / "b"))["obstacle"] == ""
+    assert not (tmp_path / "a").exists(), "reading creates nothing"
     (tmp_path / "file").touch()
-    assert "no directory" in doctor.disk(str(tmp_path / "file"))["obstacle"]
-    assert "no directory" in doctor.disk(str(tmp_path / "file" / "b"))["obstacle"]
+    assert "not a directory" in doctor.read_disk_facts(str(tmp_path / "file"))["obstacle"]
+    assert "not a directory" in doctor.read_disk_facts(str(tmp_path / "file" / "b"))["obstacle"]
     (tmp_path / "link").symlink_to(tmp_path)
-    assert "no directory" in doctor.disk(str(tmp_path / "link"))["obstacle"]
+    assert "not a directory" in doctor.read_disk_facts(str(tmp_path / "link"))["obstacle"]
     (tmp_path / "open").mkdir()
     (tmp_path / "open").chmod(0o777)
-    assert "mode 0700" in doctor.disk(str(tmp_path / "open"))["obstacle"]
+    assert "mode 0700" in doctor.read_disk_facts(str(tmp_path / "open"))["obstacle"]
 
 
 def logind_tree(root: Path, *settings: tuple[str, str]) -> None:
-    """A host on which logind runs, with these (file, text) of its configuration."""
+    """Create a host with logind and these (file, text) of its configuration."""
     (root / "run/systemd/system").mkdir(parents=True)
     (root / "run/systemd/seats").mkdir(parents=True)
     for name, text in settings:
@@ -101,7 +102,7 @@ def logind_tree(root: Path, *settings: tuple[str, str]) -> None:
 
 
 def test_the_end_of_the_login_on_a_host_without_logind(tmp_path: Path) -> None:
-    assert doctor.login_end(str(tmp_path))["present"] is False
+    assert doctor.read_login_facts(str(tmp_path))["present"] is False
 
 
 @pytest.mark.parametrize(
@@ -112,16 +113,16 @@ def test_the_end_of_the_login_on_a_host_without_logind(tmp_path: Path) -> None:
         ([("etc/systemd/logind.conf", "RemoveIPC=no\nKillUserProcesses=yes")], False, True),
         ([("etc/systemd/logind.conf", "RemoveIPC=no"), ("usr/lib/systemd/logind.conf.d/50-vendor.conf", "RemoveIPC=yes")], True, False),
         ([("etc/systemd/logind.conf.d/90-ros.conf", "RemoveIPC=no"), ("usr/lib/systemd/logind.conf.d/50-vendor.conf", "RemoveIPC=yes")], False, False),
-        # A file of the same name in /etc takes the vendor's place, and an empty value means nothing new.
+        # A file of the same name in /etc overrides the vendor's, and an empty value changes nothing.
         ([("etc/systemd/logind.conf.d/50-a.conf", ""), ("usr/lib/systemd/logind.conf.d/50-a.conf", "RemoveIPC=no")], True, False),
         ([("etc/systemd/logind.conf", "RemoveIPC=no"), ("usr/lib/systemd/logind.conf", "KillUserProcesses=yes")], False, False),
     ],
 )  # fmt: skip
-def test_the_end_of_the_login_as_logind_is_told(
+def test_the_end_of_the_login_as_logind_is_configured(
     tmp_path: Path, settings: list[tuple[str, str]], removes: bool, kills: bool
 ) -> None:
     logind_tree(tmp_path, *settings)
-    found = doctor.login_end(str(tmp_path))
+    found = doctor.read_login_facts(str(tmp_path))
     assert (found["present"], found["removes_ipc"], found["kills"], found["lingers"]) == (
         True,
         removes,
@@ -131,9 +132,9 @@ def test_the_end_of_the_login_as_logind_is_told(
     linger = tmp_path / "var/lib/systemd/linger" / str(found["user"])
     linger.parent.mkdir(parents=True)
     linger.touch()
-    assert doctor.login_end(str(tmp_path))["lingers"] is True
+    assert doctor.read_login_facts(str(tmp_path))["lingers"] is True
 
 
-def test_settings_outside_their_name_count_for_nothing(tmp_path: Path) -> None:
+def test_only_the_exact_name_of_a_setting_counts(tmp_path: Path) -> None:
     logind_tree(tmp_path, ("etc/systemd/logind.conf", "XRemoveIPC=no\nRemoveIPC=\nremoveipc=no"))
     assert logind.removes_ipc(str(tmp_path)) is True

@@ -1,17 +1,17 @@
-"""A host that kills users' processes at logout is told apart from one that does not."""
+"""Detection of hosts that kill users' processes at logout."""
 
 import getpass
 from pathlib import Path
 
 import pytest
 
-from edgectl.agent import logind
-from edgectl.agent.errors import RefusalError
+from edgectl.agent.link.errors import RefusalError
+from edgectl.agent.supervise import logind
 
 
 def test_default_is_no(tmp_path: Path) -> None:
     assert not logind.kills_users_processes(str(tmp_path))
-    logind.check_survival(str(tmp_path))
+    logind.check_survives_logout(str(tmp_path))
 
 
 def test_drop_in_wins_and_lingering_helps(tmp_path: Path) -> None:
@@ -21,9 +21,9 @@ def test_drop_in_wins_and_lingering_helps(tmp_path: Path) -> None:
     assert not logind.kills_users_processes(str(tmp_path))
     (folder / "logind.conf.d" / "kill.conf").write_text("[Login]\nKillUserProcesses = yes\n")
     with pytest.raises(RefusalError) as caught:
-        logind.check_survival(str(tmp_path))
+        logind.check_survives_logout(str(tmp_path))
     assert "enable-linger" in caught.value.hint
     linger = tmp_path / "var" / "lib" / "systemd" / "linger"
     linger.mkdir(parents=True)
     (linger / getpass.getuser()).touch()
-    logind.check_survival(str(tmp_path))
+    logind.check_survives_logout(str(tmp_path))

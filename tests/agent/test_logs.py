@@ -1,4 +1,4 @@
-"""Logs: bounded, clipped, counted, read back and followed."""
+"""Log files: bounded, clipped, lost bytes counted, read back and followed."""
 
 import os
 import subprocess
@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from edgectl.agent import life
-from edgectl.agent.logs import LONGEST_LINE, Log, tail
+from edgectl.agent.supervise import liveness
+from edgectl.agent.supervise.logfile import MAX_LINE_BYTES, LogWriter, read_log_tail
 from edgectl.transport.agent_client import stream_agent_log
 from tests.agent.conftest import AgentHost, both_runtimes, eventually
 
@@ -24,33 +24,33 @@ def sizes(folder: Path) -> dict[str, int]:
 
 
 def test_files_rotate_within_their_bound(tmp_path: Path) -> None:
-    log = Log(str(tmp_path), 10_000, 3)
+    log = LogWriter(str(tmp_path), 10_000, 3)
     lines = [b"line %05d\n" % number for number in range(5000)]
     for at in range(0, 5000, 7):
         log.write(b"".join(lines[at : at + 7]))
     assert sizes(tmp_path) == {"log.0": 5000 * 11 % 10_000, "log.1": 10_000, "log.2": 10_000}
-    assert tail(str(tmp_path), 3) == b"".join(lines[-3:])
-    assert tail(str(tmp_path), 10**6).endswith(b"".join(lines[-2200:]))
+    assert read_log_tail(str(tmp_path), 3) == b"".join(lines[-3:])
+    assert read_log_tail(str(tmp_path), 10**6).endswith(b"".join(lines[-2200:]))
     assert log.dropped == 0
 
 
 def test_long_lines_are_clipped_and_marked(tmp_path: Path) -> None:
-    log = Log(str(tmp_path), 1 << 20, 2)
+    log = LogWriter(str(tmp_path), 1 << 20, 2)
     log.write(b"a" * 10_000)
     log.write(b"a" * 10_000)
     log.write(b"a" * 10_000 + b"\nshort\n" + b"b" * 20_000 + b"\n")
     assert (tmp_path / "log.0").read_bytes() == (
-        b"a" * LONGEST_LINE + b" [clipped]\nshort\n" + b"b" * LONGEST_LINE + b" [clipped]\n"
+        b"a" * MAX_LINE_BYTES + b" [clipped]\nshort\n" + b"b" * MAX_LINE_BYTES + b" [clipped]\n"
     )
 
 
 def test_disk_trouble_is_counted_and_does_not_raise(tmp_path: Path) -> None:
     program = (
         "import resource,signal,sys\n"
-        "from edgectl.agent.logs import Log\n"
+        "from edgectl.agent.supervise.logfile import LogWriter\n"
         "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (5000, 5000))\n"
-        "log = Log(sys.argv[1], 100000, 2)\n"
+        "log = LogWriter(sys.argv[1], 100000, 2)\n"
         "for _ in range(10): log.write(b'x' * 999 + b'\\n')\n"
         "print(log.dropped)\n"
     )
@@ -90,7 +90,7 @@ os.write(1, b"\\nlast after %.1f s\\n" % (time.monotonic() - began))
 def test_ten_megabytes_a_second_stay_within_three_files_of_ten(
     host: AgentHost, tmp_path: Path, block: str
 ) -> None:
-    """35 MB as lines, without a newline, as zeros, and as lines of zeros; the task is never held up."""
+    """35 MB as lines, without a newline, as zeros, and as lines of zeros; the task is never blocked."""
     (tmp_path / "spam.py").write_text(SPAM.format(block=block))
     limit = 10 * 2**20
     host.start("spam", f"exec {sys.executable} -S {tmp_path}/spam.py", log={"max_bytes": limit, "files": 3})
@@ -102,7 +102,7 @@ def test_ten_megabytes_a_second_stay_within_three_files_of_ten(
     (last,) = host.ask("logs", task="spam", tail=1)["text"].splitlines()
     assert last.startswith("last after ")
     assert float(last.split()[2]) < 15.0, "3.5 s of work; a pump that blocks holds it up for good"
-    trace = life.trace(str(host.folder("spam")))
+    trace = liveness.read_instance(str(host.folder("spam")))
     assert (trace.status["exit_code"], trace.status["dropped"]) == (0, 0)
 
 
@@ -154,7 +154,7 @@ def test_closed_follower_leaves_no_process(host: AgentHost) -> None:
     }
     follower.close()  # type: ignore[attr-defined]
     theirs = {
-        str(life.trace(str(host.folder("work"))).status["pid"]),
+        str(liveness.read_instance(str(host.folder("work"))).status["pid"]),
         str(host.supervisor("work")),
         str(os.getpid()),
     }
@@ -177,4 +177,6 @@ def test_log_of_an_unknown_task_is_empty(host: AgentHost) -> None:
 def test_tail_takes_whole_lines(tmp_path: Path, lines: int) -> None:
     (tmp_path / "log.1").write_bytes(b"1\n2\n3")
     (tmp_path / "log.0").write_bytes(b"3\n4\n5")
-    assert tail(str(tmp_path), lines) == b"".join([b"1\n", b"2\n", b"33\n", b"4\n", b"5"][5 - lines :])
+    assert read_log_tail(str(tmp_path), lines) == b"".join(
+        [b"1\n", b"2\n", b"33\n", b"4\n", b"5"][5 - lines :]
+    )

@@ -1,4 +1,4 @@
-"""The profilers on this machine: known work, known bytes, the same document with and without psutil and on old Pythons."""
+"""Profilers on this machine: known work, known bytes, one document with and without psutil and on every Python."""
 
 import contextlib
 import os
@@ -14,18 +14,18 @@ from typing import Any
 
 import pytest
 
-from edgectl.agent import device, network
+from edgectl.agent.measure import device, network
 from edgectl.errors import RefusedError
 from tests.agent.conftest import AgentHost, eventually
 
-# Nobody else on this machine, not even another run of these tests, has these addresses.
+# Addresses that nothing else on this machine uses, not even a parallel run of these tests.
 NET = f"127.{100 + os.getpid() // 250 % 100}.{os.getpid() % 250}"
 ROBOT = f"{NET}.21"
 LINKS = [{"robot": "robot1", "address": ROBOT}, {"robot": "robot2", "address": f"{NET}.22"}]
 
 
 def interpreters() -> list[str]:
-    """Every Python 3.6 or later that stands beside this one or on the path."""
+    """Every Python 3.6 or later installed beside this one or on the path."""
     found = {version: shutil.which(f"python3.{version}") for version in range(6, 15)}
     for path in sorted(Path(sys.base_prefix).parent.glob("3.*/bin/python3")):
         minor = path.parent.parent.name.split(".")[1]
@@ -60,7 +60,7 @@ def sent(near: socket.socket, far: socket.socket, size: int) -> None:
 def test_counters_of_a_connection_are_exact() -> None:
     with connected() as (near, far):
         sent(near, far, 5_000)
-        with contextlib.closing(network.Traffic({"robot1": [ROBOT]})) as traffic:
+        with contextlib.closing(network.TrafficMeter({"robot1": [ROBOT]})) as traffic:
             sent(near, far, 1_000_000)
             sent(far, near, 30_000)
             time.sleep(0.1)
@@ -70,19 +70,22 @@ def test_counters_of_a_connection_are_exact() -> None:
 
 
 def test_connection_that_appears_in_the_window_counts_in_full() -> None:
-    # An address of its own: the kernel tells of ended connections a little late, those of other tests too.
+    # A separate address: the kernel reports closed connections with a delay, those of other tests too.
     robot = f"{NET}.31"
-    with contextlib.closing(network.Traffic({"robot1": [robot]})) as traffic, connected(robot) as (near, far):
+    with (
+        contextlib.closing(network.TrafficMeter({"robot1": [robot]})) as traffic,
+        connected(robot) as (near, far),
+    ):
         sent(near, far, 70_000)
         time.sleep(0.1)
         flows = [flow for flow in traffic.flows() if flow.remote == robot]
-    # The kernel counts the opening itself as one acknowledged byte.
+    # The kernel counts the handshake as one acknowledged byte.
     assert [(flow.tx - 1, flow.rx) for flow in flows] == [(70_000, 0)]
 
 
 def test_connections_that_end_in_the_window_count_up_to_their_end() -> None:
     with connected() as (near, far):
-        traffic = network.Traffic({"robot1": [ROBOT]})
+        traffic = network.TrafficMeter({"robot1": [ROBOT]})
         sent(near, far, 60_000)
     with connected() as (near, far):
         sent(near, far, 90_000)
@@ -96,7 +99,7 @@ def test_connections_that_end_in_the_window_count_up_to_their_end() -> None:
 def test_traffic_inside_the_host_does_not_count() -> None:
     with (
         connected() as (near, far),
-        contextlib.closing(network.Traffic({"robot1": [f"{NET}.22"]})) as traffic,
+        contextlib.closing(network.TrafficMeter({"robot1": [f"{NET}.22"]})) as traffic,
     ):
         sent(near, far, 60_000)
         assert not [flow for flow in traffic.flows() if flow.remote in (ROBOT, "127.0.0.1")]
@@ -113,7 +116,7 @@ def has_v6() -> bool:
 @pytest.mark.skipif(not has_v6(), reason="this machine has no IPv6")
 def test_v6_connections_count() -> None:
     with (
-        contextlib.closing(network.Traffic({"robot1": ["::1"]})) as traffic,
+        contextlib.closing(network.TrafficMeter({"robot1": ["::1"]})) as traffic,
         socket.create_server(("::1", 0), family=socket.AF_INET6) as server,
         socket.create_connection(server.getsockname()[:2]) as near,
     ):
@@ -149,7 +152,7 @@ def test_probe_splits_links_by_remote_address(host: AgentHost) -> None:
     assert lo["speed_bytes_per_s"] is None
 
 
-def test_robot_names_are_looked_up_and_unknown_ones_cost_little(host: AgentHost) -> None:
+def test_robot_names_are_resolved_and_unknown_ones_cost_little(host: AgentHost) -> None:
     began = time.monotonic()
     links = [
         {"robot": "robot1", "address": "localhost"},
@@ -250,7 +253,7 @@ def test_check_keeps_the_end_of_long_output(host: AgentHost) -> None:
     assert found["output"].endswith("99999\n100000\n")
 
 
-def test_detect_finds_what_somebody_else_started(host: AgentHost) -> None:
+def test_detect_finds_unmanaged_tasks(host: AgentHost) -> None:
     host.start("own", "exec sleep 6543.2")
     neighbour = AgentHost("edge2", host.state)
     neighbour.start("theirs", "exec sleep 6543.3")
@@ -281,7 +284,7 @@ def test_detect_finds_what_somebody_else_started(host: AgentHost) -> None:
 
 
 def shape(value: Any) -> Any:
-    """The names and kinds in a document, without its numbers."""
+    """The names and types in a document, without its numbers."""
     if isinstance(value, dict):
         return {name: shape(inner) for name, inner in value.items()}
     return (
@@ -308,14 +311,14 @@ def test_every_python_gives_the_same_document_and_supervises(host: AgentHost, py
 def test_memory_with_and_without_psutil_is_close() -> None:
     psutil = device.find_psutil()
     assert psutil is not None
-    with_it, without = device.memory(psutil), device.memory(None)
+    with_it, without = device.read_memory(psutil), device.read_memory(None)
     assert with_it["total_bytes"] == without["total_bytes"]
     assert abs(with_it["used_bytes"] - without["used_bytes"]) < 200e6
 
 
 def test_temperature_is_plausible_or_missing() -> None:
     for psutil in (device.find_psutil(), None):
-        found = device.temperature_c(psutil)
+        found = device.read_temperature_c(psutil)
         assert found is None or 0 < found < 150
 
 
@@ -328,7 +331,7 @@ def test_bandwidth_is_measured_by_sending(host: AgentHost) -> None:
         host.ask("send", address="127.0.0.1", port=door["port"], token=door["token"], seconds=0.2)
 
 
-def test_sink_serves_only_who_knows_the_token(host: AgentHost) -> None:
+def test_sink_serves_only_senders_with_the_token(host: AgentHost) -> None:
     door = host.ask("sink", seconds=1)
     with socket.create_connection(("127.0.0.1", door["port"]), timeout=30) as stranger:
         stranger.sendall(b"x" * 32 + b"\n")
@@ -344,6 +347,6 @@ def test_unknown_operation_is_refused(host: AgentHost) -> None:
         host.ask("dance")
 
 
-def test_mistake_in_the_agent_is_one_line(host: AgentHost) -> None:
+def test_bug_in_the_agent_is_reported_in_one_line(host: AgentHost) -> None:
     with pytest.raises(RefusedError, match=r"^ValueError: .* \(probe.py:\d+\)$"):
         host.ask("probe", window_s="soon")

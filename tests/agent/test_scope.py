@@ -1,4 +1,4 @@
-"""``runtime: systemd``: scopes of a real systemd --user where it can be had, chosen with care, limits read back."""
+"""Systemd scopes (``runtime: systemd``): choice of a scope, limits read back; with a real systemd --user where possible."""
 
 import getpass
 import os
@@ -11,8 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from edgectl.agent import proc, scope
-from edgectl.agent.errors import RefusalError
+from edgectl.agent.link.errors import RefusalError
+from edgectl.agent.measure import proc
+from edgectl.agent.supervise import scope
 from edgectl.errors import RefusedError
 from tests.agent.conftest import AgentHost, eventually, is_running
 from tests.agent.test_cgroup import V1, V2, tree
@@ -68,13 +69,13 @@ def test_hog_is_killed_alone_and_its_end_is_recorded(host: AgentHost, systemd: U
 @pytest.mark.skipif(
     not V1_GROUPS.exists(), reason="needs control groups v1, whose controllers can be taken away one by one"
 )
-def test_limits_that_systemd_takes_but_cannot_set_are_told(host: AgentHost, tmp_path: Path) -> None:
-    """As on JetPack 4 and 5: control groups v1 are not delegated to a user's systemd, which says nothing."""
+def test_limits_that_systemd_accepts_but_cannot_set_are_reported(host: AgentHost, tmp_path: Path) -> None:
+    """As on JetPack 4 and 5: control groups v1 are not delegated to a user's systemd, which reports no error."""
     with user_systemd(tmp_path / "undelegated", real=True, read_only=("cpu", "memory")) as place:
         reply = at(host, place).start("slam", "exec sleep 600", limits=LIMITS)
-        told = "not enforced: cpu and memory: systemd accepted it, but the control group does not have it (control groups v1)"
-        assert reply["detail"] == f"limits: {told}"
-        assert host.until("slam", "running")["limits"] == told
+        message = "not enforced: cpu and memory: accepted by systemd, but missing in the control group (control groups v1)"
+        assert reply["detail"] == f"limits: {message}"
+        assert host.until("slam", "running")["limits"] == message
         assert host.stop("slam")["state"] == "stopped"
 
 
@@ -100,7 +101,7 @@ def test_command_line_holds_nothing_of_the_users_own(host: AgentHost, stand_in: 
 
 
 def test_secrets_stand_in_no_command_line_and_on_no_disk(host: AgentHost, systemd: UserSystemd) -> None:
-    """In either runtime, while the task starts, runs, is restarted and is stopped."""
+    """In both runtimes, while the task starts, runs, restarts and stops."""
     for runtime in ("process", "systemd"):
         if runtime == "systemd":
             at(host, systemd)
@@ -113,7 +114,9 @@ def test_secrets_stand_in_no_command_line_and_on_no_disk(host: AgentHost, system
         deadline = time.monotonic() + 2.5
         while time.monotonic() < deadline:
             lines = [
-                proc.read(f"{folder}/cmdline") for folder in Path("/proc").iterdir() if folder.name.isdigit()
+                proc.read_file(f"{folder}/cmdline")
+                for folder in Path("/proc").iterdir()
+                if folder.name.isdigit()
             ]
             assert not [line for line in lines if b"hunter2" in line]
             for path in host.state.rglob("*"):
@@ -132,7 +135,7 @@ def test_auto_takes_systemd_only_with_lingering(host: AgentHost, stand_in: UserS
     assert not (stand_in.folder / "argv").exists()
     host.stop("slam")
     with pytest.raises(
-        RefusedError, match="runtime systemd is not possible here: lingering is off for root"
+        RefusedError, match="runtime systemd is not available: lingering is off for root"
     ) as caught:
         host.start("slam", "exec sleep 600", instance="i3", runtime="systemd")
     assert "loginctl enable-linger root" in (caught.value.hint or "")
@@ -163,7 +166,9 @@ def test_systemd_that_hangs_is_ended_and_for_auto_done_without(
     reply = at(host, stand_in, "auto").start("slam", "exec sleep 600", limits={"cpu": 1.0, "memory": None})
     assert reply["detail"] == "limits: not enforced: systemd-run failed: no answer within 10 s"
     assert len(host.members("slam")) == 1
-    lines = [proc.read(f"{folder}/cmdline") for folder in Path("/proc").iterdir() if folder.name.isdigit()]
+    lines = [
+        proc.read_file(f"{folder}/cmdline") for folder in Path("/proc").iterdir() if folder.name.isdigit()
+    ]
     assert b"sleep\x00611\x00" not in lines
     host.stop("slam")
 
@@ -178,7 +183,7 @@ def test_start_that_cannot_be_is_not_tried_twice(host: AgentHost, stand_in: User
 def test_supervisor_that_nobody_awaits_starts_nothing(
     host: AgentHost, stand_in: UserSystemd, tmp_path: Path
 ) -> None:
-    """A systemd that wakes up after the agent gave up: the manager was told that nothing runs."""
+    """A systemd that responds after the agent gave up and replied that nothing was started."""
     program = (stand_in.folder / "systemd-run").read_text()
     (stand_in.folder / "systemd-run").write_text(program.replace('exec "$@"', 'sleep 3; exec "$@"'))
     with pytest.raises(Exception, match="no answer within"):
@@ -193,7 +198,7 @@ def test_supervisor_that_nobody_awaits_starts_nothing(
     host.stop("slam")
 
 
-def test_runtime_process_says_that_limits_are_not_enforced(host: AgentHost) -> None:
+def test_runtime_process_reports_that_limits_are_not_enforced(host: AgentHost) -> None:
     reply = host.start("slam", "exec sleep 600", limits=LIMITS)
     assert reply["detail"] == "limits: not enforced: runtime process sets no control group"
     entry = host.entry("slam")
@@ -210,7 +215,7 @@ def test_runtime_process_says_that_limits_are_not_enforced(host: AgentHost) -> N
     [(0.001, 1), (0.25, 25), (0.333, 34), (1.0, 100), (2.5, 250), (0.29, 29), (1.1, 110)],
 )
 def test_quota_in_whole_percent(cores: float, percent: int) -> None:
-    assert scope.cpu_percent(cores) == percent
+    assert scope.compute_cpu_percent(cores) == percent
 
 
 def a_host(root: Path, *, lingering: bool = True) -> str:
@@ -232,15 +237,15 @@ def test_what_stands_in_the_way(monkeypatch: pytest.MonkeyPatch, tmp_path: Path)
     program.chmod(0o755)
     monkeypatch.setenv("PATH", str(program.parent))
     user = getpass.getuser()
-    assert scope.obstacle(str(tmp_path / "nothing"))[0] == f"no systemd --user runs for {user}"
-    why, hint = scope.obstacle(a_host(tmp_path / "a", lingering=False))
+    assert scope.find_obstacle(str(tmp_path / "nothing"))[0] == f"no systemd --user is running for {user}"
+    why, hint = scope.find_obstacle(a_host(tmp_path / "a", lingering=False))
     assert (why, hint) == (
         f"lingering is off for {user}",
         f"on the host, as root: loginctl enable-linger {user}; or use runtime: auto or process",
     )
-    assert scope.obstacle(a_host(tmp_path / "b")) == ("", "")
-    with pytest.raises(RefusalError, match="no systemd --user runs"):
-        scope.chosen("systemd", "edge1", "slam", None, str(tmp_path / "nothing"))
+    assert scope.find_obstacle(a_host(tmp_path / "b")) == ("", "")
+    with pytest.raises(RefusalError, match="no systemd --user is running"):
+        scope.choose_scope("systemd", "edge1", "slam", None, str(tmp_path / "nothing"))
 
 
 @pytest.mark.parametrize(
@@ -253,7 +258,7 @@ def test_what_stands_in_the_way(monkeypatch: pytest.MonkeyPatch, tmp_path: Path)
         (
             {"cpu": 1.0, "memory": 536870912},
             V2,
-            "not enforced: cpu: systemd accepted it, but the control group does not have it",
+            "not enforced: cpu: accepted by systemd, but missing in the control group",
         ),
         (
             {"cpu": 0.1, "memory": 1e8},
@@ -262,19 +267,19 @@ def test_what_stands_in_the_way(monkeypatch: pytest.MonkeyPatch, tmp_path: Path)
                 "sys/fs/cgroup/cgroup.controllers": "memory pids\n",
                 "sys/fs/cgroup/a/memory.max": "99999744\n",
             },
-            "not enforced: cpu: systemd accepted it, but the control group does not have it",
+            "not enforced: cpu: accepted by systemd, but missing in the control group",
         ),
         (
             {"cpu": 0.4, "memory": 1 << 20},
             V1,
-            "not enforced: memory: systemd accepted it, but the control group does not have it (control groups v1)",
+            "not enforced: memory: accepted by systemd, but missing in the control group (control groups v1)",
         ),
     ],
 )
 def test_limits_are_read_back_from_the_control_group(
     tmp_path: Path, limits: dict[str, float], files: dict[str, str], text: str
 ) -> None:
-    assert scope.verdict(limits, "", tree(tmp_path, files)) == text
+    assert scope.describe_limits(limits, "", tree(tmp_path, files)) == text
 
 
 @pytest.mark.parametrize("python", interpreters(), ids=lambda path: "-".join(Path(path).parts[-3::2]))

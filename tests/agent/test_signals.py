@@ -1,4 +1,4 @@
-"""No signal ever goes to a process that only has the right number."""
+"""Signals reach only the process that was seen, never another with its pid."""
 
 import os
 import signal
@@ -7,8 +7,9 @@ from collections.abc import Iterator
 
 import pytest
 
-from edgectl.agent import proc, record, signals
-from edgectl.agent.life import Trace, is_alive, orphans, supervisor
+from edgectl.agent.measure import proc
+from edgectl.agent.supervise import records, signals
+from edgectl.agent.supervise.liveness import InstanceRecord, find_orphans, find_supervisor, is_alive
 from tests.agent.conftest import AgentHost, eventually, is_running
 
 
@@ -25,39 +26,39 @@ def sleeper(
 
 
 def test_reused_pid_is_not_signalled(sleeper: subprocess.Popen[bytes]) -> None:
-    ticks = proc.process(sleeper.pid).ticks
-    assert not signals.send(sleeper.pid, ticks - 1, signal.SIGKILL)
+    ticks = proc.read_process(sleeper.pid).ticks
+    assert not signals.send_signal(sleeper.pid, ticks - 1, signal.SIGKILL)
     assert is_running(sleeper.pid)
-    assert signals.send(sleeper.pid, ticks, signal.SIGKILL)
+    assert signals.send_signal(sleeper.pid, ticks, signal.SIGKILL)
     sleeper.wait(timeout=30)
-    assert not signals.send(sleeper.pid, ticks, signal.SIGKILL)
+    assert not signals.send_signal(sleeper.pid, ticks, signal.SIGKILL)
 
 
 @pytest.mark.parametrize(("name", "number"), [("TERM", 15), ("SIGTERM", 15), ("int", 2), ("SIGUSR1", 10)])
 def test_names_of_signals(name: str, number: int) -> None:
-    assert signals.number(name) == number
+    assert signals.parse_signal(name) == number
 
 
-def test_record_with_a_stranger_s_pid_is_dead(
+def test_record_with_a_reused_pid_is_dead(
     sleeper: subprocess.Popen[bytes], tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    ticks = proc.process(sleeper.pid).ticks - 1
+    ticks = proc.read_process(sleeper.pid).ticks - 1
     folder = tmp_path_factory.mktemp("task")
     instance = {
         "instance": "i1",
-        "boot_id": proc.boot_id(),
+        "boot_id": proc.read_boot_id(),
         "supervisor": sleeper.pid,
         "supervisor_ticks": ticks,
     }
-    trace = Trace(
+    record = InstanceRecord(
         str(folder),
         instance,
         {"instance": "i1", "state": "running", "pid": sleeper.pid, "ticks": ticks},
-        held=False,
+        locked=False,
     )
-    assert supervisor(trace) == 0
-    assert orphans(trace, proc.processes()) == set()
-    assert not is_alive(trace)
+    assert find_supervisor(record) == 0
+    assert find_orphans(record, proc.read_process_table()) == set()
+    assert not is_alive(record)
 
 
 def test_reboot_ends_every_instance(host: AgentHost) -> None:
@@ -66,7 +67,7 @@ def test_reboot_ends_every_instance(host: AgentHost) -> None:
         os.kill(victim, signal.SIGKILL)
     path = str(host.folder("slam") / "instance")
     eventually(lambda: not is_running(pid))
-    record.write(path, dict(record.read(path), boot_id="another"))
+    records.write_record(path, dict(records.read_record(path), boot_id="another"))
     entry = host.entry("slam")
     assert entry is not None
     assert (entry["state"], entry["pid"], entry["detail"]) == ("failed", 0, "the host was rebooted")

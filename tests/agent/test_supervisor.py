@@ -1,4 +1,4 @@
-"""The supervisor's contract (RELIABILITY section 4), on real processes, in both runtimes."""
+"""Contract of the supervisor, on real processes, in both runtimes."""
 
 import os
 import signal
@@ -10,13 +10,14 @@ from typing import Any
 
 import pytest
 
-from edgectl.agent import life, proc, record
+from edgectl.agent.measure import proc
+from edgectl.agent.supervise import lockfile, records
 from edgectl.errors import RefusedError
 from tests.agent.conftest import AgentHost, both_runtimes, eventually, forget_fallback_agents, is_running
 
 pytestmark = both_runtimes
 
-# A child, a double-fork daemon, a nested setsid, one with an emptied environment, one deaf to TERM.
+# A child, a double-fork daemon, a nested setsid, one with an emptied environment, one that ignores TERM.
 FIVE = """
 import os, signal, subprocess, sys, time
 if os.fork() == 0:
@@ -42,7 +43,7 @@ def python(program: str, folder: Path) -> str:
 
 
 def ignored(status: str) -> int:
-    """The ignored signals of a /proc status, without 32 and 33: they are the C library's own, and no program can set them through it."""
+    """The ignored signals of a /proc status, without 32 and 33, which are reserved to the C library."""
     line = next(line for line in status.splitlines() if line.startswith("SigIgn"))
     return int(line.split()[1], 16) & ~(3 << 31)
 
@@ -59,7 +60,7 @@ def test_task_outlives_the_session_and_is_stopped(host: AgentHost) -> None:
         "i1",
         "h1",
     )
-    assert proc.cmdline(entry["pid"]) == ["sleep", "600"]
+    assert proc.read_cmdline(entry["pid"]) == ["sleep", "600"]
     assert os.getsid(entry["pid"]) == entry["pid"]
     assert os.getsid(host.supervisor("slam")) not in (os.getsid(0), entry["pid"])
     assert host.ask("logs", task="slam", tail=5)["text"] == "hello\n"
@@ -90,7 +91,7 @@ def test_task_starts_with_clean_signals_descriptors_and_directory(host: AgentHos
 
 
 def test_ignored_int_is_not_passed_on(host: AgentHost) -> None:
-    """``nohup cmd &`` over SSH leaves INT ignored, and Python would pass that on."""
+    """``nohup cmd &`` over SSH leaves INT ignored, and Python passes that on to its children."""
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         pid = host.start("slam", "exec sleep 600")["pid"]
@@ -145,9 +146,9 @@ def test_launcher_that_closes_descriptors_is_found_by_its_cookie(host: AgentHost
         "pid"
     ]
     folder = str(host.folder("slam"))
-    eventually(lambda: pid not in life.lock_holders(folder, proc.processes()))
+    eventually(lambda: pid not in lockfile.find_lock_holders(folder, proc.read_process_table()))
     os.kill(host.supervisor("slam"), signal.SIGKILL)
-    eventually(lambda: not life.lock_held(folder))
+    eventually(lambda: not lockfile.is_lock_held(folder))
     assert host.start("slam", "exec sleep 600", instance="i2")["state"] == "already-running"
     assert host.stop("slam")["state"] == "stopped"
     assert not is_running(pid)
@@ -175,7 +176,7 @@ def test_starts_at_the_same_time_give_one_instance(host: AgentHost) -> None:
     for thread in threads:
         thread.join()
     assert sorted(reply["state"] for reply in replies) == ["already-running"] * 5 + ["started"]
-    # The pid of a reply may still be the supervisor's, where the command is not seen yet.
+    # The pid of a reply may still be the supervisor's, before the command is recorded.
     assert len({reply["instance"] for reply in replies}) == 1
     assert len(host.members("slam")) == 1
     host.stop("slam")
@@ -214,7 +215,7 @@ def test_stop_of_another_instance_leaves_this_one_alone(host: AgentHost) -> None
 def test_end_is_recorded(
     host: AgentHost, command: str, spec: dict[str, object], state: str, code: int, detail: str, given_up: bool
 ) -> None:
-    """With ``restart: never``, where the spec does not say otherwise: only then, or in a crash loop, is a failure final."""
+    """With ``restart: never`` unless the spec differs: only then, or in a crash loop, is a failure final."""
     host.start("work", command, **spec)
     entry = host.until("work", state)
     assert (entry["exit_code"], entry["detail"], entry["pid"], entry["given_up"]) == (
@@ -224,15 +225,15 @@ def test_end_is_recorded(
         given_up,
     )
     assert 0.0 <= entry["ended_s"] < 600.0
-    assert not life.lock_held(str(host.folder("work")))
+    assert not lockfile.is_lock_held(str(host.folder("work")))
 
 
-def test_an_end_that_seems_to_lie_ahead_is_now(host: AgentHost) -> None:
-    """A negative age would be refused by the manager, and with it all that the host says."""
+def test_an_end_in_the_future_is_reported_as_now(host: AgentHost) -> None:
+    """The manager rejects a negative age, and with it the whole reply."""
     host.start("work", "exit 0", kind="job")
     host.until("work", "completed")
     path = str(host.folder("work") / "status")
-    record.write(path, {**record.read(path), "ended": proc.uptime() + 600.0})
+    records.write_record(path, {**records.read_record(path), "ended": proc.read_uptime_s() + 600.0})
     entry = host.entry("work")
     assert entry is not None
     assert entry["ended_s"] == 0.0
@@ -251,7 +252,7 @@ def test_completed_job_is_not_run_twice_by_a_repeated_start(host: AgentHost, tmp
 def test_failed_run_is_restarted_after_a_pause(host: AgentHost, tmp_path: Path) -> None:
     command = f"test -e {tmp_path}/once && exec sleep 600; touch {tmp_path}/once; exit 7"
     host.start("slam", command, restart="on-failure")
-    waiting = eventually(lambda: e if (e := host.entry("slam")) and "starts again" in e["detail"] else None)
+    waiting = eventually(lambda: e if (e := host.entry("slam")) and "restarting" in e["detail"] else None)
     assert (waiting["state"], waiting["exit_code"], waiting["pid"]) == (
         "starting",
         7,
@@ -262,7 +263,7 @@ def test_failed_run_is_restarted_after_a_pause(host: AgentHost, tmp_path: Path) 
     assert host.stop("slam")["state"] == "stopped"
 
 
-def test_digests_of_the_spec_and_the_last_exit_are_told(host: AgentHost, tmp_path: Path) -> None:
+def test_digests_of_the_spec_and_the_last_exit_are_reported(host: AgentHost, tmp_path: Path) -> None:
     command = f"test -e {tmp_path}/once && exec sleep 600; touch {tmp_path}/once; exit 7"
     host.start("slam", command, restart="on-failure", fields={"command": "0a1b2c3d", "env": "00000000"})
     entry = host.until("slam", "running")
@@ -272,16 +273,18 @@ def test_digests_of_the_spec_and_the_last_exit_are_told(host: AgentHost, tmp_pat
     host.stop("slam")
 
 
-def test_stop_during_the_pause_ends_the_wish_to_restart(host: AgentHost) -> None:
+def test_stop_during_the_pause_cancels_the_restart(host: AgentHost) -> None:
     host.start("slam", "exit 1", restart="always")
-    eventually(lambda: "starts again" in (host.entry("slam") or {"detail": ""})["detail"])
+    eventually(lambda: "restarting" in (host.entry("slam") or {"detail": ""})["detail"])
     assert host.stop("slam")["state"] == "stopped"
     assert host.entry("slam") is None
 
 
 def test_leftovers_of_an_ended_run_are_cleared(host: AgentHost) -> None:
     host.start("slam", "setsid sleep 611 & sleep 0.2; exit 1")
-    left = eventually(lambda: [pid for pid in host.members("slam") if proc.cmdline(pid) == ["sleep", "611"]])
+    left = eventually(
+        lambda: [pid for pid in host.members("slam") if proc.read_cmdline(pid) == ["sleep", "611"]]
+    )
     host.until("slam", "failed")
     assert not is_running(left[0])
 
@@ -302,7 +305,7 @@ def test_mark_makes_a_task_ready(host: AgentHost) -> None:
     entry = host.entry("slam")
     assert entry is not None
     assert entry["state"] == "ready"
-    with pytest.raises(RefusedError, match="instance i0 of slam does not run here"):
+    with pytest.raises(RefusedError, match="instance i0 of slam is not running here"):
         host.ask("mark", task="slam", instance="i0", ready=True)
     host.stop("slam")
 
@@ -316,7 +319,7 @@ def test_wait_returns_at_once_for_what_failed_or_is_gone(host: AgentHost) -> Non
 
 
 def test_ros_preset_interrupts_the_command_behind_its_shell_only(host: AgentHost, tmp_path: Path) -> None:
-    """A shell that waits for a command keeps INT to itself, and a node must not get it before its launcher."""
+    """A shell that waits for a command does not forward INT, and a node must not get it before its launcher."""
     program = f"""
 import signal, subprocess, sys, time
 child = subprocess.Popen([sys.executable, "-c", "import signal,time;signal.signal(2,lambda *_:open({str(tmp_path / "bad")!r},'w'));time.sleep(600)"])
@@ -358,7 +361,7 @@ def test_home_that_cannot_be_written_falls_back_to_shared_memory(
 ) -> None:
     if host.runtime == "systemd" and os.geteuid() != 0:
         pytest.skip(
-            "without root, systemd's stand-in makes us root of a namespace, with another user's directory in shared memory"
+            "without root, the stub of systemd makes us root of a namespace, with another user's directory in shared memory"
         )
     monkeypatch.setenv("EDGECTL_STATE_DIR", "/proc/nowhere")
     fallback = Path(f"/dev/shm/edgectl-{os.geteuid()}")

@@ -1,7 +1,7 @@
-"""A systemd --user of our own, without a systemd as PID 1: in a mount namespace with its own /run, and control groups of its own.
+"""A private systemd --user without a systemd as PID 1, in a mount namespace with its own /run and control groups.
 
-Where the tests are not root, or systemd is not installed, a program takes the place of systemd-run: it does what ``--scope`` does
-to the command, and nothing to control groups.
+Where the tests are not root, or systemd is not installed, a stub replaces systemd-run: it starts the command as ``--scope`` does
+and leaves control groups alone.
 """
 
 import itertools
@@ -21,7 +21,7 @@ CONTROLLERS = Path("/sys/fs/cgroup")
 V1 = CONTROLLERS / "systemd" / "cgroup.procs"
 _numbers = itertools.count(1)
 
-# Moves itself into control groups of its own first: a systemd --user takes hold of the whole group in which it is started.
+# Moves itself into its own control groups first: a systemd --user takes over the whole group in which it is started.
 _HOLD = """
 set -e
 PATH=$PATH:/usr/sbin:/sbin
@@ -46,7 +46,7 @@ exec unshare $UNSHARE --mount --propagation private sh -ec '
 ' sh "$@"
 """
 _SOCKET = "import os,socket,sys,time;s=socket.socket(socket.AF_UNIX);os.mkdir(sys.argv[1]);s.bind(sys.argv[1]+'/private');time.sleep(3600)"
-# In place of the journal: what comes is appended to a file. It ends with the process that started it.
+# Replaces the journal: appends every message to a file. Ends with the process that started it.
 _LISTEN = """
 import ctypes, os, socket, sys
 ctypes.CDLL(None).prctl(1, 9)
@@ -57,7 +57,7 @@ with open(sys.argv[2], 'ab', buffering=0) as journal:
         journal.write(end.recv(1 << 20) + b'\\n')
 """
 _FAKE = """#!/bin/sh
-# Stands in for systemd-run --user --scope: becomes the command, as that does.
+# Stub of systemd-run --user --scope: becomes the command, as the original does.
 [ "$1" = --version ] && { echo "systemd 255 (a stand-in)"; exit 0; }
 printf '%s\\n' "$@" > "$(dirname "$0")/argv"
 [ -e "$(dirname "$0")/refuse" ] && { echo "Failed to start transient scope unit: no" >&2; exit 1; }
@@ -69,7 +69,7 @@ exec "$@"
 
 @dataclass(frozen=True)
 class UserSystemd:
-    """``python`` runs an interpreter where this systemd is; ``real`` is false for the stand-in, which notes what it was asked in ``argv``."""
+    """``python`` runs an interpreter in the namespace of this systemd; ``real`` is false for the stub, which writes its arguments to ``argv``."""
 
     python: Path
     real: bool
@@ -81,11 +81,11 @@ class UserSystemd:
         return (self.folder / "argv").read_text().splitlines()
 
     def units(self) -> list[str]:
-        """The task scopes that systemd knows."""
+        """The task scopes known to systemd."""
         return self.systemctl("list-units", "--all", "--plain", "--no-legend", "edgectl-*").splitlines()
 
     def systemctl(self, *words: str) -> str:
-        """What ``systemctl --user`` answers."""
+        """Output of ``systemctl --user``."""
         inside = [
             "nsenter",
             f"--mount=/proc/{self.pid}/ns/mnt",
@@ -98,12 +98,12 @@ class UserSystemd:
 
     @property
     def run(self) -> Path:
-        """Its /run, where transient units stand."""
+        """Its /run, which contains the transient units."""
         return Path(f"/proc/{self.pid}/root/run")
 
 
 def can_be_real() -> bool:
-    """Root, the programs, and control groups (v1, or v2 with controllers) in which a group of ours can be made."""
+    """Whether the tests are root and have the programs and writable control groups (v1, or v2 with controllers)."""
     if (
         os.geteuid()
         or not MANAGER.exists()
@@ -117,7 +117,7 @@ def can_be_real() -> bool:
 
 @contextmanager
 def user_systemd(folder: Path, *, real: bool, read_only: tuple[str, ...] = ()) -> Iterator[UserSystemd]:
-    """``read_only``: controllers that this systemd may not write, as on hosts where they are not delegated to users."""
+    """Run a systemd; ``read_only``: controllers that it may not write, as on hosts where they are not delegated to users."""
     folder.mkdir()
     groups = _groups(f"edgectl-test-{os.getpid()}-{next(_numbers)}") if real else []
     uid = 0 if os.geteuid() == 0 or not real else os.geteuid()
@@ -143,7 +143,7 @@ def user_systemd(folder: Path, *, real: bool, read_only: tuple[str, ...] = ()) -
 
 
 def _groups(name: str) -> list[Path]:
-    """A group of that name in each hierarchy."""
+    """Create a group of that name in each hierarchy."""
     hierarchies = (
         [path for path in sorted(CONTROLLERS.iterdir()) if (path / "cgroup.procs").exists()]
         if V1.exists()
@@ -159,7 +159,7 @@ def _groups(name: str) -> list[Path]:
 
 
 def _wrapper(folder: Path, pid: int, uid: int, *, fake: bool) -> Path:
-    """An interpreter inside the namespace. XDG_RUNTIME_DIR is not set: nor is it by a login without PAM."""
+    """Write an interpreter that enters the namespace, without XDG_RUNTIME_DIR, as after a login without PAM."""
     if fake:
         (folder / "systemd-run").write_text(_FAKE)
         (folder / "systemd-run").chmod(0o755)
@@ -182,7 +182,7 @@ def _wait_for(found: object, log: Path) -> None:
 
 
 def _remove(group: Path) -> None:
-    """End whatever is left in a group of ours, and remove it."""
+    """Kill the remaining processes of a test group and remove it."""
     for _ in range(50):
         for inner in sorted(group.rglob("cgroup.procs"), reverse=True):
             with suppress(OSError):

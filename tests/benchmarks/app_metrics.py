@@ -10,7 +10,8 @@ import tempfile
 import time
 from pathlib import Path
 
-from edgectl.agent import life, metrics, state
+from edgectl.agent.measure import metrics
+from edgectl.agent.supervise import liveness, state_dir
 from edgectl.transport.agent_client import call_agent
 from edgectl.transport.local import LocalSession
 from tests.benchmarks.profilers import cpu_s
@@ -31,10 +32,10 @@ def reading_s(written: bytes) -> float:
     """CPU seconds per task to read this, with everything around it."""
     entries = {f"task{number}": {"managed": True, "instance": "i1"} for number in range(TASKS)}
     for name in entries:
-        Path(metrics.file(state.make_task_dir("edge1", name))).write_bytes(written)
+        Path(metrics.get_metrics_path(state_dir.make_task_dir("edge1", name))).write_bytes(written)
     began = time.process_time()
     for _ in range(TIMES):
-        metrics.of_tasks("edge1", entries)
+        metrics.read_tasks_metrics("edge1", entries)
     return (time.process_time() - began) / TIMES / TASKS
 
 
@@ -53,7 +54,7 @@ def resting_share(base: Path, seconds: float) -> float:
         )
     try:
         pids = [
-            life.trace(str(base / "hosts" / "edge2" / "tasks" / name)).instance["supervisor"]
+            liveness.read_instance(str(base / "hosts" / "edge2" / "tasks" / name)).instance["supervisor"]
             for name in names
         ]
         time.sleep(2.0)
@@ -83,7 +84,7 @@ def main() -> int:
         base = Path(name) / "state"
         os.environ["EDGECTL_STATE_DIR"] = str(base)
         os.umask(0o077)
-        state.BASES[:] = [str(base)]
+        state_dir.BASES[:] = [str(base)]
         for what, written in WRITTEN.items():
             print(f"{what:32}{reading_s(written) * 1e3:8.3f} ms per task")
         print(f"{'a supervisor at rest':32}{resting_share(base, seconds):8.4%} of a core")

@@ -71,7 +71,7 @@ CASES: list[tuple[str, dict[str, Any], Severity, str, str]] = [
     ("disk", {"disk": replace(DISK, files_left=999)}, FAILED, "only 999 more files", "sudo apt-get clean"),
     ("disk", {"disk": replace(DISK, files_left=None)}, OK, "10.0Gi of 28.0Gi free", ""),
     ("state", {"disk": replace(DISK, obstacle="it cannot be written")}, FAILED, "it cannot be written", "chmod 700 /home/jetson/.local/state/edgectl"),
-    ("state", {"disk": replace(DISK, obstacle=NOT_A_DIRECTORY)}, FAILED, "no directory", "on edge1: mv /home/jetson/.local/state/edgectl /home"),
+    ("state", {"disk": replace(DISK, obstacle=NOT_A_DIRECTORY)}, FAILED, "not a directory", "on edge1: mv /home/jetson/.local/state/edgectl /home"),
     ("state", {"disk": replace(DISK, obstacle="it cannot be written", in_shared_memory=True)}, WARNING, "shared memory takes its place", "on edge1: sudo mkdir"),
     ("memory", {"used_bytes": 7 * GI}, OK, "1.0Gi of 8.0Gi free", ""),
     ("memory", {"used_bytes": 7.3 * GI}, WARNING, "716.8Mi of 8.0Gi free", "--sort=-rss"),

@@ -218,7 +218,7 @@ def test_something_else_stands_in_the_place_of_the_state_directory(
     (tmp_path / "file").touch()
     monkeypatch.setenv("EDGECTL_STATE_DIR", str(tmp_path / "file"))
     bad = inspect_state_dir(tmp_path / "lab.yaml")
-    assert (bad.path, "no directory" in bad.obstacle) == (str(tmp_path / "file"), True)
+    assert (bad.path, "not a directory" in bad.obstacle) == (str(tmp_path / "file"), True)
     (tmp_path / "file").rename(tmp_path / "file.old")
     assert inspect_state_dir(tmp_path / "lab.yaml").obstacle == ""
 

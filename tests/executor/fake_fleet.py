@@ -68,7 +68,7 @@ class FakeHost:
         assert isinstance(generation, int)
         if generation < self.seen.get(name, 0):
             raise RefusedError(
-                f"generation {generation} of {name} is older than {self.seen[name]}, which this host has seen"
+                f"generation {generation} of {name} is older than {self.seen[name]}, the highest seen by this host"
             )
         self.seen[name] = generation
 

@@ -178,13 +178,13 @@ def test_a_task_that_is_not_ready_in_time_is_left_running(fleet: FakeFleet, jour
 def test_a_task_that_keeps_ending_says_how_it_ended(fleet: FakeFleet, journal: Journal) -> None:
     fleet["edge1"].faults["wait"] = lambda _request: {
         "state": "starting",
-        "detail": "exited with 7; starts again in 2.0 s",
+        "detail": "exited with 7; restarting in 2.0 s",
     }
     slow = a_task("slam", ready=Check(command="never", timeout=0.1))
     results = carried_out(fleet, journal, plan(step("slam", Action.START, host="edge1")), slow)
     assert (
         of(results, "slam").error
-        == "slam was not ready on edge1 within 0.1 s: exited with 7; starts again in 2.0 s"
+        == "slam was not ready on edge1 within 0.1 s: exited with 7; restarting in 2.0 s"
     )
 
 

@@ -9,7 +9,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from edgectl.agent import light, metrics
+from edgectl.agent.link import fast_json
+from edgectl.agent.measure import metrics
 from edgectl.config.documents import load_plan, load_snapshot
 from edgectl.config.load import load_inventory_and_tasks
 from edgectl.errors import StateError
@@ -225,7 +226,7 @@ PIECE = {"op": "fetch", "size": 3, "mark": "1-2-3", "data": "YWJj"}
 
 def _as_metrics(data: bytes) -> object:
     """What a task wrote, from the agent's eyes to the manager's."""
-    said = light.loads(light.dumps(metrics.parsed(data)))
+    said = fast_json.loads(fast_json.dumps(metrics.parse_metrics(data)))
     return decode_host_sample(
         json.loads(json.dumps(a_document(tasks={"slam": a_task(metrics=said)}))),
         ReplyContext(host=an_edge("edge1"), answered_at=NOW),

@@ -67,8 +67,8 @@ def a_large_file(path: Path) -> None:
         (lambda path: None, "no such file"),
         (Path.mkdir, "is not a regular file"),
         (os.mkfifo, "is not a regular file"),
-        (a_link, "is a link"),
-        (a_large_file, "has 33554433 bytes, at most 33554432 are fetched"),
+        (a_link, "is a symbolic link"),
+        (a_large_file, "has 33554433 bytes, the limit is 33554432"),
     ],
 )
 def test_what_cannot_be_had_is_refused_with_the_path(

@@ -5,6 +5,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from edgectl.agent.link import protocol
 from edgectl.config.fields import Fields, list_reader_with_nodes, mapping_reader, read_fields, record_reader
 from edgectl.config.node import Node
 from edgectl.config.problems import ProblemCode, Problems
@@ -37,7 +38,7 @@ MIN_SAMPLE_PERIOD_S, MAX_REPETITIONS = 0.5, 1000
 # As for ``edgectl simulate`` without options.
 DEFAULT_POLICIES = (PolicyName.LOCAL, PolicyName.STATIC, PolicyName.UTILITY)
 DEFAULT_WEIGHTS = ("cpu", "memory", "network", "all")
-_METRIC_NAME_PATTERN = re.compile(r"[A-Za-z_][A-Za-z0-9_.:/-]{0,62}")
+_METRIC_NAME_PATTERN = re.compile(protocol.METRIC_NAME_PATTERN)
 _MAP_NAME_PATTERN = re.compile(r"[A-Za-z][A-Za-z0-9 ._-]{0,62}")
 
 

@@ -5,6 +5,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from edgectl.agent.link import protocol
 from edgectl.config.fields import (
     Fields,
     keep_node,
@@ -32,7 +33,7 @@ from edgectl.model.inventory import Inventory, Role
 from edgectl.model.task import Tasks
 from edgectl.units import parse_bytes, parse_cores, parse_duration, parse_share
 
-_TASK_NAME_PATTERN = re.compile(r"[a-z0-9][a-z0-9._-]{0,62}")
+_TASK_NAME_PATTERN = re.compile(protocol.NAME_PATTERN)
 _PUBLISHED_NAME_PATTERN = re.compile(r"[A-Za-z][A-Za-z0-9 ._-]{0,62}")
 _read_duration_s = quantity_reader(parse_duration)
 

@@ -1,0 +1,1 @@
+"""Resident profiler of a host: control, sampling, reading."""

@@ -1,0 +1,1 @@
+"""Request path of the agent: boot program, dispatch, protocol, JSON, heartbeat."""

@@ -1,0 +1,44 @@
+"""Heartbeat of a host: the time of its last request, recorded by every request.
+
+Measured in seconds since boot, suspended time included, so that no change of the wall clock matters. Where the usual state
+directory cannot be written, shared memory takes the record: a full or broken disk must not end tasks that a manager looks after.
+"""
+
+import os
+
+from ..measure import proc
+from ..supervise import records, state_dir
+from .boot import check_private_dir, make_private_dir
+
+_FILE_NAME = "contact"
+
+
+def record_heartbeat(host: str) -> None:
+    """Record a request of a manager to ``host``. Creates nothing on a host that never ran a task."""
+    places = state_dir.list_host_dirs(host)
+    if not any(os.path.isdir(levels[-1]) for levels in places):
+        return
+    heartbeat = {"boot_id": proc.read_boot_id(), "at": round(proc.read_uptime_s(), 3)}
+    for levels in places:
+        try:
+            for level in levels:
+                make_private_dir(level)
+            records.write_record(os.path.join(levels[-1], _FILE_NAME), heartbeat)
+        except OSError:
+            continue
+        return
+
+
+def read_last_heartbeat(host: str) -> float:
+    """Seconds since boot at the last request of this boot; 0 where none is known."""
+    found = [0.0]
+    for levels in state_dir.list_host_dirs(host):
+        try:
+            for level in levels:
+                check_private_dir(level)
+            heartbeat = records.read_record(os.path.join(levels[-1], _FILE_NAME))
+        except OSError:
+            continue
+        if heartbeat.get("boot_id") == proc.read_boot_id():
+            found.append(float(heartbeat.get("at", 0.0)))
+    return max(found)

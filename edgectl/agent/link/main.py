@@ -1,0 +1,101 @@
+"""Dispatch of one request to its operation, and the reply.
+
+Each operation is imported on demand: start-up is most of the cost of a request.
+"""
+
+import os
+import sys
+
+from ..supervise import state_dir
+from . import fast_json, heartbeat, protocol
+from .errors import RefusalError
+from .fast_json import Document
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import Callable
+
+    from .boot import Channel
+
+# Room for the noise of a login shell, which counts against the same limit.
+_MAX_PAYLOAD_BYTES = protocol.MAX_REPLY_BYTES - 65536
+
+
+def serve_request(request: bytes, channel: "Channel", bases: "list[str]") -> None:
+    """Carry out ``request`` and reply on ``channel``; every failure becomes an ``error`` document."""
+    state_dir.BASES[:] = bases
+    try:
+        document = fast_json.loads(request.decode("utf-8"))
+        heartbeat.record_heartbeat(document["host"])
+        if document["op"] == protocol.OP_FOLLOW:
+            from ..supervise.logs import follow_log
+
+            return follow_log(document, channel)
+        reply = _find_operation(document["op"])(document)
+    except RefusalError as refusal:
+        reply = _build_error(refusal.kind, refusal.message, refusal.hint)
+    except Exception as error:  # noqa: BLE001 - the manager needs a document, not a traceback
+        reply = _build_error(
+            "agent-error", _describe_exception(error), "this is a bug in edgectl's agent: please report it"
+        )
+    payload = fast_json.dumps(reply).encode("ascii")
+    if len(payload) > _MAX_PAYLOAD_BYTES:
+        payload = fast_json.dumps(
+            _build_error("too-large", "the reply is larger than 1 MiB", "request less")
+        ).encode("ascii")
+    return channel.reply(payload)
+
+
+def _build_error(kind: str, message: str, hint: str) -> Document:
+    return {"error": {"kind": kind, "message": message, "hint": hint}}
+
+
+def _describe_exception(error: Exception) -> str:
+    """``Type: message (file:line)`` of the innermost frame."""
+    place, where = "", sys.exc_info()[2]
+    while where is not None:
+        place = "%s:%d" % (os.path.basename(where.tb_frame.f_code.co_filename), where.tb_lineno)
+        where = where.tb_next
+    return "%s: %s (%s)" % (type(error).__name__, error, place)
+
+
+def _find_operation(name: str) -> "Callable[[Document], Document]":  # noqa: C901 - a table of lazy imports
+    if name == protocol.OP_PROBE:
+        from ..measure.probe import probe_host as operation
+    elif name == protocol.OP_START:
+        from ..supervise.start import start_task as operation
+    elif name == protocol.OP_STOP:
+        from ..supervise.stop import stop_task as operation
+    elif name == protocol.OP_STATUS:
+        from ..supervise.status import report_status as operation
+    elif name == protocol.OP_WAIT:
+        from ..supervise.status import wait_for_task as operation
+    elif name == protocol.OP_MARK:
+        from ..supervise.status import mark_ready as operation
+    elif name == protocol.OP_CHECK:
+        from ..supervise.shell import run_check as operation
+    elif name == protocol.OP_LOGS:
+        from ..supervise.logs import read_logs as operation
+    elif name == protocol.OP_FETCH:
+        from .fetch import read_file_piece as operation
+    elif name == protocol.OP_SINK:
+        from ..measure.bandwidth import start_sink as operation
+    elif name == protocol.OP_SEND:
+        from ..measure.bandwidth import send_to_sink as operation
+    elif name == protocol.OP_SUPERVISE:
+        from ..supervise.launch import run_supervisor as operation
+    elif name == protocol.OP_PROFILER_START:
+        from ..daemon.control import start_profiler as operation
+    elif name == protocol.OP_PROFILER_STOP:
+        from ..daemon.control import stop_profiler as operation
+    elif name == protocol.OP_PROFILER_STATUS:
+        from ..daemon.control import report_profiler as operation
+    elif name == protocol.OP_PROFILER_RUN:
+        from ..daemon.daemon import run_profiler as operation
+    elif name == protocol.OP_DOCTOR:
+        from ..measure.doctor import collect_facts as operation
+    else:
+        raise RefusalError(
+            "unknown-op", "this agent has no operation %r" % name, "manager and agent differ in version"
+        )
+    return operation

@@ -1,0 +1,116 @@
+"""Protocol between manager and agent: operations, keys, states, limits and name rules.
+
+Valid for Python 3.6, without imports: the agent loads it on the host, the manager loads the same file.
+"""
+
+# Version of the documents of OP_PROBE, OP_STATUS, OP_LOGS and OP_DOCTOR (key ``v``).
+VERSION = 1
+
+# Operations: key ``op`` of a request.
+OP_CHECK = "check"
+OP_DOCTOR = "doctor"
+OP_FETCH = "fetch"
+OP_FOLLOW = "follow"
+OP_LOGS = "logs"
+OP_MARK = "mark"
+OP_PROBE = "probe"
+OP_PROFILER_RUN = "profiler-run"
+OP_PROFILER_START = "profiler-start"
+OP_PROFILER_STATUS = "profiler-status"
+OP_PROFILER_STOP = "profiler-stop"
+OP_SEND = "send"
+OP_SINK = "sink"
+OP_START = "start"
+OP_STATUS = "status"
+OP_STOP = "stop"
+OP_SUPERVISE = "supervise"
+OP_WAIT = "wait"
+
+# Keys of a request besides ``op`` and ``host``; OP_PROFILER_RUN and OP_SUPERVISE are requests of the agent to itself.
+REQUEST_KEYS = {
+    OP_CHECK: ("command", "prelude", "env", "timeout_s"),
+    OP_DOCTOR: ("links", "prelude", "env", "timeout_s"),
+    OP_FETCH: ("task", "workdir", "file", "most", "offset"),
+    OP_FOLLOW: ("task", "tail"),
+    OP_LOGS: ("task", "tail"),
+    OP_MARK: ("task", "instance", "ready"),
+    OP_PROBE: ("window_s", "links", "detect", "checks"),
+    OP_PROFILER_START: ("every_s", "ttl_s", "links", "detect"),
+    OP_PROFILER_STATUS: ("links", "detect"),
+    OP_PROFILER_STOP: (),
+    OP_SEND: ("address", "port", "token", "seconds"),
+    OP_SINK: ("seconds",),
+    OP_START: ("task", "instance", "generation", "spec"),
+    OP_STATUS: ("task",),
+    OP_STOP: ("task", "instance", "generation", "stop"),
+    OP_WAIT: ("task", "instance", "timeout_s"),
+}
+# Keys of ``spec`` in OP_START.
+SPEC_KEYS = (
+    "command", "prelude", "env", "workdir", "kind", "restart", "stop", "ready", "log", "limits", "runtime",
+    "self_fence_s", "spec_hash", "fields",
+)  # fmt: skip
+# Keys of the entry of a task in a reply; the last line is measured by OP_PROBE alone.
+ENTRY_KEYS = (
+    "state", "pid", "age_s", "instance", "spec_hash", "fields", "generation", "managed", "restarts", "exit_code", "detail", "limits",
+    "last_exit", "given_up", "ended_s", "log_tail",
+    "used_cores", "used_bytes", "rx_bytes_per_s", "tx_bytes_per_s", "links", "metrics",
+)  # fmt: skip
+# Keys of the reply to OP_PROBE.
+PROBE_KEYS = (
+    "v", "op", "host", "python", "boot_id", "wall", "load_1m", "generations", "checks", "resident", "sample_age_s", "psutil", "window_s",
+    "cpu", "memory", "temperature_c", "gpu_share", "interfaces", "links", "tasks",
+)  # fmt: skip
+
+# States of a task: key ``state`` of its entry. An entry is never STOPPED: a stopped task is left out.
+STARTING = "starting"
+RUNNING = "running"
+READY = "ready"
+COMPLETED = "completed"
+FAILED = "failed"
+CRASHLOOP = "crashloop"
+STOPPED = "stopped"
+ALIVE_STATES = (STARTING, RUNNING, READY)
+FAILED_STATES = (FAILED, CRASHLOOP)
+FINAL_STATES = (COMPLETED, FAILED, CRASHLOOP, STOPPED)
+
+# States of the replies to OP_START, OP_STOP and OP_PROFILER_*.
+STARTED = "started"
+ALREADY_RUNNING = "already-running"
+NOT_RUNNING = "not-running"
+STOP_INCOMPLETE = "stop-incomplete"
+REPLACED = "replaced"
+STALLED = "stalled"
+
+# Obstacle of a disk whose state directory is something else; the manager derives its hint from it.
+NO_DIRECTORY = "the path exists and is not a directory"
+
+# Size of a reply with the noise of a login shell around it.
+MAX_REPLY_BYTES = 1 << 20
+# Application metrics of one task, and of all tasks of a host: a reply has room for this many.
+MAX_TASK_METRICS, MAX_HOST_METRICS = 32, 2048
+
+# Names of hosts, tasks and instances, safe as file names; as a pattern and, without module re, as ``is_name``.
+MAX_NAME_LENGTH = 63
+NAME_PATTERN = "[a-z0-9][a-z0-9._-]{0,62}"
+_NAME_FIRST = frozenset("abcdefghijklmnopqrstuvwxyz0123456789")
+_NAME_LETTERS = _NAME_FIRST | frozenset("._-")
+# Names of application metrics, in the same two ways.
+METRIC_NAME_PATTERN = "[A-Za-z_][A-Za-z0-9_.:/-]{0,62}"
+_METRIC_FIRST = frozenset("ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz_")
+_METRIC_LETTERS = _METRIC_FIRST | frozenset("0123456789.:/-")
+
+
+def is_name(text: object) -> bool:
+    """Whether ``text`` is a string that matches NAME_PATTERN."""
+    return (
+        isinstance(text, str)
+        and 0 < len(text) <= MAX_NAME_LENGTH
+        and text[0] in _NAME_FIRST
+        and _NAME_LETTERS.issuperset(text)
+    )
+
+
+def is_metric_name(text: str) -> bool:
+    """Whether ``text`` matches METRIC_NAME_PATTERN."""
+    return 0 < len(text) <= MAX_NAME_LENGTH and text[0] in _METRIC_FIRST and _METRIC_LETTERS.issuperset(text)

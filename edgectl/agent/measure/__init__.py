@@ -1,0 +1,1 @@
+"""Profilers of device, network and tasks, and facts for ``edgectl doctor``."""

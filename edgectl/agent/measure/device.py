@@ -1,0 +1,172 @@
+"""Device profiler: CPU and memory, capacity and usage, and load, temperature and GPU where the host shows them.
+
+Reads with psutil where the host has it, from /proc and /sys where not; the document is the same.
+"""
+
+import os
+import sys
+import time
+
+from . import cgroup, proc
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from types import ModuleType
+
+# Idle columns of /proc/stat: idle and iowait. guest and guest_nice (the last two) are included in user and nice.
+_IDLE_COLUMNS = (3, 4)
+_BUSY_COLUMNS = 8
+# Jetson: /sys/devices/gpu.0/load (JetPack 4), platform/17000000.gpu/load (5), platform/bus@0/17000000.gpu/load (6).
+_GPU_FOLDERS = ("/sys/devices", "/sys/devices/platform", "/sys/devices/platform/bus@0")
+
+
+def find_psutil() -> "ModuleType | None":
+    """Import psutil where the host has it. Python was started without ``site``, so the usual folders are searched here."""
+    lib = "lib/python%d.%d/" % sys.version_info[:2]
+    prefixes = [os.path.dirname(os.path.dirname(sys.executable)), sys.prefix]
+    folders = [os.path.join(prefix, lib, "site-packages") for prefix in prefixes]
+    if sys.prefix == "/usr":
+        folders += ["/usr/local/" + lib + "dist-packages", "/usr/lib/python3/dist-packages"]
+    sys.path += [folder for folder in folders if os.path.isdir(os.path.join(folder, "psutil"))][:1]
+    try:
+        import psutil
+    except ImportError:
+        return None
+    return psutil
+
+
+def list_usable_cpus() -> "set[int]":
+    """List the CPUs on which this process may run."""
+    return os.sched_getaffinity(0)
+
+
+def _read_busy_s(allowed: "set[int]") -> float:
+    """Read the seconds since boot in which the allowed CPUs were busy."""
+    total = 0.0
+    for line in proc.read_file("/proc/stat").decode("ascii", "replace").splitlines():
+        name, _, rest = line.partition(" ")
+        if name[:3] == "cpu" and name[3:].isdigit() and int(name[3:]) in allowed:
+            columns = [int(column) for column in rest.split()[:_BUSY_COLUMNS]]
+            total += sum(columns) - sum(columns[index] for index in _IDLE_COLUMNS)
+    return total / proc.TICKS_PER_S
+
+
+def _read_own_cpu_s() -> float:
+    times = os.times()
+    return times.user + times.system + times.children_user + times.children_system
+
+
+class CpuMeter:
+    """Meter of the CPU in use since its creation or its last measurement, without that of the agent and its checks."""
+
+    def __init__(self) -> None:
+        self.allowed = list_usable_cpus()
+        self.limit = cgroup.find_cpu_limit()
+        if self.limit is not None and (
+            self.limit.value >= len(self.allowed) or cgroup.read_cpu_used_s(self.limit) < 0
+        ):
+            self.limit = None
+        self.start = self._read_now()
+
+    def _read_now(self) -> "tuple[float, float, float]":
+        return (time.monotonic(), self._used_s(), _read_own_cpu_s())
+
+    def _used_s(self) -> float:
+        return _read_busy_s(self.allowed) if self.limit is None else cgroup.read_cpu_used_s(self.limit)
+
+    def measure(self) -> "dict[str, float]":
+        """Measure ``cores`` (the smaller of affinity and quota) and ``used_cores``, 0..cores."""
+        (since, used_s, own_s), self.start = self.start, self._read_now()
+        seconds = max(1e-3, self.start[0] - since)
+        used = (self.start[1] - used_s) - (self.start[2] - own_s)
+        cores = float(len(self.allowed)) if self.limit is None else self.limit.value
+        return {"cores": round(cores, 4), "used_cores": round(min(cores, max(0.0, used / seconds)), 4)}
+
+
+def read_memory(psutil: "ModuleType | None") -> "dict[str, int]":
+    """Read the bytes that this host has (the smaller of the machine's and the control group's limit) and uses."""
+    total, used = _read_machine_memory(psutil)
+    limit = cgroup.find_memory_limit()
+    if limit is not None and limit.value < total:
+        return {
+            "total_bytes": int(limit.value),
+            "used_bytes": min(int(limit.value), cgroup.read_memory_used(limit)),
+        }
+    return {"total_bytes": total, "used_bytes": used}
+
+
+def _read_machine_memory(psutil: "ModuleType | None") -> "tuple[int, int]":
+    if psutil is not None:
+        seen = psutil.virtual_memory()
+        return seen.total, seen.total - seen.available
+    lines = (line.split() for line in proc.read_file("/proc/meminfo").decode("ascii", "replace").splitlines())
+    kib = {words[0].rstrip(":"): int(words[1]) for words in lines if len(words) > 1 and words[1].isdigit()}
+    free = kib.get("MemAvailable", kib.get("MemFree", 0) + kib.get("Cached", 0) + kib.get("Buffers", 0))
+    return kib["MemTotal"] * 1024, (kib["MemTotal"] - free) * 1024
+
+
+def read_load_1m() -> float:
+    """Read the one-minute load average."""
+    return float(proc.read_file("/proc/loadavg").split()[0])
+
+
+def read_temperature_c(psutil: "ModuleType | None") -> "float | None":
+    """Read the hottest plausible sensor in degrees Celsius; None where the host shows none."""
+    found = _read_psutil_temperatures(psutil) if psutil is not None else []
+    if not found:
+        texts = [_read_text(path) for path in _list_sensor_files()]
+        found = [int(text) / 1000.0 for text in texts if text.lstrip("-").isdigit()]
+    plausible = [value for value in found if 0.0 < value < 150.0]
+    return max(plausible) if plausible else None
+
+
+def _list_sensor_files() -> "list[str]":
+    zones = ["%s/temp" % zone for zone in _list_folder("/sys/class/thermal") if "thermal_zone" in zone]
+    chips = [file for chip in _list_folder("/sys/class/hwmon") for file in _list_folder(chip)]
+    return zones + [
+        file for file in chips if os.path.basename(file).startswith("temp") and file.endswith("_input")
+    ]
+
+
+def _list_folder(folder: str) -> "list[str]":
+    try:
+        return sorted(os.path.join(folder, name) for name in os.listdir(folder))
+    except OSError:
+        return []
+
+
+def _read_psutil_temperatures(psutil: "ModuleType") -> "list[float]":
+    try:
+        return [sensor.current for sensors in psutil.sensors_temperatures().values() for sensor in sensors]
+    except (OSError, AttributeError, ValueError):
+        return []
+
+
+def _read_text(path: str) -> str:
+    return proc.read_file(path).decode("ascii", "replace").strip()
+
+
+def read_gpu_share() -> "float | None":
+    """Read the utilisation of the GPU, 0..1: Jetson's load file, else nvidia-smi where installed; None without either."""
+    for path in [
+        path for folder in _GPU_FOLDERS for path in _list_folder(folder) if "gpu" in os.path.basename(path)
+    ]:
+        text = _read_text(path + "/load")
+        if text.isdigit():
+            return min(1.0, int(text) / 1000.0)
+    return _read_nvidia_share()
+
+
+def _read_nvidia_share() -> "float | None":
+    folders = os.environ.get("PATH", os.defpath).split(os.pathsep)
+    if not any(os.access(os.path.join(folder, "nvidia-smi"), os.X_OK) for folder in folders):
+        return None
+    import subprocess
+
+    argv = ["nvidia-smi", "--query-gpu=utilization.gpu", "--format=csv,noheader,nounits"]
+    try:
+        text = subprocess.check_output(argv, stdin=subprocess.DEVNULL, stderr=subprocess.DEVNULL, timeout=2.0)
+        shares = [float(line) / 100.0 for line in text.decode("ascii", "replace").split("\n") if line.strip()]
+    except (OSError, ValueError, subprocess.SubprocessError):
+        return None
+    return min(1.0, sum(shares) / len(shares)) if shares else None

@@ -1,0 +1,289 @@
+"""Network profiler: bytes/s between this host and each robot, round-trip time, reachability, and totals per interface.
+
+A connection belongs to a robot when its *remote* address is the robot's: on a machine that hosts a whole test fleet with loopback
+addresses, both ends of a connection are visible. The kernel counts bytes per TCP connection; UDP counts in the interface totals only.
+"""
+
+import errno
+import os
+import select
+import time
+
+from ..link.fast_json import Document
+from . import proc, sockets
+from .sockets import socket
+
+# Port "discard": nothing listens, and the refusal gives the round-trip time. Not sshd: it penalises unauthenticated connections.
+_DISCARD_PORT = 9
+_ANSWERED = (0, errno.ECONNREFUSED)
+_RESOLVE_S = 2.0
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import Dict, List
+
+    # Robot -> its addresses.
+    Addresses = Dict[str, List[str]]
+
+
+class Flow:
+    """Bytes in (``rx``) and out during the window on one connection; ``inode`` identifies its socket."""
+
+    __slots__ = ("inode", "local", "remote", "rtt_ms", "rx", "tx")
+
+    def __init__(self, local: str, remote: str, inode: int, rx: int, tx: int, rtt_ms: float) -> None:
+        self.local, self.remote, self.inode, self.rx, self.tx, self.rtt_ms = (
+            local,
+            remote,
+            inode,
+            rx,
+            tx,
+            rtt_ms,
+        )
+
+
+class TrafficMeter:
+    """Meter of the bytes on each connection since its creation or its last measurement."""
+
+    def __init__(self, addresses: "Addresses") -> None:
+        """``addresses``: addresses by robot; other connections inside this host do not count."""
+        self._wanted = _pack_addresses(addresses)
+        self._closed = sockets.CloseListener(self._wanted)
+        self._before = {each.key: each for each in sockets.list_connections(self._wanted)}
+        # Connections closed during that listing were closed before the window.
+        self._closed.collect()
+
+    def flows(self) -> "list[Flow]":
+        """Measure: a connection that appeared in the window counts in full; one that was closed counts up to its end."""
+        found = {each.key: each for each in self._closed.collect()}
+        then, self._before = self._before, {each.key: each for each in sockets.list_connections(self._wanted)}
+        found.update(self._before)
+        return [_build_flow(each, then.get(key)) for key, each in found.items()]
+
+    def close(self) -> None:
+        """Stop listening for closed connections."""
+        self._closed.close()
+
+
+def read_flows_since_open(addresses: "Addresses") -> "list[Flow]":
+    """Read the open connections with all bytes since they were opened; ``addresses`` as in ``TrafficMeter``."""
+    return [_build_flow(each, None) for each in sockets.list_connections(_pack_addresses(addresses))]
+
+
+def _pack_addresses(addresses: "Addresses") -> "set[bytes]":
+    return {sockets.pack_address(address) for found in addresses.values() for address in found}
+
+
+def _build_flow(now: sockets.TcpConnection, then: "sockets.TcpConnection | None") -> Flow:
+    rx, tx = (then.rx, then.tx) if then is not None else (0, 0)
+    inode = now.inode or (then.inode if then is not None else 0)
+    return Flow(now.local[0], now.remote[0], inode, max(0, now.rx - rx), max(0, now.tx - tx), now.rtt_ms)
+
+
+def resolve_robots(links: "list[Document]") -> "Addresses":
+    """Resolve the addresses of each robot. Names are looked up in parallel, for at most two seconds in all."""
+    found = {str(link["robot"]): _parse_address(str(link["address"])) for link in links}
+    unknown = {str(link["robot"]): str(link["address"]) for link in links if not found[str(link["robot"])]}
+    if unknown:
+        import threading
+
+        threads = [
+            threading.Thread(target=_look_up_name, args=(found, robot, name), daemon=True)
+            for robot, name in unknown.items()
+        ]
+        for thread in threads:
+            thread.start()
+        deadline = time.monotonic() + _RESOLVE_S
+        for thread in threads:
+            thread.join(max(0.0, deadline - time.monotonic()))
+    return dict(found)
+
+
+def _parse_address(address: str) -> "list[str]":
+    for family in (socket.AF_INET, socket.AF_INET6):
+        try:
+            socket.inet_pton(family, address.partition("%")[0])
+        except OSError:
+            continue
+        return [sockets.unmap_address(address.partition("%")[0])]
+    return []
+
+
+def _look_up_name(found: "Addresses", robot: str, name: str) -> None:
+    try:
+        infos = socket.getaddrinfo(name, None, 0, socket.SOCK_STREAM)
+    except OSError:
+        return
+    found[robot] = sorted({sockets.unmap_address(str(info[4][0])) for info in infos})
+
+
+class ConnectProbes:
+    """One non-blocking TCP connect to each robot, answered while the sample window passes."""
+
+    def __init__(self, addresses: "Addresses") -> None:
+        self.rtt_ms: "dict[str, float]" = {}
+        self.reachable: "dict[str, bool | None]" = {}
+        self._open: "dict[int, tuple[str, socket.socket, float]]" = {}
+        self._poll = select.poll()
+        for robot, found in addresses.items():
+            self.reachable[robot] = None
+            if found:
+                self._start_connect(robot, found[0])
+
+    def _start_connect(self, robot: str, address: str) -> None:
+        connection = socket.socket(
+            socket.AF_INET6 if ":" in address else socket.AF_INET, socket.SOCK_STREAM | socket.SOCK_NONBLOCK
+        )
+        started = time.monotonic()
+        code = connection.connect_ex((address, _DISCARD_PORT))
+        if code == errno.EINPROGRESS:
+            self._open[connection.fileno()] = (robot, connection, started)
+            self._poll.register(connection, select.POLLOUT)
+            return
+        self._record_answer(robot, connection, code, started)
+
+    def _record_answer(self, robot: str, connection: "socket.socket", code: int, started: float) -> None:
+        self.reachable[robot] = code in _ANSWERED
+        if code in _ANSWERED:
+            # The kernel's round-trip time of an open connection is exact; our clock includes a late poll.
+            measured = sockets.read_rtt_ms(connection) if code == 0 else 0.0
+            self.rtt_ms[robot] = measured or (time.monotonic() - started) * 1000.0
+        connection.close()
+
+    def wait(self, deadline: float) -> None:
+        """Wait until ``deadline`` (monotonic), recording each answer the moment it arrives."""
+        while True:
+            left = deadline - time.monotonic()
+            for fd, _ in self._poll.poll(max(0.0, left * 1000.0)):
+                robot, connection, started = self._open.pop(fd)
+                self._poll.unregister(fd)
+                self._record_answer(
+                    robot, connection, connection.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR), started
+                )
+            if left <= 0:
+                break
+
+    def close(self, addresses: "Addresses") -> None:
+        """Close the unanswered: unreachable where the link layer did not find them either, else unknown."""
+        missing = _read_unanswered_neighbours() if self._open else set()
+        for robot, connection, _ in self._open.values():
+            connection.close()
+            if addresses[robot][0] in missing:
+                self.reachable[robot] = False
+        self._open.clear()
+
+
+def _read_unanswered_neighbours() -> "set[str]":
+    """Read the IPv4 neighbours that did not answer ARP."""
+    rows = (
+        line.split() for line in proc.read_file("/proc/net/arp").decode("ascii", "replace").splitlines()[1:]
+    )
+    return {row[0] for row in rows if len(row) > 2 and int(row[2], 16) & 0x2 == 0}
+
+
+def build_links(
+    addresses: "Addresses",
+    flows: "list[Flow]",
+    probes: ConnectProbes,
+    seconds: float,
+    interfaces: "dict[str, str | None]",
+) -> "dict[str, Document]":
+    """Build robot -> rates, round-trip time, interface and reachability."""
+    return {
+        robot: dict(_build_link(robot, found, flows, probes, seconds), interface=interfaces[robot])
+        for robot, found in addresses.items()
+    }
+
+
+def find_interfaces(addresses: "Addresses") -> "dict[str, str | None]":
+    """Find the interface of the route to each robot."""
+    return {robot: find_interface(found[0]) if found else None for robot, found in addresses.items()}
+
+
+def _build_link(
+    robot: str, addresses: "list[str]", flows: "list[Flow]", probes: ConnectProbes, seconds: float
+) -> Document:
+    own = [flow for flow in flows if flow.remote in addresses]
+    rtts = [flow.rtt_ms for flow in own if flow.rtt_ms > 0]
+    moving = any(flow.rx for flow in own)
+    rtt = min(rtts) if rtts else probes.rtt_ms.get(robot)
+    return {
+        "rx_bytes_per_s": round(sum(flow.rx for flow in own) / seconds, 1),
+        "tx_bytes_per_s": round(sum(flow.tx for flow in own) / seconds, 1),
+        "rtt_ms": None if rtt is None else round(rtt, 3),
+        "reachable": True if moving else probes.reachable.get(robot),
+    }
+
+
+def find_interface(address: str) -> "str | None":
+    """Find the interface of the route to ``address``; None where there is no route."""
+    family = socket.AF_INET6 if ":" in address else socket.AF_INET
+    probe = socket.socket(family, socket.SOCK_DGRAM)
+    try:
+        probe.connect((address, 9))
+        source = probe.getsockname()[0]
+    except OSError:
+        return None
+    finally:
+        probe.close()
+    if source == address or address.startswith("127."):
+        return "lo"
+    return _find_route_v6(address) if family == socket.AF_INET6 else _find_route_v4(address)
+
+
+def _find_route_v4(address: str) -> "str | None":
+    target = int.from_bytes(socket.inet_aton(address), "little")
+    best: "tuple[int, str | None]" = (-1, None)
+    for line in proc.read_file("/proc/net/route").decode("ascii", "replace").splitlines()[1:]:
+        row = line.split()
+        mask = int(row[7], 16)
+        if target & mask == int(row[1], 16) and bin(mask).count("1") > best[0]:
+            best = (bin(mask).count("1"), row[0])
+    return best[1]
+
+
+def _find_route_v6(address: str) -> "str | None":
+    target = int.from_bytes(socket.inet_pton(socket.AF_INET6, address), "big")
+    best: "tuple[int, str | None]" = (-1, None)
+    for line in proc.read_file("/proc/net/ipv6_route").decode("ascii", "replace").splitlines():
+        row = line.split()
+        length = int(row[1], 16)
+        if (target ^ int(row[0], 16)) >> (128 - length) == 0 and length > best[0] and row[9] != "lo":
+            best = (length, row[9])
+    return best[1]
+
+
+def read_interface_bytes() -> "dict[str, tuple[int, int]]":
+    """Read interface -> (bytes in, bytes out) since boot."""
+    found: "dict[str, tuple[int, int]]" = {}
+    for line in proc.read_file("/proc/net/dev").decode("ascii", "replace").splitlines()[2:]:
+        name, _, rest = line.partition(":")
+        columns = rest.split()
+        found[name.strip()] = (int(columns[0]), int(columns[8]))
+    return found
+
+
+def compute_rates(
+    before: "dict[str, tuple[int, int]]", after: "dict[str, tuple[int, int]]", seconds: float
+) -> "dict[str, dict[str, float]]":
+    """Compute interface -> bytes/s in (``rx``) and out (``tx``)."""
+    found = {}
+    for name, now in sorted(after.items()):
+        then = before.get(name, now)
+        found[name] = {"rx": max(0, now[0] - then[0]) / seconds, "tx": max(0, now[1] - then[1]) / seconds}
+    return found
+
+
+def build_interface_entry(rate: "dict[str, float]", speed_bytes_per_s: "int | None") -> Document:
+    """Build the entry of one interface in a reply."""
+    return {
+        "rx_bytes_per_s": round(rate["rx"], 1),
+        "tx_bytes_per_s": round(rate["tx"], 1),
+        "speed_bytes_per_s": speed_bytes_per_s,
+    }
+
+
+def read_interface_speed(name: str) -> "int | None":
+    """Read bytes/s; None where the driver does not know (Wi-Fi, lo): /sys has Mbit/s, -1 or nothing."""
+    text = proc.read_file(os.path.join("/sys/class/net", name, "speed")).decode("ascii", "replace").strip()
+    return int(text) * 125000 if text.isdigit() and int(text) > 0 else None

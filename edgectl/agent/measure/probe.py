@@ -1,0 +1,129 @@
+"""Operation ``probe``: host, links and tasks of this host in one document."""
+
+import os
+import sys
+import time
+
+from ..link import protocol
+from ..link.fast_json import Document
+from ..supervise import state_dir, status
+from . import device, metrics, network, proc
+from .task import TaskMeter
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import Mapping
+
+_MAX_WINDOW_S = 30.0
+_MIN_CONNECT_S = 0.02
+
+
+def probe_host(request: Document) -> Document:
+    """Measure this host, its links and its tasks, and run the ``done_when`` checks of the tasks that are alive.
+
+    Where a resident profiler runs, its last sample is used; otherwise a sample window passes, with the checks running meanwhile.
+    """
+    measured, checks = _read_profiler(request) or _measure_window(request)
+    for task, values in metrics.read_tasks_metrics(request["host"], measured["tasks"]).items():
+        measured["tasks"][task]["metrics"] = values
+    return dict(
+        {
+            "v": protocol.VERSION,
+            "op": protocol.OP_PROBE,
+            "host": request["host"],
+            "python": "%d.%d.%d" % sys.version_info[:3],
+            "boot_id": proc.read_boot_id(),
+            "wall": time.time(),
+            "load_1m": device.read_load_1m(),
+            "generations": _list_generations(request["host"], measured["tasks"]),
+            "checks": checks.results(),
+        },
+        **measured,
+    )
+
+
+def _read_profiler(request: Document) -> "tuple[Document, _RunningChecks] | None":
+    """Read (measured part of the reply, running checks); None without a profiler that measures what is asked and is on time."""
+    if not any(
+        os.path.isdir(os.path.join(levels[-1], "profiler"))
+        for levels in state_dir.list_host_dirs(request["host"])
+    ):
+        return None
+    from ..daemon.reader import read_measurements
+
+    found = read_measurements(request)
+    if found is None:
+        return None
+    return (
+        found,
+        _RunningChecks(
+            request.get("checks", []),
+            {name: each["state"] in protocol.ALIVE_STATES for name, each in found["tasks"].items()},
+        ),
+    )
+
+
+def _measure_window(request: Document) -> "tuple[Document, _RunningChecks]":
+    """Measure over a window: (measured part of the reply, running checks)."""
+    window = min(_MAX_WINDOW_S, max(0.05, float(request.get("window_s", 0.5))))
+    addresses = network.resolve_robots(request.get("links", []))
+    tasks = TaskMeter(request["host"], request.get("detect", []))
+    checks = _RunningChecks(request.get("checks", []), tasks.before)
+    traffic, totals = network.TrafficMeter(addresses), network.read_interface_bytes()
+    cpu, started = device.CpuMeter(), time.monotonic()
+    # The import costs more than the rest of a probe; within the window it delays nothing.
+    psutil = device.find_psutil()
+    probes = network.ConnectProbes(addresses)
+    probes.wait(max(started + window, time.monotonic() + _MIN_CONNECT_S))
+    reading = cpu.measure()
+    seconds = time.monotonic() - started
+    flows, rates = traffic.flows(), network.compute_rates(totals, network.read_interface_bytes(), seconds)
+    traffic.close()
+    measured = tasks.measure(flows, addresses, seconds)
+    probes.close(addresses)
+    return {
+        "psutil": psutil is not None,
+        "window_s": round(seconds, 4),
+        "cpu": reading,
+        "memory": device.read_memory(psutil),
+        "temperature_c": device.read_temperature_c(psutil),
+        "gpu_share": device.read_gpu_share(),
+        "interfaces": {
+            name: network.build_interface_entry(rate, network.read_interface_speed(name))
+            for name, rate in rates.items()
+        },
+        "links": network.build_links(addresses, flows, probes, seconds, network.find_interfaces(addresses)),
+        "tasks": measured,
+    }, checks
+
+
+def _list_generations(host: str, measured: "dict[str, Document]") -> "dict[str, int]":
+    """List task -> highest generation seen here where the task's entry has a lower one or none: a manager needs it to start the task."""
+    seen = {name: status.read_generation(host, name) for name in state_dir.list_task_names(host)}
+    return {
+        name: number for name, number in seen.items() if number > measured.get(name, {}).get("generation", 0)
+    }
+
+
+class _RunningChecks:
+    """The checks that are due, running beside the sample window."""
+
+    def __init__(self, rules: "list[Document]", alive: "Mapping[str, object]") -> None:
+        """``alive``: tasks that live, by truth value; checks of others run only with ``always``."""
+        due = [rule for rule in rules if rule.get("always") or alive.get(str(rule["task"]))]
+        self._commands: "dict[str, shell.ShellCommand]" = {}
+        if not due:
+            return
+        from ..supervise import shell
+
+        shell.install_deadline_handlers()
+        self._commands = {
+            str(rule["task"]): shell.ShellCommand(
+                rule["command"], rule.get("prelude", ""), rule.get("env"), float(rule.get("timeout_s", 10.0))
+            )
+            for rule in due
+        }
+
+    def results(self) -> "dict[str, Document]":
+        """Wait for the checks, each up to its own timeout: task -> result."""
+        return {task: command.result() for task, command in self._commands.items()}

@@ -1,0 +1,188 @@
+"""TCP connections with their byte counters, queried from the kernel (NETLINK_SOCK_DIAG): no tool needs to be installed."""
+
+import os
+import struct
+
+try:
+    # Module socket imports enum and selectors, several ms of CPU.
+    import _socket as socket
+except ImportError:
+    import socket  # type: ignore[no-redef]
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from collections.abc import Set as AbstractSet
+
+__all__ = [
+    "CloseListener", "TcpConnection", "list_connections", "list_socket_inodes", "pack_address", "read_rtt_ms", "socket", "unmap_address",
+]  # fmt: skip
+
+_NETLINK_SOCK_DIAG = 4
+_SOCK_DIAG_BY_FAMILY = 20
+_DUMP_FLAGS = 0x301  # NLM_F_REQUEST | NLM_F_DUMP
+_DONE, _ERROR = 3, 2
+_LOOPBACK_V4, _LOOPBACK_V6, _MAPPED = 127, bytes(15) + b"\1", bytes(10) + b"\xff\xff"
+_TCP_DESTROYED = 0b101  # groups SKNLGRP_INET_TCP_DESTROY and SKNLGRP_INET6_TCP_DESTROY
+_INET_DIAG_INFO = 2
+_EXT_INFO = 1 << (_INET_DIAG_INFO - 1)
+_LISTEN, _TIME_WAIT = 10, 6
+_STATES = 0xFFF & ~(1 << _LISTEN) & ~(1 << _TIME_WAIT)
+# Offsets in struct tcp_info; the byte counters came with Linux 4.1.
+_RTT_AT, _BYTES_AT, _BYTES_END = 68, 120, 136
+_HEAD, _MESSAGE = 16, 72
+
+
+class TcpConnection:
+    """One TCP connection. ``key`` identifies it for its whole life, ``inode`` its socket; ``local`` and ``remote`` are (address, port).
+
+    ``rx`` and ``tx``: bytes since it was opened; ``rtt_ms``: 0 where unmeasured.
+    """
+
+    __slots__ = ("inode", "key", "local", "remote", "rtt_ms", "rx", "tx")
+
+    def __init__(self, message: bytes) -> None:
+        """``message``: a struct inet_diag_msg with its attributes."""
+        family, info = message[0], _find_tcp_info(message)
+        local_port, remote_port = struct.unpack_from(">HH", message, 4)
+        self.local = (_format_address(family, message[8:24]), local_port)
+        self.remote = (_format_address(family, message[24:40]), remote_port)
+        self.key, self.inode = message[44:52], struct.unpack_from("=I", message, 68)[0]
+        self.rtt_ms = struct.unpack_from("=I", info, _RTT_AT)[0] / 1000.0 if len(info) >= _RTT_AT + 4 else 0.0
+        self.tx, self.rx = struct.unpack_from("=QQ", info, _BYTES_AT) if len(info) >= _BYTES_END else (0, 0)
+
+
+def list_connections(wanted: "AbstractSet[bytes]" = frozenset()) -> "list[TcpConnection]":
+    """List the TCP connections of this network namespace, IPv4 and IPv6. Empty where the kernel does not answer.
+
+    Connections to loopback addresses only where the remote address is in ``wanted`` (packed): a machine that hosts a whole test
+    fleet has thousands of them, and decoding one takes longer than the kernel needs to list it.
+    """
+    found = []
+    for family in (socket.AF_INET, socket.AF_INET6):
+        try:
+            found += [
+                TcpConnection(message) for message in _query_kernel(family) if _is_relevant(message, wanted)
+            ]
+        except OSError:
+            continue
+    return found
+
+
+def _query_kernel(family: int) -> "list[bytes]":
+    body = struct.pack("=BBBBI", family, socket.IPPROTO_TCP, _EXT_INFO, 0, _STATES) + bytes(48)
+    head = struct.pack("=IHHII", _HEAD + len(body), _SOCK_DIAG_BY_FAMILY, _DUMP_FLAGS, 1, 0)
+    found: "list[bytes]" = []
+    link = socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, _NETLINK_SOCK_DIAG)
+    try:
+        link.settimeout(2.0)
+        link.sendto(head + body, (0, 0))
+        while True:
+            for kind, message in _split_messages(link.recv(1 << 18)):
+                if kind in (_DONE, _ERROR):
+                    return found
+                found.append(message)
+    finally:
+        link.close()
+
+
+class CloseListener:
+    """Listener for closed connections: the kernel reports them with their last counters (since Linux 4.3)."""
+
+    def __init__(self, wanted: "AbstractSet[bytes]" = frozenset()) -> None:
+        self._link: "socket.socket | None" = None
+        self._wanted = wanted
+        try:
+            self._link = socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, _NETLINK_SOCK_DIAG)
+            self._link.bind((0, _TCP_DESTROYED))
+            self._link.setblocking(False)
+        except OSError:
+            self.close()
+
+    def close(self) -> None:
+        """Stop listening."""
+        if self._link is not None:
+            self._link.close()
+            self._link = None
+
+    def collect(self) -> "list[TcpConnection]":
+        """Collect the connections closed since the last call."""
+        found = []
+        while self._link is not None:
+            try:
+                data = self._link.recv(1 << 18)
+            except OSError:
+                break
+            reports = [message for kind, message in _split_messages(data) if kind == _SOCK_DIAG_BY_FAMILY]
+            found += [TcpConnection(message) for message in reports if _is_relevant(message, self._wanted)]
+        return found
+
+
+def pack_address(address: str) -> bytes:
+    """Convert an address to the form that ``list_connections`` takes."""
+    return socket.inet_pton(socket.AF_INET6 if ":" in address else socket.AF_INET, address)
+
+
+def _is_relevant(message: bytes, wanted: "AbstractSet[bytes]") -> bool:
+    """Whether the connection leaves this host or its remote address is wanted."""
+    remote = message[24:40]
+    if message[0] == socket.AF_INET or remote.startswith(_MAPPED):
+        remote = remote[:4] if message[0] == socket.AF_INET else remote[12:]
+        return remote[0] != _LOOPBACK_V4 or remote in wanted
+    return remote != _LOOPBACK_V6 or remote in wanted
+
+
+def _split_messages(data: bytes) -> "Iterator[tuple[int, bytes]]":
+    at = 0
+    while at + _HEAD <= len(data):
+        length, kind = struct.unpack_from("=IH", data, at)
+        if length < _HEAD:
+            return
+        yield kind, data[at + _HEAD : at + length]
+        at += (length + 3) & ~3
+
+
+def _format_address(family: int, raw: bytes) -> str:
+    if family == socket.AF_INET:
+        return socket.inet_ntop(socket.AF_INET, raw[:4])
+    return unmap_address(socket.inet_ntop(socket.AF_INET6, raw))
+
+
+def unmap_address(text: str) -> str:
+    """Convert an IPv4-mapped IPv6 address to IPv4; any other address is unchanged."""
+    return text[7:] if text.startswith("::ffff:") and "." in text else text
+
+
+def _find_tcp_info(message: bytes) -> bytes:
+    at = _MESSAGE
+    while at + 4 <= len(message):
+        length, kind = struct.unpack_from("=HH", message, at)
+        if length < 4:
+            break
+        if kind == _INET_DIAG_INFO:
+            return message[at + 4 : at + length]
+        at += (length + 3) & ~3
+    return b""
+
+
+def read_rtt_ms(connection: "socket.socket") -> float:
+    """Read the round-trip time of an open connection of this process; 0 where unknown."""
+    try:
+        info = connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _RTT_AT + 4)
+    except OSError:
+        return 0.0
+    return struct.unpack_from("=I", info, _RTT_AT)[0] / 1000.0 if len(info) >= _RTT_AT + 4 else 0.0
+
+
+def list_socket_inodes(pid: int) -> "set[int]":
+    """List the inodes of the sockets that a process holds."""
+    folder = "/proc/%d/fd/" % pid
+    found = set()
+    try:
+        for name in os.listdir(folder):
+            target = os.readlink(folder + name)
+            if target.startswith("socket:["):
+                found.add(int(target[8:-1]))
+    except OSError:
+        pass
+    return found

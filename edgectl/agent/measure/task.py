@@ -1,0 +1,212 @@
+"""Task profiler: state, CPU, memory and traffic of each task's process tree, and detection of unmanaged tasks."""
+
+import os
+
+from ..link import protocol
+from ..link.fast_json import Document
+from ..supervise import liveness, state_dir, status
+from . import proc, sockets
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from .network import Flow
+
+# Up to this size the kernel sums up the pages of a process (PSS) within a few ms.
+_MAX_PSS_BYTES = 1 << 30
+
+
+class TaskProcesses:
+    """The processes of one task: ``pids`` its own, ``above`` its supervisor (0: none); ``entry`` its entry in a reply, without rates."""
+
+    __slots__ = ("above", "entry", "pids")
+
+    def __init__(self, pids: "set[int]", above: int, entry: Document) -> None:
+        self.pids, self.above, self.entry = pids, above, entry
+
+
+def find_tasks(
+    host: str, names: "list[str]", detect: "list[Document]", table: "dict[int, proc.Process]"
+) -> "dict[str, TaskProcesses]":
+    """Find every task of ``names`` that lives or has ended, and those that ``detect`` matches in ``table``."""
+    found: "dict[str, TaskProcesses]" = {}
+    for name in names:
+        record, alive = status.find_current(host, name, table)
+        entry = liveness.build_entry(record, alive) if record is not None else {}
+        if record is not None and entry:
+            found[name] = (
+                TaskProcesses(liveness.find_processes(record, table), liveness.find_supervisor(record), entry)
+                if alive
+                else TaskProcesses(set(), 0, entry)
+            )
+    found.update(_detect_tasks(detect, table, found))
+    return found
+
+
+def _detect_tasks(
+    detect: "list[Document]", table: "dict[int, proc.Process]", own: "dict[str, TaskProcesses]"
+) -> "dict[str, TaskProcesses]":
+    if not detect:
+        return {}
+    free = set(table) - _find_own_ancestors(table)
+    for group in own.values():
+        free -= group.pids | {group.above}
+    found = {}
+    for rule in detect:
+        name = str(rule["task"])
+        if name in own and own[name].entry["pid"] > 0:
+            continue
+        pids = {
+            pid
+            for pid in free
+            if _matches_pattern(rule, proc.read_cmdline(pid)) and not liveness.has_cookie(pid)
+        }
+        if pids:
+            first = min(pids, key=lambda pid: (table[pid].ticks, pid))
+            found[name] = TaskProcesses(
+                proc.find_descendants(pids, table) & free, 0, _build_unmanaged_entry(table[first])
+            )
+    return found
+
+
+class TaskMeter:
+    """Meter of the tasks of one host between its creation and ``measure``."""
+
+    def __init__(self, host: str, detect: "list[Document]") -> None:
+        self.host, self.detect = host, detect
+        self.names = state_dir.list_task_names(host)
+        self.before = {name: collect_cpu_s(group, table) for table, name, group in self._find_groups()}
+
+    def _find_groups(self) -> "list[tuple[dict[int, proc.Process], str, TaskProcesses]]":
+        table = proc.read_process_table() if self.names or self.detect else {}
+        return [
+            (table, name, group)
+            for name, group in sorted(find_tasks(self.host, self.names, self.detect, table).items())
+        ]
+
+    def measure(
+        self, flows: "list[Flow]", addresses: "dict[str, list[str]]", seconds: float
+    ) -> "dict[str, Document]":
+        """Measure: task -> entry with rates."""
+        return {
+            name: dict(
+                group.entry,
+                used_cores=compute_cores(group, table, self.before.get(name, {}), seconds),
+                used_bytes=read_task_memory(group, table),
+                **build_traffic_entry(
+                    compute_traffic(list_sockets(group.pids) if flows else set(), flows, addresses, seconds)
+                ),
+            )
+            for table, name, group in self._find_groups()
+        }
+
+
+def collect_cpu_s(group: TaskProcesses, table: "dict[int, proc.Process]") -> "dict[int, float]":
+    """Collect CPU seconds by pid; a child's time passes to the process that reaps it, so the sum over the tree only grows.
+
+    The supervisor's own work is not the task's, but it reaps the task's orphans.
+    """
+    seconds = {pid: table[pid].cpu + table[pid].child_cpu for pid in group.pids if pid in table}
+    if group.above in table:
+        seconds[group.above] = table[group.above].child_cpu
+    return seconds
+
+
+def compute_cores(
+    group: TaskProcesses, table: "dict[int, proc.Process]", then: "dict[int, float]", seconds: float
+) -> float:
+    """Compute the cores in use since ``then`` (CPU seconds by pid), which was ``seconds`` ago.
+
+    A process that is missing in ``then`` counts with the part of its time that falls into the window on average.
+    """
+    now = collect_cpu_s(group, table)
+    used = sum(now.values()) - sum(then.values())
+    for pid in set(now) - set(then):
+        used -= now[pid] * (1.0 - min(1.0, seconds / max(1e-3, proc.age_s_from_ticks(table[pid].ticks))))
+    return round(max(0.0, used) / seconds, 4)
+
+
+def read_task_memory(group: TaskProcesses, table: "dict[int, proc.Process]") -> int:
+    """Read the bytes in use; pages shared by several processes count once where the kernel tells how they are shared (PSS)."""
+    seen = [table[pid] for pid in group.pids if pid in table]
+    return sum((_read_pss(each.pid, each.rss) if len(seen) > 1 else 0) or each.rss for each in seen)
+
+
+def _read_pss(pid: int, rss: int) -> int:
+    if rss > _MAX_PSS_BYTES:
+        return 0
+    for line in proc.read_file("/proc/%d/smaps_rollup" % pid).splitlines():
+        if line.startswith(b"Pss:"):
+            return int(line.split()[1]) * 1024
+    return 0
+
+
+def list_sockets(pids: "set[int]") -> "set[int]":
+    """List the inodes of the sockets that the processes hold."""
+    return {inode for pid in pids for inode in sockets.list_socket_inodes(pid)}
+
+
+def compute_traffic(
+    held: "set[int]", flows: "list[Flow]", addresses: "dict[str, list[str]]", seconds: float
+) -> Document:
+    """Compute bytes/s over the sockets ``held``, in all and with each robot; traffic inside this host does not count."""
+    robots = {address: robot for robot, found in addresses.items() for address in found}
+    own = [flow for flow in flows if flow.inode in held and (flow.remote in robots or not _is_internal(flow))]
+    by_robot: "dict[str, list[Flow]]" = {}
+    for flow in own:
+        if flow.remote in robots:
+            by_robot.setdefault(robots[flow.remote], []).append(flow)
+    return dict(
+        _compute_rates(own, seconds),
+        robots={robot: _compute_rates(each, seconds) for robot, each in sorted(by_robot.items())},
+    )
+
+
+def _compute_rates(flows: "list[Flow]", seconds: float) -> Document:
+    return {"rx": sum(flow.rx for flow in flows) / seconds, "tx": sum(flow.tx for flow in flows) / seconds}
+
+
+def build_traffic_entry(rates: Document) -> Document:
+    """Build the traffic of an entry in a reply: in, out, and both ways by robot."""
+    return {
+        "rx_bytes_per_s": round(rates["rx"], 1),
+        "tx_bytes_per_s": round(rates["tx"], 1),
+        "links": {robot: round(each["rx"] + each["tx"], 1) for robot, each in rates["robots"].items()},
+    }
+
+
+def _is_internal(flow: "Flow") -> bool:
+    return flow.remote == flow.local or flow.remote == "::1" or flow.remote.startswith("127.")
+
+
+def _matches_pattern(rule: Document, argv: "list[str]") -> bool:
+    if rule.get("ros_node"):
+        node = str(rule["ros_node"]).lstrip("/")
+        return any(
+            word.lstrip("_") in (":=" + node, "name:=" + node, "node:=" + node) for word in argv
+        ) or _is_ros_node(node, argv)
+    import re
+
+    return bool(rule.get("cmdline")) and re.search(str(rule["cmdline"]), " ".join(argv)) is not None
+
+
+def _is_ros_node(node: str, argv: "list[str]") -> bool:
+    """Whether the program, or the script that an interpreter runs, has the node's name."""
+    return any(os.path.splitext(os.path.basename(word))[0] == node for word in argv[:2])
+
+
+def _find_own_ancestors(table: "dict[int, proc.Process]") -> "set[int]":
+    """Find the agent and its ancestors: the command line of a login shell or sshd may match a pattern too."""
+    found: "set[int]" = set()
+    pid = os.getpid()
+    while pid in table and pid not in found:
+        found.add(pid)
+        pid = table[pid].ppid
+    return found
+
+
+def _build_unmanaged_entry(first: proc.Process) -> Document:
+    return {
+        "state": protocol.RUNNING, "pid": first.pid, "age_s": round(proc.age_s_from_ticks(first.ticks), 2),
+        "instance": "", "spec_hash": "", "generation": 0, "managed": False,
+        "restarts": 0, "exit_code": None, "detail": "found by detect",
+    }  # fmt: skip

@@ -1,0 +1,1 @@
+"""Start, supervision, state and end of tasks."""

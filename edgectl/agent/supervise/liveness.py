@@ -1,0 +1,176 @@
+"""Liveness of a task and its processes, decided by the kernel and not by a file.
+
+A task lives while its lock is held (supervisor and task inherit it) or any process has its cookie in the environment: launchers
+that close inherited descriptors are the main workload, so both are examined.
+"""
+
+import os
+import time
+
+from ..link import protocol
+from ..link.fast_json import Document
+from ..measure import proc
+from . import lockfile, records, state_dir
+
+_LAST_TRIES, _LAST_TRY_S = 25, 0.02
+_LAST_LINES, _LAST_LINE_LENGTH = 5, 200
+
+
+class InstanceRecord:
+    """Content of a task directory: ``instance`` (identity), ``status`` (progress) and ``locked`` (whether its lock is held)."""
+
+    __slots__ = ("folder", "locked", "instance", "status")
+
+    def __init__(self, folder: str, instance: Document, status: Document, locked: bool) -> None:
+        self.folder, self.instance, self.status, self.locked = folder, instance, status, locked
+
+
+def build_cookie(folder: str) -> str:
+    """Build the environment entry that marks every process of the task in ``folder``."""
+    return "EDGECTL_TASK_DIR=" + folder
+
+
+def has_cookie(pid: int) -> bool:
+    """Whether the process belongs to any task of edgectl, including another host's on this machine."""
+    return b"\0EDGECTL_TASK_DIR=" in b"\0" + proc.read_file("/proc/%d/environ" % pid)
+
+
+def read_instance(folder: str) -> InstanceRecord:
+    """Read a task directory."""
+    locked = lockfile.is_lock_held(folder)
+    instance = records.read_record(os.path.join(folder, "instance"))
+    status = records.read_record(os.path.join(folder, "status"))
+    if status.get("instance") != instance.get("instance"):
+        status = {}
+    elif locked and status.get("state") in protocol.FINAL_STATES and not status.get("left"):
+        locked = _stays_locked(folder)
+    return InstanceRecord(folder, instance, status, locked)
+
+
+def _stays_locked(folder: str) -> bool:
+    """Whether the lock stays held: the supervisor records the end some milliseconds before it exits, and is no sign of life in between."""
+    for _ in range(_LAST_TRIES):
+        if not lockfile.is_lock_held(folder):
+            return False
+        time.sleep(_LAST_TRY_S)
+    return True
+
+
+def read_instances(host: str, task: str) -> "list[InstanceRecord]":
+    """Read one InstanceRecord for each directory in which the task was ever started."""
+    return [read_instance(folder) for folder in state_dir.find_task_dirs(host, task)]
+
+
+def find_supervisor(found: InstanceRecord) -> int:
+    """Find the pid of the supervisor where that very process still runs, else 0."""
+    pid, ticks = found.instance.get("supervisor", 0), found.instance.get("supervisor_ticks", -1)
+    return pid if is_same_boot(found) and proc.is_process_alive(pid, ticks) else 0
+
+
+def is_same_boot(found: InstanceRecord) -> bool:
+    """Whether the task was started since the last boot of the host."""
+    return found.instance.get("boot_id") == proc.read_boot_id()
+
+
+def find_processes(found: InstanceRecord, table: "dict[int, proc.Process]") -> "set[int]":
+    """Find the task's processes without the supervisor: all below it, else every carrier of cookie, lock or session."""
+    above = find_supervisor(found)
+    if above:
+        return proc.find_descendants({above}, table) - {above}
+    return find_orphans(found, table)
+
+
+def find_orphans(found: InstanceRecord, table: "dict[int, proc.Process]") -> "set[int]":
+    """Find the task's processes without the help of its supervisor."""
+    entry = build_cookie(found.folder).encode()
+    seeds = {pid for pid in table if proc.has_environ_entry(pid, entry)}
+    main, ticks = found.status.get("pid", 0), found.status.get("ticks", -1)
+    if is_same_boot(found) and main in table and table[main].ticks == ticks:
+        seeds.add(main)
+    if found.locked:
+        seeds |= lockfile.find_lock_holders(found.folder, table)
+    # A session id is not reused while any member lives: one known member proves that it is still the task's.
+    if any(table[pid].sid == main for pid in seeds):
+        seeds |= {pid for pid, each in table.items() if each.sid == main}
+    return proc.find_descendants(seeds, table) - {os.getpid()}
+
+
+def is_alive(found: InstanceRecord, table: "dict[int, proc.Process] | None" = None) -> bool:
+    """Whether the lock is held or a cookie is found; processes are searched only where the record does not state the end."""
+    if found.locked:
+        return True
+    ended = found.status.get("state") in protocol.FINAL_STATES and not found.status.get("left")
+    if ended or not found.instance or not is_same_boot(found):
+        return False
+    return bool(find_orphans(found, proc.read_process_table() if table is None else table))
+
+
+def build_entry(found: InstanceRecord, alive: bool) -> Document:
+    """Build the task's entry in a reply, without rates; empty for a task that was stopped on purpose or never ran."""
+    instance, status = found.instance, found.status
+    if not instance or (not alive and status.get("state") == protocol.STOPPED):
+        return {}
+    document = {
+        "state": status.get("state", protocol.STARTING),
+        "pid": 0,
+        "age_s": 0.0,
+        "instance": instance.get("instance", ""),
+        "spec_hash": instance.get("spec_hash", ""),
+        "fields": instance.get("fields") or {},
+        "generation": instance.get("generation", 0),
+        "managed": True,
+        "restarts": status.get("restarts", 0),
+        "exit_code": status.get("exit_code"),
+        "detail": status.get("detail", ""),
+        "limits": status.get("limits", ""),
+        "last_exit": status.get("last_exit"),
+        "given_up": bool(status.get("given_up")),
+    }
+    document.update(_build_living_fields(found) if alive else _build_dead_fields(found))
+    if document["state"] in protocol.FAILED_STATES:
+        document["log_tail"] = _read_last_lines(found.folder)
+    return document
+
+
+def _read_last_lines(folder: str) -> "list[str]":
+    """Read the end of the log of a failed task."""
+    from .logfile import read_log_tail
+
+    lines = read_log_tail(folder, _LAST_LINES, _LAST_LINES * 20000).decode("utf-8", "replace").splitlines()
+    return [line[:_LAST_LINE_LENGTH] for line in lines[-_LAST_LINES:]]
+
+
+def _build_living_fields(found: InstanceRecord) -> Document:
+    status, above = found.status, find_supervisor(found)
+    main, ticks = status.get("pid", 0), status.get("ticks", -1)
+    if not proc.is_process_alive(main, ticks):
+        main, ticks = above, found.instance.get("supervisor_ticks", -1)
+    seen = {"pid": main, "age_s": round(proc.age_s_from_ticks(ticks), 2) if main else 0.0}
+    if status.get("state") == protocol.RUNNING and _is_marked_ready(found):
+        seen["state"] = protocol.READY
+    if status.get("state") in protocol.FINAL_STATES:
+        seen.update(state=protocol.RUNNING, detail="processes of the ended task remain")
+    if not above:
+        seen["detail"] = "orphaned: the supervisor is gone, its processes still run"
+    return seen
+
+
+def _is_marked_ready(found: InstanceRecord) -> bool:
+    mark = records.read_record(os.path.join(found.folder, "mark"))
+    return mark.get("instance") == found.instance.get("instance") and mark.get(
+        "restarts"
+    ) == found.status.get("restarts")
+
+
+def _build_dead_fields(found: InstanceRecord) -> Document:
+    if found.status.get("state") in protocol.FINAL_STATES:
+        return _build_ended_fields(found)
+    why = "unknown: the supervisor was lost" if is_same_boot(found) else "the host was rebooted"
+    return {"state": protocol.FAILED, "exit_code": None, "detail": why}
+
+
+def _build_ended_fields(found: InstanceRecord) -> Document:
+    """Build ``ended_s``, the seconds since the end, where that was in this boot. At least 0: the manager rejects a negative age."""
+    if not is_same_boot(found) or "ended" not in found.status:
+        return {}
+    return {"ended_s": round(max(0.0, proc.read_uptime_s() - found.status["ended"]), 2)}

@@ -1,0 +1,135 @@
+"""Shell commands of the user: run by bash where the host has it (ROS set-up files need it), else by sh; bounded in time and output."""
+
+import os
+import signal
+import time
+
+from ..link.fast_json import Document
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import Mapping, NoReturn
+
+_KEPT_BYTES = 2048
+# Variables of the SSH login and of the manager's systemd unit, which do not apply to a task.
+_DROPPED_VARIABLES = (
+    "SSH_CLIENT",
+    "SSH_CONNECTION",
+    "SSH_TTY",
+    "SSH_AUTH_SOCK",
+    "SSH_ORIGINAL_COMMAND",
+    "INVOCATION_ID",
+)
+
+
+def build_argv(command: str, prelude: str) -> "list[str]":
+    """Build the argument vector that runs ``prelude`` and then ``command`` in one shell."""
+    shell = "/bin/bash" if os.access("/bin/bash", os.X_OK) else "/bin/sh"
+    return [shell, "-c", prelude + "\n" + command if prelude else command]
+
+
+def build_environment(extra: "Mapping[str, object] | None") -> "dict[str, str]":
+    """Build the environment of the login with ``extra`` on top."""
+    found = {name: value for name, value in os.environ.items() if name not in _DROPPED_VARIABLES}
+    found.update({str(name): str(value) for name, value in (extra or {}).items()})
+    return found
+
+
+class ShellCommand:
+    """A check that runs beside other work; its whole process group ends with it."""
+
+    running: "set[ShellCommand]" = set()
+
+    def __init__(
+        self,
+        command: str,
+        prelude: str,
+        env: "Mapping[str, object] | None",
+        timeout_s: float,
+        cwd: "str | None" = None,
+    ) -> None:
+        # Imported on demand: 2 MB in every supervisor without a check.
+        import subprocess
+
+        self.deadline = time.monotonic() + timeout_s
+        self.kept = b""
+        self.pipe, end = os.pipe()
+        os.set_blocking(self.pipe, False)
+        try:
+            self.process = subprocess.Popen(
+                build_argv(command, prelude), stdin=subprocess.DEVNULL, stdout=end, stderr=end,
+                env=build_environment(env), start_new_session=True, cwd=cwd,
+            )  # fmt: skip
+        except BaseException:
+            os.close(self.pipe)
+            raise
+        finally:
+            os.close(end)
+        ShellCommand.running.add(self)
+
+    def poll(self) -> "Document | None":
+        """None while it runs, else its result; it is killed at its deadline."""
+        self._drain()
+        # Not reaped yet: until then its pid and process group cannot be reused.
+        ended = os.waitid(os.P_PID, self.process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None
+        if not ended and time.monotonic() < self.deadline:
+            return None
+        self.end()
+        text = self.kept.decode("utf-8", "replace")
+        return {"exit": self.process.returncode if ended else None, "timed_out": not ended, "output": text}
+
+    def _drain(self) -> None:
+        try:
+            for _ in range(64):
+                data = os.read(self.pipe, 65536)
+                if not data:
+                    return
+                self.kept = (self.kept + data)[-_KEPT_BYTES:]
+        except BlockingIOError:
+            pass
+
+    def end(self) -> None:
+        """Kill what is left of its process group and reap it."""
+        ShellCommand.running.discard(self)
+        try:
+            os.killpg(self.process.pid, signal.SIGKILL)
+        except OSError:
+            pass
+        self.process.wait()
+        self._drain()
+        os.close(self.pipe)
+
+    def result(self) -> Document:
+        """Wait for the end."""
+        while True:
+            found = self.poll()
+            if found is not None:
+                return found
+            time.sleep(0.01)
+
+
+def end_all_commands(*_signal: object) -> "NoReturn":
+    """Handle the deadline of the request or the loss of its manager: kill every running check, then exit."""
+    for command in list(ShellCommand.running):
+        command.end()
+    os._exit(124)
+
+
+def install_deadline_handlers() -> None:
+    """From here on the deadline of the request also ends the checks that were started."""
+    for number in (signal.SIGALRM, signal.SIGTERM):
+        signal.signal(number, end_all_commands)
+
+
+def run_check(request: Document) -> Document:
+    """Operation ``check``: run one command now."""
+    install_deadline_handlers()
+    return ShellCommand(
+        request["command"], request.get("prelude", ""), request.get("env"), float(request["timeout_s"])
+    ).result()
+
+
+def resolve_workdir(workdir: "str | None", env: "Mapping[str, str]") -> str:
+    """Resolve the directory of a command: as requested, else the home directory, else /."""
+    home = env.get("HOME") or "/"
+    return os.path.expanduser(workdir) if workdir else home if os.path.isdir(home) else "/"

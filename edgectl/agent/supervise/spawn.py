@@ -1,0 +1,114 @@
+"""Start of a command in a clean process: signals, descriptors and session of supervisor and task."""
+
+import ctypes
+import os
+import signal
+
+from ..link.fast_json import Document
+from . import shell
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import NoReturn
+
+_PR_SET_NAME, _PR_SET_CHILD_SUBREAPER = 15, 36
+_MAX_FDS = 1 << 16
+
+
+def clean_process(keep: "tuple[int, ...]") -> None:
+    """Turn this process into a daemon: default signals, umask 077, directory /, no descriptors but ``keep``, subreaper of its tree."""
+    reset_signals()
+    os.umask(0o077)
+    os.chdir("/")
+    null = os.open(os.devnull, os.O_RDWR)
+    for fd in (0, 1, 2):
+        os.dup2(null, fd)
+    close_other_fds({0, 1, 2} | set(keep))
+    libc = ctypes.CDLL(None, use_errno=True)
+    libc.prctl(_PR_SET_NAME, b"edgectl-task", 0, 0, 0)
+    if libc.prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0) != 0:
+        raise OSError(ctypes.get_errno(), "this kernel has no child subreaper")
+
+
+def reset_signals() -> None:
+    """Reset every disposition to its default and unblock all: a login by SSH or nohup may have left INT ignored."""
+    for number in range(1, signal.NSIG):
+        try:
+            signal.signal(number, signal.SIG_DFL)
+        except (OSError, ValueError):
+            continue
+    signal.pthread_sigmask(signal.SIG_SETMASK, set())
+
+
+def close_other_fds(keep: "set[int]") -> None:
+    """Close every descriptor but ``keep``."""
+    try:
+        fds = [int(name) for name in os.listdir("/proc/self/fd")]
+    except OSError:
+        fds = list(range(min(_MAX_FDS, os.sysconf("SC_OPEN_MAX"))))
+    for fd in fds:
+        if fd not in keep:
+            try:
+                os.close(fd)
+            except OSError:
+                continue
+
+
+def spawn_command(
+    argv: "list[str]", env: "dict[str, str]", workdir: "str | None", lock: int
+) -> "tuple[int, int]":
+    """Start ``argv`` in a session of its own with the lock inherited; returns (pid, read end of its output).
+
+    Raises:
+        OSError: the directory or the program does not exist.
+    """
+    folder = shell.resolve_workdir(workdir, env)
+    output, output_end = os.pipe()
+    error_pipe, error_pipe_end = os.pipe()
+    pid = os.fork()
+    if pid == 0:
+        _exec_command(argv, env, folder, lock, output_end, error_pipe_end)
+    os.close(output_end)
+    os.close(error_pipe_end)
+    with open(error_pipe, "rb") as pipe:
+        reason = pipe.read()
+    if reason:
+        os.close(output)
+        os.waitpid(pid, 0)
+        raise OSError(reason.decode("utf-8", "replace"))
+    return pid, output
+
+
+def _exec_command(
+    argv: "list[str]", env: "dict[str, str]", folder: str, lock: int, output: int, error_pipe: int
+) -> "NoReturn":
+    """In the child: change to ``folder`` and become ``argv``."""
+    try:
+        os.setsid()
+        signal.set_wakeup_fd(-1)
+        reset_signals()
+        os.chdir(folder)
+        os.dup2(output, 1)
+        os.dup2(output, 2)
+        os.set_inheritable(lock, True)
+        os.execve(argv[0], argv, env)  # noqa: S606 - argv[0] is bash or sh
+    except OSError as error:
+        os.write(
+            error_pipe,
+            ("%s: %s" % (error.filename or argv[0], error.strerror)).encode("utf-8", "surrogateescape"),
+        )
+    finally:
+        os._exit(127)
+
+
+def describe_exit(code: int) -> Document:
+    """Describe a wait status; ``exit_code`` of a killed process is 128 + signal, as in shells."""
+    if not os.WIFSIGNALED(code):
+        return {"exit_code": os.WEXITSTATUS(code), "detail": "exited with %d" % os.WEXITSTATUS(code)}
+    number = os.WTERMSIG(code)
+    try:
+        name = signal.Signals(number).name
+    except ValueError:
+        name = "signal %d" % number
+    hint = " (out of memory, or by hand)" if number == signal.SIGKILL else ""
+    return {"exit_code": 128 + number, "detail": "killed by %s%s" % (name, hint)}

@@ -1,0 +1,111 @@
+"""Operation ``start``: at most one living instance of a task on this host, however many managers ask, however often."""
+
+import os
+import time
+
+from ..link import heartbeat, protocol
+from ..link.errors import RefusalError
+from ..link.fast_json import Document
+from ..measure import proc
+from . import liveness, lockfile, logind, records, scope, state_dir, status
+from .liveness import InstanceRecord
+
+_TRIES, _TRY_S = 10, 0.03
+
+
+def start_task(request: Document) -> Document:
+    """Start the command under a supervisor of its own; where the task is alive already, report its instance."""
+    host, task, spec = (
+        state_dir.check_name(request["host"]),
+        state_dir.check_name(request["task"]),
+        request["spec"],
+    )
+    task_scope = scope.choose_scope(spec.get("runtime") or "auto", host, task, spec.get("limits"))
+    logind.check_survives_logout()
+    status.check_generation(host, task, int(request["generation"]))
+    record, alive = status.find_current(host, task)
+    if record is not None and (alive or _has_completed(record, request["instance"])):
+        return _build_running_reply(record)
+    folder = state_dir.make_task_dir(host, task)
+    lock = lockfile.take_lock(folder)
+    if lock < 0:
+        return _build_running_reply(_wait_for_record(folder))
+    try:
+        status.check_generation(host, task, int(request["generation"]))
+        return _launch_task(folder, lock, request, task_scope)
+    finally:
+        os.close(lock)
+
+
+def _has_completed(record: InstanceRecord, instance: str) -> bool:
+    """Whether this instance is a completed job: a repeated start request does not run it again."""
+    return (
+        bool(record.instance.get("instance") == instance) and record.status.get("state") == protocol.COMPLETED
+    )
+
+
+def _wait_for_record(folder: str) -> InstanceRecord:
+    """Wait for the record of the concurrent start that took the lock."""
+    for _ in range(_TRIES):
+        record = liveness.read_instance(folder)
+        if record.status.get("pid"):
+            break
+        time.sleep(_TRY_S)
+    return record
+
+
+def _build_running_reply(record: InstanceRecord) -> Document:
+    known = record.instance
+    document = liveness.build_entry(record, alive=record.locked)
+    return {
+        "state": protocol.ALREADY_RUNNING,
+        "pid": document.get("pid", 0),
+        "instance": known.get("instance", ""),
+        "generation": known.get("generation", 0),
+        "detail": document.get("detail") or "state is %s" % document.get("state", protocol.STARTING),
+    }
+
+
+def _launch_task(folder: str, lock: int, request: Document, task_scope: scope.Scope) -> Document:
+    from .launch import launch_supervisor
+
+    generation = {"generation": int(request["generation"])}
+    records.write_record(os.path.join(folder, "generation"), generation, durable=True)
+    records.write_record(os.path.join(folder, "mark"), {})
+    # The first request to a host has no directory for its heartbeat yet.
+    heartbeat.record_heartbeat(request["host"])
+    report = launch_supervisor(
+        folder, lock, _build_identity(request, request["spec"]), request["spec"], task_scope
+    )
+    if "error" in report:
+        raise RefusalError("start-failed", report["error"], "check the task's command, workdir and env")
+    limits = "" if report["limits"] in ("", "enforced") else "limits: " + report["limits"]
+    return {
+        "state": protocol.STARTED,
+        "pid": report["pid"],
+        "instance": request["instance"],
+        "detail": limits,
+        **generation,
+    }
+
+
+def _build_identity(request: Document, spec: Document) -> Document:
+    """Build the stored identity of the instance: never its command, prelude or environment, which may contain secrets."""
+    return {
+        "instance": str(request["instance"]),
+        "host": request["host"],
+        "task": request["task"],
+        "generation": int(request["generation"]),
+        "spec_hash": str(spec.get("spec_hash", "")),
+        "kind": spec.get("kind", "service"),
+        "stop": spec.get("stop") or {},
+        "ready_check": bool(spec.get("ready")),
+        "fields": _trim_fields(spec.get("fields")),
+        "boot_id": proc.read_boot_id(),
+        "machine_id": proc.read_file("/etc/machine-id").decode("ascii", "replace").strip(),
+    }
+
+
+def _trim_fields(stated: "Document | None") -> "dict[str, str]":
+    """Trim the digests of the spec's fields to the size of a record (2 KiB)."""
+    return {str(name)[:24]: str(digest)[:12] for name, digest in sorted((stated or {}).items())[:20]}

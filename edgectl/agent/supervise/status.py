@@ -1,0 +1,117 @@
+"""Operations ``status``, ``wait`` and ``mark``: tasks of this host without measuring."""
+
+import os
+import time
+
+from ..link import protocol
+from ..link.errors import RefusalError
+from ..link.fast_json import Document
+from ..measure import proc
+from . import liveness, records, state_dir
+from .liveness import InstanceRecord
+
+_POLL_S = 0.1
+# A command that cannot start ends within this time; until then, running is no evidence.
+_SETTLE_S = 0.3
+
+
+def find_current(
+    host: str, task: str, table: "dict[int, proc.Process] | None" = None
+) -> "tuple[InstanceRecord | None, bool]":
+    """Find (record, alive) of the living instance, else of the last one; (None, False) where the task never ran here."""
+    found = [(each, liveness.is_alive(each, table)) for each in liveness.read_instances(host, task)]
+    return max([pair for pair in found if pair[0].instance], key=lambda pair: pair[1], default=(None, False))
+
+
+def read_generation(host: str, task: str) -> int:
+    """Read the highest generation that this host was given for the task."""
+    folders = state_dir.find_task_dirs(host, task)
+    return max(
+        [
+            int(records.read_record(os.path.join(folder, "generation")).get("generation", 0))
+            for folder in folders
+        ]
+        or [0]
+    )
+
+
+def list_entries(
+    host: str, task: "str | None", table: "dict[int, proc.Process] | None" = None
+) -> "dict[str, Document]":
+    """List task -> entry of every task of this host, or of one."""
+    found = {}
+    for name in state_dir.list_task_names(host) if task is None else [state_dir.check_name(task)]:
+        record, alive = find_current(host, name, table)
+        document = liveness.build_entry(record, alive) if record is not None else {}
+        if document:
+            found[name] = document
+    return found
+
+
+def report_status(request: Document) -> Document:
+    """Operation ``status``: one task, or all where ``task`` is null."""
+    return {
+        "v": protocol.VERSION,
+        "op": protocol.OP_STATUS,
+        "host": request["host"],
+        "boot_id": proc.read_boot_id(),
+        "tasks": list_entries(request["host"], request.get("task")),
+    }
+
+
+def wait_for_task(request: Document) -> Document:
+    """Operation ``wait``: the entry once the instance is ready, running without a ready check, ended or gone; else at the timeout."""
+    deadline = time.monotonic() + float(request["timeout_s"])
+    while True:
+        record, alive = find_current(request["host"], request["task"])
+        document = liveness.build_entry(record, alive) if record is not None else {}
+        if not document or document["instance"] != request["instance"]:
+            return _build_gone_entry(request["instance"])
+        if record is None or not alive or _is_settled(record, document) or time.monotonic() >= deadline:
+            return document
+        time.sleep(_POLL_S)
+
+
+def _is_settled(record: InstanceRecord, document: Document) -> bool:
+    if document["state"] == protocol.READY:
+        return True
+    # Between the end of the command and its record only the supervisor is seen, which is no evidence that the command runs.
+    runs = document["state"] == protocol.RUNNING and document["pid"] == record.status.get("pid")
+    return runs and not record.instance.get("ready_check") and document["age_s"] >= _SETTLE_S
+
+
+def _build_gone_entry(instance: str) -> Document:
+    return {
+        "state": protocol.FAILED, "pid": 0, "age_s": 0.0, "instance": instance, "spec_hash": "", "generation": 0,
+        "managed": True, "restarts": 0, "exit_code": None, "detail": "not on this host",
+    }  # fmt: skip
+
+
+def mark_ready(request: Document) -> Document:
+    """Operation ``mark``: record the success of a ready check that ran elsewhere."""
+    record, alive = find_current(request["host"], request["task"])
+    if record is None or not alive or record.instance.get("instance") != request["instance"]:
+        raise RefusalError(
+            protocol.NOT_RUNNING,
+            "instance %s of %s is not running here" % (request["instance"], request["task"]),
+        )
+    if request.get("ready"):
+        document = {"instance": request["instance"], "restarts": record.status.get("restarts", 0)}
+        records.write_record(os.path.join(record.folder, "mark"), document)
+    return liveness.build_entry(record, alive)
+
+
+def check_generation(host: str, task: str, generation: int) -> None:
+    """Decline a generation lower than the highest seen. Raises RefusalError."""
+    seen = read_generation(host, task)
+    if generation < seen:
+        message = "generation %d of %s is older than %d, the highest seen by this host" % (
+            generation,
+            task,
+            seen,
+        )
+        raise RefusalError(
+            "stale-generation",
+            message,
+            "another manager changed this task: run edgectl probe, then plan again",
+        )

@@ -1,0 +1,127 @@
+"""Operation ``stop``: end the whole process tree, gently and then by force, with the kernel's proof that nothing is left."""
+
+import os
+import time
+
+from ..link import protocol
+from ..link.fast_json import Document
+from ..measure import proc
+from . import liveness, lockfile, records, signals, state_dir, status
+from .liveness import InstanceRecord
+
+_KILL_S = 10.0
+_PROOF_S = 5.0
+_SWEEP_S = 0.05
+_EMPTY_SWEEPS = 2
+
+
+def stop_task(request: Document) -> Document:
+    """Stop one instance, or every living one where ``instance`` is null. ``stopped`` is replied only with proof."""
+    began = time.monotonic()
+    host, task = state_dir.check_name(request["host"]), state_dir.check_name(request["task"])
+    if request.get("generation") is not None:
+        status.check_generation(host, task, int(request["generation"]))
+    alive = [record for record in liveness.read_instances(host, task) if liveness.is_alive(record)]
+    wanted = [
+        record for record in alive if request.get("instance") in (None, record.instance.get("instance"))
+    ]
+    if not wanted:
+        _clear_failure(host, task)
+        return _build_stop_reply(protocol.NOT_RUNNING, [], began)
+    left = [pid for record in wanted for pid in _stop_instance(record, request)]
+    return _build_stop_reply(protocol.STOP_INCOMPLETE if left else protocol.STOPPED, left, began)
+
+
+def _build_stop_reply(state: str, left: "list[int]", began: float) -> Document:
+    return {"state": state, "left": sorted(left), "seconds": round(time.monotonic() - began, 3)}
+
+
+def _clear_failure(host: str, task: str) -> None:
+    """Record a failed task that is stopped as stopped, so that its failure is no longer reported."""
+    record, alive = status.find_current(host, task)
+    if record is not None and not alive and record.status.get("state") in protocol.FAILED_STATES:
+        _record_stopped(record)
+
+
+def _record_stopped(record: InstanceRecord) -> None:
+    now = liveness.read_instance(record.folder)
+    if now.status.get("state") not in (protocol.STOPPED, protocol.COMPLETED):
+        document = dict(
+            now.status, instance=now.instance.get("instance"), state=protocol.STOPPED, pid=0, left=[]
+        )
+        records.write_record(os.path.join(record.folder, "status"), document)
+
+
+def _stop_instance(record: InstanceRecord, request: Document) -> "list[int]":
+    """Stop one instance; returns the pids that are left."""
+    if request.get("generation") is not None:
+        records.write_record(
+            os.path.join(record.folder, "generation"),
+            {"generation": int(request["generation"])},
+            durable=True,
+        )
+    settings = request.get("stop") or record.instance.get("stop") or {}
+    disable_restarts(record)
+    for name, scope, grace_s in signals.list_stop_steps(settings):
+        if _signal_until_gone(record, signals.parse_signal(name), scope, grace_s):
+            break
+    _signal_until_gone(record, signals.parse_signal("KILL"), "tree", _KILL_S)
+    left = _find_remaining(record)
+    if not left:
+        _record_stopped(record)
+    return left
+
+
+def disable_restarts(record: InstanceRecord) -> None:
+    """Ask the supervisor not to restart the task; it stays to reap the tree."""
+    above = liveness.find_supervisor(record)
+    if above:
+        ticks = record.instance["supervisor_ticks"]
+        signals.send_signal(above, ticks, signals.parse_signal("TERM"))
+        signals.send_signal(above, ticks, signals.parse_signal("CONT"))
+
+
+def _signal_until_gone(record: InstanceRecord, number: int, scope: str, patience_s: float) -> bool:
+    """Signal, then sweep until two sweeps in a row find nothing; newcomers get the signal too. False after ``patience_s``."""
+    deadline, empty = time.monotonic() + patience_s, 0
+    sent: "set[tuple[int, int, int]]" = set()
+    while empty < _EMPTY_SWEEPS:
+        table = proc.read_process_table()
+        record = liveness.read_instance(record.folder)
+        pids = liveness.find_processes(record, table)
+        empty = 0 if pids else empty + 1
+        targets = (
+            pids
+            if scope == "tree"
+            else {signals.find_main_process(record.status.get("pid", 0), table)} & pids
+        )
+        if scope == "tree" or not sent:
+            sent |= signals.send_signals([(pid, table[pid].ticks) for pid in sorted(targets)], number, sent)
+        if pids and time.monotonic() >= deadline:
+            return False
+        time.sleep(_SWEEP_S)
+    return True
+
+
+def _find_remaining(record: InstanceRecord) -> "list[int]":
+    """Find the remaining pids; empty where the lock is free and no process carries cookie or lock."""
+    deadline = time.monotonic() + _PROOF_S
+    while time.monotonic() < deadline:
+        found = liveness.read_instance(record.folder)
+        above = liveness.find_supervisor(found)
+        left = liveness.find_processes(found, proc.read_process_table())
+        if not above and not left and not found.locked:
+            return []
+        time.sleep(_SWEEP_S)
+    if above and not left:
+        # The tree is gone but the supervisor keeps the lock: it is ours and no longer needed.
+        signals.send_signal(above, record.instance["supervisor_ticks"], signals.parse_signal("KILL"))
+        time.sleep(2 * _SWEEP_S)
+        found = liveness.read_instance(record.folder)
+        above, left = (
+            liveness.find_supervisor(found),
+            liveness.find_processes(found, proc.read_process_table()),
+        )
+    return sorted(left | ({above} if above else set())) or (
+        [0] if lockfile.is_lock_held(record.folder) else []
+    )

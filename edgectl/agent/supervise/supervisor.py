@@ -1,0 +1,344 @@
+"""Supervisor of one task: starts it, writes its log, restarts it by policy, records its end, reaps its whole tree.
+
+Forked from the agent, it leaves the manager's session for good and lives as long as its task or a pending restart.
+"""
+
+import os
+import select
+import signal
+import time
+
+from ..link import fast_json, heartbeat, protocol
+from ..link.fast_json import Document
+from ..measure import metrics, proc
+from . import backoff, liveness, records, scope, shell, signals, spawn
+from .logfile import LogWriter
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import Sequence
+
+_BLOCK_BYTES = 65536
+_READY_FIRST_S, _READY_MAX_S, _READY_TRY_S = 0.3, 5.0, 10.0
+# (signal, ``main`` or ``tree``, seconds) for the leftovers of an ended command.
+_LEFTOVERS = (("TERM", "tree", 5.0),)
+_KILL = ("KILL", "tree", 10.0)
+# A short interval: this timer stands still while a machine is suspended, the age of the heartbeat does not.
+_HEARTBEAT_CHECK_S = 2.0
+
+
+class Supervisor:
+    """The loop that runs one task according to its spec."""
+
+    def __init__(
+        self, folder: str, lock: int, report: int, identity: Document, spec: Document, why: str
+    ) -> None:
+        """``why``: the reason that limits are not enforced; empty in a scope."""
+        self.folder, self.lock, self.report, self.spec = folder, lock, report, spec
+        self.identity = identity
+        self.log = LogWriter(folder, int(spec["log"]["max_bytes"]), int(spec["log"]["files"]))
+        self.env = shell.build_environment(spec.get("env"))
+        self.env["EDGECTL_INSTANCE"] = identity["instance"]
+        name, _, value = liveness.build_cookie(folder).partition("=")
+        self.env[name] = value
+        self.env["EDGECTL_METRICS"] = metrics.get_metrics_path(folder)
+        self.pid, self.ticks, self.pipe, self.started = 0, 0, -1, 0.0
+        self.status: Document = {
+            "instance": identity["instance"],
+            "state": protocol.STARTING,
+            "restarts": 0,
+            "exit_code": None,
+            "last_exit": None,
+        }
+        self.status.update(detail="", limits=scope.describe_limits(spec.get("limits"), why))
+        self.history: "list[float]" = []
+        self.next_start: "float | None" = None
+        self.stopping, self.code = False, 0
+        self.fence_s, self.begun, self.next_look = (
+            float(spec.get("self_fence_s") or 0.0),
+            proc.read_uptime_s(),
+            0.0,
+        )
+        self.check: "shell.ShellCommand | None" = None
+        self.next_check: "float | None" = None
+        self.check_every = _READY_FIRST_S
+        self.next_metrics = 0.0
+        self.wake, self._wake_end = os.pipe()
+
+    def run(self) -> None:
+        """Run until the task has ended for good."""
+        metrics.reset_metrics_file(self.folder)
+        me = proc.read_own_process()
+        identity = dict(self.identity, supervisor=me.pid, supervisor_ticks=me.ticks)
+        records.write_record(os.path.join(self.folder, "instance"), identity, durable=True)
+        self._install_handlers()
+        self._start_command()
+        fast_json.send_document(self.report, {"pid": self.pid, "limits": self.status["limits"]})
+        while self.pid or self.next_start is not None:
+            self._run_once()
+        metrics.limit_metrics_file(self.folder)
+
+    def _install_handlers(self) -> None:
+        for fd in (self.wake, self._wake_end):
+            os.set_blocking(fd, False)
+        signal.set_wakeup_fd(self._wake_end)
+        signal.signal(signal.SIGCHLD, lambda *_: None)
+        signal.signal(signal.SIGTERM, self._handle_stop)
+
+    def _handle_stop(self, *_signal: object) -> None:
+        self.stopping = True
+
+    def _record_status(self, **changes: object) -> None:
+        """Rewrite the status in place; a file system that refuses must not disturb the task."""
+        self.status.update(changes, dropped=self.log.dropped)
+        final = self.status["state"] in protocol.FINAL_STATES
+        if final:
+            self.status["ended"] = round(proc.read_uptime_s(), 2)
+        try:
+            records.write_record(os.path.join(self.folder, "status"), self.status, durable=final)
+        except (OSError, ValueError):
+            pass
+
+    def _start_command(self) -> None:
+        self.next_start = None
+        argv = shell.build_argv(self.spec["command"], self.spec.get("prelude") or "")
+        self.pid, self.pipe = spawn.spawn_command(argv, self.env, self.spec.get("workdir"), self.lock)
+        process = proc.read_process(self.pid)
+        self.ticks, self.started = process.ticks if process is not None else -1, time.monotonic()
+        ready = self.spec.get("ready")
+        self.next_check, self.check_every = (self.started, _READY_FIRST_S) if ready else (None, 0.0)
+        self._record_status(
+            state=protocol.STARTING if ready else protocol.RUNNING,
+            pid=self.pid,
+            ticks=self.ticks,
+            exit_code=None,
+            detail="",
+        )
+
+    def _run_once(self) -> None:
+        """Wait for the next event and handle it."""
+        poll = select.poll()
+        poll.register(self.wake, select.POLLIN)
+        if self.pipe >= 0:
+            poll.register(self.pipe, select.POLLIN)
+        for fd, _ in poll.poll(self._compute_poll_ms()):
+            if fd == self.pipe:
+                self._copy_output()
+            else:
+                _drain_fd(fd)
+        self._run_ready_check()
+        ended = self._reap_children()
+        if ended is not None:
+            self._handle_end(ended)
+        due = self.next_start is not None and time.monotonic() >= self.next_start
+        if self.fence_s and (due or time.monotonic() >= self.next_look):
+            self._check_heartbeat()  # before a restart: during a suspension another host may have taken over the task
+        if self.next_start is not None and self.stopping:
+            self.next_start = None
+            self._record_status(state=protocol.STOPPED, pid=0, detail="")
+        elif self.next_start is not None and due:
+            self._restart()
+        self._limit_metrics()
+
+    def _compute_poll_ms(self) -> float:
+        now = time.monotonic()
+        times = [self.next_metrics - now]
+        if self.fence_s:
+            times.append(self.next_look - now)
+        if self.next_start is not None:
+            times.append(self.next_start - now)
+        if self.check is not None:
+            times.append(min(0.5, self.check.deadline - now))
+        elif self.next_check is not None:
+            times.append(self.next_check - now)
+        return max(0.0, min(times)) * 1000.0 + 1.0
+
+    def _limit_metrics(self) -> None:
+        if time.monotonic() >= self.next_metrics:
+            self.next_metrics = time.monotonic() + metrics.limit_metrics_file(self.folder)
+
+    def _copy_output(self) -> None:
+        data = os.read(self.pipe, _BLOCK_BYTES)
+        if data:
+            return self.log.write(data)
+        os.close(self.pipe)
+        self.pipe = -1
+        return None
+
+    def _run_ready_check(self) -> None:
+        """Poll the ready check until it succeeds once."""
+        if self.check is not None:
+            result = self.check.poll()
+            if result is None:
+                return
+            self.check = None
+            if result["exit"] == 0 and self.pid:
+                self.next_check = None
+                self._record_status(state=protocol.READY, detail="")
+        elif self.next_check is not None and self.pid and time.monotonic() >= self.next_check:
+            ready = self.spec["ready"]
+            limit = min(_READY_TRY_S, float(ready.get("timeout_s") or _READY_TRY_S))
+            self.next_check = time.monotonic() + self.check_every
+            self.check_every = min(_READY_MAX_S, self.check_every * 1.5)
+            prelude, folder = (
+                self.spec.get("prelude") or "",
+                shell.resolve_workdir(self.spec.get("workdir"), self.env),
+            )
+            self.check = shell.ShellCommand(ready["command"], prelude, self.env, limit, folder)
+
+    def _reap_children(self) -> "int | None":
+        """Reap every child that ended; the wait status of the main process where it is among them."""
+        ended = None
+        while True:
+            try:
+                seen = os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)
+            except ChildProcessError:
+                return ended
+            if seen is None or (self.check is not None and seen.si_pid == self.check.process.pid):
+                return ended
+            pid, code = os.waitpid(seen.si_pid, 0)
+            if pid == self.pid:
+                self.code = ended = code
+
+    def _handle_end(self, code: int) -> None:
+        """Handle the end of the main process: clear its leftovers, then restart it or record the end."""
+        ran_s, self.pid = time.monotonic() - self.started, 0
+        self._cancel_check()
+        left = self._end_tree(_LEFTOVERS)
+        outcome = spawn.describe_exit(code)
+        self.status["last_exit"] = outcome["exit_code"]
+        if self.stopping:
+            return self._record_status(state=protocol.STOPPED, pid=0, left=left, **outcome)
+        if left:
+            return self._record_status(
+                state=protocol.FAILED,
+                pid=0,
+                left=left,
+                exit_code=outcome["exit_code"],
+                detail="processes cannot be stopped: %s" % left,
+            )
+        clean = code == 0
+        if clean and self.spec.get("kind") == "job":
+            return self._record_status(state=protocol.COMPLETED, pid=0, **outcome)
+        policy = self.spec.get("restart", "on-failure")
+        if policy == "never" or (policy == "on-failure" and clean):
+            return self._record_status(state=protocol.FAILED, pid=0, given_up=policy == "never", **outcome)
+        return self._schedule_restart(ran_s, outcome)
+
+    def _cancel_check(self) -> None:
+        self.next_check = None
+        if self.check is not None:
+            self.check.end()
+            self.check = None
+
+    def _schedule_restart(self, ran_s: float, outcome: Document) -> None:
+        now = time.monotonic()
+        self.history = backoff.select_history(self.history, ran_s)
+        pause = backoff.compute_delay(self.history, now, _draw_jitter())
+        if pause is None:
+            detail = "%s; %d restarts in 10 minutes" % (outcome["detail"], backoff.MAX_RESTARTS)
+            return self._record_status(
+                state=protocol.CRASHLOOP, pid=0, given_up=True, exit_code=outcome["exit_code"], detail=detail
+            )
+        self.next_start = now + pause
+        detail = "%s; restarting in %.1f s" % (outcome["detail"], pause)
+        return self._record_status(
+            state=protocol.STARTING, pid=0, exit_code=outcome["exit_code"], detail=detail
+        )
+
+    def _restart(self) -> None:
+        self.history.append(time.monotonic())
+        self.status["restarts"] += 1
+        metrics.reset_metrics_file(self.folder)
+        try:
+            self._start_command()
+        except OSError as error:
+            self.next_start = None
+            self._record_status(state=protocol.FAILED, pid=0, detail=str(error))
+
+    def _check_heartbeat(self) -> None:
+        """Stop for good after ``self_fence_s`` without a heartbeat: a manager may have started the task elsewhere."""
+        left_s = self.fence_s - (
+            proc.read_uptime_s() - max(self.begun, heartbeat.read_last_heartbeat(self.identity["host"]))
+        )
+        self.next_look = time.monotonic() + min(_HEARTBEAT_CHECK_S, left_s)
+        if left_s > 0 or not (self.pid or self.next_start is not None):
+            return
+        self._cancel_check()
+        left = self._end_tree(signals.list_stop_steps(self.spec.get("stop") or {}), forced=True)
+        outcome = spawn.describe_exit(self.code) if self.pid else {"exit_code": self.status["exit_code"]}
+        self.pid, self.next_start = 0, None
+        detail = "fenced: no manager call for %g s" % self.fence_s + (
+            ", but processes cannot be stopped: %s" % left if left else ""
+        )
+        state = protocol.STOPPED if self.stopping else protocol.FAILED
+        self._record_status(
+            state=state,
+            pid=0,
+            left=left,
+            exit_code=outcome["exit_code"],
+            last_exit=outcome["exit_code"],
+            detail=detail,
+        )
+
+    def _end_tree(self, steps: "Sequence[tuple[str, str, float]]", *, forced: bool = False) -> "list[int]":
+        """Signal all below this process, step by step and finally with KILL, until nothing is left; returns the remaining pids.
+
+        During a stop the agent that requested it sends the signals, unless ``forced``; here they are only awaited.
+        """
+        pending, since = [*steps, _KILL], time.monotonic()
+        sent: "set[tuple[int, int, int]]" = set()
+        while True:
+            self._reap_children()
+            table = proc.read_process_table()
+            left = proc.find_descendants({os.getpid()}, table) - {os.getpid()}
+            if not left:
+                break
+            if forced or not self.stopping:
+                if time.monotonic() - since > pending[0][2]:
+                    since = time.monotonic()
+                    del pending[0]
+                if not pending:
+                    break
+                sent |= self._signal_step(pending[0], left, table, sent)
+            self._limit_metrics()
+            self._copy_output_for(0.05)
+        self._copy_output_for(0.0)
+        if self.pipe >= 0:
+            os.close(self.pipe)
+            self.pipe = -1
+        return sorted(left)
+
+    def _signal_step(
+        self,
+        step: "tuple[str, str, float]",
+        left: "set[int]",
+        table: "dict[int, proc.Process]",
+        sent: "set[tuple[int, int, int]]",
+    ) -> "set[tuple[int, int, int]]":
+        """Send one step to the remaining processes; the main process gets its signal once, newcomers of the tree get it too."""
+        if step[1] == "main":
+            left = set() if sent else {signals.find_main_process(self.pid, table)} & left
+        return signals.send_signals(
+            [(pid, table[pid].ticks) for pid in sorted(left)], signals.parse_signal(step[0]), sent
+        )
+
+    def _copy_output_for(self, seconds: float) -> None:
+        """Write the log for ``seconds``."""
+        deadline = time.monotonic() + seconds
+        while self.pipe >= 0 and select.select([self.pipe], [], [], max(0.0, deadline - time.monotonic()))[0]:
+            self._copy_output()
+        time.sleep(max(0.0, deadline - time.monotonic()))
+
+
+def _draw_jitter() -> float:
+    """Draw uniformly from -1..1, without module random, which takes memory in every supervisor."""
+    return int.from_bytes(os.urandom(4), "little") / 0x7FFFFFFF - 1.0
+
+
+def _drain_fd(fd: int) -> None:
+    try:
+        while os.read(fd, 4096):
+            pass
+    except BlockingIOError:
+        pass
