@@ -1,1 +1,3 @@
-"""YAML and JSON text to model; every error has file, line, column, the line, a caret and a hint."""
+"""Reading of YAML and JSON files into the model; every error has file, line, column, the line, a caret and a
+hint.
+"""

@@ -113,7 +113,7 @@ def _raise_text_problems(source: Source, error: Exception, problems: Problems) -
         )
     for first, second in places.duplicates:
         line = mark_from_span(source, *first).line
-        message = f"{source.text[slice(*second)]} stands twice in this object, first on line {line}"
+        message = f"duplicate key {source.text[slice(*second)]} (first defined on line {line})"
         problems.add(
             mark_from_span(source, *second), ProblemCode.DUPLICATE_KEY, message, "remove one of the two"
         )

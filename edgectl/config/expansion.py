@@ -1,4 +1,6 @@
-"""Templates to tasks: one per robot where ``for_each`` says so, with placeholders filled in and needs resolved."""
+"""Expansion of templates into tasks: one per robot with ``for_each``, placeholders filled in and needs
+resolved.
+"""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -22,7 +24,7 @@ _KEYS_READ_ELSEWHERE = ("for_each", "robot", "robots", "needs", "hosts", "on_unr
 def expand_templates(
     templates: Mapping[str, TaskTemplate], inventory: Inventory, problems: Problems
 ) -> dict[str, Task]:
-    """All tasks in natural order of their names, with everything wrong noted."""
+    """All tasks in natural order of their names; problems are collected."""
     fleet = index_fleet(inventory)
     drafts: dict[str, TaskDraft] = {}
     for template in templates.values():
@@ -50,14 +52,17 @@ def expand_templates(
 def _add_draft(draft: TaskDraft, drafts: dict[str, TaskDraft], problems: Problems) -> None:
     mark = draft.template.named_at
     if draft.name in drafts:
-        message = f"{draft.template.name} makes a task {draft.name}, and {drafts[draft.name].template.name} does too"
+        message = (
+            f"{draft.template.name} makes a task {draft.name}, and {drafts[draft.name].template.name} does "
+            "too"
+        )
         problems.add(mark, ProblemCode.TAKEN, message, "rename one of the two")
     elif len(draft.name) > MAX_NAME_LENGTH:
         problems.add(
             mark,
             ProblemCode.NAME,
-            f"the task's name {draft.name} is longer than {MAX_NAME_LENGTH} characters",
-            "shorten the task's or the robot's name",
+            f"the task name {draft.name} is longer than {MAX_NAME_LENGTH} characters",
+            "shorten the name of the task or of the robot",
         )
     else:
         drafts[draft.name] = draft
@@ -73,7 +78,7 @@ def _expand_template(
             problems.add(
                 node.mark,
                 ProblemCode.UNKNOWN_NAME,
-                "for_each: robot, and the inventory has no robots",
+                "for_each: robot, but the inventory has no robots",
                 "add robots: to the inventory",
             )
         for robot in _resolve_robots(fields.values.get("for_each", ()), every, problems):
@@ -90,7 +95,7 @@ def _expand_template(
 def _resolve_robots(
     wanted: str | tuple[tuple[str, Node], ...], every: tuple[str, ...], problems: Problems
 ) -> tuple[str, ...]:
-    """The robots that are meant, in the order written, those of the inventory only."""
+    """The selected robots in the order written, limited to those of the inventory."""
     if isinstance(wanted, str):
         return every
     for name, node in wanted:

@@ -1,4 +1,4 @@
-"""Where things stand in JSON text. Only walked when a document is wrong, so that reading a right one costs nothing."""
+"""Positions in JSON text; computed only for invalid documents, so that reading a valid one costs nothing."""
 
 import json
 import re
@@ -8,13 +8,15 @@ from dataclasses import dataclass, field
 from edgectl.formats.document import FieldPath
 
 _TOKEN_PATTERN = re.compile(r'"(?:[^"\\]|\\.)*"|[{}\[\],:]|[^\s{}\[\],:"]+')
-_MAX_INTEGER_DIGITS = 4300  # digits of an integer that Python reads
+_MAX_INTEGER_DIGITS = 4300  # maximum digits of an integer in Python
 _NON_FINITE_WORDS = ("NaN", "Infinity", "-Infinity")
 
 
 @dataclass(slots=True)
 class JsonPositions:
-    """What a walk found: spans of the wanted paths, keys that stand twice (first, second), numbers that are not JSON."""
+    """Result of a walk: spans of the requested paths, duplicate keys (first, second), numbers that are not
+    JSON.
+    """
 
     spans: dict[FieldPath, tuple[int, int]] = field(default_factory=dict)
     duplicates: list[tuple[tuple[int, int], tuple[int, int]]] = field(default_factory=list)
@@ -23,7 +25,7 @@ class JsonPositions:
 
 @dataclass(slots=True)
 class _OpenContainer:
-    """An open object or list: the path's last part, and the keys seen."""
+    """An open object or list: the last part of its path, and the keys seen."""
 
     is_object: bool
     part: str | int = 0
@@ -32,7 +34,7 @@ class _OpenContainer:
 
 
 def find_json_positions(text: str, wanted: Collection[FieldPath]) -> JsonPositions:
-    """Walk ``text`` (valid JSON but for what is looked for) once."""
+    """Walk ``text`` (JSON except for the faults to locate) once."""
     places = JsonPositions()
     levels: list[_OpenContainer] = []
     for token in _TOKEN_PATTERN.finditer(text):

@@ -1,4 +1,4 @@
-"""Inventory and task files to the model: every mistake of all files at once, and warnings apart."""
+"""Loading of inventory and task files into the model: all problems of all files at once, warnings apart."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -20,7 +20,7 @@ StrPath = str | Path
 
 
 def load_inventory(path: StrPath) -> Inventory:
-    """The inventory in a file.
+    """Load the inventory from a file.
 
     Raises:
         InputError: everything that is wrong with it.
@@ -32,7 +32,7 @@ def load_inventory(path: StrPath) -> Inventory:
 
 
 def load_tasks(paths: StrPath | Iterable[StrPath], inventory: Inventory) -> Tasks:
-    """The tasks in files, or in all ``*.yaml`` and ``*.yml`` of directories, for a fleet.
+    """Load the tasks of a fleet from files, or from all ``*.yaml`` and ``*.yml`` of directories.
 
     Raises:
         InputError: everything that is wrong with them.
@@ -46,7 +46,7 @@ def load_tasks(paths: StrPath | Iterable[StrPath], inventory: Inventory) -> Task
 def load_inventory_and_tasks(
     inventory_path: StrPath, tasks_paths: StrPath | Iterable[StrPath]
 ) -> tuple[Inventory, Tasks, tuple[Problem, ...]]:
-    """Both, and the warnings.
+    """Load both, with the warnings.
 
     Raises:
         InputError: everything that is wrong with either.
@@ -69,7 +69,7 @@ def _read_inventory_file(path: Path, problems: Problems) -> Inventory | None:
 
 
 def _read_task_files(paths: list[Path], inventory: Inventory | None, problems: Problems) -> Tasks:
-    """The tasks; where the inventory could not be read at all, only their shape is checked."""
+    """The tasks; if the inventory could not be read, only their shape is checked."""
     templates: dict[str, TaskTemplate] = {}
     files: list[Fields] = []
     for file in dict.fromkeys(file for path in paths for file in _list_task_files(path, problems)):
@@ -96,6 +96,6 @@ def _list_task_files(path: Path, problems: Problems) -> list[Path]:
             nowhere,
             ProblemCode.EMPTY,
             "no .yaml file in this directory",
-            "name a task file, or make one: edgectl init DIR",
+            "name a task file, or create one: edgectl init DIR",
         )
     return inside

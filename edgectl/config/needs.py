@@ -1,4 +1,4 @@
-"""``needs`` by name to needs by expanded task, and the cycles among them."""
+"""Resolution of ``needs`` between expanded tasks, and detection of cycles."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ _MAX_CYCLES = 20
 
 @dataclass(frozen=True, slots=True)
 class _NeedTargets:
-    """What a need may name: expanded tasks, templates, and the tasks that came out of each template."""
+    """Names that a need may use: expanded tasks, templates, and the tasks of each template."""
 
     drafts: Mapping[str, TaskDraft]
     expansions: Mapping[str, list[str]]
@@ -25,9 +25,10 @@ class _NeedTargets:
 def resolve_needs(
     drafts: Mapping[str, TaskDraft], templates: Mapping[str, TaskTemplate], problems: Problems
 ) -> dict[str, tuple[Need, ...]]:
-    """The needs of every task, with unknown names and cycles noted.
+    """The needs of every task; unknown names and cycles are collected as problems.
 
-    Where both sides are made per robot, the same robot's task is needed; a task that is not needs all of them.
+    Between two tasks made per robot, the same robot's task is needed; a task that is not made per robot needs
+    all of them.
     """
     expansions: dict[str, list[str]] = {name: [] for name in templates}
     for name, draft in drafts.items():
@@ -91,7 +92,7 @@ def _report_cycles(
 
 
 def _find_cycle(graph: Mapping[str, list[str]]) -> list[str]:
-    """One cycle, each needing the next, beginning and ending with its first name; empty where there is none."""
+    """One cycle, each needing the next, with its first name at both ends; empty if there is none."""
     try:
         TopologicalSorter(graph).prepare()
     except CycleError as error:

@@ -1,4 +1,4 @@
-"""A value of a YAML file together with its place."""
+"""Value of a YAML file with its position."""
 
 from dataclasses import dataclass, field
 from typing import TypeAlias
@@ -10,9 +10,10 @@ Scalar: TypeAlias = str | int | float | bool | None
 
 @dataclass(slots=True, eq=False)
 class Node:
-    """One value. ``text`` is a scalar as written; ``keys`` are the places of a mapping's keys; ``size`` counts the values in it.
+    """One value. ``text``: a scalar as written; ``keys``: positions of a mapping's keys; ``size``: number of
+    values in it.
 
-    Not frozen: there may be 100,000 of them, and a frozen one takes three times as long to make.
+    Not frozen: there may be 100,000 of them, and creating a frozen one takes three times as long.
     """
 
     value: "Scalar | dict[str, Node] | list[Node]"
@@ -22,16 +23,16 @@ class Node:
     size: int = 1
 
     def key_mark(self, key: str) -> Mark:
-        """Where ``key`` stands, or the mapping itself where it does not."""
+        """Position of ``key``, or of the mapping itself if it is missing."""
         return self.keys.get(key, self.mark)
 
     def inner(self, key: str) -> "Node":
-        """The value under ``key`` of a mapping, or the node itself where there is none; for its place."""
+        """The value under ``key`` of a mapping, or the node itself if missing; for its position."""
         return self.value.get(key, self) if isinstance(self.value, dict) else self
 
 
 def redact_node(node: Node) -> Node:
-    """The same value at the same places, of which no line is ever shown."""
+    """The same value at the same positions, with all lines hidden."""
     value: Scalar | dict[str, Node] | list[Node] = node.value
     if isinstance(value, dict):
         value = {key: redact_node(inner) for key, inner in value.items()}
@@ -42,7 +43,7 @@ def redact_node(node: Node) -> Node:
 
 
 def value_from_node(node: Node) -> object:
-    """The value without its places."""
+    """The value without positions."""
     if isinstance(node.value, dict):
         return {key: value_from_node(inner) for key, inner in node.value.items()}
     if isinstance(node.value, list):
@@ -51,7 +52,7 @@ def value_from_node(node: Node) -> object:
 
 
 def describe_node_type(node: Node) -> str:
-    """What was written, in words."""
+    """Describe the type of the written value."""
     value = node.value
     if value is None:
         return "empty"

@@ -1,4 +1,6 @@
-"""``{robot}`` and ``{robot_host}``: filled in where they stand alone, so that ``${robot}``, ``${VAR}`` and ``{a,b}`` reach the shell."""
+"""Placeholders ``{robot}`` and ``{robot_host}``: filled in only where they stand alone, so that ``${robot}``,
+``${VAR}`` and ``{a,b}`` reach the shell.
+"""
 
 import re
 from collections.abc import Callable, Mapping
@@ -13,7 +15,7 @@ _PLACEHOLDER = re.compile(r"(?<!\$)\{(robot|robot_host)\}")
 
 
 def has_placeholder(value: object) -> bool:
-    """Whether any text in a field's value would be filled in."""
+    """Whether a field's value contains a placeholder."""
     if isinstance(value, Secret):
         return has_placeholder(value.reveal())
     if isinstance(value, str):
@@ -25,7 +27,7 @@ def has_placeholder(value: object) -> bool:
 
 
 def fill_placeholders(values: Mapping[str, Any], robot: Host) -> dict[str, Any]:
-    """A task's fields with the placeholders of ``robot`` filled in."""
+    """Fill in the placeholders of ``robot`` in a task's fields."""
     names = {"robot": robot.name, "robot_host": robot.host}
     result = dict(values)
     for key in ("command", "env", "workdir", "ready", "done_when", "handoff", "detect"):

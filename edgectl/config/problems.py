@@ -1,4 +1,4 @@
-"""Mistakes in input files: their stable codes, their places, and the list in which they are collected."""
+"""Problems in input files: stable codes, positions, and their collection."""
 
 import re
 from collections.abc import Iterable
@@ -16,7 +16,7 @@ _SECRET_PATTERN = re.compile(r"\b(secret|value)\W*:")
 
 
 class ProblemCode(StrEnum):
-    """Stable codes of problems; from EC101 on they are warnings, from EC201 on about JSON documents."""
+    """Stable codes of problems; from EC101 on warnings, from EC201 on about JSON documents."""
 
     UNREADABLE = "EC001"
     ENCODING = "EC002"
@@ -48,7 +48,7 @@ class ProblemCode(StrEnum):
     DOCUMENT = "EC202"
 
 
-# told once at one place, whatever the words: a template's mistake is not repeated for every robot
+# reported once per position, whatever the words: a template's mistake is not repeated for every robot
 _ONCE_PER_PLACE = (
     ProblemCode.CONTRADICTION,
     ProblemCode.PLACEHOLDER,
@@ -58,26 +58,26 @@ _ONCE_PER_PLACE = (
 )
 
 
-# Their messages and hints quote what stands there.
+# Codes whose messages and hints quote the text at the position.
 _QUOTING_CODES = (ProblemCode.ENCODING, ProblemCode.SYNTAX, ProblemCode.YAML_FEATURE)
-_REDACTED_MESSAGE = "cannot be read; nothing of it is shown, because a secret stands near"
+_REDACTED_MESSAGE = "cannot be read; the text is hidden because a secret is near"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Source:
-    """One file's text: ``file`` as the user named it, ``lines`` without their ends."""
+    """Text of one file: ``file`` as the user named it, ``lines`` without line ends."""
 
     file: str
     text: str
     lines: tuple[str, ...]
 
     def line(self, number: int) -> str:
-        """The line (from 1), or nothing where there is none, it is too long to show, or a secret may stand on it."""
+        """The line (from 1), or an empty string if it is missing, too long to show, or may contain a secret."""
         line = self.lines[number - 1] if 0 < number <= len(self.lines) else ""
         return "" if len(line) > _MAX_LINE_LENGTH or _SECRET_PATTERN.search(line) else line
 
     def is_near_secret(self, number: int) -> bool:
-        """Whether a secret may stand on the line or beside it."""
+        """Whether a secret may be on the line or next to it."""
         return any(
             _SECRET_PATTERN.search(line)
             for line in self.lines[max(0, number - 1 - _SECRET_MARGIN_LINES) : number + _SECRET_MARGIN_LINES]
@@ -86,7 +86,7 @@ class Source:
 
 @dataclass(frozen=True, slots=True)
 class Mark:
-    """A place in a file: line and column count from 1; ``length`` is what a caret marks."""
+    """A position in a file: line and column count from 1; ``length`` is the width of the caret."""
 
     source: Source
     line: int
@@ -94,19 +94,19 @@ class Mark:
     length: int = 1
 
     def redact(self) -> "Mark":
-        """The same place, without the line that stands there."""
+        """The same position with its line hidden."""
         return Mark(Source(file=self.source.file, text="", lines=()), self.line, self.column, self.length)
 
 
 def mark_from_span(source: Source, start: int, end: int) -> Mark:
-    """The place of a span of the text (offsets in characters)."""
+    """The position of a span of the text (offsets in characters)."""
     line_start = source.text.rfind("\n", 0, start) + 1
     return Mark(source, source.text.count("\n", 0, start) + 1, start - line_start + 1, end - start)
 
 
 @dataclass(slots=True)
 class Problems:
-    """Everything found so far, each once."""
+    """The problems found so far, each once."""
 
     found: list[Problem] = field(default_factory=list)
     _seen: set[tuple[str, int, int, str, str]] = field(default_factory=set)
@@ -115,7 +115,7 @@ class Problems:
     def add(
         self, mark: Mark, code: ProblemCode, message: str, hint: str = "", *, warning: bool = False
     ) -> None:
-        """Note a problem at ``mark``."""
+        """Add a problem at ``mark``."""
         key = (
             mark.source.file,
             mark.line,
@@ -147,9 +147,9 @@ class Problems:
         )
 
     def did_you_mean(self, word: str, known: Iterable[str], otherwise: str = "known are") -> str:
-        """A hint for an unknown word: the nearest known one, or the list of them.
+        """Hint for an unknown word: the nearest known one, or the list of them.
 
-        Looking for it takes time, so after the first ``_MOST_SUGGESTIONS`` there is only the list.
+        The search takes time, so after the first ``_MOST_SUGGESTIONS`` only the list is given.
         """
         words = list(known)
         self._suggested += 1
@@ -160,19 +160,19 @@ class Problems:
 
     @property
     def errors(self) -> tuple[Problem, ...]:
-        """What makes the files unusable, by file, line and column."""
+        """Problems that make the files unusable, by file, line and column."""
         return tuple(sorted((p for p in self.found if not p.warning), key=_build_sort_key))
 
     @property
     def warnings(self) -> tuple[Problem, ...]:
-        """What is legal but suspicious."""
+        """Warnings: legal but suspicious."""
         return tuple(sorted((p for p in self.found if p.warning), key=_build_sort_key))
 
     def check(self) -> None:
         """End of reading.
 
         Raises:
-            InputError: anything was wrong; carries the warnings too, after the errors.
+            InputError: there are errors; it carries the warnings, too, after the errors.
         """
         if self.errors:
             raise InputError((*self.errors, *self.warnings))
@@ -183,6 +183,6 @@ def _build_sort_key(problem: Problem) -> tuple[str, int, int, str]:
 
 
 def to_one_line(text: str) -> str:
-    """``text`` on one line of bounded length, with nothing in it that a terminal would obey."""
+    """``text`` on one line of bounded length, with control characters removed."""
     cut = text if len(text) <= _MAX_MESSAGE_LENGTH else text[: _MAX_MESSAGE_LENGTH - 2] + ".."
     return "".join(char if char.isprintable() else repr(char)[1:-1] for char in cut)

@@ -1,4 +1,4 @@
-"""Bytes on disk to text: present, readable, bounded, UTF-8."""
+"""Reading of files as text: present, readable, bounded, UTF-8."""
 
 from pathlib import Path
 from stat import S_ISREG
@@ -12,7 +12,9 @@ MAX_INPUT_BYTES = 2**20
 def read_source(
     path: Path, problems: Problems, *, max_bytes: int = MAX_INPUT_BYTES, maker: str = "edgectl init DIR"
 ) -> Source | None:
-    """The file's text, or None with the cause noted. ``maker`` is the command that writes such a file, if there is one."""
+    """The file's text, or None with the cause collected. ``maker``: the command that creates such a file, if
+    any.
+    """
     nowhere = Mark(Source(file=str(path), text="", lines=()), 0, 0)
     try:
         if not S_ISREG(path.stat().st_mode) and not path.is_dir():
@@ -20,7 +22,7 @@ def read_source(
                 nowhere,
                 ProblemCode.UNREADABLE,
                 "is not a regular file",
-                "name a file; what a pipe or a device gives, save in one first",
+                "name a regular file; save the output of a pipe or device in one first",
             )
             return None
         with path.open("rb") as stream:
@@ -41,9 +43,9 @@ def _explain_read_error(path: Path, error: Exception, maker: str) -> tuple[str, 
         hint = (
             f"did you mean {path.parent / match}?"
             if match
-            else "name an existing file" + f", or make one: {maker}" * bool(maker)
+            else "name an existing file" + f", or create one: {maker}" * bool(maker)
         )
-        return "there is no such file", hint
+        return "no such file", hint
     if isinstance(error, IsADirectoryError):
         inside = sorted(name for name in _list_names(path) if name.endswith((".yaml", ".yml", ".json")))
         return (
@@ -51,7 +53,7 @@ def _explain_read_error(path: Path, error: Exception, maker: str) -> tuple[str, 
             f"name a file in it: {path / inside[0]}" if inside else "name a file",
         )
     if isinstance(error, PermissionError):
-        return "may not be read", f"give yourself the right to read it: chmod u+r {path}"
+        return "permission denied", f"allow reading it: chmod u+r {path}"
     reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
     return f"cannot be read: {reason}", ""
 
@@ -64,7 +66,7 @@ def _list_names(directory: Path) -> list[str]:
 
 
 def decode_source(file: str, data: bytes, problems: Problems) -> Source | None:
-    """The text of a file's bytes, or None with the first byte noted that is not UTF-8."""
+    """The text of a file's bytes, or None with the first byte that is not UTF-8 reported."""
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:

@@ -1,4 +1,4 @@
-"""Where the values of a YAML text stand, to the character: what an edit in place needs, and reading does not."""
+"""Edits of YAML text in place: exact positions of values, and replacement of the demands of an entry."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -11,15 +11,16 @@ from edgectl.config.task_file import MEASURED_WORD
 from edgectl.config.yaml_parser import LOADER
 from edgectl.errors import InputError
 
-YamlEvent: TypeAlias = Any  # the stubs of the parser's events do not know which attributes are there
+YamlEvent: TypeAlias = Any  # the stubs do not declare the attributes of the parser's events
 
 
 @dataclass(slots=True, eq=False)
 class YamlSpan:
-    """One value: ``start`` and ``end`` are offsets into the text; those of a block mapping or list end where the next value begins.
+    """One value: ``start`` and ``end`` are offsets into the text; block mappings and lists end where the next
+    value begins.
 
-    ``block``: it is held together by indentation, at ``column``. ``shared``: it has an anchor or is an alias, so that it also stands
-    elsewhere. ``entries``: of a mapping; ``items``: of a list.
+    ``block``: delimited by indentation, at ``column``. ``shared``: it has an anchor or is an alias, so it
+    also applies elsewhere.
     """
 
     start: int
@@ -32,7 +33,7 @@ class YamlSpan:
 
 
 def parse_spans(text: str) -> YamlSpan:
-    """The one value of a document that has been read without a mistake."""
+    """The value of a document that was read without problems."""
     events = yaml.parse(text, Loader=LOADER)
     next(events)
     next(events)
@@ -60,7 +61,9 @@ def _fill_span(span: YamlSpan, events: Iterator[YamlEvent], *, mapping: bool) ->
 
 
 def find_content_end(span: YamlSpan, text: str) -> int | None:
-    """Where the last character of a value stands that is no comment and no blank; None: of a block scalar, which ends by indentation."""
+    """End of a value without trailing comments and blanks; None for a block scalar, which ends by
+    indentation.
+    """
     inner = list(span.entries.values()) or span.items
     if span.block and inner:
         return find_content_end(inner[-1], text)
@@ -68,7 +71,7 @@ def find_content_end(span: YamlSpan, text: str) -> int | None:
 
 
 class TextEdit(NamedTuple):
-    """``text`` in place of the characters from ``start`` to ``end``."""
+    """``text`` replaces the characters from ``start`` to ``end``."""
 
     start: int
     end: int
@@ -78,10 +81,11 @@ class TextEdit(NamedTuple):
 def edit_demand(source: Source, task: str, amounts: Mapping[str, str]) -> str | None:
     """The text with the demands of an entry set to ``amounts``; None: the file has no such entry.
 
-    ``source`` has been read without a mistake. What counts as measured goes on doing so: its amount is what counts until then.
+    ``source`` was read without problems. Measured demands stay measured: their amount applies until enough is
+    measured.
 
     Raises:
-        InputError: it stands where a change would reach further than meant, or where none can be made safely.
+        InputError: a change would apply elsewhere too, or cannot be made safely.
     """
     root = parse_spans(source.text)
     tasks = root.entries.get("tasks")
@@ -128,17 +132,17 @@ class _DemandEditor:
             return self.changed(span.entries["until_measured"], amount)
         old = self.text[span.start : span.end]
         if "\n" in old or not old:
-            self.refuse(span, "is written over several lines")
+            self.refuse(span, "spans several lines")
         if old.strip("'\"") == MEASURED_WORD:
             return TextEdit(span.start, span.end, _format_flow_mapping({"until_measured": amount}))
         quote = old[0] if old[0] in "'\"" else ""
         return TextEdit(span.start, span.end, f"{quote}{amount}{quote}")
 
     def added(self, mapping: YamlSpan, entries: Mapping[str, str]) -> TextEdit:
-        """New keys behind the last one whose end can be told."""
+        """New keys after the last one with a known end."""
         if not mapping.entries:
             if self.text[mapping.start : mapping.end].strip("{} \t") != "":
-                self.refuse(mapping, "is empty but for comments")
+                self.refuse(mapping, "is empty except for comments")
             return TextEdit(mapping.start, mapping.end, _format_flow_mapping(entries))
         if not mapping.block:
             last = list(mapping.entries.values())[-1].end
@@ -147,7 +151,7 @@ class _DemandEditor:
             end for span in mapping.entries.values() if (end := find_content_end(span, self.text)) is not None
         ]
         if not ends:
-            self.refuse(mapping, "ends where only its indentation tells")
+            self.refuse(mapping, "ends only by its indentation")
         at, newline = _find_line_end(self.text, ends[-1])
         return TextEdit(
             at,
@@ -156,9 +160,9 @@ class _DemandEditor:
         )
 
     def own(self, span: YamlSpan) -> None:
-        """Refuse what also stands elsewhere."""
+        """Reject values that also apply elsewhere."""
         if span.shared:
-            self.refuse(span, "has an anchor or is an alias, so a change would reach further")
+            self.refuse(span, "has an anchor or is an alias, so a change would apply elsewhere, too")
 
     def refuse(self, span: YamlSpan, why: str) -> NoReturn:
         problems = Problems()
@@ -170,7 +174,7 @@ class _DemandEditor:
             mark,
             ProblemCode.YAML_FEATURE,
             f"this {why}: it is not edited",
-            f"write it by hand: demand: {_format_flow_mapping(self.amounts)}",
+            f"edit it by hand: demand: {_format_flow_mapping(self.amounts)}",
         )
         raise InputError(problems.errors)
 
@@ -180,7 +184,7 @@ def _format_flow_mapping(entries: Mapping[str, str]) -> str:
 
 
 def _find_line_end(text: str, offset: int) -> tuple[int, str]:
-    """Where the line of ``offset`` ends, and how lines end there."""
+    """End of the line at ``offset``, and its line ending."""
     end = text.find("\n", offset)
     if end < 0:
         return len(text), "\r\n" if "\r\n" in text else "\n"

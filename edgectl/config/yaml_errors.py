@@ -1,4 +1,4 @@
-"""What a YAML parser's complaint means, and what mends it."""
+"""Explanation of YAML parser errors, with hints."""
 
 import re
 
@@ -7,15 +7,15 @@ import yaml
 from edgectl.config.problems import Mark, Source
 
 _KEY_VALUE_PATTERN = re.compile(r"^\s*(?:- )?([\w.-]+): +(.*?)\s*$")
-# words of the parser -> (what is wrong, what mends it)
+# words of the parser -> (message, hint)
 _EXPLANATIONS = (
-    ("expected ',' or '}'", "a { is not closed, or its content needs a comma", "close it with }, or put text with { } , in quotes"),
-    ("expected ',' or ']'", "a [ is not closed, or its content needs a comma", "close it with ], or put text with [ ] , in quotes"),
-    ("unexpected end of stream", "a quote is opened and never closed", "close the quote"),
-    ("unexpected document indicator", "a quote is opened and never closed", "close the quote"),
-    ("unknown escape character", "a backslash in double quotes begins an escape that YAML does not know", "use single quotes instead"),
-    ("expected key", "this line does not fit the indentation around it", "indent it exactly like the keys beside it"),
-    ("expected '-' indicator", "this line does not fit the list above it", "indent it like the list's other entries, with a - in front"),
+    ("expected ',' or '}'", "{ is not closed, or its content needs a comma", "close it with }, or put text with { } , in quotes"),
+    ("expected ',' or ']'", "[ is not closed, or its content needs a comma", "close it with ], or put text with [ ] , in quotes"),
+    ("unexpected end of stream", "a quote is not closed", "close the quote"),
+    ("unexpected document indicator", "a quote is not closed", "close the quote"),
+    ("unknown escape character", "unknown escape after a backslash in double quotes", "use single quotes instead"),
+    ("expected key", "this line does not match the indentation around it", "indent it exactly like the keys beside it"),
+    ("expected '-' indicator", "this line does not match the list above it", "indent it like the other entries of the list, with a leading -"),
     ("could not find expected ':'", "a key without a colon", "write key: value, with a space after the colon"),
     ("expected alphabetic or numeric", "* and & begin an alias or an anchor", "put the text in quotes"),
     ("expected URI", "! begins a tag", "put the text in quotes"),
@@ -25,7 +25,7 @@ _EXPLANATIONS = (
 )  # fmt: skip
 
 
-# what is opened and not closed, or begun and not ended, is shown where it begins
+# unclosed brackets and quotes are reported where they are opened
 _MARKED_AT_START = (
     "expected ',' or",
     "unexpected end of stream",
@@ -35,7 +35,7 @@ _MARKED_AT_START = (
 
 
 def explain_yaml_error(source: Source, error: yaml.YAMLError) -> tuple[Mark, str, str]:
-    """Place, message and hint for a file that is not YAML."""
+    """Position, message and hint for a file that is not YAML."""
     said = f"{getattr(error, 'problem', None) or error} {getattr(error, 'context', None) or ''}".strip()
     mark = _find_error_mark(source, error, begin=any(words in said for words in _MARKED_AT_START))
     line = source.line(mark.line)

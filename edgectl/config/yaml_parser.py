@@ -1,6 +1,6 @@
-"""YAML text to nodes with places: YAML 1.2 core scalars, no merge keys, no tags, bounded before anything is built.
+"""YAML parser: text to nodes with positions; YAML 1.2 core scalars, no merge keys, no tags, with bounds.
 
-Works on the parser's events, so that a bomb is refused after ``MAX_VALUES`` values and before it is walked.
+Works on the parser's events, so that a bomb is rejected after ``MAX_VALUES`` values before it is expanded.
 """
 
 import re
@@ -13,7 +13,7 @@ from edgectl.config.node import Node, Scalar
 from edgectl.config.problems import Mark, ProblemCode, Problems, Source, mark_from_span
 from edgectl.config.yaml_errors import explain_yaml_error
 
-YamlEvent: TypeAlias = Any  # the stubs of the parser's events do not know which attributes are there
+YamlEvent: TypeAlias = Any  # the stubs do not declare the attributes of the parser's events
 MAX_VALUES = 100_000
 MAX_DEPTH = 50
 LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
@@ -28,13 +28,15 @@ _NUMERIC_START = frozenset("+-.0123456789")
 
 
 def parse_yaml(source: Source, problems: Problems) -> Node | None:
-    """The one document of a file, or None with the cause noted. Duplicate keys are noted and reading goes on."""
+    """The document of a file, or None with the cause collected. Duplicate keys are collected and reading
+    continues.
+    """
     wrong = _FORBIDDEN_CHARACTER.search(source.text)
     if wrong is not None:
         problems.add(
             mark_from_span(source, *wrong.span()),
             ProblemCode.ENCODING,
-            f"character {ord(wrong[0]):#04x} may not stand in a file",
+            f"character {ord(wrong[0]):#04x} is not allowed in a file",
             "remove it",
         )
         return None
@@ -57,7 +59,9 @@ class _StopError(Exception):
 
 
 class _NodeBuilder:
-    """Nodes out of events. Keeps the anchors and the count of values, those reached through aliases included."""
+    """Builds nodes from events. Tracks anchors and the number of values, including those reached through
+    aliases.
+    """
 
     def __init__(self, source: Source, problems: Problems) -> None:
         self.source = source
@@ -77,7 +81,7 @@ class _NodeBuilder:
         next(self.events)
         after = next(self.events)
         if not isinstance(after, yaml.StreamEndEvent):
-            message = "a second document begins here; a file holds one"
+            message = "a second document begins here; a file has one"
             raise _StopError(
                 self.mark(after), ProblemCode.YAML_FEATURE, message, "remove the --- line, or make two files"
             )
@@ -105,7 +109,7 @@ class _NodeBuilder:
             )
         self.spend(1, mark)
         if event.tag is not None and event.tag != "!":
-            message = f"tags such as {event.tag} are not read"
+            message = f"tags such as {event.tag} are not supported"
             raise _StopError(
                 mark, ProblemCode.YAML_FEATURE, message, "remove it; if it is text, put the value in quotes"
             )
@@ -131,7 +135,7 @@ class _NodeBuilder:
         node = self.anchors.get(event.anchor)
         if node is None:
             message = (
-                f"nothing is anchored as &{event.anchor}"
+                f"unknown anchor &{event.anchor}"
                 if event.anchor not in self.anchors
                 else f"*{event.anchor} contains itself"
             )
@@ -148,7 +152,7 @@ class _NodeBuilder:
                 mark,
                 ProblemCode.BUDGET,
                 f"more than {MAX_VALUES:,} values, counted through aliases",
-                "split the file, or write less",
+                "split the file",
             )
 
     def sequence(self, mark: Mark, depth: int) -> Node:
@@ -188,21 +192,21 @@ class _NodeBuilder:
             raise _StopError(
                 self.mark(event),
                 ProblemCode.YAML_FEATURE,
-                f"tags such as {event.tag} are not read",
+                f"tags such as {event.tag} are not supported",
                 "remove it",
             )
         if event.value == "<<" and not event.style:
-            message = "merge keys (<<) are not read"
+            message = "merge keys (<<) are not supported"
             raise _StopError(
                 self.mark(event),
                 ProblemCode.YAML_FEATURE,
                 message,
-                "write the keys out; an inventory has defaults: for what hosts share",
+                "write the keys out; an inventory has defaults: for shared settings",
             )
         return str(event.value)
 
     def duplicate(self, key: str, mark: Mark, first: Mark) -> None:
-        message = f"{key} stands twice in this mapping, first on line {first.line}"
+        message = f'duplicate key "{key}" (first defined on line {first.line})'
         self.problems.add(
             mark,
             ProblemCode.DUPLICATE_KEY,
@@ -212,7 +216,9 @@ class _NodeBuilder:
 
 
 def resolve_scalar(text: str) -> Scalar:
-    """A plain scalar by the YAML 1.2 core schema, except that digits with a leading zero stay text (017 is an id, not a number)."""
+    """A plain scalar by the YAML 1.2 core schema, except that digits with a leading zero stay text (017 is an
+    id).
+    """
     if text in _KEYWORDS:
         return _KEYWORDS[text]
     if text[0] not in _NUMERIC_START:

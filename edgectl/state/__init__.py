@@ -1,1 +1,1 @@
-"""The manager's own files: lock, journal, memory; XDG paths."""
+"""State of the manager on disk: lock, journal, manager state, history; XDG paths."""

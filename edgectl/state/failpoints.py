@@ -1,6 +1,7 @@
-"""Named moments of an apply (RELIABILITY section 6). Each call does nothing; a test harness may install a hook.
+"""Named points of an apply where tests may inject a failure.
 
-No environment variable and no option can arm a hook: only code in the same process.
+A call does nothing unless a hook is installed, which only code of the same process can do: no environment
+variable or option arms one.
 """
 
 from collections.abc import Callable
@@ -9,7 +10,7 @@ _hooks: list[Callable[[str], None]] = []
 
 
 def hit_failpoint(point: str) -> None:
-    """Say that the run has come to ``point``."""
+    """Mark that the run has reached ``point``."""
     for hook in _hooks:
         hook(point)
 

@@ -1,6 +1,7 @@
-"""What this manager did to the fleet: append-only lines, each with a checksum chained to the line before, synced before it counts.
+"""Append-only journal of changes to a fleet: lines chained by checksums, synced before the change they
+announce.
 
-The journal is also the one source of the revision number and of the plans that were applied already.
+The journal is also the only source of the revision number and of the plans already applied.
 """
 
 import hashlib
@@ -21,13 +22,13 @@ from edgectl.state.paths import open_private_file
 from edgectl.units import format_instant
 
 JOURNAL_FILE_NAME = "journal.jsonl"
-# Every apply reads it.
+# Rotate a longer file: every apply reads it.
 _ROTATE_BYTES = 1 << 20
 
 
 @dataclass(slots=True)
 class Journal:
-    """The open journal of one fleet; safe to append to from several threads. Open it while holding the fleet's lock."""
+    """The open journal of one fleet; appending is thread-safe. Open it while holding the fleet's lock."""
 
     path: Path
     log: JournalSummary
@@ -40,12 +41,14 @@ class Journal:
     def open(
         cls, fleet_dir: Path, *, clock: Callable[[], float] = time.time, warn: Warn = ignore_warning
     ) -> Self:
-        """Open for appending. A torn last line is cut off and recorded; a damaged file is set aside and a new one begun.
+        """Open for appending. A torn last line is cut off and recorded; a damaged file is set aside and a new
+        one started.
 
-        A long file is put away as ``journal-REVISION.jsonl``; the new one begins with the hash of its last line.
+        A long file is renamed to ``journal-REVISION.jsonl``; the new one starts with the hash of its last
+        line.
 
         Raises:
-            StateError: a newer edgectl wrote it, or the disk does not take it.
+            StateError: a newer edgectl wrote it, or the disk cannot be written.
         """
         path = fleet_dir / JOURNAL_FILE_NAME
         log = read_journal(path)
@@ -65,9 +68,7 @@ class Journal:
         )
         if log.torn:
             os.ftruncate(journal._descriptor, log.size)
-            warn(
-                f"{path}: an unfinished last line ({log.torn} bytes) was cut off; the action it announced never began"
-            )
+            warn(f"{path}: an unfinished last line ({log.torn} bytes) was cut off; its action never began")
             journal.append("torn", bytes=log.torn)
         if log is not salvaged:
             applied = salvaged.applied if salvaged.broken else salvaged.begun
@@ -77,10 +78,10 @@ class Journal:
         return journal
 
     def append(self, event: str, **fields: object) -> None:
-        """Write one entry and wait until the disk has it.
+        """Write one entry and wait until it is on disk.
 
         Raises:
-            StateError: the disk does not take it; the caller must not go on to the side effect.
+            StateError: the disk cannot be written; the caller must not start the action.
         """
         with self._guard:
             body = {"v": JOURNAL_FORMAT, "at": format_instant(self.clock()), "event": event, **fields}
@@ -92,7 +93,7 @@ class Journal:
             except OSError as error:
                 raise StateError(
                     f"cannot write {self.path}: {error.strerror}",
-                    hint="free some space; nothing was done without a record",
+                    hint="free some space; no action was started without a record",
                 ) from error
             self._last = digest
         hit_failpoint(f"{event} fsynced")

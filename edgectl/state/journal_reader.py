@@ -1,4 +1,4 @@
-"""A journal as it stands: what of it is sound, and what its entries add up to. Read line by line, so that a long one costs no memory."""
+"""Verification and summary of a journal, line by line, so that a long one needs little memory."""
 
 import hashlib
 import json
@@ -16,13 +16,15 @@ JournalEntry = Mapping[str, object]
 
 @dataclass(slots=True, kw_only=True)
 class JournalSummary:
-    """What a journal says, without its entries, the hash of the last one, and where it stops being sound.
+    """Summary of a journal: its state without the entries, the hash of the last one, and the end of its valid
+    part.
 
-    ``revision``: number of the newest apply, 0 where there was none. ``begun``: ids of the plans that this file saw applied; ``before``:
-    those of the files that it continues. ``generations``: the highest generation that a start of each task may have had: that of its
-    intent, and one more for a restored instance. ``located``: host and generation of each task that was, or may have been, started since
-    the memory was last saved. ``size``: bytes of sound lines. ``torn``: bytes of an unfinished last line. ``broken``: number of the first
-    damaged line, 0 if none.
+    ``revision``: number of the newest apply, 0 if none. ``begun``: ids of the plans that this file records as
+    applied; ``before``: those of the earlier files. ``generations``: the highest generation that a start of
+    each task may have used: that of its intent, and one more for a restored instance. ``located``: host and
+    generation of each task that was or may have been started since the manager's state was last saved.
+    ``size``: bytes of valid lines. ``torn``: bytes of an unfinished last line. ``broken``: number of the
+    first damaged line, 0 if none.
     """
 
     revision: int = 0
@@ -40,22 +42,22 @@ class JournalSummary:
 
     @property
     def applied(self) -> set[str]:
-        """Ids of the plans that this file and the ones before saw applied."""
+        """Ids of all plans recorded as applied, earlier files included."""
         return self.begun | self.before
 
     @property
     def unfinished(self) -> tuple[str, ...]:
-        """Tasks whose action had begun when the newest apply was cut off; empty where it ended properly."""
+        """Tasks with an action in progress when the newest apply was interrupted; empty if it ended properly."""
         return tuple(self._unfinished)
 
     @property
     def held(self) -> tuple[str, ...]:
-        """Tasks whose robot was told to hold for a handoff, and of which no release is known."""
+        """Tasks whose robot was put on hold for a handoff without a recorded release."""
         return tuple(self._held)
 
     @property
     def sound(self) -> bool:
-        """Nothing is torn or damaged, nothing cut off, nobody held."""
+        """Whether nothing is torn, damaged or interrupted, and no robot is on hold."""
         return not (self._unfinished or self._held or self.torn or self.broken)
 
     def take(self, entry: JournalEntry) -> None:
@@ -101,7 +103,7 @@ class JournalSummary:
 
 
 def read_journal(path: Path, take: Callable[[JournalEntry], None] | None = None) -> JournalSummary:
-    """Read and verify a journal, and give ``take`` each entry; a missing file is an empty one.
+    """Read and verify a journal and pass each entry to ``take``; a missing file is an empty journal.
 
     Raises:
         StateError: it cannot be read, or a newer edgectl wrote it.
@@ -112,7 +114,7 @@ def read_journal(path: Path, take: Callable[[JournalEntry], None] | None = None)
             for number, line in enumerate(file, 1):
                 if not line.endswith(b"\n"):
                     log.torn = len(line)
-                    break  # whoever writes it may go on; what comes is no line of its own
+                    break  # a writer may be appending; what follows is not a line yet
                 _read_line(path, log, number, line[:-1], take)
     except FileNotFoundError:
         return log
@@ -141,10 +143,11 @@ def _read_line(
 
 
 def read_journal_cached(path: Path) -> JournalSummary:
-    """`read`, anew only where the file changed: a watch asks in every cycle. Not to be changed.
+    """`read_journal` with a cache, renewed when the file changes: a watch asks in every cycle. Do not modify
+    the result.
 
     Raises:
-        StateError: as `read`.
+        StateError: as `read_journal`.
     """
     try:
         found = path.stat()
@@ -161,7 +164,7 @@ def _read_journal_version(path: Path, _stamp: tuple[int, int, int]) -> JournalSu
 
 
 def _decode_line(line: bytes) -> tuple[str, JournalEntry]:
-    """The digest and the entry of one line; an empty entry where it cannot be read."""
+    """Digest and entry of one line; the entry is empty if it cannot be parsed."""
     try:
         text = line.decode("ascii")
         entry = json.loads(text[65:])

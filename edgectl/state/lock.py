@@ -1,4 +1,4 @@
-"""One edgectl at a time changes a fleet: an advisory lock of the kernel, which dies with its process and never needs removal."""
+"""Lock of a fleet: a kernel file lock that ends with its process and never needs removal."""
 
 import fcntl
 import getpass
@@ -21,7 +21,7 @@ _POLL_S = 0.1
 class FleetLock:
     """Context manager around the lock file of one fleet. The file stays; only the kernel's lock counts.
 
-    ``timeout`` (s, 0 = do not wait). The holder writes who it is, so that another can be told.
+    ``timeout`` (s, 0: do not wait). The holder records its identity for the message of others.
     """
 
     def __init__(
@@ -42,7 +42,7 @@ class FleetLock:
         """Take the lock.
 
         Raises:
-            LockBusyError: another process holds it; the message names it.
+            LockBusyError: another process holds it; the message names the process.
         """
         descriptor = open_private_file(self._path, os.O_RDWR)
         try:
@@ -71,7 +71,7 @@ class FleetLock:
                 if time.monotonic() >= deadline:
                     raise LockBusyError(
                         f"lock held by {_describe_holder(descriptor)}",
-                        hint="wait for it, or give --lock-timeout 60s",
+                        hint="wait for it, or pass --lock-timeout 60s",
                     ) from None
                 time.sleep(_POLL_S)
             else:
@@ -90,14 +90,15 @@ class FleetLock:
 
 
 def is_locked_elsewhere(fleet_dir: Path) -> bool:
-    """Whether another process is changing the fleet right now; a look only, nobody waits for it."""
+    """Whether another process is changing the fleet now; never waits."""
     try:
         descriptor = os.open(fleet_dir / "lock", os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW)
     except OSError:
         return False
     try:
         signed = os.pread(descriptor, 4096, 0)
-        # One that nobody signed is free. One that was signed may be of a holder that was killed: only the kernel knows.
+        # A file without a record is free. A record may be of a process that was killed: only the kernel
+        # knows.
         if not signed or _decode_holder_pid(signed) == os.getpid():
             return False
         fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
@@ -109,7 +110,7 @@ def is_locked_elsewhere(fleet_dir: Path) -> bool:
 
 
 def get_user_name() -> str:
-    """Who runs this command."""
+    """Name of the user who runs this command."""
     try:
         return getpass.getuser()
     except (KeyError, OSError):
@@ -127,6 +128,9 @@ def _decode_holder_pid(signed: bytes) -> object:
 def _describe_holder(descriptor: int) -> str:
     try:
         holder = json.loads(os.pread(descriptor, 4096, 0))
-        return f"{holder['user']}@{holder['host']} (pid {holder['pid']}, {holder['verb']}, since {holder['since']})"
+        return (
+            f"{holder['user']}@{holder['host']} (pid {holder['pid']}, {holder['verb']}, since "
+            f"{holder['since']})"
+        )
     except (ValueError, KeyError, TypeError):
         return "another edgectl"

@@ -1,4 +1,4 @@
-"""Where the manager keeps its files: one private directory per fleet, created private, never followed through a link."""
+"""Paths of the manager's state: one private directory per fleet, created private; links are not followed."""
 
 import hashlib
 import os
@@ -20,23 +20,25 @@ def get_state_root() -> Path:
 
 
 def ensure_fleet_dir(inventory: Path) -> Path:
-    """The directory of the fleet that the file ``inventory`` describes, created where missing.
+    """The directory of the fleet described by the file ``inventory``, created if missing.
 
     Raises:
-        StateError: it belongs to somebody else, or others may write to it.
+        StateError: it belongs to another user, or others may write to it.
     """
     return ensure_private_dir(get_fleet_path(inventory))
 
 
 def get_fleet_path(inventory: Path) -> Path:
-    """Where ``fleet_dir`` is, whether it is there or not."""
+    """Path of ``fleet_dir``, whether it exists or not."""
     resolved = inventory.resolve()
     name = f"{resolved.stem}-{hashlib.sha256(os.fsencode(resolved)).hexdigest()[:8]}"
     return get_state_root() / "fleets" / name
 
 
 def ensure_private_dir(path: Path) -> Path:
-    """Create ``path`` (0700 from the start) and its parents, and check that it is ours alone."""
+    """Create ``path`` (mode 0700 from the start) and its parents, and check that only this user can access
+    it.
+    """
     try:
         for parent in reversed([path, *path.parents]):
             if not parent.exists():
@@ -55,7 +57,7 @@ def ensure_private_dir(path: Path) -> Path:
 
 
 def open_private_file(path: Path, flags: int) -> int:
-    """A descriptor of a file that only we may read, created so; links are not followed, children do not inherit it."""
+    """Open a file that only this user may access; links are not followed and children do not inherit it."""
     try:
         return os.open(path, flags | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, FILE_MODE)
     except OSError as error:

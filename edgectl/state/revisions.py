@@ -1,4 +1,4 @@
-"""The journal, read as a list of revisions. What an older edgectl did not write yet is left open, never guessed."""
+"""Revisions of a fleet, read from its journal. Fields that an older edgectl did not record stay empty."""
 
 import math
 import re
@@ -20,11 +20,11 @@ from edgectl.units import parse_instant
 
 Word = TypeVar("Word", bound=StrEnum)
 _ROTATED_NAME = re.compile(r"journal-([0-9]+)\.jsonl")
-_CUT_OFF_ERROR = "cut off before it ended"
+_CUT_OFF_ERROR = "interrupted before it ended"
 
 
 def load_revisions(fleet_dir: Path, warn: Warn = ignore_warning) -> tuple[Revision, ...]:
-    """Every revision that can be read, oldest first, from the journals that were put away and the present one.
+    """All readable revisions, oldest first, from the rotated journals and the present one.
 
     Raises:
         StateError: a journal cannot be read, or a newer edgectl wrote it.
@@ -44,7 +44,7 @@ def load_revisions(fleet_dir: Path, warn: Warn = ignore_warning) -> tuple[Revisi
 
 @dataclass(slots=True)
 class _OpenRevision:
-    """One revision while its entries are read."""
+    """A revision under construction."""
 
     begin: JournalEntry
     intents: dict[str, JournalEntry] = field(default_factory=dict)
@@ -109,7 +109,7 @@ def _determine_ending(found: _OpenRevision, actions: tuple[ActionResult, ...]) -
 
 
 def _compute_duration_s(found: _OpenRevision) -> float | None:
-    """How long it took: as written, else (an older journal) from the clock."""
+    """Duration as recorded, else (in an older journal) by the clock."""
     if found.end is None:
         return None
     stated = _finite_or_none(found.end.get("seconds"))

@@ -1,4 +1,4 @@
-"""Whether the fleet's state directory can be used, and what its file system has left, as facts."""
+"""Facts about the fleet's state directory and its file system."""
 
 import os
 from pathlib import Path
@@ -9,7 +9,9 @@ from edgectl.state.paths import ensure_private_dir, get_fleet_path
 
 
 def inspect_state_dir(inventory: Path) -> Disk:
-    """The state directory of the fleet that the file ``inventory`` describes; it is made where missing, as by every command."""
+    """Inspect the state directory of the fleet described by the file ``inventory``; it is created if missing,
+    as by every command.
+    """
     obstacle, path = "", get_fleet_path(inventory)
     try:
         ensure_private_dir(path)
@@ -30,5 +32,5 @@ def inspect_state_dir(inventory: Path) -> Disk:
 
 
 def _find_nearest_existing(path: Path) -> Path:
-    """``path``, or the closest above it that is there."""
+    """``path``, or its nearest existing parent."""
     return next(each for each in (path.absolute(), *path.absolute().parents) if each.exists())

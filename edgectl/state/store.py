@@ -1,6 +1,7 @@
-"""The history that one looks at: samples, plans, actions, handoffs and events of one fleet, in SQLite.
+"""History of one fleet in SQLite: samples, plans, actions, handoffs and events.
 
-Best effort: nothing here fails a command. What must survive (revisions, placements) stands in the journal.
+Best effort: no failure here fails a command. Revisions and placements, which must survive, are in the
+journal.
 """
 
 import sqlite3
@@ -35,7 +36,7 @@ _PRUNE_EVERY_S = 3600.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Retention:
-    """How long samples, and plans, actions and events, are kept (s), and how large the file may become (bytes)."""
+    """Maximum age (s) of samples, and of plans, actions and events, and maximum file size (bytes)."""
 
     samples_s: float = 14 * _DAY_S
     records_s: float = 90 * _DAY_S
@@ -43,7 +44,9 @@ class Retention:
 
 
 class Store:
-    """One fleet's history; a context manager, for one thread at a time. Where it cannot be used it holds nothing and takes nothing."""
+    """History of one fleet; a context manager, for one thread at a time. If unusable it is empty and records
+    nothing.
+    """
 
     def __init__(self, path: Path, warn: Warn, retention: Retention) -> None:
         self._path = path
@@ -57,7 +60,9 @@ class Store:
     def open(
         cls, fleet_dir: Path, *, warn: Warn = ignore_warning, retention: Retention | None = None
     ) -> "Store":
-        """The history in ``fleet_dir``. What is in the way of it is said through ``warn``, once; a broken file is set aside."""
+        """Open the history in ``fleet_dir``. Trouble is reported once through ``warn``; a broken file is set
+        aside.
+        """
         store = cls(fleet_dir / HISTORY_FILE_NAME, warn, retention or Retention())
         store._guarded(lambda _connection: None, None)
         return store
@@ -74,12 +79,14 @@ class Store:
             self._connection.close()
             self._connection = None
 
-    # -- writing -------------------------------------------------------------------------------------------------------------------------
+    # -- writing
+    # -------------------------------------------------------------------------------------------------------------------------
 
     def record_snapshot(self, snapshot: Snapshot, *, changing: bool = False) -> None:
-        """Keep the samples, and the events that they show; the same snapshot again changes nothing.
+        """Record the samples and the events that they show; the same snapshot again changes nothing.
 
-        ``changing``: another edgectl is changing the fleet now; tasks that come and go are left to its own record.
+        ``changing``: another edgectl is changing the fleet; starts and stops of tasks are left to its own
+        record.
         """
 
         def record(connection: sqlite3.Connection) -> None:
@@ -92,7 +99,7 @@ class Store:
         self._write(record)
 
     def record_plan(self, plan: Plan) -> None:
-        """Keep what a plan would do; an event tells of it unless the plan before it would do the same."""
+        """Record a plan, with an event unless the plan before it had the same actions."""
 
         def record(connection: sqlite3.Connection) -> None:
             event = store_events.build_plan_event(plan)
@@ -104,7 +111,7 @@ class Store:
         self._write(record)
 
     def record_results(self, plan: Plan, results: Results, at: float) -> None:  # noqa: ARG002
-        """Keep what an apply that ended at ``at`` (s since 1970) did, and the events of it."""
+        """Record the results of an apply that ended at ``at`` (s since 1970), and its events."""
 
         def record(connection: sqlite3.Connection) -> None:
             store_write.write_actions(connection, results, at)
@@ -116,7 +123,7 @@ class Store:
         self._write(record)
 
     def record_events(self, events: Iterable[Event]) -> None:
-        """Keep events that are found elsewhere."""
+        """Record given events."""
         found = list(events)
         self._write(lambda connection: store_write.write_events(connection, found))
 
@@ -125,7 +132,9 @@ class Store:
     def host_points(
         self, host: str | None = None, *, since: float | None = None, limit: int | None = None
     ) -> tuple[HostPoint, ...]:
-        """Samples of ``host`` or of all, oldest first; of each the newest ``limit``, not older than ``since`` (s since 1970)."""
+        """Samples of ``host`` or of all, oldest first; the newest ``limit`` of each, not older than ``since``
+        (s since 1970).
+        """
         return self._newest(
             rows.HOSTS,
             "host_samples",
@@ -144,21 +153,25 @@ class Store:
         since: float | None = None,
         limit: int | None = None,
     ) -> tuple[LinkPoint, ...]:
-        """Samples of the links of ``edge`` to ``robot`` or of all, oldest first; of each the newest ``limit``."""
+        """Samples of the links of ``edge`` to ``robot`` or of all, oldest first; the newest ``limit`` of
+        each.
+        """
         links = "SELECT link, link FROM links WHERE (?1 IS NULL OR edge = ?1) AND (?2 IS NULL OR robot = ?2)"
         return self._newest(rows.LINKS, "link_samples", "link", links, (edge, robot), since, limit)
 
     def task_points(
         self, task: str | None = None, *, since: float | None = None, limit: int | None = None
     ) -> tuple[TaskPoint, ...]:
-        """Samples of ``task`` or of all, on whatever host, oldest first; of each task the newest ``limit``."""
+        """Samples of ``task`` or of all, on any host, oldest first; the newest ``limit`` of each task."""
         starts = "SELECT start, task FROM starts WHERE ?1 IS NULL OR task = ?1"
         return self._newest(rows.TASKS, "task_samples", "start", starts, (task,), since, limit)
 
     def steady_usages(
         self, task: str, hosts: Collection[str], spec_hash: str, *, min_age_s: float, limit: int
     ) -> tuple[UsageSample, ...]:
-        """The newest ``limit`` samples of ``task`` on ``hosts`` with this specification, up and older than ``min_age_s``; newest first."""
+        """The newest ``limit`` samples of ``task`` on ``hosts`` with this specification, alive and older than
+        ``min_age_s``; newest first.
+        """
         starts = "SELECT start, host FROM starts WHERE task = ? AND spec_hash = ? ORDER BY start DESC"
 
         def read(connection: sqlite3.Connection) -> tuple[UsageSample, ...]:
@@ -174,7 +187,7 @@ class Store:
         return self._guarded(read, ())
 
     def handoffs(self, *, since: float | None = None, limit: int | None = None) -> tuple[HandoffPoint, ...]:
-        """Moves and restarts that were carried out or failed, oldest first; the newest ``limit``."""
+        """Completed or failed moves and restarts, oldest first; the newest ``limit``."""
         sql = rows.HANDOFFS.select("handoffs", "WHERE at >= ? ORDER BY id DESC LIMIT ?")
         return self._select(rows.HANDOFFS, sql, (_since_or_earliest(since), _limit_or_all(limit)))[::-1]
 
@@ -187,7 +200,9 @@ class Store:
         task: str | None = None,
         limit: int | None = None,
     ) -> tuple[Event, ...]:
-        """Events with an id above ``after``, not older than ``since``, of ``host`` and ``task`` where given, oldest first."""
+        """Events with an id above ``after``, not older than ``since``, of ``host`` and ``task`` if given,
+        oldest first.
+        """
         fitting = "WHERE id > ?1 AND at >= ?2 AND (?3 IS NULL OR host = ?3) AND (?4 IS NULL OR task = ?4)"
         sql = rows.EVENTS.select("events", f"{fitting} ORDER BY id DESC LIMIT ?5")
         return self._select(
@@ -197,7 +212,7 @@ class Store:
     def stream(
         self, form: RowMapper[Value], table: str, order: str, *, since: float | None = None
     ) -> Iterator[Value]:
-        """Rows of ``table`` not older than ``since``, sorted by ``order``, one after the other: they need not fit into memory.
+        """Yield rows of ``table`` not older than ``since``, sorted by ``order``, in bounded memory.
 
         Raises:
             StateError: the history cannot be read to its end.
@@ -213,7 +228,9 @@ class Store:
     # -- keeping it small ----------------------------------------------------------------------------------------------------------------
 
     def prune(self, now: float) -> None:
-        """Drop what is older than the retention at ``now``, and the oldest samples while the file is larger than it may be."""
+        """Delete rows older than the retention at ``now``, and the oldest samples while the file is too
+        large.
+        """
         keep = self._retention
         self._write(
             lambda connection: store_prune.delete_expired(
@@ -224,7 +241,7 @@ class Store:
         self._write(lambda connection: store_prune.write_prune_time(connection, now))
 
     def is_prune_due(self, now: float) -> bool:
-        """Whether an hour has passed since the last prune, by any edgectl, or since the first time that this was asked."""
+        """Whether an hour has passed since the last prune by any edgectl, or since the first call."""
         at = self._guarded(store_prune.read_prune_time, now)
         if at == 0.0:
             self._write(lambda connection: store_prune.write_prune_time(connection, now))
@@ -242,7 +259,9 @@ class Store:
         since: float | None,
         limit: int | None,
     ) -> tuple[Value, ...]:
-        """Of each group the newest rows, oldest first in all. ``groups`` gives the keys in ``table``, and to which group each belongs."""
+        """The newest rows of each group, oldest first. ``groups`` gives the keys in ``table`` with their
+        group.
+        """
         sql = form.select(table, f"WHERE {key} = ? AND at >= ? ORDER BY at DESC LIMIT ?")
 
         def read(connection: sqlite3.Connection) -> tuple[Value, ...]:
@@ -275,7 +294,9 @@ class Store:
         self._guarded(within, None)
 
     def _guarded(self, act: Callable[[sqlite3.Connection], Value], default: Value) -> Value:
-        """The value of ``act``, once more over a new file where this one turns out broken; else ``default``, and a warning."""
+        """The result of ``act``, retried with a new file if this one is broken; else ``default``, with a
+        warning.
+        """
         for _ in range(2):
             try:
                 return act(self._use())
@@ -283,16 +304,16 @@ class Store:
                 if (isinstance(error, sqlite3.Error) and is_transient_error(error)) or not self._set_aside(
                     error
                 ):
-                    self._say(f"history is not kept: {self._path}: {error}")
+                    self._say(f"history is not recorded: {self._path}: {error}")
                     return default
             except (OSError, StateError, ValueError, OverflowError) as error:
-                self._say(f"history is not kept: {error}")
+                self._say(f"history is not recorded: {error}")
                 return default
         return default
 
     def _use(self) -> sqlite3.Connection:
         if self._connection is not None and get_file_identity(self._path) != self._opened:
-            # Another edgectl set it aside, or somebody took it away.
+            # Another edgectl set it aside, or it was removed.
             self.close()
         if self._connection is None:
             self._opened = get_file_identity(self._path)
@@ -301,14 +322,16 @@ class Store:
         return self._connection
 
     def _set_aside(self, error: Exception) -> bool:
-        """Whether the broken file is out of the way."""
+        """Whether the broken file was set aside."""
         self.close()
         try:
             aside = set_aside_database(self._path, self._opened)
         except OSError:
             return False
         if aside is not None:
-            self._warn(f"{self._path} is broken ({error}); set aside as {aside.name}, a new history begins")
+            self._warn(
+                f"{self._path} is broken ({error}); set aside as {aside.name}, a new history is started"
+            )
         return True
 
     def _say(self, text: str) -> None:
@@ -330,7 +353,7 @@ def _get_row_instant(row: rows.Row) -> float:
 
 
 def _select_newest(found: Sequence[rows.Row], limit: int | None) -> Sequence[rows.Row]:
-    """The newest ``limit`` rows of a group that may have several keys."""
+    """The newest ``limit`` rows of a group with one or more keys."""
     return (
         found
         if limit is None or len(found) <= limit

@@ -1,4 +1,4 @@
-"""What happened between two pictures of the fleet, and by an apply. Pure: what was known, and what is seen, give events."""
+"""Events between two snapshots of the fleet, and of an apply. Pure: known state and new snapshot give events."""
 
 import dataclasses
 from collections.abc import Iterator, Mapping
@@ -10,10 +10,10 @@ from edgectl.model.result import ActionResult, Outcome, Phase, Results
 from edgectl.model.snapshot import HostSample, HostStatus, Snapshot, TaskSample, TaskState
 from edgectl.units import format_duration
 
-# A picture that is this much older than what is known (s) was overtaken by another edgectl; one that is older still says that the
-# clock was set back.
+# A snapshot slightly older than the known state was overtaken by another edgectl; one older than this (s)
+# means that the clock was set back.
 _OVERTAKEN_S = 600.0
-# The largest whole number that SQLite holds is far above.
+# Far below the largest integer of SQLite.
 _MAX_RESTARTS = 2**31
 _ENDING_EVENTS = {
     TaskState.COMPLETED: EventKind.TASK_COMPLETED,
@@ -31,7 +31,7 @@ _DONE_EVENTS = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class KnownHost:
-    """A host as last seen, at ``at``; with this status since ``since``."""
+    """A host as last seen at ``at``, with this status since ``since``."""
 
     at: float
     since: float
@@ -41,7 +41,9 @@ class KnownHost:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class KnownTask:
-    """A task as it is since ``at``. ``host`` None: it is gone. ``instance`` empty: not seen since an apply started it."""
+    """A task as it is since ``at``. ``host`` None: gone. ``instance`` empty: not seen since an apply started
+    it.
+    """
 
     at: float
     host: str | None
@@ -52,7 +54,7 @@ class KnownTask:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class KnownFleet:
-    """The last picture of every host and task ever seen."""
+    """The last known state of every host and task ever seen."""
 
     hosts: Mapping[str, KnownHost] = field(default_factory=dict)
     tasks: Mapping[str, KnownTask] = field(default_factory=dict)
@@ -61,10 +63,11 @@ class KnownFleet:
 def detect_events(
     known: KnownFleet, snapshot: Snapshot, *, changing: bool = False
 ) -> tuple[tuple[Event, ...], KnownFleet]:
-    """What ``snapshot`` shows that was not known, and all that is known then. The same picture again, or an older one, shows nothing.
+    """Events of ``snapshot`` relative to the known state, and the new known state. The same or an older
+    snapshot gives none.
 
-    A host that was never seen before gives no event for what is well there. ``changing``: another edgectl is at work on the fleet;
-    tasks that come and go are left to its own record.
+    The first sight of a host gives no events for what is in order there. ``changing``: another edgectl is
+    changing the fleet; starts and stops of tasks are left to its own record.
     """
     at = snapshot.taken_at
     hosts = {name: sample for name, sample in snapshot.hosts.items() if _is_newer(at, known.hosts.get(name))}
@@ -93,7 +96,8 @@ def _is_newer(at: float, known: KnownHost | KnownTask | None) -> bool:
     return known is None or at > known.at or known.at - at > _OVERTAKEN_S
 
 
-# -- hosts -------------------------------------------------------------------------------------------------------------------------------
+# -- hosts
+# -------------------------------------------------------------------------------------------------------------------------------
 
 
 def _update_known_host(at: float, sample: HostSample, before: KnownHost | None) -> KnownHost:
@@ -122,7 +126,7 @@ def _detect_host_events(
             at=at,
             kind=EventKind.HOST_REBOOTED,
             host=name,
-            message="it runs since another start of the machine",
+            message="the machine has rebooted since",
         )
 
 
@@ -131,14 +135,14 @@ def _detect_host_events(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _SeenTask:
-    """One task in the picture: where it stands, or that it stands nowhere."""
+    """A task in the snapshot: its location, or that it runs nowhere."""
 
     at: float
     host: str | None = None
     sample: TaskSample | None = None
 
     def known(self, before: KnownTask | None) -> KnownTask:
-        """What is known then; the same value where it is as it was."""
+        """The new known state of the task; the same value if unchanged."""
         if self.sample is None:
             after = KnownTask(at=self.at, host=None, instance=before.instance if before else "")
         else:
@@ -154,7 +158,7 @@ class _SeenTask:
 
 
 def _locate_tasks(at: float, hosts: Mapping[str, HostSample], known: KnownFleet) -> dict[str, _SeenTask]:
-    """Where each task stands that the picture tells of: it is there, or its host answers and it is not."""
+    """Locations of the tasks that the snapshot covers: a task is there, or its host answers without it."""
     found: dict[str, _SeenTask] = {}
     for host, sample in hosts.items():
         for name, task in sample.tasks.items():
@@ -174,14 +178,18 @@ def _locate_tasks(at: float, hosts: Mapping[str, HostSample], known: KnownFleet)
 
 
 def _is_leftover(now: _SeenTask, before: KnownTask | None) -> bool:
-    """Whether this is what an earlier run left behind: dead, and not where the task is known to be, or of the run that is over."""
+    """Whether this is a leftover of an earlier run: dead, and not at the task's known location, or of an
+    ended run.
+    """
     if before is None or now.sample is None or now.sample.state.alive:
         return False
     return before.instance == now.sample.instance if before.host is None else before.host != now.host
 
 
 def _rank_location(now: _SeenTask, before: KnownTask | None) -> tuple[bool, bool, float]:
-    """Of several places of one task, the one that counts: it lives there, it was there, it began last."""
+    """Rank of one of several locations of a task: alive first, then its known location, then the latest
+    start.
+    """
     sample = now.sample or TaskSample(state=TaskState.COMPLETED)
     return sample.state.alive, before is not None and before.host == now.host, sample.started_at
 
@@ -202,7 +210,7 @@ def _detect_task_events(
                 kind=EventKind.TASK_LOST,
                 host=before.host,
                 task=name,
-                message="gone, and no edgectl here stopped it",
+                message="gone, and not stopped by this manager",
             )
         return
     event = None if quiet else _classify_arrival(before, now.host, now.sample)
@@ -217,13 +225,13 @@ def _detect_task_events(
 def _classify_arrival(
     before: KnownTask | None, host: str | None, sample: TaskSample
 ) -> tuple[EventKind, str] | None:
-    """How the task came to be what it is now, if it came since."""
+    """The event that explains the task's present state, if it is new."""
     if before is None or before.host is None:
         return (EventKind.TASK_STARTED, "found running") if sample.state.alive else None
     if before.host != host:
         return EventKind.TASK_MOVED, f"found there; it was on {before.host}"
     if before.instance and sample.instance and before.instance != sample.instance:
-        return EventKind.TASK_RESTARTED, "found started anew"
+        return EventKind.TASK_RESTARTED, "found restarted"
     if before.instance and sample.restarts > before.restarts:
         return EventKind.TASK_RESTARTED, _describe_supervisor_restarts(
             sample, sample.restarts - before.restarts
@@ -265,7 +273,7 @@ def _describe_ending(sample: TaskSample) -> str:
 def detect_result_events(
     known: KnownFleet, results: Results, at: float
 ) -> tuple[tuple[Event, ...], KnownFleet]:
-    """What an apply that ended at ``at`` did, and all that is known then."""
+    """Events of an apply that ended at ``at``, and the new known state."""
     events = [event for result in results.actions for event in _build_result_events(result, at)]
     after = {
         result.task: task
@@ -319,7 +327,7 @@ def _describe_result(result: ActionResult) -> str:
 
 
 def _update_known_task(before: KnownTask | None, result: ActionResult, at: float) -> KnownTask | None:
-    """How the action leaves the task; None where it left it as it was."""
+    """The task's known state after the action; None if unchanged."""
     touched = result.outcome is Outcome.DONE or (result.outcome is Outcome.FAILED and bool(result.phases))
     if not touched:
         return None
@@ -333,13 +341,13 @@ def _update_known_task(before: KnownTask | None, result: ActionResult, at: float
 
 
 def build_plan_event(plan: Plan) -> Event | None:
-    """What a plan would change; None where it would change nothing."""
+    """The event of a plan with changes; None for a plan without."""
     counts = [f"{count} {action}" for action, count in plan.summary.items() if action.changes]
     return Event(at=plan.created_at, kind=EventKind.PLANNED, message=", ".join(counts)) if counts else None
 
 
 def build_unplaced_events(plan: Plan) -> tuple[Event, ...]:
-    """The tasks that have no place in ``plan``."""
+    """Events of the unplaced tasks of ``plan``."""
     return tuple(
         Event(
             at=plan.created_at,

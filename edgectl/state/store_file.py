@@ -1,4 +1,4 @@
-"""The database file of a fleet's history: created private, opened, and set aside where it is broken."""
+"""Database file of a fleet's history: created private, opened, and set aside if broken."""
 
 import contextlib
 import fcntl
@@ -17,14 +17,15 @@ _BUSY_S = 5.0
 _SIDE_FILE_SUFFIXES = ("-wal", "-shm")
 # Each may be as large as a history may become.
 _MAX_BROKEN_FILES = 2
-# What says nothing of the file itself: another try, another disk or another hour may succeed. All else means damage.
+# Errors that do not mean damage: a retry, another disk or a later time may succeed. All others mean damage.
 _TRANSIENT_CODES = frozenset({
     sqlite3.SQLITE_PERM, sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED, sqlite3.SQLITE_NOMEM, sqlite3.SQLITE_READONLY,
     sqlite3.SQLITE_INTERRUPT, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_FULL, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_TOOBIG,
     sqlite3.SQLITE_CONSTRAINT, sqlite3.SQLITE_NOLFS, sqlite3.SQLITE_AUTH,
 })  # fmt: skip
-# Rows of one host, link or start lie together, oldest first: the newest of one are one seek away, and the oldest are deleted so. Names
-# that repeat stand once, in `links` and `starts`; the views put them beside the numbers for whoever looks with SQL.
+# Rows of one host, link or start are stored together, oldest first, so that the newest are one seek away and
+# the oldest are deleted cheaply. Repeated names are stored once, in `links` and `starts`; the views join them
+# for users of SQL.
 _BASE_SCHEMA = """
 CREATE TABLE host_samples (
   host TEXT NOT NULL, at REAL NOT NULL, status TEXT NOT NULL, cores REAL, used_cores REAL, total_bytes REAL, used_bytes REAL,
@@ -74,7 +75,7 @@ CREATE TABLE readings (
 CREATE VIEW metric_samples AS
   SELECT at, task, host, name, value, instance, spec_hash, metric FROM starts JOIN metrics USING (start) JOIN readings USING (metric);
 """
-# What each schema adds to the one before.
+# Migrations: the statements that each schema adds to the one before.
 _MIGRATIONS = (_BASE_SCHEMA, _METRICS_SCHEMA)
 SCHEMA_VERSION = len(_MIGRATIONS)
 
@@ -84,19 +85,19 @@ class NewerSchemaError(StateError):
 
 
 def is_transient_error(error: sqlite3.Error) -> bool:
-    """Whether ``error`` says nothing of the file's soundness (a full or read-only disk, another writer)."""
+    """Whether ``error`` does not mean damage (a full or read-only disk, another writer)."""
     return getattr(error, "sqlite_errorcode", sqlite3.SQLITE_ERROR) & 0xFF in _TRANSIENT_CODES
 
 
 def open_database(path: Path) -> sqlite3.Connection:
-    """A connection to the history at ``path``, which is made where there is none.
+    """Open the history at ``path``, creating it if missing.
 
     Raises:
-        sqlite3.Error: it is broken, or cannot be used (see ``passing``).
+        sqlite3.Error: it is broken, or cannot be used (see ``is_transient_error``).
         StateError: it cannot be created, or a newer edgectl wrote it.
     """
     if not path.exists():
-        # SQLite gives the other two files the rights of this one.
+        # SQLite gives the other two files the permissions of this one.
         with contextlib.suppress(StateError):
             os.close(open_private_file(path, os.O_RDWR | os.O_EXCL))
     connection = sqlite3.connect(path, timeout=_BUSY_S, isolation_level=None, check_same_thread=False)
@@ -109,7 +110,7 @@ def open_database(path: Path) -> sqlite3.Connection:
 
 
 def _configure_connection(connection: sqlite3.Connection, path: Path) -> None:
-    # What is not whole yet need not be synced: after a power cut it is made anew.
+    # An incomplete file need not be synced: after a power failure it is created anew.
     connection.executescript(
         "PRAGMA trusted_schema = OFF; PRAGMA cell_size_check = ON; PRAGMA synchronous = OFF;"
     )
@@ -126,7 +127,7 @@ def _configure_connection(connection: sqlite3.Connection, path: Path) -> None:
 
 
 def _create_tables(connection: sqlite3.Connection) -> None:
-    """Make the tables that are missing; another edgectl may have just done so."""
+    """Create missing tables; another edgectl may have done so just now."""
     connection.execute("PRAGMA auto_vacuum = INCREMENTAL")
     connection.execute("PRAGMA journal_mode = WAL")
     connection.execute("BEGIN IMMEDIATE")
@@ -139,7 +140,9 @@ def _create_tables(connection: sqlite3.Connection) -> None:
 
 @contextlib.contextmanager
 def lock_directory(fleet_dir: Path) -> Iterator[None]:
-    """Keep every other edgectl from making or setting aside the file: a lock on the directory, waited for up to 5 s."""
+    """Prevent every other edgectl from creating or setting aside the file: a lock on the directory, waited
+    for up to 5 s.
+    """
     descriptor = os.open(fleet_dir, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
         deadline = time.monotonic() + _BUSY_S
@@ -159,7 +162,7 @@ def _try_lock(descriptor: int) -> bool:
 
 
 def get_file_identity(path: Path) -> tuple[int, int] | None:
-    """Which file stands at ``path`` now; None where there is none."""
+    """Identity of the file at ``path`` now; None if there is none."""
     try:
         status = path.stat()
     except OSError:
@@ -168,12 +171,12 @@ def get_file_identity(path: Path) -> tuple[int, int] | None:
 
 
 def set_aside_database(path: Path, opened: tuple[int, int] | None) -> Path | None:
-    """Set the broken file aside, if it is still the one that was ``opened``; its new path.
+    """Set the broken file aside if it is still the ``opened`` one, and return its new path.
 
-    The log goes first: a log without its database would be read into the next one.
+    The log is moved first: without its database it would be applied to the next one.
 
     Raises:
-        OSError: the directory does not take it.
+        OSError: the directory cannot be written.
     """
     with lock_directory(path.parent):
         if opened is None or get_file_identity(path) != opened:

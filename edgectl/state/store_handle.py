@@ -1,4 +1,4 @@
-"""One open history for as long as a fleet is worked on: what is opened and closed for every record has to be synced every time."""
+"""Shared SQLite connection per fleet: reopening costs an fsync for every record."""
 
 import threading
 import weakref
@@ -15,9 +15,10 @@ Value = TypeVar("Value")
 
 
 class StoreHandle:
-    """Opens the history when it is first needed, and closes it when the last fleet that shares this keeper is gone, or at exit.
+    """Opens the history at first use, and closes it when the last fleet that shares the handle is gone, or at
+    exit.
 
-    For any thread. Each trouble is said once, however often it is met.
+    Thread-safe. Each warning is printed once.
     """
 
     def __init__(self) -> None:
@@ -27,7 +28,7 @@ class StoreHandle:
         weakref.finalize(self, _close_stores, self._open)
 
     def use(self, fleet_dir: Path, warn: Warn, act: "Callable[[Store], Value]") -> Value:
-        """What ``act`` gives, with the history of ``fleet_dir``."""
+        """The result of ``act`` with the history of ``fleet_dir``."""
         from edgectl.state.store import Store
 
         with self._guard:
@@ -39,7 +40,7 @@ class StoreHandle:
 
 
 class _WarnOnce:
-    """Says a text once. It knows nothing of the keeper, or the store that has it would keep the keeper alive."""
+    """Prints a text once. It has no reference to the handle, which a store would otherwise keep alive."""
 
     def __init__(self) -> None:
         self.warn: Warn = ignore_warning

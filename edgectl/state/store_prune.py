@@ -1,8 +1,9 @@
-"""Keeping the history small: by age, and by the size of the file, the oldest samples first."""
+"""Pruning of the history by age and by file size, the oldest samples first."""
 
 import sqlite3
 
-# Table of samples -> its first key, and the table that has every value of it: so the oldest are found without reading all.
+# Table of samples -> its first key, and the table with every value of it, so that the oldest are found
+# without a full scan.
 _SAMPLE_TABLES = {
     "host_samples": ("host", "known_hosts"),
     "loads": ("link", "links"),
@@ -10,14 +11,16 @@ _SAMPLE_TABLES = {
     "readings": ("metric", "metrics"),
 }
 _RECORD_TABLES = {"plans": "until", "actions": "at", "events": "at"}
-# What is left after making room, so that not every hour begins with it again; little, because somebody waits for it.
+# Space to free at once, so that pruning does not run every hour; small, because a user waits for it.
 _TARGET_SHARE = 0.98
 _MIN_DELETED_SHARE = 1 / 64
 _MAX_ROUNDS = 40
 
 
 def delete_expired(connection: sqlite3.Connection, *, samples: float, records: float) -> None:
-    """Delete samples older than ``samples``, and plans, actions and events older than ``records`` (s since 1970)."""
+    """Delete samples older than ``samples``, and plans, actions and events older than ``records`` (s since
+    1970).
+    """
     for table, (key, groups) in _SAMPLE_TABLES.items():
         connection.execute(
             f"DELETE FROM {table} WHERE {key} IN (SELECT {key} FROM {groups}) AND at < ?",  # noqa: S608
@@ -38,7 +41,9 @@ def delete_expired(connection: sqlite3.Connection, *, samples: float, records: f
 
 
 def shrink_database(connection: sqlite3.Connection, most: int) -> None:
-    """Where the file holds more than ``most`` bytes, delete the oldest samples, then the oldest of the rest, and give the room back."""
+    """If the file holds more than ``most`` bytes, delete the oldest samples, then the oldest other rows, and
+    release the space.
+    """
     if _count_used_bytes(connection) > most:
         for _ in range(_MAX_ROUNDS):
             held = _count_used_bytes(connection)
@@ -48,12 +53,13 @@ def shrink_database(connection: sqlite3.Connection, most: int) -> None:
                 break
     if not connection.execute("PRAGMA freelist_count").fetchone()[0]:
         return
-    # A script, because a statement that gives rows without columns is left after the first of them, which is one page.
+    # As a script: otherwise a statement whose rows have no columns is left after the first row, which is one
+    # page.
     connection.executescript("PRAGMA incremental_vacuum; PRAGMA wal_checkpoint(TRUNCATE);")
 
 
 def _count_used_bytes(connection: sqlite3.Connection) -> int:
-    """What the file holds, without its free pages."""
+    """Bytes in use, without free pages."""
     pages, free, size = (
         connection.execute(f"PRAGMA {name}").fetchone()[0]
         for name in ("page_count", "freelist_count", "page_size")
@@ -62,7 +68,7 @@ def _count_used_bytes(connection: sqlite3.Connection) -> int:
 
 
 def _delete_oldest(connection: sqlite3.Connection, share: float) -> bool:
-    """Delete the first ``share`` of the time that samples reach over, or where there are none that records do; whether there was any."""
+    """Delete the first ``share`` of the time covered by samples, or else by records; whether there was any."""
     samples, records = (
         _compute_cutoff(connection, _SAMPLE_SPANS, share),
         _compute_cutoff(connection, _RECORD_SPANS, share),
@@ -92,7 +98,7 @@ _RECORD_SPANS = " UNION ALL ".join(
 
 
 def _compute_cutoff(connection: sqlite3.Connection, spans: str, share: float) -> float | None:
-    """The end of the first ``share`` of what ``spans`` reach over, None where there is nothing."""
+    """The end of the first ``share`` of the time covered by ``spans``, None if there is none."""
     first, last = connection.execute(f"SELECT min(first), max(last) FROM ({spans})").fetchone()  # noqa: S608
     if first is None:
         return None
@@ -100,11 +106,11 @@ def _compute_cutoff(connection: sqlite3.Connection, spans: str, share: float) ->
 
 
 def write_prune_time(connection: sqlite3.Connection, now: float) -> None:
-    """Remember that the history was made smaller at ``now`` (s since 1970)."""
+    """Record that the history was pruned at ``now`` (s since 1970)."""
     connection.execute("INSERT OR REPLACE INTO marks (name, at) VALUES ('pruned', ?)", (now,))
 
 
 def read_prune_time(connection: sqlite3.Connection) -> float:
-    """When that was last, in s since 1970; 0 for never."""
+    """Time of the last prune in s since 1970; 0 for never."""
     row = connection.execute("SELECT at FROM marks WHERE name = 'pruned'").fetchone()
     return 0.0 if row is None else float(row[0])

@@ -1,4 +1,4 @@
-"""Writing the history, each within a transaction of the caller."""
+"""Inserts into the history, each within a transaction of the caller."""
 
 import json
 import sqlite3
@@ -13,12 +13,12 @@ from edgectl.state import store_rows as rows
 from edgectl.state.store_events import KnownFleet, KnownHost, KnownTask
 from edgectl.state.store_rows import DamagedRowError
 
-# What is said of a task while it is so, and need not be said again.
+# Events that describe a lasting state of a task and are not repeated while it lasts.
 _LASTING_KINDS = (EventKind.TASK_DEFERRED, EventKind.TASK_UNPLACED)
 
 
 def write_samples(connection: sqlite3.Connection, snapshot: Snapshot) -> None:
-    """Everything measured in ``snapshot``."""
+    """Insert all samples of ``snapshot``."""
     _insert_rows(
         connection,
         "host_samples",
@@ -71,14 +71,16 @@ def _write_task_samples(connection: sqlite3.Connection, points: Sequence[TaskPoi
         for name, point in zip(names, points, strict=True)
     ]
     connection.executemany(
-        "INSERT OR REPLACE INTO uses (start, at, state, used_cores, used_bytes, used_bytes_per_s, age_s, links)"
-        " SELECT start, ?, ?, ?, ?, ?, ?, ? FROM starts WHERE task = ? AND host = ? AND instance = ? AND spec_hash = ?",
+        "INSERT OR REPLACE INTO uses (start, at, state, used_cores, used_bytes, used_bytes_per_s, age_s, "
+        "links)"
+        " SELECT start, ?, ?, ?, ?, ?, ?, ? FROM starts WHERE task = ? AND host = ? AND instance = ? AND "
+        "spec_hash = ?",
         values,
     )
 
 
 def _write_metric_readings(connection: sqlite3.Connection, snapshot: Snapshot) -> None:
-    """What applications say of themselves, where it has changed: many values seldom do, and those of a job that is over never."""
+    """Insert application metrics that have changed: most seldom do, and those of completed jobs never."""
     said = [
         ((name, host, task.instance, task.spec_hash), metric, value)
         for host, sample in snapshot.hosts.items()
@@ -91,7 +93,8 @@ def _write_metric_readings(connection: sqlite3.Connection, snapshot: Snapshot) -
         [(metric, *start) for start, metric, _ in said],
     )
     connection.executemany(
-        "INSERT OR REPLACE INTO readings (metric, at, value) SELECT metric, ?1, ?2 FROM metrics JOIN starts USING (start)"
+        "INSERT OR REPLACE INTO readings (metric, at, value) SELECT metric, ?1, ?2 FROM metrics JOIN "
+        "starts USING (start)"
         " WHERE name = ?3 AND task = ?4 AND host = ?5 AND instance = ?6 AND spec_hash = ?7 AND ?2 IS NOT"
         " (SELECT value FROM readings WHERE metric = metrics.metric AND at < ?1 ORDER BY at DESC LIMIT 1)",
         [(snapshot.taken_at, value, metric, *start) for start, metric, value in said],
@@ -99,7 +102,7 @@ def _write_metric_readings(connection: sqlite3.Connection, snapshot: Snapshot) -
 
 
 def write_plan(connection: sqlite3.Connection, made: Plan) -> None:
-    """A plan, and each of its steps that is more than staying as it is. One that says the same as the last is counted there."""
+    """Insert a plan and its steps other than keep. A plan equal to the last one only counts there."""
     if is_plan_repeated(connection, made):
         sql = "UPDATE plans SET until = ?, times = times + 1 WHERE plan = (SELECT max(plan) FROM plans)"
         connection.execute(sql, (made.created_at,))
@@ -117,7 +120,7 @@ def write_plan(connection: sqlite3.Connection, made: Plan) -> None:
 
 
 def is_plan_repeated(connection: sqlite3.Connection, made: Plan) -> bool:
-    """Whether the last plan would have done the same, and nothing was done since."""
+    """Whether the last plan had the same actions and nothing was done since."""
     sql = "SELECT task, action, host FROM steps WHERE plan = (SELECT max(plan) FROM plans)"
     last = {task: (action, host) for task, action, host in connection.execute(sql)}
     done_since = "SELECT EXISTS (SELECT 1 FROM actions WHERE at > (SELECT max(until) FROM plans))"
@@ -131,7 +134,7 @@ def _is_notable(action: Action) -> bool:
 
 
 def write_actions(connection: sqlite3.Connection, results: Results, at: float) -> None:
-    """Every action of an apply that ended at ``at``."""
+    """Insert every action of an apply that ended at ``at``."""
     columns = "at, revision, task, action, outcome, host, previous_host, located, downtime_s, seconds, error"
     _insert_rows(
         connection,
@@ -142,7 +145,7 @@ def write_actions(connection: sqlite3.Connection, results: Results, at: float) -
 
 
 def write_events(connection: sqlite3.Connection, found: Iterable[Event]) -> None:
-    """What happened."""
+    """Insert events."""
     columns = "at, kind, host, task, message"
     _insert_rows(
         connection,
@@ -153,7 +156,7 @@ def write_events(connection: sqlite3.Connection, found: Iterable[Event]) -> None
 
 
 def write_new_events(connection: sqlite3.Connection, found: Iterable[Event]) -> None:
-    """What happened, without what was the last thing said of its task already."""
+    """Insert events, except those equal to the last event of their task."""
     write_events(connection, [event for event in found if not _is_event_repeated(connection, event)])
 
 
@@ -164,10 +167,10 @@ def _is_event_repeated(connection: sqlite3.Connection, event: Event) -> bool:
 
 
 def load_known_fleet(connection: sqlite3.Connection) -> KnownFleet:
-    """The last picture of the fleet.
+    """The last known state of the fleet.
 
     Raises:
-        DamagedError: it is not one that edgectl wrote.
+        DamagedError: edgectl did not write it.
     """
     hosts = connection.execute("SELECT host, at, since, status, boot_id FROM known_hosts").fetchall()
     tasks = connection.execute("SELECT task, at, host, state, instance, restarts FROM known_tasks").fetchall()
@@ -202,7 +205,7 @@ def _decode_known_task(row: rows.Row) -> KnownTask:
 
 
 def write_known_fleet(connection: sqlite3.Connection, before: KnownFleet, after: KnownFleet) -> None:
-    """The last picture, where it is another than ``before``."""
+    """Save the known state if it differs from ``before``."""
     hosts = [
         (name, each.at, each.since, each.status, each.boot_id)
         for name, each in after.hosts.items()

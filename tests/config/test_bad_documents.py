@@ -126,7 +126,7 @@ CASES = {
     "null": ("snapshot", '"cores": 4', '"cores": null', "null", "EC202", "must not be null", ""),
     "no measurements": ("snapshot", '"cpu"', '"kpu"', None, "EC202", "hosts.edge1: cpu is missing", "add cpu"),
     "no hosts": ("snapshot", '"hosts"', '"host"', None, "EC202", "hosts is missing", "add hosts"),
-    "key twice": ("snapshot", '"edge2": {', '"edge1": {', '"edge1": {', "EC005", "stands twice in this object, first on line", "remove one"),
+    "key twice": ("snapshot", '"edge2": {', '"edge1": {', '"edge1": {', "EC005", 'duplicate key "edge1" (first defined on line', "remove one"),
     "newer": ("snapshot", '"format_version": 1', '"format_version": 2', "2", "EC202", "format_version 2 is not known", "update edgectl"),
     "no version": ("snapshot", '  "format_version": 1,\n', "", None, "EC202", "format_version is missing", "add format_version"),
     "cut off": ("snapshot", '"used_bytes": 1000000000', '"used_bytes"', None, "EC201", "not JSON: Expecting ':' delimiter", "edgectl probe --out"),
@@ -239,7 +239,7 @@ def test_a_file_that_is_not_there_names_the_command_that_writes_it(tmp_path: Pat
             load(tmp_path / "none.json")
         assert (
             caught.value.problems[0].hint
-            == f"name an existing file, or make one: {command} {tmp_path / 'none.json'}"
+            == f"name an existing file, or create one: {command} {tmp_path / 'none.json'}"
         )
 
 

@@ -68,9 +68,9 @@ def test_by_hand(before: str, after: str | None) -> None:
         (HEAD + "  t: &t {command: x}\n  u: *t", 3, 6, "has an anchor or is an alias"),
         ("version: 1\ntasks: &t\n  t: {command: x}", 2, 8, "has an anchor or is an alias"),
         (HEAD + "  t: {command: x, demand: {cpu: &c 1}}", 3, 33, "has an anchor or is an alias"),
-        (HEAD + "  t:\n    command: |\n      x\n", 4, 5, "only its indentation tells"),
-        (HEAD + "  t: {command: x, demand: {  # c\n    }}", 3, 27, "empty but for comments"),
-        (HEAD + "  t: {command: x, demand: {cpu: \"1\\\n    5\"}}", 3, 33, "over several lines"),
+        (HEAD + "  t:\n    command: |\n      x\n", 4, 5, "only by its indentation"),
+        (HEAD + "  t: {command: x, demand: {  # c\n    }}", 3, 27, "empty except for comments"),
+        (HEAD + "  t: {command: x, demand: {cpu: \"1\\\n    5\"}}", 3, 33, "spans several lines"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_edited_safely_is_refused_with_its_place(
@@ -81,7 +81,7 @@ def test_what_cannot_be_edited_safely_is_refused_with_its_place(
     (problem,) = caught.value.problems
     assert (problem.line, problem.column) == (line, column)
     assert message in problem.message
-    assert problem.hint == "write it by hand: demand: {cpu: 1.36, memory: 97.3Mi}"
+    assert problem.hint == "edit it by hand: demand: {cpu: 1.36, memory: 97.3Mi}"
 
 
 def test_another_file_has_the_entry() -> None:

@@ -114,12 +114,12 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
     (tmp_path / "latin.yaml").write_bytes("version: 1\nedges: {é: 1}\n".encode("latin-1"))
     assert file_problem(tmp_path / "lab.yml") == (
         "EC001",
-        "there is no such file",
+        "no such file",
         f"did you mean {tmp_path}/lab.yaml?",
         0,
         0,
     )
-    assert file_problem(tmp_path / "other")[2] == "name an existing file, or make one: edgectl init DIR"
+    assert file_problem(tmp_path / "other")[2] == "name an existing file, or create one: edgectl init DIR"
     assert file_problem(tmp_path)[:2] == ("EC001", "is a directory, not a file")
     assert file_problem(tmp_path / "lab.yaml")[:3] == ("EC008", "the file is empty", "begin with: version: 1")
     assert file_problem(tmp_path / "big.yaml")[:2] == ("EC003", "the file is larger than 1 MiB")

@@ -70,7 +70,7 @@ def test_a_host_is_lost_once_and_comes_back_once() -> None:
 
 
 def test_a_host_that_started_anew_is_told_with_and_without_a_silence() -> None:
-    rebooted = ("host-rebooted", "-", "edge1", "it runs since another start of the machine")
+    rebooted = ("host-rebooted", "-", "edge1", "the machine has rebooted since")
     assert told(at(0, edge1=a_host()), at(10, edge1=a_host("boot2")))[0] == [rebooted]
     assert told(at(0, edge1=a_host()), at(10, edge1=silent()), at(20, edge1=a_host("boot2")))[0] == [
         ("host-back", "-", "edge1", "after 10s"),
@@ -121,11 +121,11 @@ def test_a_restart_by_the_supervisor_and_one_by_somebody_else() -> None:
     assert after(a_task(restarts=1, last_exit=-9)) == [
         ("task-restarted", "slam", "edge1", "by its supervisor once, after exit code -9")
     ]
-    assert after(a_task(instance="i2")) == [("task-restarted", "slam", "edge1", "found started anew")]
+    assert after(a_task(instance="i2")) == [("task-restarted", "slam", "edge1", "found restarted")]
 
 
 def test_a_task_that_vanished_or_moved_without_us() -> None:
-    assert after(None) == [("task-lost", "slam", "edge1", "gone, and no edgectl here stopped it")]
+    assert after(None) == [("task-lost", "slam", "edge1", "gone, and not stopped by this manager")]
     assert after(None, before=a_task(state=TaskState.COMPLETED)) == []
     assert after(a_task(instance="i2"), host="edge2") == [
         ("task-moved", "slam", "edge2", "found there; it was on edge1")
@@ -247,7 +247,7 @@ def test_a_picture_from_within_an_apply_leaves_its_work_to_it() -> None:
     ]
     # The same picture, recorded only after the apply had ended, is older than what it left.
     _, known = applied(a_result(Action.MOVE, previous_host="edge1", downtime_s=1.0), known=before)
-    assert ("task-lost", "slam", "edge1", "gone, and no edgectl here stopped it") not in told(
+    assert ("task-lost", "slam", "edge1", "gone, and not stopped by this manager") not in told(
         half, known=known
     )[0]
 

@@ -126,7 +126,9 @@ def test_failures_skips_and_cut_offs_are_told_apart(bench: Bench) -> None:
         remove()
     cut = bench.past[-1]
     assert (cut.ending, cut.seconds, cut.placements) == (RevisionOutcome.CUT_OFF, None, None)
-    assert [(action.task, action.error) for action in cut.actions] == [("slam", "cut off before it ended")]
+    assert [(action.task, action.error) for action in cut.actions] == [
+        ("slam", "interrupted before it ended")
+    ]
 
 
 def test_a_rollback_without_a_number_undoes_the_last_revision(bench: Bench) -> None:
@@ -174,7 +176,7 @@ def test_tasks_and_hosts_that_are_gone_are_said(bench: Bench) -> None:
     assert {step.task: (step.action, step.decision.host) for step in plan.steps} == {
         "slam": (Action.START, other)
     }
-    gone = "which is not in the inventory any more; it is placed as by apply"
+    gone = "which is no longer in the inventory; it is placed as by apply"
     assert f"slam ran on {place} then, {gone}" in bench.said
     assert any(
         text.startswith("camera ran on")
