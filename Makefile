@@ -1,5 +1,5 @@
 # Every target works in a fresh clone; .ci/setup makes .venv where it is missing.
-.PHONY: demo experiment test check setup bench faults fuzz soak clean
+.PHONY: demo experiment test test-fast check setup bench faults fuzz soak clean
 PY := .venv/bin/python
 export PYTHON
 
@@ -15,12 +15,19 @@ check: setup
 	@.venv/bin/ruff check .
 	@.venv/bin/mypy
 
-# Two files of tests at a time: most of them wait for real hosts, and each makes hosts of its own. What fails is run once more, alone,
-# and named (docs/adr/0030-rerun-failed-tests-once.md).
+# More workers than cores: most tests wait for real hosts, and each makes hosts of its own. A failed test is run
+# once more, alone, and named (docs/adr/0030-rerun-failed-tests-once.md).
+WORKERS ?= 6
 test: check
 	@.ci/need-faults
 	@.ci/need-promtool
-	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.suite tests --ignore=tests/benchmarks -n 2 --dist loadfile --no-loadscope-reorder
+	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.suite tests --ignore=tests/benchmarks -n $(WORKERS) --dist loadfile --no-loadscope-reorder
+
+# Tests without real hosts: rules, files, documents, views, and simulated fleets.
+PURE := config doctor evidence executor export formats fuzz gateway model scheduler state tui usecases views test_rooms.py
+test-fast: setup
+	@.ci/need-promtool
+	@$(PY) -m tests.suite $(PURE:%=tests/%) -m "not slow" -n 2 --dist loadfile --no-loadscope-reorder
 
 bench: setup
 	@.ci/need-sshd

@@ -1,15 +1,22 @@
-"""No test sees the user's home, keys, state or terminal settings; real ssh servers are one fixture away."""
+"""Isolation from the user's home, keys, state and terminal settings; fixtures with real SSH servers.
+
+Timeouts are scaled to the speed of the machine, SIGINT has its default action, the processes of failed tests are
+ended, and the longest files are distributed test by test.
+"""
 
 import os
-from collections.abc import Iterator
+import signal
+from collections.abc import Generator, Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
 
+from tests.pace import pace
 from tests.sshd import Lab, running_lab
 
-# The same examples in every run, and no bound on time: what fails here fails again, and a machine that stands still fails nothing.
+# The same examples in every run, without a deadline: a failure is repeatable, and a stalled machine causes none.
 _UNHURRIED = settings(
     deadline=None,
     suppress_health_check=[
@@ -36,26 +43,116 @@ INHERITED = (
     "COLUMNS",
     "PYTHONPATH",
     "PYTHONUNBUFFERED",
+    "PYTHONDONTWRITEBYTECODE",
 )
+FAILED = pytest.StashKey[bool]()
 
 
-# Files that take longest: begun first, so that no worker is left with one of them when the others have ended.
+def pytest_configure() -> None:
+    """Restore SIGINT and measure the slowdown before workers start.
+
+    A shell that starts a job in the background makes it ignore SIGINT, and child processes inherit that.
+    """
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    pace()
+
+
+# The files that take longest start first, and their tests are distributed one by one. The tests of any other file
+# stay on one worker, because of the module's fixtures.
 LONGEST = (
     "cli/test_examples.py",
     "docs/test_pages.py",
-    "faults/test_quick.py",
-    "usecases/test_life.py",
     "agent/test_crashloop.py",
     "docs/test_demo.py",
+    "experiment/test_short.py",
+    "faults/test_quick.py",
+    "usecases/test_recovery.py",
+    "usecases/test_life.py",
+    "usecases/test_cut_off_verbs.py",
+    "faults/test_planted.py",
     "e2e/test_unreachable.py",
+    "e2e/test_secrets.py",
+    "e2e/test_experiment.py",
+    "e2e/test_local.py",
+    "e2e/test_handoff.py",
+    "e2e/test_command.py",
+    "e2e/test_watch.py",
+    "evidence/test_report.py",
+    "agent/test_heartbeat.py",
+    "cli/test_apply.py",
+    "cli/test_past.py",
+    "cli/test_watch.py",
+    "cli/test_quiet.py",
+    "cli/test_files.py",
+    "config/test_fuzz.py",
+    "formats/test_round_trip.py",
+    "scheduler/test_properties.py",
     "soak/test_soak.py",
 )
+HERE = Path(__file__).parent
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The longest files first, everything else in its order."""
-    places = {Path(__file__).parent / name: place for place, name in enumerate(LONGEST)}
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
+    """Distribute whole files, except for the longest."""
+    from xdist.scheduler import LoadFileScheduling
+
+    class ByFile(LoadFileScheduling):  # type: ignore[misc]
+        def _split_scope(self, nodeid: str) -> str:
+            file = super()._split_scope(nodeid)
+            return nodeid if file.removeprefix("tests/") in LONGEST else file
+
+    return ByFile(config, log) if config.getvalue("dist") == "loadfile" else None
+
+
+def pytest_unconfigure(config: pytest.Config) -> None:
+    """End what an interrupted session left running: its workers had no time to clean up."""
+    if not hasattr(config, "workerinput"):
+        end_started_in([Path(config._tmp_path_factory.getbasetemp())])
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Move the longest files to the front, mark them as slow, and scale all timeouts."""
+    places = {HERE / name: place for place, name in enumerate(LONGEST)}
     items.sort(key=lambda item: places.get(item.path, len(places)))
+    for item in items:
+        if item.path in places:
+            item.add_marker(pytest.mark.slow)
+    if pace() > 1.0 and any(config.pluginmanager.hasplugin(name) for name in ("timeout", "pytest_timeout")):
+        for item in items:
+            marker = item.get_closest_marker("timeout")
+            limit = float(marker.args[0] if marker else config.getini("timeout"))
+            item.add_marker(pytest.mark.timeout(limit * pace()), append=False)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """End the processes of a failed test: they could make other tests fail."""
+    report = yield
+    item.stash[FAILED] = report.failed or item.stash.get(FAILED, False)
+    if report.when == "teardown" and item.stash[FAILED]:
+        end_started_in(
+            [
+                Path(found)
+                for name in ("isolated", "tmp_path")
+                if (found := getattr(item, "funcargs", {}).get(name))
+            ]
+        )
+    return report
+
+
+def end_started_in(places: list[Path]) -> list[int]:
+    """Kill every process with one of these directories in its environment or command line; return the pids."""
+    marks = [str(place).encode() for place in places]
+    ended = []
+    for process in Path("/proc").glob("[0-9]*"):
+        pid = int(process.name)
+        with suppress(OSError):
+            known = (process / "environ").read_bytes() + b"\0" + (process / "cmdline").read_bytes() + b"\0"
+            if pid != os.getpid() and any(mark + end in known for mark in marks for end in (b"\0", b"/")):
+                os.kill(pid, signal.SIGKILL)
+                ended.append(pid)
+    return ended
 
 
 @pytest.fixture(autouse=True)

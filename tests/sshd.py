@@ -25,6 +25,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat, PublicFormat
 
 from edgectl.model.inventory import Host, Role
+from tests.pace import patience
 
 PRIVSEP = Path("/run/sshd")
 MARK = "EDGECTL_TEST_SSHD"
@@ -33,7 +34,7 @@ PATH = f"{sys.base_prefix}/bin:/usr/local/bin:/usr/bin:/bin"
 # Addresses of this process alone: another one that looks for a free port there cannot take ours while a server restarts.
 FIRST = ipaddress.IPv4Address(f"127.{20 + os.getpid() // 250 % 80}.{os.getpid() % 250}.11")
 # For a server to start, on a machine that may be busy or stand still, seconds.
-STARTS_S = 60.0
+STARTS_S = patience(60.0)
 
 
 def program(name: str) -> str:

@@ -1,6 +1,7 @@
-"""The second chance of ``make test``: it names what it forgave, and forgives nothing else."""
+"""The second run of failed tests in ``make test``, and the hooks of ``tests/conftest.py``."""
 
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -8,6 +9,8 @@ from pathlib import Path
 import pytest
 
 from tests.conftest import LONGEST
+from tests.e2e.bench import a_mark, sleeping
+from tests.pace import VARIABLE, measure
 
 ROOT = Path(__file__).parents[1]
 ONCE = """
@@ -20,12 +23,15 @@ def runs(name):
 FINE = "def test_fine(): pass\n"
 
 
-def suite(directory: Path, tests: str, *options: str) -> tuple[int, str]:
-    """Exit status and output of the suite over one file of tests."""
+def suite(
+    directory: Path, tests: str, *options: str, module: str = "tests.suite", deaf: bool = False, **more: str
+) -> tuple[int, str]:
+    """Exit status and output of the suite over one file of tests; ``deaf``: started with SIGINT ignored."""
     (directory / "pytest.ini").write_text("[pytest]\naddopts = -q\n")
     (directory / "test_it.py").write_text(ONCE + tests)
-    words = [sys.executable, "-m", "tests.suite", "test_it.py", *options]
-    env = {"PATH": os.environ["PATH"], "PYTHONPATH": str(ROOT), "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
+    words = [sys.executable, "-m", module, "test_it.py", *options]
+    env = {"PATH": os.environ["PATH"], "PYTHONPATH": str(ROOT), "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", **more}
+    words = ["sh", "-c", "trap '' INT; exec \"$@\"", "sh", *words] if deaf else words
     done = subprocess.run(
         words,
         cwd=directory,
@@ -115,3 +121,47 @@ def test_everything_else_fails(tmp_path: Path, tests: str, options: tuple[str, .
 
 def test_the_files_that_are_begun_first_are_there() -> None:
     assert [name for name in LONGEST if not (ROOT / "tests" / name).exists()] == []
+
+
+@pytest.mark.parametrize("options", [(), ("-p", "xdist", "-n", "1")], ids=["here", "in a worker"])
+def test_ctrl_c_reaches_what_tests_start(tmp_path: Path, options: tuple[str, ...]) -> None:
+    tests = """
+import signal, subprocess, sys
+def test_it():
+    child = [sys.executable, "-c", "import signal, time; print(1, flush=True); time.sleep(3)"]
+    with subprocess.Popen(child, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as process:
+        process.stdout.readline()
+        process.send_signal(signal.SIGINT)
+        assert process.wait(30) == -signal.SIGINT
+"""
+    assert suite(tmp_path, tests, "-p", "tests.conftest", *options, module="pytest", deaf=True)[0] == 0
+    assert suite(tmp_path, tests, module="pytest", deaf=True)[0] == 1, "nothing else gives it back"
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_what_a_failed_test_started_is_ended_before_its_neighbour_begins(tmp_path: Path) -> None:
+    mark = a_mark()
+    tests = f"""
+import subprocess
+def leave(tmp_path):
+    return subprocess.run(["sh", "-c", "setsid sleep {mark} & echo $!"], cwd=tmp_path, stdout=open(tmp_path / "pid", "w"))
+def of_the_neighbours():
+    return subprocess.run(["pgrep", "-f", "^sleep {mark}"], capture_output=True, text=True).stdout.split()
+def test_fails(tmp_path):
+    leave(tmp_path)
+    assert not of_the_neighbours()
+def test_neighbour(tmp_path):
+    assert not of_the_neighbours()
+    leave(tmp_path)
+"""
+    code, said = suite(tmp_path, tests, "-p", "tests.conftest", module="pytest")
+    assert (code, "1 failed, 1 passed" in said) == (1, True), said
+    assert sleeping(mark) == [], "what the other left ends with the session"
+
+
+def test_limits_follow_the_pace(tmp_path: Path) -> None:
+    tests = "import time\ndef test_it(): time.sleep(1.5)\n"
+    options = ("-p", "tests.conftest", "-p", "pytest_timeout", "-o", "timeout=1")
+    assert suite(tmp_path, tests, *options, module="pytest", **{VARIABLE: "1.00"})[0] == 1
+    assert suite(tmp_path, tests, *options, module="pytest", **{VARIABLE: "9.00"})[0] == 0
+    assert measure() >= 1.0

@@ -1,11 +1,13 @@
 """A real host on this machine: the agent in a local session, with a state directory of its own; every task is ended after the test."""
 
+import fcntl
 import os
 import shutil
 import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +18,10 @@ from edgectl.agent.supervise import liveness
 from edgectl.transport.agent_client import call_agent, compute_agent_hash
 from edgectl.transport.local import LocalSession
 from tests.agent.user_systemd import UserSystemd, can_be_real, user_systemd
+from tests.pace import patience
+
+# Timeout of one request to the agent.
+ANSWERS_S = patience(30.0)
 
 
 class AgentHost:
@@ -27,7 +33,7 @@ class AgentHost:
         self.session = LocalSession(name)
         self.session.python = python
 
-    def ask(self, op: str, *, timeout: float = 30.0, **fields: object) -> dict[str, Any]:
+    def ask(self, op: str, *, timeout: float = ANSWERS_S, **fields: object) -> dict[str, Any]:
         return call_agent(self.session, {"op": op, "host": self.name, **fields}, timeout=timeout)
 
     def start(
@@ -86,17 +92,35 @@ def a_spec(command: str, **fields: object) -> dict[str, object]:
 
 def eventually(found: Callable[[], Any], *, seconds: float = 30.0) -> Any:
     """Poll ``found`` until it returns a true value; returns that."""
-    deadline = time.monotonic() + seconds
+    deadline = time.monotonic() + patience(seconds)
     while not (value := found()):
         assert time.monotonic() < deadline, "did not happen in time"
         time.sleep(0.05)
     return value
 
 
-def forget_fallback_agents() -> None:
-    """Remove the agent that a test has put into shared memory; other users of it send it again."""
+@contextmanager
+def shared_memory() -> Iterator[None]:
+    """Exclusive use of the agent cache in shared memory, which is empty at the start and at the end.
+
+    All hosts of this machine and user look for the agent there, also those of tests that run at the same time.
+    """
+    with Path(f"/dev/shm/edgectl-tests-{os.geteuid()}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        _forget_agents()
+        try:
+            yield
+        finally:
+            _forget_agents()
+
+
+def _forget_agents() -> None:
+    """Remove cached agents; other users of the cache send theirs again."""
     for path in Path(f"/dev/shm/edgectl-{os.geteuid()}/agent").glob(f"{compute_agent_hash()}*"):
-        shutil.rmtree(path) if path.is_dir() else path.unlink()
+        if path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink(missing_ok=True)
 
 
 def is_running(pid: int) -> bool:

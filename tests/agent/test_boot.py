@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 import zipfile
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from io import BytesIO
 from pathlib import Path
@@ -18,9 +19,16 @@ import edgectl
 from edgectl.agent.link import boot
 from edgectl.transport import agent_client as protocol
 from edgectl.transport.base import Reply
-from tests.agent.conftest import AgentHost, forget_fallback_agents
+from tests.agent.conftest import AgentHost, shared_memory
 
 AGENT = Path(edgectl.__file__).parent / "agent"
+
+
+@pytest.fixture(autouse=True)
+def no_agent_elsewhere() -> Iterator[None]:
+    """Exclusive shared memory: an agent cached there by another test would be used, and none would be sent."""
+    with shared_memory():
+        yield
 
 
 class Counting:
@@ -78,7 +86,6 @@ def test_directory_that_others_may_write_is_not_used(host: AgentHost) -> None:
     fallback = Path(f"/dev/shm/edgectl-{os.geteuid()}/agent/{protocol.compute_agent_hash()}.pyz")
     assert fallback.exists()
     assert stat.S_IMODE(fallback.stat().st_mode) == 0o600
-    forget_fallback_agents()
 
 
 def test_runs_from_memory_where_nothing_can_be_kept(host: AgentHost, tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ import pytest
 from edgectl.agent.measure import proc
 from edgectl.agent.supervise import lockfile, records
 from edgectl.errors import RefusedError
-from tests.agent.conftest import AgentHost, both_runtimes, eventually, forget_fallback_agents, is_running
+from tests.agent.conftest import AgentHost, both_runtimes, eventually, is_running, shared_memory
 
 pytestmark = both_runtimes
 
@@ -366,13 +366,13 @@ def test_home_that_cannot_be_written_falls_back_to_shared_memory(
     monkeypatch.setenv("EDGECTL_STATE_DIR", "/proc/nowhere")
     fallback = Path(f"/dev/shm/edgectl-{os.geteuid()}")
     host.name, host.state = f"test-{os.getpid()}", fallback
-    try:
-        pid = host.start("slam", "exec sleep 600")["pid"]
-        assert stat.S_IMODE(fallback.stat().st_mode) == 0o700
-        assert host.start("slam", "exec sleep 600", instance="i2")["pid"] == pid
-        assert host.stop("slam")["state"] == "stopped"
-    finally:
-        for path in sorted((fallback / "hosts" / host.name).rglob("*"), reverse=True):
-            path.rmdir() if path.is_dir() else path.unlink()
-        (fallback / "hosts" / host.name).rmdir()
-        forget_fallback_agents()
+    with shared_memory():
+        try:
+            pid = host.start("slam", "exec sleep 600")["pid"]
+            assert stat.S_IMODE(fallback.stat().st_mode) == 0o700
+            assert host.start("slam", "exec sleep 600", instance="i2")["pid"] == pid
+            assert host.stop("slam")["state"] == "stopped"
+        finally:
+            for path in sorted((fallback / "hosts" / host.name).rglob("*"), reverse=True):
+                path.rmdir() if path.is_dir() else path.unlink()
+            (fallback / "hosts" / host.name).rmdir()

@@ -16,6 +16,8 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from tests.pace import patience
+
 MANAGER = Path("/lib/systemd/systemd")
 CONTROLLERS = Path("/sys/fs/cgroup")
 V1 = CONTROLLERS / "systemd" / "cgroup.procs"
@@ -93,7 +95,11 @@ class UserSystemd:
             f"XDG_RUNTIME_DIR=/run/user/{os.geteuid()}",
         ]
         return subprocess.run(
-            [*inside, "systemctl", "--user", *words], capture_output=True, text=True, check=True, timeout=20
+            [*inside, "systemctl", "--user", *words],
+            capture_output=True,
+            text=True,
+            check=True,
+            timeout=patience(20),
         ).stdout
 
     @property
@@ -137,7 +143,7 @@ def user_systemd(folder: Path, *, real: bool, read_only: tuple[str, ...] = ()) -
         yield UserSystemd(_wrapper(folder, process.pid, uid, fake=not real), real, process.pid, folder)
     finally:
         process.send_signal(signal.SIGKILL)
-        process.wait(60)
+        process.wait(patience(60))
         for group in groups:
             _remove(group)
 
@@ -175,7 +181,7 @@ def _wrapper(folder: Path, pid: int, uid: int, *, fake: bool) -> Path:
 
 
 def _wait_for(found: object, log: Path) -> None:
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + patience(60)
     while not found():  # type: ignore[operator]
         assert time.monotonic() < deadline, log.read_text()[-2000:]
         time.sleep(0.05)

@@ -2,22 +2,13 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
 
 import pytest
 
 from edgectl.cli.main import main
 from edgectl.scaffold.write import write_scaffold
+from tests.cli.inprocess import Said
 from tests.views.fixtures import SNAPSHOT
-
-
-class Said(NamedTuple):
-    """How one command ended."""
-
-    code: int
-    out: str
-    err: str
-
 
 Run = Callable[..., Said]
 

@@ -9,6 +9,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Self
 
+from tests.pace import patience
+
 
 class Terminal:
     """Runs ``words`` with all three streams on a pseudo-terminal."""
@@ -22,7 +24,7 @@ class Terminal:
         limit_s: float = 120.0,
     ) -> None:
         self._ours, theirs = pty.openpty()
-        self._end = time.monotonic() + limit_s
+        self._end = time.monotonic() + patience(limit_s)
         self.seen = ""
         self.process = subprocess.Popen(
             words, cwd=directory, env=env, stdin=theirs, stdout=theirs, stderr=theirs
@@ -54,7 +56,7 @@ class Terminal:
         """Read to the end; the exit code."""
         while self._read():
             pass
-        return self.process.wait(30)
+        return self.process.wait(patience(30))
 
     def __enter__(self) -> Self:
         return self

@@ -15,6 +15,7 @@ import pytest
 from tests.cli.conftest import Run
 from tests.cli.terminal import Terminal
 from tests.docs.blocks import stopped
+from tests.pace import patience
 
 INVENTORY = """version: 1
 edges:
@@ -158,7 +159,7 @@ def started(*words: str) -> Iterator["subprocess.Popen[str]"]:
 
 def appears(root: Path, pattern: str, process: "subprocess.Popen[str]") -> None:
     """Wait for a file that ``process`` makes."""
-    end = time.monotonic() + 30
+    end = time.monotonic() + patience(30)
     while not any(root.glob(pattern)):
         assert process.poll() is None, process.communicate()
         assert time.monotonic() < end, f"no {pattern}"

@@ -1,25 +1,15 @@
 """Help that fits a screen, one line per flag, and a reference page that is current."""
 
-import os
 import re
-import subprocess
-import sys
 
 import pytest
 
 from edgectl.cli.app import COMMANDS
-from tests.docs.reference import PAGE, page
+from tests.docs.reference import PAGE, help_of, page
 
 
 def shown(command: str) -> str:
-    env = {**os.environ, "COLUMNS": "80"}
-    return subprocess.run(
-        [sys.executable, "-m", "edgectl", *command.split(), "--help"],
-        env=env,
-        capture_output=True,
-        text=True,
-        check=True,
-    ).stdout
+    return help_of(command.split())
 
 
 @pytest.mark.parametrize("command", COMMANDS)

@@ -15,6 +15,7 @@ import pytest
 from edgectl.cli.main import main
 from tests.cli.conftest import Run
 from tests.cli.terminal import Terminal
+from tests.pace import patience
 
 INVENTORY = """\
 version: 1
@@ -28,7 +29,7 @@ tasks:
   idle: {command: sleep 600, demand: {cpu: 0.01, memory: 1Mi}}
 """
 SLOW = TASKS.replace("command: sleep 600", 'command: sleep 600, ready: {command: "sleep 3", timeout: 30s}')
-LIMIT_S = 60.0
+LIMIT_S = patience(60.0)
 
 
 def entries(state: Path) -> list[dict[str, object]]:

@@ -7,12 +7,16 @@
 import contextlib
 import os
 import re
-import subprocess
+import shlex
 import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from tests.cli.inprocess import edgectl
+
+# Characters with a meaning to the shell.
+_SHELL = re.compile(r"[|&;<>$`\\*?{}~]")
 _BLOCK = re.compile(
     r"(?:<!-- (?P<mark>[^>]*?) -->\n)?^```(?P<kind>console|sh)\n(?P<text>.*?)^```$", re.MULTILINE | re.DOTALL
 )
@@ -26,6 +30,18 @@ class Block:
     commands: tuple[tuple[str, str], ...]
     exact: bool
     skipped: str
+
+    @property
+    def plain(self) -> list[list[str]]:
+        """The words of each command, or nothing if any of them needs a shell."""
+        words = [
+            shlex.split(command, comments=True) for command, _ in self.commands if not _SHELL.search(command)
+        ]
+        return (
+            words
+            if len(words) == len(self.commands) and all(each[:1] == ["edgectl"] for each in words)
+            else []
+        )
 
 
 def blocks(path: Path) -> list[Block]:
@@ -63,25 +79,15 @@ def environment(state: Path) -> dict[str, str]:
 
 @contextlib.contextmanager
 def stopped(site: Path, env: Mapping[str, str]) -> Iterator[None]:
-    """Stop everything that was started in ``site``, whatever happens, and see that it is gone."""
+    """Finally stop everything that was started in ``site``, and check that it is gone.
+
+    Local hosts keep their state in the same directory as the manager: if it does not exist, nothing was started.
+    """
     try:
         yield
     finally:
-        for words in (["stop", "--all", "--yes"], ["profilers", "stop"]):
-            subprocess.run(
-                [sys.executable, "-m", "edgectl", *words],
-                cwd=site,
-                env=env,
-                capture_output=True,
-                check=False,
-                timeout=300,
-            )
-        left = subprocess.run(
-            [sys.executable, "-m", "edgectl", "status", "-o", "name"],
-            cwd=site,
-            env=env,
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        assert left.stdout == "", f"still running: {left.stdout}"
+        if Path(env["EDGECTL_STATE_DIR"]).exists():
+            for words in (["stop", "--all", "--yes"], ["profilers", "stop"]):
+                edgectl(words, site, env)
+            left = edgectl(["status", "-o", "name"], site, env)
+            assert left.out == "", f"still running: {left.out}"

@@ -1,11 +1,10 @@
 """docs/cli.md, made from the command itself: ``python -m tests.docs.reference`` writes it."""
 
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 from edgectl.cli.app import COMMANDS
+from tests.cli.inprocess import edgectl
 
 PAGE = Path(__file__).parents[2] / "docs" / "cli.md"
 HEAD = """# Command line
@@ -32,16 +31,15 @@ def page() -> str:
     return HEAD + "\n".join(_section(words) for words in ([], *(name.split() for name in COMMANDS)))
 
 
+def help_of(words: list[str]) -> str:
+    """What ``edgectl WORDS --help`` prints in a pipe, 80 columns wide."""
+    said = edgectl([*words, "--help"], Path.cwd(), {**os.environ, "COLUMNS": "80"})
+    assert said.code == 0, said.err
+    return said.out
+
+
 def _section(words: list[str]) -> str:
-    env = {**os.environ, "COLUMNS": "80"}
-    text = subprocess.run(
-        [sys.executable, "-m", "edgectl", *words, "--help"],
-        env=env,
-        capture_output=True,
-        text=True,
-        check=True,
-    ).stdout
-    return f"## {' '.join(['edgectl', *words])}\n\n```text\n{text}```\n"
+    return f"## {' '.join(['edgectl', *words])}\n\n```text\n{help_of(words)}```\n"
 
 
 if __name__ == "__main__":

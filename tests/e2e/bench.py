@@ -22,8 +22,9 @@ from edgectl.usecases.plan import make_plan
 from edgectl.usecases.probe import probe_fleet
 from edgectl.usecases.stop import stop_tasks
 from tests.builders import a_task, some_tasks
+from tests.pace import patience
 
-QUICK = ProbeOptions(window=0.2, timeout=10.0)
+QUICK = ProbeOptions(window=0.2, timeout=patience(10.0))
 EAGER = Policy(min_dwell=0.0)
 # A small margin: on a busy machine a process that takes all it can get may get little.
 BY_CPU = Policy(min_dwell=0.0, move_margin=0.01, weights=Weights(cpu=1.0, memory=0.0, network=0.0, task=0.0))
@@ -64,7 +65,7 @@ def sleeping(mark: str) -> list[int]:
 
 def asleep(mark: str, count: int = 2) -> list[int]:
     """As `sleeping`, once ``count`` of them sleep: a shell that was just started may not have come so far."""
-    deadline = time.monotonic() + 30
+    deadline = time.monotonic() + patience(30)
     while len(found := sleeping(mark)) < count:
         assert time.monotonic() < deadline, f"{len(found)} of {count} sleep"
         time.sleep(0.02)

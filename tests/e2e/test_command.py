@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.e2e.bench import a_mark, asleep, sleeping
+from tests.pace import patience
 
 INVENTORY = """
 version: 1
@@ -47,7 +48,7 @@ class Shell:
             capture_output=True,
             text=True,
             check=False,
-            timeout=60,
+            timeout=patience(60),
             stdin=subprocess.DEVNULL,
         )
 
@@ -61,7 +62,7 @@ class Shell:
             stdin=subprocess.DEVNULL,
             text=True,
         )
-        deadline = time.monotonic() + 40
+        deadline = time.monotonic() + patience(40)
         while not sleeping(self.mark):
             assert time.monotonic() < deadline
             assert process.poll() is None, process.communicate()
@@ -94,7 +95,7 @@ def test_the_second_of_two_applies_exits_75(shell: Shell) -> None:
     assert second.returncode == 75
     assert f"(pid {first.pid}, apply, since " in second.stderr
     shell.go()
-    out, _ = first.communicate(timeout=60)
+    out, _ = first.communicate(timeout=patience(60))
     assert first.returncode == 0, out
     assert len(asleep(shell.mark)) == 2
     quiet = shell.run("apply", "--yes", "--quiet")
@@ -111,8 +112,8 @@ def test_a_lock_timeout_waits_for_the_first(shell: Shell) -> None:
     )
     time.sleep(0.5)
     shell.go()
-    first.communicate(timeout=60)
-    assert (first.returncode, second.wait(timeout=60)) == (0, 0)
+    first.communicate(timeout=patience(60))
+    assert (first.returncode, second.wait(timeout=patience(60))) == (0, 0)
     assert len(asleep(shell.mark)) == 2
 
 
@@ -121,7 +122,7 @@ def test_ctrl_c_and_sigterm_finish_what_is_under_way(shell: Shell, number: signa
     process = shell.begin("apply", "--yes")
     shell.interrupted(process, number)
     shell.go()
-    out, errors = process.communicate(timeout=60)
+    out, errors = process.communicate(timeout=patience(60))
     assert process.returncode == 130, out + errors
     assert len(sleeping(shell.mark)) == 1
     assert "interrupted" in shell.run("history").stdout
@@ -135,7 +136,7 @@ def test_ctrl_c_twice_stops_at_once_and_the_next_apply_goes_on(shell: Shell) -> 
     process = shell.begin("apply", "--yes")
     shell.interrupted(process, signal.SIGINT)
     os.kill(process.pid, signal.SIGINT)
-    process.communicate(timeout=40)  # nothing is waited for: slam has a minute to get ready
+    process.communicate(timeout=patience(40))  # nothing is waited for: slam has a minute to get ready
     assert process.returncode == 130
     shell.go()
     again = shell.run("apply", "--yes")

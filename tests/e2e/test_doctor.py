@@ -15,8 +15,9 @@ from edgectl.state.state_dir_check import inspect_state_dir
 from edgectl.transport.fleet_transport import FleetTransport
 from edgectl.usecases.doctor import run_doctor
 from edgectl.usecases.fleet import Fleet
-from tests.agent.conftest import forget_fallback_agents
+from tests.agent.conftest import shared_memory
 from tests.builders import a_robot, a_task, an_inventory, some_tasks
+from tests.pace import patience
 from tests.sshd import Lab
 
 # Nothing is ever sent there: our own kernel knows no way.
@@ -52,7 +53,7 @@ def diagnosed(inventory: Inventory, state: Disk, *names: str, tasks: Tasks | Non
     fleet = Fleet(
         inventory=inventory, tasks=tasks or some_tasks(), transport=FleetTransport(), state=Path(state.path)
     )
-    return run_doctor(fleet, state, names, timeout=30.0)
+    return run_doctor(fleet, state, names, timeout=patience(30.0))
 
 
 def complaints(diagnosis: Diagnosis) -> list[Finding]:
@@ -146,15 +147,15 @@ def test_a_state_directory_of_a_host_that_others_may_write_to(
     folder = lab["edge1"].home / "state" / "edgectl"
     folder.mkdir(parents=True, exist_ok=True)
     folder.chmod(0o777)
-    try:
-        (found,) = complaints(diagnosed(inventory, state, "edge1"))
-        assert (found.check, found.level) == ("state", Severity.WARNING)
-        assert found.remedy.endswith(f" && chmod 700 {folder}")
-        folder.chmod(0o700)
-        assert complaints(diagnosed(inventory, state, "edge1")) == []
-    finally:
-        folder.chmod(0o700)
-        forget_fallback_agents()
+    with shared_memory():
+        try:
+            (found,) = complaints(diagnosed(inventory, state, "edge1"))
+            assert (found.check, found.level) == ("state", Severity.WARNING)
+            assert found.remedy.endswith(f" && chmod 700 {folder}")
+            folder.chmod(0o700)
+            assert complaints(diagnosed(inventory, state, "edge1")) == []
+        finally:
+            folder.chmod(0o700)
 
 
 def test_a_prelude_that_fails(inventory: Inventory, state: Disk) -> None:

@@ -20,6 +20,7 @@ from edgectl.model.policy import Policy, PolicyName
 from edgectl.model.task import Need, NeedCondition, TaskKind
 from tests.builders import a_robot, a_task, an_edge, an_inventory
 from tests.e2e.bench import Bench, a_local, a_mark, a_sleeper, managing, sleeping
+from tests.pace import patience
 from tests.sshd import Lab
 
 EDGES = [a_local(an_edge("edge1"), "127.0.0.31"), a_local(an_edge("edge2"), "127.0.0.32")]
@@ -123,7 +124,7 @@ def command(site: Path, *words: str) -> "subprocess.Popen[str]":
 
 
 def until(condition: Callable[[], object]) -> None:
-    deadline = time.monotonic() + 120
+    deadline = time.monotonic() + patience(120)
     while not condition():
         assert time.monotonic() < deadline
         time.sleep(0.05)
@@ -149,14 +150,14 @@ def test_killed_in_a_trial_interrupted_in_the_next_try_and_finished_in_the_third
     until(lambda: len(set(sleeping(mark)) - before) == 3)
     assert len(sleeping(mark)) == 3, "the tasks of the trial that was killed were stopped first"
     ended.send_signal(signal.SIGINT)
-    _, said = ended.communicate(timeout=120)
+    _, said = ended.communicate(timeout=patience(120))
     assert (ended.returncode, sleeping(mark)) == (130, [])
     assert "ending the trial and stopping its tasks" in said
     assert list((tmp_path / "runs" / "mission" / "trials").iterdir()) == []
 
     hold.unlink()
     whole = command(tmp_path, "run", "spec.yaml", "-o", "json", "-n", "1")
-    out, said = whole.communicate(timeout=240)
+    out, said = whole.communicate(timeout=patience(240))
     assert (whole.returncode, sleeping(mark)) == (0, []), said
     assert json.loads(out)["done"] == 1
     assert said.splitlines()[0] == "trial 1 of 1: utility all, repetition 1"
@@ -165,5 +166,5 @@ def test_killed_in_a_trial_interrupted_in_the_next_try_and_finished_in_the_third
     ]
 
     shown = command(tmp_path, "show", "-o", "json")
-    again, _ = shown.communicate(timeout=60)
+    again, _ = shown.communicate(timeout=patience(60))
     assert (shown.returncode, again) == (0, out)

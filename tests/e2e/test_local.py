@@ -34,6 +34,7 @@ from tests.e2e.bench import (
     managing,
     sleeping,
 )
+from tests.pace import patience
 
 EDGES = [a_local(an_edge("edge1"), "127.0.0.31"), a_local(an_edge("edge2"), "127.0.0.32")]
 ROBOT = a_local(a_robot("robot1"), "127.0.0.41")
@@ -48,7 +49,7 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
 
 def test_probe_plan_apply_status_and_nothing_more_to_do(bench: Bench) -> None:
     slam, navigation = a_mark(), a_mark()
-    ready = Check(command="true", timeout=10.0)
+    ready = Check(command="true", timeout=patience(10.0))
     bench = bench.using(
         a_sleeper("slam", slam, ready=ready, robots=("robot1",)),
         a_sleeper("navigation", navigation, robots=("robot1",), needs=a_task("x", needs=["slam"]).needs),
@@ -197,7 +198,7 @@ def test_tasks_outlive_a_manager_that_is_killed(bench: Bench, tmp_path: Path) ->
     root = Path(__file__).parents[2]
     command = [sys.executable, str(script), str(bench.fleet.state), mark, other]
     killed = subprocess.run(
-        command, cwd=root, env={**os.environ, "PYTHONPATH": str(root)}, check=False, timeout=60
+        command, cwd=root, env={**os.environ, "PYTHONPATH": str(root)}, check=False, timeout=patience(60)
     )
     assert killed.returncode == -9
     bench = bench.using(a_sleeper("slam", mark), a_sleeper("camera", other))

@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 
 from tests.e2e.bench import a_mark, asleep, sleeping
+from tests.pace import patience
 from tests.sshd import Lab
 from tests.transport.test_ssh_auth import password_server
 
@@ -93,6 +94,7 @@ class Stage:
         self.directory, self.lab, self.mark = directory / "fleet", lab, a_mark()
         self.vault = directory / "vault"
         self.outputs: list[bytes] = []
+        self.seen: set[str] = set()
         self.directory.mkdir()
         self.vault.mkdir()
         for name in ("task-command", "host-command"):
@@ -149,7 +151,7 @@ class Stage:
                 cwd=self.directory,
                 capture_output=True,
                 check=False,
-                timeout=60,
+                timeout=patience(60),
                 stdin=subprocess.DEVNULL,
             )
         self.outputs.append(done.stdout + done.stderr)
@@ -172,12 +174,18 @@ class Stage:
 
 @contextmanager
 def looking_at_processes(stage: Stage) -> Iterator[None]:
-    """Sample the command line of every process, and the environment of every process that is no task."""
-    over = threading.Event()
+    """Sample the command line of every new process, and the environment of each that is no task.
+
+    Processes from before the stage cannot receive a secret.
+    """
+    over, others = threading.Event(), {process.name for process in Path("/proc").glob("[0-9]*")} - stage.seen
 
     def look() -> None:
         while not over.wait(0.05):
             for process in Path("/proc").glob("[0-9]*"):
+                if process.name in others:
+                    continue
+                stage.seen.add(process.name)
                 with suppress(OSError):
                     stage.outputs += [found] if hits(found := (process / "cmdline").read_bytes()) else []
                     environment = (process / "environ").read_bytes()

@@ -17,6 +17,7 @@ from edgectl.usecases.logs import follow_log
 from edgectl.usecases.stop import restart_task
 from tests.builders import a_robot, an_inventory
 from tests.e2e.bench import EAGER, QUICK, Bench, a_mark, a_sleeper, a_slice, asleep, managing, sleeping
+from tests.pace import patience
 from tests.sshd import Lab
 
 LINKS = {("edge1", "robot1"): 10e6, ("edge2", "robot1"): 10e6}
@@ -55,7 +56,7 @@ def test_the_main_job(lab: Lab, manager: Managing, connection: Connection) -> No
     slam, navigation = a_mark(), a_mark()
     # A name of its own: a manager that is new within the same second knows nothing of the generations of the one before.
     name = f"slam-{connection.value}"
-    ready = Check(command='test -n "$EDGECTL_ROBOT_HOST"', timeout=10.0)
+    ready = Check(command='test -n "$EDGECTL_ROBOT_HOST"', timeout=patience(10.0))
     bench = manager(fleet(lab, connection=connection)).using(
         a_sleeper(name, slam, robots=("robot1",), ready=ready),
         a_sleeper(f"{name}-navigation", navigation, robots=("robot1",)),

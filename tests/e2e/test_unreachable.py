@@ -16,6 +16,7 @@ from edgectl.usecases import operator_marks
 from edgectl.views.reasons import describe_reason
 from tests.builders import an_inventory
 from tests.e2e.bench import Bench, a_mark, a_sleeper, a_slice, asleep, managing, sleeping
+from tests.pace import patience
 from tests.sshd import Lab, Server
 
 LINKS = {("edge1", "robot1"): 10e6, ("edge2", "robot1"): 10e6}
@@ -55,7 +56,7 @@ def mend(server: Server) -> None:
 
 
 def wait_until(condition: Callable[[], bool], within: float) -> None:
-    deadline = time.monotonic() + within
+    deadline = time.monotonic() + patience(within)
     while not condition():
         assert time.monotonic() < deadline
         time.sleep(0.3)

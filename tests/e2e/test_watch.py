@@ -17,6 +17,7 @@ from edgectl.model.task import HostRules
 from edgectl.usecases.watch import WatchOptions, watch_fleet
 from tests.builders import an_inventory
 from tests.e2e.bench import BY_CPU, Bench, a_mark, a_sleeper, asleep, kill, managing, sleeping
+from tests.pace import patience
 from tests.sshd import Lab, Server, _descendants
 from tests.usecases.watching import EVERY, Hands, Hurried
 
@@ -83,7 +84,7 @@ def test_a_load_moves_a_task_once_and_a_host_that_was_cut_off_keeps_it(lab: Lab,
         every=EVERY,
         apply=True,
         control=Hurried(hands),
-        probe=ProbeOptions(window=0.4, timeout=10.0),
+        probe=ProbeOptions(window=0.4, timeout=patience(10.0)),
         policy=lambda _: replace(BY_CPU, move_margin=0.1),
     )
     with closing(watch_fleet(fleet, options)) as running:

@@ -6,6 +6,8 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from tests.pace import patience
+
 ROOT = Path("/sys/fs/cgroup")
 PERIOD_US = 100_000
 
@@ -34,7 +36,7 @@ class Group:
 
     def remove(self) -> None:
         """Remove it; what ran in it must have ended (given up to 5 s)."""
-        deadline = time.monotonic() + 5
+        deadline = time.monotonic() + patience(5)
         for directory in self.directories:
             while directory.exists():
                 try:

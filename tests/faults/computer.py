@@ -33,6 +33,7 @@ from tests.faults.hosts import (
 )
 from tests.faults.network import Site, ip
 from tests.faults.scan import Canary, Process
+from tests.pace import patience
 
 REPOSITORY = HERE.parent.parent
 USER = "edge"
@@ -254,21 +255,25 @@ class NamespaceHost:
         return ["nsenter", f"--target={self.pid}", *spaces, *who, *command]
 
     def run(self, *command: str) -> "subprocess.CompletedProcess[str]":
-        return subprocess.run(self.enter(*command), capture_output=True, text=True, timeout=60, check=False)
+        return subprocess.run(
+            self.enter(*command), capture_output=True, text=True, timeout=patience(60), check=False
+        )
 
     def canary(self, name: str, *words: str, pid: int = 0) -> Canary:
         """A foreign process; ``pid``: the process id that it shall have on this computer, which must be free."""
         inside = f"/home/{USER}/oracle/records/{name}.canary"
         last = "/proc/sys/kernel/ns_last_pid"
         if pid:  # the shell that starts it must not sit on the wanted number itself
-            subprocess.run(self.enter("sh", "-c", f"echo 20000 > {last}", user=False), timeout=60, check=True)
+            subprocess.run(
+                self.enter("sh", "-c", f"echo 20000 > {last}", user=False), timeout=patience(60), check=True
+            )
         begin, after = (f"echo {pid - 1} > {last}; ", f"; echo 20000 > {last}") if pid else ("", "")
         script = f'{begin}{" ".join(AS_USER)} python3 /home/{USER}/oracle/canary.py "$0" "$@" </dev/null >/dev/null 2>&1 & echo $!{after}'
         done = subprocess.run(
             self.enter("sh", "-c", script, inside, *words, user=False),
             capture_output=True,
             text=True,
-            timeout=60,
+            timeout=patience(60),
             check=True,
         )
         number = int(done.stdout)

@@ -9,6 +9,7 @@ from tests.faults.outcome import ExpectationError
 from tests.faults.registry import OWN, fault
 from tests.faults.scan import Process, process
 from tests.faults.trouble import Kind, Trouble
+from tests.pace import patience
 
 EXCHANGE = 40_000
 """Bytes of one host's part in an apply with a move, about; the agent's file included."""
@@ -54,7 +55,7 @@ def half_open(fleet: Fleet) -> None:
         relay.heal()
         if waiting(fleet.hosts["edge1"]):
             break
-    deadline = time.monotonic() + 45
+    deadline = time.monotonic() + patience(45)
     while left := waiting(fleet.hosts["edge1"]):
         if time.monotonic() > deadline:
             raise ExpectationError(f"still waits on the host: {left}")

@@ -22,6 +22,7 @@ from tests.faults.hosts import Host, loopback_hosts
 from tests.faults.oracle import Verdict
 from tests.faults.outcome import WORST_S, ExpectationError, Outcome
 from tests.faults.relay import Relay
+from tests.pace import patience
 
 EDGECTL = Path(sys.executable).with_name("edgectl")
 APPLY = ("apply", "--yes")
@@ -215,7 +216,7 @@ class Fleet:
         """Wait for edgectl (at most two minutes)."""
         begun = begun or time.monotonic()
         try:
-            out, err = process.communicate(timeout=WORST_S)
+            out, err = process.communicate(timeout=patience(WORST_S))
         except subprocess.TimeoutExpired as hung:
             os.killpg(process.pid, signal.SIGKILL)
             _, err = process.communicate()
@@ -251,7 +252,7 @@ class Fleet:
         with os.fdopen(ours, "rb", buffering=0) as terminal, suppress(OSError):
             while part := terminal.read(65536):
                 data += part
-        done.wait(WORST_S)
+        done.wait(patience(WORST_S))
         return data.decode(errors="replace")
 
     def apply(self, **env: str) -> Outcome:

@@ -17,6 +17,7 @@ from typing import Protocol
 from tests import sshd
 from tests.faults import scan
 from tests.faults.scan import Canary, Process
+from tests.pace import patience
 
 HERE = Path(__file__).parent
 POWER, CABLE, REBOOT, DISK, MOUNTS, PYTHON, LIMIT = (
@@ -56,7 +57,7 @@ class Host(Protocol):
 
 def wait_for(condition: Callable[[], object], what: str, seconds: float = 30) -> None:
     """Poll until the condition holds."""
-    deadline = time.monotonic() + seconds
+    deadline = time.monotonic() + patience(seconds)
     while not condition():
         assert time.monotonic() < deadline, f"waited {seconds} s in vain: {what}"
         time.sleep(0.02)
@@ -112,7 +113,7 @@ class LoopbackHost:
 
     def run(self, *command: str) -> "subprocess.CompletedProcess[str]":
         return subprocess.run(
-            command, capture_output=True, text=True, env=self._env(), timeout=60, check=False
+            command, capture_output=True, text=True, env=self._env(), timeout=patience(60), check=False
         )
 
     def _env(self) -> dict[str, str]:

@@ -3,6 +3,8 @@
 import json
 from dataclasses import dataclass
 
+from tests.pace import patience
+
 WORST_S = 120.0
 
 
@@ -25,7 +27,7 @@ class Outcome:
 
     def must(self, *codes: int, within: float = WORST_S) -> "Outcome":
         """This outcome, if its exit code is one of these and it came in time."""
-        if self.code not in codes or self.seconds > within:
+        if self.code not in codes or self.seconds > patience(within):
             raise ExpectationError(
                 f"wanted exit {' or '.join(map(str, codes))} within {within:.0f} s: {self}"
             )

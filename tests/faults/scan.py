@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tests.faults.oracle import read_events
+from tests.pace import patience
 
 CANARY = Path(__file__).with_name("canary.py")
 
@@ -143,7 +144,7 @@ def start_canary(directory: Path, name: str, *words: str) -> tuple[Canary, "subp
 
 def wait_for_canary(name: str, record: Path, pid: int) -> Canary:
     """The canary once it listens."""
-    deadline = time.monotonic() + 30
+    deadline = time.monotonic() + patience(30)
     while not (record.exists() and read_events(record)):
         assert time.monotonic() < deadline, f"canary {name} did not start"
         time.sleep(0.02)

@@ -13,6 +13,7 @@ from tests.faults import cgroup, scan
 from tests.faults.computer import NamespaceHost, missing_for_namespaces, namespace_hosts
 from tests.faults.hosts import LIMIT, loopback_hosts, wait_for
 from tests.faults.network import Site
+from tests.pace import patience
 
 
 @pytest.fixture(scope="module")
@@ -28,16 +29,16 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, Site
 
 
 def ssh(
-    place: tuple[Path, Site, NamespaceHost], command: str, *, patience: int = 20
+    place: tuple[Path, Site, NamespaceHost], command: str, *, within: int = 20
 ) -> "subprocess.CompletedProcess[str]":
-    """Run a command on the computer, which is given ``patience`` seconds to answer: few where it cannot."""
+    """Run a command on the computer, which is given ``within`` seconds to answer: few where it cannot."""
     directory, site, host = place
     address, port, user, key = host.login
     (directory / "known").write_text(f"{address} {key}\n")
     options = [
         f"UserKnownHostsFile={directory}/known",
         "BatchMode=yes",
-        f"ConnectTimeout={patience}",
+        f"ConnectTimeout={within}",
         f"IdentityFile={directory}/user_key",
         "IdentitiesOnly=yes",
     ]
@@ -53,7 +54,7 @@ def ssh(
         f"{user}@{address}",
         command,
     ]
-    return subprocess.run(line, capture_output=True, text=True, timeout=60, check=False)
+    return subprocess.run(line, capture_output=True, text=True, timeout=patience(60), check=False)
 
 
 def test_it_is_a_computer_of_its_own(place: tuple[Path, Site, NamespaceHost]) -> None:
@@ -70,7 +71,7 @@ def test_power(place: tuple[Path, Site, NamespaceHost]) -> None:
     (sleeper,) = sleepers(host)
     host.power_off()
     assert not sleeper.alive
-    said = ssh(place, "true", patience=1).stderr
+    said = ssh(place, "true", within=1).stderr
     assert "timed out" in said or "No route" in said
     host.boot()
     assert host.boot_id != before
@@ -88,11 +89,11 @@ def sleepers(host: NamespaceHost) -> list[scan.Process]:
 def test_cable(place: tuple[Path, Site, NamespaceHost]) -> None:
     host = place[2]
     host.cable_out()
-    assert ssh(place, "true", patience=1).returncode == 255
+    assert ssh(place, "true", within=1).returncode == 255
     host.cable_in()
     wait_for(lambda: ssh(place, "true").returncode == 0, "the link")
     host.swallow()
-    assert ssh(place, "true", patience=1).returncode == 255
+    assert ssh(place, "true", within=1).returncode == 255
     host.cable_in()
     wait_for(lambda: ssh(place, "true").returncode == 0, "the link")
 

@@ -12,13 +12,14 @@ from pathlib import Path
 import pytest
 
 from tests.faults import oracle, scan
+from tests.pace import patience
 
 BEACON = Path(oracle.__file__).with_name("beacon.py")
 Launch = Callable[..., "subprocess.Popen[bytes]"]
 
 
 def wait_until(condition: Callable[[], object], seconds: float = 30) -> None:
-    deadline = time.monotonic() + seconds
+    deadline = time.monotonic() + patience(seconds)
     while not condition():
         assert time.monotonic() < deadline, "waited in vain"
         time.sleep(0.02)

@@ -27,7 +27,7 @@ from edgectl.model.inventory import Host
 from edgectl.model.plan import Action
 from edgectl.model.result import ActionResult, Outcome, Results
 from edgectl.model.snapshot import LinkSample, TaskSample, TaskState
-from edgectl.state import journal, store_rows
+from edgectl.state import journal, journal_reader, store_rows
 from edgectl.state.manager_state import load_manager_state
 from edgectl.state.store import Store
 from edgectl.state.store_file import HISTORY_FILE_NAME as HISTORY
@@ -281,9 +281,9 @@ def _journals(directory: Path) -> list[bytes]:
 def _read_journal(path: Path) -> object:
     """Read it, and open it as the next apply does: a torn line is cut off, a damaged file set aside and a new one begun."""
     try:
-        log = journal.read(path)
+        log = journal_reader.read_journal(path)
         journal.Journal.open(path.parent, clock=lambda: NOW).close()
-        assert not journal.read(path).broken
+        assert not journal_reader.read_journal(path).broken
         return log.revision, log.begun, log.applied, log.unfinished, log.held, log.generations
     finally:
         for left in path.parent.glob("journal.jsonl*"):

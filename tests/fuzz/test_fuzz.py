@@ -7,6 +7,7 @@ import pytest
 
 from tests.fuzz.run import cases_of, run
 from tests.fuzz.targets import Target, targets
+from tests.pace import patience
 
 CASES = 250
 
@@ -15,7 +16,7 @@ def test_decoders_read_or_refuse_whatever_is_damaged(tmp_path: Path) -> None:
     with targets(tmp_path) as found:
         assert len(found) >= 7
         for target in found:
-            tally = run(target, seed=1, cases=CASES, until=time.monotonic() + 60)
+            tally = run(target, seed=1, cases=CASES, until=time.monotonic() + patience(60))
             assert tally.bad == []
             assert tally.cases == cases_of(target, CASES)
             assert tally.accepted + tally.refused == tally.cases
@@ -27,7 +28,7 @@ def test_a_foreign_exception_is_noticed(wrong: Exception) -> None:
     def read(_data: bytes) -> object:
         raise wrong
 
-    tally = run(Target("planted", [b"x"], read), seed=1, cases=3, until=time.monotonic() + 10)
+    tally = run(Target("planted", [b"x"], read), seed=1, cases=3, until=time.monotonic() + patience(10))
     assert len(tally.bad) == 3
 
 
@@ -39,5 +40,6 @@ def test_a_slow_case_is_noticed() -> None:
         return None
 
     assert (
-        "took 1." in run(Target("planted", [b"x"], read), seed=1, cases=1, until=time.monotonic() + 10).bad[0]
+        "took 1."
+        in run(Target("planted", [b"x"], read), seed=1, cases=1, until=time.monotonic() + patience(10)).bad[0]
     )

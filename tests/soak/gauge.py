@@ -9,6 +9,8 @@ from contextlib import suppress
 from dataclasses import dataclass, fields
 from pathlib import Path
 
+from tests.pace import patience
+
 _PAGE = os.sysconf("SC_PAGE_SIZE")
 
 
@@ -33,7 +35,7 @@ def take(remote: Callable[[], int] = lambda: 0, *, settle_s: float = 5.0) -> Rea
     gc.collect()
     with suppress(OSError, AttributeError):
         ctypes.CDLL(None).malloc_trim(0)
-    deadline, before = time.monotonic() + settle_s, (-1, -1)
+    deadline, before = time.monotonic() + patience(settle_s), (-1, -1)
     while (now := (_threads(), remote())) != before and time.monotonic() < deadline:
         before = now
         time.sleep(0.2)
@@ -50,7 +52,7 @@ def take(remote: Callable[[], int] = lambda: 0, *, settle_s: float = 5.0) -> Rea
 
 def at_rest(warm: Reading, remote: Callable[[], int] = lambda: 0, *, patience_s: float = 30.0) -> Reading:
     """As `take`, again and again while there is more than when it was ``warm``: what is only on its way out is no growth."""
-    deadline = time.monotonic() + patience_s
+    deadline = time.monotonic() + patience(patience_s)
     while grown(warm, found := take(remote)) and time.monotonic() < deadline:
         time.sleep(0.2)
     return found

@@ -14,6 +14,7 @@ from edgectl.model.result import Outcome
 from edgectl.usecases.watch import WatchOptions, watch_fleet
 from tests.builders import an_inventory, some_tasks
 from tests.e2e.bench import a_mark, a_sleeper, a_slice, managing
+from tests.pace import patience
 from tests.soak.gauge import Reading, at_rest, take
 from tests.sshd import MARK, Lab, Server, running_lab
 from tests.usecases.watching import EVERY, Hands, Hurried
@@ -110,7 +111,7 @@ def soak(
                     assert sorted(alive) == sorted(marks), alive
                 power.strike(cycle.number)
         counts["losses"] = power.losses
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + patience(60)
     while living(lab) and time.monotonic() < deadline:
         time.sleep(0.1)
     counts["left behind"] = living(lab)

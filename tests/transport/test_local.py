@@ -9,6 +9,7 @@ import pytest
 from edgectl.errors import DeadlineError, ReplyError
 from edgectl.model.inventory import Host, Role
 from edgectl.transport.local import LocalSession, LocalTransport
+from tests.pace import patience
 
 HOST = Host(name="edge1", role=Role.EDGE, host="127.0.1.11")
 
@@ -25,7 +26,7 @@ def test_deadline_ends_the_whole_group(tmp_path: Path) -> None:
     with pytest.raises(DeadlineError, match=r"no answer within 5 s"):
         LocalSession("edge1").run(f"sleep 600 & echo $! > {tmp_path}/pid; sleep 600", b"", timeout=5)
     state = Path(f"/proc/{(tmp_path / 'pid').read_text().strip()}/stat")
-    deadline = time.monotonic() + 30
+    deadline = time.monotonic() + patience(30)
     while state.exists() and ") Z" not in state.read_text():
         assert time.monotonic() < deadline
         time.sleep(0.05)

@@ -19,6 +19,7 @@ from edgectl.transport.known_hosts import HostKey
 from edgectl.transport.ssh import SshTransport
 from edgectl.transport.ssh_auth import Keyring, SshAgentClient
 from edgectl.transport.ssh_config import SshConfigResolver
+from tests.pace import patience
 from tests.relay import callers
 from tests.sshd import Lab, make_key
 
@@ -35,7 +36,7 @@ def agent_with(directory: Path, *keys: Path) -> Iterator[str]:
     path = directory / "agent.sock"
     process = subprocess.Popen(["ssh-agent", "-D", "-a", str(path)], stdout=subprocess.DEVNULL)
     try:
-        deadline = time.monotonic() + 30
+        deadline = time.monotonic() + patience(30)
         while not answers(path):
             assert time.monotonic() < deadline, "the agent did not start"
             time.sleep(0.01)

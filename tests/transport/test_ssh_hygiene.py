@@ -18,6 +18,7 @@ from edgectl.transport.sockets import connect_tcp, watchdog
 from edgectl.transport.ssh import SshTransport
 from edgectl.transport.ssh_auth import LoginStrategy
 from edgectl.transport.ssh_config import SshConfigResolver
+from tests.pace import patience
 from tests.relay import callers, mute_server
 from tests.sshd import Lab, make_key, running_lab
 
@@ -28,7 +29,7 @@ def open_files() -> int:
 
 def settled(threads: int, files: int) -> bool:
     """Whether threads and files are back to what they were, after a while."""
-    deadline = time.monotonic() + 30
+    deadline = time.monotonic() + patience(30)
     while (threading.active_count() > threads or open_files() > files) and time.monotonic() < deadline:
         time.sleep(0.01)
     return threading.active_count() <= threads and open_files() <= files
@@ -130,7 +131,7 @@ def test_a_busy_server_is_asked_again(tmp_path: Path, monkeypatch: pytest.Monkey
             with socket.create_connection((server.address, server.port)) as first:
                 first.recv(4)  # it has the one place
                 waiting = pool.submit(SshTransport().connect, lab.host("edge1"), timeout=60)
-                deadline = time.monotonic() + 30
+                deadline = time.monotonic() + patience(30)
                 while "drop connection" not in server.log:
                     assert time.monotonic() < deadline, server.log
                     time.sleep(0.05)
@@ -153,7 +154,7 @@ def test_what_is_no_ssh_server(lab: Lab, tmp_path: Path) -> None:
     start = time.monotonic()
     with pytest.raises(ConnectError, match="before its SSH banner"):
         SshTransport().connect(lab.host("edge1", host="odd"), timeout=30)
-    assert time.monotonic() - start < 15
+    assert time.monotonic() - start < patience(15)
 
 
 def test_a_server_that_talks_without_end(lab: Lab) -> None:
@@ -163,7 +164,7 @@ def test_a_server_that_talks_without_end(lab: Lab) -> None:
     start = time.monotonic()
     with pytest.raises(ConnectError):
         SshTransport().connect(lab.host("edge1", host="odd"), timeout=30)
-    assert time.monotonic() - start < 25
+    assert time.monotonic() - start < patience(25)
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 50_000
 
 

@@ -17,8 +17,9 @@ from edgectl.tui.app import FleetBackend, TopApp
 from edgectl.tui.rows import Frame
 from edgectl.views.top import group_points_by_host, group_points_by_task
 from tests.builders import GI, NOW, a_run, a_sample, a_snapshot, a_task, an_edge, an_inventory, some_tasks
+from tests.pace import patience
 
-LIMIT_S = 60.0
+LIMIT_S = patience(60.0)
 # What a host that means harm says: it must neither colour nor move anything.
 HARM = "[red]no[/red] \x1b[2J\x9b1mroute"
 

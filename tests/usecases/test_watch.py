@@ -21,6 +21,7 @@ from edgectl.usecases import operator_marks
 from edgectl.usecases.control import Control, ControlRequest
 from edgectl.usecases.fleet import Fleet
 from tests.builders import a_task, some_tasks
+from tests.pace import patience
 from tests.state.journals import entries
 from tests.usecases.watching import EVERY, Site
 
@@ -274,7 +275,7 @@ def test_tasks_that_fence_themselves_hear_of_it_between_the_cycles(tmp_path: Pat
 
     class Patiently(Control):
         def wait(self, seconds: float) -> ControlRequest | None:
-            deadline = time.monotonic() + 20
+            deadline = time.monotonic() + patience(20)
             while set(asked) != {"edge1", "edge2"} and time.monotonic() < deadline:
                 time.sleep(0.01)
             site.hands.seconds += seconds
