@@ -24,7 +24,7 @@ test: check
 	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.suite tests --ignore=tests/benchmarks -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 
 # Tests without real hosts: rules, files, documents, views, and simulated fleets.
-PURE := config doctor evidence executor export formats fuzz gateway model scheduler state tui usecases views test_rooms.py
+PURE := config doctor experiments executor export formats fuzz gateway model scheduler state tui usecases views test_rooms.py
 test-fast: setup
 	@.ci/need-promtool
 	@$(PY) -m tests.suite $(PURE:%=tests/%) -m "not slow" -n 2 --dist loadfile --no-loadscope-reorder
@@ -52,7 +52,7 @@ soak: setup
 # The shipped experiment on hosts of its own: table, page and figures in runs/mission. Some fifteen minutes; REPETITIONS=1 takes a third.
 experiment: setup
 	@.ci/need-faults
-	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.experiment --repetitions $(or $(REPETITIONS),3)
+	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.experiments.lab --repetitions $(or $(REPETITIONS),3)
 
 clean:
 	rm -rf .venv .pytest_cache .mypy_cache .ruff_cache .hypothesis dist build

@@ -15,7 +15,7 @@ ALLOWED = {
     "units": set(),
     "names": {"errors"},
     "model": PURE,
-    "formats": PURE | {"experiments"},
+    "formats": PURE,
     "scheduler": PURE,
     "config": PURE | {"formats"},
     "transport": PURE,
@@ -38,7 +38,7 @@ ALLOWED = {
         "gateway",
         "state",
     },
-    "views": PURE | {"formats", "experiments"},
+    "views": PURE | {"formats"},
     "tui": PURE | {"usecases", "views", "gateway"},
     "cli": PURE
     | {
@@ -81,6 +81,14 @@ PURE_ROOMS = (
     "scheduler/",
     "experiments/model/",
     "experiments/views/",
+    "experiments/files/run_codec.py",
+    "experiments/files/map_file.py",
+    "experiments/report/page.py",
+    "experiments/report/figure_style.py",
+    "experiments/report/gantt_chart.py",
+    "experiments/report/distribution_plots.py",
+    "experiments/report/time_series_plots.py",
+    "experiments/report/trial_selection.py",
     "experiments/simulator.py",
     "experiments/simulator_state.py",
     "experiments/replay.py",
@@ -96,6 +104,22 @@ PURE_ROOMS = (
     "errors.py",
     "names.py",
 )
+# Parts of the wing experiments/, each above those before it; "" holds the modules at its top.
+WING_PARTS = ("model", "files", "", "views", "report", "commands")
+# Part, or module at the top, of the wing -> the rooms outside of it that it may import besides PURE.
+WING_DOORS = {
+    "model": set(),
+    "files": {"config", "formats", "state"},
+    "simulator": {"scheduler", "executor"},
+    "replay": {"scheduler"},
+    "recorded_snapshots": {"usecases"},
+    "runner": {"executor", "gateway", "state", "usecases"},
+    "trial": {"executor", "gateway", "usecases"},
+    "trial_state": {"state", "usecases"},
+    "views": {"formats", "views"},
+    "report": set(),
+    "commands": {"cli", "config", "formats", "usecases", "views"},
+}
 IMPURE = {
     "os",
     "time",
@@ -146,6 +170,44 @@ def may_import(module: str, name: str) -> bool:
     if module == "executor/diff.py":
         return target in PURE
     return target == room or target in ALLOWED[room] or target == "__version__"
+
+
+def split_wing_module(name: str) -> tuple[str, str]:
+    """Part and door of a module of the wing, such as ("", "runner") or ("views", "views")."""
+    words = name.split(".")[2:]
+    part = words[0] if words and words[0] in WING_PARTS else ""
+    return part, part or (words[0] if words else "")
+
+
+def test_the_wing_imports_downward_and_through_its_doors() -> None:
+    foreign = [
+        f"{module} imports {name}"
+        for module in MODULES
+        if module.startswith("experiments/")
+        for name in imports(ROOT / module)
+        if not may_wing_import(module, name)
+    ]
+    assert foreign == []
+
+
+def may_wing_import(module: str, name: str) -> bool:
+    part, door = split_wing_module("edgectl." + module.removesuffix(".py").replace("/", "."))
+    if name.split(".")[:2] == ["edgectl", "experiments"]:
+        target, _ = split_wing_module(name)
+        downward = WING_PARTS.index(target) <= WING_PARTS.index(part)
+        return downward and {part, target} != {"views", "report"}
+    if not name.startswith("edgectl.") or name in ("edgectl.agent.link", PROTOCOL):
+        return True
+    return name.split(".")[1] in PURE | WING_DOORS.get(door, set()) | {"__version__"}
+
+
+def test_nothing_outside_of_the_wing_imports_it() -> None:
+    outside = [m for m in MODULES if not m.startswith("experiments/")]
+    assert [
+        m for m in outside if any(name.startswith("edgectl.experiments") for name in imports(ROOT / m))
+    ] == []
+    # The table of commands names the modules of its commands as text, and no other module does so.
+    assert [m for m in outside if '"experiments.' in (ROOT / m).read_text()] == ["cli/app.py"]
 
 
 def test_third_party_packages_have_one_owner() -> None:

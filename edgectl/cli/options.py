@@ -67,21 +67,7 @@ PlanOutput = Annotated[OutputFormat, build_output_option("table", "wide", "json"
 FleetOutput = Annotated[OutputFormat, build_output_option("table", "wide", "json", "yaml", "name")]
 TopOutput = Annotated[OutputFormat, build_output_option("table", "wide", "json", "yaml")]
 ResultOutput = Annotated[OutputFormat, build_output_option("table", "json", "yaml", "name")]
-PoliciesOption = Annotated[
-    str, Option("--policy", metavar="LIST", show_default=False, help="Of utility, paper, static, local.")
-]
-WeightsListOption = Annotated[
-    str | None,
-    Option(
-        "--weights",
-        "-w",
-        metavar="LIST",
-        show_default=False,
-        help="Presets such as cpu,all; or one set: cpu=.5,task=1.",
-    ),
-]
 GraphOutput = Annotated[OutputFormat, build_output_option("mermaid", "dot")]
-ExperimentOutput = Annotated[OutputFormat, build_output_option("table", "wide", "json", "yaml", "markdown")]
 ExplainOutput = Annotated[OutputFormat, build_output_option("table", "wide", "json", "yaml")]
 WatchOutput = Annotated[OutputFormat, build_output_option("table", "jsonl")]
 FieldsOutput = Annotated[OutputFormat, build_output_option("table", "json", "yaml")]

@@ -1,1 +1,4 @@
-"""Evidence on one's own fleet: what other rules would have done, and what a model says of it. Pure; the scheduler is the real one."""
+"""Experiments: simulate missions, replay snapshots, compare schemes on real hosts, score maps.
+
+All of them use the real scheduler. The rest of edgectl does not import this package, except for its commands.
+"""

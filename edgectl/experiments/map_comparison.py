@@ -1,4 +1,4 @@
-"""How like the truth a map is that a task has left. Importing this needs the extra ``evidence``."""
+"""SSIM of map files, local or fetched from a host. Importing this module needs the extra ``evidence``."""
 
 from collections.abc import Callable
 from pathlib import Path, PurePosixPath
@@ -12,37 +12,39 @@ MAX_MAP_BYTES = 32 * 2**20
 
 
 def compare_maps(file: str, fetch: Callable[[str], bytes], truth: Path) -> float:
-    """SSIM of the map ``file``, read by ``fetch``, and ``truth`` on this computer. Either is an image, or a ``.yaml`` that names one.
+    """SSIM (-1..1) of the map ``file``, read by ``fetch``, and the local file ``truth``.
+
+    Each file is an image or a ``.yaml``.
 
     Raises:
-        FileError: a file of this computer cannot be read, or is no image.
-        InputError: what is wrong with a ``.yaml``.
-        UsageError: the two cannot be compared, or are no maps by their names.
+        FileError: a local file is unreadable or not an image.
+        InputError: all faults of a ``.yaml`` file.
+        UsageError: the two cannot be compared, or a suffix is unknown.
     """
     return ssim.compute_ssim(_load_map_image(file, fetch), _load_map_image(str(truth), read_local_file))
 
 
 def check_truth_map(truth: Path) -> None:
-    """See that a truth can be compared with at all, before anything is done for that.
+    """Check that ``truth`` is a usable ground truth.
 
     Raises:
-        FileError, InputError, UsageError: as ``similarity`` does.
+        FileError, InputError, UsageError: as `compare_maps`.
     """
     compare_maps(str(truth), read_local_file, truth)
 
 
 def read_local_file(name: str) -> bytes:
-    """A file of this computer.
+    """The bytes of a local file.
 
     Raises:
-        FileError: it cannot be read, or is too large.
+        FileError: it is unreadable or larger than `MAX_MAP_BYTES`.
     """
     try:
         with Path(name).open("rb") as stream:
             data = stream.read(MAX_MAP_BYTES + 1)
     except OSError as error:
         raise FileError(
-            f"{name} cannot be read: {error.strerror}", hint="name a .yaml, .pgm or .png of a map"
+            f"{name} cannot be read: {error.strerror}", hint="name a map file: .yaml, .pgm or .png"
         ) from None
     if len(data) > MAX_MAP_BYTES:
         raise FileError(
@@ -54,11 +56,11 @@ def read_local_file(name: str) -> bytes:
 def _load_map_image(name: str, read: Callable[[str], bytes]) -> MapImage:
     suffix = PurePosixPath(name).suffix.lower()
     if suffix in (".yaml", ".yml"):
-        sheet = parse_map_metadata(name, read(name))
-        image = str(PurePosixPath(name).parent / sheet.image)
-        return MapImage(name=image, data=read(image), metadata=sheet)
+        metadata = parse_map_metadata(name, read(name))
+        image = str(PurePosixPath(name).parent / metadata.image)
+        return MapImage(name=image, data=read(image), metadata=metadata)
     if suffix not in (".pgm", ".png"):
         raise UsageError(
-            f"{name} is no map by its name", hint="name the .yaml of a map, or its image: .pgm or .png"
+            f"{name} is not a map file", hint="name a map's .yaml file, or its image (.pgm or .png)"
         )
     return MapImage(name=name, data=read(name))

@@ -1,11 +1,12 @@
-"""Snapshots again, from the rows of the history."""
+"""Snapshots rebuilt from the rows of the history, and their replay."""
 
 from collections.abc import Iterable, Sequence
 from itertools import groupby
 from typing import TypeVar
 
-from edgectl.experiments.model.comparison import ReplayResult, Scheme
-from edgectl.experiments.replay import replay_snapshots as replayed
+from edgectl.experiments.model.comparison import ReplayResult
+from edgectl.experiments.model.schemes import Scheme
+from edgectl.experiments.replay import replay_snapshots
 from edgectl.model.inventory import Inventory
 from edgectl.model.point import HostPoint, LinkPoint, TaskPoint
 from edgectl.model.snapshot import (
@@ -25,7 +26,10 @@ LinkOrTaskPoint = TypeVar("LinkOrTaskPoint", LinkPoint, TaskPoint)
 def snapshots_from_points(
     inventory: Inventory, hosts: Iterable[HostPoint], links: Iterable[LinkPoint], tasks: Iterable[TaskPoint]
 ) -> tuple[Snapshot, ...]:
-    """One snapshot per instant, oldest first; hosts that left the inventory are left out. Rows need not be in order."""
+    """One snapshot per instant, oldest first, without hosts that are no longer in the inventory.
+
+    Rows come in any order.
+    """
     by_link = _group_points((point.at, point.edge, point) for point in links)
     by_task = _group_points((point.at, point.host, point) for point in tasks)
     ordered = sorted((point for point in hosts if point.host in inventory.hosts), key=lambda point: point.at)
@@ -57,7 +61,7 @@ def _host_sample_from_point(
 ) -> HostSample:
     role = inventory.hosts[point.host].role
     if point.status is not HostStatus.OK or not point.cores or not point.total_bytes:
-        return HostSample(role=role, status=HostStatus.UNREACHABLE, error="did not answer then")
+        return HostSample(role=role, status=HostStatus.UNREACHABLE, error="did not answer")
     return HostSample(
         role=role,
         status=HostStatus.OK,
@@ -78,21 +82,26 @@ def _link_sample_from_point(point: LinkPoint) -> LinkSample:
 
 def _task_sample_from_point(point: TaskPoint) -> TaskSample:
     return TaskSample(
-        state=point.state, started_at=point.at - point.age_s, used_cores=point.used_cores, used_bytes=point.used_bytes,
-        used_bytes_per_s=point.used_bytes_per_s, instance=point.instance, spec_hash=point.spec_hash,
-    )  # fmt: skip
+        state=point.state,
+        started_at=point.at - point.age_s,
+        used_cores=point.used_cores,
+        used_bytes=point.used_bytes,
+        used_bytes_per_s=point.used_bytes_per_s,
+        instance=point.instance,
+        spec_hash=point.spec_hash,
+    )
 
 
 def replay_schemes(
-    fleet: Fleet, snapshots: Sequence[Snapshot], variants: Sequence[Scheme]
+    fleet: Fleet, snapshots: Sequence[Snapshot], schemes: Sequence[Scheme]
 ) -> tuple[ReplayResult, ...]:
-    """Each variant over ``snapshots``, which may stand in any order."""
+    """The replay of each scheme over ``snapshots``, which come in any order."""
     ordered = sorted(snapshots, key=lambda snapshot: snapshot.taken_at)
-    return tuple(replayed(fleet.inventory, fleet.tasks, ordered, variant) for variant in variants)
+    return tuple(replay_snapshots(fleet.inventory, fleet.tasks, ordered, scheme) for scheme in schemes)
 
 
 def read_recorded_snapshots(fleet: Fleet, since: float | None = None) -> tuple[Snapshot, ...]:
-    """The snapshots that the history can make again. ``since``: s since 1970."""
+    """The snapshots in the fleet's history since ``since`` (s since 1970; None: all)."""
     rows = fleet.history.use(
         fleet.state,
         fleet.warn,

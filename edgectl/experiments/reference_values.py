@@ -1,4 +1,4 @@
-"""What stands beside a model's columns: what was published of the real thing, or what an experiment on real hosts gave."""
+"""Reference values for a simulation: published ones, or those of an experiment on real hosts."""
 
 from collections.abc import Iterator, Mapping, Sequence
 
@@ -8,87 +8,97 @@ from edgectl.experiments.model.scenario import Scenario
 from edgectl.experiments.scheme_results import HOST_METRICS, summarize_trials
 
 _MISSION_METRICS = ("latency", "handoffs")
-# The application's metric that stands beside the model's rate, in frames/s.
+# Application metrics that correspond to the simulated rate, in frames/s.
 RATE_METRICS = ("rate", "fps")
 
 
 def reference_from_scenario(scenario: Scenario) -> ReferenceValues:
-    """What the scenario's file quotes."""
+    """The published values in the scenario file."""
     return ReferenceValues(label="published", means=scenario.published)
 
 
-def reference_from_run(model: Sequence[SchemeResult], run: ExperimentRun) -> ReferenceValues:
-    """What the trials of ``run`` gave, scheme by scheme and host by host as the model has them."""
-    real = {value.scheme.name: value for value in summarize_trials(run) if value.runs}
-    figures = {
-        value.scheme.name: _collect_reference_means(value, real[value.scheme.name])
-        for value in model
-        if value.scheme.name in real
+def reference_from_run(simulated: Sequence[SchemeResult], run: ExperimentRun) -> ReferenceValues:
+    """The means over the trials of ``run``, by the schemes and hosts of the ``simulated`` results."""
+    measured_by_scheme = {result.scheme.name: result for result in summarize_trials(run) if result.runs}
+    means = {
+        result.scheme.name: _collect_reference_means(result, measured_by_scheme[result.scheme.name])
+        for result in simulated
+        if result.scheme.name in measured_by_scheme
     }
-    return ReferenceValues(label="measured", means=figures, notes=tuple(_describe_coverage(model, real, run)))
+    return ReferenceValues(
+        label="measured", means=means, notes=tuple(_describe_coverage(simulated, measured_by_scheme, run))
+    )
 
 
 def _collect_reference_means(
-    value: SchemeResult, real: SchemeResult
+    result: SchemeResult, measured: SchemeResult
 ) -> Mapping[str, tuple[float | None, ...]]:
-    found = {metric: _list_metric_means(real, metric) for metric in _MISSION_METRICS} | {
-        metric: _align_means_to_hosts(value, real, metric) for metric in HOST_METRICS
+    means_by_metric = {metric: _list_metric_means(measured, metric) for metric in _MISSION_METRICS} | {
+        metric: _align_means_to_hosts(result, measured, metric) for metric in HOST_METRICS
     }
-    rate = next((real.metrics[name] for name in RATE_METRICS if name in real.metrics), None)
-    found |= {"rate": (_mean_or_none(rate),), "ssim": (_mean_or_none(_select_map_estimate(real)),)}
-    return {metric: means for metric, means in found.items() if any(mean is not None for mean in means)}
+    rate = next((measured.metrics[name] for name in RATE_METRICS if name in measured.metrics), None)
+    means_by_metric |= {
+        "rate": (_mean_or_none(rate),),
+        "ssim": (_mean_or_none(_select_map_estimate(measured)),),
+    }
+    return {
+        metric: means for metric, means in means_by_metric.items() if any(mean is not None for mean in means)
+    }
 
 
-def _list_metric_means(real: SchemeResult, metric: str) -> tuple[float | None, ...]:
-    return tuple(_mean_or_none(figure) for figure in real.estimates[metric])
+def _list_metric_means(measured: SchemeResult, metric: str) -> tuple[float | None, ...]:
+    return tuple(_mean_or_none(estimate) for estimate in measured.estimates[metric])
 
 
-def _align_means_to_hosts(value: SchemeResult, real: SchemeResult, metric: str) -> tuple[float | None, ...]:
-    """The real means in the order of the model's hosts; under local execution both have the mean over the robots."""
-    if not value.hosts:
-        return _list_metric_means(real, metric)
-    known = dict(zip(real.hosts, _list_metric_means(real, metric), strict=True))
-    return tuple(known.get(host) for host in value.hosts)
+def _align_means_to_hosts(
+    result: SchemeResult, measured: SchemeResult, metric: str
+) -> tuple[float | None, ...]:
+    """The measured means in the order of the simulated hosts; under local execution, their mean."""
+    if not result.hosts:
+        return _list_metric_means(measured, metric)
+    known = dict(zip(measured.hosts, _list_metric_means(measured, metric), strict=True))
+    return tuple(known.get(host) for host in result.hosts)
 
 
-def _select_map_estimate(real: SchemeResult) -> Estimate | None:
-    return (
-        real.maps["ssim"]
-        if "ssim" in real.maps
-        else next(iter(real.maps.values()), None)
-        if len(real.maps) == 1
-        else None
-    )
+def _select_map_estimate(measured: SchemeResult) -> Estimate | None:
+    """The map named ssim, or the only one."""
+    if "ssim" in measured.maps:
+        return measured.maps["ssim"]
+    return next(iter(measured.maps.values())) if len(measured.maps) == 1 else None
 
 
-def _mean_or_none(figure: Estimate | None) -> float | None:
-    return figure.mean if figure else None
+def _mean_or_none(estimate: Estimate | None) -> float | None:
+    return estimate.mean if estimate else None
 
 
 def _describe_coverage(
-    model: Sequence[SchemeResult], real: Mapping[str, SchemeResult], run: ExperimentRun
+    simulated: Sequence[SchemeResult], measured: Mapping[str, SchemeResult], run: ExperimentRun
 ) -> Iterator[str]:
-    """What was measured, and what has nothing to stand beside."""
-    names = [value.scheme.name for value in model]
-    trials = sum(value.runs for value in real.values())
+    """The number of measured trials; and schemes, hosts and metrics that only one side has."""
+    names = [result.scheme.name for result in simulated]
+    trials = sum(result.runs for result in measured.values())
     yield f"Measured: {trials} trial{'' if trials == 1 else 's'} of {run.experiment.name}."
-    yield from _describe_names("Measured, but not in the model", [name for name in real if name not in names])
-    yield from _describe_names("In the model, but not measured", [name for name in names if name not in real])
-    hosts = dict.fromkeys(host for value in model for host in value.hosts)
-    there = dict.fromkeys(host for value in real.values() for host in value.hosts)
     yield from _describe_names(
-        "Edges of the model that were not measured",
-        [host for host in hosts if host not in there] if there else [],
+        "Measured, but not simulated", [name for name in measured if name not in names]
     )
     yield from _describe_names(
-        "Measured edges that the model does not have",
-        [host for host in there if host not in hosts] if hosts else [],
+        "Simulated, but not measured", [name for name in names if name not in measured]
+    )
+    hosts = dict.fromkeys(host for result in simulated for host in result.hosts)
+    measured_hosts = dict.fromkeys(host for result in measured.values() for host in result.hosts)
+    yield from _describe_names(
+        "Edges simulated, but not measured",
+        [host for host in hosts if host not in measured_hosts] if measured_hosts else [],
     )
     yield from _describe_names(
-        "Not modelled", [name for name in run.experiment.metrics if name not in RATE_METRICS]
+        "Edges measured, but not simulated",
+        [host for host in measured_hosts if host not in hosts] if hosts else [],
+    )
+    yield from _describe_names(
+        "Metrics not simulated", [name for name in run.experiment.metrics if name not in RATE_METRICS]
     )
 
 
-def _describe_names(what: str, names: Sequence[str]) -> Iterator[str]:
+def _describe_names(label: str, names: Sequence[str]) -> Iterator[str]:
     if names:
-        yield f"{what}: {', '.join(names)}."
+        yield f"{label}: {', '.join(names)}."

@@ -1,4 +1,4 @@
-"""experiment run: every scheme on real hosts, as often as the spec says, one trial after the other on a fleet that is idle."""
+"""Run an experiment on real hosts: all missing trials, one after the other, each on an idle fleet."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -7,8 +7,8 @@ from pathlib import Path
 
 from edgectl.errors import EdgectlError, FleetBusyError, UsageError
 from edgectl.executor.operator_plans import list_running_instances
+from edgectl.experiments.files.run_codec import digest_experiment
 from edgectl.experiments.files.run_directory import load_run, load_run_to_resume, save_run, save_trial
-from edgectl.experiments.model.comparison import Scheme
 from edgectl.experiments.model.experiment import (
     Experiment,
     ExperimentRun,
@@ -18,9 +18,9 @@ from edgectl.experiments.model.experiment import (
     TrialProgress,
     ignore_trial_progress,
 )
+from edgectl.experiments.model.schemes import Scheme
 from edgectl.experiments.trial import TrialOptions, check_all_hosts_answered, clean_up_trials, run_trial
 from edgectl.experiments.trial_recorder import TrialRecorder
-from edgectl.formats.digest import digest_experiment
 from edgectl.gateway import host_probe
 from edgectl.gateway.host_probe import ProbeOptions
 from edgectl.model.cycle import Cycle
@@ -30,69 +30,82 @@ from edgectl.state.manager_state import load_manager_state
 from edgectl.usecases.control import Control
 from edgectl.usecases.fleet import Fleet
 
-# A host's load is looked at for this long, and again where it is too high: right after a trial something may still be settling.
+# Load is measured over this window, and again if it is too high: processes may still be ending after a trial.
 _IDLE_WINDOW_S, _IDLE_PROBE_TIMEOUT_S, _IDLE_PAUSE_S = 1.0, 30.0, 1.0
 _FIRST_IDLE_CHECKS, _LATER_IDLE_CHECKS = 3, 30
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExperimentOptions:
-    """``directory``: where the run is kept. ``beside``: the directory of the spec. ``lock_timeout``: s to wait for another edgectl.
+    """``directory``: of the run.
 
-    ``watcher`` is told how far it is. ``control`` ends it early. ``debug``: a bug ends it.
+    ``spec_directory``: of the experiment file. ``lock_timeout``: s to wait for the lock.
+
+    ``listener`` receives progress. ``control`` ends the run early. ``debug``: a bug raises instead of failing
+    its cycle.
     """
 
     directory: Path
-    beside: Path
+    spec_directory: Path
     lock_timeout: float = 0.0
-    watcher: TrialListener = ignore_trial_progress
+    listener: TrialListener = ignore_trial_progress
     control: Control = field(default_factory=Control)
     debug: bool = False
 
 
-def run_experiment(fleet: Fleet, spec: Experiment, options: ExperimentOptions) -> ExperimentRun:
-    """Run the trials that are missing; the run with all that there are. It is not whole where ``control`` ended it.
+def run_experiment(fleet: Fleet, experiment: Experiment, options: ExperimentOptions) -> ExperimentRun:
+    """Run the missing trials; returns the run with all trials so far, incomplete if ``control`` ended it.
 
     Raises:
         UsageError: the directory holds a run of other files.
-        FleetBusyError: the fleet is not free: tasks run, a host's CPU is in use, or a host does not answer.
+        FleetBusyError: the fleet is not idle: tasks run, a host's CPU is in use, or a host does not answer.
         LockBusyError: another edgectl is changing this fleet.
     """
-    digest = digest_experiment(spec, fleet.inventory, fleet.tasks)
+    digest = digest_experiment(experiment, fleet.inventory, fleet.tasks)
     known = _load_matching_run(options.directory, digest, fleet)
     with FleetLock(fleet.state, verb="experiment", timeout=options.lock_timeout, clock=fleet.clock):
         clean_up_trials(fleet)
-        missing = _order_missing_trials(spec, known)
-        snapshot = _wait_until_idle(fleet, spec, options.control, _FIRST_IDLE_CHECKS) if missing else None
+        missing = _order_missing_trials(experiment, known)
+        snapshot = (
+            _wait_until_idle(fleet, experiment, options.control, _FIRST_IDLE_CHECKS) if missing else None
+        )
         machines = _capacities_from_snapshot(snapshot) if snapshot else known.machines if known else {}
-        save_run(options.directory, ExperimentRun(experiment=spec, digest=digest, machines=machines))
+        save_run(options.directory, ExperimentRun(experiment=experiment, digest=digest, machines=machines))
         if snapshot:
             _warn_about_cordons(fleet)
-            _run_missing_trials(fleet, spec, missing, snapshot, options)
+            _run_missing_trials(fleet, experiment, missing, snapshot, options)
     return load_run(options.directory)
 
 
 def _load_matching_run(directory: Path, digest: str, fleet: Fleet) -> ExperimentRun | None:
     known = load_run_to_resume(directory, fleet.warn)
     if known is not None and known.digest != digest:
-        message = f"{directory} holds a run of another fleet, other tasks or another mission: the files have changed since it began"
-        raise UsageError(message, hint="give another directory: --out DIR")
+        raise UsageError(
+            f"{directory} holds a run of another experiment: "
+            "fleet, tasks or mission have changed since it began",
+            hint="choose another directory: --out DIR",
+        )
     return known
 
 
-def _order_missing_trials(spec: Experiment, known: ExperimentRun | None) -> list[tuple[Scheme, int]]:
-    """Scheme and repetition of every trial that is to be run: each repetition of all schemes in turn, so that drift hits all alike."""
+def _order_missing_trials(experiment: Experiment, known: ExperimentRun | None) -> list[tuple[Scheme, int]]:
+    """Scheme and repetition of each missing trial.
+
+    Repetitions are interleaved over schemes, so that drift affects all alike.
+    """
     done = {(trial.scheme, trial.repetition) for trial in known.trials} if known else set()
-    every = [
-        (variant, repetition) for repetition in range(1, spec.repetitions + 1) for variant in spec.schemes
+    return [
+        (scheme, repetition)
+        for repetition in range(1, experiment.repetitions + 1)
+        for scheme in experiment.schemes
+        if (scheme.name, repetition) not in done
     ]
-    return [(variant, repetition) for variant, repetition in every if (variant.name, repetition) not in done]
 
 
 def _warn_about_cordons(fleet: Fleet) -> None:
     cordons = load_manager_state(fleet.state, fleet.warn).cordons
     if cordons:
-        fleet.warn(f"{', '.join(sorted(cordons))} cordoned: no trial starts a task there")
+        fleet.warn(f"cordoned: {', '.join(sorted(cordons))}; trials start no tasks there")
 
 
 def _capacities_from_snapshot(snapshot: Snapshot) -> dict[str, HostCapacity]:
@@ -103,117 +116,118 @@ def _capacities_from_snapshot(snapshot: Snapshot) -> dict[str, HostCapacity]:
     }
 
 
-def _wait_until_idle(fleet: Fleet, spec: Experiment, control: Control, looks: int) -> Snapshot:
-    """The fleet as it is before a trial.
+def _wait_until_idle(fleet: Fleet, experiment: Experiment, control: Control, attempts: int) -> Snapshot:
+    """Probe up to ``attempts`` times until all hosts are idle; returns the last snapshot.
 
     Raises:
-        FleetBusyError: it is not free, and does not become so.
+        FleetBusyError: a task runs, a host does not answer, or hosts are still busy after the last attempt.
     """
-    probing = ProbeOptions(window=_IDLE_WINDOW_S, timeout=_IDLE_PROBE_TIMEOUT_S)
+    probe_options = ProbeOptions(window=_IDLE_WINDOW_S, timeout=_IDLE_PROBE_TIMEOUT_S)
     while True:
-        looks -= 1
+        attempts -= 1
         snapshot = host_probe.probe_hosts(
-            fleet.inventory, fleet.tasks, fleet.transport, options=probing, clock=fleet.clock
+            fleet.inventory, fleet.tasks, fleet.transport, options=probe_options, clock=fleet.clock
         )
         check_all_hosts_answered(snapshot)
         _check_no_task_runs(snapshot)
-        busy = _describe_busy_hosts(snapshot, spec.idle)
+        busy = _describe_busy_hosts(snapshot, experiment.idle)
         if not busy or control.stop_requested.is_set():
             return snapshot
-        if looks <= 0:
+        if attempts <= 0:
             raise FleetBusyError(
-                f"the fleet is busy: {busy}", hint="wait until it is idle, or raise idle: in the spec"
+                f"the fleet is busy: {busy}",
+                hint="wait until it is idle, or raise idle: in the experiment file",
             )
         control.wait(_IDLE_PAUSE_S)
 
 
 def _check_no_task_runs(snapshot: Snapshot) -> None:
-    for task, places in list_running_instances(snapshot).items():
+    for task, hosts in list_running_instances(snapshot).items():
         raise FleetBusyError(
-            f"{task} runs on {', '.join(places)}: an experiment needs the fleet for itself",
+            f"{task} runs on {', '.join(hosts)}: an experiment needs an idle fleet",
             hint="edgectl stop --all",
         )
 
 
 def _describe_busy_hosts(snapshot: Snapshot, idle: float) -> str:
-    """Which hosts use more of their CPU than they may."""
+    """Hosts whose CPU utilisation (0..1) exceeds ``idle``; "" if none."""
     shares = {
         name: host.cpu.used_cores / host.cpu.cores
         for name, host in snapshot.hosts.items()
         if host.cpu is not None
     }
-    found = [f"{name} uses {share:.0%} of its CPU" for name, share in shares.items() if share > idle]
-    return f"{', '.join(found)}, and may use {idle:.0%}" if found else ""
+    busy = [f"{name} uses {share:.0%} of its CPU" for name, share in shares.items() if share > idle]
+    return f"{', '.join(busy)} (limit {idle:.0%})" if busy else ""
 
 
 def _run_missing_trials(
     fleet: Fleet,
-    spec: Experiment,
+    experiment: Experiment,
     missing: list[tuple[Scheme, int]],
     snapshot: Snapshot,
     options: ExperimentOptions,
 ) -> None:
-    total = len(spec.schemes) * spec.repetitions
+    total = len(experiment.schemes) * experiment.repetitions
     began = fleet.uptime().seconds
-    for position, (variant, repetition) in enumerate(missing):
+    for position, (scheme, repetition) in enumerate(missing):
         if position:
-            snapshot = _wait_until_idle(fleet, spec, options.control, _LATER_IDLE_CHECKS)
+            snapshot = _wait_until_idle(fleet, experiment, options.control, _LATER_IDLE_CHECKS)
         if options.control.stop_requested.is_set():
             return
         spent = fleet.uptime().seconds - began
-        course = TrialProgress(
-            scheme=variant.name,
+        progress = TrialProgress(
+            scheme=scheme.name,
             repetition=repetition,
             number=total - len(missing) + position + 1,
             total=total,
-            until=spec.until,
+            until=experiment.until,
             left=spent / position * (len(missing) - position) if position else None,
         )
-        options.watcher(course)
-        found = _run_and_save_trial(fleet, spec, variant, snapshot, course, options)
-        if found is None:
+        options.listener(progress)
+        trial = _run_and_save_trial(fleet, experiment, scheme, snapshot, progress, options)
+        if trial is None:
             return
-        options.watcher(
-            replace(course, elapsed=found.latency, completed=tuple(found.completed), left=None, trial=found)
+        options.listener(
+            replace(progress, elapsed=trial.latency, completed=tuple(trial.completed), left=None, trial=trial)
         )
 
 
 def _run_and_save_trial(
     fleet: Fleet,
-    spec: Experiment,
-    variant: Scheme,
+    experiment: Experiment,
+    scheme: Scheme,
     snapshot: Snapshot,
-    course: TrialProgress,
+    progress: TrialProgress,
     options: ExperimentOptions,
 ) -> Trial | None:
-    """Run a trial, keep it, and clear the fleet; what is kept is kept, even where the fleet cannot be cleared."""
-    given = TrialOptions(
-        beside=options.beside,
-        seen=_build_cycle_listener(fleet, course, options.watcher),
+    """Run and save a trial, then clear the fleet. The trial is saved even if the fleet cannot be cleared."""
+    trial_options = TrialOptions(
+        spec_directory=options.spec_directory,
+        listener=_build_cycle_listener(fleet, progress, options.listener),
         control=options.control,
         debug=options.debug,
     )
     try:
-        found = run_trial(fleet, spec, variant, course.repetition, snapshot, given)
-        if found is not None:
-            save_trial(options.directory, found)
+        trial = run_trial(fleet, experiment, scheme, progress.repetition, snapshot, trial_options)
+        if trial is not None:
+            save_trial(options.directory, trial)
     except Exception:
         with suppress(EdgectlError):
             clean_up_trials(fleet)
         raise
     clean_up_trials(fleet)
-    return found
+    return trial
 
 
 def _build_cycle_listener(
-    fleet: Fleet, course: TrialProgress, watcher: TrialListener
+    fleet: Fleet, progress: TrialProgress, listener: TrialListener
 ) -> Callable[[TrialRecorder, Cycle], None]:
     began = fleet.uptime().seconds
 
-    def seen(recorder: TrialRecorder, cycle: Cycle) -> None:
+    def report_cycle(recorder: TrialRecorder, cycle: Cycle) -> None:
         elapsed = fleet.uptime().seconds - began
-        left = None if course.left is None else max(0.0, course.left - elapsed)
-        completed = tuple(task for task in course.until if task in recorder.completed)
-        watcher(replace(course, elapsed=elapsed, completed=completed, left=left, cycle=cycle))
+        left = None if progress.left is None else max(0.0, progress.left - elapsed)
+        completed = tuple(task for task in progress.until if task in recorder.completed)
+        listener(replace(progress, elapsed=elapsed, completed=completed, left=left, cycle=cycle))
 
-    return seen
+    return report_cycle

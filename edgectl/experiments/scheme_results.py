@@ -1,11 +1,11 @@
-"""From runs to figures: means, deviations and confidence intervals."""
+"""Results of schemes from their runs: means, standard deviations and confidence intervals."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import pairwise
 from math import sqrt
 from statistics import fmean, stdev
 
-from edgectl.experiments.model.comparison import Estimate, Scheme, SchemeResult
+from edgectl.experiments.model.comparison import Estimate, SchemeResult
 from edgectl.experiments.model.experiment import (
     ExperimentRun,
     HostCapacity,
@@ -15,16 +15,22 @@ from edgectl.experiments.model.experiment import (
     Trial,
 )
 from edgectl.experiments.model.scenario import SimHostUsage, SimRun
+from edgectl.experiments.model.schemes import Scheme
 from edgectl.model.inventory import Inventory, Role
 from edgectl.model.policy import PolicyName
 
-# What one run gave, by metric: one value for each host of the column, or one alone; None where there is none.
+# Values of one run by metric: one for each host, or a single one; None: no value.
 MetricValues = Mapping[str, tuple[float | None, ...]]
-# Student's t for two-sided 95 % by degrees of freedom; beyond, the normal distribution is near enough.
-_STUDENT_T_95 = (12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228, 2.201, 2.179, 2.160, 2.145, 2.131, 2.120, 2.110, 2.101, 2.093,
-      2.086, 2.080, 2.074, 2.069, 2.064, 2.060, 2.056, 2.052, 2.048, 2.045, 2.042)  # fmt: skip
+# Student's t for two-sided 95 % by degrees of freedom, 1 to 30; beyond, the normal distribution is close
+# enough.
+# fmt: off
+_STUDENT_T_95 = (
+    12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228, 2.201, 2.179, 2.160, 2.145, 2.131,
+    2.120, 2.110, 2.101, 2.093, 2.086, 2.080, 2.074, 2.069, 2.064, 2.060, 2.056, 2.052, 2.048, 2.045, 2.042,
+)
+# fmt: on
 _NORMAL_95 = 1.960
-# A value from here on is taken for none: applications may write anything, and sums of it overflow.
+# Larger values count as none: applications may write anything, and their sums would overflow.
 MAX_METRIC_VALUE = 1e100
 _SIM_HOST_METRICS: dict[str, Callable[[SimHostUsage], float | None]] = {
     "cpu": lambda usage: 100 * usage.cpu,
@@ -33,10 +39,19 @@ _SIM_HOST_METRICS: dict[str, Callable[[SimHostUsage], float | None]] = {
     "throughput": lambda usage: usage.network_bytes_per_s / 1e6,
     "rate": lambda usage: usage.rate,
 }
+_AGGREGATORS: Mapping[MetricAggregation, Callable[[Sequence[float]], float]] = {
+    MetricAggregation.MEAN: fmean,
+    MetricAggregation.LAST: lambda values: values[-1],
+    MetricAggregation.MIN: min,
+    MetricAggregation.MAX: max,
+}
+HOST_METRICS = ("cpu", "cpu peak", "memory", "throughput")
+# A scheme without a trial has the metrics of this one, all without a value.
+_EMPTY_TRIAL = Trial(scheme="", repetition=0, began_at=0.0, latency=0.0, finished=False)
 
 
 def compute_estimate(values: Sequence[float]) -> Estimate:
-    """Mean, deviation and 95 % interval of independent values; at least one."""
+    """Mean, sample standard deviation and 95 % confidence interval of independent values, at least one."""
     if len(values) == 1:
         return Estimate(mean=values[0])
     spread = stdev(values)
@@ -47,28 +62,28 @@ def compute_estimate(values: Sequence[float]) -> Estimate:
 
 
 def select_usable_values(values: Iterable[float | None]) -> list[float]:
-    """The values that can be reckoned with."""
+    """The values below `MAX_METRIC_VALUE` in magnitude."""
     return [value for value in values if value is not None and abs(value) < MAX_METRIC_VALUE]
 
 
 def estimate_usable_values(values: Iterable[float | None]) -> Estimate | None:
-    """The figure of the runs that have a value."""
+    """The estimate over the runs that have a usable value; None if none has."""
     found = select_usable_values(values)
     return compute_estimate(found) if found else None
 
 
 def compute_usable_mean(values: Iterable[float | None]) -> float | None:
-    """The mean of the values that are there."""
+    """The mean of the usable values; None if there are none."""
     found = select_usable_values(values)
     return fmean(found) if found else None
 
 
-def summarize_sim_runs(inventory: Inventory, variant: Scheme, runs: Sequence[SimRun]) -> SchemeResult:
-    """One scheme's column of the model. Under local execution the robots count, in all others the edges, each for itself."""
-    local = variant.policy.name is PolicyName.LOCAL
+def summarize_sim_runs(inventory: Inventory, scheme: Scheme, runs: Sequence[SimRun]) -> SchemeResult:
+    """The result of a simulated scheme: per edge, or under local execution the mean over the robots."""
+    local = scheme.policy.name is PolicyName.LOCAL
     hosts = [host.name for host in (inventory.robots if local else inventory.edges)]
     return SchemeResult(
-        scheme=variant,
+        scheme=scheme,
         runs=len(runs),
         unfinished=sum(not run.finished for run in runs),
         unplaced=sum(run.unplaced for run in runs),
@@ -89,12 +104,12 @@ def _collect_sim_run_values(run: SimRun, hosts: Sequence[str], *, together: bool
 
 
 def average_over_hosts(values: MetricValues, *, together: bool) -> MetricValues:
-    """The same, or with ``together`` the mean over the hosts."""
+    """``values``, or with ``together`` their means over the hosts."""
     return {metric: (compute_usable_mean(row),) for metric, row in values.items()} if together else values
 
 
 def estimate_metrics(runs: Sequence[MetricValues]) -> dict[str, tuple[Estimate | None, ...]]:
-    """The figure of each value over runs that all have the same metrics and hosts."""
+    """The estimate of each value over runs that have the same metrics and hosts."""
     metrics = runs[0] if runs else {}
     return {
         metric: tuple(estimate_usable_values(row) for row in zip(*(run[metric] for run in runs), strict=True))
@@ -102,35 +117,27 @@ def estimate_metrics(runs: Sequence[MetricValues]) -> dict[str, tuple[Estimate |
     }
 
 
-_AGGREGATORS: Mapping[MetricAggregation, Callable[[Sequence[float]], float]] = {
-    MetricAggregation.MEAN: fmean,
-    MetricAggregation.LAST: lambda values: values[-1],
-    MetricAggregation.MIN: min,
-    MetricAggregation.MAX: max,
-}
-HOST_METRICS = ("cpu", "cpu peak", "memory", "throughput")
-# A scheme without a trial has the columns of one that says nothing.
-_EMPTY_TRIAL = Trial(scheme="", repetition=0, began_at=0.0, latency=0.0, finished=False)
-
-
 def summarize_trials(run: ExperimentRun) -> list[SchemeResult]:
-    """One column per scheme of the experiment, also where no trial has been done yet. The order of the trials is of no account."""
-    return [_summarize_scheme(run, variant) for variant in run.experiment.schemes]
+    """The result of each scheme of the experiment, with or without trials.
+
+    The order of the trials does not matter.
+    """
+    return [_summarize_scheme(run, scheme) for scheme in run.experiment.schemes]
 
 
-def _summarize_scheme(run: ExperimentRun, variant: Scheme) -> SchemeResult:
+def _summarize_scheme(run: ExperimentRun, scheme: Scheme) -> SchemeResult:
     trials = sorted(
-        (trial for trial in run.trials if trial.scheme == variant.name), key=lambda trial: trial.repetition
+        (trial for trial in run.trials if trial.scheme == scheme.name), key=lambda trial: trial.repetition
     )
-    local = variant.policy.name is PolicyName.LOCAL
+    local = scheme.policy.name is PolicyName.LOCAL
     hosts = {name: machine for name, machine in run.machines.items() if (machine.role is Role.ROBOT) is local}
-    figures = estimate_metrics([_collect_trial_values(trial, hosts, together=local) for trial in trials])
+    estimates = estimate_metrics([_collect_trial_values(trial, hosts, together=local) for trial in trials])
     return SchemeResult(
-        scheme=variant,
+        scheme=scheme,
         runs=len(trials),
         unfinished=sum(not trial.finished for trial in trials),
         unplaced=sum(trial.unplaced for trial in trials),
-        estimates=figures
+        estimates=estimates
         or {
             metric: (None,) * len(values)
             for metric, values in _collect_trial_values(_EMPTY_TRIAL, hosts, together=local).items()
@@ -138,9 +145,9 @@ def _summarize_scheme(run: ExperimentRun, variant: Scheme) -> SchemeResult:
         hosts=() if local else tuple(hosts),
         metrics={
             name: estimate_usable_values(
-                _aggregate_readings(trial.readings.get(name, {}), summary) for trial in trials
+                _aggregate_readings(trial.readings.get(name, {}), aggregation) for trial in trials
             )
-            for name, summary in run.experiment.metrics.items()
+            for name, aggregation in run.experiment.metrics.items()
         },
         maps={
             name: estimate_usable_values(trial.ssim.get(name) for trial in trials)
@@ -166,7 +173,7 @@ def _collect_trial_values(trial: Trial, hosts: Mapping[str, HostCapacity], *, to
 
 
 def _summarize_host_loads(loads: Sequence[LoadSample], machine: HostCapacity) -> dict[str, float | None]:
-    """What one host used, in the units of the table."""
+    """Mean and peak usage of one host, in the units of the table."""
     at, cpu = [load.at for load in loads], [100 * load.cores / machine.cores for load in loads]
     return {
         "cpu": _compute_time_weighted_mean(at, cpu),
@@ -177,7 +184,7 @@ def _summarize_host_loads(loads: Sequence[LoadSample], machine: HostCapacity) ->
 
 
 def _compute_time_weighted_mean(at: Sequence[float], values: Sequence[float]) -> float | None:
-    """The mean over time, as if values changed evenly between two samples; None without samples."""
+    """The time-weighted mean with linear interpolation between samples; None without samples."""
     if not values:
         return None
     seconds = at[-1] - at[0]
@@ -193,10 +200,10 @@ def _compute_time_weighted_mean(at: Sequence[float], values: Sequence[float]) ->
 
 
 def _aggregate_readings(
-    readings: Mapping[str, Sequence[MetricReading]], summary: MetricAggregation
+    readings: Mapping[str, Sequence[MetricReading]], aggregation: MetricAggregation
 ) -> float | None:
-    """One number of a trial: of each task, then the mean over the tasks that have any."""
-    summarise = _AGGREGATORS[summary]
+    """One number per trial: the aggregate of each task, averaged over the tasks that have readings."""
+    aggregate = _AGGREGATORS[aggregation]
     ordered = (sorted(each, key=lambda reading: reading.at) for each in readings.values())
     values = (select_usable_values(reading.value for reading in each) for each in ordered)
-    return compute_usable_mean(summarise(each) for each in values if each)
+    return compute_usable_mean(aggregate(each) for each in values if each)

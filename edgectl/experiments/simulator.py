@@ -1,6 +1,6 @@
-"""A closed-loop model of a fleet: computers and links that are shared fairly, a mission of jobs, and the real scheduler and diff in charge.
+"""Closed-loop simulation of a mission on fairly shared hosts and links, with the real scheduler and diff.
 
-An event (a job ends, a task is started or gone) makes all speeds anew.
+Every event (a job ends, a task starts or stops) recomputes the speed of all tasks.
 """
 
 import math
@@ -31,45 +31,56 @@ from edgectl.scheduler.assign import assign
 
 
 def simulate_mission(
-    inventory: Inventory, tasks: Tasks, scenario: Scenario, policy: Policy, dice: NormalDraw
+    inventory: Inventory, tasks: Tasks, scenario: Scenario, policy: Policy, draw_normal: NormalDraw
 ) -> SimRun:
-    """One run of the mission under ``policy``; the same draws give the same run."""
+    """One run of the mission under ``policy``; the same draws from ``draw_normal`` give the same run."""
     env = simpy.Environment()
-    world = SimState(
-        env=env, inventory=inventory, tasks=tasks, scenario=scenario, policy=replace(policy, attended=False), dice=dice,
-        changed=env.event(), reference=inventory.edges[0].name, meters={host: HostMeter() for host in scenario.hosts},
-    )  # fmt: skip
+    state = SimState(
+        env=env,
+        inventory=inventory,
+        tasks=tasks,
+        scenario=scenario,
+        policy=replace(policy, attended=False),
+        draw_normal=draw_normal,
+        changed=env.event(),
+        reference=inventory.edges[0].name,
+        meters={host: HostMeter() for host in scenario.hosts},
+    )
     for job in scenario.jobs:
-        world.left[job.task] = world.left.get(job.task, 0) + 1
-    for name, host in _list_external_placements(world):
-        world.services[name] = SimTask(task=tasks.tasks[name], host=host, since=0.0, ready=True)
-    update_speeds(world)
+        state.left[job.task] = state.left.get(job.task, 0) + 1
+    for name, host in _list_external_placements(state):
+        state.services[name] = SimTask(task=tasks.tasks[name], host=host, since=0.0, ready=True)
+    update_speeds(state)
     done: dict[str, simpy.Process] = {}
     ends: dict[str, float] = {}
     for job in _sort_jobs(scenario.jobs):
-        work = job.work * math.exp(dice() * job.spread) if job.spread else job.work
-        done[job.name] = env.process(_run_job(world, job, work, [done[name] for name in job.after], ends))
-    env.process(_run_manager(world))
+        work = job.work * math.exp(draw_normal() * job.spread) if job.spread else job.work
+        done[job.name] = env.process(_run_job(state, job, work, [done[name] for name in job.after], ends))
+    env.process(_run_manager(state))
     env.run(
         until=simpy.AnyOf(env, [simpy.AllOf(env, list(done.values())), env.timeout(scenario.timing.limit)])
     )
-    integrate_loads(world)
+    integrate_loads(state)
     finished = len(ends) == len(scenario.jobs)
     return SimRun(
-        latency=max(ends.values()) if finished else scenario.timing.limit, finished=finished, handoffs=world.handoffs,
-        unplaced=world.unplaced, usage={host: compute_host_usage(world, host) for host in scenario.hosts}, jobs=ends,
-    )  # fmt: skip
+        latency=max(ends.values()) if finished else scenario.timing.limit,
+        finished=finished,
+        handoffs=state.handoffs,
+        unplaced=state.unplaced,
+        usage={host: compute_host_usage(state, host) for host in scenario.hosts},
+        jobs=ends,
+    )
 
 
-def _list_external_placements(world: SimState) -> Iterable[tuple[str, str]]:
-    """Tasks that somebody else started: where the scenario says, and on their robot where everything runs locally."""
-    for name, host in world.scenario.placed.items():
-        robots = world.tasks.tasks[name].robots
-        yield name, robots[0] if world.policy.name is PolicyName.LOCAL and robots else host
+def _list_external_placements(state: SimState) -> Iterable[tuple[str, str]]:
+    """(task, host) of unmanaged tasks: as in the scenario, or on the robot under local execution."""
+    for name, host in state.scenario.placed.items():
+        robots = state.tasks.tasks[name].robots
+        yield name, robots[0] if state.policy.name is PolicyName.LOCAL and robots else host
 
 
 def _sort_jobs(jobs: Iterable[SimJob]) -> list[SimJob]:
-    """Jobs after all that they wait for; the reader of the file has refused cycles."""
+    """Jobs in topological order; the file reader has refused cycles."""
     left, ordered = list(jobs), list[SimJob]()
     placed = set[str]()
     while left:
@@ -81,91 +92,91 @@ def _sort_jobs(jobs: Iterable[SimJob]) -> list[SimJob]:
 
 
 def _run_job(
-    world: SimState, job: SimJob, work: float, before: list[simpy.Process], ends: dict[str, float]
+    state: SimState, job: SimJob, work: float, before: list[simpy.Process], ends: dict[str, float]
 ) -> Generator[Any, Any, None]:
-    """One job: as fast as its task runs, whatever that is at each moment."""
-    yield simpy.AllOf(world.env, before)
+    """Work off a job at the current speed of its task."""
+    yield simpy.AllOf(state.env, before)
     while work > 1e-9:
-        speed, began = world.speeds.get(job.task, 0.0), world.env.now
-        changed = world.changed
-        yield simpy.AnyOf(world.env, [changed, world.env.timeout(work / speed)]) if speed > 0 else changed
-        work -= speed * (world.env.now - began)
-    ends[job.name] = world.env.now
-    world.left[job.task] -= 1
+        speed, began = state.speeds.get(job.task, 0.0), state.env.now
+        changed = state.changed
+        yield simpy.AnyOf(state.env, [changed, state.env.timeout(work / speed)]) if speed > 0 else changed
+        work -= speed * (state.env.now - began)
+    ends[job.name] = state.env.now
+    state.left[job.task] -= 1
 
 
-def _run_manager(world: SimState) -> Generator[Any, Any, None]:
-    """The manager: probe, decide, carry out, wait; for ever."""
+def _run_manager(state: SimState) -> Generator[Any, Any, None]:
+    """The manager's endless loop: probe, plan, apply, wait."""
     while True:
-        plan = _plan_cycle(world)
-        world.unplaced += plan.summary.get(Action.UNPLACED, 0)
-        acts = [world.env.process(_run_step(world, step)) for step in plan.steps if step.action.changes]
-        yield simpy.AllOf(world.env, acts)
-        yield world.env.timeout(world.scenario.timing.every)
+        plan = _plan_cycle(state)
+        state.unplaced += plan.summary.get(Action.UNPLACED, 0)
+        actions = [state.env.process(_run_step(state, step)) for step in plan.steps if step.action.changes]
+        yield simpy.AllOf(state.env, actions)
+        yield state.env.timeout(state.scenario.timing.every)
 
 
-def _plan_cycle(world: SimState) -> Plan:
-    snapshot = simulate_probe(world)
-    assignment = assign(world.inventory, world.tasks, snapshot, world.manager, world.policy, world.env.now)
-    return plan_from_assignment(world.inventory, world.tasks, snapshot, world.manager, assignment)
+def _plan_cycle(state: SimState) -> Plan:
+    snapshot = simulate_probe(state)
+    assignment = assign(state.inventory, state.tasks, snapshot, state.manager, state.policy, state.env.now)
+    return plan_from_assignment(state.inventory, state.tasks, snapshot, state.manager, assignment)
 
 
-def _run_step(world: SimState, step: Step) -> Generator[Any, Any, None]:
-    """One action of the plan: stop first, start when everything it needs is there."""
-    timing, began = world.scenario.timing, world.env.now
-    old = world.services.get(step.task)
+def _run_step(state: SimState, step: Step) -> Generator[Any, Any, None]:
+    """Apply one step of the plan: stop the task, then start it once its needs are ready."""
+    timing, began = state.scenario.timing, state.env.now
+    old = state.services.get(step.task)
     if old is not None:
-        integrate_loads(world)
+        integrate_loads(state)
         old.ready = False
-        update_speeds(world)
-        yield world.env.timeout(timing.stop)
-        integrate_loads(world)
-        del world.services[step.task]
-        update_speeds(world)
+        update_speeds(state)
+        yield state.env.timeout(timing.stop)
+        integrate_loads(state)
+        del state.services[step.task]
+        update_speeds(state)
     if step.action in (Action.STOP, Action.COMPLETE) or step.decision.host is None:
-        _remove_placement(world, step.task, completed=step.action is Action.COMPLETE)
+        _remove_placement(state, step.task, completed=step.action is Action.COMPLETE)
         return
-    task = world.tasks.tasks[step.task]
-    while not all(_is_need_ready(world, need.task) for need in task.needs):
-        yield world.changed
-    integrate_loads(world)
-    world.services[step.task] = SimTask(task=task, host=step.decision.host, since=world.env.now)
-    _record_placement(world, task, step.decision.host)
-    update_speeds(world)
-    yield world.env.timeout(timing.start)
-    integrate_loads(world)
-    world.services[step.task].ready = True
+    task = state.tasks.tasks[step.task]
+    while not all(_is_need_ready(state, need.task) for need in task.needs):
+        yield state.changed
+    integrate_loads(state)
+    state.services[step.task] = SimTask(task=task, host=step.decision.host, since=state.env.now)
+    _record_placement(state, task, step.decision.host)
+    update_speeds(state)
+    yield state.env.timeout(timing.start)
+    integrate_loads(state)
+    state.services[step.task].ready = True
     if old is not None:
-        world.handoffs += old.host != step.decision.host
-        _record_downtime(world, step.task, step.decision.host, world.env.now - began)
-    update_speeds(world)
+        state.handoffs += old.host != step.decision.host
+        _record_downtime(state, step.task, step.decision.host, state.env.now - began)
+    update_speeds(state)
 
 
-def _is_need_ready(world: SimState, need: str) -> bool:
-    service = world.services.get(need)
-    return need in world.manager.done or (service is not None and service.ready)
+def _is_need_ready(state: SimState, need: str) -> bool:
+    service = state.services.get(need)
+    return need in state.manager.done or (service is not None and service.ready)
 
 
-def _record_placement(world: SimState, task: Task, host: str) -> None:
+def _record_placement(state: SimState, task: Task, host: str) -> None:
     placements = {
-        **world.manager.placements,
-        task.name: Placement(host=host, since=world.env.now, spec_hash=task.spec_hash),
+        **state.manager.placements,
+        task.name: Placement(host=host, since=state.env.now, spec_hash=task.spec_hash),
     }
-    world.manager = replace(
-        world.manager, placements=placements, first={task.name: host, **world.manager.first}
+    state.manager = replace(
+        state.manager, placements=placements, first={task.name: host, **state.manager.first}
     )
 
 
-def _remove_placement(world: SimState, name: str, *, completed: bool) -> None:
-    placements = {task: there for task, there in world.manager.placements.items() if task != name}
+def _remove_placement(state: SimState, name: str, *, completed: bool) -> None:
+    placements = {task: there for task, there in state.manager.placements.items() if task != name}
     done = (
-        {**world.manager.done, name: world.tasks.tasks[name].spec_hash} if completed else world.manager.done
+        {**state.manager.done, name: state.tasks.tasks[name].spec_hash} if completed else state.manager.done
     )
-    world.manager = replace(world.manager, placements=placements, done=done)
+    state.manager = replace(state.manager, placements=placements, done=done)
 
 
-def _record_downtime(world: SimState, task: str, host: str, seconds: float) -> None:
-    known = world.manager.downtimes.get((task, host), ())
-    world.manager = replace(
-        world.manager, downtimes={**world.manager.downtimes, (task, host): (*known, seconds)[-20:]}
+def _record_downtime(state: SimState, task: str, host: str, seconds: float) -> None:
+    known = state.manager.downtimes.get((task, host), ())
+    state.manager = replace(
+        state.manager, downtimes={**state.manager.downtimes, (task, host): (*known, seconds)[-20:]}
     )

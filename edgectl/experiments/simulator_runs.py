@@ -1,11 +1,12 @@
-"""simulate: run a mission in the model, several times under every scheme."""
+"""Simulate a mission several times under each scheme, with random numbers from a seed."""
 
 import random
 from collections.abc import Iterator, Sequence
 from functools import partial
 
-from edgectl.experiments.model.comparison import Scheme, SchemeResult
+from edgectl.experiments.model.comparison import SchemeResult
 from edgectl.experiments.model.scenario import Scenario
+from edgectl.experiments.model.schemes import Scheme
 from edgectl.experiments.scheme_results import summarize_sim_runs
 from edgectl.experiments.simulator import simulate_mission
 from edgectl.model.inventory import Inventory
@@ -16,16 +17,16 @@ def simulate_schemes(
     inventory: Inventory,
     tasks: Tasks,
     scenario: Scenario,
-    variants: Sequence[Scheme],
+    schemes: Sequence[Scheme],
     *,
     runs: int,
     seed: int,
 ) -> Iterator[SchemeResult]:
-    """Each variant over the same ``runs`` draws of the mission: the same seed gives the same numbers."""
-    for variant in variants:
-        draws = (random.Random(f"{seed}/{run}") for run in range(runs))  # noqa: S311 - a model, no secret
-        found = [
-            simulate_mission(inventory, tasks, scenario, variant.policy, partial(dice.gauss, 0.0, 1.0))
-            for dice in draws
+    """Results of each scheme over the same ``runs`` random draws; the same seed gives the same results."""
+    for scheme in schemes:
+        generators = (random.Random(f"{seed}/{run}") for run in range(runs))  # noqa: S311 - not for security
+        sim_runs = [
+            simulate_mission(inventory, tasks, scenario, scheme.policy, partial(each.gauss, 0.0, 1.0))
+            for each in generators
         ]
-        yield summarize_sim_runs(inventory, variant, found)
+        yield summarize_sim_runs(inventory, scheme, sim_runs)

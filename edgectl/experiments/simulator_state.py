@@ -1,4 +1,4 @@
-"""Who gets how much of something that is shared: a processor or a link."""
+"""State of a simulation: fair shares of processors and links, task speeds, usage meters, simulated probes."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -22,28 +22,28 @@ from edgectl.model.snapshot import (
 from edgectl.model.task import ZERO, Task, Tasks
 
 
-def compute_fair_shares(capacity: float, wanted: Mapping[str, float]) -> dict[str, float]:
-    """Max-min fair shares: nobody gets more than wanted, nobody who wants more gets less than another, nothing is left while one wants.
+def compute_fair_shares(capacity: float, demands: Mapping[str, float]) -> dict[str, float]:
+    """Max-min fair shares of ``capacity`` by name; both in the same unit, >= 0.
 
-    This is processor sharing, as a kernel's fair scheduler or flows on one bottleneck come close to it. ``capacity`` and ``wanted`` >= 0,
-    in one unit.
+    No share exceeds its demand, no unsatisfied name gets less than another, and nothing is left while a name
+    is unsatisfied. A kernel's fair scheduler, and flows over one bottleneck, come close to this.
     """
-    shares = dict.fromkeys(wanted, 0.0)
-    left, hungry = capacity, sorted(wanted, key=lambda name: (wanted[name], name))
-    while hungry:
-        share = left / len(hungry)
-        name = hungry[0]
-        if wanted[name] >= share:
-            return shares | dict.fromkeys(hungry, share)
-        shares[name] = wanted[name]
-        left -= wanted[name]
-        hungry.pop(0)
+    shares = dict.fromkeys(demands, 0.0)
+    left, unsatisfied = capacity, sorted(demands, key=lambda name: (demands[name], name))
+    while unsatisfied:
+        share = left / len(unsatisfied)
+        name = unsatisfied[0]
+        if demands[name] >= share:
+            return shares | dict.fromkeys(unsatisfied, share)
+        shares[name] = demands[name]
+        left -= demands[name]
+        unsatisfied.pop(0)
     return shares
 
 
 # A draw from the standard normal distribution.
 NormalDraw = Callable[[], float]
-# The links carry so much in bytes/s where the inventory does not say: 54 Mbit/s, as the gateway assumes.
+# Capacity of a link without one in the inventory: 54 Mbit/s, the default of the gateway.
 _DEFAULT_LINK_BYTES_PER_S = 6.75e6
 _BASE_LOAD_NAME = ""
 
@@ -72,9 +72,11 @@ class HostMeter:
 
 @dataclass(slots=True, kw_only=True)
 class SimState:
-    """Everything that changes. ``cores`` and ``rates``: what each task gets now, in cores, and in bytes/s by robot; ``speeds`` in 0..1.
+    """The mutable state of one run.
 
-    ``reference``: the first edge, of which the shares that tasks demand count.
+    By task: ``cores`` and ``rates`` (bytes/s by robot) are its current shares, ``speeds`` its current speed,
+    0..1; ``left`` counts its unfinished jobs. ``reference``: the first edge, whose capacity scales relative
+    demands.
     """
 
     env: simpy.Environment
@@ -82,7 +84,7 @@ class SimState:
     tasks: Tasks
     scenario: Scenario
     policy: Policy
-    dice: NormalDraw
+    draw_normal: NormalDraw
     changed: simpy.Event
     reference: str
     services: dict[str, SimTask] = field(default_factory=dict)
@@ -97,119 +99,125 @@ class SimState:
     unplaced: int = 0
 
 
-def update_speeds(world: SimState) -> None:
-    """Every speed anew. Whoever changes a service meters first what was until then."""
-    world.cores, world.rates, world.speeds = {}, {}, {}
-    for host in world.scenario.hosts:
-        here = {name: service for name, service in world.services.items() if service.host == host}
-        _share_host_resources(world, host, here)
-    for name, service in world.services.items():
-        wanted = _compute_demand_cores(world, service)
-        shares = [world.cores[name] / wanted] if wanted > 0 else []
+def update_speeds(state: SimState) -> None:
+    """Recompute all speeds. Before a service changes, `integrate_loads` has to meter the time until then."""
+    state.cores, state.rates, state.speeds = {}, {}, {}
+    for host in state.scenario.hosts:
+        services = {name: service for name, service in state.services.items() if service.host == host}
+        _share_host_resources(state, host, services)
+    for name, service in state.services.items():
+        demand = _compute_demand_cores(state, service)
+        shares = [state.cores[name] / demand] if demand > 0 else []
         shares += [
-            rate / _compute_demand_bytes_per_s(world, service, robot)
-            for robot, rate in world.rates[name].items()
+            rate / _compute_demand_bytes_per_s(state, service, robot)
+            for robot, rate in state.rates[name].items()
         ]
-        world.speeds[name] = min(shares, default=1.0) if service.ready else 0.0
-    world.changed.succeed()
-    world.changed = world.env.event()
+        state.speeds[name] = min(shares, default=1.0) if service.ready else 0.0
+    state.changed.succeed()
+    state.changed = state.env.event()
 
 
-def _share_host_resources(world: SimState, host: str, here: Mapping[str, SimTask]) -> None:
-    """Processor and links of one host. A task that starts takes its processor already."""
-    machine = world.scenario.hosts[host]
-    wanted = {name: _compute_demand_cores(world, service) for name, service in here.items()}
-    got = compute_fair_shares(machine.cores, {**wanted, _BASE_LOAD_NAME: machine.base_cores})
-    world.cores |= {name: got[name] for name in wanted}
-    world.rates |= {name: {} for name in here}
+def _share_host_resources(state: SimState, host: str, services: Mapping[str, SimTask]) -> None:
+    """Share the CPU and the links of one host. A starting task uses CPU already, but no link."""
+    machine = state.scenario.hosts[host]
+    demands = {name: _compute_demand_cores(state, service) for name, service in services.items()}
+    shares_by_name = compute_fair_shares(machine.cores, {**demands, _BASE_LOAD_NAME: machine.base_cores})
+    state.cores |= {name: shares_by_name[name] for name in demands}
+    state.rates |= {name: {} for name in services}
     for robot in dict.fromkeys(
-        robot for service in here.values() for robot in _list_remote_robots(world, service)
+        robot for service in services.values() for robot in _list_remote_robots(state, service)
     ):
         rates = {
-            name: _compute_demand_bytes_per_s(world, service, robot)
-            for name, service in here.items()
-            if service.ready and robot in _list_remote_robots(world, service)
+            name: _compute_demand_bytes_per_s(state, service, robot)
+            for name, service in services.items()
+            if service.ready and robot in _list_remote_robots(state, service)
         }
-        for name, rate in compute_fair_shares(_get_link_bytes_per_s(world, host, robot), rates).items():
+        for name, rate in compute_fair_shares(_get_link_bytes_per_s(state, host, robot), rates).items():
             if rates[name] > 0:
-                world.rates[name][robot] = rate
+                state.rates[name][robot] = rate
 
 
-def _list_remote_robots(world: SimState, service: SimTask) -> tuple[str, ...]:
-    """The robots that the task reaches over a link; its own computer needs none."""
-    return () if world.inventory.hosts[service.host].role is Role.ROBOT else service.task.robots
+def _list_remote_robots(state: SimState, service: SimTask) -> tuple[str, ...]:
+    """Robots that the task reaches over a link; none for a task on a robot."""
+    return () if state.inventory.hosts[service.host].role is Role.ROBOT else service.task.robots
 
 
-def _get_link_bytes_per_s(world: SimState, host: str, robot: str) -> float:
-    return world.inventory.links.get((host, robot), _DEFAULT_LINK_BYTES_PER_S)
+def _get_link_bytes_per_s(state: SimState, host: str, robot: str) -> float:
+    return state.inventory.links.get((host, robot), _DEFAULT_LINK_BYTES_PER_S)
 
 
-def _compute_demand_cores(world: SimState, service: SimTask) -> float:
-    """What the task wants, in cores: a share counts of the first edge, on which it was measured, wherever the task runs."""
-    return (service.task.demand.cpu or ZERO).of(world.scenario.hosts[world.reference].cores)
+def _compute_demand_cores(state: SimState, service: SimTask) -> float:
+    """CPU demand in cores.
+
+    A relative demand is a share of the first edge, where it was measured, on every host.
+    """
+    return (service.task.demand.cpu or ZERO).of(state.scenario.hosts[state.reference].cores)
 
 
-def _compute_demand_bytes(world: SimState, service: SimTask) -> float:
-    return (service.task.demand.memory or ZERO).of(world.scenario.hosts[world.reference].memory)
+def _compute_demand_bytes(state: SimState, service: SimTask) -> float:
+    return (service.task.demand.memory or ZERO).of(state.scenario.hosts[state.reference].memory)
 
 
-def _compute_demand_bytes_per_s(world: SimState, service: SimTask, robot: str) -> float:
-    return (service.task.demand.throughput or ZERO).of(_get_link_bytes_per_s(world, world.reference, robot))
+def _compute_demand_bytes_per_s(state: SimState, service: SimTask, robot: str) -> float:
+    return (service.task.demand.throughput or ZERO).of(_get_link_bytes_per_s(state, state.reference, robot))
 
 
-def integrate_loads(world: SimState) -> None:
-    """Add what was since the last event."""
-    seconds = world.env.now - world.metered_at
-    world.metered_at = world.env.now
+def integrate_loads(state: SimState) -> None:
+    """Add the loads since the last event to the meters."""
+    seconds = state.env.now - state.metered_at
+    state.metered_at = state.env.now
     if seconds <= 0:
         return
-    for host, found in world.meters.items():
-        cpu, memory, network = _compute_host_load(world, host)
-        machine = world.scenario.hosts[host]
-        found.cpu += seconds * cpu / machine.cores
-        found.cpu_peak = max(found.cpu_peak, cpu / machine.cores)
-        found.memory += seconds * memory / machine.memory
-        found.network += seconds * network
-        for name, service in world.services.items():
-            if service.host == host and service.ready and name in world.scenario.rate:
-                found.rate += seconds * world.speeds.get(name, 0.0) * world.scenario.rate[name]
-                found.rated_s += seconds
+    for host, meter in state.meters.items():
+        cpu, memory, network = _compute_host_load(state, host)
+        machine = state.scenario.hosts[host]
+        meter.cpu += seconds * cpu / machine.cores
+        meter.cpu_peak = max(meter.cpu_peak, cpu / machine.cores)
+        meter.memory += seconds * memory / machine.memory
+        meter.network += seconds * network
+        for name, service in state.services.items():
+            if service.host == host and service.ready and name in state.scenario.rate:
+                meter.rate += seconds * state.speeds.get(name, 0.0) * state.scenario.rate[name]
+                meter.rated_s += seconds
 
 
-def _compute_host_load(world: SimState, host: str) -> tuple[float, float, float]:
+def _compute_host_load(state: SimState, host: str) -> tuple[float, float, float]:
     """Cores, bytes and bytes/s in use now."""
-    machine = world.scenario.hosts[host]
-    here = {name: service for name, service in world.services.items() if service.host == host}
-    used = sum(world.cores.get(name, 0.0) for name in here)
-    memory = machine.base_memory + sum(_compute_demand_bytes(world, service) for service in here.values())
-    network = sum(rate for name in here for rate in world.rates.get(name, {}).values())
+    machine = state.scenario.hosts[host]
+    services = {name: service for name, service in state.services.items() if service.host == host}
+    used = sum(state.cores.get(name, 0.0) for name in services)
+    memory = machine.base_memory + sum(_compute_demand_bytes(state, service) for service in services.values())
+    network = sum(rate for name in services for rate in state.rates.get(name, {}).values())
     return used + min(machine.base_cores, machine.cores - used), min(memory, machine.memory), network
 
 
-def compute_host_usage(world: SimState, host: str) -> SimHostUsage:
-    """What one host used since the beginning; whoever asks meters first."""
-    found, seconds = world.meters[host], max(world.env.now, 1e-9)
+def compute_host_usage(state: SimState, host: str) -> SimHostUsage:
+    """Usage of one host since the start of the run; call `integrate_loads` before."""
+    meter, seconds = state.meters[host], max(state.env.now, 1e-9)
     return SimHostUsage(
-        cpu=found.cpu / seconds, cpu_peak=found.cpu_peak, memory=found.memory / seconds, network_bytes_per_s=found.network / seconds,
-        rate=found.rate / found.rated_s if found.rated_s else None,
-    )  # fmt: skip
-
-
-def simulate_probe(world: SimState) -> Snapshot:
-    """What a probe would say now, its CPU readings off by the noise."""
-    return Snapshot(
-        taken_at=world.env.now,
-        hosts={host: _simulate_host_sample(world, host) for host in world.scenario.hosts},
-        manager=world.manager,
+        cpu=meter.cpu / seconds,
+        cpu_peak=meter.cpu_peak,
+        memory=meter.memory / seconds,
+        network_bytes_per_s=meter.network / seconds,
+        rate=meter.rate / meter.rated_s if meter.rated_s else None,
     )
 
 
-def _simulate_host_sample(world: SimState, host: str) -> HostSample:
-    machine, role = world.scenario.hosts[host], world.inventory.hosts[host].role
-    cpu, memory, _ = _compute_host_load(world, host)
-    noise = world.dice() * world.scenario.timing.noise * machine.cores
-    here = {name: service for name, service in world.services.items() if service.host == host}
-    robots = [robot.name for robot in world.inventory.robots] if role is Role.EDGE else []
+def simulate_probe(state: SimState) -> Snapshot:
+    """The snapshot of a probe now, with noise on its CPU readings."""
+    return Snapshot(
+        taken_at=state.env.now,
+        hosts={host: _simulate_host_sample(state, host) for host in state.scenario.hosts},
+        manager=state.manager,
+    )
+
+
+def _simulate_host_sample(state: SimState, host: str) -> HostSample:
+    machine, role = state.scenario.hosts[host], state.inventory.hosts[host].role
+    cpu, memory, _ = _compute_host_load(state, host)
+    noise = state.draw_normal() * state.scenario.timing.noise * machine.cores
+    services = {name: service for name, service in state.services.items() if service.host == host}
+    robots = [robot.name for robot in state.inventory.robots] if role is Role.EDGE else []
     return HostSample(
         role=role,
         status=HostStatus.OK,
@@ -217,22 +225,29 @@ def _simulate_host_sample(world: SimState, host: str) -> HostSample:
         memory=MemoryUsage(total_bytes=machine.memory, used_bytes=memory),
         links={
             robot: LinkSample(
-                capacity_bytes_per_s=_get_link_bytes_per_s(world, host, robot),
-                used_bytes_per_s=sum(world.rates.get(name, {}).get(robot, 0.0) for name in here),
+                capacity_bytes_per_s=_get_link_bytes_per_s(state, host, robot),
+                used_bytes_per_s=sum(state.rates.get(name, {}).get(robot, 0.0) for name in services),
             )
             for robot in robots
         },
-        tasks={name: _simulate_task_sample(world, service) for name, service in here.items()},
+        tasks={name: _simulate_task_sample(state, service) for name, service in services.items()},
     )
 
 
-def _simulate_task_sample(world: SimState, service: SimTask) -> TaskSample:
+def _simulate_task_sample(state: SimState, service: SimTask) -> TaskSample:
     name = service.task.name
-    over = world.left.get(name) == 0
-    state = TaskState.COMPLETED if over else TaskState.READY if service.ready else TaskState.STARTING
-    rates = world.rates.get(name, {})
+    over = state.left.get(name) == 0
+    task_state = TaskState.COMPLETED if over else TaskState.READY if service.ready else TaskState.STARTING
+    rates = state.rates.get(name, {})
     return TaskSample(
-        state=state, pid=1, started_at=service.since, used_cores=world.cores.get(name, 0.0), used_bytes=_compute_demand_bytes(world, service),
-        used_bytes_per_s=sum(rates.values()), links=dict(rates), instance=name, spec_hash=service.task.spec_hash,
+        state=task_state,
+        pid=1,
+        started_at=service.since,
+        used_cores=state.cores.get(name, 0.0),
+        used_bytes=_compute_demand_bytes(state, service),
+        used_bytes_per_s=sum(rates.values()),
+        links=dict(rates),
+        instance=name,
+        spec_hash=service.task.spec_hash,
         managed=service.task.managed,
-    )  # fmt: skip
+    )

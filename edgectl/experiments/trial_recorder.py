@@ -1,4 +1,7 @@
-"""Make the record of a trial out of what a watch saw and did. Pure: instants come in, s on one clock that nobody sets meanwhile."""
+"""Record of a trial, built from the cycles and progress events of a watch (pure).
+
+All instants are seconds on one monotonic clock.
+"""
 
 from collections.abc import Collection, Iterable
 from dataclasses import replace
@@ -22,7 +25,11 @@ Timed = TypeVar("Timed", LoadSample, MetricReading, HandoffRecord)
 
 
 class TrialRecorder:
-    """What is known of a trial so far. ``until``: the tasks whose completion ends it; ``began``: of its first plan, s since 1970."""
+    """A trial so far. ``until``: the tasks whose completion ends it.
+
+    ``began``: time of the first plan (s since 1970). ``completed``: by task, time of completion.
+    ``places``: by task, the host that it was last seen on.
+    """
 
     def __init__(self, until: Collection[str]) -> None:
         self.began: float | None = None
@@ -30,9 +37,9 @@ class TrialRecorder:
         self.places: dict[str, str] = {}
         self._until = until
         self._unplaced = 0
-        self._heard: list[tuple[float, ProgressEvent]] = []
-        self._open: dict[TaskHostPair, float] = {}
-        self._spans: list[tuple[TaskHostPair, float, float]] = []
+        self._pending_events: list[tuple[float, ProgressEvent]] = []
+        self._open_intervals: dict[TaskHostPair, float] = {}
+        self._intervals: list[tuple[TaskHostPair, float, float]] = []
         self._handoffs: list[HandoffRecord] = []
         self._loads: dict[str, list[LoadSample]] = {}
         self._readings: dict[str, dict[str, list[MetricReading]]] = {}
@@ -41,36 +48,39 @@ class TrialRecorder:
 
     @property
     def finished(self) -> bool:
-        """Whether all of ``until`` has completed."""
+        """Whether all tasks of ``until`` have completed."""
         return self.completed.keys() >= set(self._until)
 
     @property
     def has_given_up(self) -> bool:
-        """Whether a task of ``until`` was given up, so that it will never complete by itself."""
+        """Whether a task of ``until`` has failed for good, so that it cannot complete."""
         return bool(self._given_up & set(self._until))
 
     def record_progress(self, event: ProgressEvent, at: float) -> None:
-        """A step of an action, as it happens. It counts after what the cycle had seen before it acted."""
-        self._heard.append((at, event))
+        """Keep a progress event until its cycle ends: it happened after the snapshot of that cycle."""
+        self._pending_events.append((at, event))
 
     def record_cycle(self, cycle: Cycle) -> None:
-        """A cycle that is over."""
+        """Record the snapshot of a finished cycle, then its progress events."""
         if self.began is None and (cycle.plan is not None or cycle.error):
             self.began = cycle.plan.created_at if cycle.plan is not None else cycle.at
         if cycle.plan is not None:
             self._unplaced += cycle.plan.summary.get(Action.UNPLACED, 0)
         if cycle.snapshot is not None:
-            self._sample(cycle.snapshot)
-        for at, event in self._heard:
+            self._record_snapshot(cycle.snapshot)
+        for at, event in self._pending_events:
             self._record_phase(event, at)
-        self._heard.clear()
+        self._pending_events.clear()
 
     def build_trial(
         self, scheme: str, repetition: int, *, limit: float, ended: float, ssim: dict[str, float]
     ) -> Trial:
-        """The record; what is still there is there until ``ended``."""
+        """The trial; intervals that are still open end at ``ended``."""
         began = ended if self.began is None else self.began
-        spans = [*self._spans, *((place, since, ended) for place, since in self._open.items())]
+        intervals = [
+            *self._intervals,
+            *((place, since, ended) for place, since in self._open_intervals.items()),
+        ]
         completed = {task: max(0.0, at - began) for task, at in self.completed.items()}
         return Trial(
             scheme=scheme,
@@ -81,7 +91,7 @@ class TrialRecorder:
             unplaced=self._unplaced,
             completed=completed,
             spans=tuple(
-                sorted(_build_intervals(spans, began), key=lambda span: (span.start, span.task, span.end))
+                sorted(_build_intervals(intervals, began), key=lambda span: (span.start, span.task, span.end))
             ),
             handoffs=tuple(_rebase_on_trial_start(self._handoffs, began)),
             loads={host: tuple(_rebase_on_trial_start(loads, began)) for host, loads in self._loads.items()},
@@ -92,39 +102,43 @@ class TrialRecorder:
             ssim=ssim,
         )
 
-    def _sample(self, snapshot: Snapshot) -> None:
+    def _record_snapshot(self, snapshot: Snapshot) -> None:
         at = snapshot.taken_at
-        for host, sample in snapshot.hosts.items():
-            if not sample.ok:
+        for host, host_sample in snapshot.hosts.items():
+            if not host_sample.ok:
                 continue
-            self._loads.setdefault(host, []).append(_build_load_sample(sample, at))
-            for task, found in sample.tasks.items():
-                if found.managed:
-                    self._look(task, host, found, at)
-            gone = [place for place in self._open if place[1] == host and place[0] not in sample.tasks]
+            self._loads.setdefault(host, []).append(_build_load_sample(host_sample, at))
+            for task, sample in host_sample.tasks.items():
+                if sample.managed:
+                    self._record_task(task, host, sample, at)
+            gone = [
+                place
+                for place in self._open_intervals
+                if place[1] == host and place[0] not in host_sample.tasks
+            ]
             for place in gone:
-                self._close(place, at)
+                self._close_interval(place, at)
 
-    def _look(self, task: str, host: str, found: TaskSample, at: float) -> None:
-        """One task on one host, as it was seen."""
-        over = found.state is TaskState.COMPLETED
-        at = at if found.ended_at is None else min(at, found.ended_at)
-        if over and task not in self.completed:
+    def _record_task(self, task: str, host: str, sample: TaskSample, at: float) -> None:
+        """Record one task on one host."""
+        completed = sample.state is TaskState.COMPLETED
+        at = at if sample.ended_at is None else min(at, sample.ended_at)
+        if completed and task not in self.completed:
             self.completed[task] = at
-        if found.given_up:
+        if sample.given_up:
             self._given_up.add(task)
-        if found.state.alive or over:
+        if sample.state.alive or completed:
             self.places[task] = host
-        if found.instance not in self._ended_instances:
-            for name, value in found.metrics.items():
+        if sample.instance not in self._ended_instances:
+            for name, value in sample.metrics.items():
                 self._readings.setdefault(name, {}).setdefault(task, []).append(
                     MetricReading(at=at, value=value)
                 )
-        if found.state.alive:
-            self._open.setdefault((task, host), min(found.started_at, at))
+        if sample.state.alive:
+            self._open_intervals.setdefault((task, host), min(sample.started_at, at))
         else:
-            self._ended_instances.add(found.instance)
-            self._close((task, host), at)
+            self._ended_instances.add(sample.instance)
+            self._close_interval((task, host), at)
 
     def _record_phase(self, event: ProgressEvent, at: float) -> None:
         if event.stage is ProgressStage.ACTION_END and event.result is not None:
@@ -133,10 +147,10 @@ class TrialRecorder:
             return
         place = (event.task, event.ended.host)
         if event.ended.phase in (Phase.START, Phase.RESTORE):
-            self._open.setdefault(place, at)
+            self._open_intervals.setdefault(place, at)
             self.places[event.task] = event.ended.host
         elif event.ended.phase is Phase.STOP:
-            self._close(place, at)
+            self._close_interval(place, at)
 
     def _record_handoff(self, result: ActionResult, at: float) -> None:
         if (
@@ -155,10 +169,10 @@ class TrialRecorder:
                 )
             )
 
-    def _close(self, place: TaskHostPair, at: float) -> None:
-        since = self._open.pop(place, None)
+    def _close_interval(self, place: TaskHostPair, at: float) -> None:
+        since = self._open_intervals.pop(place, None)
         if since is not None:
-            self._spans.append((place, min(since, at), at))
+            self._intervals.append((place, min(since, at), at))
 
 
 def _build_load_sample(sample: HostSample, at: float) -> LoadSample:
@@ -171,14 +185,14 @@ def _build_load_sample(sample: HostSample, at: float) -> LoadSample:
 
 
 def _build_intervals(
-    spans: Iterable[tuple[TaskHostPair, float, float]], began: float
+    intervals: Iterable[tuple[TaskHostPair, float, float]], began: float
 ) -> Iterable[PlacementInterval]:
-    for (task, host), since, until in spans:
+    for (task, host), since, until in intervals:
         yield PlacementInterval(
             task=task, host=host, start=max(0.0, since - began), end=max(0.0, until - began)
         )
 
 
 def _rebase_on_trial_start(entries: Iterable[Timed], began: float) -> Iterable[Timed]:
-    """The same, counted from ``began``."""
+    """The entries with times counted from ``began``."""
     return (replace(entry, at=max(0.0, entry.at - began)) for entry in entries)

@@ -3,12 +3,11 @@
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import MISSING, Field, fields, is_dataclass, replace
+from dataclasses import MISSING, Field, fields, is_dataclass
 from enum import StrEnum
 from functools import cache
 from typing import Any
 
-from edgectl.experiments.model.experiment import Experiment
 from edgectl.model.inventory import Inventory
 from edgectl.model.task import Task, Tasks
 
@@ -18,28 +17,22 @@ OPTIONAL_RUN_FIELDS = ("self_fence", "env_command")
 
 def digest_inventory(inventory: Inventory) -> str:
     """Of everything that an inventory says."""
-    return "sha256:" + _hash_value({"hosts": inventory.hosts, "links": inventory.links})
+    return "sha256:" + hash_value({"hosts": inventory.hosts, "links": inventory.links})
 
 
 def digest_tasks(tasks: Tasks) -> str:
     """Of all tasks and the stated policy."""
-    return "sha256:" + _hash_value({"tasks": tasks.tasks, "policy": tasks.policy})
-
-
-def digest_experiment(experiment: Experiment, inventory: Inventory, tasks: Tasks) -> str:
-    """Of all that makes a trial what it is: with more schemes, repetitions or columns in its table an experiment goes on."""
-    what = replace(experiment, name="", schemes=(), repetitions=1, metrics={})
-    return "sha256:" + _hash_value({"experiment": what, "inventory": inventory.digest, "tasks": tasks.digest})
+    return "sha256:" + hash_value({"tasks": tasks.tasks, "policy": tasks.policy})
 
 
 def hash_spec(task: Task) -> str:
     """Of what runs: 16 hex digits. Demand, priority and host rules steer the placement and leave it unchanged."""
-    return _hash_value(_select_run_fields(task))[:16]
+    return hash_value(_select_run_fields(task))[:16]
 
 
 def hash_spec_fields(task: Task) -> dict[str, str]:
     """Of each field of what runs: 8 hex digits, enough to say which of them changed."""
-    return {name: _hash_value(value)[:8] for name, value in _select_run_fields(task).items()}
+    return {name: hash_value(value)[:8] for name, value in _select_run_fields(task).items()}
 
 
 def _select_run_fields(task: Task) -> dict[str, Any]:
@@ -48,7 +41,8 @@ def _select_run_fields(task: Task) -> dict[str, Any]:
     return {name: getattr(task, name) for name in RUN_FIELDS} | stated
 
 
-def _hash_value(value: object) -> str:
+def hash_value(value: object) -> str:
+    """SHA-256 of the canonical form of ``value``: 64 hex digits."""
     text = json.dumps(
         _to_canonical(value), sort_keys=True, ensure_ascii=True, allow_nan=False, separators=(",", ":")
     )

@@ -2,12 +2,6 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 
-from edgectl.experiments.model.comparison import ReferenceValues, ReplayResult, SchemeResult
-from edgectl.experiments.model.experiment import ExperimentRun
-from edgectl.experiments.model.scenario import Scenario
-from edgectl.experiments.views.experiment import encode_experiment_results as measured_document
-from edgectl.experiments.views.replay import encode_replay as replayed_document
-from edgectl.experiments.views.simulation import encode_simulation as simulated_document
 from edgectl.formats import plan as plan_format
 from edgectl.formats import snapshot as snapshot_format
 from edgectl.formats.document import (
@@ -51,23 +45,6 @@ from edgectl.views.top import encode_top_hosts, encode_top_tasks
 def plan(value: Plan, _look: RenderOptions = PLAIN) -> str:
     """The plan document."""
     return dump_document(plan_format.encode(value))
-
-
-def simulated(
-    scenario: Scenario, values: Iterable[SchemeResult], real: ReferenceValues, _look: RenderOptions = PLAIN
-) -> str:
-    """What the model says of each scheme."""
-    return dump_document(simulated_document(scenario, values, real))
-
-
-def measured(run: ExperimentRun, values: Sequence[SchemeResult], _look: RenderOptions = PLAIN) -> str:
-    """What an experiment on real hosts gave."""
-    return dump_document(measured_document(run, values))
-
-
-def replayed(values: Iterable[ReplayResult], _look: RenderOptions = PLAIN) -> str:
-    """What each variant would have done."""
-    return dump_document(replayed_document(values))
 
 
 def explanation(step: Step, value: Explanation, _look: RenderOptions = PLAIN) -> str:
@@ -268,11 +245,6 @@ def nothing(_look: RenderOptions = PLAIN) -> str:
 def profile(values: Iterable[ClassProfile], _look: RenderOptions = PLAIN) -> str:
     """What tasks were measured to use."""
     return dump_document(profile_document(values))
-
-
-def ssim(value: float, _look: RenderOptions = PLAIN) -> str:
-    """How like the truth a map is."""
-    return dump_document({"format_version": FORMAT_VERSION, "ssim": encode_number(value)})
 
 
 def fields(values: Mapping[str, str], _look: RenderOptions = PLAIN) -> str:

@@ -1,10 +1,5 @@
 """A plan as a comment on a pull request. The hidden marker lets a CI job edit its comment instead of adding one."""
 
-from collections.abc import Sequence
-
-from edgectl.experiments.model.comparison import SchemeResult
-from edgectl.experiments.model.experiment import ExperimentRun
-from edgectl.experiments.views.experiment import render_experiment_markdown
 from edgectl.model.plan import Plan, Step
 from edgectl.views import plan_sections
 from edgectl.views.demands import render_demands
@@ -25,14 +20,9 @@ def plan(value: Plan, _look: RenderOptions = PLAIN) -> str:
         "Demands", render_demands(value).replace("```", "'''")
     )
     notes = "".join(
-        f"\n> {_escape_markdown(line)}\n" for line in plan_sections.render_plan_notes(value).splitlines()
+        f"\n> {escape_markdown(line)}\n" for line in plan_sections.render_plan_notes(value).splitlines()
     )
     return f"{PLAN_COMMENT_MARKER}\n**{plan_sections.render_plan_summary(value).strip()}**\n\n{_TABLE_HEAD}{rows}{notes}{folded}\n{plan_sections.render_plan_header(value)}"
-
-
-def measured(run: ExperimentRun, values: Sequence[SchemeResult], _look: RenderOptions = PLAIN) -> str:
-    """The wide table of an experiment."""
-    return render_experiment_markdown(run, values, _escape_markdown)
 
 
 def _render_folded_section(title: str, text: str) -> str:
@@ -49,8 +39,9 @@ def _render_markdown_row(step: Step) -> str:
         format_utility(decision.lead, signed=True),
         describe_reason(step),
     )
-    return f"| `{step.action.symbol}` | " + " | ".join(_escape_markdown(field) for field in fields) + " |\n"
+    return f"| `{step.action.symbol}` | " + " | ".join(escape_markdown(field) for field in fields) + " |\n"
 
 
-def _escape_markdown(text: str) -> str:
+def escape_markdown(text: str) -> str:
+    """``text`` as it stands in Markdown, without markup and control characters."""
     return escape_unprintable(text).translate(_MARKDOWN_ESCAPES)

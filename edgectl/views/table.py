@@ -4,9 +4,6 @@ import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 
-from edgectl.experiments.views.experiment import render_experiment as measured  # noqa: F401
-from edgectl.experiments.views.replay import render_replay as replayed  # noqa: F401
-from edgectl.experiments.views.simulation import render_simulation as simulated  # noqa: F401
 from edgectl.model.inventory import Inventory
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.result import ActionResult, Outcome, PhaseResult, Results
@@ -338,11 +335,6 @@ def commands(values: Iterable[Mapping[str, object]], look: RenderOptions = PLAIN
         stdin = json.dumps(value["stdin"], ensure_ascii=True)
         parts.append(f"{heading}\n{escape_unprintable(str(value['command']))}\n<<< {stdin}\n")
     return "\n".join(parts) or "nothing to send\n"
-
-
-def ssim(value: float, _look: RenderOptions = PLAIN) -> str:
-    """How like the truth a map is."""
-    return f"{value:.4f}\n"
 
 
 def fields(values: Mapping[str, str], look: RenderOptions = PLAIN) -> str:

@@ -1,12 +1,7 @@
 """Everything the scheduler weighed: four terms of every host, losers and the rejected with what they lack."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
-from edgectl.experiments.model.comparison import ReferenceValues, SchemeResult
-from edgectl.experiments.model.experiment import ExperimentRun
-from edgectl.experiments.model.scenario import Scenario
-from edgectl.experiments.views import experiment as measured_view
-from edgectl.experiments.views import simulation as simulated_view
 from edgectl.model.assignment import RankedHost
 from edgectl.model.explanation import Explanation
 from edgectl.model.plan import Plan, Step
@@ -28,9 +23,7 @@ __all__ = [
     "explanation",
     "listing",
     "listing_more",
-    "measured",
     "plan",
-    "simulated",
     "snapshot",
     "top_hosts",
     "top_tasks",
@@ -52,18 +45,6 @@ def plan(value: Plan, look: RenderOptions = PLAIN) -> str:
         end,
     )
     return "\n".join(part for part in parts if part)
-
-
-def simulated(
-    scenario: Scenario, values: Iterable[SchemeResult], real: ReferenceValues, look: RenderOptions = PLAIN
-) -> str:
-    """The table form with every metric, each with its deviation."""
-    return simulated_view.render_simulation(scenario, values, real, look, every=True)
-
-
-def measured(run: ExperimentRun, values: Sequence[SchemeResult], look: RenderOptions = PLAIN) -> str:
-    """The table form with every metric, each with its deviation."""
-    return measured_view.render_experiment(run, values, look, every=True)
 
 
 def explanation(step: Step, value: Explanation, look: RenderOptions = PLAIN) -> str:

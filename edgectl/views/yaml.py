@@ -18,17 +18,13 @@ __all__ = [
     "history",
     "host_details",
     "listing",
-    "measured",
     "nothing",
     "plan",
     "profile",
     "profilers",
-    "replayed",
     "results",
     "revision",
-    "simulated",
     "snapshot",
-    "ssim",
     "status",
     "task_details",
     "top_hosts",
@@ -37,7 +33,8 @@ __all__ = [
 ]
 
 
-def _yaml_from_json(text: str) -> str:
+def yaml_from_json(text: str) -> str:
+    """A JSON document as YAML."""
     document: Any = json_text.loads(text)
     return str(
         yaml.dump(
@@ -52,15 +49,13 @@ def _yaml_from_json(text: str) -> str:
 
 def _make_yaml_renderer(function: Any) -> Any:  # noqa: ANN401
     def form(*values: object) -> str:
-        return _yaml_from_json(function(*values))
+        return yaml_from_json(function(*values))
 
     form.__doc__ = function.__doc__
     return form
 
 
 plan = _make_yaml_renderer(json_view.plan)
-replayed = _make_yaml_renderer(json_view.replayed)
-simulated = _make_yaml_renderer(json_view.simulated)
 events = _make_yaml_renderer(json_view.events)
 explanation = _make_yaml_renderer(json_view.explanation)
 profile = _make_yaml_renderer(json_view.profile)
@@ -76,8 +71,6 @@ fields = _make_yaml_renderer(json_view.fields)
 history = _make_yaml_renderer(json_view.history)
 revision = _make_yaml_renderer(json_view.revision)
 bandwidth = _make_yaml_renderer(json_view.bandwidth)
-measured = _make_yaml_renderer(json_view.measured)
-ssim = _make_yaml_renderer(json_view.ssim)
 drained = _make_yaml_renderer(json_view.drained)
 listing = _make_yaml_renderer(json_view.listing)
 top_hosts = _make_yaml_renderer(json_view.top_hosts)

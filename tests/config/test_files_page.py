@@ -20,7 +20,7 @@ from edgectl.model.snapshot import DeviceSample, HostSample, InterfaceSample, Ro
 from edgectl.model.snapshot import HostStatus as Status
 from edgectl.model.task import Task
 from tests.config.test_bad_documents import PLAN, SNAPSHOT
-from tests.formats.test_run import RUN, TRIAL
+from tests.experiments.test_run_codec import RUN, TRIAL
 
 PAGE = (Path(__file__).parents[2] / "docs/reference/files.md").read_text()
 TABLES: Mapping[str, tuple[Mapping[str, object], ...]] = {

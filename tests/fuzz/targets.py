@@ -40,9 +40,16 @@ from tests.config.test_bad_documents import TEXTS
 from tests.config.test_experiment import GOOD as SPEC
 from tests.config.test_experiment import TASKS as SPEC_TASKS
 from tests.config.test_maps import ROS1, ROS2
-from tests.evidence.pictures import grey, pgm, picture, png, room, sheet
+from tests.experiments.map_images import (
+    a_grey_image,
+    a_map_image,
+    a_map_metadata,
+    draw_room,
+    encode_pgm,
+    encode_png,
+)
+from tests.experiments.test_run_codec import RUN, TRIAL
 from tests.formats.test_complete import MEMORY, PLAN
-from tests.formats.test_run import RUN, TRIAL
 from tests.fuzz.mutate import damaged, worn
 from tests.gateway.test_decode import a_document, a_task
 from tests.gateway.test_facts import DOCUMENT as FACTS
@@ -124,7 +131,7 @@ def targets(directory: Path) -> Iterator[list[Target]]:
             [ROS1.encode(), ROS2.encode()],
             lambda data: parse_map_metadata("map.yaml", data),
         ),
-        Target("image of a map", [pgm(room()), png(grey(room()))], _as_map),
+        Target("image of a map", [encode_pgm(draw_room()), encode_png(a_grey_image(draw_room()))], _as_map),
         Target(
             "tasks",
             [TASKS.encode()],
@@ -134,7 +141,9 @@ def targets(directory: Path) -> Iterator[list[Target]]:
 
 
 def _as_map(data: bytes) -> object:
-    return compute_ssim(MapImage(name="map", data=data, metadata=sheet()), picture(room(), sheet()))
+    return compute_ssim(
+        MapImage(name="map", data=data, metadata=a_map_metadata()), a_map_image(draw_room(), a_map_metadata())
+    )
 
 
 def _from_file(path: Path, read: Callable[[Path], object]) -> Read:

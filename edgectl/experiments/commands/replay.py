@@ -1,4 +1,4 @@
-"""replay."""
+"""The command replay."""
 
 import time
 from pathlib import Path
@@ -8,6 +8,7 @@ from typer import Argument, Option
 
 from edgectl.cli import console, options
 from edgectl.cli.user_files import load_inputs
+from edgectl.experiments.commands.scheme_options import PoliciesOption, WeightsListOption
 from edgectl.views.output_format import OutputFormat
 
 
@@ -19,16 +20,17 @@ def replay_command(
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
     output: options.FieldsOutput = OutputFormat.TABLE,
-    policies: options.PoliciesOption = "utility",
-    weights: options.WeightsListOption = None,
+    policies: PoliciesOption = "utility",
+    weights: WeightsListOption = None,
     margin: Annotated[
         str | None, Option("--margin", metavar="LIST", help="Move margins, such as 0,0.1.")
     ] = None,
-    since: Annotated[str, Option("--since", metavar="TIME", help="How much of the history.")] = "24h",
+    since: Annotated[str, Option("--since", metavar="TIME", help="Length of the history to replay.")] = "24h",
 ) -> None:
-    """Decide recorded snapshots again under other rules, side by side: handoffs, unplaced tasks, utilisation.
+    """Re-run the scheduler on recorded snapshots under other policies and compare the results.
 
-    Without a PATH the fleet's own history is taken. Open loop: what the tasks used stays as it was recorded.
+    The results are handoffs, unplaced tasks and utilisation. Without a PATH, the fleet's history is replayed.
+    Open loop: the usage of tasks stays as recorded.
 
     Examples:
         edgectl replay --policy paper,utility
@@ -37,11 +39,13 @@ def replay_command(
     """
     from edgectl.cli.connect import build_fleet, build_offline_fleet, parse_duration_option
     from edgectl.config.documents import load_snapshots
+    from edgectl.experiments.commands.output import print_view
     from edgectl.experiments.commands.scheme_options import parse_margins, parse_schemes
     from edgectl.experiments.recorded_snapshots import read_recorded_snapshots, replay_schemes
+    from edgectl.experiments.views.replay import ReplayView
 
     loaded = load_inputs(inventory, tasks)
-    chosen = parse_schemes(loaded.tasks.policy, policies, weights, parse_margins(margin))
+    schemes = parse_schemes(loaded.tasks.policy, policies, weights, parse_margins(margin))
     fleet = build_offline_fleet(loaded) if files else build_fleet(loaded)
     snapshots = (
         load_snapshots(files)
@@ -49,5 +53,7 @@ def replay_command(
         else read_recorded_snapshots(fleet, time.time() - parse_duration_option(since, "--since"))
     )
     if not snapshots:
-        console.print_message("nothing is recorded in this time; every edgectl probe, plan and apply records")
-    console.print_view(output, "replayed", replay_schemes(fleet, snapshots, chosen))
+        console.print_message(
+            "no snapshots were recorded in this period; edgectl probe, plan and apply record them"
+        )
+    print_view(output, ReplayView(results=replay_schemes(fleet, snapshots, schemes)))

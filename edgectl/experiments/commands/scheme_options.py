@@ -1,48 +1,88 @@
-"""What the options of replay and simulate mean: the schemes to compare."""
+"""The options of replay and simulate that select the schemes to compare."""
 
 import math
+from typing import Annotated
+
+from typer import Option
 
 from edgectl.errors import UsageError
-from edgectl.experiments.model.comparison import Scheme
-from edgectl.experiments.model.schemes import build_schemes, parse_weight_sets
+from edgectl.experiments.model.schemes import Scheme, build_schemes
 from edgectl.model.policy import Policy, PolicyName
+from edgectl.model.weights import parse_weights
+
+PoliciesOption = Annotated[
+    str,
+    Option(
+        "--policy",
+        metavar="LIST",
+        show_default=False,
+        help="Policies, separated by commas: utility, paper, static, local.",
+    ),
+]
+WeightsListOption = Annotated[
+    str | None,
+    Option(
+        "--weights",
+        "-w",
+        metavar="LIST",
+        show_default=False,
+        help="Presets such as cpu,all; or one set: cpu=.5,task=1.",
+    ),
+]
 
 
 def parse_schemes(
     base: Policy, policies: str, weights: str | None, margins: list[float]
 ) -> tuple[Scheme, ...]:
-    """Every combination of the lists.
+    """Every combination of the policies, weights and margins given.
 
     Raises:
-        UsageError: a name that is none.
+        UsageError: an unknown policy or preset, or invalid weights.
     """
     known = [policy.value for policy in PolicyName]
     names = [name.strip() for name in policies.split(",")]
     for name in names:
         if name not in known:
             raise UsageError(
-                f"--policy: no policy {name!r}", hint=f"write some of {', '.join(known)}, joined by commas"
+                f"--policy: unknown policy {name!r}",
+                hint=f"write some of {', '.join(known)}, separated by commas",
             )
     try:
-        listed = parse_weight_sets(weights) if weights is not None else []
+        weight_sets = parse_weight_sets(weights) if weights is not None else []
     except ValueError as error:
         message, _, hint = str(error).partition("; ")
         raise UsageError(f"--weights: {message}", hint=hint) from None
-    return build_schemes(base, [PolicyName(name) for name in names], listed, margins)
+    return build_schemes(base, [PolicyName(name) for name in names], weight_sets, margins)
+
+
+def parse_weight_sets(text: str) -> list[str]:
+    """Presets separated by commas, or a single custom set such as ``cpu=.5,task=1``.
+
+    Raises:
+        ValueError: neither.
+    """
+    if "=" in text:
+        parse_weights(text)
+        return [text]
+    names = [name.strip() for name in text.split(",")]
+    for name in names:
+        parse_weights(name)
+    return names
 
 
 def parse_margins(text: str | None) -> list[float]:
-    """Margins joined by commas; none where nothing is given.
+    """Move margins separated by commas; empty if ``text`` is None.
 
     Raises:
-        UsageError: a part that is no number of 0 or more.
+        UsageError: a part is not a number >= 0.
     """
     try:
-        found = [float(part) for part in text.split(",")] if text is not None else []
+        margins = [float(part) for part in text.split(",")] if text is not None else []
     except ValueError:
-        found = [math.nan]
-    if not all(math.isfinite(margin) and margin >= 0 for margin in found):
+        margins = [math.nan]
+    if not all(math.isfinite(margin) and margin >= 0 for margin in margins):
         raise UsageError(
-            f"--margin: {text!r} are no margins", hint="write numbers of 0 or more, joined by commas: 0,0.1"
+            f"--margin: invalid margins {text!r}",
+            hint="write numbers of 0 or more, separated by commas: 0,0.1",
         )
-    return found
+    return margins

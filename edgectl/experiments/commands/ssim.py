@@ -1,34 +1,36 @@
-"""ssim."""
+"""The command ssim."""
 
 from pathlib import Path
 from typing import Annotated
 
 from typer import Argument
 
-from edgectl.cli import console, options
+from edgectl.cli import options
 from edgectl.views.output_format import OutputFormat
 
 
 def ssim_command(
     *,
     produced: Annotated[
-        Path, Argument(metavar="MAP", help="The .yaml of a map, or its image: .pgm or .png.")
+        Path, Argument(metavar="MAP", help="The map: a .yaml file, or an image (.pgm or .png).")
     ],
-    truth: Annotated[Path, Argument(metavar="TRUTH", help="What it should look like.")],
+    truth: Annotated[Path, Argument(metavar="TRUTH", help="The ground truth, in the same form.")],
     output: options.FieldsOutput = OutputFormat.TABLE,
 ) -> None:
-    """Say how like the truth a map is: 1 where they are the same, lower the less alike (SSIM).
+    """Score a robot's map against ground truth (SSIM): 1 for identical maps, lower for less similar ones.
 
-    Two .yaml files as map_server of ROS reads them are compared where they lie in the world, two images pixel by pixel. Needs the extra
-    edgectl[evidence].
+    Two .yaml files of ROS map_server are aligned by origin and resolution; two images are compared pixel by
+    pixel. Requires the extra edgectl[evidence].
 
     Examples:
         edgectl ssim docs/examples/map.yaml docs/examples/world.yaml
         edgectl ssim docs/examples/map.yaml docs/examples/world.yaml -o json
     """
     from edgectl.cli.extras import require_extra
+    from edgectl.experiments.commands.output import print_view
+    from edgectl.experiments.views.ssim import SsimView
 
     with require_extra("evidence"):
         from edgectl.experiments.map_comparison import compare_maps, read_local_file
 
-    console.print_view(output, "ssim", compare_maps(str(produced), read_local_file, truth))
+    print_view(output, SsimView(ssim=compare_maps(str(produced), read_local_file, truth)))

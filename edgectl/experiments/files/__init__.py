@@ -1,1 +1,1 @@
-"""Files of experiments: specs, scenarios, maps, run directories."""
+"""Files of experiments: specifications, scenarios, maps and runs."""

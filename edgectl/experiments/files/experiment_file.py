@@ -1,4 +1,4 @@
-"""Spec files of ``edgectl experiment run``: the schemes, how often, until when, and what is measured besides."""
+"""Reader of experiment files (``edgectl experiment run``)."""
 
 import re
 from collections.abc import Iterator, Mapping
@@ -24,9 +24,8 @@ from edgectl.config.scalars import (
 )
 from edgectl.config.source import read_source
 from edgectl.config.yaml_parser import parse_yaml
-from edgectl.experiments.model.comparison import Scheme
 from edgectl.experiments.model.experiment import Experiment, MapPair, MetricAggregation
-from edgectl.experiments.model.schemes import build_schemes
+from edgectl.experiments.model.schemes import Scheme, build_schemes
 from edgectl.model.policy import Policy, PolicyName
 from edgectl.model.task import Task, TaskKind, Tasks
 from edgectl.model.weights import parse_weights
@@ -35,7 +34,7 @@ from edgectl.units import parse_duration, parse_share
 EntriesWithNodes = tuple[tuple[Any, Node], ...]
 
 MIN_SAMPLE_PERIOD_S, MAX_REPETITIONS = 0.5, 1000
-# As for ``edgectl simulate`` without options.
+# The same as for ``edgectl simulate`` without options.
 DEFAULT_POLICIES = (PolicyName.LOCAL, PolicyName.STATIC, PolicyName.UTILITY)
 DEFAULT_WEIGHTS = ("cpu", "memory", "network", "all")
 _METRIC_NAME_PATTERN = re.compile(protocol.METRIC_NAME_PATTERN)
@@ -43,7 +42,7 @@ _MAP_NAME_PATTERN = re.compile(r"[A-Za-z][A-Za-z0-9 ._-]{0,62}")
 
 
 def _read_scheme_weights(node: Node, problems: Problems) -> Any:  # noqa: ANN401 - INVALID stands for any type
-    """A preset, or a set such as ``cpu=.5,task=1``; given back as it is written."""
+    """A preset, or a set such as ``cpu=.5,task=1``; returned as text."""
     value = read_text(node, problems)
     if value is INVALID:
         return INVALID
@@ -59,7 +58,7 @@ def _read_scheme_weights(node: Node, problems: Problems) -> Any:  # noqa: ANN401
 def _read_period(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     value = quantity_reader(parse_duration, above_zero=True)(node, problems)
     if value is not INVALID and value < MIN_SAMPLE_PERIOD_S:
-        problems.add(node.mark, ProblemCode.QUANTITY, f"{node.text} is too often", "write 500ms or more")
+        problems.add(node.mark, ProblemCode.QUANTITY, f"{node.text} is too short", "write 500ms or more")
         return INVALID
     return value
 
@@ -113,28 +112,30 @@ EXPERIMENT_KEYS: Mapping[str, NodeReader] = {
 
 
 def load_experiment_paths(path: Path) -> tuple[Path | None, Path | None]:
-    """The inventory and the task files that a spec names, beside itself; None where it names none.
+    """Paths of the inventory and task file named in the experiment file, relative to it; None if not named.
 
     Raises:
-        InputError: everything that is wrong with the file's form.
+        InputError: all faults of the file's structure.
     """
     fields, problems = _read_experiment_fields(path)
     problems.check()
     named = [fields.values.get(key) if fields else None for key in ("inventory", "tasks")]
-    inventory, tasks = (None if word is None else path.parent / word for word in named)
+    inventory, tasks = (None if name is None else path.parent / name for name in named)
     return inventory, tasks
 
 
 def load_experiment(path: Path, tasks: Tasks) -> Experiment:
-    """The experiment in a file, for this fleet. The ``truth`` of its maps is as written: beside the file.
+    """The experiment in a file, for the tasks of a fleet.
+
+    Paths of ground truth maps stay relative to the file.
 
     Raises:
-        InputError: everything that is wrong with it.
+        InputError: all faults of the file.
     """
     fields, problems = _read_experiment_fields(path)
     experiment = _build_experiment(fields, path.parent, tasks, problems) if fields else None
     problems.check()
-    assert experiment is not None  # noqa: S101 - without a problem there is one
+    assert experiment is not None  # noqa: S101 - no problems: it was read
     return experiment
 
 
@@ -150,12 +151,12 @@ def _read_experiment_fields(path: Path) -> tuple[Fields | None, Problems]:
     ), problems
 
 
-def _build_experiment(fields: Fields, beside: Path, tasks: Tasks, problems: Problems) -> Experiment:
+def _build_experiment(fields: Fields, directory: Path, tasks: Tasks, problems: Problems) -> Experiment:
     values = fields.values
     if "name" in values and not NAME_PATTERN.fullmatch(values["name"]):
         check_name(values["name"], fields.at("name"), problems, "an experiment")
-    _check_map_pairs(fields.at("maps"), values.get("maps", {}), beside, tasks, problems)
-    stated = {
+    _check_map_pairs(fields.at("maps"), values.get("maps", {}), directory, tasks, problems)
+    given = {
         key: values[key]
         for key in ("repetitions", "every", "limit", "idle", "metrics", "maps")
         if key in values
@@ -164,7 +165,7 @@ def _build_experiment(fields: Fields, beside: Path, tasks: Tasks, problems: Prob
         name=values.get("name", ""),
         schemes=_build_experiment_schemes(values.get("schemes"), tasks.policy, problems),
         until=tuple(dict.fromkeys(_resolve_until_tasks(fields, tasks, problems))),
-        **stated,
+        **given,
     )
 
 
@@ -178,31 +179,34 @@ def _build_experiment_schemes(schemes: Fields | None, base: Policy, problems: Pr
         problems.add(
             schemes.at("policies").mark,
             ProblemCode.MISSING,
-            "there is no scheme to try",
+            "no policies given",
             "write policies: [local, static, utility]",
         )
     return build_schemes(base, policies, weights, [])
 
 
 def _resolve_until_tasks(fields: Fields, tasks: Tasks, problems: Problems) -> Iterator[str]:
-    """The tasks whose completion ends a trial: each is there, and can complete. A template stands for all that it makes."""
+    """The tasks whose completion ends a trial; each exists and can complete.
+
+    A template stands for all its tasks.
+    """
     entries: EntriesWithNodes = fields.values.get("until", ())
     if fields.values.get("until") == ():
         problems.add(
-            fields.at("until").mark, ProblemCode.MISSING, "nothing ends a trial", "name a task that completes"
+            fields.at("until").mark, ProblemCode.MISSING, "no task ends a trial", "name a task that completes"
         )
-    for wanted in _drop_duplicates(entries, problems):
-        node = next(inner for each, inner in entries if each == wanted)
-        named = [task for task in tasks.tasks.values() if wanted in (task.name, task.template)]
+    for name in _drop_duplicates(entries, problems):
+        node = next(inner for each, inner in entries if each == name)
+        named = [task for task in tasks.tasks.values() if name in (task.name, task.template)]
         if not named:
-            _check_task_exists(node, wanted, tasks, problems)
+            _check_task_exists(node, name, tasks, problems)
         elif not all(map(_can_complete, named)):
-            message = f"{wanted} never completes, so no trial would end"
+            message = f"{name} never completes, so a trial would not end"
             problems.add(
                 node.mark,
                 ProblemCode.CONTRADICTION,
                 message,
-                "name a task with kind: job or done_when, or give it one of them",
+                "name a task with kind: job or done_when, or add one of them to the task",
             )
         yield from (task.name for task in named)
 
@@ -212,19 +216,19 @@ def _can_complete(task: Task) -> bool:
 
 
 def _check_map_pairs(
-    node: Node, maps: Mapping[str, MapPair], beside: Path, tasks: Tasks, problems: Problems
+    node: Node, maps: Mapping[str, MapPair], directory: Path, tasks: Tasks, problems: Problems
 ) -> None:
-    """Every map is of a task that is there, and has its truth."""
+    """The task and the ground truth of every map exist."""
     for column, pair in maps.items():
         at = node.inner(column)
         _check_task_exists(at.inner("task"), pair.task, tasks, problems)
-        if not (beside / pair.truth).is_file():
-            message = f"there is no file {beside / pair.truth}"
+        if not (directory / pair.truth).is_file():
+            message = f"file not found: {directory / pair.truth}"
             problems.add(
                 at.inner("truth").mark,
                 ProblemCode.UNREADABLE,
                 message,
-                "name a map, as from this file: .yaml, .pgm or .png",
+                "name a map (.yaml, .pgm or .png), relative to this file",
             )
 
 
@@ -233,18 +237,18 @@ def _check_task_exists(node: Node, task: str, tasks: Tasks, problems: Problems) 
         problems.add(
             node.mark,
             ProblemCode.UNKNOWN_NAME,
-            f"no task is named {task}",
+            f"unknown task {task}",
             problems.did_you_mean(task, tasks.tasks, "tasks:"),
         )
     return task in tasks.tasks
 
 
 def _drop_duplicates(entries: EntriesWithNodes, problems: Problems) -> Iterator[Any]:
-    """The values, each once."""
+    """The values without duplicates."""
     seen = set()
     for value, node in entries:
         if value in seen:
-            problems.add(node.mark, ProblemCode.TAKEN, f"{value} stands here twice", "remove it once")
+            problems.add(node.mark, ProblemCode.TAKEN, f"duplicate value {value}", "remove one of them")
         else:
             seen.add(value)
             yield value

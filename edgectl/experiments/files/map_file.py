@@ -1,4 +1,4 @@
-"""Maps as map_server writes them."""
+"""Reader of the metadata files of ROS map_server."""
 
 import math
 from dataclasses import dataclass
@@ -14,10 +14,11 @@ from edgectl.config.yaml_parser import parse_yaml
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MapMetadata:
-    """What the ``.yaml`` of a map says: where its ``image`` is and lies, and what its greys mean.
+    """The ``.yaml`` file of a map: image file, position and thresholds.
 
-    ``resolution``: m per cell. ``origin``: x and y in m of the outer corner of the lowest left cell. A cell is occupied where its darkness
-    (its brightness where ``negate``) is above ``occupied``, free where it is below ``free``, both 0..1, and unknown between.
+    ``resolution``: m per cell. ``origin``: x and y in m of the outer corner of the lower left cell. A cell is
+    occupied if its darkness (with ``negate``, its brightness) is above ``occupied``, free if it is below
+    ``free``, and unknown between them; both thresholds are in 0..1.
     """
 
     image: str
@@ -28,7 +29,7 @@ class MapMetadata:
     free: float = 0.196
 
 
-# Cells of a millimetre to a kilometre, on this planet: whatever is computed of them stays finite.
+# Cells from 1 mm to 1 km and coordinates of this planet: results computed from them stay finite.
 _MIN_RESOLUTION_M, _MAX_RESOLUTION_M, _MAX_MAGNITUDE = 1e-3, 1e3, 1e8
 
 
@@ -50,7 +51,7 @@ def _read_resolution(node: Node, problems: Problems) -> Any:  # noqa: ANN401 - I
             node.mark,
             ProblemCode.QUANTITY,
             f"must be {_MIN_RESOLUTION_M:g} to {_MAX_RESOLUTION_M:g} m, not {node.text}",
-            "write the side of a cell in m",
+            "write the edge length of a cell in m",
         )
         return INVALID
     return value
@@ -66,8 +67,8 @@ def _read_origin(node: Node, problems: Problems) -> Any:  # noqa: ANN401
         problems.add(
             node.mark,
             ProblemCode.QUANTITY,
-            "a map that is turned (yaw) cannot be compared",
-            "save it again with a yaw of 0",
+            "maps with a yaw cannot be compared",
+            "save the map with a yaw of 0",
         )
         return INVALID
     return values[:2]
@@ -88,23 +89,28 @@ def _read_mode(node: Node, problems: Problems) -> Any:  # noqa: ANN401
         node.mark,
         ProblemCode.WORD,
         f"maps of mode {node.text or '?'} cannot be compared",
-        "save it with mode: trinary",
+        "save the map with mode: trinary",
     )
     return INVALID
 
 
 _read_threshold = quantity_reader(_parse_bounded_number, at_most=1.0)
 MAP_METADATA_KEYS: dict[str, NodeReader] = {
-    "image": read_text, "resolution": _read_resolution, "origin": _read_origin, "negate": _read_negate, "occupied_thresh": _read_threshold, "free_thresh": _read_threshold,
+    "image": read_text,
+    "resolution": _read_resolution,
+    "origin": _read_origin,
+    "negate": _read_negate,
+    "occupied_thresh": _read_threshold,
+    "free_thresh": _read_threshold,
     "mode": _read_mode,
-}  # fmt: skip
+}
 
 
 def parse_map_metadata(name: str, data: bytes) -> MapMetadata:
-    """The sheet in the bytes of a file that is called ``name``. Keys that are not ours are other programs' business.
+    """The metadata in the bytes of the file ``name``. Unknown keys are ignored: other programs add their own.
 
     Raises:
-        InputError: everything that is wrong with it.
+        InputError: all faults of the file.
     """
     problems = Problems()
     source = decode_source(name, data, problems)
@@ -123,9 +129,13 @@ def parse_map_metadata(name: str, data: bytes) -> MapMetadata:
         )
     )
     problems.check()
-    assert fields is not None  # noqa: S101 - without a problem there are some
+    assert fields is not None  # noqa: S101 - no problems: it was read
     values = fields.values
     return MapMetadata(
-        image=values["image"], resolution=values["resolution"], origin=values["origin"], negate=values.get("negate", False),
-        occupied=values.get("occupied_thresh", 0.65), free=values.get("free_thresh", 0.196),
-    )  # fmt: skip
+        image=values["image"],
+        resolution=values["resolution"],
+        origin=values["origin"],
+        negate=values.get("negate", False),
+        occupied=values.get("occupied_thresh", 0.65),
+        free=values.get("free_thresh", 0.196),
+    )

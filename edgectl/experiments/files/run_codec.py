@@ -1,8 +1,11 @@
-"""Runs of experiments, and their trials, to and from JSON (docs/reference/files.md). Series stand as columns, rounded to what they mean."""
+"""JSON of experiment runs and trials (docs/reference/files.md).
+
+Time series are written as columns and rounded.
+"""
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 
-from edgectl.experiments.model.comparison import Scheme
 from edgectl.experiments.model.experiment import (
     Experiment,
     ExperimentRun,
@@ -15,18 +18,32 @@ from edgectl.experiments.model.experiment import (
     PlacementInterval,
     Trial,
 )
+from edgectl.experiments.model.schemes import Scheme
+from edgectl.formats.digest import hash_value
 from edgectl.formats.document import FORMAT_VERSION, Document, encode_number, encode_optional, without_none
 from edgectl.formats.document_reader import DocumentReader, check_no_faults, open_document
 from edgectl.formats.plan import decode_policy, encode_policy
-from edgectl.model.inventory import Role
+from edgectl.model.inventory import Inventory, Role
+from edgectl.model.task import Tasks
 from edgectl.units import format_instant
 
-# Decimals: of seconds, cores and similarities.
+# Decimals written.
 _SECONDS_DECIMALS, _CORES_DECIMALS, _SSIM_DECIMALS = 3, 4, 6
 
 
+def digest_experiment(experiment: Experiment, inventory: Inventory, tasks: Tasks) -> str:
+    """SHA-256 of everything that affects a trial: fleet, tasks and the conditions of a trial.
+
+    Name, schemes, repetitions and metrics are left out: a run can be resumed after they change.
+    """
+    conditions = replace(experiment, name="", schemes=(), repetitions=1, metrics={})
+    return "sha256:" + hash_value(
+        {"experiment": conditions, "inventory": inventory.digest, "tasks": tasks.digest}
+    )
+
+
 def encode_run(run: ExperimentRun) -> Document:
-    """The whole run; ``trials`` is left out where there are none."""
+    """The run document; without the key ``trials`` if there are none."""
     return {
         "format_version": FORMAT_VERSION,
         "digest": run.digest,
@@ -38,15 +55,13 @@ def encode_run(run: ExperimentRun) -> Document:
 def _encode_experiment(experiment: Experiment) -> Document:
     return {
         "name": experiment.name,
-        "schemes": [
-            {"name": variant.name, **encode_policy(variant.policy)} for variant in experiment.schemes
-        ],
+        "schemes": [{"name": scheme.name, **encode_policy(scheme.policy)} for scheme in experiment.schemes],
         "until": list(experiment.until),
         "repetitions": experiment.repetitions,
         "every_s": encode_number(experiment.every),
         "limit_s": encode_number(experiment.limit),
         "idle": encode_number(experiment.idle),
-        "metrics": {name: summary.value for name, summary in experiment.metrics.items()},
+        "metrics": {name: aggregation.value for name, aggregation in experiment.metrics.items()},
         "maps": {
             column: {"task": pair.task, "file": pair.file, "truth": pair.truth}
             for column, pair in experiment.maps.items()
@@ -63,7 +78,7 @@ def _encode_host_capacity(machine: HostCapacity) -> Document:
 
 
 def encode_trial(trial: Trial) -> Document:
-    """One trial, a document of its own."""
+    """The trial document."""
     return {
         "format_version": FORMAT_VERSION,
         "scheme": trial.scheme,
@@ -126,7 +141,7 @@ def _encode_rounded(value: float, decimals: int = _SECONDS_DECIMALS) -> int | fl
 
 
 def _encode_six_digits(value: float) -> int | float:
-    """Six significant figures: what an application says may be of any size."""
+    """Six significant digits: an application's metric may have any magnitude."""
     return encode_number(float(f"{value:.6g}"))
 
 
@@ -134,7 +149,7 @@ def decode_run(raw: object) -> ExperimentRun:
     """The run in a JSON document.
 
     Raises:
-        FormatErrors: everything that is wrong with it.
+        FormatErrors: all faults of the document.
     """
     reader = open_document(raw, "run")
     reader.require("machines")
@@ -180,7 +195,7 @@ def decode_trial(raw: object) -> Trial:
     """The trial in a JSON document.
 
     Raises:
-        FormatErrors: everything that is wrong with it.
+        FormatErrors: all faults of the document.
     """
     reader = open_document(raw, "trial")
     trial = _decode_trial_fields(reader)
@@ -243,10 +258,10 @@ def _decode_readings(reader: DocumentReader) -> Iterable[MetricReading]:
 def _decode_columns(
     reader: DocumentReader, minima: Mapping[str, float | None]
 ) -> Iterable[tuple[float, ...]]:
-    """The rows of columns that are equally long."""
+    """The rows of columns of equal length."""
     columns = [
         reader.numbers(key, minimum=minimum) if reader.require(key) else () for key, minimum in minima.items()
     ]
     if len({len(column) for column in columns}) > 1:
-        reader.fault(None, f"{', '.join(minima)} must be equally long")
+        reader.fault(None, f"{', '.join(minima)} must have the same length")
     return zip(*columns, strict=False)

@@ -1,4 +1,7 @@
-"""Runs of experiments on disk: one directory each, ``run.json`` and a file per trial. It is enough by itself, wherever it is copied to."""
+"""Directory of an experiment run: ``run.json`` and a file per trial.
+
+It is self-contained and can be copied.
+"""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -6,7 +9,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from edgectl.errors import FileError
-from edgectl.experiments.files import run_codec as form
+from edgectl.experiments.files.run_codec import decode_run, decode_trial, encode_run, encode_trial
 from edgectl.experiments.model.experiment import Experiment, ExperimentRun, Trial
 from edgectl.formats.document import FormatErrors
 from edgectl.state.json_files import Warn, read_json, set_aside, write_json
@@ -17,10 +20,10 @@ RUN_FILE_NAME, TRIALS_DIR_NAME = "run.json", "trials"
 
 
 def load_run(directory: Path) -> ExperimentRun:
-    """The run in ``directory`` with its trials, in the order of schemes, then repetitions.
+    """The run in ``directory`` with its trials, ordered by scheme, then repetition.
 
     Raises:
-        FileError: there is none, or a file of it is damaged.
+        FileError: there is no run, or one of its files is damaged.
         StateError: a newer edgectl wrote it.
     """
     run = _load_run_header(directory)
@@ -28,7 +31,9 @@ def load_run(directory: Path) -> ExperimentRun:
 
 
 def load_run_to_resume(directory: Path, warn: Warn) -> ExperimentRun | None:
-    """The same for an experiment that goes on: None where there is no run yet; a damaged trial is set aside, said, and made again.
+    """The run to resume; None if there is none yet.
+
+    A damaged trial file is set aside with a warning, to be run again.
 
     Raises:
         FileError: ``run.json`` is damaged, or the directory holds something else.
@@ -37,20 +42,20 @@ def load_run_to_resume(directory: Path, warn: Warn) -> ExperimentRun | None:
     if not (directory / RUN_FILE_NAME).exists():
         if directory.exists() and not _is_aborted_start(directory):
             raise FileError(
-                f"{directory} is not empty, and no run of an experiment",
-                hint="give another directory: --out DIR",
+                f"{directory} is not empty and holds no experiment run",
+                hint="choose another directory: --out DIR",
             )
         return None
 
-    def aside(path: Path, why: str) -> None:
-        warn(f"{path} is damaged ({why}); set aside as {set_aside(path).name}, the trial is made again")
+    def set_damaged_aside(path: Path, why: str) -> None:
+        warn(f"{path} is damaged ({why}); moved to {set_aside(path).name}, the trial is run again")
 
     run = _load_run_header(directory)
-    return replace(run, trials=tuple(_load_trials(directory, run.experiment, aside)))
+    return replace(run, trials=tuple(_load_trials(directory, run.experiment, set_damaged_aside)))
 
 
 def _is_aborted_start(directory: Path) -> bool:
-    """Whether nothing stands there but what a `save_run` that was cut off leaves."""
+    """Whether the directory holds only what an interrupted `save_run` leaves."""
     left = {
         path.relative_to(directory).as_posix()
         for path in (*directory.iterdir(), *directory.glob(f"{TRIALS_DIR_NAME}/*"))
@@ -59,7 +64,7 @@ def _is_aborted_start(directory: Path) -> bool:
 
 
 def find_newest_run(parent: Path) -> Path | None:
-    """The directory in ``parent`` with the run that was begun or extended last; None where there is none."""
+    """The directory in ``parent`` with the run that was started or resumed last; None if there is none."""
     runs = [
         (path.stat().st_mtime_ns, path.parent) for path in parent.glob(f"*/{RUN_FILE_NAME}") if path.is_file()
     ]
@@ -67,36 +72,34 @@ def find_newest_run(parent: Path) -> Path | None:
 
 
 def save_run(directory: Path, run: ExperimentRun) -> None:
-    """Write what all trials share, whole or not at all.
+    """Write ``run.json``, atomically; trials are files of their own.
 
     Raises:
-        FileError: the directory cannot be made.
-        StateError: the disk does not take the file.
+        FileError: the directory cannot be created.
+        StateError: the file cannot be written.
     """
     try:
         (directory / TRIALS_DIR_NAME).mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise FileError(
-            f"cannot make {directory}: {error.strerror}", hint="give another directory: --out DIR"
+            f"cannot create {directory}: {error.strerror}", hint="choose another directory: --out DIR"
         ) from error
-    write_json(directory / RUN_FILE_NAME, form.encode_run(replace(run, trials=())), keep=False)
+    write_json(directory / RUN_FILE_NAME, encode_run(replace(run, trials=())), keep=False)
 
 
 def save_trial(directory: Path, trial: Trial) -> None:
-    """Add a trial, whole or not at all.
+    """Write the file of a trial, atomically.
 
     Raises:
-        StateError: the disk does not take it.
+        StateError: the file cannot be written.
     """
-    write_json(
-        _build_trial_path(directory, trial.scheme, trial.repetition), form.encode_trial(trial), keep=False
-    )
+    write_json(_build_trial_path(directory, trial.scheme, trial.repetition), encode_trial(trial), keep=False)
 
 
 def list_planned_trials(experiment: Experiment) -> Iterator[tuple[str, int]]:
-    """Scheme and repetition of every trial of the experiment, as a run lists them."""
-    for variant in experiment.schemes:
-        yield from ((variant.name, repetition) for repetition in range(1, experiment.repetitions + 1))
+    """(scheme, repetition) of every trial of the experiment, in the order of a run."""
+    for scheme in experiment.schemes:
+        yield from ((scheme.name, repetition) for repetition in range(1, experiment.repetitions + 1))
 
 
 def _build_trial_path(directory: Path, scheme: str, repetition: int) -> Path:
@@ -105,45 +108,45 @@ def _build_trial_path(directory: Path, scheme: str, repetition: int) -> Path:
 
 def _load_run_header(directory: Path) -> ExperimentRun:
     try:
-        found = _load_run_document(directory / RUN_FILE_NAME, form.decode_run)
+        found = _load_run_document(directory / RUN_FILE_NAME, decode_run)
     except ValueError as error:
         raise FileError(
             f"{directory / RUN_FILE_NAME} is damaged: {error}",
-            hint="put it back, or begin anew in another directory: --out DIR",
+            hint="restore it, or start again in another directory: --out DIR",
         ) from error
     if found is None:
         raise FileError(
-            f"there is no run in {directory}: no {RUN_FILE_NAME}",
-            hint="name a directory that edgectl experiment run wrote",
+            f"no run in {directory}: {RUN_FILE_NAME} not found",
+            hint="name a directory written by edgectl experiment run",
         )
     return found
 
 
 def _load_trials(
-    directory: Path, experiment: Experiment, broken: Callable[[Path, str], None]
+    directory: Path, experiment: Experiment, report_damaged: Callable[[Path, str], None]
 ) -> Iterator[Trial]:
     for scheme, repetition in list_planned_trials(experiment):
         path = _build_trial_path(directory, scheme, repetition)
         try:
-            trial = _load_run_document(path, form.decode_trial)
+            trial = _load_run_document(path, decode_trial)
         except ValueError as error:
-            broken(path, str(error))
+            report_damaged(path, str(error))
             continue
         if trial is not None and (trial.scheme, trial.repetition) != (scheme, repetition):
-            broken(path, f"it is of {trial.scheme}, repetition {trial.repetition}")
+            report_damaged(path, f"it holds {trial.scheme}, repetition {trial.repetition}")
         elif trial is not None:
             yield trial
 
 
 def _raise_damaged_trial(path: Path, why: str) -> None:
-    raise FileError(f"{path} is damaged: {why}", hint="run the experiment again: it makes this trial anew")
+    raise FileError(f"{path} is damaged: {why}", hint="run the experiment again: it repeats this trial")
 
 
 def _load_run_document(path: Path, decode: Callable[[object], Value]) -> Value | None:
-    """The value in ``path``, None where there is no file.
+    """The value in ``path``, None if there is no file.
 
     Raises:
-        ValueError: it is damaged; the message says how.
+        ValueError: the file is damaged; the message says how.
         StateError: a newer edgectl wrote it.
     """
     try:

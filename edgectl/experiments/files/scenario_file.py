@@ -1,4 +1,4 @@
-"""Scenario files of ``edgectl simulate``: computers, a mission and timing, for an inventory and its tasks."""
+"""Reader of scenario files (``edgectl simulate``)."""
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
@@ -52,12 +52,19 @@ SIM_HOST_KEYS: Mapping[str, NodeReader] = {
     "base_memory": quantity_reader(parse_bytes),
 }
 JOB_KEYS: Mapping[str, NodeReader] = {
-    "for_each": read_text, "task": read_name, "work": quantity_reader(parse_duration, above_zero=True), "after": list_reader_with_nodes(read_name), "spread": quantity_reader(parse_share),
-}  # fmt: skip
+    "for_each": read_text,
+    "task": read_name,
+    "work": quantity_reader(parse_duration, above_zero=True),
+    "after": list_reader_with_nodes(read_name),
+    "spread": quantity_reader(parse_share),
+}
 TIMING_KEYS: Mapping[str, NodeReader] = {
-    "start": _read_duration_s, "stop": _read_duration_s, "every": quantity_reader(parse_duration, above_zero=True), "noise": quantity_reader(parse_share),
+    "start": _read_duration_s,
+    "stop": _read_duration_s,
+    "every": quantity_reader(parse_duration, above_zero=True),
+    "noise": quantity_reader(parse_share),
     "limit": quantity_reader(parse_duration, above_zero=True),
-}  # fmt: skip
+}
 SCENARIO_KEYS: Mapping[str, NodeReader] = {
     "version": read_version,
     "name": read_name,
@@ -78,28 +85,28 @@ SCENARIO_KEYS: Mapping[str, NodeReader] = {
 
 
 def load_scenario_paths(path: Path) -> tuple[Path | None, Path | None]:
-    """The inventory and the task files that a scenario names, beside itself; None where it names none.
+    """Paths of the inventory and the task file named in the scenario, relative to it; None if not named.
 
     Raises:
-        InputError: everything that is wrong with the file's form.
+        InputError: all faults of the file's structure.
     """
     fields, problems = _read_scenario_fields(path)
     problems.check()
-    named = (fields.values.get(key) for key in ("inventory", "tasks")) if fields else ()
-    inventory, tasks = (None if word is None else path.parent / word for word in (*named, None, None)[:2])
+    named = [fields.values.get(key) if fields else None for key in ("inventory", "tasks")]
+    inventory, tasks = (None if name is None else path.parent / name for name in named)
     return inventory, tasks
 
 
 def load_scenario(path: Path, inventory: Inventory, tasks: Tasks) -> Scenario:
-    """The scenario in a file, for this fleet.
+    """The scenario in a file, for a fleet.
 
     Raises:
-        InputError: everything that is wrong with it.
+        InputError: all faults of the file.
     """
     fields, problems = _read_scenario_fields(path)
     scenario = _build_scenario(fields, inventory, tasks, problems) if fields else None
     problems.check()
-    assert scenario is not None  # noqa: S101 - without a problem there is one
+    assert scenario is not None  # noqa: S101 - no problems: it was read
     return scenario
 
 
@@ -147,23 +154,23 @@ def _check_name_exists(node: Node, word: str, known: Iterable[str], what: str, p
 
 
 def _read_sim_hosts(node: Node, inventory: Inventory, problems: Problems) -> dict[str, SimHost]:
-    """Every host of the inventory: by its own name, else as ``edges`` or ``robots`` say."""
+    """The simulated hosts: under their own name, or else under ``edges`` or ``robots``."""
     if not isinstance(node.value, dict):
         report_wrong_type(node, problems, "hosts must be a mapping", "write edges: {cores: 4, memory: 4Gi}")
         return {}
     read = record_reader(SIM_HOST_KEYS, SimHost, "a computer", ("cores", "memory"))
     for key in node.value:
         _check_name_exists(node, key, (*inventory.hosts, "edges", "robots"), "host", problems)
-    stated = {key: read(inner, problems) for key, inner in node.value.items()}
+    given = {key: read(inner, problems) for key, inner in node.value.items()}
     found = {}
     for host in inventory.hosts.values():
-        value = stated.get(host.name, stated.get("edges" if host.role is Role.EDGE else "robots"))
+        value = given.get(host.name, given.get("edges" if host.role is Role.EDGE else "robots"))
         if value is None:
             problems.add(
                 node.mark,
                 ProblemCode.MISSING,
-                f"nothing is said of {host.name}",
-                "add edges: or robots: for all of a kind",
+                f"no values for {host.name}",
+                "add its name, or edges: or robots: for all hosts of a kind",
             )
         elif isinstance(value, SimHost):
             found[host.name] = value
@@ -171,7 +178,10 @@ def _read_sim_hosts(node: Node, inventory: Inventory, problems: Problems) -> dic
 
 
 def _read_jobs(node: Node, inventory: Inventory, tasks: Tasks, problems: Problems) -> Iterator[SimJob]:
-    """The jobs; those with ``for_each: robot`` once per robot, named JOB-ROBOT, with ``{robot}`` as it were in the task's name."""
+    """The jobs.
+
+    One with ``for_each: robot`` is repeated for each robot as JOB-ROBOT, with the task TASK-ROBOT.
+    """
     if not isinstance(node.value, dict):
         report_wrong_type(node, problems, "jobs must be a mapping", "write map: {task: slam, work: 5m}")
         return
@@ -202,13 +212,16 @@ def _read_jobs(node: Node, inventory: Inventory, tasks: Tasks, problems: Problem
                 if other in read
             ]
             yield SimJob(
-                name=job, task=task, work=fields.values["work"], after=tuple(word for words in before for word in words),
+                name=job,
+                task=task,
+                work=fields.values["work"],
+                after=tuple(name for jobs in before for name in jobs),
                 spread=fields.values.get("spread", 0.0),
-            )  # fmt: skip
+            )
 
 
 def _select_predecessors(names: list[str], index: int, *, both: bool) -> list[str]:
-    """The same robot's where both are for each robot, else all of them."""
+    """The job of the same robot if both are repeated for each robot, otherwise all."""
     return [names[index]] if both else names
 
 
@@ -217,14 +230,14 @@ def _list_predecessor_keys(fields: Fields) -> list[str]:
 
 
 def _check_order(node: Node, read: Mapping[str, Fields], problems: Problems) -> None:
-    """Every job that is waited for is there, and none waits for itself."""
+    """All predecessors exist, and there is no cycle."""
     for fields in read.values():
         for word, inner in fields.values.get("after", ()):
             if word not in read:
                 problems.add(
                     inner.mark,
                     ProblemCode.UNKNOWN_NAME,
-                    f"no job is named {word}",
+                    f"unknown job {word}",
                     problems.did_you_mean(word, read, "jobs:"),
                 )
     left: dict[str, Any] = {
@@ -238,6 +251,6 @@ def _check_order(node: Node, read: Mapping[str, Fields], problems: Problems) -> 
         problems.add(
             node.key_mark(first),
             ProblemCode.CYCLE,
-            f"{first} waits for itself, through {', '.join(left)}",
-            "remove one of their after",
+            f"cycle of jobs: {', '.join(left)}",
+            "remove an after: of one of them",
         )

@@ -1,1 +1,1 @@
-"""Data types of experiments, scenarios, replays and maps."""
+"""Data types of experiments, scenarios and comparisons."""

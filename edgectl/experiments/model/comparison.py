@@ -1,22 +1,14 @@
-"""What comparisons of policies show."""
+"""Results of comparing schemes: replays, simulations and experiments."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from edgectl.model.policy import Policy
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Scheme:
-    """One way to decide, under a name that tells it from the others."""
-
-    name: str
-    policy: Policy
+from edgectl.experiments.model.schemes import Scheme
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Utilisation:
-    """Mean and greatest value of one utilisation over hosts (or links) and cycles; shares of the capacity, 0.. (above 1: overload)."""
+    """Mean and peak over hosts (or links) and cycles, as a share of the capacity (> 1: overload)."""
 
     mean: float
     peak: float
@@ -24,10 +16,11 @@ class Utilisation:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReplayResult:
-    """What one variant would have done over the recorded cycles.
+    """Decisions of a scheme over the recorded cycles.
 
-    ``handoffs``: tasks that changed their host. ``unplaced``: tasks without a host, summed over the cycles. ``unsettled``: cycles whose
-    plan did not settle. ``assumed``: tasks that it placed and that no record shows running, so that what they demand counts as their use.
+    ``handoffs``: moves of tasks between hosts. ``unplaced``: tasks without a host, summed over the cycles.
+    ``unsettled``: cycles in which the assignment did not converge. ``assumed``: placed tasks that were never
+    recorded as running; their usage is taken from their demand.
     """
 
     scheme: Scheme
@@ -43,9 +36,9 @@ class ReplayResult:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Estimate:
-    """One number over ``count`` runs: mean, standard deviation (n - 1), and half of the 95 % confidence interval of the mean.
+    """Mean, standard deviation (n - 1) and half width of the 95 % confidence interval over ``count`` runs.
 
-    The last two are 0 where ``count`` is 1.
+    Standard deviation and interval are 0 if ``count`` is 1.
     """
 
     mean: float
@@ -56,12 +49,14 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SchemeResult:
-    """One scheme over all its runs, in the model or on real hosts: a column of the paper's table. None: no run has a value.
+    """A scheme over all its runs, simulated or real: a column of the paper's table. None: no run has a value.
 
-    ``figures``: by metric, one for each of ``hosts`` (the edges), or one alone (of the mission; under local execution the mean over the
-    robots, and ``hosts`` is empty). Metrics: latency (min), cpu and cpu peak and memory (percent), throughput (MB/s), handoffs (per run);
-    of the model rate (frames/s); of real hosts downtime (s, mean of the handoffs) and unplaced (tasks without a host, per run).
-    ``metrics``: of the application. ``maps``: SSIM. ``unfinished``: runs that the limit ended. ``unplaced``: summed over all plans.
+    ``estimates``: by metric, one for each of ``hosts`` (the edges), or a single one: of the mission, or under
+    local execution the mean over the robots (``hosts`` is empty). Metrics: latency (min); cpu, cpu peak and
+    memory (percent); throughput (MB/s); handoffs (per run). Simulated runs add rate (frames/s); real ones add
+    downtime (s, mean over handoffs) and unplaced (tasks without a host, per run). ``metrics``: of the
+    application. ``maps``: SSIM, -1..1. ``unfinished``: runs ended by the time limit. ``unplaced``: summed
+    over all plans.
     """
 
     scheme: Scheme
@@ -76,10 +71,10 @@ class SchemeResult:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReferenceValues:
-    """What stands beside the model's columns. ``word``: where it is from ("published", "measured").
+    """Known values that simulated results are compared with. ``label``: "published" or "measured".
 
-    ``figures``: means by scheme and metric, one for each host of the model's column or one of the whole; None where nothing is known.
-    ``notes``: what could not be compared.
+    ``means``: by scheme and metric, one for each host of the simulated result or a single one; None: unknown.
+    ``notes``: the coverage of the comparison.
     """
 
     label: str

@@ -1,16 +1,16 @@
-"""Experiments on real hosts: what is to be run, and what came of it."""
+"""Experiments on real hosts: specification, trials and progress."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from edgectl.experiments.model.comparison import Scheme
+from edgectl.experiments.model.schemes import Scheme
 from edgectl.model.cycle import Cycle
 from edgectl.model.inventory import Role
 
 
 class MetricAggregation(StrEnum):
-    """How the readings of a metric become one number per trial; readings of several tasks are first made one each, then averaged."""
+    """Reduces the readings of a metric to one number per task; a trial has the mean over its tasks."""
 
     MEAN = "mean"
     LAST = "last"
@@ -20,7 +20,11 @@ class MetricAggregation(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MapPair:
-    """A map that ``task`` leaves in ``file`` on its host (absolute, or from its working directory), and the ``truth`` on the manager."""
+    """A map and its ground truth.
+
+    ``file``: written by ``task`` on its host; absolute, or relative to its working directory. ``truth``: on
+    the manager.
+    """
 
     task: str
     file: str
@@ -29,10 +33,11 @@ class MapPair:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Experiment:
-    """Every variant, ``repetitions`` times each. A trial ends when all tasks in ``until`` have completed, or after ``limit`` s.
+    """The specification: ``repetitions`` trials of each scheme.
 
-    ``every``: s from one sample and plan to the next. ``idle``: share of a host's CPU that may be in use before a trial, 0..1.
-    ``metrics``: the application's metrics that the table shows. ``maps``: by column, maps that are compared by SSIM.
+    A trial ends when all tasks in ``until`` have completed, or after ``limit`` s. ``every``: period of
+    sampling and planning in s. ``idle``: highest CPU utilisation of a host before a trial, 0..1. ``metrics``:
+    of the application, in the order of the table. ``maps``: by column of the table, maps scored by SSIM.
     """
 
     name: str
@@ -48,7 +53,7 @@ class Experiment:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HostCapacity:
-    """A host of the fleet: its capacity in cores and bytes."""
+    """Role and capacity of a host, in cores and bytes."""
 
     role: Role
     cores: float
@@ -57,7 +62,7 @@ class HostCapacity:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LoadSample:
-    """What a host used ``at`` s after the trial began: cores, bytes, and bytes/s on its links to robots."""
+    """Usage of a host ``at`` s after the start of the trial: cores, bytes, bytes/s on its links to robots."""
 
     at: float
     cores: float
@@ -67,7 +72,7 @@ class LoadSample:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlacementInterval:
-    """``task`` was on ``host`` from ``start`` to ``end`` (s after the trial began)."""
+    """``task`` ran on ``host`` from ``start`` to ``end``, in s after the start of the trial."""
 
     task: str
     host: str
@@ -77,7 +82,10 @@ class PlacementInterval:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HandoffRecord:
-    """``task`` went from ``source`` to ``target``, done ``at`` s after the trial began; ``downtime`` in s where it was measured."""
+    """A move of ``task``, finished ``at`` s after the start of the trial.
+
+    ``downtime`` in s, None if not measured.
+    """
 
     task: str
     source: str
@@ -88,7 +96,7 @@ class HandoffRecord:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MetricReading:
-    """An application's metric: its ``value`` as it stood ``at`` s after the trial began."""
+    """Value of an application's metric ``at`` s after the start of the trial."""
 
     at: float
     value: float
@@ -96,10 +104,11 @@ class MetricReading:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trial:
-    """One mission under one scheme. ``latency``: s from the first plan to the completion of the last task in ``until``, or the limit.
+    """One mission under one scheme.
 
-    ``completed``: by task, s after the trial began. ``unplaced``: tasks without a host, summed over all plans. ``loads`` by host;
-    ``readings`` by metric, then task; ``ssim`` by column, -1..1.
+    ``latency``: s from the first plan to the completion of the last task in ``until``; the time limit if not
+    ``finished``. ``completed``: by task, s after the start of the trial. ``unplaced``: tasks without a host,
+    summed over all plans. ``loads``: by host. ``readings``: by metric, then task. ``ssim``: by column, -1..1.
     """
 
     scheme: str
@@ -118,7 +127,10 @@ class Trial:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExperimentRun:
-    """All trials of an experiment so far, in the order of schemes, then repetitions. ``digest`` tells the files that were run."""
+    """The trials so far, ordered by scheme, then repetition.
+
+    ``digest`` identifies fleet, tasks and mission.
+    """
 
     experiment: Experiment
     digest: str
@@ -128,10 +140,10 @@ class ExperimentRun:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrialProgress:
-    """Trial ``number`` of ``total`` is under way: ``elapsed`` s so far, ``completed`` of the tasks in ``until``.
+    """Progress of trial ``number`` of ``total``: ``elapsed`` s, and the ``completed`` tasks of ``until``.
 
-    ``left``: s until all is done, None where nothing can be said yet. ``cycle``: what was just seen and done, None when the trial begins.
-    ``trial``: what came of it, when it ends.
+    ``left``: estimated s until the end of the experiment, None if unknown. ``cycle``: the last one, None at
+    the start of the trial. ``trial``: the result, at its end.
     """
 
     scheme: str
@@ -149,5 +161,5 @@ class TrialProgress:
 TrialListener = Callable[[TrialProgress], None]
 
 
-def ignore_trial_progress(_course: TrialProgress) -> None:
-    """Show nothing."""
+def ignore_trial_progress(_progress: TrialProgress) -> None:
+    """A listener that does nothing."""

@@ -1,4 +1,4 @@
-"""What a simulation is about: computers, a mission and how long things take, with every assumption by its name."""
+"""Scenario of a simulation: hosts, jobs of the mission, timing; and the result of a run."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SimHost:
-    """A computer: its capacity, and the load that no task of ours makes (cores, bytes)."""
+    """Capacity of a host and its base load from other processes, in cores and bytes."""
 
     cores: float
     memory: float
@@ -16,9 +16,9 @@ class SimHost:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SimJob:
-    """A part of the mission: ``work`` seconds of ``task`` at full speed (> 0), begun when all jobs in ``after`` are done.
+    """A part of the mission: ``work`` s (> 0) of ``task`` at full speed, after all jobs in ``after``.
 
-    ``spread``: standard deviation of the logarithm of the work from run to run.
+    ``spread``: standard deviation of the logarithm of the work between runs.
     """
 
     name: str
@@ -30,9 +30,12 @@ class SimJob:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SimTiming:
-    """How long things take, in s. ``start``: command to ready; ``stop``: signal to gone; ``every``: between two plans.
+    """Durations in s.
 
-    ``noise``: standard deviation of a CPU reading, as a share of the capacity. ``limit``: a run is given up after so long.
+    ``start``: of a task until ready. ``stop``: of a task until gone. ``every``: between two plans.
+
+    ``noise``: standard deviation of a CPU reading, as a share of the capacity. ``limit``: time limit of a
+    run.
     """
 
     start: float = 5.0
@@ -44,8 +47,11 @@ class SimTiming:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scenario:
-    """``hosts``: by name of the inventory. ``placed``: where tasks that edgectl does not manage run. ``rate``: frames that a second
-    of full speed yields. ``published``: by scheme and metric what was reported of the real experiment, per edge, or one for the whole.
+    """A mission on simulated hosts.
+
+    ``hosts``: by name in the inventory. ``placed``: task -> host of tasks that edgectl does not manage.
+    ``rate``: by task, frames/s at full speed. ``published``: by scheme and metric, values reported for the
+    real experiment, one per edge or a single one.
     """
 
     name: str
@@ -60,7 +66,10 @@ class Scenario:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SimHostUsage:
-    """One host over one run, weighted by time: shares of the capacity, bytes/s, and frames/s of a task while it ran there (or None)."""
+    """Time-weighted means of a host over a run: shares of the capacity, bytes/s, frames/s.
+
+    ``rate``: over the time in which a rated task ran there; None if none did.
+    """
 
     cpu: float
     cpu_peak: float
@@ -71,7 +80,10 @@ class SimHostUsage:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SimRun:
-    """One run of the mission. ``latency`` in s; ``finished`` is false where the limit ended it. ``usage`` by host."""
+    """One run of the mission.
+
+    ``latency`` in s; not ``finished``: ended by the time limit. ``usage``: by host.
+    """
 
     latency: float
     finished: bool

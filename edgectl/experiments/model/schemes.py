@@ -1,35 +1,30 @@
-"""The schemes that are compared: policies, weights and margins, each combination under a name."""
+"""Schemes to compare: each combination of policies, weights and move margins, under a name."""
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
-from edgectl.experiments.model.comparison import Scheme
 from edgectl.model.policy import Policy, PolicyName
 from edgectl.model.weights import WEIGHT_PRESETS, parse_weights
 
-# These place without weighing, so weights and margins make no difference.
+# These policies compute no utility, so weights and margins do not affect them.
 _POLICIES_WITHOUT_WEIGHTS = (PolicyName.STATIC, PolicyName.LOCAL)
 
 
-def parse_weight_sets(text: str) -> list[str]:
-    """Presets joined by commas, or one custom set such as ``cpu=.5,task=1``.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scheme:
+    """A policy with its weights, under a unique name."""
 
-    Raises:
-        ValueError: neither.
-    """
-    if "=" in text:
-        parse_weights(text)
-        return [text]
-    names = [name.strip() for name in text.split(",")]
-    for name in names:
-        parse_weights(name)
-    return names
+    name: str
+    policy: Policy
 
 
 def build_schemes(
     base: Policy, policies: Sequence[PolicyName], weights: Sequence[str], margins: Sequence[float]
 ) -> tuple[Scheme, ...]:
-    """Every combination; ``base`` gives what is not varied. Empty lists stand for what ``base`` says."""
+    """All combinations.
+
+    An empty list stands for the value of ``base``, which also provides all other settings.
+    """
     return tuple(_generate_schemes(base, policies or [base.name], weights, margins))
 
 
@@ -40,9 +35,10 @@ def _generate_schemes(
         if policy in _POLICIES_WITHOUT_WEIGHTS:
             yield Scheme(name=policy.value, policy=replace(base, name=policy))
             continue
-        for words in weights or [""]:
-            chosen = replace(base, name=policy, weights=parse_weights(words) if words else base.weights)
-            name = f"{policy} {words or _describe_weights(base)}"
+        for weight_set in weights or [""]:
+            parsed = parse_weights(weight_set) if weight_set else base.weights
+            chosen = replace(base, name=policy, weights=parsed)
+            name = f"{policy} {weight_set or _describe_weights(base)}"
             if policy is PolicyName.PAPER or not margins:
                 yield Scheme(name=name, policy=chosen)
             else:

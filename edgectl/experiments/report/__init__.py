@@ -1,1 +1,1 @@
-"""The report of an experiment: page and figures."""
+"""HTML page and figures of an experiment."""

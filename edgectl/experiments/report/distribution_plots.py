@@ -1,4 +1,4 @@
-"""Distributions by scheme: every value a point, and their median; quartiles and the whole range where there are enough values."""
+"""Distributions by scheme: values, median, and quartiles and range if there are enough values."""
 
 from collections.abc import Callable, Mapping, Sequence
 from math import ceil
@@ -24,7 +24,10 @@ from edgectl.names import natural_key
 
 _MIN_BOX_VALUES = 4  # values, for quartiles
 _MAX_PLOTS_PER_ROW = 4
-_CAPTION_MARKS = "Each point is one value, the upright bar their median; from four values on the box spans the quartiles and the line all values."
+_CAPTION_MARKS = (
+    "Each point is one value, the vertical bar is the median; from four values on, the box spans the "
+    "quartiles and the line the range."
+)
 
 
 class _PlotPoint(NamedTuple):
@@ -36,20 +39,20 @@ PointExtractor = Callable[[Trial], Sequence[_PlotPoint]]
 
 
 def draw_latency(run: ExperimentRun) -> ReportFigure:
-    """The latency of the mission."""
+    """Latency of the mission."""
     unit, word = _choose_latency_unit(run)
     panel = {"": lambda trial: [_PlotPoint(trial.latency / unit, not trial.finished)]}
     return ReportFigure(
         name="latency",
         title="Latency of the mission",
-        caption=f"From the first plan to the completion of the last of "
-        f"{', '.join(run.experiment.until)}, one value per trial. {_CAPTION_MARKS} A hollow point is a trial that the limit ended.",
+        caption=f"From the first plan to the completion of the last of {', '.join(run.experiment.until)}, "
+        f"one value per trial. {_CAPTION_MARKS} A hollow point is a trial ended by the time limit.",
         figure=_draw_distribution_figure(run, panel, f"latency of the mission ({word})"),
     )
 
 
 def draw_completions(run: ExperimentRun) -> list[ReportFigure]:
-    """When each task completed; nothing where none did."""
+    """Completion time of each task; no figure if none completed."""
     unit, word = _choose_latency_unit(run)
     tasks = sorted({task for trial in run.trials for task in trial.completed}, key=natural_key)
     if not tasks:
@@ -58,18 +61,18 @@ def draw_completions(run: ExperimentRun) -> list[ReportFigure]:
         ReportFigure(
             name="tasks",
             title="Completion of each task",
-            caption=f"From the beginning of the trial, one value per trial. {_CAPTION_MARKS}",
+            caption=f"From the start of the trial, one value per trial. {_CAPTION_MARKS}",
             figure=_draw_distribution_figure(
                 run,
                 {task: _build_completion_extractor(task, unit) for task in tasks},
-                f"time since the trial began ({word})",
+                f"time since the start of the trial ({word})",
             ),
         )
     ]
 
 
 def draw_handoffs(run: ExperimentRun) -> list[ReportFigure]:
-    """How often tasks changed their host, and how long they were down; nothing where none did."""
+    """Number of handoffs and their downtime; no figure without handoffs."""
     every = [handoff for trial in run.trials for handoff in trial.handoffs]
     if not every:
         return []
@@ -83,8 +86,8 @@ def draw_handoffs(run: ExperimentRun) -> list[ReportFigure]:
         ReportFigure(
             name="handoffs",
             title="Handoffs and their downtime" if known else "Handoffs",
-            caption="How many a trial had"
-            + (", and how long the task of each was down" if known else "")
+            caption="Handoffs per trial"
+            + (", and the downtime of each" if known else "")
             + f". {_CAPTION_MARKS}",
             figure=_draw_distribution_figure(run, kinds, ""),
         )
@@ -100,15 +103,23 @@ def _build_completion_extractor(task: str, unit: float) -> PointExtractor:
 
 
 def _draw_distribution_figure(run: ExperimentRun, kinds: Mapping[str, PointExtractor], label: str) -> Figure:
-    """One panel per kind, with a row per scheme. With a ``label`` all share their x axis; without, each is named below by its kind."""
+    """One panel per kind, with a row per scheme.
+
+    With a ``label``, panels share the x axis; otherwise each has its own.
+    """
     schemes = list_tried_schemes(run)
     down = ceil(len(kinds) / _MAX_PLOTS_PER_ROW)
     across = ceil(len(kinds) / down)
     titled = bool(label) and "" not in kinds
     figure, axes = create_panels(
-        down, across, height=0.19 * len(schemes) + 0.1, left=estimate_text_width_in(map(shorten_label, schemes)) + 0.2,
-        top=0.24 if titled else 0.08, gap=(0.16, 0.32 if titled else 0.12), x=bool(label),
-    )  # fmt: skip
+        down,
+        across,
+        height=0.19 * len(schemes) + 0.1,
+        left=estimate_text_width_in(map(shorten_label, schemes)) + 0.2,
+        top=0.24 if titled else 0.08,
+        gap=(0.16, 0.32 if titled else 0.12),
+        x=bool(label),
+    )
     places = [panel for row in axes for panel in row]
     for panel, (kind, read) in zip(places, kinds.items(), strict=False):
         for row, scheme in enumerate(schemes):
@@ -130,7 +141,7 @@ def _draw_distribution_figure(run: ExperimentRun, kinds: Mapping[str, PointExtra
 
 
 def _draw_scheme_row(panel: Axes, row: int, points: Sequence[_PlotPoint], colour: str) -> None:
-    """One scheme: points a little above and below each other, so that equal ones do not hide."""
+    """One scheme; points are shifted vertically, so that equal values stay visible."""
     values = [point.value for point in points]
     if len(values) >= _MIN_BOX_VALUES:
         low, _, high = quantiles(values, n=4, method="inclusive")
@@ -139,11 +150,19 @@ def _draw_scheme_row(panel: Axes, row: int, points: Sequence[_PlotPoint], colour
     if values:
         panel.vlines(median(values), row - 0.36, row + 0.36, color=colour, linewidth=1.6, clip_on=False)
     for place, point in enumerate(points):
-        aside = 0.5 * ((place * 0.381966) % 1 - 0.5) if len(points) > 1 else 0.0
-        full = "none" if point.hollow else "full"
+        shift = 0.5 * ((place * 0.381966) % 1 - 0.5) if len(points) > 1 else 0.0
+        fill = "none" if point.hollow else "full"
         panel.plot(
-            point.value, row + aside, "o", color=colour, fillstyle=full, markersize=3.0, markeredgewidth=0.7, clip_on=False, zorder=3.0
-        )  # fmt: skip
+            point.value,
+            row + shift,
+            "o",
+            color=colour,
+            fillstyle=fill,
+            markersize=3.0,
+            markeredgewidth=0.7,
+            clip_on=False,
+            zorder=3.0,
+        )
 
 
 def _scale_value_axis(panel: Axes, schemes: Sequence[str]) -> None:

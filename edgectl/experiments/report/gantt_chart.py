@@ -1,4 +1,4 @@
-"""Which task was where and when: one panel per scheme, a row per task, a bar per stay in the colour of its host."""
+"""Gantt charts: a panel per scheme, a row per task, a bar per placement in the colour of the host."""
 
 from collections.abc import Collection, Sequence
 from math import ceil
@@ -25,7 +25,8 @@ from edgectl.experiments.report.figure_style import (
 from edgectl.experiments.report.trial_selection import get_median_trial, list_tried_schemes
 from edgectl.names import natural_key
 
-# Light enough for dark words, and unlike each other in grey as far as it goes; where a bar is long enough, it bears its host's name.
+# Light enough for dark text, and as distinct in grey as possible; a bar that is long enough shows the host's
+# name.
 _HOST_COLOURS = (
     "#9ecae9",
     "#ffbf79",
@@ -53,7 +54,7 @@ _COMPLETED_MARKER: dict[str, Any] = {
 
 
 def draw_gantt_charts(run: ExperimentRun) -> list[ReportFigure]:
-    """The typical trial of every scheme; nothing where no task ever ran."""
+    """The trial of median latency of each scheme; no figure if no task ever ran."""
     trials = [get_median_trial(run, scheme) for scheme in list_tried_schemes(run)]
     if not any(trial.spans for trial in trials):
         return []
@@ -61,8 +62,9 @@ def draw_gantt_charts(run: ExperimentRun) -> list[ReportFigure]:
         ReportFigure(
             name="gantt",
             title="Tasks over hosts",
-            caption="Where each task was, in the trial of median latency of each scheme. The colour of a bar, and the word in it where "
-            "there is room, is the host; a triangle marks the end of a handoff, an upright line the completion of the task.",
+            caption="Placement of each task in the trial of median latency of each scheme. The colour of a "
+            "bar, and its label if there is room, is the host; a triangle marks the end of a handoff, a "
+            "vertical line the completion of the task.",
             figure=_draw_gantt_figure(run, trials),
         )
     ]
@@ -95,9 +97,9 @@ def _draw_gantt_figure(run: ExperimentRun, trials: Sequence[Trial]) -> Figure:
     width = FIGURE_WIDTH_IN * axes[0][0].get_position().width
     for panel, trial in zip(places, trials, strict=False):
         _draw_gantt_panel(panel, trial, tasks, colours, unit, end / width)
-        over = "" if trial.finished else ", ended by the limit"
+        ending = "" if trial.finished else ", ended by the time limit"
         panel.set_title(
-            f"{shorten_label(trial.scheme, 34)}: {trial.latency / unit:.3g} {word}{over}", loc="left"
+            f"{shorten_label(trial.scheme, 34)}: {trial.latency / unit:.3g} {word}{ending}", loc="left"
         )
     for panel in places[len(trials) :]:
         panel.remove()
@@ -106,14 +108,14 @@ def _draw_gantt_figure(run: ExperimentRun, trials: Sequence[Trial]) -> Figure:
     axes[0][0].set_xlim(0.0, 1.02 * end / unit)
     axes[0][0].xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 3, 5, 6, 10]))
     _draw_gantt_legend(figure, colours, legend)
-    label_x_axis(figure, f"time since the trial began ({word})")
+    label_x_axis(figure, f"time since the start of the trial ({word})")
     return figure
 
 
 def _draw_gantt_panel(
     panel: Axes, trial: Trial, tasks: Sequence[str], colours: dict[str, str], unit: float, per_inch: float
 ) -> None:
-    """``per_inch``: s that one inch of the panel shows."""
+    """``per_inch``: time scale in s per inch."""
     row = {task: number for number, task in enumerate(tasks)}
     for span in trial.spans:
         long, colour = span.end - span.start, colours[span.host]
@@ -153,7 +155,7 @@ def _draw_gantt_panel(
 
 
 def _compute_legend_columns(names: Collection[str]) -> int:
-    """Columns of the key, such that its rows are about equally long."""
+    """Number of legend columns with about equally long rows."""
     fitting = max(
         1, int(FIGURE_WIDTH_IN / (estimate_text_width_in([*names, "completed"], SMALL_TEXT_PT) + 0.32))
     )
@@ -161,7 +163,7 @@ def _compute_legend_columns(names: Collection[str]) -> int:
 
 
 def _draw_gantt_legend(figure: Figure, colours: dict[str, str], columns: int) -> None:
-    """What colours and marks mean, above all panels."""
+    """Draw the legend of colours and markers above all panels."""
     hosts = [
         Patch(facecolor=colour, edgecolor=_DARK_COLOUR, linewidth=0.3, label=shorten_label(host))
         for host, colour in colours.items()

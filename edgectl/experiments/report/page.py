@@ -1,4 +1,4 @@
-"""The report as one HTML page: everything inline, nothing fetched, no script. jinja2 escapes every value."""
+"""The report as a self-contained HTML page without scripts. jinja2 escapes all values."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from edgectl.units import format_bytes, format_duration, format_instant
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EmbeddedFigure:
-    """A figure as an SVG element that may stand in a page, under the ``name`` of its place."""
+    """A figure as an inline SVG element; ``name``: its anchor in the page."""
 
     name: str
     title: str
@@ -25,14 +25,14 @@ class EmbeddedFigure:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReportTable:
-    """Rows of words, the first one the head, and sentences below."""
+    """Rows of cells, the first one the heading, and the notes below."""
 
     rows: Sequence[Sequence[str]]
     notes: Sequence[str]
 
 
-def render_report_page(run: ExperimentRun, table: ReportTable, pictures: Sequence[EmbeddedFigure]) -> str:
-    """The page of a run with one trial at least."""
+def render_report_page(run: ExperimentRun, table: ReportTable, figures: Sequence[EmbeddedFigure]) -> str:
+    """The page of a run, which needs a trial."""
     environment = Environment(
         loader=PackageLoader("edgectl", "experiments/report"), autoescape=True, undefined=StrictUndefined
     )
@@ -54,27 +54,27 @@ def render_report_page(run: ExperimentRun, table: ReportTable, pictures: Sequenc
         unfinished=[(trial.scheme, trial.repetition) for trial in run.trials if not trial.finished],
         table=list(zip(*table.rows, strict=True)),
         notes=table.notes,
-        figures=pictures,
+        figures=figures,
         moves=list(_build_handoff_rows(run)),
     )
 
 
 def _format_trials_by_scheme(trials: Iterable[tuple[str, int]]) -> str:
-    """Scheme by scheme, which of its trials."""
+    """Repetitions by scheme: ``local: 1, 2; static: 3``."""
     grouped = groupby(trials, key=lambda trial: trial[0])
     return "; ".join(f"{scheme}: {', '.join(str(number) for _, number in each)}" for scheme, each in grouped)
 
 
 def _build_handoff_rows(run: ExperimentRun) -> Iterator[Mapping[str, object]]:
-    """One row per scheme and task that changed its host."""
-    for variant in run.experiment.schemes:
-        trials = select_trials(run, variant.name)
+    """One row per scheme and task that moved."""
+    for scheme in run.experiment.schemes:
+        trials = select_trials(run, scheme.name)
         handoffs = sorted((handoff for trial in trials for handoff in trial.handoffs), key=_get_handoff_task)
         for task, each in groupby(handoffs, key=_get_handoff_task):
             found = list(each)
             known = [handoff.downtime for handoff in found if handoff.downtime is not None]
             yield {
-                "scheme": variant.name,
+                "scheme": scheme.name,
                 "task": task,
                 "count": len(found),
                 "per_trial": f"{len(found) / len(trials):.1f}",

@@ -1,4 +1,7 @@
-"""The figures of a report. Modules named ``drawing*`` alone know matplotlib; none of them touches its global state or a screen."""
+"""The files of a report: the HTML page, and each figure as SVG and PDF.
+
+Figures are drawn without a display and without changing matplotlib's global state.
+"""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,7 +21,7 @@ from edgectl.experiments.report.time_series_plots import draw_loads, draw_readin
 
 
 def draw_figures(run: ExperimentRun) -> list[ReportFigure]:
-    """Every figure that the run has something for, in the order of the page; it has one trial at least."""
+    """All figures that the run has data for, in the order of the page; the run needs a trial."""
     with use_figure_style():
         return [
             draw_latency(run),
@@ -33,14 +36,14 @@ def draw_figures(run: ExperimentRun) -> list[ReportFigure]:
 def build_report_files(
     run: ExperimentRun, table: ReportTable, out: Path, figures: Path | None
 ) -> Iterator[tuple[Path, bytes]]:
-    """What is to be written where: the page to ``out``, and every figure as SVG and PDF into ``figures``. The run has a trial."""
+    """Paths and contents of the page and of each figure as SVG and PDF; the run needs a trial."""
     drawn = draw_figures(run)
-    pictures = [
+    embedded = [
         EmbeddedFigure(name=each.name, title=each.title, caption=each.caption, svg=render_inline_svg(each))
         for each in drawn
     ]
-    yield out, render_report_page(run, table, pictures).encode()
+    yield out, render_report_page(run, table, embedded).encode()
     if figures is not None:
-        for drawing in drawn:
-            yield figures / f"{drawing.name}.svg", render_svg(drawing)
-            yield figures / f"{drawing.name}.pdf", render_pdf(drawing)
+        for figure in drawn:
+            yield figures / f"{figure.name}.svg", render_svg(figure)
+            yield figures / f"{figure.name}.pdf", render_pdf(figure)

@@ -1,4 +1,4 @@
-"""What goes on over time: one panel per scheme and host (or task), every trial as a thin line and their mean as a thick one."""
+"""Time series: a panel per scheme and host (or task), a line per trial and a thick one for the mean."""
 
 from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
@@ -24,11 +24,11 @@ from edgectl.experiments.report.trial_selection import list_tried_schemes, selec
 from edgectl.experiments.scheme_results import MAX_METRIC_VALUE
 from edgectl.names import natural_key
 
-TimeSeries = Sequence[tuple[float, float]]  # (s after the trial began, value), in the order of time
+TimeSeries = Sequence[tuple[float, float]]  # (s after the start of the trial, value), by time
 SeriesExtractor = Callable[[Trial, str], TimeSeries]
 _MAX_PANELS_PER_ROW, _MAX_MEAN_STEPS = 6, 240
 _CAPTION_LINES = (
-    "Thin: each trial; thick: the mean of the trials that still ran, while at least half of them did."
+    "Thin: each trial; thick: the mean of the trials still running, while at least half of them are."
 )
 
 
@@ -47,16 +47,18 @@ def draw_loads(run: ExperimentRun) -> list[ReportFigure]:
         host: f"{shorten_label(host, 20)}\n{run.machines[host].memory / 2**30:.3g} GiB" for host in hosts
     }
     plain = {host: shorten_label(host, 20) for host in busy}
-    quiet = "" if len(busy) == len(hosts) else " Hosts without traffic are left out."
+    quiet = "" if len(busy) == len(hosts) else " Hosts without traffic are omitted."
+    cpu, memory = _build_cpu_extractor(run.machines), _build_memory_extractor(run.machines)
+    links = "Throughput on the links to the robots"
     return [
-        *_draw_quantity(run, "cpu", "CPU utilisation", "% of the host's cores", cores, _build_cpu_extractor(run.machines), 100.0),
-        *_draw_quantity(run, "memory", "Memory utilisation", "% of the host's memory", sizes, _build_memory_extractor(run.machines)),
-        *_draw_quantity(run, "throughput", "Throughput on the links to the robots", "MB/s", plain, _extract_throughput, note=quiet),
-    ]  # fmt: skip
+        *_draw_quantity(run, "cpu", "CPU utilisation", "% of the host's cores", cores, cpu, 100.0),
+        *_draw_quantity(run, "memory", "Memory utilisation", "% of the host's memory", sizes, memory),
+        *_draw_quantity(run, "throughput", links, "MB/s", plain, _extract_throughput, note=quiet),
+    ]
 
 
 def draw_readings(run: ExperimentRun) -> list[ReportFigure]:
-    """Each metric of the application, by scheme and task."""
+    """Each application metric, by scheme and task."""
     names = dict.fromkeys(
         [*run.experiment.metrics, *(name for trial in run.trials for name in trial.readings)]
     )
@@ -108,18 +110,29 @@ def _build_reading_extractor(name: str) -> SeriesExtractor:
 
 
 def _draw_quantity(
-    run: ExperimentRun, name: str, title: str, unit: str, heads: Mapping[str, str], read: SeriesExtractor, most: float = 0.0, *, what: str = "host",
+    run: ExperimentRun,
+    name: str,
+    title: str,
+    unit: str,
+    heads: Mapping[str, str],
+    read: SeriesExtractor,
+    most: float = 0.0,
+    *,
+    what: str = "host",
     note: str = "",
-) -> list[ReportFigure]:  # fmt: skip
-    """The panels of one quantity in its ``unit``, at most six columns to a figure. ``most``: what the value axis reaches at least."""
-    measure = "As the tasks wrote it" if what == "task" else f"In {unit}"
+) -> list[ReportFigure]:
+    """The figures of one quantity, with at most six columns each.
+
+    ``most``: smallest upper end of the value axis.
+    """
+    measure = "As written by the tasks" if what == "task" else f"In {unit}"
     columns = list(heads)
     return [
         ReportFigure(
             name=f"{name}-{first // _MAX_PANELS_PER_ROW + 1}" if first else name,
             title=title,
-            caption=f"{measure}, over the time since the trial began, by scheme (rows) and {what} (columns). All panels have the same "
-            f"axes. {_CAPTION_LINES}{note}",
+            caption=f"{measure}, over the time since the start of the trial, by scheme (rows) and {what} "
+            f"(columns). All panels have the same axes. {_CAPTION_LINES}{note}",
             figure=_draw_time_series_figure(
                 run,
                 {column: heads[column] for column in columns[first : first + _MAX_PANELS_PER_ROW]},
@@ -155,7 +168,7 @@ def _draw_time_series_figure(
         panel.set_title(head, linespacing=1.15)
     _scale_time_series_axes(axes[0][0], most)
     label_rows(figure, axes, schemes, unit)
-    label_x_axis(figure, f"time since the trial began ({word})")
+    label_x_axis(figure, f"time since the start of the trial ({word})")
     return figure
 
 
@@ -169,7 +182,7 @@ def _draw_series_panel(
 
 
 def _draw_series_line(panel: Axes, series: TimeSeries, second: float, colour: str, width: float) -> None:
-    """A sample alone is a point."""
+    """Draw a line, or a point for a single sample."""
     at, values = [each / second for each, _ in series], [value for _, value in series]
     panel.plot(
         at,
@@ -182,7 +195,7 @@ def _draw_series_line(panel: Axes, series: TimeSeries, second: float, colour: st
 
 
 def _scale_time_series_axes(panel: Axes, most: float) -> None:
-    """From 0 where nothing is below; few round ticks."""
+    """Start at 0 unless values are negative; few, round ticks."""
     low, high = min(panel.get_ylim()[0], 0.0), max(panel.get_ylim()[1], most, 0.0)
     panel.set_ylim(1.06 * low, 1.06 * high if high > low else 1.0)
     panel.set_xlim(0.0, 1.02 * panel.get_xlim()[1])
@@ -191,7 +204,7 @@ def _scale_time_series_axes(panel: Axes, most: float) -> None:
 
 
 def _compute_mean_series(trials: Sequence[TimeSeries], every: float) -> TimeSeries:
-    """The mean over the trials that have a value at a time, as long as half of them do; one trial alone is its own mean."""
+    """The mean over the trials with a value at a time, while at least half of them have one."""
     if len(trials) == 1:
         return trials[0]
     end = max((series[-1][0] for series in trials), default=0.0)
@@ -205,7 +218,7 @@ def _compute_mean_series(trials: Sequence[TimeSeries], every: float) -> TimeSeri
 
 
 def _interpolate_at(series: TimeSeries, at: float, near: float) -> float | None:
-    """The value between the two samples around ``at``, or at an end that is ``near`` (s); None outside of the series."""
+    """The linear interpolation at ``at``, or an end value within ``near`` s; None outside of the series."""
     after = bisect_right(series, at, key=lambda sample: sample[0])
     if after in (0, len(series)):
         end = series[0] if after == 0 else series[-1]

@@ -1,4 +1,4 @@
-"""Which trials a run has, and which it lacks."""
+"""Selection of a run's trials, and the list of missing ones."""
 
 from collections.abc import Sequence
 
@@ -6,33 +6,33 @@ from edgectl.experiments.model.experiment import ExperimentRun, Trial
 
 
 def list_tried_schemes(run: ExperimentRun) -> list[str]:
-    """The schemes that have a trial, in the order of the experiment."""
+    """The schemes with at least one trial, in the order of the experiment."""
     done = {trial.scheme for trial in run.trials}
-    return [variant.name for variant in run.experiment.schemes if variant.name in done]
+    return [scheme.name for scheme in run.experiment.schemes if scheme.name in done]
 
 
 def select_trials(run: ExperimentRun, scheme: str) -> list[Trial]:
-    """The trials of a scheme, by repetition."""
+    """The trials of a scheme, ordered by repetition."""
     return sorted(
         (trial for trial in run.trials if trial.scheme == scheme), key=lambda trial: trial.repetition
     )
 
 
 def get_median_trial(run: ExperimentRun, scheme: str) -> Trial:
-    """The trial of the median latency (of two the quicker), a finished one where there is any; the scheme has a trial."""
+    """The trial of median latency (the faster of two), finished if there is any; the scheme needs a trial."""
     trials = sorted(
         select_trials(run, scheme), key=lambda trial: (not trial.finished, trial.latency, trial.repetition)
     )
-    among = [trial for trial in trials if trial.finished] or trials
-    return among[(len(among) - 1) // 2]
+    candidates = [trial for trial in trials if trial.finished] or trials
+    return candidates[(len(candidates) - 1) // 2]
 
 
 def list_missing_trials(run: ExperimentRun) -> Sequence[tuple[str, int]]:
-    """(scheme, repetition) of each trial that has not been run."""
+    """(scheme, repetition) of each trial that has not run yet."""
     done = {(trial.scheme, trial.repetition) for trial in run.trials}
-    every = (
-        (variant.name, number)
-        for variant in run.experiment.schemes
+    planned = (
+        (scheme.name, number)
+        for scheme in run.experiment.schemes
         for number in range(1, run.experiment.repetitions + 1)
     )
-    return [pair for pair in every if pair not in done]
+    return [pair for pair in planned if pair not in done]

@@ -1,1 +1,1 @@
-"""Tables and documents of experiments."""
+"""One class per output of an experiment command: table, wide table, Markdown, document."""

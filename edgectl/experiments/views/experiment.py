@@ -1,6 +1,7 @@
-"""The paper's table of an experiment on real hosts: text, Markdown and a document."""
+"""Results of an experiment on real hosts: the paper's table as text, Markdown and a document."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 from edgectl.experiments.model.comparison import SchemeResult
 from edgectl.experiments.model.experiment import Experiment, ExperimentRun
@@ -20,101 +21,109 @@ from edgectl.experiments.views.scheme_table import (
     render_scheme_table,
 )
 from edgectl.formats.document import FORMAT_VERSION, Document
+from edgectl.views.markdown import escape_markdown
 from edgectl.views.text import PLAIN, RenderOptions, Row, escape_unprintable, wrap_text
 
-_MAIN_MEASURED_METRICS = ("latency", "cpu", "memory", "handoffs")
+_NARROW_METRICS = ("latency", "cpu", "memory", "handoffs")
 
 
-def render_experiment(
-    run: ExperimentRun, values: Sequence[SchemeResult], look: RenderOptions = PLAIN, *, every: bool = False
-) -> str:
-    """One line per scheme, also where nothing is done yet; then how much of the experiment that is, and the latencies compared."""
-    lines = "".join(
-        wrap_text(escape_unprintable(line), look)
-        for line in describe_experiment(run.experiment, values, every=every)
-    )
-    return (
-        render_scheme_table(build_experiment_rows(run.experiment, values, every=every), look) + "\n" + lines
-    )
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExperimentView:
+    """A run and the results of its schemes (`summarize_trials`)."""
+
+    run: ExperimentRun
+    results: Sequence[SchemeResult]
+
+    def table(self, look: RenderOptions = PLAIN) -> str:
+        """One row per scheme with its main metrics, then progress and latency ratios."""
+        return self._render(look, every=False)
+
+    def wide(self, look: RenderOptions = PLAIN) -> str:
+        """The table with all metrics, each with its standard deviation."""
+        return self._render(look, every=True)
+
+    def markdown(self) -> str:
+        """The wide table in Markdown, and its notes as a list."""
+        heading, *body = (
+            [cell if isinstance(cell, str) else cell.text for cell in row]
+            for row in build_experiment_rows(self.run.experiment, self.results, every=True)
+        )
+        lines = [heading, ["---", *["---:"] * (len(heading) - 1)]]
+        lines += ([escape_markdown(cell) for cell in row] for row in body)
+        rows = "".join(f"| {' | '.join(line)} |\n" for line in lines)
+        notes = describe_experiment(self.run.experiment, self.results, every=True)
+        return rows + "\n" + "".join(f"- {escape_markdown(note)}\n" for note in notes)
+
+    def document(self) -> Document:
+        """All estimates as JSON types.
+
+        Latency in min, CPU and memory in percent, throughput in MB/s, downtime in s.
+        """
+        return {
+            "format_version": FORMAT_VERSION,
+            "experiment": self.run.experiment.name,
+            "digest": self.run.digest,
+            "planned": self.run.experiment.repetitions,
+            "done": sum(result.runs for result in self.results),
+            "schemes": [
+                {**encode_scheme_result(result), **encode_application_metrics(result)}
+                for result in self.results
+            ],
+        }
+
+    def _render(self, look: RenderOptions, *, every: bool) -> str:
+        rows = build_experiment_rows(self.run.experiment, self.results, every=every)
+        notes = describe_experiment(self.run.experiment, self.results, every=every)
+        text = "".join(wrap_text(escape_unprintable(note), look) for note in notes)
+        return f"{render_scheme_table(rows, look)}\n{text}"
 
 
 def build_experiment_rows(
-    experiment: Experiment, values: Sequence[SchemeResult], *, every: bool
+    experiment: Experiment, results: Sequence[SchemeResult], *, every: bool
 ) -> list[Row]:
-    """The head and a row per scheme; with ``every`` all metrics, each with its deviation. Trials are counted where some are missing."""
+    """The heading and a row per scheme; ``every``: all metrics, each with its standard deviation.
+
+    The column TRIALS is left out of the narrow table once no trial is missing.
+    """
     planned = experiment.repetitions
-    counted = every or any(value.runs < planned for value in values)
-    metrics = _build_experiment_columns(experiment, values, every=every)
-    found: list[Row] = [("SCHEME", *(["TRIALS"] if counted else []), *(metric.head for metric in metrics))]
-    for value in values:
-        trials = [f"{value.runs}/{planned}"] if counted else []
-        found.append(
-            (
-                render_scheme_name(value),
-                *trials,
-                *(format_estimates(metric.figures(value), metric, spread=every) for metric in metrics),
-            )
-        )
-    return found
+    counted = every or any(result.runs < planned for result in results)
+    columns = _build_experiment_columns(experiment, results, every=every)
+    rows: list[Row] = [("SCHEME", *(["TRIALS"] if counted else []), *(column.heading for column in columns))]
+    for result in results:
+        trials = [f"{result.runs}/{planned}"] if counted else []
+        cells = [format_estimates(column.estimates(result), column, spread=every) for column in columns]
+        rows.append((render_scheme_name(result), *trials, *cells))
+    return rows
 
 
 def _build_experiment_columns(
-    experiment: Experiment, values: Sequence[SchemeResult], *, every: bool
+    experiment: Experiment, results: Sequence[SchemeResult], *, every: bool
 ) -> list[MetricColumn]:
     common = (
-        *build_usage_columns(values),
+        *build_usage_columns(results),
         build_metric_column("handoffs", "HANDOFFS", 1),
         build_metric_column("downtime", "DOWNTIME s", 1),
         build_metric_column("unplaced", "UNPLACED", 1),
     )
-    own = [
-        *(build_application_column(name, values) for name in experiment.metrics),
+    return [
+        *(column for column in common if every or column.name in _NARROW_METRICS),
+        *(build_application_column(name, results) for name in experiment.metrics),
         *map(build_ssim_column, experiment.maps),
     ]
-    return [*(metric for metric in common if every or metric.name in _MAIN_MEASURED_METRICS), *own]
 
 
 def describe_experiment(
-    experiment: Experiment, values: Sequence[SchemeResult], *, every: bool = False
+    experiment: Experiment, results: Sequence[SchemeResult], *, every: bool = False
 ) -> Iterator[str]:
-    """What stands below the table of the same ``every``."""
-    done, planned = sum(value.runs for value in values), experiment.repetitions * len(values)
-    hosts = next((value.hosts for value in values if value.hosts), ())
-    by = f", by edge ({'/'.join(hosts)}; local: mean of the robots)" if hosts else ""
-    yield f"{done} of {planned} trials of {experiment.name}; {describe_table_numbers(every=every)}{by}."
-    yield from describe_unfinished(values, "trials")
+    """The notes below the table of the same ``every``."""
+    done, planned = sum(result.runs for result in results), experiment.repetitions * len(results)
+    hosts = next((result.hosts for result in results if result.hosts), ())
+    by_edge = f", by edge ({'/'.join(hosts)}; local: mean of the robots)" if hosts else ""
+    yield f"{done} of {planned} trials of {experiment.name}; {describe_table_numbers(every=every)}{by_edge}."
+    yield from describe_unfinished(results, "trials")
     yield from (
-        f"{value.scheme.name}: tasks without a host, over all plans: {value.unplaced}"
-        for value in values
-        if value.unplaced
+        f"{result.scheme.name}: unplaced tasks, summed over all plans: {result.unplaced}"
+        for result in results
+        if result.unplaced
     )
-    yield from describe_latency_ratios(values)
-
-
-def render_experiment_markdown(
-    run: ExperimentRun, values: Sequence[SchemeResult], escaped: Callable[[str], str] = escape_unprintable
-) -> str:
-    """Everything as a table of Markdown."""
-    head, *body = (
-        [cell if isinstance(cell, str) else cell.text for cell in row]
-        for row in build_experiment_rows(run.experiment, values, every=True)
-    )
-    lines = [head, ["---", *["---:"] * (len(head) - 1)], *([escaped(cell) for cell in row] for row in body)]
-    table_text = "".join(f"| {' | '.join(line)} |\n" for line in lines)
-    return (
-        table_text
-        + "\n"
-        + "".join(f"- {escaped(line)}\n" for line in describe_experiment(run.experiment, values, every=True))
-    )
-
-
-def encode_experiment_results(run: ExperimentRun, values: Sequence[SchemeResult]) -> Document:
-    """Every figure as JSON types. Latency in min, cpu, cpu peak and memory in percent, throughput in MB/s, downtime in s."""
-    return {
-        "format_version": FORMAT_VERSION,
-        "experiment": run.experiment.name,
-        "digest": run.digest,
-        "planned": run.experiment.repetitions,
-        "done": sum(value.runs for value in values),
-        "schemes": [{**encode_scheme_result(value), **encode_application_metrics(value)} for value in values],
-    }
+    yield from describe_latency_ratios(results)

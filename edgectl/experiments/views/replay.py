@@ -1,6 +1,7 @@
-"""What other rules would have done with what was recorded, as text and as a document."""
+"""Results of a replay: a row per scheme as text, and a document."""
 
-from collections.abc import Iterable
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 from edgectl.experiments.model.comparison import ReplayResult, Utilisation
 from edgectl.formats.document import FORMAT_VERSION, Document, encode_number
@@ -9,82 +10,79 @@ from edgectl.views.plan_sections import render_notes
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, render_columns, wrap_text
 
 _OPEN_LOOP_NOTE = (
-    "Open loop: what tasks used and how long they ran is as recorded, whatever a variant decided; "
+    "Open loop: the usage and run time of tasks are as recorded, whatever a scheme decides; "
     "edgectl simulate closes the loop in a model."
 )
 
 
-def render_replay(values: Iterable[ReplayResult], look: RenderOptions = PLAIN) -> str:
-    """One line per variant; utilisations as mean and peak over edges (or links) and cycles."""
-    found = list(values)
-    cycles = max((value.cycles for value in found), default=0)
-    rows: list[Row] = [("VARIANT", "HANDOFFS", "PER CYCLE", "UNPLACED", "CPU", "MEMORY", "NETWORK")]
-    rows += [
-        (
-            Cell(value.scheme.name, "name"),
-            str(value.handoffs),
-            _format_handoffs_per_cycle(value),
-            str(value.unplaced),
-            *(_format_utilisation(share) if value.cycles else "-" for share in _list_utilisations(value)),
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReplayView:
+    """The results of all schemes over the same snapshots."""
+
+    results: Sequence[ReplayResult]
+
+    def table(self, look: RenderOptions = PLAIN) -> str:
+        """One row per scheme; utilisations as mean and peak over edges (or links) and cycles."""
+        cycles = max((result.cycles for result in self.results), default=0)
+        rows: list[Row] = [("SCHEME", "HANDOFFS", "PER CYCLE", "UNPLACED", "CPU", "MEMORY", "NETWORK")]
+        rows += map(_build_replay_row, self.results)
+        return (
+            render_columns(rows, look, right={1, 2, 3, 4, 5, 6})
+            + wrap_text(f"{cycles} cycles; utilisation as mean/peak. {_OPEN_LOOP_NOTE}", look)
+            + render_notes(_describe_assumed_tasks(self.results), look)
         )
-        for value in found
-    ]
-    body = render_columns(rows, look, right={1, 2, 3, 4, 5, 6})
+
+    def document(self) -> Document:
+        """The same numbers as JSON types; utilisations are shares of the capacity."""
+        return {
+            "format_version": FORMAT_VERSION,
+            "open_loop": True,
+            "variants": [_encode_replay_result(result) for result in self.results],
+        }
+
+
+def _build_replay_row(result: ReplayResult) -> Row:
     return (
-        body
-        + wrap_text(f"{cycles} cycles; utilisation as mean/peak. {_OPEN_LOOP_NOTE}", look)
-        + render_notes(_describe_assumed_tasks(found), look)
+        Cell(result.scheme.name, "name"),
+        str(result.handoffs),
+        f"{result.handoffs / result.cycles:.3f}" if result.cycles else "-",
+        str(result.unplaced),
+        *(
+            _format_utilisation(share) if result.cycles else "-"
+            for share in _get_utilisations(result).values()
+        ),
     )
 
 
-def _describe_assumed_tasks(values: Iterable[ReplayResult]) -> list[str]:
-    tasks = sorted({task for value in values for task in value.assumed}, key=natural_key)
-    return (
-        [
-            f"never seen running, so that what it demands counts as its use: {format_name_list(tasks)} ({len(tasks)})"
-        ]
-        if tasks
-        else []
-    )
+def _describe_assumed_tasks(results: Sequence[ReplayResult]) -> list[str]:
+    tasks = sorted({task for result in results for task in result.assumed}, key=natural_key)
+    if not tasks:
+        return []
+    names = f"{format_name_list(tasks)} ({len(tasks)})"
+    return [f"never recorded as running, so their usage is taken from their demand: {names}"]
 
 
-def _format_handoffs_per_cycle(value: ReplayResult) -> str:
-    return f"{value.handoffs / value.cycles:.3f}" if value.cycles else "-"
+def _get_utilisations(result: ReplayResult) -> dict[str, Utilisation]:
+    return {"cpu": result.cpu, "memory": result.memory, "network": result.network}
 
 
-def _list_utilisations(value: ReplayResult) -> tuple[Utilisation, Utilisation, Utilisation]:
-    return value.cpu, value.memory, value.network
+def _format_utilisation(share: Utilisation) -> str:
+    return f"{share.mean:.0%}/{share.peak:.0%}"
 
 
-def _format_utilisation(value: Utilisation) -> str:
-    return f"{value.mean:.0%}/{value.peak:.0%}"
-
-
-def encode_replay(values: Iterable[ReplayResult]) -> Document:
-    """The same numbers as JSON types; utilisations are shares of the capacity."""
+def _encode_replay_result(result: ReplayResult) -> Document:
+    policy = result.scheme.policy
     return {
-        "format_version": FORMAT_VERSION,
-        "open_loop": True,
-        "variants": [_encode_replay_result(value) for value in values],
-    }
-
-
-def _encode_replay_result(value: ReplayResult) -> Document:
-    policy = value.scheme.policy
-    return {
-        "name": value.scheme.name,
+        "name": result.scheme.name,
         "policy": policy.name.value,
         "move_margin": encode_number(policy.move_margin),
-        "cycles": value.cycles,
-        "handoffs": value.handoffs,
-        "unplaced": value.unplaced,
-        "unsettled": value.unsettled,
-        "assumed": list(value.assumed),
+        "cycles": result.cycles,
+        "handoffs": result.handoffs,
+        "unplaced": result.unplaced,
+        "unsettled": result.unsettled,
+        "assumed": list(result.assumed),
         **{
             name: {"mean": encode_number(share.mean), "peak": encode_number(share.peak)}
-            for name, share in zip(_UTILISATION_NAMES, _list_utilisations(value), strict=True)
+            for name, share in _get_utilisations(result).items()
         },
     }
-
-
-_UTILISATION_NAMES = ("cpu", "memory", "network")

@@ -1,4 +1,4 @@
-"""The paper's table, turned on its side: one line per scheme, one column per metric; of the model and of real hosts alike."""
+"""The paper's table, transposed: a row per scheme, a column per metric; of simulations and experiments."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from math import floor, log10
@@ -9,43 +9,46 @@ from edgectl.formats.document import Document, encode_number
 from edgectl.views.text import Cell, RenderOptions, Row, measure_column_widths, render_columns
 
 _COLUMN_GAP = "  "
-# Latencies below so many minutes are shown in seconds.
+# Mean latencies below this are shown in seconds.
 _SHORT_LATENCY_MIN = 2.0
 _SMALL_PERCENT = 10.0
 
 
 class MetricColumn(NamedTuple):
-    """One column: its head, how its numbers are written, what it shows of a scheme, and whether the deviation always stands beside."""
+    """A column: its heading, the estimates it takes from a scheme, the format of a number.
+
+    ``spread``: show the standard deviation in the narrow table too.
+    """
 
     name: str
-    head: str
-    figures: Callable[[SchemeResult], Sequence[Estimate | None]]
-    write: Callable[[float], str]
+    heading: str
+    estimates: Callable[[SchemeResult], Sequence[Estimate | None]]
+    format_number: Callable[[float], str]
     spread: bool = False
 
 
 def build_metric_column(
-    name: str, head: str, digits: int = 0, factor: float = 1.0, *, spread: bool = False
+    name: str, heading: str, digits: int = 0, factor: float = 1.0, *, spread: bool = False
 ) -> MetricColumn:
-    """A metric that every experiment has."""
+    """A column of a metric that all experiments have; values are multiplied by ``factor``."""
     return MetricColumn(
         name,
-        head,
-        lambda column: column.estimates.get(name, ()),
-        lambda value: f"{factor * value:.{digits}f}",
+        heading,
+        lambda result: result.estimates.get(name, ()),
+        lambda number: f"{factor * number:.{digits}f}",
         spread,
     )
 
 
-def build_percent_column(name: str, head: str, values: Iterable[SchemeResult]) -> MetricColumn:
-    """A share of a capacity: whole percent, or tenths where all are below 10."""
-    means = (figure.mean for value in values for figure in value.estimates.get(name, ()) if figure)
-    return build_metric_column(name, head, 0 if max(means, default=0.0) >= _SMALL_PERCENT else 1)
+def build_percent_column(name: str, heading: str, results: Iterable[SchemeResult]) -> MetricColumn:
+    """A column of shares of a capacity in whole percent, or in tenths if all means are below 10 %."""
+    means = (each.mean for result in results for each in result.estimates.get(name, ()) if each)
+    return build_metric_column(name, heading, 0 if max(means, default=0.0) >= _SMALL_PERCENT else 1)
 
 
-def build_latency_column(values: Iterable[SchemeResult]) -> MetricColumn:
-    """Minutes as in the paper, or seconds where all are short."""
-    means = [figure.mean for value in values for figure in value.estimates.get("latency", ()) if figure]
+def build_latency_column(results: Iterable[SchemeResult]) -> MetricColumn:
+    """Latency in minutes as in the paper, or in seconds if all means are short."""
+    means = [each.mean for result in results for each in result.estimates.get("latency", ()) if each]
     short = max(means, default=0.0) < _SHORT_LATENCY_MIN
     return (
         build_metric_column("latency", "LATENCY s", 1, 60.0, spread=True)
@@ -54,56 +57,58 @@ def build_latency_column(values: Iterable[SchemeResult]) -> MetricColumn:
     )
 
 
-def build_usage_columns(values: Sequence[SchemeResult]) -> tuple[MetricColumn, ...]:
-    """How long the mission took and what the hosts used, which a model and real hosts have alike."""
+def build_usage_columns(results: Sequence[SchemeResult]) -> tuple[MetricColumn, ...]:
+    """Latency and host usage: the columns that simulations and real experiments share."""
     return (
-        build_latency_column(values),
-        build_percent_column("cpu", "CPU %", values),
-        build_percent_column("cpu peak", "PEAK %", values),
-        build_percent_column("memory", "MEMORY %", values),
+        build_latency_column(results),
+        build_percent_column("cpu", "CPU %", results),
+        build_percent_column("cpu peak", "PEAK %", results),
+        build_percent_column("memory", "MEMORY %", results),
         build_metric_column("throughput", "MB/s", 2),
     )
 
 
-def build_application_column(name: str, values: Iterable[SchemeResult]) -> MetricColumn:
-    """A metric that tasks wrote, whose unit nobody knows: three digits of the greatest mean, and as many decimals everywhere."""
-    means = [abs(figure.mean) for value in values if (figure := value.metrics.get(name))]
-    greatest = max(means, default=0.0)
-    decimals = min(9, max(0, 2 - floor(log10(greatest)))) if greatest > 0 else 0
+def build_application_column(name: str, results: Iterable[SchemeResult]) -> MetricColumn:
+    """A metric of the application, in an unknown unit: the largest mean has three digits."""
+    means = [abs(each.mean) for result in results if (each := result.metrics.get(name))]
+    largest = max(means, default=0.0)
+    decimals = min(9, max(0, 2 - floor(log10(largest)))) if largest > 0 else 0
     return MetricColumn(
-        name, name.upper(), lambda column: (column.metrics.get(name),), lambda value: f"{value:.{decimals}f}"
+        name,
+        name.upper(),
+        lambda result: (result.metrics.get(name),),
+        lambda number: f"{number:.{decimals}f}",
     )
 
 
 def build_ssim_column(name: str) -> MetricColumn:
-    """How like the truth a map is."""
+    """SSIM of the map ``name`` against its ground truth."""
     return MetricColumn(
-        name, name.upper(), lambda column: (column.maps.get(name),), lambda value: f"{value:.3f}"
+        name, name.upper(), lambda result: (result.maps.get(name),), lambda number: f"{number:.3f}"
     )
 
 
-def format_estimates(figures: Sequence[Estimate | None], metric: MetricColumn, *, spread: bool) -> str:
-    """The means of one metric, one per host; with ``spread`` each with its deviation, where several runs have a value."""
-    return (
-        "/".join(_format_estimate(each, metric, spread=spread or metric.spread) for each in figures)
-        if any(figures)
-        else "-"
-    )
-
-
-def _format_estimate(figure: Estimate | None, metric: MetricColumn, *, spread: bool) -> str:
-    if figure is None:
+def format_estimates(estimates: Sequence[Estimate | None], column: MetricColumn, *, spread: bool) -> str:
+    """The means of a metric, one per host; ``spread``: each with its standard deviation over several runs."""
+    if not any(estimates):
         return "-"
-    return metric.write(figure.mean) + (f"±{metric.write(figure.std)}" if spread and figure.count > 1 else "")
+    return "/".join(_format_estimate(each, column, spread=spread or column.spread) for each in estimates)
+
+
+def _format_estimate(estimate: Estimate | None, column: MetricColumn, *, spread: bool) -> str:
+    if estimate is None:
+        return "-"
+    deviation = f"±{column.format_number(estimate.std)}" if spread and estimate.count > 1 else ""
+    return column.format_number(estimate.mean) + deviation
 
 
 def describe_table_numbers(*, every: bool) -> str:
-    """What the numbers of the table are."""
+    """The statistics in the cells of the table."""
     return "mean±deviation" if every else "mean±deviation of the latency, means of the rest"
 
 
 def render_scheme_table(rows: Sequence[Row], look: RenderOptions) -> str:
-    """Numbers to the right of the first column. What does not fit the terminal stands in tables of its own below, each with that column."""
+    """The table, split to the terminal's width into tables that each repeat the first column."""
     return "\n".join(
         render_columns(part, look, right=range(1, len(part[0]))) for part in _split_to_width(rows, look)
     )
@@ -112,87 +117,95 @@ def render_scheme_table(rows: Sequence[Row], look: RenderOptions) -> str:
 def _split_to_width(rows: Sequence[Row], look: RenderOptions) -> Iterator[list[Row]]:
     first, *widths = measure_column_widths(rows)
     chosen: list[int] = []
-    room = used = (look.width or 0) - first
-    for place, width in enumerate(widths, 1):
-        used -= width + len(_COLUMN_GAP)
-        if look.width is not None and used < 0 and chosen:
+    available = left = (look.width or 0) - first
+    for column, width in enumerate(widths, 1):
+        left -= width + len(_COLUMN_GAP)
+        if look.width is not None and left < 0 and chosen:
             yield _select_table_columns(rows, chosen)
-            chosen, used = [], room - width - len(_COLUMN_GAP)
-        chosen.append(place)
+            chosen, left = [], available - width - len(_COLUMN_GAP)
+        chosen.append(column)
     yield _select_table_columns(rows, chosen)
 
 
 def _select_table_columns(rows: Sequence[Row], chosen: Sequence[int]) -> list[Row]:
-    return [(row[0], *(row[place] for place in chosen)) for row in rows]
+    return [(row[0], *(row[column] for column in chosen)) for row in rows]
+
+
+def _no_reference(_result: SchemeResult, _base: SchemeResult) -> str:
+    return ""
 
 
 def describe_latency_ratios(
-    values: Sequence[SchemeResult],
-    told: Callable[[SchemeResult, SchemeResult], str] = lambda _value, _base: "",
+    results: Sequence[SchemeResult],
+    describe_reference: Callable[[SchemeResult, SchemeResult], str] = _no_reference,
 ) -> Iterator[str]:
-    """How the latencies stand to those of local and static execution; ``told`` may say more of each pair."""
-    means = {value.scheme.name: (value, mean) for value in values if (mean := get_mean_latency_min(value))}
+    """Latencies relative to local and static execution; ``describe_reference`` is appended to each ratio."""
+    means = {
+        result.scheme.name: (result, mean) for result in results if (mean := get_mean_latency_min(result))
+    }
     for name in ("local", "static"):
         if name in means:
-            base, latency_of_base = means[name]
+            base, base_latency = means[name]
             parts = [
-                f"{other} {mean / latency_of_base:.2f}{told(value, base)}"
-                for other, (value, mean) in means.items()
+                f"{other} {mean / base_latency:.2f}{describe_reference(result, base)}"
+                for other, (result, mean) in means.items()
                 if other not in ("local", name)
             ]
             if parts:
                 yield f"Latency as a share of {name} execution: {', '.join(parts)}."
 
 
-def get_mean_latency_min(value: SchemeResult) -> float | None:
-    """In minutes."""
-    figure = next(iter(value.estimates.get("latency", ())), None)
-    return figure.mean if figure else None
+def get_mean_latency_min(result: SchemeResult) -> float | None:
+    """Mean latency in minutes; None without a run."""
+    estimate = next(iter(result.estimates.get("latency", ())), None)
+    return estimate.mean if estimate else None
 
 
-def describe_unfinished(values: Iterable[SchemeResult], what: str) -> list[str]:
-    """A line for each scheme of which the limit ended some."""
+def describe_unfinished(results: Iterable[SchemeResult], noun: str) -> list[str]:
+    """One line per scheme with runs that reached the time limit; ``noun``: "runs" or "trials"."""
     return [
-        f"{value.scheme.name}: {what} given up at the limit: {value.unfinished}"
-        for value in values
-        if value.unfinished
+        f"{result.scheme.name}: {noun} ended by the time limit: {result.unfinished}"
+        for result in results
+        if result.unfinished
     ]
 
 
-def render_scheme_name(value: SchemeResult) -> Cell:
-    """The name of a scheme."""
-    return Cell(value.scheme.name, "name")
+def render_scheme_name(result: SchemeResult) -> Cell:
+    """The first cell of a row."""
+    return Cell(result.scheme.name, "name")
 
 
-def encode_scheme_result(value: SchemeResult) -> Document:
-    """Every figure of a scheme as JSON types."""
+def encode_scheme_result(result: SchemeResult) -> Document:
+    """The estimates of a scheme as JSON types."""
     return {
-        "name": value.scheme.name,
-        "runs": value.runs,
-        "unfinished": value.unfinished,
-        "unplaced": value.unplaced,
-        "hosts": list(value.hosts),
+        "name": result.scheme.name,
+        "runs": result.runs,
+        "unfinished": result.unfinished,
+        "unplaced": result.unplaced,
+        "hosts": list(result.hosts),
         "figures": {
-            metric: [_encode_estimate(each) for each in figures]
-            for metric, figures in value.estimates.items()
+            metric: [_encode_estimate(each) for each in estimates]
+            for metric, estimates in result.estimates.items()
         },
     }
 
 
-def encode_application_metrics(value: SchemeResult) -> Document:
-    """What tasks wrote and how like the truth maps are, as JSON types."""
+def encode_application_metrics(result: SchemeResult) -> Document:
+    """Application metrics and SSIM of maps as JSON types."""
     return {
-        "metrics": {name: _encode_estimate(each) for name, each in value.metrics.items()},
-        "ssim": {name: _encode_estimate(each) for name, each in value.maps.items()},
+        "metrics": {name: _encode_estimate(each) for name, each in result.metrics.items()},
+        "ssim": {name: _encode_estimate(each) for name, each in result.maps.items()},
     }
 
 
-def _encode_estimate(value: Estimate | None) -> Document | None:
-    """The deviation of one run is not known."""
-    if value is None:
+def _encode_estimate(estimate: Estimate | None) -> Document | None:
+    """A single run has no deviation: null."""
+    if estimate is None:
         return None
-    several = value.count > 1
+    several = estimate.count > 1
     return {
-        "mean": encode_number(value.mean), "std": encode_number(value.std) if several else None, "half_ci95": encode_number(value.half_ci95) if several else None,
-        "runs": value.count,
-    }  # fmt: skip
+        "mean": encode_number(estimate.mean),
+        "std": encode_number(estimate.std) if several else None,
+        "half_ci95": encode_number(estimate.half_ci95) if several else None,
+        "runs": estimate.count,
+    }

@@ -1,6 +1,7 @@
-"""What a model says of each scheme beside what is known of the real thing, as text and as a document."""
+"""Results of a simulation beside reference values of real hosts: text and a document."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 from edgectl.experiments.model.comparison import ReferenceValues, SchemeResult
 from edgectl.experiments.model.scenario import Scenario
@@ -19,65 +20,65 @@ from edgectl.experiments.views.scheme_table import (
 from edgectl.formats.document import FORMAT_VERSION, Document, encode_optional
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, wrap_text
 
-_MAIN_SIMULATED_METRICS = ("latency", "cpu", "memory", "rate", "handoffs")
+_NARROW_METRICS = ("latency", "cpu", "memory", "rate", "handoffs")
 
 
-def render_simulation(
-    scenario: Scenario,
-    values: Iterable[SchemeResult],
-    real: ReferenceValues,
-    look: RenderOptions = PLAIN,
-    *,
-    every: bool = False,
-) -> str:
-    """One line per scheme, with what is known of it and how far the model is off below; then every assumption."""
-    found = list(values)
-    metrics = [
-        metric
-        for metric in _build_simulation_columns(found)
-        if _is_column_shown(metric, found, real, every=every)
-    ]
-    rows: list[Row] = [("SCHEME", *(metric.head for metric in metrics))]
-    for value in found:
-        known = real.means.get(value.scheme.name, {})
-        rows.append(
-            (
-                render_scheme_name(value),
-                *(format_estimates(metric.figures(value), metric, spread=every) for metric in metrics),
-            )
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SimulationView:
+    """A scenario, the simulated results of its schemes, and the reference values of the comparison."""
+
+    scenario: Scenario
+    results: Sequence[SchemeResult]
+    reference: ReferenceValues
+
+    def table(self, look: RenderOptions = PLAIN) -> str:
+        """Per scheme its main metrics, reference values and deviations; then notes and all assumptions."""
+        return self._render(look, every=False)
+
+    def wide(self, look: RenderOptions = PLAIN) -> str:
+        """The table with all metrics, each with its standard deviation."""
+        return self._render(look, every=True)
+
+    def document(self) -> Document:
+        """All estimates as JSON types, beside the reference values and the relative deviations from them."""
+        return {
+            "format_version": FORMAT_VERSION,
+            "scenario": self.scenario.name,
+            "assumptions": list(self.scenario.assumptions),
+            "notes": list(self.reference.notes),
+            "schemes": [_encode_simulated_scheme(result, self.reference) for result in self.results],
+        }
+
+    def _render(self, look: RenderOptions, *, every: bool) -> str:
+        columns = [
+            column
+            for column in _build_simulation_columns(self.results)
+            if _is_column_shown(column, self.results, self.reference, every=every)
+        ]
+        rows: list[Row] = [("SCHEME", *(column.heading for column in columns))]
+        for result in self.results:
+            rows += _build_scheme_rows(result, self.reference, columns, every=every)
+        notes = "".join(wrap_text(note, look) for note in self._describe(every=every))
+        return f"{render_scheme_table(rows, look)}\n{notes}"
+
+    def _describe(self, *, every: bool) -> Iterator[str]:
+        """The notes below the table."""
+        runs = max((result.runs for result in self.results), default=0)
+        numbers = describe_table_numbers(every=every)
+        noun = "run" if runs == 1 else "runs"
+        yield f"{runs} {noun} of each scheme; {numbers}, by edge (local: of the robots)."
+        yield from describe_unfinished(self.results, "runs")
+        yield from describe_latency_ratios(
+            self.results, lambda result, base: _format_reference_ratio(self.reference, result, base)
         )
-        if known:
-            rows.append(
-                (
-                    Cell(f"  {real.label}", "dim"),
-                    *(_format_reference_means(metric, known.get(metric.name, ())) for metric in metrics),
-                )
-            )
-            rows.append(
-                (
-                    Cell("  off by", "dim"),
-                    *(
-                        _format_deviations(value, metric.name, known.get(metric.name, ()))
-                        for metric in metrics
-                    ),
-                )
-            )
-    runs = max((value.runs for value in found), default=0)
-    lines = [
-        f"{runs} run{'' if runs == 1 else 's'} of each scheme; {describe_table_numbers(every=every)}, by edge (local: of the robots)."
-    ]
-    lines += [
-        *describe_unfinished(found, "runs"),
-        *describe_latency_ratios(found, lambda value, base: _format_reference_ratio(real, value, base)),
-        *real.notes,
-    ]
-    lines += ["Assumptions, the same for every scheme:", *(f"- {line}" for line in scenario.assumptions)]
-    return render_scheme_table(rows, look) + "\n" + "".join(wrap_text(line, look) for line in lines)
+        yield from self.reference.notes
+        yield "Assumptions, the same for every scheme:"
+        yield from (f"- {assumption}" for assumption in self.scenario.assumptions)
 
 
-def _build_simulation_columns(values: Sequence[SchemeResult]) -> tuple[MetricColumn, ...]:
+def _build_simulation_columns(results: Sequence[SchemeResult]) -> tuple[MetricColumn, ...]:
     return (
-        *build_usage_columns(values),
+        *build_usage_columns(results),
         build_metric_column("rate", "FRAMES/s", 1),
         build_metric_column("ssim", "SSIM", 2),
         build_metric_column("handoffs", "HANDOFFS", 1),
@@ -85,78 +86,85 @@ def _build_simulation_columns(values: Sequence[SchemeResult]) -> tuple[MetricCol
 
 
 def _is_column_shown(
-    metric: MetricColumn, values: Sequence[SchemeResult], real: ReferenceValues, *, every: bool
+    column: MetricColumn, results: Sequence[SchemeResult], reference: ReferenceValues, *, every: bool
 ) -> bool:
-    """SSIM, which no model has, only where something is known of it."""
-    modelled = any(any(metric.figures(value)) for value in values)
-    return metric.name in _MAIN_SIMULATED_METRICS or (
-        every and (modelled or any(metric.name in known for known in real.means.values()))
+    """Whether the table has the column; SSIM, which is not simulated, only if the reference has it."""
+    simulated = any(any(column.estimates(result)) for result in results)
+    return column.name in _NARROW_METRICS or (
+        every and (simulated or any(column.name in means for means in reference.means.values()))
     )
 
 
-def _format_reference_means(metric: MetricColumn, values: Sequence[float | None]) -> str:
-    return "/".join("-" if value is None else metric.write(value) for value in values) or "-"
-
-
-def _format_deviations(value: SchemeResult, metric: str, known: Sequence[float | None]) -> str:
-    return (
-        "/".join(
-            "-" if share is None else _format_signed_percent(share)
-            for share in _compute_deviations(value, metric, known)
+def _build_scheme_rows(
+    result: SchemeResult, reference: ReferenceValues, columns: Sequence[MetricColumn], *, every: bool
+) -> Iterator[Row]:
+    """The row of a scheme; below it its reference values and the deviations from them, if there are any."""
+    yield (
+        render_scheme_name(result),
+        *(format_estimates(column.estimates(result), column, spread=every) for column in columns),
+    )
+    means = reference.means.get(result.scheme.name, {})
+    if means:
+        yield (
+            Cell(f"  {reference.label}", "dim"),
+            *(_format_reference_means(column, means.get(column.name, ())) for column in columns),
         )
-        or "-"
-    )
+        yield (
+            Cell("  off by", "dim"),
+            *(_format_deviations(result, column.name, means.get(column.name, ())) for column in columns),
+        )
+
+
+def _format_reference_means(column: MetricColumn, means: Sequence[float | None]) -> str:
+    return "/".join("-" if mean is None else column.format_number(mean) for mean in means) or "-"
+
+
+def _format_deviations(result: SchemeResult, metric: str, means: Sequence[float | None]) -> str:
+    shares = _compute_deviations(result, metric, means)
+    return "/".join("-" if share is None else _format_signed_percent(share) for share in shares) or "-"
 
 
 def _compute_deviations(
-    value: SchemeResult, metric: str, known: Sequence[float | None]
+    result: SchemeResult, metric: str, reference: Sequence[float | None]
 ) -> list[float | None]:
-    """How far each mean of the model is off, as a share of what is known: of one number of the whole, the mean over the hosts."""
-    means = [figure.mean if figure else None for figure in value.estimates.get(metric, ())]
-    if len(known) == 1 < len(means):
-        found = [mean for mean in means if mean is not None]
-        means = [sum(found) / len(found) if found else None]
-    if len(means) != len(known):
+    """(simulated - reference) / reference of each mean; a single reference: of the mean over the hosts."""
+    means = [each.mean if each else None for each in result.estimates.get(metric, ())]
+    if len(reference) == 1 < len(means):
+        known = [mean for mean in means if mean is not None]
+        means = [sum(known) / len(known) if known else None]
+    if len(means) != len(reference):
         return []
     return [
         (mean - real) / real if mean is not None and real else None
-        for mean, real in zip(means, known, strict=True)
+        for mean, real in zip(means, reference, strict=True)
     ]
 
 
 def _format_signed_percent(share: float) -> str:
-    """Signed whole percent; nothing is +0%."""
+    """Signed whole percent; zero is ``+0%``, never ``-0%``."""
     return f"{round(100 * share) + 0:+d}%"
 
 
-def _format_reference_ratio(real: ReferenceValues, value: SchemeResult, base: SchemeResult) -> str:
-    """The same share in reality."""
-    known = [
-        next(iter(real.means.get(each.scheme.name, {}).get("latency", ())), None) for each in (value, base)
+def _format_reference_ratio(reference: ReferenceValues, result: SchemeResult, base: SchemeResult) -> str:
+    """The latency ratio of the same two schemes in the reference."""
+    latencies = [
+        next(iter(reference.means.get(each.scheme.name, {}).get("latency", ())), None)
+        for each in (result, base)
     ]
-    return f" ({real.label} {known[0] / known[1]:.2f})" if known[0] and known[1] else ""
+    if not latencies[0] or not latencies[1]:
+        return ""
+    return f" ({reference.label} {latencies[0] / latencies[1]:.2f})"
 
 
-def encode_simulation(scenario: Scenario, values: Iterable[SchemeResult], real: ReferenceValues) -> Document:
-    """Every figure as JSON types; what is known of the real thing beside it, and how far the model is off, as a share of that."""
+def _encode_simulated_scheme(result: SchemeResult, reference: ReferenceValues) -> Document:
+    known = reference.means.get(result.scheme.name, {})
     return {
-        "format_version": FORMAT_VERSION,
-        "scenario": scenario.name,
-        "assumptions": list(scenario.assumptions),
-        "notes": list(real.notes),
-        "schemes": [_encode_simulated_scheme(value, real) for value in values],
-    }
-
-
-def _encode_simulated_scheme(value: SchemeResult, real: ReferenceValues) -> Document:
-    known = real.means.get(value.scheme.name, {})
-    return {
-        **encode_scheme_result(value),
-        real.label: {
-            metric: [encode_optional(each) for each in figures] for metric, figures in known.items()
+        **encode_scheme_result(result),
+        reference.label: {
+            metric: [encode_optional(mean) for mean in means] for metric, means in known.items()
         },
         "off_by": {
-            metric: [encode_optional(each) for each in _compute_deviations(value, metric, figures)]
-            for metric, figures in known.items()
+            metric: [encode_optional(share) for share in _compute_deviations(result, metric, means)]
+            for metric, means in known.items()
         },
     }

@@ -1,0 +1,5 @@
+"""The fixtures of the command line, for the commands of experiments."""
+
+from tests.cli.conftest import run, site
+
+__all__ = ["run", "site"]

@@ -1,0 +1,106 @@
+"""``make experiment``: the shipped experiment on hosts of its own, its table, its page and its figures.
+
+    python -m tests.experiments.lab [--out runs/mission] [--repetitions 3] [--policies local,static,utility] [--plain]
+    python -m tests.experiments.lab --profile        what each task of one mission used, for the demands in tasks.yaml
+
+Stopped at any point, the same command goes on with the trials that are missing, on computers of the same addresses. Whatever happens,
+the hosts and all that ran on them are gone at the end.
+"""
+
+import argparse
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import yaml
+
+from tests.experiments.lab.hosts import Lab, lab, spent
+from tests.experiments.lab.mission import ROOT
+from tests.experiments.lab.spec import shortened
+from tests.faults.computer import NamespaceHost
+
+LIMIT_S = 45 * 60
+# What a task uses in its first ten seconds is no sample of its demand.
+SETTLE_S, WINDOWS = 8.0, 5
+
+
+def edgectl(*words: str, prefix: list[str], env: dict[str, str]) -> int:
+    """Run one command to its end; told to end, we tell it, and give it a minute to stop what it started."""
+    sys.stdout.flush()
+    running = subprocess.Popen(
+        [*prefix, sys.executable, "-m", "edgectl", *words], env=env, cwd=ROOT, start_new_session=True
+    )
+    try:
+        return running.wait(LIMIT_S)
+    except KeyboardInterrupt:
+        running.send_signal(signal.SIGINT)
+        return running.wait(60)
+    finally:
+        if running.poll() is None:
+            running.kill()
+            running.wait()
+
+
+def run(made: Lab, out: Path, repetitions: int, policies: str) -> int:
+    """All trials, the table, the page, the figures."""
+    spec = made.site / "experiment.yaml"
+    spec.write_text(shortened(spec.read_text(), repetitions=repetitions, policies=policies))
+    code = edgectl(
+        "experiment", "run", str(spec), "--out", str(out), prefix=made.prefix, env=made.environment
+    )
+    return code or edgectl(
+        "report", str(out), "--figures", str(out / "figures"), prefix=[], env=made.environment
+    )
+
+
+def profile(made: Lab) -> int:
+    """What edgectl itself uses on each host; then one mission, and what its tasks were seen to use over windows of some seconds."""
+    files = ["-i", str(made.site / "fleet.yaml"), "-t", str(made.site / "tasks.yaml")]
+    computers = [host for host in made.hosts.values() if isinstance(host, NamespaceHost)]
+    before, began = {host.name: spent(host) for host in computers}, time.monotonic()
+    edgectl("watch", "--every", "5s", "--cycles", "10", *files, prefix=made.prefix, env=made.environment)
+    for host in computers:
+        print(
+            f"{host.name}: a watch every 5 s uses {(spent(host) - before[host.name]) / (time.monotonic() - began):.3f} cores"
+        )
+    edgectl("apply", "--yes", *files, prefix=made.prefix, env=made.environment)
+    time.sleep(SETTLE_S)
+    for _ in range(WINDOWS):
+        edgectl("probe", "--window", "4s", "-o", "name", *files, prefix=made.prefix, env=made.environment)
+    tasks = yaml.safe_load((made.site / "tasks.yaml").read_text())["tasks"]
+    return max(edgectl("profile", task, *files, prefix=[], env=made.environment) for task in tasks)
+
+
+def main() -> int:
+    """Run it."""
+    parser = argparse.ArgumentParser(description="The shipped experiment on hosts of its own.")
+    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "mission", help="where the run is kept")
+    parser.add_argument("--repetitions", type=int, default=3)
+    parser.add_argument("--policies", default="", help="such as local,utility; all where not given")
+    parser.add_argument(
+        "--plain",
+        action="store_true",
+        help="plain SSH servers, even where computers with CPU limits could be had",
+    )
+    parser.add_argument(
+        "--profile", action="store_true", help="no trials: what each task of one mission uses"
+    )
+    args = parser.parse_args()
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    directory = Path(tempfile.mkdtemp(prefix="edgectl-experiment-"))
+    try:
+        with lab(directory, plain=args.plain) as made:
+            print(f"hosts: {made.real}")
+            if made.wanting:
+                print(f"not as on real hosts: {made.wanting}")
+            return profile(made) if args.profile else run(made, args.out, args.repetitions, args.policies)
+    finally:
+        shutil.rmtree(directory, ignore_errors=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,166 @@
+"""Hosts for the shipped experiment: computers in namespaces with CPU limits and shaped links, or plain SSH servers on this machine."""
+
+import json
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from tests import sshd
+from tests.experiments.lab.mission import MISSION
+from tests.faults import cgroup, scan
+from tests.faults.computer import NamespaceHost, missing_for_namespaces, namespace_hosts
+from tests.faults.hosts import Host, loopback_hosts
+from tests.faults.network import Site, tc
+
+FLEET = yaml.safe_load((MISSION / "fleet.yaml").read_text())
+CORES = {
+    name: float(entry["capacity"]["cpu"])
+    for kind in ("edges", "robots")
+    for name, entry in FLEET[kind].items()
+}
+LINK = FLEET["links"][0]["throughput"].removesuffix("/s").lower()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lab:
+    """``site``: the directory with the experiment's files for these hosts. ``prefix``: puts a command where the manager is.
+
+    ``real``: what is as on real hosts; ``wanting``: what could not be had, and why.
+    """
+
+    site: Path
+    hosts: dict[str, Host]
+    prefix: list[str] = field(default_factory=list)
+    environment: dict[str, str]
+    real: str
+    wanting: str
+
+
+def missing() -> str:
+    """Why there can be no computers with CPU limits here; empty if there can."""
+    if why := missing_for_namespaces():
+        return why
+    group = cgroup.make(f"edgectl-experiment-{os.getpid()}", 0.5)
+    group.remove()
+    return group.why
+
+
+@contextmanager
+def lab(directory: Path, *, plain: bool = False) -> Iterator[Lab]:
+    """Hosts that are ready for the experiment, and gone afterwards. ``plain``: SSH servers even where computers could be had."""
+    why = "asked for plain servers" if plain else missing()
+    with ExitStack() as stack:
+        if why:
+            hosts = stack.enter_context(loopback_hosts(directory / "hosts", list(CORES)))
+            yield _lab(directory, hosts, [], "SSH servers", f"no CPU limits, no shaped links: {why}")
+            return
+        network, hosts = stack.enter_context(namespace_hosts(directory / "hosts", list(CORES), cores=CORES))
+        unshaped = "; ".join(
+            sorted(
+                {_shape(network, host) for host in hosts.values() if isinstance(host, NamespaceHost)} - {""}
+            )
+        )
+        limits = ", ".join(f"{name} {cores:g}" for name, cores in CORES.items())
+        links = f"links as they are: {unshaped}" if unshaped else ""
+        yield _lab(
+            directory,
+            hosts,
+            network.prefix,
+            f"computers in namespaces, cores: {limits}; links: {LINK if not links else 'any'}",
+            links,
+        )
+
+
+def spent(host: NamespaceHost) -> float:
+    """CPU seconds of everything that ever ran on the computer since it was switched on; PID 1 buries the dead and adds theirs."""
+    inside = scan.in_namespace("pid", Path(f"/proc/{host.pid}/ns/pid").stat().st_ino)
+    ticks = 0
+    for process in inside:
+        with suppress(OSError):
+            stat = Path(f"/proc/{process.pid}/stat").read_text(errors="replace").rpartition(")")[2].split()
+            ticks += sum(map(int, stat[11:15]))
+    return ticks / os.sysconf("SC_CLK_TCK")
+
+
+def _shape(network: Site, host: NamespaceHost) -> str:
+    """Let the robot's cable carry no more than its link, in each direction; why not, where that cannot be."""
+    if host.name not in FLEET["robots"]:
+        return ""
+    rule = f"root tbf rate {LINK} burst 32kb latency 100ms".split()
+    return tc("qdisc", "add", "dev", host.cable, *rule, netns=network.process.pid) or tc(
+        "qdisc", "add", "dev", "eth0", *rule, netns=host.pid
+    )
+
+
+def _lab(directory: Path, hosts: dict[str, Host], prefix: list[str], real: str, wanting: str) -> Lab:
+    for host in hosts.values():
+        _copy_programs(host.home)
+    site = directory / "site"
+    site.mkdir()
+    for name in ("experiment.yaml", "tasks.yaml", "world.pgm", "world.yaml"):
+        shutil.copy(MISSION / name, site / name)
+    (site / "fleet.yaml").write_text(json.dumps(_fleet(hosts), indent=1))
+    return Lab(
+        site=site,
+        hosts=hosts,
+        prefix=prefix,
+        environment=_environment(directory, hosts),
+        real=real,
+        wanting=wanting,
+    )
+
+
+def _copy_programs(home: Path) -> None:
+    """To where the prelude of these hosts leads, as their user's own."""
+    target, owner = home / "experiment" / "tasks" / "mission", home.stat()
+    target.mkdir(parents=True)
+    for program in MISSION.glob("*.py"):
+        shutil.copy(program, target / program.name)
+    for path in (home / "experiment", *(home / "experiment").rglob("*")):
+        os.chown(path, owner.st_uid, owner.st_gid)
+
+
+def _fleet(hosts: dict[str, Host]) -> dict[str, Any]:
+    """The shipped fleet at the addresses of these hosts."""
+    found = {**FLEET, "defaults": {"prelude": 'cd "$HOME/experiment"'}}
+    for kind in ("edges", "robots"):
+        found[kind] = {name: {**entry, **_way(hosts[name])} for name, entry in FLEET[kind].items()}
+    return found
+
+
+def _way(host: Host) -> dict[str, object]:
+    address, port, user, _ = host.login
+    return {"host": address, "port": port, "user": user}
+
+
+def _environment(directory: Path, hosts: dict[str, Host]) -> dict[str, str]:
+    """What edgectl needs to find and to know the hosts, with a home and a state of its own."""
+    known = []
+    for host in hosts.values():
+        address, port, _, key = host.login
+        known.append(f"{address if port == 22 else f'[{address}]:{port}'} {key}\n")
+    (directory / "known_hosts").write_text("".join(known))
+    options = {
+        "IdentityFile": directory / "hosts" / "user_key",
+        "IdentitiesOnly": "yes",
+        "IdentityAgent": "none",
+        "GlobalKnownHostsFile": "none",
+        "UserKnownHostsFile": directory / "known_hosts",
+    }
+    (directory / "ssh_config").write_text(
+        "Host *\n" + "".join(f"  {name} {value}\n" for name, value in options.items())
+    )
+    (directory / "home").mkdir()
+    own = {name: value for name, value in os.environ.items() if not name.startswith("EDGECTL_")}
+    return own | {
+        "PATH": f"{own.get('PATH', os.defpath)}:{sshd.PATH}",
+        "HOME": str(directory / "home"),
+        "EDGECTL_STATE_DIR": str(directory / "state"),
+        "EDGECTL_SSH_CONFIG": str(directory / "ssh_config"),
+    }

@@ -1,0 +1,172 @@
+"""Experiments with real processes: on this machine through the API, and over sshd through a command that is killed."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from edgectl.experiments.files.run_directory import load_run
+from edgectl.experiments.model.experiment import Experiment
+from edgectl.experiments.model.schemes import Scheme
+from edgectl.experiments.runner import ExperimentOptions, run_experiment
+from edgectl.model.plan import Action
+from edgectl.model.policy import Policy, PolicyName
+from edgectl.model.task import Need, NeedCondition, TaskKind
+from tests.builders import a_robot, a_task, an_edge, an_inventory
+from tests.e2e.bench import Bench, a_local, a_mark, a_sleeper, managing, sleeping
+from tests.pace import patience
+from tests.sshd import Lab
+
+EDGES = [a_local(an_edge("edge1"), "127.0.0.31"), a_local(an_edge("edge2"), "127.0.0.32")]
+ROBOT = replace(a_local(a_robot("robot1"), "127.0.0.41"), onboard=True)
+LINKS = {("edge1", "robot1"): 10e6, ("edge2", "robot1"): 10e6}
+SCHEMES = tuple(
+    Scheme(name=name.value, policy=Policy(name=name, min_dwell=0.0))
+    for name in (PolicyName.LOCAL, PolicyName.UTILITY)
+)
+SPEC = Experiment(
+    name="mission", schemes=SCHEMES, until=("merge",), repetitions=2, every=0.5, limit=120.0, idle=1.0
+)
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[Bench]:
+    with managing(an_inventory(*EDGES, ROBOT, links=LINKS), tmp_path / "manager") as running:
+        yield running
+
+
+def test_two_schemes_twice_with_real_processes(bench: Bench, tmp_path: Path) -> None:
+    mark = a_mark()
+    slam = a_sleeper("slam", mark, robots=("robot1",))
+    slam = replace(slam, command='echo "fps 12.5" >> "$EDGECTL_METRICS"; ' + slam.command)
+    merge = a_task(
+        "merge",
+        command="sleep 0.5",
+        kind=TaskKind.JOB,
+        robots=("robot1",),
+        needs=[Need(task="slam", until=NeedCondition.READY)],
+    )
+    bench = bench.using(slam, merge)
+    run = run_experiment(
+        bench.fleet, SPEC, ExperimentOptions(directory=tmp_path / "run", spec_directory=tmp_path)
+    )
+    assert sleeping(mark) == []
+    assert [(trial.scheme, trial.repetition, trial.finished) for trial in run.trials] == [
+        (scheme, repetition, True) for scheme in ("local", "utility") for repetition in (1, 2)
+    ]
+    began = {(trial.scheme, trial.repetition): trial.began_at for trial in run.trials}
+    assert sorted(began, key=began.__getitem__) == [
+        ("local", 1),
+        ("utility", 1),
+        ("local", 2),
+        ("utility", 2),
+    ]
+    for trial in run.trials:
+        assert {span.host == "robot1" for span in trial.spans} == {trial.scheme == "local"}
+        assert {span.task for span in trial.spans} == {"slam", "merge"}
+        (job,) = (span for span in trial.spans if span.task == "merge")
+        assert job.start <= job.end
+        assert trial.latency == trial.completed["merge"] == job.end
+        assert [reading.value for reading in trial.readings["fps"]["slam"]][-1] == 12.5
+        assert trial.loads.keys() == {"edge1", "edge2", "robot1"}
+    assert load_run(tmp_path / "run") == run
+    assert bench.actions() == {"slam": Action.START, "merge": Action.START}, (
+        "its completion counts for the trial alone"
+    )
+
+
+# -- the command, over ssh ---------------------------------------------------------------------------------------------------------------
+
+INVENTORY = """\
+version: 1
+edges:
+  edge1: {{host: edge1, {0}}}
+  edge2: {{host: edge2, {0}}}
+robots:
+  robot1: {{host: robot1, onboard: true, {0}}}
+links:
+  - {{edge: edge1, robot: robot1, throughput: 54Mbit/s}}
+  - {{edge: edge2, robot: robot1, throughput: 54Mbit/s}}
+"""
+TASKS = """\
+version: 1
+tasks:
+  slam: {{robot: robot1, command: "setsid sleep {0} & exec sleep {0}", demand: {{cpu: 0.1, memory: 1Mi, throughput: 0}}, stop: {{grace: 2s}}}}
+  merge:
+    {{robot: robot1, kind: job, needs: [slam], command: "[ ! -e {1} ] || sleep {0}", demand: {{cpu: 0.1, memory: 1Mi, throughput: 0}}}}
+"""
+SPEC_FILE = """\
+version: 1
+name: mission
+inventory: inventory.yaml
+tasks: tasks.yaml
+schemes: {policies: [utility], weights: [all]}
+repetitions: 9
+every: 500ms
+limit: 5m
+until: [merge]
+idle: 100%
+"""
+
+
+def command(site: Path, *words: str) -> "subprocess.Popen[str]":
+    return subprocess.Popen(
+        [sys.executable, "-m", "edgectl", "experiment", *words],
+        cwd=site,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def until(condition: Callable[[], object]) -> None:
+    deadline = time.monotonic() + patience(120)
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+def test_killed_in_a_trial_interrupted_in_the_next_try_and_finished_in_the_third(
+    lab: Lab, tmp_path: Path
+) -> None:
+    mark, hold = a_mark(), tmp_path / "hold"
+    (tmp_path / "inventory.yaml").write_text(INVENTORY.format("capacity: {cpu: 2, memory: 1Gi}"))
+    (tmp_path / "tasks.yaml").write_text(TASKS.format(mark, hold))
+    (tmp_path / "spec.yaml").write_text(SPEC_FILE)
+    hold.touch()  # as long as it is there, the mission does not end
+
+    killed = command(tmp_path, "run", "spec.yaml")
+    until(lambda: len(sleeping(mark)) == 3)
+    killed.kill()
+    killed.communicate()
+    assert len(sleeping(mark)) == 3
+    before = set(sleeping(mark))
+
+    ended = command(tmp_path, "run", "spec.yaml")
+    until(lambda: len(set(sleeping(mark)) - before) == 3)
+    assert len(sleeping(mark)) == 3, "the tasks of the trial that was killed were stopped first"
+    ended.send_signal(signal.SIGINT)
+    _, said = ended.communicate(timeout=patience(120))
+    assert (ended.returncode, sleeping(mark)) == (130, [])
+    assert "ending the trial and stopping its tasks" in said
+    assert list((tmp_path / "runs" / "mission" / "trials").iterdir()) == []
+
+    hold.unlink()
+    whole = command(tmp_path, "run", "spec.yaml", "-o", "json", "-n", "1")
+    out, said = whole.communicate(timeout=patience(240))
+    assert (whole.returncode, sleeping(mark)) == (0, []), said
+    assert json.loads(out)["done"] == 1
+    assert said.splitlines()[0] == "trial 1 of 1: utility all, repetition 1"
+    assert [(trial.scheme, trial.finished) for trial in load_run(tmp_path / "runs" / "mission").trials] == [
+        ("utility all", True)
+    ]
+
+    shown = command(tmp_path, "show", "-o", "json")
+    again, _ = shown.communicate(timeout=patience(60))
+    assert (shown.returncode, again) == (0, out)

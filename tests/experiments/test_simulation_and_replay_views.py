@@ -1,0 +1,131 @@
+"""Tables and documents of simulations and replays."""
+
+from edgectl.experiments.model.comparison import (
+    Estimate,
+    ReferenceValues,
+    ReplayResult,
+    SchemeResult,
+    Utilisation,
+)
+from edgectl.experiments.model.scenario import Scenario
+from edgectl.experiments.model.schemes import Scheme
+from edgectl.experiments.views.replay import ReplayView
+from edgectl.experiments.views.simulation import SimulationView
+from edgectl.model.policy import Policy
+from edgectl.views.text import RenderOptions
+
+SCENARIO = Scenario(name="test", assumptions=("all is well",), hosts={}, jobs=())
+REAL = ReferenceValues(
+    label="published",
+    means={"local": {"latency": (4.0,), "cpu": (99.0,)}, "utility all": {"latency": (2.0,), "cpu": (50.0, 0.0)}},
+)  # fmt: skip
+
+
+def simulated(name: str, latency: float, *cpu: float) -> SchemeResult:
+    others = {
+        metric: tuple(Estimate(mean=1.0) for _ in cpu)
+        for metric in ("cpu peak", "memory", "throughput", "rate")
+    }
+    figures = {
+        "latency": (Estimate(mean=latency, std=0.5, half_ci95=0.1, count=5),),
+        "cpu": tuple(Estimate(mean=each) for each in cpu),
+        **others,
+    }
+    return SchemeResult(
+        scheme=Scheme(name=name, policy=Policy()), runs=5, unfinished=int(name == "local"), unplaced=0,
+        estimates=figures | {"handoffs": (Estimate(mean=0.2),)},
+    )  # fmt: skip
+
+
+FOUND = [simulated("local", 4.001, 90.0), simulated("utility all", 3.0, 60.0, 40.0)]
+VIEW = SimulationView(scenario=SCENARIO, results=FOUND, reference=REAL)
+TEXT = """\
+SCHEME       LATENCY min   CPU %  MEMORY %  FRAMES/s  HANDOFFS
+local          4.00±0.50      90       1.0       1.0       0.2
+  published         4.00      99         -         -         -
+  off by             +0%     -9%         -         -         -
+utility all    3.00±0.50   60/40   1.0/1.0   1.0/1.0       0.2
+  published         2.00    50/0         -         -         -
+  off by            +50%  +20%/-         -         -         -
+"""
+
+
+def test_the_published_stands_below_the_model_with_the_deviation() -> None:
+    text = VIEW.table()
+    assert text.startswith(TEXT)
+    assert "Latency as a share of local execution: utility all 0.75 (published 0.50).\n" in text
+    assert "local: runs ended by the time limit: 1\n" in text
+    assert text.endswith("- all is well\n")
+
+
+def test_wide_has_every_metric_and_its_deviation() -> None:
+    head = VIEW.wide(RenderOptions(width=160)).splitlines()[0]
+    assert head.split() == [
+        "SCHEME",
+        "LATENCY",
+        "min",
+        "CPU",
+        "%",
+        "PEAK",
+        "%",
+        "MEMORY",
+        "%",
+        "MB/s",
+        "FRAMES/s",
+        "HANDOFFS",
+    ]
+
+
+def test_the_document_holds_figures_and_assumptions() -> None:
+    document = VIEW.document()
+    assert document["assumptions"] == ["all is well"]
+    scheme = document["schemes"][0]
+    assert scheme["figures"]["latency"] == [{"mean": 4.001, "std": 0.5, "half_ci95": 0.1, "runs": 5}]
+    assert scheme["published"] == {"latency": [4], "cpu": [99]}
+
+
+def test_replayed_variants_stand_side_by_side() -> None:
+    share = Utilisation(mean=0.5, peak=1.2)
+    value = ReplayResult(
+        scheme=Scheme(name="paper all", policy=Policy()),
+        cycles=4,
+        handoffs=6,
+        unplaced=1,
+        unsettled=2,
+        assumed=("slam-robot10", "slam-robot2"),
+        cpu=share,
+        memory=share,
+        network=share,
+    )
+    view = ReplayView(results=[value])
+    lines = view.table().splitlines()
+    assert lines[0].split() == ["SCHEME", "HANDOFFS", "PER", "CYCLE", "UNPLACED", "CPU", "MEMORY", "NETWORK"]
+    assert lines[1].split() == ["paper", "all", "6", "1.500", "1", "50%/120%", "50%/120%", "50%/120%"]
+    assert lines[2].startswith("4 cycles; ")
+    assert (
+        lines[3]
+        == "note: never recorded as running, so their usage is taken from their demand: slam-robot2, slam-robot10 (2)"
+    )
+    assert view.document()["variants"][0]["assumed"] == [
+        "slam-robot10",
+        "slam-robot2",
+    ]
+    assert view.document()["variants"][0]["cpu"] == {"mean": 0.5, "peak": 1.2}
+
+
+def test_where_nothing_was_recorded_no_number_is_shown() -> None:
+    nothing = Utilisation(mean=0.0, peak=0.0)
+    value = ReplayResult(
+        scheme=Scheme(name="paper all", policy=Policy()), cycles=0, handoffs=0, unplaced=0, unsettled=0, cpu=nothing, memory=nothing,
+        network=nothing,
+    )  # fmt: skip
+    assert ReplayView(results=[value]).table().splitlines()[1].split() == [
+        "paper",
+        "all",
+        "0",
+        "-",
+        "0",
+        "-",
+        "-",
+        "-",
+    ]
