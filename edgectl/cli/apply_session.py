@@ -1,13 +1,12 @@
 """Session of a command that changes hosts: confirmation, live progress, Ctrl-C, report."""
 
 import contextlib
-import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from types import FrameType
 
 from edgectl.cli import console
+from edgectl.cli.signals import request_stop_on_signal
 from edgectl.errors import ExitCode, UsageError
 from edgectl.model.plan import Plan
 from edgectl.model.policy import Policy
@@ -123,24 +122,8 @@ def open_apply_session(*, quiet: bool, output: OutputFormat, asked: bool) -> Ite
     get_renderer(output, "results")  # reject an unsupported format before anything is done
     with contextlib.ExitStack() as within:
         act = ApplySession(quiet=quiet, output=output, asked=asked, within=within)
-        within.enter_context(_request_stop_on_signal(act.stop_requested))
+        within.enter_context(request_stop_on_signal(act.stop_requested))
         yield act
-
-
-@contextlib.contextmanager
-def _request_stop_on_signal(stop_requested: threading.Event) -> Iterator[None]:
-    def first(_signal: int, _frame: FrameType | None) -> None:
-        if stop_requested.is_set():
-            raise KeyboardInterrupt
-        stop_requested.set()
-        console.print_message("finishing the running actions; press Ctrl-C again to stop at once")
-
-    before = {number: signal.signal(number, first) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def print_dry_run(

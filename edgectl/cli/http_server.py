@@ -1,12 +1,10 @@
 """HTTP server of export prometheus."""
 
-import contextlib
-import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from http.server import ThreadingHTTPServer
-from types import FrameType
 
 from edgectl.cli import console
+from edgectl.cli.signals import return_on_signal
 from edgectl.errors import EdgectlError, UsageError
 
 _LOOPBACK = "127.0.0.1"
@@ -28,7 +26,7 @@ def serve_http(make: Callable[[tuple[str, int]], ThreadingHTTPServer], where: st
             f"cannot listen on {where}: {error.strerror}",
             hint="choose an address of this machine and a free port",
         ) from error
-    with server, _return_on_signal():
+    with server, return_on_signal():
         host = f"[{address[0]}]" if ":" in address[0] else address[0]
         console.print_message(f"serving http://{host}:{server.server_port}/metrics; press Ctrl-C to stop")
         server.serve_forever()
@@ -46,19 +44,3 @@ def parse_listen_address(text: str) -> tuple[str, int]:
             f"--listen: cannot read the address {text!r}", hint="write 127.0.0.1:9815, [::1]:9815 or 9815"
         )
     return host.removeprefix("[").removesuffix("]") or _LOOPBACK, int(port)
-
-
-@contextlib.contextmanager
-def _return_on_signal() -> Iterator[None]:
-    """Run until the first SIGINT or SIGTERM."""
-
-    def end(_number: int, _frame: FrameType | None) -> None:
-        raise KeyboardInterrupt
-
-    before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        with contextlib.suppress(KeyboardInterrupt):
-            yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

@@ -1,8 +1,9 @@
-"""Signal handling for long-running commands."""
+"""Signal handling for commands that change hosts or run until they are stopped."""
 
 import contextlib
 import queue
 import signal
+import threading
 from collections.abc import Callable, Iterator
 from types import FrameType
 
@@ -14,10 +15,10 @@ _MIN_PERIOD_S = 0.1
 
 
 def parse_every_option(text: str) -> float:
-    """Parse the seconds between two probes given by ``--every``.
+    """Seconds from one sample to the next, as ``--every`` states them.
 
     Raises:
-        UsageError: it is not a duration, or too short.
+        UsageError: it is no duration, or too short.
     """
     from edgectl.cli.connect import parse_duration_option
 
@@ -51,29 +52,57 @@ def catch_stop_signals(every: float) -> Iterator[Callable[[], bool]]:
 
 @contextlib.contextmanager
 def stop_control_on_signal(control: Control, message: str = "") -> Iterator[list[int]]:
-    """The first Ctrl-C or SIGTERM lets the work in progress finish, the second stops at once; the list
-    receives the signals.
+    """The first SIGINT or SIGTERM lets the work in progress finish, the second stops at once.
 
-    ``saying`` is printed at the first.
+    The list names the signals that came. ``message`` is printed at the first.
     """
-    came: list[int] = []
-
-    def heard(number: int, _frame: FrameType | None) -> None:
-        came.append(number)
-        if len(came) > 1:
-            raise KeyboardInterrupt
-        control.stop()
-        if message:
-            console.print_message(message)
-
-    with _install_handlers(heard):
+    with _stop_in_two_steps(control.stop, message) as came:
         yield came
 
 
 @contextlib.contextmanager
-def _install_handlers(heard: Callable[[int, FrameType | None], None]) -> Iterator[None]:
-    """Install ``heard`` as handler of Ctrl-C and SIGTERM; restore the earlier handlers afterwards."""
-    before = {number: signal.signal(number, heard) for number in (signal.SIGINT, signal.SIGTERM)}
+def request_stop_on_signal(stop_requested: threading.Event) -> Iterator[None]:
+    """The first SIGINT or SIGTERM lets the running actions finish, the second stops at once."""
+    message = "finishing the running actions; press Ctrl-C again to stop at once"
+    with _stop_in_two_steps(stop_requested.set, message, stop_requested.is_set):
+        yield
+
+
+@contextlib.contextmanager
+def return_on_signal() -> Iterator[None]:
+    """Run the block until it ends or the first SIGINT or SIGTERM comes."""
+
+    def end(_number: int, _frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    with _install_handlers(end), contextlib.suppress(KeyboardInterrupt):
+        yield
+
+
+@contextlib.contextmanager
+def _stop_in_two_steps(
+    stop: Callable[[], object], message: str, is_stopping: Callable[[], bool] = lambda: False
+) -> Iterator[list[int]]:
+    """The list names the signals that came; a signal while ``is_stopping`` is not the first."""
+    came: list[int] = []
+
+    def handle(number: int, _frame: FrameType | None) -> None:
+        second = bool(came) or is_stopping()
+        came.append(number)
+        if second:
+            raise KeyboardInterrupt
+        stop()
+        if message:
+            console.print_message(message)
+
+    with _install_handlers(handle):
+        yield came
+
+
+@contextlib.contextmanager
+def _install_handlers(handle: Callable[[int, FrameType | None], None]) -> Iterator[None]:
+    """Handle SIGINT and SIGTERM within the block; then restore the handlers from before."""
+    before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield
     finally:

@@ -54,6 +54,7 @@ def watch_command(
     from edgectl.cli.connect import build_fleet, parse_duration_option
     from edgectl.cli.reload import build_fleet_reloader
     from edgectl.cli.signals import stop_control_on_signal
+    from edgectl.usecases.plan_execution import ApplyOptions
     from edgectl.usecases.watch import WatchOptions, watch_fleet
 
     pause = parse_duration_option(every, "--every")
@@ -78,7 +79,7 @@ def watch_command(
         every=pause,
         apply=apply,
         cycles=cycles,
-        max_parallel=max_parallel,
+        execution=ApplyOptions(max_parallel=max_parallel),
         debug=bool(os.environ.get("EDGECTL_DEBUG")),
         policy=how,
         refresh=refresh,

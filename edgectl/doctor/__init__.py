@@ -1,1 +1,1 @@
-"""From facts to findings: pure rules, each with the command or edit that mends what it complains of."""
+"""Rules from facts to findings, each with a remedy: a command or an edit. Pure."""

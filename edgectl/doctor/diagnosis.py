@@ -1,4 +1,4 @@
-"""Hosts that could not be asked: one finding that names the first thing that is wrong."""
+"""Diagnosis of a fleet: this machine, hosts that answered, hosts that did not."""
 
 from edgectl.doctor.host import diagnose_host
 from edgectl.doctor.manager import diagnose_manager
@@ -38,12 +38,15 @@ def diagnose_no_answer(host: Host, answer: UnreachableHost) -> Finding:
 
 
 def _suggest_fix(host: Host, answer: UnreachableHost) -> str:
-    """A command or an edit; where the error knows better than the rule, its own."""
+    """A command or an edit; for some errors their own hint."""
     name = host.name
     by_kind = {
-        "connect": f"switch {name} on and see that sshd runs there, or correct its host: ({host.host}) in the inventory",
-        "deadline": f"see what keeps it from answering: {_format_ssh_command(host)} uptime; a slow link needs: edgectl doctor {name} --timeout 60s",
-        "auth": f"let it know your key: {_format_copy_id_command(host)}; or name the right one: identity_file: in the inventory",
+        "connect": f"switch {name} on and check that sshd runs there, "
+        f"or correct its host: ({host.host}) in the inventory",
+        "deadline": f"check its load: {_format_ssh_command(host)} uptime; "
+        f"for a slow link: edgectl doctor {name} --timeout 60s",
+        "auth": f"install your key: {_format_copy_id_command(host)}; "
+        "or set another one: identity_file: in the inventory",
         "no-python": _INSTALL_PYTHON.format(name=name),
     }
     if answer.kind == "host-key":
@@ -51,7 +54,7 @@ def _suggest_fix(host: Host, answer: UnreachableHost) -> str:
     return (
         by_kind.get(answer.kind, "")
         or answer.hint
-        or f"look at what it says: {_format_ssh_command(host)} python3 --version"
+        or f"check the output of: {_format_ssh_command(host)} python3 --version"
     )
 
 
@@ -69,7 +72,7 @@ def _format_ssh_options(host: Host) -> str:
 
 
 def _format_ssh_command(host: Host) -> str:
-    """The login by hand."""
+    """The command of a login by hand."""
     return (
         ""
         if host.connection is Connection.LOCAL
@@ -85,7 +88,10 @@ def _format_copy_id_command(host: Host) -> str:
 
 
 def diagnose_fleet(inventory: Inventory, manager: ManagerFacts, answers: FactsByHost) -> Diagnosis:
-    """Findings about this machine, then host by host in the order of the inventory; ``answers`` holds the hosts that were asked."""
+    """Findings about this machine, then host by host in the order of the inventory.
+
+    ``answers``: the hosts that were asked.
+    """
     findings = diagnose_manager(inventory, manager)
     facts = {name: answer for name, answer in answers.items() if isinstance(answer, HostFacts)}
     ros = diagnose_ros(inventory, facts)

@@ -1,4 +1,4 @@
-"""Room for what edgectl keeps, here and on every host."""
+"""Check of the state directory and its disk, here and on every host."""
 
 from shlex import quote
 
@@ -11,14 +11,14 @@ _FEW_FILES = 1000
 
 
 def diagnose_disk(host: str | None, disk: Disk) -> Finding:
-    """The state directory: whether it can be used, and what its file system has left."""
+    """The state directory: whether it is usable, and the space left on its file system."""
     where = f"on {host}: " if host else ""
     if disk.obstacle:
         path = quote(disk.path)
         own = f"sudo mkdir -p {path} && sudo chown $(id -u) {path} && chmod 700 {path}"
         mend = where + (f"mv {path} {path}.old" if disk.obstacle == NOT_A_DIRECTORY else own)
         message = f"state directory {disk.path}: {disk.obstacle}" + (
-            "; shared memory takes its place, and a reboot forgets it" if disk.in_shared_memory else ""
+            "; shared memory is used instead and is lost at a reboot" if disk.in_shared_memory else ""
         )
         return Finding(
             host=host,
@@ -38,7 +38,10 @@ def diagnose_disk(host: str | None, disk: Disk) -> Finding:
     )
     left = f"{format_bytes(disk.free_bytes)} of {format_bytes(disk.total_bytes)} free for {disk.path}"
     message = f"{left}; only {disk.files_left} more files" if few else left
-    mend = f"{where}sudo journalctl --vacuum-size=100M; sudo apt-get clean; then: sudo du -xhd2 / | sort -h | tail"
+    mend = (
+        f"{where}sudo journalctl --vacuum-size=100M; sudo apt-get clean; "
+        "then: sudo du -xhd2 / | sort -h | tail"
+    )
     return Finding(
         host=host, check="disk", level=level, message=message, remedy="" if level is Severity.OK else mend
     )

@@ -13,7 +13,7 @@ _MIN_FREE_SHARE, _MIN_FREE_BYTES = 0.10, 64 * 2**20
 
 
 def diagnose_host(host: Host, facts: HostFacts, inventory: Inventory) -> list[Finding]:
-    """One finding per check, in the order in which a person would look."""
+    """One finding per check, from the login to the links."""
     return [
         _diagnose_login(host, facts),
         _diagnose_python(host, facts),
@@ -41,21 +41,24 @@ def _diagnose_login(host: Host, facts: HostFacts) -> Finding:
         return _build_finding(host, "login", f"is this machine, asked in {took}")
     if facts.login_s <= _SLOW_LOGIN_S:
         return _build_finding(host, "login", f"{took}, host key known")
-    mend = f"see where the time goes: ssh -vvv {host.host} true; often, in /etc/ssh/sshd_config of {host.name}: UseDNS no"
-    return _build_finding(host, "login", f"{took}, which every command pays; host key known", mend)
+    mend = (
+        f"find the slow step: ssh -vvv {host.host} true; "
+        f"often UseDNS no in /etc/ssh/sshd_config of {host.name} helps"
+    )
+    return _build_finding(host, "login", f"{took} for every command; host key known", mend)
 
 
 def _diagnose_python(host: Host, facts: HostFacts) -> Finding:
-    """It is a convenience: without it the agent reads /proc itself, and the figures are the same."""
+    """Without psutil, which is optional, the agent reads /proc itself, with the same figures."""
     return _build_finding(
         host,
         "python",
-        f"{facts.python}, {'psutil' if facts.psutil else 'no psutil: /proc is read instead, nothing is lost'}",
+        f"{facts.python}, {'psutil' if facts.psutil else 'no psutil: /proc is read instead, same figures'}",
     )
 
 
 def _diagnose_clock(host: Host, facts: HostFacts) -> Finding:
-    """What is certain counts: a slow line only widens the range in which the skew lies."""
+    """Only the certain part of the skew counts; a slow link widens its range."""
     if host.connection is Connection.LOCAL:
         return _build_finding(host, "clock", "is this machine's")
     least, most = facts.skew_s
@@ -68,24 +71,32 @@ def _diagnose_clock(host: Host, facts: HostFacts) -> Finding:
             + (f" within {max(-least, most, 0.0):.2f}s" if most - least < _MAX_SKEW_S else ""),
         )
     direction = "ahead of" if least > 0 else "behind"
-    message = f"is {format_duration(sure)} {direction} this machine's: ROS drops what seems to come from another time"
+    message = (
+        f"is {format_duration(sure)} {direction} this machine's: ROS drops messages with distant time stamps"
+    )
     by_hand = f'; without a time server: ssh {host.host} sudo date -s "@$(date +%s)"'
     return _build_finding(host, "clock", message, f"on {host.name}: sudo timedatectl set-ntp true{by_hand}")
 
 
 def _diagnose_logind(host: Host, logind: Logind) -> Finding:
-    """The end of our own SSH session may be what makes ROS 2 fall silent, so this counts for robots as well."""
+    """Robots too: the end of an SSH session of edgectl may remove the shared memory of ROS 2."""
     user = logind.user
     linger = f"on {host.name}: sudo loginctl enable-linger {user}"
     if not logind.present:
-        return _build_finding(host, "logind", "no logind here; nothing ends with a login")
+        return _build_finding(host, "logind", "no logind; nothing ends with a login")
     if logind.lingers:
         return _build_finding(host, "logind", f"{user} lingers; nothing ends with a login")
     if logind.kills:
-        message = f"KillUserProcesses=yes and {user} does not linger: tasks would be killed at logout, so starts are refused"
+        message = (
+            f"KillUserProcesses=yes and {user} does not linger: "
+            "tasks would be killed at logout, so starts are refused"
+        )
         return _build_finding(host, "logind", message, linger, Severity.FAILED)
     if logind.removes_ipc:
-        message = f"RemoveIPC=yes and {user} does not linger: shared memory goes with the last login, and ROS 2 falls silent"
+        message = (
+            f"RemoveIPC=yes and {user} does not linger: "
+            "shared memory is removed at the last logout, and ROS 2 stops communicating"
+        )
         return _build_finding(host, "logind", message, linger)
     return _build_finding(host, "logind", f"nothing of {user} ends with a login")
 
@@ -110,13 +121,13 @@ def _diagnose_prelude(host: Host, seen: ShellEnvironment) -> Finding:
         return _build_finding(
             host,
             "prelude",
-            f"does not come to its end in time{said}; no task can start",
+            f"does not end in time{said}; no task can start",
             edit,
             Severity.FAILED,
         )
     if seen.status is None:
         return _build_finding(
-            host, "prelude", f"ends the shell{said}; no task can start", edit, Severity.FAILED
+            host, "prelude", f"exits the shell{said}; no task can start", edit, Severity.FAILED
         )
     if seen.status:
         return _build_finding(host, "prelude", f"ends with status {seen.status}{said}", edit)
@@ -124,14 +135,17 @@ def _diagnose_prelude(host: Host, seen: ShellEnvironment) -> Finding:
 
 
 def _diagnose_robot_link(host: Host, robot: Host, link: LinkFacts) -> Finding:
-    """Whether the robot can be reached *from* the edge: that we reach both says nothing of it."""
+    """Whether the robot can be reached *from* the edge, which does not follow from reaching both."""
     check, name = "robot", robot.name
     if not link.found:
-        mend = f"write {name}'s address: host: in the inventory; or on {host.name}: echo 'ADDRESS {link.address}' | sudo tee -a /etc/hosts"
+        mend = (
+            f"set host: of {name} to its address in the inventory; "
+            f"or on {host.name}: echo 'ADDRESS {link.address}' | sudo tee -a /etc/hosts"
+        )
         return _build_finding(
             host,
             check,
-            f"{name} is {link.address}, a name that means nothing on {host.name}",
+            f"{name} is {link.address}, a name that {host.name} cannot resolve",
             mend,
             Severity.FAILED,
         )
@@ -139,17 +153,21 @@ def _diagnose_robot_link(host: Host, robot: Host, link: LinkFacts) -> Finding:
         rtt = "" if link.rtt_ms is None else f" in {link.rtt_ms:.1f}ms"
         return _build_finding(host, check, f"{name} answers{rtt}")
     if link.interface is None:
-        mend = f"correct host: of {name} in the inventory, or give {host.name} a route: ip route get {link.address}"
+        mend = (
+            f"correct host: of {name} in the inventory, "
+            f"or give {host.name} a route: ip route get {link.address}"
+        )
         return _build_finding(
-            host, check, f"no way from {host.name} to {name} ({link.address})", mend, Severity.FAILED
+            host, check, f"no route from {host.name} to {name} ({link.address})", mend, Severity.FAILED
         )
     if link.reachable is None and not robot.probe:
-        return _build_finding(host, check, f"{name} says nothing (probe: false, taken as reachable)")
+        return _build_finding(host, check, f"no reply from {name} (probe: false, assumed to be reachable)")
     if link.reachable is None:
-        mend = f"switch {name} on, or let {host.name} through its firewall, on {name}: sudo ufw allow from {host.host}"
-        return _build_finding(
-            host, check, f"{name} ({link.address}) does not say a word to {host.name}", mend
+        mend = (
+            f"switch {name} on, or let {host.name} through its firewall, "
+            f"on {name}: sudo ufw allow from {host.host}"
         )
+        return _build_finding(host, check, f"no reply from {name} ({link.address}) to {host.name}", mend)
     mend = f"switch {name} on, and join both to one network; on {host.name}: ping -c3 {link.address}"
     return _build_finding(
         host, check, f"{name} ({link.address}) cannot be reached from {host.name}", mend, Severity.FAILED
@@ -157,7 +175,7 @@ def _diagnose_robot_link(host: Host, robot: Host, link: LinkFacts) -> Finding:
 
 
 def _diagnose_link_capacity(host: Host, facts: HostFacts, inventory: Inventory) -> list[Finding]:
-    """One finding for all links of an edge; which ones are assumed, and what finds out."""
+    """One finding for all links of an edge: the capacities, or those that are assumed."""
     if not facts.links:
         return []
     assumed = [robot for robot, link in facts.links.items() if link.capacity_source is CapacitySource.ASSUMED]
@@ -173,6 +191,6 @@ def _diagnose_link_capacity(host: Host, facts: HostFacts, inventory: Inventory) 
     mend = f"edgectl probe --bandwidth; or {stated}" if measurable else stated
     return [
         _build_finding(
-            host, "capacity", f"of the link to {', '.join(assumed)} is not known, {rate} is assumed", mend
+            host, "capacity", f"of the link to {', '.join(assumed)} is unknown, {rate} is assumed", mend
         )
     ]

@@ -21,7 +21,7 @@ def diagnose_manager(inventory: Inventory, facts: ManagerFacts) -> list[Finding]
 def _diagnose_known_hosts(facts: ManagerFacts) -> list[Finding]:
     broken = [_build_unreadable_finding(path, why) for path, why in facts.known_hosts.items() if why]
     files = ", ".join(facts.known_hosts)
-    message = f"{files} can be read" if files else "there is none yet; edgectl trust HOST writes it"
+    message = f"{files} can be read" if files else "none yet; edgectl trust HOST writes it"
     return broken or [Finding(host=None, check="known_hosts", level=Severity.OK, message=message)]
 
 
@@ -43,12 +43,12 @@ def _build_unreadable_finding(path: str, why: str) -> Finding:
 
 def _diagnose_ssh_program(facts: ManagerFacts) -> Finding:
     if facts.ssh:
-        return Finding(host=None, check="ssh", level=Severity.OK, message="the ssh program is there")
+        return Finding(host=None, check="ssh", level=Severity.OK, message="ssh program found")
     mend = "sudo apt-get install openssh-client   (or connection: ssh in the inventory)"
     return Finding(
         host=None,
         check="ssh",
         level=Severity.FAILED,
-        message="connection: openssh needs an ssh program, and there is none",
+        message="connection: openssh needs an ssh program; none found",
         remedy=mend,
     )

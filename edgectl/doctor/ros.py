@@ -1,4 +1,4 @@
-"""ROS variables that do not go together: nodes on such hosts never find each other, and nothing says so."""
+"""Checks of ROS variables that differ between hosts: their nodes never find each other, without an error."""
 
 from collections import Counter
 from collections.abc import Mapping
@@ -9,7 +9,7 @@ from edgectl.model.inventory import Connection, Host, Inventory, Role
 
 MASTER, DOMAIN, RMW = "ROS_MASTER_URI", "ROS_DOMAIN_ID", "RMW_IMPLEMENTATION"
 ROS_VARIABLES = (MASTER, DOMAIN, RMW)
-# What ROS 2 takes where the variable is not set (the middleware: since Foxy, except Galactic).
+# The value in ROS 2 where the variable is not set (the middleware: since Foxy, except Galactic).
 _DEFAULTS = {MASTER: "", DOMAIN: "0", RMW: "rmw_fastrtps_cpp"}
 _LOOPBACK_NAMES = ("localhost", "127.0.0.1", "::1")
 _FATAL_VARIABLES = (MASTER, DOMAIN)
@@ -18,9 +18,9 @@ FindingsByHost = dict[str, list[Finding]]
 
 
 def diagnose_ros(inventory: Inventory, facts: Mapping[str, HostFacts]) -> FindingsByHost:
-    """Host -> its findings. Hosts of the majority are right; between equals the first of the inventory.
+    """Host -> its findings. The value of the majority counts; of equals that of the first host.
 
-    A robot that sets nothing for our logins says nothing: its own software was started otherwise.
+    A robot without the variable in our logins is skipped: its own software was started otherwise.
     """
     hosts = {name: host for name, host in inventory.hosts.items() if name in facts}
     found: FindingsByHost = {name: [] for name in hosts}
@@ -96,7 +96,7 @@ def _format_host_names(names: list[str]) -> str:
 
 
 def _suggest_edit(variable: str, host: Host, wanted: str) -> str:
-    """The prelude has the last word, where there is one."""
+    """A prelude overrides ``env``."""
     if host.prelude:
         return f"in the inventory, end the prelude of {host.name} with: export {variable}={wanted}"
     return f'in the inventory, for {host.name}: env: {{{variable}: "{wanted}"}}'
@@ -119,7 +119,7 @@ def _diagnose_loopback_masters(hosts: Mapping[str, Host], asked: Mapping[str, st
             host=name,
             check="ros",
             level=Severity.FAILED if hosts[name].role is Role.EDGE else Severity.WARNING,
-            message=f"{MASTER} is {uri}: each host has a master of its own, and nodes of two hosts never meet",
+            message=f"{MASTER} is {uri}: each host has its own master, so nodes of two hosts never connect",
             remedy=_suggest_edit(MASTER, hosts[name], "http://ADDRESS-OF-THE-MASTER:11311"),
         )
         for name, uri in asked.items()

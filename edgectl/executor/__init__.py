@@ -1,1 +1,1 @@
-"""Algorithm 2: the pure diff of an Assignment against what runs, and the run that carries it out."""
+"""Algorithm 2: the diff of an assignment against the running tasks (pure), and its execution."""

@@ -1,10 +1,11 @@
-"""Which action waits for which. Pure."""
+"""Order of the actions of a plan: needs first, then room. Pure."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from edgectl.model.plan import Action, Step
-from edgectl.model.task import Check, CheckLocation, Need, Task, Tasks
+from edgectl.model.result import ActionResult, Outcome
+from edgectl.model.task import Check, CheckLocation, Need, NeedCondition, Task, Tasks
 
 STARTING_ACTIONS = (Action.START, Action.MOVE, Action.RESTART)
 STOPPING_ACTIONS = (Action.STOP, Action.COMPLETE)
@@ -12,9 +13,10 @@ STOPPING_ACTIONS = (Action.STOP, Action.COMPLETE)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StepDependencies:
-    """What one starting action waits for.
+    """Conditions of one starting action.
 
-    ``needs``: predecessors that this plan starts too; they must go well. ``others``: predecessors that this plan leaves alone.
+    ``needs``: predecessors that this plan starts too; they must go well.
+    ``others``: predecessors that this plan leaves alone.
     ``leaving``: moves that make room on the host; they must only have ended.
     """
 
@@ -29,26 +31,29 @@ class StepDependencies:
 
 
 def is_replacement(step: Step) -> bool:
-    """Whether the step starts a task whose instance on a silent host was given up."""
+    """Whether the step starts a task whose instance on an unreachable host was given up."""
     return step.action is Action.START and step.decision.previous_host is not None
 
 
 def find_replacement_hold(task: Task) -> Check | None:
-    """The hold of a replacement: one ``on: host`` would run on the silent host."""
+    """The hold of a replacement: one ``on: host`` would run on the unreachable host."""
     hold = task.handoff.hold
     return hold if hold is not None and hold.on is CheckLocation.ROBOT else None
 
 
 def list_stop_hosts(step: Step) -> tuple[str, ...]:
-    """Hosts on which the step stops something before anything starts: the task's own (stop, complete) and its duplicates'."""
+    """Hosts on which the step stops something before anything starts.
+
+    The host of the task itself (stop, complete), and those of its duplicates.
+    """
     own = tuple(step.instances) if step.action in STOPPING_ACTIONS else ()
     return tuple(dict.fromkeys((*own, *step.stop)))
 
 
 def build_step_dependencies(steps: tuple[Step, ...], tasks: Tasks) -> dict[str, StepDependencies]:
-    """For each starting step, in the order of the plan, what it waits for.
+    """The conditions of each starting step, in the order of the plan.
 
-    A start waits for moves that leave its host, as far as that closes no circle with ``needs``: room first, then the newcomer.
+    A start waits for moves that leave its host, as far as that closes no circle with ``needs``.
     """
     starting = {step.task: step for step in steps if step.action in STARTING_ACTIONS}
     edges = {
@@ -64,6 +69,28 @@ def build_step_dependencies(steps: tuple[Step, ...], tasks: Tasks) -> dict[str, 
     return {
         name: _classify_needs(_get_needs(name, tasks), starting, tuple(leaving[name])) for name in starting
     }
+
+
+def order_by_dependencies(after: Mapping[str, frozenset[str]]) -> list[str]:
+    """The names so that each comes after those in ``after[name]``; otherwise in their own order."""
+    waiting, ordered = dict(after), list[str]()
+    while waiting:
+        name = next((name for name, others in waiting.items() if not others & waiting.keys()), None)
+        if name is None:
+            raise ValueError(f"circular dependencies: {', '.join(waiting)}")
+        del waiting[name]
+        ordered.append(name)
+    return ordered
+
+
+def is_need_satisfied(need: Need, result: ActionResult | None) -> bool:
+    """Whether a predecessor that this plan started (or moved) went well enough for its successor to start."""
+    if result is None:
+        return False
+    if result.outcome is Outcome.DONE:
+        return True
+    still_there = result.outcome is Outcome.DEFERRED and result.located is not None
+    return still_there or (need.until is NeedCondition.RUNNING and result.located is not None)
 
 
 def _get_needs(name: str, tasks: Tasks) -> tuple[Need, ...]:

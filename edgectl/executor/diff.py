@@ -1,4 +1,4 @@
-"""Algorithm 2 up to the point where something happens: an assignment against what runs -> the steps of a plan. Pure."""
+"""First half of Algorithm 2: an assignment against the running tasks -> the steps of a plan. Pure."""
 
 from collections.abc import Collection, Mapping
 from dataclasses import replace
@@ -17,7 +17,7 @@ SamplesByHost = Mapping[str, TaskSample]  # the samples of one task, by host
 def plan_from_assignment(
     inventory: Inventory, tasks: Tasks, snapshot: Snapshot, memory: ManagerState, assignment: Assignment
 ) -> Plan:
-    """The plan of an assignment, with the snapshot and the memory that it was made from, so that it can be repeated from itself."""
+    """The plan of an assignment; it contains its snapshot and manager state, so it can be made again."""
     return Plan(
         created_at=snapshot.taken_at,
         policy=assignment.policy,
@@ -36,9 +36,10 @@ def plan_from_assignment(
 def diff_assignment(
     assignment: Assignment, tasks: Tasks, snapshot: Snapshot, memory: ManagerState
 ) -> tuple[Step, ...]:
-    """One step per decision, in sequence order, then a stop for each task of ours that runs but left the file.
+    """One step per decision, in sequence order, then a stop for each managed task that left the files.
 
-    What is already as decided is kept and never started again (handoff latency avoidance). Nothing unmanaged is ever stopped.
+    A task that already is as decided is kept and never started again (handoff latency avoidance).
+    No unmanaged task is ever stopped.
     """
     found = _collect_managed_tasks(snapshot)
     steps = [
@@ -52,7 +53,7 @@ def diff_assignment(
 
 
 def select_targets(plan: Plan, targets: Collection[str]) -> Plan:
-    """The plan with action on ``targets`` alone: the decisions of the others are shown, and nothing is done about them."""
+    """The plan with actions on ``targets`` alone; the decisions of the others are shown only."""
     return replace(
         plan, steps=tuple(step if step.task in targets else _disable_step(step) for step in plan.steps)
     )
@@ -65,7 +66,7 @@ def _disable_step(step: Step) -> Step:
 
 
 def _collect_managed_tasks(snapshot: Snapshot) -> dict[str, dict[str, TaskSample]]:
-    """Every task of ours that has a process on a reachable host, by task and host in natural order."""
+    """Every managed task with a process on a reachable host, by task and host in natural order."""
     found: dict[str, dict[str, TaskSample]] = {}
     for host in sorted(snapshot.hosts, key=natural_key):
         sample = snapshot.hosts[host]
@@ -76,7 +77,7 @@ def _collect_managed_tasks(snapshot: Snapshot) -> dict[str, dict[str, TaskSample
 
 
 def _build_step(decision: Decision, tasks: Tasks, found: SamplesByHost) -> Step:
-    """The action that makes one decision true, and where copies of the task must go."""
+    """The action that carries out one decision, and the hosts on which copies of the task are stopped."""
     if decision.reason is Reason.UNMANAGED:
         return Step(decision=decision, action=Action.KEEP if decision.host is not None else Action.NONE)
     action = _choose_action(decision, found)
@@ -85,10 +86,8 @@ def _build_step(decision: Decision, tasks: Tasks, found: SamplesByHost) -> Step:
         decision, action = replace(decision, reason=Reason.SPEC_CHANGED), Action.RESTART
     stop = _list_surplus_hosts(decision, action, found)
     concerned = found if action is not Action.KEEP else {host: found[host] for host in stop}
-    return Step(
-        decision=decision, action=action, instances={host: sample.instance for host, sample in concerned.items()}, stop=stop,
-        changed=changed,
-    )  # fmt: skip
+    instances = {host: sample.instance for host, sample in concerned.items()}
+    return Step(decision=decision, action=action, instances=instances, stop=stop, changed=changed)
 
 
 def _is_managed_decision(decision: Decision, tasks: Tasks) -> bool:
@@ -111,7 +110,7 @@ def _choose_action(decision: Decision, found: SamplesByHost) -> Action:
 
 
 def _choose_start_action(decision: Decision, found: SamplesByHost) -> Action:
-    """A move from where it runs; a restart where an instance that is done with lingers on the very host; else a start."""
+    """A move from another host; a restart where a completed instance lingers on the host; else a start."""
     if decision.previous_host in found and decision.previous_host != decision.host:
         return Action.MOVE
     lingering = found.get(decision.host or "")
@@ -121,7 +120,7 @@ def _choose_start_action(decision: Decision, found: SamplesByHost) -> Action:
 
 
 def _list_changed_fields(decision: Decision, tasks: Tasks, found: SamplesByHost) -> tuple[str, ...]:
-    """The fields in which what runs was started from another specification: ``("spec",)`` where the host does not say which."""
+    """The fields in which the running instance differs; ``("spec",)`` where the host does not know which."""
     sample, task = found.get(decision.host or ""), tasks.tasks.get(decision.task)
     if sample is None or task is None or sample.spec_hash in ("", task.spec_hash):
         return ()
@@ -131,7 +130,7 @@ def _list_changed_fields(decision: Decision, tasks: Tasks, found: SamplesByHost)
 
 
 def _list_surplus_hosts(decision: Decision, action: Action, found: SamplesByHost) -> tuple[str, ...]:
-    """Hosts with a copy that should not be there, besides the one that a move or a complete takes away."""
+    """Hosts with a surplus copy, besides the one that a move or a complete stops."""
     if action is Action.COMPLETE:
         keep = {decision.previous_host or next(iter(found))}
     elif decision.host is None:
@@ -142,11 +141,13 @@ def _list_surplus_hosts(decision: Decision, action: Action, found: SamplesByHost
 
 
 def _build_removal_step(name: str, found: SamplesByHost, memory: ManagerState) -> Step:
-    """Stop what we started and nobody asks for any more."""
+    """Stop a managed task that is no longer in the files."""
     known = memory.placements.get(name)
     host = known.host if known is not None and known.host in found else next(iter(found))
     decision = Decision(task=name, verdict=Verdict.UNPLACED, reason=Reason.LEFT_FILE, previous_host=host)
     return Step(
-        decision=decision, action=Action.STOP, instances={host: sample.instance for host, sample in found.items()},
+        decision=decision,
+        action=Action.STOP,
+        instances={host: sample.instance for host, sample in found.items()},
         stop=tuple(other for other in found if other != host),
-    )  # fmt: skip
+    )

@@ -1,4 +1,4 @@
-"""Whether a saved plan still describes the world. Pure."""
+"""Changes of the fleet since a saved plan was made. Pure."""
 
 from collections.abc import Iterator, Mapping
 
@@ -12,14 +12,14 @@ from edgectl.names import natural_key
 
 # A load that moved by more than this share of the capacity makes another plan likely.
 LOAD_TOLERANCE = 0.10
-# Contacts are remembered by uptime; told by the wall clock, one instant may differ by so many seconds between two readings.
+# Contacts are kept by uptime; converted to the wall clock, one instant may differ by so many seconds.
 CONTACT_TOLERANCE_S = 1.0
 
 
 def list_drift(
     plan: Plan, inventory: Inventory, tasks: Tasks, snapshot: Snapshot, memory: ManagerState
 ) -> tuple[str, ...]:
-    """What is different from when ``plan`` was made, one line each; empty where it still holds."""
+    """The changes since ``plan`` was made, one line each; empty where it still holds."""
     changes = []
     if plan.inventory_digest != inventory.digest:
         changes.append("the inventory changed")
@@ -42,7 +42,7 @@ def _list_mark_drift(before: ManagerState, now: ManagerState) -> Iterator[str]:
 
 
 def _list_contact_drift(plan: Plan, now: ManagerState) -> Iterator[str]:
-    """Hosts whose tasks the plan replaces, and that were not silent all the time since: what it took for gone may run."""
+    """Hosts whose tasks the plan replaces although they answered since: those tasks may run."""
     before = plan.snapshot.manager or ManagerState()
     replaced = {step.decision.subject or "" for step in plan.steps if step.decision.reason is Reason.REPLACED}
     for host in sorted(replaced, key=natural_key):
@@ -53,7 +53,7 @@ def _list_contact_drift(plan: Plan, now: ManagerState) -> Iterator[str]:
 
 def _list_host_drift(name: str, before: HostSample, now: HostSample) -> Iterator[str]:
     if before.ok != now.ok:
-        yield f"{name} answers again" if now.ok else f"{name} does not answer any more"
+        yield f"{name} answers again" if now.ok else f"{name} no longer answers"
         return
     yield from _list_task_drift(name, before.tasks, now.tasks)
     if (
@@ -67,13 +67,15 @@ def _list_host_drift(name: str, before: HostSample, now: HostSample) -> Iterator
         and now.memory
         and _is_beyond_tolerance(before.memory.used_bytes, now.memory.used_bytes, now.memory.total_bytes)
     ):
-        yield f"memory of {name} went from {before.memory.used_bytes:.3g} to {now.memory.used_bytes:.3g} bytes"
+        old_bytes, new_bytes = before.memory.used_bytes, now.memory.used_bytes
+        yield f"memory of {name} went from {old_bytes:.3g} to {new_bytes:.3g} bytes"
     for robot, link in now.links.items():
         old = before.links.get(robot)
         if old is not None and _is_beyond_tolerance(
             old.used_bytes_per_s, link.used_bytes_per_s, link.capacity_bytes_per_s
         ):
-            yield f"load of the link {name}-{robot} went from {old.used_bytes_per_s:.3g} to {link.used_bytes_per_s:.3g} bytes/s"
+            change = f"{old.used_bytes_per_s:.3g} to {link.used_bytes_per_s:.3g} bytes/s"
+            yield f"load of the link {name}-{robot} went from {change}"
 
 
 def _list_task_drift(
@@ -83,11 +85,11 @@ def _list_task_drift(
     new = {task: sample.instance for task, sample in now.items() if sample.state.alive}
     for task in sorted(old.keys() | new.keys()):
         if task not in new:
-            yield f"{task} does not run on {name} any more"
+            yield f"{task} no longer runs on {name}"
         elif task not in old:
             yield f"{task} runs on {name} now"
         elif old[task] != new[task]:
-            yield f"{task} was started anew on {name}"
+            yield f"{task} was restarted on {name}"
 
 
 def _is_beyond_tolerance(before: float, now: float, capacity: float) -> bool:

@@ -1,25 +1,31 @@
-"""A task that changes its place (or its command): one unit, in the order that its handoff contract states.
+"""Moves, restarts and replacements of a task: one unit, in the order that its handoff contract states.
 
 stop-first: safe? -> hold -> stop old, verified gone -> start new -> ready -> release.
 start-first: safe? -> hold -> start new -> ready -> stop old -> release.
-replacement of an instance on a silent host, which is gone for certain: hold -> start new -> ready -> release.
+replacement of an instance that is gone with its unreachable host: hold -> start new -> ready -> release.
 
-What was told to hold is released only when an instance is ready again, new or old. Where none is, it goes on holding, the result says so,
-and the next apply that gets an instance ready releases it (``recover``).
+A robot on hold is released only when an instance is ready again, new or old. Where none is, it stays on hold,
+the result reports it, and the next apply that gets an instance ready releases it (``hold_release``).
 """
 
 import time
 
 from edgectl.errors import HostError, RefusedError
-from edgectl.executor import phases
-from edgectl.executor.dependencies import find_replacement_hold
+from edgectl.executor.action_phases import (
+    PlannedPhase,
+    StartPhases,
+    build_hook_phases,
+    build_run_phases,
+    build_stop_phase,
+)
+from edgectl.executor.phases import perform_phase, perform_phases, resolve_variables
 from edgectl.executor.step_run import StepRun
 from edgectl.model.result import ActionResult, Outcome, Phase
-from edgectl.model.task import CheckLocation, HandoffOrder, RestartPolicy, Task
+from edgectl.model.task import CheckLocation, RestartPolicy, Task
 
 
 class _HandoffError(Exception):
-    """The handoff went wrong: ``located`` is where the task now stands, ``steers`` whether a ready instance is there."""
+    """A failed handoff; ``located``: the host of the task now, ``steers``: a ready instance is there."""
 
     def __init__(
         self, error: HostError, located: str | None, *, steers: bool, downtime_s: float | None = None
@@ -31,75 +37,106 @@ class _HandoffError(Exception):
         self.downtime_s = downtime_s
 
 
-def move_task(act: StepRun, task: Task, old: str, new: str) -> ActionResult:
-    """Move a task from ``old`` to ``new``; with both the same, start it anew there.
+def move_task(act: StepRun, task: Task, planned: StartPhases) -> ActionResult:
+    """Move a task from its host to another; with both the same, start it anew there.
 
-    Deferred where the new host does not answer, the moment is not safe, or an ``env_command`` fails: nothing was touched.
+    Deferred where the new host does not answer, the moment is not safe, or an ``env_command`` fails:
+    nothing was touched.
     """
+    new = act.step.decision.host or ""
+    old = act.step.decision.previous_host or new
     try:
-        phases.check_reachable(act.run, new)
-        phases.wait_for_safe_handoff(act, task, old)
-        variables = phases.resolve_variables(act, task, new)
+        perform_phases(act, planned.prepare)
+        variables = resolve_variables(act, task, new)
     except HostError as error:
         return act.end(Outcome.DEFERRED, located=old, error=error)
     try:
-        _run_hold_hook(act, task, old)
-        downtime = _swap_instances(act, task, old, new, variables)
+        _run_hold_hook(act, planned, old)
+        downtime = _swap_instances(act, task, planned, old, new, variables)
     except _HandoffError as failed:
         return _end_failed_handoff(act, task, failed)
-    try:
-        phases.run_hook(act, task, Phase.RELEASE, task.handoff.release, new)
-    except HostError as error:
-        return act.end(Outcome.FAILED, located=new, downtime_s=downtime, error=error)
-    return act.end(Outcome.DONE, located=new, downtime_s=downtime)
+    return _release_and_end(act, planned, new, downtime)
 
 
-def replace_task(act: StepRun, task: Task, host: str) -> ActionResult:
-    """Start a task whose old host is silent on ``host``, with what its handoff says as far as that can be done without the old host.
+def replace_task(act: StepRun, task: Task, planned: StartPhases) -> ActionResult:
+    """Start a task elsewhere while its old host is unreachable, with the hooks that do not need that host.
 
-    Nothing runs, so no moment is unsafe and nothing is stopped; a hold ``on: host`` has no host to run on. Deferred where the new host
-    does not answer, an ``env_command`` or the hold fails: nothing was started, and the task still counts as on its old host.
+    Nothing runs, so no moment is unsafe and nothing is stopped; a hold ``on: host`` has no host to run on.
+    Deferred where the new host does not answer, an ``env_command`` or the hold fails: nothing was started,
+    and the task still counts as on its old host.
     """
-    old = act.step.decision.previous_host
+    old, host = act.step.decision.previous_host, act.step.decision.host or ""
     try:
-        phases.check_reachable(act.run, host)
-        variables = phases.resolve_variables(act, task, host)
-        phases.run_hook(act, task, Phase.HOLD, find_replacement_hold(task), host)
+        perform_phases(act, planned.prepare)
+        variables = resolve_variables(act, task, host)
+        perform_phases(act, planned.hold)
     except HostError as error:
         return act.end(Outcome.DEFERRED, located=old, error=error)
     try:
-        phases.wait_for_ready(act, task, host, phases.start_task(act, task, host, variables))
+        perform_phases(act, planned.change, variables)
     except HostError as error:
         there = old if isinstance(error, RefusedError) else host
         return _end_failed_handoff(act, task, _HandoffError(error, there, steers=False))
-    try:
-        phases.run_hook(act, task, Phase.RELEASE, task.handoff.release, host)
-    except HostError as error:
-        return act.end(Outcome.FAILED, located=host, error=error)
-    return act.end(Outcome.DONE, located=host)
+    return _release_and_end(act, planned, host, None)
 
 
-def _run_hold_hook(act: StepRun, task: Task, old: str) -> None:
+def _run_hold_hook(act: StepRun, planned: StartPhases, old: str) -> None:
     try:
-        phases.run_hook(act, task, Phase.HOLD, task.handoff.hold, old)
+        perform_phases(act, planned.hold)
     except HostError as error:
         raise _HandoffError(error, old, steers=True) from error
 
 
-def _swap_instances(act: StepRun, task: Task, old: str, new: str, variables: dict[str, str]) -> float:
+def _release_and_end(act: StepRun, planned: StartPhases, host: str, downtime: float | None) -> ActionResult:
+    """Run the release hook once the new instance is ready."""
+    try:
+        perform_phases(act, planned.release)
+    except HostError as error:
+        return act.end(Outcome.FAILED, located=host, downtime_s=downtime, error=error)
+    return act.end(Outcome.DONE, located=host, downtime_s=downtime)
+
+
+def _swap_instances(
+    act: StepRun, task: Task, planned: StartPhases, old: str, new: str, variables: dict[str, str]
+) -> float:
     """Old for new in the stated order; the time in between in seconds, 0 where they overlapped."""
-    if old != new and task.handoff.order is HandoffOrder.START_FIRST:
-        _swap_start_first(act, task, old, new, variables)
-        return 0.0
-    return _swap_stop_first(act, task, old, new, variables)
+    stop_first, began = planned.change[0].phase is Phase.STOP, time.monotonic()
+    for phase in planned.change:
+        try:
+            perform_phase(act, phase, variables)
+        except HostError as error:
+            if stop_first:
+                raise _recover_stop_first(act, task, phase, old, new, error, began) from error
+            raise _recover_start_first(act, task, phase, old, new, error) from error
+    return time.monotonic() - began if stop_first else 0.0
+
+
+def _recover_stop_first(
+    act: StepRun, task: Task, failed: PlannedPhase, old: str, new: str, error: HostError, began: float
+) -> _HandoffError:
+    """Where the old instance is gone and the new one failed, put the old one back."""
+    if failed.phase is Phase.STOP:
+        return _HandoffError(error, old, steers=isinstance(error, RefusedError))
+    if old == new:
+        return _HandoffError(error, new, steers=False)
+    return _restore_old_instance(act, task, old, new, error, began)
+
+
+def _recover_start_first(
+    act: StepRun, task: Task, failed: PlannedPhase, old: str, new: str, error: HostError
+) -> _HandoffError:
+    """Where the new instance failed, take it away again; the old one was never touched."""
+    if failed.phase is Phase.STOP:
+        return _HandoffError(error, new, steers=True)
+    return _withdraw_new_instance(act, task, old, new, error)
 
 
 def _end_failed_handoff(act: StepRun, task: Task, failed: _HandoffError) -> ActionResult:
-    """Report the first cause, and release what holds if something steers it; else say loudly that it still holds."""
+    """Report the first cause; release the robot if an instance steers it, else report that it still holds."""
     error = failed.error
     try:
         if failed.steers:
-            phases.run_hook(act, task, Phase.RELEASE, task.handoff.release, failed.located or "")
+            perform_phases(act, _build_release(act, task, failed.located or ""))
         elif task.handoff.hold is not None:
             error = _build_still_holding_error(act, task, error)
     except HostError as another:
@@ -117,36 +154,17 @@ def _build_still_holding_error(act: StepRun, task: Task, error: HostError) -> Ho
     return HostError(message, hint=f"{error.hint}; then {hint}" if error.hint else hint, host=error.host)
 
 
-def _swap_stop_first(act: StepRun, task: Task, old: str, new: str, variables: dict[str, str]) -> float:
-    began = time.monotonic()
-    try:
-        phases.stop_task(act, old, instance=act.step.instances.get(old))
-    except HostError as error:
-        raise _HandoffError(error, old, steers=isinstance(error, RefusedError)) from error
-    try:
-        phases.wait_for_ready(act, task, new, phases.start_task(act, task, new, variables))
-    except HostError as error:
-        if old == new:
-            raise _HandoffError(error, new, steers=False) from error
-        raise _restore_old_instance(act, task, old, new, error, began) from error
-    return time.monotonic() - began
+def _build_release(act: StepRun, task: Task, host: str) -> tuple[PlannedPhase, ...]:
+    return build_hook_phases(Phase.RELEASE, task, task.handoff.release, host, act.run.inventory)
 
 
-def _swap_start_first(act: StepRun, task: Task, old: str, new: str, variables: dict[str, str]) -> None:
-    try:
-        phases.wait_for_ready(act, task, new, phases.start_task(act, task, new, variables))
-    except HostError as error:
-        raise _withdraw_new_instance(act, old, new, error) from error
-    try:
-        phases.stop_task(act, old, instance=act.step.instances.get(old))
-    except HostError as error:
-        raise _HandoffError(error, new, steers=True) from error
+def _stop_new_instance(act: StepRun, task: Task, new: str) -> None:
+    perform_phase(act, build_stop_phase(act.name, task, new, act.run.inventory, instance=None))
 
 
-def _withdraw_new_instance(act: StepRun, old: str, new: str, cause: HostError) -> _HandoffError:
-    """Take the new instance away again; the old one was never touched."""
+def _withdraw_new_instance(act: StepRun, task: Task, old: str, new: str, cause: HostError) -> _HandoffError:
     try:
-        phases.stop_task(act, new, instance=None)
+        _stop_new_instance(act, task, new)
     except HostError as error:
         message = f"{cause.message}; the new instance could not be taken away: {error.message}"
         return _HandoffError(HostError(message, hint=error.hint, host=new), old, steers=True)
@@ -158,23 +176,22 @@ def _withdraw_new_instance(act: StepRun, old: str, new: str, cause: HostError) -
 def _restore_old_instance(
     act: StepRun, task: Task, old: str, new: str, cause: HostError, began: float
 ) -> _HandoffError:
-    """Put the old instance back, unless the new one cannot be proven gone: two at once would be worse than none."""
+    """Start the old instance again, unless the new one may run: two at once would be worse than none."""
     try:
-        phases.stop_task(act, new, instance=None)
+        _stop_new_instance(act, task, new)
     except HostError as error:
         message = (
             f"{cause.message}; not restored on {old}, because it may still run on {new}: {error.message}"
         )
         return _HandoffError(
-            HostError(message, hint=f"see to {new}, then apply again", host=new), new, steers=False
+            HostError(message, hint=f"check {new}, then apply again", host=new), new, steers=False
         )
     sent = False
     try:
-        variables = phases.resolve_variables(act, task, old)
+        restore = build_run_phases(task, old, act.run.inventory, phase=Phase.RESTORE)
+        variables = resolve_variables(act, task, old)
         sent = True
-        phases.wait_for_ready(
-            act, task, old, phases.start_task(act, task, old, variables, attempt=2, phase=Phase.RESTORE)
-        )
+        perform_phases(act, restore, variables)
     except HostError as error:
         message = f"{cause.message}; could not be restored on {old} either: {error.message}"
         there = old if sent and not isinstance(error, RefusedError) else None

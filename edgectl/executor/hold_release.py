@@ -1,4 +1,4 @@
-"""What a handoff that was cut off, or that ended with no ready instance, leaves behind besides processes: a robot that still holds."""
+"""Release robots left on hold by an interrupted or failed handoff."""
 
 from collections.abc import Callable
 
@@ -7,7 +7,7 @@ from edgectl.errors import HostError
 from edgectl.executor import host_requests
 from edgectl.model.inventory import Host, Inventory
 from edgectl.model.task import Check, CheckLocation, Task, Tasks
-from edgectl.transport.agent_client import call_agent
+from edgectl.transport.agent_client import ask_host
 from edgectl.transport.base import Transport
 
 _MARGIN_S = 15.0
@@ -19,9 +19,10 @@ Warn = Callable[[str], None]
 def release_hold(
     name: str, located: str | None, inventory: Inventory, tasks: Tasks, transport: Transport, warn: Warn
 ) -> bool:
-    """Run the release hook of a task, if an instance of it is ready on ``located``. False where it holds on; the next apply tries again.
+    """Run the release hook of a task if an instance of it is ready on ``located``.
 
-    A task without such a hook (any more) has nothing to release.
+    False where the robot stays on hold; the next apply tries again. A task without a hook has nothing to
+    release.
     """
     task = tasks.tasks.get(name)
     rule = task.handoff.release if task else None
@@ -32,7 +33,8 @@ def release_hold(
     try:
         if host is None or not _is_instance_ready(task, host, inventory, transport):
             warn(
-                f"{what} STILL HOLDS: no instance of {name} is ready; it is released once an apply gets one ready"
+                f"{what} STILL HOLDS: no instance of {name} is ready; "
+                "it is released once an apply gets one ready"
             )
             return False
         if _ask_check(task, rule, host, inventory, transport):
@@ -45,7 +47,7 @@ def release_hold(
 
 
 def _is_instance_ready(task: Task, host: Host, inventory: Inventory, transport: Transport) -> bool:
-    """Whether the task is ready on ``host``. A ready check on the robot is asked again: nobody may have waited for its answer."""
+    """Whether the task is ready on ``host``; a check on the robot is run again: its result may be lost."""
     entry = _ask_task_entry(task, host, transport)
     instance, state = str(entry.get("instance")), entry.get("state")
     if state == protocol.STARTING:
@@ -72,7 +74,7 @@ def _is_instance_ready(task: Task, host: Host, inventory: Inventory, transport: 
 
 
 def _ask_task_entry(task: Task, host: Host, transport: Transport) -> host_requests.Request:
-    """What the host knows of the task; nothing where it does not run."""
+    """The entry of the task on the host; empty where it does not run."""
     found = _ask_host(transport, host, host_requests.build_status_request(host, task.name), 0.0).get("tasks")
     entry = found.get(task.name) if isinstance(found, dict) else None
     return entry if isinstance(entry, dict) else {}
@@ -94,5 +96,5 @@ def _ask_check(task: Task, rule: Check, host: Host, inventory: Inventory, transp
 def _ask_host(
     transport: Transport, host: Host, request: host_requests.Request, seconds: float
 ) -> host_requests.Request:
-    with transport.connect(host, timeout=_MARGIN_S) as session:
-        return call_agent(session, request, timeout=seconds + _MARGIN_S)
+    """``seconds``: how long the host may work on it."""
+    return ask_host(transport, host, request, timeout=seconds + _MARGIN_S, connect_timeout=_MARGIN_S)

@@ -1,4 +1,4 @@
-"""What is asked of a host, as values: used to run a plan and, unsent, to show it (``--dry-run``)."""
+"""Requests to the agent of a host, as values. Pure."""
 
 import hashlib
 from collections.abc import Mapping
@@ -10,6 +10,8 @@ from edgectl.model.task import Check, CheckLocation, StopRule, Task
 
 Request = dict[str, object]
 Hosts = Mapping[str, Host]
+# Placeholders in a request that is not filled yet.
+NO_INSTANCE, NO_GENERATION = "0", 0
 
 
 def build_instance_id(plan_id: str, task: str, host: str, attempt: int) -> str:
@@ -17,24 +19,16 @@ def build_instance_id(plan_id: str, task: str, host: str, attempt: int) -> str:
     return hashlib.sha256("\0".join((plan_id, task, host, str(attempt))).encode()).hexdigest()[:16]
 
 
-def build_start_request(
-    task: Task,
-    host: Host,
-    hosts: Hosts,
-    *,
-    instance: str,
-    generation: int,
-    variables: Mapping[str, str] | None = None,
-) -> Request:
-    """Start ``task`` on ``host`` under its supervisor; a ready check that runs on the robot is left to us.
+def build_start_request(task: Task, host: Host, hosts: Hosts) -> Request:
+    """Start ``task`` on ``host`` under its supervisor; a ready check on the robot is left to the manager.
 
-    ``variables``: its environment with the secrets in clear; without it they are masked, and the request is only to be looked at.
+    Secrets are masked, instance and generation are placeholders; `fill_start_request` completes it.
     """
     ready = task.ready if task.ready is not None and task.ready.on is CheckLocation.HOST else None
     spec: Request = {
         "command": task.command,
         "prelude": host.prelude,
-        "env": merge_environment(task, host, hosts) if variables is None else dict(variables),
+        "env": merge_environment(task, host, hosts),
         "workdir": task.workdir,
         "kind": task.kind.value,
         "restart": task.restart.value,
@@ -51,23 +45,33 @@ def build_start_request(
         "op": protocol.OP_START,
         "host": host.name,
         "task": task.name,
-        "instance": instance,
-        "generation": generation,
+        "instance": NO_INSTANCE,
+        "generation": NO_GENERATION,
         "spec": spec,
     }
 
 
-def build_stop_request(
-    name: str, host: Host, *, task: Task | None, instance: str | None, generation: int | None = None
+def fill_start_request(
+    request: Request, *, instance: str, generation: int, variables: Mapping[str, str]
 ) -> Request:
-    """Stop what runs as ``name``; a task that left the file (None) is stopped as it was started."""
+    """A start request as it is sent; ``variables``: its environment with the secrets in clear."""
+    spec = request["spec"]
+    filled = {**spec, "env": dict(variables)} if isinstance(spec, dict) else spec
+    return {**request, "instance": instance, "generation": generation, "spec": filled}
+
+
+def build_stop_request(name: str, host: Host, *, task: Task | None, instance: str | None) -> Request:
+    """Stop the processes of ``name``; a task that left the files (None) is stopped as it was started.
+
+    The generation is a placeholder.
+    """
     rule = None if task is None else encode_stop_rule(task.stop)
     return {
         "op": protocol.OP_STOP,
         "host": host.name,
         "task": name,
         "instance": instance or None,
-        "generation": generation,
+        "generation": NO_GENERATION,
         "stop": rule,
     }
 
@@ -89,7 +93,7 @@ def build_wait_request(name: str, host: Host, *, instance: str, timeout_s: float
 
 
 def build_mark_ready_request(name: str, host: Host, *, instance: str) -> Request:
-    """Tell the host that a ready check elsewhere said yes."""
+    """Mark the instance as ready on the host after a ready check elsewhere passed."""
     return {"op": protocol.OP_MARK, "host": host.name, "task": name, "instance": instance, "ready": True}
 
 
@@ -108,5 +112,5 @@ def build_check_request(
 
 
 def build_status_request(host: Host, name: str | None = None) -> Request:
-    """What the host knows of one task, or of all, without measuring."""
+    """The state of one task, or of all, as the host knows it, without a measurement."""
     return {"op": protocol.OP_STATUS, "host": host.name, "task": name}

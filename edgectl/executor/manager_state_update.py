@@ -1,4 +1,4 @@
-"""What the manager remembers after an apply. Pure."""
+"""Manager state after an apply, and the generations of its starts. Pure."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -22,7 +22,7 @@ def compute_next_generations(
     now: float,
     journalled: Mapping[str, int] | None = None,
 ) -> dict[str, int]:
-    """The generation of each task's next start: above all that memory, journal and hosts know, and never below the clock's seconds.
+    """The generation of each task's next start: above all known ones, and at least the clock's seconds.
 
     The clock as a floor lets a manager that lost its state, or that another one overtook, start tasks again.
     """
@@ -40,7 +40,7 @@ def compute_next_generations(
 def update_manager_state(
     memory: ManagerState, plan: Plan, tasks: Tasks, results: Results, used: Mapping[str, int], now: float
 ) -> ManagerState:
-    """``memory`` after ``plan`` went as ``results`` say: places, first places, done marks, downtimes, stays. ``used``: generations."""
+    """``memory`` after ``plan`` ended with ``results``; ``used``: the generations of its starts."""
     ended = {result.task: result for result in results.actions}
     placements, done = dict(memory.placements), dict(memory.done)
     for step in plan.steps:
@@ -64,13 +64,19 @@ def update_manager_state(
         **_collect_replacement_hosts(plan, results),
     }
     return dataclasses.replace(
-        memory, managed=True, placements=placements, first=first, done=done, downtimes=_collect_downtimes(memory, results),
-        stays=_collect_stays(memory, results, now), deferred=_collect_deferrals(memory, plan, results),
-    )  # fmt: skip
+        memory,
+        managed=True,
+        placements=placements,
+        first=first,
+        done=done,
+        downtimes=_collect_downtimes(memory, results),
+        stays=_collect_stays(memory, results, now),
+        deferred=_collect_deferrals(memory, plan, results),
+    )
 
 
 def _find_running_host(snapshot: Snapshot, step: Step) -> str | None:
-    """Where the snapshot shows an untouched task running, its decided host first."""
+    """The host on which the snapshot shows an untouched task, its decided host first."""
     for name in (step.decision.host, step.decision.previous_host, *snapshot.hosts):
         host = snapshot.hosts.get(name or "")
         if host is not None and step.task in host.tasks and host.tasks[step.task].state.alive:
@@ -79,7 +85,7 @@ def _find_running_host(snapshot: Snapshot, step: Step) -> str | None:
 
 
 def _collect_replacement_hosts(plan: Plan, results: Results) -> dict[str, str]:
-    """The new place of each task that was replaced: where it is at home from now on (policy static)."""
+    """The new host of each replaced task: its first host from now on (policy static)."""
     started = {
         result.task: result.host
         for result in results.actions
@@ -93,7 +99,7 @@ def _collect_replacement_hosts(plan: Plan, results: Results) -> dict[str, str]:
 def _is_task_gone(
     snapshot: Snapshot, step: Step, result: ActionResult | None, placement: Placement | None
 ) -> bool:
-    """Whether the task is to be forgotten. A silent host keeps its tasks in memory, any host one that was given up there."""
+    """Whether the placement is dropped: kept for an unreachable host, and for a task given up on its host."""
     if result is not None:
         return True
     host = snapshot.hosts.get(placement.host) if placement else None
@@ -101,7 +107,7 @@ def _is_task_gone(
 
 
 def _is_step_completed(step: Step, result: ActionResult | None) -> bool:
-    """Whether the task is over: stopped because it was done, or ended by itself and found so."""
+    """Whether the task has completed: stopped because it was done, or ended by itself."""
     if step.decision.verdict is not Verdict.COMPLETED:
         return False
     return step.action is Action.NONE if result is None else result.outcome is Outcome.DONE
@@ -116,7 +122,7 @@ def _is_newly_started(result: ActionResult | None) -> bool:
 
 
 def _get_placed_since(old: Placement | None, step: Step, now: float) -> float:
-    """When the task came to its host: a restart in place does not renew its dwell."""
+    """The time at which the task came to its host; a restart in place does not renew its dwell."""
     return old.since if old is not None and step.action is Action.RESTART else now
 
 
@@ -128,7 +134,10 @@ def _is_restored(result: ActionResult | None) -> bool:
 def _keep_placement(
     memory: ManagerState, snapshot: Snapshot, task: str, located: str, now: float, least: int
 ) -> Placement:
-    """A task that stands where it stood: what is remembered of it, else what its host shows; at least generation ``least``."""
+    """The placement of an untouched task: the remembered one, else as its host shows it.
+
+    ``least``: the lowest generation that it may have.
+    """
     host = snapshot.hosts.get(located)
     sample = host.tasks.get(task) if host else None
     old = memory.placements.get(task)
@@ -147,7 +156,7 @@ def _keep_placement(
 
 
 def _collect_downtimes(memory: ManagerState, results: Results) -> dict[tuple[str, str], tuple[float, ...]]:
-    """A restored task says nothing of the host that it came back to: the time that its new instance failed for is in it."""
+    """The measured downtimes, without those of restored tasks, which include a failed attempt."""
     downtimes = dict(memory.downtimes)
     for result in results.actions:
         if result.downtime_s is not None and result.located is not None and result.located == result.host:
@@ -157,7 +166,7 @@ def _collect_downtimes(memory: ManagerState, results: Results) -> dict[tuple[str
 
 
 def _collect_deferrals(memory: ManagerState, plan: Plan, results: Results) -> dict[str, str]:
-    """Why an action was put off, until the task is planned again and it is not."""
+    """The reasons of deferred actions, kept until a later plan of the task is not deferred."""
     planned = {step.task for step in plan.steps}
     others = {task: why for task, why in memory.deferred.items() if task not in planned}
     return others | {
@@ -166,7 +175,7 @@ def _collect_deferrals(memory: ManagerState, plan: Plan, results: Results) -> di
 
 
 def _collect_stays(memory: ManagerState, results: Results, now: float) -> dict[str, tuple[float, ...]]:
-    """How long each task that moved had been on the host that it left."""
+    """The time that each moved task had spent on the host it left."""
     stays = dict(memory.stays)
     for result in results.actions:
         old = memory.placements.get(result.task)

@@ -1,4 +1,4 @@
-"""Plans that an operator asks for by name: stop these, restart that. Pure."""
+"""Plans of stop, restart and rollback. Pure."""
 
 import dataclasses
 from collections.abc import Iterable, Iterator, Mapping
@@ -82,9 +82,9 @@ def _build_operator_plan(
 
 
 def build_rollback_plan(plan: Plan, wanted: Mapping[str, str], revision: int) -> Plan:
-    """``plan``, in which every task of ``wanted`` was held to its old host, without the tasks that did not run then.
+    """``plan``, in which every task of ``wanted`` was held to its old host, without the other tasks.
 
-    Of those, what runs now is stopped; what does not is left out.
+    Of the others, those that run now are stopped.
     """
     places = list_running_instances(plan.snapshot)
     steps = (

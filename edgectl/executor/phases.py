@@ -1,115 +1,140 @@
-"""The phases that actions are made of: each does one thing on one host, or raises the HostError that says why not."""
+"""Perform the phases of an action: send the requests, check the replies, repeat waits and checks."""
 
 import time
 from collections.abc import Mapping
+from types import MappingProxyType
 
 from edgectl.agent.link import protocol
 from edgectl.errors import HostError
 from edgectl.executor import host_requests
+from edgectl.executor.action_phases import WAIT_PIECE_S, PlannedPhase, PlannedPhases, PlannedRequest
 from edgectl.executor.host_requests import Request
 from edgectl.executor.secrets import resolve_environment
 from edgectl.executor.step_run import RunContext, StepRun
-from edgectl.model.inventory import Host
 from edgectl.model.result import Phase
-from edgectl.model.task import Check, CheckLocation, Task, TaskKind
+from edgectl.model.task import CheckLocation, Task, TaskKind
 
-# A wait is asked for in pieces, so that no channel lives long enough for a silent link to be mistaken for a slow task.
-_WAIT_PIECE_S = 15.0
-_DEFAULT_READY_S = 10.0
 # Beyond the grace: SIGKILL, the sweeps that prove the end, and the way back.
 _STOP_MARGIN_S = 20.0
-_UNKNOWN_GRACE_S = 40.0
+_MIN_CHECK_S = 0.1
+_NO_VARIABLES: Mapping[str, str] = MappingProxyType({})
 
 
-def check_reachable(run: RunContext, host_name: str) -> None:
-    """Make sure that a host answers, before anything is done for its sake."""
-    host = _get_host(run, host_name)
-    run.ask(host, host_requests.build_status_request(host))
+def perform_phases(
+    act: StepRun, planned: PlannedPhases, variables: Mapping[str, str] = _NO_VARIABLES
+) -> None:
+    """Perform phases one after the other; ``variables``: environment of a start with its secrets in clear.
+
+    Raises:
+        HostError: one of them failed; those after it were not begun.
+    """
+    for phase in planned:
+        perform_phase(act, phase, variables)
 
 
-def stop_task(act: StepRun, host_name: str, *, instance: str | None, phase: Phase = Phase.STOP) -> None:
-    """Stop the task on a host and have it proven gone."""
-    host = _get_host(act.run, host_name)
-    grace = act.task.stop.grace if act.task else _UNKNOWN_GRACE_S
-    request = host_requests.build_stop_request(
-        act.name, host, task=act.task, instance=instance, generation=act.generation
-    )
-    with act.phase(phase, host_name):
-        answer = act.run.ask(host, request, timeout=grace + _STOP_MARGIN_S)
-        if answer.get("state") not in (protocol.STOPPED, protocol.NOT_RUNNING):
-            raise HostError(
-                f"{act.name} did not stop completely on {host_name}: processes left {answer.get('left')}",
-                hint=f"end them on {host_name}, then apply again",
-                host=host_name,
-            )
+def perform_phase(act: StepRun, planned: PlannedPhase, variables: Mapping[str, str] = _NO_VARIABLES) -> None:
+    """Send the requests of one phase, filled with what apply makes, until each has succeeded.
+
+    Raises:
+        HostError: the phase failed, or was not done in time.
+    """
+    match planned.phase:
+        case Phase.REACH:
+            _send(act.run, planned.requests[0])
+        case Phase.NEEDS:
+            _wait_for_predecessor(act.run, planned)
+        case Phase.SAFE:
+            _wait_until_safe(act, planned)
+        case Phase.HOLD | Phase.RELEASE:
+            _run_hook(act, planned)
+        case Phase.STOP:
+            _stop_task(act, planned)
+        case Phase.START | Phase.RESTORE:
+            _start_task(act, planned, variables)
+        case Phase.READY:
+            _wait_until_ready(act, planned)
 
 
 def resolve_variables(act: StepRun, task: Task, host_name: str) -> dict[str, str]:
-    """The environment of a start with its secrets in clear, got before anything is touched for its sake."""
-    return resolve_environment(task, _get_host(act.run, host_name), act.run.hosts)
+    """The environment of a start with its secrets in clear, read before anything is touched for its sake."""
+    return resolve_environment(task, act.run.hosts[host_name], act.run.hosts)
 
 
-def start_task(
-    act: StepRun,
-    task: Task,
-    host_name: str,
-    variables: Mapping[str, str],
-    *,
-    attempt: int = 1,
-    phase: Phase = Phase.START,
-) -> str:
-    """Start the task on a host with ``variables``; the same attempt twice is one start. Returns the instance."""
-    host = _get_host(act.run, host_name)
-    instance = act.instance(host_name, attempt)
-    generation = act.generation + attempt - 1
-    request = host_requests.build_start_request(
-        task, host, act.run.hosts, instance=instance, generation=generation, variables=variables
+def _send(run: RunContext, request: PlannedRequest, **values: object) -> Request:
+    """Send a request with ``values`` in place of what stood for them."""
+    return run.ask(request.host, {**request.body, **values}, timeout=request.timeout_s + run.options.call_s)
+
+
+def _stop_task(act: StepRun, planned: PlannedPhase) -> None:
+    request, host = planned.requests[0], planned.host
+    body = {**request.body, "generation": act.generation}
+    with act.phase(planned.phase, host.name):
+        answer = act.run.ask(host, body, timeout=request.timeout_s + _STOP_MARGIN_S)
+        if answer.get("state") not in (protocol.STOPPED, protocol.NOT_RUNNING):
+            raise HostError(
+                f"{act.name} did not stop completely on {host.name}: processes left {answer.get('left')}",
+                hint=f"end them on {host.name}, then apply again",
+                host=host.name,
+            )
+
+
+def _start_task(act: StepRun, planned: PlannedPhase, variables: Mapping[str, str]) -> None:
+    """Start the task; the same attempt twice is one start. A restored instance is a second attempt."""
+    request, host = planned.requests[0], planned.host
+    attempt = 2 if planned.phase is Phase.RESTORE else 1
+    instance = act.instance(host.name, attempt)
+    body = host_requests.fill_start_request(
+        request.body, instance=instance, generation=act.generation + attempt - 1, variables=variables
     )
-    with act.phase(phase, host_name):
-        answer = act.run.ask(host, request)
+    with act.phase(planned.phase, host.name):
+        answer = act.run.ask(host, body)
         if answer.get("state") not in (protocol.STARTED, protocol.ALREADY_RUNNING):
             raise HostError(
-                f"{act.name} did not start on {host_name}: {answer.get('detail')}", host=host_name
+                f"{act.name} did not start on {host.name}: {answer.get('detail')}", host=host.name
             )
-    return str(answer.get("instance") or instance)
+    act.started = str(answer.get("instance") or instance)
 
 
-def wait_for_ready(act: StepRun, task: Task, host_name: str, instance: str) -> None:
-    """Wait until the instance is ready by the task's own check (running, where it has none)."""
-    timeout = task.ready.timeout if task.ready else _DEFAULT_READY_S
-    deadline = time.monotonic() + timeout
-    host = _get_host(act.run, host_name)
-    with act.phase(Phase.READY, host_name, side_effect=False):
-        wait_for_ready_on_host(act.run, task, host, instance, deadline)
-        if task.ready is not None and task.ready.on is CheckLocation.ROBOT:
-            _wait_for_check(act, task, task.ready, _get_check_robot(act.run, task), deadline)
-            act.run.ask(host, host_requests.build_mark_ready_request(task.name, host, instance=instance))
+def _wait_until_ready(act: StepRun, planned: PlannedPhase) -> None:
+    """Wait for the instance that was started last; a check on the robot is asked there, then marked."""
+    deadline = time.monotonic() + planned.timeout_s
+    wait, *elsewhere = planned.requests
+    with act.phase(Phase.READY, planned.host.name, side_effect=False):
+        _wait_on_host(act.run, planned, {**wait.body, "instance": act.started}, deadline)
+        if elsewhere:
+            check, mark = elsewhere
+            if not _repeat_check(act.run, check, deadline):
+                raise HostError(
+                    f"the check on {check.host.name} did not pass within {check.timeout_s:g} s: "
+                    f"{check.body['command']}",
+                    host=check.host.name,
+                )
+            _send(act.run, mark, instance=act.started)
 
 
-def wait_for_ready_on_host(run: RunContext, task: Task, host: Host, instance: str, deadline: float) -> None:
-    """Ask the host until it says ready.
+def _wait_on_host(run: RunContext, planned: PlannedPhase, body: Request, deadline: float) -> None:
+    """Ask the host, in pieces, until the instance is ready.
 
     Raises:
         HostError: failed, gone, or not ready by the ``deadline`` (monotonic).
     """
-    here = task.ready is not None and task.ready.on is CheckLocation.HOST
+    host, task, piece = planned.host, run.tasks.tasks[planned.task], planned.requests[0].timeout_s
+    checked = task.ready is not None and task.ready.on is CheckLocation.HOST
     hint = f"edgectl logs {task.name}"
     while True:
-        piece = max(0.0, min(_WAIT_PIECE_S, deadline - time.monotonic()))
-        request = host_requests.build_wait_request(task.name, host, instance=instance, timeout_s=piece)
-        entry = run.ask(host, request, timeout=piece + run.options.call_s)
-        if _is_ready(task, str(entry.get("state")), checked=here):
+        entry = run.ask(host, {**body, "timeout_s": piece}, timeout=piece + run.options.call_s)
+        if _is_ready(task, str(entry.get("state")), checked=checked):
             return
         if entry.get("state") not in (protocol.STARTING, protocol.RUNNING):
             raise HostError(f"{task.name} {_describe_end(entry)} on {host.name}", hint=hint, host=host.name)
         if time.monotonic() >= deadline:
-            timeout = task.ready.timeout if task.ready else _DEFAULT_READY_S
             why = f": {entry['detail']}" if entry.get("detail") else ""
             raise HostError(
-                f"{task.name} was not ready on {host.name} within {timeout:g} s{why}",
+                f"{task.name} was not ready on {host.name} within {planned.timeout_s:g} s{why}",
                 hint=hint,
                 host=host.name,
             )
+        piece = max(0.0, min(WAIT_PIECE_S, deadline - time.monotonic()))
 
 
 def _is_ready(task: Task, state: str, *, checked: bool) -> bool:
@@ -121,64 +146,45 @@ def _is_ready(task: Task, state: str, *, checked: bool) -> bool:
 
 
 def _describe_end(entry: Request) -> str:
-    """What became of a task that does not run, in words."""
-    state = {"failed": "failed", "crashloop": "crashed again and again", "completed": "ended at once"}.get(
-        str(entry.get("state")), "is gone"
-    )
+    """Why a task does not run, in words."""
+    words = {
+        protocol.FAILED: "failed",
+        protocol.CRASHLOOP: "crashed again and again",
+        protocol.COMPLETED: "ended at once",
+    }
+    state = words.get(str(entry.get("state")), "is gone")
     code = entry.get("exit_code")
     return state if code is None else f"{state} (exit code {code})"
 
 
-def _wait_for_check(act: StepRun, task: Task, rule: Check, host: Host, deadline: float) -> None:
-    """Repeat a check on ``host`` until it says yes."""
-    while not _is_check_passing(act.run, task, rule, host, deadline):
+def _repeat_check(run: RunContext, check: PlannedRequest, deadline: float) -> bool:
+    """Repeat a check until it passes; False where it did not by the ``deadline`` (monotonic)."""
+    while True:
+        left = max(_MIN_CHECK_S, min(check.timeout_s, deadline - time.monotonic()))
+        body = {**check.body, "timeout_s": left}
+        if run.ask(check.host, body, timeout=left + run.options.call_s).get("exit") == 0:
+            return True
         if time.monotonic() >= deadline:
+            return False
+        time.sleep(run.options.poll_s)
+
+
+def _wait_until_safe(act: StepRun, planned: PlannedPhase) -> None:
+    """Wait until a handoff is safe; nothing has been touched so far."""
+    with act.phase(Phase.SAFE, planned.host.name, side_effect=False):
+        if not _repeat_check(act.run, planned.requests[0], time.monotonic() + planned.timeout_s):
             raise HostError(
-                f"check on {host.name} did not say yes within {rule.timeout:g} s: {rule.command}",
-                host=host.name,
+                f"not safe to move {act.name} within {planned.timeout_s:g} s",
+                hint="apply again later",
+                host=planned.host.name,
             )
-        time.sleep(act.run.options.poll_s)
 
 
-def _is_check_passing(run: RunContext, task: Task, rule: Check, host: Host, deadline: float) -> bool:
-    left = max(0.1, min(rule.timeout, deadline - time.monotonic()))
-    answer = run.ask(
-        host,
-        host_requests.build_check_request(task, rule, host, run.hosts, timeout_s=left),
-        timeout=left + run.options.call_s,
-    )
-    return answer.get("exit") == 0
-
-
-def wait_for_safe_handoff(act: StepRun, task: Task, host_name: str) -> None:
-    """Wait until a handoff is safe, at most the handoff's timeout; nothing has been touched so far."""
-    rule = task.handoff.safe_when
-    if rule is None:
-        return
-    host = _get_check_host(act.run, task, rule, host_name)
-    with act.phase(Phase.SAFE, host.name, side_effect=False):
-        deadline = time.monotonic() + task.handoff.timeout
-        while not _is_check_passing(act.run, task, rule, host, deadline):
-            if time.monotonic() >= deadline:
-                raise HostError(
-                    f"not safe to move {act.name} within {task.handoff.timeout:g} s",
-                    hint="apply again later",
-                    host=host.name,
-                )
-            time.sleep(act.run.options.poll_s)
-
-
-def run_hook(act: StepRun, task: Task, phase: Phase, rule: Check | None, host_name: str) -> None:
-    """Run the hold or release hook, where there is one."""
-    if rule is None:
-        return
-    host = _get_check_host(act.run, task, rule, host_name)
+def _run_hook(act: StepRun, planned: PlannedPhase) -> None:
+    """Run the hold or release hook."""
+    phase, host = planned.phase, planned.host
     with act.phase(phase, host.name):
-        answer = act.run.ask(
-            host,
-            host_requests.build_check_request(task, rule, host, act.run.hosts),
-            timeout=rule.timeout + act.run.options.call_s,
-        )
+        answer = _send(act.run, planned.requests[0])
         if answer.get("exit") != 0:
             raise HostError(
                 f"{phase.value} hook of {act.name} failed on {host.name}: {_describe_hook_failure(answer)}",
@@ -190,33 +196,24 @@ def run_hook(act: StepRun, task: Task, phase: Phase, rule: Check | None, host_na
 
 def _describe_hook_failure(answer: Request) -> str:
     lines = str(answer.get("output") or "").strip().splitlines()
-    return (
-        lines[-1]
-        if lines
-        else ("timed out" if answer.get("timed_out") else f"exit code {answer.get('exit')}")
-    )
+    if lines:
+        return lines[-1]
+    return "timed out" if answer.get("timed_out") else f"exit code {answer.get('exit')}"
 
 
-def _get_check_host(run: RunContext, task: Task, rule: Check, host_name: str) -> Host:
-    return _get_check_robot(run, task) if rule.on is CheckLocation.ROBOT else _get_host(run, host_name)
+def _wait_for_predecessor(run: RunContext, planned: PlannedPhase) -> None:
+    """Wait for a predecessor that runs already, or for a job to complete."""
+    request, deadline = planned.requests[0], time.monotonic() + planned.timeout_s
+    if request.body["op"] == protocol.OP_WAIT:
+        _wait_on_host(run, planned, request.body, deadline)
+        return
+    while not _is_reported_completed(_send(run, request), planned.task):
+        if time.monotonic() >= deadline:
+            raise HostError(f"waits for {planned.task} to complete", hint="apply again once it has")
+        time.sleep(run.options.poll_s)
 
 
-def _get_check_robot(run: RunContext, task: Task) -> Host:
-    if not task.robots:
-        raise HostError(f"{task.name} has no robot on which its check could run")
-    robot = _get_host(run, task.robots[0])
-    if not robot.probe:
-        raise HostError(
-            f"the check of {task.name} needs {robot.name}, which is never contacted (probe: false)",
-            host=robot.name,
-        )
-    return robot
-
-
-def _get_host(run: RunContext, name: str) -> Host:
-    host = run.hosts.get(name)
-    if host is None:
-        raise HostError(
-            f"{name} is not in the inventory", hint="put it back until nothing runs there", host=name
-        )
-    return host
+def _is_reported_completed(answer: Request, name: str) -> bool:
+    entries = answer.get("tasks")
+    entry = entries.get(name) if isinstance(entries, dict) else None
+    return isinstance(entry, dict) and entry.get("state") == protocol.COMPLETED

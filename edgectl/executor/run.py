@@ -1,33 +1,33 @@
-"""Carry out a plan: stops first, then starts in the order of ``needs``, independent actions in parallel (Algorithm 2)."""
+"""Second half of Algorithm 2: carry out a plan, stops first, then starts in the order of ``needs``."""
 
 import time
 from collections import Counter
 from collections.abc import Mapping
 
 from edgectl.errors import HostError, RefusedError, StateError
-from edgectl.executor import phases
+from edgectl.executor.action_phases import StartPhases, build_start_phases, build_stop_phases
 from edgectl.executor.cancellation import INTERRUPTED, Cancellation
 from edgectl.executor.dependencies import (
     STARTING_ACTIONS,
     STOPPING_ACTIONS,
     StepDependencies,
     build_step_dependencies,
+    is_need_satisfied,
     is_replacement,
-    list_stop_hosts,
 )
 from edgectl.executor.handoff import move_task, replace_task
-from edgectl.executor.predecessors import is_need_satisfied, wait_for_predecessors
-from edgectl.executor.step_run import RunContext, RunOptions, StepRun
+from edgectl.executor.phases import perform_phases, resolve_variables
+from edgectl.executor.step_run import RunContext, RunIdentity, RunOptions, StepRun
 from edgectl.executor.worker_pool import WorkerPool
 from edgectl.model.inventory import Inventory
 from edgectl.model.plan import Action, Plan
 from edgectl.model.progress import ProgressListener, ignore_progress
 from edgectl.model.result import ActionResult, Outcome, Results
-from edgectl.model.task import Tasks
+from edgectl.model.task import Task, Tasks
 from edgectl.state.journal import Journal
 from edgectl.transport.base import Transport
 
-__all__ = ["RunOptions", "run_plan"]
+__all__ = ["RunIdentity", "RunOptions", "run_plan"]
 
 
 def run_plan(
@@ -36,28 +36,31 @@ def run_plan(
     tasks: Tasks,
     transport: Transport,
     journal: Journal,
+    identity: RunIdentity,
     options: RunOptions,
     progress: ProgressListener = ignore_progress,
 ) -> Results:
-    """Carry out the changes of ``plan`` and say how each went, in the order of the plan.
+    """Carry out the changes of ``plan``; the result of each, in the order of the plan.
 
-    A failed action costs its successors (skipped), never the others. When ``options.stop_requested`` is set, what has
-    begun is finished and the rest is skipped. ``progress`` is called in this thread.
+    Independent actions run in parallel. The successors of a failed action are skipped, the others go on.
+    When ``options.stop_requested`` is set, actions under way are finished and the rest is skipped.
+    ``progress`` is called in this thread.
 
     Raises:
         StateError: the journal cannot be written, so nothing was begun.
     """
     began = time.monotonic()
-    brake = Cancellation(options.stop_requested, fail_fast=options.fail_fast, deadline=options.deadline)
-    crew = WorkerPool(options.max_parallel, brake.reason, progress)
+    cancellation = Cancellation(options)
+    workers = WorkerPool(options.max_parallel, cancellation.reason, progress)
     shared = RunContext(
         plan=plan,
         inventory=inventory,
         tasks=tasks,
         transport=transport,
         journal=journal,
+        identity=identity,
         options=options,
-        report_progress=crew.report_progress,
+        report_progress=workers.report_progress,
     )
     acts = {
         step.task: StepRun(run=shared, step=step) for step in plan.steps if step.action.changes or step.stop
@@ -65,27 +68,27 @@ def run_plan(
     counts = Counter(act.step.action.value for act in acts.values())
     journal.append(
         "begin",
-        revision=options.revision,
-        plan=options.plan_id,
-        verb=options.verb,
-        user=options.user,
+        revision=identity.revision,
+        plan=identity.plan_id,
+        verb=identity.verb,
+        user=identity.user,
         actions=len(acts),
         counts=counts,
     )
-    results = _run_steps(acts, crew, shared, brake)
+    results = _run_steps(acts, workers, shared, cancellation)
     interrupted = any(
         result.outcome is Outcome.SKIPPED and result.error == INTERRUPTED for result in results.values()
     )
     outcomes = Counter(result.outcome.value for result in results.values())
     shared.record(
         "end",
-        revision=options.revision,
+        revision=identity.revision,
         interrupted=interrupted,
         outcomes=outcomes,
         seconds=round(time.monotonic() - began, 3),
     )
     return Results(
-        revision=options.revision,
+        revision=identity.revision,
         actions=tuple(results[name] for name in acts),
         seconds=time.monotonic() - began,
         interrupted=interrupted,
@@ -93,24 +96,28 @@ def run_plan(
 
 
 def _run_steps(
-    acts: Mapping[str, StepRun], crew: WorkerPool, shared: RunContext, brake: Cancellation
+    acts: Mapping[str, StepRun], workers: WorkerPool, shared: RunContext, cancellation: Cancellation
 ) -> dict[str, ActionResult]:
-    """First all that stops, then all that starts; a task whose duplicate could not be stopped is not started again."""
+    """All stops, then all starts; a task whose duplicate could not be stopped is not started again."""
 
     def skip(name: str) -> ActionResult:
-        return _end_skipped(acts[name], brake.reason() or INTERRUPTED)
+        return _end_skipped(acts[name], cancellation.reason() or INTERRUPTED)
 
     halting = {
         name: frozenset[str]()
         for name, act in acts.items()
         if act.step.action in STOPPING_ACTIONS or act.step.stop
     }
-    halted = crew.run_all(halting, lambda name, _results: brake.seen(_stop_step(acts[name])), skip)
+    halted = workers.run_all(
+        halting, lambda name, _results: cancellation.note_result(_stop_step(acts[name])), skip
+    )
     waits = build_step_dependencies(shared.plan.steps, shared.tasks)
     after = {name: wait.tasks - halted.keys() for name, wait in waits.items() if name not in halted}
-    started = crew.run_all(
+    started = workers.run_all(
         after,
-        lambda name, results: brake.seen(_start_step(acts[name], waits[name], {**halted, **results})),
+        lambda name, results: cancellation.note_result(
+            _start_step(acts[name], waits[name], {**halted, **results})
+        ),
         skip,
     )
     return halted | started
@@ -122,8 +129,7 @@ def _stop_step(act: StepRun) -> ActionResult | None:
     here = decision.previous_host if act.step.action in STOPPING_ACTIONS else decision.host
     try:
         act.begin()
-        for host in list_stop_hosts(act.step):
-            phases.stop_task(act, host, instance=act.step.instances.get(host))
+        perform_phases(act, build_stop_phases(act.step, act.run.inventory, act.run.tasks))
     except StateError as error:
         return _end_unrecorded(act, error)
     except HostError as error:
@@ -140,33 +146,36 @@ def _start_step(act: StepRun, waits: StepDependencies, results: Mapping[str, Act
     if failed:
         return _end_skipped(act, f"needs {failed[0]}, which did not start")
     if task is None or decision.host is None:
-        return _end_skipped(act, "the task is not in the files any more")
+        return _end_skipped(act, "the task is no longer in the files")
     try:
-        wait_for_predecessors(act.run, (*waits.needs, *waits.others))
+        planned = build_start_phases(
+            act.step, task, (*waits.needs, *waits.others), act.run.plan, act.run.inventory, act.run.tasks
+        )
+        perform_phases(act, planned.needs)
         act.begin()
     except HostError as error:
         return act.end(Outcome.DEFERRED, located=decision.previous_host, error=error)
     except StateError as error:
         return _end_unrecorded(act, error)
     if is_replacement(act.step):
-        return replace_task(act, task, decision.host)
+        return replace_task(act, task, planned)
     if act.step.action is Action.START:
-        return _start_new_task(act, decision.host)
-    return move_task(act, task, decision.previous_host or decision.host, decision.host)
+        return _start_new_task(act, task, planned, decision.host)
+    return move_task(act, task, planned)
 
 
-def _start_new_task(act: StepRun, host: str) -> ActionResult:
-    """Start and wait until ready. What is not ready in time is left running: it may only be slow.
+def _start_new_task(act: StepRun, task: Task, planned: StartPhases, host: str) -> ActionResult:
+    """Start and wait until ready. A task that is not ready in time is left running: it may only be slow.
 
-    Once a start was sent its answer may be lost, so the task counts as there until its host says otherwise: it must never be doubled.
+    Once a start was sent its reply may be lost, so the task counts as there until its host denies it:
+    it must never be doubled.
     """
-    task = act.run.tasks.tasks[act.name]
     located = None
     try:
-        phases.check_reachable(act.run, host)
-        variables = phases.resolve_variables(act, task, host)
+        perform_phases(act, planned.prepare)
+        variables = resolve_variables(act, task, host)
         located = host
-        phases.wait_for_ready(act, task, host, phases.start_task(act, task, host, variables))
+        perform_phases(act, planned.change, variables)
     except RefusedError as error:
         return act.end(Outcome.FAILED, located=None, error=error)
     except HostError as error:

@@ -1,4 +1,4 @@
-"""The environment of a start with its secrets in clear: made right before the request that carries it, and kept nowhere."""
+"""The environment of a start with its secrets in clear, made right before its request and never stored."""
 
 import re
 import subprocess
@@ -14,7 +14,7 @@ _VARIABLE_LINE = re.compile(r"([A-Za-z_][A-Za-z0-9_]*)=(.*)")
 
 
 def resolve_environment(task: Task, host: Host, hosts: Mapping[str, Host]) -> dict[str, str]:
-    """Variables of ``task`` on ``host``, with what the ``env_command`` of both print; each is run here, without a shell.
+    """Variables of ``task`` on ``host``, with the output of both ``env_command``; run here, without a shell.
 
     Raises:
         HostError: one of them failed; the message holds nothing of what it printed.
@@ -25,10 +25,11 @@ def resolve_environment(task: Task, host: Host, hosts: Mapping[str, Host]) -> di
 
 
 def run_env_command(command: tuple[str, ...], whose: str) -> dict[str, str]:
-    """The lines NAME=value that a command prints; blank lines and those that begin with ``#`` count for nothing.
+    """The lines NAME=value that a command prints; blank lines and comments (``#``) are ignored.
 
     Raises:
-        HostError: it cannot be run, fails, takes longer than ``COMMAND_S`` or prints something else.
+        HostError: it cannot be run, fails, takes longer than ``ENV_COMMAND_TIMEOUT_S`` or prints something
+            else.
     """
     try:
         ran = subprocess.run(

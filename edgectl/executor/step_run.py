@@ -1,4 +1,4 @@
-"""One action under way: what it may use, its phases as they are timed, told and journalled."""
+"""The run of one action: its phases timed, reported and journalled, and the context that actions share."""
 
 import contextlib
 import threading
@@ -23,35 +23,45 @@ from edgectl.transport.base import Session, Transport
 class RunOptions:
     """How a plan is carried out.
 
-    ``plan_id`` and ``revision`` name this run. ``generations``: the generation to start each task with.
-    ``max_parallel``: actions at once. ``connect_s``, ``call_s``: deadlines of a connection and of a short request.
-    ``poll_s``: pause between two looks at a condition. ``stop_requested``: set it, and no further action begins.
-    ``fail_fast``: nor after a failure; ``deadline`` (monotonic): nor after it. ``verb``, ``user``: for the journal.
+    ``max_parallel``: actions at once. ``stop_requested``: set it, and no further action begins.
+    ``fail_fast``: nor after a failure; ``deadline`` (monotonic clock, None for none): nor after it.
+    ``connect_s``, ``call_s``: deadlines of a connection and of a short request.
+    ``poll_s``: pause before a condition is asked again.
+    """
+
+    max_parallel: int = 16
+    fail_fast: bool = False
+    deadline: float | None = None
+    stop_requested: threading.Event = field(default_factory=threading.Event)
+    connect_s: float = 15.0
+    call_s: float = 15.0
+    poll_s: float = 0.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunIdentity:
+    """The record of one run: ``plan_id`` and ``revision`` name it, ``verb`` and ``user`` go into the journal.
+
+    ``generations``: the generation to start each task with.
     """
 
     plan_id: str
     revision: int
     generations: Mapping[str, int] = field(default_factory=dict)
-    max_parallel: int = 16
-    connect_s: float = 15.0
-    call_s: float = 15.0
-    poll_s: float = 0.5
-    stop_requested: threading.Event = field(default_factory=threading.Event)
-    fail_fast: bool = False
-    deadline: float | None = None
     verb: str = "apply"
     user: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunContext:
-    """Everything that the actions of one apply share. ``tell`` may be called from any thread."""
+    """Everything that the actions of one apply share. ``report_progress`` may be called from any thread."""
 
     plan: Plan
     inventory: Inventory
     tasks: Tasks
     transport: Transport
     journal: Journal
+    identity: RunIdentity
     options: RunOptions
     report_progress: Callable[[ProgressEvent], None]
 
@@ -61,7 +71,9 @@ class RunContext:
         return self.inventory.hosts
 
     def ask(self, host: Host, request: Request, *, timeout: float | None = None) -> Request:
-        """Send ``request`` and return the answer; over a session that turns out lost once more, over a new one: requests repeat safely.
+        """Send ``request`` and return the reply; where the session turns out lost, once more over a new one.
+
+        Requests are idempotent, so the second one does no harm.
 
         Raises:
             HostError: the host did not do it.
@@ -83,7 +95,10 @@ class RunContext:
         return answer
 
     def record(self, event: str, **fields: object) -> None:
-        """Journal what follows from an intent already on disk. A journal that fails now ends the run after the actions under way."""
+        """Journal what follows from an intent already on disk.
+
+        Where that fails, the run ends after the actions under way.
+        """
         try:
             self.journal.append(event, **fields)
         except StateError:
@@ -91,7 +106,7 @@ class RunContext:
 
 
 def _encode_action_entry(step: Step) -> dict[str, object]:
-    """An action as the journal has it."""
+    """An action as a journal entry."""
     return {
         "action": step.action.value,
         "host": step.decision.host,
@@ -100,7 +115,7 @@ def _encode_action_entry(step: Step) -> dict[str, object]:
 
 
 def _encode_phase_entry(phase: PhaseResult) -> dict[str, object]:
-    """A phase as the journal has it."""
+    """A phase as a journal entry."""
     return {
         "phase": phase.phase.value,
         "host": phase.host,
@@ -111,12 +126,13 @@ def _encode_phase_entry(phase: PhaseResult) -> dict[str, object]:
 
 @dataclass(slots=True, kw_only=True)
 class StepRun:
-    """The course of one step: begun, phase by phase, ended."""
+    """One step from its intent to its result. ``started``: the instance that was started last."""
 
     run: RunContext
     step: Step
     phases: list[PhaseResult] = field(default_factory=list)
     begun: bool = False
+    started: str = ""
 
     @property
     def name(self) -> str:
@@ -131,13 +147,12 @@ class StepRun:
     @property
     def generation(self) -> int:
         """The generation that a new start of the task gets."""
-        return self.run.options.generations.get(self.name, 1)
+        return self.run.identity.generations.get(self.name, 1)
 
     def instance(self, host: str, attempt: int = 1) -> str:
         """The id of a start of the task on ``host`` in this run."""
-        return build_instance_id(
-            f"{self.run.options.plan_id}:{self.run.options.revision}", self.name, host, attempt
-        )
+        identity = self.run.identity
+        return build_instance_id(f"{identity.plan_id}:{identity.revision}", self.name, host, attempt)
 
     def begin(self) -> None:
         """Announce the action, on disk first.
@@ -157,7 +172,7 @@ class StepRun:
 
     @contextlib.contextmanager
     def phase(self, phase: Phase, host: str, *, side_effect: bool = True) -> Iterator[None]:
-        """Time one phase, journal it before it touches the host, tell how it went; errors pass through."""
+        """Time one phase, journal it before it touches the host, report its result; errors pass through."""
         if side_effect:
             self.run.record("phase", task=self.name, phase=phase.value, host=host)
         self.run.report_progress(
@@ -191,8 +206,8 @@ class StepRun:
             )
         )
 
-    def _journal(self, result: ActionResult) -> None:
-        """The end of an action; of one that never began also what it was, for no intent says so."""
+    def _journal_end(self, result: ActionResult) -> None:
+        """Journal the end of an action; of one that never began also the action, which no intent names."""
         event, what = ("commit", {}) if self.begun else ("skipped", _encode_action_entry(self.step))
         self.run.record(
             event,
@@ -227,7 +242,7 @@ class StepRun:
             hint=error.hint if error else "",
             located=located,
         )
-        self._journal(result)
+        self._journal_end(result)
         self.run.report_progress(
             ProgressEvent(
                 stage=ProgressStage.ACTION_END, task=self.name, action=self.step.action, result=result

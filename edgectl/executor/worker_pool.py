@@ -1,4 +1,4 @@
-"""Pieces of work in parallel, each after those it waits for; progress comes out in the caller's thread."""
+"""Parallel work in the order of its dependencies; progress is reported in the caller's thread."""
 
 import queue
 import threading
@@ -16,7 +16,7 @@ _WAKE_S = 0.2
 class WorkerPool:
     """Daemon threads, at most ``size`` at once: a second Ctrl-C need not wait for a host that hangs.
 
-    ``tell`` may be called from any thread; ``listener`` hears it in the thread of ``work``.
+    ``report_progress`` may be called from any thread; ``listener`` is called in the thread of ``run_all``.
     """
 
     def __init__(self, size: int, stopped: Callable[[], object], listener: ProgressListener) -> None:
@@ -32,9 +32,10 @@ class WorkerPool:
     def run_all(
         self, after: Mapping[str, frozenset[str]], work: WorkFunction, skip: Callable[[str], ActionResult]
     ) -> dict[str, ActionResult]:
-        """Do ``work(name, results so far)`` for each name once all in ``after[name]`` have ended; ``skip`` what is left once ``stopped``.
+        """Do ``work(name, results so far)`` for each name once all in ``after[name]`` have ended.
 
-        Work that returns None leaves its name out of the results.
+        Names that have not begun once ``stopped`` are given to ``skip``. Work that returns None has no
+        result.
         """
         waiting, running, ended = dict(after), set[str](), dict[str, ActionResult]()
         while waiting or running:
@@ -45,9 +46,9 @@ class WorkerPool:
                 del waiting[name]
                 running.add(name)
                 threading.Thread(target=self._do, args=(work, name, dict(ended)), daemon=True).start()
-            self._hear(running, ended)
+            self._take_event(running, ended)
         while not self._events.empty():
-            self._hear(running, ended)
+            self._take_event(running, ended)
         return ended
 
     def _ready(self, waiting: Mapping[str, frozenset[str]], running: set[str]) -> list[str]:
@@ -61,8 +62,8 @@ class WorkerPool:
         except BaseException as error:  # handed to the caller's thread
             self._events.put((name, None, error))
 
-    def _hear(self, running: set[str], ended: dict[str, ActionResult]) -> None:
-        """Wait a moment for one event and take it in."""
+    def _take_event(self, running: set[str], ended: dict[str, ActionResult]) -> None:
+        """Wait a moment for one event and handle it."""
         try:
             event = self._events.get(timeout=_WAKE_S)
         except queue.Empty:

@@ -73,7 +73,7 @@ def run_trial(
         debug=options.debug,
         probe=ProbeOptions(window=window, timeout=_TRIAL_PROBE_TIMEOUT_S),
         policy=lambda _: scheme.policy,
-        progress=lambda event: recorder.record_progress(event, trial_fleet.clock()),
+        execution=ApplyOptions(progress=lambda event: recorder.record_progress(event, trial_fleet.clock())),
         control=options.control,
     )
     began = trial_fleet.clock()

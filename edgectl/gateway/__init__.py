@@ -1,1 +1,1 @@
-"""Fan-out over all hosts into one immutable Snapshot."""
+"""Requests to all hosts at once, and their replies as values of the model."""

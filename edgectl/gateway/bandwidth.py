@@ -1,4 +1,4 @@
-"""Measure what a link carries by really sending over it, for a bounded time, one link after the other."""
+"""Measurement of link bandwidth by sending data for a bounded time, one link after the other."""
 
 from collections.abc import Iterator
 
@@ -17,7 +17,7 @@ _MARGIN_S = 10.0
 def measure_bandwidth(
     inventory: Inventory, transport: Transport, *, seconds: float
 ) -> Iterator[BandwidthMeasurement]:
-    """Measure each edge-robot link in turn, so that no measurement disturbs another; robots with ``probe: false`` are left out."""
+    """Measure each edge-robot link in turn; robots with ``probe: false`` are left out."""
     for edge in inventory.edges:
         for robot in inventory.robots:
             if robot.probe:

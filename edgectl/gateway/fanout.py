@@ -1,20 +1,90 @@
-"""The same call to many hosts at once."""
+"""Parallel calls, and one request to many hosts at once."""
 
 import queue
 import threading
-from collections.abc import Callable, Iterator, Sequence
-from typing import TypeVar
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+from edgectl.errors import HostError
+from edgectl.model.inventory import Host
+from edgectl.transport.agent_client import call_agent
+from edgectl.transport.base import Transport
 
 Item = TypeVar("Item")
 Value = TypeVar("Value")
+Document = dict[str, object]
+
+MAX_PARALLEL_HOSTS = 32
+# At least so long a request may take, however long the connection took.
+_MIN_REQUEST_S = 0.1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HostReply:
+    """The reply of one host; ``seconds``: from the first packet to the last byte."""
+
+    host: Host
+    document: Document
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HostAnswer(Generic[Value]):
+    """The decoded reply of one host, or its error; ``ended`` on the monotonic clock, after ``seconds``."""
+
+    host: Host
+    value: Value | HostError
+    ended: float
+    seconds: float
+
+
+def ask_all(
+    hosts: Sequence[Host],
+    transport: Transport,
+    build_request: Callable[[Host, float], Mapping[str, object]],
+    decode: Callable[[HostReply], Value],
+    *,
+    timeout: float,
+    max_logins: int = MAX_PARALLEL_HOSTS,
+    max_hosts: int = MAX_PARALLEL_HOSTS,
+) -> Iterator[HostAnswer[Value]]:
+    """Ask every host at once, each within ``timeout`` s from first packet to last byte; yield as each ends.
+
+    ``build_request`` takes the seconds that are left after the connection. At most ``max_logins`` connections
+    are opened and ``max_hosts`` hosts asked at a time; the time of a host begins when its turn comes.
+    """
+    gate = threading.BoundedSemaphore(max_logins)
+
+    def ask(host: Host) -> HostAnswer[Value]:
+        began = time.monotonic()
+        value: Value | HostError
+        try:
+            with ExitStack() as stack:
+                with gate:
+                    began = time.monotonic()
+                    session = stack.enter_context(transport.connect(host, timeout=timeout))
+                left = max(_MIN_REQUEST_S, began + timeout - time.monotonic())
+                document = call_agent(session, build_request(host, left), timeout=left)
+            value = decode(HostReply(host=host, document=document, seconds=time.monotonic() - began))
+        except HostError as error:
+            value = error
+        ended = time.monotonic()
+        return HostAnswer(host=host, value=value, ended=ended, seconds=ended - began)
+
+    for _, answer in fan_out(ask, hosts, workers=max_hosts):
+        yield answer
 
 
 def fan_out(
     function: Callable[[Item], Value], items: Sequence[Item], *, workers: int
 ) -> Iterator[tuple[int, Value]]:
-    """Yield (position, value) as each call ends; at most ``workers`` run at once. ``function`` must not raise what is not a bug.
+    """Yield (position, value) as each call ends; at most ``workers`` run at once.
 
-    The threads are daemons, so that Ctrl-C need not wait for a host that hangs.
+    What ``function`` raises is a bug, and raised here. The threads are daemons, so that Ctrl-C does not wait
+    for a host that hangs.
     """
     waiting: queue.SimpleQueue[int | None] = queue.SimpleQueue()
     ended: queue.SimpleQueue[tuple[int, Value | None, BaseException | None]] = queue.SimpleQueue()

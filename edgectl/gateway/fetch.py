@@ -1,4 +1,4 @@
-"""Get one file from a host: what a task made there."""
+"""Fetch one file that a task wrote on a host."""
 
 import binascii
 import time
@@ -15,7 +15,7 @@ MAX_FILE_BYTES = 32 << 20
 
 
 def fetch_file(transport: Transport, host: Host, task: Task, file: str, *, timeout: float) -> bytes:
-    """The content of a regular file on ``host``, at most ``MOST_BYTES``, within ``timeout`` s from the first packet to the last byte.
+    """The content of a regular file on ``host``, at most ``MAX_FILE_BYTES``, within ``timeout`` s in all.
 
     ``file`` is absolute, begins with ``~``, or is taken from the working directory of ``task``.
 
@@ -37,17 +37,17 @@ def fetch_file(transport: Transport, host: Host, task: Task, file: str, *, timeo
         while len(data) != total:
             left = deadline - time.monotonic()
             if left <= 0:
-                raise DeadlineError(f"{file} did not come within {timeout:g} s", hint="give it more time")
+                raise DeadlineError(f"{file} did not arrive within {timeout:g} s", hint="allow more time")
             reply = call_agent(session, {**request, "offset": len(data)}, timeout=left)
             if data and get_text(reply, "mark") != mark:
-                raise RefusedError(f"{file} changed while it was read", hint="fetch it when it is written")
+                raise RefusedError(f"{file} changed while it was read", hint="fetch it once it is complete")
             total, mark = get_int(reply, "size"), get_text(reply, "mark")
             data += _decode_piece(reply, len(data), total)
     return bytes(data)
 
 
 def _decode_piece(reply: ReplyDocument, offset: int, size: int) -> bytes:
-    """What came; never nothing while something is missing, so that asking ends."""
+    """The bytes of a piece; at least one while some are missing, so that the loop ends."""
     raw = reply.get("data")
     try:
         piece = binascii.a2b_base64(raw) if isinstance(raw, str) else b""

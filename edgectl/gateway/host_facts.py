@@ -1,14 +1,12 @@
-"""An agent's ``doctor`` document -> HostFacts. Pure and strict, as decode."""
+"""Facts of hosts for doctor: requests to all hosts, and strict decoding of the replies."""
 
-import contextlib
-import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from edgectl.agent.link import protocol
 from edgectl.errors import HostError, ReplyError
-from edgectl.gateway.fanout import fan_out
+from edgectl.gateway.fanout import MAX_PARALLEL_HOSTS, HostReply, ask_all
 from edgectl.gateway.host_probe import resolve_robot_addresses
 from edgectl.gateway.probe_reply import PROTOCOL_VERSION, ReplyContext, select_link_capacity
 from edgectl.gateway.reply_fields import (
@@ -27,20 +25,19 @@ from edgectl.gateway.reply_fields import (
 from edgectl.model.diagnosis import Disk, HostFacts, LinkFacts, Logind, ShellEnvironment, UnreachableHost
 from edgectl.model.environment import drop_secrets
 from edgectl.model.inventory import Host, Inventory, Role
-from edgectl.transport.agent_client import call_agent
 from edgectl.transport.base import Transport
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SentRequest:
-    """When the request went out (s since 1970, our clock), and where the robots were looked for."""
+    """``began``: when the request left (s since 1970, our clock); ``addresses`` of the robots it named."""
 
     began: float
     addresses: Mapping[str, str]
 
 
 def decode_host_facts(document: ReplyDocument, context: ReplyContext, asked: SentRequest) -> HostFacts:
-    """What the host says of itself.
+    """The facts of the host.
 
     Raises:
         ReplyError: a value is missing, of the wrong type or out of range, or the document is of another host.
@@ -52,7 +49,7 @@ def decode_host_facts(document: ReplyDocument, context: ReplyContext, asked: Sen
         or document.get("host") != host.name
     ):
         raise ReplyError(
-            f"not this host's answer to doctor: {escape_unprintable(repr(document.get('host')))[:80]}"
+            f"not a doctor reply of this host: {escape_unprintable(repr(document.get('host')))[:80]}"
         )
     clock = get_object(document, "clock")
     began, ended = get_finite(clock, "began"), get_finite(clock, "ended")
@@ -106,7 +103,7 @@ def _decode_surroundings(entry: ReplyDocument) -> ShellEnvironment:
 def _decode_link_facts(
     document: ReplyDocument, context: ReplyContext, addresses: Mapping[str, str]
 ) -> dict[str, LinkFacts]:
-    """In the order of the inventory; a robot that the host does not mention counts as a name that it does not know."""
+    """In the order of the inventory; a robot that is missing in the reply counts as an unknown name."""
     found = get_objects(document, "links")
     links = {}
     for robot, address in addresses.items():
@@ -126,14 +123,16 @@ def _decode_link_facts(
     return links
 
 
-_MAX_PARALLEL_HOSTS = 32
-# What an answer costs besides the prelude.
+# Time of a reply besides the prelude.
 _OVERHEAD_S = 4.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HostFactsOptions:
-    """``timeout`` (s): from the first packet to the last byte, per host. ``measured``: link capacities in bytes/s by (edge, robot)."""
+    """``timeout`` (s): from the first packet to the last byte, per host.
+
+    ``measured``: link capacities in bytes/s by (edge, robot).
+    """
 
     timeout: float = 15.0
     measured: Mapping[tuple[str, str], float] = field(default_factory=dict)
@@ -147,44 +146,33 @@ def collect_host_facts(
     *,
     clock: Callable[[], float] = time.time,
 ) -> dict[str, HostFacts | UnreachableHost]:
-    """The facts of each of ``hosts``, or why there are none."""
-    addresses = resolve_robot_addresses(inventory, transport, _MAX_PARALLEL_HOSTS)
-    gate = threading.BoundedSemaphore(_MAX_PARALLEL_HOSTS)
+    """The facts of each of ``hosts``, or the error."""
+    addresses = resolve_robot_addresses(inventory, transport, MAX_PARALLEL_HOSTS)
 
-    def ask(host: Host) -> HostFacts | UnreachableHost:
-        with gate:
-            return _ask_host_facts(host, inventory, addresses, transport, options, clock)
+    def links_of(host: Host) -> Mapping[str, str]:
+        return addresses if host.role is Role.EDGE else {}
+
+    def build(host: Host, left: float) -> dict[str, object]:
+        return _build_doctor_request(host, links_of(host), left)
+
+    def decode(reply: HostReply) -> HostFacts:
+        answered_at = clock()
+        context = _build_facts_context(reply.host, inventory, options, answered_at)
+        asked = SentRequest(began=answered_at - reply.seconds, addresses=links_of(reply.host))
+        return decode_host_facts(reply.document, context, asked)
 
     return {
-        hosts[position].name: answer for position, answer in fan_out(ask, hosts, workers=_MAX_PARALLEL_HOSTS)
+        answer.host.name: _describe_error(answer.value)
+        if isinstance(answer.value, HostError)
+        else answer.value
+        for answer in ask_all(hosts, transport, build, decode, timeout=options.timeout)
     }
 
 
-def _ask_host_facts(
-    host: Host,
-    inventory: Inventory,
-    addresses: Mapping[str, str],
-    transport: Transport,
-    options: HostFactsOptions,
-    clock: Callable[[], float],
-) -> HostFacts | UnreachableHost:
-    links = dict(addresses) if host.role is Role.EDGE else {}
-    began, instant = time.monotonic(), clock()
-    try:
-        with contextlib.ExitStack() as stack:
-            session = stack.enter_context(transport.connect(host, timeout=options.timeout))
-            left = max(0.1, began + options.timeout - time.monotonic())
-            document = call_agent(session, _build_doctor_request(host, links, left), timeout=left)
-        answered_at = instant + time.monotonic() - began
-        return decode_host_facts(
-            document,
-            _build_facts_context(host, inventory, options, answered_at),
-            SentRequest(began=instant, addresses=links),
-        )
-    except HostError as error:
-        return UnreachableHost(
-            kind=error.kind, error=escape_unprintable(error.message), hint=escape_unprintable(error.hint)
-        )
+def _describe_error(error: HostError) -> UnreachableHost:
+    return UnreachableHost(
+        kind=error.kind, error=escape_unprintable(error.message), hint=escape_unprintable(error.hint)
+    )
 
 
 def _build_facts_context(

@@ -1,25 +1,21 @@
-"""The gateway: every host at once, each with its own deadline -> one immutable Snapshot."""
+"""Probe of all hosts at once, each with its own deadline -> one immutable Snapshot."""
 
-import contextlib
 import dataclasses
-import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from edgectl.errors import HostError
-from edgectl.gateway.fanout import fan_out
+from edgectl.gateway.fanout import MAX_PARALLEL_HOSTS, HostAnswer, HostReply, ask_all, fan_out
 from edgectl.gateway.probe_reply import ReplyContext, apply_done_tasks, decode_done_tasks, decode_host_sample
 from edgectl.gateway.probe_request import build_probe_request
 from edgectl.gateway.reply_fields import escape_unprintable
 from edgectl.model.inventory import Host, Inventory, Role
 from edgectl.model.snapshot import HostSample, HostStatus, Snapshot
 from edgectl.model.task import Tasks
-from edgectl.transport.agent_client import call_agent
 from edgectl.transport.base import Transport
 
-_MAX_LOGINS = 32
-# Logging in costs CPU here, a sample window costs only time: more hosts may measure than log in at once.
+# A login costs CPU here, a sample window only time: more hosts may measure than log in at once.
 _PROBES_PER_LOGIN = 4
 HostCallback = Callable[[str, HostSample, float], None]
 
@@ -30,30 +26,24 @@ def _ignore_host(_name: str, _sample: HostSample, _seconds: float) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProbeOptions:
-    """``timeout`` (s): from the first packet to the last byte, per host. ``window`` (s): how long use is measured.
+    """``timeout`` (s): from first packet to last byte, per host. ``window`` (s): how long usage is measured.
+
     ``workers``: connections being opened at the same time; a host's deadline begins when its turn comes.
 
     ``measured``: link capacities in bytes/s by (edge, robot), as ``probe --bandwidth`` kept them.
     ``reopened``: instances whose end, completed or given up, no longer counts.
-    ``on_host`` hears each host as it ends, in the caller's thread: name, sample, seconds it took.
+    ``on_host`` is called as each host ends, in the caller's thread, with name, sample and seconds.
     """
 
     timeout: float = 15.0
     window: float = 0.5
-    workers: int = _MAX_LOGINS
+    workers: int = MAX_PARALLEL_HOSTS
     measured: Mapping[tuple[str, str], float] = field(default_factory=dict)
     reopened: frozenset[str] = frozenset()
     on_host: HostCallback = _ignore_host
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _ProbeAnswer:
-    """What one host gave: a sample, the tasks whose checks said done there, when it answered (monotonic) and how long it took."""
-
-    sample: HostSample
-    done: frozenset[str] = frozenset()
-    at: float
-    seconds: float
+_SampleAndDone = tuple[HostSample, frozenset[str]]
 
 
 def probe_hosts(
@@ -64,77 +54,66 @@ def probe_hosts(
     options: ProbeOptions | None = None,
     clock: Callable[[], float] = time.time,
 ) -> Snapshot:
-    """Measure every host. One that is dead, hung, refuses or talks garbage is ``unreachable`` with its cause, and costs no other host.
+    """Measure every host. One that fails is ``unreachable`` with its cause, and delays no other host.
 
-    Hosts stand in the order of the inventory; robots with ``probe: false`` are not contacted and not in the snapshot.
+    Hosts are in the order of the inventory; robots with ``probe: false`` are neither contacted nor included.
     """
     options = options or ProbeOptions()
     hosts = [host for host in inventory.hosts.values() if host.probe]
     addresses = resolve_robot_addresses(inventory, transport, options.workers)
-    gate = threading.BoundedSemaphore(options.workers)
 
-    def ask(host: Host) -> _ProbeAnswer:
-        request = build_probe_request(
+    def build(host: Host, _left: float) -> dict[str, object]:
+        return build_probe_request(
             host, inventory, tasks, addresses, window_s=options.window, timeout_s=options.timeout
         )
-        return _probe_host(
-            host,
-            request,
-            transport,
-            gate,
-            options.timeout,
-            lambda: _build_reply_context(host, inventory, options, clock()),
-        )
 
-    answers: dict[str, _ProbeAnswer] = {}
-    for position, answer in fan_out(ask, hosts, workers=_PROBES_PER_LOGIN * options.workers):
-        answers[hosts[position].name] = answer
-        options.on_host(hosts[position].name, answer.sample, answer.seconds)
+    def decode(reply: HostReply) -> _SampleAndDone:
+        """The sample, and the tasks whose checks passed there."""
+        context = _build_reply_context(reply.host, inventory, options, clock())
+        return decode_host_sample(reply.document, context), decode_done_tasks(reply.document)
+
+    answers: dict[str, HostAnswer[_SampleAndDone]] = {}
+    for answer in ask_all(
+        hosts,
+        transport,
+        build,
+        decode,
+        timeout=options.timeout,
+        max_logins=options.workers,
+        max_hosts=_PROBES_PER_LOGIN * options.workers,
+    ):
+        answers[answer.host.name] = answer
+        options.on_host(answer.host.name, _get_sample(answer), answer.seconds)
     return Snapshot(
         taken_at=clock(), hosts=_finalize_samples({host.name: answers[host.name] for host in hosts})
     )
 
 
-def _probe_host(
-    host: Host,
-    request: dict[str, object],
-    transport: Transport,
-    gate: threading.BoundedSemaphore,
-    timeout: float,
-    context: Callable[[], ReplyContext],
-) -> _ProbeAnswer:
-    """Connect and call within one deadline."""
-    began = time.monotonic()
-    try:
-        with contextlib.ExitStack() as stack:
-            with gate:
-                began = time.monotonic()
-                session = stack.enter_context(transport.connect(host, timeout=timeout))
-            document = call_agent(session, request, timeout=max(0.1, began + timeout - time.monotonic()))
-        sample, done = decode_host_sample(document, context()), decode_done_tasks(document)
-    except HostError as error:
-        sample, done = _build_unreachable_sample(host, error), frozenset()
-    ended = time.monotonic()
-    return _ProbeAnswer(sample=sample, done=done, at=ended, seconds=ended - began)
+def _get_sample(answer: HostAnswer[_SampleAndDone]) -> HostSample:
+    if isinstance(answer.value, HostError):
+        return _build_unreachable_sample(answer.host, answer.value)
+    return answer.value[0]
 
 
-def _finalize_samples(answers: Mapping[str, _ProbeAnswer]) -> dict[str, HostSample]:
-    """The samples with their ages, after what robots said of tasks that run elsewhere."""
+def _finalize_samples(answers: Mapping[str, HostAnswer[_SampleAndDone]]) -> dict[str, HostSample]:
+    """The samples with their ages, completed by the checks that robots answered for tasks elsewhere."""
     now = time.monotonic()
     done = frozenset[str]().union(
-        *(answer.done for answer in answers.values() if answer.sample.role is Role.ROBOT)
-    )
-    return {
-        name: apply_done_tasks(
-            dataclasses.replace(
-                answer.sample, sample_age_s=round(answer.sample.sample_age_s + now - answer.at, 3)
-            ),
-            done,
+        *(
+            answer.value[1]
+            for answer in answers.values()
+            if answer.host.role is Role.ROBOT and not isinstance(answer.value, HostError)
         )
-        if answer.sample.ok
-        else answer.sample
-        for name, answer in answers.items()
-    }
+    )
+    return {name: _finalize_sample(answer, done, now) for name, answer in answers.items()}
+
+
+def _finalize_sample(answer: HostAnswer[_SampleAndDone], done: frozenset[str], now: float) -> HostSample:
+    sample = _get_sample(answer)
+    if not sample.ok:
+        return sample
+    age = round(sample.sample_age_s + now - answer.ended, 3)
+    return apply_done_tasks(dataclasses.replace(sample, sample_age_s=age), done)
 
 
 def _build_reply_context(
@@ -152,7 +131,7 @@ def _build_reply_context(
 
 
 def resolve_robot_addresses(inventory: Inventory, transport: Transport, workers: int) -> dict[str, str]:
-    """Where each robot is found; asking ssh_config about one costs a process, so all are asked at once."""
+    """The network address of each robot; ssh_config costs a process for each, so all are resolved at once."""
     robots = inventory.robots
     found = dict(fan_out(lambda robot: _resolve_address(robot, transport), robots, workers=workers))
     return {robot.name: found[position] for position, robot in enumerate(robots)}

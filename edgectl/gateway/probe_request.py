@@ -1,4 +1,4 @@
-"""What the gateway asks a host: its links, the tasks to detect and the checks to run."""
+"""Probe requests: links to measure, tasks to detect, checks to run."""
 
 from collections.abc import Mapping
 
@@ -7,7 +7,7 @@ from edgectl.model.environment import drop_secrets, merge_environment
 from edgectl.model.inventory import Host, Inventory, Role
 from edgectl.model.task import Check, CheckLocation, DetectRule, Task, Tasks
 
-# What a probe costs besides its window and its checks.
+# Time of a probe besides its window and its checks.
 _OVERHEAD_S = 4.0
 
 
@@ -22,7 +22,7 @@ def build_probe_request(
 ) -> dict[str, object]:
     """The probe request of one host; ``addresses`` are the robots' as the network knows them.
 
-    Checks are cut short, so that a slow one says no in time instead of costing the whole probe its ``timeout_s``.
+    Checks are cut short, so that a slow one fails in time instead of the whole probe.
     """
     longest = max(1.0, timeout_s - window_s - _OVERHEAD_S)
     return {
@@ -39,7 +39,7 @@ def build_probe_request(
 
 
 def build_probe_spec(host: Host, tasks: Tasks, addresses: Mapping[str, str]) -> dict[str, object]:
-    """What is measured on one host besides the host itself and its own tasks: links to robots, and tasks that others started."""
+    """The links to measure on one host, and the unmanaged tasks to detect."""
     links = (
         [{"robot": robot, "address": address} for robot, address in addresses.items()]
         if host.role is Role.EDGE
@@ -52,7 +52,7 @@ def build_probe_spec(host: Host, tasks: Tasks, addresses: Mapping[str, str]) -> 
 
 
 def _can_check_done(task: Task, host: Host) -> bool:
-    """Whether this host is the one to say that ``task`` is done: any host it may run on, or its robot."""
+    """Whether ``done_when`` of ``task`` is checked on this host: any host it may run on, or its robot."""
     if task.done_when is None:
         return False
     if task.done_when.on is CheckLocation.ROBOT:

@@ -1,11 +1,11 @@
-"""Start, stop and ask after the profilers that stay on the hosts: all hosts at once, each at its own risk."""
+"""Start, stop and list the resident profilers on all hosts at once; a host that fails delays no other."""
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 
 from edgectl.agent.link import protocol
 from edgectl.errors import HostError, ReplyError
-from edgectl.gateway.fanout import fan_out
+from edgectl.gateway.fanout import MAX_PARALLEL_HOSTS, HostReply, ask_all
 from edgectl.gateway.host_probe import resolve_robot_addresses
 from edgectl.gateway.probe_request import build_probe_spec
 from edgectl.gateway.reply_fields import (
@@ -20,10 +20,8 @@ from edgectl.gateway.reply_fields import (
 from edgectl.model.inventory import Host, Inventory
 from edgectl.model.profiler import Profiler, ProfilerState
 from edgectl.model.task import Tasks
-from edgectl.transport.agent_client import call_agent
 from edgectl.transport.base import Transport
 
-_MAX_PARALLEL_HOSTS = 32
 _STATES = {state.value: state for state in ProfilerState if state is not ProfilerState.UNREACHABLE}
 ProfilerRequest = dict[str, object]
 
@@ -38,7 +36,7 @@ def start_profilers(
     ttl: float,
     timeout: float,
 ) -> tuple[Profiler, ...]:
-    """One profiler on each of ``hosts``: it takes a sample ``every`` so many seconds and ends ``ttl`` seconds after the last request."""
+    """Start a profiler on each of ``hosts``; ``every``: period in s, ``ttl``: s after the last request."""
     wanted = _make_probe_spec_builder(inventory, tasks, transport)
     requests = {
         host.name: {"op": protocol.OP_PROFILER_START, "every_s": every, "ttl_s": ttl, **wanted(host)}
@@ -48,7 +46,7 @@ def start_profilers(
 
 
 def stop_profilers(hosts: Sequence[Host], transport: Transport, *, timeout: float) -> tuple[Profiler, ...]:
-    """No profiler on any of ``hosts``."""
+    """Stop the profilers on ``hosts``."""
     return _ask_profilers(
         hosts, {host.name: {"op": protocol.OP_PROFILER_STOP} for host in hosts}, transport, timeout
     )
@@ -57,7 +55,7 @@ def stop_profilers(hosts: Sequence[Host], transport: Transport, *, timeout: floa
 def list_profilers(
     hosts: Sequence[Host], inventory: Inventory, tasks: Tasks, transport: Transport, *, timeout: float
 ) -> tuple[Profiler, ...]:
-    """What profilers there are."""
+    """The state of the profiler on each of ``hosts``."""
     wanted = _make_probe_spec_builder(inventory, tasks, transport)
     return _ask_profilers(
         hosts,
@@ -70,7 +68,7 @@ def list_profilers(
 def _make_probe_spec_builder(
     inventory: Inventory, tasks: Tasks, transport: Transport
 ) -> Callable[[Host], ProfilerRequest]:
-    addresses = resolve_robot_addresses(inventory, transport, _MAX_PARALLEL_HOSTS)
+    addresses = resolve_robot_addresses(inventory, transport, MAX_PARALLEL_HOSTS)
     return lambda host: build_probe_spec(host, tasks, addresses)
 
 
@@ -79,32 +77,39 @@ def _ask_profilers(
 ) -> tuple[Profiler, ...]:
     """The answers in the order of ``hosts``."""
 
-    def ask(host: Host) -> Profiler:
-        try:
-            with transport.connect(host, timeout=timeout) as session:
-                return decode_profiler(
-                    host.name,
-                    call_agent(session, {**requests[host.name], "host": host.name}, timeout=timeout),
-                )
-        except HostError as error:
-            said = Profiler(host=host.name, state=ProfilerState.UNREACHABLE)
-            return dataclasses.replace(
-                said, error=escape_unprintable(error.message), hint=escape_unprintable(error.hint)
-            )
+    def build(host: Host, _left: float) -> ProfilerRequest:
+        return {**requests[host.name], "host": host.name}
 
-    answers = dict(fan_out(ask, hosts, workers=_MAX_PARALLEL_HOSTS))
-    return tuple(answers[position] for position in range(len(hosts)))
+    def decode(reply: HostReply) -> Profiler:
+        return decode_profiler(reply.host.name, reply.document)
+
+    answers = {
+        answer.host.name: _describe_error(answer.host, answer.value)
+        if isinstance(answer.value, HostError)
+        else answer.value
+        for answer in ask_all(hosts, transport, build, decode, timeout=timeout)
+    }
+    return tuple(answers[host.name] for host in hosts)
+
+
+def _describe_error(host: Host, error: HostError) -> Profiler:
+    return Profiler(
+        host=host.name,
+        state=ProfilerState.UNREACHABLE,
+        error=escape_unprintable(error.message),
+        hint=escape_unprintable(error.hint),
+    )
 
 
 def decode_profiler(host: str, document: ReplyDocument) -> Profiler:
-    """What a host says of its profiler.
+    """The profiler of a host from its reply.
 
     Raises:
         ReplyError: a value is missing, of the wrong type or out of range.
     """
     state = _STATES.get(get_text(document, "state"))
     if state is None:
-        raise ReplyError(f"not a state of a profiler: {get_text(document, 'state')[:80]}")
+        raise ReplyError(f"unknown profiler state: {get_text(document, 'state')[:80]}")
     known = Profiler(
         host=host,
         state=state,

@@ -1,7 +1,8 @@
-"""Snapshots of a loop, smoothed on the manager: an exponentially weighted mean that knows how much time passed. Pure.
+"""Smoothing of the snapshots of a watch: an exponentially weighted mean over time. Pure.
 
-What is smoothed is the load of everything that is not ours, and the use of each task by itself. So a task that starts, stops or moves
-changes the load of its host at once and whole, and only the noise around it is spread over time.
+The load of everything unmanaged and the usage of each task are smoothed separately. So a task that starts,
+stops or moves changes the load of its host at once and whole, and only the noise around it is spread over
+time.
 """
 
 import dataclasses
@@ -9,17 +10,18 @@ from collections.abc import Mapping
 
 from edgectl.model.snapshot import CpuUsage, HostSample, LinkSample, MemoryUsage, Snapshot, TaskSample
 
-# Weight of a new sample that comes one period after the one before (the paper's profilers; PAPER-GAPS 2.4).
+# Weight of a new sample that comes one period after the one before (as of the profilers in the paper).
 ALPHA = 0.3
 
 
 def smooth_snapshot(
     before: Snapshot | None, now: Snapshot, *, period: float, alpha: float = ALPHA
 ) -> Snapshot:
-    """``now`` with its loads averaged into those of ``before``, which is the smoothed snapshot of the cycle before.
+    """``now`` with its loads averaged into ``before``, the smoothed snapshot of the cycle before.
 
-    ``period`` (s): the nominal time between samples; a sample that comes later weighs more, ``1 - (1 - alpha) ** (elapsed / period)``.
-    Taken as they are: a host that was silent, is new or was rebooted, or whose own profiler smooths; and a task that was started anew.
+    ``period`` (s): the nominal time between samples; a later sample weighs more,
+    ``1 - (1 - alpha) ** (elapsed / period)``. Not averaged: a host that was unreachable, is new, was rebooted
+    or smooths by its own profiler; and a task that was restarted.
     """
     if before is None:
         return now
@@ -57,7 +59,7 @@ def _smooth_host(before: HostSample | None, now: HostSample, weight: float) -> H
 
 
 def _is_continuation(before: HostSample, now: HostSample) -> bool:
-    """Whether both samples are of one life of the host, and its readings are not smoothed already."""
+    """Whether both samples are of one boot of the host, and its readings are not smoothed already."""
     return before.ok and now.ok and not now.resident and before.device.boot_id == now.device.boot_id
 
 

@@ -1,10 +1,10 @@
-"""Which host runs a task, or ran it last, and which runs are over."""
+"""The host that runs a task, or ran it last, and the instances that have ended."""
 
 from collections.abc import Mapping
 
 from edgectl.agent.link import protocol
 from edgectl.errors import HostError
-from edgectl.gateway.fanout import fan_out
+from edgectl.gateway.fanout import HostReply, ask_all
 from edgectl.gateway.reply_fields import (
     ReplyDocument,
     get_flag,
@@ -14,10 +14,7 @@ from edgectl.gateway.reply_fields import (
     get_text,
 )
 from edgectl.model.inventory import Host, Inventory
-from edgectl.transport.agent_client import call_agent
 from edgectl.transport.base import Transport
-
-_WORKERS = 32
 
 
 def find_task_host(
@@ -25,7 +22,7 @@ def find_task_host(
 ) -> tuple[Host | None, tuple[str, ...]]:
     """The host where ``task`` runs, else one that has it in another state; and the hosts that did not answer.
 
-    Between equals the youngest instance counts.
+    Of several the youngest instance counts.
     """
     answers = _ask_task_status(task, inventory, transport, timeout)
     known = [name for name, entry in answers.items() if entry]
@@ -36,7 +33,7 @@ def find_task_host(
 def list_ended_instances(
     task: str, inventory: Inventory, transport: Transport, *, timeout: float
 ) -> tuple[frozenset[str], tuple[str, ...]]:
-    """The instances of ``task`` that completed or were given up, as far as hosts know; and the hosts that did not answer."""
+    """The instances of ``task`` that completed or were given up; and the hosts that did not answer."""
     answers = _ask_task_status(task, inventory, transport, timeout)
     over = (
         entry
@@ -51,21 +48,20 @@ def list_ended_instances(
 def _ask_task_status(
     task: str, inventory: Inventory, transport: Transport, timeout: float
 ) -> dict[str, ReplyDocument | None]:
-    """What each host says of the task: empty where it never ran, None where the host does not answer."""
+    """The entry of the task on each host: empty where it never ran, None where the host does not answer."""
     hosts = [host for host in inventory.hosts.values() if host.probe]
 
-    def ask(host: Host) -> ReplyDocument | None:
-        try:
-            with transport.connect(host, timeout=timeout) as session:
-                answer = call_agent(
-                    session, {"op": protocol.OP_STATUS, "host": host.name, "task": task}, timeout=timeout
-                )
-            return get_objects(answer, "tasks").get(task, {})
-        except HostError:
-            return None
+    def build(host: Host, _left: float) -> dict[str, object]:
+        return {"op": protocol.OP_STATUS, "host": host.name, "task": task}
 
-    answers = dict(fan_out(ask, hosts, workers=_WORKERS))
-    return {host.name: answers[position] for position, host in enumerate(hosts)}
+    def decode(reply: HostReply) -> ReplyDocument:
+        return get_objects(reply.document, "tasks").get(task, {})
+
+    answers = {
+        answer.host.name: None if isinstance(answer.value, HostError) else answer.value
+        for answer in ask_all(hosts, transport, build, decode, timeout=timeout)
+    }
+    return {host.name: answers[host.name] for host in hosts}
 
 
 def _list_unanswered(answers: Mapping[str, ReplyDocument | None]) -> tuple[str, ...]:

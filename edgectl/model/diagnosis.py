@@ -52,7 +52,7 @@ NOT_A_DIRECTORY = protocol.NO_DIRECTORY
 class Disk:
     """The file system of a state directory at ``path``; ``files_left`` is None where it does not count files.
 
-    ``obstacle`` says why the directory cannot be used; empty where it can. ``spare``: shared memory takes its place until a reboot.
+    ``obstacle`` says why the directory cannot be used; empty where it can. ``spare``: shared memory is used instead until a reboot.
     """
 
     path: str

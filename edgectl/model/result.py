@@ -16,8 +16,13 @@ class Outcome(StrEnum):
 
 
 class Phase(StrEnum):
-    """One step of an action, in the words of the handoff contract."""
+    """One part of an action, in the words of the handoff contract.
 
+    ``reach`` (the host answers) and ``needs`` (predecessors are far enough) change nothing and are not in results.
+    """
+
+    REACH = "reach"
+    NEEDS = "needs"
     SAFE = "safe"
     HOLD = "hold"
     STOP = "stop"

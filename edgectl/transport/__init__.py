@@ -1,1 +1,1 @@
-"""Ways to a host: ssh, openssh, local and fake behind one Protocol."""
+"""Transports to a host: ssh, openssh, local and fake behind one Protocol."""

@@ -1,7 +1,7 @@
-"""The manager's side of the agent protocol: one constant command line, a request on standard input, a framed reply.
+"""Client of the agent protocol: one constant command line, a request on standard input, a framed reply.
 
-A login shell may print anything before and after (MOTD, rc files, banners): only a frame that carries this request's random
-marker, its length and its SHA-256 counts, so noise never changes a reading.
+A login shell may print anything before and after (MOTD, rc files, banners). Only a frame with the random
+marker of this request, its length and its SHA-256 counts, so noise never changes a reading.
 """
 
 import hashlib
@@ -18,12 +18,14 @@ from pathlib import Path
 
 from edgectl.agent.link import protocol
 from edgectl.errors import DeadlineError, NoPythonError, RefusedError, ReplyError
-from edgectl.transport.base import Reply, Session
+from edgectl.model.inventory import Host
+from edgectl.transport.base import Reply, Session, Transport
 
 _AGENT_DIR = Path(__file__).parent.parent / "agent"
 _AGENT_PACKAGE = "edgectl_agent"
-# Survives sh, bash, zsh, fish and tcsh between single quotes: no newline, quote, backslash or exclamation mark.
-# The alarm ends a host's side whose program never comes, as when the line dies without a word; the program sets the manager's deadline.
+# No newline, quote, backslash or exclamation mark: between single quotes it is safe in sh, bash, zsh, fish
+# and tcsh. The alarm ends an agent whose program never arrives (a dead connection); the program then sets the
+# deadline.
 _BOOTSTRAP = "import sys,_signal;_signal.alarm(30);s=sys.stdin.buffer;exec(s.read(int(s.readline())))"
 _FRAME_MARK = b"\nedgectl-frame "
 _NOT_FOUND_PATTERN = re.compile(
@@ -34,16 +36,16 @@ _PYTHON_HINT = "install python3 (3.6 or later) on the host"
 
 
 def build_agent_command(python: str) -> str:
-    """The one command line that is ever run on a host: it reads a program from standard input and runs it.
+    """The only command line that is ever run on a host: it reads a program from standard input and runs it.
 
-    Isolated (-I) and without ``site`` (-S): no user or site code runs there, and the start costs a third less.
+    Isolated (-I) and without ``site`` (-S): no user or site code runs, and the start takes a third less time.
     """
     return f"exec {shlex.quote(python)} -I -S -c '{_BOOTSTRAP}'"
 
 
 @cache
 def build_agent_zipapp() -> bytes:
-    """The agent as a zipapp. The same sources give the same bytes: sorted names, fixed dates, nothing compressed."""
+    """The agent as a zipapp, reproducible: sorted names, fixed dates, no compression."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_STORED) as archive:
         for name, path in sorted(
@@ -58,7 +60,7 @@ def build_agent_zipapp() -> bytes:
 
 @cache
 def compute_agent_hash() -> str:
-    """SHA-256 of the agent: the name under which hosts keep it."""
+    """SHA-256 of the agent: the name of its file on the hosts."""
     return hashlib.sha256(build_agent_zipapp()).hexdigest()
 
 
@@ -81,13 +83,26 @@ def call_agent(session: Session, request: Mapping[str, object], *, timeout: floa
         RefusedError: the agent declined.
         NoPythonError: no python3, or one older than 3.6.
         ReplyError: no valid frame in the answer.
-        DeadlineError: no answer within ``timeout`` seconds (of one round trip; the host gives up by itself then).
+        DeadlineError: no reply within ``timeout`` seconds of one round trip; the host gives up by itself
+            then.
         ConnectError: the connection was lost.
     """
     reply = _send_request(session, request, timeout, b"")
     if reply.get("missing") is True:
         reply = _send_request(session, request, timeout, build_agent_zipapp())
     return _check_reply(reply)
+
+
+def ask_host(
+    transport: Transport, host: Host, request: Mapping[str, object], *, timeout: float, connect_timeout: float
+) -> dict[str, object]:
+    """Connect to ``host`` and carry out one request, each within its own time-out (s).
+
+    Raises:
+        HostError: as `Transport.connect` and `call_agent`.
+    """
+    with transport.connect(host, timeout=connect_timeout) as session:
+        return call_agent(session, request, timeout=timeout)
 
 
 def _send_request(
@@ -127,7 +142,7 @@ def _check_reply(reply: dict[str, object]) -> dict[str, object]:
 
 
 def _find_payload(stdout: bytes, marker: str) -> bytes | None:
-    """The payload of the frame with our marker, digest checked; None where there is none. Two that differ are not believed."""
+    """The payload of the frame with our marker and correct digest; None if there is none or two differ."""
     found = {
         payload
         for at in _list_mark_ends(stdout, _FRAME_MARK + marker.encode() + b" ")
@@ -152,7 +167,7 @@ def _parse_frame_at(text: bytes, at: int) -> bytes | None:
 
 
 def _build_frame_error(answer: Reply) -> Exception:
-    """What an answer without a frame means."""
+    """The error for an answer without a frame."""
     if _TOO_OLD_PATTERN.search(answer.stderr):
         return NoPythonError("python on the host is older than 3.6", hint=_PYTHON_HINT)
     if answer.status in (126, 127) or _NOT_FOUND_PATTERN.search(answer.stderr):
@@ -160,12 +175,13 @@ def _build_frame_error(answer: Reply) -> Exception:
             f"no usable python on the host: {_format_excerpt(answer.stderr)}", hint=_PYTHON_HINT
         )
     return ReplyError(
-        f"no valid reply from the agent (exit status {answer.status}): {_format_excerpt(answer.stdout + answer.stderr)}"
+        f"no valid reply from the agent (exit status {answer.status}): "
+        f"{_format_excerpt(answer.stdout + answer.stderr)}"
     )
 
 
 def _format_excerpt(noise: bytes) -> str:
-    """The end of what was printed, on one line and harmless to a terminal."""
+    """The end of the output on one line, with control characters escaped."""
     text = noise[-400:].decode("utf-8", "replace").strip()
     return _escape_unprintable(" ".join(text.split()))[-160:] or "nothing was printed"
 
@@ -206,7 +222,7 @@ def _parse_finite_float(text: str) -> float:
 def _reject_duplicate_names(pairs: list[tuple[str, object]]) -> dict[str, object]:
     document = dict(pairs)
     if len(document) != len(pairs):
-        raise ValueError("a name stands twice in one object")
+        raise ValueError("duplicate name in one object")
     return document
 
 
@@ -215,14 +231,15 @@ def stream_agent_log(
 ) -> Iterator[bytes]:
     """Follow a log: its bytes as they come, until the task ends or the iterator is closed.
 
-    The host sends a sign of life every few seconds, so ``idle_timeout`` (at least 10 s is wise) tells a dead link from a quiet log.
+    The host sends a keep-alive every few seconds, so ``idle_timeout`` (at least 10 s) tells a dead link from
+    a quiet log.
 
     Raises:
-        RefusedError, NoPythonError, ReplyError: as ``call``.
+        RefusedError, NoPythonError, ReplyError: as `call_agent`.
         DeadlineError: nothing came for ``idle_timeout`` seconds.
         ConnectError: the connection was lost.
     """
-    # An agent that is already there answers ``status`` quickly; one that is missing is put there by this call.
+    # A stream cannot upload the agent: this call does, where the host does not have it yet.
     call_agent(
         session,
         {"op": protocol.OP_STATUS, "host": request["host"], "task": request["task"]},
@@ -238,7 +255,10 @@ def stream_agent_log(
 
 
 class _ChunkReader:
-    """Takes a stream apart: a frame, then chunks ``length newline bytes``; length ``0`` is a sign of life, ``end`` the end."""
+    """Parser of a stream: a frame, then chunks ``length newline bytes``.
+
+    Length ``0`` is a keep-alive, ``end`` the end.
+    """
 
     def __init__(self, marker: str) -> None:
         self._marker = marker

@@ -1,6 +1,6 @@
-"""The seam between edgectl and a host: a Session runs one constant command line with bytes in and bytes out.
+"""The interface between edgectl and a host: a Session runs one constant command line, bytes in and out.
 
-No user data ever stands in a command line (``RELIABILITY`` verdict 2): everything else travels on standard input.
+No user data is ever part of a command line, so no shell interprets it: requests travel on standard input.
 """
 
 from collections.abc import Iterator
@@ -12,7 +12,7 @@ from edgectl.model.inventory import Host
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reply:
-    """What one remote command gave back. ``status`` is its exit status, or -1 where the host did not say."""
+    """Output of one remote command. ``status``: its exit status, or -1 where the host did not report one."""
 
     stdout: bytes
     stderr: bytes
@@ -20,7 +20,7 @@ class Reply:
 
 
 class Session(Protocol):
-    """An open way to one host. Safe to use from several threads; every call has its own hard deadline.
+    """An open connection to one host. Safe to use from several threads; every call has its own hard deadline.
 
     ``python`` is the interpreter to name in the command line (``python3``, or a path on this machine).
     """
@@ -41,7 +41,7 @@ class Session(Protocol):
         ...
 
     def stream(self, command: str, stdin: bytes, *, idle_timeout: float) -> Iterator[bytes]:
-        """Run ``command`` and yield its standard output as it comes; ends with the command, or when the iterator is closed.
+        """Run ``command`` and yield its standard output as it comes, until it ends or the iterator is closed.
 
         Raises:
             DeadlineError: nothing came for ``idle_timeout`` seconds.
@@ -59,16 +59,16 @@ class Session(Protocol):
 
 
 class Transport(Protocol):
-    """Opens sessions. One transport serves a whole run, so what is read once (known_hosts, keys) is kept in it."""
+    """Opens sessions. One transport serves a whole run and keeps what is read once (known_hosts, keys)."""
 
     def connect(self, host: Host, *, timeout: float) -> Session:
         """Open a session within ``timeout`` seconds, everything from name resolution to authentication.
 
         Raises:
-            HostError: the leaf that names the cause.
+            HostError: the subclass names the cause.
         """
         ...
 
     def address(self, host: Host) -> str:
-        """The network address or name under which other machines reach ``host`` (ssh_config's HostName applied)."""
+        """The address or name by which other machines reach ``host`` (HostName of ssh_config applied)."""
         ...

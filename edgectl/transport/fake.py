@@ -1,9 +1,11 @@
-"""A fleet without a network, for tests of ours and of users: handlers answer requests, through the same frames as a real agent.
+"""A fleet without a network, for tests: handlers answer requests, through the same frames as a real agent.
 
-    transport = FakeTransport({"edge1": lambda request: {"v": 1, "op": request["op"]}, "edge2": ConnectError("switched off")})
+    transport = FakeTransport(
+        {"edge1": lambda request: {"v": 1, "op": request["op"]}, "edge2": ConnectError("switched off")}
+    )
 
-A handler takes the request and returns the reply; it may raise a `HostError`: `RefusedError` comes back as the agent's own refusal,
-any other one as if the connection had failed. In place of a handler an error means that the host cannot be connected to at all.
+A handler takes the request and returns the reply; it may raise a `HostError`: a `RefusedError` is the refusal
+of the agent, any other one a failed connection. An error in place of a handler: connecting to the host fails.
 """
 
 import hashlib
@@ -21,15 +23,16 @@ Handler = Callable[[dict[str, object]], Mapping[str, object]]
 
 
 class FakeTransport:
-    """Answers for the hosts it has handlers for; every other host is a `ConnectError`. ``requests`` holds (host, request) as they came."""
+    """Hosts with handlers; every other host is a `ConnectError`. ``requests``: (host, request) in order."""
 
     def __init__(self, handlers: Mapping[str, Handler | HostError]) -> None:
         self._handlers = handlers
         self._lock = threading.Lock()
         self.requests: list[tuple[str, dict[str, object]]] = []
 
-    def connect(self, host: Host, *, timeout: float) -> "FakeSession":  # noqa: ARG002 - nothing here takes time
-        """A session, or the error that stands in the host's place."""
+    def connect(self, host: Host, *, timeout: float) -> "FakeSession":
+        """A session, or the error in place of a handler."""
+        del timeout  # nothing here takes time
         handler = self._handlers.get(host.name, ConnectError("no handler for this host"))
         if isinstance(handler, HostError):
             raise type(handler)(handler.message, hint=handler.hint, host=host.name)
@@ -45,7 +48,7 @@ class FakeTransport:
 
 
 class FakeSession:
-    """Takes requests apart as an agent does, and frames what the handler returns."""
+    """Parses requests as an agent does, and frames what the handler returns."""
 
     python = "python3"
 
@@ -54,13 +57,15 @@ class FakeSession:
         self._handler = handler
         self._note = note
 
-    def run(self, command: str, stdin: bytes, *, timeout: float, limit: int = 1 << 20) -> Reply:  # noqa: ARG002 - instant and small
+    def run(self, command: str, stdin: bytes, *, timeout: float, limit: int = 1 << 20) -> Reply:
         """Answer one request (see `Session.run`)."""
+        del timeout, limit  # instant and small
         marker, reply = self._answer(command, stdin)
         return Reply(stdout=frame_reply(marker, reply), stderr=b"", status=0)
 
-    def stream(self, command: str, stdin: bytes, *, idle_timeout: float) -> Iterator[bytes]:  # noqa: ARG002 - it never idles
+    def stream(self, command: str, stdin: bytes, *, idle_timeout: float) -> Iterator[bytes]:
         """Answer ``follow``: the reply's ``text`` comes as one piece (see `Session.stream`)."""
+        del idle_timeout  # it never idles
         marker, reply = self._answer(command, stdin)
         if "error" in reply:
             yield frame_reply(marker, reply)
@@ -91,7 +96,7 @@ class FakeSession:
 
 
 def unpack_request(packet: bytes) -> tuple[str, dict[str, object]]:
-    """Marker and request of what `edgectl.transport.agent_client` sends: the boot program, a head line, the request, the agent."""
+    """Marker and request of a packet: boot program, head line, request, agent (`transport.agent_client`)."""
     size, _, rest = packet.partition(b"\n")
     head, _, body = rest[int(size) :].partition(b"\n")
     marker, _, length, *_ = head.decode().split()

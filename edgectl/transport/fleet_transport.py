@@ -1,4 +1,4 @@
-"""Which transport reaches which host: by its ``connection``, each transport made when the first host needs it."""
+"""Transport of a mixed fleet: each host by its ``connection``."""
 
 import threading
 from collections.abc import Callable
@@ -8,9 +8,10 @@ from edgectl.transport.base import Session, Transport
 
 
 class FleetTransport:
-    """A Transport for a mixed fleet. Fabric and paramiko are imported only if a host is ``connection: ssh``.
+    """A Transport that makes each kind of transport when the first host needs it (Fabric only for ``ssh``).
 
-    ``accept_new`` records the keys of unknown hosts. ``ask_password`` is called with a prompt, at most once per host; None never asks.
+    ``accept_new`` records the keys of unknown hosts. ``ask_password`` is called with a prompt, at most once
+    per host; None never asks.
     """
 
     def __init__(self, *, accept_new: bool = False, ask_password: Callable[[str], str] | None = None) -> None:

@@ -1,4 +1,4 @@
-"""The rule about host keys, in words for people: known, or refused with what to do next. There is no way to switch it off."""
+"""Verification of host keys: known, or refused with a hint. It cannot be switched off."""
 
 import subprocess
 import tempfile
@@ -17,7 +17,10 @@ from edgectl.transport.ssh_config import ResolvedHost
 
 
 class HostKeyVerifier:
-    """Judges shown keys by the known_hosts files of each host, every file read once per run. Safe to use from several threads."""
+    """Verifies host keys against the known_hosts files, each read once per run.
+
+    Safe to use from several threads.
+    """
 
     def __init__(self, *, accept_new: bool = False) -> None:
         self._accept_new = accept_new
@@ -40,7 +43,7 @@ class HostKeyVerifier:
         """Record ``key``; returns the file. A key that is known already is not written twice.
 
         Raises:
-            HostKeyError: another key is known for the host, ``key`` is revoked, or the file cannot be written.
+            HostKeyError: the host has another key, ``key`` is revoked, or the file cannot be written.
         """
         known, finding = self._judged(resolved, key)
         if finding.verdict in (HostKeyVerdict.CHANGED, HostKeyVerdict.REVOKED):
@@ -74,7 +77,7 @@ class HostKeyVerifier:
 
 
 def _is_unrevoked(revoked: str, key: HostKey) -> bool:
-    """Whether RevokedHostKeys, a list of keys or a KRL, does not name ``key``. One that cannot be read names every key, as for OpenSSH."""
+    """Whether RevokedHostKeys (keys or a KRL) does not list ``key``; an unreadable file lists all keys."""
     try:
         text = Path(revoked).read_bytes()
     except OSError:
@@ -116,5 +119,8 @@ def _build_host_key_error(resolved: ResolvedHost, key: HostKey, finding: HostKey
     old = ", ".join(f"{known.kind} {known.fingerprint} ({place})" for known, place in finding.known)
     entry = build_known_hosts_name(resolved.hostname, resolved.port, resolved.host_key_alias)
     files = sorted({place.rpartition(":")[0] or place for _, place in finding.known})
-    hint = f"reinstalled? ssh-keygen -R '{entry}' -f {files[0]}, then: edgectl trust {name}. If not, somebody stands in between"
+    hint = (
+        f"if the host was reinstalled: ssh-keygen -R '{entry}' -f {files[0]}, then: edgectl trust {name}; "
+        "otherwise the connection may be intercepted"
+    )
     return HostKeyError(f"host key has changed: shown {shown}, known {old}", hint=hint, host=name)

@@ -1,4 +1,4 @@
-"""Jump hosts (``ProxyJump``): one connection to each, shared by every host behind it, closed with its last user."""
+"""Jump hosts (``ProxyJump``): one shared connection to each, closed with its last user."""
 
 import threading
 import time
@@ -9,7 +9,8 @@ from edgectl.errors import ConnectError, HostError
 from edgectl.transport.sockets import CONNECT_TIMEOUT_S
 from edgectl.transport.ssh_session import SshSession
 
-# A jump host that has just failed is not asked again for this long, seconds: its hosts fail at once instead of one after the other.
+# A failed jump host is not tried again for so many seconds: its hosts fail at once instead of one after the
+# other.
 REMEMBER_FAILURE_S = 30.0
 
 
@@ -23,7 +24,7 @@ class _JumpHost:
 
 
 class JumpHosts:
-    """Sessions of jump hosts by their ProxyJump text. ``open_jump`` opens one: (jump, deadline) -> session."""
+    """Sessions of jump hosts by their ProxyJump text. ``open_jump``: (jump, deadline) -> session."""
 
     def __init__(self, open_jump: Callable[[str, float], SshSession]) -> None:
         self._open_jump = open_jump
@@ -33,7 +34,7 @@ class JumpHosts:
     def channel(
         self, jump: str, target: tuple[str, int], deadline: float
     ) -> tuple[object, Callable[[], None]]:
-        """A line to ``target`` through ``jump``, and what to call when it is closed.
+        """A channel to ``target`` through ``jump``, and a function to call once it is closed.
 
         Raises:
             HostError: the jump host cannot be used.
@@ -53,7 +54,7 @@ class JumpHosts:
         with self._lock:
             entry = self._jumps.setdefault(jump, _JumpHost())
         if not entry.lock.acquire(timeout=max(0.01, deadline - time.monotonic())):
-            raise ConnectError(f"jump host {jump} does not answer")
+            raise ConnectError(f"no reply from jump host {jump}")
         try:
             session = self._session(entry, jump, deadline)
             entry.users += 1

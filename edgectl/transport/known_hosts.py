@@ -1,7 +1,7 @@
-"""known_hosts as OpenSSH reads it: who may answer under which name.
+"""Reader and writer of known_hosts files with the semantics of OpenSSH.
 
-paramiko's own reader fails on marker lines, ignores patterns and is quadratic (``RELIABILITY`` section 3, row 2), so the files are read
-here, once per run. Plain names are indexed; hashed names are tried only where no plain entry settles the matter.
+paramiko's own reader fails on marker lines, ignores patterns and is quadratic, so the files are read here,
+once per run. Plain names are indexed; hashed names are tried only where no plain entry decides.
 """
 
 import base64
@@ -24,7 +24,7 @@ DEFAULT_SSH_PORT = 22
 
 
 class HostKeyVerdict(StrEnum):
-    """What known_hosts says about a key that a host has shown."""
+    """Verdict on a host key by known_hosts."""
 
     KNOWN = "known"
     UNKNOWN = "unknown"
@@ -46,13 +46,13 @@ class HostKey:
 
     @property
     def text(self) -> str:
-        """Type and base64, as it stands in a file."""
+        """Type and base64, as written in a file."""
         return f"{self.kind} {base64.b64encode(self.blob).decode()}"
 
 
 @dataclass(frozen=True, slots=True)
 class KnownHostsEntry:
-    """One line: ``names`` as written, ``marker`` ("", "@revoked" or "@cert-authority"), and where it stands ("file:line")."""
+    """One line: ``names`` as written, ``marker`` ("", "@revoked", "@cert-authority"), place ("file:line")."""
 
     names: str
     kind: str
@@ -73,21 +73,24 @@ class KnownHostsEntry:
 
 @dataclass(frozen=True, slots=True)
 class HostKeyFinding:
-    """A verdict with the keys it rests on: for CHANGED those that were expected, each with its place."""
+    """A verdict with its keys: for CHANGED those that were expected, each with its place."""
 
     verdict: HostKeyVerdict
     known: tuple[tuple[HostKey, str], ...] = ()
 
 
 def build_known_hosts_name(host: str, port: int, alias: str | None = None) -> str:
-    """The name under which OpenSSH files a host: its HostKeyAlias, else ``host``, else ``[host]:port``; in lower case."""
+    """The name of a host in known_hosts: HostKeyAlias, else ``host`` or ``[host]:port``, in lower case."""
     if alias:
         return alias.lower()
     return host.lower() if port == DEFAULT_SSH_PORT else f"[{host.lower()}]:{port}"
 
 
 class KnownHosts:
-    """The entries of some known_hosts files, in their order. Missing files are empty files. Safe to use from several threads."""
+    """The entries of known_hosts files, in order; missing files are empty.
+
+    Safe to use from several threads.
+    """
 
     def __init__(self, files: Iterable[Path]) -> None:
         self._plain: dict[str, list[KnownHostsEntry]] = {}
@@ -98,7 +101,7 @@ class KnownHosts:
             self._read(path)
 
     def check(self, key: HostKey, host: str, port: int, alias: str | None = None) -> HostKeyFinding:
-        """Judge ``key`` as OpenSSH does: revoked beats known, other keys mean CHANGED, a name without its port counts too."""
+        """Judge ``key`` as OpenSSH: revoked beats known, other keys mean CHANGED, a bare name counts too."""
         finding = self._check(build_known_hosts_name(host, port, alias), key)
         if finding.verdict is HostKeyVerdict.UNKNOWN and port != DEFAULT_SSH_PORT and not alias:
             bare = self._check(build_known_hosts_name(host, DEFAULT_SSH_PORT), key)
@@ -106,7 +109,7 @@ class KnownHosts:
         return finding
 
     def key_types(self, host: str, port: int, alias: str | None = None) -> list[str]:
-        """Types of the keys known for a host, to be preferred when keys are agreed on; else a second key type would look like a change."""
+        """Types of the known keys of a host, preferred in key exchange: others would look like a change."""
         names = [build_known_hosts_name(host, port, alias)] + [
             build_known_hosts_name(host, DEFAULT_SSH_PORT)
         ] * (port != DEFAULT_SSH_PORT and not alias)
@@ -131,7 +134,7 @@ class KnownHosts:
         *,
         hashed: bool = False,
     ) -> None:
-        """Append ``key`` to ``path`` (made with 0600, its directory with 0700) and know it from now on. No line is ever changed.
+        """Append ``key`` to ``path`` (created with 0600, its directory with 0700). No line is ever changed.
 
         Raises:
             HostKeyError: the file cannot be written.
@@ -157,7 +160,7 @@ class KnownHosts:
         )
 
     def _entries(self, name: str, *, hashed: bool) -> list[KnownHostsEntry]:
-        """Entries for ``name``: all that are plain or patterns, and hashed ones if asked for; hashed revocations always."""
+        """Entries for ``name``: plain names, patterns and revocations; hashed names only on request."""
         found = list(self._plain.get(name, ()))
         found += [entry for patterns, entry in self._patterns if _matches_patterns(name, patterns)]
         wanted = name.encode()

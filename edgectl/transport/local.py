@@ -1,4 +1,4 @@
-"""Hosts that are this machine (``connection: local``): the same command line, run by sh instead of sshd."""
+"""Hosts that are this machine (``connection: local``): the same command line, run by sh."""
 
 import contextlib
 import os
@@ -22,8 +22,9 @@ _GRACE_S = 0.5
 class LocalTransport:
     """Opens sessions on this machine, with the manager's own environment and interpreter."""
 
-    def connect(self, host: Host, *, timeout: float) -> "LocalSession":  # noqa: ARG002 - nothing here takes time
+    def connect(self, host: Host, *, timeout: float) -> "LocalSession":
         """A session; it never fails to open."""
+        del timeout  # nothing here takes time
         return LocalSession(host.name)
 
     def address(self, host: Host) -> str:
@@ -92,7 +93,7 @@ class LocalSession:
 
 
 def _end_process_group(process: subprocess.Popen[bytes]) -> None:
-    """End what is left of the process group, reap it, close its pipes. TERM first: an agent then ends its checks, too."""
+    """End the process group, reap it, close its pipes. TERM first, so that an agent ends its checks too."""
     if process.poll() is None:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGTERM)

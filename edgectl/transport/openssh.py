@@ -1,7 +1,7 @@
-"""The user's own ``ssh`` program (``connection: openssh``): for what paramiko lacks, such as certificates of hosts and security keys.
+"""The user's own ``ssh`` program (``connection: openssh``): for host certificates and security keys.
 
-Each command is a connection of its own, unless the user's ssh_config names a ControlPath on which a master listens already; edgectl
-never starts one, because one stalled master would stall every session.
+Each command is a connection of its own, unless the user's ssh_config names a ControlPath on which a master
+listens already; edgectl never starts one, because one stalled master would stall every session.
 """
 
 import contextlib
@@ -54,7 +54,7 @@ OPENSSH_ERRORS: tuple[tuple[str, type[HostError], str, str], ...] = (
         r"IDENTIFICATION HAS CHANGED",
         HostKeyError,
         "host key has changed",
-        "reinstalled? remove the old key with ssh-keygen -R, then: edgectl trust {host}",
+        "if the host was reinstalled, remove the old key with ssh-keygen -R, then: edgectl trust {host}",
     ),
     (
         r"host key is known for|Host key verification failed",
@@ -66,13 +66,13 @@ OPENSSH_ERRORS: tuple[tuple[str, type[HostError], str, str], ...] = (
         r"Permission denied|Too many authentication failures",
         AuthError,
         "login refused",
-        "ssh to it by hand, or name the key: identity_file: in the inventory",
+        "try ssh by hand, or set identity_file: in the inventory",
     ),
     (
         r"timed out during banner exchange|Connection to \S+ port \d+ timed out",
         DeadlineError,
-        "connected, but SSH did not get ready in time",
-        "frozen or overloaded?",
+        "connected, but SSH was not ready in time",
+        "the host may be frozen or overloaded",
     ),
     (
         r"Could not resolve|Name or service not known",
@@ -84,19 +84,19 @@ OPENSSH_ERRORS: tuple[tuple[str, type[HostError], str, str], ...] = (
         r"Connection refused",
         ConnectError,
         "connection refused",
-        "is it switched on, and is its address right?",
+        "check that it is switched on and that its address is correct",
     ),
     (
         r"timed out|No route to host|Network is unreachable",
         ConnectError,
         "no answer",
-        "is it switched on, and is its address right?",
+        "check that it is switched on and that its address is correct",
     ),
 )
 
 
 class OpenSshTransport:
-    """Runs ``ssh`` for each command. Keys and agent only: there is nobody to ask (BatchMode)."""
+    """Runs ``ssh`` for each command. Keys and agent only, without prompts (BatchMode)."""
 
     def __init__(self, *, accept_new: bool = False) -> None:
         self._resolver = SshConfigResolver()
@@ -140,7 +140,7 @@ class OpenSshTransport:
         ]
 
     def _through(self, host: Host, jump: str, timeout: float) -> list[str]:
-        """Options for a host behind ``jump``. With ProxyJump, ssh would not pass our options on to the jump host's own ssh."""
+        """Options for a host behind ``jump``; ProxyJump would not pass our options on to the jump host."""
         *before, dashes, name = self._command(parse_jump_host(jump), timeout)
         inner = shlex.join([*before]).replace("%", "%%") + f" -W '[%h]:%p' {dashes} {shlex.quote(name)}"
         return [*build_ssh_options(replace(host, proxy_jump="none")), "-o", f"ProxyCommand={inner}"]
@@ -212,7 +212,7 @@ def _read_pieces(process: subprocess.Popen[bytes], idle_timeout: float, name: st
 
 
 def translate_openssh_error(stderr: bytes, name: str) -> HostError:
-    """Our error for what ssh said on its way to exit status 255."""
+    """The error for the output of ssh with exit status 255."""
     text = stderr.decode(errors="replace")
     for pattern, kind, words, hint in OPENSSH_ERRORS:
         if re.search(pattern, text):

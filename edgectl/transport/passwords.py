@@ -1,4 +1,4 @@
-"""Passwords for hosts that take no key: from ``password_command`` or from a person, each obtained at most once per run."""
+"""Passwords of hosts that accept no key: from ``password_command`` or a prompt, once per run."""
 
 import subprocess
 import threading
@@ -11,16 +11,16 @@ PASSWORD_COMMAND_TIMEOUT_S = 30.0
 
 
 class PasswordStore:
-    """Keeps what was obtained, by host. One person is asked one question at a time. Safe to use from several threads."""
+    """Passwords by host, one prompt at a time. Safe to use from several threads."""
 
     def __init__(self, ask: Callable[[str], str] | None = None) -> None:
-        """``ask`` gets a prompt and returns what was typed; None where nobody can be asked."""
+        """``ask`` takes a prompt and returns the input; None where no prompt is possible."""
         self._ask = ask
         self._known: dict[str, str | None] = {}
         self._lock = threading.Lock()
 
     def get(self, host: Host, login: str) -> str | None:
-        """The password for ``host``, None where there is no way to get one. ``login`` ("me@edge1") stands in the prompt.
+        """The password for ``host``, None if there is none. ``login`` ("me@edge1"): for the prompt.
 
         Raises:
             AuthError: ``password_command`` fails.
@@ -31,7 +31,7 @@ class PasswordStore:
             return self._known[host.name]
 
     def reject(self, host: Host) -> None:
-        """Forget a password that the host did not take; none is offered to it again."""
+        """Forget a password that the host refused; none is offered to it again."""
         with self._lock:
             self._known[host.name] = None
 
@@ -62,7 +62,7 @@ def run_password_command(host: Host) -> str:
     lines = ran.stdout.decode(errors="replace").splitlines()
     if ran.returncode != 0 or not lines:
         raise AuthError(
-            f"password_command gave no password (exit {ran.returncode})",
+            f"password_command printed no password (exit code {ran.returncode})",
             hint="run it by hand",
             host=host.name,
         )

@@ -1,4 +1,4 @@
-"""What the ways over SSH need on this machine: files of host keys that can be read, and an ssh program."""
+"""Requirements of SSH on this machine: readable known_hosts files and an ssh program."""
 
 import shutil
 from pathlib import Path
@@ -9,7 +9,7 @@ from edgectl.transport.ssh_config import SshConfigResolver
 
 
 def list_known_hosts_files(host: Host) -> dict[str, str]:
-    """The user's known_hosts files for ``host`` that exist, each with the reason why it cannot be read; empty where it can."""
+    """The existing known_hosts files for ``host``, each with the error on reading it, empty if readable."""
     try:
         files = SshConfigResolver().resolve(host).known_hosts
     except HostError:

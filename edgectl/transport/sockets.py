@@ -1,4 +1,4 @@
-"""Sockets of our own under every SSH connection, so that they can be tuned, and closed from outside when a deadline passes."""
+"""Sockets under every SSH connection: tuned, and closed from outside when a deadline passes."""
 
 import contextlib
 import ipaddress
@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-# Bounds of RELIABILITY R2, seconds.
+# Bounds of connecting, seconds.
 CONNECT_TIMEOUT_S = 5.0
 # Data that stays unacknowledged this long means a dead line, milliseconds.
 TCP_USER_TIMEOUT_MS = 20_000
@@ -25,16 +25,16 @@ _USER_TIMEOUT = getattr(socket, "TCP_USER_TIMEOUT", None)
 
 
 class TunedSocket(socket.socket):
-    """A socket without the two 40 ms stalls of an SSH login: Nagle's here, and the acknowledgement that sshd's Nagle waits for.
+    """A socket without the two 40 ms stalls of an SSH login (Nagle, delayed acknowledgement).
 
-    ``allowance`` is how many bytes may still come; then it reads as closed. It keeps a server that talks without end from filling our
-    memory before the login; afterwards every command has a cap of its own.
+    ``allowance`` is how many bytes may still come; then it reads as closed. It keeps a server that talks
+    without end from filling our memory before the login; afterwards every command has a cap of its own.
     """
 
     allowance: float = MAX_LOGIN_BYTES
 
     def recv(self, size: int, flags: int = 0, /) -> bytes:
-        """Receive, and acknowledge at once; the kernel forgets that wish, so it is renewed each time."""
+        """Receive, and acknowledge at once; the kernel resets that option, so it is set each time."""
         data = super().recv(size, flags)
         self.allowance -= len(data)
         if self.allowance < 0:
@@ -45,7 +45,7 @@ class TunedSocket(socket.socket):
         return data
 
     def settimeout(self, value: float | None, /) -> None:
-        """Never poll more often than every two seconds: whoever wants us to stop shuts the socket down."""
+        """Poll at most every two seconds: shutting the socket down stops a read at once."""
         super().settimeout(None if value is None else max(value, MIN_POLL_S))
 
 
@@ -82,7 +82,7 @@ def _connect_socket(line: TunedSocket, target: object, seconds: float) -> None:
 
 
 def _resolve_addresses(address: str, port: int, timeout: float) -> list[tuple[int, int, int, str, object]]:
-    """Addresses of a name. The resolver of the C library knows no deadline, so it runs in a thread that may be left behind."""
+    """Addresses of a name. The C resolver has no deadline, so it runs in a thread that may be left behind."""
     with contextlib.suppress(ValueError):
         family = socket.AF_INET6 if ipaddress.ip_address(address).version == 6 else socket.AF_INET
         return [(family, socket.SOCK_STREAM, 0, "", (address, port))]
@@ -107,12 +107,12 @@ def _resolve_addresses(address: str, port: int, timeout: float) -> list[tuple[in
 
 
 class ProxySocket(TunedSocket):
-    """Our end of a ProxyCommand. Closing it ends the command and reaps it: a dead proxy costs neither CPU time nor a zombie."""
+    """The local end of a ProxyCommand; close ends and reaps the command."""
 
     def __init__(self, fileno: int) -> None:
         super().__init__(fileno=fileno)
         self._process: subprocess.Popen[bytes] | None = None
-        # paramiko's thread and whoever gave up both close: only one ends the group, and both return only once it is reaped.
+        # paramiko's thread and the caller may both close: one ends the group, both return once it is reaped.
         self._ending = threading.Lock()
 
     def close(self) -> None:
@@ -127,7 +127,7 @@ class ProxySocket(TunedSocket):
 
 
 def start_proxy_command(command: str) -> ProxySocket:
-    """Start the user's ProxyCommand, as OpenSSH does: ``exec COMMAND`` in the user's shell, its stdin and stdout being the line.
+    """Start the user's ProxyCommand as OpenSSH does: ``exec COMMAND`` in the user's shell, over its pipes.
 
     Raises:
         OSError: the shell cannot be started.
@@ -152,7 +152,7 @@ def start_proxy_command(command: str) -> ProxySocket:
 
 
 def hang_up(line: object) -> None:
-    """Wake whoever waits on a line, in any thread, by ending it at once. Never raises."""
+    """End a connection at once, which wakes every thread that waits on it. Never raises."""
     with contextlib.suppress(Exception):
         if isinstance(line, socket.socket):
             line.shutdown(socket.SHUT_RDWR)

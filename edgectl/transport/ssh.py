@@ -1,4 +1,4 @@
-"""Connections that Fabric opens: its client, our socket, our host key policy, our deadline (``docs/concepts/ssh.md``)."""
+"""SSH over Fabric: its client with our socket, host key policy and deadline (``docs/concepts/ssh.md``)."""
 
 import logging
 import math
@@ -33,23 +33,25 @@ from edgectl.transport.ssh_config import ResolvedHost, SshConfigResolver, parse_
 from edgectl.transport.ssh_errors import translate_ssh_error
 from edgectl.transport.ssh_session import SshSession
 
-# A server with too many logins under way (MaxStartups) hangs up before its banner: pauses before asking again, seconds, before jitter.
+# A server with too many logins (MaxStartups) closes before its banner: pauses before a retry, s, without
+# jitter.
 PAUSES_S = (0.2, 0.5, 1.0)
 KEEPALIVE_S = 15
 T = TypeVar("T")
-# paramiko logs what it also raises; whoever wants it can still configure the logger.
+# paramiko logs what it also raises; the logger can still be configured.
 logging.getLogger("paramiko").addHandler(logging.NullHandler())
 
 
 class _BusyError(Exception):
-    """The host hung up before its banner."""
+    """The host closed the connection before its banner."""
 
 
 class SshTransport:
     """SSH to any host, keys and known_hosts read once. Safe to use from several threads.
 
-    ``accept_new`` records the keys of unknown hosts; a changed key is refused all the same. ``ask_password`` is called with a prompt,
-    once per host, where keys are refused and the host allows passwords; without it (off a terminal) nothing is asked.
+    ``accept_new`` records the keys of unknown hosts; a changed key is refused all the same. ``ask_password``
+    is called with a prompt, once per host, where keys are refused and the host allows passwords; None never
+    asks.
     """
 
     def __init__(self, *, accept_new: bool = False, ask_password: Callable[[str], str] | None = None) -> None:
@@ -60,7 +62,7 @@ class SshTransport:
         self._passwords = PasswordStore(ask_password)
 
     def connect(self, host: Host, *, timeout: float) -> SshSession:
-        """Open a session (see `Transport.connect`); the time that a person needs to type a password does not count."""
+        """Open a session (see `Transport.connect`); the time of a password prompt does not count."""
         deadline = time.monotonic() + timeout
         resolved = self._resolver.resolve(host, timeout=timeout)
         try:
@@ -84,7 +86,7 @@ class SshTransport:
         return self._resolver.resolve(host).hostname
 
     def fetch_host_key(self, host: Host, *, timeout: float) -> HostKey:
-        """The key that ``host`` shows now, unjudged: nothing but the handshake is done."""
+        """The key that ``host`` presents now, unverified; only the handshake is done."""
         deadline = time.monotonic() + timeout
         resolved = self._resolver.resolve(host, timeout=timeout)
         return _retry_while_busy(partial(self._shown_key, resolved, deadline), deadline, resolved.name)
@@ -136,7 +138,8 @@ class SshTransport:
                     connection.client.close()
 
     def _fabric(self, resolved: ResolvedHost, line: object, login: LoginStrategy) -> "fabric.Connection":
-        # Lazy: neither ~/.fabric.py nor any other file of Fabric's is read, let alone executed. Not shared: its merging is not thread-safe.
+        # Lazy: no file of Fabric (~/.fabric.py) is read or executed. Not shared: its merge is not
+        # thread-safe.
         config = fabric.Config(lazy=True, ssh_config=paramiko.SSHConfig())
         connection = fabric.Connection(
             resolved.hostname,
@@ -154,7 +157,7 @@ class SshTransport:
 
     @contextmanager
     def _line(self, resolved: ResolvedHost, deadline: float) -> Iterator[tuple[object, Callable[[], None]]]:
-        """Something to speak SSH over, and what to call when it is no longer needed. Closed where the block raises."""
+        """A connected line for SSH, and a function to call after it; closed where the block raises."""
         seconds = min(
             CONNECT_TIMEOUT_S, resolved.connect_timeout or CONNECT_TIMEOUT_S, deadline - time.monotonic()
         )
@@ -172,7 +175,9 @@ class SshTransport:
         except TimeoutError as error:
             message = f"no answer from {resolved.hostname} port {resolved.port} within {seconds:.3g} s"
             raise ConnectError(
-                message, hint="is it switched on, and is its address right?", host=resolved.name
+                message,
+                hint="check that it is switched on and that its address is correct",
+                host=resolved.name,
             ) from error
         except Exception as error:
             ours = translate_ssh_error(error, resolved.name)
@@ -187,7 +192,7 @@ class SshTransport:
 
     @contextmanager
     def _deadline(self, resolved: ResolvedHost, line: object, deadline: float) -> Iterator[None]:
-        """Hang up when the deadline passes, and say which error of ours it all comes to."""
+        """Close the line when the deadline passes; translate errors."""
         seconds = deadline - time.monotonic()
         with watchdog(seconds, partial(hang_up, line)) as watch:
             try:
@@ -195,8 +200,8 @@ class SshTransport:
             except Exception as error:
                 if watch.expired:
                     raise DeadlineError(
-                        "connected, but SSH did not get ready in time",
-                        hint="frozen or overloaded?",
+                        "connected, but SSH was not ready in time",
+                        hint="the host may be frozen or overloaded",
                         host=resolved.name,
                     ) from error
                 if isinstance(error, _BusyError):
@@ -213,20 +218,20 @@ class SshTransport:
         try:
             return self._login(resolved, deadline)
         except HostError as error:
-            # A jump host need not be in the inventory, so `edgectl trust` may not know it; ssh does, and asks.
+            # A jump host may be missing in the inventory, so `edgectl trust` may not know it; ssh does.
             hint = error.hint.replace("edgectl trust", "ssh")
             raise type(error)(f"jump host {host.name}: {error.message}", hint=hint) from error
 
 
 class _HostKeyPolicy(paramiko.MissingHostKeyPolicy):
-    """paramiko asks this about every key, because it knows no hosts itself."""
+    """Called by paramiko for every key, because it knows no hosts itself."""
 
     def __init__(self, resolved: ResolvedHost, host_keys: HostKeyVerifier) -> None:
         self._resolved = resolved
         self._host_keys = host_keys
 
     def missing_host_key(self, client: paramiko.SSHClient, hostname: str, key: paramiko.PKey) -> None:
-        """Raise unless known_hosts vouches for ``key``."""
+        """Raise unless known_hosts has ``key``."""
         del client, hostname
         self._host_keys.verify(self._resolved, HostKey(key.get_name(), key.asbytes()))
 
@@ -234,7 +239,7 @@ class _HostKeyPolicy(paramiko.MissingHostKeyPolicy):
 def _build_paramiko_transport(
     preferred: list[str], sock: object, disabled_algorithms: object = None
 ) -> paramiko.Transport:
-    """A paramiko transport that asks first for host keys of the types that known_hosts has, as OpenSSH does."""
+    """A paramiko transport that prefers the host key types that known_hosts has, as OpenSSH does."""
     del disabled_algorithms
     transport = paramiko.Transport(sock)  # type: ignore[arg-type]
     offered = transport.get_security_options()
@@ -267,7 +272,7 @@ def _raise_if_busy(transport: paramiko.Transport | None, error: BaseException) -
 
 
 def _retry_while_busy(attempt: Callable[[], T], deadline: float, name: str) -> T:
-    """Try again, a few times and not in step with others, while the host is too busy to show its banner."""
+    """Retry a few times, with jitter, while the host closes before its banner."""
     for pause in PAUSES_S:
         try:
             return attempt()
@@ -279,7 +284,9 @@ def _retry_while_busy(attempt: Callable[[], T], deadline: float, name: str) -> T
         return attempt()
     except _BusyError:
         hint = "too many logins at once (MaxStartups), or no SSH server"
-        raise ConnectError("the host hangs up before its SSH banner", hint=hint, host=name) from None
+        raise ConnectError(
+            "the host closes the connection before its SSH banner", hint=hint, host=name
+        ) from None
 
 
 def _release_nothing() -> None:

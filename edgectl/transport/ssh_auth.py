@@ -1,4 +1,4 @@
-"""Who we are to a host: keys of the agent and of files, each read once per run; a password only where one was asked for."""
+"""SSH authentication: keys of the agent and of files, each read once per run, or one password."""
 
 import base64
 import contextlib
@@ -22,7 +22,10 @@ _MAX_ANSWER_BYTES = 256 * 1024
 
 
 class SshAgentClient:
-    """An ssh-agent that is asked with a deadline; a mute one counts as empty. One connection for each question."""
+    """Client of ssh-agent with a deadline; one that does not answer counts as empty.
+
+    One connection per request.
+    """
 
     def __init__(self, path: str) -> None:
         self._path = path
@@ -75,7 +78,7 @@ class Keyring:
         self._lock = threading.Lock()
 
     def keys_for(self, resolved: ResolvedHost) -> list[paramiko.PKey]:
-        """Keys to offer, in OpenSSH's order: the agent's that are named, the agent's others (unless IdentitiesOnly), named files."""
+        """Keys in OpenSSH's order: named keys of the agent, its others (unless IdentitiesOnly), files."""
         with self._lock:
             agent = self._agent_keys(resolved.identity_agent)
             named = {blob for path in resolved.identity_files if (blob := _load_public_blob(path))}
@@ -103,7 +106,7 @@ class Keyring:
 
 
 def _load_key_file(path: str, certificates: Sequence[str]) -> tuple[paramiko.PKey, ...]:
-    """The key in ``path``, with its certificate before it where there is one; nothing where the file is missing, odd or locked."""
+    """The key in ``path``, after its certificate if there is one; empty if missing, invalid or encrypted."""
     try:
         key = paramiko.PKey.from_path(path)
     except Exception:  # cryptography raises half a dozen kinds; a file that is no usable key is not offered
@@ -121,7 +124,7 @@ def _load_key_file(path: str, certificates: Sequence[str]) -> tuple[paramiko.PKe
 
 
 def _load_public_blob(path: str) -> bytes | None:
-    """The public half beside a key file, so that an agent's key can be recognised without opening a locked file."""
+    """The public key beside a key file: identifies the agent's copy of an encrypted key."""
     with contextlib.suppress(Exception):
         return base64.b64decode(Path(path + ".pub").read_text().split()[1], validate=True)
     return None
@@ -141,7 +144,7 @@ class _PasswordSource(AuthSource):
 
 
 class RefusedLoginError(paramiko.AuthenticationException):
-    """Nothing that we offered was accepted. ``allowed`` are the methods that the host would take."""
+    """No offered key or password was accepted. ``allowed``: the methods that the host allows."""
 
     def __init__(self, words: str, allowed: Sequence[str] = ()) -> None:
         super().__init__(words)
@@ -200,7 +203,7 @@ class LoginStrategy(AuthStrategy):
         return f"{self.offered} key(s) refused" if self.offered else "no key to offer"
 
     def _allowed(self, transport: paramiko.Transport) -> Sequence[str]:
-        """What the host would take; asked only after it has refused, so that nobody is prompted for a password in vain."""
+        """The methods that the host allows; requested only after a refusal, so that no prompt is in vain."""
         try:
             transport.auth_none(self._user)
         except BadAuthenticationType as error:

@@ -1,7 +1,8 @@
-"""What the user's ssh_config says about a host, asked of OpenSSH itself (``ssh -G``), so that Include and Match mean what they mean there.
+"""The user's ssh_config for a host, resolved by OpenSSH itself (``ssh -G``) with Include and Match.
 
-The files are found as OpenSSH finds them. The environment variable EDGECTL_SSH_CONFIG names another file (given to ``ssh -F``); it is
-the only override, for tests and for tools that keep a configuration of their own.
+The files are found as OpenSSH finds them. The environment variable EDGECTL_SSH_CONFIG names another file
+(given to ``ssh -F``); it is the only override, for tests and for tools that keep a configuration of their
+own.
 """
 
 import getpass
@@ -22,7 +23,7 @@ from edgectl.model.inventory import Host, Role
 
 CONFIG_OVERRIDE_VARIABLE = "EDGECTL_SSH_CONFIG"
 SYSTEM_CONFIG = Path("/etc/ssh/ssh_config")
-# A line of ssh_config that is neither blank, a comment, ``Host *``, nor one of the keywords that change nothing for us.
+# A line of ssh_config that is neither blank, a comment, ``Host *``, nor a keyword without effect here.
 MEANINGFUL_LINE = re.compile(r"(?mi)^[ \t]*(?!#|$|host\s+\*\s*$|sendenv\b|hashknownhosts\b|gssapi|\s)")
 DEFAULT_KEYS = ("~/.ssh/id_rsa", "~/.ssh/id_ecdsa", "~/.ssh/id_ed25519")
 
@@ -31,9 +32,9 @@ DEFAULT_KEYS = ("~/.ssh/id_rsa", "~/.ssh/id_ecdsa", "~/.ssh/id_ed25519")
 class ResolvedHost:
     """Everything needed to open a connection, inventory and ssh_config merged; inventory wins.
 
-    ``name`` is the inventory's, ``given`` the address or alias written there, ``hostname`` and ``port`` the real target.
-    ``identity_agent`` is the agent's socket, or empty for none. ``known_hosts`` are the user's files (the first one is added to),
-    ``revoked_keys`` is the file of RevokedHostKeys, or empty.
+    ``name`` is the inventory's, ``given`` the address or alias written there, ``hostname`` and ``port`` the
+    real target. ``identity_agent`` is the agent's socket, or empty for none. ``known_hosts`` are the user's
+    files (the first one is added to), ``revoked_keys`` is the file of RevokedHostKeys, or empty.
     """
 
     name: str
@@ -167,7 +168,7 @@ def parse_ssh_config(text: str) -> dict[str, list[str]]:
 
 
 def _build_config_without_ssh(host: Host) -> dict[str, list[str]]:
-    """No OpenSSH client here: the inventory alone. A configuration that means anything to us is refused rather than half understood.
+    """Without an OpenSSH client: the inventory alone. An ssh_config with relevant keywords is refused.
 
     Raises:
         ConnectError: such an ssh_config exists.
@@ -184,7 +185,7 @@ def _build_config_without_ssh(host: Host) -> dict[str, list[str]]:
 
 
 def _merge_host_config(host: Host, values: Mapping[str, list[str]]) -> ResolvedHost:
-    """Values of ``ssh -G`` as types; the inventory's own entries are already in them, or stand in where ssh is missing."""
+    """Typed values of ``ssh -G``, which include the inventory's own; those of the inventory without ssh."""
 
     def one(keyword: str, default: str = "") -> str:
         found = values.get(keyword, [default])[0]
@@ -240,7 +241,7 @@ def _expand_path(text: str, tokens: Mapping[str, str]) -> str:
 
 
 def expand_tokens(text: str, tokens: Mapping[str, str]) -> str:
-    """Replace ``%h`` and its kin; an unknown one stays as it is."""
+    """Replace tokens such as ``%h``; unknown ones are left as they are."""
     return re.sub(r"%(.)", lambda match: tokens.get(match[1], match[0]), text)
 
 

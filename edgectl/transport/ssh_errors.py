@@ -1,4 +1,4 @@
-"""One table from what paramiko and the sockets raise to the errors of ours that a user is told."""
+"""Errors of paramiko and the sockets -> errors of edgectl, in one table."""
 
 import socket
 
@@ -47,9 +47,10 @@ SSH_ERRORS: tuple[tuple[type[BaseException], type[HostError], str], ...] = (
     (OSError, ConnectError, "connection failed"),
 )
 SSH_ERROR_HINTS: dict[type[HostError], str] = {
-    AuthError: "ssh to it by hand; name the key with identity_file: in the inventory; a key with a passphrase must be in the ssh-agent",
-    ConnectError: "is it switched on, and is its address right?",
-    DeadlineError: "it is there but does not answer: overloaded, frozen, or behind a lossy link",
+    AuthError: "try ssh by hand; set identity_file: in the inventory; "
+    "a key with a passphrase must be in the ssh-agent",
+    ConnectError: "check that it is switched on and that its address is correct",
+    DeadlineError: "the host is reachable but does not answer: overloaded, frozen or behind a lossy link",
 }
 
 

@@ -1,4 +1,4 @@
-"""Operations on an open SSH connection: raw channels, bytes in and out, one hard deadline and a size cap for each.
+"""Operations on an open SSH connection: raw channels with one hard deadline and a size limit each.
 
 Fabric's ``Connection.run`` is not used: it polls, it decodes, and it does not end when the line does.
 """
@@ -28,7 +28,7 @@ class SshSession:
     def __init__(
         self, name: str, client: paramiko.SSHClient, line: object, *, after: Callable[[], None] | None = None
     ) -> None:
-        """``line`` is the socket or channel underneath; ``after`` is called once when the session is closed."""
+        """``line``: the socket or channel underneath; ``after`` is called once when the session is closed."""
         transport = client.get_transport()
         if transport is None:
             raise ConnectError("the connection was closed at once", host=name)
@@ -90,7 +90,7 @@ class SshSession:
 
     @contextlib.contextmanager
     def _channel(self, command: str, stdin: bytes, deadline: float) -> Iterator[paramiko.Channel]:
-        """A channel on which ``command`` runs and has been fed; what goes wrong inside leaves as an error of ours."""
+        """A channel on which ``command`` runs and has its input; errors within are translated."""
         seconds = deadline - time.monotonic()
         with self._errors(seconds), watchdog(seconds + GRACE_S, self._cut) as watch:
             try:
@@ -104,12 +104,12 @@ class SshSession:
                 raise
 
     def _open(self, deadline: float) -> paramiko.Channel:
-        """A new channel. sshd allows ten at a time (MaxSessions), and one that we have closed counts until it has noticed."""
+        """A new channel. sshd allows ten (MaxSessions); a closed one counts until sshd has noticed."""
         for pause in CHANNEL_PAUSES_S:
             try:
                 return self._open_once(deadline)
             except paramiko.SSHException:
-                # Not ChannelException alone: of two threads that are refused at once, paramiko tells only one why.
+                # Not only ChannelException: of two threads refused at once, paramiko gives the reason to one.
                 if not self.transport.is_active() or time.monotonic() + pause >= deadline:
                     raise
                 time.sleep(pause)
@@ -137,7 +137,10 @@ class SshSession:
 
 
 def _start_command(channel: paramiko.Channel, command: str, stdin: bytes, seconds: float) -> None:
-    """Run ``command`` and feed it. A program that ends without reading everything is no error, as in a pipe."""
+    """Run ``command`` and write its input.
+
+    A program that ends before it has read all is no error, as in a pipe.
+    """
     channel.settimeout(seconds)
     channel.exec_command(command)
     try:
@@ -166,7 +169,7 @@ def _collect_reply(channel: paramiko.Channel, deadline: float, limit: int, timeo
             if total > limit:
                 raise ReplyError(
                     f"more than {limit} bytes of output",
-                    hint="something floods the output: look at the login shell's files",
+                    hint="something floods the output: check the login shell's startup files",
                 )
         if _has_output_ended(channel) or not arrived.wait(max(0.0, deadline - time.monotonic())):
             break
@@ -176,7 +179,7 @@ def _collect_reply(channel: paramiko.Channel, deadline: float, limit: int, timeo
 
 
 def _watch_arrivals(channel: paramiko.Channel) -> threading.Event:
-    """An event that is set whenever either output of ``channel`` has something, or ended: one thread can wait for both."""
+    """An event that is set when either output of ``channel`` has data or ended: one thread waits for both."""
     arrived = threading.Event()
     channel.in_buffer.set_event(arrived)
     channel.in_stderr_buffer.set_event(arrived)
@@ -186,7 +189,7 @@ def _watch_arrivals(channel: paramiko.Channel) -> threading.Event:
 
 
 def _read_available(channel: paramiko.Channel, stderr: bytearray | None = None) -> Iterator[bytes]:
-    """What has come so far: standard output in pieces (empty ones mark progress of stderr, which is added to ``stderr``)."""
+    """The standard output so far in pieces; an empty piece marks data that was added to ``stderr``."""
     while channel.recv_ready() or channel.recv_stderr_ready():
         if channel.recv_stderr_ready():
             piece = channel.recv_stderr(_CHUNK_BYTES)

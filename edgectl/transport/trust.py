@@ -1,4 +1,4 @@
-"""``edgectl trust HOST``: see the key that a host shows, compare, record it."""
+"""``edgectl trust HOST``: fetch the host key for comparison, then record it."""
 
 import base64
 from pathlib import Path
@@ -9,12 +9,12 @@ from edgectl.transport.known_hosts import HostKey, build_known_hosts_name
 
 
 def fetch_host_keys(host: Host, *, timeout: float = 15.0) -> list[tuple[str, str, str]]:
-    """Type, SHA256 fingerprint (as ``ssh-keygen -l`` prints it) and known_hosts line of each key that ``host`` shows us now.
+    """Type, SHA256 fingerprint (``ssh-keygen -l``) and known_hosts line of each key that ``host`` presents.
 
-    That is the key on which a login would agree. Nothing is recorded, and no login is tried. A host that is this machine has none.
+    That is the key that a login would use. Nothing is recorded, and no login is tried. A local host has none.
 
     Raises:
-        HostError: no handshake within ``timeout`` seconds; the hosts on the way (ProxyJump) are verified as always.
+        HostError: no handshake within ``timeout`` seconds. Jump hosts are verified as always.
     """
     if host.connection is Connection.LOCAL:
         return []
@@ -34,7 +34,7 @@ def get_public_key_path(kind: str) -> str:
 
 
 def trust_host_key(host: Host, line: str) -> Path:
-    """Record the key in ``line`` (from `fetch_host_keys`) for ``host`` in the user's known_hosts; returns that file.
+    """Record the key in ``line`` (from `fetch_host_keys`) for ``host`` in the user's known_hosts; the file.
 
     Raises:
         HostKeyError: another key is known for the host, this one is revoked, or the file cannot be written.

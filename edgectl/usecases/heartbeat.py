@@ -16,7 +16,7 @@ from edgectl.model.snapshot import Snapshot
 from edgectl.state.heartbeats import load_heartbeats, record_heartbeats
 from edgectl.state.manager_state import load_manager_state
 from edgectl.state.uptime import Uptime
-from edgectl.transport.agent_client import call_agent
+from edgectl.transport.agent_client import ask_host
 from edgectl.transport.connections import HeartbeatTransport
 from edgectl.usecases.fleet import Fleet
 
@@ -127,8 +127,6 @@ def _send_heartbeat(fleet: Fleet, host: Host, over: threading.Event) -> None:
     """Send one heartbeat; a host that does not take it is found out by the action that needs it."""
     if over.is_set():
         return
-    with (
-        contextlib.suppress(HostError),
-        fleet.transport.connect(host, timeout=_HEARTBEAT_TIMEOUT_S) as session,
-    ):
-        call_agent(session, host_requests.build_status_request(host), timeout=_HEARTBEAT_TIMEOUT_S)
+    request, seconds = host_requests.build_status_request(host), _HEARTBEAT_TIMEOUT_S
+    with contextlib.suppress(HostError):
+        ask_host(fleet.transport, host, request, timeout=seconds, connect_timeout=seconds)

@@ -2,14 +2,13 @@
 
 import contextlib
 import dataclasses
-import threading
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from edgectl.errors import StateError
 from edgectl.executor.hold_release import release_hold
 from edgectl.executor.manager_state_update import compute_next_generations, update_manager_state
-from edgectl.executor.run import RunOptions, run_plan
+from edgectl.executor.run import RunIdentity, RunOptions, run_plan
 from edgectl.gateway.host_probe import ProbeOptions
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Plan
@@ -35,23 +34,16 @@ def confirm_always(_plan: Plan) -> bool:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ApplyOptions:
-    """Options of one execution.
+class ApplyOptions(RunOptions):
+    """The options of a change, from the command line to the executor (`RunOptions`).
 
-    ``lock_timeout`` (s): how long to wait for another edgectl. ``max_parallel``: actions at once.
-    ``fail_fast``: after a failure no new action begins. ``deadline`` (monotonic s): no action begins after
-    it.
-    ``choose`` narrows a plan (``--target``). ``stop_requested``: when set, no further action begins.
+    ``lock_timeout`` (s): how long to wait for another edgectl. ``choose`` narrows a plan (``--target``).
     """
 
     lock_timeout: float = 0.0
-    max_parallel: int = 16
-    fail_fast: bool = False
-    deadline: float | None = None
     probe: ProbeOptions | None = None
     choose: Callable[[Plan], Plan] = keep_whole_plan
     progress: ProgressListener = ignore_progress
-    stop_requested: threading.Event = field(default_factory=threading.Event)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -99,20 +91,23 @@ def confirm_and_execute(
         return ApplyResult(plan=plan)
     used = compute_next_generations(manager, plan.snapshot, plan.steps, fleet.clock(), cut_off.generations)
     with Journal.open(fleet.state, clock=fleet.clock, warn=fleet.warn) as journal:
-        run_options = RunOptions(
+        identity = RunIdentity(
             plan_id=name or compute_plan_id(plan),
             revision=journal.log.revision + 1,
             generations=used,
-            max_parallel=options.max_parallel,
-            stop_requested=options.stop_requested,
-            fail_fast=options.fail_fast,
-            deadline=options.deadline,
             verb=verb,
             user=get_user_name(),
         )
         with track_heartbeats(fleet) as tracked, send_heartbeats(tracked, plan.snapshot):
             results = run_plan(
-                plan, fleet.inventory, fleet.tasks, tracked.transport, journal, run_options, options.progress
+                plan,
+                fleet.inventory,
+                fleet.tasks,
+                tracked.transport,
+                journal,
+                identity,
+                options,
+                options.progress,
             )
         after = _save_manager_state(fleet, plan, manager, results, used)
         _record_placements(fleet, journal, results.revision, after)

@@ -12,12 +12,12 @@ from edgectl.gateway.smoothing import smooth_snapshot
 from edgectl.model.cycle import Cycle
 from edgectl.model.plan import Action, Plan
 from edgectl.model.policy import Policy
-from edgectl.model.progress import ProgressListener, ignore_progress
 from edgectl.model.result import Outcome, Results
 from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Tasks
 from edgectl.state.lock import FleetLock
 from edgectl.state.manager_state import StateFingerprint, fingerprint_state_files
+from edgectl.transport.backoff import compute_backoff_s
 from edgectl.transport.connections import REFUSED_BACKOFF_S, BackoffTransport, SessionPool
 from edgectl.usecases.control import Control, ControlRequest
 from edgectl.usecases.fleet import Fleet
@@ -65,12 +65,11 @@ class WatchOptions:
     every: float = 10.0
     apply: bool = False
     cycles: int | None = None
-    max_parallel: int = 16
     debug: bool = False
     probe: ProbeOptions = field(default_factory=lambda: ProbeOptions(timeout=_PROBE_TIMEOUT_S))
     policy: Callable[[Fleet], Policy] = policy_from_files
     refresh: Callable[[], Fleet | None] = never_reload
-    progress: ProgressListener = ignore_progress
+    execution: ApplyOptions = field(default_factory=ApplyOptions)
     control: Control = field(default_factory=Control)
 
 
@@ -225,10 +224,8 @@ class _WatchLoop:
         Raises:
             LockBusyError: another edgectl is changing this fleet.
         """
-        options = ApplyOptions(
-            max_parallel=self._options.max_parallel,
-            progress=self._options.progress,
-            stop_requested=self._options.control.stop_requested,
+        options = dataclasses.replace(
+            self._options.execution, stop_requested=self._options.control.stop_requested
         )
         with FleetLock(self._fleet.state, verb="watch", clock=self._fleet.clock):
             if fingerprint_state_files(self._fleet.state) != before:
@@ -244,7 +241,7 @@ class _WatchLoop:
                 self._resting.pop(action.task, None)
             elif action.outcome is Outcome.FAILED:
                 failures = 1 + (self._resting[action.task].failures if action.task in self._resting else 0)
-                seconds = min(_MIN_BACKOFF_S * 2.0 ** min(failures - 1, 10), _MAX_BACKOFF_S)
+                seconds = compute_backoff_s(failures, first_s=_MIN_BACKOFF_S, max_s=_MAX_BACKOFF_S)
                 self._resting[action.task] = _TaskBackoff(failures=failures, until=self._now() + seconds)
 
 

@@ -52,14 +52,14 @@ def test_all_is_well() -> None:
 
 CASES: list[tuple[str, dict[str, Any], Severity, str, str]] = [
     ("login", {"login_s": 3.0}, OK, "3.00s, host key known", ""),
-    ("login", {"login_s": 3.1}, WARNING, "3.10s, which every command pays", "UseDNS no"),
+    ("login", {"login_s": 3.1}, WARNING, "3.10s for every command", "UseDNS no"),
     ("python", {"psutil": True}, OK, "3.8.10, psutil", ""),
-    ("python", {"psutil": False}, OK, "3.8.10, no psutil: /proc is read instead, nothing is lost", ""),
+    ("python", {"psutil": False}, OK, "3.8.10, no psutil: /proc is read instead, same figures", ""),
     ("clock", {"skew_s": (0.4, 0.49)}, OK, "agrees with this machine's", ""),
     ("clock", {"skew_s": (-9.0, 9.0)}, OK, "agrees with this machine's", ""),  # a slow line: nothing is certain
     ("clock", {"skew_s": (0.6, 0.8)}, WARNING, "is 0.6s ahead of this machine's", "timedatectl set-ntp true"),
     ("clock", {"skew_s": (-3601.0, -3600.0)}, WARNING, "is 1h00m behind this machine's", 'ssh edge1.lab sudo date -s "@$(date +%s)"'),
-    ("logind", {"logind": replace(LOGIND, present=False, lingers=False)}, OK, "no logind here", ""),
+    ("logind", {"logind": replace(LOGIND, present=False, lingers=False)}, OK, "no logind;", ""),
     ("logind", {"logind": LOGIND}, OK, "jetson lingers", ""),
     ("logind", {"logind": replace(LOGIND, lingers=False, removes_ipc=False)}, OK, "nothing of jetson ends with a login", ""),
     ("logind", {"logind": replace(LOGIND, lingers=False)}, WARNING, "RemoveIPC=yes", "on edge1: sudo loginctl enable-linger jetson"),
@@ -72,23 +72,23 @@ CASES: list[tuple[str, dict[str, Any], Severity, str, str]] = [
     ("disk", {"disk": replace(DISK, files_left=None)}, OK, "10.0Gi of 28.0Gi free", ""),
     ("state", {"disk": replace(DISK, obstacle="it cannot be written")}, FAILED, "it cannot be written", "chmod 700 /home/jetson/.local/state/edgectl"),
     ("state", {"disk": replace(DISK, obstacle=NOT_A_DIRECTORY)}, FAILED, "not a directory", "on edge1: mv /home/jetson/.local/state/edgectl /home"),
-    ("state", {"disk": replace(DISK, obstacle="it cannot be written", in_shared_memory=True)}, WARNING, "shared memory takes its place", "on edge1: sudo mkdir"),
+    ("state", {"disk": replace(DISK, obstacle="it cannot be written", in_shared_memory=True)}, WARNING, "shared memory is used instead", "on edge1: sudo mkdir"),
     ("memory", {"used_bytes": 7 * GI}, OK, "1.0Gi of 8.0Gi free", ""),
     ("memory", {"used_bytes": 7.3 * GI}, WARNING, "716.8Mi of 8.0Gi free", "--sort=-rss"),
     ("memory", {"used_bytes": 8 * GI - 63 * 2**20}, FAILED, "63.0Mi of 8.0Gi free", "--sort=-rss"),
     ("prelude", {}, OK, "runs", ""),
     ("prelude", {"surroundings": ShellEnvironment(status=1, last_line="no such file")}, WARNING, "ends with status 1: no such file", "prelude: of edge1"),
-    ("prelude", {"surroundings": ShellEnvironment(status=None, last_line="bye")}, FAILED, "ends the shell: bye; no task can start", "prelude: of edge1"),
-    ("prelude", {"surroundings": ShellEnvironment(status=None, timed_out=True)}, FAILED, "does not come to its end in time", "prelude: of edge1"),
+    ("prelude", {"surroundings": ShellEnvironment(status=None, last_line="bye")}, FAILED, "exits the shell: bye; no task can start", "prelude: of edge1"),
+    ("prelude", {"surroundings": ShellEnvironment(status=None, timed_out=True)}, FAILED, "does not end in time", "prelude: of edge1"),
     ("robot", {"links": {"robot1": LINK}}, OK, "robot1 answers in 1.2ms", ""),
     ("robot", {"links": {"robot1": replace(LINK, rtt_ms=None)}}, OK, "robot1 answers", ""),
-    ("robot", {"links": {"robot1": replace(LINK, address="rosie", found=False, reachable=None)}}, FAILED, "a name that means nothing on edge1", "rosie' | sudo tee -a /etc/hosts"),
-    ("robot", {"links": {"robot1": replace(LINK, reachable=False, interface=None)}}, FAILED, "no way from edge1 to robot1", "ip route get 10.0.0.21"),
+    ("robot", {"links": {"robot1": replace(LINK, address="rosie", found=False, reachable=None)}}, FAILED, "a name that edge1 cannot resolve", "rosie' | sudo tee -a /etc/hosts"),
+    ("robot", {"links": {"robot1": replace(LINK, reachable=False, interface=None)}}, FAILED, "no route from edge1 to robot1", "ip route get 10.0.0.21"),
     ("robot", {"links": {"robot1": replace(LINK, reachable=False)}}, FAILED, "cannot be reached from edge1", "ping -c3 10.0.0.21"),
-    ("robot", {"links": {"robot1": replace(LINK, reachable=None)}}, WARNING, "does not say a word to edge1", "on robot1: sudo ufw allow from edge1.lab"),
+    ("robot", {"links": {"robot1": replace(LINK, reachable=None)}}, WARNING, "to edge1", "on robot1: sudo ufw allow from edge1.lab"),
     ("capacity", {}, OK, "robot1 12.5MB/s (nic)", ""),
     ("capacity", {"links": {"robot1": replace(LINK, capacity_bytes_per_s=6.75e6, capacity_source=CapacitySource.ASSUMED)}}, WARNING,
-     "of the link to robot1 is not known, 6.8MB/s is assumed", "edgectl probe --bandwidth; or links: [{edge: edge1, robot: robot1, throughput: ..}]"),
+     "of the link to robot1 is unknown, 6.8MB/s is assumed", "edgectl probe --bandwidth; or links: [{edge: edge1, robot: robot1, throughput: ..}]"),
 ]  # fmt: skip
 
 
@@ -263,7 +263,7 @@ def test_a_master_on_localhost_is_another_one_on_each_host(uri: str) -> None:
         "edge2": FAILED,
         "robot1": WARNING,
     }
-    assert "each host has a master of its own" in said["edge1"][1]
+    assert "each host has its own master" in said["edge1"][1]
     assert (
         said["edge1"][2]
         == 'in the inventory, for edge1: env: {ROS_MASTER_URI: "http://ADDRESS-OF-THE-MASTER:11311"}'

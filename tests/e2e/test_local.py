@@ -146,7 +146,7 @@ def test_a_stale_plan_is_refused(bench: Bench) -> None:
         plan_form.encode(bench.using(a_sleeper("slam", mark), a_sleeper("camera", a_mark())).plan())
     )
     restart_task(bench.fleet, "slam", options=ApplyOptions(probe=QUICK))
-    with pytest.raises(StalePlanError, match="slam was started anew on edge1"):
+    with pytest.raises(StalePlanError, match="slam was restarted on edge1"):
         apply_saved_plan(
             bench.using(a_sleeper("slam", mark), a_sleeper("camera", a_mark())).fleet,
             made,

@@ -29,7 +29,7 @@ import edgectl.executor.phases as phases
 from edgectl.cli.main import main
 def broken(*_args, **_named):
     raise RuntimeError("a bug")
-phases.await_ready = broken
+phases._wait_until_ready = broken
 sys.exit(main())
 """
 

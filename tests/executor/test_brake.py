@@ -9,6 +9,7 @@ import pytest
 
 from edgectl.errors import HostError
 from edgectl.executor.cancellation import INTERRUPTED, Cancellation
+from edgectl.executor.step_run import RunOptions
 from edgectl.model.plan import Action
 from edgectl.model.result import ActionResult, Outcome, Results
 from edgectl.state.journal import Journal
@@ -110,9 +111,9 @@ def test_nothing_begins_after_the_deadline(journal: Journal) -> None:
 
 def test_an_interruption_is_named_before_everything_else() -> None:
     stop = threading.Event()
-    brake = Cancellation(stop, fail_fast=True, deadline=0.0)
+    brake = Cancellation(RunOptions(stop_requested=stop, fail_fast=True, deadline=0.0))
     assert brake.reason().startswith("not begun before the deadline")
-    brake.seen(ActionResult(task="slam", action=Action.START, outcome=Outcome.FAILED))
+    brake.note_result(ActionResult(task="slam", action=Action.START, outcome=Outcome.FAILED))
     assert brake.reason() == "not begun, because slam failed (--fail-fast)"
     stop.set()
     assert brake.reason() == INTERRUPTED

@@ -39,7 +39,9 @@ def test_a_start_request_is_the_task_as_it_will_run() -> None:
     task = a_task(
         "slam", ready=Check(command="is up", timeout=7.0), stop=StopRule(preset="ros"), workdir="/data"
     )
-    request = host_requests.build_start_request(task, EDGE, FLEET.hosts, instance="i", generation=4)
+    request = host_requests.fill_start_request(
+        host_requests.build_start_request(task, EDGE, FLEET.hosts), instance="i", generation=4, variables={}
+    )
     assert {key: request[key] for key in ("op", "host", "task", "instance", "generation")} == {
         "op": "start", "host": "edge1", "task": "slam", "instance": "i", "generation": 4,
     }  # fmt: skip
@@ -59,7 +61,7 @@ def test_a_start_request_is_the_task_as_it_will_run() -> None:
 
 def test_a_ready_check_on_the_robot_stays_with_the_manager() -> None:
     task = a_task("slam", ready=Check(command="sees the map", on=CheckLocation.ROBOT))
-    spec = host_requests.build_start_request(task, EDGE, FLEET.hosts, instance="i", generation=1)["spec"]
+    spec = host_requests.build_start_request(task, EDGE, FLEET.hosts)["spec"]
     assert isinstance(spec, dict)
     assert spec["ready"] is None
 
@@ -109,9 +111,9 @@ def shown(order_of_move: HandoffOrder) -> list[tuple[object, object]]:
 
 def test_a_dry_run_of_a_move_shows_its_phases_in_order() -> None:
     around = [("safe", "robot1"), ("hold", "robot1")], [("release", "robot1")]
-    stop, start = [("stop", "edge1")], [("start", "edge2"), ("ready", "edge2")]
-    assert shown(HandoffOrder.STOP_FIRST) == [*around[0], *stop, *start, *around[1]]
-    assert shown(HandoffOrder.START_FIRST) == [*around[0], *start, *stop, *around[1]]
+    reach, stop, start = [("reach", "edge2")], [("stop", "edge1")], [("start", "edge2"), ("ready", "edge2")]
+    assert shown(HandoffOrder.STOP_FIRST) == [*reach, *around[0], *stop, *start, *around[1]]
+    assert shown(HandoffOrder.START_FIRST) == [*reach, *around[0], *start, *stop, *around[1]]
 
 
 def test_a_dry_run_shows_stops_first_and_duplicates_once() -> None:
@@ -122,6 +124,7 @@ def test_a_dry_run_shows_stops_first_and_duplicates_once() -> None:
     assert [(entry["task"], entry["phase"], entry["host"]) for entry in entries] == [
         ("slam", "stop", "edge2"),
         ("old", "stop", "edge1"),
+        ("slam", "reach", "edge1"),
         ("slam", "start", "edge1"),
         ("slam", "ready", "edge1"),
     ]

@@ -37,16 +37,10 @@ def test_only_a_start_that_is_sent_carries_secrets() -> None:
     inventory = an_inventory(an_edge(env={"KEY": Secret(CANARY)}), a_robot())
     host = inventory.hosts["edge1"]
     task = a_task(env={"TOKEN": Secret(CANARY), "PLAIN": "x"}, done_when=check)
-    sent = host_requests.build_start_request(
-        task,
-        host,
-        inventory.hosts,
-        instance="i",
-        generation=1,
-        variables=resolve_environment(task, host, inventory.hosts),
-    )
+    looked_at = host_requests.build_start_request(task, host, inventory.hosts)
+    variables = resolve_environment(task, host, inventory.hosts)
+    sent = host_requests.fill_start_request(looked_at, instance="i", generation=1, variables=variables)
     assert json.dumps(sent).count(CANARY) == 2
-    looked_at = host_requests.build_start_request(task, host, inventory.hosts, instance="i", generation=1)
     assert looked_at["spec"]["env"]["TOKEN"] == "***"  # type: ignore[index]
     asked = host_requests.build_check_request(task, check, host, inventory.hosts)
     assert "TOKEN" not in asked["env"]  # type: ignore[operator]

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from edgectl.errors import ConnectError, DeadlineError, RefusedError
-from edgectl.executor.run import RunOptions, run_plan
+from edgectl.executor.run import RunIdentity, RunOptions, run_plan
 from edgectl.model.assignment import Decision, Reason, Verdict
 from edgectl.model.inventory import Inventory
 from edgectl.model.plan import Action, Plan, Step
@@ -69,8 +69,9 @@ def plan(*steps: Step, snapshot: Snapshot | None = None) -> Plan:
 
 
 def carried_out(fleet: FakeFleet, journal: Journal, made: Plan, *tasks: Task, **options: object) -> Results:
-    settings = RunOptions(plan_id="p", revision=1, poll_s=0.01, **options)  # type: ignore[arg-type]
-    return run_plan(made, inventory(), some_tasks(*tasks), fleet.transport, journal, settings)
+    settings = RunOptions(poll_s=0.01, **options)  # type: ignore[arg-type]
+    identity = RunIdentity(plan_id="p", revision=1)
+    return run_plan(made, inventory(), some_tasks(*tasks), fleet.transport, journal, identity, settings)
 
 
 def of(results: Results, task: str) -> ActionResult:
@@ -225,7 +226,7 @@ def test_a_running_predecessor_is_waited_for(fleet: FakeFleet, journal: Journal)
 def test_a_successor_of_an_unfinished_job_is_deferred(
     fleet: FakeFleet, journal: Journal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("edgectl.executor.predecessors._COMPLETION_S", 0.1)
+    monkeypatch.setattr("edgectl.executor.action_phases.COMPLETION_S", 0.1)
     made = plan(step("job", Action.START, host="edge1"), step("after", Action.START, host="edge1"))
     needs = Need(task="job", until=NeedCondition.COMPLETED)
     results = carried_out(fleet, journal, made, a_task("job"), a_task("after", needs=[needs]))
@@ -324,7 +325,8 @@ def test_progress_is_told_in_the_callers_thread(fleet: FakeFleet, journal: Journ
         some_tasks(a_task("slam")),
         fleet.transport,
         journal,
-        RunOptions(plan_id="p", revision=1),
+        RunIdentity(plan_id="p", revision=1),
+        RunOptions(),
         lambda event: heard.append((event, threading.get_ident())),
     )
     assert [event.stage for event, _ in heard] == [

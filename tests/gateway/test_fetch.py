@@ -133,5 +133,5 @@ def test_a_host_that_talks_nonsense_gives_nothing(
 
 def test_a_deadline_holds_for_all_pieces_together() -> None:
     endless = FakeTransport({"edge1": lambda _request: a_piece(b"a", size=MAX_FILE_BYTES)})
-    with pytest.raises(DeadlineError, match=r"map did not come within 0\.2 s"):
+    with pytest.raises(DeadlineError, match=r"map did not arrive within 0\.2 s"):
         fetch_file(endless, HOST, a_task(), "map", timeout=0.2)

@@ -3,7 +3,7 @@
 import pytest
 
 from edgectl.errors import AuthError, ConnectError, DeadlineError, HostError
-from edgectl.transport.connections import BackoffTransport, compute_backoff_s
+from edgectl.transport.connections import BackoffTransport, compute_host_backoff_s
 from tests.builders import an_edge
 from tests.transport.test_pool import Counting
 
@@ -71,7 +71,7 @@ def test_a_host_that_connects_and_never_answers_rests_too() -> None:
 
 
 def test_who_refuses_is_left_alone_for_longer() -> None:
-    assert [compute_backoff_s(AuthError("no"), n) for n in (1, 2, 3, 4, 5, 50)] == [
+    assert [compute_host_backoff_s(AuthError("no"), n) for n in (1, 2, 3, 4, 5, 50)] == [
         60.0,
         120.0,
         240.0,
@@ -79,7 +79,7 @@ def test_who_refuses_is_left_alone_for_longer() -> None:
         600.0,
         600.0,
     ]
-    assert [compute_backoff_s(ConnectError("no"), n) for n in (1, 2, 3, 4, 5, 50)] == [
+    assert [compute_host_backoff_s(ConnectError("no"), n) for n in (1, 2, 3, 4, 5, 50)] == [
         0.0,
         10.0,
         20.0,

@@ -145,7 +145,7 @@ def test_a_server_that_stays_busy_is_given_up(tmp_path: Path, monkeypatch: pytes
         server = lab["edge1"]
         with socket.create_connection((server.address, server.port)) as first:
             first.recv(4)
-            with pytest.raises(ConnectError, match="hangs up before its SSH banner"):
+            with pytest.raises(ConnectError, match="closes the connection before its SSH banner"):
                 SshTransport().connect(lab.host("edge1"), timeout=60)
 
 

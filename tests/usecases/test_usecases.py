@@ -214,7 +214,7 @@ def test_a_stale_plan_is_refused_with_all_that_moved(bench: Bench) -> None:
         "the cordoned hosts changed",
         "cpu of edge1 went from 0.00 to 0.41 cores",
         "slam runs on edge2 now",
-        "robot1 does not answer any more",
+        "robot1 no longer answers",
     )
     assert bench.hosts.changes == []
 
@@ -230,7 +230,7 @@ def test_a_restarted_task_makes_a_plan_stale(bench: Bench) -> None:
     made = make_plan(bench.fleet, POLICY)
     host = bench.hosts.placed["slam"]
     bench.hosts[host].tasks["slam"]["instance"] = "another"
-    with pytest.raises(StalePlanError, match=f"slam was started anew on {host}"):
+    with pytest.raises(StalePlanError, match=f"slam was restarted on {host}"):
         apply_saved_plan(bench.fleet, made)
 
 
@@ -404,13 +404,15 @@ def test_a_dry_run_shows_the_exact_requests_and_sends_none(bench: Bench) -> None
     made = make_plan(bench.fleet, POLICY)
     entries = list_remote_commands(bench.fleet, made)
     assert [(entry["task"], entry["phase"]) for entry in entries] == [
+        ("slam", "reach"),
         ("slam", "start"),
         ("slam", "ready"),
+        ("navigation", "reach"),
         ("navigation", "start"),
         ("navigation", "ready"),
     ]
     assert entries[0]["command"] == build_agent_command("python3")
-    stdin = entries[0]["stdin"]
+    stdin = entries[1]["stdin"]
     assert isinstance(stdin, dict)
     assert stdin["spec"]["env"]["EDGECTL_ROBOT_HOST"] == "robot1.lab"
     assert bench.hosts.changes == []

@@ -9,9 +9,7 @@ from edgectl.model.diagnosis import Diagnosis, Finding, Severity
 from edgectl.views.output_format import OutputFormat, get_renderer
 from edgectl.views.text import RenderOptions
 
-LONG = (
-    "RemoveIPC=yes and jetson does not linger: shared memory goes with the last login, and ROS 2 falls silent"
-)
+LONG = "RemoveIPC=yes and jetson does not linger: shared memory is removed at the last logout, and ROS 2 stops communicating"
 FOUND = Diagnosis(
     findings=(
         Finding(host=None, check="disk", level=Severity.OK, message="10.0Gi of 28.0Gi free for /state"),

@@ -1,0 +1,278 @@
+"""The phases of each action and their requests, as one list: apply performs it, a dry run prints it. Pure."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from edgectl.errors import HostError
+from edgectl.executor import host_requests
+from edgectl.executor.dependencies import find_replacement_hold, is_replacement, list_stop_hosts
+from edgectl.model.assignment import Verdict
+from edgectl.model.inventory import Host, Inventory
+from edgectl.model.plan import Action, Plan, Step
+from edgectl.model.result import Phase
+from edgectl.model.snapshot import TaskSample, TaskState
+from edgectl.model.task import Check, CheckLocation, HandoffOrder, Need, NeedCondition, Task, Tasks
+
+# One wait request lasts at most so long, so that a lost connection is not mistaken for a slow task.
+WAIT_PIECE_S = 15.0
+# How long a task without a ready check may take until it runs.
+DEFAULT_READY_S = 10.0
+# How long a successor waits for a job to complete before it is left to the next apply.
+COMPLETION_S = 30.0
+# The grace of a task that left the task files, whose own grace is unknown here.
+_UNKNOWN_GRACE_S = 40.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlannedRequest:
+    """A request to ``host`` with placeholders for instance, generation and secrets (0, 0 and ``***``).
+
+    ``timeout_s``: how long the host may work on it, besides the time of a round trip.
+    """
+
+    host: Host
+    body: host_requests.Request
+    timeout_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlannedPhase:
+    """One phase of an action: at least one request, sent in order to get ``task`` that far.
+
+    ``timeout_s``: waits and checks are repeated for so long until they succeed; 0 where nothing is repeated.
+    """
+
+    phase: Phase
+    task: str
+    requests: tuple[PlannedRequest, ...]
+    timeout_s: float = 0.0
+
+    @property
+    def host(self) -> Host:
+        """The host that the phase counts for."""
+        return self.requests[0].host
+
+
+PlannedPhases = tuple[PlannedPhase, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StartPhases:
+    """The phases of a start, move or restart.
+
+    ``needs``: waits for predecessors. ``prepare``: is the host there, is it safe; nothing is touched yet.
+    ``hold`` and ``release``: hooks of the handoff.
+    ``change``: stop, start and ready in the order of the handoff.
+    """
+
+    needs: PlannedPhases
+    prepare: PlannedPhases
+    hold: PlannedPhases = ()
+    change: PlannedPhases
+    release: PlannedPhases = ()
+
+    @property
+    def in_order(self) -> PlannedPhases:
+        """All phases as they are performed where none fails."""
+        return (*self.needs, *self.prepare, *self.hold, *self.change, *self.release)
+
+
+def build_stop_phases(step: Step, inventory: Inventory, tasks: Tasks) -> PlannedPhases:
+    """What a step stops before anything starts.
+
+    Raises:
+        HostError: a host left the inventory.
+    """
+    task = tasks.tasks.get(step.task)
+    return tuple(
+        build_stop_phase(step.task, task, host, inventory, instance=step.instances.get(host))
+        for host in list_stop_hosts(step)
+    )
+
+
+def build_start_phases(
+    step: Step, task: Task, needs: Iterable[Need], plan: Plan, inventory: Inventory, tasks: Tasks
+) -> StartPhases:
+    """The phases of a starting step (one with a host) of ``plan``; ``needs``: the predecessors to wait for.
+
+    Raises:
+        HostError: a predecessor does not run, or a host left the inventory or is never contacted.
+    """
+    new, old = step.decision.host or "", step.decision.previous_host
+    waits = _build_need_phases(needs, plan, inventory, tasks)
+    prepare = (build_reach_phase(task.name, new, inventory),)
+    start = build_run_phases(task, new, inventory)
+    if step.action is Action.START and not is_replacement(step):
+        return StartPhases(needs=waits, prepare=prepare, change=start)
+    release = build_hook_phases(Phase.RELEASE, task, task.handoff.release, new, inventory)
+    if is_replacement(step):
+        hold = build_hook_phases(Phase.HOLD, task, find_replacement_hold(task), new, inventory)
+        return StartPhases(needs=waits, prepare=prepare, hold=hold, change=start, release=release)
+    old = old or new
+    stop = build_stop_phase(task.name, task, old, inventory, instance=step.instances.get(old))
+    start_first = old != new and task.handoff.order is HandoffOrder.START_FIRST
+    return StartPhases(
+        needs=waits,
+        prepare=(*prepare, *_build_safe_phases(task, old, inventory)),
+        hold=build_hook_phases(Phase.HOLD, task, task.handoff.hold, old, inventory),
+        change=(*start, stop) if start_first else (stop, *start),
+        release=release,
+    )
+
+
+def build_reach_phase(task: str, host_name: str, inventory: Inventory) -> PlannedPhase:
+    """Make sure that a host answers before anything is done for its sake."""
+    host = _get_host(inventory, host_name)
+    request = PlannedRequest(host=host, body=host_requests.build_status_request(host))
+    return PlannedPhase(phase=Phase.REACH, task=task, requests=(request,))
+
+
+def build_stop_phase(
+    name: str, task: Task | None, host_name: str, inventory: Inventory, *, instance: str | None
+) -> PlannedPhase:
+    """Stop a task on a host and have it proven gone; ``task`` is None where it left the files."""
+    host = _get_host(inventory, host_name)
+    body = host_requests.build_stop_request(name, host, task=task, instance=instance)
+    grace = task.stop.grace if task else _UNKNOWN_GRACE_S
+    return PlannedPhase(
+        phase=Phase.STOP, task=name, requests=(PlannedRequest(host=host, body=body, timeout_s=grace),)
+    )
+
+
+def build_run_phases(
+    task: Task, host_name: str, inventory: Inventory, *, phase: Phase = Phase.START
+) -> PlannedPhases:
+    """Start a task on a host and wait until it is ready by its own check (running, where it has none)."""
+    host = _get_host(inventory, host_name)
+    body = host_requests.build_start_request(task, host, inventory.hosts)
+    start = PlannedPhase(phase=phase, task=task.name, requests=(PlannedRequest(host=host, body=body),))
+    return start, _build_ready_phase(task, host, inventory)
+
+
+def _build_ready_phase(task: Task, host: Host, inventory: Inventory) -> PlannedPhase:
+    """Wait on the host; a check on the robot is asked there, and its yes is marked on the host."""
+    timeout = _get_ready_timeout(task)
+    requests = [_build_wait(task.name, host, host_requests.NO_INSTANCE, timeout)]
+    if task.ready is not None and task.ready.on is CheckLocation.ROBOT:
+        robot = _get_check_robot(task, inventory)
+        body = host_requests.build_check_request(task, task.ready, robot, inventory.hosts)
+        requests.append(PlannedRequest(host=robot, body=body, timeout_s=task.ready.timeout))
+        mark = host_requests.build_mark_ready_request(task.name, host, instance=host_requests.NO_INSTANCE)
+        requests.append(PlannedRequest(host=host, body=mark))
+    return PlannedPhase(phase=Phase.READY, task=task.name, requests=tuple(requests), timeout_s=timeout)
+
+
+def _get_ready_timeout(task: Task) -> float:
+    return task.ready.timeout if task.ready else DEFAULT_READY_S
+
+
+def _build_wait(name: str, host: Host, instance: str, timeout_s: float) -> PlannedRequest:
+    piece = min(WAIT_PIECE_S, timeout_s)
+    body = host_requests.build_wait_request(name, host, instance=instance, timeout_s=piece)
+    return PlannedRequest(host=host, body=body, timeout_s=piece)
+
+
+def _build_safe_phases(task: Task, host_name: str, inventory: Inventory) -> PlannedPhases:
+    """Wait until a handoff is safe, at most its timeout."""
+    rule = task.handoff.safe_when
+    if rule is None:
+        return ()
+    host, timeout = _get_check_host(task, rule, host_name, inventory), task.handoff.timeout
+    seconds = min(rule.timeout, timeout)
+    body = host_requests.build_check_request(task, rule, host, inventory.hosts, timeout_s=seconds)
+    request = PlannedRequest(host=host, body=body, timeout_s=seconds)
+    return (PlannedPhase(phase=Phase.SAFE, task=task.name, requests=(request,), timeout_s=timeout),)
+
+
+def build_hook_phases(
+    phase: Phase, task: Task, rule: Check | None, host_name: str, inventory: Inventory
+) -> PlannedPhases:
+    """Run the hold or release hook, where there is one."""
+    if rule is None:
+        return ()
+    host = _get_check_host(task, rule, host_name, inventory)
+    body = host_requests.build_check_request(task, rule, host, inventory.hosts)
+    request = PlannedRequest(host=host, body=body, timeout_s=rule.timeout)
+    return (PlannedPhase(phase=phase, task=task.name, requests=(request,)),)
+
+
+def _build_need_phases(
+    needs: Iterable[Need], plan: Plan, inventory: Inventory, tasks: Tasks
+) -> PlannedPhases:
+    """A wait for each predecessor that neither the snapshot nor this plan settles."""
+    steps = {step.task: step for step in plan.steps}
+    return tuple(
+        _build_need_phase(need, tasks.tasks[need.task], steps[need.task], inventory, plan)
+        for need in needs
+        if need.task in steps
+        and need.task in tasks.tasks
+        and not _is_predecessor_settled(need, tasks.tasks[need.task], steps[need.task], plan)
+    )
+
+
+def _is_predecessor_settled(need: Need, task: Task, step: Step, plan: Plan) -> bool:
+    """Whether the snapshot shows the predecessor far enough, or no host can be asked about it."""
+    if step.decision.verdict in (Verdict.COMPLETED, Verdict.HELD) or step.action in (
+        Action.COMPLETE,
+        Action.HOLD,
+        Action.NONE,
+    ):
+        return True
+    if not task.managed:
+        return need.until is not NeedCondition.COMPLETED
+    if need.until is NeedCondition.COMPLETED:
+        return False
+    if step.action in (Action.START, Action.MOVE, Action.RESTART):
+        return True
+    sample = _find_sample(plan, step)
+    if sample is None:
+        return False
+    return sample.state is TaskState.READY or (
+        sample.state is TaskState.RUNNING and (task.ready is None or need.until is NeedCondition.RUNNING)
+    )
+
+
+def _find_sample(plan: Plan, step: Step) -> TaskSample | None:
+    host = plan.snapshot.hosts.get(step.decision.host or "")
+    return host.tasks.get(step.task) if host else None
+
+
+def _build_need_phase(need: Need, task: Task, step: Step, inventory: Inventory, plan: Plan) -> PlannedPhase:
+    """Wait for a predecessor that runs already, or for a job to complete."""
+    host = inventory.hosts.get(step.decision.host or "")
+    if host is None:
+        raise HostError(f"waits for {need.task}, which does not run", hint="apply again once it does")
+    if need.until is NeedCondition.COMPLETED:
+        body = host_requests.build_status_request(host, need.task)
+        request, timeout = PlannedRequest(host=host, body=body), COMPLETION_S
+    else:
+        sample, timeout = _find_sample(plan, step), _get_ready_timeout(task)
+        request = _build_wait(task.name, host, sample.instance if sample else "", timeout)
+    return PlannedPhase(phase=Phase.NEEDS, task=need.task, requests=(request,), timeout_s=timeout)
+
+
+def _get_check_host(task: Task, rule: Check, host_name: str, inventory: Inventory) -> Host:
+    if rule.on is CheckLocation.ROBOT:
+        return _get_check_robot(task, inventory)
+    return _get_host(inventory, host_name)
+
+
+def _get_check_robot(task: Task, inventory: Inventory) -> Host:
+    if not task.robots:
+        raise HostError(f"{task.name} has no robot on which its check could run")
+    robot = _get_host(inventory, task.robots[0])
+    if not robot.probe:
+        raise HostError(
+            f"the check of {task.name} needs {robot.name}, which is never contacted (probe: false)",
+            host=robot.name,
+        )
+    return robot
+
+
+def _get_host(inventory: Inventory, name: str) -> Host:
+    host = inventory.hosts.get(name)
+    if host is None:
+        raise HostError(
+            f"{name} is not in the inventory", hint="put it back until nothing runs there", host=name
+        )
+    return host
