@@ -6,6 +6,8 @@ forms.
 
 import math
 import re
+from collections.abc import Callable
+from dataclasses import dataclass
 from datetime import UTC, datetime
 
 _BYTE_UNITS = {
@@ -192,3 +194,45 @@ def format_duration(seconds: float) -> str:
         if whole >= scale:
             return f"{whole // scale}{unit}{whole % scale // step:02d}{lower}"
     return f"{whole}s"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Unit:
+    """A unit of measurement: parser and formats of its amounts.
+
+    ``name``: the unit in documents. ``example``: an amount as a task file states it. ``format``: for columns;
+    ``format_small`` tells small amounts from none; ``format_exact``: for comparisons in sentences;
+    ``format_for_file``: rounded up, as ``parse`` reads it. ``word`` follows what ``format`` gives where no
+    unit is in it.
+    """
+
+    name: str
+    example: str
+    parse: Callable[[object], float]
+    format: Callable[[float], str]
+    format_small: Callable[[float], str]
+    format_exact: Callable[[float], str]
+    format_for_file: Callable[[float], str]
+    word: str = ""
+
+
+def _format_small_cores(value: float) -> str:
+    return f"{value:.3f}" if 0 < value < 0.1 else format_cores(value)
+
+
+def _format_exact_cores(value: float) -> str:
+    return f"{value:.3f} cores"
+
+
+CORES = Unit(
+    name="cores", example="1.5", parse=parse_cores, format=format_cores, format_small=_format_small_cores,
+    format_exact=_format_exact_cores, format_for_file=format_cores_for_file, word=" cores",
+)  # fmt: skip
+BYTES = Unit(
+    name="bytes", example="900Mi", parse=parse_bytes, format=format_bytes, format_small=format_bytes,
+    format_exact=format_bytes, format_for_file=format_bytes_for_file,
+)  # fmt: skip
+BYTES_PER_S = Unit(
+    name="bytes_per_s", example="12MB/s", parse=parse_rate, format=format_rate, format_small=format_rate,
+    format_exact=format_rate, format_for_file=format_rate_for_file,
+)  # fmt: skip

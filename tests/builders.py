@@ -7,11 +7,10 @@ from edgectl.model.inventory import Host, Inventory, Limits, Role
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.policy import Policy
 from edgectl.model.snapshot import (
-    CpuUsage,
     HostSample,
     HostStatus,
     LinkSample,
-    MemoryUsage,
+    ResourceUsage,
     Snapshot,
     TaskSample,
     TaskState,
@@ -75,7 +74,7 @@ def a_task(
         template=name,
         command=f"run {name}",
         spec_hash=f"hash-{name}",
-        demand=Demand(cpu=a_quantity(cpu), memory=a_quantity(memory), throughput=a_quantity(throughput)),
+        demand=Demand(cpu=a_quantity(cpu), memory=a_quantity(memory), network=a_quantity(throughput)),
         robots=tuple(robots),
         needs=tuple(
             need if isinstance(need, Need) else Need(task=need, until=NeedCondition.READY) for need in needs
@@ -121,8 +120,10 @@ def a_sample(
         role=role,
         status=HostStatus.OK,
         sample_age_s=age,
-        cpu=CpuUsage(cores=cores, used_cores=used),
-        memory=MemoryUsage(total_bytes=memory, used_bytes=used_memory),
+        usage={
+            "cpu": ResourceUsage(capacity=cores, used=used),
+            "memory": ResourceUsage(capacity=memory, used=used_memory),
+        },
         links=links or {},
         tasks=tasks or {},
     )

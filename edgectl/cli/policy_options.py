@@ -8,11 +8,11 @@ from pathlib import Path
 
 from edgectl.cli import console
 from edgectl.cli.selector import matches_selector
+from edgectl.config.weights import parse_weights
 from edgectl.errors import UsageError
 from edgectl.model.plan import Plan
 from edgectl.model.policy import Policy, PolicyName, Weights
 from edgectl.model.task import Tasks
-from edgectl.model.weights import parse_weights
 from edgectl.names import check_known_names
 from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.plan import keep_whole_plan, limit_plan_to_tasks

@@ -32,22 +32,34 @@ from edgectl.config.scalars import (
 )
 from edgectl.formats.digest import digest_inventory
 from edgectl.model.inventory import BaseLoad, Capacity, Connection, Host, Inventory, Limits, Role, Runtime
+from edgectl.model.resource import HOST_RESOURCES
 from edgectl.names import natural_key
-from edgectl.units import parse_bytes, parse_cores, parse_rate, parse_share
+from edgectl.units import parse_rate, parse_share
 
 MAX_HOSTS = 10_000
 
 
-_read_share = quantity_reader(parse_share, above_zero=True)
-LIMITS_KEYS: Mapping[str, NodeReader] = {"cpu": _read_share, "memory": _read_share}
+LIMITS_KEYS: Mapping[str, NodeReader] = {
+    resource.name: quantity_reader(parse_share, above_zero=True) for resource in HOST_RESOURCES
+}
 CAPACITY_KEYS: Mapping[str, NodeReader] = {
-    "cpu": quantity_reader(parse_cores, above_zero=True),
-    "memory": quantity_reader(parse_bytes, above_zero=True),
+    resource.name: quantity_reader(resource.unit.parse, above_zero=True) for resource in HOST_RESOURCES
 }
 BASE_KEYS: Mapping[str, NodeReader] = {
-    "cpu": quantity_reader(parse_cores),
-    "memory": quantity_reader(parse_bytes),
+    resource.name: quantity_reader(resource.unit.parse) for resource in HOST_RESOURCES
 }
+# A slice declares all of these, or none.
+_SLICE_KEYS = tuple(resource.name for resource in HOST_RESOURCES if not resource.declared_only)
+
+
+def _read_capacity(node: Node, problems: Problems) -> Any:  # noqa: ANN401
+    stated = node.value if isinstance(node.value, dict) else {}
+    budget_only = bool(stated) and all(key in CAPACITY_KEYS and key not in _SLICE_KEYS for key in stated)
+    return record_reader(CAPACITY_KEYS, Capacity, "capacity", () if budget_only else _SLICE_KEYS)(
+        node, problems
+    )
+
+
 DEFAULTS_KEYS: Mapping[str, NodeReader] = {
     "connection": enum_reader(Connection),
     "port": integer_reader(1, 65535),
@@ -65,7 +77,7 @@ DEFAULTS_KEYS: Mapping[str, NodeReader] = {
 EDGE_KEYS: Mapping[str, NodeReader] = {
     "host": read_safe_argument,
     **DEFAULTS_KEYS,
-    "capacity": record_reader(CAPACITY_KEYS, Capacity, "capacity", ("cpu", "memory")),
+    "capacity": _read_capacity,
     "base": record_reader(BASE_KEYS, BaseLoad, "base"),
 }
 ROBOT_KEYS: Mapping[str, NodeReader] = {**EDGE_KEYS, "onboard": read_bool, "probe": read_bool}
@@ -179,8 +191,8 @@ def _read_host_entry(
 def _merge_limits(fields: Fields, default: Limits) -> Limits:
     own: Limits = fields.values["limits"]
     stated = fields.at("limits").value
-    changed = {key: getattr(own, key) for key in LIMITS_KEYS if isinstance(stated, dict) and key in stated}
-    return replace(default, **changed)
+    changed = {key: own[key] for key in LIMITS_KEYS if isinstance(stated, dict) and key in stated}
+    return Limits({**default, **changed})
 
 
 def _check_host_contradictions(fields: Fields, problems: Problems) -> None:

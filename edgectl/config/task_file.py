@@ -32,7 +32,9 @@ from edgectl.config.scalars import (
     read_version,
     report_wrong_type,
 )
+from edgectl.config.weights import parse_weights
 from edgectl.model.policy import Policy, PolicyName, SequenceRule
+from edgectl.model.resource import RESOURCES, RESOURCES_BY_NAME
 from edgectl.model.task import (
     Check,
     CheckLocation,
@@ -51,8 +53,7 @@ from edgectl.model.task import (
     TaskLimits,
     UnreachablePolicy,
 )
-from edgectl.model.weights import parse_weights
-from edgectl.units import parse_bytes, parse_cores, parse_duration, parse_rate
+from edgectl.units import parse_bytes, parse_cores, parse_duration
 
 _SIGNALS = ("TERM", "INT", "HUP", "QUIT", "KILL", "USR1", "USR2")
 _read_duration = quantity_reader(parse_duration, above_zero=True)
@@ -194,8 +195,19 @@ def _find_weight_mark(node: Node, message: str) -> Mark:
 
 def _read_demand(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     if node.value == MEASURED_WORD:
-        return Demand(cpu=MEASURED, memory=MEASURED, throughput=MEASURED)
-    return record_reader(DEMAND_KEYS, Demand, "demand")(node, problems)
+        return Demand(dict.fromkeys(RESOURCES_BY_NAME, MEASURED))
+    return record_reader(DEMAND_KEYS, _build_demand, "demand")(node, problems)
+
+
+def _build_demand(**quantities: Quantity) -> Demand:
+    """A demand out of its keys in the file."""
+    return Demand(
+        {
+            resource.name: quantities[resource.demand_key]
+            for resource in RESOURCES
+            if resource.demand_key in quantities
+        }
+    )
 
 
 def _demand_quantity_reader(parse: Callable[[object], Quantity]) -> NodeReader:
@@ -234,9 +246,8 @@ CHECK_KEYS: Mapping[str, NodeReader] = {
 }
 NEED_KEYS: Mapping[str, NodeReader] = {"task": read_name, "until": enum_reader(NeedCondition)}
 DEMAND_KEYS: Mapping[str, NodeReader] = {
-    "cpu": _demand_quantity_reader(demand_parser(parse_cores, "1.5")),
-    "memory": _demand_quantity_reader(demand_parser(parse_bytes, "900Mi")),
-    "throughput": _demand_quantity_reader(demand_parser(parse_rate, "12MB/s")),
+    resource.demand_key: _demand_quantity_reader(demand_parser(resource.unit.parse, resource.unit.example))
+    for resource in RESOURCES
 }
 HOST_RULES_KEYS: Mapping[str, NodeReader] = {
     "only": list_reader_with_nodes(read_name),

@@ -10,6 +10,7 @@ from edgectl.config.placeholders import has_placeholder
 from edgectl.config.problems import ProblemCode, Problems
 from edgectl.config.task_file import TaskDraft, TaskTemplate
 from edgectl.model.inventory import Host, Inventory, Role
+from edgectl.model.resource import RESOURCES
 from edgectl.model.task import (
     Check,
     CheckLocation,
@@ -203,12 +204,14 @@ def _check_demand(draft: TaskDraft, problems: Problems) -> None:
     if not fields.values.get("managed", True) or ("demand" in fields and "demand" not in fields.values):
         return
     demand = fields.values.get("demand", Demand())
-    wanted = ("cpu", "memory", "throughput") if draft.robots else ("cpu", "memory")
     stated = fields.at("demand").value if "demand" in fields else {}
     left_out = [
-        key
-        for key in wanted
-        if getattr(demand, key) is None and not (isinstance(stated, dict) and key in stated)
+        resource.demand_key
+        for resource in RESOURCES
+        if demand[resource.name] is None
+        and not resource.declared_only
+        and (draft.robots or not resource.per_link)
+        and not (isinstance(stated, dict) and resource.demand_key in stated)
     ]
     if left_out:
         mark = fields.at("demand").mark if "demand" in fields else draft.template.named_at

@@ -6,9 +6,11 @@ from edgectl.model.assignment import Reason
 from edgectl.model.inventory import Inventory
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Plan
+from edgectl.model.resource import HOST_RESOURCES
 from edgectl.model.snapshot import HostSample, Snapshot, TaskSample
 from edgectl.model.task import Tasks
 from edgectl.names import natural_key
+from edgectl.units import format_rate
 
 # A load that moved by more than this share of the capacity makes another plan likely.
 LOAD_TOLERANCE = 0.10
@@ -56,25 +58,19 @@ def _list_host_drift(name: str, before: HostSample, now: HostSample) -> Iterator
         yield f"{name} answers again" if now.ok else f"{name} no longer answers"
         return
     yield from _list_task_drift(name, before.tasks, now.tasks)
-    if (
-        before.cpu
-        and now.cpu
-        and _is_beyond_tolerance(before.cpu.used_cores, now.cpu.used_cores, now.cpu.cores)
-    ):
-        yield f"cpu of {name} went from {before.cpu.used_cores:.2f} to {now.cpu.used_cores:.2f} cores"
-    if (
-        before.memory
-        and now.memory
-        and _is_beyond_tolerance(before.memory.used_bytes, now.memory.used_bytes, now.memory.total_bytes)
-    ):
-        old_bytes, new_bytes = before.memory.used_bytes, now.memory.used_bytes
-        yield f"memory of {name} went from {old_bytes:.3g} to {new_bytes:.3g} bytes"
+    for resource in HOST_RESOURCES:
+        if resource.name not in before.usage or resource.name not in now.usage:
+            continue
+        was, found = before.usage[resource.name], now.usage[resource.name]
+        if _is_beyond_tolerance(was.used, found.used, found.capacity):
+            show = resource.unit.format
+            yield f"{resource} of {name} went from {show(was.used)} to {show(found.used)}{resource.unit.word}"
     for robot, link in now.links.items():
         old = before.links.get(robot)
         if old is not None and _is_beyond_tolerance(
             old.used_bytes_per_s, link.used_bytes_per_s, link.capacity_bytes_per_s
         ):
-            change = f"{old.used_bytes_per_s:.3g} to {link.used_bytes_per_s:.3g} bytes/s"
+            change = f"{format_rate(old.used_bytes_per_s)} to {format_rate(link.used_bytes_per_s)}"
             yield f"load of the link {name}-{robot} went from {change}"
 
 

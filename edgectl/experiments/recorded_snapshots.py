@@ -9,12 +9,12 @@ from edgectl.experiments.model.schemes import Scheme
 from edgectl.experiments.replay import replay_snapshots
 from edgectl.model.inventory import Inventory
 from edgectl.model.point import HostPoint, LinkPoint, TaskPoint
+from edgectl.model.resource import CPU, MEMORY, Usage
 from edgectl.model.snapshot import (
-    CpuUsage,
     HostSample,
     HostStatus,
     LinkSample,
-    MemoryUsage,
+    ResourceUsage,
     Snapshot,
     TaskSample,
 )
@@ -65,8 +65,10 @@ def _host_sample_from_point(
     return HostSample(
         role=role,
         status=HostStatus.OK,
-        cpu=CpuUsage(cores=point.cores, used_cores=point.used_cores or 0.0),
-        memory=MemoryUsage(total_bytes=point.total_bytes, used_bytes=point.used_bytes or 0.0),
+        usage={
+            CPU.name: ResourceUsage(capacity=point.cores, used=point.used_cores or 0.0),
+            MEMORY.name: ResourceUsage(capacity=point.total_bytes, used=point.used_bytes or 0.0),
+        },
         links={link.robot: _link_sample_from_point(link) for link in links},
         tasks={task.task: _task_sample_from_point(task) for task in tasks},
     )
@@ -84,11 +86,9 @@ def _task_sample_from_point(point: TaskPoint) -> TaskSample:
     return TaskSample(
         state=point.state,
         started_at=point.at - point.age_s,
-        used_cores=point.used_cores,
-        used_bytes=point.used_bytes,
-        used_bytes_per_s=point.used_bytes_per_s,
         instance=point.instance,
         spec_hash=point.spec_hash,
+        used=Usage(cpu=point.used_cores, memory=point.used_bytes, network=point.used_bytes_per_s),
     )
 
 

@@ -14,8 +14,9 @@ from edgectl.experiments.model.schemes import Scheme
 from edgectl.model.assignment import Assignment, Verdict
 from edgectl.model.inventory import Inventory
 from edgectl.model.manager_state import ManagerState, Placement
+from edgectl.model.resource import NETWORK, Usage
 from edgectl.model.snapshot import HostSample, LinkSample, Snapshot, TaskSample, TaskState
-from edgectl.model.task import Task, Tasks
+from edgectl.model.task import ZERO, Task, Tasks
 from edgectl.names import natural_key
 from edgectl.scheduler.assign import assign
 from edgectl.scheduler.ledger import TaskUsage
@@ -154,25 +155,21 @@ def relocate_tasks(snapshot: Snapshot, tasks: Tasks, placed: Mapping[str, str]) 
 
 
 def _usage_from_sample(found: TaskSample, task: Task) -> TaskUsage:
-    even = {robot: found.used_bytes_per_s / len(task.robots) for robot in task.robots}
-    return TaskUsage(
-        cpu=found.used_cores, memory=found.used_bytes, links=found.links if found.links is not None else even
-    )
+    even = {robot: found.used[NETWORK.name] / len(task.robots) for robot in task.robots}
+    return TaskUsage(used=found.used, links=found.links if found.links is not None else even)
 
 
 def _usage_from_demand(task: Task, host: HostSample) -> TaskUsage:
     """The declared demand of the task on ``host``, taken as its usage."""
     demand = task.demand
-    throughput = demand.throughput
-    links = {
-        robot: throughput.of(host.links[robot].capacity_bytes_per_s)
-        for robot in task.robots
-        if throughput is not None and robot in host.links
-    }
+    rate = demand[NETWORK.name] or ZERO
     return TaskUsage(
-        cpu=demand.cpu.of(host.cpu.cores) if demand.cpu and host.cpu else 0.0,
-        memory=demand.memory.of(host.memory.total_bytes) if demand.memory and host.memory else 0.0,
-        links=links,
+        used={name: (demand[name] or ZERO).of(usage.capacity) for name, usage in host.usage.items()},
+        links={
+            robot: rate.of(host.links[robot].capacity_bytes_per_s)
+            for robot in task.robots
+            if robot in host.links
+        },
     )
 
 
@@ -180,10 +177,8 @@ def _build_assumed_sample(snapshot: Snapshot, task: Task, usage: TaskUsage) -> T
     return TaskSample(
         state=TaskState.READY,
         started_at=snapshot.taken_at,
-        used_cores=usage.cpu,
-        used_bytes=usage.memory,
-        used_bytes_per_s=sum(usage.links.values()),
         links=usage.links,
+        used=Usage({**usage.used, NETWORK.name: sum(usage.links.values())}),
         spec_hash=task.spec_hash,
     )
 
@@ -199,16 +194,18 @@ def _add_task_and_load(host: HostSample, task: str, found: TaskSample, usage: Ta
     return replace(_shift_host_load(host, usage, 1.0), tasks={**host.tasks, task: found})
 
 
-def _shift_host_load(host: HostSample, usage: TaskUsage, sign: float) -> HostSample:
+def _shift_host_load(host: HostSample, task_usage: TaskUsage, sign: float) -> HostSample:
     """``host`` with ``sign`` times the usage added to its load, at least 0."""
-    if host.cpu is None or host.memory is None:
+    if not host.measured:
         return host
     return replace(
         host,
-        cpu=replace(host.cpu, used_cores=max(0.0, host.cpu.used_cores + sign * usage.cpu)),
-        memory=replace(host.memory, used_bytes=max(0.0, host.memory.used_bytes + sign * usage.memory)),
+        usage={
+            name: replace(usage, used=max(0.0, usage.used + sign * task_usage.used.get(name, 0.0)))
+            for name, usage in host.usage.items()
+        },
         links={
-            robot: _shift_link_load(link, sign * usage.links.get(robot, 0.0))
+            robot: _shift_link_load(link, sign * task_usage.links.get(robot, 0.0))
             for robot, link in host.links.items()
         },
     )
@@ -221,9 +218,9 @@ def _shift_link_load(link: LinkSample, change: float) -> LinkSample:
 def _record_utilisation(snapshot: Snapshot, counts: _ReplayCounts) -> None:
     """Add the utilisation of each measured edge and link to ``counts``."""
     for host in snapshot.hosts.values():
-        if host.ok and host.cpu is not None and host.memory is not None and host.role.value == "edge":
-            counts.cpu.append(host.cpu.used_cores / host.cpu.cores)
-            counts.memory.append(host.memory.used_bytes / host.memory.total_bytes)
+        if host.ok and host.measured and host.role.value == "edge":
+            counts.cpu.append(host.usage["cpu"].used / host.usage["cpu"].capacity)
+            counts.memory.append(host.usage["memory"].used / host.usage["memory"].capacity)
             links = (link for link in host.links.values() if link.capacity_bytes_per_s > 0)
             counts.network += [link.used_bytes_per_s / link.capacity_bytes_per_s for link in links]
 

@@ -110,9 +110,11 @@ def _warn_about_cordons(fleet: Fleet) -> None:
 
 def _capacities_from_snapshot(snapshot: Snapshot) -> dict[str, HostCapacity]:
     return {
-        name: HostCapacity(role=host.role, cores=host.cpu.cores, memory=host.memory.total_bytes)
+        name: HostCapacity(
+            role=host.role, cores=host.usage["cpu"].capacity, memory=host.usage["memory"].capacity
+        )
         for name, host in snapshot.hosts.items()
-        if host.cpu is not None and host.memory is not None
+        if host.measured
     }
 
 
@@ -152,9 +154,9 @@ def _check_no_task_runs(snapshot: Snapshot) -> None:
 def _describe_busy_hosts(snapshot: Snapshot, idle: float) -> str:
     """Hosts whose CPU utilisation (0..1) exceeds ``idle``; "" if none."""
     shares = {
-        name: host.cpu.used_cores / host.cpu.cores
+        name: host.usage["cpu"].used / host.usage["cpu"].capacity
         for name, host in snapshot.hosts.items()
-        if host.cpu is not None
+        if "cpu" in host.usage
     }
     busy = [f"{name} uses {share:.0%} of its CPU" for name, share in shares.items() if share > idle]
     return f"{', '.join(busy)} (limit {idle:.0%})" if busy else ""

@@ -9,12 +9,12 @@ from edgectl.experiments.model.scenario import Scenario, SimHostUsage
 from edgectl.model.inventory import Inventory, Role
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.policy import Policy
+from edgectl.model.resource import CPU, MEMORY, Usage
 from edgectl.model.snapshot import (
-    CpuUsage,
     HostSample,
     HostStatus,
     LinkSample,
-    MemoryUsage,
+    ResourceUsage,
     Snapshot,
     TaskSample,
     TaskState,
@@ -151,15 +151,15 @@ def _compute_demand_cores(state: SimState, service: SimTask) -> float:
 
     A relative demand is a share of the first edge, where it was measured, on every host.
     """
-    return (service.task.demand.cpu or ZERO).of(state.scenario.hosts[state.reference].cores)
+    return (service.task.demand["cpu"] or ZERO).of(state.scenario.hosts[state.reference].cores)
 
 
 def _compute_demand_bytes(state: SimState, service: SimTask) -> float:
-    return (service.task.demand.memory or ZERO).of(state.scenario.hosts[state.reference].memory)
+    return (service.task.demand["memory"] or ZERO).of(state.scenario.hosts[state.reference].memory)
 
 
 def _compute_demand_bytes_per_s(state: SimState, service: SimTask, robot: str) -> float:
-    return (service.task.demand.throughput or ZERO).of(_get_link_bytes_per_s(state, state.reference, robot))
+    return (service.task.demand["network"] or ZERO).of(_get_link_bytes_per_s(state, state.reference, robot))
 
 
 def integrate_loads(state: SimState) -> None:
@@ -221,8 +221,10 @@ def _simulate_host_sample(state: SimState, host: str) -> HostSample:
     return HostSample(
         role=role,
         status=HostStatus.OK,
-        cpu=CpuUsage(cores=machine.cores, used_cores=min(machine.cores, max(0.0, cpu + noise))),
-        memory=MemoryUsage(total_bytes=machine.memory, used_bytes=memory),
+        usage={
+            CPU.name: ResourceUsage(capacity=machine.cores, used=min(machine.cores, max(0.0, cpu + noise))),
+            MEMORY.name: ResourceUsage(capacity=machine.memory, used=memory),
+        },
         links={
             robot: LinkSample(
                 capacity_bytes_per_s=_get_link_bytes_per_s(state, host, robot),
@@ -243,9 +245,11 @@ def _simulate_task_sample(state: SimState, service: SimTask) -> TaskSample:
         state=task_state,
         pid=1,
         started_at=service.since,
-        used_cores=state.cores.get(name, 0.0),
-        used_bytes=_compute_demand_bytes(state, service),
-        used_bytes_per_s=sum(rates.values()),
+        used=Usage(
+            cpu=state.cores.get(name, 0.0),
+            memory=_compute_demand_bytes(state, service),
+            network=sum(rates.values()),
+        ),
         links=dict(rates),
         instance=name,
         spec_hash=service.task.spec_hash,

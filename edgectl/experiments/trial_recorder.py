@@ -178,8 +178,8 @@ class TrialRecorder:
 def _build_load_sample(sample: HostSample, at: float) -> LoadSample:
     return LoadSample(
         at=at,
-        cores=sample.cpu.used_cores if sample.cpu else 0.0,
-        memory=sample.memory.used_bytes if sample.memory else 0.0,
+        cores=sample.usage["cpu"].used if "cpu" in sample.usage else 0.0,
+        memory=sample.usage["memory"].used if "memory" in sample.usage else 0.0,
         bytes_per_s=sum(link.used_bytes_per_s for link in sample.links.values()),
     )
 

@@ -7,13 +7,13 @@ from edgectl.model.assignment import Verdict
 from edgectl.model.inventory import Role
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Action, Plan, Step
+from edgectl.model.resource import Resource
 from edgectl.model.result import ActionResult, Outcome
 from edgectl.model.revision import Revision
 from edgectl.model.snapshot import (
-    CpuUsage,
     HostSample,
     LinkSample,
-    MemoryUsage,
+    ResourceUsage,
     Snapshot,
     TaskSample,
     TaskState,
@@ -65,14 +65,9 @@ def sample_hosts(read: Callable[[HostSample], float | None]) -> Sampler:
     return lambda picture: [((name,), read(host)) for name, host in picture.snapshot.hosts.items() if host.ok]
 
 
-def sample_host_cpu(read: Callable[[CpuUsage], float]) -> Sampler:
-    """One sample per host that reports its CPU."""
-    return sample_hosts(lambda host: read(host.cpu) if host.cpu else None)
-
-
-def sample_host_memory(read: Callable[[MemoryUsage], float]) -> Sampler:
-    """One sample per host that reports its memory."""
-    return sample_hosts(lambda host: read(host.memory) if host.memory else None)
+def sample_host_usage(resource: Resource, read: Callable[[ResourceUsage], float]) -> Sampler:
+    """One sample per host where ``resource`` is measured."""
+    return sample_hosts(lambda host: read(host.usage[resource.name]) if resource.name in host.usage else None)
 
 
 def sample_host_up(picture: MetricsInput) -> Iterable[MetricSample]:

@@ -11,6 +11,7 @@ from enum import StrEnum
 from edgectl.export import metric_samples
 from edgectl.export.metric_samples import Histogram, MetricsInput, Sampler
 from edgectl.model.plan import Action
+from edgectl.model.resource import CPU, MEMORY
 
 
 class MetricType(StrEnum):
@@ -83,25 +84,25 @@ METRICS = (
         name="edgectl_host_cpu_cores",
         help="Cores of the host (measured or declared, before limits).",
         labels=_HOST_LABELS,
-        read=metric_samples.sample_host_cpu(lambda cpu: cpu.cores),
+        read=metric_samples.sample_host_usage(CPU, lambda usage: usage.capacity),
     ),
     MetricDefinition(
         name="edgectl_host_cpu_used_cores",
         help="Cores in use on the host.",
         labels=_HOST_LABELS,
-        read=metric_samples.sample_host_cpu(lambda cpu: cpu.used_cores),
+        read=metric_samples.sample_host_usage(CPU, lambda usage: usage.used),
     ),
     MetricDefinition(
         name="edgectl_host_memory_bytes",
         help="Memory of the host (measured or declared, before limits).",
         labels=_HOST_LABELS,
-        read=metric_samples.sample_host_memory(lambda use: use.total_bytes),
+        read=metric_samples.sample_host_usage(MEMORY, lambda usage: usage.capacity),
     ),
     MetricDefinition(
         name="edgectl_host_memory_used_bytes",
         help="Memory in use on the host.",
         labels=_HOST_LABELS,
-        read=metric_samples.sample_host_memory(lambda use: use.used_bytes),
+        read=metric_samples.sample_host_usage(MEMORY, lambda usage: usage.used),
     ),
     MetricDefinition(
         name="edgectl_host_network_receive_bytes_per_second",
@@ -180,19 +181,19 @@ METRICS = (
         name="edgectl_task_cpu_used_cores",
         help="Cores in use by the task's processes.",
         labels=_RUN_LABELS,
-        read=metric_samples.sample_running_tasks(lambda task: task.used_cores),
+        read=metric_samples.sample_running_tasks(lambda task: task.used["cpu"]),
     ),
     MetricDefinition(
         name="edgectl_task_memory_used_bytes",
         help="Memory in use by the task's processes.",
         labels=_RUN_LABELS,
-        read=metric_samples.sample_running_tasks(lambda task: task.used_bytes),
+        read=metric_samples.sample_running_tasks(lambda task: task.used["memory"]),
     ),
     MetricDefinition(
         name="edgectl_task_network_used_bytes_per_second",
         help="Traffic of the task with its robots.",
         labels=_RUN_LABELS,
-        read=metric_samples.sample_running_tasks(lambda task: task.used_bytes_per_s),
+        read=metric_samples.sample_running_tasks(lambda task: task.used["network"]),
     ),
     MetricDefinition(
         name="edgectl_task_app_metric",

@@ -9,7 +9,8 @@ from functools import cache
 from typing import Any
 
 from edgectl.model.inventory import Inventory
-from edgectl.model.task import Task, Tasks
+from edgectl.model.resource import RESOURCES_BY_NAME, ResourceMap
+from edgectl.model.task import Demand, Task, Tasks
 
 RUN_FIELDS = ("command", "env", "workdir", "kind", "restart", "stop", "ready", "limits", "log", "robots")
 OPTIONAL_RUN_FIELDS = ("self_fence", "env_command")
@@ -50,9 +51,15 @@ def hash_value(value: object) -> str:
 
 
 def _to_canonical(value: Any) -> Any:  # noqa: ANN401
-    """Only JSON types; mappings by text keys, sets sorted; of a dataclass the fields that differ from their default."""
+    """Only JSON types; mappings by text keys, sets sorted; of a record the entries that differ from their default."""
     if value is None or isinstance(value, str | int | float):
         return value.value if isinstance(value, StrEnum) else value
+    if isinstance(value, Demand):
+        return {
+            RESOURCES_BY_NAME[name].demand_key: _to_canonical(inner) for name, inner in value.stated.items()
+        }
+    if isinstance(value, ResourceMap):
+        return {name: _to_canonical(inner) for name, inner in value.stated.items()}
     if isinstance(value, Mapping):
         return {_key_to_text(key): _to_canonical(inner) for key, inner in value.items()}
     if isinstance(value, tuple):

@@ -117,6 +117,13 @@ class DocumentReader:
                    "write one of " + ", ".join(choices))  # fmt: skip
         return fallback
 
+    def named(self, key: str, known: Mapping[str, Value]) -> Value:
+        """One of the ``known`` values by its name; must be there."""
+        raw = self.text(key)
+        if self.has(key) and isinstance(self.value[key], str) and raw not in known:
+            self.fault(key, f"unknown {key}: {raw!r}", "write one of " + ", ".join(known))
+        return known.get(raw) or next(iter(known.values()))
+
     def child(self, key: str) -> "DocumentReader":
         """The object under ``key``, which must be there. Where it is not, that is the one mistake that is told."""
         raw = self.value.get(key)

@@ -1,8 +1,9 @@
-"""Memory to and from JSON: part of a snapshot, and the manager's own cache file."""
+"""Manager state to and from JSON: part of a snapshot, and the manager's own cache file."""
 
 from edgectl.formats.document import FORMAT_VERSION, Document, encode_number, without_none
 from edgectl.formats.document_reader import DocumentReader, check_no_faults, open_document
 from edgectl.model.manager_state import ManagerState, MeasuredDemand, Placement
+from edgectl.model.resource import RESOURCES, Resource
 from edgectl.units import format_instant
 
 
@@ -35,9 +36,11 @@ def _encode_measured_demand(found: MeasuredDemand) -> Document:
     return without_none(
         samples=found.samples,
         span_s=encode_number(found.span_s),
-        used_cores=encode_number(found.cpu),
-        used_bytes=encode_number(found.memory),
-        used_bytes_per_s=None if found.throughput is None else encode_number(found.throughput),
+        **{
+            resource.used_key: encode_number(found.used[resource.name])
+            for resource in RESOURCES
+            if resource.name in found.used
+        },
         spec_hash=found.spec_hash or None,
     )
 
@@ -91,11 +94,17 @@ def _decode_measured_demand(reader: DocumentReader) -> MeasuredDemand:
     return MeasuredDemand(
         samples=reader.integer("samples"),
         span_s=reader.number("span_s"),
-        cpu=reader.number("used_cores"),
-        memory=reader.number("used_bytes"),
-        throughput=reader.maybe_number("used_bytes_per_s"),
+        used={
+            resource.name: reader.number(resource.used_key)
+            for resource in RESOURCES
+            if not _may_be_unknown(resource) or reader.has(resource.used_key)
+        },
         spec_hash=reader.text("spec_hash", ""),
     )
+
+
+def _may_be_unknown(resource: Resource) -> bool:
+    return resource.per_link or resource.declared_only
 
 
 def _decode_placement(reader: DocumentReader) -> Placement:

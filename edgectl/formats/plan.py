@@ -1,4 +1,4 @@
-"""Plan to and from JSON (DESIGN section 4): what was decided with every number, and the snapshot it was decided from."""
+"""Plan to and from JSON: what was decided with every number, and the snapshot it was decided from."""
 
 from edgectl.formats import snapshot as snapshot_format
 from edgectl.formats.document import FORMAT_VERSION, Document, encode_number, encode_optional, without_none
@@ -13,13 +13,21 @@ from edgectl.model.assignment import (
     Reason,
     Rejection,
     RejectionRule,
-    Resource,
     ResourceDemand,
-    Terms,
+    UtilityTerms,
     Verdict,
 )
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.policy import Policy, PolicyName, SequenceRule, Weights
+from edgectl.model.resource import (
+    HOST_RESOURCES,
+    NETWORK,
+    RESOURCES,
+    RESOURCES_BY_NAME,
+    TERMS,
+    Resource,
+    Usage,
+)
 from edgectl.units import format_instant
 
 
@@ -53,7 +61,7 @@ def encode_policy(policy: Policy) -> Document:
 
 
 def _encode_weights(weights: Weights) -> Document:
-    return {name: encode_number(getattr(weights, name)) for name in ("cpu", "memory", "network", "task")}
+    return {name: encode_number(weight) for name, weight in weights.items()}
 
 
 def _encode_options(policy: Policy) -> Document:
@@ -99,17 +107,11 @@ def _encode_step(step: Step) -> Document:
 
 
 def _encode_ranked_host(ranked: RankedHost) -> Document:
-    terms = ranked.terms
     return {
         "host": ranked.host,
         "rank": ranked.rank,
         "total": encode_optional(ranked.total),
-        "terms": {
-            "cpu": encode_optional(terms.cpu),
-            "memory": encode_optional(terms.memory),
-            "network": encode_optional(terms.network),
-            "task": encode_optional(terms.task),
-        },
+        "terms": {name: encode_optional(term) for name, term in ranked.terms.items()},
         "affinity": ranked.affinity,
         "feasible": ranked.feasible,
         "rejections": [_encode_rejection(rejection) for rejection in ranked.rejections],
@@ -118,7 +120,7 @@ def _encode_ranked_host(ranked: RankedHost) -> Document:
 
 def _encode_demand(demand: tuple[ResourceDemand, ...]) -> Document | None:
     return {
-        rho.resource.value: without_none(
+        rho.resource.name: without_none(
             value=encode_number(rho.value), source=rho.source.value, samples=rho.samples
         )
         for rho in demand
@@ -128,7 +130,7 @@ def _encode_demand(demand: tuple[ResourceDemand, ...]) -> Document | None:
 def _encode_uneven(found: DemandSpread) -> Document:
     return {
         "task": found.task,
-        "resource": found.resource.value,
+        "resource": found.resource.name,
         "share": encode_number(found.share),
         "least": encode_number(found.least),
         "most": encode_number(found.most),
@@ -139,7 +141,7 @@ def _encode_uneven(found: DemandSpread) -> Document:
 def _encode_rejection(rejection: Rejection) -> Document:
     return without_none(
         rule=rejection.rule.value,
-        resource=None if rejection.resource is None else rejection.resource.value,
+        resource=None if rejection.resource is None else rejection.resource.name,
         robot=rejection.robot,
         demand=encode_optional(rejection.demand),
         used=encode_optional(rejection.used),
@@ -157,9 +159,8 @@ def _encode_move_cost(cost: MoveCost) -> Document:
 
 def _encode_expected_load(load: ExpectedLoad) -> Document:
     return {
-        "used_cores": encode_number(load.used_cores),
-        "used_bytes": encode_number(load.used_bytes),
-        "links": {robot: {"used_bytes_per_s": encode_number(rate)} for robot, rate in load.links.items()},
+        **{resource.used_key: encode_number(load.used[resource.name]) for resource in HOST_RESOURCES},
+        "links": {robot: {NETWORK.used_key: encode_number(rate)} for robot, rate in load.links.items()},
     }
 
 
@@ -194,12 +195,7 @@ def decode_policy(reader: DocumentReader) -> Policy:
     weights, options = reader.child("weights"), reader.child("options")
     return Policy(
         name=reader.choice("policy", PolicyName),
-        weights=Weights(
-            cpu=weights.number("cpu"),
-            memory=weights.number("memory"),
-            network=weights.number("network"),
-            task=weights.number("task"),
-        ),
+        weights=Weights({name: weights.number(name) for name in TERMS}),
         sequence=options.choice("sequence", SequenceRule),
         move_margin=options.number("move_margin"),
         min_dwell=options.number("min_dwell_s"),
@@ -249,12 +245,7 @@ def _decode_ranked_host(reader: DocumentReader) -> RankedHost:
         host=reader.text("host"),
         rank=reader.integer("rank"),
         total=reader.maybe_number("total", minimum=None),
-        terms=Terms(
-            cpu=terms.maybe_number("cpu", minimum=None),
-            memory=terms.maybe_number("memory", minimum=None),
-            network=terms.maybe_number("network", minimum=None),
-            task=terms.maybe_number("task", minimum=None),
-        ),
+        terms=UtilityTerms({name: terms.maybe_number(name, minimum=None) for name in TERMS}),
         feasible=reader.flag("feasible"),
         affinity=reader.integer("affinity", 0, minimum=None),
         rejections=tuple(_decode_rejection(rejection) for rejection in reader.items("rejections")),
@@ -267,9 +258,9 @@ def _decode_demand(reader: DocumentReader) -> tuple[ResourceDemand, ...]:
     if inner is None:
         return ()
     return tuple(
-        _decode_resource_demand(inner.child(resource), resource)
-        for resource in Resource
-        if inner.has(resource)
+        _decode_resource_demand(inner.child(resource.name), resource)
+        for resource in RESOURCES
+        if inner.has(resource.name)
     )
 
 
@@ -286,7 +277,7 @@ def _decode_uneven(reader: DocumentReader) -> DemandSpread:
     hosts = (*reader.texts("hosts"), "", "")
     return DemandSpread(
         task=reader.text("task"),
-        resource=reader.choice("resource", Resource),
+        resource=reader.named("resource", RESOURCES_BY_NAME),
         share=reader.number("share"),
         least=reader.number("least"),
         most=reader.number("most"),
@@ -297,7 +288,7 @@ def _decode_uneven(reader: DocumentReader) -> DemandSpread:
 def _decode_rejection(reader: DocumentReader) -> Rejection:
     return Rejection(
         rule=reader.choice("rule", RejectionRule),
-        resource=reader.choice("resource", Resource) if reader.has("resource") else None,
+        resource=reader.named("resource", RESOURCES_BY_NAME) if reader.has("resource") else None,
         robot=reader.maybe_text("robot"),
         demand=reader.maybe_number("demand", minimum=None),
         used=reader.maybe_number("used", minimum=None),
@@ -315,9 +306,14 @@ def _decode_move_cost(reader: DocumentReader) -> MoveCost:
 
 def _decode_expected_load(reader: DocumentReader) -> ExpectedLoad:
     return ExpectedLoad(
-        used_cores=reader.number("used_cores", minimum=None),
-        used_bytes=reader.number("used_bytes", minimum=None),
+        used=Usage(
+            {
+                resource.name: reader.number(resource.used_key, minimum=None)
+                for resource in HOST_RESOURCES
+                if not resource.declared_only or reader.has(resource.used_key)
+            }
+        ),
         links={
-            robot: link.number("used_bytes_per_s", minimum=None) for robot, link in reader.children("links")
+            robot: link.number(NETWORK.used_key, minimum=None) for robot, link in reader.children("links")
         },
     )

@@ -1,18 +1,18 @@
-"""Snapshot to and from JSON (DESIGN section 4). Instants keep milliseconds; keys that a reader does not know are ignored."""
+"""Snapshot to and from JSON. Instants keep milliseconds; keys that a reader does not know are ignored."""
 
 from edgectl.formats import manager_state as memory_format
 from edgectl.formats.document import FORMAT_VERSION, Document, encode_number, encode_optional, without_none
 from edgectl.formats.document_reader import DocumentReader, check_no_faults, open_document
 from edgectl.model.inventory import Role
+from edgectl.model.resource import HOST_RESOURCES, RESOURCES, Resource, Usage
 from edgectl.model.snapshot import (
     CapacitySource,
-    CpuUsage,
     DeviceSample,
     HostSample,
     HostStatus,
     InterfaceSample,
     LinkSample,
-    MemoryUsage,
+    ResourceUsage,
     Snapshot,
     TaskSample,
     TaskState,
@@ -40,16 +40,13 @@ def encode_host(host: HostSample) -> Document:
         sample_age_s=encode_number(host.sample_age_s) if host.ok or host.sample_age_s else None,
         resident=True if host.resident else None,
     )
-    if host.cpu is not None:
-        document["cpu"] = {
-            "cores": encode_number(host.cpu.cores),
-            "used_cores": encode_number(host.cpu.used_cores),
-        }
-    if host.memory is not None:
-        document["memory"] = {
-            "total_bytes": encode_number(host.memory.total_bytes),
-            "used_bytes": encode_number(host.memory.used_bytes),
-        }
+    for resource in HOST_RESOURCES:
+        if resource.name in host.usage:
+            usage = host.usage[resource.name]
+            document[resource.name] = {
+                resource.capacity_key: encode_number(usage.capacity),
+                resource.used_key: encode_number(usage.used),
+            }
     if host.ok or host.links:
         document["links"] = {robot: encode_link(link) for robot, link in host.links.items()}
     if host.ok or host.tasks:
@@ -76,9 +73,11 @@ def encode_task(task: TaskSample) -> Document:
         state=task.state.value,
         pid=task.pid,
         started_at=format_instant(task.started_at),
-        used_cores=encode_number(task.used_cores),
-        used_bytes=encode_number(task.used_bytes),
-        used_bytes_per_s=encode_number(task.used_bytes_per_s),
+        **{
+            resource.used_key: encode_number(task.used[resource.name])
+            for resource in RESOURCES
+            if task.used[resource.name] or not resource.declared_only
+        },
         links=None
         if task.links is None
         else {robot: encode_number(rate) for robot, rate in task.links.items()},
@@ -153,8 +152,11 @@ def _decode_host(reader: DocumentReader) -> HostSample:
         hint=reader.text("hint", ""),
         sample_age_s=reader.maybe_number("sample_age_s") or 0.0,
         resident=reader.flag("resident", default=False),
-        cpu=_decode_cpu(reader.child("cpu")) if measured or reader.has("cpu") else None,
-        memory=_decode_memory(reader.child("memory")) if measured or reader.has("memory") else None,
+        usage={
+            resource.name: _decode_usage(reader.child(resource.name), resource)
+            for resource in HOST_RESOURCES
+            if (measured and not resource.declared_only) or reader.has(resource.name)
+        },
         links={robot: _decode_link(link) for robot, link in reader.children("links")},
         tasks={name: _decode_task(task) for name, task in reader.children("tasks")},
         device=DeviceSample() if device is None else _decode_device(device),
@@ -162,13 +164,16 @@ def _decode_host(reader: DocumentReader) -> HostSample:
     )
 
 
-def _decode_cpu(reader: DocumentReader) -> CpuUsage:
-    return CpuUsage(cores=reader.number("cores", positive=True), used_cores=reader.number("used_cores"))
+def _decode_amount(reader: DocumentReader, resource: Resource) -> float:
+    """What a document says is in use; of a budget that it does not know, nothing."""
+    if resource.declared_only and not reader.has(resource.used_key):
+        return 0.0
+    return reader.number(resource.used_key)
 
 
-def _decode_memory(reader: DocumentReader) -> MemoryUsage:
-    return MemoryUsage(
-        total_bytes=reader.number("total_bytes", positive=True), used_bytes=reader.number("used_bytes")
+def _decode_usage(reader: DocumentReader, resource: Resource) -> ResourceUsage:
+    return ResourceUsage(
+        capacity=reader.number(resource.capacity_key, positive=True), used=reader.number(resource.used_key)
     )
 
 
@@ -186,9 +191,7 @@ def _decode_task(reader: DocumentReader) -> TaskSample:
         state=reader.choice("state", TaskState),
         pid=reader.integer("pid"),
         started_at=reader.instant("started_at"),
-        used_cores=reader.number("used_cores"),
-        used_bytes=reader.number("used_bytes"),
-        used_bytes_per_s=reader.number("used_bytes_per_s"),
+        used=Usage({resource.name: _decode_amount(reader, resource) for resource in RESOURCES}),
         links=reader.mapping("links", DocumentReader.number) if reader.has("links") else None,
         instance=reader.text("instance", ""),
         spec_hash=reader.text("spec_hash", ""),

@@ -22,15 +22,15 @@ from edgectl.gateway.reply_fields import (
     get_text,
 )
 from edgectl.model.inventory import Host, Role
+from edgectl.model.resource import HOST_RESOURCES, RESOURCES, Resource, Usage
 from edgectl.model.snapshot import (
     CapacitySource,
-    CpuUsage,
     DeviceSample,
     HostSample,
     HostStatus,
     InterfaceSample,
     LinkSample,
-    MemoryUsage,
+    ResourceUsage,
     TaskSample,
     TaskState,
 )
@@ -77,8 +77,7 @@ def decode_host_sample(document: ReplyDocument, context: ReplyContext) -> HostSa
         status=HostStatus.OK,
         sample_age_s=get_optional(document, "sample_age_s", get_number) or 0.0,
         resident=get_flag(document, "resident", default=False),
-        cpu=_decode_cpu(document, context.host, tasks),
-        memory=_decode_memory(document, context.host, tasks),
+        usage=_decode_usages(document, context.host, tasks),
         links=_decode_links(document, context, tasks) if context.host.role is Role.EDGE else {},
         tasks=tasks,
         device=_decode_device(document, context.answered_at),
@@ -148,9 +147,14 @@ def _decode_task(name: str, entry: ReplyDocument, context: ReplyContext) -> Task
         state=state,
         pid=get_optional(entry, "pid", get_int) or 0,
         started_at=context.answered_at - (get_optional(entry, "age_s", get_number) or 0.0),
-        used_cores=get_optional(entry, "used_cores", get_number) or 0.0,
-        used_bytes=get_optional(entry, "used_bytes", get_number) or 0.0,
-        used_bytes_per_s=_sum_traffic(entry),
+        used=Usage(
+            {
+                resource.name: _sum_traffic(entry)
+                if resource.per_link
+                else get_optional(entry, resource.used_key, get_number) or 0.0
+                for resource in RESOURCES
+            }
+        ),
         links=links or None,
         instance=get_text(entry, "instance"),
         spec_hash=get_text(entry, "spec_hash"),
@@ -187,26 +191,35 @@ def _select_alive(tasks: Mapping[str, TaskSample]) -> list[TaskSample]:
     return [task for task in tasks.values() if task.state.alive]
 
 
-def _decode_cpu(document: ReplyDocument, host: Host, tasks: Mapping[str, TaskSample]) -> CpuUsage:
-    device = get_object(document, "cpu")
-    cores, used = get_positive(device, "cores"), get_number(device, "used_cores")
-    if host.capacity is not None:
-        return CpuUsage(
-            cores=host.capacity.cpu,
-            used_cores=host.base.cpu + sum(task.used_cores for task in _select_alive(tasks)),
-        )
-    return CpuUsage(cores=cores, used_cores=used)
+def _decode_usages(
+    document: ReplyDocument, host: Host, tasks: Mapping[str, TaskSample]
+) -> dict[str, ResourceUsage]:
+    return {
+        resource.name: _decode_usage(document, host, tasks, resource)
+        for resource in HOST_RESOURCES
+        if not resource.declared_only or _get_declared(host, resource)
+    }
 
 
-def _decode_memory(document: ReplyDocument, host: Host, tasks: Mapping[str, TaskSample]) -> MemoryUsage:
-    device = get_object(document, "memory")
-    total, used = get_positive(device, "total_bytes"), get_number(device, "used_bytes")
-    if host.capacity is not None:
-        return MemoryUsage(
-            total_bytes=host.capacity.memory,
-            used_bytes=host.base.memory + sum(task.used_bytes for task in _select_alive(tasks)),
+def _decode_usage(
+    document: ReplyDocument, host: Host, tasks: Mapping[str, TaskSample], resource: Resource
+) -> ResourceUsage:
+    """Capacity and use of one resource: of the device, of the slice, or of a declared budget that the host may be unable to read."""
+    declared, name = _get_declared(host, resource), resource.name
+    device = get_object(document, name)
+    if resource.declared_only:
+        return ResourceUsage(
+            capacity=declared, used=get_optional(device, resource.used_key, get_number) or 0.0
         )
-    return MemoryUsage(total_bytes=total, used_bytes=used)
+    capacity, used = get_positive(device, resource.capacity_key), get_number(device, resource.used_key)
+    if host.is_slice:
+        own = sum(task.used[name] for task in _select_alive(tasks))
+        return ResourceUsage(capacity=declared, used=host.base[name] + own)
+    return ResourceUsage(capacity=capacity, used=used)
+
+
+def _get_declared(host: Host, resource: Resource) -> float:
+    return host.capacity[resource.name] if host.capacity is not None else 0.0
 
 
 def _decode_links(
@@ -229,7 +242,7 @@ def _decode_link(
     tasks: Mapping[str, TaskSample],
 ) -> LinkSample:
     used = _sum_traffic(entry)
-    if context.host.capacity is not None:
+    if context.host.is_slice:
         used = sum((_get_link_usage(task, robot) for task in _select_alive(tasks)), 0.0)
     nic = interfaces.get(get_text(entry, "interface"))
     capacity, source = select_link_capacity(robot, context, nic.speed_bytes_per_s if nic else None)
@@ -295,17 +308,16 @@ def _decode_device(document: ReplyDocument, answered_at: float) -> DeviceSample:
 def apply_done_tasks(sample: HostSample, done: frozenset[str]) -> HostSample:
     """``sample`` with the tasks ``done`` COMPLETED, their pid kept and their use taken out of gamma (floor 0)."""
     leaving = {name: task for name, task in sample.tasks.items() if name in done and task.state.alive}
-    if not leaving or sample.cpu is None or sample.memory is None:
+    if not leaving or not sample.measured:
         return sample
-    cpu, memory = sample.cpu, sample.memory
     return dataclasses.replace(
         sample,
-        cpu=dataclasses.replace(
-            cpu, used_cores=max(0.0, cpu.used_cores - sum(task.used_cores for task in leaving.values()))
-        ),
-        memory=dataclasses.replace(
-            memory, used_bytes=max(0.0, memory.used_bytes - sum(task.used_bytes for task in leaving.values()))
-        ),
+        usage={
+            name: dataclasses.replace(
+                usage, used=max(0.0, usage.used - sum(task.used[name] for task in leaving.values()))
+            )
+            for name, usage in sample.usage.items()
+        },
         links={
             robot: dataclasses.replace(
                 link,

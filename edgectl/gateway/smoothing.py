@@ -8,9 +8,10 @@ time.
 import dataclasses
 from collections.abc import Mapping
 
-from edgectl.model.snapshot import CpuUsage, HostSample, LinkSample, MemoryUsage, Snapshot, TaskSample
+from edgectl.model.resource import Usage
+from edgectl.model.snapshot import HostSample, LinkSample, ResourceUsage, Snapshot, TaskSample
 
-# Weight of a new sample that comes one period after the one before (as of the profilers in the paper).
+# Weight of a new sample that comes one period after the one before (the paper's profilers).
 ALPHA = 0.3
 
 
@@ -38,24 +39,19 @@ def _smooth_host(before: HostSample | None, now: HostSample, weight: float) -> H
         return now
     tasks = {name: _smooth_task(before.tasks.get(name), task, weight) for name, task in now.tasks.items()}
     was, ours, averaged = _select_alive(before.tasks), _select_alive(now.tasks), _select_alive(tasks)
-    cpu, memory = now.cpu, now.memory
-    if before.cpu is not None and cpu is not None:
-        others = _compute_mean(
-            before.cpu.used_cores - _sum_cores(was), cpu.used_cores - _sum_cores(ours), weight
-        )
-        cpu = CpuUsage(cores=cpu.cores, used_cores=max(0.0, others + _sum_cores(averaged)))
-    if before.memory is not None and memory is not None:
-        rest = _compute_mean(
-            before.memory.used_bytes - _sum_bytes(was), memory.used_bytes - _sum_bytes(ours), weight
-        )
-        memory = MemoryUsage(total_bytes=memory.total_bytes, used_bytes=max(0.0, rest + _sum_bytes(averaged)))
+    usage = {
+        name: _smooth_usage(name, before.usage[name], found, (was, ours, averaged), weight)
+        if name in before.usage
+        else found
+        for name, found in now.usage.items()
+    }
     links = {
         robot: _smooth_link(robot, before.links[robot], link, (was, ours, averaged), weight)
         if robot in before.links
         else link
         for robot, link in now.links.items()
     }
-    return dataclasses.replace(now, cpu=cpu, memory=memory, links=links, tasks=tasks)
+    return dataclasses.replace(now, usage=usage, links=links, tasks=tasks)
 
 
 def _is_continuation(before: HostSample, now: HostSample) -> bool:
@@ -73,11 +69,23 @@ def _smooth_task(before: TaskSample | None, now: TaskSample, weight: float) -> T
     }
     return dataclasses.replace(
         now,
-        used_cores=_compute_mean(before.used_cores, now.used_cores, weight),
-        used_bytes=_compute_mean(before.used_bytes, now.used_bytes, weight),
-        used_bytes_per_s=_compute_mean(before.used_bytes_per_s, now.used_bytes_per_s, weight),
+        used=Usage(
+            {name: _compute_mean(before.used[name], amount, weight) for name, amount in now.used.items()}
+        ),
         links=links or now.links,
     )
+
+
+def _smooth_usage(
+    name: str,
+    before: ResourceUsage,
+    now: ResourceUsage,
+    tasks: tuple[list[TaskSample], list[TaskSample], list[TaskSample]],
+    weight: float,
+) -> ResourceUsage:
+    was, ours, averaged = (sum(task.used[name] for task in each) for each in tasks)
+    others = _compute_mean(before.used - was, now.used - ours, weight)
+    return ResourceUsage(capacity=now.capacity, used=max(0.0, others + averaged))
 
 
 def _smooth_link(
@@ -94,14 +102,6 @@ def _smooth_link(
 
 def _select_alive(tasks: Mapping[str, TaskSample]) -> list[TaskSample]:
     return [task for task in tasks.values() if task.state.alive]
-
-
-def _sum_cores(tasks: list[TaskSample]) -> float:
-    return sum(task.used_cores for task in tasks)
-
-
-def _sum_bytes(tasks: list[TaskSample]) -> float:
-    return sum(task.used_bytes for task in tasks)
 
 
 def _compute_mean(before: float, now: float, weight: float) -> float:

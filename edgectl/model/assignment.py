@@ -1,22 +1,18 @@
-"""What the scheduler decided: a host, numbers and a reason for each task. Nothing is recomputed for display."""
+"""Decisions of the scheduler: a host, numbers and a reason for each task.
+
+Nothing is recomputed for display.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
 from edgectl.model.policy import Policy
-
-
-class Resource(StrEnum):
-    """k of the paper's equations."""
-
-    CPU = "cpu"
-    MEMORY = "memory"
-    NETWORK = "network"
+from edgectl.model.resource import TERMS, Resource, ResourceMap, Usage
 
 
 class RejectionRule(StrEnum):
-    """Why a host is not a candidate, or not feasible."""
+    """Rule that excludes a host as a candidate, or as feasible."""
 
     UNREACHABLE = "unreachable"
     CORDONED = "cordoned"
@@ -33,7 +29,10 @@ class RejectionRule(StrEnum):
 
 
 class DemandSource(StrEnum):
-    """Where a demand comes from. ``MEASURED_ELSEWHERE``: on another class of hosts, because nothing is known of this one."""
+    """Source of a demand.
+
+    ``MEASURED_ELSEWHERE``: on another class of hosts, because nothing is known of this one.
+    """
 
     DECLARED = "declared"
     MEASURED = "measured"
@@ -43,9 +42,10 @@ class DemandSource(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ResourceDemand:
-    """One demand of a task on one host, in cores, bytes or bytes/s (network: on its largest link), as it was charged.
+    """One demand of a task on one host, (network: on its largest link), as it was charged.
 
-    ``samples``: how many there are of the task on that class of hosts; None where the demand does not follow history.
+    ``samples``: how many there are of the task on that class of hosts; None where the demand does not follow
+    history.
     """
 
     resource: Resource
@@ -56,7 +56,7 @@ class ResourceDemand:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DemandSpread:
-    """A percent demand (``share``) of a task that means ``least`` on one candidate and ``most`` on another; cores or bytes.
+    """A percent demand (``share``) of a task that means ``least`` on one candidate and ``most`` on another.
 
     ``task`` is its name in the file. ``hosts``: the host of the least and of the most.
     """
@@ -71,7 +71,10 @@ class DemandSpread:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rejection:
-    """One reason against one host. The last three fields are rho, gamma and Delta in the resource's own unit."""
+    """One reason against one host.
+
+    The last three fields are rho, gamma and Delta in the resource's own unit.
+    """
 
     rule: RejectionRule
     resource: Resource | None = None
@@ -81,28 +84,28 @@ class Rejection:
     capacity: float | None = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Terms:
-    """UT_cpu, UT_mem, UT_net (eqs. 1-3) and UT_task; at most 1, negative where overcommitted, None without capacity."""
+class UtilityTerms(ResourceMap[float | None]):
+    """UT_k of every resource (eqs. 1-3) and UT_task.
 
-    cpu: float | None
-    memory: float | None
-    network: float | None
-    task: float | None
+    At most 1, negative where overcommitted, None without capacity.
+    """
+
+    __slots__ = ()
+    DEFAULTS = dict.fromkeys(TERMS, None)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RankedHost:
     """One candidate of one task. ``rank`` counts from 1 over feasible hosts by total, 0 where not feasible.
 
-    ``affinity`` is a(h): predecessors here minus predecessors elsewhere. ``demand`` is told where history decides it: there it may
-    differ from host to host.
+    ``affinity`` is a(h): predecessors here minus predecessors elsewhere. ``demand`` is told where history
+    decides it: there it may differ from host to host.
     """
 
     host: str
     rank: int
     total: float | None
-    terms: Terms
+    terms: UtilityTerms
     feasible: bool
     affinity: int = 0
     rejections: tuple[Rejection, ...] = ()
@@ -110,7 +113,7 @@ class RankedHost:
 
 
 class Verdict(StrEnum):
-    """What the scheduler says of one task."""
+    """Verdict of the scheduler on one task."""
 
     PLACED = "placed"
     KEPT = "kept"
@@ -120,7 +123,7 @@ class Verdict(StrEnum):
 
 
 class Reason(StrEnum):
-    """Why; text for each stands once, in ``views``."""
+    """Reason of a verdict; ``views`` holds the text of each."""
 
     BEST = "best-utility"
     WITH_PREDECESSOR = "with-predecessor"
@@ -162,10 +165,10 @@ class Reason(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MoveCost:
-    """What a move is expected to cost (ADR 0018): it pays if gain x ``stay_s`` > ``downtime_s`` x ``per_s``.
+    """Expected cost of a move (ADR 0018): it pays if gain x ``stay_s`` > ``downtime_s`` x ``per_s``.
 
-    ``stay_s``: expected seconds on the new host (> 0). ``downtime_s``: median of the measured downtimes. ``per_s``: utility lost per
-    second of downtime.
+    ``stay_s``: expected seconds on the new host (> 0). ``downtime_s``: median of the measured downtimes.
+    ``per_s``: utility lost per second of downtime.
     """
 
     stay_s: float
@@ -182,13 +185,13 @@ class MoveCost:
 class Decision:
     """The verdict on one task.
 
-    ``total`` and ``lead`` are of ``host`` (lead: minus the best other feasible host's total; None where there is no other).
-    ``challenger`` is the best other host; ``subject`` names what the reason is about (predecessor, robot, silent host);
-    ``amount`` its number (gain of a move, margin, remaining dwell in s, seconds until a held task may be replaced, exit code of a task
-    that was given up).
-    ``cost`` is what a move was weighed against, where downtimes are measured. ``nearest`` is the nearest miss of an unplaced task.
-    ``rejection_counts`` counts the hosts that a shortened ranking left out, by rule. ``demand`` is rho on ``host`` (unplaced: on the
-    nearest miss), empty where nothing was weighed.
+    ``total`` and ``lead`` are of ``host`` (lead: minus the best other feasible host's total; None where there
+    is no other). ``challenger`` is the best other host; ``subject`` names what the reason is about
+    (predecessor, robot, silent host); ``amount`` its number (gain of a move, margin, remaining dwell in s,
+    seconds until a held task may be replaced, exit code of a task that was given up). ``cost`` is what a move
+    was weighed against, where downtimes are measured. ``nearest`` is the nearest miss of an unplaced task.
+    ``rejection_counts`` counts the hosts that a shortened ranking left out, by rule. ``demand`` is rho on
+    ``host`` (unplaced: on the nearest miss), empty where nothing was weighed.
     """
 
     task: str
@@ -211,19 +214,19 @@ class Decision:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExpectedLoad:
-    """gamma of one host after the whole plan: cores, bytes, and bytes/s by robot."""
+    """gamma of one host after the whole plan, and of its links in bytes/s by robot."""
 
-    used_cores: float
-    used_bytes: float
+    used: Usage
     links: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Assignment:
-    """All decisions, in sequence order, the policy as used (weights normalised) and the expected load per host.
+    """All decisions, in sequence order, the policy as used (weights normalised) and the expected load per
+    host.
 
     ``unseen`` are hosts that did not answer while nothing is remembered of them (a manager new to the fleet).
-    ``uneven`` are percent demands that mean different amounts on the hosts that may run the task.
+    ``demand_spreads`` are percent demands that mean different amounts on the hosts that may run the task.
     """
 
     policy: Policy

@@ -12,10 +12,11 @@ from edgectl.model.snapshot import Snapshot
 class Cycle:
     """``number`` counts from 1; ``at`` (s since 1970) is when it began, ``seconds`` how long it took.
 
-    ``next_in``: seconds until the next one, None after the last. ``snapshot``: as measured; that of ``plan`` is smoothed.
-    ``plan`` is None while paused, ``results`` where nothing was carried out. ``events``: what was seen or done in this cycle.
-    ``warnings``: what a user should know. ``busy``: who holds the lock, where that kept the plan from being carried out.
-    ``error``: why the cycle was cut short. ``resting``: tasks that failed lately, with which nothing is tried for a while.
+    ``next_in``: seconds until the next one, None after the last. ``snapshot``: as measured; that of ``plan``
+    is smoothed. ``plan`` is None while paused, ``results`` where nothing was carried out. ``events``: what
+    was seen or done in this cycle. ``warnings``: what a user should know. ``busy``: who holds the lock, where
+    that kept the plan from being carried out. ``error``: why the cycle was cut short. ``resting``: tasks that
+    failed lately, with which nothing is tried for a while.
     """
 
     number: int

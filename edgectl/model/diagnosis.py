@@ -1,4 +1,4 @@
-"""What ``edgectl doctor`` sees (facts) and what it makes of it (findings).
+"""Facts that ``edgectl doctor`` collects, and findings that it draws from them.
 
 Quantities are bytes, seconds and bytes per second; clocks are seconds since 1970.
 """
@@ -12,7 +12,7 @@ from edgectl.model.snapshot import CapacitySource
 
 
 class Severity(StrEnum):
-    """How much a finding matters, least first."""
+    """Severity of a finding, least first."""
 
     OK = "ok"
     WARNING = "warning"
@@ -21,7 +21,9 @@ class Severity(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
-    """One check: on ``host`` (None: this machine), what was found, and the command or edit that mends it (empty where all is well)."""
+    """One check: on ``host`` (None: this machine), what was found, and the command or edit that mends it
+    (empty where all is well).
+    """
 
     host: str | None
     check: str
@@ -32,9 +34,10 @@ class Finding:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Logind:
-    """What systemd-logind does when the last login of ``user`` ends; ``present`` is false where no logind runs.
+    """Behaviour of systemd-logind when the last login of ``user`` ends.
 
-    ``removes_ipc``: it removes the user's shared memory (never that of root and system users). ``kills``: it kills what is left running.
+    ``present`` is false where no logind runs. ``removes_ipc``: it removes the user's shared memory (never
+    that of root and system users). ``kills``: it kills what is left running.
     """
 
     user: str
@@ -52,7 +55,8 @@ NOT_A_DIRECTORY = protocol.NO_DIRECTORY
 class Disk:
     """The file system of a state directory at ``path``; ``files_left`` is None where it does not count files.
 
-    ``obstacle`` says why the directory cannot be used; empty where it can. ``spare``: shared memory is used instead until a reboot.
+    ``obstacle`` says why the directory cannot be used; empty where it can. ``in_shared_memory``: shared memory takes its
+    place until a reboot.
     """
 
     path: str
@@ -65,10 +69,11 @@ class Disk:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShellEnvironment:
-    """What a task's command would see on a host, after its prelude: ROS variables by name, empty where they are not set.
+    """Environment of a task's command on a host, after its prelude: ROS variables by name, empty where they
+    are not set.
 
-    ``status`` is that of the prelude's last command; None where the prelude ended the shell, or did not end in time (``timed_out``).
-    ``said`` is the last line that it printed.
+    ``status`` is that of the prelude's last command; None where the prelude ended the shell, or did not end
+    in time (``timed_out``). ``said`` is the last line that it printed.
     """
 
     variables: Mapping[str, str] = field(default_factory=dict)
@@ -79,10 +84,11 @@ class ShellEnvironment:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LinkFacts:
-    """The way from an edge to a robot. ``address`` is where the robot is looked for; ``found`` whether that name means anything there.
+    """The way from an edge to a robot.
 
-    ``reachable``: None where nothing came back. ``interface``: None where there is no route. ``capacity_bytes_per_s`` and its source as in
-    a probe.
+    ``address`` is where the robot is looked for; ``found`` whether that name means anything there.
+    ``reachable``: None where nothing came back. ``interface``: None where there is no route.
+    ``capacity_bytes_per_s`` and its source as in a probe.
     """
 
     address: str
@@ -96,10 +102,10 @@ class LinkFacts:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HostFacts:
-    """What one host that answered says of itself.
+    """Facts of one host that answered.
 
-    ``login_s``: from the first packet to the agent's first step, and back. ``skew_s``: the least and the most by which its clock may be
-    ahead of ours (below 0: behind).
+    ``login_s``: from the first packet to the agent's first step, and back. ``skew_s``: the least and the most
+    by which its clock may be ahead of ours (below 0: behind).
     """
 
     login_s: float
@@ -116,7 +122,9 @@ class HostFacts:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UnreachableHost:
-    """Why a host could not be asked: ``kind`` as ``HostError.kind``, and what mends it where the error knows."""
+    """Error of a host that could not be asked: ``kind`` as ``HostError.kind``, and what mends it where the
+    error knows.
+    """
 
     kind: str
     error: str
@@ -125,9 +133,10 @@ class UnreachableHost:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ManagerFacts:
-    """The machine on which edgectl runs. ``known_hosts``: files that hold host keys, each with why it cannot be read (empty: it can).
+    """The machine on which edgectl runs.
 
-    ``ssh``: whether there is an ssh program.
+    ``known_hosts``: files that hold host keys, each with why it cannot be read (empty: it can). ``ssh``:
+    whether there is an ssh program.
     """
 
     state: Disk
@@ -152,5 +161,5 @@ class Diagnosis:
 
     @property
     def counts(self) -> dict[Severity, int]:
-        """How many findings there are of each level."""
+        """Count of findings by level."""
         return {level: sum(finding.level is level for finding in self.findings) for level in Severity}

@@ -1,4 +1,4 @@
-"""What a command sees on its host: the variables and the shell prelude, merged from host and task."""
+"""Environment of a task: variables merged from host and task."""
 
 from collections.abc import Mapping
 
@@ -18,11 +18,11 @@ def merge_environment(
     host_more: Variables = NO_VARIABLES,
     task_more: Variables = NO_VARIABLES,
 ) -> dict[str, str]:
-    """Variables of ``task`` on ``host``: the host's, then edgectl's own, then the task's, the later winning; secrets are masked.
+    """Variables of ``task`` on ``host``: the host's, then edgectl's own, then the task's, the later winning.
 
-    EDGECTL_ROBOT and EDGECTL_ROBOT_HOST name the first robot and its address; EDGECTL_ROBOTS and EDGECTL_ROBOT_HOSTS all of them and
-    their addresses, separated by spaces, in the same order.
-    ``host_more`` and ``task_more`` are what the two ``env_command`` printed.
+    Secrets are masked. EDGECTL_ROBOT and EDGECTL_ROBOT_HOST name the first robot and its address;
+    EDGECTL_ROBOTS and EDGECTL_ROBOT_HOSTS all of them and their addresses, separated by spaces, in the same
+    order. ``host_more`` and ``task_more`` are what the two ``env_command`` printed.
     """
     own = {"EDGECTL_TASK": task.name, "EDGECTL_HOST": host.name, "EDGECTL_ROBOTS": " ".join(task.robots)}
     if task.robots:

@@ -1,11 +1,11 @@
-"""What happened to the fleet, one line each."""
+"""Events of the fleet, one line each."""
 
 from dataclasses import dataclass
 from enum import StrEnum
 
 
 class EventKind(StrEnum):
-    """What happened. The word stays the same from release to release."""
+    """Kind of an event. The word stays the same from release to release."""
 
     HOST_LOST = "host-lost"
     HOST_BACK = "host-back"

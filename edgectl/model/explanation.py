@@ -1,4 +1,4 @@
-"""Why one task goes where it goes, and what would have to change for it to go elsewhere."""
+"""Explanation of one decision: the terms behind it and the smallest changes that would reverse it."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -7,17 +7,8 @@ from edgectl.model.assignment import Decision
 from edgectl.model.policy import Weights
 
 
-class Term(StrEnum):
-    """One of the four terms of eq. (4)."""
-
-    CPU = "cpu"
-    MEMORY = "memory"
-    NETWORK = "network"
-    TASK = "task"
-
-
 class ChangeKind(StrEnum):
-    """What a flip changes, all else staying as it is."""
+    """The quantity that a flip changes, all else being equal."""
 
     LOAD_RISES = "load-rises"
     LOAD_FALLS = "load-falls"
@@ -27,16 +18,19 @@ class ChangeKind(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Contribution:
-    """One term of eq. (4) at the chosen host and at the runner-up. ``lead``: weight x (here - there); the four sum up to the lead."""
+    """One term of eq. (4) at the chosen host and at the runner-up.
 
-    term: Term
+    ``lead``: weight x (here - there); the four sum up to the lead.
+    """
+
+    term: str
     weight: float
     here: float
     there: float
 
     @property
     def lead(self) -> float:
-        """What the term adds to the lead over the runner-up."""
+        """Contribution of the term to the lead over the runner-up."""
         return self.weight * (self.here - self.there)
 
 
@@ -44,12 +38,13 @@ class Contribution:
 class Flip:
     """One change after which the task would go to ``winner`` (None: nowhere).
 
-    Of a load: ``host``, and ``amount`` in cores, bytes or bytes/s to be exceeded. Of a weight: ``amount`` is the weight to be crossed, the
-    others sharing the rest as they share it now. ``size`` compares changes: share of the capacity, or of the whole weight (0..).
+    Of a load: ``host``, and ``amount`` of its resource to be exceeded. Of a weight: ``amount`` is the weight
+    to be crossed, the others sharing the rest as they share it now. ``size`` compares changes: share of the
+    capacity, or of the whole weight (0..).
     """
 
     change: ChangeKind
-    term: Term
+    term: str
     amount: float
     size: float
     winner: str | None
@@ -61,10 +56,11 @@ class Flip:
 class Explanation:
     """A decision taken apart.
 
-    ``runner_up``: the best other feasible host. ``slack``: by how much the chosen host's total may fall before the choice changes, None
-    where no fall changes it. ``noise``: standard deviation of the difference of the two totals over the last samples, None where too few
-    are known. ``flips``: smallest first, at most one per change, term and host. ``linear``: whether eq. (4) is linear in the load of each
-    link, which it is not for a task of several robots.
+    ``runner_up``: the best other feasible host. ``slack``: by how much the chosen host's total may fall
+    before the choice changes, None where no fall changes it. ``noise``: standard deviation of the difference
+    of the two totals over the last samples, None where too few are known. ``flips``: smallest first, at most
+    one per change, term and host. ``linear``: whether eq. (4) is linear in the load of each link, which it is
+    not for a task of several robots.
     """
 
     decision: Decision
@@ -78,5 +74,5 @@ class Explanation:
 
     @property
     def fragile(self) -> bool:
-        """Whether the noise of the measurements alone could change the choice."""
+        """True where the noise of the measurements alone could change the choice."""
         return self.slack is not None and self.noise is not None and self.slack < self.noise

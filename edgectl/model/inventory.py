@@ -1,19 +1,21 @@
-"""Who is in the fleet: edges, robots and the links between them, as the inventory file states them."""
+"""The fleet as the inventory file states it: edges, robots and the links between them."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
+from edgectl.model.resource import HOST_RESOURCES, ResourceMap
+
 
 class Role(StrEnum):
-    """What a host is in the paper's system: an edge (epsilon) or a robot (R)."""
+    """Role of a host in the paper's system: an edge (epsilon) or a robot (R)."""
 
     EDGE = "edge"
     ROBOT = "robot"
 
 
 class Connection(StrEnum):
-    """How a host is reached."""
+    """Transport to a host."""
 
     SSH = "ssh"
     OPENSSH = "openssh"
@@ -21,45 +23,46 @@ class Connection(StrEnum):
 
 
 class Runtime(StrEnum):
-    """What stands around the supervisor of a task on the host."""
+    """Process manager that holds the supervisor of a task on the host."""
 
     AUTO = "auto"
     SYSTEMD = "systemd"
     PROCESS = "process"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Capacity:
-    """Declared capacity of a slice: cores and bytes, both > 0."""
-
-    cpu: float
-    memory: float
+_HOST_RESOURCE_NAMES = tuple(resource.name for resource in HOST_RESOURCES)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Limits:
-    """Usable share of the measured or declared capacity; above 1 is stated overcommit."""
+class Capacity(ResourceMap[float]):
+    """Declared capacity of a host by resource, in its unit; 0: none is declared."""
 
-    cpu: float = 1.0
-    memory: float = 1.0
+    __slots__ = ()
+    DEFAULTS = dict.fromkeys(_HOST_RESOURCE_NAMES, 0.0)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BaseLoad:
-    """Declared load of a slice besides its tasks: cores and bytes."""
+class Limits(ResourceMap[float]):
+    """Usable share of the measured or declared capacity by resource; above 1 is stated overcommit."""
 
-    cpu: float = 0.0
-    memory: float = 0.0
+    __slots__ = ()
+    DEFAULTS = dict.fromkeys(_HOST_RESOURCE_NAMES, 1.0)
+
+
+class BaseLoad(ResourceMap[float]):
+    """Declared load of a slice besides its tasks by resource, in its unit."""
+
+    __slots__ = ()
+    DEFAULTS = dict.fromkeys(_HOST_RESOURCE_NAMES, 0.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Host:
     """One edge or robot.
 
-    ``host`` is an address or an ssh_config alias. ``capacity`` makes the host a slice: its load is ``base`` plus its own task trees.
-    ``onboard`` (robots) makes the robot a candidate for its own tasks; ``probe: false`` means that it is never contacted.
-    ``password_command`` is an argument vector whose first line of output is the password; ``env_command`` one that prints secrets
-    for the environment as lines NAME=value.
+    ``host`` is an address or an ssh_config alias. A declared ``capacity`` of what is measured otherwise makes
+    the host a slice: its load is ``base`` plus its own process trees. ``onboard`` (robots) makes the robot a
+    candidate for its own tasks; ``probe: false`` means that it is never contacted. ``password_command`` is an
+    argument vector whose first line of output is the password; ``env_command`` one that prints secrets for
+    the environment as lines NAME=value.
     """
 
     name: str
@@ -82,10 +85,20 @@ class Host:
     onboard: bool = False
     probe: bool = True
 
+    @property
+    def is_slice(self) -> bool:
+        """Whether capacity and load are the declared ones instead of those of the whole machine."""
+        return self.capacity is not None and all(
+            self.capacity[resource.name] > 0 for resource in HOST_RESOURCES if not resource.declared_only
+        )
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Inventory:
-    """The fleet. ``hosts`` in natural order of names; ``links`` holds declared throughput in bytes/s by (edge, robot)."""
+    """The fleet.
+
+    ``hosts`` in natural order of names; ``links`` holds declared throughput in bytes/s by (edge, robot).
+    """
 
     hosts: Mapping[str, Host]
     links: Mapping[tuple[str, str], float] = field(default_factory=dict)

@@ -1,4 +1,4 @@
-"""What the manager remembers between runs: a cache and a history, never the truth about what runs."""
+"""State of the manager between runs: a cache and a history, never the truth about what runs."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Placement:
-    """Where a task was last known: ``since`` (s since 1970) is when it came to that host."""
+    """Last known place of a task: ``since`` (s since 1970) is when it came to that host."""
 
     host: str
     since: float
@@ -16,33 +16,31 @@ class Placement:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeasuredDemand:
-    """What one task used on one class of hosts: p95 in cores, bytes and bytes/s on each of its links, of the newest samples.
+    """Usage of one task on one class of hosts: p95 of the newest samples by resource.
 
-    ``samples`` of them over ``span_s`` seconds. ``throughput`` is None where no traffic was seen (only TCP can be). ``spec_hash``: what
-    ran; empty: not known.
+    Of the network, on each of its links. ``samples`` of them over ``span_s`` seconds. The network is absent
+    where no traffic was seen (only TCP can be). ``spec_hash``: the specification that ran; empty: not known.
     """
 
     samples: int
     span_s: float
-    cpu: float
-    memory: float
-    throughput: float | None = None
+    used: Mapping[str, float]
     spec_hash: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ManagerState:
-    """DESIGN section 5.12.
+    """State of the manager between two runs.
 
-    ``managed``: this manager has applied a plan to this fleet before. ``placements``: last known place of each task.
-    ``first``: the first placement ever made (policy static). ``cordons``: hosts closed to new work.
-    ``draining``: cordoned hosts whose tasks must leave. ``done``: completed tasks by the spec hash that completed.
-    ``downtimes``: measured handoff downtimes in seconds by task and host, newest last.
-    ``stays``: how long each task stayed on the hosts that it has moved away from, in seconds, newest last.
-    ``contact``: when each host was last in touch (s since 1970, the manager's clock): never earlier than the last request that may have
-    reached it. ``fenced``: hosts that the operator declared switched off; a host that answers is not.
-    ``deferred``: tasks whose last action was put off with nothing touched, and why.
-    ``measured``: by task and class of host, of the tasks whose demand is not all declared.
+    ``managed``: this manager has applied a plan to this fleet before. ``placements``: last known place of
+    each task. ``first``: the first placement ever made (policy static). ``cordons``: hosts closed to new
+    work. ``draining``: cordoned hosts whose tasks must leave. ``done``: completed tasks by the spec hash that
+    completed. ``downtimes``: measured handoff downtimes in seconds by task and host, newest last. ``stays``:
+    how long each task stayed on the hosts that it has moved away from, in seconds, newest last. ``contact``:
+    when each host was last in touch (s since 1970, the manager's clock): never earlier than the last request
+    that may have reached it. ``fenced``: hosts that the operator declared switched off; a host that answers
+    is not. ``deferred``: tasks whose last action was put off with nothing touched, and why. ``measured``: by
+    task and class of host, of the tasks whose demand is not all declared.
     """
 
     managed: bool = False

@@ -1,10 +1,13 @@
-"""Measured demand (ADR 0025): which hosts are alike, when there is enough history, and what counts until then."""
+"""Measured demand (ADR 0025): which hosts are alike, when there is enough history, and what counts until
+then.
+"""
 
 from collections.abc import Iterable
 from math import log2
 
 from edgectl.model.inventory import Host
 from edgectl.model.manager_state import MeasuredDemand
+from edgectl.model.resource import RESOURCES
 from edgectl.model.task import Demand, Quantity, Task
 
 # So many samples, over so many seconds, make a figure.
@@ -15,14 +18,18 @@ _GIB = 2.0**30
 
 
 def classify_host(host: Host, cores: float, total_bytes: float) -> str:
-    """Hosts of one class are taken to run a task at the same cost: the label ``class``, else cores and nominal memory (``4c-8Gi``)."""
+    """Hosts of one class are taken to run a task at the same cost: the label ``class``, else cores and
+    nominal memory (``4c-8Gi``).
+    """
     if CLASS_LABEL in host.labels:
         return host.labels[CLASS_LABEL]
     return f"{round(cores, 1):g}c-{_round_to_nominal_bytes(total_bytes) / _GIB:g}Gi"
 
 
 def _round_to_nominal_bytes(total: float) -> float:
-    """The least of 2^n and 3 x 2^(n-1) bytes that holds ``total`` (> 0): what a kernel shows is a little less than what was bought."""
+    """The least of 2^n and 3 x 2^(n-1) bytes that holds ``total`` (> 0): what a kernel shows is a little less
+    than what was bought.
+    """
     power = 2.0 ** (int(log2(total)) + 1)
     return next(size for size in (power / 2, power * 3 / 4, power) if total <= size)
 
@@ -33,23 +40,27 @@ def has_enough_samples(found: MeasuredDemand) -> bool:
 
 
 def is_of_current_spec(task: Task, found: MeasuredDemand) -> bool:
-    """Whether it was measured of the task as it is specified now: the history of another command says nothing."""
+    """Whether it was measured of the task as it is specified now: the history of another command says
+    nothing.
+    """
     return found.spec_hash in ("", task.spec_hash)
 
 
 def follows_history(demand: Demand) -> bool:
     """Whether any resource of ``demand`` counts as measured once it is."""
     return any(
-        quantity is None or quantity.measured for quantity in (demand.cpu, demand.memory, demand.throughput)
+        (quantity := demand[resource.name]) is None or quantity.measured
+        for resource in RESOURCES
+        if not resource.declared_only
     )
 
 
 def resolve_demand(demand: Demand, found: MeasuredDemand) -> Demand:
-    """``demand`` on hosts of a class with enough history: every resource that follows history is as measured there."""
+    """``demand`` on hosts of a class with enough history: every resource that follows history is as measured
+    there.
+    """
     return Demand(
-        cpu=_prefer_measured(demand.cpu, found.cpu),
-        memory=_prefer_measured(demand.memory, found.memory),
-        throughput=_prefer_measured(demand.throughput, found.throughput),
+        {name: _prefer_measured(quantity, found.used.get(name)) for name, quantity in demand.items()}
     )
 
 
@@ -59,21 +70,15 @@ def _prefer_measured(stated: Quantity | None, value: float | None) -> Quantity |
 
 
 def estimate_demand(demand: Demand, found: Iterable[MeasuredDemand]) -> Demand:
-    """``demand`` on a class of hosts without enough history, known from others: what is declared, else the most that was measured."""
-    known = list(found)
-    most = MeasuredDemand(
-        samples=0,
-        span_s=0.0,
-        cpu=max(each.cpu for each in known),
-        memory=max(each.memory for each in known),
-        throughput=max((each.throughput for each in known if each.throughput is not None), default=None),
-    )
-    wide = resolve_demand(demand, most)
-    return Demand(
-        cpu=_prefer_stated(demand.cpu, wide.cpu),
-        memory=_prefer_stated(demand.memory, wide.memory),
-        throughput=_prefer_stated(demand.throughput, wide.throughput),
-    )
+    """``demand`` on a class of hosts without enough history, known from others: what is declared, else the
+    most that was measured.
+    """
+    most: dict[str, float] = {}
+    for each in found:
+        for name, value in each.used.items():
+            most[name] = max(value, most.get(name, value))
+    measured = resolve_demand(demand, MeasuredDemand(samples=0, span_s=0.0, used=most))
+    return Demand({name: _prefer_stated(demand[name], measured[name]) for name in demand})
 
 
 def _prefer_stated(stated: Quantity | None, otherwise: Quantity | None) -> Quantity | None:

@@ -1,4 +1,4 @@
-"""What will be done: the executor's diff of an assignment against what runs."""
+"""Plan: the executor's diff of an assignment against the running tasks."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -10,7 +10,7 @@ from edgectl.model.snapshot import Snapshot
 
 
 class Action(StrEnum):
-    """What happens to one task."""
+    """Action on one task."""
 
     START = "start"
     STOP = "stop"
@@ -44,9 +44,9 @@ _SYMBOLS = {
 class Step:
     """One line of a plan: the decision and the action that follows from what runs.
 
-    ``instances`` are the running instances that a stop, move, restart or complete concerns, by host. A task may
-    run where it should not even while it is kept elsewhere: ``stop`` lists those hosts.
-    ``changed`` names the fields of the spec that differ (restart), where known.
+    ``instances`` are the running instances that a stop, move, restart or complete concerns, by host. A task
+    may run where it should not even while it is kept elsewhere: ``stop`` lists those hosts. ``changed`` names
+    the fields of the spec that differ (restart), where known.
     """
 
     decision: Decision
@@ -82,7 +82,7 @@ class Plan:
 
     @property
     def summary(self) -> dict[Action, int]:
-        """How many steps there are of each action, in the order of the enum."""
+        """Count of steps by action, in the order of the enum."""
         counts = dict.fromkeys(Action, 0)
         for step in self.steps:
             counts[step.action] += 1

@@ -1,6 +1,7 @@
 """History: one row each of what was measured of a host, a link or a task, or of a handoff that was made.
 
-Quantities are cores, bytes and bytes per second; ``at`` is the instant of the snapshot in s since 1970 on the manager's clock.
+Quantities are cores, bytes and bytes per second; ``at`` is the instant of the snapshot in s since 1970 on the
+manager's clock.
 """
 
 from dataclasses import dataclass
@@ -40,8 +41,8 @@ class LinkPoint:
 class TaskPoint:
     """One task on one host at one instant, with the use of its whole process tree.
 
-    ``age_s``: seconds since this very start. ``links``: how many links it used, 0 where that is not known; its use of one link is
-    ``used_bytes_per_s / max(1, links)``.
+    ``age_s``: seconds since this very start. ``links``: how many links it used, 0 where that is not known;
+    its use of one link is ``used_bytes_per_s / max(1, links)``.
     """
 
     at: float
@@ -59,7 +60,9 @@ class TaskPoint:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MetricPoint:
-    """What an application said of itself: the ``value`` of its metric ``name``, which stood until the next one of this very start."""
+    """Metric published by an application: the ``value`` of its metric ``name``, which stood until the next
+    one of this very start.
+    """
 
     at: float
     task: str
@@ -71,7 +74,10 @@ class MetricPoint:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HandoffPoint:
-    """One move or restart that an apply carried out, or tried. ``downtime_s``: stop to ready; ``seconds``: all of its phases."""
+    """One move or restart that an apply carried out, or tried.
+
+    ``downtime_s``: stop to ready; ``seconds``: all of its phases.
+    """
 
     at: float
     task: str

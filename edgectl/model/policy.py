@@ -1,7 +1,12 @@
-"""How to decide: the scheme, the weights and the handoff rules."""
+"""The policy of a decision: scheme, weights and handoff rules."""
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from types import MappingProxyType
+
+from edgectl.model.resource import AFFINITY, RESOURCES, TERMS, ResourceMap
 
 
 class PolicyName(StrEnum):
@@ -20,24 +25,53 @@ class SequenceRule(StrEnum):
     SENSITIVITY = "sensitivity"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Weights:
-    """omega of eq. (4), each in 0..1, normalised to sum 1."""
+_PRESET_RESOURCES = tuple(resource.name for resource in RESOURCES if resource.in_presets)
 
-    cpu: float = 0.25
-    memory: float = 0.25
-    network: float = 0.25
-    task: float = 0.25
+
+def _share_evenly(*terms: str) -> dict[str, float]:
+    return {term: 1 / len(terms) if term in terms else 0.0 for term in TERMS}
+
+
+class Weights(ResourceMap[float]):
+    """omega of eq. (4) by term, each in 0..1, normalised to sum 1."""
+
+    __slots__ = ()
+    DEFAULTS = _share_evenly(*_PRESET_RESOURCES, AFFINITY)
+
+    def normalised(self) -> "Weights":
+        """The same proportions with sum 1.
+
+        Raises:
+            ValueError: a weight is negative or not finite, or all are 0.
+        """
+        for name, weight in self.items():
+            if not math.isfinite(weight) or weight < 0:
+                raise ValueError(f"weight {name} must be a finite number, 0 or more, got {weight!r}")
+        values = dict(self)
+        largest = max(values.values())
+        if largest == 0:
+            raise ValueError("at least one weight must be more than 0")
+        if not math.isfinite(sum(values.values())):
+            values = {name: weight / largest for name, weight in values.items()}
+        total = math.fsum(values.values())
+        return Weights({name: weight / total for name, weight in values.items()})
+
+
+WEIGHT_PRESETS: Mapping[str, Weights] = MappingProxyType(
+    {term: Weights(_share_evenly(term)) for term in TERMS}
+    | {"all": Weights(), "resources": Weights(_share_evenly(*_PRESET_RESOURCES))}
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Policy:
     """Everything that steers a decision besides the fleet and the tasks.
 
-    ``move_margin`` (utility, 0..): a challenger must beat the present host by more. ``min_dwell`` (s): stay at least that long.
-    ``max_moves``: voluntary moves per unattended run, None = unlimited. ``attended``: a person looks at the plan, so
-    ``max_moves`` does not act. ``best_effort``: place on the highest total even where it does not fit.
-    ``full``: keep every host's ranking above 64 hosts. ``without``: hosts left out as candidates (what if).
+    ``move_margin`` (utility, 0..): a challenger must beat the present host by more. ``min_dwell`` (s): stay
+    at least that long. ``max_moves``: voluntary moves per unattended run, None = unlimited. ``attended``: a
+    person looks at the plan, so ``max_moves`` does not act. ``best_effort``: place on the highest total even
+    where it does not fit. ``full``: keep every host's ranking above 64 hosts. ``without``: hosts left out as
+    candidates (what if).
     """
 
     name: PolicyName = PolicyName.UTILITY

@@ -1,5 +1,6 @@
-"""What a task was measured to use, in figures: of each resource the median, the 95th percentile and the most."""
+"""Measured usage of a task: of each resource the median, the 95th percentile and the maximum."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -7,18 +8,18 @@ from edgectl.model.task import Task
 
 
 class UsageSample(NamedTuple):
-    """What a task used at one instant (s since 1970), in cores, bytes and bytes/s over ``links`` links (0: not known)."""
+    """Usage of a task at one instant (s since 1970) in the order of RESOURCES, of the network over ``links``
+    links (0: not known).
+    """
 
     at: float
-    cores: float
-    memory: float
-    rate: float
+    used: tuple[float, ...]
     links: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UsagePercentiles:
-    """Nearest-rank percentiles and the maximum, in cores, bytes or bytes/s."""
+    """Nearest-rank percentiles and the maximum, in the unit of the resource."""
 
     p50: float
     p95: float
@@ -27,18 +28,22 @@ class UsagePercentiles:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UsageProfile:
-    """Of ``samples`` over ``span_s`` seconds. ``throughput`` is of each link; all 0 where no traffic was seen."""
+    """Figures of ``samples`` over ``span_s`` seconds by resource.
+
+    Of the network, on each link, 0 where no traffic was seen.
+    """
 
     samples: int
     span_s: float
-    cpu: UsagePercentiles
-    memory: UsagePercentiles
-    throughput: UsagePercentiles
+    used: Mapping[str, UsagePercentiles]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClassProfile:
-    """One task on one class of hosts: ``hosts`` are all of that class; ``enough``: there are samples enough to count."""
+    """One task on one class of hosts: ``hosts`` are all of that class.
+
+    ``enough``: there are samples enough to count.
+    """
 
     task: Task
     kind: str

@@ -26,10 +26,11 @@ class ProfilerState(StrEnum):
 class Profiler:
     """One host's profiler. Times are in seconds; what only a living one has is 0 or None without it.
 
-    ``every``: period that was asked for; ``period``: as it is, longer where a sample costs much. ``samples``: taken since the start.
-    ``sample_age``: of the last sample; None before the first. ``used_cores``, ``used_bytes``: its own, on average and now.
-    ``ttl``: it ends when no edgectl called for so long; ``ttl_left``: until then. ``current``: whether it measures what the files want now.
-    ``detail``: why it is gone. ``error`` and ``hint``: why the host did not say, and what mends it.
+    ``every``: period that was asked for; ``period``: as it is, longer where a sample costs much. ``samples``:
+    taken since the start. ``sample_age``: of the last sample; None before the first. ``used_cores``,
+    ``used_bytes``: its own, on average and now. ``ttl``: it ends when no edgectl called for so long;
+    ``ttl_left``: until then. ``current``: whether it measures what the files want now. ``detail``: why it is
+    gone. ``error`` and ``hint``: why the host did not say, and what mends it.
     """
 
     host: str

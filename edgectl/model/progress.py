@@ -1,4 +1,4 @@
-"""What a live view is told while a plan is carried out."""
+"""Progress of a plan under way, for live views."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -19,7 +19,10 @@ class ProgressStage(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProgressEvent:
-    """One event. ``phase`` and ``host`` on the phase stages, ``ended`` on PHASE_END, ``result`` on ACTION_END."""
+    """One event.
+
+    ``phase`` and ``host`` on the phase stages, ``ended`` on PHASE_END, ``result`` on ACTION_END.
+    """
 
     stage: ProgressStage
     task: str

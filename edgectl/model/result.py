@@ -1,4 +1,4 @@
-"""What happened when a plan was carried out."""
+"""Results of a plan that was carried out."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -7,7 +7,7 @@ from edgectl.model.plan import Action
 
 
 class Outcome(StrEnum):
-    """How one action ended."""
+    """Outcome of one action."""
 
     DONE = "done"
     FAILED = "failed"
@@ -45,9 +45,10 @@ class PhaseResult:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ActionResult:
-    """One step of the plan as it went. ``downtime_s``: stop to ready of a move or restart; None where there was none.
+    """One step of the plan as it went.
 
-    ``host`` and ``previous_host`` are the plan's; ``located`` is where the task stands after the action (None: nowhere).
+    ``downtime_s``: stop to ready of a move or restart; None where there was none. ``host`` and
+    ``previous_host`` are the plan's; ``located`` is where the task stands after the action (None: nowhere).
     """
 
     task: str
@@ -64,7 +65,10 @@ class ActionResult:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Results:
-    """All actions of one apply. ``revision`` counts applies of this fleet; ``seconds`` is the whole duration."""
+    """All actions of one apply.
+
+    ``revision`` counts applies of this fleet; ``seconds`` is the whole duration.
+    """
 
     revision: int
     actions: tuple[ActionResult, ...]

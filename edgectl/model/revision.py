@@ -1,4 +1,4 @@
-"""What one apply of the past did, as the journal has it."""
+"""Revision: one past apply, as recorded in the journal."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -8,7 +8,7 @@ from edgectl.model.result import ActionResult, Results
 
 
 class RevisionOutcome(StrEnum):
-    """How a revision ended: all done, some or none of it, stopped by its user, or cut off with its manager."""
+    """End of a revision: all done, some or none of it, stopped by its user, or cut off with its manager."""
 
     DONE = "done"
     PARTLY = "partly"
@@ -21,8 +21,8 @@ class RevisionOutcome(StrEnum):
 class Revision:
     """One numbered change of the fleet.
 
-    ``began_at``: s since 1970; ``seconds`` None where it was cut off. ``counts``: planned actions by their name.
-    ``placements``: host of every placed task afterwards; None where that was not recorded.
+    ``began_at``: s since 1970; ``seconds`` None where it was cut off. ``counts``: planned actions by their
+    name. ``placements``: host of every placed task afterwards; None where that was not recorded.
     """
 
     number: int

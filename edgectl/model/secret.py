@@ -4,9 +4,10 @@ MASK = "***"
 
 
 class Secret(str):
-    """Text that is ``***`` for everything that prints, compares, hashes or encodes it; ``reveal`` gives the value.
+    """Text that is ``***`` for everything that prints, compares, hashes or encodes it.
 
-    So a view, a digest, a plan or a traceback that nobody thought of shows the mask; only the request that starts a task reveals it.
+    ``reveal`` gives the value. So a view, a digest, a plan or a traceback that nobody thought of shows the
+    mask; only the request that starts a task reveals it.
     """
 
     __slots__ = ("_value",)

@@ -1,6 +1,6 @@
-"""What the profilers saw: one immutable picture of the fleet at one instant.
+"""Snapshot: one immutable picture of the fleet at one instant, as the profilers measured it.
 
-Quantities are cores, bytes and bytes per second; instants are seconds since 1970 on the manager's clock.
+Amounts are in the unit of their resource; instants are seconds since 1970 on the manager's clock.
 """
 
 from collections.abc import Mapping
@@ -10,6 +10,7 @@ from enum import StrEnum
 from edgectl.agent.link import protocol
 from edgectl.model.inventory import Role
 from edgectl.model.manager_state import ManagerState
+from edgectl.model.resource import HOST_RESOURCES, Usage
 
 
 class HostStatus(StrEnum):
@@ -20,7 +21,7 @@ class HostStatus(StrEnum):
 
 
 class TaskState(StrEnum):
-    """Where a task is in its life on a host."""
+    """Stage of a task's life on a host."""
 
     STARTING = protocol.STARTING
     RUNNING = protocol.RUNNING
@@ -36,7 +37,7 @@ class TaskState(StrEnum):
 
 
 class CapacitySource(StrEnum):
-    """Where a link's capacity comes from, best first."""
+    """Source of a link's capacity, best first."""
 
     DECLARED = "declared"
     MEASURED = "measured"
@@ -45,24 +46,18 @@ class CapacitySource(StrEnum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CpuUsage:
-    """Capacity and use in cores; ``cores`` > 0, before limits."""
+class ResourceUsage:
+    """Capacity (> 0, before limits) and use of one resource of a host, in its unit."""
 
-    cores: float
-    used_cores: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MemoryUsage:
-    """Capacity and use in bytes; ``total_bytes`` > 0, before limits."""
-
-    total_bytes: float
-    used_bytes: float
+    capacity: float
+    used: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LinkSample:
-    """One edge-robot link: Delta_thp and gamma_thp in bytes/s (in plus out), round-trip time in ms where known."""
+    """One edge-robot link: Delta_thp and gamma_thp in bytes/s (in plus out), round-trip time in ms where
+    known.
+    """
 
     capacity_bytes_per_s: float
     used_bytes_per_s: float
@@ -74,22 +69,20 @@ class LinkSample:
 class TaskSample:
     """One task found on a host, with the measured use of its whole process tree.
 
-    ``links``: bytes/s by robot where the kernel tells; otherwise ``used_bytes_per_s`` is split evenly over the task's links.
-    ``instance`` identifies this very start; ``spec_hash`` what was started; ``managed`` is false for tasks found by ``detect``.
-    ``fields``: short hash of each field of the spec that was started, so that a restart can say what changed.
-    ``last_exit``: exit code before the last restart. ``log_tail``: last lines of a task that failed or was given up.
-    ``limits``: "enforced", or "not enforced: why"; empty where none are stated.
-    ``given_up``: it ended by itself and is not to be started again by itself: a crash loop, or a failure under ``restart: never``.
-    ``ended_at``: when it ended for good, where its host knows.
+    ``links``: bytes/s by robot where the kernel tells; otherwise the use of the network is split evenly over
+    the task's links. ``instance`` identifies this very start; ``spec_hash`` what was started; ``managed`` is
+    false for tasks found by ``detect``. ``fields``: short hash of each field of the spec that was started, so
+    that a restart can say what changed. ``last_exit``: exit code before the last restart. ``log_tail``: last
+    lines of a task that failed or was given up. ``limits``: "enforced", or "not enforced: why"; empty where
+    none are stated. ``given_up``: it ended by itself and is not to be started again by itself: a crash loop,
+    or a failure under ``restart: never``. ``ended_at``: when it ended for good, where its host knows.
     ``metrics``: what the application says of itself, the last value by name, also after its end.
     """
 
     state: TaskState
     pid: int = 0
     started_at: float = 0.0
-    used_cores: float = 0.0
-    used_bytes: float = 0.0
-    used_bytes_per_s: float = 0.0
+    used: Usage = Usage()
     links: Mapping[str, float] | None = None
     instance: str = ""
     spec_hash: str = ""
@@ -118,7 +111,7 @@ class InterfaceSample:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DeviceSample:
-    """What the device profiler says besides CPU and memory, where the host shows it."""
+    """Readings of the device profiler besides the resources, where the host shows them."""
 
     load_1m: float | None = None
     temperature_c: float | None = None
@@ -132,10 +125,10 @@ class DeviceSample:
 class HostSample:
     """One host's part of the snapshot. An unreachable host has only its role, status and error.
 
-    ``error`` is the cause in words, ``error_kind`` its stable word (``HostError.kind``), ``hint`` what mends it.
-    ``sample_age_s``: age of the readings when the snapshot was taken. ``resident``: a profiler that stays on the host took them, so
-    rates are smoothed already.
-    ``generations``: by task, the highest generation the host was ever given, where ``tasks`` does not tell.
+    ``error`` is the cause in words, ``error_kind`` its stable word (``HostError.kind``), ``hint`` what mends
+    it. ``sample_age_s``: age of the readings when the snapshot was taken. ``resident``: a profiler that stays
+    on the host took them, so rates are smoothed already. ``generations``: by task, the highest generation the
+    host was ever given, where ``tasks`` does not tell.
     """
 
     role: Role
@@ -145,8 +138,7 @@ class HostSample:
     hint: str = ""
     sample_age_s: float = 0.0
     resident: bool = False
-    cpu: CpuUsage | None = None
-    memory: MemoryUsage | None = None
+    usage: Mapping[str, ResourceUsage] = field(default_factory=dict)
     links: Mapping[str, LinkSample] = field(default_factory=dict)
     tasks: Mapping[str, TaskSample] = field(default_factory=dict)
     device: DeviceSample = DeviceSample()
@@ -157,10 +149,18 @@ class HostSample:
         """Whether the host answered."""
         return self.status is HostStatus.OK
 
+    @property
+    def measured(self) -> bool:
+        """Whether every resource that a host measures is known."""
+        return all(resource.name in self.usage for resource in HOST_RESOURCES if not resource.declared_only)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Snapshot:
-    """The fleet at ``taken_at``. ``memory``, where present, makes the snapshot enough to repeat a decision."""
+    """The fleet at ``taken_at``.
+
+    ``memory``, where present, makes the snapshot enough to repeat a decision.
+    """
 
     taken_at: float
     hosts: Mapping[str, HostSample]
@@ -169,7 +169,7 @@ class Snapshot:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BandwidthMeasurement:
-    """What one link carried in bytes/s; None with the ``error`` where it could not be measured."""
+    """Measured rate of one link in bytes/s; None with the ``error`` where it could not be measured."""
 
     edge: str
     robot: str

@@ -1,17 +1,19 @@
-"""What should run: tasks with their demands, order constraints and commands."""
+"""Tasks with their demands, order constraints and commands."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from math import inf
 
 from edgectl.model.policy import Policy
+from edgectl.model.resource import RESOURCES_BY_NAME, ResourceMap
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Quantity:
-    """A demand: absolute (cores, bytes or bytes/s), or a share of the measured capacity before limits.
+    """A demand: absolute, in the unit of its resource, or a share of the measured capacity before limits.
 
-    ``measured``: it counts only until there is enough history of the task on that class of host (``model.demand``).
+    ``measured``: it counts only until there is enough history of the task on that class of host (ADR 0025).
     """
 
     value: float
@@ -19,20 +21,26 @@ class Quantity:
     measured: bool = False
 
     def of(self, capacity: float) -> float:
-        """The demand in the unit of ``capacity`` (the host's before limits, or the link's)."""
-        return self.value * capacity if self.relative else self.value
+        """The demand in the unit of ``capacity`` (the host's before limits, or the link's).
+
+        A share of no limit is 0.
+        """
+        if not self.relative:
+            return self.value
+        return self.value * capacity if capacity != inf else 0.0
 
 
 ZERO = Quantity(value=0.0)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Demand:
-    """rho of one task: CPU (cores), memory (bytes), throughput (bytes/s on each of its links). None: not stated, 0 until measured."""
+class Demand(ResourceMap[Quantity | None]):
+    """rho of one task by resource; of the network, on each of its links.
 
-    cpu: Quantity | None = None
-    memory: Quantity | None = None
-    throughput: Quantity | None = None
+    None: not stated, 0 until measured.
+    """
+
+    __slots__ = ()
+    DEFAULTS = dict.fromkeys(RESOURCES_BY_NAME, None)
 
 
 class TaskKind(StrEnum):
@@ -43,7 +51,7 @@ class TaskKind(StrEnum):
 
 
 class NeedCondition(StrEnum):
-    """How far a predecessor must be before its successor may start."""
+    """State that a predecessor must reach before its successor may start."""
 
     RUNNING = "running"
     READY = "ready"
@@ -59,7 +67,7 @@ class OnboardRule(StrEnum):
 
 
 class RestartPolicy(StrEnum):
-    """When the supervisor starts the command again."""
+    """Condition under which the supervisor starts the command again."""
 
     ALWAYS = "always"
     ON_FAILURE = "on-failure"
@@ -67,7 +75,7 @@ class RestartPolicy(StrEnum):
 
 
 class CheckLocation(StrEnum):
-    """Where a check runs: on the host of the task, or on its robot."""
+    """Location of a check: the host of the task, or its robot."""
 
     HOST = "host"
     ROBOT = "robot"
@@ -81,7 +89,7 @@ class HandoffOrder(StrEnum):
 
 
 class UnreachablePolicy(StrEnum):
-    """What becomes of a task whose host does not answer."""
+    """Treatment of a task whose host does not answer."""
 
     HOLD = "hold"
     REPLACE = "replace"
@@ -106,7 +114,10 @@ class Check:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StopRule:
-    """How a task is stopped: ``signal`` to the tree, ``grace`` seconds, then KILL. Preset ``ros``: INT to the main process first."""
+    """Stop procedure of a task: ``signal`` to the tree, ``grace`` seconds, then KILL.
+
+    Preset ``ros``: INT to the main process first.
+    """
 
     signal: str = "TERM"
     grace: float = 20.0
@@ -126,7 +137,10 @@ class HandoffContract:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HostRules:
-    """Which hosts may run the task. Empty ``only`` means any; every label must match; ``pin`` is a hard constraint."""
+    """Which hosts may run the task.
+
+    Empty ``only`` means any; every label must match; ``pin`` is a hard constraint.
+    """
 
     only: tuple[str, ...] = ()
     never: tuple[str, ...] = ()
@@ -136,7 +150,9 @@ class HostRules:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DetectRule:
-    """How a task that edgectl did not start is recognised: a regular expression over command lines, or a ROS node's name."""
+    """Pattern of a task that edgectl did not start: a regular expression over command lines, or a ROS node's
+    name.
+    """
 
     cmdline: str | None = None
     ros_node: str | None = None
@@ -160,12 +176,13 @@ class LogLimits:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Task:
-    """One task after expansion. ``template`` is its name in the file; ``spec_hash`` changes when what runs would change.
+    """One task after expansion.
 
-    ``robots`` are the robots it serves (links count for each); ``priority`` high first; ``deadline`` in seconds.
-    Entries of ``env`` may be ``Secret``; ``env_command`` is an argument vector that prints more of them as lines NAME=value.
-    ``spec_fields``: short hash of each field that ``spec_hash`` covers.
-    ``self_fence``: its supervisor stops it when no request of a manager has reached the host for so many seconds; None: never.
+    ``template`` is its name in the file; ``spec_hash`` changes when what runs would change. ``robots`` are
+    the robots it serves (links count for each); ``priority`` high first; ``deadline`` in seconds. Entries of
+    ``env`` may be ``Secret``; ``env_command`` is an argument vector that prints more of them as lines
+    NAME=value. ``spec_fields``: short hash of each field that ``spec_hash`` covers. ``self_fence``: its
+    supervisor stops it when no request of a manager has reached the host for so many seconds; None: never.
     ``downtime_cost``: utility lost per second of downtime, 0 or more; weighed once downtimes are measured.
     """
 

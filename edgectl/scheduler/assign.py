@@ -1,17 +1,19 @@
-"""The scheduler: (Inventory, Tasks, Snapshot, Memory, Policy, now) -> Assignment. Pure, and the same bytes for the same inputs."""
+"""The scheduler: (Inventory, Tasks, Snapshot, ManagerState, Policy, now) -> Assignment.
 
-from collections.abc import Callable, Mapping, Sequence
+Pure; the same inputs give the same bytes.
+"""
+
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
 from edgectl.model.assignment import Assignment, Decision, Reason, Verdict
 from edgectl.model.inventory import Inventory
 from edgectl.model.manager_state import ManagerState
-from edgectl.model.policy import Policy, PolicyName
+from edgectl.model.policy import Policy
 from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Need, NeedCondition, Task, Tasks
-from edgectl.model.weights import normalise_weights
-from edgectl.scheduler.candidates import AssignmentContext, CandidateSet, evaluate_candidates
+from edgectl.scheduler.candidates import AssignmentContext, evaluate_candidates
 from edgectl.scheduler.capacities import build_capacities
 from edgectl.scheduler.choice import Choice, MoveConstraints
 from edgectl.scheduler.decisions import (
@@ -25,16 +27,16 @@ from edgectl.scheduler.demand_spread import find_demand_spreads
 from edgectl.scheduler.initial_state import InitialState, RunningTask, build_initial_state
 from edgectl.scheduler.ledger import Ledger, TaskUsage, compute_demand_usage
 from edgectl.scheduler.move_cost import collect_handoff_history
-from edgectl.scheduler.policies import CHOICE_RULES
+from edgectl.scheduler.policies import POLICIES, SchedulingPolicy
 from edgectl.scheduler.scan import build_demand_shares
 from edgectl.scheduler.sequence import order_tasks
-
-ChoiceRule = Callable[[CandidateSet, MoveConstraints], Choice]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PassResult:
-    """What one pass chose for each task it decides, where that puts it with which rho, and gamma after it."""
+    """Result of one pass: the choice and place of each task that it decides, with its rho, and gamma
+    afterwards.
+    """
 
     choices: Mapping[str, Choice]
     placed: Mapping[str, tuple[int, TaskUsage]]
@@ -49,7 +51,7 @@ class PassResult:
 
 @dataclass(slots=True, kw_only=True)
 class _PassState:
-    """The pass so far."""
+    """State of a pass under way."""
 
     ledger: Ledger
     located: dict[str, int]
@@ -62,30 +64,34 @@ class _PassState:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlacementPass:
-    """How to go over the sequence. ``letter``: the paper's way, that is, a running task's own use stays in
-    gamma and only what ran before the pass is a predecessor.
+    """One way over the sequence.
 
-    ``origin``: the world before the plan, by which moves are counted and recorded. ``record``: keep the rankings.
+    ``initial``: the state before the plan, by which moves are counted and recorded. ``record``: keep the
+    rankings.
     """
 
-    setting: AssignmentContext
+    context: AssignmentContext
     order: Sequence[Task]
-    rule: ChoiceRule
+    rules: SchedulingPolicy
     initial: InitialState
-    strict_paper: bool = False
     voluntary: bool = True
     record: bool = False
 
 
-def run_pass(how: PlacementPass, world: InitialState, carried: Mapping[str, Choice]) -> PassResult:
-    """Place every task of the sequence once. ``carried``: moves that earlier passes of this plan have made."""
+def run_pass(how: PlacementPass, state: InitialState, prior_moves: Mapping[str, Choice]) -> PassResult:
+    """Place every task of the sequence once.
+
+    ``prior_moves``: moves that earlier passes of this plan have made.
+    """
     progress = _PassState(
-        ledger=world.ledger.copy(), located=dict(world.located), moves_left=_count_moves_left(how, carried)
+        ledger=state.ledger.copy(),
+        located=dict(state.located),
+        moves_left=_count_moves_left(how, prior_moves),
     )
     for task in how.order:
-        fixed = world.fixed.get(task.name)
+        fixed = state.fixed.get(task.name)
         if fixed is None:
-            _decide_task(how, world, carried, progress, task)
+            _decide_task(how, state, prior_moves, progress, task)
         else:
             progress.decisions.append(fixed)
     return PassResult(
@@ -96,56 +102,60 @@ def run_pass(how: PlacementPass, world: InitialState, carried: Mapping[str, Choi
     )
 
 
-def state_from_pass(world: InitialState, outcome: PassResult, origin: InitialState) -> InitialState:
-    """The expected outcome as a world: each placed task runs where it was put, using its rho."""
+def state_from_pass(state: InitialState, outcome: PassResult, initial: InitialState) -> InitialState:
+    """The expected outcome as a state: each placed task runs where it was put, using its rho."""
     running = {
-        name: _build_running_task(name, outcome, origin)
+        name: _build_running_task(name, outcome, initial)
         for name, choice in outcome.choices.items()
         if choice.place is not None
     }
-    located = {**world.located, **{name: there.place for name, there in running.items()}}
-    return replace(world, ledger=outcome.ledger, running=running, located=located)
+    located = {**state.located, **{name: there.place for name, there in running.items()}}
+    return replace(state, ledger=outcome.ledger, running=running, located=located)
 
 
-def _build_running_task(name: str, outcome: PassResult, origin: InitialState) -> RunningTask:
+def _build_running_task(name: str, outcome: PassResult, initial: InitialState) -> RunningTask:
     place, use = outcome.placed[name]
-    before = origin.running.get(name)
+    before = initial.running.get(name)
     return RunningTask(
         place=place, use=use, since=before.since if before is not None and before.place == place else None
     )
 
 
 def collect_prior_moves(
-    outcome: PassResult, carried: Mapping[str, Choice], origin: InitialState
+    outcome: PassResult, prior_moves: Mapping[str, Choice], initial: InitialState
 ) -> dict[str, Choice]:
-    """Why each task stands where this plan, not the origin, has it: the choice that put it there."""
+    """The choices that moved tasks away from their initial places, by task."""
     moves = {
-        **carried,
+        **prior_moves,
         **{name: choice for name, choice in outcome.choices.items() if choice.verdict is Verdict.PLACED},
     }
-    return {name: choice for name, choice in moves.items() if choice.place != _find_place(origin, name)}
+    return {name: choice for name, choice in moves.items() if choice.place != _find_place(initial, name)}
 
 
-def _find_place(world: InitialState, name: str) -> int | None:
-    running = world.running.get(name)
+def _find_place(state: InitialState, name: str) -> int | None:
+    running = state.running.get(name)
     return running.place if running is not None else None
 
 
-def _count_moves_left(how: PlacementPass, carried: Mapping[str, Choice]) -> int | None:
-    policy = how.setting.policy
+def _count_moves_left(how: PlacementPass, prior_moves: Mapping[str, Choice]) -> int | None:
+    policy = how.context.policy
     if policy.attended or policy.max_moves is None:
         return None
-    return policy.max_moves - sum(choice.voluntary for choice in carried.values())
+    return policy.max_moves - sum(choice.voluntary for choice in prior_moves.values())
 
 
 def _decide_task(
-    how: PlacementPass, world: InitialState, carried: Mapping[str, Choice], progress: _PassState, task: Task
+    how: PlacementPass,
+    state: InitialState,
+    prior_moves: Mapping[str, Choice],
+    progress: _PassState,
+    task: Task,
 ) -> None:
     """One task: its own use leaves gamma, every place is weighed, and its rho is charged where it is put."""
-    running = world.running.get(task.name)
-    if running is not None and not how.strict_paper:
+    running = state.running.get(task.name)
+    if running is not None and not how.rules.strict_paper:
         progress.ledger.release(running.place, running.use)
-    missing = _find_missing_predecessor(task, progress.located, world.completed) if running is None else None
+    missing = _find_missing_predecessor(task, progress.located, state.completed) if running is None else None
     if missing is not None:
         reason = Reason.PREDECESSOR_INCOMPLETE if missing in progress.located else Reason.PREDECESSOR_MISSING
         choice = Choice(verdict=Verdict.UNPLACED, reason=reason, subject=missing)
@@ -153,47 +163,53 @@ def _decide_task(
             explain_replacement(unplaced_decision(task, choice), how.initial.replaced.get(task.name))
         )
     else:
-        choice = _choose_place(how, world, carried, progress, task)
+        choice = _choose_place(how, state, prior_moves, progress, task)
     progress.choices[task.name] = choice
     if choice.place is not None:
         _charge_demand(progress, task, choice.place)
-    if progress.moves_left is not None and choice.voluntary and task.name not in carried:
+    if progress.moves_left is not None and choice.voluntary and task.name not in prior_moves:
         progress.moves_left -= 1
 
 
 def _choose_place(
-    how: PlacementPass, world: InitialState, carried: Mapping[str, Choice], progress: _PassState, task: Task
+    how: PlacementPass,
+    state: InitialState,
+    prior_moves: Mapping[str, Choice],
+    progress: _PassState,
+    task: Task,
 ) -> Choice:
-    running = world.running.get(task.name)
+    running = state.running.get(task.name)
     incumbent = running.place if running is not None else None
-    known = world.located if how.strict_paper else progress.located
+    known = state.located if how.rules.strict_paper else progress.located
     predecessors = {need.task: known[need.task] for need in task.needs if need.task in known}
     weigh = partial(
         evaluate_candidates,
-        how.setting,
+        how.context,
         progress.ledger,
         task,
         incumbent=incumbent,
         predecessors=predecessors,
         placed=progress.placed,
     )
-    view = weigh()
-    choice = how.rule(view, _build_move_constraints(how, world, progress, running))
+    candidates = weigh()
+    choice = how.rules.choose(candidates, _build_move_constraints(how, state, progress, running))
     if how.record:
-        origin = _find_place(how.initial, task.name)
-        if choice.place in view.denied and choice.place == incumbent:
-            view = weigh(stays=True)
-        decision = build_decision(view, rebase_on_initial(choice, origin, carried.get(task.name)), origin)
+        initial_place = _find_place(how.initial, task.name)
+        if choice.place in candidates.denied and choice.place == incumbent:
+            candidates = weigh(stays=True)
+        decision = build_decision(
+            candidates, rebase_on_initial(choice, initial_place, prior_moves.get(task.name)), initial_place
+        )
         progress.decisions.append(explain_replacement(decision, how.initial.replaced.get(task.name)))
     return choice
 
 
 def _build_move_constraints(
-    how: PlacementPass, world: InitialState, progress: _PassState, running: RunningTask | None
+    how: PlacementPass, state: InitialState, progress: _PassState, running: RunningTask | None
 ) -> MoveConstraints:
-    dwell_s = how.setting.now - running.since if running is not None and running.since is not None else None
+    dwell_s = how.context.now - running.since if running is not None and running.since is not None else None
     return MoveConstraints(
-        frozen=world.frozen, voluntary=how.voluntary, dwell_s=dwell_s, moves_left=progress.moves_left
+        frozen=state.frozen, voluntary=how.voluntary, dwell_s=dwell_s, moves_left=progress.moves_left
     )
 
 
@@ -213,84 +229,87 @@ def _find_missing_predecessor(
 
 
 def _is_need_met(need: Need, located: Mapping[str, int], completed: frozenset[str]) -> bool:
-    """Placed in this plan or running is enough (the executor waits for ready), unless it must have completed (ADR 0013)."""
+    """Placed in this plan or running is enough (the executor waits for ready), unless it must have completed
+    (ADR 0013).
+    """
     return need.task in completed or (need.until is not NeedCondition.COMPLETED and need.task in located)
 
 
-# How many passes may be tried before a plan counts as one that does not settle (DESIGN 5.10).
+# Passes that are tried before a plan counts as one that does not settle (ADR 0010).
 MAX_PASSES = 5
 
 
 def assign(
-    inventory: Inventory, tasks: Tasks, snapshot: Snapshot, memory: ManagerState, policy: Policy, now: float
+    inventory: Inventory, tasks: Tasks, snapshot: Snapshot, manager: ManagerState, policy: Policy, now: float
 ) -> Assignment:
-    """A host, numbers and a reason for each task, in sequence order (Section IV of the paper; DESIGN section 5).
+    """A host, numbers and a reason for each task, in sequence order (Section IV of the paper).
 
     ``now``: seconds since 1970, on the clock of ``snapshot.taken_at``.
 
     Raises:
-        ValueError: the tasks' needs form a cycle, or the weights are not usable (both are errors of the files, found by validation).
+        ValueError: the tasks' needs form a cycle, or the weights are not usable (validation of the files
+            finds both).
     """
-    used = replace(policy, weights=normalise_weights(policy.weights))
-    fleet = add_measured_demands(build_capacities(inventory, snapshot, memory, used.without), tasks, memory)
-    world = build_initial_state(tasks, memory, fleet, now)
-    setting = AssignmentContext(
+    rules = POLICIES[policy.name]
+    used = replace(policy, weights=policy.weights.normalised())
+    fleet = add_measured_demands(build_capacities(inventory, snapshot, manager, used.without), tasks, manager)
+    state = build_initial_state(tasks, manager, fleet, now)
+    context = AssignmentContext(
         fleet=fleet,
         policy=used,
+        rules=rules.candidates,
         shares=build_demand_shares(fleet),
         now=now,
-        first=_select_first_placements(memory, world),
-        handoffs=collect_handoff_history(memory),
+        first=_select_first_placements(manager, state),
+        handoffs=collect_handoff_history(manager),
     )
     order = order_tasks(tasks.tasks.values(), used.sequence)
     how = PlacementPass(
-        setting=setting,
+        context=context,
         order=order,
-        rule=CHOICE_RULES[used.name],
-        initial=world,
-        strict_paper=used.name is PolicyName.PAPER,
+        rules=rules,
+        initial=state,
     )
-    outcome, settled = (
-        _run_until_settled(how, world) if used.name is PolicyName.UTILITY else _run_once(how, world)
-    )
+    outcome, settled = _run_until_settled(how, state) if rules.settles else _run_once(how, state)
     return Assignment(
         policy=used,
         decisions=outcome.decisions,
         expected=outcome.ledger.expected({place for place, _ in outcome.placed.values()}),
         settled=settled,
-        frozen=world.frozen,
-        unseen=world.unseen,
+        frozen=state.frozen,
+        unseen=state.unseen,
         demand_spreads=find_demand_spreads(fleet, tasks),
     )
 
 
-def _select_first_placements(memory: ManagerState, world: InitialState) -> dict[str, str]:
+def _select_first_placements(manager: ManagerState, state: InitialState) -> dict[str, str]:
     """First placements, without those of tasks that leave theirs because it is silent (ADR 0023)."""
-    return {task: host for task, host in memory.first.items() if task not in world.replaced}
+    return {task: host for task, host in manager.first.items() if task not in state.replaced}
 
 
-def _run_until_settled(how: PlacementPass, origin: InitialState) -> tuple[PassResult, bool]:
+def _run_until_settled(how: PlacementPass, initial: InitialState) -> tuple[PassResult, bool]:
     """The first of five passes that its repetition does not change; else one without voluntary moves.
 
-    The first pass is recorded at once, because most plans stand at once; a later one only when it is known to be the one.
+    The first pass is recorded at once, because most plans stand at once; a later one only when it is known to
+    be the one.
     """
     recorded = replace(how, record=True)
-    world = origin
-    carried: dict[str, Choice] = {}
-    outcome = run_pass(recorded, world, carried)
+    state = initial
+    prior_moves: dict[str, Choice] = {}
+    outcome = run_pass(recorded, state, prior_moves)
     for _ in range(MAX_PASSES):
-        put = collect_prior_moves(outcome, carried, origin)
-        next_world = state_from_pass(world, outcome, origin)
+        put = collect_prior_moves(outcome, prior_moves, initial)
+        next_world = state_from_pass(state, outcome, initial)
         repeated = run_pass(how, next_world, put)
         if repeated.places == outcome.places:
-            return outcome if world is origin else run_pass(recorded, world, carried), True
-        world, carried, outcome = next_world, put, repeated
-    return run_pass(replace(recorded, voluntary=False), origin, {}), False
+            return outcome if state is initial else run_pass(recorded, state, prior_moves), True
+        state, prior_moves, outcome = next_world, put, repeated
+    return run_pass(replace(recorded, voluntary=False), initial, {}), False
 
 
-def _run_once(how: PlacementPass, origin: InitialState) -> tuple[PassResult, bool]:
+def _run_once(how: PlacementPass, initial: InitialState) -> tuple[PassResult, bool]:
     """One pass, and whether its repetition would change it."""
-    outcome = run_pass(replace(how, record=True), origin, {})
+    outcome = run_pass(replace(how, record=True), initial, {})
     return outcome, run_pass(
-        how, state_from_pass(origin, outcome, origin), collect_prior_moves(outcome, {}, origin)
+        how, state_from_pass(initial, outcome, initial), collect_prior_moves(outcome, {}, initial)
     ).places == outcome.places

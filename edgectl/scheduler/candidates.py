@@ -1,28 +1,83 @@
-"""One task looked at from every place: who is a candidate, and each candidate's total (DESIGN 5.5-5.7)."""
+"""Candidates of one task: the places that may take it, and the total of each."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from edgectl.model.assignment import Rejection, RejectionRule, Terms
-from edgectl.model.policy import Policy, PolicyName
+from edgectl.model.assignment import Rejection, RejectionRule, UtilityTerms
+from edgectl.model.policy import Policy
+from edgectl.model.resource import AFFINITY
 from edgectl.model.task import OnboardRule, Task
 from edgectl.scheduler.capacities import Capacities
 from edgectl.scheduler.feasibility import compute_resource_terms, find_own_robot, find_rule_against
 from edgectl.scheduler.ledger import Ledger
 from edgectl.scheduler.move_cost import HandoffHistory
 from edgectl.scheduler.scan import EXCLUDED_TOTAL, INFEASIBLE_PENALTY, DemandShares, compute_resource_totals
-from edgectl.scheduler.utility import compute_affinity, paper_task_utilities, task_utilities, total_utility
+from edgectl.scheduler.utility import compute_affinity, total_utility
 
 # These close a host to new work only: what runs there may stay.
 _NEW_WORK_ONLY = (RejectionRule.CORDONED, RejectionRule.STALE)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class CandidateRules:
+    """The part of a policy that says which hosts are weighed.
+
+    ``edges``: whether edges may take tasks. ``robot_of`` gives the robot that a ranking lists besides a
+    present host, ``reject_robot`` the rule against a robot; ``rate_affinity`` is UT_task by reward, from the
+    rewards and the count of located predecessors.
+    """
+
+    robot_of: Callable[[Capacities, Task], int | None]
+    reject_robot: Callable[[Capacities, Task, int], Rejection | None]
+    rate_affinity: Callable[[Iterable[int], int], dict[int, float]]
+    edges: bool = True
+
+
+def find_onboard_robot(fleet: Capacities, task: Task) -> int | None:
+    """The task's own robot where the inventory makes it a candidate."""
+    own = find_own_robot(fleet, task)
+    return own if own is not None and fleet.places[own].onboard else None
+
+
+def find_first_robot(fleet: Capacities, task: Task) -> int | None:
+    """The first robot of the task, whatever the inventory says of it."""
+    return fleet.index.get(task.robots[0]) if task.robots else None
+
+
+def find_no_robot(_fleet: Capacities, _task: Task) -> int | None:
+    """None: only edges are candidates."""
+    return None
+
+
+def reject_by_rules(fleet: Capacities, task: Task, place: int) -> Rejection | None:
+    """A robot takes its own tasks where the files allow it."""
+    own = place == find_own_robot(fleet, task)
+    rule = find_rule_against(fleet.places[place], task, robot=True) if own else RejectionRule.ONBOARD
+    return Rejection(rule=rule) if rule else fleet.closed.get(place)
+
+
+def reject_other_robots(fleet: Capacities, task: Task, place: int) -> Rejection | None:
+    """The first robot takes the task if it can be reached."""
+    if fleet.places[place].name in task.robots[:1]:
+        return fleet.closed.get(place)
+    return Rejection(rule=RejectionRule.ONBOARD)
+
+
+def reject_every_robot(_fleet: Capacities, _task: Task, _place: int) -> Rejection | None:
+    """No robot takes a task."""
+    return Rejection(rule=RejectionRule.ONBOARD)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class AssignmentContext:
-    """What stays the same over all passes of one assignment. ``barred`` caches the edges closed to a task, by its rules."""
+    """Whatever stays the same over all passes of one assignment.
+
+    ``edge_rejections`` caches the edges closed to a task, by its rules.
+    """
 
     fleet: Capacities
     policy: Policy
+    rules: CandidateRules
     shares: DemandShares
     now: float
     first: Mapping[str, str]
@@ -34,13 +89,14 @@ class AssignmentContext:
 class CandidateSet:
     """One task against the ledger of the moment.
 
-    ``totals`` holds eq. (4) by place (``scan.fits`` tells the feasible ones). ``listed`` are the places that its ranking shows,
-    ``robots`` those of them that are no edges; ``denied`` says why a place is no candidate. ``predecessors`` are those with a place,
-    ``located`` their places; ``utilities`` is UT_task by reward. ``placed`` counts the tasks that this pass has put on each place.
-    ``waived`` is the rejection of an incumbent that is weighed all the same, because nothing else is left.
+    ``totals`` holds eq. (4) by place (``scan.fits`` tells the feasible ones). ``listed`` are the places that
+    its ranking shows, ``robots`` those of them that are no edges; ``denied`` says why a place is no
+    candidate. ``predecessors`` are those with a place, ``located`` their places; ``utilities`` is UT_task by
+    reward. ``placed`` counts the tasks that this pass has put on each place. ``waived`` is the rejection of
+    an incumbent that is weighed all the same, because nothing else is left.
     """
 
-    setting: AssignmentContext
+    context: AssignmentContext
     ledger: Ledger
     task: Task
     incumbent: int | None
@@ -56,73 +112,83 @@ class CandidateSet:
 
     def name(self, place: int) -> str:
         """The name of a place."""
-        return self.setting.fleet.places[place].name
+        return self.context.fleet.places[place].name
 
 
 def evaluate_candidates(
-    setting: AssignmentContext, ledger: Ledger, task: Task, *, incumbent: int | None, predecessors: Mapping[str, int], placed: Mapping[int, int],
+    context: AssignmentContext,
+    ledger: Ledger,
+    task: Task,
+    *,
+    incumbent: int | None,
+    predecessors: Mapping[str, int],
+    placed: Mapping[int, int],
     stays: bool = False,
-) -> CandidateSet:  # fmt: skip
-    """``task`` against the present ledger; its own use must already be taken out. ``stays``: weigh the incumbent even if it is denied."""
+) -> CandidateSet:
+    """``task`` against the present ledger; its own use must already be taken out.
+
+    ``stays``: weigh the incumbent even if it is denied.
+    """
     located = tuple(predecessors.values())
-    robots = _list_robot_places(setting, task, incumbent)
-    listed, denied = _list_candidates(setting, task, incumbent, robots)
+    robots = _list_robot_places(context, task, incumbent)
+    listed, denied = _list_candidates(context, task, incumbent, robots)
     waived = denied.get(incumbent) if stays and incumbent is not None else None
     if waived is not None:
         denied = {place: rejection for place, rejection in denied.items() if place != incumbent}
     near = {place for place in located if place in listed and place not in denied}
     far = any(place not in denied and place not in near for place in listed)
     rewards = _collect_affinities(located, near, far=far)
-    utilities = (
-        paper_task_utilities(rewards, len(located))
-        if setting.policy.name is PolicyName.PAPER
-        else task_utilities(rewards)
+    utilities = context.rules.rate_affinity(rewards, len(located))
+    candidates = CandidateSet(
+        context=context,
+        ledger=ledger,
+        task=task,
+        incumbent=incumbent,
+        predecessors=predecessors,
+        located=located,
+        placed=placed,
+        denied=denied,
+        listed=listed,
+        robots=robots,
+        utilities=utilities,
+        totals=[],
+        waived=waived,
     )
-    view = CandidateSet(
-        setting=setting, ledger=ledger, task=task, incumbent=incumbent, predecessors=predecessors,
-        located=located, placed=placed, denied=denied, listed=listed, robots=robots, utilities=utilities, totals=[], waived=waived,
-    )  # fmt: skip
-    view.totals.extend(_compute_place_totals(view))
-    return view
+    candidates.totals.extend(_compute_place_totals(candidates))
+    return candidates
 
 
-def terms_at(view: CandidateSet, place: int) -> tuple[Terms, float | None, tuple[Rejection, ...]]:
-    """The reference computation of all four terms, the total and what is lacking at one candidate."""
-    reading = compute_resource_terms(view.ledger, view.task, place)
-    task = view.utilities[compute_affinity(view.located, place)]
-    terms = Terms(cpu=reading.cpu, memory=reading.memory, network=reading.network, task=task)
-    return terms, total_utility(view.setting.policy.weights, terms), reading.rejections
+def terms_at(
+    candidates: CandidateSet, place: int
+) -> tuple[UtilityTerms, float | None, tuple[Rejection, ...]]:
+    """The reference computation of all terms, the total and what is lacking at one candidate."""
+    reading = compute_resource_terms(candidates.ledger, candidates.task, place)
+    task = candidates.utilities[compute_affinity(candidates.located, place)]
+    terms = UtilityTerms(reading.terms, task=task)
+    return terms, total_utility(candidates.context.policy.weights, terms), reading.rejections
 
 
-def _list_robot_places(setting: AssignmentContext, task: Task, incumbent: int | None) -> list[int]:
-    """The robots that a ranking lists: the task's own where it may be a host, and one that the task runs on."""
-    fleet, policy = setting.fleet, setting.policy.name
-    own = (
-        fleet.index.get(task.robots[0])
-        if policy is PolicyName.LOCAL and task.robots
-        else find_own_robot(fleet, task)
-    )
-    wanted = own is not None and (
-        policy is PolicyName.LOCAL or (fleet.places[own].onboard and policy is not PolicyName.PAPER)
-    )
-    robots = {own} if own is not None and wanted else set()
-    return sorted(robots | ({incumbent} if incumbent is not None and incumbent >= fleet.edges else set()))
+def _list_robot_places(context: AssignmentContext, task: Task, incumbent: int | None) -> list[int]:
+    """The robots that a ranking lists: the one that may host the task, and the one that the task runs on."""
+    own = context.rules.robot_of(context.fleet, task)
+    present = incumbent if incumbent is not None and incumbent >= context.fleet.edges else None
+    return sorted({place for place in (own, present) if place is not None})
 
 
 def _list_candidates(
-    setting: AssignmentContext, task: Task, incumbent: int | None, robots: Sequence[int]
+    context: AssignmentContext, task: Task, incumbent: int | None, robots: Sequence[int]
 ) -> tuple[Sequence[int], Mapping[int, Rejection]]:
     """The places that a ranking of ``task`` lists, and the places that may not take it."""
-    fleet = setting.fleet
+    fleet = context.fleet
     listed: Sequence[int] = (*range(fleet.edges), *robots) if robots else range(fleet.edges)
-    denied: Mapping[int, Rejection] = _get_edge_rejections(setting, task)
+    denied: Mapping[int, Rejection] = _get_edge_rejections(context, task)
     if robots:
         denied = {
             **denied,
             **{
                 place: rejection
                 for place in robots
-                if (rejection := _find_robot_rejection(setting, task, place))
+                if (rejection := context.rules.reject_robot(fleet, task, place))
             },
         }
     closed = denied.get(incumbent) if incumbent is not None else None
@@ -131,65 +197,57 @@ def _list_candidates(
     return listed, denied
 
 
-def _find_robot_rejection(setting: AssignmentContext, task: Task, place: int) -> Rejection | None:
-    """Why a robot may not take ``task``; policy local asks only whether it can be reached."""
-    fleet = setting.fleet
-    if setting.policy.name is PolicyName.LOCAL:
-        return (
-            fleet.closed.get(place)
-            if fleet.places[place].name in task.robots[:1]
-            else Rejection(rule=RejectionRule.ONBOARD)
-        )
-    own = place == find_own_robot(fleet, task) and setting.policy.name is not PolicyName.PAPER
-    rule = find_rule_against(fleet.places[place], task, robot=True) if own else RejectionRule.ONBOARD
-    return Rejection(rule=rule) if rule else fleet.closed.get(place)
-
-
-def _get_edge_rejections(setting: AssignmentContext, task: Task) -> dict[int, Rejection]:
+def _get_edge_rejections(context: AssignmentContext, task: Task) -> dict[int, Rejection]:
     """Edges that may not take ``task``: by its rules, or closed to everybody."""
     rules = task.hosts
-    only = task.onboard is OnboardRule.ONLY or setting.policy.name is PolicyName.LOCAL
+    only = task.onboard is OnboardRule.ONLY or not context.rules.edges
     key = (rules.only, rules.never, tuple(sorted(rules.labels.items())), rules.pin, only)
-    if key not in setting.edge_rejections:
-        found = dict(setting.fleet.closed)
-        for edge in range(setting.fleet.edges):
+    if key not in context.edge_rejections:
+        found = dict(context.fleet.closed)
+        for edge in range(context.fleet.edges):
             rule = (
                 RejectionRule.ONBOARD
                 if only
-                else find_rule_against(setting.fleet.places[edge], task, robot=False)
+                else find_rule_against(context.fleet.places[edge], task, robot=False)
             )
             if rule is not None:
                 found[edge] = Rejection(rule=rule)
-        setting.edge_rejections[key] = {
-            edge: rejection for edge, rejection in found.items() if edge < setting.fleet.edges
+        context.edge_rejections[key] = {
+            edge: rejection for edge, rejection in found.items() if edge < context.fleet.edges
         }
-    return setting.edge_rejections[key]
+    return context.edge_rejections[key]
 
 
 def _collect_affinities(located: Sequence[int], near: set[int], *, far: bool) -> set[int]:
-    """The distinct rewards among the candidates: ``near`` have a predecessor, ``far`` says whether any other candidate has none."""
+    """The distinct rewards among the candidates: ``near`` have a predecessor, ``far`` says whether any other
+    candidate has none.
+    """
     rewards = {compute_affinity(located, place) for place in near}
     return rewards | {-len(located)} if far else rewards
 
 
-def _compute_place_totals(view: CandidateSet) -> list[float]:
+def _compute_place_totals(candidates: CandidateSet) -> list[float]:
     """Eq. (4) at every place: the scan for the edges, the affinity on top, the reference for a robot."""
-    setting, task, fleet = view.setting, view.task, view.setting.fleet
-    weights = setting.policy.weights
-    far = view.utilities.get(-len(view.located), 0.0)
-    row = compute_resource_totals(view.ledger, setting.shares, task, weights, offset=weights.task * far)
+    context, task, fleet = candidates.context, candidates.task, candidates.context.fleet
+    weights = context.policy.weights
+    far = candidates.utilities.get(-len(candidates.located), 0.0)
+    row = compute_resource_totals(
+        candidates.ledger, context.shares, task, weights, offset=weights[AFFINITY] * far
+    )
     row.extend([EXCLUDED_TOTAL] * (len(fleet.places) - fleet.edges))
-    for place in set(view.located):
-        if place < fleet.edges and place not in view.denied:
-            row[place] += weights.task * (view.utilities[compute_affinity(view.located, place)] - far)
-    for place in view.denied:
+    for place in set(candidates.located):
+        if place < fleet.edges and place not in candidates.denied:
+            row[place] += weights[AFFINITY] * (
+                candidates.utilities[compute_affinity(candidates.located, place)] - far
+            )
+    for place in candidates.denied:
         row[place] = EXCLUDED_TOTAL
-    for place in view.robots:
-        if place not in view.denied:
-            row[place] = _compute_total_at(view, place)
+    for place in candidates.robots:
+        if place not in candidates.denied:
+            row[place] = _compute_total_at(candidates, place)
     return row
 
 
-def _compute_total_at(view: CandidateSet, place: int) -> float:
-    _, total, rejections = terms_at(view, place)
+def _compute_total_at(candidates: CandidateSet, place: int) -> float:
+    _, total, rejections = terms_at(candidates, place)
     return EXCLUDED_TOTAL if total is None else total - INFEASIBLE_PENALTY * bool(rejections)

@@ -1,8 +1,9 @@
-"""Eq. (5) with its ties, and handoff avoidance (DESIGN 5.5, 5.8, 5.9)."""
+"""Choice of a host: eq. (5) with its ties, and handoff avoidance."""
 
 from dataclasses import dataclass
 
 from edgectl.model.assignment import MoveCost, Reason, RejectionRule, Verdict
+from edgectl.model.resource import HOST_RESOURCES
 from edgectl.scheduler.candidates import CandidateSet
 from edgectl.scheduler.feasibility import compute_resource_terms
 from edgectl.scheduler.ledger import NO_FREE_SHARE
@@ -13,7 +14,10 @@ from edgectl.scheduler.utility import EPSILON
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Choice:
-    """What one pass says of one task. ``place`` is None where it is unplaced; ``voluntary``: a move that nothing forced."""
+    """Choice of one pass for one task.
+
+    ``place`` is None where it is unplaced; ``voluntary``: a move that nothing forced.
+    """
 
     verdict: Verdict
     reason: Reason
@@ -27,9 +31,10 @@ class Choice:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MoveConstraints:
-    """What may keep a running task where it is. ``dwell_s``: seconds it has been there, None where this plan put it there.
+    """Constraints that keep a running task in place.
 
-    ``moves_left``: voluntary moves still allowed, None = any. ``voluntary``: whether such moves are allowed at all in this pass.
+    ``dwell_s``: seconds it has been there, None where this plan put it there. ``moves_left``: voluntary moves
+    still allowed, None = any. ``voluntary``: whether such moves are allowed at all in this pass.
     """
 
     frozen: bool = False
@@ -38,9 +43,12 @@ class MoveConstraints:
     moves_left: int | None = None
 
 
-def find_best_place(view: CandidateSet) -> int | None:
-    """Argmax of the total over feasible places, eq. (5). Ties: incumbent, fewest tasks placed in this pass, natural order."""
-    totals = view.totals
+def find_best_place(candidates: CandidateSet) -> int | None:
+    """Argmax of the total over feasible places, eq. (5).
+
+    Ties: incumbent, fewest tasks placed in this pass, natural order.
+    """
+    totals = candidates.totals
     top = max(totals, default=NO_FREE_SHARE)
     if not is_feasible_total(top):
         return None
@@ -51,92 +59,112 @@ def find_best_place(view: CandidateSet) -> int | None:
         > max(totals[first + 1 :], default=NO_FREE_SHARE)
     ):
         return first  # no tie, the common case: three scans in C instead of one in Python
-    return _break_tie(view, [place for place, total in enumerate(totals) if total >= top - EPSILON])
+    return _break_tie(candidates, [place for place, total in enumerate(totals) if total >= top - EPSILON])
 
 
-def _break_tie(view: CandidateSet, places: list[int]) -> int:
-    order = view.setting.fleet.order
-    return min(places, key=lambda place: (place != view.incumbent, view.placed.get(place, 0), order[place]))
+def _break_tie(candidates: CandidateSet, places: list[int]) -> int:
+    order = candidates.context.fleet.order
+    return min(
+        places,
+        key=lambda place: (place != candidates.incumbent, candidates.placed.get(place, 0), order[place]),
+    )
 
 
-def choose_by_utility(view: CandidateSet, brakes: MoveConstraints) -> Choice:
-    """The choice of policy utility. A view whose every place is infeasible keeps a running task where it is."""
-    best = find_best_place(view)
-    here = view.incumbent
+def choose_by_utility(candidates: CandidateSet, constraints: MoveConstraints) -> Choice:
+    """The choice of policy utility.
+
+    Without a feasible place a running task stays where it is.
+    """
+    best = find_best_place(candidates)
+    here = candidates.incumbent
     if here is None:
         return (
             Choice(verdict=Verdict.PLACED, reason=Reason.BEST, place=best)
             if best is not None
-            else choose_when_nothing_fits(view)
+            else choose_when_nothing_fits(candidates)
         )
     if best is None:
         return Choice(verdict=Verdict.KEPT, reason=Reason.NOTHING_FITS, place=here)
     if best == here:
         return Choice(verdict=Verdict.KEPT, reason=Reason.STILL_BEST, place=here)
-    if not is_feasible_total(view.totals[here]):
-        return _choose_forced_move(view, best, here, brakes)
-    return _weigh_voluntary_move(view, best, here, brakes)
+    if not is_feasible_total(candidates.totals[here]):
+        return _choose_forced_move(candidates, best, here, constraints)
+    return _weigh_voluntary_move(candidates, best, here, constraints)
 
 
-def _choose_forced_move(view: CandidateSet, best: int, here: int, brakes: MoveConstraints) -> Choice:
-    if brakes.frozen:
+def _choose_forced_move(
+    candidates: CandidateSet, best: int, here: int, constraints: MoveConstraints
+) -> Choice:
+    if constraints.frozen:
         return Choice(verdict=Verdict.KEPT, reason=Reason.MOVES_FROZEN, place=here)
-    rejection = view.denied.get(here)
+    rejection = candidates.denied.get(here)
     if rejection is None:
         reason = Reason.FORCED_INFEASIBLE
     else:
         reason = Reason.FORCED_DRAIN if rejection.rule is RejectionRule.CORDONED else Reason.FORCED_RULE
-    return Choice(verdict=Verdict.PLACED, reason=reason, place=best, subject=view.name(here))
+    return Choice(verdict=Verdict.PLACED, reason=reason, place=best, subject=candidates.name(here))
 
 
-def _weigh_voluntary_move(view: CandidateSet, best: int, here: int, brakes: MoveConstraints) -> Choice:
-    """A move must be worth what it costs (the margin, until that is measured), and nothing may speak against moving now."""
-    policy = view.setting.policy
-    gain = view.totals[best] - view.totals[here]
-    cost = estimate_move_cost(view.setting.handoffs, view.task, view.name(best), brakes.dwell_s)
+def _weigh_voluntary_move(
+    candidates: CandidateSet, best: int, here: int, constraints: MoveConstraints
+) -> Choice:
+    """A move must be worth what it costs (the margin, until that is measured), and nothing may speak against
+    moving now.
+    """
+    policy = candidates.context.policy
+    gain = candidates.totals[best] - candidates.totals[here]
+    cost = estimate_move_cost(
+        candidates.context.handoffs, candidates.task, candidates.name(best), constraints.dwell_s
+    )
     needed = policy.move_margin if cost is None else cost.needed
     if gain <= needed + EPSILON:
         reason = Reason.BELOW_MARGIN if cost is None else Reason.COST_ABOVE_GAIN
         return Choice(verdict=Verdict.KEPT, reason=reason, place=here, amount=needed, cost=cost)
-    if brakes.frozen:
+    if constraints.frozen:
         return Choice(verdict=Verdict.KEPT, reason=Reason.MOVES_FROZEN, place=here)
-    if not brakes.voluntary:
+    if not constraints.voluntary:
         return Choice(verdict=Verdict.KEPT, reason=Reason.UNSETTLED, place=here)
-    if brakes.dwell_s is not None and brakes.dwell_s < policy.min_dwell:
+    if constraints.dwell_s is not None and constraints.dwell_s < policy.min_dwell:
         return Choice(
-            verdict=Verdict.KEPT, reason=Reason.DWELL, place=here, amount=policy.min_dwell - brakes.dwell_s
+            verdict=Verdict.KEPT,
+            reason=Reason.DWELL,
+            place=here,
+            amount=policy.min_dwell - constraints.dwell_s,
         )
-    if brakes.moves_left is not None and brakes.moves_left <= 0:
+    if constraints.moves_left is not None and constraints.moves_left <= 0:
         return Choice(verdict=Verdict.KEPT, reason=Reason.MAX_MOVES, place=here)
     reason = Reason.GAIN if cost is None else Reason.GAIN_OVER_COST
     return Choice(verdict=Verdict.PLACED, reason=reason, place=best, amount=gain, cost=cost, voluntary=True)
 
 
-def choose_when_nothing_fits(view: CandidateSet) -> Choice:
+def choose_when_nothing_fits(candidates: CandidateSet) -> Choice:
     """No feasible place: the nearest miss, or under ``best_effort`` the highest total all the same."""
-    if len(view.denied) == len(view.listed):
+    if len(candidates.denied) == len(candidates.listed):
         return Choice(verdict=Verdict.UNPLACED, reason=Reason.NO_CANDIDATE)
-    lacking = _compute_shortfalls(view)
+    lacking = _compute_shortfalls(candidates)
     if not lacking:
         return Choice(verdict=Verdict.UNPLACED, reason=Reason.NO_FEASIBLE_HOST)
-    if view.setting.policy.best_effort:
-        top = max(view.totals[place] for place in lacking)
-        tied = [place for place in lacking if view.totals[place] >= top - EPSILON]
-        return Choice(verdict=Verdict.PLACED, reason=Reason.BEST_EFFORT, place=_break_tie(view, tied))
-    nearest = min(lacking, key=lambda place: (-lacking[place], view.setting.fleet.order[place]))
+    if candidates.context.policy.best_effort:
+        top = max(candidates.totals[place] for place in lacking)
+        tied = [place for place in lacking if candidates.totals[place] >= top - EPSILON]
+        return Choice(verdict=Verdict.PLACED, reason=Reason.BEST_EFFORT, place=_break_tie(candidates, tied))
+    nearest = min(lacking, key=lambda place: (-lacking[place], candidates.context.fleet.order[place]))
     return Choice(verdict=Verdict.UNPLACED, reason=Reason.NO_FEASIBLE_HOST, nearest=nearest)
 
 
-def _compute_shortfalls(view: CandidateSet) -> dict[int, float]:
+def _compute_shortfalls(candidates: CandidateSet) -> dict[int, float]:
     """The least term at each candidate that has some capacity."""
-    edges = view.setting.fleet.edges
+    edges = candidates.context.fleet.edges
     found = {
         place: worst
-        for place, worst in enumerate(compute_worst_terms(view.ledger, view.setting.shares, view.task))
-        if worst > NO_FREE_SHARE / 2 and place not in view.denied
+        for place, worst in enumerate(
+            compute_worst_terms(candidates.ledger, candidates.context.shares, candidates.task)
+        )
+        if worst > NO_FREE_SHARE / 2 and place not in candidates.denied
     }
-    for place in view.listed[edges:]:
-        reading = compute_resource_terms(view.ledger, view.task, place)
-        if place not in view.denied and reading.cpu is not None and reading.memory is not None:
-            found[place] = min(reading.cpu, reading.memory)
+    for place in candidates.listed[edges:]:
+        terms = compute_resource_terms(candidates.ledger, candidates.task, place).terms
+        known = [term for resource in HOST_RESOURCES if (term := terms[resource.name]) is not None]
+        if place not in candidates.denied and len(known) == len(HOST_RESOURCES):
+            found[place] = min(known)
     return found

@@ -1,8 +1,8 @@
-"""rho, the demand of a task on the host that is looked at (ADR 0025): declared, or measured on that class of hosts."""
+"""Demand (rho) of a task on one host (ADR 0025): declared, or measured on that class of hosts."""
 
 from dataclasses import replace
 
-from edgectl.model.assignment import DemandSource, Resource, ResourceDemand
+from edgectl.model.assignment import DemandSource, ResourceDemand
 from edgectl.model.manager_state import ManagerState, MeasuredDemand
 from edgectl.model.measured_demand import (
     classify_host,
@@ -11,6 +11,7 @@ from edgectl.model.measured_demand import (
     is_of_current_spec,
     resolve_demand,
 )
+from edgectl.model.resource import CPU, MEMORY, RESOURCES, Resource
 from edgectl.model.task import ZERO, Demand, Quantity, Task, Tasks
 from edgectl.scheduler.capacities import Capacities
 
@@ -18,14 +19,14 @@ from edgectl.scheduler.capacities import Capacities
 OTHER_CLASS = ""
 
 
-def add_measured_demands(fleet: Capacities, tasks: Tasks, memory: ManagerState) -> Capacities:
-    """The fleet with the demands that ``memory`` has measured; nothing is done where there are none."""
-    if not memory.measured:
+def add_measured_demands(fleet: Capacities, tasks: Tasks, manager: ManagerState) -> Capacities:
+    """The fleet with the demands that ``manager`` has measured; nothing is done where there are none."""
+    if not manager.measured:
         return fleet
     known: dict[str, dict[str, MeasuredDemand]] = {}
     history = {
         key: found
-        for key, found in memory.measured.items()
+        for key, found in manager.measured.items()
         if key[0] in tasks.tasks and is_of_current_spec(tasks.tasks[key[0]], found)
     }
     for (task, kind), found in history.items():
@@ -36,7 +37,7 @@ def add_measured_demands(fleet: Capacities, tasks: Tasks, memory: ManagerState) 
     }
     classes = tuple(
         classify_host(host, cores, total) if cores > 0 and total > 0 else OTHER_CLASS
-        for host, cores, total in zip(fleet.places, fleet.raw_cpu, fleet.raw_memory, strict=True)
+        for host, cores, total in zip(fleet.places, fleet.raw[CPU.name], fleet.raw[MEMORY.name], strict=True)
     )
     return replace(fleet, classes=classes, demands=demands, history=history)
 
@@ -48,7 +49,7 @@ def _resolve_demand_by_class(stated: Demand, known: dict[str, MeasuredDemand]) -
 
 
 def demand_at(fleet: Capacities, task: Task, place: int) -> Demand:
-    """What ``task`` demands at ``place``."""
+    """The demand of ``task`` at ``place``."""
     own = fleet.demands.get(task.name)
     if own is None:
         return task.demand
@@ -57,28 +58,27 @@ def demand_at(fleet: Capacities, task: Task, place: int) -> Demand:
 
 def list_resource_demands(fleet: Capacities, task: Task, place: int) -> tuple[ResourceDemand, ...]:
     """The demands of ``task`` at ``place`` in absolute numbers, and where they come from."""
-    wanted = demand_at(fleet, task, place)
-    links = (
-        (fleet.links[robot][place] for robot in task.robots if robot in fleet.links)
-        if place < fleet.edges
-        else ()
-    )
-    capacity = max((link for link in links if link is not None), default=None)
-    found = [
+    counted = demand_at(fleet, task, place)
+    return tuple(
         _build_resource_demand(
-            fleet, task, place, Resource.CPU, (task.demand.cpu, wanted.cpu), fleet.raw_cpu[place]
-        ),
-        _build_resource_demand(
-            fleet, task, place, Resource.MEMORY, (task.demand.memory, wanted.memory), fleet.raw_memory[place]
-        ),
-    ]
-    if capacity is not None:
-        found.append(
-            _build_resource_demand(
-                fleet, task, place, Resource.NETWORK, (task.demand.throughput, wanted.throughput), capacity
-            )
+            fleet, task, place, resource, (task.demand[resource.name], counted[resource.name]), capacity
         )
-    return tuple(found)
+        for resource in RESOURCES
+        if (capacity := _find_capacity(fleet, task, place, resource)) is not None
+    )
+
+
+def _find_capacity(fleet: Capacities, task: Task, place: int, resource: Resource) -> float | None:
+    """The capacity that a share of ``resource`` is of: the host's before limits, or the task's largest link.
+
+    None without a link.
+    """
+    if not resource.per_link:
+        return fleet.raw[resource.name][place]
+    if place >= fleet.edges:
+        return None
+    links = (fleet.links[robot][place] for robot in task.robots if robot in fleet.links)
+    return max((link for link in links if link is not None), default=None)
 
 
 def _build_resource_demand(
@@ -90,23 +90,23 @@ def _build_resource_demand(
     capacity: float,
 ) -> ResourceDemand:
     """``quantities``: as stated, and as it counts at ``place``."""
-    stated, wanted = quantities
-    value = (wanted or ZERO).of(capacity)
-    if stated is not None and not stated.measured:
+    stated, counted = quantities
+    value = (counted or ZERO).of(capacity)
+    if resource.declared_only or (stated is not None and not stated.measured):
         return ResourceDemand(resource=resource, value=value, source=DemandSource.DECLARED)
     history = fleet.history.get((task.name, fleet.classes[place])) if fleet.classes else None
     return ResourceDemand(
         resource=resource,
         value=value,
-        source=_find_demand_source(fleet, task, place, stated, wanted),
+        source=_find_demand_source(fleet, task, place, stated, counted),
         samples=history.samples if history else 0,
     )
 
 
 def _find_demand_source(
-    fleet: Capacities, task: Task, place: int, stated: Quantity | None, wanted: Quantity | None
+    fleet: Capacities, task: Task, place: int, stated: Quantity | None, counted: Quantity | None
 ) -> DemandSource:
-    if wanted is not stated and wanted is not None:
+    if counted is not stated and counted is not None:
         here = fleet.classes[place] in fleet.demands[task.name]
         return DemandSource.MEASURED if here else DemandSource.MEASURED_ELSEWHERE
     return DemandSource.DECLARED if stated is not None and stated.value > 0 else DemandSource.NONE

@@ -1,8 +1,10 @@
-"""Percent demands that mean something else on every host: legal, the paper's form, and seldom meant (PAPER-GAPS A20)."""
+"""Percent demands that mean different amounts on unlike hosts: the paper's form, seldom intended."""
 
 from collections.abc import Iterator, Sequence
+from math import inf
 
-from edgectl.model.assignment import DemandSpread, Resource
+from edgectl.model.assignment import DemandSpread
+from edgectl.model.resource import HOST_RESOURCES, Resource
 from edgectl.model.task import Quantity, Task, Tasks
 from edgectl.scheduler.capacities import Capacities
 from edgectl.scheduler.feasibility import find_own_robot, find_rule_against
@@ -12,12 +14,15 @@ MAX_CAPACITY_RATIO = 1.25
 
 
 def find_demand_spreads(fleet: Capacities, tasks: Tasks) -> tuple[DemandSpread, ...]:
-    """The percent demands whose meaning differs among the hosts that may run the task: one per entry of the file and resource."""
+    """The percent demands whose meaning differs among the hosts that may run the task: one per entry of the
+    file and resource.
+    """
     entries: dict[str, Task] = {}
     for name in sorted(tasks.tasks):
         task = tasks.tasks[name]
         if task.managed and any(
-            quantity is not None and quantity.relative for quantity in (task.demand.cpu, task.demand.memory)
+            (quantity := task.demand[resource.name]) is not None and quantity.relative
+            for resource in HOST_RESOURCES
         ):
             entries.setdefault(task.template, task)
     return tuple(found for task in entries.values() for found in _find_task_spreads(fleet, task))
@@ -25,17 +30,19 @@ def find_demand_spreads(fleet: Capacities, tasks: Tasks) -> tuple[DemandSpread, 
 
 def _find_task_spreads(fleet: Capacities, task: Task) -> Iterator[DemandSpread]:
     places = _list_allowed_places(fleet, task)
-    for resource, quantity, raw in (
-        (Resource.CPU, task.demand.cpu, fleet.raw_cpu),
-        (Resource.MEMORY, task.demand.memory, fleet.raw_memory),
-    ):
+    for resource in HOST_RESOURCES:
+        quantity, raw = task.demand[resource.name], fleet.raw[resource.name]
         if (
             quantity is not None
             and quantity.relative
             and not (quantity.measured and task.name in fleet.demands)
         ):
             yield from _find_resource_spread(
-                fleet, task, resource, quantity, [(place, raw[place]) for place in places if raw[place] > 0]
+                fleet,
+                task,
+                resource,
+                quantity,
+                [(place, raw[place]) for place in places if 0 < raw[place] < inf],
             )
 
 
@@ -52,13 +59,17 @@ def _find_resource_spread(
     (small, least), (large, most) = ordered[0], ordered[-1]
     if most > MAX_CAPACITY_RATIO * least:
         yield DemandSpread(
-            task=task.template, resource=resource, share=quantity.value, least=quantity.of(least), most=quantity.of(most),
+            task=task.template,
+            resource=resource,
+            share=quantity.value,
+            least=quantity.of(least),
+            most=quantity.of(most),
             hosts=(fleet.places[small].name, fleet.places[large].name),
-        )  # fmt: skip
+        )
 
 
 def _list_allowed_places(fleet: Capacities, task: Task) -> list[int]:
-    """Where the rules of the file let ``task`` run, closed for the moment or not."""
+    """Places where the rules of the file let ``task`` run, closed for the moment or not."""
     own = find_own_robot(fleet, task)
     robots = (
         [own] if own is not None and find_rule_against(fleet.places[own], task, robot=True) is None else []

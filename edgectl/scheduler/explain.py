@@ -1,26 +1,30 @@
-"""Why a task goes where it goes, and the smallest single changes that would send it elsewhere. Reads the decision; decides nothing anew.
+"""Explanation of a decision: its terms, and the smallest single changes that would reverse it.
 
-Each change is of one number: the load of one host or link, or one weight; all other tasks stay where they are and use what they use.
-Eq. (4) is linear in each of these, so the crossing is known in closed form (``race``).
+Decides nothing anew. Each change is of one number: the load of one host or link, or one weight; all other
+tasks stay where they are and use what they use. Eq. (4) is linear in each of these, so the crossing is known
+in closed form (``sensitivity``).
 """
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import sqrt
+from math import inf, sqrt
 
-from edgectl.model.assignment import Decision, RankedHost, Reason, RejectionRule, Terms, Verdict
-from edgectl.model.explanation import ChangeKind, Contribution, Explanation, Flip, Term
+from edgectl.model.assignment import Decision, RankedHost, Reason, RejectionRule, UtilityTerms, Verdict
+from edgectl.model.explanation import ChangeKind, Contribution, Explanation, Flip
 from edgectl.model.inventory import Inventory
 from edgectl.model.manager_state import ManagerState
-from edgectl.model.policy import Policy, PolicyName, Weights
+from edgectl.model.policy import Policy, Weights
+from edgectl.model.resource import RESOURCES, RESOURCES_BY_NAME, TERMS, Resource, ResourceMap
 from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Task
 from edgectl.scheduler.capacities import Capacities, build_capacities
 from edgectl.scheduler.ledger import Ledger, build_measured_ledger
 from edgectl.scheduler.move_cost import HandoffHistory, collect_handoff_history, estimate_move_cost
+from edgectl.scheduler.policies import POLICIES
 from edgectl.scheduler.sensitivity import Contender, LinearFunction, find_first_change
 
-# A weight is changed within 0..1; where it is 1 already the others have no shares to grow by. At the very ends a crossing is rounding.
+# A weight is changed within 0..1; where it is 1 already the others have no shares to grow by. At the very
+# ends a crossing is rounding.
 _WHOLE_WEIGHT = 1.0
 _SHARE_BELOW_END = 1.0 - 1e-6
 # Here something other than the totals decided, and no change of a number is the answer.
@@ -35,13 +39,11 @@ _CONSTRAINED_REASONS = (
 _EXPLAINABLE_VERDICTS = (Verdict.PLACED, Verdict.KEPT, Verdict.UNPLACED)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TermNoise:
-    """Standard deviation of a host's terms over its last samples: shares of its capacity."""
+class TermNoise(ResourceMap[float]):
+    """Standard deviation of a host's terms over its last samples by resource: shares of its capacity."""
 
-    cpu: float = 0.0
-    memory: float = 0.0
-    network: float = 0.0
+    __slots__ = ()
+    DEFAULTS = dict.fromkeys(RESOURCES_BY_NAME, 0.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,14 +60,22 @@ class _Case:
 
 
 def explain_decision(
-    inventory: Inventory, task: Task, snapshot: Snapshot, decision: Decision, policy: Policy, noise: Mapping[str, TermNoise] | None = None
-) -> Explanation:  # fmt: skip
-    """The decision on ``task`` taken apart (eqs. 1-5). ``policy`` with the weights as used; ``noise`` by host, where it is known."""
-    memory = snapshot.manager or ManagerState()
+    inventory: Inventory,
+    task: Task,
+    snapshot: Snapshot,
+    decision: Decision,
+    policy: Policy,
+    noise: Mapping[str, TermNoise] | None = None,
+) -> Explanation:
+    """The decision on ``task`` taken apart (eqs. 1-5).
+
+    ``policy`` with the weights as used; ``noise`` by host, where it is known.
+    """
+    manager = snapshot.manager or ManagerState()
     ranked = tuple(
         entry for entry in decision.ranking if entry.total is not None and _is_only_short_of_resources(entry)
     )
-    fleet = build_capacities(inventory, snapshot, memory, policy.without)
+    fleet = build_capacities(inventory, snapshot, manager, policy.without)
     case = _Case(
         task=task,
         decision=decision,
@@ -78,8 +88,8 @@ def explain_decision(
             decision,
             ranked,
             policy.move_margin,
-            collect_handoff_history(memory),
-            _compute_dwell_s(memory, task, snapshot.taken_at),
+            collect_handoff_history(manager),
+            _compute_dwell_s(manager, task, snapshot.taken_at),
         ),
     )
     plain = Explanation(decision=decision, weights=policy.weights, linear=len(task.robots) <= 1)
@@ -92,7 +102,7 @@ def explain_decision(
             contributions=tuple(_build_contributions(policy.weights, here.terms, there.terms)),
         )
     if (
-        policy.name is not PolicyName.UTILITY
+        not POLICIES[policy.name].weighs_moves
         or decision.verdict not in _EXPLAINABLE_VERDICTS
         or decision.reason in _CONSTRAINED_REASONS
     ):
@@ -107,7 +117,7 @@ def explain_decision(
 
 
 def _is_only_short_of_resources(entry: RankedHost) -> bool:
-    """Whether nothing but a lack of resources speaks against the host."""
+    """True where only a lack of resources speaks against the host."""
     return all(rejection.rule is RejectionRule.INSUFFICIENT for rejection in entry.rejections)
 
 
@@ -115,8 +125,8 @@ def _find_ranked_host(ranked: Sequence[RankedHost], host: str | None) -> RankedH
     return next((entry for entry in ranked if entry.host == host), None)
 
 
-def _compute_dwell_s(memory: ManagerState, task: Task, now: float) -> float | None:
-    placement = memory.placements.get(task.name)
+def _compute_dwell_s(manager: ManagerState, task: Task, now: float) -> float | None:
+    placement = manager.placements.get(task.name)
     return None if placement is None else now - placement.since
 
 
@@ -139,22 +149,18 @@ def _compute_needed_gains(
     return found
 
 
-def _build_contributions(weights: Weights, here: Terms, there: Terms) -> Iterator[Contribution]:
-    for term in Term:
+def _build_contributions(weights: Weights, here: UtilityTerms, there: UtilityTerms) -> Iterator[Contribution]:
+    for term in TERMS:
         yield Contribution(
             term=term,
-            weight=_get_weight(weights, term),
+            weight=weights[term],
             here=_get_term_value(here, term),
             there=_get_term_value(there, term),
         )
 
 
-def _get_weight(weights: Weights, term: Term) -> float:
-    return float(getattr(weights, term))
-
-
-def _get_term_value(terms: Terms, term: Term) -> float:
-    return float(getattr(terms, term) or 0.0)
+def _get_term_value(terms: UtilityTerms, term: str) -> float:
+    return terms[term] or 0.0
 
 
 def _compute_lead_noise(
@@ -164,12 +170,7 @@ def _compute_lead_noise(
     if here is None or there is None or here.host not in noise or there.host not in noise:
         return None
     each = (noise[here.host], noise[there.host])
-    return sqrt(
-        sum(
-            (weights.cpu * n.cpu) ** 2 + (weights.memory * n.memory) ** 2 + (weights.network * n.network) ** 2
-            for n in each
-        )
-    )
+    return sqrt(sum(sum((weights[name] * share) ** 2 for name, share in n.items()) for n in each))
 
 
 def _compute_slack(case: _Case) -> float | None:
@@ -190,12 +191,17 @@ def _compute_slack(case: _Case) -> float | None:
 
 
 def _build_contender(
-    case: _Case, entry: RankedHost, *, total: LinearFunction | None = None, term: Term | None = None, slope: float = 0.0
-) -> Contender:  # fmt: skip
+    case: _Case,
+    entry: RankedHost,
+    *,
+    total: LinearFunction | None = None,
+    term: str | None = None,
+    slope: float = 0.0,
+) -> Contender:
     """``entry`` while its total, or one of its terms, changes."""
     terms = tuple(
-        LinearFunction(_get_term_value(entry.terms, each), slope if each is term else 0.0)
-        for each in (Term.CPU, Term.MEMORY, Term.NETWORK)
+        LinearFunction(_get_term_value(entry.terms, each), slope if each == term else 0.0)
+        for each in RESOURCES_BY_NAME
     )
     return Contender(
         host=entry.host,
@@ -207,23 +213,24 @@ def _build_contender(
 
 def _find_flips(case: _Case) -> Iterator[Flip]:
     for entry in case.ranked:
-        for term in (Term.CPU, Term.MEMORY, Term.NETWORK):
-            yield from _find_load_flips(case, entry, term)
-    for term in Term:
+        for resource in RESOURCES:
+            yield from _find_load_flips(case, entry, resource)
+    for term in TERMS:
         yield from _find_weight_flips(case, term)
 
 
-def _find_load_flips(case: _Case, entry: RankedHost, term: Term) -> Iterator[Flip]:
+def _find_load_flips(case: _Case, entry: RankedHost, resource: Resource) -> Iterator[Flip]:
     """The load of one host, or of its link, rises or falls; it cannot fall below what was measured."""
-    capacity, used, robot = _get_capacity_and_load(case, entry.host, term)
+    capacity, used, robot = _get_capacity_and_load(case, entry.host, resource)
     if not capacity:
         return
+    term = resource.name
     for change, sign, end in (
         (ChangeKind.LOAD_RISES, -1.0, float("inf")),
         (ChangeKind.LOAD_FALLS, 1.0, used),
     ):
         slope = sign / capacity
-        moving = LinearFunction(entry.total or 0.0, _get_weight(case.weights, term) * slope)
+        moving = LinearFunction(entry.total or 0.0, case.weights[term] * slope)
         runners = [
             _build_contender(case, each, total=moving, term=term, slope=slope)
             if each is entry
@@ -239,22 +246,24 @@ def _find_load_flips(case: _Case, entry: RankedHost, term: Term) -> Iterator[Fli
             )
 
 
-def _get_capacity_and_load(case: _Case, host: str, term: Term) -> tuple[float, float, str | None]:
-    """Delta and the measured gamma of ``term`` at ``host``, and the robot of a link; Delta is 0 where no single load makes the term."""
+def _get_capacity_and_load(case: _Case, host: str, resource: Resource) -> tuple[float, float, str | None]:
+    """Delta and the measured gamma of ``resource`` at ``host``, and the robot of a link.
+
+    Delta is 0 where no single load makes the term.
+    """
     fleet, place, ledger = case.fleet, case.fleet.index[host], case.ledger
-    if term is Term.CPU:
-        return fleet.cpu[place], ledger.cpu[place], None
-    if term is Term.MEMORY:
-        return fleet.memory[place], ledger.memory[place], None
+    if not resource.per_link:
+        capacity = fleet.usable[resource.name][place]
+        return (capacity if capacity < inf else 0.0), ledger.used[resource.name][place], None
     if len(case.task.robots) != 1 or place >= fleet.edges:
         return 0.0, 0.0, None
     robot = case.task.robots[0]
     return fleet.links[robot][place] or 0.0, ledger.links[robot][place], robot
 
 
-def _find_weight_flips(case: _Case, term: Term) -> Iterator[Flip]:
+def _find_weight_flips(case: _Case, term: str) -> Iterator[Flip]:
     """One weight rises or falls, the others sharing the rest as they do now."""
-    weight = _get_weight(case.weights, term)
+    weight = case.weights[term]
     if weight >= _WHOLE_WEIGHT:
         return
     for change, sign, end in (
@@ -274,11 +283,11 @@ def _find_weight_flips(case: _Case, term: Term) -> Iterator[Flip]:
 
 
 def _build_weighted_total(
-    weights: Weights, entry: RankedHost, term: Term, weight: float, sign: float
+    weights: Weights, entry: RankedHost, term: str, weight: float, sign: float
 ) -> LinearFunction:
     """Eq. (4) while the weight of ``term`` is ``weight + sign * x``."""
     value = _get_term_value(entry.terms, term)
-    rest = sum(
-        _get_weight(weights, each) * _get_term_value(entry.terms, each) for each in Term if each is not term
-    ) / (1.0 - weight)
+    rest = sum(weights[each] * _get_term_value(entry.terms, each) for each in TERMS if each != term) / (
+        1.0 - weight
+    )
     return LinearFunction(weight * value + (1.0 - weight) * rest, sign * (value - rest))

@@ -1,9 +1,13 @@
-"""Who may run a task at all, and where it fits (DESIGN 5.4, 5.5). A rejection is a record, never a log line."""
+"""Feasibility: the hosts that may run a task, and those where it fits.
+
+A rejection is a record, never a log line.
+"""
 
 from typing import NamedTuple
 
-from edgectl.model.assignment import Rejection, RejectionRule, Resource
+from edgectl.model.assignment import Rejection, RejectionRule
 from edgectl.model.inventory import Host
+from edgectl.model.resource import NETWORK, RESOURCES, Resource
 from edgectl.model.task import ZERO, OnboardRule, Quantity, Task
 from edgectl.scheduler.capacities import Capacities
 from edgectl.scheduler.demand import demand_at
@@ -12,11 +16,11 @@ from edgectl.scheduler.utility import EPSILON, resource_utility
 
 
 class ResourceTerms(NamedTuple):
-    """UT_cpu, UT_mem and UT_net of one task at one place (None without capacity), and what it lacks there."""
+    """UT_k of one task at one place by resource (None without capacity), and the rejections for what it lacks
+    there.
+    """
 
-    cpu: float | None
-    memory: float | None
-    network: float | None
+    terms: dict[str, float | None]
     rejections: tuple[Rejection, ...]
 
 
@@ -26,7 +30,10 @@ def find_own_robot(fleet: Capacities, task: Task) -> int | None:
 
 
 def find_rule_against(host: Host, task: Task, *, robot: bool) -> RejectionRule | None:
-    """Which rule of the task file keeps ``task`` off ``host``; ``robot``: the host is the task's own robot."""
+    """The rule of the task file that keeps ``task`` off ``host``.
+
+    ``robot``: the host is the task's own robot.
+    """
     rules = task.hosts
     if robot and (task.onboard is OnboardRule.NEVER or not host.onboard):
         return RejectionRule.ONBOARD
@@ -46,31 +53,38 @@ def find_rule_against(host: Host, task: Task, *, robot: bool) -> RejectionRule |
 
 
 def compute_resource_terms(ledger: Ledger, task: Task, place: int) -> ResourceTerms:
-    """The reference form of eqs. (1)-(3) for one task at one place; ``scan`` computes the same for all edges at once."""
+    """The reference form of eqs. (1)-(3) for one task at one place.
+
+    ``scan`` computes the same for all edges at once.
+    """
     fleet = ledger.fleet
-    wanted = demand_at(fleet, task, place)
-    cpu, cpu_lack = _compute_term(
-        Resource.CPU, fleet.cpu[place], ledger.cpu[place], (wanted.cpu or ZERO).of(fleet.raw_cpu[place])
-    )
-    memory, memory_lack = _compute_term(
-        Resource.MEMORY,
-        fleet.memory[place],
-        ledger.memory[place],
-        (wanted.memory or ZERO).of(fleet.raw_memory[place]),
-    )
-    network, network_lack = _compute_network_term(ledger, task, place, wanted.throughput or ZERO)
-    return ResourceTerms(cpu, memory, network, cpu_lack + memory_lack + network_lack)
+    demand = demand_at(fleet, task, place)
+    terms: dict[str, float | None] = {}
+    rejections: tuple[Rejection, ...] = ()
+    for resource in RESOURCES:
+        name = resource.name
+        quantity = demand[name] or ZERO
+        if resource.per_link:
+            terms[name], lacking = _compute_network_term(ledger, task, place, quantity)
+        else:
+            amount = quantity.of(fleet.raw[name][place])
+            terms[name], lacking = _compute_term(
+                resource, fleet.usable[name][place], ledger.used[name][place], amount
+            )
+        if lacking:
+            rejections += lacking
+    return ResourceTerms(terms, rejections)
 
 
 def _compute_term(
-    resource: Resource, capacity: float, used: float, wanted: float, robot: str | None = None
+    resource: Resource, capacity: float, used: float, demand: float, robot: str | None = None
 ) -> tuple[float | None, tuple[Rejection, ...]]:
-    utility = resource_utility(capacity, used, wanted) if capacity > 0 else None
+    utility = resource_utility(capacity, used, demand) if capacity > 0 else None
     if utility is not None and utility >= -EPSILON:
         return utility, ()
     rule = RejectionRule.NO_CAPACITY if utility is None else RejectionRule.INSUFFICIENT
     return utility, (
-        Rejection(rule=rule, resource=resource, robot=robot, demand=wanted, used=used, capacity=capacity),
+        Rejection(rule=rule, resource=resource, robot=robot, demand=demand, used=used, capacity=capacity),
     )
 
 
@@ -94,7 +108,5 @@ def _compute_link_term(
 ) -> tuple[float | None, tuple[Rejection, ...]]:
     capacity = ledger.fleet.links[robot][place] if robot in ledger.fleet.links else None
     if capacity is None:
-        return None, (Rejection(rule=RejectionRule.NO_LINK, resource=Resource.NETWORK, robot=robot),)
-    return _compute_term(
-        Resource.NETWORK, capacity, ledger.links[robot][place], throughput.of(capacity), robot
-    )
+        return None, (Rejection(rule=RejectionRule.NO_LINK, resource=NETWORK, robot=robot),)
+    return _compute_term(NETWORK, capacity, ledger.links[robot][place], throughput.of(capacity), robot)

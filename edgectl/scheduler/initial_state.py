@@ -1,4 +1,6 @@
-"""What runs where before a pass, read from the snapshot and the memory; and which tasks no pass decides (DESIGN 5.9, 5.11, 5.12)."""
+"""Initial state of a pass, from snapshot and manager state: running tasks, and the tasks that no pass
+decides.
+"""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -11,13 +13,16 @@ from edgectl.scheduler.capacities import Capacities
 from edgectl.scheduler.ledger import Ledger, TaskUsage, build_measured_ledger, compute_measured_usage
 from edgectl.scheduler.partition import seconds_until_replaced
 
-# With more than this share of the edges silent the manager's own link is the suspect, and nothing moves (DESIGN 5.9).
+# With more than this share of the edges unreachable the manager's own link is the suspect, and nothing moves.
 MAX_UNREACHABLE_SHARE = 0.55
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunningTask:
-    """A task that occupies ``place`` with ``use``. ``since``: when it came there; None: this very plan puts it there."""
+    """A task that occupies ``place`` with ``use``.
+
+    ``since``: when it came there; None: this very plan puts it there.
+    """
 
     place: int
     use: TaskUsage
@@ -28,9 +33,10 @@ class RunningTask:
 class InitialState:
     """The state that a pass starts from.
 
-    ``ledger``: gamma, without what is about to be stopped. ``running``: tasks that the pass may keep or move. ``located``: the place of
-    every task that counts as a predecessor. ``completed``: predecessors that need no place. ``fixed``: decisions that no pass makes.
-    ``replaced``: the silent host of every task that is placed anew although it was never seen to end.
+    ``ledger``: gamma, without what is about to be stopped. ``running``: tasks that the pass may keep or move.
+    ``located``: the place of every task that counts as a predecessor. ``completed``: predecessors that need
+    no place. ``fixed``: decisions that no pass makes. ``replaced``: the silent host of every task that is
+    placed anew although it was never seen to end.
     """
 
     ledger: Ledger
@@ -53,11 +59,11 @@ class FoundInstance:
 
 @dataclass(slots=True, kw_only=True)
 class _InitialStateBuilder:
-    """Collects the world task by task."""
+    """Collects the initial state task by task."""
 
     fleet: Capacities
     ledger: Ledger
-    memory: ManagerState
+    manager: ManagerState
     now: float
     frozen: bool
     running: dict[str, RunningTask] = field(default_factory=dict)
@@ -67,21 +73,22 @@ class _InitialStateBuilder:
     replaced: dict[str, str] = field(default_factory=dict)
 
 
-def build_initial_state(tasks: Tasks, memory: ManagerState, fleet: Capacities, now: float) -> InitialState:
-    """The world as the snapshot (in ``fleet``) and the memory tell it."""
+def build_initial_state(tasks: Tasks, manager: ManagerState, fleet: Capacities, now: float) -> InitialState:
+    """The initial state from the snapshot (in ``fleet``) and the manager state."""
     seen = _collect_instances(fleet)
     builder = _InitialStateBuilder(
         fleet=fleet,
         ledger=build_measured_ledger(fleet),
-        memory=memory,
+        manager=manager,
         now=now,
-        frozen=_is_partition_suspected(fleet, memory),
+        frozen=_is_partition_suspected(fleet, manager),
     )
-    # In the order of the names: sums of floats depend on their order, and the order of a file must not matter.
+    # In the order of the names: sums of floats depend on their order, and the order of a file must not
+    # matter.
     for name in sorted(tasks.tasks):
         _add_task(builder, tasks.tasks[name], seen.pop(name, ()))
     for name in sorted(seen):
-        _release_usage(builder, (s for s in seen[name] if s.sample.managed), ())
+        _release_usage(builder, (s for s in seen[name] if s.sample.managed), None)
     silent = [
         host.name
         for place, host in enumerate(fleet.places)
@@ -95,16 +102,19 @@ def build_initial_state(tasks: Tasks, memory: ManagerState, fleet: Capacities, n
         fixed=builder.fixed,
         replaced=builder.replaced,
         frozen=builder.frozen,
-        unseen=() if memory.managed else tuple(silent),
+        unseen=() if manager.managed else tuple(silent),
     )
 
 
-def _is_partition_suspected(fleet: Capacities, memory: ManagerState) -> bool:
-    """Whether so many edges are silent that the manager's own link is the suspect. Those known to be off say nothing of the link."""
+def _is_partition_suspected(fleet: Capacities, manager: ManagerState) -> bool:
+    """True where so many edges are unreachable that the manager's own link is the suspect.
+
+    Fenced edges do not count.
+    """
     asked = [
         place
         for place in range(fleet.edges)
-        if not (fleet.is_unreachable(place) and fleet.places[place].name in memory.fenced)
+        if not (fleet.is_unreachable(place) and fleet.places[place].name in manager.fenced)
     ]
     return sum(map(fleet.is_unreachable, asked)) > MAX_UNREACHABLE_SHARE * len(asked)
 
@@ -122,8 +132,8 @@ def _add_task(builder: _InitialStateBuilder, task: Task, sightings: tuple[FoundI
     alive = [s for s in sightings if s.sample.state.alive]
     ours = [s for s in alive if s.sample.managed and task.managed]
     current = _find_newest_instance(builder, task, ours or alive)
-    if _is_completed(builder.memory, task, sightings, current):
-        _release_usage(builder, ours, task.robots)
+    if _is_completed(builder.manager, task, sightings, current):
+        _release_usage(builder, ours, task)
         lingering = [s for s in sightings if s.sample.state is TaskState.COMPLETED and s.sample.pid > 0]
         current = current or _find_newest_instance(builder, task, lingering)
         builder.completed.add(task.name)
@@ -138,17 +148,17 @@ def _add_task(builder: _InitialStateBuilder, task: Task, sightings: tuple[FoundI
     left = (
         None
         if away is None or builder.frozen
-        else seconds_until_replaced(task, away, builder.memory, builder.now)
+        else seconds_until_replaced(task, away, builder.manager, builder.now)
     )
     if away is not None and left != 0.0:
-        _release_usage(builder, ours, task.robots)
+        _release_usage(builder, ours, task)
         _hold_task(builder, task, away, Reason.HOST_SILENT, away, left)
     elif not task.managed or (alive and not ours):
         _keep_unmanaged(builder, task, current)
     elif (robot := _find_unreachable_robot(builder, task)) is not None:
         _hold_task(builder, task, _get_instance_host(builder, current) or away, Reason.ROBOT_SILENT, robot)
     elif current is not None:
-        _release_usage(builder, (s for s in ours if s is not current), task.robots)
+        _release_usage(builder, (s for s in ours if s is not current), task)
         _add_running_task(builder, task, current)
     elif away is not None:
         builder.replaced[task.name] = away
@@ -157,11 +167,11 @@ def _add_task(builder: _InitialStateBuilder, task: Task, sightings: tuple[FoundI
 
 
 def _add_running_task(builder: _InitialStateBuilder, task: Task, current: FoundInstance) -> None:
-    placement = builder.memory.placements.get(task.name)
+    placement = builder.manager.placements.get(task.name)
     remembered = placement is not None and placement.host == builder.fleet.places[current.place].name
     builder.running[task.name] = RunningTask(
         place=current.place,
-        use=compute_measured_usage(builder.fleet, current.sample, task.robots, current.place),
+        use=compute_measured_usage(builder.fleet, current.sample, task, current.place),
         since=placement.since if placement is not None and remembered else current.sample.started_at,
     )
     builder.located[task.name] = current.place
@@ -170,8 +180,10 @@ def _add_running_task(builder: _InitialStateBuilder, task: Task, current: FoundI
 def _find_newest_instance(
     builder: _InitialStateBuilder, task: Task, sightings: Iterable[FoundInstance]
 ) -> FoundInstance | None:
-    """Of several copies the newer assignment wins: generation, then the remembered place, then the later start."""
-    placement = builder.memory.placements.get(task.name)
+    """Of several copies the newer assignment wins: generation, then the remembered place, then the later
+    start.
+    """
+    placement = builder.manager.placements.get(task.name)
     remembered = builder.fleet.index.get(placement.host) if placement else None
     return max(
         sightings,
@@ -186,10 +198,13 @@ def _find_newest_instance(
 
 
 def _is_completed(
-    memory: ManagerState, task: Task, sightings: Iterable[FoundInstance], current: FoundInstance | None
+    manager: ManagerState, task: Task, sightings: Iterable[FoundInstance], current: FoundInstance | None
 ) -> bool:
-    """Marked done, or seen completed, with the specification of now; a newer instance that is alive says otherwise."""
-    if memory.done.get(task.name) == task.spec_hash:
+    """Marked done, or seen completed, with the specification of now.
+
+    A newer instance that is alive says otherwise.
+    """
+    if manager.done.get(task.name) == task.spec_hash:
         return True
     finished = [
         s.sample
@@ -203,9 +218,11 @@ def _is_completed(
 def _find_given_up_run(
     builder: _InitialStateBuilder, task: Task, sightings: Iterable[FoundInstance]
 ) -> FoundInstance | None:
-    """The last run of ``task``, if it ended by itself and must not be started again unasked (ADR 0022): the same would only happen again.
+    """The last run of ``task``, if it ended by itself and must not be started again unasked (ADR 0022): the
+    same would only happen again.
 
-    A changed specification may do better; so may a run whose host was told of a newer one since, be it only to stop it.
+    A changed specification may do better; so may a run whose host was told of a newer one since, be it only
+    to stop it.
     """
     ended = [
         s
@@ -213,7 +230,7 @@ def _find_given_up_run(
         if s.sample.managed and s.sample.given_up and s.sample.spec_hash in ("", task.spec_hash)
     ]
     last = _find_newest_instance(builder, task, ended)
-    placement = builder.memory.placements.get(task.name)
+    placement = builder.manager.placements.get(task.name)
     told = [sample.generations.get(task.name, 0) for sample in builder.fleet.samples if sample is not None]
     known = max(
         [s.sample.generation for s in sightings]
@@ -237,9 +254,10 @@ def _find_unreachable_newest_host(
 ) -> str | None:
     """The silent host that has the newest copy of ``task``, as far as is known.
 
-    A copy that is seen may be older: left behind by a host that went silent, was replaced, and came back after its replacement fell silent.
+    A copy that is seen may be older: left behind by a host that went silent, was replaced, and came back
+    after its replacement fell silent.
     """
-    placement = builder.memory.placements.get(task.name)
+    placement = builder.manager.placements.get(task.name)
     place = builder.fleet.index.get(placement.host) if placement else None
     if placement is None or place is None or not builder.fleet.is_unreachable(place):
         return None
@@ -286,13 +304,13 @@ def _keep_unmanaged(builder: _InitialStateBuilder, task: Task, current: FoundIns
 
 
 def _release_usage(
-    builder: _InitialStateBuilder, sightings: Iterable[FoundInstance], robots: tuple[str, ...]
+    builder: _InitialStateBuilder, sightings: Iterable[FoundInstance], task: Task | None
 ) -> None:
-    """What this plan stops is no load of its outcome; a COMPLETED sample was taken out by the gateway already."""
+    """Take out of gamma whatever this plan stops; the gateway has taken out COMPLETED tasks already."""
     for sighting in sightings:
         if sighting.sample.state.alive:
             builder.ledger.release(
-                sighting.place, compute_measured_usage(builder.fleet, sighting.sample, robots, sighting.place)
+                sighting.place, compute_measured_usage(builder.fleet, sighting.sample, task, sighting.place)
             )
 
 

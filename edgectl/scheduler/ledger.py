@@ -1,9 +1,11 @@
-"""gamma, the expected load (DESIGN 5.3): measured first, then kept up to date with every placement of the plan."""
+"""Ledger of expected load (gamma): as measured, then kept up to date with every placement of the plan."""
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
+from math import inf
 
 from edgectl.model.assignment import ExpectedLoad
+from edgectl.model.resource import CPU, HOST_RESOURCES, NETWORK, Usage
 from edgectl.model.snapshot import TaskSample
 from edgectl.model.task import ZERO, Quantity, Task
 from edgectl.scheduler.capacities import Capacities
@@ -15,56 +17,58 @@ NO_FREE_SHARE = -1e300
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TaskUsage:
-    """What one task takes of one place: cores, bytes, and bytes/s by robot."""
+    """Load of one task on one place: amounts by resource of the host, and bytes/s by robot."""
 
-    cpu: float = 0.0
-    memory: float = 0.0
+    used: Mapping[str, float] = field(default_factory=dict)
     links: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(slots=True, kw_only=True)
 class Ledger:
-    """gamma by place (cores, bytes) and by robot and edge (bytes/s); ``free_*`` is (Delta - gamma) / Delta of the same, kept in step."""
+    """gamma: ``used`` by resource and place, ``links`` (bytes/s) by robot and edge.
+
+    ``free`` and ``free_links`` hold (Delta - gamma) / Delta of the same, kept in step.
+    """
 
     fleet: Capacities
-    cpu: list[float]
-    memory: list[float]
+    used: dict[str, list[float]]
     links: dict[str, list[float]]
-    free_cpu: list[float]
-    free_memory: list[float]
+    free: dict[str, list[float]]
     free_links: dict[str, list[float]]
 
     def copy(self) -> "Ledger":
         """An independent ledger with the same numbers."""
         return Ledger(
             fleet=self.fleet,
-            cpu=self.cpu.copy(),
-            memory=self.memory.copy(),
+            used={name: row.copy() for name, row in self.used.items()},
             links={robot: row.copy() for robot, row in self.links.items()},
-            free_cpu=self.free_cpu.copy(),
-            free_memory=self.free_memory.copy(),
+            free={name: row.copy() for name, row in self.free.items()},
             free_links={robot: row.copy() for robot, row in self.free_links.items()},
         )
 
     def charge(self, place: int, use: TaskUsage) -> None:
-        """Gamma += rho, all three."""
-        self._set(place, self.cpu[place] + use.cpu, self.memory[place] + use.memory)
+        """Add a task's load: gamma += rho for every resource."""
+        for name, amount in use.used.items():
+            self._set(place, name, self.used[name][place] + amount)
         for robot, rate in use.links.items():
             self._set_link(place, robot, self.links[robot][place] + rate)
 
     def release(self, place: int, use: TaskUsage) -> None:
-        """A task's own use leaves gamma, never below 0."""
-        self._set(place, max(0.0, self.cpu[place] - use.cpu), max(0.0, self.memory[place] - use.memory))
+        """Take a task's load out of gamma, never below 0."""
+        for name, amount in use.used.items():
+            self._set(place, name, max(0.0, self.used[name][place] - amount))
         for robot, rate in use.links.items():
             self._set_link(place, robot, max(0.0, self.links[robot][place] - rate))
 
     def expected(self, used: Collection[int]) -> dict[str, ExpectedLoad]:
-        """Gamma of every measured host that can run tasks, and of the places ``used``, in natural order of names."""
+        """Gamma of every measured host that can run tasks, and of the places ``used``, in natural order of
+        names.
+        """
         fleet = self.fleet
         hosts = {
             place for place, host in enumerate(fleet.places) if place < fleet.edges or host.onboard
         } | set(used)
-        places = (place for place in hosts if fleet.cpu[place] > 0)
+        places = (place for place in hosts if fleet.usable[CPU.name][place] > 0)
         return {
             fleet.places[place].name: self._load(place)
             for place in sorted(places, key=fleet.order.__getitem__)
@@ -77,12 +81,11 @@ class Ledger:
             for robot, row in self.links.items()
             if linked and self.fleet.links[robot][place] is not None
         }
-        return ExpectedLoad(used_cores=self.cpu[place], used_bytes=self.memory[place], links=links)
+        return ExpectedLoad(used=Usage({name: row[place] for name, row in self.used.items()}), links=links)
 
-    def _set(self, place: int, cpu: float, memory: float) -> None:
-        self.cpu[place], self.memory[place] = cpu, memory
-        self.free_cpu[place] = compute_free_share(self.fleet.cpu[place], cpu)
-        self.free_memory[place] = compute_free_share(self.fleet.memory[place], memory)
+    def _set(self, place: int, name: str, amount: float) -> None:
+        self.used[name][place] = amount
+        self.free[name][place] = compute_free_share(self.fleet.usable[name][place], amount)
 
     def _set_link(self, place: int, robot: str, rate: float) -> None:
         self.links[robot][place] = rate
@@ -90,33 +93,42 @@ class Ledger:
 
 
 def compute_free_share(capacity: float | None, used: float) -> float:
-    """(Delta - gamma) / Delta: the utility before the demand is taken off; far below 0 without capacity."""
+    """(Delta - gamma) / Delta: the utility before the demand is taken off.
+
+    Far below 0 without capacity, 1 without a limit.
+    """
+    if capacity == inf:
+        return 1.0
     return (capacity - used) / capacity if capacity else NO_FREE_SHARE
 
 
 def build_measured_ledger(fleet: Capacities) -> Ledger:
     """Gamma as the profilers saw it."""
-    cpu = [sample.cpu.used_cores if sample and sample.ok and sample.cpu else 0.0 for sample in fleet.samples]
-    memory = [
-        sample.memory.used_bytes if sample and sample.ok and sample.memory else 0.0
-        for sample in fleet.samples
-    ]
+    used = {resource.name: _list_measured_usage(fleet, resource.name) for resource in HOST_RESOURCES}
     links = {
         robot: [_get_measured_link_rate(fleet, edge, robot) for edge in range(fleet.edges)]
         for robot in fleet.links
     }
     return Ledger(
         fleet=fleet,
-        cpu=cpu,
-        memory=memory,
+        used=used,
         links=links,
-        free_cpu=[compute_free_share(*pair) for pair in zip(fleet.cpu, cpu, strict=True)],
-        free_memory=[compute_free_share(*pair) for pair in zip(fleet.memory, memory, strict=True)],
+        free={
+            name: [compute_free_share(*pair) for pair in zip(fleet.usable[name], row, strict=True)]
+            for name, row in used.items()
+        },
         free_links={
             robot: [compute_free_share(*pair) for pair in zip(fleet.links[robot], row, strict=True)]
             for robot, row in links.items()
         },
     )
+
+
+def _list_measured_usage(fleet: Capacities, name: str) -> list[float]:
+    return [
+        sample.usage[name].used if sample and sample.ok and name in sample.usage else 0.0
+        for sample in fleet.samples
+    ]
 
 
 def _get_measured_link_rate(fleet: Capacities, edge: int, robot: str) -> float:
@@ -126,12 +138,14 @@ def _get_measured_link_rate(fleet: Capacities, edge: int, robot: str) -> float:
 
 
 def compute_demand_usage(fleet: Capacities, task: Task, place: int) -> TaskUsage:
-    """Rho of ``task`` at ``place``. A share is of the capacity before limits; a robot's own computer needs no link."""
-    wanted = demand_at(fleet, task, place)
+    """Demand (rho) of ``task`` at ``place``.
+
+    A share is of the capacity before limits; a robot's own computer needs no link.
+    """
+    demand = demand_at(fleet, task, place)
     return TaskUsage(
-        cpu=(wanted.cpu or ZERO).of(fleet.raw_cpu[place]),
-        memory=(wanted.memory or ZERO).of(fleet.raw_memory[place]),
-        links=_compute_link_rates(fleet, task.robots, place, wanted.throughput or ZERO),
+        used={name: (demand[name] or ZERO).of(row[place]) for name, row in fleet.raw.items()},
+        links=_compute_link_rates(fleet, task.robots, place, demand[NETWORK.name] or ZERO),
     )
 
 
@@ -144,14 +158,27 @@ def _compute_link_rates(
     return {robot: throughput.of(capacity) for robot, capacity in capacities if capacity is not None}
 
 
-def compute_measured_usage(
-    fleet: Capacities, sample: TaskSample, robots: tuple[str, ...], place: int
-) -> TaskUsage:
-    """What a running task was seen to use; a rate that is not known by link is split evenly over the task's links."""
+def compute_measured_usage(fleet: Capacities, sample: TaskSample, task: Task | None, place: int) -> TaskUsage:
+    """Measured usage of a running task (None: no file names it).
+
+    A rate that is not known by link is split evenly over the task's links. No host tells the share of one
+    task in a declared budget: there the task is taken to use its demand.
+    """
+    robots = task.robots if task is not None else ()
     rates = (
         sample.links
         if sample.links is not None
-        else {robot: sample.used_bytes_per_s / len(robots) for robot in robots}
+        else {robot: sample.used[NETWORK.name] / len(robots) for robot in robots}
     )
     links = {robot: rate for robot, rate in rates.items() if place < fleet.edges and robot in fleet.links}
-    return TaskUsage(cpu=sample.used_cores, memory=sample.used_bytes, links=links)
+    used = {
+        resource.name: _get_demand(fleet, task, place, resource.name)
+        if resource.declared_only
+        else sample.used[resource.name]
+        for resource in HOST_RESOURCES
+    }
+    return TaskUsage(used=used, links=links)
+
+
+def _get_demand(fleet: Capacities, task: Task | None, place: int, name: str) -> float:
+    return 0.0 if task is None else (task.demand[name] or ZERO).of(fleet.raw[name][place])

@@ -1,4 +1,4 @@
-"""What a move costs, as measured (ADR 0018): the gain over the expected stay against the downtime and its price."""
+"""Measured cost of a move (ADR 0018): the gain over the expected stay against the downtime and its price."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,34 +10,38 @@ from edgectl.model.task import Task
 
 # So many downtimes of one task on one host make a figure.
 MIN_DOWNTIME_SAMPLES = 5
-# Bounds of an expected stay in seconds: no move is planned to be undone at once, and the load is not known further ahead.
+# Bounds of an expected stay in seconds: no move is planned to be undone at once, and the load is not known
+# further ahead.
 STAY_FLOOR_S, STAY_CAP_S = 120.0, 600.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HandoffHistory:
-    """What earlier moves teach. ``downtimes``: median in seconds by task and host, where there are enough; ``stays`` by task."""
+    """History of moves.
+
+    ``downtimes``: median in seconds by task and host, where there are enough; ``stays`` by task.
+    """
 
     downtimes: Mapping[str, Mapping[str, float]]
     stays: Mapping[str, Sequence[float]]
 
 
-def collect_handoff_history(memory: ManagerState) -> HandoffHistory:
-    """The measured moves of ``memory``."""
+def collect_handoff_history(manager: ManagerState) -> HandoffHistory:
+    """The measured moves of ``manager``."""
     downtimes: dict[str, dict[str, float]] = {}
-    for (task, host), seconds in memory.downtimes.items():
+    for (task, host), seconds in manager.downtimes.items():
         if len(seconds) >= MIN_DOWNTIME_SAMPLES:
             downtimes.setdefault(task, {})[host] = median(seconds)
-    return HandoffHistory(downtimes=downtimes, stays=memory.stays)
+    return HandoffHistory(downtimes=downtimes, stays=manager.stays)
 
 
 def estimate_move_cost(
     handoffs: HandoffHistory, task: Task, host: str, here_s: float | None
 ) -> MoveCost | None:
-    """What it costs to move ``task`` to ``host``; None where too little is measured.
+    """Expected cost of moving ``task`` to ``host``; None where too little is measured.
 
-    A host without enough measurements is taken to be as slow as the slowest that has them. ``here_s``: seconds that the task has been
-    where it is, None where it is not there yet.
+    A host without enough measurements is taken to be as slow as the slowest that has them. ``here_s``:
+    seconds that the task has been where it is, None where it is not there yet.
     """
     known = handoffs.downtimes.get(task.name)
     if known is None:
@@ -51,6 +55,8 @@ def estimate_move_cost(
 
 
 def estimate_stay(stays: Sequence[float], here_s: float | None) -> float:
-    """Seconds that a task is likely to stay after a move: the mean of its past stays, else as long as it has been where it is."""
+    """Seconds that a task is likely to stay after a move: the mean of its past stays, else as long as it has
+    been where it is.
+    """
     guess = fmean(stays) if stays else here_s or 0.0
     return min(max(guess, STAY_FLOOR_S), STAY_CAP_S)

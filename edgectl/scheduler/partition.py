@@ -1,27 +1,30 @@
-"""When the task of a silent host may be started elsewhere (ADR 0020): never while its copy there may still run."""
+"""Replacement of tasks on unreachable hosts (ADR 0020): never while the copy there may still run."""
 
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.task import Task, UnreachablePolicy
 
-# Added to the longest time that a copy on a silent host can live on: clocks of two machines never run quite alike.
+# Added to the longest time that a copy on a silent host can live on: clocks of two machines never run quite
+# alike.
 FENCE_SLACK_S = 10.0
-# What the preset takes on the host before KILL (20 s of INT, 5 s of TERM), whatever grace is stated beside it.
+# Time of the preset on the host before KILL (20 s of INT, 5 s of TERM), whatever grace is stated beside it.
 _ROS_PRESET_S = 25.0
 
 
-def seconds_until_replaced(task: Task, host: str, memory: ManagerState, now: float) -> float | None:
-    """How long ``task`` of the silent ``host`` is still held: 0 = it may be replaced now, None = until ``host`` answers or is fenced.
+def seconds_until_replaced(task: Task, host: str, manager: ManagerState, now: float) -> float | None:
+    """Seconds for which ``task`` of the unreachable ``host`` is still held: 0 = it may be replaced now, None
+    = until ``host`` answers or is fenced.
 
-    The operator's word counts for every task; the mere passing of time only where the task's supervisor stops it by then.
+    The operator's word counts for every task; the mere passing of time only where the task's supervisor stops
+    it by then.
     """
-    if host in memory.fenced:
+    if host in manager.fenced:
         return 0.0
-    contact = memory.contact.get(host)
+    contact = manager.contact.get(host)
     if (
         task.on_unreachable is not UnreachablePolicy.REPLACE
         or task.self_fence is None
         or contact is None
-        or _has_spec_changed(task, memory)
+        or _has_spec_changed(task, manager)
     ):
         return None
     gone = max(task.replace_after, task.self_fence + _get_seconds_until_kill(task) + FENCE_SLACK_S)
@@ -32,7 +35,7 @@ def _get_seconds_until_kill(task: Task) -> float:
     return max(task.stop.grace, _ROS_PRESET_S) if task.stop.preset == "ros" else task.stop.grace
 
 
-def _has_spec_changed(task: Task, memory: ManagerState) -> bool:
-    """Whether the copy was started from another specification than the file's of now: it may fence itself later, or never."""
-    placement = memory.placements.get(task.name)
+def _has_spec_changed(task: Task, manager: ManagerState) -> bool:
+    """True where the copy was started from another specification: it may fence itself later, or never."""
+    placement = manager.placements.get(task.name)
     return placement is not None and placement.spec_hash not in ("", task.spec_hash)

@@ -1,7 +1,7 @@
-"""Who wins while one number changes: eq. (5) with handoff avoidance, where every total is a line.
+"""Sensitivity of a choice to one number: eq. (5) with handoff avoidance, where every total is a line.
 
-Along one change x >= 0 each term of each host is a straight line, and so is each total. The choice can only change where two of these lines
-cross: there are few such points, and each is known in closed form.
+Along one change x >= 0 each term of each host is a straight line, and so is each total. The choice can only
+change where two of these lines cross: there are few such points, and each is known in closed form.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -26,13 +26,16 @@ class LinearFunction:
         return self.at + self.slope * x
 
     def solve_for(self, level: float) -> float | None:
-        """Where the line stands at ``level``; None where it never does."""
+        """The x at which the line reaches ``level``; None where it never does."""
         return (level - self.at) / self.slope if self.slope else None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Contender:
-    """One candidate: its total, and its terms of eqs. (1)-(3), none below 0 where it fits. ``needed``: the gain that a move to it takes."""
+    """One candidate: its total, and its terms of eqs. (1)-(3), none below 0 where it fits.
+
+    ``needed``: the gain that a move to it takes.
+    """
 
     host: str
     total: LinearFunction
@@ -40,12 +43,15 @@ class Contender:
     needed: float
 
     def fits(self, x: float) -> bool:
-        """Whether the task fits there."""
+        """True where the task fits there."""
         return all(term(x) >= -EPSILON for term in self.terms)
 
 
 def find_winner(runners: Sequence[Contender], incumbent: str | None, x: float) -> str | None:
-    """The choice at ``x``; ties by the order of ``runners``, which lists them best first. None: it fits nowhere and runs nowhere."""
+    """The choice at ``x``; ties by the order of ``runners``, which lists them best first.
+
+    None: it fits nowhere and runs nowhere.
+    """
     fitting = [runner for runner in runners if runner.fits(x)]
     best = max(fitting, key=lambda runner: runner.total(x), default=None)
     if best is None:
@@ -59,9 +65,9 @@ def find_winner(runners: Sequence[Contender], incumbent: str | None, x: float) -
 def find_first_change(
     runners: Sequence[Contender], incumbent: str | None, end: float, unit: float
 ) -> tuple[float, str | None] | None:
-    """The smallest x in [0, ``end``) beyond which the choice is another one, and that choice; None where it stays up to ``end``.
+    """The smallest x in [0, ``end``) beyond which the choice is another one, and that choice.
 
-    ``unit``: how large an x is large (a capacity, or 1 for a weight).
+    None where it stays up to ``end``. ``unit``: how large an x is large (a capacity, or 1 for a weight).
     """
     now = find_winner(runners, incumbent, 0.0)
     for x in sorted({point for point in _list_crossings(runners, incumbent) if 0.0 <= point < end}):

@@ -1,4 +1,4 @@
-"""Task sequencing (Section IV-A of the paper; DESIGN 5.1): predecessors first, then by key."""
+"""Task sequencing (Section IV-A of the paper, ADR 0001): predecessors first, then by key."""
 
 import heapq
 import math
@@ -10,7 +10,8 @@ from edgectl.names import natural_key
 
 
 def order_tasks(tasks: Iterable[Task], rule: SequenceRule) -> tuple[Task, ...]:
-    """The tasks in the order in which they are placed: again and again the first by key whose ``needs`` are all sequenced.
+    """The tasks in the order in which they are placed: again and again the first by key whose ``needs`` are
+    all sequenced.
 
     Needs that name no task of the file are ignored here (they are missing predecessors later).
 

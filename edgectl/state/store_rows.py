@@ -136,7 +136,7 @@ def decode_usage(row: Row) -> UsageSample:
         good = False
     if not good:
         raise DamagedRowError(f"a row cannot be read: {row!r}")
-    return UsageSample(at, cores, memory, rate, links)
+    return UsageSample(at, (cores, memory, rate), links)
 
 
 HANDOFFS = RowMapper(
@@ -171,10 +171,10 @@ def _build_host_point(at: float, name: str, sample: HostSample) -> HostPoint:
         at=at,
         host=name,
         status=sample.status,
-        cores=sample.cpu.cores if sample.cpu else None,
-        used_cores=sample.cpu.used_cores if sample.cpu else None,
-        total_bytes=sample.memory.total_bytes if sample.memory else None,
-        used_bytes=sample.memory.used_bytes if sample.memory else None,
+        cores=sample.usage["cpu"].capacity if "cpu" in sample.usage else None,
+        used_cores=sample.usage["cpu"].used if "cpu" in sample.usage else None,
+        total_bytes=sample.usage["memory"].capacity if "memory" in sample.usage else None,
+        used_bytes=sample.usage["memory"].used if "memory" in sample.usage else None,
         rx_bytes_per_s=sum(each.rx_bytes_per_s for each in interfaces) if interfaces else None,
         tx_bytes_per_s=sum(each.tx_bytes_per_s for each in interfaces) if interfaces else None,
     )
@@ -207,9 +207,9 @@ def _build_task_point(at: float, host: str, name: str, task: TaskSample) -> Task
         task=name,
         host=host,
         state=task.state,
-        used_cores=task.used_cores,
-        used_bytes=task.used_bytes,
-        used_bytes_per_s=task.used_bytes_per_s,
+        used_cores=task.used["cpu"],
+        used_bytes=task.used["memory"],
+        used_bytes_per_s=task.used["network"],
         instance=task.instance,
         spec_hash=task.spec_hash,
         age_s=round(max(0.0, at - task.started_at), 3),

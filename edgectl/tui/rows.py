@@ -93,8 +93,8 @@ def compute_table_widths(lines: Iterable[TopRow], titles: Sequence[str]) -> list
 def _build_host_row(name: str, host: HostSample, frame: Frame, room: int, *, unicode: bool) -> TopRow:
     points = frame.host_points.get(name, ())
     closed = format_operator_mark(name, frame.snapshot.manager)
-    cpu = host.cpu.used_cores / host.cpu.cores if host.cpu else 0.0
-    memory = host.memory.used_bytes / host.memory.total_bytes if host.memory else 0.0
+    cpu = host.usage["cpu"].used / host.usage["cpu"].capacity if "cpu" in host.usage else 0.0
+    memory = host.usage["memory"].used / host.usage["memory"].capacity if "memory" in host.usage else 0.0
     count = sum(task.state.alive for task in host.tasks.values())
     status = (
         Cell(closed or "ok", "warn" if closed else "good") if host.ok else Cell(closed or "silent", "bad")
@@ -103,7 +103,9 @@ def _build_host_row(name: str, host: HostSample, frame: Frame, room: int, *, uni
         Cell(name, "name"),
         status,
         Cell(
-            f"{format_cores(host.cpu.used_cores)}/{format_cores(host.cpu.cores)}" if host.cpu else "-",
+            f"{format_cores(host.usage['cpu'].used)}/{format_cores(host.usage['cpu'].capacity)}"
+            if "cpu" in host.usage
+            else "-",
             _get_heat_style(cpu),
         ),
         Cell(
@@ -112,7 +114,7 @@ def _build_host_row(name: str, host: HostSample, frame: Frame, room: int, *, uni
             ),
             "dim",
         ),
-        Cell(f"{memory:.0%}" if host.memory else "-", _get_heat_style(memory)),
+        Cell(f"{memory:.0%}" if "memory" in host.usage else "-", _get_heat_style(memory)),
         Cell(
             _render_history(
                 [_compute_share(p.used_bytes, p.total_bytes) for p in points], 1.0, room, unicode=unicode
@@ -160,18 +162,18 @@ def _build_task_row(
         Cell(host),
         Cell(sample.state.value, TASK_STATE_STYLES[sample.state]),
         Cell(format_duration(age) if sample.started_at else "-"),
-        _render_cores_and_demand(sample.used_cores, demand) if alive else Cell("-"),
+        _render_cores_and_demand(sample.used["cpu"], demand) if alive else Cell("-"),
         Cell(_render_history(cores, max([demand or 0.01, *cores]), room, unicode=unicode), "dim"),
-        Cell(format_bytes(sample.used_bytes) if alive else "-"),
-        Cell(format_rate(sample.used_bytes_per_s) if alive else "-"),
+        Cell(format_bytes(sample.used["memory"]) if alive else "-"),
+        Cell(format_rate(sample.used["network"]) if alive else "-"),
     )
     return _assemble_task_row(
         name,
         host,
         cells,
-        cpu=sample.used_cores,
-        memory=sample.used_bytes,
-        network=sample.used_bytes_per_s,
+        cpu=sample.used["cpu"],
+        memory=sample.used["memory"],
+        network=sample.used["network"],
         age=age,
     )
 

@@ -82,8 +82,10 @@ def _classify_answering_hosts(inventory: Inventory, snapshot: Snapshot) -> dict[
     """The class of every host that answered."""
     found = {}
     for name, sample in snapshot.hosts.items():
-        if name in inventory.hosts and sample.cpu is not None and sample.memory is not None:
-            found[name] = classify_host(inventory.hosts[name], sample.cpu.cores, sample.memory.total_bytes)
+        if name in inventory.hosts and sample.measured:
+            found[name] = classify_host(
+                inventory.hosts[name], sample.usage["cpu"].capacity, sample.usage["memory"].capacity
+            )
     return found
 
 
@@ -93,7 +95,7 @@ def _classify_by_last_sample(
     """The class of every other host, by its last sample with values."""
     found = {}
     for name, host in inventory.hosts.items():
-        if snapshot is not None and name in snapshot.hosts and snapshot.hosts[name].cpu is not None:
+        if snapshot is not None and name in snapshot.hosts and snapshot.hosts[name].measured:
             continue
         point = _find_last_answer(store, name)
         if point is not None and point.cores and point.total_bytes:

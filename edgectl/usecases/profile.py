@@ -13,25 +13,11 @@ from edgectl.config.task_file_edit import edit_demand
 from edgectl.errors import EdgectlError, FileError
 from edgectl.model.measured_demand import MIN_SAMPLES, MIN_SPAN_S
 from edgectl.model.profile import ClassProfile
+from edgectl.model.resource import RESOURCES, Resource
 from edgectl.model.task import Demand, Quantity, Task, Tasks
-from edgectl.units import (
-    format_bytes_for_file,
-    format_cores_for_file,
-    format_duration,
-    format_rate_for_file,
-    parse_bytes,
-    parse_cores,
-    parse_rate,
-)
+from edgectl.units import format_duration
 from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.measured_demand import load_class_profiles
-
-_FORMATTERS = {
-    "cpu": format_cores_for_file,
-    "memory": format_bytes_for_file,
-    "throughput": format_rate_for_file,
-}
-_PARSERS = {"cpu": parse_cores, "memory": parse_bytes, "throughput": parse_rate}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -117,12 +103,19 @@ def _format_p95_amounts(entry: str, found: Iterable[ClassProfile]) -> dict[str, 
             "probes or watches"
         )
         raise EdgectlError(f"{entry} has {so_far}: too few to write a demand", hint=hint)
-    amounts = {key: max(getattr(each.profile, key).p95 for each in trusted) for key in ("cpu", "memory")}
-    seen = [
-        each.profile.throughput for each in trusted if each.task.robots and each.profile.throughput.most > 0
-    ]
-    amounts |= {"throughput": max(spread.p95 for spread in seen)} if seen else {}
-    return {key: _FORMATTERS[key](amount) for key, amount in amounts.items()}
+    return {
+        resource.demand_key: resource.unit.format_for_file(max(values))
+        for resource in RESOURCES
+        if (values := _list_p95(trusted, resource))
+    }
+
+
+def _list_p95(trusted: Iterable[ClassProfile], resource: Resource) -> list[float]:
+    """The figures of each class of hosts; of a link only those that saw traffic."""
+    found = [(each.task, each.profile.used[resource.name]) for each in trusted]
+    if not resource.per_link:
+        return [spread.p95 for _, spread in found]
+    return [spread.p95 for task, spread in found if task.robots and spread.most > 0]
 
 
 def _build_expected_demands(group: Sequence[Task], amounts: dict[str, str]) -> dict[str, Demand]:
@@ -130,16 +123,24 @@ def _build_expected_demands(group: Sequence[Task], amounts: dict[str, str]) -> d
     unchanged.
     """
     return {
-        task.name: replace(
-            task.demand,
-            **{key: _parse_amount(getattr(task.demand, key), key, amount) for key, amount in amounts.items()},
+        task.name: Demand(
+            {
+                **task.demand,
+                **{
+                    resource.name: _parse_amount(
+                        task.demand[resource.name], resource, amounts[resource.demand_key]
+                    )
+                    for resource in RESOURCES
+                    if resource.demand_key in amounts
+                },
+            }
         )
         for task in group
     }
 
 
-def _parse_amount(old: Quantity | None, key: str, amount: str) -> Quantity:
-    return Quantity(value=_PARSERS[key](amount), measured=old is not None and old.measured)
+def _parse_amount(old: Quantity | None, resource: Resource, amount: str) -> Quantity:
+    return Quantity(value=resource.unit.parse(amount), measured=old is not None and old.measured)
 
 
 def _check_meaning(

@@ -3,7 +3,7 @@
 from edgectl.model.assignment import DemandSpread
 from edgectl.model.inventory import Host, Inventory
 from edgectl.model.manager_state import ManagerState
-from edgectl.model.snapshot import CpuUsage, HostSample, HostStatus, MemoryUsage, Snapshot
+from edgectl.model.snapshot import HostSample, HostStatus, ResourceUsage, Snapshot
 from edgectl.model.task import Tasks
 from edgectl.scheduler.capacities import build_capacities
 from edgectl.scheduler.demand_spread import find_demand_spreads
@@ -22,11 +22,14 @@ def list_uneven_demands(inventory: Inventory, tasks: Tasks) -> tuple[DemandSprea
 
 
 def _sample_from_capacity(host: Host) -> HostSample | None:
-    if host.capacity is None:
+    if host.capacity is None or not host.is_slice:
         return None
     return HostSample(
         role=host.role,
         status=HostStatus.OK,
-        cpu=CpuUsage(cores=host.capacity.cpu, used_cores=0.0),
-        memory=MemoryUsage(total_bytes=host.capacity.memory, used_bytes=0.0),
+        usage={
+            name: ResourceUsage(capacity=capacity, used=0.0)
+            for name, capacity in host.capacity.items()
+            if capacity
+        },
     )

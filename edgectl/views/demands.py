@@ -1,27 +1,15 @@
 """Where the demands of a plan come from: declared, or measured from how many samples."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 
 from edgectl.formats.document import Document, encode_number
-from edgectl.model.assignment import DemandSource, DemandSpread, Resource, ResourceDemand
+from edgectl.model.assignment import DemandSource, DemandSpread, ResourceDemand
 from edgectl.model.measured_demand import MIN_SAMPLES
 from edgectl.model.plan import Plan
+from edgectl.model.resource import RESOURCES
 from edgectl.model.task import Quantity
-from edgectl.units import format_bytes, format_cores, format_rate
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, render_columns
 
-# As the task files call them.
-DEMAND_KEYS = {Resource.CPU: "cpu", Resource.MEMORY: "memory", Resource.NETWORK: "throughput"}
-
-
-def _format_demand_cores(value: float) -> str:
-    """Small demands are told from none."""
-    return f"{value:.3f}" if 0 < value < 0.1 else format_cores(value)
-
-
-DEMAND_FORMATS: dict[Resource, Callable[[float], str]] = {
-    Resource.CPU: _format_demand_cores, Resource.MEMORY: format_bytes, Resource.NETWORK: format_rate,
-}  # fmt: skip
 _SOURCE_STYLES = {
     DemandSource.DECLARED: "",
     DemandSource.MEASURED: "good",
@@ -34,7 +22,7 @@ _MAX_LISTED = 4
 
 def render_demands(value: Plan, look: RenderOptions = PLAIN) -> str:
     """Every demand that was charged, with its source; of a measured one also what it would be on the other hosts."""
-    rows: list[Row] = [("TASK", "HOST", "CPU", "MEMORY", "THROUGHPUT")]
+    rows: list[Row] = [("TASK", "HOST", *(resource.demand_key.upper() for resource in RESOURCES))]
     for step in value.steps:
         decision = step.decision
         rows += (
@@ -47,12 +35,16 @@ def render_demands(value: Plan, look: RenderOptions = PLAIN) -> str:
             for ranked in decision.ranking
             if ranked.demand and ranked.host != decision.host
         ]
-    return "Demands:\n" + render_columns(rows, look, wrap={0, 1, 2, 3}) if len(rows) > 1 else ""
+    return (
+        "Demands:\n" + render_columns(rows, look, wrap=set(range(1 + len(RESOURCES))))
+        if len(rows) > 1
+        else ""
+    )
 
 
 def _render_demand_row(task: str, host: str, demand: tuple[ResourceDemand, ...]) -> Row:
     found = {rho.resource: rho for rho in demand}
-    return (Cell(task, "name"), host, *(_render_demand_cell(found.get(resource)) for resource in Resource))
+    return (Cell(task, "name"), host, *(_render_demand_cell(found.get(resource)) for resource in RESOURCES))
 
 
 def _render_demand_cell(rho: ResourceDemand | None) -> Cell:
@@ -60,7 +52,7 @@ def _render_demand_cell(rho: ResourceDemand | None) -> Cell:
         Cell("-")
         if rho is None
         else Cell(
-            f"{DEMAND_FORMATS[rho.resource](rho.value)} {format_demand_source(rho)}",
+            f"{rho.resource.unit.format_small(rho.value)} {format_demand_source(rho)}",
             _SOURCE_STYLES[rho.source],
         )
     )
@@ -119,7 +111,7 @@ def _format_tasks_by_source(
     counts: dict[str, int] = {}
     for task, rho in known:
         if rho.source in sources:
-            found.setdefault(task, []).append(DEMAND_KEYS[rho.resource])
+            found.setdefault(task, []).append(rho.resource.demand_key)
             counts[task] = rho.samples or 0
     return [
         f"{task} {' and '.join(names)}" + (f" (n={counts[task]})" if counts[task] else "")
@@ -128,11 +120,11 @@ def _format_tasks_by_source(
 
 
 def _describe_demand_spread(found: DemandSpread) -> str:
-    show = DEMAND_FORMATS[found.resource]
-    unit = " cores" if found.resource is Resource.CPU else ""
+    unit = found.resource.unit
+    show = unit.format_small
     small, large = found.hosts
-    amounts = f"{show(found.least)}{unit} on {small}, {show(found.most)} on {large}"
-    return f"{found.task} {DEMAND_KEYS[found.resource]} {found.share * 100:.4g}% is {amounts}"
+    amounts = f"{show(found.least)}{unit.word} on {small}, {show(found.most)} on {large}"
+    return f"{found.task} {found.resource.demand_key} {found.share * 100:.4g}% is {amounts}"
 
 
 def _join_first_items(items: list[str]) -> str:

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from edgectl.formats.document import FORMAT_VERSION, Document, without_none
 from edgectl.model.event import Event
 from edgectl.model.inventory import Host, Inventory
-from edgectl.model.snapshot import HostSample, InterfaceSample, Snapshot
+from edgectl.model.snapshot import HostSample, InterfaceSample, ResourceUsage, Snapshot
 from edgectl.model.task import Tasks
 from edgectl.units import format_bytes, format_cores, format_duration, format_instant, format_rate
 from edgectl.views import events as events_view
@@ -57,7 +57,7 @@ def _list_host_fields(stated: Host, sample: HostSample | None, value: Snapshot) 
         ),
         ("Labels", format_pairs(stated.labels)),
         ("Capacity", _format_host_capacity(stated, sample)),
-        ("Limits", f"cpu {stated.limits.cpu:.0%}, memory {stated.limits.memory:.0%}"),
+        ("Limits", f"cpu {stated.limits['cpu']:.0%}, memory {stated.limits['memory']:.0%}"),
         ("Onboard", "a candidate for its own tasks" if stated.onboard else ""),
         ("Runtime", stated.runtime.value),
         ("Prelude", stated.prelude),
@@ -79,15 +79,13 @@ def _list_connection_fields(stated: Host) -> list[Field]:
 
 
 def _format_host_capacity(stated: Host, sample: HostSample | None) -> str:
-    if stated.capacity is not None:
-        base = f"; base load {format_cores(stated.base.cpu)} cores, {format_bytes(stated.base.memory)}"
-        declared = (
-            f"{format_cores(stated.capacity.cpu)} cores, {format_bytes(stated.capacity.memory)} (declared)"
-        )
-        return declared + (base if stated.base.cpu or stated.base.memory else "")
-    if sample is None or sample.cpu is None or sample.memory is None:
+    if stated.is_slice and stated.capacity is not None:
+        base = f"; base load {format_cores(stated.base['cpu'])} cores, {format_bytes(stated.base['memory'])}"
+        declared = f"{format_cores(stated.capacity['cpu'])} cores, {format_bytes(stated.capacity['memory'])} (declared)"
+        return declared + (base if stated.base["cpu"] or stated.base["memory"] else "")
+    if sample is None or not sample.measured:
         return ""
-    return f"{format_cores(sample.cpu.cores)} cores, {format_bytes(sample.memory.total_bytes)} (measured)"
+    return f"{format_cores(sample.usage['cpu'].capacity)} cores, {format_bytes(sample.usage['memory'].capacity)} (measured)"
 
 
 def _format_device(sample: HostSample) -> str:
@@ -107,24 +105,26 @@ def _format_clock_skew(seconds: float) -> str:
 
 
 def _render_host_usage_rows(stated: Host, sample: HostSample, look: RenderOptions) -> list[Row]:
-    if sample.cpu is None or sample.memory is None:
+    if not sample.measured:
         return []
-    cpu, memory = sample.cpu, sample.memory
+    cpu, memory = sample.usage["cpu"], sample.usage["memory"]
     return [
         (
             "cpu",
-            render_usage_share(cpu.used_cores, cpu.cores, stated.limits.cpu, look),
-            f"{format_cores(cpu.used_cores)} of {format_cores(cpu.cores)} cores",
+            render_usage_share(cpu, stated.limits["cpu"], look),
+            f"{format_cores(cpu.used)} of {format_cores(cpu.capacity)} cores",
         ),
         (
             "memory",
-            render_usage_share(memory.used_bytes, memory.total_bytes, stated.limits.memory, look),
-            f"{format_bytes(memory.used_bytes)} of {format_bytes(memory.total_bytes)}",
+            render_usage_share(memory, stated.limits["memory"], look),
+            f"{format_bytes(memory.used)} of {format_bytes(memory.capacity)}",
         ),
         *(
             (
                 robot,
-                render_usage_share(link.used_bytes_per_s, link.capacity_bytes_per_s, 1.0, look),
+                render_usage_share(
+                    ResourceUsage(capacity=link.capacity_bytes_per_s, used=link.used_bytes_per_s), 1.0, look
+                ),
                 f"{format_rate(link.used_bytes_per_s)} of {format_rate(link.capacity_bytes_per_s)}",
             )
             for robot, link in sample.links.items()

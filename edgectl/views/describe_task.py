@@ -204,19 +204,19 @@ def _render_demand_rows(
     rows: list[Row] = [
         (
             "cpu",
-            format_cores(sample.used_cores),
+            format_cores(sample.used["cpu"]),
             format_or_dash(demand.cores, format_cores),
             render_difference(difference.cores, demand.cores, format_cores),
         ),
         (
             "memory",
-            format_bytes(sample.used_bytes),
+            format_bytes(sample.used["memory"]),
             format_or_dash(demand.bytes, format_bytes),
             render_difference(difference.bytes, demand.bytes, format_bytes),
         ),
         (
             "network",
-            format_rate(sample.used_bytes_per_s),
+            format_rate(sample.used["network"]),
             format_or_dash(demand.rate, format_rate),
             render_difference(difference.rate, demand.rate, format_rate),
         ),

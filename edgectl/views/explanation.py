@@ -1,20 +1,15 @@
 """Why one task goes where it goes, as text and as a document."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 
 from edgectl.formats.document import FORMAT_VERSION, Document, encode_number, encode_optional
-from edgectl.model.explanation import ChangeKind, Explanation, Flip, Term
+from edgectl.model.explanation import ChangeKind, Explanation, Flip
 from edgectl.model.plan import Step
-from edgectl.units import format_bytes, format_rate
+from edgectl.model.resource import RESOURCES_BY_NAME
 from edgectl.views.plan_sections import format_utility
 from edgectl.views.reasons import describe_reason
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, render_columns, style_text, wrap_text
 
-_TERM_FORMATS: dict[Term, Callable[[float], str]] = {
-    Term.CPU: lambda amount: f"{amount:.3f} cores",
-    Term.MEMORY: format_bytes,
-    Term.NETWORK: format_rate,
-}
 _WEIGHT_CHANGES = (ChangeKind.WEIGHT_RISES, ChangeKind.WEIGHT_FALLS)
 
 
@@ -96,7 +91,7 @@ def _describe_flip_condition(flip: Flip) -> str:
         else f"the {flip.term} load of {flip.host}"
     )
     verb = "rose" if flip.change is ChangeKind.LOAD_RISES else "fell"
-    return f"{what} {verb} by more than {_TERM_FORMATS[flip.term](flip.amount)}"
+    return f"{what} {verb} by more than {RESOURCES_BY_NAME[flip.term].unit.format_exact(flip.amount)}"
 
 
 def encode_explanation(step: Step, value: Explanation) -> Document:
@@ -116,7 +111,7 @@ def encode_explanation(step: Step, value: Explanation) -> Document:
         "noise": encode_optional(value.noise),
         "fragile": value.fragile,
         "contributions": [
-            {"term": each.term.value, "weight": encode_number(each.weight), "here": encode_number(each.here), "there": encode_number(each.there),
+            {"term": each.term, "weight": encode_number(each.weight), "here": encode_number(each.here), "there": encode_number(each.there),
              "adds": encode_number(each.lead)}
             for each in value.contributions
         ],
@@ -126,9 +121,6 @@ def encode_explanation(step: Step, value: Explanation) -> Document:
 
 def _encode_flip(flip: Flip) -> Document:
     return {
-        "change": flip.change.value, "term": flip.term.value, "host": flip.host, "robot": flip.robot, "amount": encode_number(flip.amount),
-        "unit": "weight" if flip.change in _WEIGHT_CHANGES else _TERM_UNITS[flip.term], "size": encode_number(flip.size), "winner": flip.winner,
+        "change": flip.change.value, "term": flip.term, "host": flip.host, "robot": flip.robot, "amount": encode_number(flip.amount),
+        "unit": "weight" if flip.change in _WEIGHT_CHANGES else RESOURCES_BY_NAME[flip.term].unit.name, "size": encode_number(flip.size), "winner": flip.winner,
     }  # fmt: skip
-
-
-_TERM_UNITS = {Term.CPU: "cores", Term.MEMORY: "bytes", Term.NETWORK: "bytes_per_s"}

@@ -21,6 +21,7 @@ from edgectl.model.plan import Plan, Step
 from edgectl.model.point import HostPoint, TaskPoint
 from edgectl.model.profile import ClassProfile
 from edgectl.model.profiler import Profiler
+from edgectl.model.resource import RESOURCES
 from edgectl.model.result import ActionResult, PhaseResult, Results
 from edgectl.model.revision import Revision
 from edgectl.model.snapshot import BandwidthMeasurement, Snapshot
@@ -106,9 +107,7 @@ def _encode_wanted_task(task: Task) -> Document:
         "robots": list(task.robots),
         "managed": task.managed,
         "demand": {
-            "cpu": encode_declared_demand(demand.cpu),
-            "memory": encode_declared_demand(demand.memory),
-            "throughput": encode_declared_demand(demand.throughput),
+            resource.demand_key: encode_declared_demand(demand[resource.name]) for resource in RESOURCES
         },
     }
 

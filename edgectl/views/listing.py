@@ -125,10 +125,11 @@ def _build_robot_items(value: Snapshot, inventory: Inventory, _tasks: Tasks) -> 
 def _build_host_item(host: Host, value: Snapshot, extra: Row) -> ListingItem:
     sample = value.hosts.get(host.name)
     status, alive = render_host_status(host.name, sample, value.manager), _count_alive_tasks(sample)
-    cpu, memory = (sample.cpu, sample.memory) if sample and sample.ok else (None, None)
+    usage = sample.usage if sample and sample.ok else {}
+    cpu, memory = usage.get("cpu"), usage.get("memory")
     said = (
-        format_cores(cpu.cores) if cpu else "-",
-        format_bytes(memory.total_bytes) if memory else "-",
+        format_cores(cpu.capacity) if cpu else "-",
+        format_bytes(memory.capacity) if memory else "-",
         str(alive) if cpu else "-",
     )
     labels = ",".join(f"{key}={text}" for key, text in host.labels.items()) or "-"
@@ -138,8 +139,8 @@ def _build_host_item(host: Host, value: Snapshot, extra: Row) -> ListingItem:
         row=(Cell(host.name, "name"), status, *said, *extra, labels),
         wide_cells=(
             f"{host.connection} {host.host}",
-            f"{cpu.used_cores / cpu.cores:.0%}" if cpu else "-",
-            f"{memory.used_bytes / memory.total_bytes:.0%}" if memory else "-",
+            f"{cpu.used / cpu.capacity:.0%}" if cpu else "-",
+            f"{memory.used / memory.capacity:.0%}" if memory else "-",
         ),
         told=(status.text, *said, *extra, labels),
         document=encode_listed_host(host, value),
@@ -159,7 +160,7 @@ def encode_listed_host(host: Host, value: Snapshot) -> Document:
         address=host.host,
         connection=host.connection.value,
         labels=dict(host.labels),
-        limits={"cpu": encode_number(host.limits.cpu), "memory": encode_number(host.limits.memory)},
+        limits={name: encode_number(share) for name, share in host.limits.items()},
         onboard=host.onboard if host.role is Role.ROBOT else None,
         closed=format_operator_mark(host.name, value.manager) or None,
     )

@@ -6,9 +6,10 @@ from collections.abc import Collection, Iterable
 from edgectl.model.assignment import ExpectedLoad
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Action, Plan
+from edgectl.model.resource import HOST_RESOURCES
 from edgectl.model.snapshot import HostSample, LinkSample, Snapshot
 from edgectl.names import natural_key
-from edgectl.units import format_bytes, format_cores, format_instant, format_rate
+from edgectl.units import format_instant, format_rate
 from edgectl.views.demands import list_demand_notes
 from edgectl.views.reasons import describe_reason, is_left_out, is_not_found, join_words
 from edgectl.views.state import format_silence
@@ -32,7 +33,7 @@ ACTION_STYLES = {
 def render_plan_header(value: Plan, look: RenderOptions = PLAIN) -> str:
     """How the plan was decided: policy, weights as used, snapshot."""
     weights = value.policy.weights
-    shown = f"cpu {weights.cpu:.3g}, memory {weights.memory:.3g}, network {weights.network:.3g}, task {weights.task:.3g}"
+    shown = ", ".join(f"{name} {weight:.3g}" for name, weight in weights.items())
     return wrap_text(
         f"Policy {value.policy.name}; weights {shown}; snapshot of {format_instant(value.created_at)}", look
     )
@@ -47,7 +48,7 @@ def format_utility(value: float | None, *, signed: bool = False) -> str:
 
 def render_expected_load(value: Plan, look: RenderOptions = PLAIN) -> str:
     """Load of each host after the plan, against its measured or declared capacity."""
-    rows: list[Row] = [("HOST", "CPU", "MEMORY", "LINKS")]
+    rows: list[Row] = [("HOST", *(resource.name.upper() for resource in HOST_RESOURCES), "LINKS")]
     rows += [
         _render_expected_load_row(name, load, value.snapshot.hosts.get(name))
         for name, load in value.expected.items()
@@ -56,13 +57,17 @@ def render_expected_load(value: Plan, look: RenderOptions = PLAIN) -> str:
 
 
 def _render_expected_load_row(name: str, load: ExpectedLoad, sample: HostSample | None) -> Row:
-    cores = sample.cpu.cores if sample and sample.cpu else None
-    total = sample.memory.total_bytes if sample and sample.memory else None
-    links = sample.links if sample else {}
+    usage, links = (sample.usage, sample.links) if sample else ({}, {})
     return (
         Cell(name, "name"),
-        _render_load_cell(load.used_cores, cores, format_cores(load.used_cores)),
-        _render_load_cell(load.used_bytes, total, format_bytes(load.used_bytes)),
+        *(
+            _render_load_cell(
+                load.used[resource.name],
+                usage[resource.name].capacity if resource.name in usage else None,
+                resource.unit.format(load.used[resource.name]),
+            )
+            for resource in HOST_RESOURCES
+        ),
         ", ".join(
             _format_expected_link(robot, rate, links.get(robot)) for robot, rate in load.links.items() if rate
         )

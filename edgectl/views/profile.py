@@ -3,12 +3,12 @@
 from collections.abc import Callable, Iterable, Iterator
 
 from edgectl.formats.document import FORMAT_VERSION, Document, encode_number
-from edgectl.model.assignment import Resource
 from edgectl.model.measured_demand import MIN_SAMPLES
 from edgectl.model.profile import ClassProfile, UsagePercentiles
+from edgectl.model.resource import RESOURCES, Resource
 from edgectl.model.task import Quantity
 from edgectl.units import format_duration
-from edgectl.views.demands import DEMAND_FORMATS, DEMAND_KEYS, encode_declared_demand
+from edgectl.views.demands import encode_declared_demand
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, is_within_width, render_columns
 
 _NO_SAMPLES = "No samples yet. Let the task run while edgectl probes or watches.\n"
@@ -37,12 +37,12 @@ def _render_profile_rows(value: ClassProfile) -> Iterator[Row]:
     head: tuple[Cell, ...] = (Cell(value.task.name, "name"), Cell(value.kind))
     tail = (samples, format_duration(found.span_s), ", ".join(value.hosts))
     for resource, spread in _list_resource_spreads(value):
-        show = DEMAND_FORMATS[resource]
+        show = resource.unit.format_small
         figures = (show(spread.p50), Cell(show(spread.p95), "bold"), show(spread.most))
         yield (
             *head,
-            DEMAND_KEYS[resource],
-            _format_declared_demand(_find_declared_demand(value, resource), show),
+            resource.demand_key,
+            _format_declared_demand(value.task.demand[resource.name], show),
             *figures,
             *tail,
         )
@@ -50,13 +50,11 @@ def _render_profile_rows(value: ClassProfile) -> Iterator[Row]:
 
 
 def _list_resource_spreads(value: ClassProfile) -> list[tuple[Resource, UsagePercentiles]]:
-    found = [(Resource.CPU, value.profile.cpu), (Resource.MEMORY, value.profile.memory)]
-    return [*found, (Resource.NETWORK, value.profile.throughput)] if value.task.robots else found
-
-
-def _find_declared_demand(value: ClassProfile, resource: Resource) -> Quantity | None:
-    stated: Quantity | None = getattr(value.task.demand, DEMAND_KEYS[resource])
-    return stated
+    return [
+        (resource, value.profile.used[resource.name])
+        for resource in RESOURCES
+        if value.task.robots or not resource.per_link
+    ]
 
 
 def _format_declared_demand(quantity: Quantity | None, show: Callable[[float], str]) -> str:
@@ -83,8 +81,8 @@ def _encode_class_profile(value: ClassProfile) -> Document:
         "span_s": encode_number(value.profile.span_s),
         "enough": value.enough,
         "demand": {
-            DEMAND_KEYS[resource]: {
-                "declared": encode_declared_demand(_find_declared_demand(value, resource)),
+            resource.demand_key: {
+                "declared": encode_declared_demand(value.task.demand[resource.name]),
                 **_encode_spread(spread),
             }
             for resource, spread in _list_resource_spreads(value)

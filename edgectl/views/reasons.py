@@ -3,9 +3,10 @@
 from collections import Counter
 from collections.abc import Callable, Iterable
 
-from edgectl.model.assignment import Decision, RankedHost, Reason, Rejection, RejectionRule, Resource, Verdict
+from edgectl.model.assignment import Decision, RankedHost, Reason, Rejection, RejectionRule, Verdict
 from edgectl.model.plan import Action, Step
-from edgectl.units import format_bytes, format_duration, format_rate
+from edgectl.model.resource import Resource
+from edgectl.units import format_duration
 
 _RULE_TEXTS = {
     RejectionRule.UNREACHABLE: "unreachable",
@@ -22,11 +23,6 @@ _RULE_TEXTS = {
     RejectionRule.INSUFFICIENT: "short of",
 }
 LEFT_OUT_TEXT = "left out by --target or -l"
-_RESOURCE_FORMATS: dict[Resource, Callable[[float], str]] = {
-    Resource.CPU: lambda value: f"{value:.3f} cores",
-    Resource.MEMORY: format_bytes,
-    Resource.NETWORK: format_rate,
-}
 _FIXED_REASON_TEXTS = {
     Reason.BEST: "highest utility",
     Reason.ONLY_FEASIBLE: "the only host that fits",
@@ -240,7 +236,7 @@ def describe_rejection(entry: Rejection) -> str:
     """One rejection in words: ``short of cpu by 0.31 cores (need 0.60, free 0.29)``."""
     if entry.rule is not RejectionRule.INSUFFICIENT or entry.resource is None:
         return _RULE_TEXTS[entry.rule] + _format_rejection_detail(entry)
-    show = _RESOURCE_FORMATS[entry.resource]
+    show = entry.resource.unit.format_exact
     where = f" to {entry.robot}" if entry.robot else ""
     if entry.demand is None or entry.capacity is None:
         return f"short of {entry.resource}{where}"
@@ -287,7 +283,7 @@ def _describe_shortages(ranking: Iterable[RankedHost]) -> list[str]:
 
 
 def _describe_shortage(resource: Resource, entries: list[Rejection]) -> str:
-    show = _RESOURCE_FORMATS[resource]
+    show = resource.unit.format_exact
     needs = sorted({show(entry.demand) for entry in entries if entry.demand is not None})
     free = [entry.capacity - (entry.used or 0.0) for entry in entries if entry.capacity is not None]
     if not needs or not free:

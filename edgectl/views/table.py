@@ -116,7 +116,7 @@ def snapshot(value: Snapshot, look: RenderOptions = PLAIN) -> str:
 
 
 def _render_snapshot_host_row(name: str, host: HostSample, value: Snapshot) -> Row:
-    if not host.ok or host.cpu is None or host.memory is None:
+    if not host.ok or not host.measured:
         return (
             Cell(name, "name"),
             host.role,
@@ -130,8 +130,8 @@ def _render_snapshot_host_row(name: str, host: HostSample, value: Snapshot) -> R
         Cell(name, "name"),
         host.role,
         render_host_status(name, host, value.manager),
-        _render_used_cell(host.cpu.used_cores, host.cpu.cores, format_cores),
-        _render_used_cell(host.memory.used_bytes, host.memory.total_bytes, format_bytes),
+        _render_used_cell(host.usage["cpu"].used, host.usage["cpu"].capacity, format_cores),
+        _render_used_cell(host.usage["memory"].used, host.usage["memory"].capacity, format_bytes),
         str(sum(task.state.alive for task in host.tasks.values())),
         ", ".join(_format_link_share(robot, link) for robot, link in host.links.items()) or "-",
     )
@@ -202,11 +202,11 @@ def _render_status_row(
         host,
         state,
         format_duration(max(0.0, value.taken_at - sample.started_at)) if sample.started_at else "-",
-        format_cores(sample.used_cores) if alive else "-",
+        format_cores(sample.used["cpu"]) if alive else "-",
         format_or_dash(demand.cores, format_cores),
-        format_bytes(sample.used_bytes) if alive else "-",
+        format_bytes(sample.used["memory"]) if alive else "-",
         format_or_dash(demand.bytes, format_bytes),
-        format_rate(sample.used_bytes_per_s) if alive else "-",
+        format_rate(sample.used["network"]) if alive else "-",
         format_or_dash(demand.rate, format_rate),
     )
 

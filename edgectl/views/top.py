@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 
 from edgectl.formats.document import FORMAT_VERSION, Document, encode_optional
 from edgectl.formats.snapshot import encode_host, encode_task
-from edgectl.model.inventory import Host, Inventory
+from edgectl.model.inventory import Host, Inventory, Limits
 from edgectl.model.point import HostPoint, TaskPoint
 from edgectl.model.snapshot import HostSample, Snapshot, TaskSample, TaskState
 from edgectl.model.task import Task, Tasks
@@ -66,13 +66,13 @@ def _render_top_host_row(
     name: str, sample: HostSample, host: Host | None, value: Snapshot, look: RenderOptions, *, wide: bool
 ) -> Row:
     first = (Cell(name, "name"), render_host_status(name, sample, value.manager))
-    if not sample.ok or sample.cpu is None or sample.memory is None:
+    if not sample.ok or not sample.measured:
         return (*first, *["-"] * (len(_HOST_HEAD) - 2 + (len(_WIDE_HOST_HEAD) if wide else 0)))
-    cpu, memory = sample.cpu, sample.memory
+    limits = host.limits if host else Limits()
     row: Row = (
         *first,
-        render_usage_share(cpu.used_cores, cpu.cores, host.limits.cpu if host else 1.0, look),
-        render_usage_share(memory.used_bytes, memory.total_bytes, host.limits.memory if host else 1.0, look),
+        render_usage_share(sample.usage["cpu"], limits["cpu"], look),
+        render_usage_share(sample.usage["memory"], limits["memory"], look),
         _render_busiest_link(sample),
         str(sum(task.state.alive for task in sample.tasks.values())),
     )
@@ -93,12 +93,12 @@ def _render_busiest_link(sample: HostSample) -> Cell:
 
 
 def _render_wide_host_cells(sample: HostSample) -> Row:
-    cpu, memory, device = sample.cpu, sample.memory, sample.device
+    cpu, memory, device = sample.usage.get("cpu"), sample.usage.get("memory"), sample.device
     inward = sum(each.rx_bytes_per_s for each in device.interfaces.values())
     outward = sum(each.tx_bytes_per_s for each in device.interfaces.values())
     return (
-        f"{format_cores(cpu.used_cores)}/{format_cores(cpu.cores)}" if cpu else "-",
-        f"{format_bytes(memory.used_bytes)}/{format_bytes(memory.total_bytes)}" if memory else "-",
+        f"{format_cores(cpu.used)}/{format_cores(cpu.capacity)}" if cpu else "-",
+        f"{format_bytes(memory.used)}/{format_bytes(memory.capacity)}" if memory else "-",
         format_rate(inward) if device.interfaces else "-",
         format_rate(outward) if device.interfaces else "-",
         "-" if device.load_1m is None else f"{device.load_1m:.2f}",
@@ -111,11 +111,10 @@ def _list_over_limit_notes(value: Snapshot, inventory: Inventory) -> list[str]:
     lines = []
     for name, sample in value.hosts.items():
         host = inventory.hosts.get(name)
-        if host is None or sample.cpu is None or sample.memory is None:
+        if host is None or not sample.measured:
             continue
         parts = {
-            "cpu": (sample.cpu.used_cores / sample.cpu.cores, host.limits.cpu),
-            "memory": (sample.memory.used_bytes / sample.memory.total_bytes, host.limits.memory),
+            name: (usage.used / usage.capacity, host.limits[name]) for name, usage in sample.usage.items()
         }
         lines += [
             f"{name} uses {part:.0%} of its {what}; its limit is {limit:.0%}"
@@ -246,11 +245,11 @@ def _render_top_task_row(
     row: Row = (
         Cell(name, "name"),
         host,
-        format_cores(sample.used_cores),
+        format_cores(sample.used["cpu"]),
         format_or_dash(demand.cores, format_cores),
         render_difference(difference.cores, demand.cores, format_cores),
-        format_bytes(sample.used_bytes),
-        format_rate(sample.used_bytes_per_s),
+        format_bytes(sample.used["memory"]),
+        format_rate(sample.used["network"]),
         format_duration(max(0.0, value.taken_at - sample.started_at)) if sample.started_at else "-",
         _render_readiness(sample, task),
     )

@@ -12,7 +12,7 @@ from edgectl.model.measured_demand import (
     is_of_current_spec,
     resolve_demand,
 )
-from edgectl.model.snapshot import HostSample, TaskSample
+from edgectl.model.snapshot import HostSample, ResourceUsage, TaskSample
 from edgectl.model.task import Demand, Quantity, Task
 from edgectl.views.sparkline import SPARKLINE_SAMPLES, render_bar, render_sparkline
 from edgectl.views.text import Cell, RenderOptions, Row, compute_remaining_width, render_columns
@@ -38,9 +38,9 @@ class ResourceAmounts:
         return {key: encode_number(value) for key, value in named.items() if value is not None}
 
 
-def render_usage_share(used: float, capacity: float, limit: float, look: RenderOptions) -> Cell:
+def render_usage_share(usage: ResourceUsage, limit: float, look: RenderOptions) -> Cell:
     """``64%``, on a terminal behind a bar; above ``limit`` (a share of the capacity) it says so."""
-    part = used / capacity if capacity > 0 else 0.0
+    part = usage.used / usage.capacity if usage.capacity > 0 else 0.0
     text = f"{part:4.0%}" if look.width is not None else f"{part:.0%}"
     drawn = f"{render_bar(part, _BAR_WIDTH, unicode=look.unicode)} {text}" if look.width is not None else text
     return Cell(drawn + "!", "bad") if part > limit else Cell(drawn)
@@ -54,21 +54,24 @@ def compute_task_demand(
     links = [
         sample.links[robot].capacity_bytes_per_s if robot in sample.links else 0.0 for robot in task.robots
     ]
+    rate = demand["network"]
     return ResourceAmounts(
-        cores=_compute_amount(demand.cpu, sample.cpu.cores if sample.cpu else 0.0),
-        bytes=_compute_amount(demand.memory, sample.memory.total_bytes if sample.memory else 0.0),
-        rate=sum(demand.throughput.of(capacity) for capacity in links)
-        if demand.throughput is not None and links
-        else None,
+        cores=_compute_amount(demand["cpu"], sample.usage["cpu"].capacity if "cpu" in sample.usage else 0.0),
+        bytes=_compute_amount(
+            demand["memory"], sample.usage["memory"].capacity if "memory" in sample.usage else 0.0
+        ),
+        rate=sum(rate.of(capacity) for capacity in links) if rate is not None and links else None,
     )
 
 
 def _select_current_demand(
     task: Task, host: Host | None, sample: HostSample, memory: ManagerState | None
 ) -> Demand:
-    if host is None or memory is None or sample.cpu is None or sample.memory is None:
+    if host is None or memory is None or not sample.measured:
         return task.demand
-    found = memory.measured.get((task.name, classify_host(host, sample.cpu.cores, sample.memory.total_bytes)))
+    found = memory.measured.get(
+        (task.name, classify_host(host, sample.usage["cpu"].capacity, sample.usage["memory"].capacity))
+    )
     return (
         resolve_demand(task.demand, found)
         if found is not None and has_enough_samples(found) and is_of_current_spec(task, found)
@@ -83,9 +86,9 @@ def _compute_amount(quantity: Quantity | None, capacity: float) -> float | None:
 def subtract_demand(sample: TaskSample, demand: ResourceAmounts) -> ResourceAmounts:
     """Use minus demand, where there is one."""
     pairs = (
-        (sample.used_cores, demand.cores),
-        (sample.used_bytes, demand.bytes),
-        (sample.used_bytes_per_s, demand.rate),
+        (sample.used["cpu"], demand.cores),
+        (sample.used["memory"], demand.bytes),
+        (sample.used["network"], demand.rate),
     )
     cores, size, rate = (None if wanted is None else used - wanted for used, wanted in pairs)
     return ResourceAmounts(cores=cores, bytes=size, rate=rate)

@@ -7,10 +7,9 @@ from edgectl.formats.document import FORMAT_VERSION, Document, encode_number, en
 from edgectl.model.cycle import Cycle
 from edgectl.model.event import Event, EventKind
 from edgectl.model.plan import Action
-from edgectl.model.policy import Weights
+from edgectl.model.policy import WEIGHT_PRESETS, Weights
 from edgectl.model.result import ActionResult, Outcome
 from edgectl.model.snapshot import HostSample, Snapshot
-from edgectl.model.weights import WEIGHT_NAMES, WEIGHT_PRESETS, normalise_weights
 from edgectl.units import format_instant
 from edgectl.views.events import encode_event as event_document
 from edgectl.views.sparkline import SPARKLINE_SAMPLES
@@ -101,11 +100,11 @@ def _encode_pending_steps(cycle: Cycle) -> list[Document]:
 
 
 def _encode_cycle_host(host: HostSample) -> Document:
-    if host.cpu is None or host.memory is None:
+    if not host.measured:
         return {"status": host.status.value, "error": host.error}
     return {
-        "status": host.status.value, "cores": encode_number(host.cpu.cores), "used_cores": encode_number(host.cpu.used_cores),
-        "total_bytes": encode_number(host.memory.total_bytes), "used_bytes": encode_number(host.memory.used_bytes),
+        "status": host.status.value, "cores": encode_number(host.usage["cpu"].capacity), "used_cores": encode_number(host.usage["cpu"].used),
+        "total_bytes": encode_number(host.usage["memory"].capacity), "used_bytes": encode_number(host.usage["memory"].used),
     }  # fmt: skip
 
 
@@ -135,9 +134,9 @@ def collect_task_hosts(snapshot: Snapshot | None) -> dict[str, str]:
 
 def format_weights(weights: Weights) -> str:
     """The name of a preset, else the weights themselves."""
-    used = normalise_weights(weights)
-    known = next((name for name, preset in WEIGHT_PRESETS.items() if normalise_weights(preset) == used), None)
-    return known or " ".join(f"{name}={getattr(used, name):.3g}" for name in WEIGHT_NAMES)
+    used = weights.normalised()
+    known = next((name for name, preset in WEIGHT_PRESETS.items() if preset.normalised() == used), None)
+    return known or " ".join(f"{name}={weight:.3g}" for name, weight in used.items())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -196,4 +195,4 @@ def _append_cpu_shares(
 
 
 def _compute_cpu_share(host: HostSample) -> float | None:
-    return None if host.cpu is None else host.cpu.used_cores / host.cpu.cores
+    return None if "cpu" not in host.usage else host.usage["cpu"].used / host.usage["cpu"].capacity

@@ -107,9 +107,12 @@ def _render_watch_host_row(name: str, host: HostSample, tally: WatchTally, look:
     strip = render_sparkline(
         tally.shares.get(name, ()), 1.0, 12 if (look.width or 80) < 120 else 40, unicode=look.unicode
     )
-    if host.cpu is None or host.memory is None:
+    if not host.measured:
         return (Cell(name, "name"), Cell(host.status.value, "bad"), strip, "-", "-", Cell(host.error, "bad"))
-    share, memory = host.cpu.used_cores / host.cpu.cores, host.memory.used_bytes / host.memory.total_bytes
+    share, memory = (
+        host.usage["cpu"].used / host.usage["cpu"].capacity,
+        host.usage["memory"].used / host.usage["memory"].capacity,
+    )
     running = [task for task, sample in host.tasks.items() if sample.state.alive]
     return (
         Cell(name, "name"),
@@ -162,9 +165,9 @@ def _render_watch_task_row(
         Cell(name, "name"),
         host,
         Cell(format_task_state(sample), TASK_STATE_STYLES[sample.state]),
-        format_cores(sample.used_cores),
-        format_bytes(sample.used_bytes),
-        format_rate(sample.used_bytes_per_s),
+        format_cores(sample.used["cpu"]),
+        format_bytes(sample.used["memory"]),
+        format_rate(sample.used["network"]),
         why,
     )
 

@@ -1,10 +1,11 @@
-"""Everything the scheduler weighed: four terms of every host, losers and the rejected with what they lack."""
+"""Everything the scheduler weighed: the terms of every host, losers and the rejected with what they lack."""
 
 from collections.abc import Iterable
 
 from edgectl.model.assignment import RankedHost
 from edgectl.model.explanation import Explanation
 from edgectl.model.plan import Plan, Step
+from edgectl.model.resource import TERMS
 from edgectl.model.snapshot import BandwidthMeasurement, HostSample, InterfaceSample, LinkSample, Snapshot
 from edgectl.units import format_duration, format_rate
 from edgectl.views import plan_sections, table
@@ -32,10 +33,10 @@ __all__ = [
 
 def plan(value: Plan, look: RenderOptions = PLAIN) -> str:
     """The table form with every candidate of every task."""
-    rows: list[Row] = [("", "TASK", "HOST", "CPU", "MEMORY", "NETWORK", "TASK", "TOTAL", "REASON")]
+    rows: list[Row] = [("", "TASK", "HOST", *(name.upper() for name in TERMS), "TOTAL", "REASON")]
     for step in value.steps:
         rows += _render_candidate_rows(step)
-    body = render_columns(rows, look, right={3, 4, 5, 6, 7}, wrap={1, 2}) if value.steps else ""
+    body = render_columns(rows, look, right=set(range(3, 4 + len(TERMS))), wrap={1, 2}) if value.steps else ""
     end = plan_sections.render_plan_notes(value, look) + plan_sections.render_plan_summary(value, look)
     parts = (
         plan_sections.render_plan_header(value, look),
@@ -69,7 +70,7 @@ def _render_candidate_rows(step: Step) -> list[Row]:
     rows = [first, *map(_render_losing_host_row, others)]
     left_out = ", ".join(f"{count} {rule}" for rule, count in decision.rejection_counts.items())
     return (
-        [*rows, ("", "", Cell("..", "dim"), "", "", "", "", "", Cell(f"not shown: {left_out}", "dim"))]
+        [*rows, ("", "", Cell("..", "dim"), *[""] * (len(TERMS) + 1), Cell(f"not shown: {left_out}", "dim"))]
         if left_out
         else rows
     )
@@ -94,11 +95,8 @@ def _format_route(step: Step) -> str:
 
 def _format_terms(ranked: RankedHost | None) -> tuple[str, ...]:
     if ranked is None:
-        return ("-",) * 5
-    terms = ranked.terms
-    return tuple(
-        format_utility(value) for value in (terms.cpu, terms.memory, terms.network, terms.task, ranked.total)
-    )
+        return ("-",) * (len(TERMS) + 1)
+    return tuple(format_utility(value) for value in (*ranked.terms.values(), ranked.total))
 
 
 def _describe_losing_host(ranked: RankedHost) -> str:

@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from edgectl.model.resource import Usage
 from edgectl.model.snapshot import LinkSample, Snapshot, TaskSample, TaskState
 from edgectl.state.store import Retention, Store
 from edgectl.state.store_file import HISTORY_FILE_NAME
@@ -24,8 +25,7 @@ def a_fleet(number: int, chance: random.Random) -> Snapshot:
     for host in range(HOSTS):
         tasks = {
             f"task-{host}-{each}": TaskSample(
-                state=TaskState.READY, started_at=NOW, used_cores=chance.random(), used_bytes=chance.random() * 1e9,
-                used_bytes_per_s=chance.random() * 1e6, instance=f"{host:08d}{each:08d}", spec_hash=f"{each:016d}",
+                state=TaskState.READY, started_at=NOW, used=Usage(cpu=chance.random(), memory=chance.random() * 1e9, network=chance.random() * 1e6), instance=f"{host:08d}{each:08d}", spec_hash=f"{each:016d}",
             )
             for each in range(TASKS_EACH)
         }  # fmt: skip

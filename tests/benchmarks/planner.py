@@ -69,8 +69,7 @@ def with_history(work: Tasks) -> tuple[Tasks, ManagerState]:
     """The same demands, none of them declared: every one is measured on all three classes of hosts."""
     measured = {
         (task.name, kind): MeasuredDemand(
-            samples=412, span_s=900.0, cpu=(task.demand.cpu or ZERO).value, memory=(task.demand.memory or ZERO).value,
-            throughput=(task.demand.throughput or ZERO).value,
+            samples=412, span_s=900.0, used={"cpu": (task.demand["cpu"] or ZERO).value, "memory": (task.demand["memory"] or ZERO).value, "network": (task.demand["network"] or ZERO).value},
         )
         for task in work.tasks.values()
         for kind in ("4c-4Gi", "8c-8Gi", "12c-12Gi")

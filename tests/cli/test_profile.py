@@ -9,6 +9,7 @@ import pytest
 
 from edgectl.config.load import load_inventory_and_tasks
 from edgectl.errors import FileError
+from edgectl.model.resource import Usage
 from edgectl.state.paths import ensure_fleet_dir
 from edgectl.state.store import Store
 from tests.builders import GI, NOW, a_run, a_sample, a_snapshot
@@ -46,8 +47,7 @@ def remember(site: Path, *, samples: int = 100) -> None:
                 name: a_run(
                     spec_hash=tasks.tasks[name].spec_hash,
                     started_at=NOW - 60,
-                    used_cores=times * (n + 1) / 100,
-                    used_bytes=GI / 4,
+                    used=Usage(cpu=times * (n + 1) / 100, memory=GI / 4),
                 )
                 for name, times in (("slam-robot1", 1), ("slam-robot2", 2))
             }

@@ -18,21 +18,20 @@ from edgectl.model.assignment import (
     Reason,
     Rejection,
     RejectionRule,
-    Resource,
-    Terms,
+    UtilityTerms,
     Verdict,
 )
 from edgectl.model.inventory import Role
 from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.policy import Policy
+from edgectl.model.resource import CPU, Usage
 from edgectl.model.snapshot import (
     CapacitySource,
-    CpuUsage,
     HostSample,
     HostStatus,
     LinkSample,
-    MemoryUsage,
+    ResourceUsage,
     Snapshot,
     TaskSample,
     TaskState,
@@ -50,15 +49,19 @@ SNAPSHOT = Snapshot(
         "edge1": HostSample(
             role=Role.EDGE,
             status=HostStatus.OK,
-            cpu=CpuUsage(cores=4.0, used_cores=1.5),
-            memory=MemoryUsage(total_bytes=4e9, used_bytes=1e9),
+            usage={
+                "cpu": ResourceUsage(capacity=4.0, used=1.5),
+                "memory": ResourceUsage(capacity=4e9, used=1e9),
+            },
             links={
                 "robot1": LinkSample(
                     capacity_bytes_per_s=6.75e6, used_bytes_per_s=1e3, capacity_source=CapacitySource.MEASURED
                 )
             },
             tasks={
-                "slam": TaskSample(state=TaskState.READY, pid=41, started_at=1_794_999_000.0, used_cores=1.25)
+                "slam": TaskSample(
+                    state=TaskState.READY, pid=41, started_at=1_794_999_000.0, used=Usage(cpu=1.25)
+                )
             },
         ),
         "edge2": HostSample(role=Role.EDGE, status=HostStatus.UNREACHABLE, error="no route"),
@@ -76,19 +79,17 @@ DECISION = Decision(
             host="edge1",
             rank=1,
             total=0.5,
-            terms=Terms(cpu=0.5, memory=0.5, network=0.5, task=0.5),
+            terms=UtilityTerms(cpu=0.5, memory=0.5, network=0.5, task=0.5),
             feasible=True,
         ),
         RankedHost(
             host="edge2",
             rank=0,
             total=None,
-            terms=Terms(cpu=None, memory=None, network=None, task=None),
+            terms=UtilityTerms(cpu=None, memory=None, network=None, task=None),
             feasible=False,
             rejections=(
-                Rejection(
-                    rule=RejectionRule.INSUFFICIENT, resource=Resource.CPU, demand=1.5, used=3.5, capacity=4.0
-                ),
+                Rejection(rule=RejectionRule.INSUFFICIENT, resource=CPU, demand=1.5, used=3.5, capacity=4.0),
             ),
         ),
     ),
@@ -101,7 +102,7 @@ PLAN = Plan(
     snapshot=SNAPSHOT,
     settled=True,
     steps=(Step(decision=DECISION, action=Action.KEEP),),
-    expected={"edge1": ExpectedLoad(used_cores=1.5, used_bytes=1e9, links={"robot1": 1e3})},
+    expected={"edge1": ExpectedLoad(used=Usage(cpu=1.5, memory=1e9), links={"robot1": 1e3})},
 )
 TEXTS = {
     "snapshot": dump_document(snapshot_format.encode(SNAPSHOT)),

@@ -14,7 +14,8 @@ from edgectl.config.load import load_inventory_and_tasks
 from edgectl.config.problems import Source
 from edgectl.config.task_file_edit import YamlSpan, edit_demand, parse_spans
 from edgectl.errors import InputError
-from edgectl.model.task import Quantity, Tasks
+from edgectl.model.resource import RESOURCES
+from edgectl.model.task import Demand, Quantity, Tasks
 from edgectl.units import parse_bytes, parse_cores, parse_rate
 from tests.config.bad import INVENTORY
 
@@ -201,11 +202,14 @@ def test_only_the_demand_changes(file: File) -> None:
     before = read(file.text)
     after = edited(file.text, file.entry, file.amounts)
     demand = before.tasks[file.entry].demand
-    wanted = {}
-    for key, amount in file.amounts.items():
-        old: Quantity | None = getattr(demand, key)
-        wanted[key] = Quantity(value=PARSE[key](amount), measured=old is not None and old.measured)
-    task = replace(before.tasks[file.entry], demand=replace(demand, **wanted))
+    wanted = dict(demand)
+    for resource in RESOURCES:
+        if resource.demand_key in file.amounts:
+            old, amount = demand[resource.name], file.amounts[resource.demand_key]
+            wanted[resource.name] = Quantity(
+                value=resource.unit.parse(amount), measured=old is not None and old.measured
+            )
+    task = replace(before.tasks[file.entry], demand=Demand(wanted))
     assert read(after).tasks == {**before.tasks, file.entry: task}
     assert re.findall(r"#:.*", after) == re.findall(r"#:.*", file.text)
     assert list(leaves(parse_spans(after), after)) == list(leaves(parse_spans(file.text), file.text))

@@ -88,9 +88,9 @@ def test_one_task_per_robot_with_placeholders(tmp_path: Path) -> None:
     assert (slam.template, slam.robots) == ("slam", ("robot2",))
     assert slam.command == "roslaunch slam.launch robot:=robot2"
     assert slam.ready == Check(command="rosnode info /robot2/slam", timeout=20.0)
-    assert slam.demand.cpu == Quantity(value=35.2 / 100, relative=True)
+    assert slam.demand["cpu"] == Quantity(value=35.2 / 100, relative=True)
     assert tasks["navigation-robot1"].env == {"ROBOT": "robot1"}
-    assert tasks["navigation-robot1"].demand.memory == Quantity(value=90.0 * 2**20)
+    assert tasks["navigation-robot1"].demand["memory"] == Quantity(value=90.0 * 2**20)
 
 
 def test_needs_are_of_the_same_robot_or_of_all(tmp_path: Path) -> None:
@@ -255,11 +255,11 @@ tasks:
     _, read, warnings = loaded(tmp_path, tasks)
     found = read.tasks
     measured = Quantity(value=0.0, measured=True)
-    assert found["a"].demand == Demand(cpu=measured, memory=measured, throughput=measured)
+    assert found["a"].demand == Demand(cpu=measured, memory=measured, network=measured)
     assert found["b"].demand == Demand(
         cpu=measured,
         memory=Quantity(value=90.0 * 2**20, measured=True),
-        throughput=Quantity(value=0.1, relative=True, measured=True),
+        network=Quantity(value=0.1, relative=True, measured=True),
     )
     assert found["c"].demand == Demand(cpu=measured, memory=Quantity(value=1.0))
     assert not warnings

@@ -26,18 +26,18 @@ def test_scenarios_are_the_papers(scenario: int) -> None:
     assert not warnings
     assert [host.name for host in inventory.edges] == ["edge1", "edge2", "edge3"]
     assert [host.name for host in inventory.robots] == list(ROBOTS)
-    assert {host.limits.cpu for host in inventory.edges} == {1.2}
+    assert {host.limits["cpu"] for host in inventory.edges} == {1.2}
     assert set(inventory.links.values()) == {6.75e6}
     assert len(inventory.links) == 9
     assert list(tasks.tasks) == [
         *(f"detection-{robot}" for robot in ROBOTS), "map-merge", *(f"navigation-{robot}" for robot in ROBOTS), *(f"slam-{robot}" for robot in ROBOTS)
     ]  # fmt: skip
     for task in tasks.tasks.values():
-        demand = (task.demand.cpu, task.demand.memory, task.demand.throughput)
+        demand = (task.demand["cpu"], task.demand["memory"], task.demand["network"])
         assert demand == tuple(
             Quantity(value=percent / 100, relative=True) for percent in DEMANDS[task.template]
         )
-    asked = sum(task.demand.cpu.value for task in tasks.tasks.values() if task.demand.cpu is not None)
+    asked = sum(task.demand["cpu"].value for task in tasks.tasks.values() if task.demand["cpu"] is not None)
     assert asked == pytest.approx(3.03412)
     for robot in ROBOTS:
         assert tasks.tasks[f"navigation-{robot}"].needs == (Need(task=f"slam-{robot}"),)

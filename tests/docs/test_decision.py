@@ -5,12 +5,13 @@ from pathlib import Path
 import pytest
 
 import edgectl
+from edgectl.config.weights import parse_weights
 from edgectl.model.assignment import Assignment
 from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.policy import Policy
+from edgectl.model.resource import Usage
 from edgectl.model.snapshot import HostSample
 from edgectl.model.task import Task
-from edgectl.model.weights import parse_weights
 from tests.builders import (
     GI,
     NOW,
@@ -46,7 +47,7 @@ def _end(lines: list[str]) -> int:
 
 
 def a_host(row: dict[str, str]) -> HostSample:
-    slam = a_run(used_cores=1.0, used_bytes=0.4 * GI, used_bytes_per_s=0.5 * MB)
+    slam = a_run(used=Usage(cpu=1.0, memory=0.4 * GI, network=0.5 * MB))
     return a_sample(
         cores=float(row["cores"]), used=float(row["used cores"]), memory=float(row["memory"]) * GI,
         used_memory=float(row["used memory"]) * GI,
@@ -105,8 +106,8 @@ def test_the_load_after_the_plan(assignment: Assignment) -> None:
     for row in table("After the plan"):
         load = assignment.expected[row["host"]]
         numbers = [
-            load.used_cores,
-            load.used_bytes / GI,
+            load.used["cpu"],
+            load.used["memory"] / GI,
             load.links["robot1"] / MB,
             load.links["robot2"] / MB,
         ]

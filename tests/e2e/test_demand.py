@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from edgectl.model.assignment import DemandSource, Resource
+from edgectl.model.assignment import DemandSource
+from edgectl.model.resource import CPU
 from edgectl.model.snapshot import Snapshot
 from edgectl.state.store import Store
 from edgectl.usecases.measured_demand import load_class_profiles
@@ -60,13 +61,15 @@ def test_what_a_task_burns_is_what_the_next_plan_charges(bench: Bench) -> None:
     (found,) = load_class_profiles(bench.fleet, [SLAM])  # of the samples that the plan saw
     assert found.enough
     assert found.profile.samples >= PROBES * (REPEATED - 1)
-    assert 0.02 < found.profile.cpu.p95 < 1.0, "it burns 0.3 cores, less where the machine has little to give"
+    assert 0.02 < found.profile.used["cpu"].p95 < 1.0, (
+        "it burns 0.3 cores, less where the machine has little to give"
+    )
     cpu, memory = plan.steps[0].decision.demand
     assert (cpu.resource, cpu.value, cpu.source) == (
-        Resource.CPU,
-        found.profile.cpu.p95,
+        CPU,
+        found.profile.used["cpu"].p95,
         DemandSource.MEASURED,
     )
-    assert (memory.value, memory.source) == (found.profile.memory.p95, DemandSource.MEASURED)
+    assert (memory.value, memory.source) == (found.profile.used["memory"].p95, DemandSource.MEASURED)
     assert memory.value > 1e6
-    assert plan.expected["edge1"].used_cores == pytest.approx(cpu.value)
+    assert plan.expected["edge1"].used["cpu"] == pytest.approx(cpu.value)

@@ -18,7 +18,7 @@ from edgectl.experiments.model.experiment import (
 )
 from edgectl.experiments.model.schemes import Scheme, build_schemes
 from edgectl.model.inventory import Role
-from edgectl.model.policy import Policy, PolicyName
+from edgectl.model.policy import WEIGHT_PRESETS, Policy, PolicyName
 
 GI = 2.0**30
 EDGES = ("edge1", "edge2", "edge3")
@@ -26,7 +26,7 @@ ROBOTS = ("robot1", "robot2")
 TASKS = tuple(f"{kind}-{robot}" for robot in ROBOTS for kind in ("detect", "follow", "map"))
 ENDS = "map-merge"
 SCHEMES = build_schemes(
-    Policy(), [PolicyName.LOCAL, PolicyName.STATIC, PolicyName.UTILITY], ["cpu", "memory", "network", "all"], []
+    Policy(), [PolicyName.LOCAL, PolicyName.STATIC, PolicyName.UTILITY], {name: WEIGHT_PRESETS[name] for name in ("cpu", "memory", "network", "all")}, []
 )  # fmt: skip
 BEGAN = 1_795_258_800.0  # 2026-11-21T09:00:00Z
 

@@ -9,7 +9,8 @@ from edgectl.experiments.model.schemes import Scheme, build_schemes
 from edgectl.experiments.recorded_snapshots import snapshots_from_points
 from edgectl.experiments.replay import relocate_tasks, replay_snapshots
 from edgectl.model.point import HostPoint, LinkPoint, TaskPoint
-from edgectl.model.policy import Policy, PolicyName, Weights
+from edgectl.model.policy import WEIGHT_PRESETS, Policy, PolicyName, Weights
+from edgectl.model.resource import Usage
 from edgectl.model.snapshot import HostStatus, Snapshot, TaskState
 from tests.builders import (
     GI,
@@ -28,7 +29,7 @@ from tests.builders import (
 
 INVENTORY = an_inventory(an_edge("edge1"), an_edge("edge2"), a_robot("robot1", probe=False))
 TASKS = some_tasks(a_task("slam", cpu=1.0, memory=GI, throughput=1e6, robots=["robot1"]))
-RUN = a_run(used_cores=1.5, used_bytes=GI, used_bytes_per_s=2e6, spec_hash="hash-slam")
+RUN = a_run(used=Usage(cpu=1.5, memory=GI, network=2e6), spec_hash="hash-slam")
 CPU = Policy(weights=Weights(cpu=1.0, memory=0.0, network=0.0, task=0.0), min_dwell=0.0)
 
 
@@ -45,9 +46,9 @@ def recorded(used1: float, used2: float, at: float = NOW) -> Snapshot:
 
 def test_a_task_takes_its_measured_use_along() -> None:
     moved = relocate_tasks(recorded(2.0, 0.5), TASKS, {"slam": "edge2"}).hosts
-    assert moved["edge1"].cpu is not None
-    assert moved["edge2"].cpu is not None
-    assert (moved["edge1"].cpu.used_cores, moved["edge2"].cpu.used_cores) == (0.5, 2.0)
+    assert moved["edge1"].measured
+    assert moved["edge2"].measured
+    assert (moved["edge1"].usage["cpu"].used, moved["edge2"].usage["cpu"].used) == (0.5, 2.0)
     assert (
         moved["edge1"].links["robot1"].used_bytes_per_s,
         moved["edge2"].links["robot1"].used_bytes_per_s,
@@ -60,8 +61,8 @@ def test_a_task_that_is_not_recorded_uses_what_it_demands() -> None:
     shown = relocate_tasks(a_snapshot(edge1=a_sample(), edge2=a_sample()), TASKS, {"slam": "edge2"}).hosts[
         "edge2"
     ]
-    assert shown.cpu is not None
-    assert shown.cpu.used_cores == 1.0
+    assert shown.measured
+    assert shown.usage["cpu"].used == 1.0
     assert shown.tasks["slam"].state is TaskState.READY
 
 
@@ -146,12 +147,15 @@ def test_snapshots_come_back_from_the_rows_of_the_history() -> None:
 
 def test_variants_are_every_combination_that_makes_a_difference() -> None:
     found = build_schemes(
-        Policy(), [PolicyName.STATIC, PolicyName.PAPER, PolicyName.UTILITY], ["cpu", "all"], [0.0, 0.1]
+        Policy(),
+        [PolicyName.STATIC, PolicyName.PAPER, PolicyName.UTILITY],
+        {name: WEIGHT_PRESETS[name] for name in ("cpu", "all")},
+        [0.0, 0.1],
     )
     assert [each.name for each in found] == [
         "static", "paper cpu", "paper all", "utility cpu margin 0", "utility cpu margin 0.1", "utility all margin 0", "utility all margin 0.1",
     ]  # fmt: skip
-    assert [each.name for each in build_schemes(Policy(), [], [], [])] == ["utility all"]
-    assert parse_weight_sets("cpu=.5,task=1") == ["cpu=.5,task=1"]
+    assert [each.name for each in build_schemes(Policy(), [], {}, [])] == ["utility all"]
+    assert parse_weight_sets("cpu=.5,task=1") == {"cpu=.5,task=1": Weights(cpu=0.5, task=1.0)}
     with pytest.raises(ValueError, match="unknown weights 'ram'"):
         parse_weight_sets("cpu,ram")

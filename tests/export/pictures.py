@@ -6,6 +6,7 @@ from edgectl.executor.diff import plan_from_assignment
 from edgectl.export.metric_samples import MetricsInput
 from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.plan import Action
+from edgectl.model.resource import Usage
 from edgectl.model.result import ActionResult, Outcome
 from edgectl.model.revision import Revision, RevisionOutcome
 from edgectl.model.snapshot import DeviceSample, InterfaceSample, LinkSample, TaskState
@@ -46,9 +47,7 @@ def picture(*revisions: Revision) -> MetricsInput:
     )  # fmt: skip
     run = a_run(
         TaskState.READY,
-        used_cores=0.8,
-        used_bytes=2e8,
-        used_bytes_per_s=3e5,
+        used=Usage(cpu=0.8, memory=2e8, network=3e5),
         restarts=2,
         spec_hash="hash-slam",
     )

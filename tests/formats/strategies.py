@@ -14,24 +14,23 @@ from edgectl.model.assignment import (
     Reason,
     Rejection,
     RejectionRule,
-    Resource,
     ResourceDemand,
-    Terms,
+    UtilityTerms,
     Verdict,
 )
 from edgectl.model.inventory import Role
 from edgectl.model.manager_state import ManagerState, MeasuredDemand, Placement
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.policy import Policy, PolicyName, SequenceRule, Weights
+from edgectl.model.resource import HOST_RESOURCES, RESOURCES, Usage
 from edgectl.model.snapshot import (
     CapacitySource,
-    CpuUsage,
     DeviceSample,
     HostSample,
     HostStatus,
     InterfaceSample,
     LinkSample,
-    MemoryUsage,
+    ResourceUsage,
     Snapshot,
     TaskSample,
     TaskState,
@@ -68,9 +67,7 @@ task_samples = st.builds(
     state=st.sampled_from(TaskState),
     pid=counts,
     started_at=instants,
-    used_cores=amounts,
-    used_bytes=amounts,
-    used_bytes_per_s=amounts,
+    used=st.builds(Usage, cpu=amounts, memory=amounts, network=amounts),
     links=maybe(by_name(amounts)),
     instance=texts,
     spec_hash=texts,
@@ -105,8 +102,12 @@ hosts = st.builds(
     status=st.just(HostStatus.OK),
     sample_age_s=amounts,
     resident=st.booleans(),
-    cpu=st.builds(CpuUsage, cores=positive, used_cores=amounts),
-    memory=st.builds(MemoryUsage, total_bytes=positive, used_bytes=amounts),
+    usage=st.fixed_dictionaries(
+        {
+            resource.name: st.builds(ResourceUsage, capacity=positive, used=amounts)
+            for resource in HOST_RESOURCES
+        }
+    ),
     links=by_name(links),
     tasks=by_name(task_samples),
     device=devices,
@@ -138,9 +139,9 @@ memories = st.builds(
             MeasuredDemand,
             samples=counts,
             span_s=amounts,
-            cpu=amounts,
-            memory=amounts,
-            throughput=maybe(amounts),
+            used=st.fixed_dictionaries(
+                {resource.name: amounts for resource in HOST_RESOURCES}, optional={"network": amounts}
+            ),
             spec_hash=texts,
         ),
         max_size=2,
@@ -151,7 +152,7 @@ snapshots = st.builds(Snapshot, taken_at=instants, hosts=by_name(hosts), manager
 rejections = st.builds(
     Rejection,
     rule=st.sampled_from(RejectionRule),
-    resource=maybe(st.sampled_from(Resource)),
+    resource=maybe(st.sampled_from(RESOURCES)),
     robot=maybe(names),
     demand=maybe(amounts),
     used=maybe(amounts),
@@ -160,21 +161,21 @@ rejections = st.builds(
 demands = st.lists(
     st.builds(
         ResourceDemand,
-        resource=st.sampled_from(Resource),
+        resource=st.sampled_from(RESOURCES),
         value=amounts,
         source=st.sampled_from(DemandSource),
         samples=maybe(counts),
     ),
     unique_by=lambda rho: rho.resource,
     max_size=3,
-).map(lambda found: tuple(sorted(found, key=lambda rho: list(Resource).index(rho.resource))))
+).map(lambda found: tuple(sorted(found, key=lambda rho: RESOURCES.index(rho.resource))))
 ranked = st.builds(
     RankedHost,
     host=names,
     rank=st.integers(0, 99),
     total=maybe(signed),
     terms=st.builds(
-        Terms, cpu=maybe(signed), memory=maybe(signed), network=maybe(signed), task=maybe(signed)
+        UtilityTerms, cpu=maybe(signed), memory=maybe(signed), network=maybe(signed), task=maybe(signed)
     ),
     feasible=st.booleans(),
     affinity=st.integers(-9, 9),
@@ -230,14 +231,16 @@ plans = st.builds(
     snapshot=snapshots,
     settled=st.booleans(),
     steps=st.lists(steps, max_size=3).map(tuple),
-    expected=by_name(st.builds(ExpectedLoad, used_cores=signed, used_bytes=signed, links=by_name(signed))),
+    expected=by_name(
+        st.builds(ExpectedLoad, used=st.builds(Usage, cpu=signed, memory=signed), links=by_name(signed))
+    ),
     frozen=st.booleans(),
     unseen=st.lists(names, max_size=2).map(tuple),
     demand_spreads=st.lists(
         st.builds(
             DemandSpread,
             task=names,
-            resource=st.sampled_from(Resource),
+            resource=st.sampled_from(RESOURCES),
             share=amounts,
             least=amounts,
             most=amounts,

@@ -18,24 +18,23 @@ from edgectl.model.assignment import (
     Reason,
     Rejection,
     RejectionRule,
-    Resource,
     ResourceDemand,
-    Terms,
+    UtilityTerms,
     Verdict,
 )
 from edgectl.model.inventory import Role
 from edgectl.model.manager_state import ManagerState, MeasuredDemand, Placement
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.policy import Policy, PolicyName, SequenceRule, Weights
+from edgectl.model.resource import MEMORY, NETWORK, ResourceMap, Usage
 from edgectl.model.snapshot import (
     CapacitySource,
-    CpuUsage,
     DeviceSample,
     HostSample,
     HostStatus,
     InterfaceSample,
     LinkSample,
-    MemoryUsage,
+    ResourceUsage,
     Snapshot,
     TaskSample,
     TaskState,
@@ -45,7 +44,7 @@ LINK = LinkSample(
     capacity_bytes_per_s=1.0, used_bytes_per_s=2.0, rtt_ms=3.0, capacity_source=CapacitySource.NIC
 )
 TASK = TaskSample(
-    state=TaskState.FAILED, pid=1, started_at=2.0, used_cores=3.0, used_bytes=4.0, used_bytes_per_s=5.0, links={"r": 6.0}, instance="i",
+    state=TaskState.FAILED, pid=1, started_at=2.0, used=Usage(cpu=3.0, memory=4.0, network=5.0), links={"r": 6.0}, instance="i",
     spec_hash="s", generation=7, managed=False, restarts=8, exit_code=-9, detail="d",
     fields={"command": "c"}, last_exit=3, log_tail=("l",), limits="enforced", given_up=True, metrics={"fps": 29.5}, ended_at=2.5,
 )  # fmt: skip
@@ -58,31 +57,32 @@ DEVICE = DeviceSample(
     clock_skew_s=-1.5,
     interfaces={"eth0": INTERFACE},
 )
-CPU, MEMORY_USE = CpuUsage(cores=4.0, used_cores=1.5), MemoryUsage(total_bytes=5.0, used_bytes=2.0)
+CPU_USE, MEMORY_USE = ResourceUsage(capacity=4.0, used=1.5), ResourceUsage(capacity=5.0, used=2.0)
 HOST = HostSample(
-    role=Role.ROBOT, status=HostStatus.UNREACHABLE, error="e", error_kind="k", hint="h", sample_age_s=1.5, resident=True, cpu=CPU,
-    memory=MEMORY_USE,
+    role=Role.ROBOT, status=HostStatus.UNREACHABLE, error="e", error_kind="k", hint="h", sample_age_s=1.5, resident=True, usage={"cpu": CPU_USE, "memory": MEMORY_USE},
     links={"r": LINK}, tasks={"t": TASK}, device=DEVICE, generations={"t": 9},
 )  # fmt: skip
 PLACEMENT = Placement(host="h", since=1.0, spec_hash="s", generation=2)
-MEASURED = MeasuredDemand(samples=60, span_s=300.5, cpu=0.25, memory=7.0, throughput=1.5, spec_hash="s")
-MEMORY = ManagerState(
+MEASURED = MeasuredDemand(
+    samples=60, span_s=300.5, used={"cpu": 0.25, "memory": 7.0, "network": 1.5}, spec_hash="s"
+)
+MANAGER = ManagerState(
     managed=True, placements={"t": PLACEMENT}, first={"t": "h"}, cordons=frozenset({"a"}), draining=frozenset({"b"}), done={"t": "s"},
     downtimes={("t", "h"): (1.5, 2.0)}, stays={"t": (60.0, 90.5)}, contact={"h": 1.5}, fenced=frozenset({"c"}),
     deferred={"t": "d"}, measured={("t", "4c-8Gi"): MEASURED},
 )  # fmt: skip
-SNAPSHOT = Snapshot(taken_at=1.5, hosts={"h": HOST}, manager=MEMORY)
+SNAPSHOT = Snapshot(taken_at=1.5, hosts={"h": HOST}, manager=MANAGER)
 WEIGHTS = Weights(cpu=0.1, memory=0.2, network=0.3, task=0.4)
 POLICY = Policy(
     name=PolicyName.PAPER, weights=WEIGHTS, sequence=SequenceRule.SENSITIVITY, move_margin=0.2, min_dwell=3.0, max_moves=None, attended=False,
     best_effort=True, full=True, without=frozenset({"h"}),
 )  # fmt: skip
 REJECTION = Rejection(
-    rule=RejectionRule.INSUFFICIENT, resource=Resource.NETWORK, robot="r", demand=1.0, used=2.0, capacity=3.0
+    rule=RejectionRule.INSUFFICIENT, resource=NETWORK, robot="r", demand=1.0, used=2.0, capacity=3.0
 )
-TERMS = Terms(cpu=0.1, memory=-0.2, network=0.3, task=0.4)
-RHO = ResourceDemand(resource=Resource.NETWORK, value=1.5, source=DemandSource.MEASURED, samples=412)
-UNEVEN = DemandSpread(task="t", resource=Resource.MEMORY, share=0.25, least=1.5, most=3.0, hosts=("a", "b"))
+TERMS = UtilityTerms(cpu=0.1, memory=-0.2, network=0.3, task=0.4)
+RHO = ResourceDemand(resource=NETWORK, value=1.5, source=DemandSource.MEASURED, samples=412)
+UNEVEN = DemandSpread(task="t", resource=MEMORY, share=0.25, least=1.5, most=3.0, hosts=("a", "b"))
 RANKED = RankedHost(
     host="h",
     rank=1,
@@ -99,19 +99,22 @@ DECISION = Decision(
     amount=1.0, cost=COST, nearest="n", overcommitted=True, ranking=(RANKED,), rejection_counts={"stale": 2}, demand=(RHO,),
 )  # fmt: skip
 STEP = Step(decision=DECISION, action=Action.MOVE, instances={"h": "i"}, stop=("g",), changed=("env",))
-EXPECTED = ExpectedLoad(used_cores=1.0, used_bytes=2.0, links={"r": 3.0})
+EXPECTED = ExpectedLoad(used=Usage(cpu=1.0, memory=2.0), links={"r": 3.0})
 PLAN = Plan(
     created_at=1.5, policy=POLICY, inventory_digest="a", tasks_digest="b", snapshot=SNAPSHOT, settled=False, steps=(STEP,),
     expected={"h": EXPECTED}, frozen=True, unseen=("u",), demand_spreads=(UNEVEN,),
 )  # fmt: skip
 VALUES = [
-    LINK, TASK, INTERFACE, DEVICE, CPU, MEMORY_USE, HOST, PLACEMENT, MEMORY, SNAPSHOT, WEIGHTS, POLICY, REJECTION, TERMS, RANKED, COST, DECISION,
+    LINK, TASK, INTERFACE, DEVICE, CPU_USE, MEMORY_USE, HOST, PLACEMENT, MANAGER, SNAPSHOT, WEIGHTS, POLICY, REJECTION, TERMS, RANKED, COST, DECISION,
     STEP, EXPECTED, PLAN, MEASURED, RHO, UNEVEN,
 ]  # fmt: skip
 
 
 @pytest.mark.parametrize("value", VALUES, ids=lambda value: type(value).__name__)
 def test_every_field_of_the_samples_is_set(value: Any) -> None:
+    if isinstance(value, ResourceMap):
+        assert value.stated == value
+        return
     for field in fields(value):
         default = field.default_factory() if field.default_factory is not MISSING else field.default
         assert getattr(value, field.name) != default, (
@@ -121,7 +124,7 @@ def test_every_field_of_the_samples_is_set(value: Any) -> None:
 
 def test_every_field_survives() -> None:
     assert snapshot.decode(snapshot.encode(SNAPSHOT)) == SNAPSHOT
-    assert manager_state.decode(manager_state.encode(MEMORY)) == MEMORY
+    assert manager_state.decode(manager_state.encode(MANAGER)) == MANAGER
     assert plan.decode(plan.encode(PLAN)) == PLAN
 
 
@@ -132,5 +135,5 @@ def test_documents_hold_nothing_but_json() -> None:
         for inner in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
             walk(inner)
 
-    for document in (snapshot.encode(SNAPSHOT), manager_state.encode(MEMORY), plan.encode(PLAN)):
+    for document in (snapshot.encode(SNAPSHOT), manager_state.encode(MANAGER), plan.encode(PLAN)):
         walk(document)

@@ -219,8 +219,8 @@ def test_what_a_robot_says_is_done_is_done_where_it_runs() -> None:
     )
     sample = snapshot.hosts["edge2"]
     assert (sample.tasks["mission"].state, sample.tasks["mission"].pid) == (TaskState.COMPLETED, 99)
-    assert sample.cpu is not None
-    assert sample.cpu.used_cores == pytest.approx(0.9)
+    assert sample.measured
+    assert sample.usage["cpu"].used == pytest.approx(0.9)
 
 
 def test_a_bug_is_not_swallowed() -> None:

@@ -78,12 +78,11 @@ def decoded(document: Document, host: Host | None = None, **context: object) -> 
 def test_a_device_is_what_it_says() -> None:
     sample = decoded(a_document())
     assert sample.status is HostStatus.OK
-    assert sample.cpu is not None
-    assert (sample.cpu.cores, sample.cpu.used_cores) == (4.0, 1.5)
-    assert sample.memory is not None
-    assert (sample.memory.total_bytes, sample.memory.used_bytes) == (8e9, 3e9)
+    assert sample.measured
+    assert (sample.usage["cpu"].capacity, sample.usage["cpu"].used) == (4.0, 1.5)
+    assert (sample.usage["memory"].capacity, sample.usage["memory"].used) == (8e9, 3e9)
     task = sample.tasks["slam"]
-    assert (task.state, task.pid, task.started_at, task.used_bytes_per_s) == (
+    assert (task.state, task.pid, task.started_at, task.used["network"]) == (
         TaskState.READY,
         71,
         NOW - 60.0,
@@ -102,10 +101,9 @@ def test_a_clock_is_shown_and_not_trusted() -> None:
 def test_a_slice_is_its_base_and_its_own_tasks() -> None:
     """cpu: .25 + .5 = .75 of 2; memory: 1e8 + 2e8 = 3e8 of 1e9; link: the task's 1500, not the machine's 2600."""
     sample = decoded(a_document(), SLICE)
-    assert sample.cpu is not None
-    assert (sample.cpu.cores, sample.cpu.used_cores) == (2.0, 0.75)
-    assert sample.memory is not None
-    assert (sample.memory.total_bytes, sample.memory.used_bytes) == (1e9, 3e8)
+    assert sample.measured
+    assert (sample.usage["cpu"].capacity, sample.usage["cpu"].used) == (2.0, 0.75)
+    assert (sample.usage["memory"].capacity, sample.usage["memory"].used) == (1e9, 3e8)
     assert sample.links["robot1"].used_bytes_per_s == 1500.0
 
 
@@ -113,10 +111,9 @@ def test_a_task_that_is_done_keeps_its_pid_and_frees_its_load() -> None:
     """gamma 1.5 - .5 = 1.0 cores; 3e9 - 2e8 = 2.8e9 bytes; link 2600 - 1500 = 1100."""
     sample = decoded(a_document(checks={"slam": {"exit": 0, "timed_out": False, "output": ""}}))
     assert (sample.tasks["slam"].state, sample.tasks["slam"].pid) == (TaskState.COMPLETED, 71)
-    assert sample.cpu is not None
-    assert sample.cpu.used_cores == 1.0
-    assert sample.memory is not None
-    assert sample.memory.used_bytes == 2.8e9
+    assert sample.measured
+    assert sample.usage["cpu"].used == 1.0
+    assert sample.usage["memory"].used == 2.8e9
     assert sample.links["robot1"].used_bytes_per_s == 1100.0
 
 
@@ -166,7 +163,7 @@ def test_a_robot_has_no_links() -> None:
 def test_a_bare_entry_is_enough_for_a_task_found_by_its_pattern() -> None:
     sample = decoded(a_document(tasks={"roscore": {"state": "running", "pid": 5, "managed": False}}))
     task = sample.tasks["roscore"]
-    assert (task.managed, task.used_cores, task.links, task.instance) == (False, 0.0, None, "")
+    assert (task.managed, task.used["cpu"], task.links, task.instance) == (False, 0.0, None, "")
 
 
 def test_control_characters_never_reach_a_terminal() -> None:
@@ -269,18 +266,17 @@ def test_whatever_stands_in_a_document_it_is_a_sound_sample_or_a_reply_error() -
         except ReplyError:
             refused += 1
             continue
-        assert sample.cpu is not None
-        assert sample.memory is not None
+        assert sample.measured
         assert all(
             math.isfinite(x)
             for x in (
-                sample.cpu.cores,
-                sample.cpu.used_cores,
-                sample.memory.total_bytes,
-                sample.memory.used_bytes,
+                sample.usage["cpu"].capacity,
+                sample.usage["cpu"].used,
+                sample.usage["memory"].capacity,
+                sample.usage["memory"].used,
             )
         )
-        assert sample.cpu.cores > 0
+        assert sample.usage["cpu"].capacity > 0
         json.dumps(sample.device.boot_id, allow_nan=False)
     assert 5_000 < refused < 20_000
 

@@ -5,6 +5,7 @@ import dataclasses
 import pytest
 
 from edgectl.gateway.smoothing import smooth_snapshot
+from edgectl.model.resource import Usage
 from edgectl.model.snapshot import DeviceSample, Snapshot, TaskState
 from tests.builders import GI, NOW, a_link, a_run, a_sample, a_snapshot, silent
 
@@ -21,9 +22,7 @@ def fold(*snapshots: Snapshot) -> Snapshot:
 
 
 def used(snapshot: Snapshot, host: str = "edge1") -> float:
-    cpu = snapshot.hosts[host].cpu
-    assert cpu is not None
-    return cpu.used_cores
+    return snapshot.hosts[host].usage["cpu"].used
 
 
 def test_the_first_snapshot_is_taken_as_it_is() -> None:
@@ -44,8 +43,7 @@ def test_a_sample_one_period_later_weighs_three_tenths() -> None:
     )
     host = made.hosts["edge1"]
     assert used(made) == pytest.approx(1.3)
-    assert host.memory is not None
-    assert host.memory.used_bytes == pytest.approx(1.3 * GI)
+    assert host.usage["memory"].used == pytest.approx(1.3 * GI)
     assert host.links["robot1"].used_bytes_per_s == pytest.approx(1.3e6)
     assert host.links["robot2"].used_bytes_per_s == 7.0
 
@@ -67,26 +65,24 @@ def test_a_clock_that_goes_back_counts_as_one_period() -> None:
 
 
 def test_a_task_that_comes_or_goes_changes_the_load_at_once() -> None:
-    task = a_run(used_cores=1.0, used_bytes=GI, used_bytes_per_s=1e6, links={"robot1": 1e6})
+    task = a_run(used=Usage(cpu=1.0, memory=GI, network=1e6), links={"robot1": 1e6})
     idle = a_sample(used=0.5, used_memory=GI, links={"robot1": a_link(used=0.0)})
     busy = a_sample(used=1.5, used_memory=2 * GI, links={"robot1": a_link(used=1e6)}, tasks={"slam": task})
     for before, after, cores in ((idle, busy, 1.5), (busy, idle, 0.5)):
         made = fold(a_snapshot(edge1=before), a_snapshot(taken_at=NOW + PERIOD, edge1=after)).hosts["edge1"]
-        assert made.cpu is not None
-        assert made.memory is not None
-        assert after.memory is not None
-        assert made.cpu.used_cores == pytest.approx(cores)
-        assert made.memory.used_bytes == pytest.approx(after.memory.used_bytes)
+        assert made.measured
+        assert made.usage["cpu"].used == pytest.approx(cores)
+        assert made.usage["memory"].used == pytest.approx(after.usage["memory"].used)
         assert made.links["robot1"].used_bytes_per_s == pytest.approx(after.links["robot1"].used_bytes_per_s)
 
 
 def test_a_tasks_use_is_averaged_with_its_host_and_anew_after_a_restart() -> None:
-    task = a_run(used_cores=1.0, links={"robot1": 100.0}, used_bytes_per_s=100.0)
-    more = dataclasses.replace(task, used_cores=2.0, links={"robot1": 200.0}, used_bytes_per_s=200.0)
+    task = a_run(used=Usage(cpu=1.0, network=100.0), links={"robot1": 100.0})
+    more = dataclasses.replace(task, used=Usage(cpu=2.0, network=200.0), links={"robot1": 200.0})
     first = a_snapshot(edge1=a_sample(used=1.0, tasks={"slam": task}))
     second = a_snapshot(taken_at=NOW + PERIOD, edge1=a_sample(used=2.0, tasks={"slam": more}))
     made = fold(first, second).hosts["edge1"].tasks["slam"]
-    assert (made.used_cores, made.used_bytes_per_s) == pytest.approx((1.3, 130.0))
+    assert (made.used["cpu"], made.used["network"]) == pytest.approx((1.3, 130.0))
     assert made.links == pytest.approx({"robot1": 130.0})
     assert used(fold(first, second)) == pytest.approx(1.3)
     for new in (
@@ -120,9 +116,8 @@ def test_what_a_resident_profiler_smoothed_is_not_smoothed_again() -> None:
 
 
 def test_nothing_is_ever_negative() -> None:
-    task = a_run(used_cores=3.0, used_bytes=3 * GI, links={"robot1": 5e6})
+    task = a_run(used=Usage(cpu=3.0, memory=3 * GI), links={"robot1": 5e6})
     busy = a_sample(used=0.5, used_memory=GI, links={"robot1": a_link(used=1e6)}, tasks={"slam": task})
     made = fold(a_snapshot(edge1=busy), a_snapshot(taken_at=NOW + PERIOD, edge1=a_sample())).hosts["edge1"]
-    assert made.cpu is not None
-    assert made.memory is not None
-    assert (made.cpu.used_cores, made.memory.used_bytes, made.links) == (0.0, 0.0, {})
+    assert made.measured
+    assert (made.usage["cpu"].used, made.usage["memory"].used, made.links) == (0.0, 0.0, {})

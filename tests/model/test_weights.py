@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from edgectl.model.policy import Weights
-from edgectl.model.weights import WEIGHT_PRESETS, normalise_weights, parse_weights
+from edgectl.config.weights import parse_weights
+from edgectl.model.policy import WEIGHT_PRESETS, Weights
 from edgectl.names import natural_key
 
 
@@ -60,11 +60,11 @@ def test_what_cannot(raw: object, message: str) -> None:
 
 def test_presets_sum_to_one() -> None:
     for preset in WEIGHT_PRESETS.values():
-        assert math.isclose(preset.cpu + preset.memory + preset.network + preset.task, 1.0)
+        assert math.isclose(sum(preset.values()), 1.0)
 
 
 def test_normalising_keeps_proportions() -> None:
-    assert normalise_weights(weights(1, 1, 2, 0)) == weights(0.25, 0.25, 0.5, 0)
+    assert weights(1, 1, 2, 0).normalised() == weights(0.25, 0.25, 0.5, 0)
     assert parse_weights(weights(2, 2, 4, 0)) == weights(0.25, 0.25, 0.5, 0)
 
 

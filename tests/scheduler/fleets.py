@@ -6,6 +6,7 @@ from edgectl.model.assignment import Assignment, Decision, ExpectedLoad, RankedH
 from edgectl.model.inventory import Inventory, Role
 from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.policy import Policy
+from edgectl.model.resource import Usage
 from edgectl.model.snapshot import HostSample, Snapshot, TaskSample, TaskState
 from edgectl.model.task import ZERO, Task, Tasks
 from edgectl.scheduler.assign import assign
@@ -46,7 +47,7 @@ def ranked(decision: Decision) -> dict[str, RankedHost]:
 
 def terms(entry: RankedHost) -> tuple[float | None, ...]:
     """UT_cpu, UT_mem, UT_net, UT_task and the total."""
-    return entry.terms.cpu, entry.terms.memory, entry.terms.network, entry.terms.task, entry.total
+    return *(entry.terms[name] for name in ("cpu", "memory", "network", "task")), entry.total
 
 
 def applied(
@@ -90,9 +91,9 @@ def with_demands(tasks: Tasks, snapshot: Snapshot, memory: ManagerState) -> dict
 
 
 def _after(name: str, sample: HostSample, assignment: Assignment, tasks: Tasks) -> HostSample:
-    if sample.cpu is None or sample.memory is None:
+    if not sample.measured:
         return sample
-    unchanged = ExpectedLoad(used_cores=sample.cpu.used_cores, used_bytes=sample.memory.used_bytes)
+    unchanged = ExpectedLoad(used=Usage({name: usage.used for name, usage in sample.usage.items()}))
     load = assignment.expected.get(name, unchanged)
     running = {
         decision.task: _run(
@@ -119,8 +120,7 @@ def _after(name: str, sample: HostSample, assignment: Assignment, tasks: Tasks) 
     }
     return replace(
         sample,
-        cpu=replace(sample.cpu, used_cores=load.used_cores),
-        memory=replace(sample.memory, used_bytes=load.used_bytes),
+        usage={name: replace(usage, used=load.used[name]) for name, usage in sample.usage.items()},
         links=links,
         tasks={**left, **running},
     )
@@ -133,9 +133,8 @@ def _ours(name: str, run: TaskSample, tasks: Tasks) -> bool:
 def _run(
     task: Task, host: str, sample: HostSample, *, snapshot_of: TaskSample | None, new: bool
 ) -> TaskSample:
-    assert sample.cpu is not None
-    assert sample.memory is not None
-    rate = task.demand.throughput or ZERO
+    assert sample.measured
+    rate = task.demand["network"] or ZERO
     rates = {
         robot: rate.of(sample.links[robot].capacity_bytes_per_s)
         for robot in task.robots
@@ -145,9 +144,11 @@ def _run(
         state=TaskState.READY,
         pid=1,
         started_at=NOW if new or snapshot_of is None else snapshot_of.started_at,
-        used_cores=(task.demand.cpu or ZERO).of(sample.cpu.cores),
-        used_bytes=(task.demand.memory or ZERO).of(sample.memory.total_bytes),
-        used_bytes_per_s=sum(rates.values()),
+        used=Usage(
+            cpu=(task.demand["cpu"] or ZERO).of(sample.usage["cpu"].capacity),
+            memory=(task.demand["memory"] or ZERO).of(sample.usage["memory"].capacity),
+            network=sum(rates.values()),
+        ),
         links=rates,
         instance=f"{task.name}-on-{host}",
         spec_hash=task.spec_hash,

@@ -11,10 +11,10 @@ from dataclasses import dataclass, field, replace
 
 from edgectl.gateway.smoothing import smooth_snapshot
 from edgectl.model.manager_state import ManagerState, Placement
-from edgectl.model.policy import Policy, PolicyName
+from edgectl.model.policy import WEIGHT_PRESETS, Policy, PolicyName
+from edgectl.model.resource import Usage
 from edgectl.model.snapshot import HostSample, Snapshot
 from edgectl.model.task import Tasks
-from edgectl.model.weights import WEIGHT_PRESETS
 from edgectl.scheduler.assign import assign
 from tests.builders import (
     GI,
@@ -132,8 +132,7 @@ def sample(trial: Trial, site: Site, edge: str, step: Points, dice: random.Rando
     cpu, memory, link = (base + more for base, more in zip(BASE[edge], step, strict=True))
     errors = [dice.uniform(-points, points) if points else 0.0 for points in (*trial.noise, trial.noise[2])]
     tasks = {
-        task: a_run(used_cores=4.0 * DEMANDS[kind(task)][0] / 100, used_bytes=4 * GI * DEMANDS[kind(task)][1] / 100,
-                    used_bytes_per_s=LINK * DEMANDS[kind(task)][2] / 100, started_at=site.since[task])
+        task: a_run(used=Usage(cpu=4.0 * DEMANDS[kind(task)][0] / 100, memory=4 * GI * DEMANDS[kind(task)][1] / 100, network=LINK * DEMANDS[kind(task)][2] / 100), started_at=site.since[task])
         for task in here
     }  # fmt: skip
     rates = {

@@ -1,6 +1,7 @@
 """Measurements for the two scenarios of the paper's Section V, and a second, naive computation of equations (1)-(5) to check ours against."""
 
 from edgectl.model.policy import Weights
+from edgectl.model.resource import Usage
 from edgectl.model.snapshot import Snapshot, TaskSample
 from tests.builders import GI, a_link, a_run, a_sample, a_snapshot
 
@@ -43,9 +44,7 @@ def run_of(name: str) -> TaskSample:
     cpu, memory, throughput = DEMANDS[kind(name)]
     links = {robot: LINK * throughput / 100 for robot in ROBOTS if serves(name, robot)}
     return a_run(
-        used_cores=CORES * cpu / 100,
-        used_bytes=MEMORY * memory / 100,
-        used_bytes_per_s=sum(links.values()),
+        used=Usage(cpu=CORES * cpu / 100, memory=MEMORY * memory / 100, network=sum(links.values())),
         links=links,
     )
 
@@ -89,10 +88,10 @@ def naive(
             )
             table[e] = (
                 *terms,
-                weights.cpu * terms[0]
-                + weights.memory * terms[1]
-                + weights.network * terms[2]
-                + weights.task * terms[3],
+                weights["cpu"] * terms[0]
+                + weights["memory"] * terms[1]
+                + weights["network"] * terms[2]
+                + weights["task"] * terms[3],
             )
         fitting = [e for e in BASE if min(table[e][:3]) >= 0]
         best = max(

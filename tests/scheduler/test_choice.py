@@ -2,13 +2,14 @@
 
 import pytest
 
+from edgectl.config.weights import parse_weights
 from edgectl.model.assignment import Decision, Reason, Verdict
 from edgectl.model.inventory import Inventory
 from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.policy import Policy
+from edgectl.model.resource import Usage
 from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Task
-from edgectl.model.weights import parse_weights
 from tests.builders import NOW, a_run, a_sample, a_snapshot, a_task, an_edge, an_inventory, silent, some_tasks
 from tests.scheduler.fleets import NO_MEMORY, decide, decisions, hosts, ranked
 
@@ -55,7 +56,7 @@ def test_hosts_without_predecessor_share_a_rank() -> None:
         THREE, a_task("c", needs=["a", "b"]), snapshot, NO_MEMORY, Policy(), a_task("a"), a_task("b")
     )
     # a(edge1) = a(edge2) = 1 - 1 = 0, a(edge3) = -2: m = 2, so 1, 1 and 0
-    assert {name: (entry.affinity, entry.terms.task) for name, entry in ranked(decision).items()} == {
+    assert {name: (entry.affinity, entry.terms["task"]) for name, entry in ranked(decision).items()} == {
         "edge1": (0, 1.0),
         "edge2": (0, 1.0),
         "edge3": (-2, 0.0),
@@ -73,7 +74,7 @@ def test_only_candidates_are_ranked_by_affinity() -> None:
         Policy(),
         a_task("slam"),
     )
-    assert [ranked(decision)[name].terms.task for name in ("edge1", "edge2", "edge3")] == [None, 0.5, 0.5]
+    assert [ranked(decision)[name].terms["task"] for name in ("edge1", "edge2", "edge3")] == [None, 0.5, 0.5]
 
 
 def test_an_infeasible_candidate_still_counts_in_the_ranks() -> None:
@@ -88,7 +89,7 @@ def test_an_infeasible_candidate_still_counts_in_the_ranks() -> None:
         Policy(),
         a_task("slam", pin="edge1"),
     )
-    assert [ranked(decision)[name].terms.task for name in ("edge1", "edge2", "edge3")] == [1.0, 0.0, 0.0]
+    assert [ranked(decision)[name].terms["task"] for name in ("edge1", "edge2", "edge3")] == [1.0, 0.0, 0.0]
     assert decision.host == "edge2"
 
 
@@ -217,7 +218,7 @@ def test_a_cordon_or_an_old_sample_only_closes_to_new_work(memory: ManagerState)
 
 def test_a_drained_task_that_fits_nowhere_else_stays_with_its_total() -> None:
     snapshot = a_snapshot(
-        edge1=a_sample(used=1.0, tasks={"slam": a_run(used_cores=1.0)}), edge2=a_sample(used=3.5)
+        edge1=a_sample(used=1.0, tasks={"slam": a_run(used=Usage(cpu=1.0))}), edge2=a_sample(used=3.5)
     )
     decision = one(TWO, a_task(cpu=1.0), snapshot, ManagerState(draining=frozenset({"edge1"})))
     assert (decision.host, decision.reason, decision.total) == (

@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from edgectl.config.weights import parse_weights
 from edgectl.model.assignment import Decision, MoveCost, Reason
 from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.policy import Policy
-from edgectl.model.weights import parse_weights
 from tests.builders import NOW, a_run, a_sample, a_snapshot, a_task, an_edge, an_inventory, some_tasks
 from tests.scheduler.fleets import decide, decisions
 from tests.scheduler.test_properties import quick

@@ -7,11 +7,12 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from edgectl.model.assignment import Assignment, Reason
-from edgectl.model.explanation import ChangeKind, Explanation, Flip, Term
+from edgectl.model.explanation import ChangeKind, Explanation, Flip
 from edgectl.model.inventory import Inventory
 from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.policy import Policy, Weights
-from edgectl.model.snapshot import CpuUsage, LinkSample, MemoryUsage, Snapshot
+from edgectl.model.resource import Usage
+from edgectl.model.snapshot import LinkSample, Snapshot
 from edgectl.model.task import Tasks
 from edgectl.scheduler.assign import assign
 from edgectl.scheduler.explain import TermNoise, explain_decision
@@ -65,7 +66,7 @@ def test_by_hand_a_load_that_rises_and_one_that_falls() -> None:
     found = explained(*two_edges(1.0, 2.0), CPU)
     assert found.runner_up == "edge2"
     assert [round(each.lead, 9) for each in found.contributions] == [0.25, 0.0, 0.0, 0.0]
-    flips = {(flip.change, flip.host): flip for flip in found.flips if flip.term is Term.CPU}
+    flips = {(flip.change, flip.host): flip for flip in found.flips if flip.term == "cpu"}
     assert flips[ChangeKind.LOAD_RISES, "edge1"].amount == pytest.approx(1.0)
     assert flips[ChangeKind.LOAD_FALLS, "edge2"].amount == pytest.approx(1.0)
     assert {flip.winner for flip in flips.values()} == {"edge2"}
@@ -79,7 +80,7 @@ def test_by_hand_a_weight() -> None:
     policy = Policy(weights=Weights(cpu=0.9, memory=0.1, network=0.0, task=0.0))
     found = explained(inventory, tasks, world, policy)
     falls = next(
-        flip for flip in found.flips if flip.change is ChangeKind.WEIGHT_FALLS and flip.term is Term.CPU
+        flip for flip in found.flips if flip.change is ChangeKind.WEIGHT_FALLS and flip.term == "cpu"
     )
     assert falls.amount == pytest.approx(2 / 3)
     assert falls.winner == "edge2"
@@ -87,7 +88,7 @@ def test_by_hand_a_weight() -> None:
 
 def test_a_running_task_flips_only_beyond_the_margin() -> None:
     inventory, tasks, _ = two_edges(0.0, 0.0)
-    run = a_run(used_cores=0.4, spec_hash="hash-slam")
+    run = a_run(used=Usage(cpu=0.4), spec_hash="hash-slam")
     world = a_snapshot(
         memory=ManagerState(managed=True, placements={"slam": Placement(host="edge1", since=NOW - 3600.0)}),
         edge1=a_sample(used=1.4, tasks={"slam": run}),
@@ -127,7 +128,7 @@ def worlds(draw: st.DrawFn) -> tuple[Inventory, Tasks, Snapshot, Policy]:
     samples = {}
     for edge in edges:
         cores = draw(st.sampled_from([2.0, 4.0, 8.0]))
-        run = a_run(used_cores=0.0, spec_hash="hash-slam")
+        run = a_run(used=Usage(cpu=0.0), spec_hash="hash-slam")
         samples[edge] = a_sample(
             cores=cores, used=cores * draw(share), used_memory=4 * GI * draw(share),
             links={"robot1": a_link(LINK, LINK * draw(share))}, tasks={"slam": run} if edge == incumbent else {},
@@ -179,19 +180,14 @@ def changed(snapshot: Snapshot, policy: Policy, flip: Flip, share: float) -> tup
         return snapshot, reweighted(policy, flip, share)
     host, sign = snapshot.hosts[flip.host], 1.0 if flip.change is ChangeKind.LOAD_RISES else -1.0
     delta = sign * flip.amount * share
-    assert host.cpu is not None
-    assert host.memory is not None
-    if flip.term is Term.CPU:
-        host = replace(host, cpu=CpuUsage(cores=host.cpu.cores, used_cores=host.cpu.used_cores + delta))
-        left = host.cpu.used_cores
-    elif flip.term is Term.MEMORY:
+    assert host.measured
+    if flip.term in host.usage:
+        usage = host.usage[flip.term]
         host = replace(
             host,
-            memory=MemoryUsage(
-                total_bytes=host.memory.total_bytes, used_bytes=host.memory.used_bytes + delta
-            ),
+            usage={**host.usage, flip.term: replace(usage, used=usage.used + delta)},
         )
-        left = host.memory.used_bytes
+        left = usage.used + delta
     else:
         assert flip.robot is not None
         link = host.links[flip.robot]
@@ -206,12 +202,10 @@ def changed(snapshot: Snapshot, policy: Policy, flip: Flip, share: float) -> tup
 
 
 def reweighted(policy: Policy, flip: Flip, share: float) -> Policy:
-    old = {term: getattr(policy.weights, term.value) for term in Term}
+    old = dict(policy.weights)
     weight = old[flip.term] + (flip.amount - old[flip.term]) * share
     rest = (1 - weight) / (1 - old[flip.term])
     return replace(
         policy,
-        weights=Weights(
-            **{term.value: weight if term is flip.term else value * rest for term, value in old.items()}
-        ),
+        weights=Weights({term: weight if term == flip.term else value * rest for term, value in old.items()}),
     )

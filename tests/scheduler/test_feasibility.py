@@ -2,10 +2,11 @@
 
 import pytest
 
-from edgectl.model.assignment import Reason, Rejection, RejectionRule, Resource, Verdict
+from edgectl.model.assignment import Reason, Rejection, RejectionRule, Verdict
 from edgectl.model.inventory import Host
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.policy import Policy
+from edgectl.model.resource import CPU, MEMORY, NETWORK, Usage
 from edgectl.model.snapshot import HostSample
 from edgectl.model.task import Need, NeedCondition, OnboardRule, Task
 from tests.builders import (
@@ -120,9 +121,9 @@ def test_a_rejection_says_what_is_lacking() -> None:
     ).decisions[0]
     rule = RejectionRule.INSUFFICIENT
     assert decision.ranking[0].rejections == (
-        Rejection(rule=rule, resource=Resource.CPU, demand=1.0, used=1.5, capacity=2.0),
-        Rejection(rule=rule, resource=Resource.MEMORY, demand=2 * GI, used=3 * GI, capacity=4 * GI),
-        Rejection(rule=rule, resource=Resource.NETWORK, robot="robot1", demand=3e6, used=8e6, capacity=10e6),
+        Rejection(rule=rule, resource=CPU, demand=1.0, used=1.5, capacity=2.0),
+        Rejection(rule=rule, resource=MEMORY, demand=2 * GI, used=3 * GI, capacity=4 * GI),
+        Rejection(rule=rule, resource=NETWORK, robot="robot1", demand=3e6, used=8e6, capacity=10e6),
     )
     # cpu (2 - 1.5 - 1) / 2 = -.25; mem (4 - 3 - 2) / 4 = -.25; net (10 - 8 - 3) / 10 = -.1; total (-.25 - .25 - .1 + .5) / 4 = -.025
     assert decision.ranking[0].total == pytest.approx(-0.025)
@@ -164,19 +165,21 @@ def test_best_effort_takes_the_highest_total_all_the_same() -> None:
         "edge2",
         True,
     )
-    assert assignment.expected["edge2"].used_cores == 10.0
+    assert assignment.expected["edge2"].used["cpu"] == 10.0
 
 
 def test_a_running_task_that_fits_nowhere_stays_and_is_charged() -> None:
     inventory = an_inventory(an_edge("edge1"), an_edge("edge2"))
-    snapshot = a_snapshot(edge1=a_sample(used=1.0, tasks={"slam": a_run(used_cores=1.0)}), edge2=a_sample())
+    snapshot = a_snapshot(
+        edge1=a_sample(used=1.0, tasks={"slam": a_run(used=Usage(cpu=1.0))}), edge2=a_sample()
+    )
     assignment = decide(inventory, some_tasks(a_task(cpu=5.0)), snapshot)
     decision = assignment.decisions[0]
     assert (decision.verdict, decision.reason, decision.host) == (Verdict.KEPT, Reason.NOTHING_FITS, "edge1")
     # cpu (4 - 0 - 5) / 4 = -.25; total (-.25 + 1 + 1 + .5) / 4 = .5625
     assert decision.total == pytest.approx(0.5625)
     assert decision.overcommitted
-    assert assignment.expected["edge1"].used_cores == 5.0
+    assert assignment.expected["edge1"].used["cpu"] == 5.0
 
 
 @pytest.mark.parametrize(

@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import pytest
 
-from edgectl.model.assignment import DemandSource, Resource, ResourceDemand
+from edgectl.model.assignment import DemandSource, ResourceDemand
 from edgectl.model.manager_state import ManagerState, MeasuredDemand
-from edgectl.model.task import Quantity, Tasks
+from edgectl.model.resource import CPU, MEMORY, NETWORK
+from edgectl.model.task import Demand, Quantity, Tasks
 from tests.builders import (
     GI,
     a_link,
@@ -44,12 +45,16 @@ def a_history(
     samples: int = 412,
     span: float = 900.0,
 ) -> MeasuredDemand:
-    return MeasuredDemand(samples=samples, span_s=span, cpu=cpu, memory=memory, throughput=throughput)
+    return MeasuredDemand(
+        samples=samples,
+        span_s=span,
+        used={"cpu": cpu, "memory": memory, **({} if throughput is None else {"network": throughput})},
+    )
 
 
 def cpu_terms(tasks: Tasks, memory: ManagerState) -> dict[str, float | None]:
     return {
-        host: entry.terms.cpu
+        host: entry.terms["cpu"]
         for host, entry in ranked(
             decisions(decide(INVENTORY, tasks, SNAPSHOT, memory=memory))["slam"]
         ).items()
@@ -62,18 +67,18 @@ def test_the_demand_of_the_class_that_is_looked_at_counts_and_is_charged() -> No
     )
     found = decide(INVENTORY, some_tasks(LEFT_OUT), SNAPSHOT, memory=memory)
     entries = ranked(decisions(found)["slam"])
-    assert entries["edge1"].terms.cpu == (4 - 2) / 4
-    assert entries["edge2"].terms.cpu == (8 - 5) / 8
-    assert entries["edge1"].terms.network == (10 - 1) / 10
-    assert entries["edge2"].terms.network == (5 - 2) / 5
+    assert entries["edge1"].terms["cpu"] == (4 - 2) / 4
+    assert entries["edge2"].terms["cpu"] == (8 - 5) / 8
+    assert entries["edge1"].terms["network"] == (10 - 1) / 10
+    assert entries["edge2"].terms["network"] == (5 - 2) / 5
     # all .25 each, the only task: edge1 0.5+0.75+0.9+0.5, edge2 0.375+0.8649+0.6+0.5
     assert decisions(found)["slam"].host == "edge1"
-    assert found.expected["edge1"].used_cores == 2.0
+    assert found.expected["edge1"].used["cpu"] == 2.0
     assert found.expected["edge1"].links == {"robot1": 1e6}
     assert entries["edge2"].demand == (
-        ResourceDemand(resource=Resource.CPU, value=5.0, source=DemandSource.MEASURED, samples=60),
-        ResourceDemand(resource=Resource.MEMORY, value=GI, source=DemandSource.MEASURED, samples=60),
-        ResourceDemand(resource=Resource.NETWORK, value=2e6, source=DemandSource.MEASURED, samples=60),
+        ResourceDemand(resource=CPU, value=5.0, source=DemandSource.MEASURED, samples=60),
+        ResourceDemand(resource=MEMORY, value=GI, source=DemandSource.MEASURED, samples=60),
+        ResourceDemand(resource=NETWORK, value=2e6, source=DemandSource.MEASURED, samples=60),
     )
     assert decisions(found)["slam"].demand == entries["edge1"].demand
 
@@ -82,7 +87,7 @@ def test_the_demand_of_the_class_that_is_looked_at_counts_and_is_charged() -> No
 def test_too_few_samples_count_as_nothing(samples: int, span: float) -> None:
     memory = history(small=a_history(cpu=2.0, samples=samples, span=span))
     found = decisions(decide(INVENTORY, some_tasks(LEFT_OUT), SNAPSHOT, memory=memory))["slam"]
-    assert {entry.terms.cpu for entry in found.ranking} == {1.0}
+    assert {entry.terms["cpu"] for entry in found.ranking} == {1.0}
     assert [(rho.value, rho.source) for rho in found.demand] == [(0.0, DemandSource.NONE)] * 3
     assert {rho.samples for rho in found.demand} == {samples if found.host == "edge1" else 0}
 
@@ -112,7 +117,9 @@ def test_until_it_is_measured_the_declared_value_counts() -> None:
         "edge1": (4 - 2) / 4,
         "edge2": (8 - 3) / 8,
     }
-    share = replace(task, demand=replace(task.demand, cpu=Quantity(value=0.5, relative=True, measured=True)))
+    share = replace(
+        task, demand=Demand({**task.demand, "cpu": Quantity(value=0.5, relative=True, measured=True)})
+    )
     assert cpu_terms(some_tasks(share), history(large=a_history(cpu=2.0))) == {
         "edge1": 0.5,
         "edge2": (8 - 2) / 8,
@@ -128,14 +135,16 @@ def test_a_class_without_history_is_no_bait() -> None:
         memory=history(small=a_history(cpu=2.0), large=a_history(samples=3)),
     )
     entries = ranked(decisions(found)["slam"])
-    assert entries["edge2"].terms.cpu == (8 - 2) / 8
+    assert entries["edge2"].terms["cpu"] == (8 - 2) / 8
     assert entries["edge2"].demand[0] == ResourceDemand(
-        resource=Resource.CPU, value=2.0, source=DemandSource.MEASURED_ELSEWHERE, samples=3
+        resource=CPU, value=2.0, source=DemandSource.MEASURED_ELSEWHERE, samples=3
     )
 
 
 def test_no_traffic_seen_is_no_figure() -> None:
-    task = replace(DECLARED, demand=replace(DECLARED.demand, throughput=Quantity(value=1e6, measured=True)))
+    task = replace(
+        DECLARED, demand=Demand({**DECLARED.demand, "network": Quantity(value=1e6, measured=True)})
+    )
     found = decisions(
         decide(INVENTORY, some_tasks(task), SNAPSHOT, memory=history(small=a_history(throughput=None)))
     )["slam"]
@@ -143,7 +152,7 @@ def test_no_traffic_seen_is_no_figure() -> None:
         "edge1": DemandSource.DECLARED,
         "edge2": DemandSource.DECLARED,
     }
-    assert ranked(found)["edge1"].terms.network == (10 - 1) / 10
+    assert ranked(found)["edge1"].terms["network"] == (10 - 1) / 10
 
 
 def test_a_label_makes_a_class() -> None:
@@ -152,7 +161,7 @@ def test_a_label_makes_a_class() -> None:
     )
     memory = ManagerState(managed=True, measured={("slam", "jetson"): a_history(cpu=2.0)})
     found = decisions(decide(labelled, some_tasks(LEFT_OUT), SNAPSHOT, memory=memory))["slam"]
-    assert {entry.host: entry.terms.cpu for entry in found.ranking} == {"edge1": 0.5, "edge2": 0.75}
+    assert {entry.host: entry.terms["cpu"] for entry in found.ranking} == {"edge1": 0.5, "edge2": 0.75}
 
 
 def test_a_percent_demand_of_unlike_hosts_is_told_once_with_the_figures() -> None:
@@ -162,7 +171,7 @@ def test_a_percent_demand_of_unlike_hosts_is_told_once_with_the_figures() -> Non
     )  # fmt: skip
     found = decide(INVENTORY, tasks, SNAPSHOT).demand_spreads
     assert [(each.task, each.resource, each.hosts) for each in found] == [
-        ("a", Resource.CPU, ("edge1", "edge2")), ("a", Resource.MEMORY, ("edge1", "edge2")),
+        ("a", CPU, ("edge1", "edge2")), ("a", MEMORY, ("edge1", "edge2")),
     ]  # fmt: skip
     assert (found[0].least, found[0].most, found[0].share) == (1.4, 2.8, 0.35)
 

@@ -2,8 +2,7 @@
 
 import pytest
 
-from edgectl.model.policy import Policy, PolicyName
-from edgectl.model.weights import WEIGHT_PRESETS
+from edgectl.model.policy import WEIGHT_PRESETS, Policy, PolicyName
 from tests.scheduler.noise import MIXED, STEP_AT, STEPS, Trial, handoffs, response, run, steady
 
 # Cycles of 10 s within which a lasting step of 25 points must be answered.

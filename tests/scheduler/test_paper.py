@@ -8,9 +8,8 @@ import edgectl
 from edgectl.config.load import load_inventory_and_tasks
 from edgectl.model.assignment import Assignment, Verdict
 from edgectl.model.inventory import Inventory
-from edgectl.model.policy import Policy
+from edgectl.model.policy import WEIGHT_PRESETS, Policy
 from edgectl.model.task import Tasks
-from edgectl.model.weights import WEIGHT_PRESETS
 from tests.scheduler.fleets import decide, decisions, hosts, ranked, terms
 from tests.scheduler.paper import BASE, ROBOTS, naive, paper_snapshot
 
@@ -83,4 +82,4 @@ def test_one_row_by_hand() -> None:
     assert terms(first["edge3"]) == pytest.approx((0.11475, 0.4246, 0.61348, 0.5, 0.4132075), abs=1e-6)
     # navigation-robot1 follows its slam to edge1 although edge3 is emptier: UT_task 1 against 0
     row = ranked(decisions(assignment(2, "all"))["navigation-robot1"])
-    assert [row[edge].terms.task for edge in BASE] == [1.0, 0.0, 0.0]
+    assert [row[edge].terms["task"] for edge in BASE] == [1.0, 0.0, 0.0]

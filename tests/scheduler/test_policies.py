@@ -2,12 +2,13 @@
 
 import pytest
 
+from edgectl.config.weights import parse_weights
 from edgectl.model.assignment import Reason, Verdict
 from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.policy import Policy, PolicyName
+from edgectl.model.resource import Usage
 from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import OnboardRule, Task
-from edgectl.model.weights import parse_weights
 from tests.builders import (
     NOW,
     a_link,
@@ -36,11 +37,11 @@ def policy(name: str, weights: str = "all") -> Policy:
 
 def test_paper_counts_a_running_task_twice_and_so_hops() -> None:
     snapshot = a_snapshot(
-        edge1=a_sample(used=1.0, tasks={"slam": a_run(used_cores=1.0)}), edge2=a_sample(used=0.2)
+        edge1=a_sample(used=1.0, tasks={"slam": a_run(used=Usage(cpu=1.0))}), edge2=a_sample(used=0.2)
     )
     found = decide(TWO, some_tasks(a_task(cpu=1.0)), snapshot, policy=policy("paper", "cpu"))
     # gross: edge1 (4 - 1 - 1) / 4 = .5, edge2 (4 - .2 - 1) / 4 = .7
-    assert [entry.terms.cpu for entry in found.decisions[0].ranking] == pytest.approx([0.7, 0.5])
+    assert [entry.terms["cpu"] for entry in found.decisions[0].ranking] == pytest.approx([0.7, 0.5])
     assert (found.decisions[0].host, found.decisions[0].previous_host, found.settled) == (
         "edge2",
         "edge1",
@@ -70,7 +71,7 @@ def test_paper_follows_a_predecessor_to_where_nothing_fits(others: int) -> None:
 def test_paper_rewards_only_what_already_runs_with_plus_and_minus_one() -> None:
     tasks = some_tasks(a_task("nav", needs=["slam"]), a_task("slam"))
     cold = decide(TWO, tasks, a_snapshot(edge1=a_sample(), edge2=a_sample()), policy=policy("paper"))
-    assert {entry.terms.task for entry in decisions(cold)["nav"].ranking} == {-1.0}
+    assert {entry.terms["task"] for entry in decisions(cold)["nav"].ranking} == {-1.0}
     warm = decide(
         TWO,
         tasks,
@@ -137,7 +138,7 @@ def test_static(
     found = decide(TWO, some_tasks(task), snapshot, memory=memory, policy=policy("static"))
     assert (found.decisions[0].host, found.decisions[0].reason, found.settled) == (host, reason, True)
     assert found.decisions[0].overcommitted == (
-        task.demand.cpu is not None and reason is Reason.FIRST_PLACEMENT
+        task.demand["cpu"] is not None and reason is Reason.FIRST_PLACEMENT
     )
 
 
@@ -190,7 +191,7 @@ def test_local_puts_everything_on_its_first_robot() -> None:
         Reason.ONBOARD_LOCAL,
     )
     assert (d.verdict, d.reason) == (Verdict.UNPLACED, Reason.NO_CANDIDATE)
-    assert {name: load.used_cores for name, load in found.expected.items()} == {
+    assert {name: load.used["cpu"] for name, load in found.expected.items()} == {
         "edge1": 0.0,
         "robot1": 5.0,
         "robot2": 2.0,

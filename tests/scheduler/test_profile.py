@@ -6,7 +6,7 @@ from edgectl.scheduler.profile import build_usage_profile, compute_percentile, m
 
 
 def uses(*rates: float, links: int = 1) -> list[UsageSample]:
-    return [UsageSample(10.0 * at, rate / 100, 1000 + rate, rate, links) for at, rate in enumerate(rates)]
+    return [UsageSample(10.0 * at, (rate / 100, 1000 + rate, rate), links) for at, rate in enumerate(rates)]
 
 
 def test_nearest_rank() -> None:
@@ -21,11 +21,11 @@ def test_nearest_rank() -> None:
 def test_a_profile_by_hand() -> None:
     found = build_usage_profile(uses(*range(20, 0, -1)), robots=1)
     assert found is not None
-    assert found.cpu == UsagePercentiles(p50=0.10, p95=0.19, most=0.20)
-    assert found.memory == UsagePercentiles(p50=1010.0, p95=1019.0, most=1020.0)
+    assert found.used["cpu"] == UsagePercentiles(p50=0.10, p95=0.19, most=0.20)
+    assert found.used["memory"] == UsagePercentiles(p50=1010.0, p95=1019.0, most=1020.0)
     assert (found.samples, found.span_s) == (20, 190.0)
     assert measured_demand_from_profile(found) == MeasuredDemand(
-        samples=20, span_s=190.0, cpu=0.19, memory=1019.0, throughput=19.0
+        samples=20, span_s=190.0, used={"cpu": 0.19, "memory": 1019.0, "network": 19.0}
     )
 
 
@@ -36,11 +36,11 @@ def test_throughput_is_of_one_link() -> None:
     assert used is not None
     assert unknown is not None
     assert alone is not None
-    assert (used.throughput.p95, unknown.throughput.p95, alone.throughput.p95) == (15.0, 10.0, 30.0)
+    assert [each.used["network"].p95 for each in (used, unknown, alone)] == [15.0, 10.0, 30.0]
 
 
 def test_no_sample_is_no_profile_and_no_traffic_is_no_throughput() -> None:
     assert build_usage_profile([], robots=1) is None
     silent = build_usage_profile(uses(0.0, 0.0), robots=1)
     assert silent is not None
-    assert measured_demand_from_profile(silent).throughput is None
+    assert "network" not in measured_demand_from_profile(silent).used

@@ -13,6 +13,7 @@ from edgectl.model.inventory import Host, Inventory
 from edgectl.model.manager_state import ManagerState, MeasuredDemand
 from edgectl.model.plan import Action
 from edgectl.model.policy import Policy, PolicyName, Weights
+from edgectl.model.resource import Usage
 from edgectl.model.snapshot import HostSample, Snapshot, TaskSample, TaskState
 from edgectl.model.task import OnboardRule, Task, Tasks
 from edgectl.scheduler.assign import assign
@@ -83,8 +84,7 @@ def some_task(draw: st.DrawFn, number: int) -> Task:
 def some_history(draw: st.DrawFn) -> MeasuredDemand:
     throughput = draw(st.none() | shares)
     return MeasuredDemand(
-        samples=draw(st.sampled_from([59, 60, 412])), span_s=draw(st.sampled_from([299.0, 300.0])), cpu=draw(shares),
-        memory=draw(shares) * 2 * GI, throughput=None if throughput is None else throughput * 4e6,
+        samples=draw(st.sampled_from([59, 60, 412])), span_s=draw(st.sampled_from([299.0, 300.0])), used={"cpu": draw(shares), "memory": draw(shares) * 2 * GI, **({} if throughput is None else {"network": throughput * 4e6})},
     )  # fmt: skip
 
 
@@ -118,7 +118,7 @@ def cases(draw: st.DrawFn) -> Case:
             else ()
         ):
             running[host][name] = a_run(
-                draw(st.sampled_from(TaskState)), used_cores=draw(shares), used_bytes=draw(shares) * GI, used_bytes_per_s=draw(shares) * 1e6,
+                draw(st.sampled_from(TaskState)), used=Usage(cpu=draw(shares), memory=draw(shares) * GI, network=draw(shares) * 1e6),
                 managed=name != "foreign",
             )  # fmt: skip
     samples = {host.name: draw(a_host_sample(host, running[host.name])) for host in (*edges, *robots)}
@@ -164,7 +164,7 @@ def test_no_limit_is_exceeded_by_a_placement(case: Case) -> None:
     for decision in case.assign().decisions:
         if decision.verdict is Verdict.PLACED:
             chosen = next(entry for entry in decision.ranking if entry.host == decision.host)
-            values = (chosen.terms.cpu, chosen.terms.memory, chosen.terms.network)
+            values = (chosen.terms["cpu"], chosen.terms["memory"], chosen.terms["network"])
             assert chosen.feasible
             assert all(value is not None and value >= -1e-9 for value in values)
 
@@ -177,7 +177,7 @@ def test_each_task_is_decided_once_and_a_total_lies_between_its_terms(case: Case
     for decision in found.decisions:
         assert len({entry.host for entry in decision.ranking}) == len(decision.ranking)
         for entry in decision.ranking:
-            values = (entry.terms.cpu, entry.terms.memory, entry.terms.network, entry.terms.task)
+            values = (entry.terms["cpu"], entry.terms["memory"], entry.terms["network"], entry.terms["task"])
             if entry.total is not None:
                 known = [value for value in values if value is not None]
                 assert min(known) - 1e-9 <= entry.total <= max(known) + 1e-9
@@ -218,9 +218,7 @@ def test_the_order_of_the_files_is_irrelevant(case: Case, dice: Random) -> None:
 @given(cases(), st.sampled_from([0.5, 2.0, 8.0]))
 def test_scaled_weights_are_the_same_weights(case: Case, factor: float) -> None:
     w = case.policy.weights
-    scaled = Weights(
-        cpu=w.cpu * factor, memory=w.memory * factor, network=w.network * factor, task=w.task * factor
-    )
+    scaled = Weights({term: weight * factor for term, weight in w.items()})
     assert repr(replace(case, policy=replace(case.policy, weights=scaled)).assign()) == repr(case.assign())
 
 
@@ -234,9 +232,9 @@ def test_utility_falls_as_load_rises(case: Case, more: float) -> None:
         policy=replace(case.policy, weights=Weights(cpu=1.0, memory=0.0, network=0.0, task=0.0)),
     )
     sample = one.snapshot.hosts["edge1"]
-    assume(sample.cpu is not None)
-    assert sample.cpu is not None
-    heavier = replace(sample, cpu=replace(sample.cpu, used_cores=sample.cpu.used_cores + more))
+    assume(sample.measured)
+    cpu = sample.usage["cpu"]
+    heavier = replace(sample, usage={**sample.usage, "cpu": replace(cpu, used=cpu.used + more)})
     after = replace(one, snapshot=replace(one.snapshot, hosts={**one.snapshot.hosts, "edge1": heavier}))
     pairs = zip(_totals(one.assign(), "edge1"), _totals(after.assign(), "edge1"), strict=True)
     # own use beyond what is measured is floored at 0, so very small loads may be equal
@@ -245,10 +243,10 @@ def test_utility_falls_as_load_rises(case: Case, more: float) -> None:
 
 def _totals(assignment: Assignment, host: str) -> list[float]:
     return [
-        entry.terms.cpu
+        entry.terms["cpu"]
         for d in assignment.decisions
         for entry in d.ranking
-        if entry.host == host and entry.terms.cpu is not None
+        if entry.host == host and entry.terms["cpu"] is not None
     ]
 
 

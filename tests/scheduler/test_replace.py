@@ -14,6 +14,7 @@ from edgectl.model.inventory import Role
 from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.policy import Policy
+from edgectl.model.resource import Usage
 from edgectl.model.result import ActionResult, Outcome, Results
 from edgectl.model.snapshot import HostSample, Snapshot, TaskState
 from edgectl.model.task import StopRule, Task, UnreachablePolicy
@@ -123,7 +124,7 @@ def test_a_replaced_task_is_started_elsewhere_and_its_demand_is_charged() -> Non
     tasks = some_tasks(replaceable(), a_task("nav", needs=["slam"]))
     found = decide(THREE, tasks, AROUND, memory=remembered(contact=500.0))
     slam, nav = (decisions(found)[name] for name in ("slam", "nav"))
-    assert found.expected["edge2"].used_cores == 1.0
+    assert found.expected["edge2"].used["cpu"] == 1.0
     assert [entry.rule for entry in ranked(slam)["edge1"].rejections] == [RejectionRule.UNREACHABLE]
     assert (nav.host, nav.reason) == ("edge2", Reason.BEST)
     (step, _) = diff_assignment(found, tasks, AROUND, remembered())
@@ -184,14 +185,14 @@ def test_a_silent_robot_still_holds_its_task() -> None:
 def test_a_copy_that_is_seen_may_be_older_than_one_that_is_silent(
     generation: int, contact: float, host: str, reason: Reason, stop: tuple[str, ...]
 ) -> None:
-    copy = a_run(used_cores=1.0, generation=generation)
+    copy = a_run(used=Usage(cpu=1.0), generation=generation)
     snapshot = a_snapshot(
         edge1=silent(), edge2=a_sample(used=1.0, tasks={"slam": copy}), edge3=a_sample(used=1.0)
     )
     tasks, memory = some_tasks(replaceable()), remembered(contact=contact)
     found = decide(THREE, tasks, snapshot, memory=memory)
     assert (found.decisions[0].host, found.decisions[0].reason) == (host, reason)
-    assert found.expected["edge2"].used_cores == (0.0 if stop else 1.0)
+    assert found.expected["edge2"].used["cpu"] == (0.0 if stop else 1.0)
     assert diff_assignment(found, tasks, snapshot, memory)[0].stop == stop
 
 

@@ -4,15 +4,17 @@ import random
 
 import pytest
 
+from edgectl.config.weights import parse_weights
 from edgectl.model.assignment import Reason
 from edgectl.model.manager_state import ManagerState, MeasuredDemand
 from edgectl.model.policy import Policy
-from edgectl.model.weights import parse_weights
+from edgectl.model.resource import Usage
 from edgectl.scheduler.candidates import AssignmentContext, CandidateSet, evaluate_candidates, terms_at
 from edgectl.scheduler.capacities import build_capacities
 from edgectl.scheduler.demand import add_measured_demands
 from edgectl.scheduler.ledger import build_measured_ledger
 from edgectl.scheduler.move_cost import collect_handoff_history
+from edgectl.scheduler.policies import POLICIES
 from edgectl.scheduler.scan import EXCLUDED_TOTAL, build_demand_shares, is_feasible_total
 from tests.builders import (
     GI,
@@ -54,8 +56,7 @@ def a_view(seed: int) -> CandidateSet:
     memory = ManagerState(
         cordons=frozenset({"edge4"}),
         measured={(task.name, kind): MeasuredDemand(
-            samples=dice.choice([59, 60]), span_s=300.0, cpu=dice.uniform(0, 2), memory=dice.uniform(0, 2) * GI,
-            throughput=dice.choice([None, 2e6]),
+            samples=dice.choice([59, 60]), span_s=300.0, used={"cpu": dice.uniform(0, 2), "memory": dice.uniform(0, 2) * GI, **dice.choice([{}, {"network": 2e6}])},
         ) for kind in kinds if dice.random() < 0.7},
     )  # fmt: skip
     fleet = add_measured_demands(
@@ -67,6 +68,7 @@ def a_view(seed: int) -> CandidateSet:
     setting = AssignmentContext(
         fleet=fleet,
         policy=policy,
+        rules=POLICIES[policy.name].candidates,
         shares=build_demand_shares(fleet),
         now=0.0,
         first={},
@@ -98,7 +100,7 @@ def test_a_long_ranking_keeps_the_winner_the_incumbent_and_the_best_16() -> None
     inventory = an_inventory(*map(an_edge, HUNDRED), a_robot())
     links = {"robot1": a_link()}
     samples = {name: a_sample(used=0.03 * n, links=links) for n, name in enumerate(HUNDRED)}
-    samples["edge60"] = a_sample(used=3.0, links=links, tasks={"slam": a_run(used_cores=1.0)})
+    samples["edge60"] = a_sample(used=3.0, links=links, tasks={"slam": a_run(used=Usage(cpu=1.0))})
     samples["edge90"] = silent()
     samples["edge91"] = a_sample(used=4.0, links=links)
     samples["edge92"] = a_sample(used=4.0)

@@ -2,9 +2,10 @@
 
 import pytest
 
+from edgectl.config.weights import parse_weights
 from edgectl.model.assignment import Reason
 from edgectl.model.policy import Policy
-from edgectl.model.weights import parse_weights
+from edgectl.model.resource import Usage
 from tests.builders import a_run, a_sample, a_snapshot, a_task, an_edge, an_inventory, some_tasks
 from tests.scheduler.fleets import NO_MEMORY, applied, decide, decisions, hosts, ranked
 
@@ -43,7 +44,7 @@ def test_a_chase_without_end_is_cut_short() -> None:
     # slam's turn: its host holds nav (1.2 of 4 cores), the other is empty: cpu gain .3 x .5 = .15 > .10.
     # nav's turn: with slam 1.0 x .5, minus its load (.4 / 4) x .5 = .05: gain .45 > .10.
     tasks = some_tasks(a_task("slam", cpu=0.4), a_task("nav", cpu=1.2, needs=["slam"]))
-    both = {"slam": a_run(used_cores=0.4), "nav": a_run(used_cores=1.2)}
+    both = {"slam": a_run(used=Usage(cpu=0.4)), "nav": a_run(used=Usage(cpu=1.2))}
     snapshot = a_snapshot(edge1=a_sample(used=1.6, tasks=both), edge2=a_sample())
     found = decide(TWO, tasks, snapshot, policy=Policy(weights=parse_weights("cpu=.5,task=.5")))
     assert not found.settled

@@ -2,8 +2,9 @@
 
 import pytest
 
-from edgectl.model.assignment import RejectionRule, Resource
+from edgectl.model.assignment import RejectionRule
 from edgectl.model.inventory import Capacity
+from edgectl.model.resource import CPU, NETWORK, Usage
 from edgectl.model.snapshot import TaskState
 from tests.builders import (
     GI,
@@ -30,7 +31,7 @@ def test_one_edge_one_task() -> None:
     assert terms(ranked(decision)["edge1"]) == pytest.approx((0.6, 0.5, 0.5, 0.5, 0.525))
     assert (decision.host, decision.lead, decision.challenger) == ("edge1", None, None)
     expected = assignment.expected["edge1"]
-    assert (expected.used_cores, expected.used_bytes, expected.links) == (1.6, 2 * GI, {"robot1": 5e6})
+    assert (expected.used["cpu"], expected.used["memory"], expected.links) == (1.6, 2 * GI, {"robot1": 5e6})
 
 
 def test_limits_stand_in_numerator_and_denominator() -> None:
@@ -40,7 +41,7 @@ def test_limits_stand_in_numerator_and_denominator() -> None:
         decisions(decide(inventory, some_tasks(a_task(cpu=0.6, memory=1 * GI)), snapshot))["slam"]
     )["edge1"]
     # cpu: Delta = 4 x .8 = 3.2, (3.2 - 1 - .6) / 3.2 = .5; mem: Delta = 4 x 1.2 = 4.8, (4.8 - 1 - 1) / 4.8 = .58333
-    assert (entry.terms.cpu, entry.terms.memory) == pytest.approx((0.5, 2.8 / 4.8))
+    assert (entry.terms["cpu"], entry.terms["memory"]) == pytest.approx((0.5, 2.8 / 4.8))
 
 
 def test_a_percent_demand_is_of_the_capacity_before_limits_and_of_the_link() -> None:
@@ -49,7 +50,9 @@ def test_a_percent_demand_is_of_the_capacity_before_limits_and_of_the_link() -> 
     task = a_task(cpu="25%", memory="50%", throughput="25%", robots=["robot1"])
     entry = ranked(decisions(decide(inventory, some_tasks(task), snapshot))["slam"])["edge1"]
     # cpu: rho = .25 x 4 = 1 of Delta 2: (2 - 0 - 1) / 2 = .5; mem: rho = 2 Gi of 4: .5; net: rho = 2 of 8 MB/s: .75
-    assert (entry.terms.cpu, entry.terms.memory, entry.terms.network) == pytest.approx((0.5, 0.5, 0.75))
+    assert (entry.terms["cpu"], entry.terms["memory"], entry.terms["network"]) == pytest.approx(
+        (0.5, 0.5, 0.75)
+    )
 
 
 def test_declared_capacity_and_declared_link_win() -> None:
@@ -63,7 +66,7 @@ def test_declared_capacity_and_declared_link_win() -> None:
         )["slam"]
     )["edge1"]
     # cpu (2 - .5 - .5) / 2 = .5; net (4 - 1 - 1) / 4 = .5
-    assert (entry.terms.cpu, entry.terms.network) == pytest.approx((0.5, 0.5))
+    assert (entry.terms["cpu"], entry.terms["network"]) == pytest.approx((0.5, 0.5))
 
 
 def test_the_worst_link_counts_and_demand_is_per_link() -> None:
@@ -71,7 +74,7 @@ def test_the_worst_link_counts_and_demand_is_per_link() -> None:
     snapshot = a_snapshot(edge1=a_sample(links={"robot1": a_link(10e6), "robot2": a_link(5e6, 1e6)}))
     assignment = decide(inventory, some_tasks(a_task(throughput=1e6, robots=["robot1", "robot2"])), snapshot)
     # robot1 (10 - 0 - 1) / 10 = .9; robot2 (5 - 1 - 1) / 5 = .6
-    assert ranked(decisions(assignment)["slam"])["edge1"].terms.network == pytest.approx(0.6)
+    assert ranked(decisions(assignment)["slam"])["edge1"].terms["network"] == pytest.approx(0.6)
     assert assignment.expected["edge1"].links == {"robot1": 1e6, "robot2": 2e6}
 
 
@@ -80,7 +83,7 @@ def test_without_a_robot_the_network_term_is_1() -> None:
     decision = decisions(
         decide(inventory, some_tasks(a_task(throughput=1e6)), a_snapshot(edge1=a_sample(), edge2=a_sample()))
     )["slam"]
-    assert [entry.terms.network for entry in decision.ranking] == [1.0, 1.0]
+    assert [entry.terms["network"] for entry in decision.ranking] == [1.0, 1.0]
 
 
 def test_onboard_needs_no_link() -> None:
@@ -100,7 +103,7 @@ def test_every_placement_is_expected_load_for_the_next() -> None:
     tasks = some_tasks(a_task("a", cpu=1.0), a_task("b", cpu=1.0), a_task("c", cpu=1.0))
     found = decisions(decide(inventory, tasks, a_snapshot(edge1=a_sample())))
     # each sees one core more in use: a (4 - 0 - 1) / 4, then b (4 - 1 - 1) / 4, then c (4 - 2 - 1) / 4
-    assert [found[name].ranking[0].terms.cpu for name in "abc"] == pytest.approx([0.75, 0.5, 0.25])
+    assert [found[name].ranking[0].terms["cpu"] for name in "abc"] == pytest.approx([0.75, 0.5, 0.25])
 
 
 @pytest.mark.parametrize(
@@ -112,16 +115,18 @@ def test_every_placement_is_expected_load_for_the_next() -> None:
 )
 def test_a_running_task_does_not_compete_with_itself(used: float, own: float, left: float) -> None:
     inventory = an_inventory(an_edge())
-    snapshot = a_snapshot(edge1=a_sample(used=used, tasks={"slam": a_run(used_cores=own)}))
+    snapshot = a_snapshot(edge1=a_sample(used=used, tasks={"slam": a_run(used=Usage(cpu=own))}))
     assignment = decide(inventory, some_tasks(a_task(cpu=1.0)), snapshot)
-    assert assignment.decisions[0].ranking[0].terms.cpu == pytest.approx((4.0 - left - 1.0) / 4.0)
-    assert assignment.expected["edge1"].used_cores == pytest.approx(left + 1.0)
+    assert assignment.decisions[0].ranking[0].terms["cpu"] == pytest.approx((4.0 - left - 1.0) / 4.0)
+    assert assignment.expected["edge1"].used["cpu"] == pytest.approx(left + 1.0)
 
 
 @pytest.mark.parametrize("state", [TaskState.STARTING, TaskState.RUNNING, TaskState.READY])
 def test_every_living_state_counts_as_running(state: TaskState) -> None:
-    snapshot = a_snapshot(edge1=a_sample(used=1.0, tasks={"slam": a_run(state, used_cores=1.0)}))
-    assert decide(an_inventory(an_edge()), some_tasks(a_task()), snapshot).expected["edge1"].used_cores == 0.0
+    snapshot = a_snapshot(edge1=a_sample(used=1.0, tasks={"slam": a_run(state, used=Usage(cpu=1.0))}))
+    assert (
+        decide(an_inventory(an_edge()), some_tasks(a_task()), snapshot).expected["edge1"].used["cpu"] == 0.0
+    )
 
 
 @pytest.mark.parametrize(
@@ -133,7 +138,7 @@ def test_every_living_state_counts_as_running(state: TaskState) -> None:
 )
 def test_own_use_of_several_links(links: dict[str, float] | None, left: dict[str, float]) -> None:
     inventory = an_inventory(an_edge(), a_robot("robot1"), a_robot("robot2"))
-    run = a_run(used_bytes_per_s=2e6, links=links)
+    run = a_run(used=Usage(network=2e6), links=links)
     snapshot = a_snapshot(
         edge1=a_sample(links={"robot1": a_link(10e6, 4e6), "robot2": a_link(10e6, 2e6)}, tasks={"slam": run})
     )
@@ -143,12 +148,14 @@ def test_own_use_of_several_links(links: dict[str, float] | None, left: dict[str
 
 def test_use_leaves_the_old_host_when_a_task_moves() -> None:
     inventory = an_inventory(an_edge("edge1"), an_edge("edge2"))
-    snapshot = a_snapshot(edge1=a_sample(used=3.9, tasks={"slam": a_run(used_cores=1.0)}), edge2=a_sample())
+    snapshot = a_snapshot(
+        edge1=a_sample(used=3.9, tasks={"slam": a_run(used=Usage(cpu=1.0))}), edge2=a_sample()
+    )
     assignment = decide(inventory, some_tasks(a_task(cpu=0.8)), snapshot)
     # edge1 (4 - 2.9 - .8) / 4 = .075, edge2 (4 - .8) / 4 = .8: gain .725 / 4 = .18125 > .10
     assert assignment.decisions[0].host == "edge2"
     assert assignment.decisions[0].amount == pytest.approx(0.18125)
-    assert {name: load.used_cores for name, load in assignment.expected.items()} == pytest.approx(
+    assert {name: load.used["cpu"] for name, load in assignment.expected.items()} == pytest.approx(
         {"edge1": 2.9, "edge2": 0.8}
     )
 
@@ -166,13 +173,13 @@ def test_a_dead_link_and_a_missing_link() -> None:
     found = ranked(decision)
     assert decision.host == "edge3"
     assert [(r.rule, r.resource, r.robot) for r in found["edge1"].rejections] == [
-        (RejectionRule.NO_CAPACITY, Resource.NETWORK, "robot1")
+        (RejectionRule.NO_CAPACITY, NETWORK, "robot1")
     ]
     assert [(r.rule, r.resource, r.robot) for r in found["edge2"].rejections] == [
-        (RejectionRule.NO_LINK, Resource.NETWORK, "robot1")
+        (RejectionRule.NO_LINK, NETWORK, "robot1")
     ]
-    assert (found["edge1"].terms.network, found["edge1"].total, found["edge2"].total) == (None, None, None)
-    assert found["edge1"].terms.cpu == pytest.approx(0.875)
+    assert (found["edge1"].terms["network"], found["edge1"].total, found["edge2"].total) == (None, None, None)
+    assert found["edge1"].terms["cpu"] == pytest.approx(0.875)
 
 
 def test_an_edge_with_a_limit_of_nothing_has_no_capacity() -> None:
@@ -182,7 +189,7 @@ def test_an_edge_with_a_limit_of_nothing_has_no_capacity() -> None:
     )["slam"]
     assert decision.host == "edge2"
     assert [(r.rule, r.resource) for r in ranked(decision)["edge1"].rejections] == [
-        (RejectionRule.NO_CAPACITY, Resource.CPU)
+        (RejectionRule.NO_CAPACITY, CPU)
     ]
 
 

@@ -4,13 +4,14 @@ from dataclasses import replace
 
 import pytest
 
+from edgectl.config.weights import parse_weights
 from edgectl.model.assignment import Decision, Reason, Verdict
 from edgectl.model.inventory import Inventory, Role
 from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.policy import Policy
+from edgectl.model.resource import Usage
 from edgectl.model.snapshot import Snapshot, TaskState
 from edgectl.model.task import DetectRule, Need, NeedCondition, Task
-from edgectl.model.weights import parse_weights
 from tests.builders import (
     NOW,
     a_link,
@@ -44,11 +45,11 @@ def remembered(task: str, host: str, **fields: object) -> ManagerState:
 
 
 def test_a_marked_task_is_stopped_and_its_use_is_free_for_every_task_of_the_same_plan() -> None:
-    snapshot = a_snapshot(edge1=a_sample(used=3.5, tasks={"zoom": a_run(used_cores=3.0)}))
+    snapshot = a_snapshot(edge1=a_sample(used=3.5, tasks={"zoom": a_run(used=Usage(cpu=3.0))}))
     memory = ManagerState(managed=True, done={"zoom": "hash-zoom"})
     found = decide(ONE, some_tasks(a_task("slam", cpu=2.0), a_task("zoom", cpu=3.0)), snapshot, memory=memory)
     # slam comes first by name, and yet sees only 3.5 - 3 = .5 in use: (4 - .5 - 2) / 4
-    assert decisions(found)["slam"].ranking[0].terms.cpu == pytest.approx(0.375)
+    assert decisions(found)["slam"].ranking[0].terms["cpu"] == pytest.approx(0.375)
     assert verdict(decisions(found)["zoom"]) == (Verdict.COMPLETED, Reason.DONE, None, None)
     assert decisions(found)["zoom"].previous_host == "edge1"
 
@@ -87,9 +88,9 @@ def test_a_newer_instance_that_is_alive_is_not_completed() -> None:
 
 def test_what_the_gateway_took_out_is_not_taken_out_again() -> None:
     snapshot = a_snapshot(
-        edge1=a_sample(used=1.0, tasks={"slam": a_run(TaskState.COMPLETED, used_cores=0.8)})
+        edge1=a_sample(used=1.0, tasks={"slam": a_run(TaskState.COMPLETED, used=Usage(cpu=0.8))})
     )
-    assert decide(ONE, some_tasks(a_task()), snapshot).expected["edge1"].used_cores == 1.0
+    assert decide(ONE, some_tasks(a_task()), snapshot).expected["edge1"].used["cpu"] == 1.0
 
 
 @pytest.mark.parametrize("until", list(NeedCondition))
@@ -103,13 +104,13 @@ def test_a_completed_predecessor_satisfies_every_need_and_draws_nobody(until: Ne
     )
     nav = decisions(found)["nav"]
     assert nav.host == "edge1"
-    assert {entry.terms.task for entry in nav.ranking} == {0.5}
+    assert {entry.terms["task"] for entry in nav.ranking} == {0.5}
 
 
 def test_tasks_that_left_the_file_are_no_load_of_the_outcome() -> None:
-    runs = {"gone": a_run(used_cores=1.0), "foreign": a_run(used_cores=0.5, managed=False)}
+    runs = {"gone": a_run(used=Usage(cpu=1.0)), "foreign": a_run(used=Usage(cpu=0.5), managed=False)}
     found = decide(ONE, some_tasks(a_task()), a_snapshot(edge1=a_sample(used=2.0, tasks=runs)))
-    assert found.expected["edge1"].used_cores == 1.0
+    assert found.expected["edge1"].used["cpu"] == 1.0
 
 
 # --- managed: false
@@ -120,11 +121,13 @@ def unmanaged(name: str = "slam") -> Task:
 
 
 def test_an_unmanaged_task_is_load_and_predecessor_where_it_was_found() -> None:
-    snapshot = a_snapshot(edge1=a_sample(), edge2=a_sample(used=0.4, tasks={"slam": a_run(used_cores=0.4)}))
+    snapshot = a_snapshot(
+        edge1=a_sample(), edge2=a_sample(used=0.4, tasks={"slam": a_run(used=Usage(cpu=0.4))})
+    )
     found = decide(TWO, some_tasks(unmanaged(), a_task("nav", needs=["slam"])), snapshot, policy=Policy())
     assert verdict(decisions(found)["slam"]) == (Verdict.KEPT, Reason.UNMANAGED, "edge2", None)
     assert hosts(found)["nav"] == "edge2"
-    assert found.expected["edge2"].used_cores == 0.4  # what was measured, not the demand
+    assert found.expected["edge2"].used["cpu"] == 0.4  # what was measured, not the demand
 
 
 def test_an_unmanaged_task_that_was_not_found_is_nowhere_and_its_successor_waits() -> None:
@@ -189,7 +192,7 @@ def test_a_new_manager_starts_what_it_does_not_see_and_names_the_silent_hosts(
 
 def test_an_unreachable_robot_holds_its_tasks() -> None:
     tasks = some_tasks(a_task("nav", robots=["robot1"]), a_task("slam", robots=["robot1"]), a_task("web"))
-    runs = {"slam": a_run(used_cores=1.0)}
+    runs = {"slam": a_run(used=Usage(cpu=1.0))}
     snapshot = a_snapshot(
         edge1=a_sample(used=1.5, links=LINKS, tasks=runs),
         edge2=a_sample(links=LINKS),
@@ -199,7 +202,7 @@ def test_an_unreachable_robot_holds_its_tasks() -> None:
     assert verdict(decisions(found)["nav"]) == (Verdict.HELD, Reason.ROBOT_SILENT, None, "robot1")
     assert verdict(decisions(found)["slam"]) == (Verdict.HELD, Reason.ROBOT_SILENT, "edge1", "robot1")
     assert hosts(found)["web"] == "edge2"
-    assert found.expected["edge1"].used_cores == 1.5
+    assert found.expected["edge1"].used["cpu"] == 1.5
 
 
 def test_a_robot_that_is_never_probed_is_taken_as_reachable() -> None:
@@ -226,13 +229,13 @@ def test_of_two_copies_the_newer_assignment_wins(
     first: dict[str, object], second: dict[str, object], memory: ManagerState, winner: str
 ) -> None:
     snapshot = a_snapshot(
-        edge1=a_sample(used=1.0, tasks={"slam": a_run(used_cores=1.0, **first)}),
-        edge2=a_sample(used=1.0, tasks={"slam": a_run(used_cores=1.0, **second)}),
+        edge1=a_sample(used=1.0, tasks={"slam": a_run(used=Usage(cpu=1.0), **first)}),
+        edge2=a_sample(used=1.0, tasks={"slam": a_run(used=Usage(cpu=1.0), **second)}),
     )
     found = decide(TWO, some_tasks(a_task(cpu=0.1)), snapshot, memory=memory)
     assert hosts(found) == {"slam": winner}
     loser = {"edge1": "edge2", "edge2": "edge1"}[winner]
-    assert found.expected[loser].used_cores == 0.0  # the copy is stopped by the same plan
+    assert found.expected[loser].used["cpu"] == 0.0  # the copy is stopped by the same plan
 
 
 @pytest.mark.parametrize("state", [TaskState.FAILED, TaskState.CRASHLOOP])

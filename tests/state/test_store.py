@@ -5,6 +5,7 @@ import stat
 from pathlib import Path
 
 from edgectl.model.event import Event, EventKind
+from edgectl.model.resource import Usage
 from edgectl.model.snapshot import HostStatus, LinkSample, TaskSample, TaskState
 from edgectl.state.store import Retention, Store
 from tests.builders import NOW, a_sample, a_snapshot, silent
@@ -15,8 +16,7 @@ def a_task(**changes: object) -> TaskSample:
     ready = TaskSample(
         state=TaskState.READY,
         started_at=NOW - 100,
-        used_cores=0.5,
-        used_bytes=1e6,
+        used=Usage(cpu=0.5, memory=1e6),
         instance="i1",
         spec_hash="s1",
     )

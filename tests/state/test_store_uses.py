@@ -13,7 +13,7 @@ def record(store: Store, at: float, host: str, **changes: object) -> None:
 
 
 def cores(store: Store, *hosts: str, limit: int = 100) -> list[float]:
-    return [use.cores for use in store.steady_usages("slam", hosts, "s1", min_age_s=10.0, limit=limit)]
+    return [use.used[0] for use in store.steady_usages("slam", hosts, "s1", min_age_s=10.0, limit=limit)]
 
 
 def test_only_steady_samples_of_this_specification_on_these_hosts(tmp_path: Path) -> None:

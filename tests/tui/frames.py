@@ -12,6 +12,7 @@ from edgectl.errors import EdgectlError
 from edgectl.model.inventory import Role
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.point import HostPoint, TaskPoint
+from edgectl.model.resource import Usage
 from edgectl.model.snapshot import HostSample, HostStatus, TaskState
 from edgectl.tui.app import FleetBackend, TopApp
 from edgectl.tui.rows import Frame
@@ -26,9 +27,9 @@ HARM = "[red]no[/red] \x1b[2J\x9b1mroute"
 
 def a_frame(cordons: frozenset[str] = frozenset()) -> Frame:
     """edge1 runs slam and a failed map, edge2 is silent, edge10 is busy with camera; idle runs nowhere."""
-    slam = a_run(TaskState.READY, used_cores=0.5, used_bytes=2e8, used_bytes_per_s=3e5)
+    slam = a_run(TaskState.READY, used=Usage(cpu=0.5, memory=2e8, network=3e5))
     failed = a_run(TaskState.FAILED, log_tail=("it broke", HARM))
-    camera = a_run(TaskState.RUNNING, used_cores=3.2, used_bytes=1e8)
+    camera = a_run(TaskState.RUNNING, used=Usage(cpu=3.2, memory=1e8))
     snapshot = a_snapshot(
         memory=ManagerState(cordons=cordons),
         edge1=a_sample(used=0.6, used_memory=GI, tasks={"slam": slam, "map": failed}),
@@ -156,7 +157,7 @@ def session(
 def crowded(hosts: int, tasks: int) -> Frame:
     """A fleet larger than the screen."""
     frame = a_frame()
-    runs = {f"task{number}": a_run(used_cores=0.01) for number in range(tasks)}
+    runs = {f"task{number}": a_run(used=Usage(cpu=0.01)) for number in range(tasks)}
     every = {
         f"edge{number}": replace(a_sample(used=1.0), tasks=runs if number == 0 else {})
         for number in range(hosts)

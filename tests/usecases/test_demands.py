@@ -6,9 +6,10 @@ from pathlib import Path
 import pytest
 
 from edgectl.formats import snapshot as form
-from edgectl.model.assignment import DemandSource, Resource
+from edgectl.model.assignment import DemandSource
 from edgectl.model.manager_state import MeasuredDemand
 from edgectl.model.policy import Policy
+from edgectl.model.resource import CPU, MEMORY, Usage
 from edgectl.model.snapshot import Snapshot
 from edgectl.state.manager_state import load_manager_state
 from edgectl.state.store import Store
@@ -56,9 +57,7 @@ def remember(fleet: Fleet, *, samples: int = 100, cores: float = 4.0, host: str 
             run = a_run(
                 spec_hash=SLAM.spec_hash,
                 started_at=NOW - 5000,
-                used_cores=(n + 1) / 100,
-                used_bytes=GI,
-                used_bytes_per_s=1e5,
+                used=Usage(cpu=(n + 1) / 100, memory=GI, network=1e5),
             )
             sample = a_sample(cores=cores, memory=8 * GI, links={"robot1": a_link()}, tasks={"slam": run})
             store.record_snapshot(a_snapshot(taken_at=NOW - 10 * (samples - n), **{host: sample}))
@@ -74,7 +73,10 @@ def test_p95_of_the_class_is_loaded(fleet: Fleet) -> None:
     found = load_measured_demands(fleet, seen(fleet))
     assert found == {
         ("slam", "4c-8Gi"): MeasuredDemand(
-            samples=100, span_s=990.0, cpu=0.95, memory=GI, throughput=1e5, spec_hash=SLAM.spec_hash
+            samples=100,
+            span_s=990.0,
+            used={"cpu": 0.95, "memory": GI, "network": 1e5},
+            spec_hash=SLAM.spec_hash,
         )
     }
 
@@ -105,11 +107,10 @@ def test_another_command_begins_a_new_history(fleet: Fleet) -> None:
 def test_a_probe_carries_it_and_the_snapshot_alone_decides_the_same(fleet: Fleet) -> None:
     first = probe_fleet(fleet)
     sample = first.hosts["edge1"]
-    assert sample.cpu is not None
-    assert sample.memory is not None
+    assert sample.measured
     with Store.open(fleet.state) as store:
         for n in range(60):
-            run = a_run(spec_hash=SLAM.spec_hash, started_at=NOW - 5000, used_cores=1.25, used_bytes=GI)
+            run = a_run(spec_hash=SLAM.spec_hash, started_at=NOW - 5000, used=Usage(cpu=1.25, memory=GI))
             store.record_snapshot(
                 dataclasses.replace(
                     first,
@@ -119,15 +120,15 @@ def test_a_probe_carries_it_and_the_snapshot_alone_decides_the_same(fleet: Fleet
             )
     snapshot = probe_fleet(fleet)
     assert snapshot.manager is not None
-    assert {found.cpu for found in snapshot.manager.measured.values()} == {1.25}
+    assert {found.used["cpu"] for found in snapshot.manager.measured.values()} == {1.25}
     decided = make_plan(fleet, Policy())
     rho = {rho.resource: rho for rho in decided.steps[0].decision.demand}
-    assert (rho[Resource.CPU].value, rho[Resource.CPU].source, rho[Resource.CPU].samples) == (
+    assert (rho[CPU].value, rho[CPU].source, rho[CPU].samples) == (
         1.25,
         DemandSource.MEASURED,
         60,
     )
-    assert rho[Resource.MEMORY].source is DemandSource.DECLARED
+    assert rho[MEMORY].source is DemandSource.DECLARED
     again = make_plan(
         dataclasses.replace(fleet, state=Path("/nowhere")),
         Policy(),
@@ -149,7 +150,13 @@ def test_profiles_are_by_class_without_asking_a_host(fleet: Fleet) -> None:
     remember(fleet)
     remember(fleet, host="edge2", cores=8.0, samples=7)
     small, large = load_class_profiles(fleet, fleet.tasks.tasks.values())
-    assert (small.kind, small.hosts, small.enough, small.profile.cpu.p95, small.profile.cpu.most) == (
+    assert (
+        small.kind,
+        small.hosts,
+        small.enough,
+        small.profile.used["cpu"].p95,
+        small.profile.used["cpu"].most,
+    ) == (
         "4c-8Gi",
         ("edge1",),
         True,

@@ -12,9 +12,8 @@ from edgectl.model.cycle import Cycle
 from edgectl.model.event import EventKind
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Action
-from edgectl.model.policy import Policy
+from edgectl.model.policy import WEIGHT_PRESETS, Policy
 from edgectl.model.result import Outcome
-from edgectl.model.weights import WEIGHT_PRESETS
 from edgectl.state.lock import FleetLock
 from edgectl.state.manager_state import load_manager_state
 from edgectl.usecases import operator_marks

@@ -9,6 +9,7 @@ from edgectl.model.manager_state import ManagerState, MeasuredDemand
 from edgectl.model.plan import Plan
 from edgectl.model.policy import Policy
 from edgectl.model.profile import ClassProfile, UsagePercentiles, UsageProfile
+from edgectl.model.resource import Usage
 from edgectl.model.task import Quantity
 from edgectl.scheduler.assign import assign
 from edgectl.views import markdown, table, wide, yaml
@@ -36,9 +37,9 @@ MEMORY = ManagerState(
     managed=True,
     measured={
         ("slam", "4c-4Gi"): MeasuredDemand(
-            samples=412, span_s=900.0, cpu=1.0, memory=100 * 2.0**20, throughput=None
+            samples=412, span_s=900.0, used={"cpu": 1.0, "memory": 100 * 2.0**20}
         ),
-        ("map", "4c-4Gi"): MeasuredDemand(samples=12, span_s=60.0, cpu=1.0, memory=GI),
+        ("map", "4c-4Gi"): MeasuredDemand(samples=12, span_s=60.0, used={"cpu": 1.0, "memory": GI}),
     },
 )
 TASKS = some_tasks(
@@ -103,14 +104,14 @@ def test_long_lists_are_cut_and_fit_the_terminal() -> None:
 
 def test_status_sets_the_measured_demand_beside_the_use() -> None:
     inventory = an_inventory(an_edge("edge1"), an_edge("edge2"), a_robot())
-    hosts = {"edge1": replace(SNAPSHOT.hosts["edge1"], tasks={"slam": a_run(used_cores=1.25)})}
+    hosts = {"edge1": replace(SNAPSHOT.hosts["edge1"], tasks={"slam": a_run(used=Usage(cpu=1.25))})}
     text = table.status(replace(SNAPSHOT, hosts=hosts, manager=MEMORY), inventory, TASKS)
     assert text.splitlines()[1].split()[4:] == ["1.25", "1.00", "0B", "100.0Mi", "0B/s", "300.0kB/s"]
 
 
 def a_profile(name: str = "slam-of-the-second-robot") -> ClassProfile:
     spread = UsagePercentiles(p50=0.5, p95=123.456, most=1234.5)
-    found = UsageProfile(samples=12, span_s=990.0, cpu=spread, memory=spread, throughput=spread)
+    found = UsageProfile(samples=12, span_s=990.0, used={"cpu": spread, "memory": spread, "network": spread})
     task = a_task(
         name,
         cpu=Quantity(value=1.2, measured=True),

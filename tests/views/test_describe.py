@@ -9,6 +9,7 @@ import yaml
 from edgectl.model.event import Event, EventKind
 from edgectl.model.inventory import Capacity
 from edgectl.model.manager_state import ManagerState, Placement
+from edgectl.model.resource import Usage
 from edgectl.model.secret import Secret
 from edgectl.model.snapshot import (
     CapacitySource,
@@ -56,9 +57,7 @@ LINK = LinkSample(
 )
 RUN = a_run(
     started_at=NOW - 252,
-    used_cores=2.5,
-    used_bytes=0.5 * GI,
-    used_bytes_per_s=2e6,
+    used=Usage(cpu=2.5, memory=0.5 * GI, network=2e6),
     restarts=1,
     last_exit=3,
     generation=7,

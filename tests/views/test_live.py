@@ -8,9 +8,8 @@ import pytest
 from edgectl.model.cycle import Cycle
 from edgectl.model.event import Event, EventKind
 from edgectl.model.plan import Action
-from edgectl.model.policy import Weights
+from edgectl.model.policy import WEIGHT_PRESETS, Weights
 from edgectl.model.result import ActionResult, Outcome, Results
-from edgectl.model.weights import WEIGHT_PRESETS
 from edgectl.units import format_instant
 from edgectl.views import jsonl, watch_cycle
 from edgectl.views.text import RenderOptions

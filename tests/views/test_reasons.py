@@ -9,14 +9,14 @@ from edgectl.model.assignment import (
     Reason,
     Rejection,
     RejectionRule,
-    Resource,
-    Terms,
+    UtilityTerms,
     Verdict,
 )
 from edgectl.model.plan import Action, Step
+from edgectl.model.resource import CPU, NETWORK
 from edgectl.views.reasons import describe_fitting_hosts, describe_reason, describe_rejection, join_words
 
-NO_TERMS = Terms(cpu=None, memory=None, network=None, task=None)
+NO_TERMS = UtilityTerms(cpu=None, memory=None, network=None, task=None)
 
 
 def rejected(host: str, *rejections: Rejection) -> RankedHost:
@@ -26,9 +26,7 @@ def rejected(host: str, *rejections: Rejection) -> RankedHost:
 def short(host: str, free: float) -> RankedHost:
     return rejected(
         host,
-        Rejection(
-            rule=RejectionRule.INSUFFICIENT, resource=Resource.CPU, demand=2.4, used=4.0 - free, capacity=4.0
-        ),
+        Rejection(rule=RejectionRule.INSUFFICIENT, resource=CPU, demand=2.4, used=4.0 - free, capacity=4.0),
     )
 
 
@@ -161,7 +159,7 @@ def test_fits_counts_what_a_short_ranking_left_out() -> None:
 def test_forced_move_says_what_the_present_host_lacks() -> None:
     link = Rejection(
         rule=RejectionRule.INSUFFICIENT,
-        resource=Resource.NETWORK,
+        resource=NETWORK,
         robot="r1",
         demand=2e6,
         used=4e6,

@@ -7,8 +7,9 @@ import yaml
 
 from edgectl.model.manager_state import ManagerState, MeasuredDemand
 from edgectl.model.point import HostPoint, TaskPoint
+from edgectl.model.resource import Usage
 from edgectl.model.snapshot import DeviceSample, HostStatus, InterfaceSample, Snapshot, TaskState
-from edgectl.model.task import Check, Quantity
+from edgectl.model.task import Check, Demand, Quantity
 from edgectl.views.output_format import OutputFormat, get_renderer
 from edgectl.views.text import RenderOptions
 from tests.builders import (
@@ -33,12 +34,10 @@ TASKS = some_tasks(
     a_task("idle"),
 )
 RUNS = {
-    "detection": a_run(started_at=NOW - 252, used_cores=2.5, used_bytes=0.75 * GI, used_bytes_per_s=2e6),
-    "slam": a_run(
-        TaskState.RUNNING, started_at=NOW - 3780, used_cores=0.9, used_bytes=GI / 2, used_bytes_per_s=5e5
-    ),
-    "stray": a_run(TaskState.STARTING, used_cores=0.1),
-    "dead": a_run(TaskState.FAILED, used_cores=9.0),
+    "detection": a_run(started_at=NOW - 252, used=Usage(cpu=2.5, memory=0.75 * GI, network=2e6)),
+    "slam": a_run(TaskState.RUNNING, started_at=NOW - 3780, used=Usage(cpu=0.9, memory=GI / 2, network=5e5)),
+    "stray": a_run(TaskState.STARTING, used=Usage(cpu=0.1)),
+    "dead": a_run(TaskState.FAILED, used=Usage(cpu=9.0)),
 }
 
 
@@ -244,9 +243,9 @@ def test_wide_tasks_say_every_demand() -> None:
 def test_a_measured_demand_counts_where_it_was_asked_for() -> None:
     measured = replace(
         TASKS.tasks["slam"],
-        demand=replace(TASKS.tasks["slam"].demand, cpu=Quantity(value=1.0, measured=True)),
+        demand=Demand({**TASKS.tasks["slam"].demand, "cpu": Quantity(value=1.0, measured=True)}),
     )
-    found = MeasuredDemand(samples=400, span_s=4000.0, cpu=0.75, memory=GI)
+    found = MeasuredDemand(samples=400, span_s=4000.0, used={"cpu": 0.75, "memory": GI})
     value = replace(
         snapshot(), manager=ManagerState(measured={("slam", "4c-4Gi"): found, ("detection", "4c-4Gi"): found})
     )

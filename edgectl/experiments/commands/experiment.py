@@ -39,7 +39,7 @@ def experiment_run_command(
             metavar="N",
             min=1,
             max=1000,
-            help="Trials of each scheme, instead of those in SPEC.",
+            help="Instead of the number in SPEC.",
         ),
     ] = None,
     lock_timeout: options.LockTimeoutOption = "0s",

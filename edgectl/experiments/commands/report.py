@@ -28,7 +28,7 @@ def report_command(
     ] = None,
     figures: Annotated[
         Path | None,
-        Option("--figures", metavar="DIR", help="Also write each figure to this directory, as SVG and PDF."),
+        Option("--figures", metavar="DIR", help="Write each figure there, as SVG and PDF."),
     ] = None,
 ) -> None:
     """Render an experiment as an HTML page with table and figures, and print the names of the files written.

@@ -5,10 +5,10 @@ from typing import Annotated
 
 from typer import Option
 
+from edgectl.config.weights import parse_weights
 from edgectl.errors import UsageError
 from edgectl.experiments.model.schemes import Scheme, build_schemes
-from edgectl.model.policy import Policy, PolicyName
-from edgectl.model.weights import parse_weights
+from edgectl.model.policy import Policy, PolicyName, Weights
 
 PoliciesOption = Annotated[
     str,
@@ -16,7 +16,7 @@ PoliciesOption = Annotated[
         "--policy",
         metavar="LIST",
         show_default=False,
-        help="Policies, separated by commas: utility, paper, static, local.",
+        help="Any of utility, paper, static, local.",
     ),
 ]
 WeightsListOption = Annotated[
@@ -48,26 +48,23 @@ def parse_schemes(
                 hint=f"write some of {', '.join(known)}, separated by commas",
             )
     try:
-        weight_sets = parse_weight_sets(weights) if weights is not None else []
+        weight_sets = parse_weight_sets(weights) if weights is not None else {}
     except ValueError as error:
         message, _, hint = str(error).partition("; ")
         raise UsageError(f"--weights: {message}", hint=hint) from None
     return build_schemes(base, [PolicyName(name) for name in names], weight_sets, margins)
 
 
-def parse_weight_sets(text: str) -> list[str]:
+def parse_weight_sets(text: str) -> dict[str, Weights]:
     """Presets separated by commas, or a single custom set such as ``cpu=.5,task=1``.
 
     Raises:
         ValueError: neither.
     """
     if "=" in text:
-        parse_weights(text)
-        return [text]
+        return {text: parse_weights(text)}
     names = [name.strip() for name in text.split(",")]
-    for name in names:
-        parse_weights(name)
-    return names
+    return {name: parse_weights(name) for name in names}
 
 
 def parse_margins(text: str | None) -> list[float]:

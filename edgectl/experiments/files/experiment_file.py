@@ -1,7 +1,7 @@
 """Reader of experiment files (``edgectl experiment run``)."""
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -23,12 +23,12 @@ from edgectl.config.scalars import (
     read_version,
 )
 from edgectl.config.source import read_source
+from edgectl.config.weights import parse_weights
 from edgectl.config.yaml_parser import parse_yaml
 from edgectl.experiments.model.experiment import Experiment, MapPair, MetricAggregation
 from edgectl.experiments.model.schemes import Scheme, build_schemes
-from edgectl.model.policy import Policy, PolicyName
+from edgectl.model.policy import Policy, PolicyName, Weights
 from edgectl.model.task import Task, TaskKind, Tasks
-from edgectl.model.weights import parse_weights
 from edgectl.units import parse_duration, parse_share
 
 EntriesWithNodes = tuple[tuple[Any, Node], ...]
@@ -171,7 +171,7 @@ def _build_experiment(fields: Fields, directory: Path, tasks: Tasks, problems: P
 
 def _build_experiment_schemes(schemes: Fields | None, base: Policy, problems: Problems) -> tuple[Scheme, ...]:
     if schemes is None:
-        return build_schemes(base, DEFAULT_POLICIES, DEFAULT_WEIGHTS, [])
+        return build_schemes(base, DEFAULT_POLICIES, _parse_weight_sets(DEFAULT_WEIGHTS), [])
     policies, weights = (
         list(_drop_duplicates(schemes.values.get(key, ()), problems)) for key in ("policies", "weights")
     )
@@ -182,7 +182,11 @@ def _build_experiment_schemes(schemes: Fields | None, base: Policy, problems: Pr
             "no policies given",
             "write policies: [local, static, utility]",
         )
-    return build_schemes(base, policies, weights, [])
+    return build_schemes(base, policies, _parse_weight_sets(weights), [])
+
+
+def _parse_weight_sets(names: Iterable[str]) -> dict[str, Weights]:
+    return {name: parse_weights(name) for name in names}
 
 
 def _resolve_until_tasks(fields: Fields, tasks: Tasks, problems: Problems) -> Iterator[str]:

@@ -1,10 +1,9 @@
 """Schemes to compare: each combination of policies, weights and move margins, under a name."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from edgectl.model.policy import Policy, PolicyName
-from edgectl.model.weights import WEIGHT_PRESETS, parse_weights
+from edgectl.model.policy import WEIGHT_PRESETS, Policy, PolicyName, Weights
 
 # These policies compute no utility, so weights and margins do not affect them.
 _POLICIES_WITHOUT_WEIGHTS = (PolicyName.STATIC, PolicyName.LOCAL)
@@ -19,26 +18,25 @@ class Scheme:
 
 
 def build_schemes(
-    base: Policy, policies: Sequence[PolicyName], weights: Sequence[str], margins: Sequence[float]
+    base: Policy, policies: Sequence[PolicyName], weights: Mapping[str, Weights], margins: Sequence[float]
 ) -> tuple[Scheme, ...]:
-    """All combinations.
+    """All combinations; ``weights`` are weights by the name that they have in a scheme's name.
 
-    An empty list stands for the value of ``base``, which also provides all other settings.
+    An empty argument stands for the value of ``base``, which also provides all other settings.
     """
     return tuple(_generate_schemes(base, policies or [base.name], weights, margins))
 
 
 def _generate_schemes(
-    base: Policy, policies: Iterable[PolicyName], weights: Sequence[str], margins: Sequence[float]
+    base: Policy, policies: Iterable[PolicyName], weights: Mapping[str, Weights], margins: Sequence[float]
 ) -> Iterator[Scheme]:
     for policy in policies:
         if policy in _POLICIES_WITHOUT_WEIGHTS:
             yield Scheme(name=policy.value, policy=replace(base, name=policy))
             continue
-        for weight_set in weights or [""]:
-            parsed = parse_weights(weight_set) if weight_set else base.weights
-            chosen = replace(base, name=policy, weights=parsed)
-            name = f"{policy} {weight_set or _describe_weights(base)}"
+        for weights_name, values in (weights or {_describe_weights(base): base.weights}).items():
+            chosen = replace(base, name=policy, weights=values)
+            name = f"{policy} {weights_name}"
             if policy is PolicyName.PAPER or not margins:
                 yield Scheme(name=name, policy=chosen)
             else:

@@ -36,7 +36,7 @@ def test_the_models_inputs_are_the_missions_own() -> None:
     for name, host in scenario.hosts.items():
         capacity = inventory.hosts[name].capacity
         assert capacity is not None
-        assert (host.cores, host.memory) == (capacity.cpu, capacity.memory)
+        assert (host.cores, host.memory) == (capacity["cpu"], capacity["memory"])
     stops, command = len(world.Plan().tour(1, 2)), {name: task.command for name, task in tasks.tasks.items()}
     work = {job.name: job.work for job in scenario.jobs}
     assert "--rate 10" in command["detection-robot1"]

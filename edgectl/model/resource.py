@@ -1,0 +1,122 @@
+"""The resources of the paper (k in {cpu, memory, network}) and the terms of eq. (4): one table.
+
+Whatever is the same for every resource reads this table: files, documents, ledger, equations (1) to (3),
+weights, history, tables. Amounts are in the resource's own unit. docs/contributing/add-a-term.md adds a row.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any, ClassVar, NoReturn, TypeVar
+
+from edgectl.units import BYTES, BYTES_PER_S, CORES, Unit
+
+Value = TypeVar("Value")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Resource:
+    """One resource.
+
+    ``name``: its key in inventory files and documents, its weight, its term. ``demand_key``: its key in
+    ``demand`` of a task file. ``capacity_key`` and ``used_key``: the amounts in documents. ``compressible``:
+    a task that gets less of it is slower, not dead. ``per_link``: it belongs to the link of an edge and a
+    robot, not to a host. ``in_presets``: weighed by the presets ``all`` and ``resources``. ``declared_only``:
+    its capacity is a budget in the inventory; a host that states none is not limited by it.
+    """
+
+    name: str
+    unit: Unit
+    capacity_key: str
+    used_key: str
+    demand_key: str
+    compressible: bool
+    per_link: bool = False
+    in_presets: bool = True
+    declared_only: bool = False
+
+    def __str__(self) -> str:
+        return self.name
+
+    def __hash__(self) -> int:
+        return hash(self.name)
+
+
+CPU = Resource(
+    name="cpu", unit=CORES, capacity_key="cores", used_key="used_cores", demand_key="cpu", compressible=True
+)
+MEMORY = Resource(
+    name="memory",
+    unit=BYTES,
+    capacity_key="total_bytes",
+    used_key="used_bytes",
+    demand_key="memory",
+    compressible=False,
+)
+NETWORK = Resource(
+    name="network",
+    unit=BYTES_PER_S,
+    capacity_key="capacity_bytes_per_s",
+    used_key="used_bytes_per_s",
+    demand_key="throughput",
+    compressible=True,
+    per_link=True,
+)
+RESOURCES = (CPU, MEMORY, NETWORK)
+HOST_RESOURCES = tuple(resource for resource in RESOURCES if not resource.per_link)
+RESOURCES_BY_NAME: Mapping[str, Resource] = MappingProxyType(
+    {resource.name: resource for resource in RESOURCES}
+)
+# The term of eq. (4) that is no resource: the reward for a place near the predecessors.
+AFFINITY = "task"
+TERMS = (*RESOURCES_BY_NAME, AFFINITY)
+
+
+class ResourceMap(dict[str, Value]):
+    """Immutable values by the name of a resource or term, in the order of the table.
+
+    What is not given has its default. A subclass states ``DEFAULTS``, which also says which names there are.
+    A dict, because a plan of a large fleet reads millions.
+    """
+
+    __slots__ = ()
+    DEFAULTS: ClassVar[dict[str, Any]] = {}
+
+    def __init__(self, values: Mapping[str, Value] | None = None, /, **named: Value) -> None:
+        """Values by name, as a mapping, as keywords, or both.
+
+        Raises:
+            TypeError: a name that the table does not have.
+        """
+        dict.__init__(self, self.DEFAULTS)
+        dict.update(self, values or (), **named)
+        if len(self) != len(self.DEFAULTS):
+            unknown = ", ".join(self.keys() - self.DEFAULTS.keys())
+            raise TypeError(f"{type(self).__name__} has no {unknown}")
+
+    def __hash__(self) -> int:  # type: ignore[override]  # it is immutable, other dicts are not
+        return hash(tuple(self.values()))
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({', '.join(f'{name}={value!r}' for name, value in self.items())})"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (dict(self),)
+
+    def _refuse(self, *_: object, **__: object) -> NoReturn:
+        raise TypeError(f"{type(self).__name__} cannot be changed")
+
+    __setitem__ = __delitem__ = __ior__ = _refuse
+    update = setdefault = pop = popitem = clear = _refuse
+
+    @property
+    def stated(self) -> dict[str, Value]:
+        """The values that differ from their defaults."""
+        return {name: value for name, value in self.items() if value != self.DEFAULTS[name]}
+
+
+class Usage(ResourceMap[float]):
+    """Amounts in use, 0 or more; of the network over all links."""
+
+    __slots__ = ()
+    DEFAULTS = dict.fromkeys(RESOURCES_BY_NAME, 0.0)
