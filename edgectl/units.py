@@ -144,8 +144,8 @@ def format_rate(value: float) -> str:
 
 
 def format_cores(value: float) -> str:
-    """Cores for people: ``0.52``."""
-    return f"{value:.2f}"
+    """Cores for people: ``0.52``, below a tenth in thousandths: ``3m``."""
+    return f"{value * 1000:.0f}m" if abs(value) < 0.1 else f"{value:.2f}"
 
 
 def format_cores_for_file(value: float) -> str:
@@ -216,16 +216,12 @@ class Unit:
     word: str = ""
 
 
-def _format_small_cores(value: float) -> str:
-    return f"{value:.3f}" if 0 < value < 0.1 else format_cores(value)
-
-
 def _format_exact_cores(value: float) -> str:
     return f"{value:.3f} cores"
 
 
 CORES = Unit(
-    name="cores", example="1.5", parse=parse_cores, format=format_cores, format_small=_format_small_cores,
+    name="cores", example="1.5", parse=parse_cores, format=format_cores, format_small=format_cores,
     format_exact=_format_exact_cores, format_for_file=format_cores_for_file, word=" cores",
 )  # fmt: skip
 BYTES = Unit(

@@ -58,15 +58,10 @@ class Demo:
     def places(self) -> dict[str, tuple[str, int]]:
         """Host and pid of every task that is alive."""
         document: dict[str, Any] = json.loads(self.run("status", "-o", "json", shown=False))
-        found = (
-            (task, name, sample)
-            for name, host in document["hosts"].items()
-            for task, sample in host.get("tasks", {}).items()
-        )
         return {
-            task: (name, sample["pid"])
-            for task, name, sample in found
-            if sample["state"] in ("starting", "running", "ready")
+            row["task"]: (row["host"], row["pid"])
+            for row in document["items"]
+            if row["state"] in ("starting", "running", "ready")
         }
 
     def processes(self) -> list[int]:

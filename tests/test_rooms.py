@@ -63,7 +63,7 @@ PROTOCOL_READERS = {"model", "config", "transport", "gateway", "executor", "usec
 OWNERS = {
     "typer": ("cli", "experiments/commands"),
     "rich": ("views", "tui/"),
-    "yaml": ("config", "views/yaml"),
+    "yaml": ("config", "views/encoder"),
     "fabric": "transport/ssh",
     "paramiko": "transport/ssh",
     "psutil": "agent",

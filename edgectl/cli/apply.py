@@ -18,7 +18,7 @@ def apply_command(
     ] = None,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
-    output: options.ResultOutput = OutputFormat.TABLE,
+    output: options.NamedOutput = OutputFormat.TABLE,
     yes: options.YesOption = False,
     quiet: options.QuietOption = False,
     dry_run: Annotated[bool, Option("--dry-run", help="Only print the exact remote commands.")] = False,

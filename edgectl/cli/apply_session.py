@@ -14,7 +14,7 @@ from edgectl.model.progress import ProgressEvent, ProgressListener, ignore_progr
 from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.plan import keep_whole_plan, list_remote_commands, make_plan
 from edgectl.usecases.plan_execution import ApplyOptions, ApplyResult
-from edgectl.views.output_format import OutputFormat, get_renderer
+from edgectl.views.output_format import NAMED_FORMATS, OutputFormat, check_output_format
 from edgectl.views.progress import show_apply_progress
 
 _HUMAN_FORMATS = (OutputFormat.TABLE, OutputFormat.WIDE)
@@ -66,7 +66,7 @@ class ApplySession:
     def confirm(self, plan: Plan) -> bool:
         """Show the plan; if asked, only the answer ``yes`` confirms."""
         if self._output in _HUMAN_FORMATS and (self._asked or not self._quiet):
-            console.print_view(self._output, "plan", plan)
+            _print_plan(plan, self._output)
         count = sum(step.action.changes for step in plan.steps)
         agreed = not self._asked or ask_confirmation(
             f'\nApply {"this action" if count == 1 else f"these {count} actions"}? Only "yes" is accepted: '
@@ -79,19 +79,25 @@ class ApplySession:
         self._listener(event)
 
     def report(self, applied: ApplyResult, code: ExitCode = ExitCode.DONE) -> None:
-        """Print the results. Quiet: print nothing if nothing was to be done and the exit code is 0, else the
-        reason.
-        """
+        """Print the results. Quiet: only the reason of an exit code other than 0."""
+        from edgectl.views.results import ResultsView
+
         if applied.declined:
             console.print_message("nothing was done")
         elif applied.results is not None:
-            console.print_view(self._output, "results", applied.results)
+            console.print_view(ResultsView(applied.results), self._output)
         elif not self._quiet and self._output in _HUMAN_FORMATS:
-            console.print_view(self._output, "plan", applied.plan)
+            _print_plan(applied.plan, self._output)
         elif not self._quiet:
-            console.print_view(self._output, "nothing")
+            console.print_view(ResultsView(None), self._output)
         if self._quiet:
             _explain_exit_code(applied.plan, code)
+
+
+def _print_plan(plan: Plan, output: OutputFormat) -> None:
+    from edgectl.views.plan import PlanView
+
+    console.print_view(PlanView(plan), output)
 
 
 def _explain_exit_code(plan: Plan, code: ExitCode) -> None:
@@ -116,10 +122,8 @@ def ask_confirmation(question: str, answer: str = "yes") -> bool:
 
 @contextlib.contextmanager
 def open_apply_session(*, quiet: bool, output: OutputFormat, asked: bool) -> Iterator[ApplySession]:
-    """A session in which the first Ctrl-C (or SIGTERM) lets running actions finish and the second stops at
-    once.
-    """
-    get_renderer(output, "results")  # reject an unsupported format before anything is done
+    """A session in which the first Ctrl-C (or SIGTERM) lets running actions finish, the second stops at once."""
+    check_output_format(output, NAMED_FORMATS)
     with contextlib.ExitStack() as within:
         act = ApplySession(quiet=quiet, output=output, asked=asked, within=within)
         within.enter_context(request_stop_on_signal(act.stop_requested))
@@ -130,7 +134,9 @@ def print_dry_run(
     fleet: Fleet, policy: Policy, saved: Plan | None, choose: Callable[[Plan], Plan], output: OutputFormat
 ) -> ExitCode:
     """Print the requests of apply, host by host."""
-    get_renderer(output, "commands")
+    from edgectl.views.dry_run import RequestsView
+
+    check_output_format(output, RequestsView.formats)
     plan = saved if saved is not None else choose(make_plan(fleet, policy))
-    console.print_view(output, "commands", list_remote_commands(fleet, plan))
+    console.print_view(RequestsView(list_remote_commands(fleet, plan)), output)
     return ExitCode.DONE

@@ -9,33 +9,29 @@ from typing import TYPE_CHECKING, TextIO
 
 if TYPE_CHECKING:
     from edgectl.errors import Problem
+    from edgectl.views.output import View
     from edgectl.views.output_format import OutputFormat
     from edgectl.views.text import RenderOptions
 
 
-def print_view(form: "OutputFormat", what: str, *values: object) -> None:
-    """Print ``values`` on stdout in the output format ``form``."""
-    from edgectl.views.output_format import get_renderer
+def print_view(view: "View", form: "OutputFormat") -> None:
+    """Print ``view`` on stdout in ``form``."""
+    from edgectl.views.output import render_view
     from edgectl.views.text import detect_render_options
 
-    print_text(get_renderer(form, what)(*values, detect_render_options(sys.stdout)))
+    print_text(render_view(view, form, detect_render_options(sys.stdout)))
 
 
-def print_view_series(form: "OutputFormat", what: str, series: Iterable[tuple[object, ...]]) -> None:
-    """Print views as they come, until the reader closes stdout."""
-    from edgectl.views.output_format import get_renderer
+def print_view_series(views: "Iterable[View]", form: "OutputFormat") -> None:
+    """Print one view after the other, until the reader closes stdout. JSON is one object per line."""
+    from edgectl.views.output import render_view
+    from edgectl.views.output_format import OutputFormat
     from edgectl.views.text import detect_render_options
 
-    for values in series:
-        if not _try_print(get_renderer(form, what)(*values, detect_render_options(sys.stdout))):
+    shown = OutputFormat.JSONL if form is OutputFormat.JSON else form
+    for view in views:
+        if not _try_print(render_view(view, shown, detect_render_options(sys.stdout))):
             return
-
-
-def render_view(form: "OutputFormat", what: str, *values: object) -> str:
-    """Render ``values`` for a file: no colour, nothing wrapped."""
-    from edgectl.views.output_format import get_renderer
-
-    return get_renderer(form, what)(*values)
 
 
 def print_text(text: str) -> None:

@@ -29,7 +29,7 @@ def describe_edge_command(
     name: _HostNameArgument,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
-    output: options.FieldsOutput = OutputFormat.TABLE,
+    output: options.ItemOutput = OutputFormat.TABLE,
     allow_unreachable: options.AllowUnreachableOption = False,
 ) -> None:
     """Show details of an edge: address, labels, capacity, limits, usage, links, tasks and recent events.
@@ -46,7 +46,7 @@ def describe_robot_command(
     name: _HostNameArgument,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
-    output: options.FieldsOutput = OutputFormat.TABLE,
+    output: options.ItemOutput = OutputFormat.TABLE,
     allow_unreachable: options.AllowUnreachableOption = False,
 ) -> None:
     """Show details of a robot: address, labels, capacity, limits, usage, tasks and recent events.
@@ -72,12 +72,14 @@ def _describe_host(
     from edgectl.cli.connect import build_fleet
     from edgectl.usecases.probe import probe_fleet
     from edgectl.usecases.status import load_last_events
+    from edgectl.views.describe_host import HostDetailsView
 
     check_known_names([name], [host.name for host in among], role)
     fleet = build_fleet(loaded)
     snapshot = probe_fleet(fleet)
     happened = load_last_events(fleet, _EVENT_COUNT, host=name)
-    console.print_view(output, "host_details", name, snapshot, fleet.inventory, fleet.tasks, happened)
+    view = HostDetailsView(name, snapshot, fleet.inventory, fleet.tasks, happened)
+    console.print_view(view, output)
     raise Exit(exit_codes.of_snapshot(snapshot, fleet.inventory, allow_unreachable=allow_unreachable))
 
 
@@ -86,7 +88,7 @@ def describe_task_command(
     task: options.TaskArgument,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
-    output: options.FieldsOutput = OutputFormat.TABLE,
+    output: options.ItemOutput = OutputFormat.TABLE,
     allow_unreachable: options.AllowUnreachableOption = False,
 ) -> None:
     """Show details of a task: spec, placement, usage against demand, downtimes, recent events.
@@ -100,6 +102,7 @@ def describe_task_command(
     from edgectl.usecases.plan import make_plan
     from edgectl.usecases.probe import probe_fleet
     from edgectl.usecases.status import load_last_events
+    from edgectl.views.describe_task import TaskDetailsView
 
     fleet = build_fleet(load_inputs(inventory, tasks))
     snapshot = probe_fleet(fleet)
@@ -107,7 +110,8 @@ def describe_task_command(
     decided = make_plan(fleet, fleet.tasks.policy, snapshot=snapshot)
     step = next((each for each in decided.steps if each.task == task), None)
     happened = load_last_events(fleet, _EVENT_COUNT, task=task)
-    console.print_view(output, "task_details", task, snapshot, fleet.inventory, fleet.tasks, step, happened)
+    view = TaskDetailsView(task, snapshot, fleet.inventory, fleet.tasks, step, happened)
+    console.print_view(view, output)
     raise Exit(exit_codes.of_snapshot(snapshot, fleet.inventory, allow_unreachable=allow_unreachable))
 
 

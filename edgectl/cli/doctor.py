@@ -23,7 +23,7 @@ def doctor_command(
     ] = None,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
-    output: options.FieldsOutput = OutputFormat.TABLE,
+    output: options.ItemOutput = OutputFormat.TABLE,
     timeout: options.TimeoutOption = "15s",
 ) -> None:
     """Diagnose this machine, the hosts and the links between them, with a fix for each finding. Nothing is
@@ -37,9 +37,10 @@ def doctor_command(
     """
     from edgectl.cli.connect import build_fleet_with_state_check, parse_duration_option
     from edgectl.usecases.doctor import run_doctor
+    from edgectl.views.diagnosis import DiagnosisView
 
     loaded = load_inputs(inventory, tasks)
     fleet, state = build_fleet_with_state_check(loaded)
     diagnosis = run_doctor(fleet, state, hosts or (), timeout=parse_duration_option(timeout, "--timeout"))
-    console.print_view(output, "diagnosis", diagnosis)
+    console.print_view(DiagnosisView(diagnosis), output)
     raise Exit(exit_codes.of_diagnosis(diagnosis))

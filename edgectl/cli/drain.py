@@ -15,7 +15,7 @@ def drain_command(
     hosts: options.HostsArgument,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
-    output: options.ResultOutput = OutputFormat.TABLE,
+    output: options.NamedOutput = OutputFormat.TABLE,
     yes: options.YesOption = False,
     timeout: Annotated[str, Option("--timeout", metavar="TIME", help="How long to retry.")] = "5m",
     max_parallel: options.MaxParallelOption = 16,
@@ -30,6 +30,7 @@ def drain_command(
     """
     from edgectl.cli.connect import build_fleet, parse_duration_option
     from edgectl.usecases.drain import drain_hosts
+    from edgectl.views.results import DrainView
 
     asked = apply_session.check_can_confirm(asked=not yes)
     loaded = load_inputs(inventory, tasks)
@@ -49,9 +50,10 @@ def drain_command(
             timeout=parse_duration_option(timeout, "--timeout"),
         )
     passes = [each.results for each in drained.passes if each.results is not None]
-    console.print_view(output, "drained", passes, drained.left, drained.done) if passes else act.report(
-        drained.applied
-    )
+    if passes:
+        console.print_view(DrainView(passes, drained.left, done=drained.done), output)
+    else:
+        act.report(drained.applied)
     for task, host in drained.left:
         console.print_message(f"still on {host}: {task}")
     code = exit_codes.of_applied(drained.applied)

@@ -9,7 +9,6 @@ from edgectl.cli import console, options
 from edgectl.cli.completion import complete_hosts, complete_tasks
 from edgectl.cli.signals import catch_stop_signals
 from edgectl.cli.user_files import load_inputs
-from edgectl.errors import UsageError
 from edgectl.names import check_known_names
 from edgectl.views.output_format import OutputFormat
 
@@ -28,7 +27,7 @@ def events_command(
     *,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
-    output: options.FieldsOutput = OutputFormat.TABLE,
+    output: options.ItemOutput = OutputFormat.TABLE,
     since: Annotated[str, Option("--since", metavar="TIME", help="Only events newer than this.")] = "24h",
     host: _HostOption = None,
     task: _TaskOption = None,
@@ -46,19 +45,18 @@ def events_command(
     """
     from edgectl.cli.connect import build_fleet, parse_duration_option
     from edgectl.usecases.events import EventFilter, follow_events, list_events
+    from edgectl.views.events import EventsView
+    from edgectl.views.output_format import STREAM_FORMATS, check_output_format
 
-    if watch and output is OutputFormat.YAML:
-        raise UsageError(
-            'output format "yaml" is not supported with -w', hint="use -o json: one object per line"
-        )
+    if watch:
+        check_output_format(output, STREAM_FORMATS)
     fleet = build_fleet(load_inputs(inventory, tasks))
     wanted = EventFilter(since=time.time() - parse_duration_option(since, "--since"), host=host, task=task)
     if watch:
         with catch_stop_signals(_POLL_INTERVAL_S) as end:
+            batches = enumerate(follow_events(fleet, wanted, end))
             console.print_view_series(
-                output,
-                "events_more",
-                ((found, number == 0) for number, found in enumerate(follow_events(fleet, wanted, end))),
+                (EventsView(found, stream=True, first=number == 0) for number, found in batches), output
             )
         return
     found = list_events(fleet, wanted)
@@ -66,4 +64,4 @@ def events_command(
         # Checked late: hosts and tasks that left the files have a history, too.
         check_known_names([host] if host else [], fleet.inventory.hosts, "host")
         check_known_names([task] if task else [], fleet.tasks.tasks, "task")
-    console.print_view(output, "events", found)
+    console.print_view(EventsView(found), output)

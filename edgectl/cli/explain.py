@@ -11,7 +11,7 @@ def explain_command(
     task: options.TaskArgument,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
-    output: options.ExplainOutput = OutputFormat.TABLE,
+    output: options.WideOutput = OutputFormat.TABLE,
     snapshot: options.SnapshotOption = None,
     weights: options.WeightsOption = None,
     policy: options.PolicyOption = None,
@@ -34,6 +34,7 @@ def explain_command(
     from edgectl.config.documents import load_snapshot
     from edgectl.usecases.explain import compute_noise_by_host, explain_placement
     from edgectl.usecases.plan import make_plan
+    from edgectl.views.explanation import ExplanationView
 
     loaded = load_inputs(inventory, tasks)
     check_known_names([task], loaded.tasks.tasks, "task")
@@ -43,4 +44,5 @@ def explain_command(
     )
     made = make_plan(fleet, how, snapshot=load_snapshot(snapshot) if snapshot else None)
     found = explain_placement(fleet, made, task, None if snapshot else compute_noise_by_host(fleet))
-    console.print_view(output, "explanation", next(step for step in made.steps if step.task == task), found)
+    step = next(step for step in made.steps if step.task == task)
+    console.print_view(ExplanationView(step, found), output)

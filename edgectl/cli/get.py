@@ -11,13 +11,12 @@ from edgectl.cli.completion import complete_hosts, complete_tasks
 from edgectl.cli.selector import matches_selector
 from edgectl.cli.signals import catch_stop_signals, parse_every_option
 from edgectl.cli.user_files import load_inputs
-from edgectl.errors import UsageError
 from edgectl.names import check_known_names
 from edgectl.views.output_format import OutputFormat
 
 if TYPE_CHECKING:
     from edgectl.usecases.fleet import Fleet
-    from edgectl.views.listing import ItemChange, Listing, ListingItem
+    from edgectl.views.listing import Listing, ListingChangesView
 
 _KIND_NAMES = ("edges", "robots", "tasks", "links")
 
@@ -73,29 +72,24 @@ def get_command(
     from edgectl.cli.connect import build_fleet
     from edgectl.usecases.probe import probe_fleet
     from edgectl.usecases.status import probe_repeatedly
-    from edgectl.views.listing import ListingKind, build_listing
+    from edgectl.views.listing import ListingKind, ListingView, build_listing
+    from edgectl.views.output_format import NAMED_STREAM_FORMATS, check_output_format
 
     wanted, period = ListingKind(_resolve_kind(kind)), parse_every_option(every)
     fleet = build_fleet(load_inputs(inventory, tasks))
     _check_names_and_selector(wanted, names or (), selector, fleet)
     if watch:
-        if output is OutputFormat.YAML:
-            raise UsageError(
-                'output format "yaml" is not supported with -w', hint="use -o json: one object per line"
-            )
+        check_output_format(output, NAMED_STREAM_FORMATS)
         with catch_stop_signals(period) as end:
             found = (
                 _filter_listing(build_listing(wanted, look, fleet.inventory, fleet.tasks), names, selector)
                 for look in probe_repeatedly(fleet, end)
             )
-            console.print_view_series(output, "listing_more", _stream_listing_changes(found))
+            console.print_view_series(_stream_listing_changes(found), output)
         return
     snapshot = probe_fleet(fleet)
-    console.print_view(
-        output,
-        "listing",
-        _filter_listing(build_listing(wanted, snapshot, fleet.inventory, fleet.tasks), names, selector),
-    )
+    listing = build_listing(wanted, snapshot, fleet.inventory, fleet.tasks)
+    console.print_view(ListingView(_filter_listing(listing, names, selector)), output)
     raise Exit(exit_codes.of_snapshot(snapshot, fleet.inventory, allow_unreachable=allow_unreachable))
 
 
@@ -132,10 +126,10 @@ def _filter_listing(value: "Listing", names: Sequence[str] | None, selector: str
     if names:
         check_known_names(
             names,
-            dict.fromkeys(name for item in value.items for name in _list_item_names(item)),
+            dict.fromkeys(name for item in value.items for name in item.aliases),
             value.kind.removesuffix("s"),
         )
-    items = (item for item in value.items if not names or not set(_list_item_names(item)).isdisjoint(names))
+    items = (item for item in value.items if not names or not set(item.aliases).isdisjoint(names))
     return replace(
         value,
         items=tuple(
@@ -144,21 +138,14 @@ def _filter_listing(value: "Listing", names: Sequence[str] | None, selector: str
     )
 
 
-def _list_item_names(item: "ListingItem") -> list[str]:
-    """Names that select an item: its own, or for a link one of its ends."""
-    return [str(item.document[key]) for key in ("name", "edge", "robot") if key in item.document]
-
-
-def _stream_listing_changes(
-    found: "Iterator[Listing]",
-) -> "Iterator[tuple[Listing, list[tuple[ItemChange, ListingItem]], Listing | None]]":
-    """Each probe with changes: its listing, the changes, and the first listing."""
-    from edgectl.views.listing import compare_listings
+def _stream_listing_changes(found: "Iterator[Listing]") -> "Iterator[ListingChangesView]":
+    """The changes of each probe that differs from the one before."""
+    from edgectl.views.listing import ListingChangesView, compare_listings
 
     first: Listing | None = None
     before: Listing | None = None
     for value in found:
         changed = compare_listings(before, value)
         if changed or first is None:
-            yield value, changed, first
+            yield ListingChangesView(value, changed, first)
         first, before = first or value, value

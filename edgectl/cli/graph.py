@@ -27,15 +27,13 @@ def graph_command(
     from edgectl.cli.policy_options import policy_from_options
     from edgectl.config.documents import load_snapshot
     from edgectl.usecases.plan import make_plan
+    from edgectl.views.graph import build_task_graph
 
     loaded = load_inputs(inventory, tasks)
     fleet = build_offline_fleet(loaded) if snapshot else build_fleet(loaded, accept_new=accept_new)
     how = policy_from_options(
         fleet, weights=weights, policy=policy, without=without, best_effort=False, full=False
     )
-    console.print_view(
-        output,
-        "graph",
-        make_plan(fleet, how, snapshot=load_snapshot(snapshot) if snapshot else None),
-        loaded.tasks,
-    )
+    made = make_plan(fleet, how, snapshot=load_snapshot(snapshot) if snapshot else None)
+    drawn = build_task_graph(made, loaded.tasks)
+    console.print_text(drawn.mermaid() if output is OutputFormat.MERMAID else drawn.dot())

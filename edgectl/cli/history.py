@@ -14,7 +14,7 @@ def history_command(
     *,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
-    output: options.ResultOutput = OutputFormat.TABLE,
+    output: options.NamedOutput = OutputFormat.TABLE,
 ) -> None:
     """List applied revisions: each apply, stop, restart, drain and rollback, with its time, user and outcome.
 
@@ -24,8 +24,9 @@ def history_command(
     """
     from edgectl.cli.connect import build_fleet
     from edgectl.usecases.history import list_revisions
+    from edgectl.views.history import HistoryView
 
-    console.print_view(output, "history", list_revisions(build_fleet(load_inputs(inventory, tasks))))
+    console.print_view(HistoryView(list_revisions(build_fleet(load_inputs(inventory, tasks)))), output)
 
 
 def show_command(
@@ -52,14 +53,17 @@ def show_command(
     from edgectl.cli.connect import build_fleet
     from edgectl.config.documents import load_plan
     from edgectl.usecases.history import get_revision
+    from edgectl.views.history import RevisionView
+    from edgectl.views.output_format import check_output_format
+    from edgectl.views.plan import PlanView
 
     if what.isdecimal():
-        console.print_view(
-            output, "revision", get_revision(build_fleet(load_inputs(inventory, tasks)), int(what))
-        )
+        check_output_format(output, RevisionView.formats)
+        found = get_revision(build_fleet(load_inputs(inventory, tasks)), int(what))
+        console.print_view(RevisionView(found), output)
         return
     saved = load_plan(Path(what))
-    console.print_view(output, "plan", saved)
+    console.print_view(PlanView(saved), output)
     raise Exit(exit_codes.of_plan(saved, detailed=detailed, allow_unreachable=allow_unreachable))
 
 
@@ -76,7 +80,7 @@ def rollback_command(
     ] = None,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
-    output: options.ResultOutput = OutputFormat.TABLE,
+    output: options.NamedOutput = OutputFormat.TABLE,
     yes: options.YesOption = False,
     quiet: options.QuietOption = False,
     dry_run: Annotated[bool, Option("--dry-run", help="Only print the exact remote commands.")] = False,

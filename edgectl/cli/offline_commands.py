@@ -6,7 +6,7 @@ from typing import Annotated
 from typer import Argument
 
 from edgectl.cli import console
-from edgectl.cli.options import FieldsOutput, InventoryOption, Shell, TasksOption, ValidateOutput
+from edgectl.cli.options import InventoryOption, ItemOutput, Shell, TasksOption, ValidateOutput
 from edgectl.cli.user_files import load_inputs
 from edgectl.errors import FileError
 from edgectl.views.output_format import OutputFormat
@@ -51,15 +51,16 @@ def validate_command(
     """
     from edgectl.usecases.validate import list_uneven_demands
     from edgectl.views.demands import list_demand_spread_notes
+    from edgectl.views.validation import ValidationView
 
     loaded = load_inputs(inventory, tasks, every_warning=True)
     for line in list_demand_spread_notes(list_uneven_demands(loaded.inventory, loaded.tasks)):
         console.print_message(f"note: {line}")
     if output is not OutputFormat.GITHUB:
-        console.print_view(output, "validated", loaded.inventory, loaded.tasks)
+        console.print_view(ValidationView(loaded.inventory, loaded.tasks), output)
 
 
-def version_command(output: FieldsOutput = OutputFormat.TABLE) -> None:
+def version_command(output: ItemOutput = OutputFormat.TABLE) -> None:
     """Print the version of edgectl and of its Python.
 
     Examples:
@@ -69,8 +70,9 @@ def version_command(output: FieldsOutput = OutputFormat.TABLE) -> None:
     from platform import python_version
 
     from edgectl import __version__
+    from edgectl.views.validation import VersionView
 
-    console.print_view(output, "fields", {"edgectl": __version__, "python": python_version()})
+    console.print_view(VersionView({"edgectl": __version__, "python": python_version()}), output)
 
 
 def completion_command(

@@ -6,10 +6,21 @@ from typing import Annotated, Literal
 from typer import Argument, Option
 
 from edgectl.cli.completion import complete_hosts, complete_tasks
-from edgectl.errors import UsageError
 from edgectl.model.policy import PolicyName
 from edgectl.names import format_alternatives
-from edgectl.views.output_format import OutputFormat
+from edgectl.views.output_format import (
+    CYCLE_FORMATS,
+    FLEET_FORMATS,
+    GRAPH_FORMATS,
+    ITEM_FORMATS,
+    NAMED_FORMATS,
+    PLAN_FORMATS,
+    VALIDATION_FORMATS,
+    WIDE_FORMATS,
+    Formats,
+    OutputFormat,
+    check_output_format,
+)
 
 InventoryOption = Annotated[
     Path | None,
@@ -35,20 +46,14 @@ TasksOption = Annotated[
 ]
 
 
-def build_output_option(*forms: str) -> object:
-    """``-o`` of a command with these formats; the first is the default. Another one is a UsageError that
-    lists them.
-    """
+def build_output_option(forms: Formats) -> object:
+    """``-o`` of a command whose view offers ``forms``. Any other is a UsageError that lists them."""
 
     def form(text: str) -> OutputFormat:
-        if text not in (*forms, OutputFormat.WIDE):  # without a wider view, wide is the table
-            raise UsageError(
-                f'output format "{text}" is not supported here', hint=f"use -o {format_alternatives(forms)}"
-            )
-        return OutputFormat(text)
+        return check_output_format(text, forms)
 
     def beginning(incomplete: str) -> list[str]:
-        return [form for form in forms if form.startswith(incomplete)]
+        return [form.value for form in forms if form.startswith(incomplete)]
 
     return Option(
         "--output",
@@ -63,15 +68,14 @@ def build_output_option(*forms: str) -> object:
     )
 
 
-PlanOutput = Annotated[OutputFormat, build_output_option("table", "wide", "json", "yaml", "name", "markdown")]
-FleetOutput = Annotated[OutputFormat, build_output_option("table", "wide", "json", "yaml", "name")]
-TopOutput = Annotated[OutputFormat, build_output_option("table", "wide", "json", "yaml")]
-ResultOutput = Annotated[OutputFormat, build_output_option("table", "json", "yaml", "name")]
-GraphOutput = Annotated[OutputFormat, build_output_option("mermaid", "dot")]
-ExplainOutput = Annotated[OutputFormat, build_output_option("table", "wide", "json", "yaml")]
-WatchOutput = Annotated[OutputFormat, build_output_option("table", "jsonl")]
-FieldsOutput = Annotated[OutputFormat, build_output_option("table", "json", "yaml")]
-ValidateOutput = Annotated[OutputFormat, build_output_option("table", "json", "yaml", "github")]
+PlanOutput = Annotated[OutputFormat, build_output_option(PLAN_FORMATS)]
+FleetOutput = Annotated[OutputFormat, build_output_option(FLEET_FORMATS)]
+WideOutput = Annotated[OutputFormat, build_output_option(WIDE_FORMATS)]
+NamedOutput = Annotated[OutputFormat, build_output_option(NAMED_FORMATS)]
+GraphOutput = Annotated[OutputFormat, build_output_option(GRAPH_FORMATS)]
+WatchOutput = Annotated[OutputFormat, build_output_option(CYCLE_FORMATS)]
+ItemOutput = Annotated[OutputFormat, build_output_option(ITEM_FORMATS)]
+ValidateOutput = Annotated[OutputFormat, build_output_option(VALIDATION_FORMATS)]
 
 SnapshotOption = Annotated[
     Path | None, Option("--snapshot", metavar="FILE", help="Plan from this file; no host is contacted.")

@@ -37,6 +37,8 @@ def plan_command(
     from edgectl.cli.policy_options import build_plan_filter, policy_from_options
     from edgectl.config.documents import load_snapshot
     from edgectl.usecases.plan import make_plan
+    from edgectl.views.output import render_view
+    from edgectl.views.plan import PlanView
 
     loaded = load_inputs(inventory, tasks)
     choose = build_plan_filter(loaded.tasks, target, selector)
@@ -45,8 +47,9 @@ def plan_command(
         fleet, weights=weights, policy=policy, without=without, best_effort=best_effort, full=full
     )
     result = choose(make_plan(fleet, how, snapshot=load_snapshot(snapshot) if snapshot else None))
+    view = PlanView(result)
     if out is not None:
-        save_file(out, console.render_view(OutputFormat.JSON, "plan", result))
+        save_file(out, render_view(view, OutputFormat.JSON))
         console.print_message(f"saved {out}; apply it with: edgectl apply {out}")
-    console.print_view(output, "plan", result)
+    console.print_view(view, output)
     raise Exit(exit_codes.of_plan(result, detailed=detailed, allow_unreachable=allow_unreachable))

@@ -36,7 +36,9 @@ def probe_command(
     from edgectl.cli.connect import build_fleet, parse_duration_option
     from edgectl.gateway.host_probe import ProbeOptions
     from edgectl.usecases.probe import measure_links, probe_fleet
+    from edgectl.views.output import render_view
     from edgectl.views.progress import show_probe_progress
+    from edgectl.views.snapshot import SnapshotView
 
     fleet = build_fleet(load_inputs(inventory, tasks), accept_new=accept_new)
     links = measure_links(fleet) if bandwidth else ()
@@ -48,8 +50,6 @@ def probe_command(
         )
         snapshot = probe_fleet(fleet, how)
     if out is not None:
-        save_file(out, console.render_view(OutputFormat.JSON, "snapshot", snapshot))
-    console.print_view(output, "bandwidth", snapshot, links) if bandwidth else console.print_view(
-        output, "snapshot", snapshot
-    )
+        save_file(out, render_view(SnapshotView(snapshot), OutputFormat.JSON))
+    console.print_view(SnapshotView(snapshot, links), output)
     raise Exit(exit_codes.of_snapshot(snapshot, fleet.inventory, allow_unreachable=allow_unreachable))

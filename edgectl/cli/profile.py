@@ -18,7 +18,7 @@ def profile_command(
     yes: options.YesOption = False,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
-    output: options.FieldsOutput = OutputFormat.TABLE,
+    output: options.ItemOutput = OutputFormat.TABLE,
 ) -> None:
     """Show measured usage of a task by class of hosts (median, p95, maximum) beside its declared demand. No
     host is contacted.
@@ -33,6 +33,7 @@ def profile_command(
     from edgectl.cli.connect import build_fleet
     from edgectl.usecases.measured_demand import load_class_profiles
     from edgectl.usecases.profile import build_demand_edit, get_tasks_by_name
+    from edgectl.views.profile import ProfileView
 
     apply_session.check_can_confirm(asked=write and not yes, first="check first: edgectl profile TASK")
     files = resolve_task_paths(tasks)
@@ -41,7 +42,7 @@ def profile_command(
         [task], [*fleet.tasks.tasks, *(each.template for each in fleet.tasks.tasks.values())], "task"
     )
     named = get_tasks_by_name(fleet.tasks, task)
-    console.print_view(output, "profile", load_class_profiles(fleet, named))
+    console.print_view(ProfileView(load_class_profiles(fleet, named)), output)
     if not write:
         return
     change = build_demand_edit(fleet, files, named[0])

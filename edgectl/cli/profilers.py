@@ -25,7 +25,7 @@ def profilers_start_command(
     hosts: _HostsArgument = None,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
-    output: options.ResultOutput = OutputFormat.TABLE,
+    output: options.NamedOutput = OutputFormat.TABLE,
     every: Annotated[str, Option("--every", metavar="TIME", help="Sampling period, 100ms to 1m.")] = "1s",
     ttl: Annotated[
         str, Option("--ttl", metavar="TIME", help="End after this time without a request.")
@@ -42,6 +42,7 @@ def profilers_start_command(
     """
     from edgectl.cli.connect import build_fleet, parse_duration_option
     from edgectl.usecases.profilers import start_profilers
+    from edgectl.views.profilers import ProfilersView
 
     fleet = build_fleet(load_inputs(inventory, tasks))
     found = start_profilers(
@@ -50,7 +51,7 @@ def profilers_start_command(
         every=parse_duration_option(every, "--every"),
         ttl=parse_duration_option(ttl, "--ttl"),
     )
-    console.print_view(output, "profilers", found)
+    console.print_view(ProfilersView(found), output)
     raise Exit(exit_codes.of_profilers(found))
 
 
@@ -59,7 +60,7 @@ def profilers_status_command(
     hosts: _HostsArgument = None,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
-    output: options.ResultOutput = OutputFormat.TABLE,
+    output: options.NamedOutput = OutputFormat.TABLE,
 ) -> None:
     """Show resident profilers, their cost and their remaining time.
 
@@ -68,9 +69,10 @@ def profilers_status_command(
     """
     from edgectl.cli.connect import build_fleet
     from edgectl.usecases.profilers import list_profilers
+    from edgectl.views.profilers import ProfilersView
 
     found = list_profilers(build_fleet(load_inputs(inventory, tasks)), hosts or ())
-    console.print_view(output, "profilers", found)
+    console.print_view(ProfilersView(found), output)
     raise Exit(exit_codes.of_profilers(found))
 
 
@@ -79,7 +81,7 @@ def profilers_stop_command(
     hosts: _HostsArgument = None,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
-    output: options.ResultOutput = OutputFormat.TABLE,
+    output: options.NamedOutput = OutputFormat.TABLE,
 ) -> None:
     """Stop resident profilers and verify that they are gone. Probes use a sample window again.
 
@@ -88,7 +90,8 @@ def profilers_stop_command(
     """
     from edgectl.cli.connect import build_fleet
     from edgectl.usecases.profilers import stop_profilers
+    from edgectl.views.profilers import ProfilersView
 
     found = stop_profilers(build_fleet(load_inputs(inventory, tasks)), hosts or ())
-    console.print_view(output, "profilers", found)
+    console.print_view(ProfilersView(found), output)
     raise Exit(exit_codes.of_profilers(found))

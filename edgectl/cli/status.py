@@ -13,7 +13,7 @@ def status_command(
     *,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
-    output: options.FleetOutput = OutputFormat.TABLE,
+    output: options.NamedOutput = OutputFormat.TABLE,
     allow_unreachable: options.AllowUnreachableOption = False,
 ) -> None:
     """Show where tasks run, their age, and their usage against demand.
@@ -25,10 +25,11 @@ def status_command(
     """
     from edgectl.cli.connect import build_fleet
     from edgectl.usecases.probe import probe_fleet
+    from edgectl.views.status import StatusView
 
     fleet = build_fleet(load_inputs(inventory, tasks))
     snapshot = probe_fleet(fleet)
-    console.print_view(output, "status", snapshot, fleet.inventory, fleet.tasks)
+    console.print_view(StatusView(snapshot, fleet.inventory, fleet.tasks), output)
     raise Exit(exit_codes.of_snapshot(snapshot, fleet.inventory, allow_unreachable=allow_unreachable))
 
 

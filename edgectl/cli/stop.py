@@ -20,7 +20,7 @@ def stop_command(
     every: Annotated[bool, Option("--all", help="Every running task on every host.")] = False,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
-    output: options.ResultOutput = OutputFormat.TABLE,
+    output: options.NamedOutput = OutputFormat.TABLE,
     yes: options.YesOption = False,
     max_parallel: options.MaxParallelOption = 16,
     fail_fast: options.FailFastOption = False,
@@ -57,7 +57,7 @@ def restart_command(
     task: options.TaskArgument,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
-    output: options.ResultOutput = OutputFormat.TABLE,
+    output: options.NamedOutput = OutputFormat.TABLE,
     yes: options.YesOption = False,
     lock_timeout: options.LockTimeoutOption = "0s",
 ) -> None:

@@ -5,7 +5,7 @@ import os
 import signal
 import sys
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from typer import Exit
 
@@ -13,23 +13,19 @@ from edgectl.cli import console, exit_codes, options
 from edgectl.cli.signals import catch_stop_signals, parse_every_option
 from edgectl.cli.user_files import LoadedInputs, load_inputs
 from edgectl.errors import UsageError
-from edgectl.names import format_alternatives
 from edgectl.views.output_format import OutputFormat
 
 if TYPE_CHECKING:
     from edgectl.model.snapshot import Snapshot
     from edgectl.usecases.fleet import Fleet
-
-# Arguments of the view of one probe.
-ViewValues = tuple[Any, ...]
-_WATCH_FORMATS = (OutputFormat.TABLE, OutputFormat.WIDE, OutputFormat.JSON)
+    from edgectl.views.output import View
 
 
 def top_hosts_command(
     *,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
-    output: options.TopOutput = OutputFormat.TABLE,
+    output: options.WideOutput = OutputFormat.TABLE,
     watch: options.WatchOption = False,
     every: options.EveryOption = "2s",
     interactive: options.InteractiveOption = False,
@@ -51,9 +47,7 @@ def top_hosts_command(
     if interactive:
         return _run_live_view(loaded, period, readonly=readonly, first="hosts")
     raise Exit(
-        _print_top(
-            loaded, "top_hosts", output, period if watch else None, allow_unreachable=allow_unreachable
-        )
+        _print_top(loaded, "hosts", output, period if watch else None, allow_unreachable=allow_unreachable)
     )
 
 
@@ -61,7 +55,7 @@ def top_tasks_command(
     *,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
-    output: options.TopOutput = OutputFormat.TABLE,
+    output: options.WideOutput = OutputFormat.TABLE,
     watch: options.WatchOption = False,
     every: options.EveryOption = "2s",
     interactive: options.InteractiveOption = False,
@@ -81,9 +75,7 @@ def top_tasks_command(
     if interactive:
         return _run_live_view(loaded, period, readonly=readonly, first="tasks")
     raise Exit(
-        _print_top(
-            loaded, "top_tasks", output, period if watch else None, allow_unreachable=allow_unreachable
-        )
+        _print_top(loaded, "tasks", output, period if watch else None, allow_unreachable=allow_unreachable)
     )
 
 
@@ -93,55 +85,55 @@ def _print_top(
     """Print once, or with ``every`` repeatedly."""
     from edgectl.cli.connect import build_fleet
     from edgectl.usecases.probe import probe_fleet
+    from edgectl.views.output_format import STREAM_FORMATS, check_output_format
 
+    if every is not None:
+        check_output_format(output, STREAM_FORMATS)
     fleet = build_fleet(loaded)
     if every is None:
         snapshot = probe_fleet(fleet)
-        console.print_view(output, what, *_collect_view_values(fleet, what, snapshot))
+        console.print_view(_build_view(fleet, what, snapshot), output)
         return exit_codes.of_snapshot(snapshot, fleet.inventory, allow_unreachable=allow_unreachable)
-    if output not in _WATCH_FORMATS:
-        raise UsageError(
-            f'output format "{output}" is not supported with -w',
-            hint=f"use -o {format_alternatives(_WATCH_FORMATS)}",
-        )
     _watch_top(fleet, what, output, every)
     return 0
 
 
-def _collect_view_values(fleet: "Fleet", what: str, snapshot: "Snapshot") -> ViewValues:
+def _build_view(fleet: "Fleet", what: str, snapshot: "Snapshot") -> "View":
     from edgectl.usecases.status import load_host_points, load_task_points
     from edgectl.views.sparkline import SPARKLINE_SAMPLES
+    from edgectl.views.top import TopHostsView, TopTasksView
 
-    if what == "top_hosts":
-        return (snapshot, fleet.inventory, load_host_points(fleet, SPARKLINE_SAMPLES))
-    return (snapshot, fleet.inventory, fleet.tasks, load_task_points(fleet, SPARKLINE_SAMPLES))
+    if what == "hosts":
+        return TopHostsView(snapshot, fleet.inventory, load_host_points(fleet, SPARKLINE_SAMPLES))
+    points = load_task_points(fleet, SPARKLINE_SAMPLES)
+    return TopTasksView(snapshot, fleet.inventory, fleet.tasks, points)
 
 
 def _watch_top(fleet: "Fleet", what: str, output: OutputFormat, every: float) -> None:
     """Refresh in place on a terminal, else print one after the other, until Ctrl-C (or q)."""
     from edgectl.usecases.status import probe_repeatedly
 
-    said: dict[str, None] = {}
-    in_place = output is not OutputFormat.JSON and sys.stdout.isatty()
-    quiet = dataclasses.replace(fleet, warn=said.setdefault) if in_place else fleet
+    warnings: dict[str, None] = {}
+    in_place = output in (OutputFormat.TABLE, OutputFormat.WIDE) and sys.stdout.isatty()
+    quiet = dataclasses.replace(fleet, warn=warnings.setdefault) if in_place else fleet
     with catch_stop_signals(every) as end:
-        series = (_collect_view_values(quiet, what, snapshot) for snapshot in probe_repeatedly(quiet, end))
+        views = (_build_view(quiet, what, snapshot) for snapshot in probe_repeatedly(quiet, end))
         if in_place:
-            _redraw_screen(output, what, series)
+            _redraw_screen(views, output)
         else:
-            console.print_view_series(output, f"{what}_line" if output is OutputFormat.JSON else what, series)
-    for text in said:
+            console.print_view_series(views, output)
+    for text in warnings:
         console.print_message(f"warning: {text}")
 
 
-def _redraw_screen(output: OutputFormat, what: str, series: Iterator[ViewValues]) -> None:
+def _redraw_screen(views: "Iterator[View]", output: OutputFormat) -> None:
     from edgectl.cli.terminal import listen_for_keys, open_screen
-    from edgectl.views.output_format import get_renderer
+    from edgectl.views.output import render_view
     from edgectl.views.text import detect_render_options
 
     with listen_for_keys(_quit_on_q), open_screen() as show:
-        for values in series:
-            show(get_renderer(output, what)(*values, detect_render_options(sys.stdout)))
+        for view in views:
+            show(render_view(view, output, detect_render_options(sys.stdout)))
 
 
 def _quit_on_q(key: str) -> None:

@@ -109,11 +109,9 @@ def _open_cycle_printer(
     """A function that shows each cycle: draws it, prints its line, or prints its object."""
     from edgectl.cli.terminal import is_foreground, listen_for_keys
     from edgectl.views import watch_cycle
-    from edgectl.views.output_format import get_renderer
 
-    if output is not OutputFormat.TABLE:
-        get_renderer(output, "cycle")  # reject an unsupported format before anything is done
-        yield lambda cycle: console.print_view(output, "cycle", cycle)
+    if output is OutputFormat.JSONL:
+        yield lambda cycle: console.print_view(watch_cycle.CycleView(cycle), output)
         return
     if not (sys.stdout.isatty() and is_foreground() and os.environ.get("TERM") != "dumb"):
         yield _build_line_printer(watch_cycle.render_cycle_line)

@@ -166,6 +166,19 @@ class Store:
         starts = "SELECT start, task FROM starts WHERE ?1 IS NULL OR task = ?1"
         return self._newest(rows.TASKS, "task_samples", "start", starts, (task,), since, limit)
 
+    def task_starts(self, runs: Iterable[tuple[str, str, str]]) -> dict[tuple[str, str, str], float]:
+        """The start (s since 1970) of each of ``runs`` (task, host, instance) as it was last recorded."""
+        sql = (
+            "SELECT at - age_s FROM starts JOIN uses USING (start) "
+            "WHERE task = ? AND host = ? AND instance = ? ORDER BY at DESC LIMIT 1"
+        )
+
+        def read(connection: sqlite3.Connection) -> dict[tuple[str, str, str], float]:
+            found = {run: connection.execute(sql, run).fetchone() for run in runs}
+            return {run: float(row[0]) for run, row in found.items() if row is not None}
+
+        return self._guarded(read, {})
+
     def steady_usages(
         self, task: str, hosts: Collection[str], spec_hash: str, *, min_age_s: float, limit: int
     ) -> tuple[UsageSample, ...]:

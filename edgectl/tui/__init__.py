@@ -1,4 +1,4 @@
-"""The live view of ``edgectl top -i``. Needs the extra edgectl[tui]; nothing else imports this room before it is asked for."""
+"""Live view of ``edgectl top -i``. Needs the extra edgectl[tui], so nothing imports this room at start."""
 
 from edgectl.tui.run import run_top_view
 

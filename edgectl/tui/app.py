@@ -1,4 +1,4 @@
-"""The live view: two tables, keys, and one thread that looks at the fleet again and again."""
+"""Live view: two tables, keys, and one thread that probes the fleet periodically."""
 
 import asyncio
 import signal
@@ -48,10 +48,10 @@ highest.
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FleetBackend:
-    """What the view may ask for; each is called in a thread of its own.
+    """Operations of the view; each is called in a thread of its own.
 
-    ``frames`` gives a picture each time that the function it is given, which waits in between, does not say to end.
-    ``cordon`` closes a host or opens it; None: nothing may be changed.
+    ``frames`` yields a frame after each probe until the function that it is given, which waits in between,
+    returns true. ``cordon`` cordons a host or uncordons it; None: nothing may be changed.
     """
 
     frames: Callable[[Callable[[], bool]], Iterator[Frame]]
@@ -60,7 +60,7 @@ class FleetBackend:
 
 
 class FrameReceived(Message):
-    """A new picture."""
+    """A new frame."""
 
     def __init__(self, frame: Frame) -> None:
         super().__init__()
@@ -68,7 +68,7 @@ class FrameReceived(Message):
 
 
 class NoteChanged(Message):
-    """Something that a user should know; empty takes it away."""
+    """A note for the user; empty clears it."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -76,7 +76,7 @@ class NoteChanged(Message):
 
 
 class TextLoaded(Message):
-    """The text that a reader waits for."""
+    """The text of a text screen."""
 
     def __init__(self, reader: TextScreen, text: str) -> None:
         super().__init__()
@@ -97,10 +97,16 @@ class TopApp(App[None]):
     """
     ENABLE_COMMAND_PALETTE = False
     BINDINGS: ClassVar[list[BindingType]] = [
-        Binding("q", "quit", "Quit"), Binding("ctrl+c", "quit", show=False, priority=True), Binding("slash", "filter", "Filter"),
-        Binding("s", "sort", "Sort"), Binding("d", "describe", "Describe"), Binding("l", "logs", "Logs"),
-        Binding("c", "cordon", "Cordon"), Binding("question_mark", "help", "Help"), Binding("escape", "clear", show=False),
-    ]  # fmt: skip
+        Binding("q", "quit", "Quit"),
+        Binding("ctrl+c", "quit", show=False, priority=True),
+        Binding("slash", "filter", "Filter"),
+        Binding("s", "sort", "Sort"),
+        Binding("d", "describe", "Describe"),
+        Binding("l", "logs", "Logs"),
+        Binding("c", "cordon", "Cordon"),
+        Binding("question_mark", "help", "Help"),
+        Binding("escape", "clear", show=False),
+    ]
 
     def __init__(
         self, work: FleetBackend, *, every: float, first: str = "hosts", unicode: bool = True
@@ -116,10 +122,10 @@ class TopApp(App[None]):
         self._ended = threading.Event()
         self._again = threading.Event()
 
-    # -- what is on the screen -----------------------------------------------------------------------------------------------------------
+    # -- what is on the screen --
 
     def compose(self) -> ComposeResult:
-        """A line of summary, two tables, a line for news, the filter, the keys."""
+        """Summary, two tables, note, filter and keys."""
         yield Static("first look ..", id="head")
         yield DataTable(id="hosts", cursor_type="row")
         yield DataTable(id="tasks", cursor_type="row")
@@ -128,7 +134,7 @@ class TopApp(App[None]):
         yield Footer()
 
     def on_mount(self) -> None:
-        """Begin to look."""
+        """Start the probes."""
         self._install_signal_handlers()
         self._table(self._first).focus()
         threading.Thread(target=self._look, daemon=True).start()
@@ -139,28 +145,28 @@ class TopApp(App[None]):
             asyncio.get_running_loop().add_signal_handler(number, self.exit)
 
     def on_unmount(self) -> None:
-        """End the thread; nobody waits for a host that hangs."""
+        """End the thread without waiting for a host that hangs."""
         self._ended.set()
         self._again.set()
 
     def on_resize(self, event: Resize) -> None:
-        """Sparklines take what room there is."""
+        """Fit the sparklines to the width."""
         self._width = event.size.width  # the size of the view itself still is the old one
         self._draw()
 
     def on_frame_received(self, message: FrameReceived) -> None:
-        """Show a new picture."""
+        """Show a new frame."""
         self._frame = message.frame
         self._draw()
 
     def on_note_changed(self, message: NoteChanged) -> None:
-        """Show what is to be known."""
+        """Show a note."""
         if self._has_all_widgets:
             self.query_one("#note", Static).update(Text(escape_unprintable(message.text)))
 
     @property
     def _has_all_widgets(self) -> bool:
-        """Whether everything is there: not before the first moment, and not while the view ends."""
+        """Whether all widgets exist: not before they are mounted, and not while the view ends."""
         return len(self.query("#head, #hosts, #tasks, #note")) == 4
 
     def _draw(self) -> None:
@@ -182,7 +188,7 @@ class TopApp(App[None]):
         self.query_one("#head", Static).update(Text(text))
 
     def _fill(self, name: str, titles: Sequence[str], lines: list[TopRow]) -> None:
-        """Put the lines into a table. It is made anew only where rows come, go or change places, or a column needs another width."""
+        """Put the lines into a table; build it anew only if rows, their order or the widths changed."""
         shown = rows.select_rows(lines, self._wanted, self._orders[name])
         shape = ([line.key for line in shown], rows.compute_table_widths(lines, titles))
         at, self._lines[name] = self._line(name), shown
@@ -207,7 +213,7 @@ class TopApp(App[None]):
         shown: list[TopRow],
         at: TopRow | None,
     ) -> None:
-        """The cursor stays on what it was on."""
+        """Build the table; the cursor stays on its row."""
         table.clear(columns=True)
         for title, width in zip(titles, widths, strict=True):
             table.add_column(Text(title), width=width)
@@ -227,13 +233,13 @@ class TopApp(App[None]):
 
     @property
     def _focused_table(self) -> str:
-        """The table that has the keys."""
+        """The table with the focus."""
         return "tasks" if self._table("tasks").has_focus else "hosts"
 
-    # -- keys ----------------------------------------------------------------------------------------------------------------------------
+    # -- keys --
 
     def action_filter(self) -> None:
-        """Ask for a text."""
+        """Show the filter."""
         box = self.query_one("#filter", Input)
         box.add_class("asked")
         box.focus()
@@ -249,7 +255,7 @@ class TopApp(App[None]):
         self.query_one("#tasks" if not self._lines["hosts"] else "#hosts").focus()
 
     def action_clear(self) -> None:
-        """Take the filter and the news away."""
+        """Clear the filter and the note."""
         self.query_one("#filter", Input).value = ""
         self.query_one("#filter").remove_class("asked")
         self.post_message(NoteChanged(""))
@@ -265,11 +271,11 @@ class TopApp(App[None]):
         self._draw()
 
     def action_help(self) -> None:
-        """Say which keys there are."""
+        """Show the keys."""
         self.push_screen(TextScreen("Keys", _HELP))
 
     def action_describe(self) -> None:
-        """Say everything of the line."""
+        """Describe the selected row."""
         line = self._line(self._focused_table)
         if line is not None and self._frame is not None:
             self.push_screen(
@@ -289,12 +295,12 @@ class TopApp(App[None]):
         )
 
     def on_text_loaded(self, message: TextLoaded) -> None:
-        """Show it, unless the reader was closed."""
+        """Show it, unless the screen was closed."""
         if message.reader.is_attached:
             message.reader.show(message.text)
 
     def action_cordon(self) -> None:
-        """Close the host of the line to new tasks, or open it again."""
+        """Cordon or uncordon the selected host, after a question."""
         line, cordon = self._line(self._focused_table), self._work.cordon
         if line is None or line.host is None or self._frame is None:
             return
@@ -316,10 +322,10 @@ class TopApp(App[None]):
         self.post_message(NoteChanged(f"{host} is closed to new tasks" if close else f"{host} is open again"))
         self._again.set()
 
-    # -- threads -------------------------------------------------------------------------------------------------------------------------
+    # -- threads --
 
     def _run_in_thread(self, act: Callable[[], object]) -> None:
-        """Do something in a thread of its own; what goes wrong is said."""
+        """Run ``act`` in a thread of its own; show its error as a note."""
 
         def work() -> None:
             try:
@@ -330,7 +336,7 @@ class TopApp(App[None]):
         threading.Thread(target=work, daemon=True).start()
 
     def _look(self) -> None:
-        """Look again and again, until the view ends."""
+        """Probe until the view ends."""
         while not self._ended.is_set():
             try:
                 for frame in self._work.frames(self._wait):
@@ -340,12 +346,12 @@ class TopApp(App[None]):
                 self._wait()
 
     def _wait(self) -> bool:
-        """Wait for the next look; whether the view has ended."""
+        """Wait for the next probe; whether the view has ended."""
         self._again.wait(self._every)
         self._again.clear()
         return self._ended.is_set()
 
 
 def _render_cells(line: TopRow) -> list[Text]:
-    """Text that nothing a host says can colour or move."""
+    """Cells with control characters of hosts escaped."""
     return [Text(escape_unprintable(cell.text), _TEXTUAL_STYLES.get(cell.style, "")) for cell in line.cells]

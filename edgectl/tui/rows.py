@@ -1,4 +1,4 @@
-"""What the live view shows: a snapshot and the samples before it, as rows and as text. Pure."""
+"""Rows of the live view, from a snapshot and the samples before it. Pure."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -9,11 +9,12 @@ from edgectl.model.snapshot import HostSample, Snapshot, TaskSample
 from edgectl.model.task import Task, Tasks
 from edgectl.names import natural_key
 from edgectl.units import format_bytes, format_cores, format_duration, format_rate
-from edgectl.views import describe_host, describe_task
+from edgectl.views.describe_host import HostDetailsView
+from edgectl.views.describe_task import TaskDetailsView
+from edgectl.views.rows import compute_task_age, find_task_demand
 from edgectl.views.sparkline import SPARKLINE_SAMPLES, render_sparkline
 from edgectl.views.state import TASK_STATE_STYLES, format_operator_mark, resolve_absent_task
 from edgectl.views.text import Cell
-from edgectl.views.top import find_task_demand
 from edgectl.views.usage import render_difference
 
 # Columns of the terminal: around each cell, and beside the table.
@@ -22,7 +23,7 @@ _PADDING, _SCROLLBAR = 2, 2
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Frame:
-    """One picture: the fleet now, what it was by host and by task (oldest first), and what the files state."""
+    """One probe of the fleet with its last samples by host and by task (oldest first), and its files."""
 
     snapshot: Snapshot
     inventory: Inventory
@@ -32,13 +33,13 @@ class Frame:
 
     @property
     def silent(self) -> int:
-        """How many hosts did not answer."""
+        """Number of hosts without a reply."""
         return sum(not host.ok for host in self.snapshot.hosts.values())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TopRow:
-    """One row: what it is about, its cells, and its value under each order."""
+    """One row: its host or task, its cells, and its value under each order."""
 
     host: str | None
     task: str | None
@@ -47,13 +48,13 @@ class TopRow:
 
     @property
     def key(self) -> str:
-        """What stays the same while the numbers change."""
+        """Identity of the row while the numbers change."""
         return f"{self.task}@{self.host}" if self.task else str(self.host)
 
 
 HOST_ORDERS = ("name", "cpu", "memory", "tasks")
 TASK_ORDERS = ("name", "host", "cpu", "memory", "network", "age")
-HOST_TITLES = ("HOST", "STATUS", "CPU", "", "MEMORY", "", "TASKS")
+HOST_TITLES = ("HOST", "STATUS", "CPU", "", "MEMORY%", "", "TASKS")
 TASK_TITLES = ("TASK", "HOST", "STATE", "AGE", "CPU/DEMAND", "", "MEMORY", "NETWORK")
 
 
@@ -85,7 +86,7 @@ def _compute_spare_columns(lines: Sequence[TopRow], titles: Sequence[str], width
 
 
 def compute_table_widths(lines: Iterable[TopRow], titles: Sequence[str]) -> list[int]:
-    """What each column of a table needs."""
+    """Width of each column of a table."""
     rows = [[len(cell.text) for cell in line.cells] for line in lines]
     return [max(column) for column in zip([len(title) for title in titles], *rows, strict=True)]
 
@@ -97,7 +98,9 @@ def _build_host_row(name: str, host: HostSample, frame: Frame, room: int, *, uni
     memory = host.usage["memory"].used / host.usage["memory"].capacity if "memory" in host.usage else 0.0
     count = sum(task.state.alive for task in host.tasks.values())
     status = (
-        Cell(closed or "ok", "warn" if closed else "good") if host.ok else Cell(closed or "silent", "bad")
+        Cell(closed or "ok", "warn" if closed else "good")
+        if host.ok
+        else Cell(closed or "unreachable", "bad")
     )
     cells = (
         Cell(name, "name"),
@@ -154,14 +157,14 @@ def _build_task_row(
     name: str, host: str, sample: TaskSample, frame: Frame, room: int, *, unicode: bool
 ) -> TopRow:
     cores = [point.used_cores for point in frame.task_points.get(name, ()) if point.host == host]
-    age = max(0.0, frame.snapshot.taken_at - sample.started_at) if sample.started_at else 0.0
+    age = compute_task_age(sample, frame.snapshot)
     alive = sample.state.alive
-    demand = find_task_demand(name, host, frame.snapshot, frame.inventory, frame.tasks).cores
+    demand = find_task_demand(name, host, frame.snapshot, frame.inventory, frame.tasks).get("cpu")
     cells = (
         Cell(name, "name"),
         Cell(host),
         Cell(sample.state.value, TASK_STATE_STYLES[sample.state]),
-        Cell(format_duration(age) if sample.started_at else "-"),
+        Cell("-" if age is None else format_duration(age)),
         _render_cores_and_demand(sample.used["cpu"], demand) if alive else Cell("-"),
         Cell(_render_history(cores, max([demand or 0.01, *cores]), room, unicode=unicode), "dim"),
         Cell(format_bytes(sample.used["memory"]) if alive else "-"),
@@ -174,12 +177,12 @@ def _build_task_row(
         cpu=sample.used["cpu"],
         memory=sample.used["memory"],
         network=sample.used["network"],
-        age=age,
+        age=age or 0.0,
     )
 
 
 def _render_cores_and_demand(used: float, demand: float | None) -> Cell:
-    """Cores, and those that were asked for."""
+    """Usage and demand of cores."""
     if demand is None:
         return Cell(format_cores(used))
     return Cell(
@@ -221,16 +224,12 @@ def _render_history(values: Sequence[float | None], top: float, room: int, *, un
 
 
 def _get_heat_style(share: float) -> str:
-    """Colour that only repeats what the number says."""
+    """Colour of a share; it only repeats the number."""
     return "bad" if share > 1 else "warn" if share > 0.8 else ""
 
 
 def render_row_details(frame: Frame, line: TopRow) -> str:
-    """Everything that is known of a line."""
+    """The description of the host or task of a row."""
     if line.task:
-        return describe_task.render_task_details(
-            line.task, frame.snapshot, frame.inventory, frame.tasks, None, None
-        )
-    return describe_host.render_host_details(
-        str(line.host), frame.snapshot, frame.inventory, frame.tasks, None
-    )
+        return TaskDetailsView(line.task, frame.snapshot, frame.inventory, frame.tasks, None, None).table()
+    return HostDetailsView(str(line.host), frame.snapshot, frame.inventory, frame.tasks, None).table()

@@ -25,7 +25,9 @@ def run_top_view(
     first: str = "hosts",
     options: ProbeOptions | None = None,
 ) -> None:
-    """Show the fleet until q, Ctrl-C or SIGTERM; it is looked at every ``every`` seconds. ``readonly``: hosts cannot be cordoned.
+    """Show the fleet until q, Ctrl-C or SIGTERM, probed every ``every`` seconds.
+
+    ``readonly``: hosts cannot be cordoned.
 
     ``first``: the table that has the keys at the beginning. Standard output must be a terminal.
     """
@@ -42,7 +44,7 @@ def run_top_view(
 def build_fleet_backend(
     fleet: Fleet, *, readonly: bool = False, options: ProbeOptions | None = None
 ) -> FleetBackend:
-    """What the view may ask of a fleet."""
+    """Operations of the view on a fleet."""
 
     def frames(told_to_end: Callable[[], bool]) -> Iterator[Frame]:
         for snapshot in status.probe_repeatedly(fleet, told_to_end, options):

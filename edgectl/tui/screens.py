@@ -1,4 +1,4 @@
-"""What stands over the two tables for a while: text to read, and a question."""
+"""Screens above the two tables: a text, and a question."""
 
 from typing import ClassVar
 
@@ -13,7 +13,7 @@ from edgectl.views.text import decode_log_output
 
 
 class TextScreen(ModalScreen[None]):
-    """Text with a title; it may come later."""
+    """Text with a title; it may be set later."""
 
     CSS = """
     TextScreen { align: center middle; }
@@ -40,7 +40,7 @@ class TextScreen(ModalScreen[None]):
         self.show(self._text)
 
     def show(self, text: str) -> None:
-        """Put ``text`` in; whatever a host wrote into it steers nothing."""
+        """Show ``text``, with control characters of a host escaped."""
         self.query_one("#text", Static).update(Text(decode_log_output(text.encode("utf-8", "replace"))))
         if self._at_end:
             self.query_one(VerticalScroll).scroll_end(animate=False)

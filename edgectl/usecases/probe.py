@@ -13,7 +13,7 @@ from edgectl.state.manager_state import load_ignored_instances, load_link_capaci
 from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.heartbeat import load_state_with_heartbeats, track_heartbeats
 from edgectl.usecases.measured_demand import load_measured_demands
-from edgectl.usecases.record import record_snapshot
+from edgectl.usecases.record import pin_task_starts, record_snapshot
 
 
 def probe_fleet(fleet: Fleet, options: ProbeOptions | None = None) -> Snapshot:
@@ -31,6 +31,7 @@ def probe_fleet(fleet: Fleet, options: ProbeOptions | None = None) -> Snapshot:
     manager = load_state_with_heartbeats(fleet)
     for host in sorted(fenced - manager.fenced):
         fleet.warn(f"{host} answers, so it is not powered off: its fence is cleared")
+    snapshot = pin_task_starts(fleet, snapshot)
     record_snapshot(fleet, snapshot)
     manager = dataclasses.replace(
         _add_journaled_starts(fleet, manager, snapshot), measured=load_measured_demands(fleet, snapshot)

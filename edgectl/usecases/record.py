@@ -1,23 +1,62 @@
 """Best-effort recording of samples, plans and results; a failure is one warning, never an error."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from edgectl.model.event import Event
 from edgectl.model.plan import Plan
 from edgectl.model.result import Results
-from edgectl.model.snapshot import Snapshot
+from edgectl.model.snapshot import Snapshot, TaskSample
 from edgectl.state.lock import is_locked_elsewhere
 from edgectl.usecases.fleet import Fleet
 
 if TYPE_CHECKING:
     from edgectl.state.store import Store
 
+# Above what the time of a reply varies by, below the time between two starts of one instance.
+_START_TOLERANCE_S = 5.0
+
 
 def record_snapshot(fleet: Fleet, snapshot: Snapshot) -> None:
     """Record the samples of a probe and the events that they show."""
     changing = is_locked_elsewhere(fleet.state)
     _record_and_prune(fleet, lambda store: store.record_snapshot(snapshot, changing=changing))
+
+
+def pin_task_starts(fleet: Fleet, snapshot: Snapshot) -> Snapshot:
+    """``snapshot`` with the start of each run as it was first recorded.
+
+    A start is measured as the time of the reply less an age on the host's clock, so it varies by the time
+    that a reply takes. One that differs by more is another start.
+    """
+    runs = [
+        (name, host, task.instance)
+        for host, each in snapshot.hosts.items()
+        for name, task in each.tasks.items()
+    ]
+    known = fleet.history.use(fleet.state, fleet.warn, lambda store: store.task_starts(runs)) if runs else {}
+    return replace(
+        snapshot,
+        hosts={
+            host: replace(
+                each,
+                tasks={
+                    name: replace(task, started_at=_pin_start(task, known.get((name, host, task.instance))))
+                    for name, task in each.tasks.items()
+                },
+            )
+            if each.tasks
+            else each
+            for host, each in snapshot.hosts.items()
+        },
+    )
+
+
+def _pin_start(task: TaskSample, known: float | None) -> float:
+    """Rounded, so that what the history keeps in milliseconds gives the same instant again."""
+    same = known is not None and abs(known - task.started_at) < _START_TOLERANCE_S
+    return round(known if same and known is not None else task.started_at, 2)
 
 
 def record_plan(fleet: Fleet, plan: Plan) -> None:

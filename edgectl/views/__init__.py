@@ -1,1 +1,1 @@
-"""Values to text, one module per form."""
+"""Outputs: one class and one module for each thing that is shown."""

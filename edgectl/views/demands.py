@@ -1,13 +1,14 @@
-"""Where the demands of a plan come from: declared, or measured from how many samples."""
+"""Demands of a plan and their sources: declared, or measured from a number of samples."""
 
 from collections.abc import Iterable, Sequence
 
-from edgectl.formats.document import Document, encode_number
+from edgectl.formats.document import Document
 from edgectl.model.assignment import DemandSource, DemandSpread, ResourceDemand
 from edgectl.model.measured_demand import MIN_SAMPLES
 from edgectl.model.plan import Plan
 from edgectl.model.resource import RESOURCES
 from edgectl.model.task import Quantity
+from edgectl.views.glossary import head
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, render_columns
 
 _SOURCE_STYLES = {
@@ -21,8 +22,9 @@ _MAX_LISTED = 4
 
 
 def render_demands(value: Plan, look: RenderOptions = PLAIN) -> str:
-    """Every demand that was charged, with its source; of a measured one also what it would be on the other hosts."""
-    rows: list[Row] = [("TASK", "HOST", *(resource.demand_key.upper() for resource in RESOURCES))]
+    """Every demand that was charged, with its source; a measured one also on the other hosts."""
+    columns = (f"{resource.name}.demand_{resource.unit.name}" for resource in RESOURCES)
+    rows = [head("task", "host", *columns)]
     for step in value.steps:
         decision = step.decision
         rows += (
@@ -36,7 +38,7 @@ def render_demands(value: Plan, look: RenderOptions = PLAIN) -> str:
             if ranked.demand and ranked.host != decision.host
         ]
     return (
-        "Demands:\n" + render_columns(rows, look, wrap=set(range(1 + len(RESOURCES))))
+        "Demands:\n" + render_columns(rows, look, wrap=set(range(2, 1 + len(RESOURCES))))
         if len(rows) > 1
         else ""
     )
@@ -59,7 +61,7 @@ def _render_demand_cell(rho: ResourceDemand | None) -> Cell:
 
 
 def format_demand_source(rho: ResourceDemand) -> str:
-    """``declared``, ``measured n=412``, or how far the measuring is."""
+    """``declared``, ``measured n=412``, or the samples so far."""
     if rho.samples is None:
         return rho.source.value
     if rho.source is DemandSource.MEASURED:
@@ -70,7 +72,7 @@ def format_demand_source(rho: ResourceDemand) -> str:
 
 
 def list_demand_notes(value: Plan) -> list[str]:
-    """What a reader of the table should know of the demands: which are measured, which are unknown, which mean little."""
+    """Notes on demands that are measured, unknown, or different amounts on different hosts."""
     known = [(step.task, rho) for step in value.steps for rho in step.decision.demand]
     measured, unknown = (
         _format_tasks_by_source(known, _MEASURED_SOURCES),
@@ -85,18 +87,15 @@ def encode_declared_demand(quantity: Quantity | None) -> Document | None:
     """A demand of a task file as JSON types; null where it is left out."""
     if quantity is None:
         return None
-    return {
-        "value": encode_number(quantity.value),
-        "relative": quantity.relative,
-        "until_measured": quantity.measured,
-    }
+    return {"amount": quantity.value, "relative": quantity.relative, "until_measured": quantity.measured}
 
 
 def list_demand_spread_notes(found: Sequence[DemandSpread]) -> list[str]:
     """One line for all percent demands that mean different amounts."""
     return (
         [
-            f"percent demands mean different amounts on unlike hosts: {_join_first_items([_describe_demand_spread(each) for each in found])}"
+            "percent demands mean different amounts on unlike hosts: "
+            + _join_first_items([_describe_demand_spread(each) for each in found])
         ]
         if found
         else []

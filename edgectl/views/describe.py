@@ -1,11 +1,11 @@
-"""The parts of which a description is made: fields, sections and what happened last."""
+"""Parts of a description: fields, sections and the last events."""
 
 import textwrap
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 from edgectl.model.event import Event
-from edgectl.views import events as events_view
+from edgectl.views.events import render_events
 from edgectl.views.text import Cell, RenderOptions, Row, render_columns, style_text
 
 Field = tuple[str, str | Cell]
@@ -13,24 +13,26 @@ _INDENT = 2
 
 
 def render_fields(found: Iterable[Field], look: RenderOptions) -> str:
-    """A line per field that says something."""
+    """A line per field that is not empty."""
     return render_columns([(Cell(f"{name}:", "bold"), text) for name, text in found if text], look)
 
 
-def render_section(title: str, rows: Sequence[Row], look: RenderOptions) -> str:
-    """Indented rows below a title, where there are any."""
+def render_section(
+    title: str, rows: Sequence[Row], look: RenderOptions, *, right: Collection[int] = ()
+) -> str:
+    """Indented rows below a title, where there are any. ``right``: columns aligned to the right."""
     if not rows:
         return ""
     narrow = look if look.width is None else replace(look, width=max(1, look.width - _INDENT))
     return (
         style_text(f"{title}:", "bold", look)
         + "\n"
-        + textwrap.indent(render_columns(rows, narrow, wrap=set(range(8))), " " * _INDENT)
+        + textwrap.indent(render_columns(rows, narrow, right=right, wrap=set(range(8))), " " * _INDENT)
     )
 
 
 def render_events_section(values: Sequence[Event] | None, look: RenderOptions) -> str:
-    """The last events; nothing where nobody looked for any."""
+    """The last events; nothing where none were asked for."""
     if values is None:
         return ""
     if not values:
@@ -39,7 +41,7 @@ def render_events_section(values: Sequence[Event] | None, look: RenderOptions) -
     return (
         style_text("Events:", "bold", look)
         + "\n"
-        + textwrap.indent(events_view.render_events(values, narrow), " " * _INDENT)
+        + textwrap.indent(render_events(values, narrow), " " * _INDENT)
     )
 
 

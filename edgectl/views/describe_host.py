@@ -1,41 +1,77 @@
-"""Everything that is known of an edge or a robot: what the inventory states, what is measured, what happened last."""
+"""Details of an edge or a robot: declarations of the inventory, measurements and the last events."""
 
 from collections.abc import Mapping, Sequence
 
-from edgectl.formats.document import FORMAT_VERSION, Document, without_none
+from edgectl.formats.document import Document, without_none
 from edgectl.model.event import Event
 from edgectl.model.inventory import Host, Inventory
 from edgectl.model.snapshot import HostSample, InterfaceSample, ResourceUsage, Snapshot
 from edgectl.model.task import Tasks
 from edgectl.units import format_bytes, format_cores, format_duration, format_instant, format_rate
-from edgectl.views import events as events_view
 from edgectl.views.describe import Field, format_pairs, render_events_section, render_fields, render_section
-from edgectl.views.listing import encode_listed_host
+from edgectl.views.events import encode_event
+from edgectl.views.glossary import head
+from edgectl.views.output import ItemView
+from edgectl.views.output_format import ITEM_FORMATS
+from edgectl.views.rows import encode_host_row
 from edgectl.views.state import render_host_status
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row
 from edgectl.views.top import render_task_rows_of_host
 from edgectl.views.usage import render_usage_share
 
+_LINK_HEAD = head("robot", "capacity_bytes_per_s", "capacity_source", "network.used_bytes_per_s", "rtt_ms")
+_INTERFACE_HEAD = head("interface", "rx_bytes_per_s", "tx_bytes_per_s", "speed_bytes_per_s")
 
-def render_host_details(
-    name: str,
-    value: Snapshot,
-    inventory: Inventory,
-    tasks: Tasks,
-    events: Sequence[Event] | None,
-    look: RenderOptions = PLAIN,
-) -> str:
+
+class HostDetailsView(ItemView):
     """One edge or robot. ``events``: the last ones, oldest first; None: not asked for."""
-    stated, sample = inventory.hosts[name], value.hosts.get(name)
-    parts = [render_fields(_list_host_fields(stated, sample, value), look)]
-    if sample is not None and sample.ok:
-        parts += [
-            render_section("Use", _render_host_usage_rows(stated, sample, look), look),
-            render_section("Links", _render_host_link_rows(sample), look),
-            render_section("Tasks", render_task_rows_of_host(value, inventory, tasks, on=name), look),
-            render_section("Interfaces", _render_interface_rows(sample.device.interfaces), look),
-        ]
-    return "".join([*parts, render_events_section(events, look)])
+
+    formats = ITEM_FORMATS
+
+    def __init__(
+        self,
+        name: str,
+        snapshot: Snapshot,
+        inventory: Inventory,
+        tasks: Tasks,
+        events: Sequence[Event] | None,
+    ) -> None:
+        self._host, self._snapshot = inventory.hosts[name], snapshot
+        self._inventory, self._tasks, self._events = inventory, tasks, events
+        self.kind = self._host.role.value
+
+    def table(self, look: RenderOptions = PLAIN) -> str:
+        """Fields, then usage, links, tasks, interfaces and events."""
+        stated, value = self._host, self._snapshot
+        sample = value.hosts.get(stated.name)
+        parts = [render_fields(_list_host_fields(stated, sample, value), look)]
+        if sample is not None and sample.ok:
+            tasks = render_task_rows_of_host(value, self._inventory, self._tasks, on=stated.name)
+            interfaces = _render_interface_rows(sample.device.interfaces)
+            parts += [
+                render_section("Usage", _render_host_usage_rows(stated, sample, look), look),
+                render_section("Links", _render_host_link_rows(sample), look, right={1, 3, 4}),
+                render_section("Tasks", tasks, look, right=set(range(1, 7))),
+                render_section("Interfaces", interfaces, look, right={1, 2, 3}),
+            ]
+        return "".join([*parts, render_events_section(self._events, look)])
+
+    def item(self) -> Document:
+        """The host as JSON types."""
+        stated, memory = self._host, self._snapshot.manager
+        contact = memory.contact.get(stated.name) if memory else None
+        return {
+            **encode_host_row(stated.name, self._snapshot, stated),
+            **without_none(
+                port=stated.port,
+                user=stated.user,
+                proxy_jump=stated.proxy_jump,
+                runtime=stated.runtime.value,
+                env={key: str(text) for key, text in stated.env.items()},
+                contacted_at=None if contact is None else format_instant(contact),
+            ),
+            "events": [encode_event(event) for event in self._events or ()],
+        }
 
 
 def _list_host_fields(stated: Host, sample: HostSample | None, value: Snapshot) -> list[Field]:
@@ -48,7 +84,7 @@ def _list_host_fields(stated: Host, sample: HostSample | None, value: Snapshot) 
     ]
     found.append(("Status", render_host_status(stated.name, sample, value.manager)))
     if sample is not None and not sample.ok:
-        found += [("Cause", sample.error), ("Mend", sample.hint)]
+        found += [("Cause", sample.error), ("Hint", sample.hint)]
     return [
         *found,
         (
@@ -58,7 +94,7 @@ def _list_host_fields(stated: Host, sample: HostSample | None, value: Snapshot) 
         ("Labels", format_pairs(stated.labels)),
         ("Capacity", _format_host_capacity(stated, sample)),
         ("Limits", f"cpu {stated.limits['cpu']:.0%}, memory {stated.limits['memory']:.0%}"),
-        ("Onboard", "a candidate for its own tasks" if stated.onboard else ""),
+        ("Onboard", "candidate for its own tasks" if stated.onboard else ""),
         ("Runtime", stated.runtime.value),
         ("Prelude", stated.prelude),
         ("Environment", format_pairs(stated.env)),
@@ -80,12 +116,19 @@ def _list_connection_fields(stated: Host) -> list[Field]:
 
 def _format_host_capacity(stated: Host, sample: HostSample | None) -> str:
     if stated.is_slice and stated.capacity is not None:
-        base = f"; base load {format_cores(stated.base['cpu'])} cores, {format_bytes(stated.base['memory'])}"
-        declared = f"{format_cores(stated.capacity['cpu'])} cores, {format_bytes(stated.capacity['memory'])} (declared)"
-        return declared + (base if stated.base["cpu"] or stated.base["memory"] else "")
+        declared = _format_cores_and_memory(stated.capacity["cpu"], stated.capacity["memory"])
+        base = _format_cores_and_memory(stated.base["cpu"], stated.base["memory"])
+        return f"{declared} (declared)" + (
+            f"; base load {base}" if stated.base["cpu"] or stated.base["memory"] else ""
+        )
     if sample is None or not sample.measured:
         return ""
-    return f"{format_cores(sample.usage['cpu'].capacity)} cores, {format_bytes(sample.usage['memory'].capacity)} (measured)"
+    cpu, memory = sample.usage["cpu"], sample.usage["memory"]
+    return f"{_format_cores_and_memory(cpu.capacity, memory.capacity)} (measured)"
+
+
+def _format_cores_and_memory(cores: float, memory: float) -> str:
+    return f"{format_cores(cores)} cores, {format_bytes(memory)}"
 
 
 def _format_device(sample: HostSample) -> str:
@@ -143,7 +186,7 @@ def _render_host_link_rows(sample: HostSample) -> list[Row]:
         )
         for robot, link in sample.links.items()
     ]
-    return [("ROBOT", "CAPACITY", "SOURCE", "USED", "RTT"), *rows] if rows else []
+    return [_LINK_HEAD, *rows] if rows else []
 
 
 def _render_interface_rows(found: Mapping[str, InterfaceSample]) -> list[Row]:
@@ -156,26 +199,4 @@ def _render_interface_rows(found: Mapping[str, InterfaceSample]) -> list[Row]:
         )
         for name, each in found.items()
     ]
-    return [("NAME", "IN", "OUT", "SPEED"), *rows] if rows else []
-
-
-def encode_host_details(
-    name: str, value: Snapshot, inventory: Inventory, events: Sequence[Event]
-) -> Document:
-    """One host as JSON types."""
-    stated = inventory.hosts[name]
-    contact = value.manager.contact.get(name) if value.manager else None
-    return {
-        "format_version": FORMAT_VERSION,
-        "taken_at": format_instant(value.taken_at),
-        **encode_listed_host(stated, value),
-        **without_none(
-            port=stated.port,
-            user=stated.user,
-            proxy_jump=stated.proxy_jump,
-            runtime=stated.runtime.value,
-            env={key: str(text) for key, text in stated.env.items()},
-            last_contact=None if contact is None else format_instant(contact),
-        ),
-        "events": [events_view.encode_event(event) for event in events],
-    }
+    return [_INTERFACE_HEAD, *rows] if rows else []

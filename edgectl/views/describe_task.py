@@ -1,65 +1,105 @@
-"""Everything that is known of a task: what the files state, what is measured, what was decided, what happened last."""
+"""Details of a task: its specification, its runs, the decision of a plan and the last events."""
 
 from collections.abc import Sequence
 
-from edgectl.formats.document import FORMAT_VERSION, Document, encode_number, encode_optional
-from edgectl.formats.snapshot import encode_task
+from edgectl.formats.document import Document
 from edgectl.model.event import Event
 from edgectl.model.inventory import Inventory
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Step
+from edgectl.model.resource import RESOURCES
 from edgectl.model.snapshot import Snapshot, TaskSample
 from edgectl.model.task import Check, Task, Tasks
-from edgectl.units import format_bytes, format_cores, format_duration, format_instant, format_rate
-from edgectl.views import events as events_view
+from edgectl.units import format_bytes, format_cores, format_duration, format_instant
 from edgectl.views import metrics
 from edgectl.views.describe import Field, format_pairs, render_events_section, render_fields, render_section
+from edgectl.views.events import encode_event
+from edgectl.views.glossary import head
+from edgectl.views.output import ItemView
+from edgectl.views.output_format import ITEM_FORMATS
 from edgectl.views.reasons import describe_reason
+from edgectl.views.rows import encode_run_row, find_task_demand
 from edgectl.views.state import TASK_STATE_STYLES, format_silence, format_task_state, resolve_absent_task
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row
 from edgectl.views.usage import (
-    ResourceAmounts,
-    compute_task_demand,
+    Amounts,
     format_or_dash,
     render_difference,
     subtract_demand,
 )
 
 
-def render_task_details(
-    name: str,
-    value: Snapshot,
-    inventory: Inventory,
-    tasks: Tasks,
-    step: Step | None,
-    events: Sequence[Event] | None,
-    look: RenderOptions = PLAIN,
-) -> str:
-    """One task; of one that no file names, only how it runs. ``events``: the last ones, oldest first; None: not asked for."""
-    stated = tasks.tasks.get(name)
-    runs = _select_task_runs(name, value)
-    stands = [
-        ("Name", Cell(name, "name")),
-        *(_list_spec_fields(stated) if stated else [("Command", Cell("not in the task files", "warn"))]),
-    ]
-    stands += _list_placement_fields(name, stated, value, step)
-    parts = [render_fields(stands, look)]
-    for place, sample in runs:
-        parts.append(render_section(f"On {place}", _render_run_rows(sample, value.taken_at), look))
-        parts.append(
-            render_section(
-                f"Use on {place}", _render_demand_rows(stated, place, sample, value, inventory), look
-            )
+class TaskDetailsView(ItemView):
+    """One task; of one that no file names, only its runs.
+
+    ``step``: the decision of a plan made now; None: none was made. ``events``: the last ones, oldest first;
+    None: not asked for.
+    """
+
+    kind = "task"
+    formats = ITEM_FORMATS
+
+    def __init__(
+        self,
+        name: str,
+        snapshot: Snapshot,
+        inventory: Inventory,
+        tasks: Tasks,
+        step: Step | None,
+        events: Sequence[Event] | None,
+    ) -> None:
+        self._name, self._snapshot, self._inventory, self._tasks = name, snapshot, inventory, tasks
+        self._step, self._events = step, events
+        self._task = tasks.tasks.get(name)
+        self._runs = _select_task_runs(name, snapshot)
+
+    def table(self, look: RenderOptions = PLAIN) -> str:
+        """Fields, then each run with its usage and metrics, then events."""
+        fields: list[Field] = [("Name", Cell(self._name, "name"))]
+        fields += (
+            _list_spec_fields(self._task)
+            if self._task
+            else [("Command", Cell("not in the task files", "warn"))]
         )
-        parts.append(
-            render_section(
-                f"Metrics on {place}",
-                [(name, metrics.format_metric(each)) for name, each in sample.metrics.items()],
-                look,
-            )
-        )
-        parts.append(render_section("Said last", [(line,) for line in sample.log_tail], look))
-    return "".join([*parts, render_events_section(events, look)])
+        fields += _list_placement_fields(self._name, self._task, self._snapshot, self._step)
+        parts = [render_fields(fields, look)]
+        for host, sample in self._runs:
+            parts += self._render_run(host, sample, look)
+        return "".join([*parts, render_events_section(self._events, look)])
+
+    def _render_run(self, host: str, sample: TaskSample, look: RenderOptions) -> list[str]:
+        usage = _render_usage_rows(sample, self._find_demand(host))
+        measured = [(name, metrics.format_metric(each)) for name, each in sample.metrics.items()]
+        return [
+            render_section(f"On {host}", _render_run_rows(sample, self._snapshot.taken_at), look),
+            render_section(f"Usage on {host}", usage, look, right={1, 2, 3}),
+            render_section(f"Metrics on {host}", measured, look),
+            render_section("Last output", [(line,) for line in sample.log_tail], look),
+        ]
+
+    def _find_demand(self, host: str) -> Amounts:
+        return find_task_demand(self._name, host, self._snapshot, self._inventory, self._tasks)
+
+    def item(self) -> Document:
+        """The task as JSON types."""
+        memory = self._snapshot.manager or ManagerState()
+        placed = memory.placements.get(self._name)
+        downtimes = _select_downtimes(self._name, memory)
+        return {
+            "task": self._name,
+            "taken_at": format_instant(self._snapshot.taken_at),
+            "spec": None if self._task is None else _encode_task_spec(self._task),
+            "runs": [
+                encode_run_row(self._name, host, sample, self._find_demand(host), self._snapshot)
+                for host, sample in self._runs
+            ],
+            "placement": None
+            if placed is None
+            else {"host": placed.host, "placed_at": format_instant(placed.since)},
+            "downtimes_s": {host: list(found) for host, found in downtimes.items()},
+            "decision": None if self._step is None else _encode_decision(self._step),
+            "events": [encode_event(event) for event in self._events or ()],
+        }
 
 
 def _list_spec_fields(stated: Task) -> list[Field]:
@@ -91,7 +131,7 @@ def _list_spec_fields(stated: Task) -> list[Field]:
                 ]
             ),
         ),
-        ("Host silent", _format_unreachable_policy(stated)),
+        ("Unreachable", _format_unreachable_policy(stated)),
         ("Limits", _format_task_limits(stated)),
         ("Environment", format_pairs(stated.env)),
         ("Env command", " ".join(stated.env_command)),
@@ -192,74 +232,14 @@ def _render_run_rows(sample: TaskSample, now: float) -> list[Row]:
     return [field for field in found if field[1]]
 
 
-def _render_demand_rows(
-    stated: Task | None, place: str, sample: TaskSample, value: Snapshot, inventory: Inventory
-) -> list[Row]:
-    demand = (
-        compute_task_demand(stated, inventory.hosts.get(place), value.hosts[place], value.manager)
-        if stated
-        else ResourceAmounts()
-    )
-    difference = subtract_demand(sample, demand)
-    rows: list[Row] = [
-        (
-            "cpu",
-            format_cores(sample.used["cpu"]),
-            format_or_dash(demand.cores, format_cores),
-            render_difference(difference.cores, demand.cores, format_cores),
-        ),
-        (
-            "memory",
-            format_bytes(sample.used["memory"]),
-            format_or_dash(demand.bytes, format_bytes),
-            render_difference(difference.bytes, demand.bytes, format_bytes),
-        ),
-        (
-            "network",
-            format_rate(sample.used["network"]),
-            format_or_dash(demand.rate, format_rate),
-            render_difference(difference.rate, demand.rate, format_rate),
-        ),
-    ]
-    return [("", "USED", "DEMAND", "OFF"), *rows] if sample.state.alive else []
-
-
-def encode_task_details(
-    name: str, value: Snapshot, inventory: Inventory, tasks: Tasks, step: Step | None, events: Sequence[Event]
-) -> Document:
-    """One task as JSON types."""
-    stated, memory = tasks.tasks.get(name), value.manager or ManagerState()
-    placed = memory.placements.get(name)
-    runs = []
-    for place, sample in _select_task_runs(name, value):
-        demand = (
-            compute_task_demand(stated, inventory.hosts.get(place), value.hosts[place], memory)
-            if stated
-            else ResourceAmounts()
-        )
-        runs.append(
-            {
-                "host": place,
-                **encode_task(sample),
-                "demand": demand.document(),
-                "off": subtract_demand(sample, demand).document(),
-            }
-        )
-    return {
-        "format_version": FORMAT_VERSION,
-        "taken_at": format_instant(value.taken_at),
-        "kind": "task",
-        "name": name,
-        "spec": None if stated is None else _encode_task_spec(stated),
-        "runs": runs,
-        "placed": None if placed is None else {"host": placed.host, "since": format_instant(placed.since)},
-        "downtimes_s": {
-            place: [encode_number(each) for each in found]
-            for place, found in _select_downtimes(name, memory).items()
-        },
-        "decision": None if step is None else _encode_decision(step),
-        "events": [events_view.encode_event(event) for event in events],
-    }
+def _render_usage_rows(sample: TaskSample, demand: Amounts) -> list[Row]:
+    excess = subtract_demand(sample, demand)
+    rows: list[Row] = []
+    for resource in RESOURCES:
+        name, show = resource.name, resource.unit.format
+        difference = render_difference(excess.get(name), demand.get(name), show)
+        rows.append((name, show(sample.used[name]), format_or_dash(demand.get(name), show), difference))
+    return [head("resource", "used", "demand", "excess"), *rows] if sample.state.alive else []
 
 
 def _encode_task_spec(stated: Task) -> Document:
@@ -267,13 +247,13 @@ def _encode_task_spec(stated: Task) -> Document:
     hooks = {"safe_when": handoff.safe_when, "hold": handoff.hold, "release": handoff.release}
     return {
         "template": stated.template,
-        "kind": stated.kind.value,
+        "task_kind": stated.kind.value,
         "managed": stated.managed,
         "command": stated.command,
-        "robots": list(stated.robots),
+        "robot_names": list(stated.robots),
         "needs": [{"task": need.task, "until": need.until.value} for need in stated.needs],
-        "priority": encode_number(stated.priority),
-        "deadline_s": encode_optional(stated.deadline),
+        "priority": stated.priority,
+        "deadline_s": stated.deadline,
         "labels": dict(stated.labels),
         "restart": stated.restart.value,
         "handoff": {
@@ -287,10 +267,11 @@ def _encode_task_spec(stated: Task) -> Document:
 
 def _encode_decision(step: Step) -> Document:
     decision = step.decision
-    named = {
+    return {
         "action": step.action.value,
         "reason": describe_reason(step),
         "host": decision.host,
         "previous_host": decision.previous_host,
+        "total": decision.total,
+        "lead": decision.lead,
     }
-    return {**named, "total": encode_optional(decision.total), "lead": encode_optional(decision.lead)}

@@ -1,7 +1,11 @@
-"""What ``edgectl doctor`` found, host by host, as text and as a document."""
+"""Findings of ``edgectl doctor``, host by host."""
 
-from edgectl.formats.document import FORMAT_VERSION, Document, without_none
+from collections.abc import Sequence
+
+from edgectl.formats.document import Document, without_none
 from edgectl.model.diagnosis import Diagnosis, Finding, Severity
+from edgectl.views.output import ListView
+from edgectl.views.output_format import ITEM_FORMATS
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, escape_unprintable, render_columns, style_text
 
 _LEVEL_STYLES = {Severity.OK: "good", Severity.WARNING: "warn", Severity.FAILED: "bad"}
@@ -12,15 +16,25 @@ _THIS_MACHINE = "this machine"
 _CHECK_WIDTH = len("reachability")
 
 
-def render_diagnosis(value: Diagnosis, look: RenderOptions = PLAIN) -> str:
-    """One line per check, with what mends it below; one line that sums up."""
-    hosts = dict.fromkeys(finding.host for finding in value.findings)
-    return "\n".join(
-        [
-            *(_render_host_findings(host, value, look) for host in hosts),
-            _render_diagnosis_summary(value, look),
-        ]
-    )
+class DiagnosisView(ListView):
+    """The finding of each check."""
+
+    kind = "finding"
+    formats = ITEM_FORMATS
+
+    def __init__(self, diagnosis: Diagnosis) -> None:
+        self._diagnosis = diagnosis
+
+    def table(self, look: RenderOptions = PLAIN) -> str:
+        """One line per check with its remedy below, and a line that counts."""
+        value = self._diagnosis
+        hosts = dict.fromkeys(finding.host for finding in value.findings)
+        parts = [_render_host_findings(host, value, look) for host in hosts]
+        return "\n".join([*parts, _render_diagnosis_summary(value, look)])
+
+    def items(self) -> Sequence[Document]:
+        """The findings as JSON types; ``host`` is null where the manager's machine is meant."""
+        return [_encode_finding(finding) for finding in self._diagnosis.findings]
 
 
 def _render_host_findings(host: str | None, value: Diagnosis, look: RenderOptions) -> str:
@@ -51,16 +65,6 @@ def _render_diagnosis_summary(value: Diagnosis, look: RenderOptions) -> str:
     return style_text(said, _LEVEL_STYLES[value.worst], look) + "\n"
 
 
-def encode_diagnosis(value: Diagnosis) -> Document:
-    """The findings as JSON types; ``host`` is null where this machine is meant."""
-    return {
-        "format_version": FORMAT_VERSION,
-        "worst": value.worst.value,
-        "counts": {level.value: count for level, count in value.counts.items()},
-        "findings": [_encode_finding(finding) for finding in value.findings],
-    }
-
-
 def _encode_finding(finding: Finding) -> Document:
     found: Document = {
         "host": finding.host,
@@ -68,4 +72,4 @@ def _encode_finding(finding: Finding) -> Document:
         "level": finding.level.value,
         "message": finding.message,
     }
-    return found | without_none(mend=finding.remedy or None)
+    return found | without_none(hint=finding.remedy or None)

@@ -1,4 +1,4 @@
-"""How every error of ours is shown: text with position, line, caret and hint, or JSON."""
+"""Errors as text with position, line, caret and hint, and as JSON."""
 
 from collections.abc import Iterable
 
@@ -22,7 +22,7 @@ def render_error(error: EdgectlError, look: RenderOptions = PLAIN) -> str:
 
 
 def _format_error_message(error: EdgectlError) -> str:
-    """The message, with the host where it is about one and does not say so itself."""
+    """The message, with the host of a host error where the message does not name it."""
     host = error.host if isinstance(error, HostError) else ""
     return f"{host}: {error.message}" if host and host not in error.message else error.message
 

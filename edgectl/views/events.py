@@ -1,46 +1,70 @@
-"""What happened to the fleet: a table for people, an object per event for programs."""
+"""Events of a fleet."""
 
 from collections.abc import Iterable, Mapping, Sequence
 
-from edgectl.formats.document import FORMAT_VERSION, Document
+from edgectl.formats.document import Document
 from edgectl.model.assignment import Reason
 from edgectl.model.event import Event, EventKind
 from edgectl.units import format_instant
+from edgectl.views.glossary import head
+from edgectl.views.output import ListView
+from edgectl.views.output_format import ITEM_FORMATS
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, render_columns
 
 _EVENT_STYLES = {
-    EventKind.HOST_LOST: "bad", EventKind.HOST_BACK: "good", EventKind.HOST_REBOOTED: "warn", EventKind.TASK_STARTED: "good",
-    EventKind.TASK_READY: "good", EventKind.TASK_COMPLETED: "good", EventKind.TASK_RESTARTED: "warn", EventKind.TASK_FAILED: "bad",
-    EventKind.TASK_CRASHLOOP: "bad", EventKind.TASK_LOST: "bad", EventKind.TASK_DEFERRED: "warn", EventKind.TASK_UNPLACED: "warn",
-    EventKind.ACTION_FAILED: "bad", EventKind.PLANNED: "dim",
-}  # fmt: skip
-# Programs are told the word; a person what it means.
+    EventKind.HOST_LOST: "bad",
+    EventKind.HOST_BACK: "good",
+    EventKind.HOST_REBOOTED: "warn",
+    EventKind.TASK_STARTED: "good",
+    EventKind.TASK_READY: "good",
+    EventKind.TASK_COMPLETED: "good",
+    EventKind.TASK_RESTARTED: "warn",
+    EventKind.TASK_FAILED: "bad",
+    EventKind.TASK_CRASHLOOP: "bad",
+    EventKind.TASK_LOST: "bad",
+    EventKind.TASK_DEFERRED: "warn",
+    EventKind.TASK_UNPLACED: "warn",
+    EventKind.ACTION_FAILED: "bad",
+    EventKind.PLANNED: "dim",
+}
+# Documents carry the code; tables what it means.
 _UNPLACED_TEXTS: Mapping[str, str] = {
     Reason.NO_CANDIDATE: "no host may run it now",
     Reason.NO_FEASIBLE_HOST: "no host has room for it",
-    Reason.PREDECESSOR_MISSING: "a task that it needs has no place",
+    Reason.PREDECESSOR_MISSING: "a task that it needs is not placed",
     Reason.PREDECESSOR_INCOMPLETE: "a task that it needs has not completed",
 }
-_EVENT_HEAD: Row = ("AT", "KIND", "WHAT", "MESSAGE")
-_NO_EVENTS = "No events: nothing happened in this time, or no edgectl looked (edgectl probe does).\n"
-# Widths that rows which come one by one keep, so that they stand below each other: an instant, the longest kind, most names.
+_EVENT_HEAD = head("at", "kind", "subject", "message")
+_NO_EVENTS = "No events in this time, or no edgectl observed any (edgectl probe does).\n"
+# Minimum widths of rows that come one by one: an instant, the longest kind, most names.
 EVENT_COLUMN_WIDTHS = (20, max(len(kind) for kind in EventKind), 24)
 
 
+class EventsView(ListView):
+    """Events, oldest first. ``stream``: part of a table that continues; ``first``: the part with headings."""
+
+    kind = "event"
+    formats = ITEM_FORMATS
+
+    def __init__(self, events: Iterable[Event], *, stream: bool = False, first: bool = True) -> None:
+        self._events, self._stream, self._first = list(events), stream, first
+
+    def table(self, look: RenderOptions = PLAIN) -> str:
+        """One line per event."""
+        if not self._stream:
+            return render_events(self._events, look)
+        rows = [*([_EVENT_HEAD] if self._first else []), *map(_render_event_row, self._events)]
+        return render_columns(rows, look, wrap={2}, least=EVENT_COLUMN_WIDTHS)
+
+    def items(self) -> Sequence[Document]:
+        """The events as JSON types."""
+        return [encode_event(value) for value in self._events]
+
+
 def render_events(values: Iterable[Event], look: RenderOptions = PLAIN) -> str:
-    """One line per event, oldest first, below a head."""
+    """One line per event below the headings."""
     rows = [_render_event_row(value) for value in values]
     return render_columns([_EVENT_HEAD, *rows], look, wrap={2}) if rows else _NO_EVENTS
-
-
-def render_more_events(values: Iterable[Event], head: object, look: RenderOptions = PLAIN) -> str:
-    """Rows to go below others; ``head``: they are the first."""
-    return render_columns(
-        [*([_EVENT_HEAD] if head else []), *(_render_event_row(value) for value in values)],
-        look,
-        wrap={2},
-        least=EVENT_COLUMN_WIDTHS,
-    )
 
 
 def _render_event_row(value: Event) -> Row:
@@ -54,18 +78,17 @@ def _render_event_row(value: Event) -> Row:
 
 
 def _format_event_subject(value: Event) -> str:
-    """Which task on which host, as far as it concerns one."""
+    """The task and the host that the event concerns."""
     return " on ".join(name for name in (value.task, value.host) if name) or "-"
 
 
-def encode_events(values: Sequence[Event]) -> Document:
-    """All of them, as JSON types."""
-    return {"format_version": FORMAT_VERSION, "events": [encode_event(value) for value in values]}
-
-
 def encode_event(value: Event) -> Document:
-    """One of them, as JSON types; its ``id`` grows from event to event."""
+    """One event as JSON types; its ``id`` grows from event to event."""
     return {
-        "id": value.id, "at": format_instant(value.at), "kind": value.kind.value,
-        "host": value.host, "task": value.task, "message": value.message,
-    }  # fmt: skip
+        "id": value.id,
+        "at": format_instant(value.at),
+        "kind": value.kind.value,
+        "host": value.host,
+        "task": value.task,
+        "message": value.message,
+    }

@@ -1,11 +1,14 @@
-"""Why one task goes where it goes, as text and as a document."""
+"""The explanation of one placement: the decision, its terms, and the changes that would alter it."""
 
 from collections.abc import Iterable
 
-from edgectl.formats.document import FORMAT_VERSION, Document, encode_number, encode_optional
+from edgectl.formats.document import Document
 from edgectl.model.explanation import ChangeKind, Explanation, Flip
 from edgectl.model.plan import Step
 from edgectl.model.resource import RESOURCES_BY_NAME
+from edgectl.views.glossary import head
+from edgectl.views.output import ItemView
+from edgectl.views.output_format import WIDE_FORMATS
 from edgectl.views.plan_sections import format_utility
 from edgectl.views.reasons import describe_reason
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, render_columns, style_text, wrap_text
@@ -13,24 +16,68 @@ from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, render_columns, 
 _WEIGHT_CHANGES = (ChangeKind.WEIGHT_RISES, ChangeKind.WEIGHT_FALLS)
 
 
-def render_explanation(
-    step: Step, value: Explanation, look: RenderOptions = PLAIN, *, every: bool = False
-) -> str:
-    """The decision, what each term adds to the lead, and what would change it: the smallest changes, or ``every`` one of them."""
-    parts = [
-        style_text(f"{step.task} -> {value.decision.host or 'nowhere'}", "bold", look)
-        + "\n"
-        + wrap_text(describe_reason(step), look)
-    ]
-    if value.contributions:
-        parts.append(_render_contributions(value, look))
-    parts.append("".join(wrap_text(line, look) for line in _list_explanation_sentences(value, every=every)))
-    return "\n".join(part for part in parts if part)
+class ExplanationView(ItemView):
+    """The decision of a task, the contribution of each term, and the changes that would alter it."""
+
+    kind = "explanation"
+    formats = WIDE_FORMATS
+
+    def __init__(self, step: Step, explanation: Explanation) -> None:
+        self._step, self._explanation = step, explanation
+
+    def table(self, look: RenderOptions = PLAIN) -> str:
+        """With the smallest changes only."""
+        return self._render(look, every=False)
+
+    def wide(self, look: RenderOptions = PLAIN) -> str:
+        """With every change that would alter the decision."""
+        return self._render(look, every=True)
+
+    def _render(self, look: RenderOptions, *, every: bool) -> str:
+        step, value = self._step, self._explanation
+        title = style_text(f"{step.task} -> {value.decision.host or 'nowhere'}", "bold", look)
+        sentences = "".join(wrap_text(line, look) for line in _list_sentences(value, every=every))
+        parts = (
+            title + "\n" + wrap_text(describe_reason(step), look),
+            _render_contributions(value, look) if value.contributions else "",
+            sentences,
+        )
+        return "\n".join(part for part in parts if part)
+
+    def item(self) -> Document:
+        """The explanation as JSON types; ``flips`` smallest first."""
+        step, value = self._step, self._explanation
+        decision = value.decision
+        return {
+            "task": step.task,
+            "action": step.action.value,
+            "reason": describe_reason(step),
+            "host": decision.host,
+            "previous_host": decision.previous_host,
+            "runner_up": value.runner_up,
+            "total": decision.total,
+            "lead": decision.lead,
+            "slack": value.slack,
+            "noise": value.noise,
+            "fragile": value.fragile,
+            "contributions": [
+                {
+                    "term": each.term,
+                    "weight": each.weight,
+                    "here": each.here,
+                    "there": each.there,
+                    "adds": each.lead,
+                }
+                for each in value.contributions
+            ],
+            "flips": [_encode_flip(flip) for flip in value.flips],
+        }
 
 
 def _render_contributions(value: Explanation, look: RenderOptions) -> str:
     here, there = value.decision.host or "", value.runner_up or ""
-    rows: list[Row] = [("TERM", "WEIGHT", here, there, "ADDS TO THE LEAD")]
+    hosts = (Cell(here, "head"), Cell(there, "head"))
+    rows: list[Row] = [(*head("term", "weight"), *hosts, Cell("ADDS TO LEAD", "head"))]
     for each in value.contributions:
         style = "good" if each.lead > 0 else "bad" if each.lead < 0 else "dim"
         rows.append(
@@ -56,7 +103,7 @@ def _render_contributions(value: Explanation, look: RenderOptions) -> str:
     return render_columns(rows, look, right={1, 2, 3, 4})
 
 
-def _list_explanation_sentences(value: Explanation, *, every: bool) -> Iterable[str]:
+def _list_sentences(value: Explanation, *, every: bool) -> Iterable[str]:
     flips = value.flips if every else _select_smallest_flips(value.flips)
     for flip in flips:
         yield f"{_describe_flip_outcome(flip)} if {_describe_flip_condition(flip)}."
@@ -65,9 +112,15 @@ def _list_explanation_sentences(value: Explanation, *, every: bool) -> Iterable[
     if not value.flips:
         yield "No single change of a load or a weight would change this."
     if not value.linear:
-        yield "Changes of a link's load are left out: with several robots the worst link counts, which is not linear."
+        yield (
+            "Changes of a link's load are left out: with several robots the worst link counts, "
+            "which is not linear."
+        )
     if value.fragile and value.slack is not None and value.noise is not None:
-        yield f"fragile: it would change {value.slack:.3f} below, and the measurements alone vary by {value.noise:.3f}."
+        yield (
+            f"fragile: it would change {value.slack:.3f} below, "
+            f"and the measurements alone vary by {value.noise:.3f}."
+        )
 
 
 def _select_smallest_flips(flips: Iterable[Flip]) -> list[Flip]:
@@ -94,33 +147,14 @@ def _describe_flip_condition(flip: Flip) -> str:
     return f"{what} {verb} by more than {RESOURCES_BY_NAME[flip.term].unit.format_exact(flip.amount)}"
 
 
-def encode_explanation(step: Step, value: Explanation) -> Document:
-    """The explanation as JSON types; ``flips`` smallest first."""
-    decision = value.decision
-    return {
-        "format_version": FORMAT_VERSION,
-        "task": step.task,
-        "action": step.action.value,
-        "reason": describe_reason(step),
-        "host": decision.host,
-        "previous_host": decision.previous_host,
-        "runner_up": value.runner_up,
-        "total": encode_optional(decision.total),
-        "lead": encode_optional(decision.lead),
-        "slack": encode_optional(value.slack),
-        "noise": encode_optional(value.noise),
-        "fragile": value.fragile,
-        "contributions": [
-            {"term": each.term, "weight": encode_number(each.weight), "here": encode_number(each.here), "there": encode_number(each.there),
-             "adds": encode_number(each.lead)}
-            for each in value.contributions
-        ],
-        "flips": [_encode_flip(flip) for flip in value.flips],
-    }  # fmt: skip
-
-
 def _encode_flip(flip: Flip) -> Document:
     return {
-        "change": flip.change.value, "term": flip.term, "host": flip.host, "robot": flip.robot, "amount": encode_number(flip.amount),
-        "unit": "weight" if flip.change in _WEIGHT_CHANGES else RESOURCES_BY_NAME[flip.term].unit.name, "size": encode_number(flip.size), "winner": flip.winner,
-    }  # fmt: skip
+        "change": flip.change.value,
+        "term": flip.term,
+        "host": flip.host,
+        "robot": flip.robot,
+        "amount": flip.amount,
+        "unit": "weight" if flip.change in _WEIGHT_CHANGES else RESOURCES_BY_NAME[flip.term].unit.name,
+        "size": flip.size,
+        "winner": flip.winner,
+    }

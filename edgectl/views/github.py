@@ -15,7 +15,8 @@ def _format_annotation(value: Problem) -> str:
     if value.line:
         place += f",line={value.line},col={value.column},endColumn={value.column + value.length}"
     message = value.message + (f" (hint: {value.hint})" if value.hint else "")
-    return f"::{'warning' if value.warning else 'error'} {place},title={_escape_annotation_property(value.code)}::{_escape_annotation_text(message)}\n"
+    level, title = "warning" if value.warning else "error", _escape_annotation_property(value.code)
+    return f"::{level} {place},title={title}::{_escape_annotation_text(message)}\n"
 
 
 def _escape_annotation_text(text: str) -> str:

@@ -1,4 +1,4 @@
-"""Tasks, what they need and where they are placed, as a picture's parts."""
+"""The task graph: tasks, their needs and their hosts, as Mermaid and as DOT."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -12,14 +12,39 @@ UNPLACED_GROUP = "unplaced"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TaskGraph:
-    """``hosts``: by host (``NOWHERE`` last, where needed) its tasks with a label of one or two lines. ``needs``: (predecessor, task)."""
+    """``hosts``: of each host (unplaced last) its tasks with a label. ``needs``: (predecessor, task)."""
 
     hosts: Mapping[str, tuple[tuple[str, str], ...]]
     needs: tuple[tuple[str, str], ...]
 
+    def mermaid(self) -> str:
+        """A flowchart for Markdown pages: a box per host with its tasks in it, an arrow per need."""
+        ids = {
+            task: f"t{number}"
+            for number, task in enumerate(task for each in self.hosts.values() for task, _ in each)
+        }
+        lines = ["flowchart LR"]
+        for number, (host, each) in enumerate(self.hosts.items()):
+            lines += [
+                f'  subgraph h{number}["{host}"]',
+                *(f'    {ids[task]}["{task}<br/>{label}"]' for task, label in each),
+                "  end",
+            ]
+        lines += [f"  {ids[before]} --> {ids[task]}" for before, task in self.needs]
+        return "\n".join(lines) + "\n"
+
+    def dot(self) -> str:
+        """A directed graph for Graphviz: ``edgectl graph -o dot | dot -Tsvg``."""
+        lines = ["digraph fleet {", "  rankdir=LR;", '  node [shape=box, fontname="sans-serif"];']
+        for number, (host, each) in enumerate(self.hosts.items()):
+            nodes = [f'    "{task}" [label="{task}\\n{label}"];' for task, label in each]
+            lines += [f"  subgraph cluster_{number} {{", f'    label="{host}";', *nodes, "  }"]
+        lines += [f'  "{before}" -> "{task}";' for before, task in self.needs]
+        return "\n".join([*lines, "}"]) + "\n"
+
 
 def build_task_graph(plan: Plan, tasks: Tasks) -> TaskGraph:
-    """The plan as it will stand; tasks that end or have ended are left out."""
+    """The graph after the plan; tasks that end or have ended are left out."""
     shown = [step for step in plan.steps if step.action not in (Action.STOP, Action.COMPLETE, Action.NONE)]
     names = {step.task for step in shown}
     order = (

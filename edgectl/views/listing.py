@@ -1,23 +1,33 @@
-"""What there is: one item per edge, robot, task or link, with what is stated of it, and what changed from one look to the next.
+"""Listings of edges, robots, tasks and links, and the changes from one probe to the next.
 
-What is only measured (use, round trips, ages) stands in ``-o wide`` and in JSON, and is no change: ``edgectl top`` shows it.
+Measurements (usage, round trips, ages) stand in ``-o wide`` and in the documents, and are no change:
+``edgectl top`` shows them.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
-from edgectl.formats.document import FORMAT_VERSION, Document, encode_number, without_none
-from edgectl.formats.snapshot import encode_host, encode_link, encode_task
-from edgectl.model.inventory import Host, Inventory, Role
+from edgectl.formats.document import Document
+from edgectl.model.inventory import Host, Inventory
 from edgectl.model.snapshot import HostSample, LinkSample, Snapshot, TaskSample
 from edgectl.model.task import Task, Tasks
-from edgectl.units import format_bytes, format_cores, format_duration, format_instant, format_rate
+from edgectl.units import format_bytes, format_duration, format_instant, format_rate
 from edgectl.views import metrics
+from edgectl.views.glossary import head
+from edgectl.views.output import ListView, round_item
+from edgectl.views.output_format import FLEET_FORMATS
 from edgectl.views.plan_sections import list_unreachable_notes, render_notes
+from edgectl.views.rows import (
+    compute_task_age,
+    encode_absent_row,
+    encode_host_row,
+    encode_link_sample,
+    encode_run_row,
+    find_task_demand,
+)
 from edgectl.views.state import (
     TASK_STATE_STYLES,
-    format_operator_mark,
     format_silence,
     format_task_state,
     render_host_status,
@@ -27,7 +37,7 @@ from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, measure_column_w
 
 
 class ListingKind(StrEnum):
-    """What can be listed."""
+    """The kinds that can be listed."""
 
     EDGES = "edges"
     ROBOTS = "robots"
@@ -36,7 +46,7 @@ class ListingKind(StrEnum):
 
 
 class ItemChange(StrEnum):
-    """How an item differs from the look before."""
+    """The difference of an item from the probe before."""
 
     ADDED = "ADDED"
     MODIFIED = "MODIFIED"
@@ -45,13 +55,15 @@ class ItemChange(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ListingItem:
-    """One thing. ``path`` names it among its kind (a task that runs twice stands there twice), ``name`` as other commands take it.
+    """One thing. ``path`` is unique among its kind (a task that runs twice is listed twice).
 
-    ``row`` is its line, ``more`` what ``wide`` adds before the last column, ``told`` what counts as a change.
+    ``aliases``: the words that select it on the command line. ``row`` is its line, ``wide_cells`` what
+    ``wide`` adds before the last column, ``told`` what counts as a change.
     """
 
     path: str
     name: str
+    aliases: tuple[str, ...]
     row: Row
     wide_cells: Row
     told: tuple[object, ...]
@@ -61,7 +73,7 @@ class ListingItem:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Listing:
-    """Items of one kind at one instant (s since 1970), and what a person has to know besides."""
+    """Items of one kind at one instant (s since 1970), with notes on the whole."""
 
     kind: ListingKind
     at: float
@@ -69,41 +81,128 @@ class Listing:
     notes: tuple[str, ...] = ()
 
 
-# The columns of each kind, and those that wide adds before the last one.
-_COLUMN_HEADS: Mapping[ListingKind, tuple[Row, Row]] = {
-    ListingKind.EDGES: (("NAME", "STATUS", "CORES", "MEMORY", "TASKS", "LABELS"), ("ADDRESS", "CPU", "USED")),
-    ListingKind.ROBOTS: (
-        ("NAME", "STATUS", "CORES", "MEMORY", "TASKS", "ONBOARD", "LABELS"),
-        ("ADDRESS", "CPU", "USED"),
-    ),
+Change = tuple[ItemChange, ListingItem]
+
+# Of each kind: the columns, those that wide adds before the last one, and the headings of numbers.
+_HOST_COLUMNS = ("host", "status", "cpu.capacity_cores", "memory.capacity_bytes", "task_count")
+_WIDE_HOST_COLUMNS = ("address", "cpu.share", "memory.share")
+_COLUMNS: Mapping[ListingKind, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    ListingKind.EDGES: ((*_HOST_COLUMNS, "labels"), _WIDE_HOST_COLUMNS),
+    ListingKind.ROBOTS: ((*_HOST_COLUMNS, "onboard", "labels"), _WIDE_HOST_COLUMNS),
     ListingKind.TASKS: (
-        ("NAME", "HOST", "STATE", "RESTARTS", "UP"),
-        ("KIND", "ROBOTS", "NEEDS", "PID", "METRICS"),
+        ("task", "host", "state", "restarts", "age_s"),
+        ("kind", "robots", "needs", "pid", "metrics"),
     ),
-    ListingKind.LINKS: (("EDGE", "ROBOT", "CAPACITY", "SOURCE"), ("USED", "RTT")),
+    ListingKind.LINKS: (
+        ("edge", "robot", "capacity_bytes_per_s", "capacity_source"),
+        ("network.used_bytes_per_s", "rtt_ms"),
+    ),
 }
+_NUMBERS = {
+    "cpu.capacity_cores", "memory.capacity_bytes", "task_count", "cpu.share", "memory.share", "restarts",
+    "age_s", "pid", "capacity_bytes_per_s", "network.used_bytes_per_s", "rtt_ms",
+}  # fmt: skip
 _UNKNOWN_SOURCE = Cell("unknown", "warn")
 _WRAPPED_COLUMNS = frozenset(range(12))
 
 
+class ListingView(ListView):
+    """A listing below its headings, then the hosts that do not answer."""
+
+    formats = FLEET_FORMATS
+
+    def __init__(self, listing: Listing) -> None:
+        self._listing = listing
+        self.kind = listing.kind.value.removesuffix("s")
+
+    def table(self, look: RenderOptions = PLAIN) -> str:
+        """One line per item."""
+        return _render_listing(self._listing, look, wide=False)
+
+    def wide(self, look: RenderOptions = PLAIN) -> str:
+        """The table with measurements and more declarations."""
+        return _render_listing(self._listing, look, wide=True)
+
+    def items(self) -> Sequence[Document]:
+        """The items as JSON types."""
+        return [item.document for item in self._listing.items]
+
+    def warnings(self) -> Sequence[str]:
+        """Hosts without a reply."""
+        return self._listing.notes
+
+    def names(self) -> Sequence[str]:
+        """KIND/NAME of each item."""
+        return [item.name for item in self._listing.items]
+
+
+class ListingChangesView(ListView):
+    """The changes of a listing, below the lines of the ``first`` one; where this is the first, all of it."""
+
+    formats = FLEET_FORMATS
+    kind = "change"
+
+    def __init__(self, listing: Listing, changes: Sequence[Change], first: Listing | None) -> None:
+        self._listing, self._changes, self._first = listing, changes, first
+
+    def table(self, look: RenderOptions = PLAIN) -> str:
+        """The lines that changed."""
+        return self._render(look, wide=False)
+
+    def wide(self, look: RenderOptions = PLAIN) -> str:
+        """The same in full."""
+        return self._render(look, wide=True)
+
+    def _render(self, look: RenderOptions, *, wide: bool) -> str:
+        if self._first is None:
+            return _render_listing(self._listing, look, wide=wide)
+        rows = [
+            _build_deleted_item_row(item, wide=wide)
+            if change is ItemChange.DELETED
+            else _build_item_row(item, wide=wide)
+            for change, item in self._changes
+        ]
+        return render_columns(
+            rows,
+            look,
+            right=_find_number_columns(self._first.kind, wide=wide),
+            wrap=_WRAPPED_COLUMNS,
+            least=measure_column_widths(_build_listing_rows(self._first, wide=wide)),
+        )
+
+    def items(self) -> Sequence[Document]:
+        """The changes: type, instant and the item as it is now."""
+        at = format_instant(self._listing.at)
+        return [
+            {"type": change.value, "at": at, "object": round_item(item.document)}
+            for change, item in self._changes
+        ]
+
+    def names(self) -> Sequence[str]:
+        """KIND/NAME of each item that changed."""
+        return [item.name for _, item in self._changes]
+
+
 def build_listing(kind: ListingKind, value: Snapshot, inventory: Inventory, tasks: Tasks) -> Listing:
-    """Everything of a kind: what the files state, and what the hosts report beyond them."""
-    made = {
-        ListingKind.EDGES: _build_edge_items,
-        ListingKind.ROBOTS: _build_robot_items,
-        ListingKind.TASKS: _build_task_items,
-        ListingKind.LINKS: _build_link_items,
-    }[kind]
+    """Everything of a kind: the declarations of the files, and what hosts report beyond them."""
+    build: Mapping[ListingKind, Callable[[], Iterator[ListingItem]]] = {
+        ListingKind.EDGES: lambda: (_build_host_item(host, value, ()) for host in inventory.edges),
+        ListingKind.ROBOTS: lambda: (
+            _build_host_item(host, value, ("yes" if host.onboard else "no",)) for host in inventory.robots
+        ),
+        ListingKind.TASKS: lambda: _build_task_items(value, inventory, tasks),
+        ListingKind.LINKS: lambda: _build_link_items(value, inventory),
+    }
     return Listing(
         kind=kind,
         at=value.taken_at,
-        items=tuple(made(value, inventory, tasks)),
+        items=tuple(build[kind]()),
         notes=tuple(list_unreachable_notes(value)),
     )
 
 
-def compare_listings(before: Listing | None, after: Listing) -> list[tuple[ItemChange, ListingItem]]:
-    """What differs, in the order of ``after``; then what is gone."""
+def compare_listings(before: Listing | None, after: Listing) -> list[Change]:
+    """The changes in the order of ``after``; then what is gone."""
     known = {item.path: item for item in before.items} if before else {}
     found = [(ItemChange.MODIFIED if item.path in known else ItemChange.ADDED, item) for item in after.items]
     left = known.keys() - {item.path for item in after.items}
@@ -114,21 +213,13 @@ def compare_listings(before: Listing | None, after: Listing) -> list[tuple[ItemC
     ] + [(ItemChange.DELETED, item) for path, item in known.items() if path in left]
 
 
-def _build_edge_items(value: Snapshot, inventory: Inventory, _tasks: Tasks) -> Iterator[ListingItem]:
-    return (_build_host_item(host, value, ()) for host in inventory.edges)
-
-
-def _build_robot_items(value: Snapshot, inventory: Inventory, _tasks: Tasks) -> Iterator[ListingItem]:
-    return (_build_host_item(host, value, ("yes" if host.onboard else "no",)) for host in inventory.robots)
-
-
 def _build_host_item(host: Host, value: Snapshot, extra: Row) -> ListingItem:
     sample = value.hosts.get(host.name)
     status, alive = render_host_status(host.name, sample, value.manager), _count_alive_tasks(sample)
     usage = sample.usage if sample and sample.ok else {}
     cpu, memory = usage.get("cpu"), usage.get("memory")
-    said = (
-        format_cores(cpu.capacity) if cpu else "-",
+    capacity = (
+        f"{cpu.capacity:.2f}" if cpu else "-",
         format_bytes(memory.capacity) if memory else "-",
         str(alive) if cpu else "-",
     )
@@ -136,14 +227,15 @@ def _build_host_item(host: Host, value: Snapshot, extra: Row) -> ListingItem:
     return ListingItem(
         path=host.name,
         name=f"{host.role}/{host.name}",
-        row=(Cell(host.name, "name"), status, *said, *extra, labels),
+        aliases=(host.name,),
+        row=(Cell(host.name, "name"), status, *capacity, *extra, labels),
         wide_cells=(
             f"{host.connection} {host.host}",
             f"{cpu.used / cpu.capacity:.0%}" if cpu else "-",
             f"{memory.used / memory.capacity:.0%}" if memory else "-",
         ),
-        told=(status.text, *said, *extra, labels),
-        document=encode_listed_host(host, value),
+        told=(status.text, *capacity, *extra, labels),
+        document=encode_host_row(host.name, value, host),
         labels=host.labels,
     )
 
@@ -152,55 +244,34 @@ def _count_alive_tasks(sample: HostSample | None) -> int:
     return sum(task.state.alive for task in sample.tasks.values()) if sample else 0
 
 
-def encode_listed_host(host: Host, value: Snapshot) -> Document:
-    """What is known of one host, as JSON types: what the inventory states (no environment), then its part of the snapshot."""
-    stated = without_none(
-        kind=host.role.value,
-        name=host.name,
-        address=host.host,
-        connection=host.connection.value,
-        labels=dict(host.labels),
-        limits={name: encode_number(share) for name, share in host.limits.items()},
-        onboard=host.onboard if host.role is Role.ROBOT else None,
-        closed=format_operator_mark(host.name, value.manager) or None,
-    )
-    return stated | (
-        encode_host(value.hosts[host.name]) if host.name in value.hosts else {"status": "not probed"}
-    )
-
-
-def _build_task_items(value: Snapshot, _inventory: Inventory, tasks: Tasks) -> Iterator[ListingItem]:
+def _build_task_items(value: Snapshot, inventory: Inventory, tasks: Tasks) -> Iterator[ListingItem]:
     runs = [(name, host, sample) for host, each in value.hosts.items() for name, sample in each.tasks.items()]
     seen = {name for name, _, _ in runs}
     order = {name: place for place, name in enumerate([*tasks.tasks, *sorted(seen - tasks.tasks.keys())])}
-    items = [
-        _build_running_task_item(name, host, sample, tasks.tasks.get(name), value)
-        for name, host, sample in runs
-    ]
+    items = [_build_running_task_item(run, value, inventory, tasks) for run in runs]
     items += [_build_absent_task_item(task, value) for task in tasks.tasks.values() if task.name not in seen]
-    yield from sorted(items, key=lambda item: (order[str(item.document["name"])], item.path))
+    yield from sorted(items, key=lambda item: (order[item.aliases[0]], item.path))
 
 
 def _build_running_task_item(
-    name: str, host: str, sample: TaskSample, task: Task | None, value: Snapshot
+    run: tuple[str, str, TaskSample], value: Snapshot, inventory: Inventory, tasks: Tasks
 ) -> ListingItem:
+    name, host, sample = run
+    task, demand = tasks.tasks.get(name), find_task_demand(name, host, value, inventory, tasks)
     state, restarts = Cell(format_task_state(sample), TASK_STATE_STYLES[sample.state]), str(sample.restarts)
-    up = (
-        format_duration(max(0.0, value.taken_at - sample.started_at))
-        if sample.started_at and sample.state.alive
-        else "-"
-    )
+    age = compute_task_age(sample, value) if sample.state.alive else None
     return ListingItem(
         path=f"{name} on {host}",
         name=f"task/{name}",
-        row=(Cell(name, "name"), host, state, restarts, up),
+        aliases=(name,),
+        row=(Cell(name, "name"), host, state, restarts, "-" if age is None else format_duration(age)),
         wide_cells=(
             *_format_spec_columns(task),
             str(sample.pid or "-"),
             metrics.format_metrics(sample.metrics),
         ),
         told=(host, state.text, restarts, sample.instance, *_format_spec_columns(task)),
-        document={"kind": "task", "name": name, "host": host} | encode_task(sample),
+        document=encode_run_row(name, host, sample, demand, value) | _encode_spec_columns(task),
         labels=_collect_task_labels(task),
     )
 
@@ -208,17 +279,14 @@ def _build_running_task_item(
 def _build_absent_task_item(task: Task, value: Snapshot) -> ListingItem:
     known = resolve_absent_task(task, value)
     state = Cell(known.state + format_silence(known.contact, value.taken_at), "warn" if known.host else "dim")
-    contact = None if known.contact is None else format_instant(known.contact)
-    stated = without_none(
-        kind="task", name=task.name, state=known.state, last_host=known.host, last_contact=contact
-    )
     return ListingItem(
         path=f"{task.name} on -",
         name=f"task/{task.name}",
+        aliases=(task.name,),
         row=(Cell(task.name, "name"), known.host or "-", state, "-", "-"),
         wide_cells=(*_format_spec_columns(task), "-", "-"),
         told=(known.host, known.state, *_format_spec_columns(task)),
-        document=stated,
+        document=encode_absent_row(task, value) | _encode_spec_columns(task),
         labels=_collect_task_labels(task),
     )
 
@@ -230,18 +298,32 @@ def _format_spec_columns(task: Task | None) -> tuple[str, str, str]:
     return (kind, ",".join(task.robots) or "-", ",".join(need.task for need in task.needs) or "-")
 
 
+def _encode_spec_columns(task: Task | None) -> Document:
+    if task is None:
+        return {"in_files": False}
+    needs = [{"task": need.task, "until": need.until.value} for need in task.needs]
+    return {
+        "in_files": True,
+        "task_kind": task.kind.value,
+        "robot_names": list(task.robots),
+        "needs": needs,
+        "labels": dict(task.labels),
+    }
+
+
 def _collect_task_labels(task: Task | None) -> Mapping[str, str]:
     return {} if task is None else {**task.labels, "task": task.template}
 
 
-def _build_link_items(value: Snapshot, inventory: Inventory, _tasks: Tasks) -> Iterator[ListingItem]:
+def _build_link_items(value: Snapshot, inventory: Inventory) -> Iterator[ListingItem]:
     for edge in inventory.edges:
         sample = value.hosts.get(edge.name)
         for robot in inventory.robots:
-            yield _build_link_item(edge.name, robot.name, sample.links.get(robot.name) if sample else None)
+            link = sample.links.get(robot.name) if sample else None
+            yield _build_link_item(edge.name, robot.name, link, value)
 
 
-def _build_link_item(edge: str, robot: str, link: LinkSample | None) -> ListingItem:
+def _build_link_item(edge: str, robot: str, link: LinkSample | None, value: Snapshot) -> ListingItem:
     path = f"{edge}/{robot}"
     capacity = format_rate(link.capacity_bytes_per_s) if link else "-"
     source = (
@@ -253,86 +335,49 @@ def _build_link_item(edge: str, robot: str, link: LinkSample | None) -> ListingI
     return ListingItem(
         path=path,
         name=f"link/{path}",
+        aliases=(path, edge, robot),
         row=(Cell(edge, "name"), Cell(robot, "name"), capacity, source),
         wide_cells=(format_rate(link.used_bytes_per_s) if link else "-", rtt),
         told=(capacity, source.text),
-        document={"kind": "link", "name": path, "edge": edge, "robot": robot}
-        | (encode_link(link) if link else {}),
+        document={
+            "edge": edge,
+            "robot": robot,
+            "taken_at": format_instant(value.taken_at),
+            **(encode_link_sample(link) if link else {}),
+        },
         labels={},
     )
 
 
-def render_listing(value: Listing, look: RenderOptions = PLAIN) -> str:
-    """A line per item below a head, then the hosts that do not answer."""
-    return _render_listing_table(value, look, wide=False)
-
-
-def render_wide_listing(value: Listing, look: RenderOptions = PLAIN) -> str:
-    """The same with what is measured, and more of what is stated."""
-    return _render_listing_table(value, look, wide=True)
-
-
-def _render_listing_table(value: Listing, look: RenderOptions, *, wide: bool) -> str:
+def _render_listing(value: Listing, look: RenderOptions, *, wide: bool) -> str:
     table = (
-        render_columns(_build_listing_rows(value, wide=wide), look, wrap=_WRAPPED_COLUMNS)
+        render_columns(
+            _build_listing_rows(value, wide=wide),
+            look,
+            right=_find_number_columns(value.kind, wide=wide),
+            wrap=_WRAPPED_COLUMNS,
+        )
         if value.items
         else f"No {value.kind}.\n"
     )
     return table + render_notes(value.notes, look)
 
 
-def render_listing_changes(
-    value: Listing,
-    changed: Iterable[tuple[ItemChange, ListingItem]],
-    first: Listing | None,
-    look: RenderOptions = PLAIN,
-) -> str:
-    """The lines of what changed, below those of the ``first`` look as far as its widths go; all of them where this is the first."""
-    return (
-        render_listing(value, look)
-        if first is None
-        else _render_changed_items(changed, first, look, wide=False)
-    )
-
-
-def render_wide_listing_changes(
-    value: Listing,
-    changed: Iterable[tuple[ItemChange, ListingItem]],
-    first: Listing | None,
-    look: RenderOptions = PLAIN,
-) -> str:
-    """The same, wide."""
-    return (
-        render_wide_listing(value, look)
-        if first is None
-        else _render_changed_items(changed, first, look, wide=True)
-    )
-
-
-def _render_changed_items(
-    changed: Iterable[tuple[ItemChange, ListingItem]], first: Listing, look: RenderOptions, *, wide: bool
-) -> str:
-    rows = [
-        _build_deleted_item_row(item, wide=wide)
-        if change is ItemChange.DELETED
-        else _build_item_row(item, wide=wide)
-        for change, item in changed
-    ]
-    return render_columns(
-        rows, look, wrap=_WRAPPED_COLUMNS, least=measure_column_widths(_build_listing_rows(first, wide=wide))
-    )
-
-
 def _build_listing_rows(value: Listing, *, wide: bool) -> list[Row]:
     return [
-        _build_head_row(value.kind, wide=wide),
+        head(*_list_columns(value.kind, wide=wide)),
         *(_build_item_row(item, wide=wide) for item in value.items),
     ]
 
 
-def _build_head_row(kind: ListingKind, *, wide: bool) -> Row:
-    head, more = _COLUMN_HEADS[kind]
-    return (*head[:-1], *more, head[-1]) if wide else head
+def _list_columns(kind: ListingKind, *, wide: bool) -> tuple[str, ...]:
+    columns, more = _COLUMNS[kind]
+    return (*columns[:-1], *more, columns[-1]) if wide else columns
+
+
+def _find_number_columns(kind: ListingKind, *, wide: bool) -> frozenset[int]:
+    columns = _list_columns(kind, wide=wide)
+    return frozenset(place for place, column in enumerate(columns) if column in _NUMBERS)
 
 
 def _build_item_row(item: ListingItem, *, wide: bool) -> Row:
@@ -343,17 +388,3 @@ def _build_deleted_item_row(item: ListingItem, *, wide: bool) -> Row:
     """Only tasks that no file names can go."""
     name, host, _, *rest = _build_item_row(item, wide=wide)
     return (name, host, Cell("gone", "bad"), *rest)
-
-
-def encode_listing(value: Listing) -> Document:
-    """All items, as JSON types."""
-    return {
-        "format_version": FORMAT_VERSION,
-        "taken_at": format_instant(value.at),
-        "items": [item.document for item in value.items],
-    }
-
-
-def encode_item_change(at: float, change: ItemChange, item: ListingItem) -> Document:
-    """One change at ``at`` (s since 1970), as JSON types."""
-    return {"type": change.value, "at": format_instant(at), "object": item.document}

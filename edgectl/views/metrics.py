@@ -1,8 +1,9 @@
-"""What applications say of themselves, for people."""
+"""Metrics that applications report."""
 
 from collections.abc import Iterable, Mapping
 
 from edgectl.model.snapshot import TaskSample
+from edgectl.views.glossary import head
 from edgectl.views.text import Cell, Row
 
 
@@ -17,10 +18,10 @@ def format_metrics(metrics: Mapping[str, float]) -> str:
 
 
 def render_metrics_rows(runs: Iterable[tuple[str, str, TaskSample]]) -> list[Row]:
-    """A row for each of the runs (task, host) that says something, with their head; nothing where none does."""
+    """A row for each of the runs (task, host) that reports metrics, with headings; empty where none does."""
     rows: list[Row] = [
         (Cell(task, "name"), host, format_metrics(sample.metrics))
         for task, host, sample in runs
         if sample.metrics
     ]
-    return [("TASK", "HOST", "METRICS"), *rows] if rows else []
+    return [head("task", "host", "metrics"), *rows] if rows else []

@@ -1,22 +1,21 @@
-"""The forms of output, and how a form finds the function for what is shown."""
+"""The forms of output, and the ones that each kind of command offers."""
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from enum import StrEnum
-from importlib import import_module
-from typing import Any
 
 from edgectl.errors import UsageError
 from edgectl.names import format_alternatives
 
 
 class OutputFormat(StrEnum):
-    """What ``-o`` takes."""
+    """The values of ``-o``."""
 
     TABLE = "table"
     WIDE = "wide"
     JSON = "json"
     JSONL = "jsonl"
     YAML = "yaml"
+    CSV = "csv"
     NAME = "name"
     MARKDOWN = "markdown"
     GITHUB = "github"
@@ -24,27 +23,37 @@ class OutputFormat(StrEnum):
     DOT = "dot"
 
 
-def list_output_formats(what: str) -> tuple[OutputFormat, ...]:
-    """The forms in which ``what`` ("plan", "snapshot", ..) can be shown."""
-    return tuple(form for form in OutputFormat if _find_renderer(form, what) is not None)
+Formats = tuple[OutputFormat, ...]
+
+# All derived from one document.
+DOCUMENT_FORMATS: Formats = (OutputFormat.JSON, OutputFormat.JSONL, OutputFormat.YAML, OutputFormat.CSV)
+ITEM_FORMATS: Formats = (OutputFormat.TABLE, *DOCUMENT_FORMATS)
+WIDE_FORMATS: Formats = (OutputFormat.TABLE, OutputFormat.WIDE, *DOCUMENT_FORMATS)
+NAMED_FORMATS: Formats = (*ITEM_FORMATS, OutputFormat.NAME)
+FLEET_FORMATS: Formats = (*WIDE_FORMATS, OutputFormat.NAME)
+EXPERIMENT_FORMATS: Formats = (*WIDE_FORMATS, OutputFormat.MARKDOWN)
+PLAN_FORMATS: Formats = (*FLEET_FORMATS, OutputFormat.MARKDOWN)
+VALIDATION_FORMATS: Formats = (*ITEM_FORMATS, OutputFormat.GITHUB)
+GRAPH_FORMATS: Formats = (OutputFormat.MERMAID, OutputFormat.DOT)
+CYCLE_FORMATS: Formats = (OutputFormat.TABLE, OutputFormat.JSONL)
+# Of a list that is printed again and again.
+STREAM_FORMATS: Formats = (OutputFormat.TABLE, OutputFormat.WIDE, OutputFormat.JSON, OutputFormat.JSONL)
+NAMED_STREAM_FORMATS: Formats = (*STREAM_FORMATS, OutputFormat.NAME)
 
 
-def get_renderer(form: OutputFormat, what: str) -> Callable[..., str]:
-    """The function ``what`` of the form's module. Where nothing wider exists, wide is the table.
+def is_supported(form: str, offered: Sequence[OutputFormat]) -> bool:
+    """Whether ``form`` is one of ``offered``; ``wide`` is the table where nothing wider exists."""
+    return form in offered or (form == OutputFormat.WIDE and OutputFormat.TABLE in offered)
+
+
+def check_output_format(form: str, offered: Sequence[OutputFormat]) -> OutputFormat:
+    """``form``, if it is one of ``offered``.
 
     Raises:
-        UsageError: ``what`` has no such form.
+        UsageError: it is not.
     """
-    function = _find_renderer(form, what) or (
-        _find_renderer(OutputFormat.TABLE, what) if form is OutputFormat.WIDE else None
-    )
-    if function is None:
+    if not is_supported(form, offered):
         raise UsageError(
-            f"no {form} form of this", hint=f"write -o {format_alternatives(list_output_formats(what))}"
+            f'output format "{form}" is not supported here', hint=f"use -o {format_alternatives(offered)}"
         )
-    return function
-
-
-def _find_renderer(form: OutputFormat, what: str) -> Callable[..., str] | None:
-    module: Any = import_module(f"edgectl.views.{form}")
-    return getattr(module, what, None)
+    return OutputFormat(form)

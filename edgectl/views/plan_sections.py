@@ -1,4 +1,4 @@
-"""The parts of which every text form of a plan is made: how it was decided, expected load, notes, the line that sums up."""
+"""Parts of a plan as text: header, expected load, notes and summary."""
 
 import dataclasses
 from collections.abc import Collection, Iterable
@@ -25,13 +25,21 @@ from edgectl.views.text import (
 )
 
 ACTION_STYLES = {
-    Action.START: "good", Action.STOP: "bad", Action.MOVE: "warn", Action.RESTART: "warn", Action.COMPLETE: "good",
-    Action.KEEP: "dim", Action.NONE: "dim", Action.HOLD: "warn", Action.UNPLACED: "bad", Action.DEFER: "warn",
-}  # fmt: skip
+    Action.START: "good",
+    Action.STOP: "bad",
+    Action.MOVE: "warn",
+    Action.RESTART: "warn",
+    Action.COMPLETE: "good",
+    Action.KEEP: "dim",
+    Action.NONE: "dim",
+    Action.HOLD: "warn",
+    Action.UNPLACED: "bad",
+    Action.DEFER: "warn",
+}
 
 
 def render_plan_header(value: Plan, look: RenderOptions = PLAIN) -> str:
-    """How the plan was decided: policy, weights as used, snapshot."""
+    """Policy, weights as used, and snapshot of the plan."""
     weights = value.policy.weights
     shown = ", ".join(f"{name} {weight:.3g}" for name, weight in weights.items())
     return wrap_text(
@@ -89,28 +97,29 @@ def _render_load_cell(used: float, capacity: float | None, shown: str) -> Cell:
 
 
 def render_plan_notes(value: Plan, look: RenderOptions = PLAIN) -> str:
-    """What a reader has to know besides the table."""
+    """Notes on hosts, deferred tasks and demands."""
     lines = list_unreachable_notes(value.snapshot) + list_operator_mark_notes(value.snapshot)
     deferred = value.snapshot.manager.deferred if value.snapshot.manager else {}
     changing = (step.task for step in value.steps if step.action.changes)
     lines += [
-        f"{task}: put off by the last apply, with nothing touched: {deferred[task]}"
+        f"{task}: deferred by the last apply, unchanged: {deferred[task]}"
         for task in changing
         if task in deferred
     ]
     if value.frozen:
-        lines.append("too many edges are silent: nothing moves, starts are still allowed")
+        lines.append("too many edges do not answer: no moves; starts are still allowed")
     if not value.settled:
-        lines.append("no settled plan exists; tasks that run stay where they are")
+        lines.append("no settled plan exists; running tasks stay where they are")
     if value.unseen:
         lines.append(
-            f"first plan of this fleet: tasks on {join_words(value.unseen)} could not be seen and count as not running"
+            f"first plan of this fleet: tasks on {join_words(value.unseen)} are not known "
+            "and count as not running"
         )
     return render_notes(lines + list_demand_notes(value), look)
 
 
 def list_unreachable_notes(value: Snapshot) -> list[str]:
-    """One line for each host that does not answer, with what mends it."""
+    """One line for each host that does not answer, with the remedy."""
     contact = value.manager.contact if value.manager else {}
     return [
         f"{name} does not answer: {host.error or 'no cause given'}"
@@ -122,14 +131,14 @@ def list_unreachable_notes(value: Snapshot) -> list[str]:
 
 
 def list_operator_mark_notes(value: Snapshot) -> list[str]:
-    """One line for each way in which the operator closed hosts."""
+    """One line for each mark of the operator with its hosts."""
     memory = value.manager or ManagerState()
     fenced, draining = sorted(memory.fenced, key=natural_key), sorted(memory.draining, key=natural_key)
     cordoned = sorted(memory.cordons - memory.draining, key=natural_key)
     lines = [f"cordoned, no new tasks: {join_words(cordoned)} (edgectl uncordon)"] if cordoned else []
-    lines += [f"drained, its tasks leave: {join_words(draining)} (edgectl uncordon)"] if draining else []
+    lines += [f"draining, tasks move away: {join_words(draining)} (edgectl uncordon)"] if draining else []
     return lines + (
-        [f"fenced, counts as switched off: {join_words(fenced)} (edgectl unfence)"] if fenced else []
+        [f"fenced, treated as powered off: {join_words(fenced)} (edgectl unfence)"] if fenced else []
     )
 
 
@@ -156,7 +165,8 @@ def render_plan_summary(value: Plan, look: RenderOptions = PLAIN) -> str:
     ):
         return style_text("No changes." + _describe_unchanged_tasks(len(value.steps)), "good", look) + "\n"
     text = (
-        f"Plan: {counts.get(Action.START, 0)} to start, {counts.get(Action.MOVE, 0)} to move, {_count_stops(value)} to stop, "
+        f"Plan: {counts.get(Action.START, 0)} to start, {counts.get(Action.MOVE, 0)} to move, "
+        f"{_count_stops(value)} to stop, "
         f"{counts.get(Action.KEEP, 0)} kept, {counts.get(Action.UNPLACED, 0)} unplaced"
     )
     rare = {**counts, Action.NONE: counts.get(Action.NONE, 0) - aside - missing}
@@ -194,7 +204,7 @@ def _describe_unchanged_tasks(count: int) -> str:
 
 
 def render_unreachable_hosts(value: Snapshot, names: Collection[str]) -> str:
-    """The hosts of ``names``, each with its cause, what mends it and how long it has been silent."""
+    """The hosts of ``names``, each with the cause, the remedy and the time since the last contact."""
     hosts = {name: host for name, host in value.hosts.items() if name in names}
     return "".join(
         f"{escape_unprintable(line)}\n"

@@ -1,34 +1,43 @@
-"""What tasks were measured to use: median, p95 and most of each resource, beside what is declared."""
+"""Measured usage of tasks by class of hosts, beside the declaration."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
-from edgectl.formats.document import FORMAT_VERSION, Document, encode_number
+from edgectl.formats.document import Document
 from edgectl.model.measured_demand import MIN_SAMPLES
 from edgectl.model.profile import ClassProfile, UsagePercentiles
 from edgectl.model.resource import RESOURCES, Resource
 from edgectl.model.task import Quantity
 from edgectl.units import format_duration
 from edgectl.views.demands import encode_declared_demand
+from edgectl.views.glossary import head
+from edgectl.views.output import ListView
+from edgectl.views.output_format import ITEM_FORMATS
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, is_within_width, render_columns
 
+_HEAD = head("task", "class", "resource", "declared", "p50", "p95", "max", "samples", "span_s", "host_names")
 _NO_SAMPLES = "No samples yet. Let the task run while edgectl probes or watches.\n"
 
 
-def render_profiles(values: Iterable[ClassProfile], look: RenderOptions = PLAIN) -> str:
-    """One line for each task, class of hosts and resource; without span and hosts where the terminal is too narrow for them."""
-    rows: list[Row] = [
-        ("TASK", "CLASS", "RESOURCE", "DECLARED", "P50", "P95", "MAX", "SAMPLES", "SPAN", "HOSTS")
-    ]
-    for value in values:
-        rows += _render_profile_rows(value)
-    fitting = (
-        rows if is_within_width(rows, look) else [row[:-2] for row in rows]
-    )  # the class says enough of the hosts, n of the span
-    return (
-        render_columns(fitting, look, right={3, 4, 5, 6, 7, 8}, wrap={0, 1, 3})
-        if len(rows) > 1
-        else _NO_SAMPLES
-    )
+class ProfileView(ListView):
+    """Measured usage by task and class of hosts."""
+
+    kind = "profile"
+    formats = ITEM_FORMATS
+
+    def __init__(self, profiles: Iterable[ClassProfile]) -> None:
+        self._profiles = list(profiles)
+
+    def table(self, look: RenderOptions = PLAIN) -> str:
+        """One line per task, class and resource; a narrow terminal leaves out span and hosts."""
+        if not self._profiles:
+            return _NO_SAMPLES
+        rows = [_HEAD, *(row for value in self._profiles for row in _render_profile_rows(value))]
+        fitting = rows if is_within_width(rows, look) else [row[:-2] for row in rows]
+        return render_columns(fitting, look, right={3, 4, 5, 6, 7, 8}, wrap={1, 3})
+
+    def items(self) -> Sequence[Document]:
+        """The profiles as JSON types."""
+        return [_encode_class_profile(value) for value in self._profiles]
 
 
 def _render_profile_rows(value: ClassProfile) -> Iterator[Row]:
@@ -58,7 +67,7 @@ def _list_resource_spreads(value: ClassProfile) -> list[tuple[Resource, UsagePer
 
 
 def _format_declared_demand(quantity: Quantity | None, show: Callable[[float], str]) -> str:
-    """As the file has it: nothing, an amount, a share; and whether it only counts until it is measured."""
+    """The declaration of the file: an amount or a share, and whether it counts only until measured."""
     if quantity is None:
         return "-"
     amount = f"{quantity.value * 100:.4g}%" if quantity.relative else show(quantity.value)
@@ -67,21 +76,16 @@ def _format_declared_demand(quantity: Quantity | None, show: Callable[[float], s
     return f"until: {amount}" if quantity.value else "measured"
 
 
-def encode_profiles(values: Iterable[ClassProfile]) -> Document:
-    """The same as JSON types, in cores, bytes and bytes/s."""
-    return {"format_version": FORMAT_VERSION, "profiles": [_encode_class_profile(value) for value in values]}
-
-
 def _encode_class_profile(value: ClassProfile) -> Document:
     return {
         "task": value.task.name,
         "class": value.kind,
-        "hosts": list(value.hosts),
+        "host_names": list(value.hosts),
         "samples": value.profile.samples,
-        "span_s": encode_number(value.profile.span_s),
+        "span_s": value.profile.span_s,
         "enough": value.enough,
-        "demand": {
-            resource.demand_key: {
+        "resources": {
+            resource.name: {
                 "declared": encode_declared_demand(value.task.demand[resource.name]),
                 **_encode_spread(spread),
             }
@@ -92,7 +96,7 @@ def _encode_class_profile(value: ClassProfile) -> Document:
 
 def _encode_spread(spread: UsagePercentiles) -> Document:
     return {
-        "p50": encode_number(spread.p50),
-        "p95": encode_number(spread.p95),
-        "max": encode_number(spread.most),
+        "p50": spread.p50,
+        "p95": spread.p95,
+        "max": spread.most,
     }

@@ -1,10 +1,13 @@
-"""The profilers that stay on the hosts, as text, as a document and as names."""
+"""Resident profilers of the hosts."""
 
 from collections.abc import Iterable, Sequence
 
-from edgectl.formats.document import FORMAT_VERSION, Document, encode_number, encode_optional, without_none
+from edgectl.formats.document import Document, without_none
 from edgectl.model.profiler import Profiler, ProfilerState
-from edgectl.units import format_bytes, format_duration
+from edgectl.units import format_bytes, format_cores, format_duration
+from edgectl.views.glossary import head
+from edgectl.views.output import ListView
+from edgectl.views.output_format import NAMED_FORMATS
 from edgectl.views.plan_sections import render_notes
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, render_columns
 
@@ -14,13 +17,37 @@ _PROFILER_STATE_STYLES = {
     ProfilerState.STOPPED: "dim",
     ProfilerState.NOT_RUNNING: "dim",
 }
+_HEAD = head(
+    "host", "state", "pid", "age_s", "every_s", "sample_age_s", "cpu.used_cores", "memory.used_bytes",
+    "ttl_left_s",
+)  # fmt: skip
 
 
-def render_profilers(values: Sequence[Profiler], look: RenderOptions = PLAIN) -> str:
-    """One line per host: how long its profiler has run, how old its last sample is, what it costs (of one core) and when it would end."""
-    rows: list[Row] = [("HOST", "STATE", "PID", "AGE", "EVERY", "LAST", "CPU", "MEMORY", "TTL LEFT")]
-    rows += [_render_profiler_row(value) for value in values]
-    return render_columns(rows, look) + render_notes(_list_profiler_notes(values), look)
+class ProfilersView(ListView):
+    """The profiler of each host: its age, its last sample, its cost and the time that it has left."""
+
+    kind = "profiler"
+    formats = NAMED_FORMATS
+
+    def __init__(self, profilers: Iterable[Profiler]) -> None:
+        self._profilers = list(profilers)
+
+    def table(self, look: RenderOptions = PLAIN) -> str:
+        """One line per host."""
+        rows = [_HEAD, *map(_render_profiler_row, self._profilers)]
+        return render_columns(rows, look, right=set(range(2, 9))) + render_notes(self.warnings(), look)
+
+    def items(self) -> Sequence[Document]:
+        """The profilers as JSON types."""
+        return [_encode_profiler(value) for value in self._profilers]
+
+    def warnings(self) -> Sequence[str]:
+        """Remarks on single hosts."""
+        return _list_profiler_notes(self._profilers)
+
+    def names(self) -> Sequence[str]:
+        """The hosts that have one, as profiler/HOST."""
+        return [f"profiler/{value.host}" for value in self._profilers if value.state.alive]
 
 
 def _render_profiler_row(value: Profiler) -> Row:
@@ -34,7 +61,7 @@ def _render_profiler_row(value: Profiler) -> Row:
         format_duration(value.age),
         format_duration(value.period),
         "-" if value.sample_age is None else format_duration(value.sample_age),
-        f"{value.used_cores:.2%}",
+        format_cores(value.used_cores),
         format_bytes(value.used_bytes),
         format_duration(value.ttl_left),
     )
@@ -45,21 +72,20 @@ def _list_profiler_notes(values: Iterable[Profiler]) -> list[str]:
 
 
 def _format_profiler_note(value: Profiler) -> str:
-    """What a reader should know of one host; empty where all is well."""
+    """The remark on one host; empty where all is well."""
     if value.state is ProfilerState.UNREACHABLE:
         return value.error + (f" ({value.hint})" if value.hint else "")
     if value.state is ProfilerState.NOT_RUNNING and value.detail:
-        return f"the last one is gone: {value.detail} (edgectl profilers start)"
+        return f"the last profiler ended: {value.detail} (edgectl profilers start)"
     if not value.current:
-        return "it measures other links or tasks than the files want, or is of another version (edgectl profilers start)"
+        return (
+            "it measures other links or tasks than the files ask for, or has another version "
+            "(edgectl profilers start)"
+        )
     if value.period > 1.5 * value.every > 0:
-        return f"samples are dear here, so they come every {format_duration(value.period)} instead of {format_duration(value.every)}"
+        period, every = format_duration(value.period), format_duration(value.every)
+        return f"samples are expensive here: every {period} instead of {every}"
     return ""
-
-
-def encode_profilers(values: Iterable[Profiler]) -> Document:
-    """As JSON types."""
-    return {"format_version": FORMAT_VERSION, "profilers": [_encode_profiler(value) for value in values]}
 
 
 def _encode_profiler(value: Profiler) -> Document:
@@ -67,22 +93,17 @@ def _encode_profiler(value: Profiler) -> Document:
     if value.state.alive:
         entry |= {
             "pid": value.pid,
-            "age_s": encode_number(value.age),
-            "every_s": encode_number(value.every),
-            "period_s": encode_number(value.period),
+            "age_s": value.age,
+            "every_s": value.every,
+            "period_s": value.period,
             "samples": value.samples,
-            "sample_age_s": encode_optional(value.sample_age),
-            "used_cores": encode_number(value.used_cores),
-            "used_bytes": encode_number(value.used_bytes),
-            "ttl_s": encode_number(value.ttl),
-            "ttl_left_s": encode_number(value.ttl_left),
+            "sample_age_s": value.sample_age,
+            "cpu": {"used_cores": value.used_cores},
+            "memory": {"used_bytes": value.used_bytes},
+            "ttl_s": value.ttl,
+            "ttl_left_s": value.ttl_left,
             "current": value.current,
         }
     return entry | without_none(
         detail=value.detail or None, error=value.error or None, hint=value.hint or None
     )
-
-
-def render_profiler_names(values: Iterable[Profiler], _look: RenderOptions = PLAIN) -> str:
-    """The hosts that have one, as profiler/HOST."""
-    return "".join(f"profiler/{value.host}\n" for value in values if value.state.alive)

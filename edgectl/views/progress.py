@@ -1,4 +1,4 @@
-"""What is under way, on standard error: one live line on a terminal, else one line as each part ends. Data never comes here."""
+"""Progress on standard error: a live line on a terminal, else a line as each part ends."""
 
 import contextlib
 import sys
@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from edgectl.model.progress import ProgressEvent, ProgressListener, ProgressStage
 from edgectl.model.snapshot import HostSample
 from edgectl.units import format_duration
-from edgectl.views.table import format_action_result
+from edgectl.views.results import format_action_result
 from edgectl.views.text import detect_render_options, escape_unprintable
 
 ProbeListener = Callable[[str, HostSample, float], None]

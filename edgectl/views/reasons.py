@@ -1,4 +1,4 @@
-"""The words for every reason and every rejection. They stand here and nowhere else."""
+"""Reasons of decisions and rejections in words."""
 
 from collections import Counter
 from collections.abc import Callable, Iterable
@@ -34,14 +34,14 @@ _FIXED_REASON_TEXTS = {
     Reason.UNSETTLED: "no settled plan exists, so it stays",
     Reason.NEVER_MOVED: "placed once, never moved (policy static)",
     Reason.DONE: "completed",
-    Reason.OPERATOR: "asked for by name",
+    Reason.OPERATOR: "requested by name",
     Reason.LEFT_FILE: "no longer in the task files",
-    Reason.MOVES_FROZEN: "too many edges are silent; nothing moves",
+    Reason.MOVES_FROZEN: "too many edges do not answer; no moves",
 }
 
 
 def describe_reason(step: Step) -> str:
-    """Why the step is what it is, in one line that begins with the action."""
+    """The reason of a step, in one line that begins with the action."""
     return (
         f"{step.action}: {LEFT_OUT_TEXT if is_left_out(step) else _describe_cause(step)}"
         + _describe_extra_stops(step)
@@ -119,14 +119,16 @@ def _describe_gain_over_cost(step: Step) -> str:
 
 def _describe_cost_above_gain(step: Step) -> str:
     decision = step.decision
-    return f"{decision.challenger or 'another host'} leads{_format_lead(decision.lead)}, no more than {_describe_downtime_cost(decision)}"
+    leader = f"{decision.challenger or 'another host'} leads{_format_lead(decision.lead)}"
+    return f"{leader}, no more than {_describe_downtime_cost(decision)}"
 
 
 def _describe_downtime_cost(decision: Decision) -> str:
     cost = decision.cost
     if cost is None:
         return "the measured downtime costs"
-    return f"the {cost.needed:.3f} that {format_duration(cost.downtime_s)} of downtime cost over {format_duration(cost.stay_s)}"
+    downtime, stay = format_duration(cost.downtime_s), format_duration(cost.stay_s)
+    return f"the {cost.needed:.3f} that {downtime} of downtime cost over {stay}"
 
 
 def _describe_dwell(step: Step) -> str:
@@ -140,7 +142,8 @@ def _describe_dwell(step: Step) -> str:
 
 
 def _describe_max_moves(step: Step) -> str:
-    return f"{step.decision.challenger or 'another host'} leads{_format_lead(step.decision.lead)}, but max_moves is used up"
+    leader = f"{step.decision.challenger or 'another host'} leads{_format_lead(step.decision.lead)}"
+    return f"{leader}, but max_moves is used up"
 
 
 def _format_lead(lead: float | None) -> str:
@@ -175,11 +178,12 @@ def _describe_given_up(step: Step) -> str:
     decision = step.decision
     word = "exited by itself" if decision.amount == 0 else "failed"
     code = f" (last exit {decision.amount:.0f})" if decision.amount is not None else ""
-    return f"{word} on {decision.subject}{code} and is given up; edgectl restart {step.task}, or a changed spec, starts it again"
+    remedy = f"edgectl restart {step.task}, or a changed spec, starts it again"
+    return f"{word} on {decision.subject}{code} and is given up; {remedy}"
 
 
 def _describe_replaced(step: Step) -> str:
-    return f"{_get_silent_host(step)} does not answer, and what ran there is fenced off"
+    return f"{_get_silent_host(step)} does not answer, and its copy there is fenced off"
 
 
 def _describe_spec_change(step: Step) -> str:
@@ -241,7 +245,8 @@ def describe_rejection(entry: Rejection) -> str:
     if entry.demand is None or entry.capacity is None:
         return f"short of {entry.resource}{where}"
     free = entry.capacity - (entry.used or 0.0)
-    return f"short of {entry.resource}{where} by {show(entry.demand - free)} (need {show(entry.demand)}, free {_format_signed(show, free)})"
+    amounts = f"need {show(entry.demand)}, free {_format_signed(show, free)}"
+    return f"short of {entry.resource}{where} by {show(entry.demand - free)} ({amounts})"
 
 
 def _format_rejection_detail(entry: Rejection) -> str:
@@ -255,7 +260,10 @@ def _format_signed(show: Callable[[float], str], value: float) -> str:
 
 
 def describe_fitting_hosts(decision: Decision) -> str:
-    """How many hosts fit and what the others lack: ``0/3 hosts fit: 2 short of cpu (need 2.40 cores, free 1.12 and 1.20), 1 cordoned``."""
+    """The number of hosts that fit and the shortages of the others.
+
+    ``0/3 hosts fit: 2 short of cpu (need 2.40 cores, free 1.12 and 1.20), 1 cordoned``
+    """
     left_out = sum(decision.rejection_counts.values())
     total = len(decision.ranking) + left_out
     if total == 0:
@@ -289,7 +297,8 @@ def _describe_shortage(resource: Resource, entries: list[Rejection]) -> str:
     if not needs or not free:
         return f"{len(entries)} short of {resource}"
     shown = [_format_signed(show, value) for value in sorted(free)[:3]]
-    return f"{len(entries)} short of {resource} (need {' or '.join(needs)}, free {join_words(shown)}{' ..' if len(free) > len(shown) else ''})"
+    listed = join_words(shown) + (" .." if len(free) > len(shown) else "")
+    return f"{len(entries)} short of {resource} (need {' or '.join(needs)}, free {listed})"
 
 
 def _describe_other_rejections(decision: Decision) -> list[str]:
@@ -299,13 +308,11 @@ def _describe_other_rejections(decision: Decision) -> list[str]:
         if entry is not None and entry.rule is not RejectionRule.INSUFFICIENT
     )
     rules.update(decision.rejection_counts)
-    return [
-        f"{count} {_RULE_TEXTS[RejectionRule(rule)] if rule != RejectionRule.INSUFFICIENT else 'others too small'}"
-        for rule, count in rules.items()
-    ]
+    texts = {**_RULE_TEXTS, RejectionRule.INSUFFICIENT: "others too small"}
+    return [f"{count} {texts[RejectionRule(rule)]}" for rule, count in rules.items()]
 
 
 def join_words(words: Iterable[str]) -> str:
-    """Words as people list them: ``a, b and c``."""
+    """A list in words: ``a, b and c``."""
     *head, last = list(words) or [""]
     return f"{', '.join(head)} and {last}" if head else last

@@ -1,4 +1,4 @@
-"""Bars and sparklines of one line, from block glyphs, or from ASCII where those cannot be shown. Pure: numbers in, text out."""
+"""Bars and sparklines from block glyphs, or from ASCII. Pure: numbers in, text out."""
 
 import math
 from collections.abc import Sequence
@@ -10,7 +10,7 @@ _ASCII_LEVELS = "_.-:=+*#"
 
 
 def render_bar(share: float, width: int, *, unicode: bool) -> str:
-    """``share`` (0..1; beyond, the nearer end) as a bar of ``width`` columns: to an eighth of a column, or in ASCII to a whole one.
+    """``share`` (clamped to 0..1) as a bar of ``width`` columns, to an eighth of one, in ASCII whole ones.
 
     Anything above 0 shows, and only a share of 1 fills the bar.
     """
@@ -32,7 +32,10 @@ def _count_filled_steps(share: float, steps: int) -> int:
 def render_sparkline(
     values: Sequence[float | None], top: float, width: int = SPARKLINE_SAMPLES, *, unicode: bool
 ) -> str:
-    """The newest ``width`` of ``values`` (oldest first), one glyph each: eight equal steps up to ``top``, a blank where there is none."""
+    """The newest ``width`` of ``values`` (oldest first), one glyph each.
+
+    Eight equal steps up to ``top``; a blank where there is no value.
+    """
     levels = _LEVELS if unicode else _ASCII_LEVELS
     return "".join(_get_level_glyph(value, top, levels) for value in values[-width:]) if width > 0 else ""
 

@@ -1,4 +1,4 @@
-"""How a task's state is told: one phrase, and below the table what a failed task said last and which limits do not hold."""
+"""State of tasks and hosts as phrases, and remarks on failed tasks and limits."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,11 @@ from edgectl.views.text import Cell
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AbsentTask:
-    """``state``: completed, unknown, not running or (unmanaged) not found. Where unknown: the last ``host`` and its ``contact``."""
+    """A task that no host reports.
+
+    ``state``: completed, unknown, not running or (unmanaged) not found. Where unknown: the last ``host`` and
+    its ``contact`` (s since 1970).
+    """
 
     state: str
     host: str | None = None
@@ -19,7 +23,7 @@ class AbsentTask:
 
 
 def resolve_absent_task(task: Task, value: Snapshot) -> AbsentTask:
-    """What became of ``task``, which no host of the snapshot reports."""
+    """State of ``task``, which no host of the snapshot reports."""
     memory = value.manager or ManagerState()
     placement = memory.placements.get(task.name)
     if memory.done.get(task.name) == task.spec_hash:
@@ -30,12 +34,12 @@ def resolve_absent_task(task: Task, value: Snapshot) -> AbsentTask:
 
 
 def format_silence(contact: float | None, now: float) -> str:
-    """How long a host has been silent, in brackets; nothing where that is not known."""
+    """Time since the last contact with a host, in brackets; empty where that is not known."""
     return "" if contact is None else f" (silent for {format_duration(max(0.0, now - contact))})"
 
 
 def format_operator_mark(host: str, memory: ManagerState | None) -> str:
-    """How the operator closed a host: fenced, draining, cordoned, or nothing."""
+    """Mark of the operator on a host: fenced, draining, cordoned, or empty."""
     if memory is None:
         return ""
     words = {"fenced": memory.fenced, "draining": memory.draining, "cordoned": memory.cordons}
@@ -43,13 +47,20 @@ def format_operator_mark(host: str, memory: ManagerState | None) -> str:
 
 
 TASK_STATE_STYLES = {
-    TaskState.READY: "good", TaskState.RUNNING: "good", TaskState.STARTING: "warn", TaskState.COMPLETED: "dim",
-    TaskState.FAILED: "bad", TaskState.CRASHLOOP: "bad",
-}  # fmt: skip
+    TaskState.READY: "good",
+    TaskState.RUNNING: "good",
+    TaskState.STARTING: "warn",
+    TaskState.COMPLETED: "dim",
+    TaskState.FAILED: "bad",
+    TaskState.CRASHLOOP: "bad",
+}
 
 
 def format_task_state(sample: TaskSample) -> str:
-    """Such as ``ready`` or ``failed (5 restarts, last exit 1)``: given up counts as failed, a service that ended well as exited."""
+    """``ready`` or ``failed (5 restarts, last exit 1)``.
+
+    A crash loop counts as failed, a service that ended with 0 as exited.
+    """
     if sample.state is TaskState.FAILED and sample.detail == "exited with 0":
         return "exited (exit code 0)"
     if sample.state is TaskState.CRASHLOOP and sample.last_exit is not None:
@@ -58,7 +69,7 @@ def format_task_state(sample: TaskSample) -> str:
 
 
 def render_host_status(name: str, sample: HostSample | None, memory: ManagerState | None) -> Cell:
-    """Whether a host answered, and how the operator closed it."""
+    """Whether a host answered, and the mark of the operator."""
     if sample is None:
         return Cell("not probed", "dim")
     closed = format_operator_mark(name, memory)
@@ -69,13 +80,13 @@ def render_host_status(name: str, sample: HostSample | None, memory: ManagerStat
 
 
 def list_task_remarks(value: Snapshot) -> list[str]:
-    """Of each failed task the last lines of its log and what starts it again, and of each task the limits that are not enforced."""
+    """Last log lines and remedy of each failed task, and limits that are not enforced."""
     tasks = [
         (f"{name} on {host}", sample)
         for host, each in value.hosts.items()
         for name, sample in each.tasks.items()
     ]
-    said = [f"{where} said last: {line}" for where, sample in tasks for line in sample.log_tail]
+    said = [f"{where}: last output: {line}" for where, sample in tasks for line in sample.log_tail]
     limits = [
         f"{where}: limits: {sample.limits}"
         for where, sample in tasks
@@ -85,10 +96,19 @@ def list_task_remarks(value: Snapshot) -> list[str]:
 
 
 def _list_given_up_notes(value: Snapshot) -> list[str]:
-    """How to mend each task that is not started again by itself, unless another copy lives."""
+    """Remedy of each task that is not restarted any more, unless another copy is alive."""
     runs = [(name, sample) for host in value.hosts.values() for name, sample in host.tasks.items()]
     alive = {name for name, sample in runs if sample.state.alive}
     over = dict.fromkeys(name for name, sample in runs if sample.given_up and name not in alive)
     return [
         f"{name} is given up; edgectl restart {name}, or a changed spec, starts it again" for name in over
     ]
+
+
+def describe_attention(sample: TaskSample) -> str:
+    """The reason why an operator should look at a task; empty where all is well."""
+    if sample.given_up:
+        return "given up; edgectl restart, or a changed spec, starts it again"
+    if sample.state in (TaskState.FAILED, TaskState.CRASHLOOP):
+        return format_task_state(sample) + (f": {sample.log_tail[-1]}" if sample.log_tail else "")
+    return f"limits: {sample.limits}" if sample.limits.startswith("not") and sample.state.alive else ""

@@ -1,4 +1,4 @@
-"""What every text form shares: columns without borders, colour that never carries meaning alone, harmless characters."""
+"""Text layout of all outputs: aligned columns, optional colour, escaped control characters."""
 
 import os
 import re
@@ -8,10 +8,10 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, TextIO
 
-_ANSI_STYLES = {"good": "32", "bad": "31", "warn": "33", "dim": "2", "bold": "1", "name": "36"}
+_ANSI_STYLES = {"good": "32", "bad": "31", "warn": "33", "dim": "2", "bold": "1", "name": "36", "head": "1"}
 _NARROWEST_LAST_COLUMN = 24
 _BELOW_INDENT = 4
-_FIELD_BREAKS = re.compile(r"(?<=[-,\s])")
+_FIELD_BREAKS = re.compile(r"(?<=[,\s])")
 
 
 class Cell(NamedTuple):
@@ -26,7 +26,11 @@ Row = Sequence[str | Cell]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RenderOptions:
-    """How text may look. ``width`` in columns; None: not a terminal, so nothing is wrapped. ``unicode``: bars and marks beyond ASCII."""
+    """Capabilities of the stream.
+
+    ``width`` in columns; None: not a terminal, so nothing is wrapped. ``unicode``: bars and marks beyond
+    ASCII.
+    """
 
     colour: bool = False
     width: int | None = None
@@ -37,7 +41,7 @@ PLAIN = RenderOptions()
 
 
 def detect_render_options(stream: TextIO) -> RenderOptions:
-    """The look that ``stream`` can show: NO_COLOR and TERM=dumb switch colour off, FORCE_COLOR switches it on."""
+    """Capabilities of ``stream``: NO_COLOR and TERM=dumb switch colour off, FORCE_COLOR switches it on."""
     terminal = stream.isatty()
     dumb = os.environ.get("TERM") == "dumb"
     coloured = bool(os.environ.get("FORCE_COLOR")) or (terminal and not dumb)
@@ -49,20 +53,20 @@ def detect_render_options(stream: TextIO) -> RenderOptions:
 
 
 def _can_show_unicode(stream: TextIO) -> bool:
-    """Whether block glyphs show: NO_UNICODE switches them off, and so does a locale without them (Python itself takes C for UTF-8)."""
+    """Whether block glyphs show: not with NO_UNICODE or the C locale (Python itself takes C for UTF-8)."""
     plain = os.environ.get("NO_UNICODE") or os.environ.get("LC_ALL") in ("C", "POSIX")
     return not plain and (stream.encoding or "").lower().replace("-", "") == "utf8"
 
 
 def escape_unprintable(text: str) -> str:
-    """``text`` with every control and format character written out, so that no host can steer the terminal."""
+    """``text`` with every control and format character escaped, so that no host can control the terminal."""
     return (
         text if text.isprintable() else "".join(c if c.isprintable() else _escape_character(c) for c in text)
     )
 
 
 def decode_log_output(data: bytes) -> str:
-    """A task's own output, lines and tabs kept, everything else that could steer a terminal written out."""
+    """Output of a task: lines and tabs kept, every other control character escaped."""
     text = data.decode("utf-8", "replace")
     return "".join(c if c in "\n\t" or c.isprintable() else _escape_character(c) for c in text)
 
@@ -88,27 +92,26 @@ def render_columns(
     least: Sequence[int] = (),
     below: bool = False,
 ) -> str:
-    """Rows as aligned columns, each line ended by a newline. ``right`` lists the columns aligned to the right.
+    """Rows as aligned columns, each line ended by a newline. ``right``: columns aligned to the right.
 
-    On a terminal that is too narrow the last column is wrapped, and those in ``wrap``, each under itself and between its words. Where that
-    leaves no room for the last one, what is too long of it stands on lines of its own; with ``below``, all of it. A table that is too wide
-    all the same is left as it is. ``least``: widths that columns have at least.
+    On a terminal that is too narrow the last column is wrapped, and headings and those in ``wrap``, each
+    under itself and between its words; a name is never split. Where that leaves no room for the last one,
+    what is too long of it stands on lines of its own; with ``below``, all of it. A table that is still too
+    wide is left as it is. ``least``: minimum widths of the columns.
     """
     cells = [[_to_safe_cell(field) for field in row] for row in rows]
     if not cells:
         return ""
     natural = _measure_cell_widths(cells, least)
     floors = {
-        i: _measure_longest_word(row[i].text for row in cells if i < len(row))
-        for i in wrap
-        if i < len(natural) - 1
+        i: _measure_narrowest(_select_column(cells, i), may_wrap=i in wrap) for i in range(len(natural) - 1)
     }
     widths = _shrink_widths([*natural[:-1], 0] if below else natural, look, floors, gap)
     return "".join(line + "\n" for row in cells for line in _render_row_lines(row, widths, look, right, gap))
 
 
 def measure_column_widths(rows: Iterable[Row]) -> list[int]:
-    """How wide each column is where nothing is wrapped."""
+    """Width of each column where nothing is wrapped."""
     return _measure_cell_widths([[_to_safe_cell(field) for field in row] for row in rows], ())
 
 
@@ -122,7 +125,7 @@ def compute_remaining_width(rows: Iterable[Row], look: RenderOptions, gap: str =
 
 
 def is_within_width(rows: Iterable[Row], look: RenderOptions, gap: str = "  ") -> bool:
-    """Whether rows as columns pass no edge."""
+    """Whether rows as columns fit the terminal."""
     widths = measure_column_widths(rows)
     return look.width is None or _sum_widths(widths, gap) <= look.width
 
@@ -138,7 +141,7 @@ def _sum_widths(widths: Sequence[int], gap: str) -> int:
 
 
 def _shrink_widths(widths: list[int], look: RenderOptions, floors: Mapping[int, int], gap: str) -> list[int]:
-    """Widths that fit the terminal as well as can be. ``floors``: of the columns that may be narrower, how narrow."""
+    """Widths that fit the terminal as far as possible. ``floors``: minimum widths by column."""
     excess = _sum_widths(widths, gap) - look.width if look.width is not None else 0
     if excess <= 0:
         return widths
@@ -146,15 +149,15 @@ def _shrink_widths(widths: list[int], look: RenderOptions, floors: Mapping[int, 
     give = sum(max(0, widths[column] - floor) for column, floor in floors.items())
     if excess > spare + give:
         spare = widths[-1]  # the last column goes below; only the others have to fit
-    if excess > spare + give:
-        return widths  # in vain: names that are whole are worth more
-    while excess > spare:
+    while excess > spare and give > 0:
         widest = max(
             (column for column, floor in floors.items() if fitted[column] > floor),
             key=lambda column: fitted[column],
         )
         fitted[widest] -= 1
-        excess -= 1
+        excess, give = excess - 1, give - 1
+    if excess > spare:
+        return fitted  # too wide all the same: names stay whole
     return [*fitted[:-1], max(0, fitted[-1] - max(0, excess))]
 
 
@@ -198,14 +201,14 @@ def _pad_cell(text: str, cell: Cell, width: int, look: RenderOptions, *, to_righ
 
 
 def _wrap_sentence(text: str, width: int) -> list[str]:
-    """A sentence on lines: it does not break at hyphens, for options stand in it."""
+    """A sentence on lines. No break at hyphens, for it may name options."""
     if len(text) <= width or width < 1:
         return [text]
     return textwrap.wrap(text, width, break_on_hyphens=False) or [""]
 
 
 def _wrap_field(text: str, width: int) -> list[str]:
-    """A field on lines: names break after hyphens, lists after commas."""
+    """A field on lines: lists break after commas; a name stays whole."""
     lines = [""]
     for word in _FIELD_BREAKS.split(text):
         if lines[-1] and len(lines[-1]) + len(word.rstrip()) > width:
@@ -214,8 +217,23 @@ def _wrap_field(text: str, width: int) -> list[str]:
     return [line.rstrip() for line in lines]
 
 
-def _measure_longest_word(texts: Iterable[str]) -> int:
-    return max(len(word.rstrip()) for text in texts for word in _FIELD_BREAKS.split(text))
+def _select_column(cells: list[list[Cell]], column: int) -> list[Cell]:
+    return [row[column] for row in cells if column < len(row)]
+
+
+def _measure_narrowest(column: Iterable[Cell], *, may_wrap: bool) -> int:
+    """Width of a column where its headings, and its fields if they may wrap, stand on several lines."""
+    return max(
+        (
+            _measure_longest_word(cell.text) if may_wrap or cell.style == "head" else len(cell.text)
+            for cell in column
+        ),
+        default=0,
+    )
+
+
+def _measure_longest_word(text: str) -> int:
+    return max(len(word.rstrip()) for word in _FIELD_BREAKS.split(text))
 
 
 def wrap_text(text: str, look: RenderOptions, indent: int = 2) -> str:

@@ -1,9 +1,8 @@
-"""How much of what: hosts and tasks with their use now and lately, against capacity and demand."""
+"""Usage of hosts and tasks, now and over the last samples, against capacity and demand."""
 
 from collections.abc import Iterable, Sequence
 
-from edgectl.formats.document import FORMAT_VERSION, Document, encode_optional
-from edgectl.formats.snapshot import encode_host, encode_task
+from edgectl.formats.document import Document, without_none
 from edgectl.model.inventory import Host, Inventory, Limits
 from edgectl.model.point import HostPoint, TaskPoint
 from edgectl.model.snapshot import HostSample, Snapshot, TaskSample, TaskState
@@ -11,12 +10,15 @@ from edgectl.model.task import Task, Tasks
 from edgectl.names import natural_key
 from edgectl.units import format_bytes, format_cores, format_duration, format_instant, format_rate
 from edgectl.views import metrics
+from edgectl.views.glossary import head
+from edgectl.views.output import ListView
+from edgectl.views.output_format import WIDE_FORMATS
 from edgectl.views.plan_sections import list_unreachable_notes, render_notes
+from edgectl.views.rows import compute_task_age, encode_host_row, encode_run_row, find_task_demand
 from edgectl.views.state import TASK_STATE_STYLES, render_host_status
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, render_columns
 from edgectl.views.usage import (
-    ResourceAmounts,
-    compute_task_demand,
+    Amounts,
     format_or_dash,
     render_difference,
     render_usage_share,
@@ -24,42 +26,137 @@ from edgectl.views.usage import (
     subtract_demand,
 )
 
-_HOST_HEAD: Row = ("NAME", "STATUS", "CPU", "MEMORY", "LINK", "TASKS")
-_WIDE_HOST_HEAD: Row = ("CORES", "BYTES", "IN", "OUT", "LOAD", "TEMPERATURE")
-_TASK_HEAD: Row = ("TASK", "HOST", "CPU", "DEMAND", "OFF", "MEMORY", "NETWORK", "UP", "READY")
-_WIDE_TASK_HEAD: Row = ("MEMORY DEMAND", "OFF", "NETWORK DEMAND", "OFF", "RESTARTS")
+_HOST_HEAD = head("host", "status", "cpu.share", "memory.share", "link", "task_count")
+_WIDE_HOST_HEAD = head(
+    "cpu.usage",
+    "memory.usage",
+    "rx_bytes_per_s",
+    "tx_bytes_per_s",
+    "device.load_1m",
+    "device.temperature_c",
+)
+_TASK_HEAD = head(
+    "task", "host", "cpu.used_cores", "cpu.demand_cores", "cpu.excess_cores", "memory.used_bytes",
+    "network.used_bytes_per_s", "age_s", "ready",
+)  # fmt: skip
+_WIDE_TASK_HEAD = head(
+    "memory.demand_bytes", "memory.excess_bytes", "network.demand_bytes_per_s",
+    "network.excess_bytes_per_s", "restarts",
+)  # fmt: skip
+_HOST_RIGHT_COLUMNS = frozenset({2, 3, 5, *range(len(_HOST_HEAD), len(_HOST_HEAD) + len(_WIDE_HOST_HEAD))})
 _RIGHT_COLUMNS = frozenset(range(2, 8))
 _WIDE_RIGHT_COLUMNS = frozenset(range(len(_TASK_HEAD), len(_TASK_HEAD) + len(_WIDE_TASK_HEAD)))
 
 
-def render_top_hosts(
-    value: Snapshot,
-    inventory: Inventory,
-    points: Iterable[HostPoint],
-    look: RenderOptions = PLAIN,
-    *,
-    wide: bool = False,
-) -> str:
-    """Use of each host: of its CPU, its memory and its busiest link, with the CPU over the last samples."""
-    past = group_points_by_host(points)
-    head: Row = (*_HOST_HEAD, *_WIDE_HOST_HEAD) if wide else _HOST_HEAD
-    rows = [
-        _render_top_host_row(name, sample, inventory.hosts.get(name), value, look, wide=wide)
-        for name, sample in value.hosts.items()
-    ]
-    histories = [
-        ([_compute_cpu_share_of_point(point) for point in past.get(name, ())], 1.0) for name in value.hosts
-    ]
-    return render_with_sparklines([head, *rows], histories, look, right={5}) + render_notes(
-        [*_list_over_limit_notes(value, inventory), *list_unreachable_notes(value)], look
-    )
+class TopHostsView(ListView):
+    """Usage of each host: its CPU, its memory and its busiest link, with the CPU over the last samples."""
+
+    kind = "host-usage"
+    formats = WIDE_FORMATS
+
+    def __init__(self, snapshot: Snapshot, inventory: Inventory, points: Iterable[HostPoint]) -> None:
+        self._snapshot, self._inventory = snapshot, inventory
+        self._points = group_points_by_host(points)
+
+    def table(self, look: RenderOptions = PLAIN) -> str:
+        """Shares of the capacity."""
+        return self._render(look, wide=False)
+
+    def wide(self, look: RenderOptions = PLAIN) -> str:
+        """The table with absolute numbers, network interfaces, load and temperature."""
+        return self._render(look, wide=True)
+
+    def _render(self, look: RenderOptions, *, wide: bool) -> str:
+        value, inventory = self._snapshot, self._inventory
+        rows = [
+            _render_top_host_row(name, sample, inventory.hosts.get(name), value, look, wide=wide)
+            for name, sample in value.hosts.items()
+        ]
+        histories = [
+            ([_compute_cpu_share_of_point(point) for point in self._points.get(name, ())], 1.0)
+            for name in value.hosts
+        ]
+        first: Row = (*_HOST_HEAD, *_WIDE_HOST_HEAD) if wide else _HOST_HEAD
+        notes = [*_list_over_limit_notes(value, inventory), *list_unreachable_notes(value)]
+        return render_with_sparklines(
+            [first, *rows], histories, look, right=_HOST_RIGHT_COLUMNS
+        ) + render_notes(notes, look)
+
+    def items(self) -> Sequence[Document]:
+        """The hosts as JSON types, each with its last samples, oldest first."""
+        return [
+            encode_host_row(name, self._snapshot)
+            | {"history": list(map(_encode_host_point, self._points.get(name, ())))}
+            for name in self._snapshot.hosts
+        ]
+
+    def warnings(self) -> Sequence[str]:
+        """Hosts above their limits, and hosts without a reply."""
+        return [
+            *_list_over_limit_notes(self._snapshot, self._inventory),
+            *list_unreachable_notes(self._snapshot),
+        ]
 
 
-def render_wide_top_hosts(
-    value: Snapshot, inventory: Inventory, points: Iterable[HostPoint], look: RenderOptions = PLAIN
-) -> str:
-    """The same in absolute numbers too, with what the device profiler says."""
-    return render_top_hosts(value, inventory, points, look, wide=True)
+class TopTasksView(ListView):
+    """Usage of each task that runs, against its demand, with its CPU over the last samples."""
+
+    kind = "task-usage"
+    formats = WIDE_FORMATS
+
+    def __init__(
+        self, snapshot: Snapshot, inventory: Inventory, tasks: Tasks, points: Iterable[TaskPoint]
+    ) -> None:
+        self._snapshot, self._inventory, self._tasks = snapshot, inventory, tasks
+        self._points = group_points_by_task(points)
+
+    def table(self, look: RenderOptions = PLAIN) -> str:
+        """One line per task; then the metrics that applications report."""
+        return self._render(look, wide=False)
+
+    def wide(self, look: RenderOptions = PLAIN) -> str:
+        """The table with demand and excess of memory and network."""
+        return self._render(look, wide=True)
+
+    def _render(self, look: RenderOptions, *, wide: bool) -> str:
+        runs = _list_running_tasks(self._snapshot)
+        notes = [*self._list_idle_notes(), *list_unreachable_notes(self._snapshot)]
+        if not runs:
+            return "No task runs.\n" + render_notes(list_unreachable_notes(self._snapshot), look)
+        rows: list[Row] = [(*_TASK_HEAD, *_WIDE_TASK_HEAD) if wide else _TASK_HEAD]
+        histories: list[tuple[Sequence[float | None], float]] = []
+        for name, host, sample in runs:
+            demand = self._find_demand(name, host)
+            task = self._tasks.tasks.get(name)
+            rows.append(_render_top_task_row(name, host, sample, task, demand, self._snapshot, wide=wide))
+            used = [point.used_cores for point in self._points.get(name, ())]
+            histories.append((used, max([demand.get("cpu") or 0.0, *used])))
+        right = _RIGHT_COLUMNS | _WIDE_RIGHT_COLUMNS if wide else _RIGHT_COLUMNS
+        body = render_with_sparklines(rows, histories, look, right=right)
+        reported = render_columns(metrics.render_metrics_rows(runs), look)
+        return body + (reported and "\n" + reported) + render_notes(notes, look)
+
+    def _list_idle_notes(self) -> list[str]:
+        tasks = self._tasks.tasks
+        missing = len(tasks) - len(
+            tasks.keys() & {name for name, _, _ in _list_running_tasks(self._snapshot)}
+        )
+        return [f"{missing} of {len(tasks)} tasks do not run: edgectl status"] if missing else []
+
+    def _find_demand(self, name: str, host: str) -> Amounts:
+        return find_task_demand(name, host, self._snapshot, self._inventory, self._tasks)
+
+    def items(self) -> Sequence[Document]:
+        """The tasks as JSON types, each with its last samples, oldest first."""
+        return [
+            encode_run_row(name, host, sample, self._find_demand(name, host), self._snapshot)
+            | {"history": list(map(_encode_task_point, self._points.get(name, ())))}
+            for name, host, sample in _list_running_tasks(self._snapshot)
+        ]
+
+    def warnings(self) -> Sequence[str]:
+        """Tasks that do not run, and hosts without a reply."""
+        return [*self._list_idle_notes(), *list_unreachable_notes(self._snapshot)]
 
 
 def _render_top_host_row(
@@ -107,7 +204,7 @@ def _render_wide_host_cells(sample: HostSample) -> Row:
 
 
 def _list_over_limit_notes(value: Snapshot, inventory: Inventory) -> list[str]:
-    """One line for each host that uses more than its limits allow to plan with."""
+    """One line for each host that uses more than its limits."""
     lines = []
     for name, sample in value.hosts.items():
         host = inventory.hosts.get(name)
@@ -144,51 +241,15 @@ def group_points_by_task(points: Iterable[TaskPoint]) -> dict[str, list[TaskPoin
     return found
 
 
-def render_top_tasks(
-    value: Snapshot,
-    inventory: Inventory,
-    wanted: Tasks,
-    points: Iterable[TaskPoint],
-    look: RenderOptions = PLAIN,
-    *,
-    wide: bool = False,
-) -> str:
-    """Use of each task that runs, against its demand, with its CPU over the last samples. Above its demand it is marked.
-
-    Below stands what applications say of themselves.
-    """
-    past = group_points_by_task(points)
-    rows: list[Row] = [(*_TASK_HEAD, *_WIDE_TASK_HEAD) if wide else _TASK_HEAD]
-    histories: list[tuple[Sequence[float | None], float]] = []
-    for name, host, sample in _list_running_tasks(value):
-        demand = find_task_demand(name, host, value, inventory, wanted)
-        rows.append(
-            _render_top_task_row(name, host, sample, wanted.tasks.get(name), demand, value, wide=wide)
-        )
-        used = [point.used_cores for point in past.get(name, ())]
-        histories.append((used, max([demand.cores or 0.0, *used])))
-    if len(rows) == 1:
-        return "No task runs.\n" + render_notes(list_unreachable_notes(value), look)
-    missing = len(wanted.tasks) - len(
-        wanted.tasks.keys() & {name for name, _, _ in _list_running_tasks(value)}
-    )
-    idle = [f"{missing} of {len(wanted.tasks)} tasks do not run: edgectl status"] if missing else []
-    body = render_with_sparklines(
-        rows, histories, look, right=_RIGHT_COLUMNS | _WIDE_RIGHT_COLUMNS if wide else _RIGHT_COLUMNS
-    )
-    said = render_columns(metrics.render_metrics_rows(_list_running_tasks(value)), look, wrap={0, 1})
-    return body + (said and "\n" + said) + render_notes([*idle, *list_unreachable_notes(value)], look)
-
-
-def render_task_rows_of_host(value: Snapshot, inventory: Inventory, wanted: Tasks, *, on: str) -> list[Row]:
-    """The rows of the tasks that run on one host, with their head and without the host; none where nothing runs."""
+def render_task_rows_of_host(value: Snapshot, inventory: Inventory, tasks: Tasks, *, on: str) -> list[Row]:
+    """The tasks that run on one host, with headings and without the host; empty where nothing runs."""
     rows: list[Row] = [
         _render_top_task_row(
             name,
             host,
             sample,
-            wanted.tasks.get(name),
-            find_task_demand(name, host, value, inventory, wanted),
+            tasks.tasks.get(name),
+            find_task_demand(name, host, value, inventory, tasks),
             value,
             wide=False,
         )
@@ -196,29 +257,6 @@ def render_task_rows_of_host(value: Snapshot, inventory: Inventory, wanted: Task
         if host == on
     ]
     return [(row[0], *row[2:]) for row in (_TASK_HEAD, *rows)] if rows else []
-
-
-def find_task_demand(
-    name: str, host: str, value: Snapshot, inventory: Inventory, wanted: Tasks
-) -> ResourceAmounts:
-    """What counts as the demand of a task on its host; nothing of one that no file names."""
-    task = wanted.tasks.get(name)
-    return (
-        compute_task_demand(task, inventory.hosts.get(host), value.hosts[host], value.manager)
-        if task
-        else ResourceAmounts()
-    )
-
-
-def render_wide_top_tasks(
-    value: Snapshot,
-    inventory: Inventory,
-    wanted: Tasks,
-    points: Iterable[TaskPoint],
-    look: RenderOptions = PLAIN,
-) -> str:
-    """The same with demand and difference of memory and network."""
-    return render_top_tasks(value, inventory, wanted, points, look, wide=True)
 
 
 def _list_running_tasks(value: Snapshot) -> list[tuple[str, str, TaskSample]]:
@@ -236,7 +274,7 @@ def _render_top_task_row(
     host: str,
     sample: TaskSample,
     task: Task | None,
-    demand: ResourceAmounts,
+    demand: Amounts,
     value: Snapshot,
     *,
     wide: bool,
@@ -246,83 +284,46 @@ def _render_top_task_row(
         Cell(name, "name"),
         host,
         format_cores(sample.used["cpu"]),
-        format_or_dash(demand.cores, format_cores),
-        render_difference(difference.cores, demand.cores, format_cores),
+        format_or_dash(demand.get("cpu"), format_cores),
+        render_difference(difference.get("cpu"), demand.get("cpu"), format_cores),
         format_bytes(sample.used["memory"]),
         format_rate(sample.used["network"]),
-        format_duration(max(0.0, value.taken_at - sample.started_at)) if sample.started_at else "-",
+        format_or_dash(compute_task_age(sample, value), format_duration),
         _render_readiness(sample, task),
     )
     if not wide:
         return row
     memory = (
-        format_or_dash(demand.bytes, format_bytes),
-        render_difference(difference.bytes, demand.bytes, format_bytes),
+        format_or_dash(demand.get("memory"), format_bytes),
+        render_difference(difference.get("memory"), demand.get("memory"), format_bytes),
     )
     network = (
-        format_or_dash(demand.rate, format_rate),
-        render_difference(difference.rate, demand.rate, format_rate),
+        format_or_dash(demand.get("network"), format_rate),
+        render_difference(difference.get("network"), demand.get("network"), format_rate),
     )
     return (*row, *memory, *network, str(sample.restarts))
 
 
 def _render_readiness(sample: TaskSample, task: Task | None) -> Cell:
-    """Yes or no where there is a check; else whether it runs is all that is known."""
+    """Yes or no where there is a readiness check."""
     if sample.state is TaskState.RUNNING:
         return Cell("no", "warn") if task is not None and task.ready is not None else Cell("-")
     return Cell("yes" if sample.state is TaskState.READY else "no", TASK_STATE_STYLES[sample.state])
 
 
-def encode_top_hosts(value: Snapshot, _inventory: Inventory, points: Iterable[HostPoint]) -> Document:
-    """The hosts as JSON types, each with its last samples, oldest first."""
-    past = group_points_by_host(points)
-    items = [
-        {"name": name, **encode_host(host), "history": list(map(_encode_host_point, past.get(name, ())))}
-        for name, host in value.hosts.items()
-    ]
-    return {"format_version": FORMAT_VERSION, "taken_at": format_instant(value.taken_at), "hosts": items}
-
-
 def _encode_host_point(point: HostPoint) -> Document:
-    return {
-        "at": format_instant(point.at),
-        "used_cores": encode_optional(point.used_cores),
-        "used_bytes": encode_optional(point.used_bytes),
-    }
-
-
-def encode_top_tasks(
-    value: Snapshot, inventory: Inventory, wanted: Tasks, points: Iterable[TaskPoint]
-) -> Document:
-    """The tasks that run as JSON types, each with its demand, how far it is off it (use minus demand) and its last samples."""
-    past = group_points_by_task(points)
-    items = [
-        _encode_top_task(
-            name, host, sample, find_task_demand(name, host, value, inventory, wanted), past.get(name, ())
-        )
-        for name, host, sample in _list_running_tasks(value)
-    ]
-    return {"format_version": FORMAT_VERSION, "taken_at": format_instant(value.taken_at), "tasks": items}
-
-
-def _encode_top_task(
-    name: str, host: str, sample: TaskSample, demand: ResourceAmounts, points: Iterable[TaskPoint]
-) -> Document:
-    measured = {"demand": demand.document(), "off": subtract_demand(sample, demand).document()}
-    return {
-        "name": name,
-        "host": host,
-        **encode_task(sample),
-        **measured,
-        "history": list(map(_encode_task_point, points)),
-    }
+    return without_none(
+        at=format_instant(point.at),
+        used_cores=point.used_cores,
+        memory_used_bytes=point.used_bytes,
+    )
 
 
 def _encode_task_point(point: TaskPoint) -> Document:
-    used = {"used_cores": encode_optional(point.used_cores), "used_bytes": encode_optional(point.used_bytes)}
-    return {
-        "at": format_instant(point.at),
-        "host": point.host,
-        **used,
-        "used_bytes_per_s": encode_optional(point.used_bytes_per_s),
-    }
+    return without_none(
+        at=format_instant(point.at),
+        host=point.host,
+        used_cores=point.used_cores,
+        memory_used_bytes=point.used_bytes,
+        network_used_bytes_per_s=point.used_bytes_per_s,
+    )

@@ -1,9 +1,7 @@
-"""What is used, against what there is and what was asked for."""
+"""Usage against capacity and demand."""
 
-from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping, Sequence
 
-from edgectl.formats.document import Document, encode_number
 from edgectl.model.inventory import Host
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.measured_demand import (
@@ -12,30 +10,21 @@ from edgectl.model.measured_demand import (
     is_of_current_spec,
     resolve_demand,
 )
+from edgectl.model.resource import RESOURCES
 from edgectl.model.snapshot import HostSample, ResourceUsage, TaskSample
-from edgectl.model.task import Demand, Quantity, Task
+from edgectl.model.task import Demand, Task
 from edgectl.views.sparkline import SPARKLINE_SAMPLES, render_bar, render_sparkline
 from edgectl.views.text import Cell, RenderOptions, Row, compute_remaining_width, render_columns
 
 _BAR_WIDTH = 8
 _MIN_SPARKLINE_WIDTH = 24
 _SPARKLINE_INDENT = 4
-_WRAPPED_COLUMNS = frozenset({0, 1, 4})  # of hosts the name, status and link; of tasks the name and host
-_DEMAND_TOLERANCE = 0.05  # so much of its demand a task may be above it before it is marked
+_WRAPPED_COLUMNS = frozenset({1, 4})  # of hosts the status and the link
+_DEMAND_TOLERANCE = 0.05  # share of its demand by which a task may exceed it before it is marked
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ResourceAmounts:
-    """What a task demands on its host, or uses: cores, bytes, and bytes/s over all of its links. None: not stated."""
-
-    cores: float | None = None
-    bytes: float | None = None
-    rate: float | None = None
-
-    def document(self) -> Document:
-        """As JSON types; what is not stated is absent."""
-        named = {"cores": self.cores, "bytes": self.bytes, "bytes_per_s": self.rate}
-        return {key: encode_number(value) for key, value in named.items() if value is not None}
+# Demand or usage of a task on its host by resource, of the network over all of its links; absent: not stated.
+Amounts = Mapping[str, float]
 
 
 def render_usage_share(usage: ResourceUsage, limit: float, look: RenderOptions) -> Cell:
@@ -48,20 +37,20 @@ def render_usage_share(usage: ResourceUsage, limit: float, look: RenderOptions) 
 
 def compute_task_demand(
     task: Task, host: Host | None, sample: HostSample, memory: ManagerState | None
-) -> ResourceAmounts:
-    """What counts as the demand of ``task`` on its host: measured where that is wished for and known, else as stated."""
+) -> Amounts:
+    """The demand of ``task`` on its host: measured where asked for and known, else declared."""
     demand = _select_current_demand(task, host, sample, memory)
     links = [
         sample.links[robot].capacity_bytes_per_s if robot in sample.links else 0.0 for robot in task.robots
     ]
-    rate = demand["network"]
-    return ResourceAmounts(
-        cores=_compute_amount(demand["cpu"], sample.usage["cpu"].capacity if "cpu" in sample.usage else 0.0),
-        bytes=_compute_amount(
-            demand["memory"], sample.usage["memory"].capacity if "memory" in sample.usage else 0.0
-        ),
-        rate=sum(rate.of(capacity) for capacity in links) if rate is not None and links else None,
-    )
+    amounts = {}
+    for resource in RESOURCES:
+        quantity, usage = demand[resource.name], sample.usage.get(resource.name)
+        if quantity is not None and not resource.per_link:
+            amounts[resource.name] = quantity.of(usage.capacity if usage is not None else 0.0)
+        elif quantity is not None and links:
+            amounts[resource.name] = sum(quantity.of(capacity) for capacity in links)
+    return amounts
 
 
 def _select_current_demand(
@@ -79,19 +68,9 @@ def _select_current_demand(
     )
 
 
-def _compute_amount(quantity: Quantity | None, capacity: float) -> float | None:
-    return None if quantity is None else quantity.of(capacity)
-
-
-def subtract_demand(sample: TaskSample, demand: ResourceAmounts) -> ResourceAmounts:
-    """Use minus demand, where there is one."""
-    pairs = (
-        (sample.used["cpu"], demand.cores),
-        (sample.used["memory"], demand.bytes),
-        (sample.used["network"], demand.rate),
-    )
-    cores, size, rate = (None if wanted is None else used - wanted for used, wanted in pairs)
-    return ResourceAmounts(cores=cores, bytes=size, rate=rate)
+def subtract_demand(sample: TaskSample, demand: Amounts) -> Amounts:
+    """Usage minus demand, where there is one."""
+    return {name: sample.used[name] - demanded for name, demanded in demand.items()}
 
 
 def format_or_dash(value: float | None, show: Callable[[float], str]) -> str:
@@ -100,7 +79,7 @@ def format_or_dash(value: float | None, show: Callable[[float], str]) -> str:
 
 
 def render_difference(value: float | None, demand: float | None, show: Callable[[float], str]) -> Cell:
-    """A difference from ``demand``, signed, so that more than was asked for shows without colour."""
+    """A signed difference from ``demand``, so that an excess shows without colour."""
     if value is None or demand is None:
         return Cell("-")
     text = show(abs(value))
@@ -116,9 +95,9 @@ def render_with_sparklines(
     *,
     right: Collection[int] = (),
 ) -> str:
-    """The rows (the first is the head) as columns with a sparkline each, of values and what the top of its line means.
+    """The rows (the first has the headings) with a sparkline each: its values, and the value of its top.
 
-    Beside the table where there is room, else below its row. Nothing is drawn where there is no terminal.
+    Beside the table where there is room, else below its row; none without a terminal.
     """
     longest = min(SPARKLINE_SAMPLES, max((len(values) for values, _ in histories), default=0))
     if look.width is None or not longest:
@@ -128,6 +107,6 @@ def render_with_sparklines(
     width = min(longest, room if beside else look.width - _SPARKLINE_INDENT)
     lines = [render_sparkline(values[-width:], top, width, unicode=look.unicode) for values, top in histories]
     title = f"CPU, LAST {width} SAMPLES"
-    head = title if beside and len(title) <= room else ""
-    drawn = [(*rows[0], head), *((*row, line) for row, line in zip(rows[1:], lines, strict=True))]
+    title_cell = Cell(title if beside and len(title) <= room else "", "head")
+    drawn = [(*rows[0], title_cell), *((*row, line) for row, line in zip(rows[1:], lines, strict=True))]
     return render_columns(drawn, look, right=right, wrap=_WRAPPED_COLUMNS, below=not beside)

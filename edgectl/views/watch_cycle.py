@@ -1,9 +1,9 @@
-"""The cycles of a watch: one line for people where something happened, one object each for programs, and the sum that a live view shows."""
+"""Cycles of a watch: the line and the document of each, and the tally of the live view."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from edgectl.formats.document import FORMAT_VERSION, Document, encode_number, encode_optional, without_none
+from edgectl.formats.document import Document, without_none
 from edgectl.model.cycle import Cycle
 from edgectl.model.event import Event, EventKind
 from edgectl.model.plan import Action
@@ -11,9 +11,12 @@ from edgectl.model.policy import WEIGHT_PRESETS, Weights
 from edgectl.model.result import ActionResult, Outcome
 from edgectl.model.snapshot import HostSample, Snapshot
 from edgectl.units import format_instant
-from edgectl.views.events import encode_event as event_document
+from edgectl.views.events import encode_event
+from edgectl.views.output import ItemView
+from edgectl.views.output_format import CYCLE_FORMATS
+from edgectl.views.results import format_action_result
+from edgectl.views.rows import encode_host_usage
 from edgectl.views.sparkline import SPARKLINE_SAMPLES
-from edgectl.views.table import format_action_result
 from edgectl.views.text import escape_unprintable
 
 # Lines of the past that a live view keeps.
@@ -21,7 +24,7 @@ _MAX_KEPT_LINES = 50
 
 
 def list_cycle_news(before: Cycle | None, cycle: Cycle) -> list[str]:
-    """What is new in ``cycle``, one text each; nothing in a steady one. Trouble that lasts is told when it begins."""
+    """What is new in ``cycle``, one text each; empty in a steady one. Lasting trouble is new once."""
     told = [
         format_event(event)
         for event in cycle.events
@@ -36,7 +39,7 @@ def list_cycle_news(before: Cycle | None, cycle: Cycle) -> list[str]:
     if cycle.error and (before is None or cycle.error != before.error):
         told.append(f"error: {cycle.error}")
     elif before is not None and before.error and not cycle.error:
-        told.append("well again")
+        told.append("recovered")
     return [escape_unprintable(text) for text in told]
 
 
@@ -54,39 +57,45 @@ def _format_cycle_action(action: ActionResult) -> str:
 
 
 def render_cycle_line(before: Cycle | None, cycle: Cycle) -> str:
-    """The plain line of a cycle in which something happened, else nothing."""
+    """The line of a cycle with news, else empty."""
     told = list_cycle_news(before, cycle)
     return f"{format_instant(float(int(cycle.at)))} {'; '.join(told)}\n" if told else ""
 
 
-def encode_cycle(cycle: Cycle) -> Document:
-    """A cycle as JSON types (docs/concepts/watch.md)."""
-    hosts = cycle.snapshot.hosts if cycle.snapshot is not None else {}
-    entries: Document = {
-        "format_version": FORMAT_VERSION,
-        "cycle": cycle.number,
-        "at": format_instant(cycle.at),
-        "seconds": encode_number(round(cycle.seconds, 3)),
-        "next_in_s": None if cycle.next_in is None else encode_number(round(cycle.next_in, 3)),
-        "paused": cycle.paused,
-        "hosts": {name: _encode_cycle_host(host) for name, host in hosts.items()},
-        "tasks": collect_task_hosts(cycle.snapshot),
-        "pending": _encode_pending_steps(cycle),
-        "actions": [
-            _encode_cycle_action(action)
-            for action in (cycle.results.actions if cycle.results is not None else ())
-        ],
-        "events": [event_document(event) for event in cycle.events],
-        "resting": list(cycle.resting),
-        "warnings": list(cycle.warnings),
-        "lock": cycle.busy or None,
-        "error": cycle.error or None,
-    }
-    return without_none(**entries)
+class CycleView(ItemView):
+    """One cycle of a watch (docs/concepts/watch.md)."""
+
+    kind = "cycle"
+    formats = CYCLE_FORMATS
+
+    def __init__(self, cycle: Cycle) -> None:
+        self._cycle = cycle
+
+    def item(self) -> Document:
+        """The cycle as JSON types."""
+        cycle = self._cycle
+        hosts = cycle.snapshot.hosts if cycle.snapshot is not None else {}
+        actions = cycle.results.actions if cycle.results is not None else ()
+        return without_none(
+            cycle=cycle.number,
+            at=format_instant(cycle.at),
+            duration_s=cycle.seconds,
+            next_in_s=cycle.next_in,
+            paused=cycle.paused,
+            hosts={name: _encode_cycle_host(host) for name, host in hosts.items()},
+            placements=collect_task_hosts(cycle.snapshot),
+            pending=_encode_pending_steps(cycle),
+            actions=[_encode_cycle_action(action) for action in actions],
+            events=[encode_event(event) for event in cycle.events],
+            resting=list(cycle.resting),
+            warnings=list(cycle.warnings),
+            lock=cycle.busy or None,
+            error=cycle.error or None,
+        )
 
 
 def _encode_pending_steps(cycle: Cycle) -> list[Document]:
-    """What the plan would do and nobody has done."""
+    """The changes of the plan that were not made."""
     return [
         {
             "task": step.task,
@@ -103,9 +112,9 @@ def _encode_cycle_host(host: HostSample) -> Document:
     if not host.measured:
         return {"status": host.status.value, "error": host.error}
     return {
-        "status": host.status.value, "cores": encode_number(host.usage["cpu"].capacity), "used_cores": encode_number(host.usage["cpu"].used),
-        "total_bytes": encode_number(host.usage["memory"].capacity), "used_bytes": encode_number(host.usage["memory"].used),
-    }  # fmt: skip
+        "status": host.status.value,
+        **encode_host_usage(host),
+    }
 
 
 def _encode_cycle_action(action: ActionResult) -> Document:
@@ -116,13 +125,13 @@ def _encode_cycle_action(action: ActionResult) -> Document:
         host=action.host,
         previous_host=action.previous_host,
         located=action.located,
-        downtime_s=encode_optional(action.downtime_s),
+        downtime_s=action.downtime_s,
         error=action.error or None,
     )
 
 
 def collect_task_hosts(snapshot: Snapshot | None) -> dict[str, str]:
-    """Where each task that is alive runs."""
+    """Host of each task that is alive."""
     hosts = snapshot.hosts if snapshot is not None else {}
     return {
         name: host
@@ -141,11 +150,11 @@ def format_weights(weights: Weights) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WatchTally:
-    """What the cycles so far come to; bounded, however many they are.
+    """Sum of the cycles so far; bounded, however many they are.
 
-    ``moves`` and ``moved_at`` (s since 1970): tasks that were moved, and when last. ``steady``: cycles since anything was to be done.
-    ``shares``: used share of each host's cores, oldest first, None where it was silent. ``past``: (instant, text), oldest first.
-    ``due``: when the next cycle begins.
+    ``moves`` and ``moved_at`` (s since 1970): tasks that were moved, and the last time. ``steady``: cycles
+    without a change. ``shares``: used share of each host's cores, oldest first, None where it did not answer.
+    ``past``: (instant, text), oldest first. ``due``: start of the next cycle.
     """
 
     cycles: int = 0

@@ -1,4 +1,4 @@
-"""The live view of a watch: pure text for what is known, and the screen that shows it until it is left."""
+"""Live view of a watch: its text, and the screen that shows it."""
 
 import contextlib
 import math
@@ -33,7 +33,7 @@ _HEAD_LINES, _FOOT_LINES, _MAX_PAST_LINES = 2, 2, 5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WatchTitle:
-    """What stands in the first line whatever happens: the fleet's name, the weights, and whether plans are carried out."""
+    """The fixed part of the first line: name of the fleet, weights, and whether plans are applied."""
 
     fleet: str
     variant: str
@@ -181,12 +181,12 @@ def _render_past_lines(tally: WatchTally, count: int, look: RenderOptions) -> li
 
 
 def _truncate_lines(lines: list[str], room: int) -> list[str]:
-    """``lines``, of which the last says how many more there are where not all fit."""
+    """``lines``; where not all fit, the last one is the number of the others."""
     return lines if len(lines) <= room else [*lines[: room - 1], f"and {len(lines) - room + 1} more"]
 
 
 class WatchScreen:
-    """What the live view knows. It is told of each cycle, and asked for its text by the thread that draws."""
+    """State of the live view: updated with each cycle, read by the thread that draws."""
 
     def __init__(self, title: WatchTitle, paused: Callable[[], bool]) -> None:
         self._title = title
@@ -194,7 +194,7 @@ class WatchScreen:
         self._tally = WatchTally()
 
     def show(self, cycle: Cycle) -> None:
-        """Take one more cycle."""
+        """Add one more cycle."""
         self._tally = add_cycle_to_tally(self._tally, cycle)
 
     def text(self, rows: int) -> str:
@@ -211,7 +211,7 @@ class WatchScreen:
 
 @contextlib.contextmanager
 def show_watch_screen(screen: WatchScreen) -> Iterator[None]:
-    """Draw ``screen`` twice a second on standard output, on a screen of its own, until this is left; then the terminal is as before."""
+    """Draw ``screen`` twice a second on the alternate screen of the terminal, until the context ends."""
     from rich.console import Console
     from rich.live import Live
     from rich.text import Text

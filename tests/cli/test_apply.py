@@ -63,20 +63,17 @@ def test_apply_status_logs_restart_stop(run: Run, small: Path) -> None:
     assert said.err.startswith("start idle: done")
     assert run("apply", "--yes", "--quiet") == (0, "", "")
     assert run("apply", "--yes").out.endswith("No changes. 1 task is where it should be.\n")
-    assert json.loads(run("apply", "--yes", "-o", "json").out)["actions"] == []
-    before = json.loads(run("status", "-o", "json").out)
-    assert before["hosts"]["edge1"]["tasks"]["idle"]["state"] == "running"
-    assert before["wanted"]["idle"]["demand"]["cpu"] == {
-        "value": 0.1,
-        "relative": False,
-        "until_measured": False,
-    }
+    assert json.loads(run("apply", "--yes", "-o", "json").out)["item"]["actions"] == []
+    (before,) = json.loads(run("status", "-o", "json").out)["items"]
+    assert (before["task"], before["host"], before["state"]) == ("idle", "edge1", "running")
+    assert before["cpu"]["demand_cores"] == 0.1
     assert run("logs", "idle").out == "started\n"
-    assert json.loads(run("restart", "idle", "--yes", "-o", "json").out)["actions"][0]["action"] == "restart"
-    assert (
-        json.loads(run("status", "-o", "json").out)["hosts"]["edge1"]["tasks"]["idle"]["pid"]
-        != before["hosts"]["edge1"]["tasks"]["idle"]["pid"]
-    )
+    (again,) = json.loads(run("status", "-o", "json").out)["items"]
+    assert (again["instance"], again["started_at"]) == (before["instance"], before["started_at"])
+    restarted = json.loads(run("restart", "idle", "--yes", "-o", "json").out)["item"]
+    assert restarted["actions"][0]["action"] == "restart"
+    assert json.loads(run("status", "-o", "json").out)["items"][0]["pid"] != before["pid"]
+
     assert run("stop", "idle", "--yes", "-o", "name").out == "task/idle\n"
     assert run("status", "-o", "name").out == ""
 
@@ -106,7 +103,7 @@ def test_dry_run_prints_what_would_be_sent_and_sends_nothing(run: Run, small: Pa
     assert said.code == 0
     assert "# edge1: start idle\n" in said.out
     assert '"command": "echo started; exec sleep 600"' in said.out
-    requests = json.loads(run("apply", "--dry-run", "-o", "json").out)["requests"]
+    requests = json.loads(run("apply", "--dry-run", "-o", "json").out)["items"]
     assert [request["phase"] for request in requests] == ["start", "ready"]
     assert run("status", "-o", "name").out == ""
 

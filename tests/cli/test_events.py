@@ -36,11 +36,16 @@ def happen(state: Path, *events: Event) -> None:
 def test_no_history_is_said_and_no_error(run: Run, state: Path) -> None:
     assert run("events") == (
         0,
-        "No events: nothing happened in this time, or no edgectl looked (edgectl probe does).\n",
+        "No events in this time, or no edgectl observed any (edgectl probe does).\n",
         "",
     )
-    assert json.loads(run("events", "-o", "json").out) == {"format_version": 1, "events": []}
-    assert run("events", "-o", "yaml").out == "format_version: 1\nevents: []\n"
+    assert json.loads(run("events", "-o", "json").out) == {
+        "format_version": 2,
+        "kind": "event",
+        "items": [],
+        "warnings": [],
+    }
+    assert run("events", "-o", "yaml").out == "format_version: 2\nkind: event\nitems: []\nwarnings: []\n"
 
 
 def test_events_as_a_table_and_as_documents(run: Run, state: Path) -> None:
@@ -58,14 +63,14 @@ def test_events_as_a_table_and_as_documents(run: Run, state: Path) -> None:
         Event(at=now - 30, kind=EventKind.PLANNED, message="1 move"),
     )
     rows = run("events").out.splitlines()
-    assert rows[0].split() == ["AT", "KIND", "WHAT", "MESSAGE"]
+    assert rows[0].split() == ["AT", "KIND", "SUBJECT", "MESSAGE"]
     assert [row.split(maxsplit=1)[1].split() for row in rows[1:]] == [
         ["task-moved", "slam-robot1", "on", "edge2", "from", "edge1,", "gap", "1.2s\\x1b[2J"],
         ["planned", "-", "1", "move"],
     ]
     assert len(run("events", "--since", "2d").out.splitlines()) == 4
     assert len(run("events", "--since", "2d", "--host", "edge1").out.splitlines()) == 2
-    (event,) = json.loads(run("events", "--task", "slam-robot1", "-o", "json").out)["events"]
+    (event,) = json.loads(run("events", "--task", "slam-robot1", "-o", "json").out)["items"]
     assert (event["id"], event["kind"], event["host"], event["task"]) == (
         2,
         "task-moved",
@@ -126,7 +131,7 @@ def test_followed_rows_stand_below_each_other_and_end_when_nobody_reads(state: P
         assert process.wait(30) == 0
     places = [
         (row.index(what), row.index(why))
-        for row, what, why in zip(rows, ("WHAT", "edge1", "slam"), ("MESS", "no r", "exit"), strict=True)
+        for row, what, why in zip(rows, ("SUBJECT", "edge1", "slam"), ("MESS", "no r", "exit"), strict=True)
     ]
     assert len(set(places)) == 1
 

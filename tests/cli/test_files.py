@@ -87,7 +87,7 @@ def test_validate_shows_every_mistake_in_each_form(run: Run, site: Path) -> None
 
 def test_validate_of_good_files(run: Run, site: Path) -> None:
     assert run("validate", "-o", "github") == (0, "", "")
-    assert json.loads(run("validate", "-o", "json").out)["edges"] == ["edge1", "edge2", "edge3"]
+    assert json.loads(run("validate", "-o", "json").out)["item"]["edge_names"] == ["edge1", "edge2", "edge3"]
 
 
 COMPLETIONS = {

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -20,7 +21,7 @@ def test_get_lists_what_the_files_state(run: Run, site: Path) -> None:
     said = run("get", "edges")
     assert (said.code, [line.split()[:2] for line in said.out.splitlines()]) == (
         0,
-        [["NAME", "STATUS"], ["edge1", "ok"], ["edge2", "ok"], ["edge3", "ok"]],
+        [["HOST", "STATUS"], ["edge1", "ok"], ["edge2", "ok"], ["edge3", "ok"]],
     )
     assert (
         run("get", "l", "edge1", "-o", "name").out
@@ -30,7 +31,7 @@ def test_get_lists_what_the_files_state(run: Run, site: Path) -> None:
         "get", "task", "-l", "task in (detection, map-merge),task!=map-merge", "-o", "name"
     ).out.split() == [f"task/detection-robot{number}" for number in (1, 2, 3)]
     items = json.loads(run("get", "tasks", "map-merge", "-o", "json").out)["items"]
-    assert [(item["name"], item["state"]) for item in items] == [("map-merge", "not running")]
+    assert [(item["task"], item["state"]) for item in items] == [("map-merge", "not running")]
 
 
 def test_get_refuses_what_there_is_not(run: Run, site: Path) -> None:
@@ -57,14 +58,14 @@ def test_get_w_tells_changes_one_object_per_line_and_ends_well(site: Path) -> No
     with subprocess.Popen(words, cwd=site, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         first = [json.loads(process.stdout.readline()) for _ in range(3)]
-        assert [(line["type"], line["object"]["name"]) for line in first] == [
+        assert [(line["type"], line["object"]["host"]) for line in first] == [
             ("ADDED", f"edge{number}") for number in (1, 2, 3)
         ]
         subprocess.run(
             [*EDGECTL, "cordon", "edge2"], cwd=site, check=True, stdout=subprocess.DEVNULL, timeout=60
         )
-        changed = next(line for line in map(json.loads, process.stdout) if line["object"]["name"] == "edge2")
-        assert (changed["type"], changed["object"]["closed"]) == ("MODIFIED", "cordoned")
+        changed = next(line for line in map(json.loads, process.stdout) if line["object"]["host"] == "edge2")
+        assert (changed["type"], changed["object"]["mark"]) == ("MODIFIED", "cordoned")
         process.send_signal(signal.SIGINT)
         assert process.wait(60) == 0
 
@@ -79,23 +80,24 @@ def test_a_reader_that_goes_away_ends_it(site: Path) -> None:
 
 
 def test_top_shows_every_host_and_no_task(run: Run, site: Path) -> None:
-    assert [line.split()[0] for line in run("top", "hosts").out.splitlines()] == ["NAME", *HOSTS]
+    assert [line.split()[0] for line in run("top", "hosts").out.splitlines()] == ["HOST", *HOSTS]
     assert run("top", "tasks").out.startswith("No task runs.\n")
     document = json.loads(run("top", "hosts", "-o", "json").out)
-    assert [len(host["history"]) for host in document["hosts"]] == [3] * 6, "one sample of each look"
+    assert [len(host["history"]) for host in document["items"]] == [3] * 6, "one sample of each look"
     assert run("top", "hosts", "-w", "-o", "yaml").code == 64
     said = run("top", "hosts", "--interactive")
     assert (said.code, said.err.splitlines()[0]) == (64, "error: stdout is not a terminal")
 
 
-def test_top_w_gives_programs_one_object_per_look(site: Path) -> None:
+def test_top_w_gives_programs_one_object_per_host_and_probe(site: Path) -> None:
     words = [*EDGECTL, "top", "hosts", "-w", "--every", "0.1s", "-o", "json"]
     with subprocess.Popen(words, cwd=site, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
-        looks = [json.loads(process.stdout.readline()) for _ in range(3)]
+        lines = [json.loads(process.stdout.readline()) for _ in range(3 * len(HOSTS))]
         process.send_signal(signal.SIGTERM)
         assert process.wait(60) == 0
-    assert [len(look["hosts"][0]["history"]) for look in looks] == [1, 2, 3]
+    assert [len(line["history"]) for line in lines if line["host"] == "edge1"] == [1, 2, 3]
+    assert len({line["taken_at"] for line in lines}) == 3
 
 
 @pytest.mark.parametrize("end", ["q", "SIGINT", "SIGTERM"])
@@ -111,7 +113,7 @@ def test_top_w_draws_in_place_and_leaves_the_terminal_as_it_was(site: Path, end:
         assert terminal.wait() == 0
         shown, _, after = terminal.seen.rpartition("\x1b[?25h\x1b[?1049l")
         assert "robot3" in shown
-        assert after.replace("\x1b[32mok\x1b[0m", "ok").splitlines()[0].split()[:2] == ["NAME", "STATUS"], (
+        assert re.sub(r"\x1b\[\d+m", "", after).splitlines()[0].split()[:2] == ["HOST", "STATUS"], (
             "the last look stays"
         )
 
@@ -121,7 +123,7 @@ def test_describe_ends_with_the_last_events(run: Run, site: Path) -> None:
     assert text.startswith("Name: ")
     assert "\nCapacity:      0.30 cores, 512.0Mi (declared)\n" in text
     assert "\nEvents:" in text
-    assert json.loads(run("describe", "robot", "robot1", "-o", "json").out)["name"] == "robot1"
+    assert json.loads(run("describe", "robot", "robot1", "-o", "json").out)["item"]["host"] == "robot1"
     assert (
         "\nState:        not running\nDecision:     start: "
         in run("describe", "task", "detection-robot1").out

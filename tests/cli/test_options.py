@@ -1,4 +1,4 @@
-"""-o names the forms that a command really has; --version; what trust asks to be compared."""
+"""-o names the forms that a command offers; --version; what trust asks to be compared."""
 
 import pytest
 
@@ -13,8 +13,9 @@ from tests.cli.conftest import Run
 def test_a_form_that_a_command_has_not_is_refused_with_those_it_has(run: Run, words: tuple[str, ...]) -> None:
     said = run(*words)
     assert (said.code, said.out) == (64, "")
-    assert said.err.endswith(
-        'output format "github" is not supported here\nhint: use -o table, wide, json, yaml, name or markdown\n'
+    assert said.err == (
+        f'error: output format "{words[-1].removeprefix("--output=")}" is not supported here\n'
+        "hint: use -o table, wide, json, jsonl, yaml, csv, name or markdown\n"
     )
 
 
@@ -24,9 +25,8 @@ def test_the_environment_may_ask_for_more_than_a_command_has(
     monkeypatch.setenv("EDGECTL_OUTPUT", "wide")
     assert run("version").code == 0
     monkeypatch.setenv("EDGECTL_OUTPUT", "name")
-    assert (
-        run("version").err
-        == 'error: output format "name" is not supported here\nhint: use -o table, json or yaml\n'
+    assert run("version").err == (
+        'error: output format "name" is not supported here\nhint: use -o table, json, jsonl, yaml or csv\n'
     )
 
 

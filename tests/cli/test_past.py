@@ -39,10 +39,8 @@ def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 
 def where(run: Run) -> list[str]:
-    hosts = json.loads(run("status", "-o", "json").out)["hosts"]
-    return [
-        name for name, host in hosts.items() for task in host["tasks"].values() if task["state"] == "running"
-    ]
+    rows = json.loads(run("status", "-o", "json").out)["items"]
+    return [row["host"] for row in rows if row["state"] == "running"]
 
 
 def test_history_show_drain_rollback(run: Run, small: Path) -> None:
@@ -56,18 +54,18 @@ def test_history_show_drain_rollback(run: Run, small: Path) -> None:
     assert where(run) == ["edge2"]
     probed = run("probe").out
     assert "ok, draining" in probed
-    assert "note: drained, its tasks leave: edge1 (edgectl uncordon)" in run("plan").out
+    assert "note: draining, tasks move away: edge1 (edgectl uncordon)" in run("plan").out
     assert json.loads(run("plan", "-o", "json").out)["snapshot"]["memory"]["draining"] == ["edge1"]
     assert run("uncordon", "edge1").out == "cordoned: none\n"
 
     rows = run("history").out.splitlines()
-    assert rows[0].split() == ["REV", "WHEN", "WHO", "VERB", "TOOK", "OUTCOME", "ACTIONS"]
+    assert rows[0].split() == ["REVISION", "STARTED", "USER", "VERB", "TOOK", "OUTCOME", "ACTIONS"]
     assert [row.split()[0] for row in rows[1:]] == ["1", "2"]
     assert rows[2].split()[-2:] == ["1", "move"]
     assert run("history", "-o", "name").out == "revision/1\nrevision/2\n"
-    document = json.loads(run("history", "-o", "json").out)["revisions"][1]
+    document = json.loads(run("history", "-o", "json").out)["items"][1]
     assert (document["verb"], document["outcome"], document["counts"]) == ("drain", "done", {"move": 1})
-    shown = json.loads(run("show", "2", "-o", "json").out)
+    shown = json.loads(run("show", "2", "-o", "json").out)["item"]
     assert [phase["phase"] for phase in shown["actions"][0]["phases"]] == ["stop", "start", "ready"]
     assert shown["placements"] == {"idle": "edge2"}
     assert "gap " in run("show", "2").out

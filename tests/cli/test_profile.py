@@ -67,11 +67,11 @@ def test_figures_beside_what_is_declared(site: Path, run: Run) -> None:
         ["throughput", "-", "0B/s", "0B/s", "0B/s"],
     ]
     document = json.loads(run("profile", "slam", "-o", "json").out)
-    assert [(each["task"], each["class"], each["demand"]["cpu"]["p95"]) for each in document["profiles"]] == [
+    assert [(each["task"], each["class"], each["resources"]["cpu"]["p95"]) for each in document["items"]] == [
         ("slam-robot1", "4c-4Gi", 0.95), ("slam-robot2", "8c-4Gi", 1.9),
     ]  # fmt: skip
-    assert document["profiles"][0]["demand"]["cpu"]["declared"] == {
-        "value": pytest.approx(0.352),
+    assert document["items"][0]["resources"]["cpu"]["declared"] == {
+        "amount": pytest.approx(0.352),
         "relative": True,
         "until_measured": False,
     }

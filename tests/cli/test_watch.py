@@ -157,7 +157,7 @@ def test_files_that_change_are_read_anew_and_broken_ones_said(one: Path) -> None
     ("given", "said"),
     [
         (("--every", "0.2"), "too often"),
-        (("-o", "yaml"), "no yaml form"),
+        (("-o", "yaml"), 'output format "yaml" is not supported here'),
         (("--without", "edge7"), "unknown host 'edge7'"),
         (("--cycles", "0"), "0"),
     ],

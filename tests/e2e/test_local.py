@@ -187,10 +187,10 @@ def test_tasks_outlive_a_manager_that_is_killed(bench: Bench, tmp_path: Path) ->
     script = tmp_path / "killed.py"
     mark, other = a_mark(), a_mark()
     script.write_text(
-        "import os, signal, sys\nfrom pathlib import Path\nfrom edgectl.state import points\nfrom tests.e2e import test_local as t\n"
+        "import os, signal, sys\nfrom pathlib import Path\nfrom edgectl.state import failpoints\nfrom tests.e2e import test_local as t\n"
         "from tests.e2e.bench import Bench, a_sleeper\nfrom edgectl.usecases.fleet import Fleet\nfrom edgectl.transport.fleet_transport import Transports\n"
         "from tests.builders import an_inventory\nfrom edgectl.model.task import Tasks\n"
-        "points.install(lambda point: os.kill(os.getpid(), signal.SIGKILL) if point == 'start acknowledged' else None)\n"
+        "failpoints.install_hook(lambda point: os.kill(os.getpid(), signal.SIGKILL) if point == 'start acknowledged' else None)\n"
         "inventory = an_inventory(*t.EDGES, t.ROBOT, links=t.LINKS)\n"
         "fleet = Fleet(inventory=inventory, tasks=Tasks(tasks={}), transport=Transports(), state=Path(sys.argv[1]))\n"
         "Bench(fleet).using(a_sleeper('slam', sys.argv[2]), a_sleeper('camera', sys.argv[3])).apply()\n"

@@ -5,13 +5,13 @@ import json
 import pytest
 import yaml
 
-from edgectl.experiments.commands.output import render_view
 from edgectl.experiments.model.comparison import Estimate, SchemeResult
 from edgectl.experiments.model.experiment import Experiment, ExperimentRun, MapPair, MetricAggregation
 from edgectl.experiments.model.schemes import Scheme
 from edgectl.experiments.scheme_results import summarize_trials
 from edgectl.experiments.views.experiment import ExperimentView
 from edgectl.model.policy import Policy
+from edgectl.views.output import render_view
 from edgectl.views.output_format import OutputFormat
 from edgectl.views.text import PLAIN, RenderOptions
 from tests.experiments.sample_runs import a_run
@@ -93,7 +93,7 @@ def test_a_scheme_without_a_trial_has_no_figures() -> None:
 def test_what_does_not_fit_stands_below(output: OutputFormat, width: int) -> None:
     run = a_run()
     whole, fitted = (
-        render_view(output, ExperimentView(run=run, results=summarize_trials(run)), look)
+        render_view(ExperimentView(run=run, results=summarize_trials(run)), output, look)
         for look in (PLAIN, RenderOptions(width=width))
     )
     head, rows = whole.splitlines()[0], whole.split("\n\n")[0]
@@ -137,25 +137,27 @@ def test_markdown_is_one_table_and_a_list() -> None:
 
 def test_the_documents_hold_every_figure_and_null_where_there_is_none() -> None:
     view = ExperimentView(run=RUN, results=DONE)
-    document = view.document()
+    document = view.document()["item"]
     for output, parse in ((OutputFormat.JSON, json.loads), (OutputFormat.YAML, yaml.safe_load)):
-        assert parse(render_view(output, view, PLAIN)) == document
-    assert (document["experiment"], document["digest"], document["planned"], document["done"]) == (
+        assert parse(render_view(view, output, PLAIN))["item"] == document
+    assert (document["experiment"], document["digest"], document["planned"], document["trials"]) == (
         "mission",
         "0123",
         3,
         9,
     )
     static = document["schemes"][1]
-    assert static["hosts"] == ["edge1", "edge2", "edge3"]
-    assert static["figures"]["latency"] == [{"mean": 0.5, "std": 0.05, "half_ci95": 0.125, "runs": 3}]
+    assert static["host_names"] == ["edge1", "edge2", "edge3"]
+    assert static["figures"]["latency"] == [{"mean": 0.5, "std": 0.05, "half_ci95": 0.125, "run_count": 3}]
     assert [each and each["mean"] for each in static["figures"]["cpu"]] == [80.2, None, 61]
     assert static["figures"]["downtime"] == [None]
     assert static["metrics"]["fps"]["mean"] == 9.5
-    assert static["ssim"]["ssim"]["mean"] == 0.8125
-    single = ExperimentView(run=RUN, results=[column("static", 0.5, 1.0, 1.0, 1.0, runs=1)]).document()
+    assert static["maps"]["ssim"]["mean"] == 0.8125
+    single = ExperimentView(run=RUN, results=[column("static", 0.5, 1.0, 1.0, 1.0, runs=1)]).document()[
+        "item"
+    ]
     assert single["schemes"][0]["figures"]["latency"] == [
-        {"mean": 0.5, "std": None, "half_ci95": None, "runs": 1}
+        {"mean": 0.5, "std": None, "half_ci95": None, "run_count": 1}
     ]
 
 
@@ -169,4 +171,4 @@ def test_names_steer_no_terminal() -> None:
         OutputFormat.YAML,
         OutputFormat.MARKDOWN,
     ):
-        assert "\x1b" not in render_view(output, view, PLAIN)
+        assert "\x1b" not in render_view(view, output, PLAIN)

@@ -161,7 +161,7 @@ def test_killed_in_a_trial_interrupted_in_the_next_try_and_finished_in_the_third
     whole = command(tmp_path, "run", "spec.yaml", "-o", "json", "-n", "1")
     out, said = whole.communicate(timeout=patience(240))
     assert (whole.returncode, sleeping(mark)) == (0, []), said
-    assert json.loads(out)["done"] == 1
+    assert json.loads(out)["item"]["trials"] == 1
     assert said.splitlines()[0] == "trial 1 of 1: utility all, repetition 1"
     assert [(trial.scheme, trial.finished) for trial in load_run(tmp_path / "runs" / "mission").trials] == [
         ("utility all", True)

@@ -156,6 +156,6 @@ def test_variants_are_every_combination_that_makes_a_difference() -> None:
         "static", "paper cpu", "paper all", "utility cpu margin 0", "utility cpu margin 0.1", "utility all margin 0", "utility all margin 0.1",
     ]  # fmt: skip
     assert [each.name for each in build_schemes(Policy(), [], {}, [])] == ["utility all"]
-    assert parse_weight_sets("cpu=.5,task=1") == {"cpu=.5,task=1": Weights(cpu=0.5, task=1.0)}
+    assert list(parse_weight_sets("cpu=.5,task=1")) == ["cpu=.5,task=1"]
     with pytest.raises(ValueError, match="unknown weights 'ram'"):
         parse_weight_sets("cpu,ram")

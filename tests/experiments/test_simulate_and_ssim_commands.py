@@ -41,17 +41,17 @@ def test_the_model_stands_beside_what_was_measured(run: Run, measured: Path) -> 
         "json",
     )
     assert (said.code, said.err) == (0, "")
-    document = json.loads(said.out)
-    schemes = {scheme["name"]: scheme for scheme in document["schemes"]}
+    document = json.loads(said.out)["item"]
+    schemes = {scheme["scheme"]: scheme for scheme in document["schemes"]}
     assert list(schemes) == ["local", "static", "paper cpu"]
     static = schemes["static"]
     assert "published" not in static
-    model, real, off = (static[key] for key in ("figures", "measured", "off_by"))
+    model, real, off = (static[key] for key in ("figures", "reference_figures", "off_by"))
     for metric in ("latency", "cpu", "memory", "throughput"):
         for figure, known, share in zip(model[metric], real[metric], off[metric], strict=True):
             assert share == pytest.approx((figure["mean"] - known) / known)
     assert len(off["cpu"]) == 3
-    assert schemes["paper cpu"]["measured"] == {}
+    assert schemes["paper cpu"]["reference_figures"] == {}
     assert document["notes"] == [
         "Measured: 15 trials of mission.",
         "Measured, but not simulated: utility cpu, utility memory, utility network.",
@@ -100,7 +100,7 @@ def test_maps_are_compared_and_what_is_none_is_told(run: Run) -> None:
     made, truth = str(examples / "map.yaml"), str(examples / "world.yaml")
     assert run("ssim", truth, truth).out == "1.0000\n"
     said = run("ssim", made, truth, "-o", "json")
-    assert 0.5 < json.loads(said.out)["ssim"] < 0.99
+    assert 0.5 < json.loads(said.out)["item"]["ssim"] < 0.99
     refused = run("ssim", str(examples / "map.pgm"), truth)
     assert (refused.code, refused.out) == (64, "")
     assert "36x22 pixels" in refused.err

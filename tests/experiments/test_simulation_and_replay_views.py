@@ -77,27 +77,29 @@ def test_wide_has_every_metric_and_its_deviation() -> None:
 
 
 def test_the_document_holds_figures_and_assumptions() -> None:
-    document = VIEW.document()
+    document = VIEW.document()["item"]
     assert document["assumptions"] == ["all is well"]
     scheme = document["schemes"][0]
-    assert scheme["figures"]["latency"] == [{"mean": 4.001, "std": 0.5, "half_ci95": 0.1, "runs": 5}]
-    assert scheme["published"] == {"latency": [4], "cpu": [99]}
+    assert scheme["figures"]["latency"] == [{"mean": 4.001, "std": 0.5, "half_ci95": 0.1, "run_count": 5}]
+    assert scheme["reference_figures"] == {"latency": [4], "cpu": [99]}
+
+
+SHARE = Utilisation(mean=0.5, peak=1.2)
+REPLAYED = ReplayResult(
+    scheme=Scheme(name="paper all", policy=Policy()),
+    cycles=4,
+    handoffs=6,
+    unplaced=1,
+    unsettled=2,
+    assumed=("slam-robot10", "slam-robot2"),
+    cpu=SHARE,
+    memory=SHARE,
+    network=SHARE,
+)
 
 
 def test_replayed_variants_stand_side_by_side() -> None:
-    share = Utilisation(mean=0.5, peak=1.2)
-    value = ReplayResult(
-        scheme=Scheme(name="paper all", policy=Policy()),
-        cycles=4,
-        handoffs=6,
-        unplaced=1,
-        unsettled=2,
-        assumed=("slam-robot10", "slam-robot2"),
-        cpu=share,
-        memory=share,
-        network=share,
-    )
-    view = ReplayView(results=[value])
+    view = ReplayView(results=[REPLAYED])
     lines = view.table().splitlines()
     assert lines[0].split() == ["SCHEME", "HANDOFFS", "PER", "CYCLE", "UNPLACED", "CPU", "MEMORY", "NETWORK"]
     assert lines[1].split() == ["paper", "all", "6", "1.500", "1", "50%/120%", "50%/120%", "50%/120%"]
@@ -106,11 +108,11 @@ def test_replayed_variants_stand_side_by_side() -> None:
         lines[3]
         == "note: never recorded as running, so their usage is taken from their demand: slam-robot2, slam-robot10 (2)"
     )
-    assert view.document()["variants"][0]["assumed"] == [
+    assert view.document()["items"][0]["assumed"] == [
         "slam-robot10",
         "slam-robot2",
     ]
-    assert view.document()["variants"][0]["cpu"] == {"mean": 0.5, "peak": 1.2}
+    assert view.document()["items"][0]["utilisation"]["cpu"] == {"mean": 0.5, "peak": 1.2}
 
 
 def test_where_nothing_was_recorded_no_number_is_shown() -> None:

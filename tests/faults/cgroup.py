@@ -1,4 +1,4 @@
-"""CPU limits for emulated computers, by cgroup v1 or v2, whichever this machine lets us write."""
+"""CPU limits of emulated computers, by cgroup v1 or v2, whichever is writable."""
 
 import os
 import time
@@ -13,20 +13,20 @@ PERIOD_US = 100_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Group:
-    """A cgroup of ours; ``limited`` says whether the CPU limit holds, ``why`` why not."""
+class CpuGroup:
+    """A cgroup of a test; ``limited``: whether the CPU limit applies; ``why``: reason if not."""
 
     directories: tuple[Path, ...]
     limited: bool
     why: str = ""
 
     @property
-    def doors(self) -> list[str]:
-        """The files to write a pid to."""
+    def procs_files(self) -> list[str]:
+        """Return the files that take a pid."""
         return [str(directory / "cgroup.procs") for directory in self.directories]
 
     def limit(self, cores: float) -> None:
-        """Set the limit."""
+        """Set the CPU limit in cores."""
         for directory in self.directories:
             quota = int(cores * PERIOD_US)
             if (directory / "cpu.cfs_quota_us").exists():
@@ -35,7 +35,7 @@ class Group:
                 (directory / "cpu.max").write_text(f"{quota} {PERIOD_US}\n")
 
     def remove(self) -> None:
-        """Remove it; what ran in it must have ended (given up to 5 s)."""
+        """Remove the cgroup; its processes must end within 5 s."""
         deadline = time.monotonic() + patience(5)
         for directory in self.directories:
             while directory.exists():
@@ -46,20 +46,20 @@ class Group:
                     time.sleep(0.02)
 
 
-def make(name: str, cores: float | None) -> Group:
-    """A cgroup ``name`` limited to ``cores`` (None: no group at all)."""
+def create_cgroup(name: str, cores: float | None) -> CpuGroup:
+    """Create a cgroup ``name`` limited to ``cores`` (None: no cgroup)."""
     if cores is None:
-        return Group(directories=(), limited=False, why="no limit wanted")
+        return CpuGroup(directories=(), limited=False, why="no limit wanted")
     for parent in (ROOT / "cpu", ROOT):
         directory = parent / name
         with suppress(OSError):
             directory.mkdir()
-            group = Group(directories=(directory,), limited=True)
+            group = CpuGroup(directories=(directory,), limited=True)
             if (directory / "cpu.cfs_quota_us").exists() or (directory / "cpu.max").exists():
                 group.limit(cores)
                 return group
         with suppress(OSError):
             directory.rmdir()
-    return Group(
+    return CpuGroup(
         directories=(), limited=False, why=f"no writable cpu controller below {ROOT} for uid {os.geteuid()}"
     )

@@ -1,4 +1,4 @@
-"""Faults of the manager: killed, interrupted, doubled, its clock, its files."""
+"""Faults of the manager: killed, interrupted, run twice, wrong clock, damaged files."""
 
 import datetime as dt
 import os
@@ -11,176 +11,186 @@ from contextlib import suppress
 from pathlib import Path
 
 from tests.faults import oracle
-from tests.faults.faults_host import pair
-from tests.faults.faults_link import busy
-from tests.faults.fleet import APPLY, Fleet
+from tests.faults.command_result import ExpectationError
+from tests.faults.faults_host import start_pair
+from tests.faults.faults_link import prepare_changes
+from tests.faults.fleet import APPLY, FaultFleet
 from tests.faults.hosts import wait_for
-from tests.faults.outcome import ExpectationError
-from tests.faults.powerless import survivors
 from tests.faults.registry import fault
+from tests.faults.synced_disk import restore_synced_files
 
 SKEW = Path(__file__).with_name("skew.c")
 
 
-def kill(running: "subprocess.Popen[str]") -> None:
-    """kill -9 of edgectl and of whatever it started."""
+def kill_manager(running: "subprocess.Popen[str]") -> None:
+    """Kill edgectl and its child processes with SIGKILL."""
     with suppress(ProcessLookupError):
         os.killpg(running.pid, signal.SIGKILL)
     running.communicate()
 
 
-def strike_at_random(fleet: Fleet, strike: Callable[["subprocess.Popen[str]"], None]) -> None:
-    """Begin an apply and strike it at a random moment of its life."""
-    running = fleet.begin(*APPLY)
-    fleet.clock(fleet.draw.uniform(0.3, 2.6))
+def interrupt_at_random(fleet: FaultFleet, strike: Callable[["subprocess.Popen[str]"], None]) -> None:
+    """Start an apply and run ``strike`` at a random moment."""
+    running = fleet.start_edgectl(*APPLY)
+    fleet.wait(fleet.random.uniform(0.3, 2.6))
     strike(running)
 
 
 @fault("manager killed (kill -9) at a random moment", quick=True, full=25)
-def killed(fleet: Fleet) -> None:
-    busy(fleet)
-    strike_at_random(fleet, kill)
+def kill_at_random(fleet: FaultFleet) -> None:
+    prepare_changes(fleet)
+    interrupt_at_random(fleet, kill_manager)
 
 
-@fault("manager killed, and killed again while it recovers", full=10)
-def killed_twice(fleet: Fleet) -> None:
-    busy(fleet)
-    strike_at_random(fleet, kill)
-    strike_at_random(fleet, kill)
+@fault("manager killed again during recovery", full=10)
+def kill_twice(fleet: FaultFleet) -> None:
+    prepare_changes(fleet)
+    interrupt_at_random(fleet, kill_manager)
+    interrupt_at_random(fleet, kill_manager)
 
 
 @fault("manager killed while a start-first move runs", full=8)
-def killed_start_first(fleet: Fleet) -> None:
-    """Two may run at once here, so this one may overlap; after recovery it is one."""
-    fleet.want("slam", on="edge1", handoff={"order": "start-first"})
-    fleet.settle()
+def kill_during_start_first(fleet: FaultFleet) -> None:
+    """A start-first move may run two copies at once, so an overlap is allowed here; one copy is left after
+    the recovery.
+    """
+    fleet.add_task("slam", on="edge1", handoff={"order": "start-first"})
+    fleet.apply_and_check()
     fleet.overlap_allowed.add("slam")
-    fleet.pin("slam", "edge2")
-    strike_at_random(fleet, kill)
+    fleet.pin_task("slam", "edge2")
+    interrupt_at_random(fleet, kill_manager)
 
 
-def powerless(fleet: Fleet) -> dict[str, str]:
-    """An environment in which edgectl's disk keeps only what was synced; see `powerless`."""
-    place = fleet.directory / "powerless"
+def build_synced_disk_env(fleet: FaultFleet) -> dict[str, str]:
+    """Environment in which edgectl's disk keeps only synced data; see `synced_disk`."""
+    place = fleet.directory / "synced-disk"
     (place / "shadow").mkdir(parents=True, exist_ok=True)
-    shutil.copy(Path(survivors.__code__.co_filename), place / "sitecustomize.py")
+    shutil.copy(Path(restore_synced_files.__code__.co_filename), place / "sitecustomize.py")
     path = f"{place}:{fleet.code}" if fleet.code else str(place)
-    return {"PYTHONPATH": path, "POWERLESS_SHADOW": str(place / "shadow"), "POWERLESS_ROOT": str(fleet.state)}
+    return {
+        "PYTHONPATH": path,
+        "SYNCED_DISK_SHADOW": str(place / "shadow"),
+        "SYNCED_DISK_ROOT": str(fleet.state),
+    }
 
 
-@fault("manager loses power after it said done", full=3)
-def power_after_done(fleet: Fleet) -> None:
-    """What was promised by exit 0 is on the disk: a task that was marked done is not started again."""
-    fleet.want("slam", on="edge1")
-    fleet.want("nav", on="edge2")
-    fleet.apply(**powerless(fleet)).must(0)
-    fleet.check()
-    fleet.edgectl("done", "slam", **powerless(fleet)).must(0)
-    survivors(fleet.directory / "powerless" / "shadow", fleet.state)
+@fault("manager loses power after done", full=3)
+def cut_power_after_done(fleet: FaultFleet) -> None:
+    """The effect of a command that exited with 0 is on the disk: a task marked done is not started again."""
+    fleet.add_task("slam", on="edge1")
+    fleet.add_task("nav", on="edge2")
+    fleet.apply(**build_synced_disk_env(fleet)).expect_exit(0)
+    fleet.check_verdict()
+    fleet.run_edgectl("done", "slam", **build_synced_disk_env(fleet)).expect_exit(0)
+    restore_synced_files(fleet.directory / "synced-disk" / "shadow", fleet.state)
     del fleet.expected["slam"]
-    fleet.apply().must(0)
-    fleet.check()
+    fleet.apply().expect_exit(0)
+    fleet.check_verdict()
 
 
 @fault("manager loses power at a random moment", full=8)
-def power_at_random(fleet: Fleet) -> None:
-    busy(fleet)
-    running = fleet.begin(*APPLY, **powerless(fleet))
-    fleet.clock(fleet.draw.uniform(0.5, 2.6))
-    kill(running)
-    survivors(fleet.directory / "powerless" / "shadow", fleet.state)
+def cut_power_at_random(fleet: FaultFleet) -> None:
+    prepare_changes(fleet)
+    running = fleet.start_edgectl(*APPLY, **build_synced_disk_env(fleet))
+    fleet.wait(fleet.random.uniform(0.5, 2.6))
+    kill_manager(running)
+    restore_synced_files(fleet.directory / "synced-disk" / "shadow", fleet.state)
 
 
 @fault("manager interrupted (Ctrl-C once, or twice)", full=8)
-def interrupted(fleet: Fleet) -> None:
-    busy(fleet)
+def send_sigint(fleet: FaultFleet) -> None:
+    prepare_changes(fleet)
 
     def interrupt(running: "subprocess.Popen[str]") -> None:
-        for _ in range(fleet.draw.choice([1, 2])):
+        for _ in range(fleet.random.choice([1, 2])):
             with suppress(ProcessLookupError):
                 os.killpg(running.pid, signal.SIGINT)
             time.sleep(0.1)
-        fleet.end(running).must(0, 4, 130, within=60)
+        fleet.wait_for_edgectl(running).expect_exit(0, 4, 130, within=60)
 
-    strike_at_random(fleet, interrupt)
+    interrupt_at_random(fleet, interrupt)
 
 
-@fault("manager's machine lost its state", full=3)
-def state_lost(fleet: Fleet) -> None:
-    """The hosts hold the truth: nothing is restarted, nothing doubled."""
-    pair(fleet)
-    before = {task: fleet.launches(task) for task in fleet.expected}
-    fleet.pin("slam", "edge1")
+@fault("state directory lost", full=3)
+def delete_state(fleet: FaultFleet) -> None:
+    """The hosts hold the state: nothing is restarted and nothing runs twice."""
+    start_pair(fleet)
+    before = {task: fleet.count_launches(task) for task in fleet.expected}
+    fleet.pin_task("slam", "edge1")
     fleet.state.rename(fleet.state.with_name("old-state"))
-    fleet.apply().must(0)
-    if before != {task: fleet.launches(task) for task in fleet.expected}:
+    fleet.apply().expect_exit(0)
+    if before != {task: fleet.count_launches(task) for task in fleet.expected}:
         raise ExpectationError("a task was started again")
-    fleet.check()
+    fleet.check_verdict()
 
 
 @fault("two applies at once", quick=True, full=8)
-def two_applies(fleet: Fleet) -> None:
-    busy(fleet)
+def run_two_applies(fleet: FaultFleet) -> None:
+    prepare_changes(fleet)
     both = []
     for _ in range(2):
-        both.append(fleet.begin(*APPLY))
-        fleet.clock(fleet.draw.uniform(0, 0.4))
-    codes = sorted(fleet.end(running).must(0, 75).code for running in both)
+        both.append(fleet.start_edgectl(*APPLY))
+        fleet.wait(fleet.random.uniform(0, 0.4))
+    codes = sorted(fleet.wait_for_edgectl(running).expect_exit(0, 75).code for running in both)
     if codes == [75, 75]:
         raise ExpectationError("both refused to work")
 
 
 @fault("two managers at once, each with its own state", full=8)
-def two_managers(fleet: Fleet) -> None:
-    busy(fleet)
+def run_two_managers(fleet: FaultFleet) -> None:
+    prepare_changes(fleet)
     other = {"EDGECTL_STATE_DIR": str(fleet.directory / "other-state")}
-    first = fleet.begin(*APPLY)
-    fleet.clock(fleet.draw.uniform(0, 1.0))
-    second = fleet.begin(*APPLY, **other)
+    first = fleet.start_edgectl(*APPLY)
+    fleet.wait(fleet.random.uniform(0, 1.0))
+    second = fleet.start_edgectl(*APPLY, **other)
     for running in (first, second):
-        fleet.end(running).must(0, 1, 4, 75)
-    moment = oracle.now_ns()
+        fleet.wait_for_edgectl(running).expect_exit(0, 1, 4, 75)
+    moment = oracle.read_boottime_ns()
     most = max(
-        (count for count in oracle.live_at(oracle.lives(fleet.records), moment - 10**8).values()), default=0
+        (
+            count
+            for count in oracle.count_alive_at(oracle.list_lifetimes(fleet.records), moment - 10**8).values()
+        ),
+        default=0,
     )
     if most > 1:
         raise ExpectationError(f"{most} at once")
 
 
 @fault("lock holder killed", full=5)
-def lock_holder_killed(fleet: Fleet) -> None:
-    """The lock dies with its process: the next apply works at once."""
-    busy(fleet)
-    strike_at_random(fleet, kill)
-    fleet.apply().must(0, 4)
-    fleet.check()
+def kill_lock_holder(fleet: FaultFleet) -> None:
+    """The lock is released with its process: the next apply works at once."""
+    prepare_changes(fleet)
+    interrupt_at_random(fleet, kill_manager)
+    fleet.apply().expect_exit(0, 4)
+    fleet.check_verdict()
 
 
 @fault("a saved plan applied twice, and after a change", full=3)
-def stale_plan(fleet: Fleet) -> None:
-    pair(fleet)
+def apply_stale_plan(fleet: FaultFleet) -> None:
+    start_pair(fleet)
     plan = str(fleet.directory / "saved.plan")
-    fleet.pin("slam", "edge2")
-    fleet.edgectl("plan", "--out", plan).must(0, 2)
-    fleet.edgectl("apply", plan).must(0)
-    fleet.check()
-    fleet.edgectl("apply", plan).must(75)
-    fleet.pin("slam", "edge1")
-    fleet.edgectl("plan", "--out", plan).must(0, 2)
-    fleet.want("late", on="edge1")
-    fleet.edgectl("apply", plan).must(75)
-    fleet.check({"slam": "edge2", "nav": "edge2"})
+    fleet.pin_task("slam", "edge2")
+    fleet.run_edgectl("plan", "--out", plan).expect_exit(0, 2)
+    fleet.run_edgectl("apply", plan).expect_exit(0)
+    fleet.check_verdict()
+    fleet.run_edgectl("apply", plan).expect_exit(75)
+    fleet.pin_task("slam", "edge1")
+    fleet.run_edgectl("plan", "--out", plan).expect_exit(0, 2)
+    fleet.add_task("late", on="edge1")
+    fleet.run_edgectl("apply", plan).expect_exit(75)
+    fleet.check_verdict({"slam": "edge2", "nav": "edge2"})
 
 
 HOUR, DAY = 3600, 86400
 
 
-def no_compiler() -> str:
+def find_missing_compiler() -> str:
     return "" if shutil.which("cc") else "no C compiler for the skewed clock"
 
 
-def skewed(fleet: Fleet, seconds: int) -> dict[str, str]:
-    """An environment in which the wall clock is off by so many seconds; the monotonic one stays true."""
+def build_skewed_env(fleet: FaultFleet, seconds: int) -> dict[str, str]:
+    """Environment whose wall clock is off by ``seconds``; the monotonic clock stays true."""
     library = fleet.directory / "skew.so"
     if not library.exists():
         subprocess.run(
@@ -189,36 +199,36 @@ def skewed(fleet: Fleet, seconds: int) -> dict[str, str]:
     return {"LD_PRELOAD": str(library), "CLOCK_SKEW": str(seconds)}
 
 
-def skew_host(fleet: Fleet, name: str, seconds: int) -> None:
-    """The host's wall clock is off: its users' processes preload the library, which lies where each of them can read it."""
-    environment = skewed(fleet, seconds)
+def skew_host(fleet: FaultFleet, name: str, seconds: int) -> None:
+    """Skew the host's wall clock: its users' processes preload the library from a world-readable path."""
+    environment = build_skewed_env(fleet, seconds)
     host = fleet.hosts[name]
     shutil.copy(environment["LD_PRELOAD"], host.records / "skew.so")
     inside = host.records if host.kind == "loopback" else Path("/home/edge/oracle/records")
     host.set_env(**environment | {"LD_PRELOAD": str(inside / "skew.so")})
 
 
-@fault("clocks an hour apart", full=4, missing=no_compiler)
-def clock_skew(fleet: Fleet) -> None:
-    """One host an hour ahead, one ten years behind, the manager a day ahead: nothing compares them."""
-    pair(fleet)
-    skew_host(fleet, "edge1", fleet.draw.choice([HOUR, -HOUR]))
-    skew_host(fleet, "edge2", fleet.draw.choice([-3650 * DAY, 3650 * DAY]))
-    fleet.pin("slam", "edge2")
-    fleet.want("map", on="edge1")
+@fault("clocks an hour apart", full=4, missing=find_missing_compiler)
+def skew_all_clocks(fleet: FaultFleet) -> None:
+    """One host an hour ahead, one ten years behind, the manager a day ahead: clocks are never compared."""
+    start_pair(fleet)
+    skew_host(fleet, "edge1", fleet.random.choice([HOUR, -HOUR]))
+    skew_host(fleet, "edge2", fleet.random.choice([-3650 * DAY, 3650 * DAY]))
+    fleet.pin_task("slam", "edge2")
+    fleet.add_task("map", on="edge1")
     fleet.tasks["map"]["command"] = f'date +%s > "$HOME/oracle/records/date"; {fleet.tasks["map"]["command"]}'
-    fleet.write()
-    fleet.apply(**skewed(fleet, DAY)).must(0)
-    fleet.check()
+    fleet.write_files()
+    fleet.apply(**build_skewed_env(fleet, DAY)).expect_exit(0)
+    fleet.check_verdict()
     assert abs(int((fleet.hosts["edge1"].records / "date").read_text()) - time.time()) > HOUR / 2, (
         "the host's clock was not skewed"
     )
-    fleet.edgectl("status").must(0)
-    ages_are_sane(fleet)
+    fleet.run_edgectl("status").expect_exit(0)
+    check_ages(fleet)
 
 
-def ages_are_sane(fleet: Fleet) -> None:
-    snapshot = fleet.edgectl("probe", "-o", "json").must(0).data
+def check_ages(fleet: FaultFleet) -> None:
+    snapshot = fleet.run_edgectl("probe", "-o", "json").expect_exit(0).data
     taken = dt.datetime.fromisoformat(str(snapshot["taken_at"]))
     hosts = snapshot["hosts"]
     assert isinstance(hosts, dict)
@@ -229,58 +239,60 @@ def ages_are_sane(fleet: Fleet) -> None:
                 raise ExpectationError(f"{task} on {name} is {age} s old")
 
 
-@fault("manager's clock goes backwards between applies", full=3, missing=no_compiler)
-def clock_backwards(fleet: Fleet) -> None:
-    pair(fleet)
-    launches = fleet.launches("slam")
-    fleet.pin("slam", "edge1")
+@fault("manager's clock goes backwards between applies", full=3, missing=find_missing_compiler)
+def set_clock_back(fleet: FaultFleet) -> None:
+    start_pair(fleet)
+    launches = fleet.count_launches("slam")
+    fleet.pin_task("slam", "edge1")
     for seconds in (2 * HOUR, -2 * HOUR, -30 * DAY):
-        fleet.apply(**skewed(fleet, seconds)).must(0)
-    if fleet.launches("slam") != launches:
+        fleet.apply(**build_skewed_env(fleet, seconds)).expect_exit(0)
+    if fleet.count_launches("slam") != launches:
         raise ExpectationError("slam was started again")
-    fleet.pin("slam", "edge2")
-    fleet.apply(**skewed(fleet, -HOUR)).must(0)
-    fleet.check()
+    fleet.pin_task("slam", "edge2")
+    fleet.apply(**build_skewed_env(fleet, -HOUR)).expect_exit(0)
+    fleet.check_verdict()
 
 
 @fault("state files truncated", quick=True, full=12)
-def state_truncated(fleet: Fleet) -> None:
-    spoil(fleet, lambda data: data[: fleet.draw.randrange(len(data))])
+def truncate_state(fleet: FaultFleet) -> None:
+    damage_state_file(fleet, lambda data: data[: fleet.random.randrange(len(data))])
 
 
 @fault("state files with a flipped bit", full=12)
-def state_flipped(fleet: Fleet) -> None:
+def flip_state_bit(fleet: FaultFleet) -> None:
     def flip(data: bytes) -> bytes:
-        place = fleet.draw.randrange(len(data))
-        return data[:place] + bytes([data[place] ^ (1 << fleet.draw.randrange(8))]) + data[place + 1 :]
+        place = fleet.random.randrange(len(data))
+        return data[:place] + bytes([data[place] ^ (1 << fleet.random.randrange(8))]) + data[place + 1 :]
 
-    spoil(fleet, flip)
+    damage_state_file(fleet, flip)
 
 
-def spoil(fleet: Fleet, harm: Callable[[bytes], bytes]) -> None:
-    """Harm one of the manager's files. Whatever apply says, it is one of its own words, and no task is lost or doubled."""
-    pair(fleet)
-    fleet.pin("slam", "edge1")
+def damage_state_file(fleet: FaultFleet, harm: Callable[[bytes], bytes]) -> None:
+    """Damage one of the manager's files. Apply must exit with a documented code, and no task is lost or
+    doubled.
+    """
+    start_pair(fleet)
+    fleet.pin_task("slam", "edge1")
     files = sorted(path for path in fleet.state.rglob("*") if path.is_file() and path.stat().st_size)
-    victim = fleet.draw.choice(files)
+    victim = fleet.random.choice(files)
     good = victim.read_bytes()
     victim.write_bytes(harm(good))
-    outcome = fleet.apply().must(0, 1, 4, 64)
-    fleet.check()
+    outcome = fleet.apply().expect_exit(0, 1, 4, 64)
+    fleet.check_verdict()
     if outcome.code in (1, 64):
-        outcome.says(victim.name)
-        mend_by_hint(fleet, victim)
+        outcome.expect_output(victim.name)
+        follow_hint(fleet, victim)
 
 
-def mend_by_hint(fleet: Fleet, victim: Path) -> None:
-    """What the operator is told to do about a file that cannot be read: put it aside."""
+def follow_hint(fleet: FaultFleet, victim: Path) -> None:
+    """Follow the hint for an unreadable file: move it away."""
     victim.rename(fleet.directory / "tmp" / victim.name)
 
 
 @fault("state files of a future format_version", full=3)
-def state_of_the_future(fleet: Fleet) -> None:
-    pair(fleet)
-    fleet.pin("slam", "edge1")
+def write_future_state(fleet: FaultFleet) -> None:
+    start_pair(fleet)
+    fleet.pin_task("slam", "edge1")
     changed = []
     for path in sorted(fleet.state.rglob("*")):
         if path.is_file() and b'"format_version":' in (data := path.read_bytes()):
@@ -292,40 +304,40 @@ def state_of_the_future(fleet: Fleet) -> None:
             changed.append(path)
     if not changed:
         return
-    fleet.apply().must(1, 64).says("newer edgectl")
-    fleet.check()
+    fleet.apply().expect_exit(1, 64).expect_output("newer edgectl")
+    fleet.check_verdict()
     for path in changed:
-        mend_by_hint(fleet, path)
+        follow_hint(fleet, path)
 
 
-@fault("saved snapshot and plan harmed", full=3)
-def saved_files_harmed(fleet: Fleet) -> None:
-    pair(fleet)
-    fleet.pin("slam", "edge2")
+@fault("saved snapshot and plan damaged", full=3)
+def damage_saved_files(fleet: FaultFleet) -> None:
+    start_pair(fleet)
+    fleet.pin_task("slam", "edge2")
     snapshot, plan = fleet.directory / "saved.json", fleet.directory / "saved.plan"
-    fleet.edgectl("probe", "--out", str(snapshot)).must(0)
-    fleet.edgectl("plan", "--out", str(plan)).must(0, 2)
+    fleet.run_edgectl("probe", "--out", str(snapshot)).expect_exit(0)
+    fleet.run_edgectl("plan", "--out", str(plan)).expect_exit(0, 2)
     for path, words in ((snapshot, ("plan", "--snapshot")), (plan, ("apply",))):
         good = path.read_bytes()
         for _ in range(3):
-            path.write_bytes(good[: fleet.draw.randrange(len(good) - 2)])
-            fleet.edgectl(*words, str(path)).must(64, 1, 75)
+            path.write_bytes(good[: fleet.random.randrange(len(good) - 2)])
+            fleet.run_edgectl(*words, str(path)).expect_exit(64, 1, 75)
         path.write_bytes(
             good.replace(b'"format_version": 1', b'"format_version": 9').replace(
                 b'"format_version":1', b'"format_version":9'
             )
         )
-        fleet.edgectl(*words, str(path)).must(64, 1, 75).says("version")
-    fleet.check({"slam": "edge1", "nav": "edge2"})
+        fleet.run_edgectl(*words, str(path)).expect_exit(64, 1, 75).expect_output("version")
+    fleet.check_verdict({"slam": "edge1", "nav": "edge2"})
 
 
-@fault("no room for the manager's state", full=2)
-def state_unwritable(fleet: Fleet) -> None:
-    """A file stands where the state directory should be: refused before anything is touched."""
-    fleet.want("slam", on="edge1")
+@fault("state directory not writable", full=2)
+def block_state_dir(fleet: FaultFleet) -> None:
+    """A file stands in place of the state directory: the command is refused before any host is contacted."""
+    fleet.add_task("slam", on="edge1")
     fleet.state.rmdir()
     fleet.state.write_text("in the way")
-    fleet.apply().must(1, 64)
-    fleet.check({})
+    fleet.apply().expect_exit(1, 64)
+    fleet.check_verdict({})
     fleet.state.unlink()
     wait_for(lambda: not fleet.state.exists(), "the state's place")

@@ -1,12 +1,12 @@
-"""Noise and hostility: garbage around the document, hostile strings in every field."""
+"""Faults of input: garbage around replies, hostile strings in every field."""
 
 import json
 from pathlib import Path
 
 from tests.faults import oracle
-from tests.faults.fleet import Fleet
+from tests.faults.command_result import ExpectationError
+from tests.faults.fleet import FaultFleet
 from tests.faults.hosts import Host
-from tests.faults.outcome import ExpectationError
 from tests.faults.registry import fault
 
 NOISE = {
@@ -18,44 +18,46 @@ NOISE = {
 }
 
 
-def noise(host: Host, script: str) -> None:
-    """The login shell's start file speaks."""
+def add_shell_noise(host: Host, script: str) -> None:
+    """Make the login shell's start file print garbage."""
     path = host.home / ".bashrc"
     path.write_text(script + "\n")
     path.chmod(0o644)
 
 
 @fault("garbage before and after the document", quick=True, full=6)
-def garbage(fleet: Fleet) -> None:
+def surround_replies_with_garbage(fleet: FaultFleet) -> None:
     for name, host in fleet.hosts.items():
-        noise(host, NOISE[fleet.draw.choice(sorted(NOISE))] if name == "edge2" else NOISE["JSON look-alikes"])
-    fleet.want("slam", on="edge1")
-    fleet.want("nav", on="edge2")
-    fleet.settle()
-    fleet.pin("slam", "edge2")
-    fleet.settle()
+        add_shell_noise(
+            host, NOISE[fleet.random.choice(sorted(NOISE))] if name == "edge2" else NOISE["JSON look-alikes"]
+        )
+    fleet.add_task("slam", on="edge1")
+    fleet.add_task("nav", on="edge2")
+    fleet.apply_and_check()
+    fleet.pin_task("slam", "edge2")
+    fleet.apply_and_check()
 
 
-@fault("a login shell that says too much, for ever", full=1)
-def endless_noise(fleet: Fleet) -> None:
-    """One host drowns the manager in noise: it is given up in time, the other goes on."""
-    fleet.want("nav", on="edge2")
-    noise(fleet.hosts["edge1"], "cat /dev/zero")
-    fleet.apply().must(4, within=60).says("edge1")
-    fleet.check()
-    noise(fleet.hosts["edge1"], "")
+@fault("endless output from a login shell", full=1)
+def flood_manager(fleet: FaultFleet) -> None:
+    """One host floods the manager with output: it is abandoned in time, the other works."""
+    fleet.add_task("nav", on="edge2")
+    add_shell_noise(fleet.hosts["edge1"], "cat /dev/zero")
+    fleet.apply().expect_exit(4, within=60).expect_output("edge1")
+    fleet.check_verdict()
+    add_shell_noise(fleet.hosts["edge1"], "")
 
 
-CANARY = "edgectl-was-here"
+MARKER_FILE = "edgectl-was-here"
 HOSTILE = (
     "plain",
     "two words",
     'it\'s "quoted"',
     "line\nbreak\n",
-    f"$(touch {CANARY})",
-    f"`touch {CANARY}`",
-    f"; touch {CANARY} #",
-    f"' ; touch {CANARY} ; '",
+    f"$(touch {MARKER_FILE})",
+    f"`touch {MARKER_FILE}`",
+    f"; touch {MARKER_FILE} #",
+    f"' ; touch {MARKER_FILE} ; '",
     "-rf --help",
     "${HOME}$$*?[a-z]~",
     "\\ back\\slash \\n",
@@ -66,10 +68,10 @@ HOSTILE = (
 
 
 @fault("hostile strings in env and workdir", quick=True, full=2)
-def hostile_fields(fleet: Fleet) -> None:
-    """Every value arrives byte by byte as it was written, and no shell ever ran one."""
+def send_hostile_fields(fleet: FaultFleet) -> None:
+    """Every value arrives byte by byte as written, and no shell evaluates it."""
     env = {f"HOSTILE_{number}": text for number, text in enumerate(HOSTILE)}
-    workdir = fleet.hosts["edge1"].records / f"dir '$(touch {CANARY})' \"x\""
+    workdir = fleet.hosts["edge1"].records / f"dir '$(touch {MARKER_FILE})' \"x\""
     workdir.mkdir()
     workdir.chmod(0o777)
     inside = (
@@ -78,59 +80,59 @@ def hostile_fields(fleet: Fleet) -> None:
         else Path("/home/edge/oracle/records") / workdir.name
     )
     dump = 'python3 -c \'import json, os; json.dump([os.getcwd(), dict(os.environ)], open(os.path.expanduser("~/oracle/records/dump"), "w"))\'; '
-    fleet.want("slam", on="edge1", env=env, workdir=str(inside))
+    fleet.add_task("slam", on="edge1", env=env, workdir=str(inside))
     fleet.tasks["slam"]["command"] = dump + str(fleet.tasks["slam"]["command"])
-    fleet.write()
-    fleet.settle()
+    fleet.write_files()
+    fleet.apply_and_check()
     cwd, seen = json.loads((fleet.hosts["edge1"].records / "dump").read_text())
     if wrong := [text for name, text in env.items() if seen.get(name) != text]:
         raise ExpectationError(f"did not arrive as written: {wrong!r}")
     if cwd != str(inside):
         raise ExpectationError(f"the working directory is {cwd!r}")
     for words in (("status",), ("plan",), ("apply", "--dry-run"), ("probe", "-o", "wide")):
-        fleet.edgectl(*words).must(0)
-    no_canary(fleet)
+        fleet.run_edgectl(*words).expect_exit(0)
+    check_nothing_evaluated(fleet)
 
 
-def no_canary(fleet: Fleet) -> None:
-    """No shell ran what was only text."""
+def check_nothing_evaluated(fleet: FaultFleet) -> None:
+    """Check that no shell evaluated a text."""
     places = [fleet.directory, *(path for host in fleet.hosts.values() for path in (host.home, host.records))]
-    if found := [str(path) for place in places for path in place.rglob(CANARY)]:
+    if found := [str(path) for place in places for path in place.rglob(MARKER_FILE)]:
         raise ExpectationError(f"a shell ran a field: {found}")
 
 
 @fault("hostile strings as names and addresses", full=1)
-def hostile_names(fleet: Fleet) -> None:
-    """Refused by their file and line, before anything is contacted."""
-    fleet.want("nav", on="edge2")
-    fleet.settle()
-    before = oracle.now_ns()
+def use_hostile_names(fleet: FaultFleet) -> None:
+    """Refused with file and line before any host is contacted."""
+    fleet.add_task("nav", on="edge2")
+    fleet.apply_and_check()
+    before = oracle.read_boottime_ns()
     for text in HOSTILE[1:]:
         fleet.tasks[text] = dict(fleet.tasks["nav"])
-        fleet.write()
-        fleet.apply().must(64)
+        fleet.write_files()
+        fleet.apply().expect_exit(64)
         del fleet.tasks[text]
         fleet.inventory["edge1"]["host"] = text
-        fleet.write()
-        fleet.apply().must(0, 4, 64)
+        fleet.write_files()
+        fleet.apply().expect_exit(0, 4, 64)
         fleet.inventory["edge1"]["host"] = "edge1"
-    fleet.write()
-    no_canary(fleet)
-    if oracle.now_ns() < before:
+    fleet.write_files()
+    check_nothing_evaluated(fleet)
+    if oracle.read_boottime_ns() < before:
         raise ExpectationError("time went backwards")
 
 
 @fault("hostile values of the host's environment", full=1)
-def hostile_host_env(fleet: Fleet) -> None:
-    """What sshd puts into the session: strange paths and Python's own switches must not reach the agent."""
+def set_hostile_env(fleet: FaultFleet) -> None:
+    """sshd sets odd paths and Python's own variables in the session: they must not affect the agent."""
     trap = fleet.hosts["edge1"].records / "trap"
     trap.mkdir()
     (trap / "json.py").write_text("raise SystemExit('poisoned')\n")
-    (trap / "sitecustomize.py").write_text(f"open('/tmp/{CANARY}', 'w')\n")
+    (trap / "sitecustomize.py").write_text(f"open('/tmp/{MARKER_FILE}', 'w')\n")
     inside = trap if fleet.hosts["edge1"].kind == "loopback" else Path("/home/edge/oracle/records/trap")
     fleet.hosts["edge1"].set_env(
         PYTHONPATH=str(inside), PYTHONSTARTUP="/nonexistent", LANG="xx_YY.no", LC_ALL="tr_TR.UTF-8", IFS="/"
     )
-    fleet.want("slam", on="edge1", env={"PYTHONPATH": ""})
-    fleet.settle()
+    fleet.add_task("slam", on="edge1", env={"PYTHONPATH": ""})
+    fleet.apply_and_check()
     fleet.hosts["edge1"].set_env()

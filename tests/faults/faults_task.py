@@ -1,159 +1,161 @@
-"""Tasks that behave badly: deaf, forking, crashing, shouting, with a temper."""
+"""Faults of tasks: ignored signals, forks, crashes, log floods, wrong output."""
 
 from itertools import pairwise
 
 from tests.faults import oracle, scan
-from tests.faults.fleet import Fleet
+from tests.faults.command_result import ExpectationError
+from tests.faults.fleet import FaultFleet
 from tests.faults.hosts import wait_for
-from tests.faults.outcome import ExpectationError
 from tests.faults.registry import fault
 
 TREE = ("--with", "child,daemon,session")
 
 
 @fault("task ignores SIGTERM", quick=True, full=3)
-def deaf(fleet: Fleet) -> None:
-    fleet.want("slam", "--deaf", on="edge1", stop={"grace": "1s"})
-    fleet.settle()
-    fleet.pin("slam", "edge2")
-    fleet.apply().must(0)
-    fleet.check()
-    old = oracle.by_task(oracle.lives(fleet.records))["slam"][0]
+def ignore_sigterm(fleet: FaultFleet) -> None:
+    fleet.add_task("slam", "--deaf", on="edge1", stop={"grace": "1s"})
+    fleet.apply_and_check()
+    fleet.pin_task("slam", "edge2")
+    fleet.apply().expect_exit(0)
+    fleet.check_verdict()
+    old = oracle.group_by_task(oracle.list_lifetimes(fleet.records))["slam"][0]
     if "SIGTERM" not in old.signals:
         raise ExpectationError("the task was killed without being asked to end first")
 
 
 @fault("task double-forks daemons", quick=True, full=3)
-def daemons(fleet: Fleet) -> None:
-    """Child, daemon and a session of its own, each stopped with the task, also where they empty their environment."""
-    fleet.want("slam", *TREE, *fleet.draw.choice([(), ("--bare",), ("--closed",)]), on="edge1")
-    moves(fleet)
+def start_daemons(fleet: FaultFleet) -> None:
+    """Child, daemon and daemon in its own session are stopped with the task, with and without the task's
+    environment.
+    """
+    fleet.add_task("slam", *TREE, *fleet.random.choice([(), ("--bare",), ("--closed",)]), on="edge1")
+    move_and_return(fleet)
 
 
 @fault("daemons with emptied environment and closed descriptors", full=3)
-def hidden_daemons(fleet: Fleet) -> None:
-    fleet.want("slam", *TREE, "--bare", "--closed", "--deaf", on="edge1", stop={"grace": "1s"})
-    moves(fleet)
+def start_hidden_daemons(fleet: FaultFleet) -> None:
+    fleet.add_task("slam", *TREE, "--bare", "--closed", "--deaf", on="edge1", stop={"grace": "1s"})
+    move_and_return(fleet)
 
 
-@fault("launcher ends, its daemons stay", full=3)
-def launcher(fleet: Fleet) -> None:
-    """A command that daemonises and exits 0: whatever edgectl makes of it, there is never a second set of daemons."""
-    fleet.want("slam", "--with", "daemon", "--detach", on="edge1", restart="on-failure")
-    fleet.apply().must(0, 4)
-    fleet.apply().must(0, 4)
-    found = oracle.watch(fleet.records, seconds=0.7).get("slam", [])
+@fault("launcher ends, daemons stay", full=3)
+def run_launcher(fleet: FaultFleet) -> None:
+    """A command that daemonises and exits with 0 must never lead to a second set of daemons."""
+    fleet.add_task("slam", "--with", "daemon", "--detach", on="edge1", restart="on-failure")
+    fleet.apply().expect_exit(0, 4)
+    fleet.apply().expect_exit(0, 4)
+    found = oracle.watch_launches(fleet.records, seconds=0.7).get("slam", [])
     if len(found) > 1:
         raise ExpectationError(f"{len(found)} sets of daemons")
-    fleet.unwant("slam")
+    fleet.remove_task("slam")
 
 
-def moves(fleet: Fleet) -> None:
-    """To the other host and back."""
-    fleet.settle()
+def move_and_return(fleet: FaultFleet) -> None:
+    """Move the task to the other host and back."""
+    fleet.apply_and_check()
     for host in ("edge2", "edge1"):
-        fleet.pin("slam", host)
-        fleet.apply().must(0)
-        fleet.check()
+        fleet.pin_task("slam", host)
+        fleet.apply().expect_exit(0)
+        fleet.check_verdict()
 
 
-@fault("supervisor killed, its task lives", full=4)
-def supervisor_killed(fleet: Fleet) -> None:
-    """Every process of the host that is not the task itself is killed: the task is still found, and never doubled."""
-    fleet.want("slam", "--with", "daemon", on="edge1")
-    fleet.settle()
+@fault("supervisor killed, task alive", full=4)
+def kill_supervisor(fleet: FaultFleet) -> None:
+    """With all processes killed except the task itself, the task is still found and never doubled."""
+    fleet.add_task("slam", "--with", "daemon", on="edge1")
+    fleet.apply_and_check()
     host = fleet.hosts["edge1"]
     victims = [
         each for each in host.processes() if fleet.mark not in each.command and "sshd" not in each.command
     ]
     if not victims:
         raise ExpectationError("no supervisor was found")
-    scan.end(victims)
-    fleet.apply().must(0)
-    fleet.check()
-    fleet.pin("slam", "edge2")
-    fleet.apply().must(0)
-    fleet.check()
+    scan.kill_processes(victims)
+    fleet.apply().expect_exit(0)
+    fleet.check_verdict()
+    fleet.pin_task("slam", "edge2")
+    fleet.apply().expect_exit(0)
+    fleet.check_verdict()
 
 
-@fault("main process and supervisor killed, a daemon lives", full=4)
-def only_daemon_lives(fleet: Fleet) -> None:
-    fleet.want("slam", "--with", "daemon", on="edge1")
-    fleet.settle()
+@fault("main process and supervisor killed, daemon alive", full=4)
+def leave_only_daemon(fleet: FaultFleet) -> None:
+    fleet.add_task("slam", "--with", "daemon", on="edge1")
+    fleet.apply_and_check()
     victims = [
         each
         for each in fleet.hosts["edge1"].processes()
         if "--role daemon" not in each.command and "sshd" not in each.command
     ]
-    fleet.draw.shuffle(victims)
-    scan.end(victims)
-    fleet.apply().must(0, 4)
+    fleet.random.shuffle(victims)
+    scan.kill_processes(victims)
+    fleet.apply().expect_exit(0, 4)
 
 
 @fault("crash loop", full=2)
-def crash_loop(fleet: Fleet) -> None:
-    """Starts are bounded and visible; the other task is not touched."""
-    fleet.want("slam", "--for", "0.2", "--exit", "3", on="edge1", restart="always")
-    fleet.want("nav", on="edge1")
-    fleet.apply().must(0, 1, 4)
-    fleet.clock(6)
-    if not 2 <= fleet.launches("slam") <= 6:
-        raise ExpectationError(f"{fleet.launches('slam')} starts in some 7 s")
-    if fleet.launches("nav") != 1:
+def run_crash_loop(fleet: FaultFleet) -> None:
+    """Starts are bounded and reported; the other task is not restarted."""
+    fleet.add_task("slam", "--for", "0.2", "--exit", "3", on="edge1", restart="always")
+    fleet.add_task("nav", on="edge1")
+    fleet.apply().expect_exit(0, 1, 4)
+    fleet.wait(6)
+    if not 2 <= fleet.count_launches("slam") <= 6:
+        raise ExpectationError(f"{fleet.count_launches('slam')} starts in some 7 s")
+    if fleet.count_launches("nav") != 1:
         raise ExpectationError("nav was started again")
-    fleet.edgectl("status").must(0, 1, 4).says("slam", "nav")
-    fleet.unwant("slam")
+    fleet.run_edgectl("status").expect_exit(0, 1, 4).expect_output("slam", "nav")
+    fleet.remove_task("slam")
 
 
-@fault("a job that failed is left alone", full=2)
-def failed_job_once(fleet: Fleet) -> None:
-    """``restart: never``: no apply starts it again; restart does, once."""
-    fleet.want("job", "--for", "0.5", "--exit", "3", on="edge1", kind="job", restart="never")
-    fleet.want("nav", on="edge2")
-    fleet.apply().must(0, 4)
-    wait_for(lambda: fleet.stopped("job"), "the job's end", 45)
+@fault("a failed job is not restarted", full=2)
+def run_failed_job(fleet: FaultFleet) -> None:
+    """``restart: never``: apply does not start the task again; ``edgectl restart`` does, once."""
+    fleet.add_task("job", "--for", "0.5", "--exit", "3", on="edge1", kind="job", restart="never")
+    fleet.add_task("nav", on="edge2")
+    fleet.apply().expect_exit(0, 4)
+    wait_for(lambda: fleet.has_stopped("job"), "the job's end", 45)
     for _ in range(2):
-        fleet.apply().must(0).says("given up", "edgectl restart job")
-    if fleet.launches("job") != 1:
+        fleet.apply().expect_exit(0).expect_output("given up", "edgectl restart job")
+    if fleet.count_launches("job") != 1:
         raise ExpectationError("the job ran again")
-    fleet.edgectl("restart", "job", "--yes").must(0, 4)
-    wait_for(lambda: fleet.launches("job") == 2, "the job's second run", 45)
-    fleet.unwant("job")
+    fleet.run_edgectl("restart", "job", "--yes").expect_exit(0, 4)
+    wait_for(lambda: fleet.count_launches("job") == 2, "the job's second run", 45)
+    fleet.remove_task("job")
 
 
 @fault("a job runs once", full=2)
-def job_once(fleet: Fleet) -> None:
-    fleet.want("job", "--for", "0.5", "--exit", "0", on="edge1", kind="job")
-    fleet.want("nav", on="edge2")
-    fleet.apply().must(0)
-    wait_for(lambda: fleet.stopped("job"), "the job's end", 45)
+def run_job(fleet: FaultFleet) -> None:
+    fleet.add_task("job", "--for", "0.5", "--exit", "0", on="edge1", kind="job")
+    fleet.add_task("nav", on="edge2")
+    fleet.apply().expect_exit(0)
+    wait_for(lambda: fleet.has_stopped("job"), "the job's end", 45)
     for _ in range(3):
-        fleet.apply().must(0)
-    if fleet.launches("job") != 1:
-        raise ExpectationError(f"the job ran {fleet.launches('job')} times")
+        fleet.apply().expect_exit(0)
+    if fleet.count_launches("job") != 1:
+        raise ExpectationError(f"the job ran {fleet.count_launches('job')} times")
     del fleet.expected["job"]
-    fleet.check()
+    fleet.check_verdict()
 
 
 @fault("log spam", full=2)
-def log_spam(fleet: Fleet) -> None:
-    """10 MB/s into a log of 2 x 64 KiB: the disk stays small and the task is not slowed down."""
-    fleet.want("slam", "--spam", "10000000", on="edge1", log={"max_size": "64Ki", "files": 2})
-    fleet.want("nav", on="edge1")
-    fleet.settle()
-    fleet.clock(4)
-    logs = [path for path in scan.files_under(fleet.hosts["edge1"].home) if b"spamspam" in path.read_bytes()]
+def flood_log(fleet: FaultFleet) -> None:
+    """10 MB/s into a log of 2 x 64 KiB: disk use stays small and the task is not slowed down."""
+    fleet.add_task("slam", "--spam", "10000000", on="edge1", log={"max_size": "64Ki", "files": 2})
+    fleet.add_task("nav", on="edge1")
+    fleet.apply_and_check()
+    fleet.wait(4)
+    logs = [path for path in scan.list_files(fleet.hosts["edge1"].home) if b"spamspam" in path.read_bytes()]
     size = sum(path.stat().st_size for path in logs)
     if not 0 < size <= 2 * 65536 + 16384:
         raise ExpectationError(f"{size} bytes of logs: {logs}")
-    gap = longest_silence(fleet, "slam")
+    gap = compute_longest_silence(fleet, "slam")
     if gap > 2:
         raise ExpectationError(f"the task stood still for {gap:.1f} s")
-    fleet.edgectl("logs", "slam", "--tail", "3").must(0)
+    fleet.run_edgectl("logs", "slam", "--tail", "3").expect_exit(0)
 
 
-def longest_silence(fleet: Fleet, task: str) -> float:
-    """Seconds between two ticks of the task's main process, at most."""
+def compute_longest_silence(fleet: FaultFleet, task: str) -> float:
+    """Return the longest time in seconds between two ticks of the task's main process."""
     gap = 0
     for directory in fleet.records.values():
         for path in directory.glob("*.main.*.jsonl"):
@@ -162,46 +164,46 @@ def longest_silence(fleet: Fleet, task: str) -> float:
     return gap / oracle.SECOND
 
 
-@fault("output that is no UTF-8", full=2)
-def garbage_output(fleet: Fleet) -> None:
-    fleet.want("slam", "--garbage", on="edge1")
-    fleet.settle()
-    fleet.clock(1)
-    fleet.edgectl("logs", "slam", "--tail", "5").must(0)
-    if "\x1b]0;owned" in fleet.on_terminal("logs", "slam", "--tail", "5"):
+@fault("output that is not UTF-8", full=2)
+def write_garbage(fleet: FaultFleet) -> None:
+    fleet.add_task("slam", "--garbage", on="edge1")
+    fleet.apply_and_check()
+    fleet.wait(1)
+    fleet.run_edgectl("logs", "slam", "--tail", "5").expect_exit(0)
+    if "\x1b]0;owned" in fleet.run_on_terminal("logs", "slam", "--tail", "5"):
         raise ExpectationError("an escape sequence of the task reached the terminal")
-    fleet.edgectl("status").must(0)
-    fleet.check()
+    fleet.run_edgectl("status").expect_exit(0)
+    fleet.check_verdict()
 
 
 @fault("new instance never becomes ready", full=2)
-def never_ready(fleet: Fleet) -> None:
-    """The old one is back on its old host after the deadline, and the apply says that it failed."""
+def start_unready_instance(fleet: FaultFleet) -> None:
+    """The old instance is back on its host after the deadline, and apply reports the failure."""
     only_on_edge1 = 'test "$(hostname)" = edge1 -o "${HOME##*/edge1/}" != "$HOME"'
-    fleet.want("slam", on="edge1", ready={"command": only_on_edge1, "timeout": "2s"})
-    fleet.settle()
-    fleet.pin("slam", "edge2")
-    fleet.apply().must(4, 1)
-    fleet.check({"slam": "edge1"})
-    fleet.pin("slam", "edge1")
+    fleet.add_task("slam", on="edge1", ready={"command": only_on_edge1, "timeout": "2s"})
+    fleet.apply_and_check()
+    fleet.pin_task("slam", "edge2")
+    fleet.apply().expect_exit(4, 1)
+    fleet.check_verdict({"slam": "edge1"})
+    fleet.pin_task("slam", "edge1")
 
 
 @fault("start-first leaves no gap", full=2)
-def start_first(fleet: Fleet) -> None:
-    fleet.want("slam", on="edge1", handoff={"order": "start-first"})
+def move_start_first(fleet: FaultFleet) -> None:
+    fleet.add_task("slam", on="edge1", handoff={"order": "start-first"})
     fleet.overlap_allowed.add("slam")
-    fleet.settle()
-    fleet.pin("slam", "edge2")
-    fleet.apply().must(0)
-    gap = oracle.longest_gap(oracle.by_task(oracle.lives(fleet.records))["slam"])
+    fleet.apply_and_check()
+    fleet.pin_task("slam", "edge2")
+    fleet.apply().expect_exit(0)
+    gap = oracle.compute_longest_gap(oracle.group_by_task(oracle.list_lifetimes(fleet.records))["slam"])
     if gap > 0:
         raise ExpectationError(f"a gap of {gap:.3f} s")
 
 
 @fault("foreign processes that look like the task", full=3)
-def lookalikes(fleet: Fleet) -> None:
-    """Same words in the command line, started by someone else: never counted, never signalled, through a whole life."""
+def start_lookalikes(fleet: FaultFleet) -> None:
+    """Foreign processes with the same command line are never counted and never signalled."""
     for host in fleet.hosts:
-        fleet.canary(host, "beacon.py", "--task", "slam")
-    fleet.want("slam", *TREE, "--deaf", on="edge1", stop={"grace": "1s"})
-    moves(fleet)
+        fleet.start_bystander(host, "recording_task.py", "--task", "slam")
+    fleet.add_task("slam", *TREE, "--deaf", on="edge1", stop={"grace": "1s"})
+    move_and_return(fleet)

@@ -1,6 +1,6 @@
-"""A small fleet to break: real hosts, test tasks, and the product driven through its command line only.
+"""Fleet for fault injection: real hosts, test tasks, and edgectl driven through its command line only.
 
-``Fleet.want`` says what should run where; the oracle compares that with what the tasks wrote about themselves.
+``FaultFleet.add_task`` says what should run where; the oracle compares that with the records of the tasks.
 """
 
 import json
@@ -16,11 +16,11 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from tests.faults import armed, oracle, scan
-from tests.faults.computer import NamespaceHost, namespace_hosts
-from tests.faults.hosts import Host, loopback_hosts
-from tests.faults.oracle import Verdict
-from tests.faults.outcome import WORST_S, ExpectationError, Outcome
+from tests.faults import failpoint_runner, oracle, scan
+from tests.faults.command_result import WORST_S, CommandResult, ExpectationError
+from tests.faults.hosts import Host, start_loopback_hosts
+from tests.faults.namespace_host import NamespaceHost, start_namespace_hosts
+from tests.faults.oracle import OracleVerdict
 from tests.faults.relay import Relay
 from tests.pace import patience
 
@@ -28,15 +28,18 @@ EDGECTL = Path(sys.executable).with_name("edgectl")
 APPLY = ("apply", "--yes")
 
 
-def as_yaml(document: object) -> str:
-    """JSON is YAML, save for its surrogate pairs."""
+def format_yaml(document: object) -> str:
+    """Format as YAML. JSON is YAML, except for surrogate pairs."""
     return json.dumps(document, indent=1, ensure_ascii=False)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class How:
-    """Which edgectl is judged: ``code`` is a directory that holds another package, ``connection`` the way that it takes to the hosts;
-    ``sample``: of kill points, a few drawn at random instead of all."""
+class EdgectlVariant:
+    """Variant of edgectl under test.
+
+    ``code``: directory of another edgectl package; ``connection``: how it reaches the hosts; ``sample``: kill
+    at a few random failpoints instead of all.
+    """
 
     code: Path | None = None
     connection: str = "ssh"
@@ -44,31 +47,31 @@ class How:
 
 
 @dataclass(kw_only=True)
-class Fleet:
-    """Hosts, the files that describe them to edgectl, and what should run."""
+class FaultFleet:
+    """Hosts, the files that describe them to edgectl, and the expected tasks."""
 
     directory: Path
     hosts: dict[str, Host]
     key_file: Path
     prefix: list[str]
     netns: Path | None
-    draw: random.Random
+    random: random.Random
     mark: str = field(default_factory=lambda: f"faults-{os.urandom(6).hex()}")
     tasks: dict[str, dict[str, object]] = field(default_factory=dict)
     expected: dict[str, str | None] = field(default_factory=dict)
     inventory: dict[str, dict[str, object]] = field(default_factory=dict)
     relays: dict[str, Relay] = field(default_factory=dict)
-    canaries: list[scan.Canary] = field(default_factory=list)
+    bystanders: list[scan.Bystander] = field(default_factory=list)
     keys: dict[str, str] = field(default_factory=dict)
     overlap_allowed: set[str] = field(default_factory=set)
     code: Path | None = None
     connection: str = "ssh"
     sample: bool = False
-    deadly: int | None = None
+    kill_at: int | None = None
     injected: int = 0
     stack: ExitStack = field(default_factory=ExitStack)
-    begun_ns: int = field(default_factory=oracle.now_ns)
-    outcomes: list[Outcome] = field(default_factory=list)
+    started_ns: int = field(default_factory=oracle.read_boottime_ns)
+    outcomes: list[CommandResult] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         for place in ("home", "state", "tmp"):
@@ -79,14 +82,14 @@ class Fleet:
                 "connection": self.connection,
                 "capacity": {"cpu": 4, "memory": "8Gi"},
             }
-        self.write()
+        self.write_files()
 
-    # What should run
+    # Expected tasks
 
-    def want(self, name: str, *options: str, on: str | None = None, **fields: object) -> None:
-        """Task ``name`` shall run, pinned to host ``on``; ``options`` are the beacon's."""
+    def add_task(self, name: str, *options: str, on: str | None = None, **fields: object) -> None:
+        """Add task ``name``, pinned to host ``on``; ``options`` are those of recording_task.py."""
         words = " ".join(options)
-        command = f'exec python3 "$HOME/oracle/beacon.py" --dir "$HOME/oracle/records" --task {name} --mark {self.mark} {words}'
+        command = f'exec python3 "$HOME/oracle/recording_task.py" --dir "$HOME/oracle/records" --task {name} --mark {self.mark} {words}'
         entry: dict[str, object] = {
             "command": command,
             "demand": {"cpu": 0.1, "memory": "10Mi"},
@@ -97,34 +100,34 @@ class Fleet:
             entry["hosts"] = {"pin": on}
         self.tasks[name] = entry
         self.expected[name] = on
-        self.write()
+        self.write_files()
 
-    def pin(self, name: str, on: str | None) -> None:
-        """Task ``name`` shall run on host ``on`` (None: wherever edgectl likes)."""
+    def pin_task(self, name: str, on: str | None) -> None:
+        """Pin task ``name`` to host ``on`` (None: any host)."""
         self.tasks[name].pop("hosts", None)
         if on:
             self.tasks[name]["hosts"] = {"pin": on}
         self.expected[name] = on
-        self.write()
+        self.write_files()
 
-    def unwant(self, name: str) -> None:
-        """Task ``name`` shall not run any more."""
+    def remove_task(self, name: str) -> None:
+        """Remove task ``name``."""
         del self.tasks[name], self.expected[name]
-        self.write()
+        self.write_files()
 
-    # The files
+    # Files
 
     @property
     def state(self) -> Path:
         return self.directory / "state"
 
-    def write(self) -> None:
-        """Write what edgectl and ssh read. JSON is YAML."""
-        (self.directory / "inventory.yaml").write_text(as_yaml({"version": 1, "edges": self.inventory}))
-        (self.directory / "tasks.yaml").write_text(as_yaml({"version": 1, "tasks": self.tasks}))
-        self._write_ssh()
+    def write_files(self) -> None:
+        """Write the files of edgectl and ssh."""
+        (self.directory / "inventory.yaml").write_text(format_yaml({"version": 1, "edges": self.inventory}))
+        (self.directory / "tasks.yaml").write_text(format_yaml({"version": 1, "tasks": self.tasks}))
+        self._write_ssh_files()
 
-    def _write_ssh(self) -> None:
+    def _write_ssh_files(self) -> None:
         config, known = [], []
         for name, host in self.hosts.items():
             address, port, user, key = host.login
@@ -145,35 +148,37 @@ class Fleet:
             "".join(config) + "Host *\n" + "".join(f"  {line}\n" for line in common)
         )
 
-    def trust_again(self) -> None:
-        """The operator accepts the present host keys."""
+    def trust_host_keys(self) -> None:
+        """Accept the present host keys."""
         self.keys = {}
-        self.write()
+        self.write_files()
 
-    def relay(self, name: str) -> Relay:
-        """From now on the way to host ``name`` leads through a relay."""
+    def get_relay(self, name: str) -> Relay:
+        """Return the relay to host ``name``; the first call inserts it."""
         if name not in self.relays:
             address, port, *_ = self.hosts[name].login
             relay = Relay((address, port), netns=self.netns)
             relay.start()
             self.stack.callback(relay.stop)
             self.relays[name] = relay
-            self.write()
+            self.write_files()
         return self.relays[name]
 
-    def computer(self, name: str) -> NamespaceHost:
-        """Host ``name``, known to be a computer of its own."""
+    def get_computer(self, name: str) -> NamespaceHost:
+        """Return host ``name``, which must be an emulated computer."""
         host = self.hosts[name]
         assert isinstance(host, NamespaceHost)
         return host
 
-    def canary(self, host: str, *words: str, pid: int = 0) -> None:
-        """A foreign process on the host."""
-        self.canaries.append(self.hosts[host].canary(f"canary{len(self.canaries)}", *words, pid=pid))
+    def start_bystander(self, host: str, *words: str, pid: int = 0) -> None:
+        """Start an unrelated process on the host."""
+        self.bystanders.append(
+            self.hosts[host].start_bystander(f"bystander{len(self.bystanders)}", *words, pid=pid)
+        )
 
-    # The product
+    # edgectl
 
-    def environment(self, **more: str) -> dict[str, str]:
+    def build_env(self, **more: str) -> dict[str, str]:
         base = {
             "PATH": "/usr/local/bin:/usr/bin:/bin",
             "HOME": str(self.directory / "home"),
@@ -187,33 +192,37 @@ class Fleet:
         }
         return base | ours | ({"PYTHONPATH": str(self.code)} if self.code else {}) | more
 
-    def line(self, *words: str) -> list[str]:
-        """The command line of edgectl with this fleet's files."""
+    def build_command(self, *words: str) -> list[str]:
+        """Build edgectl's command line with this fleet's files."""
         files = ["-i", str(self.directory / "inventory.yaml"), "-t", str(self.directory / "tasks.yaml")]
-        program = [str(EDGECTL)] if self.deadly is None else armed.line(self.notes, self.deadly)
+        program = (
+            [str(EDGECTL)]
+            if self.kill_at is None
+            else failpoint_runner.build_command(self.failpoint_log, self.kill_at)
+        )
         return [*self.prefix, *program, *words, *files]
 
     @property
-    def notes(self) -> Path:
-        """The named points that an edgectl with ``deadly`` has reached; see `armed`."""
+    def failpoint_log(self) -> Path:
+        """Log of the failpoints hit by an edgectl with ``deadly``; see `failpoint_runner`."""
         return self.directory / "points"
 
-    def begin(self, *words: str, **env: str) -> "subprocess.Popen[str]":
-        """Start edgectl and do not wait."""
+    def start_edgectl(self, *words: str, **env: str) -> "subprocess.Popen[str]":
+        """Start edgectl without waiting for it."""
         return subprocess.Popen(
-            self.line(*words),
+            self.build_command(*words),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
-            env=self.environment(**env),
+            env=self.build_env(**env),
             start_new_session=True,
         )
 
-    def end(
+    def wait_for_edgectl(
         self, process: "subprocess.Popen[str]", words: tuple[str, ...] = APPLY, *, begun: float | None = None
-    ) -> Outcome:
-        """Wait for edgectl (at most two minutes)."""
+    ) -> CommandResult:
+        """Wait for edgectl, at most two minutes."""
         begun = begun or time.monotonic()
         try:
             out, err = process.communicate(timeout=patience(WORST_S))
@@ -223,7 +232,7 @@ class Fleet:
             raise ExpectationError(
                 f"edgectl {' '.join(words)} still runs after {WORST_S:.0f} s: {err[-300:]}"
             ) from hung
-        outcome = Outcome(
+        outcome = CommandResult(
             words=words, code=process.returncode, out=out, err=err, seconds=time.monotonic() - begun
         )
         self.outcomes.append(outcome)
@@ -231,20 +240,20 @@ class Fleet:
             raise ExpectationError(f"a traceback: {outcome}")
         return outcome
 
-    def edgectl(self, *words: str, **env: str) -> Outcome:
+    def run_edgectl(self, *words: str, **env: str) -> CommandResult:
         """Run edgectl to its end."""
         begun = time.monotonic()
-        return self.end(self.begin(*words, **env), words, begun=begun)
+        return self.wait_for_edgectl(self.start_edgectl(*words, **env), words, begun=begun)
 
-    def on_terminal(self, *words: str) -> str:
-        """What edgectl writes to a terminal."""
+    def run_on_terminal(self, *words: str) -> str:
+        """Run edgectl in a terminal; return its output."""
         ours, theirs = pty.openpty()
         done = subprocess.Popen(
-            self.line(*words),
+            self.build_command(*words),
             stdin=theirs,
             stdout=theirs,
             stderr=theirs,
-            env=self.environment(TERM="xterm"),
+            env=self.build_env(TERM="xterm"),
             start_new_session=True,
         )
         os.close(theirs)
@@ -255,135 +264,135 @@ class Fleet:
         done.wait(patience(WORST_S))
         return data.decode(errors="replace")
 
-    def apply(self, **env: str) -> Outcome:
+    def apply(self, **env: str) -> CommandResult:
         """Run apply."""
-        return self.edgectl(*APPLY, **env)
+        return self.run_edgectl(*APPLY, **env)
 
-    # The verdict
+    # Verdict
 
     @property
     def records(self) -> dict[str, Path]:
         return {name: host.records for name, host in self.hosts.items()}
 
-    def judge(
+    def judge_launches(
         self,
         expected: Mapping[str, str | None] | None = None,
         *,
         seconds: float = 0.7,
         patience: float = 12.0,
-    ) -> Verdict:
-        """The oracle's word on what runs now and what ever overlapped; ``expected`` instead of what is wanted."""
+    ) -> OracleVerdict:
+        """Return the oracle's verdict on present and past launches; ``expected`` replaces the expected tasks."""
         wanted = self.expected if expected is None else expected
-        found = oracle.judge(
+        found = oracle.judge_launches(
             self.records,
             wanted,
-            since_ns=self.begun_ns,
+            since_ns=self.started_ns,
             overlap_allowed=self.overlap_allowed,
             seconds=seconds,
             patience=patience,
         )
-        harm = tuple(word for canary in self.canaries for word in canary.harm())
-        return Verdict(lost=found.lost, doubled=found.doubled, foreign=harm)
+        harm = tuple(word for bystander in self.bystanders for word in bystander.list_harm())
+        return OracleVerdict(lost=found.lost, doubled=found.doubled, foreign=harm)
 
-    def check(self, expected: Mapping[str, str | None] | None = None) -> None:
-        """Insist on a clean verdict."""
-        if not (verdict := self.judge(expected)).clean:
+    def check_verdict(self, expected: Mapping[str, str | None] | None = None) -> None:
+        """Require a clean verdict."""
+        if not (verdict := self.judge_launches(expected)).clean:
             raise OracleError(verdict)
 
-    def settle(self) -> None:
-        """One apply, and everything runs as wanted."""
-        self.apply().must(0)
-        self.check()
+    def apply_and_check(self) -> None:
+        """Apply once and check that everything runs as expected."""
+        self.apply().expect_exit(0)
+        self.check_verdict()
 
-    def clock(self, seconds: float) -> None:
-        """Let the world go on for a while."""
+    def wait(self, seconds: float) -> None:
+        """Wait ``seconds``."""
         time.sleep(seconds)
 
-    def stopped(self, task: str) -> bool:
-        """Whether the last launch of the task has said that it ends."""
-        found = oracle.by_task(oracle.lives(self.records)).get(task)
+    def has_stopped(self, task: str) -> bool:
+        """Whether the last launch of the task reported its end."""
+        found = oracle.group_by_task(oracle.list_lifetimes(self.records)).get(task)
         return bool(found) and found[-1].stopped
 
-    def probed(self, host: str) -> dict[str, object]:
-        """What edgectl measures on the host."""
-        hosts = self.edgectl("probe", "-o", "json").must(0, 4).data["hosts"]
+    def probe_host(self, host: str) -> dict[str, object]:
+        """Return edgectl's measurement of the host."""
+        hosts = self.run_edgectl("probe", "-o", "json").expect_exit(0, 4).data["hosts"]
         assert isinstance(hosts, dict)
         return dict(hosts[host])
 
-    def launches(self, task: str) -> int:
-        """How often the task was started so far."""
-        return len(oracle.by_task(oracle.lives(self.records)).get(task, []))
+    def count_launches(self, task: str) -> int:
+        """Count the starts of the task."""
+        return len(oracle.group_by_task(oracle.list_lifetimes(self.records)).get(task, []))
 
-    def leftovers(self) -> Verdict:
-        """What there is after everything was stopped: processes, held locks, files that others may read."""
+    def find_leftovers(self) -> OracleVerdict:
+        """Find leftovers after a full stop: processes, held locks, files that others may read."""
         left = [
             f"{name}: process {each.pid} {each.command[:90]}"
             for name, host in self.hosts.items()
             for each in host.processes()
         ]
-        left += [f"process {each.pid} {each.command[:90]}" for each in scan.marked(self.mark)]
+        left += [f"process {each.pid} {each.command[:90]}" for each in scan.list_marked_processes(self.mark)]
         places = [
             path for host in self.hosts.values() for path in (host.home / ".local", host.home / "state")
         ]
         left += [
-            f"temporary file {path}"
-            for path in scan.files_under(self.state, *places)
-            if path.suffix == ".tmp"
+            f"temporary file {path}" for path in scan.list_files(self.state, *places) if path.suffix == ".tmp"
         ]
-        left += scan.locks_under(self.state, *places)
+        left += scan.list_held_locks(self.state, *places)
         left += [
             f"open to others: {path}"
-            for path in scan.exposed(self.state / "fleets", *(place / "edgectl" for place in places))
+            for path in scan.list_exposed_paths(
+                self.state / "fleets", *(place / "edgectl" for place in places)
+            )
         ]
-        return Verdict(left=tuple(sorted(set(left))))
+        return OracleVerdict(left=tuple(sorted(set(left))))
 
 
 class OracleError(AssertionError):
-    """The oracle found something."""
+    """The oracle found a violation."""
 
-    def __init__(self, verdict: Verdict) -> None:
+    def __init__(self, verdict: OracleVerdict) -> None:
         super().__init__(str(verdict))
         self.verdict = verdict
 
 
-def heal(fleet: Fleet) -> None:
-    """Power, cables, relays, disks, logins: all as new. Host keys are what they are."""
+def repair_fleet(fleet: FaultFleet) -> None:
+    """Restore power, cables, relays, disks and logins. Host keys stay as they are."""
     for relay in fleet.relays.values():
         relay.heal()
     for host in fleet.hosts.values():
         if isinstance(host, NamespaceHost) and host.pid:
-            host.cable_in()
+            host.plug_in_cable()
             host.free_disk()
             host.home_read_only(yes=False)
         host.boot()
-        host.admit(everybody=True)
+        host.allow_logins(allowed=True)
 
 
 @contextmanager
-def fleet_of(
-    kind: str, directory: Path, names: list[str], seed: int, how: "How | None" = None
-) -> Iterator[Fleet]:
-    """A fleet of hosts of that kind, ended and cleaned at the end."""
-    how = how or How()
+def open_fleet(
+    kind: str, directory: Path, names: list[str], seed: int, variant: "EdgectlVariant | None" = None
+) -> Iterator[FaultFleet]:
+    """Open a fleet of hosts of one kind; clean up at the end."""
+    variant = variant or EdgectlVariant()
     with ExitStack() as stack:
         prefix: list[str] = []
         netns = None
         if kind == "namespace":
-            site, hosts = stack.enter_context(namespace_hosts(directory / "hosts", names))
+            site, hosts = stack.enter_context(start_namespace_hosts(directory / "hosts", names))
             prefix, netns = site.prefix, site.netns
         else:
-            hosts = stack.enter_context(loopback_hosts(directory / "hosts", names))
-        fleet = Fleet(
+            hosts = stack.enter_context(start_loopback_hosts(directory / "hosts", names))
+        fleet = FaultFleet(
             directory=directory / "manager",
             hosts=hosts,
             key_file=directory / "hosts" / "user_key",
             prefix=prefix,
             netns=netns,
-            draw=random.Random(seed),
+            random=random.Random(seed),
             stack=stack,
-            code=how.code,
-            connection=how.connection,
-            sample=how.sample,
+            code=variant.code,
+            connection=variant.connection,
+            sample=variant.sample,
         )
-        stack.callback(lambda: scan.end(scan.marked(fleet.mark)))
+        stack.callback(lambda: scan.kill_processes(scan.list_marked_processes(fleet.mark)))
         yield fleet

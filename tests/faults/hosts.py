@@ -1,6 +1,8 @@
-"""Two kinds of real host behind one Protocol: an sshd on a loopback address, and a computer of its own in namespaces.
+"""Two kinds of real host behind one protocol: sshd on a loopback address, and an emulated computer in
+namespaces.
 
-What a host cannot do (a loopback address has no cable) it says by not having it in ``can``; nothing is emulated half.
+A kind of host lacks the operations that it cannot perform (a loopback address has no cable); nothing is half
+emulated.
 """
 
 import getpass
@@ -16,7 +18,7 @@ from typing import Protocol
 
 from tests import sshd
 from tests.faults import scan
-from tests.faults.scan import Canary, Process
+from tests.faults.scan import Bystander, Process
 from tests.pace import patience
 
 HERE = Path(__file__).parent
@@ -32,7 +34,7 @@ POWER, CABLE, REBOOT, DISK, MOUNTS, PYTHON, LIMIT = (
 
 
 class Host(Protocol):
-    """A computer that the tests can break. Paths are as the tests see them, while the host is on."""
+    """A host that the tests can break. Paths are those of the tests, while the host is on."""
 
     name: str
     kind: str
@@ -48,10 +50,10 @@ class Host(Protocol):
     def boot(self) -> None: ...
     def processes(self) -> list[Process]: ...
     def run(self, *command: str) -> "subprocess.CompletedProcess[str]": ...
-    def canary(self, name: str, *words: str, pid: int = 0) -> Canary: ...
+    def start_bystander(self, name: str, *words: str, pid: int = 0) -> Bystander: ...
     def set_env(self, **env: str) -> None: ...
     def change_key(self) -> None: ...
-    def admit(self, *, everybody: bool) -> None: ...
+    def allow_logins(self, *, allowed: bool) -> None: ...
     def close(self) -> None: ...
 
 
@@ -59,27 +61,29 @@ def wait_for(condition: Callable[[], object], what: str, seconds: float = 30) ->
     """Poll until the condition holds."""
     deadline = time.monotonic() + patience(seconds)
     while not condition():
-        assert time.monotonic() < deadline, f"waited {seconds} s in vain: {what}"
+        assert time.monotonic() < deadline, f"no {seconds} s later: {what}"
         time.sleep(0.02)
 
 
-def put_programs(directory: Path) -> None:
-    """The oracle's side of a host: its programs, and records that any user may write."""
+def install_programs(directory: Path) -> None:
+    """Install the oracle's programs and record directory on a host."""
     (directory / "records").mkdir(parents=True)
     (directory / "records").chmod(0o777)
-    for program in ("beacon.py", "canary.py"):
+    for program in ("recording_task.py", "bystander.py"):
         shutil.copy(HERE / program, directory / program)
         (directory / program).chmod(0o644)
 
 
 @dataclass(kw_only=True)
 class LoopbackHost:
-    """An unprivileged sshd on a loopback address. Its "power" ends what was started through it; the boot id stays the machine's."""
+    """Unprivileged sshd on a loopback address. Power-off ends the processes started through it; the boot id
+    stays the machine's.
+    """
 
     name: str
     lab: sshd.Lab
     env: dict[str, str] = field(default_factory=dict)
-    canaries: list["subprocess.Popen[bytes]"] = field(default_factory=list)
+    bystanders: list["subprocess.Popen[bytes]"] = field(default_factory=list)
     kind: str = "loopback"
     can: frozenset[str] = frozenset()
 
@@ -108,8 +112,8 @@ class LoopbackHost:
             self.server.wait()
 
     def processes(self) -> list[Process]:
-        """What logins have left behind (the sessions themselves carry no mark of ours, or are the shells that sshd runs)."""
-        return scan.with_environment(sshd.MARK, str(self.server.directory))
+        """List processes left by logins (sessions carry no mark, or are shells started by sshd)."""
+        return scan.list_processes_with_env(sshd.MARK, str(self.server.directory))
 
     def run(self, *command: str) -> "subprocess.CompletedProcess[str]":
         return subprocess.run(
@@ -119,10 +123,10 @@ class LoopbackHost:
     def _env(self) -> dict[str, str]:
         return {"HOME": str(self.home), "PATH": sshd.PATH} | self.env
 
-    def canary(self, name: str, *words: str, pid: int = 0) -> Canary:
+    def start_bystander(self, name: str, *words: str, pid: int = 0) -> Bystander:
         assert not pid, "a loopback host has no process ids of its own"
-        found, running = scan.start_canary(self.records, name, *words)
-        self.canaries.append(running)
+        found, running = scan.start_bystander(self.records, name, *words)
+        self.bystanders.append(running)
         return found
 
     def set_env(self, **env: str) -> None:
@@ -150,22 +154,22 @@ class LoopbackHost:
         self.server.key = sshd.make_key(self.server.directory / "host_key")
         self._hang_up()
 
-    def admit(self, *, everybody: bool) -> None:
-        self._configure(*([] if everybody else ["AuthorizedKeysFile none"]))
+    def allow_logins(self, *, allowed: bool) -> None:
+        self._configure(*([] if allowed else ["AuthorizedKeysFile none"]))
 
     def close(self) -> None:
-        for running in self.canaries:
+        for running in self.bystanders:
             running.kill()
             running.wait()
 
 
 @contextmanager
-def loopback_hosts(directory: Path, names: list[str]) -> Iterator[dict[str, Host]]:
-    """Hosts on loopback addresses; needs no root."""
+def start_loopback_hosts(directory: Path, names: list[str]) -> Iterator[dict[str, Host]]:
+    """Start hosts on loopback addresses; needs no root."""
     with sshd.running_lab(directory, names) as lab:
         hosts: dict[str, Host] = {}
         for name in names:
-            put_programs(lab[name].home / "oracle")
+            install_programs(lab[name].home / "oracle")
             hosts[name] = LoopbackHost(name=name, lab=lab)
         try:
             yield hosts

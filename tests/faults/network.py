@@ -1,4 +1,4 @@
-"""The manager's network, to which the computers of the tests are cabled; needs root."""
+"""Network of the manager and the emulated computers; needs root."""
 
 import os
 import shutil
@@ -10,15 +10,15 @@ from tests import sshd
 from tests.faults.hosts import wait_for
 
 
-def ip(*words: str, netns: int = 0) -> None:
+def run_ip(*words: str, netns: int = 0) -> None:
     """Run ip(8), in the network namespace of process ``netns``."""
     prefix = ["nsenter", f"--target={netns}", "--net"] if netns else []
     done = subprocess.run([*prefix, sshd.program("ip"), *words], capture_output=True, text=True, check=False)
     assert not done.returncode, f"ip {' '.join(words)}: {done.stderr}"
 
 
-def tc(*words: str, netns: int) -> str:
-    """Run tc(8) in the network namespace of process ``netns``; what it has against it, empty where it did it."""
+def run_tc(*words: str, netns: int) -> str:
+    """Run tc(8) in the network namespace of process ``netns``; return its error message, empty on success."""
     program = shutil.which("tc", path=f"{os.environ.get('PATH', '')}:/usr/sbin:/sbin")
     if program is None:
         return "tc is missing"
@@ -32,8 +32,8 @@ def tc(*words: str, netns: int) -> str:
 
 
 @dataclass(kw_only=True)
-class Site:
-    """The manager's network namespace with a bridge, to which every computer's cable leads."""
+class ManagerNetwork:
+    """The manager's network namespace with a bridge, to which every computer's cable is attached."""
 
     process: "subprocess.Popen[bytes]"
     network: str
@@ -44,11 +44,11 @@ class Site:
 
     @property
     def prefix(self) -> list[str]:
-        """What to put before a command so that it runs where the manager is."""
+        """Command prefix that enters the manager's namespace."""
         return ["nsenter", f"--net={self.netns}"]
 
     @classmethod
-    def make(cls, network: str = "10.231.0") -> "Site":
+    def make(cls, network: str = "10.231.0") -> "ManagerNetwork":
         process = subprocess.Popen(
             ["unshare", "--net", "cat"], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL
         )
@@ -61,7 +61,7 @@ class Site:
             f"addr add {network}.1/24 dev br0",
             "link set br0 up",
         ):
-            ip(*words.split(), netns=process.pid)
+            run_ip(*words.split(), netns=process.pid)
         return site
 
     def close(self) -> None:

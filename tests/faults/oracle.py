@@ -1,9 +1,9 @@
-"""The judge: reads what the test tasks wrote about themselves and what the kernel says, never what the product says.
+"""Independent oracle: judges by the records of the test tasks and by the kernel, not by edgectl's output.
 
-Shares no code with the product and needs the standard library only. Times are nanoseconds of CLOCK_BOOTTIME, which all namespaces
-of one machine share. A *launch* is one start of a task with all processes that came of it; its *life* reaches from the first to the
-last line that any of them wrote. Two ends of a life are therefore both proof that the task lived: an overlap of two lives is never an
-artefact of a slow machine.
+Shares no code with the product; standard library only. Times are nanoseconds of CLOCK_BOOTTIME, which all
+namespaces of one machine share. A *launch* is one start of a task with all its processes; its *lifetime*
+reaches from the first to the last line that any of them wrote. Both ends prove that the task was alive: an
+overlap of two lifetimes is never an artefact of a slow machine.
 """
 
 import json
@@ -19,14 +19,16 @@ SECOND = 1_000_000_000
 TURN_S = 0.05
 
 
-def now_ns() -> int:
-    """The clock of the records."""
+def read_boottime_ns() -> int:
+    """Return the present time of the records' clock in nanoseconds."""
     return time.clock_gettime_ns(BOOTTIME)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Life:
-    """One launch of a task: where, who, from when to when, whether it ended by its own word, and how many processes it had."""
+class LaunchLifetime:
+    """One launch of a task: host, task, first and last record, whether it reported its end, its processes and
+    signals.
+    """
 
     task: str
     host: str
@@ -40,17 +42,17 @@ class Life:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Clash:
-    """Two launches of one task that lived at the same time for ``ns``."""
+class Overlap:
+    """Two launches of one task that were alive at the same time for ``ns`` nanoseconds."""
 
     task: str
-    first: Life
-    second: Life
+    first: LaunchLifetime
+    second: LaunchLifetime
     ns: int
 
 
 def read_events(path: Path) -> list[dict[str, object]]:
-    """The lines of one record; a line cut short by a power loss is left out."""
+    """Return the lines of one record file, without a line cut short by a power loss."""
     events = []
     for line in path.read_bytes().split(b"\n"):
         try:
@@ -62,11 +64,11 @@ def read_events(path: Path) -> list[dict[str, object]]:
     return events
 
 
-def _life(host: str, events: list[dict[str, object]]) -> Life:
+def _lifetime_from_events(host: str, events: list[dict[str, object]]) -> LaunchLifetime:
     times = [int(str(event["ns"])) for event in events]
     main = [event for event in events if event["role"] == "main"] or events
     kinds = [str(event["event"]) for event in events]
-    return Life(
+    return LaunchLifetime(
         task=str(main[0]["task"]),
         host=host,
         launch=str(main[0]["launch"]),
@@ -79,8 +81,8 @@ def _life(host: str, events: list[dict[str, object]]) -> Life:
     )
 
 
-def lives(records: Mapping[str, Path]) -> list[Life]:
-    """Every launch in the record directories (by host name), in the order of their beginnings."""
+def list_lifetimes(records: Mapping[str, Path]) -> list[LaunchLifetime]:
+    """Return every launch in the record directories (by host name), sorted by start."""
     found = []
     for host, directory in records.items():
         launches: dict[str, list[dict[str, object]]] = defaultdict(list)
@@ -88,37 +90,39 @@ def lives(records: Mapping[str, Path]) -> list[Life]:
             for event in read_events(path):
                 if "launch" in event:
                     launches[str(event["launch"])].append(event)
-        found += [_life(host, events) for events in launches.values()]
+        found += [_lifetime_from_events(host, events) for events in launches.values()]
     return sorted(found, key=lambda life: life.first_ns)
 
 
-def by_task(all_lives: Iterable[Life]) -> dict[str, list[Life]]:
-    """The launches of each task."""
-    tasks: dict[str, list[Life]] = defaultdict(list)
+def group_by_task(all_lives: Iterable[LaunchLifetime]) -> dict[str, list[LaunchLifetime]]:
+    """Group launches by task."""
+    tasks: dict[str, list[LaunchLifetime]] = defaultdict(list)
     for life in all_lives:
         tasks[life.task].append(life)
     return dict(tasks)
 
 
-def clashes(all_lives: Iterable[Life], allowed: Iterable[str] = ()) -> list[Clash]:
-    """Every pair of launches of one task that lived at the same time, save for the tasks whose launches may overlap."""
+def find_overlaps(all_lives: Iterable[LaunchLifetime], allowed: Iterable[str] = ()) -> list[Overlap]:
+    """Return every pair of launches of one task that overlapped, except for tasks whose launches may overlap."""
     spared = set(allowed)
     found = []
-    for task, launches in by_task(all_lives).items():
+    for task, launches in group_by_task(all_lives).items():
         for first, second in combinations(launches, 2):
             shared = min(first.last_ns, second.last_ns) - max(first.first_ns, second.first_ns)
             if shared >= 0 and task not in spared:
-                found.append(Clash(task=task, first=first, second=second, ns=shared))
+                found.append(Overlap(task=task, first=first, second=second, ns=shared))
     return found
 
 
-def longest_overlap(all_lives: Iterable[Life]) -> float:
-    """Seconds for which two launches of one task lived together at most; 0 where none did."""
-    return max((clash.ns for clash in clashes(all_lives)), default=0) / SECOND
+def compute_longest_overlap(all_lives: Iterable[LaunchLifetime]) -> float:
+    """Return the longest overlap of two launches of one task in seconds, 0 without overlap."""
+    return max((clash.ns for clash in find_overlaps(all_lives)), default=0) / SECOND
 
 
-def longest_gap(launches: Iterable[Life]) -> float:
-    """Seconds in which none of these launches (of one task) lived, at most, between the first and the last of them."""
+def compute_longest_gap(launches: Iterable[LaunchLifetime]) -> float:
+    """Return the longest time in seconds without any of these launches (of one task), between the first and
+    the last.
+    """
     gap, until = 0, None
     for life in sorted(launches, key=lambda life: life.first_ns):
         if until is not None:
@@ -127,16 +131,16 @@ def longest_gap(launches: Iterable[Life]) -> float:
     return gap / SECOND
 
 
-def live_at(all_lives: Iterable[Life], ns: int) -> dict[str, int]:
-    """How many launches of each task lived at that moment."""
+def count_alive_at(all_lives: Iterable[LaunchLifetime], ns: int) -> dict[str, int]:
+    """Count the launches of each task that were alive at one moment."""
     count: dict[str, int] = defaultdict(int)
     for life in all_lives:
         count[life.task] += life.first_ns <= ns <= life.last_ns
     return dict(count)
 
 
-def most_live(launches: Iterable[Life]) -> int:
-    """How many of these launches lived at one moment, at most."""
+def count_most_alive(launches: Iterable[LaunchLifetime]) -> int:
+    """Return the greatest number of launches alive at the same time."""
     marks = sorted([(life.first_ns, 0) for life in launches] + [(life.last_ns, 1) for life in launches])
     now = most = 0
     for _, end in marks:
@@ -145,27 +149,28 @@ def most_live(launches: Iterable[Life]) -> int:
     return most
 
 
-def watch(
+def watch_launches(
     records: Mapping[str, Path], *, seconds: float = 1.0, patience: float = 0.0, expected: Iterable[str] = ()
-) -> dict[str, list[Life]]:
-    """The launches of each task that still write after ``seconds`` of watching.
+) -> dict[str, list[LaunchLifetime]]:
+    """Return the launches of each task that still write after ``seconds``.
 
-    It is looked again for up to ``patience`` more seconds while one of the ``expected`` tasks does not show: a starved machine may not
-    have let it write yet. The seconds are counted in short turns, so that a machine that stands still for all of them counts as one turn.
+    Watches up to ``patience`` more seconds while one of the ``expected`` tasks is missing: a starved machine
+    may have kept it from writing. Seconds are counted in short sleeps, so that a stall of the whole machine
+    counts as one sleep.
     """
     wanted, deadline = set(expected), time.monotonic() + patience
     while True:
-        begun = now_ns()
+        begun = read_boottime_ns()
         for _ in range(max(1, round(seconds / TURN_S))):
             time.sleep(TURN_S)
-        found = by_task(life for life in lives(records) if life.last_ns > begun)
+        found = group_by_task(life for life in list_lifetimes(records) if life.last_ns > begun)
         if not wanted - set(found) or time.monotonic() >= deadline:
             return found
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Verdict:
-    """What is wrong, each as a sentence; nothing anywhere means innocent."""
+class OracleVerdict:
+    """Violations, one sentence each; no violation means a clean verdict."""
 
     lost: tuple[str, ...] = ()
     doubled: tuple[str, ...] = ()
@@ -180,7 +185,7 @@ class Verdict:
         return "; ".join(self.lost + self.doubled + self.foreign + self.left) or "clean"
 
 
-def judge(
+def judge_launches(
     records: Mapping[str, Path],
     expected: Mapping[str, str | None],
     *,
@@ -188,9 +193,11 @@ def judge(
     overlap_allowed: Iterable[str] = (),
     seconds: float = 1.0,
     patience: float = 5.0,
-) -> Verdict:
-    """Exactly one launch of each ``expected`` task (on that host; None: anywhere), none of any other, and no clash since ``since_ns``."""
-    alive = watch(records, seconds=seconds, patience=patience, expected=expected)
+) -> OracleVerdict:
+    """Check for exactly one launch of each ``expected`` task (on that host; None: anywhere), no other task,
+    and no overlap since ``since_ns``.
+    """
+    alive = watch_launches(records, seconds=seconds, patience=patience, expected=expected)
     lost = [f"{task} does not run" for task in expected if task not in alive]
     doubled = [
         f"{task} runs {len(found)} times: {[life.host for life in found]}"
@@ -207,9 +214,9 @@ def judge(
         for task, host in expected.items()
         if host and task in alive and host not in {life.host for life in alive[task]}
     ]
-    recent = [life for life in lives(records) if life.last_ns >= since_ns]
+    recent = [life for life in list_lifetimes(records) if life.last_ns >= since_ns]
     doubled += [
         f"{clash.task} overlapped for {clash.ns / SECOND:.3f} s ({clash.first.host} {clash.first.launch}, {clash.second.host} {clash.second.launch})"
-        for clash in clashes(recent, overlap_allowed)
+        for clash in find_overlaps(recent, overlap_allowed)
     ]
-    return Verdict(lost=tuple(lost), doubled=tuple(doubled))
+    return OracleVerdict(lost=tuple(lost), doubled=tuple(doubled))

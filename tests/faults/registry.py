@@ -1,8 +1,9 @@
-"""The list of faults, how one is injected, and the table of what came of it.
+"""Registry of faults, injection of one fault, and the result table.
 
-A fault is one function: it brings the fleet into a state, breaks something, and insists on what edgectl must say meanwhile. What follows
-is the same for all: everything is mended, *one* apply runs, and the oracle must find every wanted task exactly once, none doubled at any
-moment since the beginning, no stranger signalled; then all is stopped, and nothing may be left.
+A fault is one function: it prepares the fleet, breaks something, and checks what edgectl reports meanwhile.
+The rest is the same for all: everything is repaired, *one* apply runs, and the oracle must find every
+expected task exactly once, none doubled at any moment since the beginning, and no bystander signalled; then
+all tasks are stopped, and nothing may be left.
 """
 
 import random
@@ -14,20 +15,21 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from tests.faults.armed import reached
-from tests.faults.computer import missing_for_namespaces
-from tests.faults.fleet import Fleet, How, OracleError, fleet_of, heal
-from tests.faults.oracle import Verdict
-from tests.faults.outcome import ExpectationError
+from tests.faults.command_result import ExpectationError
+from tests.faults.failpoint_runner import read_failpoints
+from tests.faults.fleet import EdgectlVariant, FaultFleet, OracleError, open_fleet, repair_fleet
+from tests.faults.namespace_host import find_missing_for_namespaces
+from tests.faults.oracle import OracleVerdict
 
-Inject = Callable[[Fleet], None]
+Inject = Callable[[FaultFleet], None]
 EDGES = ("edge1", "edge2")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fault:
-    """One row of the table. ``kinds``: the hosts on which it can be injected honestly; ``full``: how often;
-    ``quick``: whether it belongs to the short form, too (once, on the best kind of host)."""
+    """A registered fault. ``kinds``: kinds of hosts that support it; ``full``: number of injections;
+    ``quick``: whether it belongs to the short form (once, on the best kind of host).
+    """
 
     name: str
     inject: Inject
@@ -39,8 +41,8 @@ class Fault:
 
 
 @dataclass(kw_only=True)
-class Row:
-    """What came of a fault on one kind of host."""
+class FaultRow:
+    """Result of a fault on one kind of host."""
 
     fault: str
     kind: str
@@ -71,7 +73,7 @@ def fault(
     hosts: tuple[str, ...] = EDGES,
     missing: Callable[[], str] = str,
 ) -> Callable[[Inject], Inject]:
-    """Put a function on the list."""
+    """Register a function as a fault."""
 
     def add(inject: Inject) -> Inject:
         FAULTS.append(
@@ -82,81 +84,86 @@ def fault(
     return add
 
 
-def quick_cases() -> list[tuple[Fault, str]]:
-    """The short form: once each, on a computer of its own where that can be had."""
-    poor = bool(missing_for_namespaces())
+def list_quick_cases() -> list[tuple[Fault, str]]:
+    """Return the short form: each quick fault once, in a namespace where possible."""
+    poor = bool(find_missing_for_namespaces())
     return [(each, each.kinds[0] if poor else each.kinds[-1]) for each in FAULTS if each.quick]
 
 
-def aftermath(fleet: Fleet) -> None:
-    """Mend everything, apply once, judge; stop all, and look for leftovers."""
-    heal(fleet)
-    fleet.apply().must(0)
-    fleet.check()
-    fleet.edgectl("stop", "--all", "--yes").must(0)
-    if not (left := fleet.leftovers()).clean:
+def repair_and_judge(fleet: FaultFleet) -> None:
+    """Repair everything, apply once, judge; stop all, and check for leftovers."""
+    repair_fleet(fleet)
+    fleet.apply().expect_exit(0)
+    fleet.check_verdict()
+    fleet.run_edgectl("stop", "--all", "--yes").expect_exit(0)
+    if not (left := fleet.find_leftovers()).clean:
         raise OracleError(left)
-    fleet.check({})
+    fleet.check_verdict({})
 
 
 @dataclass(kw_only=True)
-class Came:
-    """What came of one fleet: how many injections it saw, and what went wrong in the last; an empty text is survival.
-    ``points``: the last named points at which the manager was killed there."""
+class InjectionResult:
+    """Result of one fleet: number of injections, and the failure of the last (empty: survived). ``points``:
+    the last failpoints at which the manager was killed.
+    """
 
     injected: int = 1
     points: str = ""
-    wrong: str | Verdict = ""
+    wrong: str | OracleVerdict = ""
 
 
-def inject_once(each: Fault, kind: str, seed: int, how: How | None = None) -> Came:
+def inject_once(each: Fault, kind: str, seed: int, variant: EdgectlVariant | None = None) -> InjectionResult:
     """Inject the fault into a new fleet."""
-    came = Came()
+    result = InjectionResult()
     with tempfile.TemporaryDirectory(prefix="edgectl-faults-") as directory:
         try:
-            with fleet_of(kind, Path(directory), list(each.hosts), seed, how) as fleet:
-                _inject(each, fleet, came)
+            with open_fleet(kind, Path(directory), list(each.hosts), seed, variant) as fleet:
+                _inject_fault(each, fleet, result)
         except OracleError as error:
-            came.wrong = error.verdict
+            result.wrong = error.verdict
         except ExpectationError as error:
-            came.wrong = str(error)
+            result.wrong = str(error)
         except (AssertionError, OSError, ValueError, KeyError, subprocess.SubprocessError):
-            came.wrong = f"the harness itself failed: {traceback.format_exc(limit=-3)}"
-    return came
+            result.wrong = f"the harness itself failed: {traceback.format_exc(limit=-3)}"
+    return result
 
 
-def _inject(each: Fault, fleet: Fleet, came: Came) -> None:
+def _inject_fault(each: Fault, fleet: FaultFleet, result: InjectionResult) -> None:
     try:
         each.inject(fleet)
-        aftermath(fleet)
+        repair_and_judge(fleet)
     finally:
-        came.injected = max(1, fleet.injected)
-        came.points = f" after {', '.join(reached(fleet.notes)[-3:])}" if fleet.injected else ""
+        result.injected = max(1, fleet.injected)
+        result.points = (
+            f" after {', '.join(read_failpoints(fleet.failpoint_log)[-3:])}" if fleet.injected else ""
+        )
 
 
-def run(each: Fault, kind: str, times: int, seed: int, how: How | None = None) -> Row:
-    """Inject the fault that often; every injection has a seed of its own, named where it fails."""
-    row = Row(fault=each.name, kind=kind)
-    row.not_run = (missing_for_namespaces() if kind == "namespace" else "") or each.missing()
+def run_fault(
+    each: Fault, kind: str, times: int, seed: int, variant: EdgectlVariant | None = None
+) -> FaultRow:
+    """Inject the fault ``times`` times; every injection has its own seed, printed with a failure."""
+    row = FaultRow(fault=each.name, kind=kind)
+    row.not_run = (find_missing_for_namespaces() if kind == "namespace" else "") or each.missing()
     if row.not_run:
         return row
     begun, seeds = time.monotonic(), random.Random(f"{seed} {each.name} {kind}")
     for _ in range(times):
         one = seeds.randrange(10**9)
-        came = inject_once(each, kind, one, how)
-        row.injected += came.injected
-        row.survived += came.injected - bool(came.wrong)
-        if isinstance(came.wrong, Verdict):
-            row.lost += len(came.wrong.lost)
-            row.doubled += len(came.wrong.doubled)
-        if came.wrong:
-            row.failures.append(f"{each.name} ({kind}, seed {one}){came.points}: {came.wrong}")
+        result = inject_once(each, kind, one, variant)
+        row.injected += result.injected
+        row.survived += result.injected - bool(result.wrong)
+        if isinstance(result.wrong, OracleVerdict):
+            row.lost += len(result.wrong.lost)
+            row.doubled += len(result.wrong.doubled)
+        if result.wrong:
+            row.failures.append(f"{each.name} ({kind}, seed {one}){result.points}: {result.wrong}")
     row.seconds = time.monotonic() - begun
     return row
 
 
-def table(rows: Iterable[Row]) -> str:
-    """The rows as a markdown table with its sum."""
+def format_table(rows: Iterable[FaultRow]) -> str:
+    """Format the rows as a Markdown table with totals."""
     rows = list(rows)
     lines = ["| fault | hosts | injected | survived | lost | doubled | s |", "|---|---|--:|--:|--:|--:|--:|"]
     for row in rows:

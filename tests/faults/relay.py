@@ -1,7 +1,8 @@
-"""A TCP relay to stand between manager and sshd, and to misbehave on order. Standard library only; one thread for each relay.
+"""TCP relay between manager and sshd that injects link faults. Standard library only; one thread per relay.
 
-``Trouble`` says what goes wrong and after how many bytes. Bytes are counted since the trouble was set, over all connections and both
-ways, so that one number walks through a whole exchange of several connections.
+``LinkFault`` says which fault occurs after how many bytes. Bytes are counted since the fault was set, over
+all connections and both directions, so that one number addresses any byte of an exchange of several
+connections.
 """
 
 import ctypes
@@ -17,7 +18,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from tests.faults.trouble import Kind, Trouble
+from tests.faults.link_fault import LinkFault, LinkFaultKind
 
 CHUNK = 16384
 BACKLOG_LIMIT = 1 << 20
@@ -25,11 +26,11 @@ CLONE_NEWNET = 0x40000000
 
 
 @dataclass(eq=False)
-class _Side:
-    """One end of a relayed connection: its socket, the other end, and what waits to be sent to it."""
+class _Endpoint:
+    """One end of a relayed connection: its socket, its peer and its send queue."""
 
     sock: socket.socket
-    other: "_Side | None" = None
+    other: "_Endpoint | None" = None
     out: deque[tuple[float, bytes]] = field(default_factory=deque)
     held: int = 0
     finished: bool = False
@@ -38,7 +39,9 @@ class _Side:
 
 
 class Relay:
-    """Listens on ``address`` (port chosen once, kept for good) and passes on to ``target``; ``netns`` is a path of a network namespace."""
+    """Listens on ``address`` (port chosen once) and forwards to ``target``; ``netns`` is the path of a
+    network namespace.
+    """
 
     def __init__(
         self, target: tuple[str, int], *, address: str = "127.0.0.1", netns: Path | None = None
@@ -50,36 +53,36 @@ class Relay:
         self.connections = 0
         self.fired = False
         self._netns = netns
-        self._trouble = Trouble()
-        self._wanted = Trouble()
+        self._fault = LinkFault()
+        self._next_fault = LinkFault()
         self._down = False
         self._ending = False
-        self._sides: dict[socket.socket, _Side] = {}
+        self._endpoints: dict[socket.socket, _Endpoint] = {}
         self._selector = selectors.DefaultSelector()
         self._wake, self._waker = socket.socketpair()
         self._done = threading.Event()
         self._error: BaseException | None = None
-        self._thread = threading.Thread(target=self._main, name=f"relay {target}", daemon=True)
+        self._thread = threading.Thread(target=self._run, name=f"relay {target}", daemon=True)
 
     def start(self) -> None:
-        """Begin to listen."""
-        self._order(self._thread.start)
+        """Start to listen."""
+        self._send_command(self._thread.start)
 
-    def set(self, trouble: Trouble) -> None:
-        """From now on this trouble, for open connections and new ones; returns once it is in force."""
-        self._wanted = trouble
-        self._order(lambda: self._waker.send(b"t"))
+    def set(self, fault: LinkFault) -> None:
+        """Set the fault for open and new connections; returns once it is in force."""
+        self._next_fault = fault
+        self._send_command(lambda: self._waker.send(b"t"))
 
     def heal(self) -> None:
-        """Pass everything again. Connections that lost bytes stay broken, as they would be."""
-        self.set(Trouble())
+        """Forward everything again. Connections that lost bytes stay broken."""
+        self.set(LinkFault())
 
     def drop(self) -> None:
-        """Reset every open connection now."""
-        self._order(lambda: self._waker.send(b"d"))
+        """Reset every open connection."""
+        self._send_command(lambda: self._waker.send(b"d"))
 
     def stop(self) -> None:
-        """Close everything and end the thread."""
+        """Close all connections and end the thread."""
         self._ending = True
         with suppress(OSError):
             self._waker.send(b"e")
@@ -88,29 +91,29 @@ class Relay:
         self._wake.close()
         self._waker.close()
 
-    def _order(self, give: object) -> None:
+    def _send_command(self, give: object) -> None:
         self._done.clear()
         give()  # type: ignore[operator]
         assert self._done.wait(60), "the relay does not answer"
         if self._error:
             raise self._error
 
-    # All that follows runs in the relay's thread.
+    # The methods below run in the relay's thread.
 
-    def _main(self) -> None:
+    def _run(self) -> None:
         try:
             if self._netns:
-                _enter(self._netns)
+                _enter_netns(self._netns)
             self._selector.register(self._wake, selectors.EVENT_READ)
             self._listen()
             self._done.set()
             while not self._ending:
-                self._turn()
-        except BaseException as error:  # told to whoever waits
+                self._handle_events()
+        except BaseException as error:  # wake the waiting caller
             self._error = error
             self._done.set()
         finally:
-            for sock in [*self._sides, *self._listener]:
+            for sock in [*self._endpoints, *self._listener]:
                 sock.close()
             self._selector.close()
 
@@ -126,50 +129,50 @@ class Relay:
         self.port = listener.getsockname()[1]
         self._selector.register(listener, selectors.EVENT_READ)
 
-    def _deaf(self) -> None:
+    def _stop_listening(self) -> None:
         for listener in self._listener:
             self._selector.unregister(listener)
             listener.close()
         self._listener = ()
 
-    def _turn(self) -> None:
-        for key, events in self._selector.select(self._nap()):
+    def _handle_events(self) -> None:
+        for key, events in self._selector.select(self._compute_timeout()):
             sock = key.fileobj
             assert isinstance(sock, socket.socket)
             if sock is self._wake:
-                self._obey()
+                self._execute_command()
             elif sock in self._listener:
                 self._accept(sock)
-            elif sock in self._sides:
+            elif sock in self._endpoints:
                 if events & selectors.EVENT_READ:
-                    self._read(self._sides[sock])
-                if sock in self._sides and events & selectors.EVENT_WRITE:
-                    self._write(self._sides[sock])
-        for side in list(self._sides.values()):
-            if side.sock in self._sides:
-                self._watch(side)
+                    self._read(self._endpoints[sock])
+                if sock in self._endpoints and events & selectors.EVENT_WRITE:
+                    self._write(self._endpoints[sock])
+        for side in list(self._endpoints.values()):
+            if side.sock in self._endpoints:
+                self._select_events(side)
 
-    def _nap(self) -> float | None:
-        due = [side.out[0][0] for side in self._sides.values() if side.out]
+    def _compute_timeout(self) -> float | None:
+        due = [side.out[0][0] for side in self._endpoints.values() if side.out]
         return max(0.0, min(due) - time.monotonic()) if due else None
 
-    def _obey(self) -> None:
+    def _execute_command(self) -> None:
         for order in self._wake.recv(64):
             if order == ord("d"):
                 self._close_all(reset=True)
             elif order == ord("t"):
-                if self.fired and self._trouble.kind is Kind.BLACK_HOLE:
-                    # The next packet after the hole would find a connection that misses bytes.
-                    self._close_all(reset=True, far=not self._trouble.half_open)
-                self._trouble, self.passed, self.fired = self._wanted, 0, False
-                self._set_door(closed=self._trouble.kind is Kind.REFUSE)
-                if self._trouble.kind is Kind.REFUSE:
+                if self.fired and self._fault.kind is LinkFaultKind.BLACK_HOLE:
+                    # Bytes were lost: the next packet after the black hole must break the connection.
+                    self._close_all(reset=True, far=not self._fault.half_open)
+                self._fault, self.passed, self.fired = self._next_fault, 0, False
+                self._set_listening(closed=self._fault.kind is LinkFaultKind.REFUSE)
+                if self._fault.kind is LinkFaultKind.REFUSE:
                     self._close_all(reset=True)
         self._done.set()
 
-    def _set_door(self, *, closed: bool) -> None:
+    def _set_listening(self, *, closed: bool) -> None:
         if closed and self._listener:
-            self._deaf()
+            self._stop_listening()
         elif not closed and not self._listener:
             self._listen()
 
@@ -179,8 +182,8 @@ class Relay:
         except OSError:
             return
         self.connections += 1
-        near = self._add(sock)
-        if self._trouble.kind is Kind.MUTE:
+        near = self._add_endpoint(sock)
+        if self._fault.kind is LinkFaultKind.MUTE:
             return
         far_sock = socket.socket()
         far_sock.setblocking(False)
@@ -188,18 +191,18 @@ class Relay:
             far_sock.close()
             self._close(near, reset=True)
             return
-        far = self._add(far_sock)
+        far = self._add_endpoint(far_sock)
         near.other, far.other, far.far = far, near, True
 
-    def _add(self, sock: socket.socket) -> _Side:
+    def _add_endpoint(self, sock: socket.socket) -> _Endpoint:
         sock.setblocking(False)
         sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._sides[sock] = side = _Side(sock)
+        self._endpoints[sock] = side = _Endpoint(sock)
         self._selector.register(sock, selectors.EVENT_READ)
         return side
 
-    def _watch(self, side: _Side) -> None:
-        """Ask for what this side can use now: room to send what is due, bytes while the other side keeps up."""
+    def _select_events(self, side: _Endpoint) -> None:
+        """Register the events of interest: writable if data is queued, readable while the peer keeps up."""
         full = side.other is not None and side.other.held > BACKLOG_LIMIT
         wanted = 0 if side.finished or full else selectors.EVENT_READ
         if side.out and side.out[0][0] <= time.monotonic():
@@ -212,7 +215,7 @@ class Relay:
         elif not known and wanted:
             self._selector.register(side.sock, wanted)
 
-    def _read(self, side: _Side) -> None:
+    def _read(self, side: _Endpoint) -> None:
         try:
             data = side.sock.recv(CHUNK)
         except BlockingIOError:
@@ -220,52 +223,52 @@ class Relay:
         except OSError:
             self._close(side, reset=True)
             return
-        if side.other is None:  # mute: swallowed
+        if side.other is None:  # mute: discard
             if not data:
                 self._close(side)
             return
         if data:
-            self._pass(side.other, data)
+            self._forward(side.other, data)
         else:
             side.finished = True
             self._finish(side.other)
 
-    def _pass(self, to: _Side, data: bytes) -> None:
-        """Send ``data`` on, or do to it what the trouble says once its byte has come."""
+    def _forward(self, to: _Endpoint, data: bytes) -> None:
+        """Forward ``data``, or apply the fault once its byte is reached."""
         before, self.passed = self.passed, self.passed + len(data)
-        trouble = self._trouble
-        if trouble.kind is Kind.PASS or trouble.kind is Kind.MUTE:
+        fault = self._fault
+        if fault.kind is LinkFaultKind.PASS or fault.kind is LinkFaultKind.MUTE:
             self._queue(to, data)
-        elif trouble.kind is Kind.DELAY:
-            self._queue(to, data, time.monotonic() + trouble.seconds)
-        elif self.passed <= trouble.after:
+        elif fault.kind is LinkFaultKind.DELAY:
+            self._queue(to, data, time.monotonic() + fault.seconds)
+        elif self.passed <= fault.after:
             self._queue(to, data)
         else:
-            self._harm(to, data, max(0, trouble.after - before))
+            self._inject(to, data, max(0, fault.after - before))
 
-    def _harm(self, to: _Side, data: bytes, whole: int) -> None:
-        kind, first, self.fired = self._trouble.kind, not self.fired, True
-        if kind is Kind.GARBLE:
+    def _inject(self, to: _Endpoint, data: bytes, whole: int) -> None:
+        kind, first, self.fired = self._fault.kind, not self.fired, True
+        if kind is LinkFaultKind.GARBLE:
             self._queue(to, data[:whole] + bytes([data[whole] ^ 0x55]) + data[whole + 1 :] if first else data)
             return
         self._queue(to, data[:whole])
-        if kind is Kind.BLACK_HOLE:
+        if kind is LinkFaultKind.BLACK_HOLE:
             return
         self._write(to)
-        if self._trouble.lasting:
-            self._set_door(closed=True)
+        if self._fault.lasting:
+            self._set_listening(closed=True)
         else:
-            self._trouble = Trouble()
-        self._close_all(reset=kind is Kind.CUT_RST)
+            self._fault = LinkFault()
+        self._close_all(reset=kind is LinkFaultKind.CUT_RST)
 
-    def _queue(self, to: _Side, data: bytes, due: float = 0.0) -> None:
+    def _queue(self, to: _Endpoint, data: bytes, due: float = 0.0) -> None:
         if data:
             to.out.append((due, data))
             to.held += len(data)
             if not due:
                 self._write(to)
 
-    def _write(self, side: _Side) -> None:
+    def _write(self, side: _Endpoint) -> None:
         while side.out and side.out[0][0] <= time.monotonic():
             due, data = side.out.popleft()
             try:
@@ -283,27 +286,27 @@ class Relay:
                 side.out.appendleft((due, data[sent:]))
                 return
         if side.closing and not side.out:
-            self._shut(side)
+            self._shut_down_write(side)
 
-    def _finish(self, side: _Side) -> None:
-        """The other side has said all; a black hole swallows that too."""
-        if self._trouble.kind is Kind.BLACK_HOLE and self.fired:
+    def _finish(self, side: _Endpoint) -> None:
+        """Handle the end of input; a black hole swallows it, too."""
+        if self._fault.kind is LinkFaultKind.BLACK_HOLE and self.fired:
             return
         side.closing = True
         if not side.out:
-            self._shut(side)
+            self._shut_down_write(side)
 
-    def _shut(self, side: _Side) -> None:
+    def _shut_down_write(self, side: _Endpoint) -> None:
         with suppress(OSError):
             side.sock.shutdown(socket.SHUT_WR)
         if side.finished and side.other is not None:
             self._close(side)
 
-    def _close(self, side: _Side, *, reset: bool = False) -> None:
+    def _close(self, side: _Endpoint, *, reset: bool = False) -> None:
         for each in (side, side.other):
-            if each is None or each.sock not in self._sides:
+            if each is None or each.sock not in self._endpoints:
                 continue
-            del self._sides[each.sock]
+            del self._endpoints[each.sock]
             with suppress(KeyError, ValueError):
                 self._selector.unregister(each.sock)
             if reset:
@@ -311,15 +314,15 @@ class Relay:
             each.sock.close()
 
     def _close_all(self, *, reset: bool, far: bool = True) -> None:
-        for side in list(self._sides.values()):
+        for side in list(self._endpoints.values()):
             if not far:
                 side.other = None
             if far or not side.far:
                 self._close(side, reset=reset)
 
 
-def _enter(netns: Path) -> None:
-    """Take this thread into a network namespace; the sockets that it makes stay there."""
+def _enter_netns(netns: Path) -> None:
+    """Move this thread into a network namespace; sockets created later stay there."""
     libc = ctypes.CDLL(None, use_errno=True)
     handle = os.open(netns, os.O_RDONLY)
     try:
@@ -330,10 +333,10 @@ def _enter(netns: Path) -> None:
 
 
 @contextmanager
-def relaying(
+def run_relay(
     target: tuple[str, int], *, address: str = "127.0.0.1", netns: Path | None = None
 ) -> Iterator[Relay]:
-    """A running relay."""
+    """Run a relay for the duration of the context."""
     relay = Relay(target, address=address, netns=netns)
     relay.start()
     try:

@@ -1,4 +1,4 @@
-"""The emulated computers: what can be pulled is really off, what comes back is really another boot, and nothing of them remains."""
+"""Tests of the emulated computers: power, cable, reboot, and no leftovers."""
 
 import os
 import subprocess
@@ -10,28 +10,28 @@ import pytest
 
 from tests import sshd
 from tests.faults import cgroup, scan
-from tests.faults.computer import NamespaceHost, missing_for_namespaces, namespace_hosts
-from tests.faults.hosts import LIMIT, loopback_hosts, wait_for
-from tests.faults.network import Site
+from tests.faults.hosts import LIMIT, start_loopback_hosts, wait_for
+from tests.faults.namespace_host import NamespaceHost, find_missing_for_namespaces, start_namespace_hosts
+from tests.faults.network import ManagerNetwork
 from tests.pace import patience
 
 
 @pytest.fixture(scope="module")
-def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, Site, NamespaceHost]]:
-    if why := missing_for_namespaces():
+def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, ManagerNetwork, NamespaceHost]]:
+    if why := find_missing_for_namespaces():
         assert os.geteuid() != 0, f"root, but no computers in namespaces: {why}"
         pytest.skip(f"computers in namespaces: not run: {why}")
     directory = tmp_path_factory.mktemp("computers")
-    with namespace_hosts(directory, ["edge1"], cores={"edge1": 0.8}) as (site, hosts):
+    with start_namespace_hosts(directory, ["edge1"], cores={"edge1": 0.8}) as (site, hosts):
         host = hosts["edge1"]
         assert isinstance(host, NamespaceHost)
         yield directory, site, host
 
 
-def ssh(
-    place: tuple[Path, Site, NamespaceHost], command: str, *, within: int = 20
+def run_ssh(
+    place: tuple[Path, ManagerNetwork, NamespaceHost], command: str, *, within: int = 20
 ) -> "subprocess.CompletedProcess[str]":
-    """Run a command on the computer, which is given ``within`` seconds to answer: few where it cannot."""
+    """Run a command on the computer; ``within``: seconds to wait for the answer, few where none is expected."""
     directory, site, host = place
     address, port, user, key = host.login
     (directory / "known").write_text(f"{address} {key}\n")
@@ -57,101 +57,101 @@ def ssh(
     return subprocess.run(line, capture_output=True, text=True, timeout=patience(60), check=False)
 
 
-def test_it_is_a_computer_of_its_own(place: tuple[Path, Site, NamespaceHost]) -> None:
-    answer = ssh(place, "id -un; hostname; cat /proc/sys/kernel/random/boot_id; ls ~").stdout.split()
+def test_it_is_a_computer_of_its_own(place: tuple[Path, ManagerNetwork, NamespaceHost]) -> None:
+    answer = run_ssh(place, "id -un; hostname; cat /proc/sys/kernel/random/boot_id; ls ~").stdout.split()
     assert answer == ["edge", "edge1", place[2].boot_id, "oracle"]
-    assert len(ssh(place, "ps -e").stdout.splitlines()) < 12
+    assert len(run_ssh(place, "ps -e").stdout.splitlines()) < 12
 
 
-def test_power(place: tuple[Path, Site, NamespaceHost]) -> None:
+def test_power(place: tuple[Path, ManagerNetwork, NamespaceHost]) -> None:
     host = place[2]
     before = host.boot_id
-    ssh(place, "echo kept > file; setsid sleep 1000 >/dev/null 2>&1 &")
-    wait_for(lambda: sleepers(host), "the sleeper")
-    (sleeper,) = sleepers(host)
+    run_ssh(place, "echo kept > file; setsid sleep 1000 >/dev/null 2>&1 &")
+    wait_for(lambda: list_sleepers(host), "the sleeper")
+    (sleeper,) = list_sleepers(host)
     host.power_off()
     assert not sleeper.alive
-    said = ssh(place, "true", within=1).stderr
+    said = run_ssh(place, "true", within=1).stderr
     assert "timed out" in said or "No route" in said
     host.boot()
     assert host.boot_id != before
-    assert ssh(place, "cat file; cat /proc/sys/kernel/random/boot_id").stdout.split() == [
+    assert run_ssh(place, "cat file; cat /proc/sys/kernel/random/boot_id").stdout.split() == [
         "kept",
         host.boot_id,
     ]
     wait_for(lambda: host.processes() == [], "the end of the login")
 
 
-def sleepers(host: NamespaceHost) -> list[scan.Process]:
+def list_sleepers(host: NamespaceHost) -> list[scan.Process]:
     return [each for each in host.processes() if each.command == "sleep 1000"]
 
 
-def test_cable(place: tuple[Path, Site, NamespaceHost]) -> None:
+def test_cable(place: tuple[Path, ManagerNetwork, NamespaceHost]) -> None:
     host = place[2]
-    host.cable_out()
-    assert ssh(place, "true", within=1).returncode == 255
-    host.cable_in()
-    wait_for(lambda: ssh(place, "true").returncode == 0, "the link")
-    host.swallow()
-    assert ssh(place, "true", within=1).returncode == 255
-    host.cable_in()
-    wait_for(lambda: ssh(place, "true").returncode == 0, "the link")
+    host.unplug_cable()
+    assert run_ssh(place, "true", within=1).returncode == 255
+    host.plug_in_cable()
+    wait_for(lambda: run_ssh(place, "true").returncode == 0, "the link")
+    host.drop_packets()
+    assert run_ssh(place, "true", within=1).returncode == 255
+    host.plug_in_cable()
+    wait_for(lambda: run_ssh(place, "true").returncode == 0, "the link")
 
 
-def test_disk_and_mounts(place: tuple[Path, Site, NamespaceHost]) -> None:
+def test_disk_and_mounts(place: tuple[Path, ManagerNetwork, NamespaceHost]) -> None:
     host = place[2]
     host.fill_disk()
-    assert "No space left" in ssh(place, "echo something > full").stderr
+    assert "No space left" in run_ssh(place, "echo something > full").stderr
     host.free_disk()
     host.home_read_only(yes=True)
-    assert "Read-only" in ssh(place, "echo something > ro").stderr
-    assert ssh(place, "echo something > oracle/records/note").returncode == 0
+    assert "Read-only" in run_ssh(place, "echo something > ro").stderr
+    assert run_ssh(place, "echo something > oracle/records/note").returncode == 0
     host.home_read_only(yes=False)
-    assert ssh(place, "echo something > rw").returncode == 0
+    assert run_ssh(place, "echo something > rw").returncode == 0
 
 
-def test_python_hidden(place: tuple[Path, Site, NamespaceHost]) -> None:
+def test_python_hidden(place: tuple[Path, ManagerNetwork, NamespaceHost]) -> None:
     host = place[2]
     host.hide_python(yes=True)
-    assert ssh(place, "python3 -V").returncode == 127
+    assert run_ssh(place, "python3 -V").returncode == 127
     host.hide_python(yes=False)
-    assert ssh(place, "python3 -V").returncode == 0
+    assert run_ssh(place, "python3 -V").returncode == 0
 
 
-def test_login_and_key_and_environment(place: tuple[Path, Site, NamespaceHost]) -> None:
+def test_login_and_key_and_environment(place: tuple[Path, ManagerNetwork, NamespaceHost]) -> None:
     host = place[2]
-    host.admit(everybody=False)
-    assert "Permission denied" in ssh(place, "true").stderr
-    host.admit(everybody=True)
+    host.allow_logins(allowed=False)
+    assert "Permission denied" in run_ssh(place, "true").stderr
+    host.allow_logins(allowed=True)
     old = host.key
     host.change_key()
     assert host.key != old
     host.set_env(LAMP="on and off")
-    assert ssh(place, 'echo "$LAMP"').stdout == "on and off\n"
+    assert run_ssh(place, 'echo "$LAMP"').stdout == "on and off\n"
     host.set_env()
 
 
-def test_a_canary_takes_a_wanted_pid(place: tuple[Path, Site, NamespaceHost]) -> None:
+def test_a_bystander_takes_the_requested_pid(place: tuple[Path, ManagerNetwork, NamespaceHost]) -> None:
     host = place[2]
-    canary = host.canary("canary", "like", "slam", pid=4321)
-    assert canary.harm() == []
-    assert ssh(place, "kill -TERM 4321").returncode == 0
-    wait_for(canary.harm, "the canary's complaint")
+    bystander = host.start_bystander("bystander", "like", "slam", pid=4321)
+    assert bystander.list_harm() == []
+    assert run_ssh(place, "kill -TERM 4321").returncode == 0
+    wait_for(bystander.list_harm, "the bystander's complaint")
     wait_for(lambda: host.processes() == [], "the end of the login")
 
 
-def test_cpu_limit(place: tuple[Path, Site, NamespaceHost]) -> None:
+def test_cpu_limit(place: tuple[Path, ManagerNetwork, NamespaceHost]) -> None:
     host = place[2]
     if LIMIT not in host.can:
         pytest.skip(f"CPU limit: not run: {host.group.why}")
     loop = "python3 -c 'import os, time; end = time.monotonic() + 1\nwhile time.monotonic() < end: pass\nprint(sum(os.times()[:2]))'"
-    assert float(ssh(place, loop).stdout) < 0.95
+    assert float(run_ssh(place, loop).stdout) < 0.95
 
 
 def test_nothing_remains(tmp_path: Path) -> None:
-    if why := missing_for_namespaces():
+    if why := find_missing_for_namespaces():
         pytest.skip(f"computers in namespaces: not run: {why}")
-    with namespace_hosts(tmp_path / "c", ["edge1", "edge2"], cores={"edge1": 0.5}) as (site, hosts):
+    with start_namespace_hosts(tmp_path / "c", ["edge1", "edge2"], cores={"edge1": 0.5}) as (site, hosts):
         host = hosts["edge1"]
         assert isinstance(host, NamespaceHost)
         host.run("sh", "-c", "setsid sleep 1000 >/dev/null 2>&1 &")
@@ -159,22 +159,23 @@ def test_nothing_remains(tmp_path: Path) -> None:
         groups = host.group.directories
         netns = site.netns.stat().st_ino
     found = [
-        scan.in_namespace(kind, inode) for kind, inode in zip(("pid", "net", "mnt"), spaces, strict=True)
+        scan.list_processes_in_namespace(kind, inode)
+        for kind, inode in zip(("pid", "net", "mnt"), spaces, strict=True)
     ]
     assert found == [[], [], []]
-    assert scan.in_namespace("net", netns) == []
-    assert scan.marked(str(tmp_path)) == []
+    assert scan.list_processes_in_namespace("net", netns) == []
+    assert scan.list_marked_processes(str(tmp_path)) == []
     assert str(tmp_path) not in Path("/proc/self/mounts").read_text()
     assert not any(group.exists() for group in groups)
 
 
 def test_nothing_remains_of_a_killed_run(tmp_path: Path) -> None:
-    """The tests themselves may be killed: the computers end with them (the empty cgroup is all that stays)."""
-    if why := missing_for_namespaces():
+    """The computers end with the tests that are killed; only the empty cgroup stays."""
+    if why := find_missing_for_namespaces():
         pytest.skip(f"computers in namespaces: not run: {why}")
     script = (
-        "import sys, time, pathlib; from tests.faults.computer import namespace_hosts\n"
-        "with namespace_hosts(pathlib.Path(sys.argv[1]), ['edge1']) as (site, hosts):\n"
+        "import sys, time, pathlib; from tests.faults.namespace_host import start_namespace_hosts\n"
+        "with start_namespace_hosts(pathlib.Path(sys.argv[1]), ['edge1']) as (site, hosts):\n"
         "    print('up', flush=True); time.sleep(60)\n"
     )
     run = subprocess.Popen(
@@ -187,21 +188,21 @@ def test_nothing_remains_of_a_killed_run(tmp_path: Path) -> None:
         assert run.stdout.readline() == b"up\n"
         run.kill()
         run.wait()
-    wait_for(lambda: scan.marked(str(tmp_path)) == [], "the end of the computers")
+    wait_for(lambda: scan.list_marked_processes(str(tmp_path)) == [], "the end of the computers")
 
 
 def test_a_loopback_host(tmp_path: Path) -> None:
-    with loopback_hosts(tmp_path, ["edge1"]) as hosts:
+    with start_loopback_hosts(tmp_path, ["edge1"]) as hosts:
         host = hosts["edge1"]
-        assert (host.home / "oracle" / "beacon.py").exists()
-        assert host.canary("canary", "x").harm() == []
+        assert (host.home / "oracle" / "recording_task.py").exists()
+        assert host.start_bystander("bystander", "x").list_harm() == []
         host.power_off()
         host.boot()
         host.set_env(LAMP="on")
-        host.admit(everybody=False)
-        host.admit(everybody=True)
+        host.allow_logins(allowed=False)
+        host.allow_logins(allowed=True)
         assert host.processes() == []
 
 
 def test_no_group_where_no_limit_is_wanted() -> None:
-    assert cgroup.make("edgectl-faults-none", None).doors == []
+    assert cgroup.create_cgroup("edgectl-faults-none", None).procs_files == []

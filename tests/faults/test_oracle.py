@@ -1,4 +1,4 @@
-"""The judge is judged first: each violation is planted with real processes, and must be found."""
+"""Tests of the oracle: each violation is produced with real processes and must be found."""
 
 import fcntl
 import os
@@ -14,7 +14,7 @@ import pytest
 from tests.faults import oracle, scan
 from tests.pace import patience
 
-BEACON = Path(oracle.__file__).with_name("beacon.py")
+RECORDING_TASK = Path(oracle.__file__).with_name("recording_task.py")
 Launch = Callable[..., "subprocess.Popen[bytes]"]
 
 
@@ -37,7 +37,7 @@ def records(tmp_path: Path) -> dict[str, Path]:
 def mark(tmp_path: Path) -> Iterator[str]:
     word = f"mark-{os.urandom(6).hex()}"
     yield word
-    scan.end(scan.marked(word))
+    scan.kill_processes(scan.list_marked_processes(word))
 
 
 @pytest.fixture
@@ -47,7 +47,7 @@ def launch(records: dict[str, Path], mark: str) -> Iterator[Launch]:
     def start(task: str, host: str = "edge1", *options: str) -> "subprocess.Popen[bytes]":
         command = [
             sys.executable,
-            str(BEACON),
+            str(RECORDING_TASK),
             "--dir",
             str(records[host]),
             "--task",
@@ -70,30 +70,32 @@ def launch(records: dict[str, Path], mark: str) -> Iterator[Launch]:
 def test_one_launch_of_each_task_is_clean(records: dict[str, Path], launch: Launch) -> None:
     launch("slam")
     launch("nav", "edge2")
-    assert oracle.judge(records, {"slam": "edge1", "nav": None}, seconds=0.3).clean
+    assert oracle.judge_launches(records, {"slam": "edge1", "nav": None}, seconds=0.3).clean
 
 
 def test_a_lost_task_is_found(records: dict[str, Path], launch: Launch) -> None:
     process = launch("slam")
     process.kill()
     process.wait()
-    verdict = oracle.judge(records, {"slam": None, "nav": None}, seconds=0.2, patience=0.3)
+    verdict = oracle.judge_launches(records, {"slam": None, "nav": None}, seconds=0.2, patience=0.3)
     assert verdict.lost == ("slam does not run", "nav does not run")
 
 
 def test_a_task_on_the_wrong_host_is_found(records: dict[str, Path], launch: Launch) -> None:
     launch("slam", "edge2")
-    assert oracle.judge(records, {"slam": "edge1"}, seconds=0.2).lost == ("slam runs on edge2, not on edge1",)
+    assert oracle.judge_launches(records, {"slam": "edge1"}, seconds=0.2).lost == (
+        "slam runs on edge2, not on edge1",
+    )
 
 
 def test_a_doubled_task_is_found(records: dict[str, Path], launch: Launch) -> None:
     launch("slam")
     launch("slam", "edge2")
-    verdict = oracle.judge(records, {"slam": None}, seconds=0.3)
+    verdict = oracle.judge_launches(records, {"slam": None}, seconds=0.3)
     assert len(verdict.doubled) == 2
     assert "runs 2 times" in verdict.doubled[0]
     assert "overlapped" in verdict.doubled[1]
-    assert oracle.most_live(oracle.lives(records)) == 2
+    assert oracle.count_most_alive(oracle.list_lifetimes(records)) == 2
 
 
 def test_a_past_overlap_is_found_and_measured(records: dict[str, Path], launch: Launch) -> None:
@@ -102,16 +104,16 @@ def test_a_past_overlap_is_found_and_measured(records: dict[str, Path], launch: 
     time.sleep(0.3)
     old.send_signal(signal.SIGTERM)
     old.wait()
-    verdict = oracle.judge(records, {"slam": "edge2"}, seconds=0.2)
+    verdict = oracle.judge_launches(records, {"slam": "edge2"}, seconds=0.2)
     assert len(verdict.doubled) == 1
-    assert 0.2 < oracle.longest_overlap(oracle.lives(records)) < 15
+    assert 0.2 < oracle.compute_longest_overlap(oracle.list_lifetimes(records)) < 15
     assert new.poll() is None
-    assert oracle.judge(records, {"slam": "edge2"}, seconds=0.2, overlap_allowed=["slam"]).clean
+    assert oracle.judge_launches(records, {"slam": "edge2"}, seconds=0.2, overlap_allowed=["slam"]).clean
 
 
 def test_a_task_that_should_not_run_is_found(records: dict[str, Path], launch: Launch) -> None:
     launch("slam")
-    assert oracle.judge(records, {}, seconds=1.0).doubled == ("slam runs on edge1 and should not",)
+    assert oracle.judge_launches(records, {}, seconds=1.0).doubled == ("slam runs on edge1 and should not",)
 
 
 def test_the_gap_of_a_move_is_measured(records: dict[str, Path], launch: Launch) -> None:
@@ -120,9 +122,9 @@ def test_the_gap_of_a_move_is_measured(records: dict[str, Path], launch: Launch)
     old.wait()
     time.sleep(0.5)
     launch("slam", "edge2")
-    verdict = oracle.judge(records, {"slam": "edge2"}, seconds=0.2)
+    verdict = oracle.judge_launches(records, {"slam": "edge2"}, seconds=0.2)
     assert verdict.clean, verdict
-    assert 0.5 <= oracle.longest_gap(oracle.lives(records)) < 15
+    assert 0.5 <= oracle.compute_longest_gap(oracle.list_lifetimes(records)) < 15
 
 
 @pytest.mark.parametrize("shape", ["child", "daemon", "session"])
@@ -134,10 +136,10 @@ def test_a_survivor_of_a_naive_stop_is_found(
     wait_until(lambda: len(list(records["edge1"].glob(f"*.{shape}.*"))) == 1)
     process.kill()
     process.wait()
-    assert len(scan.marked(mark)) == 1
-    assert oracle.judge(records, {}, seconds=0.3).doubled == ("slam runs on edge1 and should not",)
+    assert len(scan.list_marked_processes(mark)) == 1
+    assert oracle.judge_launches(records, {}, seconds=0.3).doubled == ("slam runs on edge1 and should not",)
     launch("slam", "edge2")
-    assert oracle.judge(records, {"slam": "edge2"}, seconds=0.3).doubled
+    assert oracle.judge_launches(records, {"slam": "edge2"}, seconds=0.3).doubled
 
 
 def test_an_emptied_environment_is_empty(
@@ -145,10 +147,10 @@ def test_an_emptied_environment_is_empty(
 ) -> None:
     monkeypatch.setenv("EDGECTL_INSTANCE", "cookie-1")
     launch("slam", "edge1", "--with", "daemon", "--bare")
-    wait_until(lambda: len(scan.marked(mark)) == 2)
+    wait_until(lambda: len(scan.list_marked_processes(mark)) == 2)
     wait_until(lambda: len(list(records["edge1"].glob("*.daemon.*"))) == 1)
-    assert len(scan.with_environment("EDGECTL_INSTANCE", "cookie-1")) == 1
-    (life,) = oracle.lives(records)
+    assert len(scan.list_processes_with_env("EDGECTL_INSTANCE", "cookie-1")) == 1
+    (life,) = oracle.list_lifetimes(records)
     assert life.cookie == "cookie-1"
     assert len(life.pids) == 2
 
@@ -163,8 +165,8 @@ def test_a_deaf_task_notes_the_signal_and_lives(records: dict[str, Path], launch
         )
     )
     process.terminate()
-    wait_until(lambda: oracle.lives(records)[0].signals == ("SIGTERM",))
-    assert oracle.judge(records, {"slam": None}, seconds=0.2).clean
+    wait_until(lambda: oracle.list_lifetimes(records)[0].signals == ("SIGTERM",))
+    assert oracle.judge_launches(records, {"slam": None}, seconds=0.2).clean
 
 
 def test_a_torn_last_line_is_left_out(tmp_path: Path) -> None:
@@ -178,11 +180,11 @@ def test_a_torn_last_line_is_left_out(tmp_path: Path) -> None:
     [(signal.SIGTERM, "got SIGTERM from"), (signal.SIGKILL, "is dead"), (signal.SIGSTOP, "is stopped")],
 )
 def test_harm_to_a_foreign_process_is_found(tmp_path: Path, number: signal.Signals, harm: str) -> None:
-    canary, running = scan.start_canary(tmp_path, "canary", "looks-like-slam")
+    bystander, running = scan.start_bystander(tmp_path, "bystander", "looks-like-slam")
     try:
-        assert canary.harm() == []
+        assert bystander.list_harm() == []
         running.send_signal(number)
-        wait_until(lambda: harm in "".join(canary.harm()))
+        wait_until(lambda: harm in "".join(bystander.list_harm()))
     finally:
         running.kill()
         running.wait()
@@ -193,10 +195,10 @@ def test_a_held_lock_and_an_open_file_mode_are_found(tmp_path: Path) -> None:
     path.parent.mkdir(mode=0o700)
     with path.open("w") as file:
         path.chmod(0o600)
-        assert scan.locks_under(tmp_path / "state") == []
+        assert scan.list_held_locks(tmp_path / "state") == []
         fcntl.flock(file, fcntl.LOCK_EX)
-        assert scan.locks_under(tmp_path / "state") == [f"{path} held by {os.getpid()}"]
-    assert scan.locks_under(tmp_path / "state") == []
-    assert scan.exposed(tmp_path / "state") == []
+        assert scan.list_held_locks(tmp_path / "state") == [f"{path} held by {os.getpid()}"]
+    assert scan.list_held_locks(tmp_path / "state") == []
+    assert scan.list_exposed_paths(tmp_path / "state") == []
     path.chmod(0o644)
-    assert scan.exposed(tmp_path / "state") == [f"{path} 644"]
+    assert scan.list_exposed_paths(tmp_path / "state") == [f"{path} 644"]

@@ -1,7 +1,8 @@
-"""Before the oracle's zeros count, it must catch bugs that are planted into the product on purpose.
+"""Mutation test of the oracle: bugs planted into the product must be caught.
 
-Each plant changes one line of a copy of the product; the fault named with it must then fail, by the oracle's word where the bug is one
-that loses or doubles tasks. The same fault survives with the unchanged copy: it is part of the matrix.
+Each mutation changes one line of a copy of the product; the named fault must then fail, and by the oracle's
+verdict if the bug loses or doubles tasks. The same fault survives with the unchanged copy: it is part of the
+matrix.
 """
 
 import shutil
@@ -10,10 +11,10 @@ from pathlib import Path
 import pytest
 
 import edgectl
-from tests.faults import matrix
-from tests.faults.computer import missing_for_namespaces
-from tests.faults.fleet import How
-from tests.faults.oracle import Verdict
+from tests.faults import fault_list
+from tests.faults.fleet import EdgectlVariant
+from tests.faults.namespace_host import find_missing_for_namespaces
+from tests.faults.oracle import OracleVerdict
 from tests.faults.registry import inject_once
 
 PLANTS = [
@@ -28,7 +29,7 @@ PLANTS = [
         id="proof of stop skipped",
     ),
     pytest.param(
-        "manager loses power after it said done",
+        "manager loses power after done",
         "loopback",
         "state/json_files.py",
         "        os.fsync(file.fileno())\n",
@@ -38,7 +39,7 @@ PLANTS = [
         id="fsync forgotten",
     ),
     pytest.param(
-        "host rebooted, its old pids taken by strangers",
+        "host rebooted, old pids reused",
         "namespace",
         "agent/supervise/liveness.py",
         "    if ended or not found.instance or not is_same_boot(found):\n",
@@ -55,7 +56,7 @@ PLANTS = [
 def test_a_planted_bug_is_caught(
     tmp_path: Path, name: str, kind: str, file: str, old: str, new: str, also_old: str, also_new: str
 ) -> None:
-    if kind == "namespace" and (why := missing_for_namespaces()):
+    if kind == "namespace" and (why := find_missing_for_namespaces()):
         pytest.skip(f"{name}: not run: {why}")
     copy = tmp_path / "code" / "edgectl"
     shutil.copytree(Path(edgectl.__file__).parent, copy, ignore=shutil.ignore_patterns("__pycache__"))
@@ -64,7 +65,7 @@ def test_a_planted_bug_is_caught(
         assert before in text, f"{file} has changed: plant the bug anew"
         text = text.replace(before, after)
     (copy / file).write_text(text)
-    (each,) = [fault for fault in matrix.faults() if fault.name == name]
-    found = inject_once(each, kind, 1, How(code=copy.parent)).wrong
-    assert isinstance(found, Verdict), f"not caught by the oracle: {found or 'survived'}"
+    (each,) = [fault for fault in fault_list.list_faults() if fault.name == name]
+    found = inject_once(each, kind, 1, EdgectlVariant(code=copy.parent)).wrong
+    assert isinstance(found, OracleVerdict), f"not caught by the oracle: {found or 'survived'}"
     assert found.lost or found.doubled

@@ -1,20 +1,20 @@
-"""The short form of the fault matrix: the most important faults, once each, on the best available hosts."""
+"""Short form of the fault matrix: the most important faults, once each, on the best available hosts."""
 
 import os
 
 import pytest
 
-from tests.faults import matrix
-from tests.faults.fleet import How
-from tests.faults.registry import quick_cases, run
+from tests.faults import fault_list
+from tests.faults.fleet import EdgectlVariant
+from tests.faults.registry import list_quick_cases, run_fault
 
-CASES = {each.name: (each, kind) for each, kind in quick_cases() if matrix.MODULES}
+CASES = {each.name: (each, kind) for each, kind in list_quick_cases() if fault_list.MODULES}
 
 
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("name", CASES)
 def test_survived(name: str) -> None:
-    row = run(*CASES[name], 1, 1, How(sample=True))
+    row = run_fault(*CASES[name], 1, 1, EdgectlVariant(sample=True))
     if row.not_run:
         assert not (row.kind == "namespace" and os.geteuid() == 0), f"root, but {row.not_run}"
         pytest.skip(f"{name} ({row.kind}): not run: {row.not_run}")

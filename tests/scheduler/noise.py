@@ -1,4 +1,4 @@
-"""PAPER-GAPS 2.3 as a simulation: measured loads are off by some points, and a decision is made again and again.
+"""Simulation of measurement noise: measured loads are off by some points, and a decision is made again and again.
 
     python -m tests.scheduler.noise
 

@@ -1,4 +1,4 @@
-"""DESIGN 5.6-5.9: affinity, ties, and when a running task moves."""
+"""Affinity, ties, and moves of running tasks."""
 
 import pytest
 

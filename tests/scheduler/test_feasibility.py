@@ -1,4 +1,4 @@
-"""DESIGN 5.5: who is a candidate, where a task fits, and what is said where it does not."""
+"""Candidates, feasibility and the rejections of hosts where a task does not fit."""
 
 import pytest
 

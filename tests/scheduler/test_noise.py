@@ -1,4 +1,4 @@
-"""PAPER-GAPS 2.3 in small: under measurement noise the paper's rule hops, ours stays, and still answers a load that lasts."""
+"""Under measurement noise the paper's rule hops, ours stays, and still answers a load that lasts."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""DESIGN 5.1: predecessors first, then by key, whatever the order of the file."""
+"""Task sequence: predecessors first, then by key, whatever the order of the file."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""DESIGN 5.10: a plan made right after the apply of a settled plan changes nothing."""
+"""A plan made right after the apply of a settled plan changes nothing."""
 
 import pytest
 

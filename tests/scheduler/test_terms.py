@@ -1,4 +1,4 @@
-"""DESIGN 5.2-5.4: capacity, expected load and the resource terms, worked by hand."""
+"""Capacity, expected load and the resource terms, worked by hand."""
 
 import pytest
 

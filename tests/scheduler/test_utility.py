@@ -1,4 +1,4 @@
-"""Equations (1)-(4) and UT_task, worked by hand (DESIGN 5.4, 5.6, 5.7)."""
+"""Equations (1)-(4) and UT_task, worked by hand."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""DESIGN 5.11, 5.12: completed, unmanaged, held and doubled tasks; silent hosts and robots."""
+"""Initial state: completed, unmanaged, held and doubled tasks; unreachable hosts and robots."""
 
 from dataclasses import replace
 

@@ -244,7 +244,7 @@ def test_a_plan_shows_what_the_last_apply_deferred(tmp_path: Path) -> None:
     plan_and_apply(scene.ready, POLICY, options=ONE_BY_ONE)
     shown = make_plan(scene.ready, POLICY)
     assert (
-        "slam: put off by the last apply, with nothing touched: not safe to move slam within 0 s"
+        "slam: deferred by the last apply, unchanged: not safe to move slam within 0 s"
         in render_plan_notes(shown)
     )
     scene.hosts["robot1"].checks["safe"] = 0

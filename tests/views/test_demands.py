@@ -12,8 +12,12 @@ from edgectl.model.profile import ClassProfile, UsagePercentiles, UsageProfile
 from edgectl.model.resource import Usage
 from edgectl.model.task import Quantity
 from edgectl.scheduler.assign import assign
-from edgectl.views import markdown, table, wide, yaml
 from edgectl.views.demands import render_demands
+from edgectl.views.output import render_view
+from edgectl.views.output_format import OutputFormat
+from edgectl.views.plan import PlanView
+from edgectl.views.profile import ProfileView
+from edgectl.views.status import StatusView
 from edgectl.views.text import RenderOptions
 from tests.builders import (
     GI,
@@ -55,10 +59,10 @@ def a_plan() -> Plan:
 
 
 def test_wide_tells_every_source() -> None:
-    section = wide.plan(a_plan()).split("Demands:\n")[1].split("\n\n")[0]
+    section = PlanView(a_plan()).wide().split("Demands:\n")[1].split("\n\n")[0]
     assert [line.split() for line in section.splitlines()] == [
-        ["TASK", "HOST", "CPU", "MEMORY", "THROUGHPUT"],
-        ["map", "edge1", "0.00", "none", "(12", "of", "60", "samples)", "1.0Gi", "declared", "-"],
+        ["TASK", "HOST", "CPU", "DEMAND", "MEMORY", "DEMAND", "NETWORK", "DEMAND"],
+        ["map", "edge1", "0m", "none", "(12", "of", "60", "samples)", "1.0Gi", "declared", "-"],
         ["old", "edge1", "1.41", "declared", "0B", "declared", "-"],
         [
             "slam",
@@ -77,27 +81,27 @@ def test_wide_tells_every_source() -> None:
 
 
 def test_the_table_has_a_note_for_each_thing_to_know() -> None:
-    notes = [line for line in table.plan(a_plan()).splitlines() if line.startswith("note: ")]
+    notes = [line for line in PlanView(a_plan()).table().splitlines() if line.startswith("note: ")]
     assert notes == [
         "note: demand measured (p95): slam cpu and memory (n=412)",
         "note: demand unknown, 0 until it is measured: map cpu (n=12)",
         "note: percent demands mean different amounts on unlike hosts: old cpu 35.2% is 1.41 cores on edge1, 2.82 on edge2",
     ]
-    assert "<details><summary>Demands</summary>" in markdown.plan(a_plan())
+    assert "<details><summary>Demands</summary>" in render_view(PlanView(a_plan()), OutputFormat.MARKDOWN)
 
 
 def test_a_plan_with_declared_demands_alone_has_no_note() -> None:
     plan = a_plan()
     steps = tuple(replace(step, decision=replace(step.decision, demand=())) for step in plan.steps)
     silent = replace(plan, steps=steps, demand_spreads=())
-    assert "note:" not in table.plan(silent)
-    assert "Demands" not in wide.plan(replace(silent, steps=()))
+    assert "note:" not in PlanView(silent).table()
+    assert "Demands" not in PlanView(replace(silent, steps=())).wide()
 
 
 def test_long_lists_are_cut_and_fit_the_terminal() -> None:
     plan = a_plan()
     many = replace(plan, demand_spreads=plan.demand_spreads * 9)
-    text = table.plan(many, RenderOptions(width=80))
+    text = PlanView(many).table(RenderOptions(width=80))
     assert "and 5 more" in text
     assert max(map(len, text.splitlines())) <= 80
 
@@ -105,7 +109,7 @@ def test_long_lists_are_cut_and_fit_the_terminal() -> None:
 def test_status_sets_the_measured_demand_beside_the_use() -> None:
     inventory = an_inventory(an_edge("edge1"), an_edge("edge2"), a_robot())
     hosts = {"edge1": replace(SNAPSHOT.hosts["edge1"], tasks={"slam": a_run(used=Usage(cpu=1.25))})}
-    text = table.status(replace(SNAPSHOT, hosts=hosts, manager=MEMORY), inventory, TASKS)
+    text = StatusView(replace(SNAPSHOT, hosts=hosts, manager=MEMORY), inventory, TASKS).table()
     assert text.splitlines()[1].split()[4:] == ["1.25", "1.00", "0B", "100.0Mi", "0B/s", "300.0kB/s"]
 
 
@@ -125,14 +129,14 @@ def a_profile(name: str = "slam-of-the-second-robot") -> ClassProfile:
 @pytest.mark.parametrize("width", [80, 160])
 def test_profiles_and_demands_pass_no_edge(width: int) -> None:
     for text in (
-        table.profile([a_profile()], RenderOptions(width=width)),
+        ProfileView([a_profile()]).table(RenderOptions(width=width)),
         render_demands(a_plan(), RenderOptions(width=width)),
     ):
         assert max(map(len, text.splitlines())) <= width
 
 
 def test_a_profile_says_how_a_demand_is_declared() -> None:
-    rows = [line.split() for line in table.profile([a_profile()]).splitlines()]
+    rows = [line.split() for line in ProfileView([a_profile()]).table().splitlines()]
     assert rows[1][2:] == [
         "cpu",
         "until:",
@@ -149,6 +153,6 @@ def test_a_profile_says_how_a_demand_is_declared() -> None:
     ]
     assert rows[2] == ["memory", "2.5%", "0B", "123B", "1.2Ki"]
     assert rows[3] == ["throughput", "measured", "0B/s", "123B/s", "1.2kB/s"]
-    assert yaml.profile([a_profile()]).startswith(
-        "format_version: 1\nprofiles:\n- task: slam-of-the-second-robot\n  class: 4c-8Gi\n"
+    assert render_view(ProfileView([a_profile()]), OutputFormat.YAML).startswith(
+        "format_version: 2\nkind: profile\nitems:\n- task: slam-of-the-second-robot\n  class: 4c-8Gi\n"
     )

@@ -1,4 +1,4 @@
-"""describe: golden texts at 80 and 160 columns; secrets hidden; nothing that a host says steers the terminal."""
+"""describe: golden texts at 80 and 160 columns; secrets hidden; control characters escaped."""
 
 import json
 from dataclasses import replace
@@ -21,7 +21,10 @@ from edgectl.model.snapshot import (
     TaskState,
 )
 from edgectl.model.task import Check, CheckLocation, Demand, HandoffContract, Need, NeedCondition, Quantity
-from edgectl.views.output_format import OutputFormat, get_renderer
+from edgectl.views.describe_host import HostDetailsView
+from edgectl.views.describe_task import TaskDetailsView
+from edgectl.views.output import render_view
+from edgectl.views.output_format import OutputFormat
 from edgectl.views.text import RenderOptions
 from tests.builders import (
     GI,
@@ -96,8 +99,17 @@ def snapshot(**hosts: HostSample) -> Snapshot:
     return a_snapshot(**{"edge1": edge1(), "edge2": silent(), "robot1": a_sample(), **hosts}, memory=MEMORY)
 
 
+def host_view(name: str) -> HostDetailsView:
+    return HostDetailsView(name, snapshot(), FLEET, TASKS, EVENTS)
+
+
+def task_view(name: str = "slam-robot1", value: Snapshot | None = None) -> TaskDetailsView:
+    step = next(step for step in plan().steps if step.task == "slam-robot1")
+    return TaskDetailsView(name, value or snapshot(), FLEET, TASKS, step, EVENTS)
+
+
 def host(name: str, form: OutputFormat = OutputFormat.TABLE, look: RenderOptions | None = None) -> str:
-    return get_renderer(form, "host_details")(name, snapshot(), FLEET, TASKS, EVENTS, look or RenderOptions())
+    return render_view(host_view(name), form, look or RenderOptions())
 
 
 def task(
@@ -106,15 +118,12 @@ def task(
     look: RenderOptions | None = None,
     value: Snapshot | None = None,
 ) -> str:
-    step = next(step for step in plan().steps if step.task == "slam-robot1")
-    return get_renderer(form, "task_details")(
-        name, value or snapshot(), FLEET, TASKS, step, EVENTS, look or RenderOptions()
-    )
+    return render_view(task_view(name, value), form, look or RenderOptions())
 
 
 HAPPENED = """\
 Events:
-  AT                    KIND            WHAT                  MESSAGE
+  AT                    KIND            SUBJECT               MESSAGE
   2025-11-21T01:49:00Z  task-started    slam-robot1 on edge1  took 0.7s
   2025-11-21T01:50:00Z  task-restarted  slam-robot1 on edge1  exit code 3\\x1b[2J
 """
@@ -133,19 +142,19 @@ Runtime:       auto
 Prelude:       source /opt/ros/noetic/setup.bash
 Environment:   ROS_DOMAIN_ID=7, TOKEN=***
 Device:        load 3.50, temperature 61C
-Use:
+Usage:
   cpu     90%!  3.60 of 4.00 cores
   memory  25%   1.0Gi of 4.0Gi
   robot1  40%   4.0MB/s of 10.0MB/s
 Links:
-  ROBOT   CAPACITY  SOURCE    USED     RTT
+  ROBOT   CAPACITY  SOURCE    NETWORK    RTT
   robot1  10.0MB/s  measured  4.0MB/s  2.2ms
 Tasks:
-  TASK         CPU   DEMAND  OFF    MEMORY   NETWORK  UP     READY
-  slam-robot1  2.50  2.00    +0.50  512.0Mi  2.0MB/s  4m12s  yes
+  TASK          CPU  CPU DEMAND  CPU EXCESS   MEMORY  NETWORK    AGE  READY
+  slam-robot1  2.50        2.00       +0.50  512.0Mi  2.0MB/s  4m12s  yes
 Interfaces:
-  NAME  IN       OUT      SPEED
-  eth0  1.0MB/s  2.0MB/s  -
+  INTERFACE  RECEIVED     SENT  SPEED
+  eth0        1.0MB/s  2.0MB/s      -
 """
     + HAPPENED
 )
@@ -163,7 +172,7 @@ Ready:        'rosnode info /slam' on host within 20s
 Restart:      on-failure
 Stop:         TERM, then KILL after 20s
 Handoff:      stop-first; safe when 'at-rest' on robot within 5.0s; within 30s
-Host silent:  hold; stops itself after 1m00s
+Unreachable:  hold; stops itself after 1m00s
 Environment:  API_KEY=***, MODE=fast
 Placed:       edge1 since 2025-11-21T01:49:00Z
 Downtimes:    edge1: 0.8s, 1.2s; edge2: 2.0s
@@ -176,11 +185,11 @@ On edge1:
   Last exit:   3
   Generation:  7
   Instance:    instance-1
-Use on edge1:
-           USED     DEMAND  OFF
-  cpu      2.50     2.00    +0.50
-  memory   512.0Mi  1.0Gi   -512.0Mi
-  network  2.0MB/s  -       -
+Usage on edge1:
+  RESOURCE     USED  DEMAND    EXCESS
+  cpu          2.50    2.00     +0.50
+  memory    512.0Mi   1.0Gi  -512.0Mi
+  network   2.0MB/s       -         -
 """
     + HAPPENED
 )
@@ -211,7 +220,7 @@ def test_a_silent_host_and_one_that_is_never_asked() -> None:
     assert "Status:      unreachable\nCause:       connection refused\n" in text
     assert "Capacity:    2.00 cores, 1.0Gi (declared)\n" in text
     assert "Status:      not probed\n" in host("robot2")
-    assert "Onboard:     a candidate for its own tasks\n" in host("robot1")
+    assert "Onboard:     candidate for its own tasks\n" in host("robot1")
 
 
 def test_what_an_application_says_of_itself_stands_with_its_run() -> None:
@@ -229,7 +238,7 @@ def test_a_task_that_does_not_run_and_one_that_no_file_names() -> None:
     )
     text = task("stray", value=stray)
     assert "Command:   not in the task files\n" in text
-    assert "Said last:\n  Traceback\n  \\x1b[31mboom\n" in text
+    assert "Last output:\n  Traceback\n  \\x1b[31mboom\n" in text
 
 
 @pytest.mark.parametrize("form", [OutputFormat.TABLE, OutputFormat.JSON, OutputFormat.YAML])
@@ -240,21 +249,25 @@ def test_secrets_stay_hidden(form: OutputFormat) -> None:
 
 
 def test_documents() -> None:
-    document = json.loads(host("edge1", OutputFormat.JSON))
-    assert (document["kind"], document["closed"], document["env"]["TOKEN"], document["last_contact"]) == (
+    whole = json.loads(host("edge1", OutputFormat.JSON))
+    document = whole["item"]
+    assert (whole["kind"], document["mark"], document["env"]["TOKEN"], document["contacted_at"]) == (
         "edge",
         "cordoned",
         "***",
         "2025-11-21T01:53:18.500Z",
     )
     assert [event["kind"] for event in document["events"]] == ["task-started", "task-restarted"]
-    assert yaml.safe_load(host("edge1", OutputFormat.YAML)) == document
-    document = json.loads(task(form=OutputFormat.JSON))
-    assert document["runs"][0]["off"] == {"cores": 0.5, "bytes": -0.5 * GI}
+    assert yaml.safe_load(host("edge1", OutputFormat.YAML)) == whole
+    whole = json.loads(task(form=OutputFormat.JSON))
+    document = whole["item"]
+    run = document["runs"][0]
+    assert (run["cpu"]["excess_cores"], run["memory"]["excess_bytes"]) == (0.5, -0.5 * GI)
+    assert run["network"] == {"used_bytes_per_s": 2e6}
     assert document["downtimes_s"] == {"edge1": [0.75, 1.25], "edge2": [2]}
-    assert (document["decision"]["action"], document["placed"]["host"], document["spec"]["needs"]) == (
+    assert (document["decision"]["action"], document["placement"]["host"], document["spec"]["needs"]) == (
         "keep",
         "edge1",
         [{"task": "pose", "until": "running"}],
     )
-    assert yaml.safe_load(task(form=OutputFormat.YAML)) == document
+    assert yaml.safe_load(task(form=OutputFormat.YAML)) == whole

@@ -6,7 +6,9 @@ import pytest
 import yaml
 
 from edgectl.model.diagnosis import Diagnosis, Finding, Severity
-from edgectl.views.output_format import OutputFormat, get_renderer
+from edgectl.views.diagnosis import DiagnosisView
+from edgectl.views.output import render_view
+from edgectl.views.output_format import OutputFormat
 from edgectl.views.text import RenderOptions
 
 LONG = "RemoveIPC=yes and jetson does not linger: shared memory is removed at the last logout, and ROS 2 stops communicating"
@@ -45,7 +47,7 @@ FAIL  reachability  connection \\x1b[2Jrefused
 
 
 def shown(**look: object) -> str:
-    return get_renderer(OutputFormat.TABLE, "diagnosis")(FOUND, RenderOptions(**look))  # type: ignore[arg-type]
+    return render_view(DiagnosisView(FOUND), OutputFormat.TABLE, RenderOptions(**look))  # type: ignore[arg-type]
 
 
 def test_in_a_pipe_nothing_is_cut_and_all_is_ascii() -> None:
@@ -72,17 +74,13 @@ def test_colour_carries_no_meaning_of_its_own() -> None:
 
 
 def test_the_document() -> None:
-    document = json.loads(get_renderer(OutputFormat.JSON, "diagnosis")(FOUND))
-    assert (document["format_version"], document["worst"], document["counts"]) == (
-        1,
-        "failed",
-        {"ok": 1, "warning": 1, "failed": 1},
-    )
-    assert document["findings"][0] == {
+    document = json.loads(render_view(DiagnosisView(FOUND), OutputFormat.JSON))
+    assert document["kind"] == "finding"
+    assert document["items"][0] == {
         "host": None,
         "check": "disk",
         "level": "ok",
         "message": "10.0Gi of 28.0Gi free for /state",
     }
-    assert document["findings"][1]["mend"] == "on edge1: sudo loginctl enable-linger jetson"
-    assert yaml.safe_load(get_renderer(OutputFormat.YAML, "diagnosis")(FOUND)) == document
+    assert document["items"][1]["hint"] == "on edge1: sudo loginctl enable-linger jetson"
+    assert yaml.safe_load(render_view(DiagnosisView(FOUND), OutputFormat.YAML)) == document

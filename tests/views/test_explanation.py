@@ -11,8 +11,9 @@ from edgectl.model.plan import Step
 from edgectl.model.policy import Policy, Weights
 from edgectl.scheduler.assign import assign
 from edgectl.scheduler.explain import TermNoise, explain_decision
-from edgectl.views import json as json_view
-from edgectl.views import table, wide
+from edgectl.views.explanation import ExplanationView
+from edgectl.views.output import render_view
+from edgectl.views.output_format import OutputFormat
 from edgectl.views.text import RenderOptions
 from tests.builders import NOW, a_sample, a_snapshot, a_task, an_edge, an_inventory, some_tasks
 
@@ -22,12 +23,12 @@ TEXT = """\
 slam -> edge1
 start: highest utility
 
-TERM     WEIGHT  edge1  edge2  ADDS TO THE LEAD
-cpu       0.750  0.650  0.400            +0.188
-memory    0.250  1.000  1.000            +0.000
-network   0.000  1.000  1.000            +0.000
-task      0.000  0.500  0.500            +0.000
-total            0.738  0.550            +0.188
+TERM     WEIGHT  edge1  edge2  ADDS TO LEAD
+cpu       0.750  0.650  0.400        +0.188
+memory    0.250  1.000  1.000        +0.000
+network   0.000  1.000  1.000        +0.000
+task      0.000  0.500  0.500        +0.000
+total            0.738  0.550        +0.188
 
 edge2 would win if the cpu load of edge1 rose by more than 1.000 cores.
 """
@@ -47,19 +48,19 @@ def taken_apart() -> tuple[Step, Explanation]:
 def test_the_table_says_what_each_term_adds_and_what_would_flip_it() -> None:
     step, found = taken_apart()
     fragile = "fragile: it would change 0.188 below, and the measurements alone vary by 0.212.\n"
-    assert table.explanation(step, found) == TEXT + fragile
-    assert max(map(len, table.explanation(step, found, RenderOptions(width=60)).splitlines())) <= 60
+    assert ExplanationView(step, found).table() == TEXT + fragile
+    assert max(map(len, ExplanationView(step, found).table(RenderOptions(width=60)).splitlines())) <= 60
 
 
 def test_wide_lists_every_change() -> None:
     step, found = taken_apart()
-    lines = wide.explanation(step, found).splitlines()
+    lines = ExplanationView(step, found).wide().splitlines()
     assert "edge2 would win if the cpu load of edge2 fell by more than 1.000 cores." in lines
     assert "edge2 would win if the memory load of edge1 rose by more than 3.0Gi." in lines
 
 
 def test_the_document_holds_every_number() -> None:
-    document = json.loads(json_view.explanation(*taken_apart()))
+    document = json.loads(render_view(ExplanationView(*taken_apart()), OutputFormat.JSON))["item"]
     assert (document["host"], document["runner_up"], document["fragile"]) == ("edge1", "edge2", True)
     assert document["lead"] == sum(each["adds"] for each in document["contributions"])
     flip = document["flips"][0]

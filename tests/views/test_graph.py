@@ -4,7 +4,7 @@ from edgectl.executor.diff import plan_from_assignment
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.policy import Policy
 from edgectl.scheduler.assign import assign
-from edgectl.views import dot, mermaid
+from edgectl.views.graph import build_task_graph
 from tests.builders import NOW, a_sample, a_snapshot, a_task, an_edge, an_inventory, some_tasks
 
 MERMAID = """\
@@ -45,6 +45,6 @@ def test_hosts_hold_their_tasks_and_needs_are_arrows() -> None:
         ManagerState(),
         assign(inventory, tasks, world, ManagerState(), Policy(), NOW),
     )
-    assert mermaid.graph(plan, tasks) == MERMAID
-    assert dot.graph(plan, tasks).startswith(DOT)
-    assert dot.graph(plan, tasks).endswith('  "slam" -> "map-merge";\n}\n')
+    assert build_task_graph(plan, tasks).mermaid() == MERMAID
+    assert build_task_graph(plan, tasks).dot().startswith(DOT)
+    assert build_task_graph(plan, tasks).dot().endswith('  "slam" -> "map-merge";\n}\n')

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from typing import Any
 
 import pytest
 
@@ -11,9 +12,11 @@ from edgectl.model.plan import Action
 from edgectl.model.policy import WEIGHT_PRESETS, Weights
 from edgectl.model.result import ActionResult, Outcome, Results
 from edgectl.units import format_instant
-from edgectl.views import jsonl, watch_cycle
+from edgectl.views import watch_cycle
+from edgectl.views.output import render_view
+from edgectl.views.output_format import OutputFormat
 from edgectl.views.text import RenderOptions
-from edgectl.views.watch_cycle import WatchTally, add_cycle_to_tally
+from edgectl.views.watch_cycle import CycleView, WatchTally, add_cycle_to_tally
 from edgectl.views.watch_screen import WatchTitle, render_watch_screen
 from tests.builders import NOW, silent
 from tests.views.fixtures import fleet, plan
@@ -66,7 +69,7 @@ def test_a_steady_cycle_has_no_line_and_trouble_is_told_when_it_begins_and_when_
     failed = cycle(4, error="cannot write the journal")
     assert watch_cycle.render_cycle_line(cycle(3), failed).endswith(" error: cannot write the journal\n")
     assert watch_cycle.render_cycle_line(failed, cycle(5, error="cannot write the journal")) == ""
-    assert watch_cycle.render_cycle_line(failed, cycle(5)).endswith(" well again\n")
+    assert watch_cycle.render_cycle_line(failed, cycle(5)).endswith(" recovered\n")
 
 
 def test_what_happened_is_told_by_events_or_without_a_history_by_results() -> None:
@@ -84,13 +87,16 @@ def test_what_happened_is_told_by_events_or_without_a_history_by_results() -> No
     assert "\x1b" not in watch_cycle.render_cycle_line(None, cycle(warnings=("\x1b[2J gone",)))
 
 
+def read_cycle(value: Cycle) -> dict[str, Any]:
+    document: dict[str, Any] = json.loads(render_view(CycleView(value), OutputFormat.JSONL))
+    return document
+
+
 def test_the_object_of_a_cycle() -> None:
-    document = json.loads(
-        jsonl.cycle(cycle(results=results(MOVED), events=(EVENT,), resting=("detection-robot1",)))
-    )
+    document = read_cycle(cycle(results=results(MOVED), events=(EVENT,), resting=("detection-robot1",)))
     assert list(document) == [
-        "format_version", "cycle", "at", "seconds", "next_in_s", "paused", "hosts", "tasks", "pending", "actions", "events", "resting",
-        "warnings",
+        "cycle", "at", "duration_s", "next_in_s", "paused", "hosts", "placements", "pending", "actions",
+        "events", "resting", "warnings",
     ]  # fmt: skip
     assert document["actions"] == [
         {
@@ -103,14 +109,14 @@ def test_the_object_of_a_cycle() -> None:
             "downtime_s": 5.3,
         }
     ]
-    assert document["hosts"]["edge1"].keys() == {"status", "cores", "used_cores", "total_bytes", "used_bytes"}
+    assert document["hosts"]["edge1"].keys() == {"status", "cpu", "memory"}
     assert document["pending"] == []
     assert (document["resting"], document["events"][0]["kind"]) == (["detection-robot1"], "task-moved")
-    pending = json.loads(jsonl.cycle(cycle()))["pending"]
+    pending = read_cycle(cycle())["pending"]
     assert {entry["task"] for entry in pending} == {step.task for step in plan().steps if step.action.changes}
-    cut = json.loads(jsonl.cycle(Cycle(number=3, at=NOW, error="no", busy="lock held")))
+    cut = read_cycle(Cycle(number=3, at=NOW, error="no", busy="lock held"))
     assert (cut["error"], cut["lock"], cut["hosts"], "next_in_s" in cut) == ("no", "lock held", {}, False)
-    assert jsonl.cycle(cycle()).count("\n") == 1
+    assert render_view(CycleView(cycle()), OutputFormat.JSONL).count("\n") == 1
 
 
 def test_the_sum_counts_moves_and_steady_cycles_and_stays_bounded() -> None:

@@ -10,9 +10,12 @@ from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.plan import Action
 from edgectl.model.result import ActionResult, Outcome, Phase, PhaseResult
 from edgectl.model.revision import Revision, RevisionOutcome
-from edgectl.views import json as json_view
-from edgectl.views import name, plan_sections, table
-from edgectl.views import yaml as yaml_view
+from edgectl.views import plan_sections
+from edgectl.views.history import HistoryView, RevisionView
+from edgectl.views.output import render_view
+from edgectl.views.output_format import OutputFormat
+from edgectl.views.snapshot import SnapshotView
+from edgectl.views.status import StatusView
 from tests.builders import NOW, a_sample, a_snapshot, a_task, an_edge, an_inventory, silent, some_tasks
 
 MOVED = ActionResult(
@@ -42,61 +45,66 @@ FLEET = an_inventory(an_edge("edge1"), an_edge("edge2"), an_edge("edge3"))
 
 
 def test_history_is_one_line_per_revision() -> None:
-    assert [line.split() for line in table.history(PAST).splitlines()] == [
-        ["REV", "WHEN", "WHO", "VERB", "TOOK", "OUTCOME", "ACTIONS"],
+    assert [line.split() for line in HistoryView(PAST).table().splitlines()] == [
+        ["REVISION", "STARTED", "USER", "VERB", "TOOK", "OUTCOME", "ACTIONS"],
         ["9", "2025-11-21T01:53:20Z", "ada", "apply", "2.5s", "partly", "1", "move"],
         ["10", "2025-11-21T01:54:20Z", "-", "-", "-", "cut", "off", "-"],
     ]
-    assert table.history([]) == "Nothing was applied yet.\n"
-    assert name.history(PAST) == "revision/9\nrevision/10\n"
+    assert HistoryView([]).table() == "Nothing was applied yet.\n"
+    assert render_view(HistoryView(PAST), OutputFormat.NAME) == "revision/9\nrevision/10\n"
 
 
 def test_a_revision_shows_its_phases_and_cannot_steer_the_terminal() -> None:
-    text = table.revision(PAST[0])
+    text = RevisionView(PAST[0]).table()
     assert (
         "slam  failed  stop edge1 0.2s > start edge2 1.0s FAILED; gap 1.5s; no space\\x1b[2J left; restored on edge1"
         in text
     )
-    assert name.revision(PAST[0]) == "task/slam\n"
+    assert render_view(RevisionView(PAST[0]), OutputFormat.NAME) == "task/slam\n"
 
 
 def test_json_and_yaml_of_the_past_say_the_same() -> None:
-    document = json.loads(json_view.revision(PAST[0]))
-    assert yaml.safe_load(yaml_view.revision(PAST[0])) == document
-    assert yaml.safe_load(yaml_view.history(PAST)) == json.loads(json_view.history(PAST))
-    assert (document["revision"], document["outcome"], document["seconds"], document["placements"]) == (
+    document = json.loads(render_view(RevisionView(PAST[0]), OutputFormat.JSON))
+    assert yaml.safe_load(render_view(RevisionView(PAST[0]), OutputFormat.YAML)) == document
+    assert yaml.safe_load(render_view(HistoryView(PAST), OutputFormat.YAML)) == json.loads(
+        render_view(HistoryView(PAST), OutputFormat.JSON)
+    )
+    item = document["item"]
+    assert (item["revision"], item["outcome"], item["duration_s"], item["placements"]) == (
         9,
         "partly",
         2.5,
         None,
     )
-    assert [phase["seconds"] for phase in document["actions"][0]["phases"]] == [0.25, 1]
+    assert [phase["duration_s"] for phase in item["actions"][0]["phases"]] == [0.25, 1]
 
 
 def test_closed_hosts_show_everywhere() -> None:
-    assert [line.split()[2:4] for line in table.snapshot(SNAPSHOT).splitlines()[2:4]] == [
+    assert [line.split()[2:4] for line in SnapshotView(SNAPSHOT).table().splitlines()[2:4]] == [
         ["ok,", "cordoned"],
         ["ok,", "draining"],
     ]
     assert plan_sections.list_operator_mark_notes(SNAPSHOT) == [
-        "cordoned, no new tasks: edge2 (edgectl uncordon)", "drained, its tasks leave: edge3 (edgectl uncordon)",
+        "cordoned, no new tasks: edge2 (edgectl uncordon)", "draining, tasks move away: edge3 (edgectl uncordon)",
     ]  # fmt: skip
-    text = table.status(SNAPSHOT, FLEET, some_tasks(a_task("slam")))
+    text = StatusView(SNAPSHOT, FLEET, some_tasks(a_task("slam"))).table()
     assert "note: cordoned, no new tasks: edge2 (edgectl uncordon)\n" in text
 
 
 def test_a_silent_host_is_told_with_how_long() -> None:
     tasks = some_tasks(a_task("slam"), a_task("camera"))
-    text = table.status(SNAPSHOT, FLEET, tasks)
+    text = StatusView(SNAPSHOT, FLEET, tasks).table()
     assert "unknown (silent for 1m30s)" in text
     assert "note: edge1 does not answer: connection refused (silent for 1m30s)" in text
-    wanted = json.loads(json_view.status(SNAPSHOT, FLEET, tasks))["wanted"]
-    assert (wanted["slam"]["state"], wanted["slam"]["last_host"], wanted["slam"]["last_contact"]) == (
+    rows = {row["task"]: row for row in StatusView(SNAPSHOT, FLEET, tasks).rows()}
+    slam, camera = rows["slam"], rows["camera"]
+    assert (slam["state"], slam["host"], slam["contacted_at"]) == (
         "unknown",
         "edge1",
         "2025-11-21T01:51:50Z",
     )
-    assert (wanted["camera"]["state"], "last_host" in wanted["camera"]) == ("not running", False)
+    assert slam["attention"] == "edge1 does not answer (silent for 1m30s)"
+    assert (camera["state"], "host" in camera) == ("not running", False)
 
 
 @pytest.mark.parametrize(("fenced", "code"), [(frozenset[str](), 4), (frozenset({"edge1"}), 0)])
@@ -104,5 +112,5 @@ def test_a_host_that_is_declared_off_need_not_answer(fenced: frozenset[str], cod
     snapshot = a_snapshot(edge1=silent(), memory=ManagerState(fenced=fenced))
     assert exit_codes.of_snapshot(snapshot, FLEET) == code
     assert plan_sections.list_operator_mark_notes(snapshot) == (
-        ["fenced, counts as switched off: edge1 (edgectl unfence)"] if fenced else []
+        ["fenced, treated as powered off: edge1 (edgectl unfence)"] if fenced else []
     )

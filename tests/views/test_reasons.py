@@ -97,7 +97,7 @@ def test_a_silent_host_says_how_long_its_task_is_held() -> None:
     )
     assert (
         describe_reason(step(Reason.REPLACED, Action.START, subject="e1"))
-        == "start: e1 does not answer, and what ran there is fenced off"
+        == "start: e1 does not answer, and its copy there is fenced off"
     )
 
 

@@ -3,8 +3,8 @@
 from dataclasses import replace
 
 from edgectl.model.snapshot import TaskState
-from edgectl.views import table
 from edgectl.views.state import format_task_state
+from edgectl.views.status import StatusView
 from tests.builders import a_run
 from tests.views.fixtures import fleet
 
@@ -45,9 +45,9 @@ def test_status_ends_with_last_words_and_limits_that_do_not_hold() -> None:
         "held": a_run(limits="enforced"),
     }
     snapshot = replace(snapshot, hosts={**snapshot.hosts, host: replace(snapshot.hosts[host], tasks=runs)})
-    lines = table.status(snapshot, inventory, tasks).splitlines()
+    lines = StatusView(snapshot, inventory, tasks).table().splitlines()
     assert any(line.startswith("broken") and "failed (5 restarts, last exit 1)" in line for line in lines)
-    assert f"note: broken on {host} said last: Traceback" in lines
+    assert f"note: broken on {host}: last output: Traceback" in lines
     assert "note: broken is given up; edgectl restart broken, or a changed spec, starts it again" in lines
     assert f"note: limited on {host}: limits: not enforced: lingering is off for edge" in lines
     assert not any("\x1b" in line or "held on" in line for line in lines)

@@ -68,12 +68,24 @@ def test_a_table_with_columns_to_wrap_never_passes_the_edge(width: int) -> None:
     assert sorted("".join(text.split())) == sorted("".join(render_columns(ROWS).split())), "nothing is lost"
 
 
-def test_names_break_after_hyphens_and_lists_after_commas() -> None:
+def test_lists_break_after_commas_and_names_stay_whole() -> None:
     rows = [("NAME", "NEEDS", "UP"), ("navigation-robot1", "slam-robot1,slam-robot2", "3s")]
-    assert render_columns(rows, RenderOptions(width=29), wrap={0, 1}).splitlines() == [
-        "NAME         NEEDS         UP",
-        "navigation-  slam-robot1,  3s",
-        "robot1       slam-robot2",
+    assert render_columns(rows, RenderOptions(width=35), wrap={0, 1}).splitlines() == [
+        "NAME               NEEDS         UP",
+        "navigation-robot1  slam-robot1,  3s",
+        "                   slam-robot2",
+    ]
+
+
+def test_headings_of_several_words_wrap_before_anything_else() -> None:
+    rows = [
+        (Cell("TASK", "head"), Cell("CPU DEMAND", "head"), Cell("READY", "head")),
+        ("slam", "2.00", "yes"),
+    ]
+    assert render_columns(rows, RenderOptions(width=19), right={1}).splitlines() == [
+        "TASK     CPU  READY",
+        "      DEMAND",
+        "slam    2.00  yes",
     ]
 
 

@@ -10,8 +10,10 @@ from edgectl.model.point import HostPoint, TaskPoint
 from edgectl.model.resource import Usage
 from edgectl.model.snapshot import DeviceSample, HostStatus, InterfaceSample, Snapshot, TaskState
 from edgectl.model.task import Check, Demand, Quantity
-from edgectl.views.output_format import OutputFormat, get_renderer
+from edgectl.views.output import render_view
+from edgectl.views.output_format import OutputFormat
 from edgectl.views.text import RenderOptions
+from edgectl.views.top import TopHostsView, TopTasksView
 from tests.builders import (
     GI,
     NOW,
@@ -59,7 +61,7 @@ def snapshot() -> Snapshot:
 
 
 def host_points() -> tuple[HostPoint, ...]:
-    """Edge1 rose from 0 to 3.5 of 4 cores in eight samples and was silent before the last one; of robot1 nothing is known."""
+    """Edge1 rose from 0 to 3.5 of 4 cores in eight samples and did not answer before the last one."""
     used = [0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, None, 4.0]
     return tuple(
         HostPoint(
@@ -89,16 +91,22 @@ def task_points() -> tuple[TaskPoint, ...]:
     )
 
 
+def hosts_view() -> TopHostsView:
+    return TopHostsView(snapshot(), FLEET, host_points())
+
+
+def tasks_view(value: Snapshot | None = None) -> TopTasksView:
+    return TopTasksView(value or snapshot(), FLEET, TASKS, task_points())
+
+
 def hosts(form: OutputFormat = OutputFormat.TABLE, look: RenderOptions | None = None) -> str:
-    return get_renderer(form, "top_hosts")(snapshot(), FLEET, host_points(), look or RenderOptions())
+    return render_view(hosts_view(), form, look or RenderOptions())
 
 
 def tasks(
     form: OutputFormat = OutputFormat.TABLE, look: RenderOptions | None = None, value: Snapshot | None = None
 ) -> str:
-    return get_renderer(form, "top_tasks")(
-        value or snapshot(), FLEET, TASKS, task_points(), look or RenderOptions()
-    )
+    return render_view(tasks_view(value), form, look or RenderOptions())
 
 
 NOTES = "note: edge1 uses 98% of its cpu; its limit is 80%\nnote: edge2 does not answer: connection refused\n"
@@ -106,24 +114,24 @@ NOTES = "note: edge1 uses 98% of its cpu; its limit is 80%\nnote: edge2 does not
 
 def test_hosts_piped() -> None:
     assert hosts() == (
-        "NAME    STATUS        CPU   MEMORY  LINK        TASKS\n"
-        "edge1   ok            98%!  25%     40% robot1      3\n"
-        "edge2   unreachable   -     -       -               -\n"
-        "robot1  ok, cordoned  0%    0%      -               0\n" + NOTES
+        "HOST    STATUS        CPU%  MEMORY%  LINK        TASKS\n"
+        "edge1   ok            98%!      25%  40% robot1      3\n"
+        "edge2   unreachable      -        -  -               -\n"
+        "robot1  ok, cordoned    0%       0%  -               0\n" + NOTES
     )
 
 
-HEAD = "NAME    STATUS        CPU             MEMORY         LINK        TASKS"
+HEAD = "HOST    STATUS                  CPU%        MEMORY%  LINK        TASKS"
 EDGE1 = "edge1   ok            ███████▊  98%!  ██        25%  40% robot1      3"
 REST = [
-    "edge2   unreachable   -               -              -               -",
-    "robot1  ok, cordoned             0%              0%  -               0",
+    "edge2   unreachable                -              -  -               -",
+    "robot1  ok, cordoned              0%             0%  -               0",
 ]
 
 
 def test_hosts_on_a_wide_terminal() -> None:
     lines = hosts(look=RenderOptions(width=160, unicode=True)).splitlines()
-    assert lines[:4] == [HEAD + "  CPU, LAST 10 SAMPLES", EDGE1 + "  ▁▂▃▄▅▆▇█ █", *REST]
+    assert lines[:4] == [HEAD + "  CPU, LAST 10 SAMPLES", EDGE1 + "            ▁▂▃▄▅▆▇█ █", *REST]
 
 
 def test_hosts_on_a_narrow_terminal() -> None:
@@ -133,9 +141,10 @@ def test_hosts_on_a_narrow_terminal() -> None:
 
 def test_hosts_in_ascii() -> None:
     text = hosts(look=RenderOptions(width=160))
-    assert "edge1   ok            #######.  98%!  ##......  25%  40% robot1      3  _.-:=+*# #\n" in text, (
-        "98 % of 8 is 7.8, but not all"
-    )
+    assert (
+        "edge1   ok            #######.  98%!  ##......  25%  40% robot1      3            _.-:=+*# #\n"
+        in text
+    ), "98 % of 8 is 7.8, but not all"
     assert text.isascii()
 
 
@@ -144,13 +153,13 @@ def test_sixty_samples_stand_below_where_there_is_no_room_beside() -> None:
         HostPoint(at=NOW + n, host="edge1", status=HostStatus.OK, cores=4.0, used_cores=4.0 if n % 2 else 0.0)
         for n in range(100)
     )
-    lines = get_renderer(OutputFormat.TABLE, "top_hosts")(
-        snapshot(), FLEET, points, RenderOptions(width=80, unicode=True)
+    lines = render_view(
+        TopHostsView(snapshot(), FLEET, points), OutputFormat.TABLE, RenderOptions(width=80, unicode=True)
     ).splitlines()
     assert lines[1].startswith("edge1 ")
     assert lines[2] == "    " + "▁█" * 30
-    wide = get_renderer(OutputFormat.TABLE, "top_hosts")(
-        snapshot(), FLEET, points, RenderOptions(width=160, unicode=True)
+    wide = render_view(
+        TopHostsView(snapshot(), FLEET, points), OutputFormat.TABLE, RenderOptions(width=160, unicode=True)
     ).splitlines()
     assert wide[0].endswith("CPU, LAST 60 SAMPLES")
     assert wide[1].endswith("3  " + "▁█" * 30)
@@ -168,10 +177,10 @@ def test_wide_hosts_say_absolute_numbers() -> None:
 
 
 TABLE = (
-    "TASK       HOST    CPU  DEMAND    OFF   MEMORY    NETWORK     UP  READY\n"
-    "detection  edge1  2.50    2.00  +0.50  768.0Mi    2.0MB/s  4m12s  yes\n"
-    "slam       edge1  0.90    1.00  -0.10  512.0Mi  500.0kB/s  1h03m  -\n"
-    "stray      edge1  0.10       -      -       0B       0B/s  1h00m  no\n"
+    "TASK       HOST    CPU  CPU DEMAND  CPU EXCESS   MEMORY    NETWORK    AGE  READY\n"
+    "detection  edge1  2.50        2.00       +0.50  768.0Mi    2.0MB/s  4m12s  yes\n"
+    "slam       edge1  0.90        1.00       -100m  512.0Mi  500.0kB/s  1h03m  -\n"
+    "stray      edge1  0.10           -           -       0B       0B/s  1h00m  no\n"
 )
 TASK_NOTES = (
     "note: 1 of 3 tasks do not run: edgectl status\nnote: edge2 does not answer: connection refused\n"
@@ -208,10 +217,11 @@ def test_what_applications_say_of_themselves_stands_below() -> None:
         in narrow
     )
     found = {
-        task["name"]: task.get("metrics")
-        for task in json.loads(tasks(OutputFormat.JSON, value=saying()))["tasks"]
+        task["task"]: task.get("metrics")
+        for task in json.loads(tasks(OutputFormat.JSON, value=saying()))["items"]
     }
-    assert found == {"detection": None, "slam": {"fps": 29.97, "loss": 1.5e-7}, "stray": METRICS}
+    rounded = {name: float(f"{value:.6g}") for name, value in METRICS.items()}
+    assert found == {"detection": None, "slam": {"fps": 29.97, "loss": 1.5e-7}, "stray": rounded}
 
 
 def test_tasks_on_a_terminal() -> None:
@@ -220,13 +230,13 @@ def test_tasks_on_a_terminal() -> None:
     assert lines[1] == TABLE.splitlines()[1] + "    ▃▅█", "of the highest, 4 cores: a quarter, a half, all"
     assert lines[2] == TABLE.splitlines()[2]
     narrow = tasks(look=RenderOptions(width=80, unicode=True)).splitlines()
-    assert narrow[1] == lines[1]
+    assert narrow[2].split() == lines[1].split()[:-1]
     assert max(map(len, narrow)) <= 80
 
 
 def test_more_than_demanded_is_marked_without_colour_too() -> None:
     assert "\x1b[33m+0.50\x1b[0m" in tasks(look=RenderOptions(colour=True))
-    assert "\x1b[33m-0.10" not in tasks(look=RenderOptions(colour=True))
+    assert "\x1b[33m-100m" not in tasks(look=RenderOptions(colour=True))
 
 
 def test_wide_tasks_say_every_demand() -> None:
@@ -249,8 +259,8 @@ def test_a_measured_demand_counts_where_it_was_asked_for() -> None:
     value = replace(
         snapshot(), manager=ManagerState(measured={("slam", "4c-4Gi"): found, ("detection", "4c-4Gi"): found})
     )
-    rows = get_renderer(OutputFormat.WIDE, "top_tasks")(
-        value, FLEET, some_tasks(measured, TASKS.tasks["detection"]), ()
+    rows = render_view(
+        TopTasksView(value, FLEET, some_tasks(measured, TASKS.tasks["detection"]), ()), OutputFormat.WIDE
     ).splitlines()
     assert rows[2].split()[2:5] == ["0.90", "0.75", "+0.15"]
     assert rows[2].split()[9:11] == ["1.0Gi", "-512.0Mi"], "left out is measured too"
@@ -259,32 +269,30 @@ def test_a_measured_demand_counts_where_it_was_asked_for() -> None:
 
 def test_nothing_runs() -> None:
     assert (
-        get_renderer(OutputFormat.TABLE, "top_tasks")(a_snapshot(edge1=a_sample()), FLEET, TASKS, ())
+        render_view(TopTasksView(a_snapshot(edge1=a_sample()), FLEET, TASKS, ()), OutputFormat.TABLE)
         == "No task runs.\n"
     )
 
 
 def test_documents() -> None:
     document = json.loads(hosts(OutputFormat.JSON))
-    assert [host["name"] for host in document["hosts"]] == ["edge1", "edge2", "robot1"]
-    assert document["hosts"][0]["history"][-2:] == [
-        {"at": "2025-11-21T01:53:28Z", "used_cores": None, "used_bytes": None},
-        {"at": "2025-11-21T01:53:29Z", "used_cores": 4, "used_bytes": None},
+    assert (document["format_version"], document["kind"]) == (2, "host-usage")
+    assert [host["host"] for host in document["items"]] == ["edge1", "edge2", "robot1"]
+    assert document["items"][0]["history"][-2:] == [
+        {"at": "2025-11-21T01:53:28Z"},
+        {"at": "2025-11-21T01:53:29Z", "used_cores": 4},
     ]
+    assert [f"note: {line}" for line in document["warnings"]] == NOTES.splitlines()
     assert yaml.safe_load(hosts(OutputFormat.YAML)) == document
     document = json.loads(tasks(OutputFormat.JSON))
-    assert [task["name"] for task in document["tasks"]] == ["detection", "slam", "stray"]
-    first = document["tasks"][0]
-    assert (first["demand"], first["off"]) == (
-        {"cores": 2, "bytes": GI, "bytes_per_s": 2e6},
-        {"cores": 0.5, "bytes": -0.25 * GI, "bytes_per_s": 0},
+    assert [task["task"] for task in document["items"]] == ["detection", "slam", "stray"]
+    first = document["items"][0]
+    assert (first["cpu"], first["memory"], first["network"]) == (
+        {"used_cores": 2.5, "demand_cores": 2, "excess_cores": 0.5},
+        {"used_bytes": 0.75 * GI, "demand_bytes": GI, "excess_bytes": -0.25 * GI},
+        {"used_bytes_per_s": 2e6, "demand_bytes_per_s": 2e6, "excess_bytes_per_s": 0},
     )
-    assert document["tasks"][2]["demand"] == {}
+    assert document["items"][2]["cpu"].keys() == {"used_cores"}
     assert yaml.safe_load(tasks(OutputFormat.YAML)) == document
-    for what, values in (
-        ("top_hosts_line", (FLEET, host_points())),
-        ("top_tasks_line", (FLEET, TASKS, task_points())),
-    ):
-        line = get_renderer(OutputFormat.JSON, what)(snapshot(), *values)
-        assert line.count("\n") == 1
-        assert json.loads(line)["taken_at"] == "2025-11-21T01:53:20Z"
+    lines = [json.loads(line) for line in tasks(OutputFormat.JSONL).splitlines()]
+    assert lines == document["items"]

@@ -4,7 +4,8 @@ from dataclasses import replace
 
 from edgectl.model.event import Event, EventKind
 from edgectl.model.snapshot import DeviceSample
-from edgectl.views import describe_host, events
+from edgectl.views import events
+from edgectl.views.describe_host import HostDetailsView
 from tests.builders import NOW, a_sample, a_snapshot, an_edge, an_inventory, some_tasks
 
 
@@ -13,20 +14,20 @@ def test_why_a_task_has_no_place() -> None:
     assert (
         events.render_events([event])
         .splitlines()[1]
-        .endswith("  task-unplaced  slam  no host may run it now")
+        .endswith("  task-unplaced  slam     no host may run it now")
     )
     assert events.encode_event(event)["message"] == "no-candidate"
 
 
 def test_a_clock_is_ahead_or_behind() -> None:
     said = [
-        describe_host.render_host_details(
+        HostDetailsView(
             "edge1",
             a_snapshot(edge1=replace(a_sample(), device=DeviceSample(clock_skew_s=skew))),
             an_inventory(an_edge()),
             some_tasks(),
             None,
-        )
+        ).table()
         for skew in (-0.14, 2.0)
     ]
     assert "clock 0.1s behind" in said[0]

@@ -7,19 +7,17 @@ from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument, Exit, Option
 
-from edgectl.cli import options
+from edgectl.cli import console, options
 from edgectl.cli.user_files import load_inputs
 from edgectl.errors import ExitCode, UsageError
-from edgectl.views.output_format import OutputFormat
+from edgectl.views.output_format import EXPERIMENT_FORMATS, OutputFormat
 
 if TYPE_CHECKING:
     from edgectl.experiments.model.experiment import Experiment, ExperimentRun
 
 RUNS_DIR = Path("runs")
 _INTERRUPT_NOTICE = "ending the trial and stopping its tasks; press Ctrl-C again to stop at once"
-ExperimentOutput = Annotated[
-    OutputFormat, options.build_output_option("table", "wide", "json", "yaml", "markdown")
-]
+ExperimentOutput = Annotated[OutputFormat, options.build_output_option(EXPERIMENT_FORMATS)]
 
 
 def experiment_run_command(
@@ -136,8 +134,7 @@ def resolve_run_directory(given: Path | None) -> Path:
 
 
 def _print_experiment(output: OutputFormat, run: "ExperimentRun") -> None:
-    from edgectl.experiments.commands.output import print_view
     from edgectl.experiments.scheme_results import summarize_trials
     from edgectl.experiments.views.experiment import ExperimentView
 
-    print_view(output, ExperimentView(run=run, results=summarize_trials(run)))
+    console.print_view(ExperimentView(run=run, results=summarize_trials(run)), output)

@@ -19,7 +19,7 @@ def replay_command(
     ] = None,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
-    output: options.FieldsOutput = OutputFormat.TABLE,
+    output: options.ItemOutput = OutputFormat.TABLE,
     policies: PoliciesOption = "utility",
     weights: WeightsListOption = None,
     margin: Annotated[
@@ -39,7 +39,6 @@ def replay_command(
     """
     from edgectl.cli.connect import build_fleet, build_offline_fleet, parse_duration_option
     from edgectl.config.documents import load_snapshots
-    from edgectl.experiments.commands.output import print_view
     from edgectl.experiments.commands.scheme_options import parse_margins, parse_schemes
     from edgectl.experiments.recorded_snapshots import read_recorded_snapshots, replay_schemes
     from edgectl.experiments.views.replay import ReplayView
@@ -56,4 +55,4 @@ def replay_command(
         console.print_message(
             "no snapshots were recorded in this period; edgectl probe, plan and apply record them"
         )
-    print_view(output, ReplayView(results=replay_schemes(fleet, snapshots, schemes)))
+    console.print_view(ReplayView(results=replay_schemes(fleet, snapshots, schemes)), output)

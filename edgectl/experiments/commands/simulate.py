@@ -5,7 +5,7 @@ from typing import Annotated
 
 from typer import Argument, Option
 
-from edgectl.cli import options
+from edgectl.cli import console, options
 from edgectl.cli.user_files import load_inputs
 from edgectl.experiments.commands.scheme_options import PoliciesOption, WeightsListOption
 from edgectl.views.output_format import OutputFormat
@@ -16,7 +16,7 @@ def simulate_command(
     scenario: Annotated[Path, Argument(metavar="SCENARIO", help="A scenario file.")],
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
-    output: options.ExplainOutput = OutputFormat.TABLE,
+    output: options.WideOutput = OutputFormat.TABLE,
     policies: PoliciesOption = "local,static,utility",
     weights: WeightsListOption = "cpu,memory,network,all",
     runs: Annotated[
@@ -41,7 +41,6 @@ def simulate_command(
         edgectl simulate docs/scenarios/paper-2.yaml --against docs/examples/run
     """
     from edgectl.cli.extras import require_extra
-    from edgectl.experiments.commands.output import print_view
     from edgectl.experiments.commands.scheme_options import parse_schemes
     from edgectl.experiments.files.run_directory import load_run
     from edgectl.experiments.files.scenario_file import load_scenario, load_scenario_paths
@@ -58,4 +57,4 @@ def simulate_command(
     schemes = parse_schemes(loaded.tasks.policy, policies, weights, [])
     results = list(simulate_schemes(loaded.inventory, loaded.tasks, mission, schemes, runs=runs, seed=seed))
     reference = reference_from_scenario(mission) if run is None else reference_from_run(results, run)
-    print_view(output, SimulationView(scenario=mission, results=results, reference=reference))
+    console.print_view(SimulationView(scenario=mission, results=results, reference=reference), output)

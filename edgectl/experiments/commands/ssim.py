@@ -5,7 +5,7 @@ from typing import Annotated
 
 from typer import Argument
 
-from edgectl.cli import options
+from edgectl.cli import console, options
 from edgectl.views.output_format import OutputFormat
 
 
@@ -15,7 +15,7 @@ def ssim_command(
         Path, Argument(metavar="MAP", help="The map: a .yaml file, or an image (.pgm or .png).")
     ],
     truth: Annotated[Path, Argument(metavar="TRUTH", help="The ground truth, in the same form.")],
-    output: options.FieldsOutput = OutputFormat.TABLE,
+    output: options.ItemOutput = OutputFormat.TABLE,
 ) -> None:
     """Score a robot's map against ground truth (SSIM): 1 for identical maps, lower for less similar ones.
 
@@ -27,10 +27,9 @@ def ssim_command(
         edgectl ssim docs/examples/map.yaml docs/examples/world.yaml -o json
     """
     from edgectl.cli.extras import require_extra
-    from edgectl.experiments.commands.output import print_view
-    from edgectl.experiments.views.ssim import SsimView
+    from edgectl.experiments.views.map_score import MapScoreView
 
     with require_extra("evidence"):
         from edgectl.experiments.map_comparison import compare_maps, read_local_file
 
-    print_view(output, SsimView(ssim=compare_maps(str(produced), read_local_file, truth)))
+    console.print_view(MapScoreView(compare_maps(str(produced), read_local_file, truth)), output)

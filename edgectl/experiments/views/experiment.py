@@ -20,17 +20,21 @@ from edgectl.experiments.views.scheme_table import (
     render_scheme_name,
     render_scheme_table,
 )
-from edgectl.formats.document import FORMAT_VERSION, Document
-from edgectl.views.markdown import escape_markdown
+from edgectl.formats.document import Document
+from edgectl.views.output import ItemView, round_item
+from edgectl.views.output_format import EXPERIMENT_FORMATS
+from edgectl.views.plan import escape_markdown
 from edgectl.views.text import PLAIN, RenderOptions, Row, escape_unprintable, wrap_text
 
 _NARROW_METRICS = ("latency", "cpu", "memory", "handoffs")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ExperimentView:
+@dataclass(frozen=True, kw_only=True)
+class ExperimentView(ItemView):
     """A run and the results of its schemes (`summarize_trials`)."""
 
+    kind = "experiment"
+    formats = EXPERIMENT_FORMATS
     run: ExperimentRun
     results: Sequence[SchemeResult]
 
@@ -54,22 +58,26 @@ class ExperimentView:
         notes = describe_experiment(self.run.experiment, self.results, every=True)
         return rows + "\n" + "".join(f"- {escape_markdown(note)}\n" for note in notes)
 
-    def document(self) -> Document:
+    def item(self) -> Document:
         """All estimates as JSON types.
 
         Latency in min, CPU and memory in percent, throughput in MB/s, downtime in s.
         """
         return {
-            "format_version": FORMAT_VERSION,
             "experiment": self.run.experiment.name,
             "digest": self.run.digest,
             "planned": self.run.experiment.repetitions,
-            "done": sum(result.runs for result in self.results),
+            "trials": sum(result.runs for result in self.results),
             "schemes": [
                 {**encode_scheme_result(result), **encode_application_metrics(result)}
                 for result in self.results
             ],
         }
+
+    def rows(self) -> Sequence[Document]:
+        """One row per scheme."""
+        schemes: Sequence[Document] = round_item(self.item())["schemes"]  # type: ignore[assignment]
+        return schemes
 
     def _render(self, look: RenderOptions, *, every: bool) -> str:
         rows = build_experiment_rows(self.run.experiment, self.results, every=every)

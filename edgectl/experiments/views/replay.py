@@ -4,8 +4,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from edgectl.experiments.model.comparison import ReplayResult, Utilisation
-from edgectl.formats.document import FORMAT_VERSION, Document, encode_number
+from edgectl.formats.document import Document, encode_number
 from edgectl.names import format_name_list, natural_key
+from edgectl.views.output import ListView
+from edgectl.views.output_format import ITEM_FORMATS
 from edgectl.views.plan_sections import render_notes
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, render_columns, wrap_text
 
@@ -15,10 +17,12 @@ _OPEN_LOOP_NOTE = (
 )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ReplayView:
+@dataclass(frozen=True, kw_only=True)
+class ReplayView(ListView):
     """The results of all schemes over the same snapshots."""
 
+    kind = "replay"
+    formats = ITEM_FORMATS
     results: Sequence[ReplayResult]
 
     def table(self, look: RenderOptions = PLAIN) -> str:
@@ -32,13 +36,13 @@ class ReplayView:
             + render_notes(_describe_assumed_tasks(self.results), look)
         )
 
-    def document(self) -> Document:
+    def items(self) -> Sequence[Document]:
         """The same numbers as JSON types; utilisations are shares of the capacity."""
-        return {
-            "format_version": FORMAT_VERSION,
-            "open_loop": True,
-            "variants": [_encode_replay_result(result) for result in self.results],
-        }
+        return [_encode_replay_result(result) for result in self.results]
+
+    def warnings(self) -> Sequence[str]:
+        """The limits of an open loop, and tasks without measurements."""
+        return [_OPEN_LOOP_NOTE, *_describe_assumed_tasks(self.results)]
 
 
 def _build_replay_row(result: ReplayResult) -> Row:
@@ -73,7 +77,7 @@ def _format_utilisation(share: Utilisation) -> str:
 def _encode_replay_result(result: ReplayResult) -> Document:
     policy = result.scheme.policy
     return {
-        "name": result.scheme.name,
+        "scheme": result.scheme.name,
         "policy": policy.name.value,
         "move_margin": encode_number(policy.move_margin),
         "cycles": result.cycles,
@@ -81,7 +85,7 @@ def _encode_replay_result(result: ReplayResult) -> Document:
         "unplaced": result.unplaced,
         "unsettled": result.unsettled,
         "assumed": list(result.assumed),
-        **{
+        "utilisation": {
             name: {"mean": encode_number(share.mean), "peak": encode_number(share.peak)}
             for name, share in _get_utilisations(result).items()
         },

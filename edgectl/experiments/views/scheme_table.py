@@ -178,11 +178,11 @@ def render_scheme_name(result: SchemeResult) -> Cell:
 def encode_scheme_result(result: SchemeResult) -> Document:
     """The estimates of a scheme as JSON types."""
     return {
-        "name": result.scheme.name,
-        "runs": result.runs,
+        "scheme": result.scheme.name,
+        "run_count": result.runs,
         "unfinished": result.unfinished,
         "unplaced": result.unplaced,
-        "hosts": list(result.hosts),
+        "host_names": list(result.hosts),
         "figures": {
             metric: [_encode_estimate(each) for each in estimates]
             for metric, estimates in result.estimates.items()
@@ -194,7 +194,7 @@ def encode_application_metrics(result: SchemeResult) -> Document:
     """Application metrics and SSIM of maps as JSON types."""
     return {
         "metrics": {name: _encode_estimate(each) for name, each in result.metrics.items()},
-        "ssim": {name: _encode_estimate(each) for name, each in result.maps.items()},
+        "maps": {name: _encode_estimate(each) for name, each in result.maps.items()},
     }
 
 
@@ -207,5 +207,5 @@ def _encode_estimate(estimate: Estimate | None) -> Document | None:
         "mean": encode_number(estimate.mean),
         "std": encode_number(estimate.std) if several else None,
         "half_ci95": encode_number(estimate.half_ci95) if several else None,
-        "runs": estimate.count,
+        "run_count": estimate.count,
     }

@@ -17,16 +17,20 @@ from edgectl.experiments.views.scheme_table import (
     render_scheme_name,
     render_scheme_table,
 )
-from edgectl.formats.document import FORMAT_VERSION, Document, encode_optional
+from edgectl.formats.document import Document, encode_optional
+from edgectl.views.output import ItemView, round_item
+from edgectl.views.output_format import WIDE_FORMATS
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, wrap_text
 
 _NARROW_METRICS = ("latency", "cpu", "memory", "rate", "handoffs")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SimulationView:
+@dataclass(frozen=True, kw_only=True)
+class SimulationView(ItemView):
     """A scenario, the simulated results of its schemes, and the reference values of the comparison."""
 
+    kind = "simulation"
+    formats = WIDE_FORMATS
     scenario: Scenario
     results: Sequence[SchemeResult]
     reference: ReferenceValues
@@ -39,15 +43,20 @@ class SimulationView:
         """The table with all metrics, each with its standard deviation."""
         return self._render(look, every=True)
 
-    def document(self) -> Document:
+    def item(self) -> Document:
         """All estimates as JSON types, beside the reference values and the relative deviations from them."""
         return {
-            "format_version": FORMAT_VERSION,
             "scenario": self.scenario.name,
+            "reference": self.reference.label,
             "assumptions": list(self.scenario.assumptions),
             "notes": list(self.reference.notes),
             "schemes": [_encode_simulated_scheme(result, self.reference) for result in self.results],
         }
+
+    def rows(self) -> Sequence[Document]:
+        """One row per scheme."""
+        schemes: Sequence[Document] = round_item(self.item())["schemes"]  # type: ignore[assignment]
+        return schemes
 
     def _render(self, look: RenderOptions, *, every: bool) -> str:
         columns = [
@@ -160,7 +169,7 @@ def _encode_simulated_scheme(result: SchemeResult, reference: ReferenceValues) -
     known = reference.means.get(result.scheme.name, {})
     return {
         **encode_scheme_result(result),
-        reference.label: {
+        "reference_figures": {
             metric: [encode_optional(mean) for mean in means] for metric, means in known.items()
         },
         "off_by": {

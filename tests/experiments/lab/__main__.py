@@ -21,7 +21,7 @@ import yaml
 from tests.experiments.lab.hosts import Lab, lab, spent
 from tests.experiments.lab.mission import ROOT
 from tests.experiments.lab.spec import shortened
-from tests.faults.computer import NamespaceHost
+from tests.faults.namespace_host import NamespaceHost
 
 LIMIT_S = 45 * 60
 # What a task uses in its first ten seconds is no sample of its demand.

@@ -14,9 +14,9 @@ import yaml
 from tests import sshd
 from tests.experiments.lab.mission import MISSION
 from tests.faults import cgroup, scan
-from tests.faults.computer import NamespaceHost, missing_for_namespaces, namespace_hosts
-from tests.faults.hosts import Host, loopback_hosts
-from tests.faults.network import Site, tc
+from tests.faults.hosts import Host, start_loopback_hosts
+from tests.faults.namespace_host import NamespaceHost, find_missing_for_namespaces, start_namespace_hosts
+from tests.faults.network import ManagerNetwork, run_tc
 
 FLEET = yaml.safe_load((MISSION / "fleet.yaml").read_text())
 CORES = {
@@ -44,9 +44,9 @@ class Lab:
 
 def missing() -> str:
     """Why there can be no computers with CPU limits here; empty if there can."""
-    if why := missing_for_namespaces():
+    if why := find_missing_for_namespaces():
         return why
-    group = cgroup.make(f"edgectl-experiment-{os.getpid()}", 0.5)
+    group = cgroup.create_cgroup(f"edgectl-experiment-{os.getpid()}", 0.5)
     group.remove()
     return group.why
 
@@ -57,10 +57,12 @@ def lab(directory: Path, *, plain: bool = False) -> Iterator[Lab]:
     why = "asked for plain servers" if plain else missing()
     with ExitStack() as stack:
         if why:
-            hosts = stack.enter_context(loopback_hosts(directory / "hosts", list(CORES)))
+            hosts = stack.enter_context(start_loopback_hosts(directory / "hosts", list(CORES)))
             yield _lab(directory, hosts, [], "SSH servers", f"no CPU limits, no shaped links: {why}")
             return
-        network, hosts = stack.enter_context(namespace_hosts(directory / "hosts", list(CORES), cores=CORES))
+        network, hosts = stack.enter_context(
+            start_namespace_hosts(directory / "hosts", list(CORES), cores=CORES)
+        )
         unshaped = "; ".join(
             sorted(
                 {_shape(network, host) for host in hosts.values() if isinstance(host, NamespaceHost)} - {""}
@@ -79,7 +81,7 @@ def lab(directory: Path, *, plain: bool = False) -> Iterator[Lab]:
 
 def spent(host: NamespaceHost) -> float:
     """CPU seconds of everything that ever ran on the computer since it was switched on; PID 1 buries the dead and adds theirs."""
-    inside = scan.in_namespace("pid", Path(f"/proc/{host.pid}/ns/pid").stat().st_ino)
+    inside = scan.list_processes_in_namespace("pid", Path(f"/proc/{host.pid}/ns/pid").stat().st_ino)
     ticks = 0
     for process in inside:
         with suppress(OSError):
@@ -88,12 +90,12 @@ def spent(host: NamespaceHost) -> float:
     return ticks / os.sysconf("SC_CLK_TCK")
 
 
-def _shape(network: Site, host: NamespaceHost) -> str:
+def _shape(network: ManagerNetwork, host: NamespaceHost) -> str:
     """Let the robot's cable carry no more than its link, in each direction; why not, where that cannot be."""
     if host.name not in FLEET["robots"]:
         return ""
     rule = f"root tbf rate {LINK} burst 32kb latency 100ms".split()
-    return tc("qdisc", "add", "dev", host.cable, *rule, netns=network.process.pid) or tc(
+    return run_tc("qdisc", "add", "dev", host.cable, *rule, netns=network.process.pid) or run_tc(
         "qdisc", "add", "dev", "eth0", *rule, netns=host.pid
     )
 

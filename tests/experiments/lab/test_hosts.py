@@ -7,7 +7,7 @@ from pathlib import Path
 
 from tests.experiments.lab.hosts import CORES, lab, spent
 from tests.experiments.lab.mission import ROOT
-from tests.faults.computer import NamespaceHost
+from tests.faults.namespace_host import NamespaceHost
 
 
 def test_hosts_with_the_programs_on_them(tmp_path: Path) -> None:

@@ -1,29 +1,29 @@
-"""All faults of the list, in its order."""
+"""All faults, in the order of the table."""
 
 from tests.faults import (
+    faults_failpoints,
     faults_host,
     faults_link,
     faults_manager,
     faults_noise,
-    faults_points,
     faults_random,
     faults_task,
 )
 from tests.faults.registry import FAULTS, Fault
 
 MODULES = (
-    faults_points,
+    faults_failpoints,
     faults_host,
     faults_link,
     faults_manager,
     faults_task,
     faults_noise,
-    faults_points,
+    faults_failpoints,
     faults_random,
 )
 
 
-def faults() -> list[Fault]:
-    """The registered faults; importing the modules has put them there."""
+def list_faults() -> list[Fault]:
+    """Return the registered faults; importing the modules registers them."""
     assert MODULES
     return FAULTS

@@ -1,9 +1,11 @@
-# Runs on hosts whose Python may be 3.6, so:
+# Hosts may have Python 3.6, so:
 # ruff: noqa: ANN001, ANN003, ANN201
-"""A process that belongs to nobody and wants to be left alone: it writes down every signal that it gets, and from whom.
+"""Unrelated process that records every signal it receives, and the sender.
 
-Started on a host beside the tasks, with a command line that looks like theirs. Python >= 3.6, standard library.
-Usage: canary.py RECORD-FILE [words that make it look like something else]
+Started on a host beside the tasks, with a command line that resembles theirs. Python >= 3.6, standard
+library.
+
+Usage: bystander.py RECORD-FILE [words that make it resemble something else]
 """
 
 import json
@@ -16,7 +18,7 @@ BOOTTIME = 7
 DEADLY = {signal.SIGKILL, signal.SIGSTOP}
 
 
-def write(record, event, **more):
+def write_event(record, event, **more):
     line = dict(more, pid=os.getpid(), event=event, ns=int(time.clock_gettime(BOOTTIME) * 1e9))
     os.write(record, (json.dumps(line) + "\n").encode())
 
@@ -25,10 +27,10 @@ def main(path):
     watched = set(signal.Signals) - DEADLY
     signal.pthread_sigmask(signal.SIG_BLOCK, watched)
     record = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
-    write(record, "start")
+    write_event(record, "start")
     while True:
         heard = signal.sigwaitinfo(watched)
-        write(record, signal.Signals(heard.si_signo).name, sender=heard.si_pid, uid=heard.si_uid)
+        write_event(record, signal.Signals(heard.si_signo).name, sender=heard.si_pid, uid=heard.si_uid)
 
 
 if __name__ == "__main__":

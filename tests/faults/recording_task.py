@@ -1,11 +1,12 @@
-# Runs on hosts whose Python may be 3.6, so:
+# Hosts may have Python 3.6, so:
 # ruff: noqa: ANN001, ANN003, ANN201, ANN202, ANN204, PTH100, PTH109, PTH110, PTH118, PTH123, RUF005, UP030, UP032
-"""A task to be judged by: every process of it appends what it does, and when, to a file of its own.
+"""Task that records its own life: every process appends its events to a file of its own.
 
-Runs on a host, so: Python >= 3.6, standard library, one file, nothing of the product. One start of the task is a *launch*; the launch
-has a main process and, as asked, further ones that are hard to stop. A line is one JSON object, written with one ``O_APPEND`` write:
-``{"task", "launch", "role", "pid", "cookie", "event", "ns"}``; ``event`` is start, tick, stop or a signal's name; ``ns`` is the
-machine's CLOCK_BOOTTIME, the same in every namespace of one machine; ``cookie`` is what the product put into the environment.
+Runs on hosts: Python >= 3.6, standard library, one file, no import of edgectl. One start of the task is a
+*launch*; a launch has a main process and, on request, further processes that are hard to stop. A line is one
+JSON object, written with one ``O_APPEND`` write: ``{"task", "launch", "role", "pid", "cookie", "event",
+"ns"}``; ``event`` is start, tick, stop or a signal's name; ``ns`` is CLOCK_BOOTTIME, the same in every
+namespace of one machine; ``cookie`` is the instance id that edgectl put into the environment.
 """
 
 import argparse
@@ -16,11 +17,11 @@ import subprocess
 import sys
 import time
 
-BOOTTIME = 7  # time.CLOCK_BOOTTIME has a name since Python 3.7 only
+BOOTTIME = 7  # Python 3.6 has no time.CLOCK_BOOTTIME
 ROLES = ("child", "daemon", "session")
 
 
-def parse(argv):
+def parse_arguments(argv):
     parser = argparse.ArgumentParser()
     parser.add_argument("--dir", required=True, help="directory of the records")
     parser.add_argument("--task", required=True)
@@ -59,8 +60,8 @@ def parse(argv):
     return parser.parse_args(argv)
 
 
-class Record:
-    """The file of one process."""
+class EventFile:
+    """Event file of one process."""
 
     def __init__(self, options):
         self.head = {
@@ -78,14 +79,14 @@ class Record:
         os.write(self.file, (json.dumps(line) + "\n").encode())
 
 
-def spawn(options, argv, role):
+def start_process(options, argv, role):
     """Start one further process of this launch."""
     command = (
         [sys.executable, os.path.abspath(__file__)] + argv + ["--launch", options.launch, "--role", role]
     )
     command = [word for word in command if word != "--detach"]
     environment = {} if options.bare else dict(os.environ)
-    if role == "daemon":  # the classic double fork
+    if role == "daemon":  # double fork of a daemon
         if os.fork():
             os.wait()
             return
@@ -107,7 +108,7 @@ def spawn(options, argv, role):
     os.execve(sys.executable, command, environment)
 
 
-def listen(options, record, state):
+def record_signals(options, record, state):
     def heard(number, _frame):
         record.write(signal.Signals(number).name)
         if not options.deaf:
@@ -117,8 +118,8 @@ def listen(options, record, state):
         signal.signal(number, heard)
 
 
-def chatter(options):
-    """Write what the task is asked to say within one period."""
+def write_output(options):
+    """Write the requested output of one period."""
     if options.garbage:
         os.write(1, b"\xff\xfe\x00\xc3\x28\x1b]0;owned\x07\x9b31m" + os.urandom(32))
     count = int(options.spam * options.period)
@@ -126,9 +127,9 @@ def chatter(options):
         os.write(1, (b"spam" * 20 + b"\n") * max(1, count // 81))
 
 
-def live(options, record):
+def run_main_process(options, record):
     state = {"end": False}
-    listen(options, record, state)
+    record_signals(options, record, state)
     begun = time.monotonic()
     if options.role == "main" and options.touch and options.after == 0:
         open(options.touch, "w").close()
@@ -146,19 +147,19 @@ def live(options, record):
             open(options.touch, "w").close()
         record.write("tick")
         if options.role == "main":
-            chatter(options)
+            write_output(options)
         time.sleep(options.period)
     record.write("stop")
     return 0
 
 
 def main(argv):
-    if "LD_PRELOAD" in os.environ:  # the records need the true clock
+    if "LD_PRELOAD" in os.environ:  # the records need an unskewed clock
         environment = {name: value for name, value in os.environ.items() if name != "LD_PRELOAD"}
         os.execve(sys.executable, [sys.executable, os.path.abspath(__file__)] + argv, environment)
-    options = parse(argv)
+    options = parse_arguments(argv)
     options.launch = options.launch or os.urandom(6).hex()
-    record = Record(options)
+    record = EventFile(options)
     record.write(
         "start",
         rest=options.rest,
@@ -167,11 +168,11 @@ def main(argv):
     )
     if options.role == "main":
         for role in filter(None, options.roles.split(",")):
-            spawn(options, argv, role)
+            start_process(options, argv, role)
         if options.detach:
             record.write("stop")
             return 0
-    return live(options, record)
+    return run_main_process(options, record)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
-"""A computer of its own on this machine: namespaces, disk, sshd, power switch and cable (see `chassis`), and the manager's network.
+"""Emulated computer on this machine: namespaces, disk, sshd, power switch and cable (see `host_emulator`),
+with the manager's network.
 
-Everything is made by the tests, lives inside namespaces, and is gone once they end, also if they are killed: the outer process of each
-computer ends with its standard input.
+Everything is created by the tests, is confined to namespaces, and is gone once they end, even if they are
+killed: the outer process of each computer ends with its standard input.
 """
 
 import json
@@ -28,11 +29,11 @@ from tests.faults.hosts import (
     PYTHON,
     REBOOT,
     Host,
-    put_programs,
+    install_programs,
     wait_for,
 )
-from tests.faults.network import Site, ip
-from tests.faults.scan import Canary, Process
+from tests.faults.network import ManagerNetwork, run_ip
+from tests.faults.scan import Bystander, Process
 from tests.pace import patience
 
 REPOSITORY = HERE.parent.parent
@@ -49,14 +50,14 @@ AS_USER = [
 ]
 
 
-def missing_for_namespaces() -> str:
-    """Why computers in namespaces cannot be had here; empty if they can."""
+def find_missing_for_namespaces() -> str:
+    """Return why namespaces cannot be used here; empty if they can."""
     if os.geteuid() != 0:
         return "needs root"
     if lacking := [
         name
         for name in ("unshare", "nsenter", "ip", "mount", "setpriv")
-        if not shutil.which(name, path=sshd_path())
+        if not shutil.which(name, path=find_sshd())
     ]:
         return f"needs {', '.join(lacking)}"
     probe = subprocess.run(
@@ -68,16 +69,16 @@ def missing_for_namespaces() -> str:
     return f"namespaces are refused: {probe.stderr.strip()}" if probe.returncode else ""
 
 
-def sshd_path() -> str:
+def find_sshd() -> str:
     return f"{os.environ.get('PATH', '')}:/usr/sbin:/sbin"
 
 
 @dataclass(kw_only=True)
 class NamespaceHost:
-    """A computer with its own network, pid, mount, uts and ipc namespaces, disk, sshd and boot id."""
+    """A computer with network, pid, mount, uts and ipc namespaces, disk, sshd and boot id of its own."""
 
     name: str
-    site: Site
+    site: ManagerNetwork
     directory: Path
     number: int
     user_key: str
@@ -92,21 +93,21 @@ class NamespaceHost:
     def __post_init__(self) -> None:
         for place in ("ssh", "oracle"):
             (self.directory / place).mkdir(parents=True)
-        put_programs(self.directory / "oracle")
-        self.group = cgroup.make(f"edgectl-faults-{os.getpid()}-{self.name}", self.cores)
+        install_programs(self.directory / "oracle")
+        self.group = cgroup.create_cgroup(f"edgectl-faults-{os.getpid()}-{self.name}", self.cores)
         self.can |= {LIMIT} if self.group.limited else frozenset()
         self.key = sshd.make_key(self.directory / "ssh" / "host_key")
-        self.admit(everybody=True, settle=False)
+        self.allow_logins(allowed=True, settle=False)
         self._write_sshd_config()
         (self.directory / "config.json").write_text(json.dumps(self._config()))
-        self.chassis = subprocess.Popen(
-            [sys.executable, str(HERE / "chassis.py"), str(self.directory / "config.json")],
+        self.emulator = subprocess.Popen(
+            [sys.executable, str(HERE / "host_emulator.py"), str(self.directory / "config.json")],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
         )
-        assert self.chassis.stdout is not None
-        self.root = str(json.loads(self.chassis.stdout.readline())["root"])
+        assert self.emulator.stdout is not None
+        self.root = str(json.loads(self.emulator.stdout.readline())["root"])
         self.boot()
 
     def _config(self) -> dict[str, object]:
@@ -119,7 +120,7 @@ class NamespaceHost:
             "oracle": str(self.directory / "oracle"),
             "ssh": str(self.directory / "ssh"),
             "sshd": sshd.program("sshd"),
-            "cgroups": self.group.doors,
+            "cgroups": self.group.procs_files,
         }
 
     def _write_sshd_config(self) -> None:
@@ -145,11 +146,11 @@ class NamespaceHost:
         (self.directory / "ssh" / "sshd_config").write_text("\n".join(lines) + "\n")
 
     def _order(self, word: str) -> int:
-        assert self.chassis.stdin is not None
-        assert self.chassis.stdout is not None
-        self.chassis.stdin.write(f"{word}\n")
-        self.chassis.stdin.flush()
-        return int(json.loads(self.chassis.stdout.readline())["pid"])
+        assert self.emulator.stdin is not None
+        assert self.emulator.stdout is not None
+        self.emulator.stdin.write(f"{word}\n")
+        self.emulator.stdin.flush()
+        return int(json.loads(self.emulator.stdout.readline())["pid"])
 
     @property
     def address(self) -> str:
@@ -160,8 +161,8 @@ class NamespaceHost:
         return self.address, 22, USER, self.key
 
     def path(self, inside: str) -> Path:
-        """Where the tests find a path of this computer's disk (also while it is off)."""
-        return Path(f"/proc/{self.chassis.pid}/root{self.root}") / inside.lstrip("/")
+        """Return the path of a file on the computer's disk as seen by the tests (also while it is off)."""
+        return Path(f"/proc/{self.emulator.pid}/root{self.root}") / inside.lstrip("/")
 
     @property
     def home(self) -> Path:
@@ -180,11 +181,11 @@ class NamespaceHost:
         return Path(f"/proc/{self.pid}/root/run/boot_id").read_text().strip()
 
     def boot(self) -> None:
-        """Power on, plug in, and wait until sshd listens."""
+        """Power on, plug in the cable, and wait until sshd listens."""
         if self.pid:
             return
         self.pid = self._order("on")
-        ip(
+        run_ip(
             "link",
             "add",
             "name",
@@ -198,18 +199,19 @@ class NamespaceHost:
             str(self.pid),
             netns=self.site.process.pid,
         )
-        ip("link", "set", self.cable, "master", "br0", "up", netns=self.site.process.pid)
-        # A real network card keeps its address over a reboot; another one would leave the manager's neighbour table wrong for seconds.
+        run_ip("link", "set", self.cable, "master", "br0", "up", netns=self.site.process.pid)
+        # A real network card keeps its address over a reboot; a new one would leave a stale neighbour entry
+        # on the manager for seconds.
         card = f"link set eth0 address 02:e7:00:00:00:{self.number:02x}"
         for words in ("link set lo up", card, f"addr add {self.address}/24 dev eth0", "link set eth0 up"):
-            ip(*words.split(), netns=self.pid)
+            run_ip(*words.split(), netns=self.pid)
         self._wait_for_sshd()
 
     def _wait_for_sshd(self) -> None:
         wait_for(self._listens, f"sshd on {self.name}: {self._console()}", 20)
 
     def _listens(self) -> bool:
-        """Port 22 in state LISTEN, as this computer's own /proc/net/tcp has it."""
+        """Return whether port 22 is in state LISTEN in this computer's /proc/net/tcp."""
         return bool(re.search(r":0016 00000000:0000 0A", Path(f"/proc/{self.pid}/net/tcp").read_text()))
 
     def _console(self) -> str:
@@ -218,38 +220,38 @@ class NamespaceHost:
         return ""
 
     def power_off(self) -> None:
-        """Pull the plug: the cable goes first, so that no FIN or RST leaves; then every process dies at once."""
+        """Cut the power: the cable goes first, so that no FIN or RST leaves; then every process dies at once."""
         if self.pid:
-            ip("link", "del", self.cable, netns=self.site.process.pid)
+            run_ip("link", "del", self.cable, netns=self.site.process.pid)
             self._order("off")
             self.pid, self.read_only = 0, False
 
-    def cable_out(self) -> None:
-        """No carrier."""
-        ip("link", "set", self.cable, "down", netns=self.site.process.pid)
+    def unplug_cable(self) -> None:
+        """Unplug the cable: no carrier."""
+        run_ip("link", "set", self.cable, "down", netns=self.site.process.pid)
 
-    def cable_in(self) -> None:
+    def plug_in_cable(self) -> None:
         if self.pid:
-            ip("link", "set", self.cable, "up", "master", "br0", netns=self.site.process.pid)
+            run_ip("link", "set", self.cable, "up", "master", "br0", netns=self.site.process.pid)
 
-    def swallow(self) -> None:
-        """The carrier stays, the packets vanish."""
-        ip("link", "set", self.cable, "nomaster", netns=self.site.process.pid)
+    def drop_packets(self) -> None:
+        """Drop all packets; the carrier stays up."""
+        run_ip("link", "set", self.cable, "nomaster", netns=self.site.process.pid)
 
     def processes(self) -> list[Process]:
-        """All but PID 1, sshd's listener and sessions, and our canaries."""
+        """List processes except PID 1, sshd's listener and sessions, and bystanders."""
         if not self.pid:
             return []
         inode = Path(f"/proc/{self.pid}/ns/pid").stat().st_ino
-        ours = ("canary.py", "sshd")
+        ours = ("bystander.py", "sshd")
         return [
             each
-            for each in scan.in_namespace("pid", inode)
+            for each in scan.list_processes_in_namespace("pid", inode)
             if each.pid != self.pid and not any(word in each.command for word in ours)
         ]
 
     def enter(self, *command: str, user: bool = True) -> list[str]:
-        """The command line that runs ``command`` on this computer."""
+        """Build the command line that runs ``command`` on this computer."""
         who = AS_USER if user else []
         spaces = ["--mount", "--uts", "--ipc", "--net", "--pid", "--root", "--wd"]
         return ["nsenter", f"--target={self.pid}", *spaces, *who, *command]
@@ -259,16 +261,16 @@ class NamespaceHost:
             self.enter(*command), capture_output=True, text=True, timeout=patience(60), check=False
         )
 
-    def canary(self, name: str, *words: str, pid: int = 0) -> Canary:
-        """A foreign process; ``pid``: the process id that it shall have on this computer, which must be free."""
-        inside = f"/home/{USER}/oracle/records/{name}.canary"
+    def start_bystander(self, name: str, *words: str, pid: int = 0) -> Bystander:
+        """Start an unrelated process; ``pid``: its process id on this computer, which must be free."""
+        inside = f"/home/{USER}/oracle/records/{name}.bystander"
         last = "/proc/sys/kernel/ns_last_pid"
-        if pid:  # the shell that starts it must not sit on the wanted number itself
+        if pid:  # the shell that starts it must not take the requested pid
             subprocess.run(
                 self.enter("sh", "-c", f"echo 20000 > {last}", user=False), timeout=patience(60), check=True
             )
         begin, after = (f"echo {pid - 1} > {last}; ", f"; echo 20000 > {last}") if pid else ("", "")
-        script = f'{begin}{" ".join(AS_USER)} python3 /home/{USER}/oracle/canary.py "$0" "$@" </dev/null >/dev/null 2>&1 & echo $!{after}'
+        script = f'{begin}{" ".join(AS_USER)} python3 /home/{USER}/oracle/bystander.py "$0" "$@" </dev/null >/dev/null 2>&1 & echo $!{after}'
         done = subprocess.run(
             self.enter("sh", "-c", script, inside, *words, user=False),
             capture_output=True,
@@ -278,10 +280,10 @@ class NamespaceHost:
         )
         number = int(done.stdout)
         assert not pid or number == pid, f"wanted pid {pid}, got {number}"
-        return scan.wait_for_canary(name, self.records / f"{name}.canary", self._outside(number))
+        return scan.wait_for_bystander(name, self.records / f"{name}.bystander", self._outside(number))
 
     def inner_pid(self, each: Process) -> int:
-        """The process id that the process has on this computer; 0 if it is gone."""
+        """Return the process id on this computer; 0 if the process is gone."""
         with suppress(OSError):
             return int(
                 re.findall(r"^NSpid:.*?(\d+)$", Path(f"/proc/{each.pid}/status").read_text(), re.MULTILINE)[0]
@@ -295,10 +297,10 @@ class NamespaceHost:
         raise AssertionError(f"no process {inner} on {self.name}")
 
     def _all(self) -> list[Process]:
-        return scan.in_namespace("pid", Path(f"/proc/{self.pid}/ns/pid").stat().st_ino)
+        return scan.list_processes_in_namespace("pid", Path(f"/proc/{self.pid}/ns/pid").stat().st_ino)
 
     def restart_sshd(self) -> None:
-        """End the listener; PID 1 starts another, with the configuration of now. Open sessions go on."""
+        """End the listener; PID 1 starts another with the present configuration. Open sessions continue."""
         (listener,) = [each for each in self._all() if "[listener]" in each.command]
         os.kill(listener.pid, signal.SIGKILL)
         wait_for(lambda: not listener.alive, "sshd's end")
@@ -314,13 +316,15 @@ class NamespaceHost:
         self.key = sshd.make_key(self.directory / "ssh" / "host_key")
         self.restart_sshd()
 
-    def admit(self, *, everybody: bool, settle: bool = True) -> None:
+    def allow_logins(self, *, allowed: bool, settle: bool = True) -> None:
         path = self.directory / "ssh" / "authorized_keys"
-        path.write_text(f"{self.user_key}\n" if everybody else "")
+        path.write_text(f"{self.user_key}\n" if allowed else "")
         path.chmod(0o644)
 
     def home_read_only(self, *, yes: bool) -> None:
-        """Whoever opens a file below /home from now on finds it read-only; files that are open for writing stay so."""
+        """Make files below /home read-only for everyone who opens them from now on; files open for writing
+        stay writable.
+        """
         home = f"{self.root}/home"
         enter = ["nsenter", f"--target={self.pid}", "--mount", "mount"]
         if yes and not self.read_only:
@@ -331,7 +335,7 @@ class NamespaceHost:
         self.read_only = yes
 
     def fill_disk(self) -> None:
-        """Leave not a byte on /home."""
+        """Fill /home to the last byte."""
         with suppress(OSError), (self.home / "fill").open("wb", buffering=0) as file:
             while file.write(bytes(1 << 12)):
                 pass
@@ -349,23 +353,23 @@ class NamespaceHost:
 
     def close(self) -> None:
         self.power_off()
-        assert self.chassis.stdin is not None
-        assert self.chassis.stdout is not None
-        self.chassis.stdin.close()
-        self.chassis.stdout.close()
-        self.chassis.wait(60)
+        assert self.emulator.stdin is not None
+        assert self.emulator.stdout is not None
+        self.emulator.stdin.close()
+        self.emulator.stdout.close()
+        self.emulator.wait(60)
         self.group.remove()
 
 
 @contextmanager
-def namespace_hosts(
+def start_namespace_hosts(
     directory: Path, names: list[str], *, cores: Mapping[str, float] | None = None
-) -> Iterator[tuple[Site, dict[str, Host]]]:
-    """Computers in namespaces, and the site of their manager; needs root."""
+) -> Iterator[tuple[ManagerNetwork, dict[str, Host]]]:
+    """Start computers in namespaces and the manager's network; needs root."""
     directory.mkdir(parents=True, exist_ok=True)
     key = sshd.make_key(directory / "user_key")
     with ExitStack() as stack:
-        site = Site.make()
+        site = ManagerNetwork.make()
         stack.callback(site.close)
         hosts: dict[str, Host] = {}
         for number, name in enumerate(names, start=11):

@@ -1,10 +1,11 @@
-"""The outside of one emulated computer: its disk, which survives power cuts, and the switch that turns it on and off.
+"""Outer process of an emulated computer: persistent disk and power switch.
 
-Run as root: ``chassis.py CONFIG.json``; then one command per line on stdin (``on``, ``off``), one JSON answer per line on stdout. End of
-input ends everything: the mounts live in this process's own namespace, and what runs on the computer dies with its PID 1.
-The disk is an overlay over the machine's own file system, with a tmpfs for ``/home`` of a size that can be filled. At every ``on`` the
-computer gets fresh pid, network, mount, uts and ipc namespaces, a fresh /run and /tmp, and a new boot id.
-Standard library only; nothing is imported after the fork, since the computer does not see the files of this machine's tests.
+Run as root: ``host_emulator.py CONFIG.json``, then one command per line on stdin (``on``, ``off``), one JSON
+answer per line on stdout. End of input ends everything: the mounts are in this process's mount namespace, and
+processes of the computer end with its PID 1. The disk is an overlay over the file system of the machine, with
+a tmpfs of limited size for ``/home``. Each ``on`` creates fresh pid, network, mount, uts and ipc namespaces,
+a fresh /run and /tmp, and a new boot id. Standard library only; no import after the fork, since the computer
+does not see the files of the tests.
 """
 
 import ctypes
@@ -56,7 +57,7 @@ def make_disk(config: dict[str, str]) -> Path:
 
 
 def make_user(root: Path, config: dict[str, str]) -> None:
-    """An ordinary user with a home, the way in by key, and the oracle's directory."""
+    """Create an ordinary user with a home, an authorized key and the directory of the oracle."""
     user, home = config["user"], root / "home" / config["user"]
     for name, line in (
         ("passwd", f"{user}:x:4711:4711::/home/{user}:/bin/bash\n"),
@@ -74,8 +75,8 @@ def make_user(root: Path, config: dict[str, str]) -> None:
     mount("--bind", config["ssh"], root / "etc" / "ssh" / "edgectl-faults")
 
 
-def furnish(root: Path, name: str) -> None:
-    """What a kernel and an init make at boot."""
+def populate_root(root: Path, name: str) -> None:
+    """Mount and create what a kernel and an init provide at boot."""
     mount("-t", "proc", "proc", root / "proc")
     mount("-t", "sysfs", "-o", "ro", "sysfs", root / "sys")
     mount("--rbind", "-o", "ro", "/sys/fs/cgroup", root / "sys/fs/cgroup")
@@ -96,8 +97,8 @@ def furnish(root: Path, name: str) -> None:
     socket.sethostname(name)
 
 
-def serve_ssh(sshd: str) -> None:
-    """PID 1: keeps sshd going and buries the dead."""
+def run_sshd(sshd: str) -> None:
+    """Run sshd as PID 1: restart it when it ends, and reap orphans."""
     environment = {"PATH": "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"}
     command = [sshd, "-D", "-e", "-f", "/etc/ssh/edgectl-faults/sshd_config"]
     while True:
@@ -108,20 +109,20 @@ def serve_ssh(sshd: str) -> None:
         time.sleep(0.05)
 
 
-def be_computer(root: Path, config: dict[str, str]) -> None:
+def run_computer(root: Path, config: dict[str, str]) -> None:
     LIBC.prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     console = os.open(f"{config['directory']}/console.log", os.O_WRONLY | os.O_APPEND | os.O_CREAT)
     os.dup2(console, 1)
     os.dup2(console, 2)
-    furnish(root, config["name"])
+    populate_root(root, config["name"])
     os.chroot(root)
     os.chdir("/")
-    serve_ssh(config["sshd"])
+    run_sshd(config["sshd"])
 
 
-def switch_on(root: Path, config: dict[str, str]) -> tuple[int, int]:
-    """Boot; return the pids of PID 1 (as this machine sees it) and of the process that keeps it."""
+def boot_computer(root: Path, config: dict[str, str]) -> tuple[int, int]:
+    """Boot; return the pid of PID 1 as seen by this machine, and the pid of its parent."""
     reader, writer = os.pipe()
     keeper = os.fork()
     if not keeper:
@@ -131,7 +132,7 @@ def switch_on(root: Path, config: dict[str, str]) -> tuple[int, int]:
                 Path(tasks).write_text(f"{os.getpid()}\n")
             unshare(NEWPID | NEWNS | NEWNET | NEWUTS | NEWIPC)
             if not (first := os.fork()):
-                be_computer(root, config)
+                run_computer(root, config)
             os.write(writer, f"{first}\n".encode())
             os.waitpid(first, 0)
         finally:
@@ -151,7 +152,7 @@ def main(path: str) -> None:
     first = keeper = 0
     for line in sys.stdin:
         if line.strip() == "on" and not first:
-            first, keeper = switch_on(root, config)
+            first, keeper = boot_computer(root, config)
         elif line.strip() == "off" and first:
             os.kill(first, signal.SIGKILL)
             os.waitpid(keeper, 0)

@@ -1,0 +1,80 @@
+"""JSON, JSON Lines, YAML and CSV of a document. Pure: JSON types in, text out."""
+
+import csv
+import io
+import json
+from collections.abc import Iterable, Mapping, Sequence
+
+_SIGNIFICANT_DIGITS = 6
+
+
+def round_numbers(value: object) -> object:
+    """``value`` with every float rounded to 6 significant digits; integral numbers as integers, -0 as 0."""
+    if isinstance(value, float):
+        rounded = float(f"{value:.{_SIGNIFICANT_DIGITS}g}") if not value.is_integer() else value
+        return int(rounded) if rounded.is_integer() else rounded
+    if isinstance(value, Mapping):
+        return {str(key): round_numbers(each) for key, each in value.items()}
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return [round_numbers(each) for each in value]
+    return value
+
+
+def encode_json(document: Mapping[str, object]) -> str:
+    """The document, keys in the order given, with two spaces of indentation.
+
+    Raises:
+        ValueError: a number is not finite.
+    """
+    return json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def encode_json_lines(rows: Iterable[Mapping[str, object]]) -> str:
+    """One object per line.
+
+    Raises:
+        ValueError: a number is not finite.
+    """
+    return "".join(
+        json.dumps(row, ensure_ascii=False, allow_nan=False, separators=(",", ":")) + "\n" for row in rows
+    )
+
+
+def encode_yaml(document: Mapping[str, object]) -> str:
+    """The document in YAML."""
+    import yaml
+
+    # Through JSON, so that both say the same and no type of Python's own gets through.
+    plain = json.loads(json.dumps(document, allow_nan=False))
+    dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+    return str(yaml.dump(plain, Dumper=dumper, sort_keys=False, allow_unicode=True, width=4096))
+
+
+def encode_csv(rows: Sequence[Mapping[str, object]]) -> str:
+    """A line of keys, then one per row. A key within an object is joined to it by ``_``; a list is JSON."""
+    flat = [_flatten_row(row) for row in rows]
+    keys = list(dict.fromkeys(key for row in flat for key in row))
+    text = io.StringIO()
+    writer = csv.DictWriter(text, keys, restval="", lineterminator="\n")
+    if keys:
+        writer.writeheader()
+    writer.writerows(flat)
+    return text.getvalue()
+
+
+def _flatten_row(row: Mapping[str, object], prefix: str = "") -> dict[str, object]:
+    flat: dict[str, object] = {}
+    for key, value in row.items():
+        if isinstance(value, Mapping) and value:
+            flat |= _flatten_row(value, f"{prefix}{key}_")
+        else:
+            flat[prefix + key] = _format_csv_value(value)
+    return flat
+
+
+def _format_csv_value(value: object) -> str:
+    if value is None or value == {} or value == []:
+        return ""
+    if isinstance(value, str):
+        return value
+    return json.dumps(value, ensure_ascii=False, allow_nan=False)

@@ -1,0 +1,384 @@
+"""Glossary of the outputs: type, unit and meaning of each key, heading of each column.
+
+One quantity has one key, one unit and one type wherever it stands. docs/reference/outputs.md is generated
+from here.
+"""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from edgectl.model.resource import AFFINITY, RESOURCES, TERMS
+from edgectl.views.text import Cell, Row
+
+
+class KeyType(StrEnum):
+    """The JSON type of a key; any of them may be null.
+
+    An ``object`` has keys of the glossary; the keys of a ``map`` are names, and its values may be objects.
+    An ``opaque`` value is passed on as it is.
+    """
+
+    TEXT = "text"
+    NUMBER = "number"
+    FLAG = "flag"
+    INSTANT = "instant"
+    OBJECT = "object"
+    LIST = "list"
+    MAP = "map"
+    OPAQUE = "opaque"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class KeyEntry:
+    """One key. ``unit`` of a number; empty: a count, a ratio or a share."""
+
+    key: str
+    type: KeyType
+    meaning: str
+    unit: str = ""
+
+
+_UNITS = {
+    "_bytes_per_s": "bytes/s", "_bytes": "bytes", "_cores": "cores", "_ms": "ms", "_s": "s", "_c": "°C",
+}  # fmt: skip
+
+
+def list_keys() -> tuple[KeyEntry, ...]:
+    """Every key, in alphabetical order."""
+    entries = [
+        KeyEntry(key=key, type=kind, meaning=meaning, unit=_find_unit(key) if kind is KeyType.NUMBER else "")
+        for kind, meanings in _MEANINGS.items()
+        for key, meaning in meanings.items()
+    ]
+    return tuple(sorted(entries, key=lambda entry: entry.key))
+
+
+def _find_unit(key: str) -> str:
+    return next((unit for suffix, unit in _UNITS.items() if key.endswith(suffix)), "")
+
+
+# An amount of a resource is keyed by what it is and its unit, inside the object of the resource.
+_AMOUNTS = {
+    "used": "usage of {}",
+    "demand": "demand of a task on its host for {}",
+    "excess": "usage of {} minus demand",
+    "capacity": "capacity of a host or a link for {}",
+}
+
+
+def _describe_amounts() -> dict[str, str]:
+    return {
+        f"{amount}_{resource.unit.name}": text.format(resource.name)
+        for resource in RESOURCES
+        for amount, text in _AMOUNTS.items()
+        if not (resource.per_link and amount == "capacity")
+    }
+
+
+def _list_amount_headings() -> dict[str, str]:
+    """``CPU``, ``CPU DEMAND``, ``CPU EXCESS`` and ``CPU%``, and the term of the utility."""
+    headings: dict[str, str] = {}
+    for resource in RESOURCES:
+        title, unit = resource.name.upper(), resource.unit.name
+        headings |= {
+            f"{resource.name}.used_{unit}": title,
+            f"{resource.name}.demand_{unit}": f"{title} DEMAND",
+            f"{resource.name}.excess_{unit}": f"{title} EXCESS",
+            f"{resource.name}.share": f"{title}%",
+        }
+    terms = {term: "AFFINITY" if term == AFFINITY else term.upper() for term in TERMS}
+    return headings | {f"utility.{term}": title for term, title in terms.items()}
+
+
+_MEANINGS: dict[KeyType, dict[str, str]] = {
+    KeyType.TEXT: {
+        "action": "action of a plan: start, stop, move, restart, keep, hold, complete, defer, unplaced, none",
+        "address": "address of a host in the inventory",
+        "attention": "reason why an operator should look at a task; null: none",
+        "boot_id": "identity of the boot of a host",
+        "capacity_source": "source of the capacity of a link: declared, measured, detected or assumed",
+        "change": "change that would alter a decision",
+        "check": "name of a check of doctor",
+        "class": "class of hosts with equal cores and memory",
+        "command": "command line",
+        "connection": "transport of a host: ssh, openssh or local",
+        "detail": "detail of a state or a phase",
+        "digest": "digest of the specification of an experiment",
+        "edge": "name of an edge",
+        "edgectl": "version of edgectl",
+        "enforcement": "enforcement of the limits of a task",
+        "error": "cause of a failure",
+        "experiment": "name of an experiment",
+        "hint": "remedy",
+        "hold": "command that holds a robot during a handoff",
+        "host": "name of a host; null: none",
+        "instance": "identity of one start of a task",
+        "inventory_digest": "digest of the inventory",
+        "kind": "kind of an item, or of an event",
+        "level": "severity of a finding: ok, warning or failed",
+        "located": "host of a task after an action",
+        "lock": "holder of the lock that a cycle waits for",
+        "mark": "mark of the operator: cordoned, draining or fenced",
+        "message": "text of an event or a finding",
+        "on_unreachable": "policy for an unreachable host: hold or replace",
+        "order": "order of a handoff: stop-first or start-first",
+        "outcome": "outcome of an action or a revision",
+        "phase": "phase of an action",
+        "policy": "name of a policy",
+        "previous_host": "host before the decision",
+        "proxy_jump": "jump host of a connection",
+        "python": "version of Python",
+        "reason": "reason of a decision",
+        "reference": "label of the reference values of a simulation",
+        "release": "command that releases a robot after a handoff",
+        "restart": "restart policy of a task",
+        "robot": "name of a robot",
+        "role": "edge or robot",
+        "runner_up": "host with the second highest utility",
+        "runtime": "container runtime of a host",
+        "safe_when": "command that tells when a handoff is safe",
+        "scenario": "name of a scenario",
+        "scheme": "name of a scheme",
+        "state": "state of a task or a profiler",
+        "status": "status of a host: ok, unreachable or not probed",
+        "task": "name of a task",
+        "task_kind": "service or job",
+        "tasks_digest": "digest of the task files",
+        "template": "entry of the task files that a task was made from",
+        "term": "term of the utility",
+        "type": "type of a change: ADDED, MODIFIED or DELETED",
+        "unit": "unit of an amount",
+        "until": "state that a need waits for",
+        "user": "user",
+        "verb": "command that made a revision",
+        "winner": "host that would win after a change",
+    },
+    KeyType.NUMBER: {
+        **_describe_amounts(),
+        "capacity_bytes_per_s": "capacity of a link",
+        "adds": "contribution of a term to the lead",
+        "age_s": "time since the start",
+        "amount": "amount in the unit of its resource; a share where relative",
+        "clock_skew_s": "clock of a host minus clock of the manager",
+        "cycle": "number of a cycle",
+        "cycles": "number of cycles",
+        "deadline_s": "deadline of a task",
+        "downtime_s": "gap of a handoff, from stop to ready",
+        "duration_s": "time that an operation took",
+        "every_s": "period that was asked for",
+        "exit_code": "exit code of a task that ended",
+        "format_version": "version of the document",
+        "generation": "number of a start; the highest is the current one",
+        "gpu_share": "usage of the GPU as a share",
+        "half_ci95": "half width of the 95 % confidence interval",
+        "handoffs": "number of handoffs",
+        "here": "utility of a term on the chosen host",
+        "id": "number of an event",
+        "last_exit": "exit code before the last restart",
+        "lead": "utility above that of the next host",
+        "load_1m": "load average over one minute",
+        "max": "maximum",
+        "mean": "mean",
+        "memory_used_bytes": "memory usage",
+        "move_margin": "lead below which a task is not moved",
+        "network_used_bytes_per_s": "network usage",
+        "next_in_s": "time until the next cycle",
+        "noise": "variation of the utility from the measurements alone",
+        "p50": "median",
+        "p95": "95th percentile",
+        "peak": "maximum of a share",
+        "period_s": "period that is kept",
+        "pid": "process id",
+        "planned": "repetitions of each scheme",
+        "port": "TCP port",
+        "priority": "priority of a task",
+        "restarts": "restarts of a task since its start",
+        "revision": "number of a revision",
+        "rtt_ms": "round-trip time",
+        "run_count": "number of runs",
+        "rx_bytes_per_s": "received traffic of an interface",
+        "sample_age_s": "age of a sample",
+        "samples": "number of samples",
+        "size": "change as a share of what it changes",
+        "slack": "smallest change of the utility that would alter the decision",
+        "span_s": "time between the first and the last sample",
+        "speed_bytes_per_s": "speed of an interface",
+        "ssim": "structural similarity of two maps, -1 to 1",
+        "std": "standard deviation",
+        "temperature_c": "highest temperature",
+        "there": "utility of a term on the runner-up",
+        "total": "utility of the chosen host",
+        "trials": "number of trials that are done",
+        "ttl_left_s": "time until a profiler ends by itself",
+        "ttl_s": "time without a call after which a profiler ends",
+        "tx_bytes_per_s": "sent traffic of an interface",
+        "unfinished": "runs that ended at the limit",
+        "unplaced": "tasks without a host",
+        "unsettled": "cycles without a settled plan",
+        "weight": "weight of a term",
+    },
+    KeyType.FLAG: {
+        "current": "whether a profiler measures what the files ask for",
+        "done": "whether every action was carried out",
+        "enough": "whether there are enough samples for a demand",
+        "fragile": "whether the lead is below the variation of the measurements",
+        "given_up": "whether a task is not restarted any more",
+        "in_files": "whether a task is in the task files",
+        "interrupted": "whether the user interrupted the operation",
+        "managed": "whether edgectl manages a task",
+        "ok": "whether a phase succeeded",
+        "onboard": "whether a robot is a candidate for its own tasks",
+        "paused": "whether a watch is paused",
+        "relative": "whether an amount is a share of the capacity",
+        "resident": "whether a resident profiler took the sample",
+        "until_measured": "whether a declaration counts only until there are measurements",
+    },
+    KeyType.INSTANT: {
+        "at": "time of an event, a sample or a cycle",
+        "contacted_at": "last contact with an unreachable host",
+        "ended_at": "end of a task",
+        "placed_at": "time when a task came to its host",
+        "started_at": "start of a task or a revision",
+        "taken_at": "time of the probe",
+    },
+    KeyType.OBJECT: {
+        **{resource.name: f"usage, demand and capacity of {resource.name}" for resource in RESOURCES},
+        "decision": "decision of a plan made now",
+        "declared": "declaration of a demand in a task file",
+        "device": "sensors and interfaces of a host",
+        "handoff": "handoff contract of a task",
+        "item": "the thing of the document",
+        "object": "item that changed, as it is now",
+        "placement": "host of a task as the manager remembers it",
+        "spec": "specification of a task",
+    },
+    KeyType.LIST: {
+        "actions": "actions with their phases",
+        "assumed": "tasks whose demand counts as their usage",
+        "assumptions": "assumptions of a scenario",
+        "contributions": "contribution of each term to the lead",
+        "edge_names": "names of edges",
+        "events": "last events",
+        "flips": "changes that would alter a decision, smallest first",
+        "history": "last samples, oldest first",
+        "host_names": "names of hosts",
+        "items": "the things of the document",
+        "left": "tasks that are left on drained hosts",
+        "log_tail": "last lines of output",
+        "needs": "tasks that have to run or to complete first",
+        "notes": "remarks on reference values",
+        "passes": "passes of a drain",
+        "pending": "changes of the plan that were not made",
+        "phases": "phases of an action",
+        "resting": "tasks that a watch leaves alone after a failure",
+        "robot_names": "names of robots",
+        "runs": "runs of a task by host",
+        "schemes": "results by scheme",
+        "task_names": "names of tasks",
+        "warnings": "remarks on the whole",
+    },
+    KeyType.MAP: {
+        "counts": "number of actions by name",
+        "downtimes_s": "measured gaps in s by host, newest last",
+        "env": "environment; secrets are masked",
+        "figures": "estimates by metric",
+        "hosts": "hosts by name",
+        "interfaces": "network interfaces by name",
+        "labels": "labels by key",
+        "limits": "share of the capacity that may be planned with, by resource",
+        "links": "links by robot",
+        "maps": "SSIM by pair of maps",
+        "metrics": "metrics that an application reports, by name",
+        "off_by": "deviation from the reference as a share, by metric",
+        "placements": "host by task",
+        "reference_figures": "reference values by metric",
+        "resources": "measured usage by resource",
+        "utilisation": "share of the capacity in use, by resource",
+    },
+    KeyType.OPAQUE: {
+        "stdin": "request to the agent",
+    },
+}
+
+
+# Headings of tables by column: the key of the document, with its object where that is needed.
+HEADINGS = {
+    "action": "ACTION",
+    "address": "ADDRESS",
+    "age_s": "AGE",
+    "at": "AT",
+    "boot": "BOOT",
+    "bytes_per_s": "CAPACITY",
+    "capacity_bytes_per_s": "CAPACITY",
+    "capacity_source": "SOURCE",
+    "check": "CHECK",
+    "class": "CLASS",
+    "counts": "ACTIONS",
+    "cpu.capacity_cores": "CORES",
+    "cpu.usage": "CORES",
+    "declared": "DECLARED",
+    "demand": "DEMAND",
+    "device.gpu_share": "GPU",
+    "device.load_1m": "LOAD",
+    "device.temperature_c": "TEMPERATURE",
+    "duration_s": "TOOK",
+    "edge": "EDGE",
+    "every_s": "EVERY",
+    "excess": "EXCESS",
+    "host": "HOST",
+    "host_names": "HOSTS",
+    "interface": "INTERFACE",
+    "interfaces": "INTERFACES",
+    "kind": "KIND",
+    "labels": "LABELS",
+    "lead": "LEAD",
+    "links": "LINKS",
+    "link": "LINK",
+    "max": "MAX",
+    "memory.capacity_bytes": "MEMORY",
+    "memory.usage": "BYTES",
+    "message": "MESSAGE",
+    "metrics": "METRICS",
+    "needs": "NEEDS",
+    "next_host": "NEXT",
+    "now_host": "NOW",
+    "onboard": "ONBOARD",
+    "outcome": "OUTCOME",
+    "p50": "P50",
+    "p95": "P95",
+    "pid": "PID",
+    "ready": "READY",
+    "reason": "REASON",
+    "resource": "RESOURCE",
+    "restarts": "RESTARTS",
+    "revision": "REVISION",
+    "robot": "ROBOT",
+    "robots": "ROBOTS",
+    "role": "ROLE",
+    "rtt_ms": "RTT",
+    "rx_bytes_per_s": "RECEIVED",
+    "sample_age_s": "SAMPLE AGE",
+    "samples": "SAMPLES",
+    "span_s": "SPAN",
+    "speed_bytes_per_s": "SPEED",
+    "started_at": "STARTED",
+    "state": "STATE",
+    "status": "STATUS",
+    "subject": "SUBJECT",
+    "task": "TASK",
+    "task_count": "TASKS",
+    "term": "TERM",
+    "throughput": "NETWORK",
+    "total": "UTILITY",
+    "ttl_left_s": "TTL LEFT",
+    "tx_bytes_per_s": "SENT",
+    "used": "USED",
+    "user": "USER",
+    "verb": "VERB",
+    "weight": "WEIGHT",
+} | _list_amount_headings()
+
+
+def head(*columns: str) -> Row:
+    """The headings of ``columns``; an empty name is a column without one."""
+    return tuple(Cell(HEADINGS[column] if column else "", "head") for column in columns)

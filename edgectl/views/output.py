@@ -1,0 +1,131 @@
+"""Base classes of the outputs: each is one class, with a method for each form that it has."""
+
+from collections.abc import Sequence
+from typing import ClassVar
+
+from edgectl.formats.document import Document
+from edgectl.views import encoder
+from edgectl.views.output_format import (
+    ITEM_FORMATS,
+    Formats,
+    OutputFormat,
+    check_output_format,
+)
+from edgectl.views.text import PLAIN, RenderOptions
+
+# Of the documents that are printed; plans and snapshots, which are read back, have a version of their own.
+OUTPUT_VERSION = 2
+
+
+class View:
+    """One thing that is shown. A class states its ``formats`` and overrides the methods that they need."""
+
+    formats: ClassVar[Formats] = ITEM_FORMATS
+
+    def table(self, look: RenderOptions = PLAIN) -> str:
+        """Text for people."""
+        raise NotImplementedError
+
+    def wide(self, look: RenderOptions = PLAIN) -> str:
+        """The table with more columns, where there are any."""
+        return self.table(look)
+
+    def document(self) -> Document:
+        """The whole as JSON types."""
+        raise NotImplementedError
+
+    def rows(self) -> Sequence[Document]:
+        """The rows of JSON Lines and CSV."""
+        raise NotImplementedError
+
+    def names(self) -> Sequence[str]:
+        """KIND/NAME of each thing, for other commands."""
+        raise NotImplementedError
+
+    def markdown(self) -> str:
+        """A comment or a page."""
+        raise NotImplementedError
+
+
+class ItemView(View):
+    """One thing: ``{format_version, kind, item, warnings}``."""
+
+    kind: str
+
+    def item(self) -> Document:
+        """The thing as JSON types."""
+        raise NotImplementedError
+
+    def warnings(self) -> Sequence[str]:
+        """Remarks on the whole, which the table prints as notes."""
+        return ()
+
+    def document(self) -> Document:
+        """The item in its envelope."""
+        return {
+            "format_version": OUTPUT_VERSION,
+            "kind": self.kind,
+            "item": round_item(self.item()),
+            "warnings": list(self.warnings()),
+        }
+
+    def rows(self) -> Sequence[Document]:
+        """The item alone."""
+        return [round_item(self.item())]
+
+
+class ListView(View):
+    """Things of one kind: ``{format_version, kind, items, warnings}``."""
+
+    kind: str
+
+    def items(self) -> Sequence[Document]:
+        """The things as JSON types."""
+        raise NotImplementedError
+
+    def warnings(self) -> Sequence[str]:
+        """Remarks on the whole, which the table prints as notes."""
+        return ()
+
+    def document(self) -> Document:
+        """The items in their envelope."""
+        return {
+            "format_version": OUTPUT_VERSION,
+            "kind": self.kind,
+            "items": list(self.rows()),
+            "warnings": list(self.warnings()),
+        }
+
+    def rows(self) -> Sequence[Document]:
+        """The items alone."""
+        return [round_item(item) for item in self.items()]
+
+
+def round_item(item: Document) -> Document:
+    """``item`` with its numbers rounded as all outputs have them."""
+    return {key: encoder.round_numbers(value) for key, value in item.items()}
+
+
+def render_view(view: View, form: OutputFormat, look: RenderOptions = PLAIN) -> str:
+    """``view`` in ``form``.
+
+    Raises:
+        UsageError: it has no such form.
+    """
+    match check_output_format(form, view.formats):
+        case OutputFormat.TABLE:
+            return view.table(look)
+        case OutputFormat.WIDE:
+            return view.wide(look)
+        case OutputFormat.JSON:
+            return encoder.encode_json(view.document())
+        case OutputFormat.JSONL:
+            return encoder.encode_json_lines(view.rows())
+        case OutputFormat.YAML:
+            return encoder.encode_yaml(view.document())
+        case OutputFormat.CSV:
+            return encoder.encode_csv(view.rows())
+        case OutputFormat.NAME:
+            return "".join(f"{name}\n" for name in dict.fromkeys(view.names()))
+        case _:
+            return view.markdown()

@@ -1,0 +1,194 @@
+"""The plan: what changes, why, and the expected load; as a table, in full, as a document and as a comment."""
+
+from collections.abc import Sequence
+
+from edgectl.formats import plan as plan_format
+from edgectl.formats.document import Document
+from edgectl.model.assignment import RankedHost
+from edgectl.model.plan import Action, Plan, Step
+from edgectl.model.resource import TERMS
+from edgectl.views.demands import render_demands
+from edgectl.views.glossary import head
+from edgectl.views.output import View
+from edgectl.views.output_format import PLAN_FORMATS
+from edgectl.views.plan_sections import (
+    ACTION_STYLES,
+    format_utility,
+    render_expected_load,
+    render_plan_header,
+    render_plan_notes,
+    render_plan_summary,
+)
+from edgectl.views.reasons import describe_reason, describe_rejection, is_left_out
+from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, escape_unprintable, render_columns
+
+# A CI job finds its comment by it, and edits that instead of adding one.
+PLAN_COMMENT_MARKER = "<!-- edgectl-plan -->"
+_MARKDOWN_HEAD = "| | task | now | next | utility | lead | reason |\n|---|---|---|---|---:|---:|---|\n"
+_MARKDOWN_ESCAPES = str.maketrans({character: f"\\{character}" for character in "\\`*_[]<>|#~"})
+
+
+class PlanView(View):
+    """A plan; its document is the one that ``edgectl apply PLAN`` reads."""
+
+    formats = PLAN_FORMATS
+
+    def __init__(self, plan: Plan) -> None:
+        self._plan = plan
+
+    def table(self, look: RenderOptions = PLAIN) -> str:
+        """The changes with their reasons, the load that is expected afterwards, and a line that counts."""
+        steps = self._plan.steps
+        rows = [_STEP_HEAD, *map(_render_step_row, steps)]
+        return _join_parts(
+            render_plan_header(self._plan, look) if self._plan.expected else "",
+            render_columns(rows, look, right={4, 5}, wrap={1, 2, 3}) if steps else "",
+            render_expected_load(self._plan, look),
+            self._render_end(look),
+        )
+
+    def wide(self, look: RenderOptions = PLAIN) -> str:
+        """The table with every candidate of every task, and the demands."""
+        steps = self._plan.steps
+        rows = [_CANDIDATE_HEAD, *(row for step in steps for row in _render_candidate_rows(step))]
+        return _join_parts(
+            render_plan_header(self._plan, look),
+            render_columns(rows, look, right=_TERM_COLUMNS, wrap={1, 2}) if steps else "",
+            render_demands(self._plan, look),
+            render_expected_load(self._plan, look),
+            self._render_end(look),
+        )
+
+    def _render_end(self, look: RenderOptions) -> str:
+        return render_plan_notes(self._plan, look) + render_plan_summary(self._plan, look)
+
+    def document(self) -> Document:
+        """The plan file. Its numbers are exact, for it is read back."""
+        return plan_format.encode(self._plan)
+
+    def rows(self) -> Sequence[Document]:
+        """The decisions."""
+        return plan_format.encode(self._plan)["decisions"]  # type: ignore[return-value]
+
+    def names(self) -> Sequence[str]:
+        """The tasks of the plan."""
+        return [f"task/{step.task}" for step in self._plan.steps]
+
+    def markdown(self) -> str:
+        """A comment on a pull request; the expected load and the demands folded away."""
+        rows = "".join(_render_markdown_row(step) for step in self._plan.steps)
+        load = render_expected_load(self._plan).replace("```", "'''")
+        demands = render_demands(self._plan).replace("```", "'''")
+        folded = _render_folded_section("Expected load", load) + _render_folded_section("Demands", demands)
+        notes = "".join(
+            f"\n> {escape_markdown(line)}\n" for line in render_plan_notes(self._plan).splitlines()
+        )
+        summary = render_plan_summary(self._plan).strip()
+        return (
+            f"{PLAN_COMMENT_MARKER}\n**{summary}**\n\n{_MARKDOWN_HEAD}{rows}{notes}{folded}"
+            f"\n{render_plan_header(self._plan)}"
+        )
+
+
+_STEP_HEAD = head("", "task", "now_host", "next_host", "total", "lead", "reason")
+_CANDIDATE_HEAD = head("", "task", "host", *(f"utility.{term}" for term in TERMS), "total", "reason")
+_TERM_COLUMNS = frozenset(range(3, 4 + len(TERMS)))
+
+
+def _join_parts(*parts: str) -> str:
+    return "\n".join(part for part in parts if part)
+
+
+def _render_step_row(step: Step) -> Row:
+    decision, style = step.decision, ACTION_STYLES[step.action]
+    return (
+        Cell(step.action.symbol, style),
+        Cell(step.task, "name"),
+        decision.previous_host or "-",
+        Cell(_find_next_host(step) or "-", "bold" if step.action.changes else ""),
+        format_utility(decision.total),
+        format_utility(decision.lead, signed=True),
+        Cell(describe_reason(step), style),
+    )
+
+
+def _find_next_host(step: Step) -> str | None:
+    """Host of the task after the plan."""
+    if is_left_out(step):
+        return step.decision.previous_host
+    return None if step.action in (Action.STOP, Action.COMPLETE, Action.NONE) else step.decision.host
+
+
+def _render_candidate_rows(step: Step) -> list[Row]:
+    decision, style = step.decision, ACTION_STYLES[step.action]
+    chosen = next((ranked for ranked in decision.ranking if ranked.host == decision.host), None)
+    others = sorted(
+        (ranked for ranked in decision.ranking if ranked is not chosen),
+        key=lambda ranked: (not ranked.feasible, ranked.rank),
+    )
+    first: Row = (
+        Cell(step.action.symbol, style),
+        Cell(step.task, "name"),
+        Cell(_format_route(step), "bold"),
+        *_format_terms(chosen),
+        Cell(describe_reason(step), style),
+    )
+    rows = [first, *map(_render_losing_host_row, others)]
+    left_out = ", ".join(f"{count} {rule}" for rule, count in decision.rejection_counts.items())
+    if not left_out:
+        return rows
+    blank = [""] * (len(TERMS) + 1)
+    return [*rows, ("", "", Cell("..", "dim"), *blank, Cell(f"not shown: {left_out}", "dim"))]
+
+
+def _render_losing_host_row(ranked: RankedHost) -> Row:
+    return (
+        "",
+        "",
+        Cell(ranked.host, "dim"),
+        *_format_terms(ranked),
+        Cell(_describe_losing_host(ranked), "dim"),
+    )
+
+
+def _format_route(step: Step) -> str:
+    decision = step.decision
+    if decision.previous_host and decision.host and decision.previous_host != decision.host:
+        return f"{decision.previous_host} -> {decision.host}"
+    return decision.host or (f"{decision.previous_host} ->" if decision.previous_host else "-")
+
+
+def _format_terms(ranked: RankedHost | None) -> tuple[str, ...]:
+    if ranked is None:
+        return ("-",) * (len(TERMS) + 1)
+    return tuple(format_utility(value) for value in (*ranked.terms.values(), ranked.total))
+
+
+def _describe_losing_host(ranked: RankedHost) -> str:
+    return (
+        ", ".join(describe_rejection(entry) for entry in ranked.rejections)
+        if ranked.rejections
+        else f"rank {ranked.rank}"
+    )
+
+
+def _render_folded_section(title: str, text: str) -> str:
+    return f"\n<details><summary>{title}</summary>\n\n```text\n{text}```\n\n</details>\n" if text else ""
+
+
+def _render_markdown_row(step: Step) -> str:
+    decision = step.decision
+    fields = (
+        step.task,
+        decision.previous_host or "-",
+        decision.host or "-",
+        format_utility(decision.total),
+        format_utility(decision.lead, signed=True),
+        describe_reason(step),
+    )
+    return f"| `{step.action.symbol}` | " + " | ".join(escape_markdown(field) for field in fields) + " |\n"
+
+
+def escape_markdown(text: str) -> str:
+    """``text`` with the characters that Markdown interprets escaped."""
+    return escape_unprintable(text).translate(_MARKDOWN_ESCAPES)

@@ -1,0 +1,142 @@
+"""The snapshot of a probe: hosts with their load, links and tasks."""
+
+from collections.abc import Callable, Sequence
+
+from edgectl.formats import snapshot as snapshot_format
+from edgectl.formats.document import Document, encode_optional, without_none
+from edgectl.model.snapshot import (
+    BandwidthMeasurement,
+    HostSample,
+    InterfaceSample,
+    LinkSample,
+    ResourceUsage,
+    Snapshot,
+)
+from edgectl.units import format_bytes, format_cores, format_duration, format_rate
+from edgectl.views.glossary import head
+from edgectl.views.output import View
+from edgectl.views.output_format import FLEET_FORMATS
+from edgectl.views.plan_sections import list_unreachable_notes, render_notes
+from edgectl.views.rows import encode_host_row
+from edgectl.views.state import render_host_status
+from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, render_columns
+
+
+class SnapshotView(View):
+    """A snapshot; its document is the one that ``edgectl plan --snapshot`` reads."""
+
+    formats = FLEET_FORMATS
+
+    def __init__(self, snapshot: Snapshot, bandwidth: Sequence[BandwidthMeasurement] = ()) -> None:
+        self._snapshot = snapshot
+        self._bandwidth = bandwidth
+
+    def table(self, look: RenderOptions = PLAIN) -> str:
+        """One line per host: capacity, usage, links and tasks."""
+        rows = [head("host", "role", "status", "cpu.used_cores", "memory.used_bytes", "task_count", "links")]
+        rows += [_render_host_row(name, host, self._snapshot) for name, host in self._snapshot.hosts.items()]
+        return (
+            self._render_bandwidth(look)
+            + render_columns(rows, look, right={3, 4, 5}, wrap={2})
+            + render_notes(list_unreachable_notes(self._snapshot), look)
+        )
+
+    def wide(self, look: RenderOptions = PLAIN) -> str:
+        """The table, then load, temperature, GPU, sample age, links in full and interfaces of each host."""
+        rows = [
+            head(
+                "host",
+                "sample_age_s",
+                "device.load_1m",
+                "device.temperature_c",
+                "device.gpu_share",
+                "links",
+                "interfaces",
+            )
+        ]
+        rows += [_render_device_row(name, host) for name, host in self._snapshot.hosts.items() if host.ok]
+        return self.table(look) + "\n" + render_columns(rows, look, right={1, 2, 3, 4}, wrap={5})
+
+    def _render_bandwidth(self, look: RenderOptions) -> str:
+        if not self._bandwidth:
+            return ""
+        rows = [head("edge", "robot", "capacity_bytes_per_s")]
+        rows += [(each.edge, each.robot, _render_bandwidth_cell(each)) for each in self._bandwidth]
+        return render_columns(rows, look) + "\n"
+
+    def document(self) -> Document:
+        """The snapshot file. Its numbers are exact, for it is read back."""
+        document = snapshot_format.encode(self._snapshot)
+        if self._bandwidth:
+            document["bandwidth"] = [_encode_bandwidth_measurement(each) for each in self._bandwidth]
+        return document
+
+    def rows(self) -> Sequence[Document]:
+        """One row per host."""
+        return [encode_host_row(name, self._snapshot) for name in self._snapshot.hosts]
+
+    def names(self) -> Sequence[str]:
+        """The hosts that replied, as edge/NAME or robot/NAME."""
+        return [f"{host.role}/{name}" for name, host in self._snapshot.hosts.items() if host.ok]
+
+
+def _render_host_row(name: str, host: HostSample, value: Snapshot) -> Row:
+    first = (Cell(name, "name"), host.role, render_host_status(name, host, value.manager))
+    if not host.ok or not host.measured:
+        return (*first, "-", "-", "-", "-")
+    return (
+        *first,
+        _render_used_cell(host.usage["cpu"], format_cores),
+        _render_used_cell(host.usage["memory"], format_bytes),
+        str(sum(task.state.alive for task in host.tasks.values())),
+        ", ".join(_format_link_share(robot, link) for robot, link in host.links.items()) or "-",
+    )
+
+
+def _render_used_cell(usage: ResourceUsage, show: Callable[[float], str]) -> Cell:
+    share = usage.used / usage.capacity
+    return Cell(f"{show(usage.used)}/{show(usage.capacity)} ({share:.0%})", "bad" if share > 1 else "")
+
+
+def _format_link_share(robot: str, link: LinkSample) -> str:
+    share = (
+        f" {link.used_bytes_per_s / link.capacity_bytes_per_s:.0%}" if link.capacity_bytes_per_s else " down"
+    )
+    return f"{robot}{share}" + (f" {link.rtt_ms:.1f}ms" if link.rtt_ms is not None else "")
+
+
+def _render_device_row(name: str, host: HostSample) -> Row:
+    device = host.device
+    return (
+        Cell(name, "name"),
+        format_duration(host.sample_age_s) + (" profiler" if host.resident else ""),
+        "-" if device.load_1m is None else f"{device.load_1m:.2f}",
+        "-" if device.temperature_c is None else f"{device.temperature_c:.0f}C",
+        "-" if device.gpu_share is None else f"{device.gpu_share:.0%}",
+        ", ".join(_format_link_details(robot, link) for robot, link in host.links.items()) or "-",
+        ", ".join(_format_interface(interface, sample) for interface, sample in device.interfaces.items())
+        or "-",
+    )
+
+
+def _format_link_details(robot: str, link: LinkSample) -> str:
+    used, capacity = format_rate(link.used_bytes_per_s), format_rate(link.capacity_bytes_per_s)
+    return f"{robot} {used} of {capacity} ({link.capacity_source})"
+
+
+def _format_interface(name: str, sample: InterfaceSample) -> str:
+    speed = f" of {format_rate(sample.speed_bytes_per_s)}" if sample.speed_bytes_per_s else ""
+    return f"{name} in {format_rate(sample.rx_bytes_per_s)} out {format_rate(sample.tx_bytes_per_s)}{speed}"
+
+
+def _render_bandwidth_cell(value: BandwidthMeasurement) -> str | Cell:
+    return Cell(value.error, "bad") if value.bytes_per_s is None else format_rate(value.bytes_per_s)
+
+
+def _encode_bandwidth_measurement(value: BandwidthMeasurement) -> Document:
+    return without_none(
+        edge=value.edge,
+        robot=value.robot,
+        capacity_bytes_per_s=encode_optional(value.bytes_per_s),
+        error=value.error or None,
+    )

@@ -1,0 +1,148 @@
+"""The status of every task: host, state, age, usage against demand, and remarks on what needs attention."""
+
+from collections.abc import Iterator, Sequence
+
+from edgectl.formats.document import Document
+from edgectl.model.inventory import Inventory
+from edgectl.model.resource import RESOURCES
+from edgectl.model.snapshot import Snapshot, TaskSample, TaskState
+from edgectl.model.task import Task, Tasks
+from edgectl.units import format_duration
+from edgectl.views.glossary import head
+from edgectl.views.output import ListView
+from edgectl.views.output_format import NAMED_FORMATS
+from edgectl.views.plan_sections import list_operator_mark_notes, list_unreachable_notes, render_notes
+from edgectl.views.rows import (
+    compute_task_age,
+    encode_absent_row,
+    encode_run_row,
+    find_task_demand,
+    list_task_runs,
+)
+from edgectl.views.state import (
+    TASK_STATE_STYLES,
+    describe_attention,
+    format_silence,
+    format_task_state,
+    list_task_remarks,
+    resolve_absent_task,
+)
+from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, is_within_width, render_columns
+from edgectl.views.usage import Amounts, format_or_dash
+
+_USAGE_COLUMNS = [
+    f"{resource.name}.{amount}_{resource.unit.name}"
+    for resource in RESOURCES
+    for amount in ("used", "demand")
+]
+_HEAD = head("task", "host", "state", "age_s", *_USAGE_COLUMNS)
+_FIRST_USAGE = 4
+
+
+class StatusView(ListView):
+    """One row per task and host that reports it, and one per task of the files that no host reports."""
+
+    kind = "task-status"
+    formats = NAMED_FORMATS
+
+    def __init__(self, snapshot: Snapshot, inventory: Inventory, tasks: Tasks) -> None:
+        self._snapshot, self._inventory, self._tasks = snapshot, inventory, tasks
+
+    def table(self, look: RenderOptions = PLAIN) -> str:
+        """Usage beside demand; on a narrow terminal the demands stand below."""
+        rows: list[Row] = [_HEAD, *map(self._render_run_row, list_task_runs(self._snapshot))]
+        rows += [_render_absent_row(task, self._snapshot) for task in self._absent_tasks()]
+        # A state may wrap, so the longest one does not count.
+        widest: list[Row] = [(*row[:2], TaskState.COMPLETED, *row[3:]) for row in rows]
+        if is_within_width(widest, look):
+            return self._render(rows, look, right=set(range(3, len(_HEAD))))
+        return self._render(
+            list(_stack_demand_rows(rows)), look, right=set(range(3, _FIRST_USAGE + len(RESOURCES)))
+        )
+
+    def _render(self, rows: list[Row], look: RenderOptions, *, right: set[int]) -> str:
+        notes = render_notes(
+            list_unreachable_notes(self._snapshot)
+            + list_operator_mark_notes(self._snapshot)
+            + list_task_remarks(self._snapshot),
+            look,
+        )
+        return render_columns(rows, look, right=right, wrap={2}) + notes
+
+    def _render_run_row(self, run: tuple[str, str, TaskSample]) -> Row:
+        name, host, sample = run
+        demand = find_task_demand(name, host, self._snapshot, self._inventory, self._tasks)
+        age = compute_task_age(sample, self._snapshot)
+        return (
+            Cell(name, "name"),
+            host,
+            Cell(format_task_state(sample), TASK_STATE_STYLES[sample.state]),
+            format_or_dash(age, format_duration),
+            *_render_usage_cells(sample, demand),
+        )
+
+    def _absent_tasks(self) -> list[Task]:
+        seen = {name for name, _, _ in list_task_runs(self._snapshot)}
+        return [task for task in self._tasks.tasks.values() if task.name not in seen]
+
+    def items(self) -> Sequence[Document]:
+        """The same rows as JSON types, each with what needs attention."""
+        runs = [
+            encode_run_row(
+                name,
+                host,
+                sample,
+                find_task_demand(name, host, self._snapshot, self._inventory, self._tasks),
+                self._snapshot,
+            )
+            | {"attention": describe_attention(sample) or None}
+            for name, host, sample in list_task_runs(self._snapshot)
+        ]
+        absent = [
+            encode_absent_row(task, self._snapshot) | {"attention": _describe_absence(task, self._snapshot)}
+            for task in self._absent_tasks()
+        ]
+        return [*runs, *absent]
+
+    def warnings(self) -> Sequence[str]:
+        """Hosts without a reply and marks of the operator."""
+        return [*list_unreachable_notes(self._snapshot), *list_operator_mark_notes(self._snapshot)]
+
+    def names(self) -> Sequence[str]:
+        """The tasks that run."""
+        return [f"task/{task}" for task, _, sample in list_task_runs(self._snapshot) if sample.state.alive]
+
+
+def _render_usage_cells(sample: TaskSample, demand: Amounts) -> list[str]:
+    cells = []
+    for resource in RESOURCES:
+        used = sample.used[resource.name] if sample.state.alive else None
+        cells += [
+            format_or_dash(used, resource.unit.format),
+            format_or_dash(demand.get(resource.name), resource.unit.format),
+        ]
+    return cells
+
+
+def _stack_demand_rows(rows: list[Row]) -> Iterator[Row]:
+    """For a narrow terminal: the demands on a row of their own below the usage."""
+    yield (*rows[0][:_FIRST_USAGE], *rows[0][_FIRST_USAGE::2])
+    for row in rows[1:]:
+        yield (*row[:_FIRST_USAGE], *row[_FIRST_USAGE::2])
+        demands = row[_FIRST_USAGE + 1 :: 2]
+        if any(demand != "-" for demand in demands):
+            yield ("", "", "", "demand", *demands)
+
+
+def _render_absent_row(task: Task, value: Snapshot) -> Row:
+    known = resolve_absent_task(task, value)
+    text = known.state + format_silence(known.contact, value.taken_at)
+    state = Cell(text, "warn" if known.host else "dim")
+    return (Cell(task.name, "name"), known.host or "-", state, *("-",) * (len(_HEAD) - 3))
+
+
+def _describe_absence(task: Task, value: Snapshot) -> str | None:
+    known = resolve_absent_task(task, value)
+    if known.host is None:
+        return None if known.state == "completed" else known.state
+    return f"{known.host} does not answer" + format_silence(known.contact, value.taken_at)

@@ -1,0 +1,174 @@
+"""The manager killed with SIGKILL at every failpoint: before and after each journalled step, request and
+file.
+
+One fleet takes many kills. After each, the same command runs *once* more, must exit with 0, and the oracle
+judges. The failpoints of a command are counted in an undisturbed run.
+"""
+
+import signal
+from collections.abc import Callable
+
+from tests.faults import failpoint_runner
+from tests.faults.command_result import ExpectationError
+from tests.faults.faults_host import start_pair
+from tests.faults.fleet import APPLY, FaultFleet
+from tests.faults.registry import fault
+
+SAMPLE = 1
+ONE_BY_ONE = ("--max-parallel", "1")
+APPLY_ONE = (*APPLY, *ONE_BY_ONE)
+Change = Callable[[FaultFleet, int], tuple[str, ...]]
+"""Gives edgectl something to do, each number in its own kind of turn (the number modulo the kinds); returns the words of the command."""
+
+
+def kill_at_every_failpoint(fleet: FaultFleet, turn: Change, kinds: int = 2) -> None:
+    """Kill at each failpoint of every variant of the command (in a sample: at a few of each, drawn at
+    random).
+    """
+    deaths = [choose_failpoints(fleet, count_failpoints(fleet, turn, kind)) for kind in range(kinds)]
+    for number in range(kinds, kinds + kinds * max(map(len, deaths))):
+        of_kind, round_number = deaths[number % kinds], number // kinds - 1
+        words = turn(fleet, number)
+        if round_number < len(of_kind):
+            kill_at_failpoint(fleet, words, of_kind[round_number])
+        rerun_command(fleet, words)
+
+
+def count_failpoints(fleet: FaultFleet, turn: Change, number: int) -> int:
+    """Count the failpoints of one variant."""
+    fleet.failpoint_log.unlink(missing_ok=True)
+    words = turn(fleet, number)
+    fleet.kill_at = 0
+    fleet.run_edgectl(*words).expect_exit(0)
+    fleet.kill_at = None
+    fleet.check_verdict()
+    return len(failpoint_runner.read_failpoints(fleet.failpoint_log))
+
+
+def choose_failpoints(fleet: FaultFleet, count: int) -> list[int]:
+    """Choose the failpoints at which to kill."""
+    every = range(1, count + 1)
+    return sorted(fleet.random.sample(every, SAMPLE)) if fleet.sample else list(every)
+
+
+def kill_at_failpoint(fleet: FaultFleet, words: tuple[str, ...], at: int) -> None:
+    """Run edgectl until its ``at``-th failpoint, where it is killed. A run may have one failpoint less than
+    counted: then nothing is injected.
+    """
+    fleet.failpoint_log.unlink(missing_ok=True)
+    fleet.kill_at = at
+    died = fleet.run_edgectl(*words)
+    fleet.kill_at = None
+    if died.code == -signal.SIGKILL:
+        fleet.injected += 1
+    elif died.code or len(failpoint_runner.read_failpoints(fleet.failpoint_log)) < at - 3:
+        raise ExpectationError(
+            f"did not reach point {at}: {failpoint_runner.read_failpoints(fleet.failpoint_log)}, {died}"
+        )
+
+
+def rerun_command(fleet: FaultFleet, words: tuple[str, ...]) -> None:
+    """Run the same command again, without a kill."""
+    fleet.run_edgectl(*words).expect_exit(0)
+    fleet.check_verdict()
+
+
+def change_all_tasks(fleet: FaultFleet, number: int) -> tuple[str, ...]:
+    """slam moves, nav restarts with another specification; map is started in even rounds and stopped in odd
+    ones.
+    """
+    fleet.pin_task("slam", "edge1" if number % 2 else "edge2")
+    fleet.tasks["nav"]["env"] = {"TURN": str(number)}
+    fleet.remove_task("map") if number % 2 else fleet.add_task("map", on="edge1")
+    fleet.write_files()
+    return APPLY_ONE
+
+
+def move_slam(fleet: FaultFleet, number: int) -> tuple[str, ...]:
+    """Start-first move of slam."""
+    fleet.pin_task("slam", "edge1" if number % 2 else "edge2")
+    return APPLY_ONE
+
+
+@fault("manager killed at every point of an apply: start, stop, restart, move", quick=True)
+def kill_apply(fleet: FaultFleet) -> None:
+    start_pair(fleet)
+    kill_at_every_failpoint(fleet, change_all_tasks)
+
+
+@fault("manager killed at every point of a start-first move")
+def kill_start_first_move(fleet: FaultFleet) -> None:
+    fleet.add_task("slam", on="edge1", handoff={"order": "start-first"})
+    fleet.apply_and_check()
+    fleet.overlap_allowed.add("slam")
+    kill_at_every_failpoint(fleet, move_slam)
+
+
+@fault("manager killed at every point of a drain", kinds=("loopback",))
+def kill_drain(fleet: FaultFleet) -> None:
+    """Even rounds drain slam's host; odd rounds uncordon both hosts and bring slam back."""
+    start_pair(fleet)
+
+    def turn(fleet: FaultFleet, number: int) -> tuple[str, ...]:
+        if number % 2:
+            fleet.run_edgectl("uncordon", "edge1").expect_exit(0)
+            fleet.pin_task("slam", "edge1")
+            return APPLY_ONE
+        fleet.pin_task("slam", None)
+        fleet.run_edgectl("uncordon", "edge1").expect_exit(0)
+        return ("drain", "edge1", "--yes", *ONE_BY_ONE)
+
+    kill_at_every_failpoint(fleet, turn)
+
+
+@fault("manager killed at every point of a stop", quick=True)
+def kill_stop(fleet: FaultFleet) -> None:
+    start_pair(fleet)
+
+    def turn(fleet: FaultFleet, _number: int) -> tuple[str, ...]:
+        fleet.apply().expect_exit(0)
+        fleet.expected.pop("slam", None)
+        return ("stop", "slam", "--yes", *ONE_BY_ONE)
+
+    kill_at_every_failpoint(fleet, turn, kinds=1)
+    fleet.expected["slam"] = None
+
+
+@fault("manager killed at every point of a done, and of the apply that follows", quick=True)
+def kill_done(fleet: FaultFleet) -> None:
+    """Even rounds mark slam as done, which contacts no host; odd rounds stop it and start it again for the
+    next round.
+    """
+    start_pair(fleet)
+
+    def turn(fleet: FaultFleet, number: int) -> tuple[str, ...]:
+        if number % 2:
+            fleet.expected.pop("slam", None)
+            return APPLY_ONE
+        fleet.run_edgectl("reopen", "slam").expect_exit(0)
+        fleet.apply().expect_exit(0)
+        fleet.expected["slam"] = None
+        return ("done", "slam")
+
+    kill_at_every_failpoint(fleet, turn)
+
+
+@fault("manager killed at every point of a rollback", quick=True)
+def kill_rollback(fleet: FaultFleet) -> None:
+    """Roll back to revision 1, where slam ran on edge1 alone, then to revision 2, where it ran on edge2
+    beside nav.
+    """
+    fleet.add_task("slam", on="edge1")
+    fleet.apply_and_check()
+    fleet.add_task("nav", on="edge2")
+    fleet.pin_task("slam", "edge2")
+    fleet.apply_and_check()
+    for task in ("slam", "nav"):
+        fleet.pin_task(task, None)
+
+    def turn(fleet: FaultFleet, number: int) -> tuple[str, ...]:
+        second = number % 2 == 1
+        fleet.expected = {"slam": "edge2", "nav": "edge2"} if second else {"slam": "edge1"}
+        return ("rollback", "2" if second else "1", "--yes", *ONE_BY_ONE)
+
+    kill_at_every_failpoint(fleet, turn)

@@ -1,0 +1,40 @@
+"""Maps of resources: complete, immutable, and equal by what they hold."""
+
+import copy
+import pickle
+
+import pytest
+
+from edgectl.model.inventory import Limits
+from edgectl.model.policy import WEIGHT_PRESETS, Weights
+from edgectl.model.resource import AFFINITY, RESOURCES, RESOURCES_BY_NAME, TERMS, Usage
+from edgectl.model.task import Demand, Quantity
+
+
+def test_what_is_not_given_has_its_default() -> None:
+    assert Limits(cpu=0.8) == {"cpu": 0.8, "memory": 1.0}
+    assert Limits(cpu=0.8).stated == {"cpu": 0.8}
+    assert tuple(Usage(network=1.0)) == tuple(RESOURCES_BY_NAME)
+
+
+def test_an_unknown_name_is_refused() -> None:
+    with pytest.raises(TypeError, match="Limits has no gpu"):
+        Limits(gpu=0.5)
+
+
+@pytest.mark.parametrize("change", ["__setitem__", "__delitem__", "update", "setdefault", "pop", "clear"])
+def test_a_map_cannot_be_changed(change: str) -> None:
+    with pytest.raises(TypeError, match="Usage cannot be changed"):
+        getattr(Usage(cpu=1.0), change)("cpu")
+
+
+def test_a_map_is_copied_pickled_and_hashed_by_value() -> None:
+    demand = Demand(cpu=Quantity(value=1.0))
+    assert copy.deepcopy(demand) == pickle.loads(pickle.dumps(demand)) == demand
+    assert hash(Demand(cpu=Quantity(value=1.0))) == hash(demand)
+
+
+def test_the_terms_are_the_resources_and_the_affinity() -> None:
+    assert (*(resource.name for resource in RESOURCES), AFFINITY) == TERMS
+    assert WEIGHT_PRESETS.keys() == {*TERMS, "all", "resources"}
+    assert WEIGHT_PRESETS["all"] == Weights()

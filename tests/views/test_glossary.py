@@ -1,0 +1,169 @@
+"""Every document of every view, key by key, against the glossary; and the page that lists it."""
+
+from collections.abc import Iterator
+from datetime import datetime
+from importlib import import_module
+from pkgutil import iter_modules
+
+import pytest
+
+import edgectl.experiments.views
+import edgectl.views
+from edgectl.experiments.views.experiment import ExperimentView
+from edgectl.experiments.views.map_score import MapScoreView
+from edgectl.experiments.views.replay import ReplayView
+from edgectl.formats.document import Document
+from edgectl.model.cycle import Cycle
+from edgectl.views.diagnosis import DiagnosisView
+from edgectl.views.dry_run import RequestsView
+from edgectl.views.events import EventsView
+from edgectl.views.explanation import ExplanationView
+from edgectl.views.glossary import KeyEntry, KeyType, list_keys
+from edgectl.views.history import HistoryView, RevisionView
+from edgectl.views.listing import ListingChangesView, ListingKind, compare_listings
+from edgectl.views.output import ItemView, ListView, View
+from edgectl.views.profile import ProfileView
+from edgectl.views.profilers import ProfilersView
+from edgectl.views.results import DrainView
+from edgectl.views.status import StatusView
+from edgectl.views.watch_cycle import CycleView
+from tests.builders import NOW
+from tests.experiments import test_experiment_view, test_simulation_and_replay_views
+from tests.views import (
+    test_demands,
+    test_describe,
+    test_diagnosis,
+    test_explanation,
+    test_forms,
+    test_listing,
+    test_live,
+    test_past,
+    test_profilers,
+    test_top,
+)
+from tests.views.fixtures import ROOT
+from tests.views.outputs_page import render_outputs_page
+
+GLOSSARY = {entry.key: entry for entry in list_keys()}
+REQUEST = {"host": "edge1", "phase": "start", "task": "slam", "command": "python3 -", "stdin": {"any": [1]}}
+
+
+def list_views() -> Iterator[View]:
+    yield from (view for what, view in test_forms.views().items() if what not in ("plan", "snapshot"))
+    yield from (test_describe.host_view("edge1"), test_describe.host_view("edge2"))
+    yield from (test_describe.task_view(), test_describe.task_view("idle"))
+    yield from (test_top.hosts_view(), test_top.tasks_view(test_top.saying()))
+    listing = test_listing.listed(ListingKind.TASKS)
+    yield ListingChangesView(listing, compare_listings(None, listing), None)
+    yield from (test_listing.listing_view(kind) for kind in ListingKind)
+    yield StatusView(test_past.SNAPSHOT, test_past.FLEET, test_listing.TASKS)
+    yield from (HistoryView(test_past.PAST), RevisionView(test_past.PAST[0]))
+    yield DrainView([test_forms.RESULTS], [("slam", "edge1")], done=False)
+    yield RequestsView([REQUEST])
+    yield EventsView(test_describe.EVENTS)
+    yield from (ProfilersView(test_profilers.FOUND), DiagnosisView(test_diagnosis.FOUND))
+    yield ExplanationView(*test_explanation.taken_apart())
+    yield ProfileView([test_demands.a_profile()])
+    yield CycleView(test_live.cycle(results=test_live.results(test_live.MOVED), events=(test_live.EVENT,)))
+    yield from (CycleView(test_live.cycle()), CycleView(Cycle(number=3, at=NOW, error="no", busy="held")))
+    yield ExperimentView(run=test_experiment_view.RUN, results=test_experiment_view.DONE)
+    yield test_simulation_and_replay_views.VIEW
+    yield ReplayView(results=[test_simulation_and_replay_views.REPLAYED])
+    yield MapScoreView(0.5)
+
+
+VIEWS = list(list_views())
+
+
+def find_faults(value: object, path: str, entry: KeyEntry | None = None) -> Iterator[str]:
+    """Keys that the glossary does not have, and values that have another type."""
+    if isinstance(value, dict):
+        for key, each in value.items():
+            known = None if entry is not None and entry.type is KeyType.MAP else GLOSSARY.get(key)
+            where = f"{path}.{key}"
+            if entry is not None and entry.type is KeyType.MAP:
+                yield from find_faults(each, where) if isinstance(each, dict | list) else ()
+            elif known is None:
+                yield f"{where}: not in the glossary"
+            elif each is not None and not has_type(each, known.type):
+                yield f"{where}: not of type {known.type}"
+            elif known.type is not KeyType.OPAQUE:
+                yield from find_faults(each, where, known)
+    elif isinstance(value, list):
+        for each in value:
+            yield from find_faults(each, f"{path}[]") if isinstance(each, dict) else ()
+
+
+def has_type(value: object, kind: KeyType) -> bool:
+    if kind is KeyType.INSTANT:
+        return isinstance(value, str) and datetime.fromisoformat(value).tzinfo is not None
+    types: dict[KeyType, type | tuple[type, ...]] = {
+        KeyType.TEXT: str,
+        KeyType.NUMBER: (int, float),
+        KeyType.FLAG: bool,
+        KeyType.LIST: list,
+        KeyType.OBJECT: dict,
+        KeyType.MAP: dict,
+        KeyType.OPAQUE: object,
+    }
+    return isinstance(value, types[kind]) and isinstance(value, bool) <= (kind is KeyType.FLAG)
+
+
+def encode(view: View) -> Document:
+    return view.document()
+
+
+@pytest.mark.parametrize("view", VIEWS, ids=lambda view: type(view).__name__)
+def test_every_key_is_in_the_glossary_with_one_type(view: View) -> None:
+    assert sorted(set(find_faults(encode(view), type(view).__name__))) == []
+
+
+def test_every_view_is_walked() -> None:
+    for room in (edgectl.views, edgectl.experiments.views):
+        for module in iter_modules(room.__path__):
+            import_module(f"{room.__name__}.{module.name}")
+    files = {"PlanView", "SnapshotView"}
+    assert {each.__name__ for each in list_classes(View)} - files == {type(view).__name__ for view in VIEWS}
+
+
+def list_classes(base: type) -> Iterator[type]:
+    for each in base.__subclasses__():
+        if each not in (ItemView, ListView):
+            yield each
+        yield from list_classes(each)
+
+
+def test_a_key_of_the_glossary_is_in_some_document() -> None:
+    used: set[str] = set()
+    for view in VIEWS:
+        collect_keys(encode(view), used)
+    assert sorted(set(GLOSSARY) - used - NOT_IN_THE_SAMPLES) == []
+
+
+# Of hosts, tasks and changes that no sample has.
+NOT_IN_THE_SAMPLES = {
+    "ended_at", "exit_code", "given_up", "gpu_share", "boot_id", "clock_skew_s", "enforcement", "log_tail",
+    "object", "type", "speed_bytes_per_s", "resident", "user", "hold", "release", "proxy_jump",
+}  # fmt: skip
+
+
+def collect_keys(value: object, found: set[str]) -> None:
+    if isinstance(value, dict):
+        found.update(value)
+    for each in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
+        collect_keys(each, found)
+
+
+def test_units_stand_in_the_names_of_numbers() -> None:
+    assert len(GLOSSARY) == len(list_keys()), "one entry per key"
+    assert {GLOSSARY[key].unit for key in ("used_bytes", "age_s", "rtt_ms", "used_bytes_per_s")} == {
+        "bytes",
+        "s",
+        "ms",
+        "bytes/s",
+    }
+
+
+def test_the_page_lists_the_glossary() -> None:
+    page = ROOT / "docs" / "reference" / "outputs.md"
+    assert page.read_text() == render_outputs_page(), "python -m tests.views.outputs_page > " + str(page)
