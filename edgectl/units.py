@@ -1,7 +1,6 @@
 """Parsing and formatting of quantities: cores, bytes, bytes per second, shares, durations, instants.
 
-Parsers take a YAML value (number or string) and raise ``ValueError`` with a message that names the accepted
-forms.
+Parsers take a YAML value (number or string) and raise ``QuantityError``, whose hint names the accepted forms.
 """
 
 import math
@@ -38,24 +37,39 @@ _NUMBER = r"([0-9]+(?:\.[0-9]+)?(?:[eE][+-]?[0-9]{1,3})?)"
 _WITH_UNIT = re.compile(_NUMBER + r"\s*([A-Za-z/]*)")
 _DURATION = re.compile(r"(?:[0-9]+(?:\.[0-9]+)?(?:ms|s|m|h|d))+")
 _DURATION_PART = re.compile(r"([0-9]+(?:\.[0-9]+)?)(ms|s|m|h|d)")
+# How quantities are written as text, for JSON Schemas.
+CORES_PATTERN = rf"{_NUMBER}\s*m?"
+BYTES_PATTERN = rf"{_NUMBER}\s*(?:{'|'.join(filter(None, _BYTE_UNITS))})?"
+RATE_PATTERN = rf"{_NUMBER}\s*(?:(?:{'|'.join((*filter(None, _BYTE_UNITS), *_BIT_UNITS))})/s)?"
+SHARE_PATTERN = rf"{_NUMBER}\s*%"
+DURATION_PATTERN = _DURATION.pattern
 _INSTANT = re.compile(r"\d{4}-\d{2}-\d{2}[Tt]\d{2}:\d{2}:\d{2}(?:\.\d{1,6})?(?:[Zz]|[+-]\d{2}:\d{2})")
+
+
+class QuantityError(ValueError):
+    """A value that is no valid quantity. ``hint`` says how to write one; the message never contains it."""
+
+    def __init__(self, message: str, hint: str = "") -> None:
+        super().__init__(message)
+        self.message = message
+        self.hint = hint
 
 
 def _check_finite(value: float, forms: str) -> float:
     if not math.isfinite(value) or value < 0:
-        raise ValueError(f"must be a finite number, 0 or more, got {value!r}; {forms}")
+        raise QuantityError(f"must be a finite number, 0 or more, got {value!r}", forms)
     return value
 
 
 def _parse_number(raw: object, forms: str) -> float | None:
     if isinstance(raw, bool):
-        raise ValueError(f"must not be true or false; {forms}")
+        raise QuantityError("must not be true or false", forms)
     if not isinstance(raw, int | float):
         return None
     try:
         return _check_finite(float(raw), forms)
     except OverflowError:
-        raise ValueError(f"is too large; {forms}") from None
+        raise QuantityError("is too large", forms) from None
 
 
 def _parse_scaled(raw: object, units: dict[str, float], forms: str) -> float:
@@ -64,7 +78,7 @@ def _parse_scaled(raw: object, units: dict[str, float], forms: str) -> float:
         return number
     match = _WITH_UNIT.fullmatch(str(raw).strip()) if isinstance(raw, str) else None
     if match is None or match[2] not in units:
-        raise ValueError(f"cannot be read as a quantity: {raw!r}; {forms}")
+        raise QuantityError(f"cannot be read as a quantity: {raw!r}", forms)
     return _check_finite(float(match[1]) * units[match[2]], forms)
 
 
@@ -95,7 +109,7 @@ def parse_share(raw: object) -> float:
     """A share in 0..1 (or above, for overcommit) from ``"35.2%"``."""
     match = re.fullmatch(_NUMBER + r"\s*%", raw.strip()) if isinstance(raw, str) else None
     if match is None:
-        raise ValueError(f"cannot be read as a percentage: {raw!r}; write 80%")
+        raise QuantityError(f"cannot be read as a percentage: {raw!r}", "write 80%")
     return _check_finite(float(match[1]) / 100.0, "write 80%")
 
 
@@ -107,7 +121,7 @@ def parse_duration(raw: object) -> float:
         return number
     text = str(raw).strip()
     if not isinstance(raw, str) or _DURATION.fullmatch(text) is None:
-        raise ValueError(f"cannot be read as a duration: {raw!r}; {forms}")
+        raise QuantityError(f"cannot be read as a duration: {raw!r}", forms)
     return _check_finite(
         sum(float(n) * _SECONDS_PER_UNIT[unit] for n, unit in _DURATION_PART.findall(text)), forms
     )
@@ -116,7 +130,7 @@ def parse_duration(raw: object) -> float:
 def parse_instant(raw: object) -> float:
     """Seconds since 1970 (UTC) from an RFC 3339 string."""
     if not isinstance(raw, str) or _INSTANT.fullmatch(raw) is None:
-        raise ValueError(f"cannot be read as an instant: {raw!r}; write 2026-11-21T08:00:00Z")
+        raise QuantityError(f"cannot be read as an instant: {raw!r}", "write 2026-11-21T08:00:00Z")
     return datetime.fromisoformat(raw.upper()).timestamp()
 
 

@@ -19,7 +19,7 @@ ALLOWED = {
     "scheduler": PURE,
     "config": PURE | {"formats"},
     "transport": PURE,
-    "gateway": PURE | {"transport"},
+    "gateway": PURE | {"formats", "transport"},
     "state": PURE | {"formats"},
     "doctor": PURE,
     "executor": PURE | {"transport", "state"},

@@ -96,6 +96,7 @@ COMMANDS = {
     ),
     "init": CommandEntry("cli.offline_commands", "Files", "Create an example fleet."),
     "validate": CommandEntry("cli.offline_commands", "Files", "Check inventory and task files offline."),
+    "schema": CommandEntry("cli.schema", "Files", "Print the JSON Schema of a file or document."),
     "export prometheus": CommandEntry(
         "cli.export", "Files", "Export measurements and decisions as Prometheus metrics."
     ),

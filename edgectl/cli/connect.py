@@ -7,7 +7,7 @@ from edgectl.cli import console
 from edgectl.cli.user_files import LoadedInputs
 from edgectl.errors import UsageError
 from edgectl.model.diagnosis import Disk
-from edgectl.units import parse_duration
+from edgectl.units import QuantityError, parse_duration
 from edgectl.usecases.fleet import Fleet
 
 
@@ -72,6 +72,5 @@ def parse_duration_option(text: str, option: str) -> float:
     """
     try:
         return parse_duration(float(text) if text.replace(".", "", 1).isdigit() else text)
-    except ValueError as error:
-        message, _, hint = str(error).partition("; ")
-        raise UsageError(f"{option} {message}", hint=hint) from None
+    except QuantityError as error:
+        raise UsageError(f"{option} {error.message}", hint=error.hint) from None

@@ -16,7 +16,6 @@ from edgectl.cli.user_files import (
     resolve_task_paths,
     save_file,
 )
-from edgectl.errors import UsageError
 from edgectl.export.job import ScheduledJob
 
 JobPeriodOption = Annotated[
@@ -43,11 +42,7 @@ def export_cron_command(
     from edgectl.export.cron import format_crontab
 
     job = _build_job(inventory, tasks, every)
-    try:
-        text = format_crontab(job)
-    except ValueError as error:
-        raise _usage_error_from(error) from None
-    _write_output(text, out)
+    _write_output(format_crontab(job), out)
 
 
 def export_systemd_command(
@@ -74,21 +69,13 @@ def export_systemd_command(
     from edgectl.export.systemd import build_timer_units, build_watch_unit
 
     job = _build_job(inventory, tasks, every)
-    try:
-        units = build_watch_unit(job, user=user) if watch else build_timer_units(job, user=user)
-    except ValueError as error:
-        raise _usage_error_from(error) from None
+    units = build_watch_unit(job, user=user) if watch else build_timer_units(job, user=user)
     if out is None:
         _write_output("\n".join(units.values()), None)
         return
     make_directory(out)
     for name, text in units.items():
         _write_output(text, out / name)
-
-
-def _usage_error_from(error: ValueError) -> UsageError:
-    message, _, hint = str(error).partition("; ")
-    return UsageError(message, hint=hint)
 
 
 def _write_output(text: str, out: Path | None) -> None:

@@ -25,10 +25,11 @@ def init_command(
         edgectl init demo
         edgectl init .
     """
+    from edgectl.cli.schema import render_editor_schemas
     from edgectl.scaffold.write import write_scaffold
 
     try:
-        written = write_scaffold(directory)
+        written = write_scaffold(directory, render_editor_schemas())
     except OSError as error:
         raise FileError(f"cannot write {error.filename or directory}: {error.strerror}") from error
     console.print_text("".join(f"{'wrote' if new else 'kept '} {path}\n" for path, new in written.items()))

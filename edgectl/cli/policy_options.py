@@ -14,6 +14,7 @@ from edgectl.model.plan import Plan
 from edgectl.model.policy import Policy, PolicyName, Weights
 from edgectl.model.task import Tasks
 from edgectl.names import check_known_names
+from edgectl.units import QuantityError
 from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.plan import keep_whole_plan, limit_plan_to_tasks
 
@@ -49,9 +50,8 @@ def policy_from_options(
 def _parse_weights_option(text: str) -> Weights:
     try:
         return parse_weights(text)
-    except ValueError as error:
-        message, _, hint = str(error).partition("; ")
-        raise UsageError(f"--weights: {message}", hint=hint) from None
+    except QuantityError as error:
+        raise UsageError(f"--weights: {error.message}", hint=error.hint) from None
 
 
 def load_saved_plan(path: Path | None, *decisions: object) -> Plan | None:

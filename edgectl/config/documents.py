@@ -1,4 +1,4 @@
-"""Snapshot and plan files: fast where they are right; where they are not, every mistake with its place."""
+"""Snapshot and plan files: fast if they are valid; otherwise every fault with its position."""
 
 import json
 from collections.abc import Callable, Iterable
@@ -9,9 +9,8 @@ from edgectl.config.json_positions import find_json_positions
 from edgectl.config.problems import Mark, ProblemCode, Problems, Source, mark_from_span
 from edgectl.config.source import read_source
 from edgectl.errors import EdgectlError
-from edgectl.formats import plan as plan_format
-from edgectl.formats import snapshot as snapshot_format
 from edgectl.formats.document import Fault, FormatErrors
+from edgectl.formats.kinds import PLAN_KIND, SNAPSHOT_KIND
 from edgectl.model.plan import Plan
 from edgectl.model.snapshot import Snapshot
 
@@ -26,7 +25,7 @@ def load_snapshot(path: str | Path) -> Snapshot:
     Raises:
         InputError: everything that is wrong with it.
     """
-    return _load_document(Path(path), snapshot_format.decode, _SNAPSHOT_COMMAND)
+    return _load_document(Path(path), SNAPSHOT_KIND.decode, _SNAPSHOT_COMMAND)
 
 
 def load_snapshots(paths: Iterable[Path]) -> tuple[Snapshot, ...]:
@@ -45,7 +44,7 @@ def load_plan(path: str | Path) -> Plan:
     Raises:
         InputError: everything that is wrong with it.
     """
-    return _load_document(Path(path), plan_format.decode, _PLAN_COMMAND)
+    return _load_document(Path(path), PLAN_KIND.decode, _PLAN_COMMAND)
 
 
 class _NotJsonError(Exception):

@@ -1,4 +1,4 @@
-"""Mappings and lists out of nodes. Tables of readers describe the mappings of the files: a key that is not in the table is a mistake."""
+"""Mappings and lists out of nodes. Tables of readers describe the mappings; other keys are errors."""
 
 import re
 import shlex
@@ -15,6 +15,14 @@ from edgectl.config.scalars import (
     read_text,
     read_text_or_empty,
     report_wrong_type,
+)
+from edgectl.config.schema import (
+    Schema,
+    build_mapping_schema,
+    build_object_schema,
+    describe_as,
+    describe_reader,
+    get_reader_schema,
 )
 from edgectl.model.secret import Secret
 
@@ -89,7 +97,9 @@ def _report_unknown_key(
 ) -> None:
     if key.lower() in _PASSWORD_KEYS:
         hint = 'use a key or the agent, or: password_command: ["pass", "show", "lab/edge1"]'
-        problems.add(node.key_mark(key), ProblemCode.PASSWORD, "a password may not stand in a file", hint)
+        problems.add(
+            node.key_mark(key), ProblemCode.PASSWORD, "plaintext passwords are not allowed in files", hint
+        )
     else:
         problems.add(
             node.key_mark(key),
@@ -109,7 +119,7 @@ def record_reader(
         complete = isinstance(node.value, dict) and all(key in fields.values for key in required)
         return build(**fields.values) if complete else INVALID
 
-    return read
+    return describe_reader(read, lambda: build_object_schema(table, required))
 
 
 def keep_node(node: Node, _: Problems) -> Node:
@@ -127,7 +137,7 @@ def list_reader_with_nodes(read: NodeReader) -> NodeReader:
         values = ((read(inner, problems), inner) for inner in node.value)
         return tuple((value, inner) for value, inner in values if value is not INVALID)
 
-    return read_list
+    return describe_reader(read_list, lambda: {"type": "array", "items": get_reader_schema(read)})
 
 
 def list_reader(read: NodeReader) -> NodeReader:
@@ -138,7 +148,7 @@ def list_reader(read: NodeReader) -> NodeReader:
         values = listed(node, problems)
         return values if values is INVALID else tuple(value for value, _ in values)
 
-    return read_list
+    return describe_reader(read_list, lambda: get_reader_schema(listed))
 
 
 def mapping_reader(key_form: re.Pattern[str], what: str, read: NodeReader = read_text_or_empty) -> NodeReader:
@@ -160,9 +170,21 @@ def mapping_reader(key_form: re.Pattern[str], what: str, read: NodeReader = read
                 result[key] = value
         return result
 
-    return read_mapping
+    return describe_reader(
+        read_mapping, lambda: build_mapping_schema(key_form.pattern, get_reader_schema(read))
+    )
 
 
+def _describe_variable() -> Schema:
+    return {
+        "anyOf": [
+            get_reader_schema(read_text_or_empty),
+            build_object_schema(SECRET_KEYS, ("value", "secret")),
+        ]
+    }
+
+
+@describe_as(_describe_variable)
 def _read_variable(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     """A text, or ``{value: .., secret: true}``. A line on which a secret may stand is never shown."""
     if not isinstance(node.value, dict):
@@ -184,6 +206,7 @@ def _read_variable(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     return Secret(value) if secret else value
 
 
+@describe_as(lambda: {"type": "string"})
 def _read_secret_text(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     if isinstance(node.value, str) and "\0" not in node.value:
         return node.value
@@ -195,8 +218,9 @@ SECRET_KEYS: Mapping[str, NodeReader] = {"value": _read_secret_text, "secret": r
 _read_variables = mapping_reader(ENV_NAME_PATTERN, "an environment variable", _read_variable)
 
 
+@describe_as(lambda: get_reader_schema(_read_variables))
 def read_environment(node: Node, problems: Problems) -> Any:  # noqa: ANN401
-    """Variables by name. One whose name says that it is a password may not stand there as a plain text; nothing of it is shown."""
+    """Variables by name. Plain text is refused where the name means a password; nothing of it is shown."""
     if not isinstance(node.value, dict):
         return _read_variables(node, problems)
     clear = [
@@ -211,7 +235,7 @@ def read_environment(node: Node, problems: Problems) -> Any:  # noqa: ANN401
         problems.add(
             node.key_mark(name).redact(),
             ProblemCode.PASSWORD,
-            f"{name} looks like a secret that stands here in clear",
+            f"{name} looks like a secret in plain text",
             hint,
         )
     others = {name: inner for name, inner in node.value.items() if name not in clear}
@@ -225,6 +249,7 @@ def _is_plaintext(node: Node) -> bool:
 read_labels = mapping_reader(_LABEL_KEY_PATTERN, "a label", read_text)
 
 
+@describe_as(lambda: {"type": "array", "items": get_reader_schema(read_text), "minItems": 1})
 def read_argument_vector(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     """A program and its arguments, as a list: no shell reads it."""
     if isinstance(node.value, str) and node.value.strip():

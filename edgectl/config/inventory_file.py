@@ -1,4 +1,4 @@
-"""The inventory file: tables of its keys, and the hosts and links that come out of it."""
+"""Inventory file: tables of its keys, and the hosts and links that it defines."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -17,6 +17,7 @@ from edgectl.config.fields import (
 from edgectl.config.node import Node
 from edgectl.config.problems import ProblemCode, Problems
 from edgectl.config.scalars import (
+    NAME_PATTERN,
     NodeReader,
     check_name,
     enum_reader,
@@ -29,6 +30,13 @@ from edgectl.config.scalars import (
     read_text_or_empty,
     read_version,
     report_wrong_type,
+)
+from edgectl.config.schema import (
+    Schema,
+    build_file_schema,
+    build_mapping_schema,
+    build_object_schema,
+    describe_as,
 )
 from edgectl.formats.digest import digest_inventory
 from edgectl.model.inventory import BaseLoad, Capacity, Connection, Host, Inventory, Limits, Role, Runtime
@@ -52,6 +60,19 @@ BASE_KEYS: Mapping[str, NodeReader] = {
 _SLICE_KEYS = tuple(resource.name for resource in HOST_RESOURCES if not resource.declared_only)
 
 
+def _describe_capacity() -> Schema:
+    return build_object_schema(CAPACITY_KEYS) | {
+        "anyOf": [{"required": list(_SLICE_KEYS)}, *_describe_budgets()]
+    }
+
+
+def _describe_budgets() -> list[Schema]:
+    """A capacity of declared budgets alone makes no slice."""
+    budgets = [key for key in CAPACITY_KEYS if key not in _SLICE_KEYS]
+    return [{"propertyNames": {"enum": budgets}, "minProperties": 1}] if budgets else []
+
+
+@describe_as(_describe_capacity)
 def _read_capacity(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     stated = node.value if isinstance(node.value, dict) else {}
     budget_only = bool(stated) and all(key in CAPACITY_KEYS and key not in _SLICE_KEYS for key in stated)
@@ -95,6 +116,21 @@ INVENTORY_KEYS: Mapping[str, NodeReader] = {
     "robots": keep_node,
     "links": keep_node,
 }
+
+
+def build_inventory_schema() -> Schema:
+    """JSON Schema of an inventory file."""
+    schema = build_object_schema(
+        INVENTORY_KEYS,
+        ("version",),
+        defaults=build_object_schema(DEFAULTS_KEYS),
+        edges=build_mapping_schema(NAME_PATTERN.pattern, build_object_schema(EDGE_KEYS)),
+        robots=build_mapping_schema(NAME_PATTERN.pattern, build_object_schema(ROBOT_KEYS)),
+        links={"type": "array", "items": build_object_schema(LINK_KEYS, tuple(LINK_KEYS))},
+    )
+    return build_file_schema(
+        "inventory", schema | {"anyOf": [{"required": ["edges"]}, {"required": ["robots"]}]}
+    )
 
 
 def read_inventory(node: Node, problems: Problems) -> Inventory:

@@ -1,10 +1,11 @@
-"""What was probably meant by a quantity that cannot be read, and demands, which may be shares."""
+"""Suggestions for quantities that cannot be read, and demands, which may be shares."""
 
 import re
 from collections.abc import Callable
 
+from edgectl.config.schema import build_quantity_schema, describe_as, describe_reader, get_reader_schema
 from edgectl.model.task import Quantity
-from edgectl.units import is_percent, parse_share
+from edgectl.units import SHARE_PATTERN, QuantityError, is_percent, parse_share
 
 MAX_COST = 1e6
 _NUMBER_PATTERN = re.compile(r"\s*([0-9]+(?:[.,][0-9]+)?)\s*([A-Za-z/%]*)\s*")
@@ -57,7 +58,7 @@ def _format_percentage(number: str) -> str:
 def _can_parse(parse: Callable[[object], object], text: str) -> bool:
     try:
         parse(text)
-    except ValueError:
+    except QuantityError:
         return False
     return True
 
@@ -70,23 +71,26 @@ def demand_parser(parse: Callable[[object], float], example: str) -> Callable[[o
             return Quantity(value=parse(raw))
         share = parse_share(raw)
         if share > 1:
-            raise ValueError(
-                f"a demand is at most 100% of a host, not {raw}; write it absolutely, such as {example}"
+            raise QuantityError(
+                f"a demand is at most 100% of a host, not {raw}", f"write it absolutely, such as {example}"
             )
         return Quantity(value=share, relative=True)
 
-    return read
+    share = build_quantity_schema(SHARE_PATTERN, bare_numbers=False)
+    return describe_reader(read, lambda: {"anyOf": [*get_reader_schema(parse)["anyOf"], share]})
 
 
+@describe_as(lambda: {"type": "number", "minimum": 0, "maximum": 1})
 def parse_margin(raw: object) -> float:
     """A utility from 0 to 1."""
     if isinstance(raw, bool) or not isinstance(raw, int | float) or not 0 <= raw <= 1:
-        raise ValueError(f"must be a number from 0 to 1, not {raw!r}; write 0.1")
+        raise QuantityError(f"must be a number from 0 to 1, not {raw!r}", "write 0.1")
     return float(raw)
 
 
+@describe_as(lambda: {"type": "number", "minimum": 0, "maximum": MAX_COST})
 def parse_cost(raw: object) -> float:
     """A utility per second, finite and 0 or more."""
     if isinstance(raw, bool) or not isinstance(raw, int | float) or not 0 <= raw <= MAX_COST:
-        raise ValueError(f"must be a number from 0 to {MAX_COST:g}, not {raw!r}; write 0.5")
+        raise QuantityError(f"must be a number from 0 to {MAX_COST:g}, not {raw!r}", "write 0.5")
     return float(raw)

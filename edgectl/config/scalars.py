@@ -1,4 +1,4 @@
-"""Single values out of nodes. A reader takes a node, notes what is wrong with it, and gives its value or ``INVALID``."""
+"""Readers of scalars. A reader takes a node, reports its problems, and returns its value or ``INVALID``."""
 
 import json
 import re
@@ -10,6 +10,8 @@ from edgectl.agent.link import protocol
 from edgectl.config.node import Node, describe_node_type
 from edgectl.config.problems import ProblemCode, Problems
 from edgectl.config.quantities import suggest_quantity
+from edgectl.config.schema import describe_as, describe_reader, get_reader_schema, limit_quantity_schema
+from edgectl.units import QuantityError
 
 INVALID: Final = object()
 NodeReader = Callable[[Node, Problems], Any]
@@ -18,6 +20,7 @@ MAX_NAME_LENGTH = protocol.MAX_NAME_LENGTH
 NAME_PATTERN = re.compile(protocol.NAME_PATTERN)
 
 
+@describe_as(lambda: {"const": FILE_VERSION})
 def read_version(node: Node, problems: Problems) -> Any:  # noqa: ANN401 - INVALID stands for any type
     """The format version of a file, which must be 1."""
     if node.value == FILE_VERSION and not isinstance(node.value, bool):
@@ -44,6 +47,7 @@ def report_wrong_type(node: Node, problems: Problems, message: str, hint: str = 
     return INVALID
 
 
+@describe_as(lambda: {"type": "string", "pattern": r"^[^\0]*[^\s\0][^\0]*$"})
 def read_text(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     """A string that is not empty and has no NUL."""
     if not isinstance(node.value, str):
@@ -56,6 +60,7 @@ def read_text(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     return _reject_nul(node, problems)
 
 
+@describe_as(lambda: {"type": "string", "pattern": r"^$|^[^\0]*[^\s\0][^\0]*$"})
 def read_text_or_empty(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     """A string, possibly empty, without NUL."""
     return _reject_nul(node, problems) if node.value == "" else read_text(node, problems)
@@ -93,6 +98,7 @@ def _cut_after_bracket(rest: str) -> str:
     return rest
 
 
+@describe_as(lambda: {"type": "string", "pattern": r"^[^-\s\0][^\s\0]*$"})
 def read_safe_argument(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     """Text that may not begin with a dash: it could be taken for an option of a program."""
     value = read_text(node, problems)
@@ -110,6 +116,7 @@ def read_safe_argument(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     return value
 
 
+@describe_as(lambda: {"type": "string", "pattern": r"\S"})
 def read_name(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     """A name of a host or task (a reference to one)."""
     return read_text(node, problems)
@@ -128,6 +135,7 @@ def check_name(key: str, node: Node, problems: Problems, what: str) -> None:
     problems.add(node.key_mark(key), ProblemCode.NAME, f"{key!r} cannot be the name of {what}", hint)
 
 
+@describe_as(lambda: {"type": "boolean"})
 def read_bool(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     """True or false."""
     if isinstance(node.value, bool):
@@ -155,7 +163,7 @@ def enum_reader(words: type[StrEnum], *more: str) -> NodeReader:
         )
         return INVALID
 
-    return read
+    return describe_reader(read, lambda: {"enum": known})
 
 
 def integer_reader(low: int, high: int) -> NodeReader:
@@ -182,7 +190,7 @@ def integer_reader(low: int, high: int) -> NodeReader:
             return INVALID
         return node.value
 
-    return read
+    return describe_reader(read, lambda: {"type": "integer", "minimum": low, "maximum": high})
 
 
 def quantity_reader(
@@ -197,11 +205,9 @@ def quantity_reader(
             )
         try:
             value = parse(node.value)
-        except ValueError as error:
-            message, _, hint = str(error).partition("; ")
-            problems.add(
-                node.mark, ProblemCode.QUANTITY, message, suggest_quantity(node.value, parse) or hint
-            )
+        except QuantityError as error:
+            hint = suggest_quantity(node.value, parse) or error.hint
+            problems.add(node.mark, ProblemCode.QUANTITY, error.message, hint)
             return INVALID
         if (above_zero and value <= 0) or (at_most is not None and value > at_most):
             limit = "above 0" if value <= 0 else f"{at_most:g} or less"
@@ -214,4 +220,6 @@ def quantity_reader(
             return INVALID
         return value
 
-    return read
+    return describe_reader(
+        read, lambda: limit_quantity_schema(get_reader_schema(parse), above_zero=above_zero, at_most=at_most)
+    )

@@ -1,4 +1,4 @@
-"""The keys of the task files and how each is read."""
+"""Task file: tables of its keys and their readers."""
 
 import re
 import warnings
@@ -21,6 +21,7 @@ from edgectl.config.problems import Mark, ProblemCode, Problems
 from edgectl.config.quantities import demand_parser, parse_cost, parse_margin
 from edgectl.config.scalars import (
     INVALID,
+    NAME_PATTERN,
     NodeReader,
     check_name,
     enum_reader,
@@ -32,9 +33,18 @@ from edgectl.config.scalars import (
     read_version,
     report_wrong_type,
 )
+from edgectl.config.schema import (
+    Schema,
+    build_file_schema,
+    build_mapping_schema,
+    build_object_schema,
+    describe_as,
+    describe_reader,
+    get_reader_schema,
+)
 from edgectl.config.weights import parse_weights
-from edgectl.model.policy import Policy, PolicyName, SequenceRule
-from edgectl.model.resource import RESOURCES, RESOURCES_BY_NAME
+from edgectl.model.policy import WEIGHT_PRESETS, Policy, PolicyName, SequenceRule
+from edgectl.model.resource import RESOURCES, RESOURCES_BY_NAME, TERMS
 from edgectl.model.task import (
     Check,
     CheckLocation,
@@ -53,8 +63,9 @@ from edgectl.model.task import (
     TaskLimits,
     UnreachablePolicy,
 )
-from edgectl.units import parse_bytes, parse_cores, parse_duration
+from edgectl.units import QuantityError, parse_bytes, parse_cores, parse_duration
 
+_NAME_LIST: Schema = {"type": "array", "items": {"type": "string", "pattern": r"\S"}}
 _SIGNALS = ("TERM", "INT", "HUP", "QUIT", "KILL", "USR1", "USR2")
 _read_duration = quantity_reader(parse_duration, above_zero=True)
 MEASURED_WORD, MEASURED = "measured", Quantity(value=0.0, measured=True)
@@ -72,9 +83,12 @@ def _check_reader(where: CheckLocation) -> NodeReader:
         stated = isinstance(node.value, dict) and "on" in node.value
         return check if check is INVALID or stated else replace(check, on=where)
 
-    return read
+    return describe_reader(
+        read, lambda: {"anyOf": [get_reader_schema(read_text), get_reader_schema(mapping)]}
+    )
 
 
+@describe_as(lambda: {"anyOf": [get_reader_schema(read_name), build_object_schema(NEED_KEYS, ("task",))]})
 def _read_need(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     if isinstance(node.value, dict):
         return record_reader(NEED_KEYS, Need, "a need", ("task",))(node, problems)
@@ -82,6 +96,7 @@ def _read_need(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     return task if task is INVALID else Need(task=task)
 
 
+@describe_as(lambda: {"enum": list(_SIGNALS)})
 def _read_signal(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     if node.value in _SIGNALS:
         return node.value
@@ -94,6 +109,7 @@ def _read_signal(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     return INVALID
 
 
+@describe_as(lambda: {"anyOf": [{"const": "ros"}, build_object_schema(STOP_KEYS)]})
 def _read_stop(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     if node.value == "ros":
         return StopRule(signal="INT", preset="ros")
@@ -110,6 +126,7 @@ def _read_stop(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     return INVALID
 
 
+@describe_as(lambda: {"const": "ros"})
 def _read_stop_preset(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     if node.value == "ros":
         return "ros"
@@ -117,6 +134,7 @@ def _read_stop_preset(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     return INVALID
 
 
+@describe_as(lambda: {"type": "string", "format": "regex", "pattern": r"\S"})
 def _read_regex(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     value = read_text(node, problems)
     try:
@@ -132,6 +150,11 @@ def _read_regex(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     return value
 
 
+@describe_as(
+    lambda: {
+        "anyOf": [{"enum": list(UnreachablePolicy)}, build_object_schema(ON_UNREACHABLE_KEYS, ("policy",))]
+    }
+)
 def _read_on_unreachable(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     if isinstance(node.value, dict):
         fields = read_fields(node, problems, ON_UNREACHABLE_KEYS, required=("policy",), what="on_unreachable")
@@ -141,10 +164,12 @@ def _read_on_unreachable(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     return policy if policy is INVALID else (policy, None)
 
 
+@describe_as(lambda: {"anyOf": [{"const": "all"}, _NAME_LIST]})
 def _read_robots(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     return "all" if node.value == "all" else list_reader_with_nodes(read_name)(node, problems)
 
 
+@describe_as(lambda: {"anyOf": [{"const": "robot"}, _NAME_LIST | {"minItems": 1}]})
 def _read_for_each(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     if isinstance(node.value, list) and node.value:
         return list_reader_with_nodes(read_name)(node, problems)
@@ -155,6 +180,7 @@ def _read_for_each(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     )
 
 
+@describe_as(lambda: {"type": "number", "minimum": -1e9, "maximum": 1e9})
 def _read_priority(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     value = node.value
     if isinstance(value, bool) or not isinstance(value, int | float):
@@ -170,16 +196,30 @@ def _read_priority(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     return float(value)
 
 
+@describe_as(lambda: build_object_schema(HOST_RULES_KEYS))
 def _read_host_rules(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     return read_fields(node, problems, HOST_RULES_KEYS, what="hosts")
 
 
+def _describe_weights() -> Schema:
+    weight: Schema = {"type": "number", "minimum": 0}
+    above_zero = [{"required": [term], "properties": {term: {"exclusiveMinimum": 0}}} for term in TERMS]
+    mapping = {
+        "type": "object",
+        "properties": dict.fromkeys(TERMS, weight),
+        "additionalProperties": False,
+        "anyOf": above_zero,
+    }
+    return {"anyOf": [{"enum": list(WEIGHT_PRESETS)}, {"type": "string", "pattern": "="}, mapping]}
+
+
+@describe_as(_describe_weights)
 def _read_weights(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     try:
         return parse_weights(value_from_node(node))
-    except ValueError as error:
-        message, _, hint = str(error).partition("; ")
-        problems.add(_find_weight_mark(node, message), ProblemCode.QUANTITY, message, hint)
+    except QuantityError as error:
+        mark = _find_weight_mark(node, error.message)
+        problems.add(mark, ProblemCode.QUANTITY, error.message, error.hint)
         return INVALID
 
 
@@ -193,6 +233,7 @@ def _find_weight_mark(node: Node, message: str) -> Mark:
     return node.mark
 
 
+@describe_as(lambda: {"anyOf": [{"const": MEASURED_WORD}, build_object_schema(DEMAND_KEYS)]})
 def _read_demand(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     if node.value == MEASURED_WORD:
         return Demand(dict.fromkeys(RESOURCES_BY_NAME, MEASURED))
@@ -214,6 +255,11 @@ def _demand_quantity_reader(parse: Callable[[object], Quantity]) -> NodeReader:
     """One demand: a quantity, the word ``measured``, or a quantity that counts until then."""
     quantity = quantity_reader(parse)
 
+    def describe() -> Schema:
+        stated = get_reader_schema(quantity)
+        until_measured = build_object_schema({"until_measured": quantity}, ("until_measured",))
+        return {"anyOf": [{"const": MEASURED_WORD}, *stated["anyOf"], until_measured]}
+
     def read(node: Node, problems: Problems) -> Any:  # noqa: ANN401
         if node.value == MEASURED_WORD:
             return MEASURED
@@ -228,13 +274,16 @@ def _demand_quantity_reader(parse: Callable[[object], Quantity]) -> NodeReader:
         )
         return until(node, problems)
 
-    return read
+    return describe_reader(read, describe)
 
 
 def _mark_measured(*, until_measured: Quantity) -> Quantity:
     return replace(until_measured, measured=True)
 
 
+@describe_as(
+    lambda: {"anyOf": [{"const": "unlimited"}, {"type": "integer", "minimum": 0, "maximum": 1_000_000}]}
+)
 def _read_max_moves(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     return None if node.value == "unlimited" else integer_reader(0, 1_000_000)(node, problems)
 
@@ -317,10 +366,26 @@ POLICY_KEYS: Mapping[str, NodeReader] = {
     "min_dwell": quantity_reader(parse_duration),
     "max_moves": _read_max_moves,
 }
+# Keys of a task that exclude each other.
+EXCLUSIVE_KEYS = (("for_each", "robot"), ("for_each", "robots"), ("robot", "robots"))
 TASK_FILE_KEYS: Mapping[str, NodeReader] = {"version": read_version, **POLICY_KEYS, "tasks": keep_node}
 
 
 MAX_TASKS = 10_000
+
+
+def build_tasks_schema() -> Schema:
+    """JSON Schema of a task file."""
+    exclusive = [{"not": {"required": [one, other]}} for one, other in EXCLUSIVE_KEYS]
+    unmanaged = {
+        "if": {"properties": {"managed": {"const": False}}, "required": ["managed"]},
+        "then": {"required": ["detect"], "properties": {"command": False}},
+        "else": {"required": ["command"], "properties": {"detect": False}},
+    }
+    task = build_object_schema(TASK_KEYS) | {"allOf": [*exclusive, unmanaged]}
+    tasks = build_mapping_schema(NAME_PATTERN.pattern, task)
+    schema = build_object_schema(TASK_FILE_KEYS, ("version", "tasks"), tasks=tasks)
+    return build_file_schema("task file", schema)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""What must hold between the keys of a task, and between a task and the inventory."""
+"""Rules between the keys of a task, and between a task and the inventory."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ from edgectl.config.fields import Fields
 from edgectl.config.node import Node
 from edgectl.config.placeholders import has_placeholder
 from edgectl.config.problems import ProblemCode, Problems
-from edgectl.config.task_file import TaskDraft, TaskTemplate
+from edgectl.config.task_file import EXCLUSIVE_KEYS, TaskDraft, TaskTemplate
 from edgectl.model.inventory import Host, Inventory, Role
 from edgectl.model.resource import RESOURCES
 from edgectl.model.task import (
@@ -53,7 +53,7 @@ def check_template(template: TaskTemplate, problems: Problems) -> None:
 
 
 def _check_exclusive_keys(fields: Fields, problems: Problems) -> None:
-    for one, other in (("for_each", "robot"), ("for_each", "robots"), ("robot", "robots")):
+    for one, other in EXCLUSIVE_KEYS:
         if one in fields and other in fields:
             message = f"{one} and {other} do not go together"
             problems.add(

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 
 from edgectl.model.policy import WEIGHT_PRESETS, Weights
 from edgectl.model.resource import TERMS
+from edgectl.units import QuantityError
 
 _WEIGHT_FORMS = f"write one of {', '.join(WEIGHT_PRESETS)}, or weights such as cpu=.5,network=.5"
 
@@ -15,17 +16,17 @@ def parse_weights(raw: object) -> Weights:
     A weight that is not named is 0.
 
     Raises:
-        ValueError: unknown name, not a finite number >= 0, or all 0.
+        QuantityError: unknown name, not a finite number >= 0, or all 0.
     """
     if isinstance(raw, Mapping):
         return _weights_from_mapping(raw)
     if not isinstance(raw, str):
-        raise ValueError(f"cannot be read as weights: {raw!r}; {_WEIGHT_FORMS}")
+        raise QuantityError(f"cannot be read as weights: {raw!r}", _WEIGHT_FORMS)
     text = raw.strip()
     if text in WEIGHT_PRESETS:
         return WEIGHT_PRESETS[text]
     if "=" not in text:
-        raise ValueError(f"unknown weights {text!r}; {_WEIGHT_FORMS}")
+        raise QuantityError(f"unknown weights {text!r}", _WEIGHT_FORMS)
     return _weights_from_mapping(_parse_weight_pairs(text))
 
 
@@ -35,12 +36,12 @@ def _parse_weight_pairs(text: str) -> dict[str, float]:
         name, _, number = part.partition("=")
         name = name.strip()
         if name in found:
-            raise ValueError(f"weight {name} is given twice; {_WEIGHT_FORMS}")
+            raise QuantityError(f"weight {name} is given twice", _WEIGHT_FORMS)
         try:
             found[name] = float(number)
         except ValueError:
-            raise ValueError(
-                f"weight {name} must be a number, got {number.strip()!r}; {_WEIGHT_FORMS}"
+            raise QuantityError(
+                f"weight {name} must be a number, got {number.strip()!r}", _WEIGHT_FORMS
             ) from None
     return found
 
@@ -49,18 +50,18 @@ def _weights_from_mapping(raw: Mapping[object, object] | Mapping[str, float]) ->
     values = dict.fromkeys(TERMS, 0.0)
     for name, value in raw.items():
         if name not in values:
-            raise ValueError(f"unknown weight {name!r}; the weights are {', '.join(TERMS)}")
+            raise QuantityError(f"unknown weight {name!r}", f"the weights are {', '.join(TERMS)}")
         values[str(name)] = _parse_weight(str(name), value)
     try:
         return Weights(values).normalised()
     except ValueError as error:
-        raise ValueError(f"{error}; {_WEIGHT_FORMS}") from None
+        raise QuantityError(str(error), _WEIGHT_FORMS) from None
 
 
 def _parse_weight(name: str, value: object) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ValueError(f"weight {name} must be a number, got {value!r}; {_WEIGHT_FORMS}")
+        raise QuantityError(f"weight {name} must be a number, got {value!r}", _WEIGHT_FORMS)
     try:
         return float(value)
     except OverflowError:
-        raise ValueError(f"weight {name} is too large; {_WEIGHT_FORMS}") from None
+        raise QuantityError(f"weight {name} is too large", _WEIGHT_FORMS) from None

@@ -46,7 +46,7 @@ def explain_yaml_error(source: Source, error: yaml.YAMLError) -> tuple[Mark, str
     if "cannot start any token" in said:
         return (
             mark,
-            f"{line[mark.column - 1 : mark.column]} cannot begin a plain text",
+            f"{line[mark.column - 1 : mark.column]} cannot begin an unquoted text",
             _suggest_quoted_value(line),
         )
     if "expected key" in said and line[: mark.column - 1].strip():

@@ -2,6 +2,7 @@
 
 import shlex
 
+from edgectl.errors import UsageError
 from edgectl.export.job import ScheduledJob, build_arguments, format_interval
 
 # Limit of Vixie cron, whose daemon ignores longer commands.
@@ -14,7 +15,7 @@ def format_crontab(job: ScheduledJob) -> str:
     """The line, below comments with installation instructions.
 
     Raises:
-        ValueError: cron cannot express this interval, the line is too long for cron, or a value cannot be
+        UsageError: cron cannot express this interval, the line is too long for cron, or a value cannot be
         quoted.
     """
     every = _DEFAULT_INTERVAL_S if job.every_s is None else job.every_s
@@ -33,7 +34,7 @@ def format_cron_schedule(every_s: float) -> str:
     """The five fields for an interval that divides an hour or a day evenly.
 
     Raises:
-        ValueError: five fields cannot express it.
+        UsageError: five fields cannot express it.
     """
     whole = int(every_s)
     if whole == every_s and whole >= _MINUTE:
@@ -44,9 +45,9 @@ def format_cron_schedule(every_s: float) -> str:
         if whole == _DAY:
             return "0 0 * * *"
     said = format_interval(every_s)
-    raise ValueError(
-        f"cron cannot express every {said}; choose one that divides an hour or a day (5m, 15m, 1h, 6h), or "
-        "use edgectl export systemd"
+    raise UsageError(
+        f"cron cannot express every {said}",
+        hint="use an interval that divides an hour or a day (5m, 15m, 1h, 6h), or edgectl export systemd",
     )
 
 
@@ -54,7 +55,7 @@ def format_cron_command(job: ScheduledJob) -> str:
     """The command for sh, quoted for a crontab.
 
     Raises:
-        ValueError: it is too long, or cannot be quoted.
+        UsageError: it is too long, or cannot be quoted.
     """
     arguments = build_arguments(job, "apply", "--yes", "--quiet")
     variables = "".join(f"{name}={quote_for_cron(value)} " for name, value in job.environment.items())
@@ -63,9 +64,9 @@ def format_cron_command(job: ScheduledJob) -> str:
         f"{variables}{' '.join(quote_for_cron(word) for word in (*job.program, *arguments))}"
     )
     if len(text) > _MAX_COMMAND_LENGTH:
-        raise ValueError(
-            f"the line has {len(text)} characters, but cron accepts {_MAX_COMMAND_LENGTH}; shorten the "
-            "paths, or use edgectl export systemd"
+        raise UsageError(
+            f"the line has {len(text)} characters, cron takes at most {_MAX_COMMAND_LENGTH}",
+            hint="shorten the paths, or use edgectl export systemd",
         )
     return text
 

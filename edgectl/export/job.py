@@ -4,6 +4,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from edgectl.errors import UsageError
 from edgectl.units import format_duration
 
 
@@ -32,14 +33,14 @@ def build_arguments(job: ScheduledJob, *command: str) -> tuple[str, ...]:
     """The arguments of ``command``, without the program.
 
     Raises:
-        ValueError: a path or a variable has characters that crontabs and units do not quote alike.
+        UsageError: a path or a variable has characters that crontabs and units do not quote alike.
     """
     files = ("-i", job.inventory, *(word for path in job.tasks for word in ("-t", path)))
     for text in (*job.program, *files, job.directory, *job.environment.values()):
         if not text.isprintable() or "\\" in text or text != text.strip():
-            raise ValueError(
-                f"cannot be written for cron or systemd: {text!r}; rename it: no control characters, "
-                "backslashes, outer blanks"
+            raise UsageError(
+                f"cannot be quoted for cron or systemd: {text!r}",
+                hint="rename it without control characters, backslashes and outer blanks",
             )
     return (*command, *files)
 

@@ -4,6 +4,7 @@ name.
 
 import re
 
+from edgectl.errors import UsageError
 from edgectl.export.job import ScheduledJob, build_arguments, format_interval
 
 _DEFAULT_INTERVAL_S, _MIN_INTERVAL_S = 300.0, 1.0
@@ -32,7 +33,7 @@ def build_timer_units(job: ScheduledJob, *, user: bool) -> dict[str, str]:
     instance, else the system's.
 
     Raises:
-        ValueError: a value cannot be quoted, or the interval is below a second.
+        UsageError: a value cannot be quoted, or the interval is below a second.
     """
     every = _check_interval(_DEFAULT_INTERVAL_S if job.every_s is None else job.every_s)
     name, title = build_unit_name(job), f"edgectl apply for {job.inventory}"
@@ -66,7 +67,7 @@ def build_watch_unit(job: ScheduledJob, *, user: bool) -> dict[str, str]:
     """Unit that runs ``watch --apply`` continuously.
 
     Raises:
-        ValueError: a value cannot be quoted, or the interval is below a second.
+        UsageError: a value cannot be quoted, or the interval is below a second.
     """
     name = f"{build_unit_name(job)}-watch"
     command = (
@@ -96,7 +97,7 @@ def build_watch_unit(job: ScheduledJob, *, user: bool) -> dict[str, str]:
 
 def _check_interval(every_s: float) -> float:
     if every_s < _MIN_INTERVAL_S:
-        raise ValueError(f"every {every_s:g}s is too short; write 10s or more")
+        raise UsageError(f"every {every_s:g}s is too short", hint="write 10s or more")
     return every_s
 
 

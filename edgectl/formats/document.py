@@ -1,4 +1,4 @@
-"""What every JSON document shares: the version, stable bytes, and the error that tells all mistakes."""
+"""Basics of JSON documents: faults with their paths, the error that carries them, stable bytes."""
 
 import json
 from collections.abc import Mapping
@@ -25,15 +25,18 @@ class Fault:
         return f"{where}: {self.message}" if where else self.message
 
 
+Faults = list[Fault]
+
+
 class FormatErrors(EdgectlError):  # noqa: N818 - it is many
     """Everything that is wrong with one document, at once."""
 
     exit_code = ExitCode.USAGE
 
-    def __init__(self, what: str, faults: list[Fault]) -> None:
+    def __init__(self, kind: str, faults: Faults) -> None:
         more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
-        super().__init__(f"not a valid {what}: {faults[0]}{more}", hint=faults[0].hint)
-        self.what = what
+        super().__init__(f"not a valid {kind}: {faults[0]}{more}", hint=faults[0].hint)
+        self.kind = kind
         self.faults = tuple(faults)
 
 
@@ -56,15 +59,15 @@ def dump_line(document: Mapping[str, object]) -> str:
 
 
 def encode_number(value: float) -> int | float:
-    """A number as JSON shows it: integral values are integers."""
+    """A number as JSON shows it: integral values are integers, and -0 is 0."""
     return int(value) if float(value).is_integer() else value
 
 
 def encode_optional(value: float | None) -> int | float | None:
-    """``number``, or null."""
+    """A number as JSON shows it, or null."""
     return None if value is None else encode_number(value)
 
 
 def without_none(**entries: object) -> Document:
-    """The entries that are there."""
+    """The entries that are not None."""
     return {key: value for key, value in entries.items() if value is not None}

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from edgectl.agent.link import protocol
 from edgectl.errors import HostError, ReplyError
-from edgectl.gateway.reply_fields import get_int, get_positive, get_text
+from edgectl.gateway.replies import SendReply, SinkReply, decode_reply
 from edgectl.model.inventory import Host, Inventory
 from edgectl.model.snapshot import BandwidthMeasurement
 from edgectl.transport.agent_client import call_agent
@@ -40,6 +40,7 @@ def _measure_throughput(edge: Host, robot: Host, transport: Transport, seconds: 
         sink = call_agent(
             session, {"op": protocol.OP_SINK, "host": robot.name, "seconds": seconds}, timeout=timeout
         )
+    receiver = decode_reply(SinkReply, sink)
     request = {
         "op": protocol.OP_SEND,
         "host": edge.name,
@@ -49,10 +50,10 @@ def _measure_throughput(edge: Host, robot: Host, transport: Transport, seconds: 
     with transport.connect(edge, timeout=_CONNECT_S) as session:
         sent = call_agent(
             session,
-            {**request, "port": get_int(sink, "port", low=1), "token": get_text(sink, "token")},
+            {**request, "port": receiver.port, "token": receiver.token},
             timeout=timeout,
         )
-    carried, took = get_positive(sent, "bytes"), get_positive(sent, "seconds")
-    if took > timeout:
-        raise ReplyError(f"sent for {took:g} s, asked for {seconds:g} s")
-    return carried / took
+    reply = decode_reply(SendReply, sent)
+    if reply.seconds > timeout:
+        raise ReplyError(f"sent for {reply.seconds:g} s, asked for {seconds:g} s")
+    return reply.bytes / reply.seconds

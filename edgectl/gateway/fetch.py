@@ -5,7 +5,7 @@ import time
 
 from edgectl.agent.link import protocol
 from edgectl.errors import DeadlineError, RefusedError, ReplyError
-from edgectl.gateway.reply_fields import ReplyDocument, get_int, get_text
+from edgectl.gateway.replies import PieceReply, decode_reply
 from edgectl.model.inventory import Host
 from edgectl.model.task import Task
 from edgectl.transport.agent_client import call_agent
@@ -38,19 +38,19 @@ def fetch_file(transport: Transport, host: Host, task: Task, file: str, *, timeo
             left = deadline - time.monotonic()
             if left <= 0:
                 raise DeadlineError(f"{file} did not arrive within {timeout:g} s", hint="allow more time")
-            reply = call_agent(session, {**request, "offset": len(data)}, timeout=left)
-            if data and get_text(reply, "mark") != mark:
+            document = call_agent(session, {**request, "offset": len(data)}, timeout=left)
+            reply = decode_reply(PieceReply, document)
+            if data and reply.mark != mark:
                 raise RefusedError(f"{file} changed while it was read", hint="fetch it once it is complete")
-            total, mark = get_int(reply, "size"), get_text(reply, "mark")
+            total, mark = reply.size, reply.mark
             data += _decode_piece(reply, len(data), total)
     return bytes(data)
 
 
-def _decode_piece(reply: ReplyDocument, offset: int, size: int) -> bytes:
+def _decode_piece(reply: PieceReply, offset: int, size: int) -> bytes:
     """The bytes of a piece; at least one while some are missing, so that the loop ends."""
-    raw = reply.get("data")
     try:
-        piece = binascii.a2b_base64(raw) if isinstance(raw, str) else b""
+        piece = binascii.a2b_base64(reply.data)
     except ValueError:
         raise ReplyError("the piece of a file is garbled") from None
     if not 0 <= size <= MAX_FILE_BYTES or offset + len(piece) > size or (not piece and offset < size):

@@ -2,25 +2,20 @@
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from typing import Any
 
 from edgectl.agent.link import protocol
 from edgectl.errors import HostError, ReplyError
 from edgectl.gateway.fanout import MAX_PARALLEL_HOSTS, HostReply, ask_all
 from edgectl.gateway.host_probe import resolve_robot_addresses
 from edgectl.gateway.probe_reply import PROTOCOL_VERSION, ReplyContext, select_link_capacity
-from edgectl.gateway.reply_fields import (
+from edgectl.gateway.replies import (
+    DoctorReply,
     ReplyDocument,
+    RouteReply,
+    decode_reply,
     escape_unprintable,
-    get_finite,
-    get_flag,
-    get_int,
-    get_number,
-    get_object,
-    get_objects,
-    get_optional,
-    get_positive,
-    get_text,
 )
 from edgectl.model.diagnosis import Disk, HostFacts, LinkFacts, Logind, ShellEnvironment, UnreachableHost
 from edgectl.model.environment import drop_secrets
@@ -51,76 +46,42 @@ def decode_host_facts(document: ReplyDocument, context: ReplyContext, asked: Sen
         raise ReplyError(
             f"not a doctor reply of this host: {escape_unprintable(repr(document.get('host')))[:80]}"
         )
-    clock = get_object(document, "clock")
-    began, ended = get_finite(clock, "began"), get_finite(clock, "ended")
-    memory = get_object(document, "memory")
+    reply = decode_reply(DoctorReply, document)
+    began, ended = reply.clock.began, reply.clock.ended
     return HostFacts(
         login_s=max(0.0, (context.answered_at - asked.began) - (ended - began)),
-        python=get_text(document, "python"),
-        psutil=get_flag(document, "psutil", default=False),
+        python=reply.python,
+        psutil=reply.psutil,
         # It looked at its clock after we asked, and again before we had the answer.
         skew_s=(ended - context.answered_at, began - asked.began),
-        logind=_decode_logind(get_object(document, "logind")),
-        disk=_decode_disk(get_object(document, "disk")),
-        total_bytes=get_positive(memory, "total_bytes"),
-        used_bytes=get_number(memory, "used_bytes"),
-        surroundings=_decode_surroundings(get_object(document, "surroundings")),
-        links=_decode_link_facts(document, context, asked.addresses),
+        logind=Logind(**_to_fields(reply.logind)),
+        disk=Disk(**_to_fields(reply.disk)),
+        total_bytes=reply.memory.total_bytes,
+        used_bytes=reply.memory.used_bytes,
+        surroundings=ShellEnvironment(**_to_fields(reply.surroundings)),
+        links={
+            robot: _build_link_facts(robot, address, reply.links.get(robot, RouteReply()), context)
+            for robot, address in asked.addresses.items()
+        },
     )
 
 
-def _decode_logind(entry: ReplyDocument) -> Logind:
-    return Logind(
-        user=get_text(entry, "user"),
-        present=get_flag(entry, "present", default=False),
-        lingers=get_flag(entry, "lingers", default=False),
-        removes_ipc=get_flag(entry, "removes_ipc", default=False),
-        kills=get_flag(entry, "kills", default=False),
+def _to_fields(reply: Any) -> dict[str, Any]:  # noqa: ANN401 - any dataclass
+    return {each.name: getattr(reply, each.name) for each in fields(reply)}
+
+
+def _build_link_facts(robot: str, address: str, reply: RouteReply, context: ReplyContext) -> LinkFacts:
+    """A robot that is missing in the reply counts as an unknown name."""
+    capacity, source = select_link_capacity(robot, context, reply.speed_bytes_per_s)
+    return LinkFacts(
+        address=address,
+        found=reply.found,
+        reachable=reply.reachable,
+        interface=reply.interface or None,
+        rtt_ms=reply.rtt_ms,
+        capacity_bytes_per_s=capacity,
+        capacity_source=source,
     )
-
-
-def _decode_disk(entry: ReplyDocument) -> Disk:
-    return Disk(
-        path=get_text(entry, "path"),
-        free_bytes=get_number(entry, "free_bytes"),
-        total_bytes=get_number(entry, "total_bytes"),
-        files_left=get_optional(entry, "files_left", get_int),
-        obstacle=get_text(entry, "obstacle"),
-        in_shared_memory=get_flag(entry, "spare", default=False),
-    )
-
-
-def _decode_surroundings(entry: ReplyDocument) -> ShellEnvironment:
-    variables = get_object(entry, "variables")
-    return ShellEnvironment(
-        variables={escape_unprintable(name): get_text(variables, name) for name in variables},
-        status=get_optional(entry, "status", get_int),
-        timed_out=get_flag(entry, "timed_out", default=False),
-        last_line=get_text(entry, "said"),
-    )
-
-
-def _decode_link_facts(
-    document: ReplyDocument, context: ReplyContext, addresses: Mapping[str, str]
-) -> dict[str, LinkFacts]:
-    """In the order of the inventory; a robot that is missing in the reply counts as an unknown name."""
-    found = get_objects(document, "links")
-    links = {}
-    for robot, address in addresses.items():
-        entry = found.get(robot, {})
-        capacity, source = select_link_capacity(
-            robot, context, get_optional(entry, "speed_bytes_per_s", get_number)
-        )
-        links[robot] = LinkFacts(
-            address=address,
-            found=get_flag(entry, "found", default=False),
-            reachable=None if entry.get("reachable") is None else get_flag(entry, "reachable", default=False),
-            interface=get_text(entry, "interface") or None,
-            rtt_ms=get_optional(entry, "rtt_ms", get_number),
-            capacity_bytes_per_s=capacity,
-            capacity_source=source,
-        )
-    return links
 
 
 # Time of a reply besides the prelude.

@@ -9,7 +9,7 @@ from edgectl.errors import HostError
 from edgectl.gateway.fanout import MAX_PARALLEL_HOSTS, HostAnswer, HostReply, ask_all, fan_out
 from edgectl.gateway.probe_reply import ReplyContext, apply_done_tasks, decode_done_tasks, decode_host_sample
 from edgectl.gateway.probe_request import build_probe_request
-from edgectl.gateway.reply_fields import escape_unprintable
+from edgectl.gateway.replies import escape_unprintable
 from edgectl.model.inventory import Host, Inventory, Role
 from edgectl.model.snapshot import HostSample, HostStatus, Snapshot
 from edgectl.model.task import Tasks

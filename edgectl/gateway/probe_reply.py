@@ -1,25 +1,20 @@
 """An agent's document -> a HostSample. Pure and strict: anything odd costs this host its sample, and no other host anything."""
 
 import dataclasses
-import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from edgectl.agent.link import protocol
 from edgectl.errors import ReplyError
-from edgectl.gateway.reply_fields import (
+from edgectl.gateway.replies import (
+    DEVICE_USAGE,
+    TASK_USAGE,
+    LinkReply,
+    ProbeReply,
     ReplyDocument,
+    TaskReply,
+    decode_reply,
     escape_unprintable,
-    get_finite,
-    get_flag,
-    get_int,
-    get_lines,
-    get_number,
-    get_object,
-    get_objects,
-    get_optional,
-    get_positive,
-    get_text,
 )
 from edgectl.model.inventory import Host, Role
 from edgectl.model.resource import HOST_RESOURCES, RESOURCES, Resource, Usage
@@ -39,7 +34,6 @@ PROTOCOL_VERSION = protocol.VERSION
 # Delta_thp where nothing else is known: 54 Mbit/s, the paper's wireless network.
 ASSUMED_BYTES_PER_S = 6.75e6
 # Of one task, and how they are named: as the agent reads them.
-_STATES = {state.value: state for state in TaskState}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,19 +65,20 @@ def decode_host_sample(document: ReplyDocument, context: ReplyContext) -> HostSa
         ReplyError: a value is missing, of the wrong type or out of range, or the document is of another host.
     """
     _check_origin(document, context.host)
-    tasks = _decode_tasks(document, context)
+    reply = decode_reply(ProbeReply, document)
+    tasks = _build_tasks(reply, context)
     sample = HostSample(
         role=context.host.role,
         status=HostStatus.OK,
-        sample_age_s=get_optional(document, "sample_age_s", get_number) or 0.0,
-        resident=get_flag(document, "resident", default=False),
+        sample_age_s=reply.sample_age_s,
+        resident=reply.resident,
         usage=_decode_usages(document, context.host, tasks),
-        links=_decode_links(document, context, tasks) if context.host.role is Role.EDGE else {},
+        links=_build_links(reply, context, tasks) if context.host.role is Role.EDGE else {},
         tasks=tasks,
-        device=_decode_device(document, context.answered_at),
-        generations=_decode_generations(document, tasks),
+        device=_build_device(reply, context.answered_at),
+        generations=_build_generations(reply, tasks),
     )
-    return apply_done_tasks(sample, decode_done_tasks(document))
+    return apply_done_tasks(sample, _list_done_tasks(reply))
 
 
 def _check_origin(document: ReplyDocument, host: Host) -> None:
@@ -98,24 +93,21 @@ def _check_origin(document: ReplyDocument, host: Host) -> None:
 
 
 def decode_done_tasks(document: ReplyDocument) -> frozenset[str]:
-    """Tasks whose ``done_when`` check said yes on this host."""
-    return frozenset(
-        name
-        for name, entry in get_objects(document, "checks").items()
-        if get_optional(entry, "exit", get_signed_int) == 0
-    )
+    """Tasks whose ``done_when`` check succeeded on this host.
+
+    Raises:
+        ReplyError: the reply is no probe.
+    """
+    return _list_done_tasks(decode_reply(ProbeReply, document))
 
 
-def get_signed_int(document: ReplyDocument, key: str) -> int:
-    """Any integer: an exit status, negative for a signal."""
-    return get_int(document, key, low=-(2**31))
+def _list_done_tasks(reply: ProbeReply) -> frozenset[str]:
+    return frozenset(name for name, check in reply.checks.items() if check.exit == 0)
 
 
-def _decode_tasks(document: ReplyDocument, context: ReplyContext) -> dict[str, TaskSample]:
+def _build_tasks(reply: ProbeReply, context: ReplyContext) -> dict[str, TaskSample]:
     """The tasks of the host, without runs that are over and were reopened."""
-    tasks = {
-        name: _decode_task(name, entry, context) for name, entry in get_objects(document, "tasks").items()
-    }
+    tasks = {name: _decode_task(name, entry, context) for name, entry in reply.tasks.items()}
     return {
         name: task
         for name, task in tasks.items()
@@ -123,13 +115,12 @@ def _decode_tasks(document: ReplyDocument, context: ReplyContext) -> dict[str, T
     }
 
 
-def _decode_generations(document: ReplyDocument, tasks: Mapping[str, TaskSample]) -> dict[str, int]:
-    """What the tasks do not tell: a run that no longer counts has used its generation up all the same."""
-    stated = get_object(document, "generations")
-    found = {escape_unprintable(name): get_int(stated, name) for name in stated}
-    for name, entry in get_objects(document, "tasks").items():
+def _build_generations(reply: ProbeReply, tasks: Mapping[str, TaskSample]) -> dict[str, int]:
+    """Generations that the tasks do not show: an instance that no longer counts has used its generation."""
+    found = dict(reply.generations)
+    for name, entry in reply.tasks.items():
         if name not in tasks:
-            found[name] = max(found.get(name, 0), get_optional(entry, "generation", get_int) or 0)
+            found[name] = max(found.get(name, 0), decode_reply(TaskReply, entry).generation)
     return found
 
 
@@ -137,54 +128,47 @@ def _has_ended(task: TaskSample) -> bool:
     return task.state is TaskState.COMPLETED or task.given_up
 
 
-def _decode_task(name: str, entry: ReplyDocument, context: ReplyContext) -> TaskSample:
-    state = _STATES.get(get_text(entry, "state"))
-    if state is None:
-        raise ReplyError(f"tasks.{name}.state is not a state: {get_text(entry, 'state')[:80]}")
-    links = {robot: get_number(get_object(entry, "links"), robot) for robot in get_object(entry, "links")}
-    ended_s = get_optional(entry, "ended_s", get_number)
+def _decode_task(name: str, entry: object, context: ReplyContext) -> TaskSample:
+    where = f"tasks.{name}"
+    reply = decode_reply(TaskReply, entry, where)
+    usage = decode_reply(TASK_USAGE, entry, where)
+    _check_metrics(reply.metrics)
+    traffic = reply.rx_bytes_per_s + reply.tx_bytes_per_s
     return TaskSample(
-        state=state,
-        pid=get_optional(entry, "pid", get_int) or 0,
-        started_at=context.answered_at - (get_optional(entry, "age_s", get_number) or 0.0),
+        state=reply.state,
+        pid=reply.pid,
+        started_at=context.answered_at - reply.age_s,
         used=Usage(
             {
-                resource.name: _sum_traffic(entry)
-                if resource.per_link
-                else get_optional(entry, resource.used_key, get_number) or 0.0
+                resource.name: traffic if resource.per_link else getattr(usage, resource.used_key)
                 for resource in RESOURCES
             }
         ),
-        links=links or None,
-        instance=get_text(entry, "instance"),
-        spec_hash=get_text(entry, "spec_hash"),
-        generation=get_optional(entry, "generation", get_int) or 0,
-        managed=get_flag(entry, "managed", default=True),
-        restarts=get_optional(entry, "restarts", get_int) or 0,
-        exit_code=get_optional(entry, "exit_code", get_signed_int),
-        detail=get_text(entry, "detail"),
-        fields={
-            key: get_text(get_object(entry, "fields"), key)
-            for key in get_object(entry, "fields")
-            if key.isidentifier()
-        },
-        last_exit=get_optional(entry, "last_exit", get_signed_int),
-        log_tail=get_lines(entry, "log_tail"),
-        limits=get_text(entry, "limits"),
-        given_up=get_flag(entry, "given_up", default=False),
-        ended_at=None if ended_s is None else context.answered_at - ended_s,
-        metrics=_decode_metrics(get_object(entry, "metrics")),
+        links=reply.links or None,
+        instance=reply.instance,
+        spec_hash=reply.spec_hash,
+        generation=reply.generation,
+        managed=reply.managed,
+        restarts=reply.restarts,
+        exit_code=reply.exit_code,
+        detail=reply.detail,
+        fields={key: value for key, value in reply.fields.items() if key.isidentifier()},
+        last_exit=reply.last_exit,
+        log_tail=reply.log_tail,
+        limits=reply.limits,
+        given_up=reply.given_up,
+        ended_at=None if reply.ended_s is None else context.answered_at - reply.ended_s,
+        metrics=reply.metrics,
     )
 
 
-def _decode_metrics(values: ReplyDocument) -> dict[str, float]:
-    """What the application says of itself; the agent lets nothing else pass."""
+def _check_metrics(values: Mapping[str, float]) -> None:
+    """Refuse metrics that no agent sends."""
     if len(values) > protocol.MAX_TASK_METRICS:
         raise ReplyError(f"more than {protocol.MAX_TASK_METRICS} metrics of one task")
     for name in values:
         if not protocol.is_metric_name(name):
-            raise ReplyError(f"not the name of a metric: {escape_unprintable(name)[:80]}")
-    return {name: get_finite(values, name, most=sys.float_info.max) for name in values}
+            raise ReplyError(f"invalid metric name: {escape_unprintable(name)[:80]}")
 
 
 def _select_alive(tasks: Mapping[str, TaskSample]) -> list[TaskSample]:
@@ -206,60 +190,50 @@ def _decode_usage(
 ) -> ResourceUsage:
     """Capacity and use of one resource: of the device, of the slice, or of a declared budget that the host may be unable to read."""
     declared, name = _get_declared(host, resource), resource.name
-    device = get_object(document, name)
+    found = document.get(name)
+    device = decode_reply(DEVICE_USAGE[name], {} if found is None else found, name)
+    used = getattr(device, resource.used_key)
     if resource.declared_only:
-        return ResourceUsage(
-            capacity=declared, used=get_optional(device, resource.used_key, get_number) or 0.0
-        )
-    capacity, used = get_positive(device, resource.capacity_key), get_number(device, resource.used_key)
+        return ResourceUsage(capacity=declared, used=used)
     if host.is_slice:
         own = sum(task.used[name] for task in _select_alive(tasks))
         return ResourceUsage(capacity=declared, used=host.base[name] + own)
-    return ResourceUsage(capacity=capacity, used=used)
+    return ResourceUsage(capacity=getattr(device, resource.capacity_key), used=used)
 
 
 def _get_declared(host: Host, resource: Resource) -> float:
     return host.capacity[resource.name] if host.capacity is not None else 0.0
 
 
-def _decode_links(
-    document: ReplyDocument, context: ReplyContext, tasks: Mapping[str, TaskSample]
+def _build_links(
+    reply: ProbeReply, context: ReplyContext, tasks: Mapping[str, TaskSample]
 ) -> dict[str, LinkSample]:
-    interfaces = _decode_interfaces(document)
-    found = get_objects(document, "links")
     return {
-        robot: _decode_link(robot, found[robot], context, interfaces, tasks)
+        robot: _build_link(robot, reply.links[robot], context, reply.interfaces, tasks)
         for robot in context.robots
-        if robot in found
+        if robot in reply.links
     }
 
 
-def _decode_link(
+def _build_link(
     robot: str,
-    entry: ReplyDocument,
+    reply: LinkReply,
     context: ReplyContext,
     interfaces: Mapping[str, InterfaceSample],
     tasks: Mapping[str, TaskSample],
 ) -> LinkSample:
-    used = _sum_traffic(entry)
+    used = reply.rx_bytes_per_s + reply.tx_bytes_per_s
     if context.host.is_slice:
         used = sum((_get_link_usage(task, robot) for task in _select_alive(tasks)), 0.0)
-    nic = interfaces.get(get_text(entry, "interface"))
+    nic = interfaces.get(reply.interface)
     capacity, source = select_link_capacity(robot, context, nic.speed_bytes_per_s if nic else None)
-    if robot not in context.blind and not get_flag(entry, "reachable", default=True):
+    if robot not in context.blind and not reply.reachable:
         capacity = 0.0
     return LinkSample(
         capacity_bytes_per_s=capacity,
         used_bytes_per_s=used,
-        rtt_ms=get_optional(entry, "rtt_ms", get_number),
+        rtt_ms=reply.rtt_ms,
         capacity_source=source,
-    )
-
-
-def _sum_traffic(entry: ReplyDocument) -> float:
-    """In plus out, in bytes/s; what the host cannot tell counts as nothing."""
-    return (get_optional(entry, "rx_bytes_per_s", get_number) or 0.0) + (
-        get_optional(entry, "tx_bytes_per_s", get_number) or 0.0
     )
 
 
@@ -280,28 +254,15 @@ def select_link_capacity(
     return ASSUMED_BYTES_PER_S, CapacitySource.ASSUMED
 
 
-def _decode_interfaces(document: ReplyDocument) -> dict[str, InterfaceSample]:
-    return {
-        name: InterfaceSample(
-            rx_bytes_per_s=get_number(entry, "rx_bytes_per_s"),
-            tx_bytes_per_s=get_number(entry, "tx_bytes_per_s"),
-            speed_bytes_per_s=get_optional(entry, "speed_bytes_per_s", get_number),
-        )
-        for name, entry in get_objects(document, "interfaces").items()
-    }
-
-
-def _decode_device(document: ReplyDocument, answered_at: float) -> DeviceSample:
-    """Figures that are shown and never used to decide; the host's clock stands here only as a skew."""
-    wall = get_optional(document, "wall", get_finite)
-    share = get_optional(document, "gpu_share", get_number)
+def _build_device(reply: ProbeReply, answered_at: float) -> DeviceSample:
+    """Figures that are shown and never used to decide; of the host's clock only the skew."""
     return DeviceSample(
-        load_1m=get_optional(document, "load_1m", get_number),
-        temperature_c=get_optional(document, "temperature_c", get_finite),
-        gpu_share=None if share is None else min(share, 1.0),
-        boot_id=get_text(document, "boot_id"),
-        clock_skew_s=None if wall is None else wall - answered_at,
-        interfaces=_decode_interfaces(document),
+        load_1m=reply.load_1m,
+        temperature_c=reply.temperature_c,
+        gpu_share=None if reply.gpu_share is None else min(reply.gpu_share, 1.0),
+        boot_id=reply.boot_id,
+        clock_skew_s=None if reply.wall is None else reply.wall - answered_at,
+        interfaces=reply.interfaces,
     )
 
 

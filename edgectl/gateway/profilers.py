@@ -8,21 +8,18 @@ from edgectl.errors import HostError, ReplyError
 from edgectl.gateway.fanout import MAX_PARALLEL_HOSTS, HostReply, ask_all
 from edgectl.gateway.host_probe import resolve_robot_addresses
 from edgectl.gateway.probe_request import build_probe_spec
-from edgectl.gateway.reply_fields import (
+from edgectl.gateway.replies import (
+    LiveProfilerReply,
+    ProfilerReply,
     ReplyDocument,
+    decode_reply,
     escape_unprintable,
-    get_flag,
-    get_int,
-    get_number,
-    get_optional,
-    get_text,
 )
 from edgectl.model.inventory import Host, Inventory
 from edgectl.model.profiler import Profiler, ProfilerState
 from edgectl.model.task import Tasks
 from edgectl.transport.base import Transport
 
-_STATES = {state.value: state for state in ProfilerState if state is not ProfilerState.UNREACHABLE}
 ProfilerRequest = dict[str, object]
 
 
@@ -107,27 +104,12 @@ def decode_profiler(host: str, document: ReplyDocument) -> Profiler:
     Raises:
         ReplyError: a value is missing, of the wrong type or out of range.
     """
-    state = _STATES.get(get_text(document, "state"))
-    if state is None:
-        raise ReplyError(f"unknown profiler state: {get_text(document, 'state')[:80]}")
-    known = Profiler(
-        host=host,
-        state=state,
-        pid=get_optional(document, "pid", get_int) or 0,
-        detail=get_text(document, "detail"),
-    )
-    if not state.alive:
+    reply = decode_reply(ProfilerReply, document)
+    if reply.state is ProfilerState.UNREACHABLE:
+        raise ReplyError(f"unknown profiler state: {reply.state}")
+    known = Profiler(host=host, state=reply.state, pid=reply.pid, detail=reply.detail)
+    if not reply.state.alive:
         return known
-    return dataclasses.replace(
-        known,
-        age=get_number(document, "age_s"),
-        every=get_number(document, "every_s"),
-        period=get_number(document, "period_s"),
-        samples=get_int(document, "samples"),
-        sample_age=get_optional(document, "sample_age_s", get_number),
-        used_cores=get_number(document, "used_cores"),
-        used_bytes=get_number(document, "used_bytes"),
-        ttl=get_number(document, "ttl_s"),
-        ttl_left=max(0.0, get_number(document, "ttl_left_s", low=-(2.0**31))),
-        current=get_flag(document, "current", default=True),
-    )
+    live = decode_reply(LiveProfilerReply, document)
+    figures = {each.name: getattr(live, each.name) for each in dataclasses.fields(live)}
+    return dataclasses.replace(known, **figures | {"ttl_left": max(0.0, live.ttl_left)})

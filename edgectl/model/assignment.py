@@ -6,7 +6,9 @@ Nothing is recomputed for display.
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import Annotated
 
+from edgectl.model.encoding import Bounds, Positive, Signed, SignedInt, in_document
 from edgectl.model.policy import Policy
 from edgectl.model.resource import TERMS, Resource, ResourceMap, Usage
 
@@ -79,12 +81,12 @@ class Rejection:
     rule: RejectionRule
     resource: Resource | None = None
     robot: str | None = None
-    demand: float | None = None
-    used: float | None = None
-    capacity: float | None = None
+    demand: Signed | None = None
+    used: Signed | None = None
+    capacity: Signed | None = None
 
 
-class UtilityTerms(ResourceMap[float | None]):
+class UtilityTerms(ResourceMap[Signed | None]):
     """UT_k of every resource (eqs. 1-3) and UT_task.
 
     At most 1, negative where overcommitted, None without capacity.
@@ -104,12 +106,12 @@ class RankedHost:
 
     host: str
     rank: int
-    total: float | None
+    total: Signed | None
     terms: UtilityTerms
     feasible: bool
-    affinity: int = 0
-    rejections: tuple[Rejection, ...] = ()
-    demand: tuple[ResourceDemand, ...] = ()
+    affinity: SignedInt = field(default=0, metadata=in_document(always=True))
+    rejections: tuple[Rejection, ...] = field(default=(), metadata=in_document(always=True))
+    demand: tuple[ResourceDemand, ...] = field(default=(), metadata=in_document(keyed_by="resource"))
 
 
 class Verdict(StrEnum):
@@ -171,7 +173,7 @@ class MoveCost:
     ``per_s``: utility lost per second of downtime.
     """
 
-    stay_s: float
+    stay_s: Positive
     downtime_s: float
     per_s: float
 
@@ -179,6 +181,9 @@ class MoveCost:
     def needed(self) -> float:
         """The gain in utility that the move must exceed."""
         return self.downtime_s * self.per_s / self.stay_s
+
+
+_WRITTEN = in_document(always=True)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -197,27 +202,31 @@ class Decision:
     task: str
     verdict: Verdict
     reason: Reason
-    host: str | None = None
-    previous_host: str | None = None
-    total: float | None = None
-    lead: float | None = None
+    host: str | None = field(default=None, metadata=_WRITTEN)
+    previous_host: str | None = field(default=None, metadata=_WRITTEN)
+    total: Signed | None = field(default=None, metadata=_WRITTEN)
+    lead: Signed | None = field(default=None, metadata=_WRITTEN)
     challenger: str | None = None
     subject: str | None = None
-    amount: float | None = None
+    amount: Signed | None = None
     cost: MoveCost | None = None
     nearest: str | None = None
     overcommitted: bool = False
-    ranking: tuple[RankedHost, ...] = ()
+    ranking: tuple[RankedHost, ...] = field(default=(), metadata=in_document(required=True))
     rejection_counts: Mapping[str, int] = field(default_factory=dict)
-    demand: tuple[ResourceDemand, ...] = ()
+    demand: tuple[ResourceDemand, ...] = field(default=(), metadata=in_document(keyed_by="resource"))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExpectedLoad:
     """gamma of one host after the whole plan, and of its links in bytes/s by robot."""
 
-    used: Usage
-    links: Mapping[str, float] = field(default_factory=dict)
+    used: Annotated[Usage, Bounds(minimum=None)] = field(
+        metadata=in_document(by_resource=("used",), host_only=True)
+    )
+    links: Mapping[str, Signed] = field(
+        default_factory=dict, metadata=in_document(always=True, value_key="used_bytes_per_s")
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -3,15 +3,19 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from edgectl.model.encoding import Instant, in_document
+
+_WRITTEN = in_document(always=True)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Placement:
     """Last known place of a task: ``since`` (s since 1970) is when it came to that host."""
 
     host: str
-    since: float
-    spec_hash: str = ""
-    generation: int = 0
+    since: Instant
+    spec_hash: str = field(default="", metadata=in_document(always=True))
+    generation: int = field(default=0, metadata=in_document(always=True))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,7 +28,7 @@ class MeasuredDemand:
 
     samples: int
     span_s: float
-    used: Mapping[str, float]
+    used: Mapping[str, float] = field(metadata=in_document(by_resource=("used",)))
     spec_hash: str = ""
 
 
@@ -43,15 +47,20 @@ class ManagerState:
     task and class of host, of the tasks whose demand is not all declared.
     """
 
-    managed: bool = False
-    placements: Mapping[str, Placement] = field(default_factory=dict)
-    first: Mapping[str, str] = field(default_factory=dict)
-    cordons: frozenset[str] = frozenset()
-    draining: frozenset[str] = frozenset()
-    done: Mapping[str, str] = field(default_factory=dict)
-    downtimes: Mapping[tuple[str, str], tuple[float, ...]] = field(default_factory=dict)
-    stays: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
-    contact: Mapping[str, float] = field(default_factory=dict)
-    fenced: frozenset[str] = frozenset()
-    deferred: Mapping[str, str] = field(default_factory=dict)
-    measured: Mapping[tuple[str, str], MeasuredDemand] = field(default_factory=dict)
+    managed: bool = field(default=False, metadata=_WRITTEN)
+    placements: Mapping[str, Placement] = field(default_factory=dict, metadata=_WRITTEN)
+    first: Mapping[str, str] = field(default_factory=dict, metadata=_WRITTEN)
+    cordons: frozenset[str] = field(default=frozenset(), metadata=_WRITTEN)
+    draining: frozenset[str] = field(default=frozenset(), metadata=_WRITTEN)
+    done: Mapping[str, str] = field(default_factory=dict, metadata=_WRITTEN)
+    downtimes: Mapping[tuple[str, str], tuple[float, ...]] = field(
+        default_factory=dict,
+        metadata=in_document(always=True, entries=("task", "host"), value_key="seconds"),
+    )
+    stays: Mapping[str, tuple[float, ...]] = field(default_factory=dict, metadata=_WRITTEN)
+    contact: Mapping[str, Instant] = field(default_factory=dict, metadata=_WRITTEN)
+    fenced: frozenset[str] = field(default=frozenset(), metadata=_WRITTEN)
+    deferred: Mapping[str, str] = field(default_factory=dict, metadata=_WRITTEN)
+    measured: Mapping[tuple[str, str], MeasuredDemand] = field(
+        default_factory=dict, metadata=in_document(always=True, entries=("task", "class"))
+    )

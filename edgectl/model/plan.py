@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 from edgectl.model.assignment import Decision, DemandSpread, ExpectedLoad
+from edgectl.model.encoding import Instant, in_document
 from edgectl.model.policy import Policy
 from edgectl.model.snapshot import Snapshot
 
@@ -49,7 +50,7 @@ class Step:
     the fields of the spec that differ (restart), where known.
     """
 
-    decision: Decision
+    decision: Decision = field(metadata=in_document(inline=True))
     action: Action
     instances: Mapping[str, str] = field(default_factory=dict)
     stop: tuple[str, ...] = ()
@@ -68,17 +69,17 @@ class Plan:
     ``created_at`` (s since 1970) is the snapshot's ``taken_at``. ``summary`` counts steps by action.
     """
 
-    created_at: float
-    policy: Policy
+    created_at: Instant
+    policy: Policy = field(metadata=in_document(inline=True))
     inventory_digest: str
     tasks_digest: str
-    snapshot: Snapshot
     settled: bool
-    steps: tuple[Step, ...]
+    steps: tuple[Step, ...] = field(metadata=in_document("decisions"))
     expected: Mapping[str, ExpectedLoad]
-    frozen: bool = False
-    unseen: tuple[str, ...] = ()
-    demand_spreads: tuple[DemandSpread, ...] = ()
+    frozen: bool = field(default=False, metadata=in_document(always=True))
+    unseen: tuple[str, ...] = field(default=(), metadata=in_document(always=True))
+    demand_spreads: tuple[DemandSpread, ...] = field(default=(), metadata=in_document(always=True))
+    snapshot: Snapshot
 
     @property
     def summary(self) -> dict[Action, int]:

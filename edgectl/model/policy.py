@@ -2,10 +2,11 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from types import MappingProxyType
 
+from edgectl.model.encoding import in_document
 from edgectl.model.resource import AFFINITY, RESOURCES, TERMS, ResourceMap
 
 
@@ -74,13 +75,15 @@ class Policy:
     candidates (what if).
     """
 
-    name: PolicyName = PolicyName.UTILITY
-    weights: Weights = Weights()
-    sequence: SequenceRule = SequenceRule.CONNECTIVITY
-    move_margin: float = 0.10
-    min_dwell: float = 120.0
-    max_moves: int | None = 1
-    attended: bool = True
-    best_effort: bool = False
-    full: bool = False
-    without: frozenset[str] = frozenset()
+    name: PolicyName = field(default=PolicyName.UTILITY, metadata=in_document("policy", required=True))
+    weights: Weights = field(default=Weights(), metadata=in_document(required=True))
+    sequence: SequenceRule = field(
+        default=SequenceRule.CONNECTIVITY, metadata=in_document("options.sequence", required=True)
+    )
+    move_margin: float = field(default=0.10, metadata=in_document("options.move_margin", required=True))
+    min_dwell: float = field(default=120.0, metadata=in_document("options.min_dwell_s", required=True))
+    max_moves: int | None = field(default=1, metadata=in_document("options.max_moves", always=True))
+    attended: bool = field(default=True, metadata=in_document("options.attended", required=True))
+    best_effort: bool = field(default=False, metadata=in_document("options.best_effort", required=True))
+    full: bool = field(default=False, metadata=in_document("options.full", required=True))
+    without: frozenset[str] = field(default=frozenset(), metadata=in_document("options.without", always=True))

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 from edgectl.agent.link import protocol
+from edgectl.model.encoding import Instant, Positive, Signed, SignedInt, in_document
 from edgectl.model.inventory import Role
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.resource import HOST_RESOURCES, Usage
@@ -49,7 +50,7 @@ class CapacitySource(StrEnum):
 class ResourceUsage:
     """Capacity (> 0, before limits) and use of one resource of a host, in its unit."""
 
-    capacity: float
+    capacity: Positive
     used: float
 
 
@@ -62,7 +63,9 @@ class LinkSample:
     capacity_bytes_per_s: float
     used_bytes_per_s: float
     rtt_ms: float | None = None
-    capacity_source: CapacitySource = CapacitySource.ASSUMED
+    capacity_source: CapacitySource = field(
+        default=CapacitySource.ASSUMED, metadata=in_document(required=True)
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,24 +83,26 @@ class TaskSample:
     """
 
     state: TaskState
-    pid: int = 0
-    started_at: float = 0.0
-    used: Usage = Usage()
-    links: Mapping[str, float] | None = None
+    pid: int = field(default=0, metadata=in_document(required=True))
+    started_at: Instant = field(default=0.0, metadata=in_document(required=True))
+    used: Usage = field(default=Usage(), metadata=in_document(by_resource=("used",), required=True))
+    links: Mapping[str, float] | None = field(
+        default=None, metadata=in_document(value_key="used_bytes_per_s")
+    )
     instance: str = ""
     spec_hash: str = ""
     generation: int = 0
     managed: bool = True
     restarts: int = 0
-    exit_code: int | None = None
+    exit_code: SignedInt | None = None
     detail: str = ""
     fields: Mapping[str, str] = field(default_factory=dict)
-    last_exit: int | None = None
+    last_exit: SignedInt | None = None
     log_tail: tuple[str, ...] = ()
-    limits: str = ""
+    limits: str = field(default="", metadata=in_document("enforcement"))
     given_up: bool = False
-    metrics: Mapping[str, float] = field(default_factory=dict)
-    ended_at: float | None = None
+    metrics: Mapping[str, Signed] = field(default_factory=dict)
+    ended_at: Instant | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -114,10 +119,10 @@ class DeviceSample:
     """Readings of the device profiler besides the resources, where the host shows them."""
 
     load_1m: float | None = None
-    temperature_c: float | None = None
+    temperature_c: Signed | None = None
     gpu_share: float | None = None
     boot_id: str = ""
-    clock_skew_s: float | None = None
+    clock_skew_s: Signed | None = None
     interfaces: Mapping[str, InterfaceSample] = field(default_factory=dict)
 
 
@@ -136,11 +141,16 @@ class HostSample:
     error: str = ""
     error_kind: str = ""
     hint: str = ""
-    sample_age_s: float = 0.0
+    sample_age_s: float = field(default=0.0, metadata=in_document(always=True))
     resident: bool = False
-    usage: Mapping[str, ResourceUsage] = field(default_factory=dict)
-    links: Mapping[str, LinkSample] = field(default_factory=dict)
-    tasks: Mapping[str, TaskSample] = field(default_factory=dict)
+    usage: Mapping[str, ResourceUsage] = field(
+        default_factory=dict,
+        metadata=in_document(
+            by_resource=("capacity", "used"), host_only=True, needed_when=("status", HostStatus.OK)
+        ),
+    )
+    links: Mapping[str, LinkSample] = field(default_factory=dict, metadata=in_document(always=True))
+    tasks: Mapping[str, TaskSample] = field(default_factory=dict, metadata=in_document(always=True))
     device: DeviceSample = DeviceSample()
     generations: Mapping[str, int] = field(default_factory=dict)
 
@@ -157,12 +167,9 @@ class HostSample:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Snapshot:
-    """The fleet at ``taken_at``.
+    """The fleet at ``taken_at``. ``manager``, where present, makes the snapshot enough to repeat a decision."""
 
-    ``memory``, where present, makes the snapshot enough to repeat a decision.
-    """
-
-    taken_at: float
+    taken_at: Instant
     hosts: Mapping[str, HostSample]
     manager: ManagerState | None = None
 

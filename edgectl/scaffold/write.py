@@ -2,6 +2,7 @@
 
 import json
 import shlex
+from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
 
@@ -24,19 +25,43 @@ SCAFFOLD_FILES = (
 )
 
 
-def write_scaffold(directory: Path) -> dict[Path, bool]:
+# Files that a user edits -> the kind of their schema.
+_KINDS = {
+    "inventories/local.yaml": "inventory",
+    "tasks/demo.yaml": "tasks",
+    "tasks/mission/fleet.yaml": "inventory",
+    "tasks/mission/tasks.yaml": "tasks",
+    "tasks/mission/experiment.yaml": "experiment",
+}
+SCHEMAS_DIR = ".edgectl/schemas"
+NO_SCHEMAS: Mapping[str, str] = {}
+
+
+def write_scaffold(directory: Path, schemas: Mapping[str, str] = NO_SCHEMAS) -> dict[Path, bool]:
     """Write the example files into ``directory``; each path with whether it is new. Existing files are kept.
+
+    ``schemas``: the text of each JSON Schema by kind. They stand in ``.edgectl/schemas``, and the YAML files name them for editors.
 
     Raises:
         OSError: a file or directory cannot be made.
     """
     source = files("edgectl.scaffold")
-    return {
-        directory / name: _write_new_file(
-            directory / name, _fill_in_directory(source.joinpath(name).read_bytes(), directory)
-        )
-        for name in SCAFFOLD_FILES
+    contents = {
+        name: _fill_in_directory(source.joinpath(name).read_bytes(), directory) for name in SCAFFOLD_FILES
     }
+    for name, kind in _KINDS.items():
+        if kind not in schemas:
+            continue
+        contents[name] = _build_schema_line(name, kind) + contents[name]
+    contents |= {f"{SCHEMAS_DIR}/{kind}.json": text.encode() for kind, text in schemas.items()}
+    return {
+        directory / name: _write_new_file(directory / name, content) for name, content in contents.items()
+    }
+
+
+def _build_schema_line(name: str, kind: str) -> bytes:
+    """The first line of a YAML file, by which editors find its schema."""
+    return f"# yaml-language-server: $schema={'../' * name.count('/')}{SCHEMAS_DIR}/{kind}.json\n".encode()
 
 
 def _fill_in_directory(content: bytes, directory: Path) -> bytes:

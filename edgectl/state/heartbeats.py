@@ -1,7 +1,7 @@
-"""When each host was last in touch, and which hosts the operator declared switched off. What may be started elsewhere hangs on both.
+"""Heartbeats: the last contact of each host, and the hosts that the operator fenced. Replacing a task depends on both.
 
-Times are uptimes of this machine, so that a clock that is set cannot make a silence longer than it was. Commands that take no
-lock write here too: every change is a merge under a lock of this file's own, and a contact only ever becomes later.
+Times are uptimes of this machine, so that setting a clock cannot lengthen a silence. Commands that take no lock write here too:
+every change is a merge under a lock of this file's own, and a contact only ever becomes later.
 """
 
 import contextlib
@@ -11,8 +11,10 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from edgectl.formats.document import FormatErrors
+from edgectl.formats.kinds import DocumentKind
+from edgectl.model.encoding import in_document
 from edgectl.state.json_files import (
-    STATE_FORMAT_VERSION,
     Warn,
     ignore_warning,
     read_json,
@@ -27,18 +29,21 @@ _FILE_NAME = "contacts.json"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Heartbeats:
-    """Last contact of each host; hosts declared off. Nothing is known of a host that is in neither."""
+    """Last contact of each host, and the fenced hosts (declared off). Nothing is known of a host that is in neither."""
 
-    last: Mapping[str, Uptime] = field(default_factory=dict)
-    fenced: frozenset[str] = frozenset()
+    last: Mapping[str, Uptime] = field(default_factory=dict, metadata=in_document(required=True))
+    fenced: frozenset[str] = field(default=frozenset(), metadata=in_document(required=True))
 
     def to_instants(self, wall: float, now: Uptime) -> dict[str, float]:
         """The contacts as instants of a wall clock that shows ``wall`` at ``now``."""
         return {host: wall - compute_elapsed_s(since, now) for host, since in self.last.items()}
 
 
+_KIND = DocumentKind(name="file of heartbeats", version=1, model=Heartbeats)
+
+
 def load_heartbeats(fleet_dir: Path, warn: Warn = ignore_warning) -> Heartbeats:
-    """What is known. A broken file is set aside; then nothing is known, and nothing is replaced: an older file would say too much.
+    """The stored heartbeats. A broken file is set aside and not replaced by the previous one, which would know of too old contacts.
 
     Raises:
         StateError: a newer edgectl wrote it.
@@ -46,14 +51,14 @@ def load_heartbeats(fleet_dir: Path, warn: Warn = ignore_warning) -> Heartbeats:
     path = fleet_dir / _FILE_NAME
     try:
         document = read_json(path)
-        return Heartbeats() if document is None else _decode_heartbeats(document)
-    except ValueError as error:
+        return Heartbeats() if document is None else _KIND.decode(document)
+    except (ValueError, FormatErrors) as error:
         warn(f"{path} is broken ({error}); set aside as {set_aside(path).name}")
         return Heartbeats()
 
 
 def record_heartbeats(fleet_dir: Path, heard: Mapping[str, Uptime]) -> None:
-    """Hosts were in touch: later contacts are kept, and none of them is switched off.
+    """Record contacts: the later one of each host is kept, and its fence is removed.
 
     Raises:
         StateError: the disk does not take it.
@@ -62,7 +67,7 @@ def record_heartbeats(fleet_dir: Path, heard: Mapping[str, Uptime]) -> None:
 
 
 def add_fences(fleet_dir: Path, hosts: Iterable[str]) -> Heartbeats:
-    """Take the operator's word that ``hosts`` are switched off.
+    """Mark ``hosts`` as powered off.
 
     Raises:
         StateError: the disk does not take it.
@@ -71,7 +76,7 @@ def add_fences(fleet_dir: Path, hosts: Iterable[str]) -> Heartbeats:
 
 
 def remove_fences(fleet_dir: Path, hosts: Iterable[str]) -> Heartbeats:
-    """Take that back.
+    """Clear the fence of ``hosts``.
 
     Raises:
         StateError: the disk does not take it.
@@ -94,7 +99,7 @@ def _update_heartbeats(fleet_dir: Path, change: Callable[[Heartbeats], Heartbeat
         known = load_heartbeats(fleet_dir)
         changed = change(known)
         if changed != known:
-            write_json(fleet_dir / _FILE_NAME, _encode_heartbeats(changed))
+            write_json(fleet_dir / _FILE_NAME, _KIND.encode(changed))
     return changed
 
 
@@ -107,33 +112,3 @@ def _lock_heartbeats(fleet_dir: Path) -> Iterator[None]:
         yield
     finally:
         os.close(descriptor)
-
-
-def _encode_heartbeats(contacts: Heartbeats) -> dict[str, object]:
-    last = {host: {"boot": at.boot, "uptime_s": at.seconds} for host, at in sorted(contacts.last.items())}
-    return {"format_version": STATE_FORMAT_VERSION, "last": last, "fenced": sorted(contacts.fenced)}
-
-
-def _decode_heartbeats(document: dict[str, object]) -> Heartbeats:
-    last, fenced = document.get("last"), document.get("fenced")
-    if (
-        not isinstance(last, dict)
-        or not isinstance(fenced, list)
-        or not all(isinstance(host, str) for host in fenced)
-    ):
-        raise ValueError("last must be an object and fenced a list of names")
-    return Heartbeats(
-        last={host: _decode_uptime(value) for host, value in last.items()}, fenced=frozenset(fenced)
-    )
-
-
-def _decode_uptime(value: object) -> Uptime:
-    boot, seconds = (value.get("boot"), value.get("uptime_s")) if isinstance(value, dict) else (None, None)
-    if (
-        not isinstance(boot, str)
-        or isinstance(seconds, bool)
-        or not isinstance(seconds, int | float)
-        or not 0 <= seconds < float("inf")
-    ):
-        raise ValueError(f"not an uptime: {value!r}")
-    return Uptime(boot=boot, seconds=float(seconds))

@@ -1,4 +1,4 @@
-"""Small JSON files of the manager: written whole or not at all, the previous one kept, a broken one set aside."""
+"""Small JSON files: written whole or not at all, the previous one kept, a broken one set aside."""
 
 import contextlib
 import fcntl
@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import BinaryIO, TypeVar
 
 from edgectl.errors import StateError
+from edgectl.formats.document import FormatErrors
 from edgectl.state.failpoints import hit_failpoint
 from edgectl.state.paths import open_private_file, sync_dir
 
@@ -122,7 +123,7 @@ def load_or_set_aside(
             document = read_json(candidate)
             if document is not None:
                 return decode(document)
-        except ValueError as error:
+        except (ValueError, FormatErrors) as error:
             warn(f"{candidate} is broken ({error}); set aside as {set_aside(candidate).name}")
         else:
             if candidate == path:

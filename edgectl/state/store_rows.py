@@ -1,4 +1,4 @@
-"""Rows of the history to and from values. What a damaged file gives is refused, never passed on."""
+"""Rows of the history to and from values. Values of a damaged file are refused."""
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence

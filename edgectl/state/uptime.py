@@ -1,8 +1,10 @@
-"""Time that nobody sets: how long this machine has been up, and which start of it that is."""
+"""Uptime of this machine: a clock that nobody sets."""
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+
+from edgectl.model.encoding import in_document
 
 _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 
@@ -12,7 +14,7 @@ class Uptime:
     """``seconds`` since the start of the machine, time asleep included where the kernel counts it; ``boot`` names the start."""
 
     boot: str
-    seconds: float
+    seconds: float = field(metadata=in_document("uptime_s"))
 
 
 def read_uptime() -> Uptime:

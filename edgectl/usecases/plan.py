@@ -5,8 +5,8 @@ from collections.abc import Collection
 
 from edgectl.executor.diff import plan_from_assignment, select_targets
 from edgectl.executor.dry_run import list_dry_run_requests
-from edgectl.formats import plan as form
 from edgectl.formats.document import dump_document
+from edgectl.formats.kinds import PLAN_KIND
 from edgectl.gateway.host_probe import ProbeOptions
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Plan
@@ -47,7 +47,7 @@ def limit_plan_to_tasks(plan: Plan, tasks: Collection[str]) -> Plan:
 
 def compute_plan_id(plan: Plan) -> str:
     """The digest of a plan's text, under which it is applied at most once."""
-    return hashlib.sha256(dump_document(form.encode(plan)).encode()).hexdigest()
+    return hashlib.sha256(dump_document(PLAN_KIND.encode(plan)).encode()).hexdigest()
 
 
 def list_remote_commands(fleet: Fleet, plan: Plan) -> list[dict[str, object]]:

@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 
-from edgectl.formats import plan as plan_format
 from edgectl.formats.document import Document
+from edgectl.formats.kinds import PLAN_KIND
 from edgectl.model.assignment import RankedHost
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.resource import TERMS
@@ -64,11 +64,11 @@ class PlanView(View):
 
     def document(self) -> Document:
         """The plan file. Its numbers are exact, for it is read back."""
-        return plan_format.encode(self._plan)
+        return PLAN_KIND.encode(self._plan)
 
     def rows(self) -> Sequence[Document]:
         """The decisions."""
-        return plan_format.encode(self._plan)["decisions"]  # type: ignore[return-value]
+        return PLAN_KIND.encode(self._plan)["decisions"]  # type: ignore[return-value]
 
     def names(self) -> Sequence[str]:
         """The tasks of the plan."""

@@ -2,8 +2,8 @@
 
 from collections.abc import Callable, Sequence
 
-from edgectl.formats import snapshot as snapshot_format
 from edgectl.formats.document import Document, encode_optional, without_none
+from edgectl.formats.kinds import SNAPSHOT_KIND
 from edgectl.model.snapshot import (
     BandwidthMeasurement,
     HostSample,
@@ -66,7 +66,7 @@ class SnapshotView(View):
 
     def document(self) -> Document:
         """The snapshot file. Its numbers are exact, for it is read back."""
-        document = snapshot_format.encode(self._snapshot)
+        document = SNAPSHOT_KIND.encode(self._snapshot)
         if self._bandwidth:
             document["bandwidth"] = [_encode_bandwidth_measurement(each) for each in self._bandwidth]
         return document

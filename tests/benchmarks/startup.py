@@ -66,7 +66,7 @@ def write_fleet(directory: Path) -> None:
     (directory / "tasks" / "lab.yaml").write_text("\n".join(tasks) + "\n")
     hosts = {edge: _sample(place, robots) for place, edge in enumerate(edges)}
     (directory / "snap.json").write_text(
-        json.dumps({"format_version": 1, "taken_at": "2026-11-21T08:00:00Z", "hosts": hosts})
+        json.dumps({"format_version": 2, "taken_at": "2026-11-21T08:00:00Z", "hosts": hosts})
     )
 
 
@@ -82,15 +82,15 @@ def _sample(place: int, robots: list[str]) -> dict[str, object]:
         "state": "running",
         "pid": 100,
         "started_at": "2026-11-21T07:00:00Z",
-        "used_cores": 0.4,
-        "used_bytes": 2e8,
-        "used_bytes_per_s": 2e5,
+        "cpu": {"used_cores": 0.4},
+        "memory": {"used_bytes": 2e8},
+        "network": {"used_bytes_per_s": 2e5},
     }
     return {
         "role": "edge",
         "status": "ok",
-        "cpu": {"cores": 4, "used_cores": 1 + place / 100},
-        "memory": {"total_bytes": 4 * 2**30, "used_bytes": 2**30},
+        "cpu": {"capacity_cores": 4, "used_cores": 1 + place / 100},
+        "memory": {"capacity_bytes": 4 * 2**30, "used_bytes": 2**30},
         "links": dict.fromkeys(robots, link),
         "tasks": {f"task{number}": task for number in running},
     }

@@ -46,3 +46,12 @@ def test_version(run: Run) -> None:
 )
 def test_the_file_of_a_host_key(kind: str, file: str) -> None:
     assert get_public_key_path(kind) == f"/etc/ssh/ssh_host_{file}_key.pub"
+
+
+def test_a_semicolon_in_a_value_does_not_cut_the_message(run: Run) -> None:
+    assert run(
+        "plan", "-i", "inventories/local.yaml", "-t", "tasks/demo.yaml", "--weights", "cpu=1; rm"
+    ).err == (
+        "error: --weights: weight cpu must be a number, got '1; rm'\n"
+        "hint: write one of cpu, memory, network, task, all, resources, or weights such as cpu=.5,network=.5\n"
+    )

@@ -55,7 +55,7 @@ def test_history_show_drain_rollback(run: Run, small: Path) -> None:
     probed = run("probe").out
     assert "ok, draining" in probed
     assert "note: draining, tasks move away: edge1 (edgectl uncordon)" in run("plan").out
-    assert json.loads(run("plan", "-o", "json").out)["snapshot"]["memory"]["draining"] == ["edge1"]
+    assert json.loads(run("plan", "-o", "json").out)["snapshot"]["manager"]["draining"] == ["edge1"]
     assert run("uncordon", "edge1").out == "cordoned: none\n"
 
     rows = run("history").out.splitlines()

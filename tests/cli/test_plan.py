@@ -173,7 +173,7 @@ def test_a_plan_is_saved_through_a_link_and_into_a_pipe(run: Run, site: Path) ->
     reader = os.open(site / "pipe", os.O_RDONLY | os.O_NONBLOCK)
     try:
         assert run("plan", "--snapshot", "snap.json", "--out", "pipe").code == 0
-        assert json.loads(os.read(reader, 2**20))["format_version"] == 1
+        assert json.loads(os.read(reader, 2**20))["format_version"] == 2
         assert (site / "pipe").is_fifo()
     finally:
         os.close(reader)

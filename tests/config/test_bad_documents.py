@@ -8,9 +8,8 @@ import pytest
 
 from edgectl.config.documents import load_plan, load_snapshot
 from edgectl.errors import InputError, Problem
-from edgectl.formats import plan as plan_format
-from edgectl.formats import snapshot as snapshot_format
 from edgectl.formats.document import dump_document
+from edgectl.formats.kinds import PLAN_KIND, SNAPSHOT_KIND
 from edgectl.model.assignment import (
     Decision,
     ExpectedLoad,
@@ -105,37 +104,38 @@ PLAN = Plan(
     expected={"edge1": ExpectedLoad(used=Usage(cpu=1.5, memory=1e9), links={"robot1": 1e3})},
 )
 TEXTS = {
-    "snapshot": dump_document(snapshot_format.encode(SNAPSHOT)),
-    "plan": dump_document(plan_format.encode(PLAN)),
+    "snapshot": dump_document(SNAPSHOT_KIND.encode(SNAPSHOT)),
+    "plan": dump_document(PLAN_KIND.encode(PLAN)),
 }
 LOADERS = {"snapshot": load_snapshot, "plan": load_plan}
 
 # what is changed, into what, where the problem stands (in what it became), its code, its message, its hint
 CASES = {
-    "no cores": ("snapshot", '"cores": 4', '"cores": 0', "0", "EC202", "hosts.edge1.cpu.cores: must be above 0, not 0", "correct the value"),
+    "no cores": ("snapshot", '"capacity_cores": 4', '"capacity_cores": 0', "0", "EC202", "hosts.edge1.cpu.capacity_cores: must be above 0, not 0", "correct the value"),
     "negative use": ("snapshot", '"used_cores": 1.5', '"used_cores": -1', "-1", "EC202", "must be 0 or more, not -1", ""),
-    "infinite": ("snapshot", '"total_bytes": 4000000000', '"total_bytes": 1e999', "1e999", "EC202", "must be a finite number", ""),
-    "endless integer": ("snapshot", '"cores": 4', f'"cores": {"9" * 5000}', "9" * 5000, "EC201", "is not a finite number", "write a finite"),
-    "integer beyond floats": ("snapshot", '"cores": 4', f'"cores": {"9" * 400}', "9" * 400, "EC202", "must be a finite number", ""),
+    "infinite": ("snapshot", '"capacity_bytes": 4000000000', '"capacity_bytes": 1e999', "1e999", "EC202", "must be a finite number", ""),
+    "endless integer": ("snapshot", '"capacity_cores": 4', f'"capacity_cores": {"9" * 5000}', "9" * 5000, "EC201", "is not a finite number", "write a finite"),
+    "integer beyond floats": ("snapshot", '"capacity_cores": 4', f'"capacity_cores": {"9" * 400}', "9" * 400, "EC202", "must be a finite number", ""),
     "not a number": ("snapshot", '"used_cores": 1.5', '"used_cores": NaN', "NaN", "EC201", "NaN is not a finite number", "write a finite number"),
-    "text for a number": ("snapshot", '"cores": 4', '"cores": "4"', '"4"', "EC202", "must be a number, not a string", ""),
-    "true for a number": ("snapshot", '"cores": 4', '"cores": true', "true", "EC202", "must be a number, not true or false", ""),
+    "text for a number": ("snapshot", '"capacity_cores": 4', '"capacity_cores": "4"', '"4"', "EC202", "must be a number, not a string", ""),
+    "true for a number": ("snapshot", '"capacity_cores": 4', '"capacity_cores": true', "true", "EC202", "must be a number, not true or false", ""),
     "part of a pid": ("snapshot", '"pid": 41', '"pid": 41.5', "41.5", "EC202", "must be a whole number", ""),
     "unknown status": ("snapshot", '"status": "ok"', '"status": "okay"', '"okay"', "EC202", "unknown status: 'okay'", "write one of ok, unreachable"),
     "unknown source": ("snapshot", ': "measured"', ': "guessed"', '"guessed"', "EC202", "unknown capacity_source", "write one of declared, measured"),
     "instant": ("snapshot", '"taken_at": "2026', '"taken_at": "yesterday 2026', '"yesterday', "EC202", "taken_at: cannot be read as an instant", ""),
-    "null": ("snapshot", '"cores": 4', '"cores": null', "null", "EC202", "must not be null", ""),
+    "null": ("snapshot", '"capacity_cores": 4', '"capacity_cores": null', "null", "EC202", "must not be null", ""),
     "no measurements": ("snapshot", '"cpu"', '"kpu"', None, "EC202", "hosts.edge1: cpu is missing", "add cpu"),
     "no hosts": ("snapshot", '"hosts"', '"host"', None, "EC202", "hosts is missing", "add hosts"),
-    "key twice": ("snapshot", '"edge2": {', '"edge1": {', '"edge1": {', "EC005", 'duplicate key "edge1" (first defined on line', "remove one"),
-    "newer": ("snapshot", '"format_version": 1', '"format_version": 2', "2", "EC202", "format_version 2 is not known", "update edgectl"),
-    "no version": ("snapshot", '  "format_version": 1,\n', "", None, "EC202", "format_version is missing", "add format_version"),
+    "key twice": ("snapshot", '"edge2": {', '"edge1": {', '"edge1": {', "EC005", "(first defined on line", "remove one"),
+    "newer": ("snapshot", '"format_version": 2', '"format_version": 3', "3", "EC202", "snapshot of format_version 3; this edgectl reads 2", "update edgectl"),
+    "older": ("snapshot", '"format_version": 2', '"format_version": 1', "1", "EC202", "snapshot of format_version 1", "write it again: edgectl probe --out FILE"),
+    "no version": ("snapshot", '  "format_version": 2,\n', "", None, "EC202", "format_version is missing", "add format_version"),
     "cut off": ("snapshot", '"used_bytes": 1000000000', '"used_bytes"', None, "EC201", "not JSON: Expecting ':' delimiter", "edgectl probe --out"),
-    "comma": ("snapshot", '"cores": 4,', '"cores": 4', None, "EC201", "not JSON: Expecting ',' delimiter", "edgectl probe --out"),
+    "comma": ("snapshot", '"capacity_cores": 4,', '"capacity_cores": 4', None, "EC201", "not JSON: Expecting ',' delimiter", "edgectl probe --out"),
     "half a pair": ("snapshot", '"no route"', '"\\ud83d"', None, "EC201", "surrogates not allowed", ""),
     "list of hosts": ("snapshot", '"links": {', '"links": [{}], "x": {', "[", "EC202", "must be an object, not a list", ""),
-    "memory": ("snapshot", '"managed": true', '"managed": 1', "1", "EC202", "memory.managed: must be true or false, not a number", ""),
-    "cordons": ("snapshot", '"cordons": [\n      "edge2"', '"cordons": [\n      2', "2", "EC202", "memory.cordons.0: must be a string", ""),
+    "memory": ("snapshot", '"managed": true', '"managed": 1', "1", "EC202", "manager.managed: must be true or false, not a number", ""),
+    "cordons": ("snapshot", '"cordons": [\n      "edge2"', '"cordons": [\n      2', "2", "EC202", "manager.cordons.0: must be a string", ""),
     "unknown action": ("plan", '"action": "keep"', '"action": "kepe"', '"kepe"', "EC202", "decisions.0.action: unknown action", "write one of start"),
     "no digest": ("plan", '"tasks_digest"', '"task_digest"', None, "EC202", "tasks_digest is missing", "add tasks_digest"),
     "host is a number": ("plan", '"host": "edge1"', '"host": 1', "1", "EC202", "decisions.0.host: must be a string, not a number", ""),
@@ -143,7 +143,7 @@ CASES = {
     "ranking": ("plan", '"feasible": false', '"feasible": "no"', '"no"', "EC202", "decisions.0.ranking.1.feasible: must be true or false", ""),
     "rejection": ("plan", '"insufficient"', '"poor"', '"poor"', "EC202", "rejections.0.rule: unknown rule", "write one of unreachable"),
     "policy": ("plan", '"policy": "utility"', '"policy": "best"', '"best"', "EC202", "unknown policy", "write one of utility, paper"),
-    "snapshot in a plan": ("plan", '"cores": 4', '"cores": 0', "0", "EC202", "snapshot.hosts.edge1.cpu.cores: must be above 0", ""),
+    "snapshot in a plan": ("plan", '"capacity_cores": 4', '"capacity_cores": 0', "0", "EC202", "snapshot.hosts.edge1.cpu.capacity_cores: must be above 0", ""),
 }  # fmt: skip
 
 
@@ -188,7 +188,7 @@ def test_unknown_keys_are_left_alone(tmp_path: Path) -> None:
 
 def test_an_unreachable_host_needs_only_role_and_status(tmp_path: Path) -> None:
     document = {
-        "format_version": 1,
+        "format_version": 2,
         "taken_at": "2026-11-21T08:00:00Z",
         "hosts": {"edge1": {"role": "edge", "status": "unreachable"}},
     }
@@ -199,7 +199,7 @@ def test_an_unreachable_host_needs_only_role_and_status(tmp_path: Path) -> None:
 
 
 def test_a_host_without_anything_is_told_in_full(tmp_path: Path) -> None:
-    text = '{"format_version": 1, "taken_at": "2026-11-21T08:00:00Z", "hosts": {"edge1": {}, "edge2": 3}}'
+    text = '{"format_version": 2, "taken_at": "2026-11-21T08:00:00Z", "hosts": {"edge1": {}, "edge2": 3}}'
     messages = sorted(problem.message for problem in problems_of("snapshot", text, tmp_path))
     assert messages == [
         "hosts.edge1: cpu is missing",
@@ -246,8 +246,8 @@ def test_a_file_that_is_not_there_names_the_command_that_writes_it(tmp_path: Pat
 
 def test_a_plan_for_a_snapshot_is_one_mistake(tmp_path: Path) -> None:
     snapshot, plan = tmp_path / "s.json", tmp_path / "p.json"
-    snapshot.write_text(dump_document(snapshot_format.encode(SNAPSHOT)))
-    plan.write_text(dump_document(plan_format.encode(PLAN)))
+    snapshot.write_text(dump_document(SNAPSHOT_KIND.encode(SNAPSHOT)))
+    plan.write_text(dump_document(PLAN_KIND.encode(PLAN)))
     for load, path, message in (
         (load_plan, snapshot, "this is a snapshot, not a plan"),
         (load_snapshot, plan, "this is a plan, not a snapshot"),

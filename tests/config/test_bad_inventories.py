@@ -76,7 +76,7 @@ CASES = [
     Bad(name="name with a capital", old="  robot2:", new="  Robot 2:", at="Robot 2", code="EC014",
         message="'Robot 2' cannot be the name of a robot", hint="write robot-2", mended="  robot-2:"),
     Bad(name="literal password", old="{host: 192.168.1.22}", new="{host: 192.168.1.22, password: s3cret}", at="password", code="EC018",
-        message="a password may not stand in a file", hint='password_command: ["pass", "show", "lab/edge1"]',
+        message="plaintext passwords are not allowed in", hint='password_command: ["pass", "show", "lab/edge1"]',
         mended='{host: 192.168.1.22, password_command: ["pass", "show", "lab/edge1"]}'),
     Bad(name="password command as text", old="{host: 192.168.1.22}", new="{host: 192.168.1.22, password_command: pass show lab}",
         at="pass show", code="EC010", message="must be a list of arguments", hint='write ["pass", "show", "lab"]',

@@ -77,6 +77,8 @@ CASES = [
         hint="write 2", mended="cpu: 2"),
     Bad(name="unit of a rate", old="throughput: 300kB/s", new="throughput: 12MBps", at="12MBps", code="EC015",
         message="cannot be read as a quantity: '12MBps'", hint="write 12MB/s", mended="throughput: 12MB/s"),
+    Bad(name="semicolon in a quantity", old="cpu: 500m", new='cpu: "1; 2"', at='"1; 2"', code="EC015",
+        message="cannot be read as a quantity: '1; 2'", hint="write cores as 0.5 or 500m", mended="cpu: 0.5"),
     Bad(name="demand is true", old="cpu: 500m", new="cpu: true", at="true", code="EC015", message="must not be true or false",
         hint="write cores as 0.5", mended="cpu: 0.5"),
     Bad(name="unit of a duration", old="timeout: 20s", new="timeout: 20 sec", at="20 sec", code="EC015",

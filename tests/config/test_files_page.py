@@ -11,10 +11,8 @@ from edgectl.config import fields as config_fields
 from edgectl.config import inventory_file, task_file
 from edgectl.config.load import load_inventory_and_tasks
 from edgectl.config.problems import ProblemCode
-from edgectl.experiments.files import experiment_file
-from edgectl.experiments.files import run_codec as run_format
-from edgectl.formats import plan as plan_format
-from edgectl.formats import snapshot as snapshot_format
+from edgectl.experiments.files import experiment_file, run_codec
+from edgectl.formats.kinds import PLAN_KIND, SNAPSHOT_KIND
 from edgectl.model.inventory import Host
 from edgectl.model.snapshot import DeviceSample, HostSample, InterfaceSample, Role, TaskSample, TaskState
 from edgectl.model.snapshot import HostStatus as Status
@@ -115,7 +113,7 @@ def test_keys_of_a_snapshot_are_complete() -> None:
         resident=True,
         device=device,
     )
-    document = snapshot_format.encode(
+    document = SNAPSHOT_KIND.encode(
         type(SNAPSHOT)(taken_at=0.0, hosts={"h": sample}, manager=SNAPSHOT.manager)
     )
     encoded = document["hosts"]["h"]  # type: ignore[index]
@@ -124,7 +122,7 @@ def test_keys_of_a_snapshot_are_complete() -> None:
 
 
 def test_keys_of_a_plan_are_complete() -> None:
-    document = plan_format.encode(PLAN)
+    document = PLAN_KIND.encode(PLAN)
     whole, decision = tables("## Plan")
     encoded = document["decisions"][0]  # type: ignore[index]
     assert whole == list(document)
@@ -135,10 +133,10 @@ def test_keys_of_a_plan_are_complete() -> None:
 
 
 def test_keys_of_runs_and_trials_are_complete() -> None:
-    document = run_format.encode_run(RUN)
+    document = run_codec.RUN_KIND.encode(RUN)
     (head,), (trial,) = tables("## Run"), tables("## Trial")
     assert [*head, "trials"] == list(document)
-    assert trial == list(run_format.encode_trial(TRIAL))
+    assert trial == list(run_codec.TRIAL_KIND.encode(TRIAL))
     assert all(f"`{key}`" in section("## Run") for key in document["experiment"])  # type: ignore[attr-defined]
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from edgectl.errors import LockBusyError, StalePlanError
-from edgectl.formats import plan as plan_form
+from edgectl.formats.kinds import PLAN_KIND
 from edgectl.model.plan import Action
 from edgectl.model.result import Outcome
 from edgectl.model.snapshot import TaskState
@@ -142,8 +142,8 @@ def test_a_stale_plan_is_refused(bench: Bench) -> None:
     mark = a_mark()
     bench = bench.using(a_sleeper("slam", mark))
     bench.apply()
-    made = plan_form.decode(
-        plan_form.encode(bench.using(a_sleeper("slam", mark), a_sleeper("camera", a_mark())).plan())
+    made = PLAN_KIND.decode(
+        PLAN_KIND.encode(bench.using(a_sleeper("slam", mark), a_sleeper("camera", a_mark())).plan())
     )
     restart_task(bench.fleet, "slam", options=ApplyOptions(probe=QUICK))
     with pytest.raises(StalePlanError, match="slam was restarted on edge1"):

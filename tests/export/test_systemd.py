@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from edgectl.errors import UsageError
 from edgectl.export.job import ScheduledJob
 from edgectl.export.systemd import build_timer_units, build_unit_name, build_watch_unit
 from tests.agent.user_systemd import UserSystemd, can_be_real, user_systemd
@@ -89,9 +90,9 @@ def test_a_timer_and_its_service() -> None:
         == "1234567s"
     )
     assert "User" not in settings(build_timer_units(JOB, user=True)["edgectl-lab.service"])
-    with pytest.raises(ValueError, match="too often"):
+    with pytest.raises(UsageError, match="too short"):
         build_timer_units(replace(JOB, every_s=0.5), user=False)
-    with pytest.raises(ValueError, match="too often"):
+    with pytest.raises(UsageError, match="too short"):
         build_watch_unit(replace(JOB, every_s=0.5), user=False)
 
 

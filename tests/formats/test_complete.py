@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from edgectl.formats import manager_state, plan, snapshot
+from edgectl.formats.kinds import MANAGER_STATE_KIND, PLAN_KIND, SNAPSHOT_KIND
 from edgectl.model.assignment import (
     Decision,
     DemandSource,
@@ -123,9 +123,9 @@ def test_every_field_of_the_samples_is_set(value: Any) -> None:
 
 
 def test_every_field_survives() -> None:
-    assert snapshot.decode(snapshot.encode(SNAPSHOT)) == SNAPSHOT
-    assert manager_state.decode(manager_state.encode(MANAGER)) == MANAGER
-    assert plan.decode(plan.encode(PLAN)) == PLAN
+    assert SNAPSHOT_KIND.decode(SNAPSHOT_KIND.encode(SNAPSHOT)) == SNAPSHOT
+    assert MANAGER_STATE_KIND.decode(MANAGER_STATE_KIND.encode(MANAGER)) == MANAGER
+    assert PLAN_KIND.decode(PLAN_KIND.encode(PLAN)) == PLAN
 
 
 def test_documents_hold_nothing_but_json() -> None:
@@ -135,5 +135,9 @@ def test_documents_hold_nothing_but_json() -> None:
         for inner in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
             walk(inner)
 
-    for document in (snapshot.encode(SNAPSHOT), manager_state.encode(MANAGER), plan.encode(PLAN)):
+    for document in (
+        SNAPSHOT_KIND.encode(SNAPSHOT),
+        MANAGER_STATE_KIND.encode(MANAGER),
+        PLAN_KIND.encode(PLAN),
+    ):
         walk(document)

@@ -6,8 +6,8 @@ from contextlib import suppress
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from edgectl.formats import manager_state, plan, snapshot
 from edgectl.formats.document import FormatErrors, dump_document
+from edgectl.formats.kinds import MANAGER_STATE_KIND, PLAN_KIND, SNAPSHOT_KIND
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Plan
 from edgectl.model.snapshot import Snapshot
@@ -19,26 +19,26 @@ bounded = settings(max_examples=60)
 @bounded
 @given(snapshots)
 def test_snapshot_survives(value: Snapshot) -> None:
-    text = dump_document(snapshot.encode(value))
-    back = snapshot.decode(json.loads(text))
+    text = dump_document(SNAPSHOT_KIND.encode(value))
+    back = SNAPSHOT_KIND.decode(json.loads(text))
     assert back == value
-    assert dump_document(snapshot.encode(back)) == text
+    assert dump_document(SNAPSHOT_KIND.encode(back)) == text
 
 
 @bounded
 @given(memories)
 def test_memory_survives(value: ManagerState) -> None:
-    text = dump_document(manager_state.encode(value))
-    assert manager_state.decode(json.loads(text)) == value
+    text = dump_document(MANAGER_STATE_KIND.encode(value))
+    assert MANAGER_STATE_KIND.decode(json.loads(text)) == value
 
 
 @bounded
 @given(plans)
 def test_plan_survives(value: Plan) -> None:
-    text = dump_document(plan.encode(value))
-    back = plan.decode(json.loads(text))
+    text = dump_document(PLAN_KIND.encode(value))
+    back = PLAN_KIND.decode(json.loads(text))
     assert back == value
-    assert dump_document(plan.encode(back)) == text
+    assert dump_document(PLAN_KIND.encode(back)) == text
 
 
 json_values = st.recursive(
@@ -51,7 +51,7 @@ json_values = st.recursive(
 @bounded
 @given(json_values)
 def test_any_json_value_is_read_or_refused(value: object) -> None:
-    for room in (snapshot, manager_state, plan):
+    for room in (SNAPSHOT_KIND, MANAGER_STATE_KIND, PLAN_KIND):
         with suppress(FormatErrors):
             room.decode(value)
 
@@ -59,7 +59,7 @@ def test_any_json_value_is_read_or_refused(value: object) -> None:
 @bounded
 @given(plans, st.data())
 def test_a_damaged_plan_is_read_or_refused(value: Plan, data: st.DataObject) -> None:
-    document = json.loads(dump_document(plan.encode(value)))
+    document = json.loads(dump_document(PLAN_KIND.encode(value)))
     target = document
     while isinstance(target, dict | list) and target and data.draw(st.integers(0, 3)):
         keys = list(target) if isinstance(target, dict) else range(len(target))
@@ -69,4 +69,4 @@ def test_a_damaged_plan_is_read_or_refused(value: Plan, data: st.DataObject) -> 
             break
         target = target[key]
     with suppress(FormatErrors):
-        plan.decode(document)
+        PLAN_KIND.decode(document)

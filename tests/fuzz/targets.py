@@ -14,12 +14,12 @@ from edgectl.agent.measure import metrics
 from edgectl.config.documents import load_plan, load_snapshot
 from edgectl.config.load import load_inventory_and_tasks
 from edgectl.errors import StateError
+from edgectl.experiments.files import run_codec
 from edgectl.experiments.files.experiment_file import load_experiment
 from edgectl.experiments.files.map_file import parse_map_metadata
-from edgectl.experiments.files.run_codec import encode_trial
 from edgectl.experiments.files.run_directory import load_run, save_run, save_trial
 from edgectl.experiments.ssim import MapImage, compute_ssim
-from edgectl.formats import manager_state as memory_form
+from edgectl.formats.kinds import MANAGER_STATE_KIND
 from edgectl.gateway.fetch import fetch_file
 from edgectl.gateway.host_facts import SentRequest, decode_host_facts
 from edgectl.gateway.probe_reply import ReplyContext, decode_host_sample
@@ -49,7 +49,7 @@ from tests.experiments.map_images import (
     encode_png,
 )
 from tests.experiments.test_run_codec import RUN, TRIAL
-from tests.formats.test_complete import MEMORY, PLAN
+from tests.formats.test_complete import MANAGER, PLAN
 from tests.fuzz.mutate import damaged, worn
 from tests.gateway.test_decode import a_document, a_task
 from tests.gateway.test_facts import DOCUMENT as FACTS
@@ -105,7 +105,7 @@ def targets(directory: Path) -> Iterator[list[Target]]:
         ),
         Target(
             "memory",
-            [json.dumps(memory_form.encode(MEMORY)).encode()],
+            [json.dumps(MANAGER_STATE_KIND.encode(MANAGER)).encode()],
             _from_file(directory / "memory.json", _read_memory),
         ),
         Target(
@@ -115,7 +115,7 @@ def targets(directory: Path) -> Iterator[list[Target]]:
         ),
         Target(
             "trial",
-            [json.dumps(encode_trial(TRIAL)).encode()],
+            [json.dumps(run_codec.TRIAL_KIND.encode(TRIAL)).encode()],
             _from_file(_trial(directory / "trial"), lambda file: load_run(file.parents[1])),
         ),
         Target(

@@ -118,7 +118,7 @@ def test_measured_links_survive_and_broken_ones_are_survived(tmp_path: Path) -> 
     (tmp_path / "links.json").write_text('{"format_version": 1, "links": {"edge1": {"robot1": -1}}}')
     said: list[str] = []
     assert load_link_capacities(tmp_path, said.append) == {}
-    assert "not a rate" in said[0]
+    assert "links.edge1.robot1: must be 0 or more, not -1" in said[0]
 
 
 def test_each_inventory_has_a_directory_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

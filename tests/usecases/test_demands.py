@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from edgectl.formats import snapshot as form
+from edgectl.formats.kinds import SNAPSHOT_KIND
 from edgectl.model.assignment import DemandSource
 from edgectl.model.manager_state import MeasuredDemand
 from edgectl.model.policy import Policy
@@ -132,7 +132,7 @@ def test_a_probe_carries_it_and_the_snapshot_alone_decides_the_same(fleet: Fleet
     again = make_plan(
         dataclasses.replace(fleet, state=Path("/nowhere")),
         Policy(),
-        snapshot=form.decode(form.encode(decided.snapshot)),
+        snapshot=SNAPSHOT_KIND.decode(SNAPSHOT_KIND.encode(decided.snapshot)),
     )
     assert again.steps == decided.steps
     assert again.expected == decided.expected

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from edgectl.errors import LockBusyError, StalePlanError, UsageError
-from edgectl.formats import plan as plan_form
+from edgectl.formats.kinds import PLAN_KIND
 from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.plan import Action, Plan
 from edgectl.model.policy import Policy
@@ -185,7 +185,7 @@ def test_a_manager_that_was_overtaken_is_refused_and_recovers(bench: Bench, tmp_
 
 
 def test_a_saved_plan_is_applied_once(bench: Bench) -> None:
-    made = plan_form.decode(plan_form.encode(make_plan(bench.fleet, POLICY)))
+    made = PLAN_KIND.decode(PLAN_KIND.encode(make_plan(bench.fleet, POLICY)))
     applied = apply_saved_plan(bench.fleet, made)
     assert applied.results is not None
     assert applied.results.done

@@ -11,8 +11,7 @@ import pytest
 import yaml
 
 from edgectl.errors import UsageError
-from edgectl.formats import plan as plan_format
-from edgectl.formats import snapshot as snapshot_format
+from edgectl.formats.kinds import PLAN_KIND, SNAPSHOT_KIND
 from edgectl.model.inventory import Role
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Action
@@ -96,10 +95,10 @@ def test_all_documents_of_a_view_say_the_same(what: str) -> None:
 
 
 def test_documents_read_back() -> None:
-    assert plan_format.decode(json.loads(render_view(PlanView(plan()), OutputFormat.JSON))) == plan()
+    assert PLAN_KIND.decode(json.loads(render_view(PlanView(plan()), OutputFormat.JSON))) == plan()
     snapshot = fleet()[2]
     assert (
-        snapshot_format.decode(json.loads(render_view(SnapshotView(snapshot), OutputFormat.JSON))) == snapshot
+        SNAPSHOT_KIND.decode(json.loads(render_view(SnapshotView(snapshot), OutputFormat.JSON))) == snapshot
     )
 
 
@@ -224,7 +223,7 @@ def test_bandwidth_stands_in_every_form() -> None:
         {"edge": "edge1", "robot": "robot1", "capacity_bytes_per_s": 12500000},
         {"edge": "edge2", "robot": "robot1", "error": "off"},
     ]
-    assert snapshot_format.decode(document) == snapshot, "it is still a snapshot"
+    assert SNAPSHOT_KIND.decode(document) == snapshot, "it is still a snapshot"
     table = "EDGE   ROBOT   CAPACITY\nedge1  robot1  12.5MB/s\nedge2  robot1  off\n\n"
     assert view.table() == table + plain.table()
     assert view.wide() == table + plain.wide()

@@ -9,6 +9,7 @@ from edgectl.config.weights import parse_weights
 from edgectl.errors import UsageError
 from edgectl.experiments.model.schemes import Scheme, build_schemes
 from edgectl.model.policy import Policy, PolicyName, Weights
+from edgectl.units import QuantityError
 
 PoliciesOption = Annotated[
     str,
@@ -49,9 +50,8 @@ def parse_schemes(
             )
     try:
         weight_sets = parse_weight_sets(weights) if weights is not None else {}
-    except ValueError as error:
-        message, _, hint = str(error).partition("; ")
-        raise UsageError(f"--weights: {message}", hint=hint) from None
+    except QuantityError as error:
+        raise UsageError(f"--weights: {error.message}", hint=error.hint) from None
     return build_schemes(base, [PolicyName(name) for name in names], weight_sets, margins)
 
 
@@ -59,7 +59,7 @@ def parse_weight_sets(text: str) -> dict[str, Weights]:
     """Presets separated by commas, or a single custom set such as ``cpu=.5,task=1``.
 
     Raises:
-        ValueError: neither.
+        QuantityError: neither.
     """
     if "=" in text:
         return {text: parse_weights(text)}

@@ -22,14 +22,22 @@ from edgectl.config.scalars import (
     read_text,
     read_version,
 )
+from edgectl.config.schema import (
+    Schema,
+    build_file_schema,
+    build_object_schema,
+    describe_as,
+    get_reader_schema,
+    limit_quantity_schema,
+)
 from edgectl.config.source import read_source
 from edgectl.config.weights import parse_weights
 from edgectl.config.yaml_parser import parse_yaml
 from edgectl.experiments.model.experiment import Experiment, MapPair, MetricAggregation
 from edgectl.experiments.model.schemes import Scheme, build_schemes
-from edgectl.model.policy import Policy, PolicyName, Weights
+from edgectl.model.policy import WEIGHT_PRESETS, Policy, PolicyName, Weights
 from edgectl.model.task import Task, TaskKind, Tasks
-from edgectl.units import parse_duration, parse_share
+from edgectl.units import QuantityError, parse_duration, parse_share
 
 EntriesWithNodes = tuple[tuple[Any, Node], ...]
 
@@ -41,6 +49,7 @@ _METRIC_NAME_PATTERN = re.compile(protocol.METRIC_NAME_PATTERN)
 _MAP_NAME_PATTERN = re.compile(r"[A-Za-z][A-Za-z0-9 ._-]{0,62}")
 
 
+@describe_as(lambda: {"type": "string", "pattern": f"^ *(?:{'|'.join(WEIGHT_PRESETS)}) *$|="})
 def _read_scheme_weights(node: Node, problems: Problems) -> Any:  # noqa: ANN401 - INVALID stands for any type
     """A preset, or a set such as ``cpu=.5,task=1``; returned as text."""
     value = read_text(node, problems)
@@ -48,13 +57,13 @@ def _read_scheme_weights(node: Node, problems: Problems) -> Any:  # noqa: ANN401
         return INVALID
     try:
         parse_weights(value)
-    except ValueError as error:
-        message, _, hint = str(error).partition("; ")
-        problems.add(node.mark, ProblemCode.WORD, message, hint)
+    except QuantityError as error:
+        problems.add(node.mark, ProblemCode.WORD, error.message, error.hint)
         return INVALID
     return value.strip()
 
 
+@describe_as(lambda: limit_quantity_schema(get_reader_schema(parse_duration), above_zero=True, at_most=None))
 def _read_period(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     value = quantity_reader(parse_duration, above_zero=True)(node, problems)
     if value is not INVALID and value < MIN_SAMPLE_PERIOD_S:
@@ -63,6 +72,7 @@ def _read_period(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     return value
 
 
+@describe_as(lambda: get_reader_schema(parse_share))
 def _read_idle_share(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     value = quantity_reader(parse_share)(node, problems)
     if value is not INVALID and not 0.0 < value <= 1.0:
@@ -87,6 +97,7 @@ MAP_PAIR_KEYS: Mapping[str, NodeReader] = {
 }
 
 
+@describe_as(lambda: build_object_schema(SCHEMES_KEYS, ("policies",)))
 def _read_schemes(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     return read_fields(node, problems, SCHEMES_KEYS, required=("policies",), what="schemes")
 
@@ -109,6 +120,14 @@ EXPERIMENT_KEYS: Mapping[str, NodeReader] = {
         record_reader(MAP_PAIR_KEYS, MapPair, "a map", ("task", "file", "truth")),
     ),
 }
+
+
+_REQUIRED_KEYS = ("version", "name", "until")
+
+
+def build_experiment_schema() -> Schema:
+    """JSON Schema of an experiment file."""
+    return build_file_schema("experiment", build_object_schema(EXPERIMENT_KEYS, _REQUIRED_KEYS))
 
 
 def load_experiment_paths(path: Path) -> tuple[Path | None, Path | None]:
@@ -143,11 +162,10 @@ def _read_experiment_fields(path: Path) -> tuple[Fields | None, Problems]:
     problems = Problems()
     source = read_source(path, problems)
     node = parse_yaml(source, problems) if source is not None else None
-    required = ("version", "name", "until")
     return (
         None
         if node is None
-        else read_fields(node, problems, EXPERIMENT_KEYS, required=required, what="an experiment")
+        else read_fields(node, problems, EXPERIMENT_KEYS, required=_REQUIRED_KEYS, what="an experiment")
     ), problems
 
 

@@ -10,6 +10,7 @@ from edgectl.config.problems import ProblemCode, Problems
 from edgectl.config.scalars import INVALID, NodeReader, quantity_reader, read_text, report_wrong_type
 from edgectl.config.source import decode_source
 from edgectl.config.yaml_parser import parse_yaml
+from edgectl.units import QuantityError
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,7 +41,7 @@ def _parse_bounded_number(raw: object) -> float:
         or not math.isfinite(raw)
         or abs(raw) > _MAX_MAGNITUDE
     ):
-        raise ValueError(f"must be a number of at most {_MAX_MAGNITUDE:g}; write 0.05")
+        raise QuantityError(f"must be a number of at most {_MAX_MAGNITUDE:g}", "write 0.05")
     return float(raw)
 
 

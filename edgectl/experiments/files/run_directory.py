@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from edgectl.errors import FileError
-from edgectl.experiments.files.run_codec import decode_run, decode_trial, encode_run, encode_trial
+from edgectl.experiments.files.run_codec import RUN_KIND, TRIAL_KIND
 from edgectl.experiments.model.experiment import Experiment, ExperimentRun, Trial
 from edgectl.formats.document import FormatErrors
 from edgectl.state.json_files import Warn, read_json, set_aside, write_json
@@ -84,7 +84,7 @@ def save_run(directory: Path, run: ExperimentRun) -> None:
         raise FileError(
             f"cannot create {directory}: {error.strerror}", hint="choose another directory: --out DIR"
         ) from error
-    write_json(directory / RUN_FILE_NAME, encode_run(replace(run, trials=())), keep=False)
+    write_json(directory / RUN_FILE_NAME, RUN_KIND.encode(replace(run, trials=())), keep=False)
 
 
 def save_trial(directory: Path, trial: Trial) -> None:
@@ -93,7 +93,9 @@ def save_trial(directory: Path, trial: Trial) -> None:
     Raises:
         StateError: the file cannot be written.
     """
-    write_json(_build_trial_path(directory, trial.scheme, trial.repetition), encode_trial(trial), keep=False)
+    write_json(
+        _build_trial_path(directory, trial.scheme, trial.repetition), TRIAL_KIND.encode(trial), keep=False
+    )
 
 
 def list_planned_trials(experiment: Experiment) -> Iterator[tuple[str, int]]:
@@ -108,7 +110,7 @@ def _build_trial_path(directory: Path, scheme: str, repetition: int) -> Path:
 
 def _load_run_header(directory: Path) -> ExperimentRun:
     try:
-        found = _load_run_document(directory / RUN_FILE_NAME, decode_run)
+        found = _load_run_document(directory / RUN_FILE_NAME, RUN_KIND.decode)
     except ValueError as error:
         raise FileError(
             f"{directory / RUN_FILE_NAME} is damaged: {error}",
@@ -128,7 +130,7 @@ def _load_trials(
     for scheme, repetition in list_planned_trials(experiment):
         path = _build_trial_path(directory, scheme, repetition)
         try:
-            trial = _load_run_document(path, decode_trial)
+            trial = _load_run_document(path, TRIAL_KIND.decode)
         except ValueError as error:
             report_damaged(path, str(error))
             continue

@@ -26,21 +26,23 @@ from edgectl.config.scalars import (
     read_version,
     report_wrong_type,
 )
+from edgectl.config.schema import Schema, build_file_schema, build_object_schema, describe_as
 from edgectl.config.source import read_source
 from edgectl.config.yaml_parser import parse_yaml
 from edgectl.experiments.model.scenario import Scenario, SimHost, SimJob, SimTiming
 from edgectl.model.inventory import Inventory, Role
 from edgectl.model.task import Tasks
-from edgectl.units import parse_bytes, parse_cores, parse_duration, parse_share
+from edgectl.units import QuantityError, parse_bytes, parse_cores, parse_duration, parse_share
 
 _TASK_NAME_PATTERN = re.compile(protocol.NAME_PATTERN)
 _PUBLISHED_NAME_PATTERN = re.compile(r"[A-Za-z][A-Za-z0-9 ._-]{0,62}")
 _read_duration_s = quantity_reader(parse_duration)
 
 
+@describe_as(lambda: {"type": "number"})
 def _parse_float(raw: object) -> float:
     if isinstance(raw, bool) or not isinstance(raw, int | float):
-        raise ValueError("must be a number; write 3.5")
+        raise QuantityError("must be a number", "write 3.5")
     return float(raw)
 
 
@@ -84,6 +86,22 @@ SCENARIO_KEYS: Mapping[str, NodeReader] = {
 }
 
 
+_REQUIRED_KEYS = ("version", "name", "hosts", "jobs")
+
+
+def build_scenario_schema() -> Schema:
+    """JSON Schema of a scenario file."""
+    host = build_object_schema(SIM_HOST_KEYS, ("cores", "memory"))
+    job = build_object_schema(JOB_KEYS, ("task", "work"))
+    schema = build_object_schema(
+        SCENARIO_KEYS,
+        _REQUIRED_KEYS,
+        hosts={"type": "object", "additionalProperties": host},
+        jobs={"type": "object", "additionalProperties": job},
+    )
+    return build_file_schema("scenario", schema)
+
+
 def load_scenario_paths(path: Path) -> tuple[Path | None, Path | None]:
     """Paths of the inventory and the task file named in the scenario, relative to it; None if not named.
 
@@ -114,11 +132,10 @@ def _read_scenario_fields(path: Path) -> tuple[Fields | None, Problems]:
     problems = Problems()
     source = read_source(path, problems, maker="")
     node = parse_yaml(source, problems) if source is not None else None
-    required = ("version", "name", "hosts", "jobs")
     return (
         None
         if node is None
-        else read_fields(node, problems, SCENARIO_KEYS, required=required, what="a scenario")
+        else read_fields(node, problems, SCENARIO_KEYS, required=_REQUIRED_KEYS, what="a scenario")
     ), problems
 
 

@@ -3,10 +3,20 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import Annotated
 
 from edgectl.experiments.model.schemes import Scheme
 from edgectl.model.cycle import Cycle
+from edgectl.model.encoding import Bounds, Columns, FromOne, Instant, Positive, Rounded, in_document
 from edgectl.model.inventory import Role
+
+# Precision in the files of a run: of times, cores and similarities in decimals, of what applications report in digits.
+Seconds = Annotated[float, Rounded(decimals=3)]
+Cores = Annotated[float, Rounded(decimals=4)]
+Whole = Annotated[float, Rounded(decimals=0)]
+Similarity = Annotated[float, Bounds(minimum=None), Rounded(decimals=6)]
+Reading = Annotated[float, Bounds(minimum=None), Rounded(digits=6)]
+_WRITTEN = in_document(always=True)
 
 
 class MetricAggregation(StrEnum):
@@ -43,12 +53,12 @@ class Experiment:
     name: str
     schemes: tuple[Scheme, ...]
     until: tuple[str, ...]
-    repetitions: int = 3
-    every: float = 5.0
-    limit: float = 600.0
-    idle: float = 0.25
-    metrics: Mapping[str, MetricAggregation] = field(default_factory=dict)
-    maps: Mapping[str, MapPair] = field(default_factory=dict)
+    repetitions: FromOne = field(default=3, metadata=in_document(required=True))
+    every: Positive = field(default=5.0, metadata=in_document("every_s", required=True))
+    limit: Positive = field(default=600.0, metadata=in_document("limit_s", required=True))
+    idle: float = field(default=0.25, metadata=in_document(required=True))
+    metrics: Mapping[str, MetricAggregation] = field(default_factory=dict, metadata=_WRITTEN)
+    maps: Mapping[str, MapPair] = field(default_factory=dict, metadata=_WRITTEN)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,18 +66,18 @@ class HostCapacity:
     """Role and capacity of a host, in cores and bytes."""
 
     role: Role
-    cores: float
-    memory: float
+    cores: Positive
+    memory: Positive = field(metadata=in_document("memory_bytes"))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LoadSample:
     """Usage of a host ``at`` s after the start of the trial: cores, bytes, bytes/s on its links to robots."""
 
-    at: float
-    cores: float
-    memory: float
-    bytes_per_s: float
+    at: Seconds = field(metadata=in_document("at_s"))
+    cores: Cores
+    memory: Whole = field(metadata=in_document("bytes"))
+    bytes_per_s: Whole
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,8 +86,8 @@ class PlacementInterval:
 
     task: str
     host: str
-    start: float
-    end: float
+    start: Seconds = field(metadata=in_document("start_s"))
+    end: Seconds = field(metadata=in_document("end_s"))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,16 +100,16 @@ class HandoffRecord:
     task: str
     source: str
     target: str
-    at: float
-    downtime: float | None = None
+    at: Seconds = field(metadata=in_document("at_s"))
+    downtime: Seconds | None = field(default=None, metadata=in_document("downtime_s", always=True))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MetricReading:
     """Value of an application's metric ``at`` s after the start of the trial."""
 
-    at: float
-    value: float
+    at: Seconds = field(metadata=in_document("at_s"))
+    value: Reading
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -112,17 +122,21 @@ class Trial:
     """
 
     scheme: str
-    repetition: int
-    began_at: float
-    latency: float
+    repetition: FromOne
+    began_at: Instant
+    latency: Seconds = field(metadata=in_document("latency_s"))
     finished: bool
-    unplaced: int = 0
-    completed: Mapping[str, float] = field(default_factory=dict)
-    spans: tuple[PlacementInterval, ...] = ()
-    handoffs: tuple[HandoffRecord, ...] = ()
-    loads: Mapping[str, tuple[LoadSample, ...]] = field(default_factory=dict)
-    readings: Mapping[str, Mapping[str, tuple[MetricReading, ...]]] = field(default_factory=dict)
-    ssim: Mapping[str, float] = field(default_factory=dict)
+    unplaced: int = field(default=0, metadata=in_document(required=True))
+    completed: Mapping[str, Seconds] = field(
+        default_factory=dict, metadata=in_document("completed_s", always=True)
+    )
+    spans: tuple[PlacementInterval, ...] = field(default=(), metadata=_WRITTEN)
+    handoffs: tuple[HandoffRecord, ...] = field(default=(), metadata=_WRITTEN)
+    loads: Mapping[str, Columns[LoadSample]] = field(default_factory=dict, metadata=_WRITTEN)
+    readings: Mapping[str, Mapping[str, Columns[MetricReading]]] = field(
+        default_factory=dict, metadata=_WRITTEN
+    )
+    ssim: Mapping[str, Similarity] = field(default_factory=dict, metadata=_WRITTEN)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

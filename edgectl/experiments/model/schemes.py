@@ -1,8 +1,9 @@
 """Schemes to compare: each combination of policies, weights and move margins, under a name."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
+from edgectl.model.encoding import in_document
 from edgectl.model.policy import WEIGHT_PRESETS, Policy, PolicyName, Weights
 
 # These policies compute no utility, so weights and margins do not affect them.
@@ -14,7 +15,7 @@ class Scheme:
     """A policy with its weights, under a unique name."""
 
     name: str
-    policy: Policy
+    policy: Policy = field(metadata=in_document(inline=True))
 
 
 def build_schemes(

@@ -1,0 +1,278 @@
+"""Replies of agents as dataclasses, decoded by the codec: a reply that does not fit costs its host, never the run.
+
+Text of a host is bounded and printable, so that no host can drive a terminal. A key that is absent or null has its default.
+"""
+
+import unicodedata
+from collections.abc import Mapping
+from dataclasses import dataclass, field, make_dataclass
+from typing import Annotated, Any, TypeVar
+
+from edgectl.errors import ReplyError
+from edgectl.formats.codec import decode
+from edgectl.formats.document import Faults
+from edgectl.model.encoding import Bounds, Converted, Signed, in_document
+from edgectl.model.profiler import ProfilerState
+from edgectl.model.resource import HOST_RESOURCES
+from edgectl.model.snapshot import InterfaceSample, TaskState
+
+ReplyDocument = Mapping[str, object]
+Reply = TypeVar("Reply")
+_MAX_NUMBER = 2.0**63
+_MAX_TEXT, _MAX_LINE, _MAX_LINES, _MAX_MESSAGE = 4096, 500, 20, 200
+
+
+def escape_unprintable(text: str) -> str:
+    """``text`` with control and direction-changing characters as escapes, so that no host can drive a terminal."""
+    return "".join(
+        _escape_char(char) if unicodedata.category(char) in ("Cc", "Cf", "Cs", "Zl", "Zp") else char
+        for char in text
+    )
+
+
+def _escape_char(char: str) -> str:
+    return char.encode("unicode_escape", "surrogatepass").decode("ascii")
+
+
+def _clean_text(text: str) -> str:
+    return escape_unprintable(text[:_MAX_TEXT])
+
+
+def _clean_lines(lines: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(escape_unprintable(line[:_MAX_LINE]) for line in lines[-_MAX_LINES:])
+
+
+Text = Annotated[str, Converted(convert=_clean_text)]
+Lines = Annotated[tuple[str, ...], Converted(convert=_clean_lines)]
+Amount = Annotated[float, Bounds(maximum=_MAX_NUMBER)]
+Capacity = Annotated[float, Bounds(above=True, maximum=_MAX_NUMBER)]
+Reading = Annotated[float, Bounds(minimum=-_MAX_NUMBER, maximum=_MAX_NUMBER)]
+Count = Annotated[int, Bounds(maximum=_MAX_NUMBER)]
+ExitStatus = Annotated[int, Bounds(minimum=-(2.0**31), maximum=_MAX_NUMBER)]
+
+
+def decode_reply(kind: type[Reply], document: object, where: str = "") -> Reply:
+    """The reply of type ``kind``; ``where`` it stands in a larger one, for the message.
+
+    Raises:
+        ReplyError: a value is missing, of the wrong type or out of range.
+    """
+    faults: Faults = []
+    reply = decode(kind, document, faults)
+    if faults:
+        message = f"{where}.{faults[0]}" if where else str(faults[0])
+        raise ReplyError(escape_unprintable(message[:_MAX_MESSAGE]))
+    return reply
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CheckReply:
+    """Result of a ``done_when`` check; ``exit``: its status, None where it did not end."""
+
+    exit: ExitStatus | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LinkReply:
+    """One link of a probe: traffic in bytes/s, round-trip time in ms."""
+
+    rx_bytes_per_s: Amount = 0.0
+    tx_bytes_per_s: Amount = 0.0
+    rtt_ms: Amount | None = None
+    interface: Text = ""
+    reachable: bool = True
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TaskReply:
+    """One task on a host; ages in s before the reply. Its usage by resource is a ``TASK_USAGE``."""
+
+    state: TaskState
+    pid: Count = 0
+    age_s: Amount = 0.0
+    rx_bytes_per_s: Amount = 0.0
+    tx_bytes_per_s: Amount = 0.0
+    links: Mapping[str, Amount] = field(default_factory=dict)
+    instance: Text = ""
+    spec_hash: Text = ""
+    generation: Count = 0
+    managed: bool = True
+    restarts: Count = 0
+    exit_code: ExitStatus | None = None
+    detail: Text = ""
+    fields: Mapping[str, Text] = field(default_factory=dict)
+    last_exit: ExitStatus | None = None
+    log_tail: Lines = ()
+    limits: Text = ""
+    given_up: bool = False
+    ended_s: Amount | None = None
+    metrics: Mapping[str, Signed] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProbeReply:
+    """Reply to a probe. Tasks and devices are decoded one by one: which keys they have is a matter of the table of resources."""
+
+    sample_age_s: Amount = 0.0
+    resident: bool = False
+    boot_id: Text = ""
+    wall: Reading | None = None
+    load_1m: Amount | None = None
+    temperature_c: Reading | None = None
+    gpu_share: Amount | None = None
+    interfaces: Mapping[Text, InterfaceSample] = field(default_factory=dict)
+    links: Mapping[Text, LinkReply] = field(default_factory=dict)
+    tasks: Mapping[Text, object] = field(default_factory=dict)
+    checks: Mapping[Text, CheckReply] = field(default_factory=dict)
+    generations: Mapping[Text, Count] = field(default_factory=dict)
+
+
+# Usage of a task, and capacity and usage of each resource of a device, under the keys of the table.
+TASK_USAGE: type[Any] = make_dataclass(
+    "TaskUsage",
+    [(resource.used_key, Amount, field(default=0.0)) for resource in HOST_RESOURCES],
+    frozen=True,
+    kw_only=True,
+)
+DEVICE_USAGE: Mapping[str, type[Any]] = {
+    resource.name: make_dataclass(
+        "DeviceUsage",
+        [(resource.used_key, Amount, field(default=0.0))]
+        if resource.declared_only
+        else [(resource.capacity_key, Capacity), (resource.used_key, Amount)],
+        frozen=True,
+        kw_only=True,
+    )
+    for resource in HOST_RESOURCES
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StatusReply:
+    """Reply to a request for the status of tasks."""
+
+    tasks: Mapping[Text, TaskReply] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClockReply:
+    """Clock of a host before and after its work, in s since 1970."""
+
+    began: Reading
+    ended: Reading
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MemoryReply:
+    """Memory of a host."""
+
+    total_bytes: Capacity
+    used_bytes: Amount
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LogindReply:
+    """Settings of systemd-logind, as ``model.diagnosis.Logind``."""
+
+    user: Text = ""
+    present: bool = False
+    lingers: bool = False
+    removes_ipc: bool = False
+    kills: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DiskReply:
+    """File system of the state directory, as ``model.diagnosis.Disk``."""
+
+    path: Text = ""
+    free_bytes: Amount
+    total_bytes: Amount
+    files_left: Count | None = None
+    obstacle: Text = ""
+    in_shared_memory: bool = field(default=False, metadata=in_document("spare"))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShellReply:
+    """Environment of a command, as ``model.diagnosis.ShellEnvironment``."""
+
+    variables: Mapping[Text, Text] = field(default_factory=dict)
+    status: Count | None = None
+    timed_out: bool = False
+    last_line: Text = field(default="", metadata=in_document("said"))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RouteReply:
+    """The way to a robot, as ``model.diagnosis.LinkFacts``."""
+
+    found: bool = False
+    reachable: bool | None = None
+    interface: Text = ""
+    rtt_ms: Amount | None = None
+    speed_bytes_per_s: Amount | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DoctorReply:
+    """Reply to a diagnosis."""
+
+    clock: ClockReply
+    memory: MemoryReply
+    disk: DiskReply
+    python: Text = ""
+    psutil: bool = False
+    logind: LogindReply = LogindReply()
+    surroundings: ShellReply = ShellReply()
+    links: Mapping[Text, RouteReply] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProfilerReply:
+    """State of a resident profiler."""
+
+    state: ProfilerState
+    pid: Count = 0
+    detail: Text = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LiveProfilerReply:
+    """Figures of a profiler that lives, as ``model.profiler.Profiler``."""
+
+    age: Amount = field(metadata=in_document("age_s"))
+    every: Amount = field(metadata=in_document("every_s"))
+    period: Amount = field(metadata=in_document("period_s"))
+    samples: Count
+    sample_age: Amount | None = field(default=None, metadata=in_document("sample_age_s"))
+    used_cores: Amount
+    used_bytes: Amount
+    ttl: Amount = field(metadata=in_document("ttl_s"))
+    ttl_left: Reading = field(metadata=in_document("ttl_left_s"))
+    current: bool = True
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PieceReply:
+    """One piece of a file in base 64; ``mark`` changes with the file."""
+
+    size: Count
+    mark: Text = ""
+    data: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SinkReply:
+    """Address of a receiver that measures a link."""
+
+    port: Annotated[int, Bounds(minimum=1, maximum=65535)]
+    token: Text = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SendReply:
+    """Amount sent over a link, and the time it took."""
+
+    bytes: Capacity
+    seconds: Capacity
