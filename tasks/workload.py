@@ -2,9 +2,9 @@
 
     python3 workload.py --cpu 0.09 --memory 102Mi --rate 1.78MB/s [--peer ADDRESS ..] [--grown 440Mi]
 
-It sends over TCP to a receiver of its own, bound to each peer's address (default: $EDGECTL_ROBOT_HOST; without one nothing is sent).
-TERM ends it. USR1 lets its memory grow to --grown, as a map grows. One line per second says that it is alive.
-Python >= 3.6, standard library only.
+It sends over TCP to a receiver of its own, bound to each peer's address (default: $EDGECTL_ROBOT_HOST;
+without one nothing is sent). TERM ends it. USR1 lets its memory grow to --grown, as a map grows. One line per
+second says that it is alive. Python >= 3.6, standard library only.
 """
 
 import argparse

@@ -122,7 +122,7 @@ def ask_confirmation(question: str, answer: str = "yes") -> bool:
 
 @contextlib.contextmanager
 def open_apply_session(*, quiet: bool, output: OutputFormat, asked: bool) -> Iterator[ApplySession]:
-    """A session in which the first Ctrl-C (or SIGTERM) lets running actions finish, the second stops at once."""
+    """A session: the first Ctrl-C (or SIGTERM) lets running actions finish, the second stops at once."""
     check_output_format(output, NAMED_FORMATS)
     with contextlib.ExitStack() as within:
         act = ApplySession(quiet=quiet, output=output, asked=asked, within=within)

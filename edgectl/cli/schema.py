@@ -42,7 +42,9 @@ def schema_command(
         ),
     ],
 ) -> None:
-    """Print the JSON Schema (draft 2020-12) of a file or document. Editors use it to complete and check YAML files.
+    """Print the JSON Schema (draft 2020-12) of a file or document.
+
+    Editors use it to complete and check YAML files.
 
     Examples:
         edgectl schema inventory > inventory.schema.json

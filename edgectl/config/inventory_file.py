@@ -134,7 +134,10 @@ def build_inventory_schema() -> Schema:
 
 
 def read_inventory(node: Node, problems: Problems) -> Inventory:
-    """The inventory, with everything wrong noted; hosts that have mistakes are in it, so that tasks can refer to them."""
+    """The inventory, with everything wrong noted.
+
+    Hosts that have mistakes are in it, so that tasks can refer to them.
+    """
     top = read_fields(node, problems, INVENTORY_KEYS, required=("version",), what="an inventory")
     defaults = (
         read_fields(top.at("defaults"), problems, DEFAULTS_KEYS, what="defaults").values
@@ -161,7 +164,9 @@ def read_inventory(node: Node, problems: Problems) -> Inventory:
 
 
 def _expand_identity_file(host: Host) -> Host:
-    """``~`` of the identity file expanded: after the digest, so that the same file has the same digest for every user."""
+    """``~`` of the identity file expanded: after the digest, so that the same file has the same digest for
+    every user.
+    """
     path = host.identity_file
     return (
         replace(host, identity_file=str(Path(path).expanduser()))

@@ -72,7 +72,7 @@ class Source:
     lines: tuple[str, ...]
 
     def line(self, number: int) -> str:
-        """The line (from 1), or an empty string if it is missing, too long to show, or may contain a secret."""
+        """The line (from 1); empty if it is missing, too long to show, or may contain a secret."""
         line = self.lines[number - 1] if 0 < number <= len(self.lines) else ""
         return "" if len(line) > _MAX_LINE_LENGTH or _SECRET_PATTERN.search(line) else line
 

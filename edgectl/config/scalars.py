@@ -123,7 +123,10 @@ def read_name(node: Node, problems: Problems) -> Any:  # noqa: ANN401
 
 
 def check_name(key: str, node: Node, problems: Problems, what: str) -> None:
-    """Note a key that is no valid name. What it names is read all the same, so that its other mistakes are shown too."""
+    """Note a key that is no valid name.
+
+    What it names is read all the same, so that its other mistakes are shown too.
+    """
     if NAME_PATTERN.fullmatch(key):
         return
     wished = re.sub(r"[^a-z0-9._-]+", "-", key.lower()).strip("-._")[:63]

@@ -23,7 +23,10 @@ _SCHEMAS: "WeakKeyDictionary[Callable[..., Any], Callable[[], Schema]]" = WeakKe
 
 
 def describe_reader(read: Reader, schema: Callable[[], Schema]) -> Reader:
-    """Attach a schema to a reader of nodes, or to a parser of quantities; it is built only when it is asked for."""
+    """Attach a schema to a reader of nodes, or to a parser of quantities.
+
+    It is built only when it is asked for.
+    """
     _SCHEMAS[read] = schema
     return read
 
@@ -42,7 +45,10 @@ def get_reader_schema(read: Callable[..., Any]) -> Schema:
 def build_object_schema(
     table: Mapping[str, Callable[..., Any]], required: Iterable[str] = (), **properties: Schema
 ) -> Schema:
-    """A mapping with the keys of a table of readers and no others; ``properties`` replaces the schemas of some."""
+    """A mapping with the keys of a table of readers and no others.
+
+    ``properties`` replaces the schemas of some.
+    """
     schemas = {key: properties.get(key, get_reader_schema(read)) for key, read in table.items()}
     schema: Schema = {"type": "object", "properties": schemas, "additionalProperties": False}
     return schema | ({"required": list(required)} if required else {})

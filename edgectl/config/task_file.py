@@ -399,7 +399,10 @@ class TaskTemplate:
 
 @dataclass(frozen=True, slots=True)
 class TaskDraft:
-    """One task to be: its template, its own name and its robots. ``each`` is the robot that ``for_each`` made it for."""
+    """One task to be: its template, its own name and its robots.
+
+    ``each`` is the robot that ``for_each`` made it for.
+    """
 
     template: TaskTemplate
     name: str

@@ -86,8 +86,14 @@ def _check_self_fence(fields: Fields, problems: Problems) -> None:
     """Nothing starts a task elsewhere while its old copy may still run."""
     policy, _ = fields.values.get("on_unreachable", (None, None))
     if policy is UnreachablePolicy.REPLACE and "self_fence" not in fields:
-        message = "a task may only be replaced while its host is silent if it stops itself there: on_unreachable: replace needs self_fence"
-        hint = "add self_fence: 5m (several times the pause between two applies), or write hold and say by hand: edgectl fence HOST"
+        message = (
+            "on_unreachable: replace needs self_fence: a task on an unreachable host is replaced only "
+            "if it stops itself there"
+        )
+        hint = (
+            "add self_fence: 5m (several times the pause between two applies), "
+            "or write hold and declare a host powered off by hand: edgectl fence HOST"
+        )
         problems.add(fields.node.key_mark("on_unreachable"), ProblemCode.CONTRADICTION, message, hint)
 
 
@@ -190,7 +196,10 @@ def _check_placeholders(draft: TaskDraft, problems: Problems) -> None:
     fields = draft.template.fields
     for key in ("command", "env", "workdir", "ready", "done_when", "handoff", "detect"):
         if has_placeholder(fields.values.get(key)):
-            message = f"{{robot}} and {{robot_host}} need exactly one robot, and {draft.name} has {len(draft.robots) or 'none'}"
+            message = (
+                "{robot} and {robot_host} need exactly one robot, "
+                f"and {draft.name} has {len(draft.robots) or 'none'}"
+            )
             problems.add(
                 fields.at(key).mark,
                 ProblemCode.PLACEHOLDER,
@@ -215,8 +224,14 @@ def _check_demand(draft: TaskDraft, problems: Problems) -> None:
     ]
     if left_out:
         mark = fields.at("demand").mark if "demand" in fields else draft.template.named_at
-        message = f"{draft.template.name} states no demand for {', '.join(left_out)}: counted as 0 until it is measured"
-        hint = f"add demand: {{{', '.join(f'{key}: ..' for key in left_out)}}}; 0 or measured say that it is meant"
+        message = (
+            f"{draft.template.name} states no demand for {', '.join(left_out)}: "
+            "counted as 0 until it is measured"
+        )
+        hint = (
+            f"add demand: {{{', '.join(f'{key}: ..' for key in left_out)}}}; "
+            "write 0 or measured if that is intended"
+        )
         problems.add(mark, ProblemCode.NO_DEMAND, message, hint, warning=True)
 
 

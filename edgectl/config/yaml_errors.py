@@ -9,20 +9,44 @@ from edgectl.config.problems import Mark, Source
 _KEY_VALUE_PATTERN = re.compile(r"^\s*(?:- )?([\w.-]+): +(.*?)\s*$")
 # words of the parser -> (message, hint)
 _EXPLANATIONS = (
-    ("expected ',' or '}'", "{ is not closed, or its content needs a comma", "close it with }, or put text with { } , in quotes"),
-    ("expected ',' or ']'", "[ is not closed, or its content needs a comma", "close it with ], or put text with [ ] , in quotes"),
+    (
+        "expected ',' or '}'",
+        "{ is not closed, or its content needs a comma",
+        "close it with }, or put text with { } , in quotes",
+    ),
+    (
+        "expected ',' or ']'",
+        "[ is not closed, or its content needs a comma",
+        "close it with ], or put text with [ ] , in quotes",
+    ),
     ("unexpected end of stream", "a quote is not closed", "close the quote"),
     ("unexpected document indicator", "a quote is not closed", "close the quote"),
-    ("unknown escape character", "unknown escape after a backslash in double quotes", "use single quotes instead"),
-    ("expected key", "this line does not match the indentation around it", "indent it exactly like the keys beside it"),
-    ("expected '-' indicator", "this line does not match the list above it", "indent it like the other entries of the list, with a leading -"),
-    ("could not find expected ':'", "a key without a colon", "write key: value, with a space after the colon"),
+    (
+        "unknown escape character",
+        "unknown escape after a backslash in double quotes",
+        "use single quotes instead",
+    ),
+    (
+        "expected key",
+        "this line does not match the indentation around it",
+        "indent it exactly like the keys beside it",
+    ),
+    (
+        "expected '-' indicator",
+        "this line does not match the list above it",
+        "indent it like the other entries of the list, with a leading -",
+    ),
+    (
+        "could not find expected ':'",
+        "a key without a colon",
+        "write key: value, with a space after the colon",
+    ),
     ("expected alphabetic or numeric", "* and & begin an alias or an anchor", "put the text in quotes"),
     ("expected URI", "! begins a tag", "put the text in quotes"),
     ("undefined tag handle", "! begins a tag", "put the text in quotes"),
     ("while parsing a tag", "! begins a tag", "put the text in quotes"),
     ("sequence entries", "a - is not allowed here", "begin the list on the next line, or write [..]"),
-)  # fmt: skip
+)
 
 
 # unclosed brackets and quotes are reported where they are opened

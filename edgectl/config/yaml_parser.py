@@ -17,8 +17,19 @@ YamlEvent: TypeAlias = Any  # the stubs do not declare the attributes of the par
 MAX_VALUES = 100_000
 MAX_DEPTH = 50
 LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-_KEYWORDS: dict[str, Scalar] = {"": None, "~": None, "null": None, "Null": None, "NULL": None,
-                             "true": True, "True": True, "TRUE": True, "false": False, "False": False, "FALSE": False}  # fmt: skip
+_KEYWORDS: dict[str, Scalar] = {
+    "": None,
+    "~": None,
+    "null": None,
+    "Null": None,
+    "NULL": None,
+    "true": True,
+    "True": True,
+    "TRUE": True,
+    "false": False,
+    "False": False,
+    "FALSE": False,
+}
 _INT_PATTERN = re.compile(r"[-+]?(?:0|[1-9][0-9]{0,24})")
 _PREFIXED_INT_PATTERN = re.compile(r"0o[0-7]{1,20}|0x[0-9a-fA-F]{1,20}")
 _FLOAT_PATTERN = re.compile(r"[-+]?(?:\.[0-9]+|(?:0|[1-9][0-9]*)(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?")

@@ -1,7 +1,9 @@
-"""Dataclasses to JSON and back by their types and ``edgectl.model.encoding``: every fault at once, each with its path.
+"""Dataclasses to JSON and back by their types and ``edgectl.model.encoding``: every fault at once, each with
+its path.
 
-``compile_type`` turns a type into a ``Codec`` once; a dataclass is an object, a mapping an object, a tuple a list. Keys that a class
-does not have are ignored. A value that is wrong is a fault and decodes to None, so that decoding goes on.
+``compile_type`` turns a type into a ``Codec`` once; a dataclass is an object, a mapping an object, a tuple a
+list. Keys that a class does not have are ignored. A value that is wrong is a fault and decodes to None, so
+that decoding goes on.
 """
 
 import math
@@ -40,7 +42,10 @@ _JSON_TYPE_NAMES = {
 
 
 class Codec(NamedTuple):
-    """How values of one type are encoded, decoded and described; ``schema`` collects the schemas of classes in its argument."""
+    """How values of one type are encoded, decoded and described.
+
+    ``schema`` collects the schemas of classes in its argument.
+    """
 
     encode: Callable[[Any], Any]
     decode: Callable[[Any, FieldPath, Faults], Any]
@@ -346,7 +351,10 @@ def _compile_mapping(key: Codec, item: Codec) -> Codec:
 
 
 def _compile_resource_map(kind: type[ResourceMap[Any]]) -> Codec:
-    """Values by the names of a table; one that is absent has its default where that is 0 or null, else it must be there."""
+    """Values by the names of a table.
+
+    One that is absent has its default where that is 0 or null, else it must be there.
+    """
     item = compile_type(get_args(kind.__orig_bases__[0])[0])  # type: ignore[attr-defined]
 
     def decode_map(raw: Any, path: FieldPath, faults: Faults) -> Any:  # noqa: ANN401
@@ -421,8 +429,12 @@ def _encode_amounts(member: _Amounts, value: object, document: Document) -> None
 
 
 def _decode_amounts(
-    member: _Amounts, raw: Any, path: FieldPath, faults: Faults, values: dict[str, Any]
-) -> None:  # noqa: ANN401
+    member: _Amounts,
+    raw: Any,  # noqa: ANN401
+    path: FieldPath,
+    faults: Faults,
+    values: dict[str, Any],
+) -> None:
     needed = _is_needed(member.place, values) if member.place.needed_when else True
     decoded: dict[str, Any] = {}
     for resource in member.resources:
@@ -452,7 +464,10 @@ def _decode_parts(
 
 @dataclass(frozen=True, slots=True)
 class _Field:
-    """One field of a class. ``default``: MISSING where it must be there; ``nullable``: absent and null both mean None."""
+    """One field of a class.
+
+    ``default``: MISSING where it must be there; ``nullable``: absent and null both mean None.
+    """
 
     name: str
     key: str
@@ -477,15 +492,7 @@ def _compile_class(kind: Any) -> Codec:  # noqa: ANN401
     def encode_object(value: Any) -> Document:  # noqa: ANN401
         document: Document = {}
         for member in members:
-            if isinstance(member, _Group):
-                if inner := _encode_fields(value, member.members):
-                    document[member.key] = inner
-            elif isinstance(member, _Amounts):
-                _encode_amounts(member, value, document)
-            elif member.place.inline:
-                document |= member.codec.encode(getattr(value, member.name))
-            else:
-                _encode_field(value, member, document)
+            _encode_member(member, value, document)
         return document
 
     def decode_object(raw: Any, path: FieldPath, faults: Faults) -> Any:  # noqa: ANN401
@@ -494,12 +501,7 @@ def _compile_class(kind: Any) -> Codec:  # noqa: ANN401
         before = len(faults)
         values: dict[str, Any] = {}
         for member in members:
-            if isinstance(member, _Group):
-                _decode_group(member, raw, path, faults, values)
-            elif isinstance(member, _Amounts):
-                _decode_amounts(member, raw, path, faults, values)
-            else:
-                _decode_field(member, raw, path, faults, values)
+            _decode_member(member, raw, path, faults, values)
         return kind(**values) if len(faults) == before else None
 
     def describe(found: Schema) -> Schema:
@@ -509,6 +511,33 @@ def _compile_class(kind: Any) -> Codec:  # noqa: ANN401
         return {"$ref": f"#/$defs/{kind.__name__}"}
 
     return Codec(encode_object, decode_object, describe)
+
+
+def _encode_member(member: "_Field | _Group | _Amounts", value: Any, document: Document) -> None:  # noqa: ANN401
+    if isinstance(member, _Group):
+        if inner := _encode_fields(value, member.members):
+            document[member.key] = inner
+    elif isinstance(member, _Amounts):
+        _encode_amounts(member, value, document)
+    elif member.place.inline:
+        document |= member.codec.encode(getattr(value, member.name))
+    else:
+        _encode_field(value, member, document)
+
+
+def _decode_member(
+    member: "_Field | _Group | _Amounts",
+    raw: Any,  # noqa: ANN401
+    path: FieldPath,
+    faults: Faults,
+    values: dict[str, Any],
+) -> None:
+    if isinstance(member, _Group):
+        _decode_group(member, raw, path, faults, values)
+    elif isinstance(member, _Amounts):
+        _decode_amounts(member, raw, path, faults, values)
+    else:
+        _decode_field(member, raw, path, faults, values)
 
 
 def _list_members(kind: Any) -> list[_Field | _Group | _Amounts]:  # noqa: ANN401

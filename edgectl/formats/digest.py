@@ -27,7 +27,10 @@ def digest_tasks(tasks: Tasks) -> str:
 
 
 def hash_spec(task: Task) -> str:
-    """Of what runs: 16 hex digits. Demand, priority and host rules steer the placement and leave it unchanged."""
+    """Of what runs: 16 hex digits.
+
+    Demand, priority and host rules steer the placement and leave it unchanged.
+    """
     return hash_value(_select_run_fields(task))[:16]
 
 
@@ -37,7 +40,10 @@ def hash_spec_fields(task: Task) -> dict[str, str]:
 
 
 def _select_run_fields(task: Task) -> dict[str, Any]:
-    """The fields that make what runs. A secret counts by its name: its value is written as ``***`` wherever it is not revealed."""
+    """The fields that make what runs.
+
+    A secret counts by its name: its value is written as ``***`` wherever it is not revealed.
+    """
     stated = {name: getattr(task, name) for name in OPTIONAL_RUN_FIELDS if getattr(task, name)}
     return {name: getattr(task, name) for name in RUN_FIELDS} | stated
 
@@ -51,7 +57,10 @@ def hash_value(value: object) -> str:
 
 
 def _to_canonical(value: Any) -> Any:  # noqa: ANN401
-    """Only JSON types; mappings by text keys, sets sorted; of a record the entries that differ from their default."""
+    """Only JSON types; mappings by text keys, sets sorted.
+
+    Of a record the entries that differ from their default.
+    """
     if value is None or isinstance(value, str | int | float):
         return value.value if isinstance(value, StrEnum) else value
     if isinstance(value, Demand):

@@ -41,7 +41,9 @@ class FormatErrors(EdgectlError):  # noqa: N818 - it is many
 
 
 def dump_document(document: Mapping[str, object]) -> str:
-    """The document's text: keys in the order given, two spaces of indentation, a newline at the end; the same bytes every time.
+    """The document's text: keys in the order given, two spaces of indentation, a newline at the end.
+
+    The same bytes every time.
 
     Raises:
         ValueError: a number is not finite.

@@ -17,8 +17,8 @@ Model = TypeVar("Model")
 class DocumentKind(Generic[Model]):
     """One kind of document: a dataclass with a version.
 
-    ``writer`` is the command that writes one, for hints; empty where none does so on purpose. ``derive`` gives further entries, which
-    are written and never read.
+    ``writer`` is the command that writes one, for hints; empty where none does so on purpose. ``derive``
+    gives further entries, which are written and never read.
     """
 
     name: str
@@ -61,8 +61,13 @@ def _check_version(kind: DocumentKind[Any], raw: object, faults: Faults) -> None
         message = f"must be a whole number from 1, not {version!r}"
         faults.append(Fault(path=("format_version",), message=message))
     elif version != kind.version:
-        faults.append(Fault(path=("format_version",), message=f"{kind.name} of format_version {version}; this edgectl reads {kind.version}",
-                            hint=_suggest_version_change(kind, version)))  # fmt: skip
+        faults.append(
+            Fault(
+                path=("format_version",),
+                message=f"{kind.name} of format_version {version}; this edgectl reads {kind.version}",
+                hint=_suggest_version_change(kind, version),
+            )
+        )
 
 
 def _suggest_version_change(kind: DocumentKind[Any], version: int) -> str:

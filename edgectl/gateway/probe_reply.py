@@ -1,4 +1,7 @@
-"""An agent's document -> a HostSample. Pure and strict: anything odd costs this host its sample, and no other host anything."""
+"""An agent's document -> a HostSample.
+
+Pure and strict: anything odd costs this host its sample, and no other host anything.
+"""
 
 import dataclasses
 from collections.abc import Mapping
@@ -58,8 +61,9 @@ class ReplyContext:
 def decode_host_sample(document: ReplyDocument, context: ReplyContext) -> HostSample:
     """The sample of one host.
 
-    A slice (declared capacity) has Delta = its capacity and gamma = its base load plus its own task trees; any other host's gamma is
-    that of the whole device. Tasks whose ``done_when`` said yes are taken out of gamma: they are about to be stopped.
+    A slice (declared capacity) has Delta = its capacity and gamma = its base load plus its own task trees;
+    any other host's gamma is that of the whole device. Tasks whose ``done_when`` said yes are taken out of
+    gamma: they are about to be stopped.
 
     Raises:
         ReplyError: a value is missing, of the wrong type or out of range, or the document is of another host.
@@ -83,9 +87,8 @@ def decode_host_sample(document: ReplyDocument, context: ReplyContext) -> HostSa
 
 def _check_origin(document: ReplyDocument, host: Host) -> None:
     if document.get("v") != PROTOCOL_VERSION:
-        raise ReplyError(
-            f"document version {escape_unprintable(repr(document.get('v')))[:80]}, expected {PROTOCOL_VERSION}"
-        )
+        version = escape_unprintable(repr(document.get("v")))[:80]
+        raise ReplyError(f"document version {version}, expected {PROTOCOL_VERSION}")
     if document.get("op") != protocol.OP_PROBE or document.get("host") != host.name:
         raise ReplyError(
             f"document of {escape_unprintable(repr(document.get('host')))[:80]}, expected {host.name}"
@@ -188,7 +191,9 @@ def _decode_usages(
 def _decode_usage(
     document: ReplyDocument, host: Host, tasks: Mapping[str, TaskSample], resource: Resource
 ) -> ResourceUsage:
-    """Capacity and use of one resource: of the device, of the slice, or of a declared budget that the host may be unable to read."""
+    """Capacity and use of one resource: of the device, of the slice, or of a declared budget that the host
+    may be unable to read.
+    """
     declared, name = _get_declared(host, resource), resource.name
     found = document.get(name)
     device = decode_reply(DEVICE_USAGE[name], {} if found is None else found, name)
@@ -244,7 +249,9 @@ def _get_link_usage(task: TaskSample, robot: str) -> float:
 def select_link_capacity(
     robot: str, context: ReplyContext, speed: float | None
 ) -> tuple[float, CapacitySource]:
-    """Delta_thp of the link to ``robot`` and where it comes from: declared, measured, the interface's speed, or assumed."""
+    """Delta_thp of the link to ``robot`` and where it comes from: declared, measured, the interface's speed,
+    or assumed.
+    """
     if robot in context.declared:
         return context.declared[robot], CapacitySource.DECLARED
     if robot in context.measured:
@@ -267,7 +274,9 @@ def _build_device(reply: ProbeReply, answered_at: float) -> DeviceSample:
 
 
 def apply_done_tasks(sample: HostSample, done: frozenset[str]) -> HostSample:
-    """``sample`` with the tasks ``done`` COMPLETED, their pid kept and their use taken out of gamma (floor 0)."""
+    """``sample`` with the tasks ``done`` COMPLETED, their pid kept and their use taken out of gamma (floor
+    0).
+    """
     leaving = {name: task for name, task in sample.tasks.items() if name in done and task.state.alive}
     if not leaving or not sample.measured:
         return sample

@@ -1,6 +1,8 @@
-"""Replies of agents as dataclasses, decoded by the codec: a reply that does not fit costs its host, never the run.
+"""Replies of agents as dataclasses, decoded by the codec: a reply that does not fit costs its host, never the
+run.
 
-Text of a host is bounded and printable, so that no host can drive a terminal. A key that is absent or null has its default.
+Text of a host is bounded and printable, so that no host can drive a terminal. A key that is absent or null
+has its default.
 """
 
 import unicodedata
@@ -23,7 +25,9 @@ _MAX_TEXT, _MAX_LINE, _MAX_LINES, _MAX_MESSAGE = 4096, 500, 20, 200
 
 
 def escape_unprintable(text: str) -> str:
-    """``text`` with control and direction-changing characters as escapes, so that no host can drive a terminal."""
+    """``text`` with control and direction-changing characters as escapes, so that no host can drive a
+    terminal.
+    """
     return "".join(
         _escape_char(char) if unicodedata.category(char) in ("Cc", "Cf", "Cs", "Zl", "Zp") else char
         for char in text
@@ -111,7 +115,10 @@ class TaskReply:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProbeReply:
-    """Reply to a probe. Tasks and devices are decoded one by one: which keys they have is a matter of the table of resources."""
+    """Reply to a probe.
+
+    Tasks and devices are decoded one by one: which keys they have is a matter of the table of resources.
+    """
 
     sample_age_s: Amount = 0.0
     resident: bool = False

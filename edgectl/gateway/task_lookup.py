@@ -41,7 +41,7 @@ def list_ended_instances(
 def _ask_task_status(
     task: str, inventory: Inventory, transport: Transport, timeout: float
 ) -> dict[str, TaskReply | HostError | None]:
-    """The entry of the task on each host: None where it never ran, an error where the host does not answer."""
+    """The entry of the task on each host: None if it never ran, an error if the host does not answer."""
     hosts = [host for host in inventory.hosts.values() if host.probe]
 
     def build(host: Host, _left: float) -> dict[str, object]:

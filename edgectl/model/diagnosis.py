@@ -55,8 +55,8 @@ NOT_A_DIRECTORY = protocol.NO_DIRECTORY
 class Disk:
     """The file system of a state directory at ``path``; ``files_left`` is None where it does not count files.
 
-    ``obstacle`` says why the directory cannot be used; empty where it can. ``in_shared_memory``: shared memory takes its
-    place until a reboot.
+    ``obstacle`` says why the directory cannot be used; empty where it can. ``in_shared_memory``: shared
+    memory takes its place until a reboot.
     """
 
     path: str

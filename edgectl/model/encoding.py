@@ -1,7 +1,7 @@
 """Metadata of dataclass fields for documents: keys, bounds, instants. The codec and the JSON Schemas read it.
 
-A field needs none where the rules suffice: its key is its name, a number is finite and 0 or more, and a value that equals its
-default is left out. A unit follows from the name (``used_bytes``).
+A field needs none where the rules suffice: its key is its name, a number is finite and 0 or more, and a value
+that equals its default is left out. A unit follows from the name (``used_bytes``).
 """
 
 from collections.abc import Callable, Mapping
@@ -57,13 +57,14 @@ Columns = Annotated[tuple[Item, ...], ColumnFormat()]
 class DocumentKey:
     """How one field stands in a document.
 
-    ``key``: empty for the field's name; ``options.full`` is the key ``full`` of an object ``options``. ``always``: written even at its
-    default. ``required``: the same, and an error where it is absent. ``needed_when``: required where another field, an enum, has this
-    value. ``inline``: the keys of the dataclass stand beside the others. ``entries``: a mapping by tuples is a list of objects, with
-    these keys for the parts of a tuple and, unless its values are dataclasses, ``value_key``. ``keyed_by``: a tuple of dataclasses is
-    an object, keyed by that field. ``value_key`` alone: each value of a mapping is an object of this one key.
-    ``by_resource``: a mapping by resource is an object for each resource, with these amounts in its unit (``cpu: {used_cores: 1}``);
-    ``host_only`` leaves out those of links.
+    ``key``: empty for the field's name; ``options.full`` is the key ``full`` of an object ``options``.
+    ``always``: written even at its default. ``required``: the same, and an error where it is absent.
+    ``needed_when``: required where another field, an enum, has this value. ``inline``: the keys of the
+    dataclass stand beside the others. ``entries``: a mapping by tuples is a list of objects, with these keys
+    for the parts of a tuple and, unless its values are dataclasses, ``value_key``. ``keyed_by``: a tuple of
+    dataclasses is an object, keyed by that field. ``value_key`` alone: each value of a mapping is an object
+    of this one key. ``by_resource``: a mapping by resource is an object for each resource, with these amounts
+    in its unit (``cpu: {used_cores: 1}``); ``host_only`` leaves out those of links.
     """
 
     key: str = ""
@@ -95,7 +96,9 @@ def in_document(
     by_resource: tuple[str, ...] = (),
     host_only: bool = False,
 ) -> Mapping[str, Any]:
-    """Metadata of a field as ``DocumentKey`` describes it: ``field(default=0, metadata=in_document(always=True))``."""
+    """Metadata of a field as ``DocumentKey`` describes it: ``field(default=0,
+    metadata=in_document(always=True))``.
+    """
     return {
         METADATA_KEY: DocumentKey(
             key=key,

@@ -18,7 +18,8 @@ class Outcome(StrEnum):
 class Phase(StrEnum):
     """One part of an action, in the words of the handoff contract.
 
-    ``reach`` (the host answers) and ``needs`` (predecessors are far enough) change nothing and are not in results.
+    ``reach`` (the host answers) and ``needs`` (predecessors are far enough) change nothing and are not in
+    results.
     """
 
     REACH = "reach"

@@ -167,7 +167,10 @@ class HostSample:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Snapshot:
-    """The fleet at ``taken_at``. ``manager``, where present, makes the snapshot enough to repeat a decision."""
+    """The fleet at ``taken_at``.
+
+    ``manager``, where present, makes the snapshot enough to repeat a decision.
+    """
 
     taken_at: Instant
     hosts: Mapping[str, HostSample]

@@ -40,7 +40,8 @@ NO_SCHEMAS: Mapping[str, str] = {}
 def write_scaffold(directory: Path, schemas: Mapping[str, str] = NO_SCHEMAS) -> dict[Path, bool]:
     """Write the example files into ``directory``; each path with whether it is new. Existing files are kept.
 
-    ``schemas``: the text of each JSON Schema by kind. They stand in ``.edgectl/schemas``, and the YAML files name them for editors.
+    ``schemas``: the text of each JSON Schema by kind. They stand in ``.edgectl/schemas``, and the YAML files
+    name them for editors.
 
     Raises:
         OSError: a file or directory cannot be made.

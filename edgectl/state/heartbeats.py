@@ -1,7 +1,8 @@
-"""Heartbeats: the last contact of each host, and the hosts that the operator fenced. Replacing a task depends on both.
+"""Heartbeats: the last contact of each host, and the hosts that the operator fenced.
 
-Times are uptimes of this machine, so that setting a clock cannot lengthen a silence. Commands that take no lock write here too:
-every change is a merge under a lock of this file's own, and a contact only ever becomes later.
+Replacing a task depends on both. Times are uptimes of this machine, so that setting a clock cannot lengthen a
+silence. Commands that take no lock write here too: every change is a merge under a lock of this file's own,
+and a contact only ever becomes later.
 """
 
 import contextlib
@@ -29,7 +30,10 @@ _FILE_NAME = "contacts.json"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Heartbeats:
-    """Last contact of each host, and the fenced hosts (declared off). Nothing is known of a host that is in neither."""
+    """Last contact of each host, and the fenced hosts (declared off).
+
+    Nothing is known of a host that is in neither.
+    """
 
     last: Mapping[str, Uptime] = field(default_factory=dict, metadata=in_document(required=True))
     fenced: frozenset[str] = field(default=frozenset(), metadata=in_document(required=True))
@@ -43,7 +47,9 @@ _KIND = DocumentKind(name="file of heartbeats", version=1, model=Heartbeats)
 
 
 def load_heartbeats(fleet_dir: Path, warn: Warn = ignore_warning) -> Heartbeats:
-    """The stored heartbeats. A broken file is set aside and not replaced by the previous one, which would know of too old contacts.
+    """The stored heartbeats.
+
+    A broken file is set aside and not replaced by the previous one, which would know of too old contacts.
 
     Raises:
         StateError: a newer edgectl wrote it.

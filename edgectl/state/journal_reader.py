@@ -47,7 +47,10 @@ class JournalSummary:
 
     @property
     def unfinished(self) -> tuple[str, ...]:
-        """Tasks with an action in progress when the newest apply was interrupted; empty if it ended properly."""
+        """Tasks with an action in progress when the newest apply was interrupted.
+
+        Empty if it ended properly.
+        """
         return tuple(self._unfinished)
 
     @property

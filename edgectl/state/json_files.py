@@ -23,7 +23,9 @@ def ignore_warning(_text: str) -> None:
 
 
 def write_json(path: Path, document: object, *, keep: bool = True) -> None:
-    """Replace ``path`` by ``document``: temporary file, fsync, rename, fsync of the directory; ``keep`` the old one as ``.previous``.
+    """Replace ``path`` by ``document``: temporary file, fsync, rename, fsync of the directory.
+
+    ``keep`` the old one as ``.previous``.
 
     Raises:
         StateError: the disk does not take it; the old file still stands.
@@ -48,7 +50,10 @@ def write_json(path: Path, document: object, *, keep: bool = True) -> None:
 
 
 def _open_locked_temporary(temporary: Path) -> int:
-    """A descriptor of the temporary file, locked for us alone. One that a killed edgectl left behind is used again."""
+    """A descriptor of the temporary file, locked for us alone.
+
+    One that a killed edgectl left behind is used again.
+    """
     while True:
         descriptor = open_private_file(temporary, os.O_RDWR)
         fcntl.flock(descriptor, fcntl.LOCK_EX)
@@ -117,7 +122,10 @@ def read_json(path: Path) -> dict[str, object] | None:
 def load_or_set_aside(
     path: Path, decode: Callable[[dict[str, object]], Value], default: Value, warn: Warn
 ) -> Value:
-    """The decoded content of ``path``; a broken file is set aside, said through ``warn``, and the previous one used."""
+    """The decoded content of ``path``.
+
+    A broken file is set aside, said through ``warn``, and the previous one used.
+    """
     for candidate in (path, path.with_name(path.name + ".previous")):
         try:
             document = read_json(candidate)

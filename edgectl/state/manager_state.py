@@ -26,7 +26,9 @@ def load_manager_state(fleet_dir: Path, warn: Warn = ignore_warning) -> ManagerS
 
 
 def select_saved_fields(memory: ManagerState) -> ManagerState:
-    """The part that this file keeps: heartbeats and fences have a file of their own, measured demands stand in the history."""
+    """The part that this file keeps: heartbeats and fences have a file of their own, measured demands stand
+    in the history.
+    """
     return dataclasses.replace(memory, contact={}, fenced=frozenset(), measured={})
 
 

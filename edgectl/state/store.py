@@ -79,8 +79,7 @@ class Store:
             self._connection.close()
             self._connection = None
 
-    # -- writing
-    # -------------------------------------------------------------------------------------------------------------------------
+    # -- writing -----------------------------------------------------------------------------------
 
     def record_snapshot(self, snapshot: Snapshot, *, changing: bool = False) -> None:
         """Record the samples and the events that they show; the same snapshot again changes nothing.
@@ -127,7 +126,7 @@ class Store:
         found = list(events)
         self._write(lambda connection: store_write.write_events(connection, found))
 
-    # -- reading -------------------------------------------------------------------------------------------------------------------------
+    # -- reading -----------------------------------------------------------------------------------
 
     def host_points(
         self, host: str | None = None, *, since: float | None = None, limit: int | None = None
@@ -238,7 +237,7 @@ class Store:
         except (sqlite3.Error, ValueError, OverflowError, OSError) as error:
             raise StateError(f"the history cannot be read to its end: {self._path}: {error}") from error
 
-    # -- keeping it small ----------------------------------------------------------------------------------------------------------------
+    # -- keeping it small --------------------------------------------------------------------------
 
     def prune(self, now: float) -> None:
         """Delete rows older than the retention at ``now``, and the oldest samples while the file is too
@@ -260,7 +259,7 @@ class Store:
             self._write(lambda connection: store_prune.write_prune_time(connection, now))
         return at != 0.0 and abs(now - at) >= _PRUNE_EVERY_S
 
-    # -- the file ------------------------------------------------------------------------------------------------------------------------
+    # -- the file ----------------------------------------------------------------------------------
 
     def _newest(
         self,

@@ -1,4 +1,7 @@
-"""Events between two snapshots of the fleet, and of an apply. Pure: known state and new snapshot give events."""
+"""Events between two snapshots of the fleet, and of an apply.
+
+Pure: known state and new snapshot give events.
+"""
 
 import dataclasses
 from collections.abc import Iterator, Mapping
@@ -96,8 +99,7 @@ def _is_newer(at: float, known: KnownHost | KnownTask | None) -> bool:
     return known is None or at > known.at or known.at - at > _OVERTAKEN_S
 
 
-# -- hosts
-# -------------------------------------------------------------------------------------------------------------------------------
+# -- hosts -----------------------------------------------------------------------------------------
 
 
 def _update_known_host(at: float, sample: HostSample, before: KnownHost | None) -> KnownHost:
@@ -130,7 +132,7 @@ def _detect_host_events(
         )
 
 
-# -- tasks -------------------------------------------------------------------------------------------------------------------------------
+# -- tasks -----------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -267,7 +269,7 @@ def _describe_ending(sample: TaskSample) -> str:
     return "; ".join(part for part in (code, sample.detail) if part)
 
 
-# -- an apply ----------------------------------------------------------------------------------------------------------------------------
+# -- an apply --------------------------------------------------------------------------------------
 
 
 def detect_result_events(
@@ -337,7 +339,7 @@ def _update_known_task(before: KnownTask | None, result: ActionResult, at: float
     return KnownTask(at=at, host=result.located, state=TaskState.READY if ready else TaskState.STARTING)
 
 
-# -- a plan ------------------------------------------------------------------------------------------------------------------------------
+# -- a plan ----------------------------------------------------------------------------------------
 
 
 def build_plan_event(plan: Plan) -> Event | None:

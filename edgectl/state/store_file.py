@@ -18,52 +18,79 @@ _SIDE_FILE_SUFFIXES = ("-wal", "-shm")
 # Each may be as large as a history may become.
 _MAX_BROKEN_FILES = 2
 # Errors that do not mean damage: a retry, another disk or a later time may succeed. All others mean damage.
-_TRANSIENT_CODES = frozenset({
-    sqlite3.SQLITE_PERM, sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED, sqlite3.SQLITE_NOMEM, sqlite3.SQLITE_READONLY,
-    sqlite3.SQLITE_INTERRUPT, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_FULL, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_TOOBIG,
-    sqlite3.SQLITE_CONSTRAINT, sqlite3.SQLITE_NOLFS, sqlite3.SQLITE_AUTH,
-})  # fmt: skip
+_TRANSIENT_CODES = frozenset(
+    {
+        sqlite3.SQLITE_PERM,
+        sqlite3.SQLITE_BUSY,
+        sqlite3.SQLITE_LOCKED,
+        sqlite3.SQLITE_NOMEM,
+        sqlite3.SQLITE_READONLY,
+        sqlite3.SQLITE_INTERRUPT,
+        sqlite3.SQLITE_IOERR,
+        sqlite3.SQLITE_FULL,
+        sqlite3.SQLITE_CANTOPEN,
+        sqlite3.SQLITE_TOOBIG,
+        sqlite3.SQLITE_CONSTRAINT,
+        sqlite3.SQLITE_NOLFS,
+        sqlite3.SQLITE_AUTH,
+    }
+)
 # Rows of one host, link or start are stored together, oldest first, so that the newest are one seek away and
 # the oldest are deleted cheaply. Repeated names are stored once, in `links` and `starts`; the views join them
 # for users of SQL.
 _BASE_SCHEMA = """
 CREATE TABLE host_samples (
-  host TEXT NOT NULL, at REAL NOT NULL, status TEXT NOT NULL, cores REAL, used_cores REAL, total_bytes REAL, used_bytes REAL,
+  host TEXT NOT NULL, at REAL NOT NULL, status TEXT NOT NULL, cores REAL, used_cores REAL,
+  total_bytes REAL, used_bytes REAL,
   rx_bytes_per_s REAL, tx_bytes_per_s REAL, PRIMARY KEY (host, at)) STRICT, WITHOUT ROWID;
-CREATE TABLE links (link INTEGER PRIMARY KEY, edge TEXT NOT NULL, robot TEXT NOT NULL, UNIQUE (edge, robot)) STRICT;
+CREATE TABLE links (
+  link INTEGER PRIMARY KEY, edge TEXT NOT NULL, robot TEXT NOT NULL, UNIQUE (edge, robot)) STRICT;
 CREATE TABLE loads (
-  link INTEGER NOT NULL, at REAL NOT NULL, capacity_bytes_per_s REAL NOT NULL, used_bytes_per_s REAL NOT NULL, rtt_ms REAL,
+  link INTEGER NOT NULL, at REAL NOT NULL, capacity_bytes_per_s REAL NOT NULL,
+  used_bytes_per_s REAL NOT NULL, rtt_ms REAL,
   PRIMARY KEY (link, at)) STRICT, WITHOUT ROWID;
 CREATE VIEW link_samples AS
-  SELECT at, edge, robot, capacity_bytes_per_s, used_bytes_per_s, rtt_ms, link FROM links JOIN loads USING (link);
+  SELECT at, edge, robot, capacity_bytes_per_s, used_bytes_per_s, rtt_ms, link FROM links
+  JOIN loads USING (link);
 CREATE TABLE starts (
-  start INTEGER PRIMARY KEY, task TEXT NOT NULL, host TEXT NOT NULL, instance TEXT NOT NULL, spec_hash TEXT NOT NULL,
+  start INTEGER PRIMARY KEY, task TEXT NOT NULL, host TEXT NOT NULL, instance TEXT NOT NULL,
+  spec_hash TEXT NOT NULL,
   UNIQUE (task, host, instance, spec_hash)) STRICT;
 CREATE TABLE uses (
-  start INTEGER NOT NULL, at REAL NOT NULL, state TEXT NOT NULL, used_cores REAL NOT NULL, used_bytes REAL NOT NULL,
-  used_bytes_per_s REAL NOT NULL, age_s REAL NOT NULL, links INTEGER NOT NULL, PRIMARY KEY (start, at)) STRICT, WITHOUT ROWID;
+  start INTEGER NOT NULL, at REAL NOT NULL, state TEXT NOT NULL, used_cores REAL NOT NULL,
+  used_bytes REAL NOT NULL,
+  used_bytes_per_s REAL NOT NULL, age_s REAL NOT NULL, links INTEGER NOT NULL, PRIMARY KEY (start,
+  at)) STRICT, WITHOUT ROWID;
 CREATE VIEW task_samples AS
-  SELECT at, task, host, state, used_cores, used_bytes, used_bytes_per_s, instance, spec_hash, age_s, links, start
+  SELECT at, task, host, state, used_cores, used_bytes, used_bytes_per_s, instance, spec_hash, age_s,
+  links, start
   FROM starts JOIN uses USING (start);
 CREATE TABLE plans (
-  plan INTEGER PRIMARY KEY, at REAL NOT NULL, until REAL NOT NULL, times INTEGER NOT NULL, policy TEXT NOT NULL, summary TEXT NOT NULL)
+  plan INTEGER PRIMARY KEY, at REAL NOT NULL, until REAL NOT NULL, times INTEGER NOT NULL,
+  policy TEXT NOT NULL, summary TEXT NOT NULL)
   STRICT;
 CREATE TABLE steps (
-  plan INTEGER NOT NULL, task TEXT NOT NULL, action TEXT NOT NULL, reason TEXT NOT NULL, host TEXT, previous_host TEXT, total REAL,
+  plan INTEGER NOT NULL, task TEXT NOT NULL, action TEXT NOT NULL, reason TEXT NOT NULL, host TEXT,
+  previous_host TEXT, total REAL,
   PRIMARY KEY (plan, task)) STRICT, WITHOUT ROWID;
 CREATE TABLE actions (
-  id INTEGER PRIMARY KEY, at REAL NOT NULL, revision INTEGER NOT NULL, task TEXT NOT NULL, action TEXT NOT NULL, outcome TEXT NOT NULL,
-  host TEXT, previous_host TEXT, located TEXT, downtime_s REAL, seconds REAL NOT NULL, error TEXT NOT NULL) STRICT;
+  id INTEGER PRIMARY KEY, at REAL NOT NULL, revision INTEGER NOT NULL, task TEXT NOT NULL,
+  action TEXT NOT NULL, outcome TEXT NOT NULL,
+  host TEXT, previous_host TEXT, located TEXT, downtime_s REAL, seconds REAL NOT NULL,
+  error TEXT NOT NULL) STRICT;
 CREATE VIEW handoffs AS
   SELECT at, task, host, previous_host, outcome, downtime_s, seconds, id FROM actions
   WHERE action IN ('move', 'restart') AND outcome IN ('done', 'failed') AND host IS NOT NULL;
 CREATE TABLE events (
-  id INTEGER PRIMARY KEY AUTOINCREMENT, at REAL NOT NULL, kind TEXT NOT NULL, host TEXT, task TEXT, message TEXT NOT NULL) STRICT;
+  id INTEGER PRIMARY KEY AUTOINCREMENT, at REAL NOT NULL, kind TEXT NOT NULL, host TEXT, task TEXT,
+  message TEXT NOT NULL) STRICT;
 CREATE INDEX events_of_task ON events (task, id);
 CREATE TABLE known_hosts (
-  host TEXT PRIMARY KEY, at REAL NOT NULL, since REAL NOT NULL, status TEXT NOT NULL, boot_id TEXT NOT NULL) STRICT, WITHOUT ROWID;
+  host TEXT PRIMARY KEY, at REAL NOT NULL, since REAL NOT NULL, status TEXT NOT NULL,
+  boot_id TEXT NOT NULL) STRICT, WITHOUT ROWID;
 CREATE TABLE known_tasks (
-  task TEXT PRIMARY KEY, at REAL NOT NULL, host TEXT, state TEXT, instance TEXT NOT NULL, restarts INTEGER NOT NULL)
+  task TEXT PRIMARY KEY, at REAL NOT NULL, host TEXT, state TEXT, instance TEXT NOT NULL,
+  restarts INTEGER NOT NULL)
   STRICT, WITHOUT ROWID;
 CREATE TABLE marks (name TEXT PRIMARY KEY, at REAL NOT NULL) STRICT, WITHOUT ROWID;
 """
@@ -71,9 +98,11 @@ _METRICS_SCHEMA = """
 CREATE TABLE metrics (
   metric INTEGER PRIMARY KEY, start INTEGER NOT NULL, name TEXT NOT NULL, UNIQUE (start, name)) STRICT;
 CREATE TABLE readings (
-  metric INTEGER NOT NULL, at REAL NOT NULL, value REAL NOT NULL, PRIMARY KEY (metric, at)) STRICT, WITHOUT ROWID;
+  metric INTEGER NOT NULL, at REAL NOT NULL, value REAL NOT NULL, PRIMARY KEY (metric, at)) STRICT,
+  WITHOUT ROWID;
 CREATE VIEW metric_samples AS
-  SELECT at, task, host, name, value, instance, spec_hash, metric FROM starts JOIN metrics USING (start) JOIN readings USING (metric);
+  SELECT at, task, host, name, value, instance, spec_hash, metric FROM starts
+  JOIN metrics USING (start) JOIN readings USING (metric);
 """
 # Migrations: the statements that each schema adds to the one before.
 _MIGRATIONS = (_BASE_SCHEMA, _METRICS_SCHEMA)

@@ -68,7 +68,10 @@ def _count_used_bytes(connection: sqlite3.Connection) -> int:
 
 
 def _delete_oldest(connection: sqlite3.Connection, share: float) -> bool:
-    """Delete the first ``share`` of the time covered by samples, or else by records; whether there was any."""
+    """Delete the first ``share`` of the time covered by samples, or else by records.
+
+    Whether there was any.
+    """
     samples, records = (
         _compute_cutoff(connection, _SAMPLE_SPANS, share),
         _compute_cutoff(connection, _RECORD_SPANS, share),

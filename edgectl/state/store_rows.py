@@ -83,10 +83,17 @@ def nullable(read: ColumnDecoder) -> ColumnDecoder:
 HOSTS = RowMapper(
     HostPoint,
     {
-        "at": decode_real, "host": decode_text, "status": HostStatus, "cores": nullable(decode_real), "used_cores": nullable(decode_real), "total_bytes": nullable(decode_real),
-        "used_bytes": nullable(decode_real), "rx_bytes_per_s": nullable(decode_real), "tx_bytes_per_s": nullable(decode_real),
+        "at": decode_real,
+        "host": decode_text,
+        "status": HostStatus,
+        "cores": nullable(decode_real),
+        "used_cores": nullable(decode_real),
+        "total_bytes": nullable(decode_real),
+        "used_bytes": nullable(decode_real),
+        "rx_bytes_per_s": nullable(decode_real),
+        "tx_bytes_per_s": nullable(decode_real),
     },
-)  # fmt: skip
+)
 LINKS = RowMapper(
     LinkPoint,
     {
@@ -101,10 +108,19 @@ LINKS = RowMapper(
 TASKS = RowMapper(
     TaskPoint,
     {
-        "at": decode_real, "task": decode_text, "host": decode_text, "state": TaskState, "used_cores": decode_real, "used_bytes": decode_real, "used_bytes_per_s": decode_real,
-        "instance": decode_text, "spec_hash": decode_text, "age_s": decode_real, "links": decode_int,
+        "at": decode_real,
+        "task": decode_text,
+        "host": decode_text,
+        "state": TaskState,
+        "used_cores": decode_real,
+        "used_bytes": decode_real,
+        "used_bytes_per_s": decode_real,
+        "instance": decode_text,
+        "spec_hash": decode_text,
+        "age_s": decode_real,
+        "links": decode_int,
     },
-)  # fmt: skip
+)
 METRICS = RowMapper(
     MetricPoint,
     {
@@ -116,7 +132,8 @@ METRICS = RowMapper(
         "instance": decode_text,
     },
 )
-# What a demand is measured by: one seek per start. Read without a form, because there are a thousand of them per task.
+# What a demand is measured by: one seek per start. Read without a form, because there are a thousand of them
+# per task.
 USAGE_QUERY = (
     "SELECT at, used_cores, used_bytes, used_bytes_per_s, links FROM uses "
     "WHERE start = ? AND state IN ('running', 'ready') AND age_s >= ? ORDER BY at DESC LIMIT ?"
@@ -142,10 +159,15 @@ def decode_usage(row: Row) -> UsageSample:
 HANDOFFS = RowMapper(
     HandoffPoint,
     {
-        "at": decode_real, "task": decode_text, "host": decode_text, "previous_host": nullable(decode_text), "outcome": Outcome, "downtime_s": nullable(decode_real),
+        "at": decode_real,
+        "task": decode_text,
+        "host": decode_text,
+        "previous_host": nullable(decode_text),
+        "outcome": Outcome,
+        "downtime_s": nullable(decode_real),
         "seconds": decode_real,
     },
-)  # fmt: skip
+)
 EVENTS = RowMapper(
     Event,
     {
@@ -221,6 +243,15 @@ def encode_action_row(result: ActionResult, revision: int, at: float) -> tuple[o
     """One action of an apply, in the order of the table."""
     seconds = sum(phase.seconds for phase in result.phases)
     return (
-        at, revision, result.task, result.action, result.outcome, result.host, result.previous_host, result.located, result.downtime_s,
-        seconds, result.error,
-    )  # fmt: skip
+        at,
+        revision,
+        result.task,
+        result.action,
+        result.outcome,
+        result.host,
+        result.previous_host,
+        result.located,
+        result.downtime_s,
+        seconds,
+        result.error,
+    )

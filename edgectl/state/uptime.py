@@ -11,7 +11,10 @@ _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Uptime:
-    """``seconds`` since the start of the machine, time asleep included where the kernel counts it; ``boot`` names the start."""
+    """``seconds`` since the start of the machine, time asleep included where the kernel counts it.
+
+    ``boot`` names the start.
+    """
 
     boot: str
     seconds: float = field(metadata=in_document("uptime_s"))
@@ -28,6 +31,9 @@ def read_uptime() -> Uptime:
 
 
 def compute_elapsed_s(since: Uptime, now: Uptime) -> float:
-    """Seconds from ``since`` to ``now``; across a restart of the machine at least those since the restart: never too many."""
+    """Seconds from ``since`` to ``now``.
+
+    Across a restart of the machine at least those since the restart: never too many.
+    """
     same = since.boot == now.boot and since.seconds <= now.seconds
     return now.seconds - since.seconds if same else now.seconds

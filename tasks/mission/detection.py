@@ -1,9 +1,11 @@
-"""Finds the bright balls in a robot's camera pictures: blur, threshold against the neighbourhood, connected pieces, round ones.
+"""Finds the bright balls in a robot's camera pictures: blur, threshold against the neighbourhood, connected
+pieces, round ones.
 
     python3 detection.py [--rate 10]
 
-Metrics: ``fps`` pictures per second, ``frame_ms`` from a picture's arrival to its result, ``recall`` share of the balls in sight that were
-found. Ends with success when the robot says that its mission is over. Python >= 3.8, standard library only.
+Metrics: ``fps`` pictures per second, ``frame_ms`` from a picture's arrival to its result, ``recall`` share of
+the balls in sight that were found. Ends with success when the robot says that its mission is over. Python >=
+3.8, standard library only.
 """
 
 from __future__ import annotations

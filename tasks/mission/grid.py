@@ -41,7 +41,10 @@ def line(x0: int, y0: int, x1: int, y1: int) -> list[int]:
 
 
 def ends(pose: Sequence[float], scan: Sequence[int], reach: float) -> list[tuple[float, float, bool]]:
-    """Where each beam ends (x, y), and whether it hit something there; ``scan`` in mm all around, 0 for nothing within reach."""
+    """Where each beam ends (x, y), and whether it hit something there.
+
+    ``scan`` in mm all around, 0 for nothing within reach.
+    """
     x, y, angle = pose
     turn = 2 * math.pi / len(scan)
     found = []
@@ -55,7 +58,9 @@ def ends(pose: Sequence[float], scan: Sequence[int], reach: float) -> list[tuple
 
 
 def fit(cells: array[int], pose: Sequence[float], scan: Sequence[int]) -> tuple[float, float, float]:
-    """The pose near the given one from which the beams best hit what is known: the middle of the best, among one step to each side."""
+    """The pose near the given one from which the beams best hit what is known: the middle of the best, among
+    one step to each side.
+    """
     best = (0, 0.0, (pose[0], pose[1], pose[2]))
     for turn in TURNS:
         hits = [

@@ -2,8 +2,9 @@
 
     python3 merger.py [--out out]
 
-$EDGECTL_ROBOTS names the robots, $EDGECTL_ROBOT_HOSTS their addresses. The directory is taken from the home directory (or the task's
-workdir), wherever the command was started. Metrics: ``maps`` that are there. Python >= 3.8, standard library only.
+$EDGECTL_ROBOTS names the robots, $EDGECTL_ROBOT_HOSTS their addresses. The directory is taken from the home
+directory (or the task's workdir), wherever the command was started. Metrics: ``maps`` that are there. Python
+>= 3.8, standard library only.
 """
 
 from __future__ import annotations

@@ -1,11 +1,13 @@
-"""A simulated robot: it drives through the world as it is told, and serves what its sensors see; maps of others it keeps on a blackboard.
+"""A simulated robot: it drives through the world as it is told, and serves what its sensors see.
+
+Maps of others it keeps on a blackboard.
 
     python3 robot.py [--robots 2] [--check]
 
-Serves over TCP at its own address ($EDGECTL_ROBOT_HOST), port 27000 and the number in its name: ``frame`` (a camera's picture),
-``scan`` (a laser's distances), ``pose``, ``drive`` (a velocity; it stops by itself half a second after the last one), ``put`` and
-``get`` (the blackboard), ``over`` (the mission is). ``--check`` asks whether it serves. TERM ends it.
-Python >= 3.8, standard library only.
+Serves over TCP at its own address ($EDGECTL_ROBOT_HOST), port 27000 and the number in its name: ``frame`` (a
+camera's picture), ``scan`` (a laser's distances), ``pose``, ``drive`` (a velocity; it stops by itself half a
+second after the last one), ``put`` and ``get`` (the blackboard), ``over`` (the mission is). ``--check`` asks
+whether it serves. TERM ends it. Python >= 3.8, standard library only.
 """
 
 from __future__ import annotations
@@ -71,7 +73,10 @@ class Robot:
         return found.tobytes()
 
     def frame(self) -> tuple[bytes, int]:
-        """What the camera sees, a byte per pixel, row by row from above; and how many balls are in it, whole and in sight."""
+        """What the camera sees, a byte per pixel, row by row from above.
+
+        And how many balls are in it, whole and in sight.
+        """
         return picture(self.plan, (self.x, self.y, self.angle), self.draw)
 
     def believed(self) -> tuple[float, float, float]:
@@ -85,7 +90,10 @@ class Robot:
 
 
 def picture(plan: world.Plan, pose: tuple[float, float, float], draw: random.Random) -> tuple[bytes, int]:
-    """The walls that a camera sees from a pose, the balls before them, and noise; and how many balls are whole and in sight."""
+    """The walls that a camera sees from a pose, the balls before them, and noise.
+
+    And how many balls are whole and in sight.
+    """
     x, y, angle = pose
     focal = COLUMNS / 2 / math.tan(FIELD / 2)
     depths, stripes = [], []

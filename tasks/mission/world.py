@@ -1,9 +1,10 @@
-"""The world of the mission: a small floor plan, what stands in it, where the robots go, and what a laser sees of it.
+"""The world of the mission: a small floor plan, what stands in it, where the robots go, and what a laser sees
+of it.
 
     python3 world.py DIRECTORY        writes world.pgm and world.yaml, as map_server does: the true map
 
-The plan is drawn from a seed, the same on every machine. Lengths in metres, angles in radians, the origin at the lower left.
-Python >= 3.8, standard library only.
+The plan is drawn from a seed, the same on every machine. Lengths in metres, angles in radians, the origin at
+the lower left. Python >= 3.8, standard library only.
 """
 
 from __future__ import annotations
@@ -24,7 +25,10 @@ ROOMS = 3
 
 
 class Plan:
-    """``solid``: one byte per cell, row by row from below, 1 where nothing can be. ``objects``: what a camera should find (x, y)."""
+    """``solid``: one byte per cell, row by row from below, 1 where nothing can be.
+
+    ``objects``: what a camera should find (x, y).
+    """
 
     def __init__(self, seed: int = SEED) -> None:
         draw = random.Random(seed)
@@ -73,7 +77,9 @@ class Plan:
         return [(metres(door), metres(sum(CORRIDOR) / 2)), (metres(door), metres(middle))]
 
     def tour(self, robot: int, robots: int) -> list[tuple[float, float]]:
-        """Where robot number ``robot`` (from 1) of ``robots`` stops: its share of the rooms, each through its door and back out."""
+        """Where robot number ``robot`` (from 1) of ``robots`` stops: its share of the rooms, each through its
+        door and back out.
+        """
         count = len(self.stops)
         share = self.stops[count * (robot - 1) // robots : count * robot // robots]
         return [point for door, middle in share for point in (door, middle, door)]
@@ -90,7 +96,10 @@ def metres(cells: float) -> float:
 
 
 def cast(solid: bytes, x: float, y: float, angle: float, reach: float) -> float:
-    """How far it is from (x, y) to what is solid in that direction, at most ``reach``; walks from cell to cell, and skips none."""
+    """How far it is from (x, y) to what is solid in that direction, at most ``reach``.
+
+    Walks from cell to cell, and skips none.
+    """
     ahead, up = math.cos(angle), math.sin(angle)
     column, row = int(x / RESOLUTION), int(y / RESOLUTION)
     step_x, step_y = (1 if ahead > 0 else -1), (WIDTH if up > 0 else -WIDTH)
@@ -110,7 +119,9 @@ def cast(solid: bytes, x: float, y: float, angle: float, reach: float) -> float:
 
 
 def seen(plan: Plan) -> bytes:
-    """What a perfect mapper could know: free where a robot could get to, occupied where that touches something, unknown elsewhere."""
+    """What a perfect mapper could know: free where a robot could get to, occupied where that touches
+    something, unknown elsewhere.
+    """
     picture = bytearray([UNKNOWN]) * (WIDTH * HEIGHT)
     x, y = plan.stops[0][0]
     todo = [int(y / RESOLUTION) * WIDTH + int(x / RESOLUTION)]

@@ -104,7 +104,7 @@ def test_dry_run_prints_what_would_be_sent_and_sends_nothing(run: Run, small: Pa
     assert "# edge1: start idle\n" in said.out
     assert '"command": "echo started; exec sleep 600"' in said.out
     requests = json.loads(run("apply", "--dry-run", "-o", "json").out)["items"]
-    assert [request["phase"] for request in requests] == ["start", "ready"]
+    assert [request["phase"] for request in requests] == ["reach", "start", "ready"]
     assert run("status", "-o", "name").out == ""
 
 
@@ -191,7 +191,7 @@ def test_ctrl_c_finishes_what_is_under_way(small: Path) -> None:
         appears(small, "state/hosts/edge1/tasks/idle/log*", process)
         process.send_signal(signal.SIGINT)
         assert process.stderr is not None
-        assert any("finishing what is under way" in line for line in process.stderr)
+        assert any("finishing the running actions" in line for line in process.stderr)
         (small / "go").touch()
         out, err = process.communicate(timeout=60)
     assert process.returncode == 130

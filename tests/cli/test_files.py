@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from edgectl.cli.schema import EDITED_KINDS
 from edgectl.config.load import load_inventory_and_tasks
 from edgectl.scaffold.write import SCAFFOLD_FILES
 from tests.cli.conftest import Run
@@ -21,7 +22,16 @@ def test_init_writes_a_fleet_that_validates(
     target = tmp_path / "a b' $c: #d"
     said = run("init", str(target))
     assert said.code == 0
-    assert [line.removeprefix(f"wrote {target}/") for line in said.out.splitlines()] == list(SCAFFOLD_FILES)
+    schemas = [f".edgectl/schemas/{kind}.json" for kind in EDITED_KINDS]
+    assert [line.removeprefix(f"wrote {target}/") for line in said.out.splitlines()] == [
+        *SCAFFOLD_FILES,
+        *schemas,
+    ]
+    first_line = (target / "tasks" / "mission" / "tasks.yaml").read_text().split("\n")[0]
+    named = first_line.removeprefix("# yaml-language-server: $schema=")
+    assert (target / "tasks" / "mission" / named).resolve() == (
+        target / ".edgectl/schemas/tasks.json"
+    ).resolve()
     inventory, tasks, warnings = load_inventory_and_tasks(
         target / "inventories" / "local.yaml", [target / "tasks" / "demo.yaml"]
     )

@@ -114,7 +114,7 @@ def test_too_few_samples_and_no_terminal_are_refused(site: Path, run: Run) -> No
     remember(site, samples=12)
     said = run("profile", "slam", "--write", "--yes")
     assert (said.code, (site / "tasks" / "tasks.yaml").read_text()) == (1, TASKS)
-    assert "error: of slam there is 12 samples over 1m50s: too few to write a demand" in said.err
+    assert "error: slam has 12 samples over 1m50s: too few to write a demand" in said.err
     assert "12 of 60" in said.out
     assert run("profile", "slam", "--write").code == 64
 

@@ -73,7 +73,7 @@ class Shell:
         """Send a signal, and wait until it was heard."""
         os.kill(process.pid, number)
         assert process.stderr is not None
-        assert "finishing what is under way" in next(line for line in process.stderr if "finishing" in line)
+        assert "finishing the running actions" in next(line for line in process.stderr if "finishing" in line)
 
     def go(self) -> None:
         """Let slam become ready."""
@@ -141,5 +141,5 @@ def test_ctrl_c_twice_stops_at_once_and_the_next_apply_goes_on(shell: Shell) -> 
     shell.go()
     again = shell.run("apply", "--yes")
     assert again.returncode == 0, again.stderr
-    assert "was cut off while it changed slam" in again.stderr
+    assert "was interrupted while it changed slam" in again.stderr
     assert len(asleep(shell.mark)) == 2

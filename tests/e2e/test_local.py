@@ -188,11 +188,11 @@ def test_tasks_outlive_a_manager_that_is_killed(bench: Bench, tmp_path: Path) ->
     mark, other = a_mark(), a_mark()
     script.write_text(
         "import os, signal, sys\nfrom pathlib import Path\nfrom edgectl.state import failpoints\nfrom tests.e2e import test_local as t\n"
-        "from tests.e2e.bench import Bench, a_sleeper\nfrom edgectl.usecases.fleet import Fleet\nfrom edgectl.transport.fleet_transport import Transports\n"
+        "from tests.e2e.bench import Bench, a_sleeper\nfrom edgectl.usecases.fleet import Fleet\nfrom edgectl.transport.fleet_transport import FleetTransport\n"
         "from tests.builders import an_inventory\nfrom edgectl.model.task import Tasks\n"
         "failpoints.install_hook(lambda point: os.kill(os.getpid(), signal.SIGKILL) if point == 'start acknowledged' else None)\n"
         "inventory = an_inventory(*t.EDGES, t.ROBOT, links=t.LINKS)\n"
-        "fleet = Fleet(inventory=inventory, tasks=Tasks(tasks={}), transport=Transports(), state=Path(sys.argv[1]))\n"
+        "fleet = Fleet(inventory=inventory, tasks=Tasks(tasks={}), transport=FleetTransport(), state=Path(sys.argv[1]))\n"
         "Bench(fleet).using(a_sleeper('slam', sys.argv[2]), a_sleeper('camera', sys.argv[3])).apply()\n"
     )
     root = Path(__file__).parents[2]
@@ -203,7 +203,7 @@ def test_tasks_outlive_a_manager_that_is_killed(bench: Bench, tmp_path: Path) ->
     assert killed.returncode == -9
     bench = bench.using(a_sleeper("slam", mark), a_sleeper("camera", other))
     bench.apply()
-    assert any("was cut off while it changed" in text for text in bench.said)
+    assert any("was interrupted while it changed" in text for text in bench.said)
     assert (len(asleep(mark)), len(asleep(other))) == (2, 2)
 
 

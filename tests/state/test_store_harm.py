@@ -95,7 +95,7 @@ def test_a_disk_that_takes_no_more_is_said_once_per_store_and_harms_nothing(tmp_
     assert process.returncode == 0
     lines = out.splitlines()
     assert [line for line in lines if not line.startswith("said:")] == ["0", "1"]
-    assert len([line for line in lines if "history is not kept" in line]) == 2
+    assert len([line for line in lines if "history is not recorded" in line]) == 2
     with Store.open(tmp_path) as store:
         assert [point.host for point in store.host_points()] == ["edge1"]
 
@@ -123,7 +123,7 @@ def test_a_place_that_cannot_be_used_is_said(tmp_path: Path) -> None:
             assert everything(store) == 0
             assert not store.is_prune_due(NOW)
         assert len(said) == 1
-        assert said[0].startswith("history is not kept")
+        assert said[0].startswith("history is not recorded")
 
 
 # -- damage ------------------------------------------------------------------------------------------------------------------------------

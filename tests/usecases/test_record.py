@@ -116,7 +116,7 @@ def test_trouble_with_the_history_is_said_once_and_costs_nothing_else(bench: Ben
     probe_fleet(bench.fleet)
     assert applied.results is not None
     assert applied.results.done
-    assert len([text for text in bench.said if "history is not kept" in text]) == 1
+    assert len([text for text in bench.said if "history is not recorded" in text]) == 1
 
 
 def test_what_another_edgectl_is_doing_is_left_to_its_own_record(bench: Bench) -> None:

@@ -1,4 +1,6 @@
-"""Operations ``profiler-start``, ``profiler-stop`` and ``profiler-status``: at most one resident profiler per host."""
+"""Operations ``profiler-start``, ``profiler-stop`` and ``profiler-status``: at most one resident profiler per
+host.
+"""
 
 import os
 import time
@@ -42,9 +44,11 @@ def start_profiler(request: Document) -> Document:
 
 
 def _wait_for_profiler(host: str) -> "tuple[ProfilerProcess | None, bool]":
-    """Wait for (the living profiler or None, whether the lock is taken) until a starting one has recorded its identity.
+    """Wait for (the living profiler or None, whether the lock is taken) until a starting one has recorded its
+    identity.
 
-    A free lock may be taken in a moment, by an agent that starts a profiler: only one that was seen here may be ended.
+    A free lock may be taken in a moment, by an agent that starts a profiler: only one that was seen here may
+    be ended.
     """
     deadline = time.monotonic() + _SETTLE_S
     while True:
@@ -68,11 +72,19 @@ def _is_as_requested(profiler: ProfilerProcess, request: Document) -> bool:
 
 
 def _launch_profiler(folder: str, lock: int, request: Document) -> bool:
-    """Launch; whether the profiler has reported, which another start may prevent by replacing it. Raises RefusalError."""
+    """Launch; whether the profiler has reported, which another start may prevent by replacing it.
+
+    Raises RefusalError.
+    """
     order = dict(
-        request, op=protocol.OP_PROFILER_RUN, folder=folder, lock=lock, probe_spec=pidfile.build_probe_spec(request),
-        every_s=float(request["every_s"]), ttl_s=float(request["ttl_s"]),
-    )  # fmt: skip
+        request,
+        op=protocol.OP_PROFILER_RUN,
+        folder=folder,
+        lock=lock,
+        probe_spec=pidfile.build_probe_spec(request),
+        every_s=float(request["every_s"]),
+        ttl_s=float(request["ttl_s"]),
+    )
     # The cookie keeps ``detect`` from matching the profiler; no task has this directory.
     name, _, value = liveness.build_cookie(folder).partition("=")
     try:
@@ -97,7 +109,9 @@ def stop_profiler(request: Document) -> Document:
 
 
 def _end_profiler(host: str, profiler: "ProfilerProcess | None") -> "list[int]":
-    """End the profiler that was seen, with proof; returns its pids. Without an identity, the holders of the lock are ended.
+    """End the profiler that was seen, with proof; returns its pids.
+
+    Without an identity, the holders of the lock are ended.
 
     Raises:
         RefusalError: it does not end.

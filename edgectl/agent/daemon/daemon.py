@@ -1,8 +1,9 @@
-"""Resident profiler: one sample per period into a ring in memory, from which a probe reads without a sample window.
+"""Resident profiler: one sample per period into a ring in memory, from which a probe reads without a sample
+window.
 
-It measures as a probe does, over contiguous windows. It uses at most a hundredth of a core: where a sample costs more than that share
-of its period, the period grows. It ends when no request came for ``ttl_s``, when its directory is removed or taken by another
-profiler, and by SIGTERM; nothing of it is left then.
+It measures as a probe does, over contiguous windows. It uses at most a hundredth of a core: where a sample
+costs more than that share of its period, the period grows. It ends when no request came for ``ttl_s``, when
+its directory is removed or taken by another profiler, and by SIGTERM; nothing of it is left then.
 """
 
 import os
@@ -99,7 +100,8 @@ class ProfilerDaemon:
             try:
                 self._store_sample(self._take_sample(probes))
             except (OSError, ValueError, LookupError):
-                # Memory is full, or a process ended while its files were read: without this sample a probe measures by itself.
+                # Memory is full, or a process ended while its files were read: without this sample a probe
+                # measures by itself.
                 pass
             self._adjust_period()
             # After a suspension the missed samples are not made up for.
@@ -174,7 +176,9 @@ class ProfilerDaemon:
 
 
 def _subtract_tasks(robot: str, link: Document, tasks: "dict[str, Document]") -> Document:
-    """Subtract the tasks' traffic: the traffic of a task that ends is gone at once, however slowly the rest is smoothed."""
+    """Subtract the tasks' traffic: the traffic of a task that ends is gone at once, however slowly the rest
+    is smoothed.
+    """
     own = [each["robots"][robot] for each in tasks.values() if robot in each["robots"]]
     return {
         "rx": link["rx_bytes_per_s"] - sum(each["rx"] for each in own),
@@ -184,12 +188,18 @@ def _subtract_tasks(robot: str, link: Document, tasks: "dict[str, Document]") ->
 
 
 def compute_weight(seconds: float, period: float) -> float:
-    """Compute the weight of a reading over ``seconds``: ALPHA for one nominal ``period``; two halves weigh as much as one whole."""
+    """Compute the weight of a reading over ``seconds``: ALPHA for one nominal ``period``.
+
+    Two halves weigh as much as one whole.
+    """
     return float(1.0 - (1.0 - ALPHA) ** (seconds / period))
 
 
 def smooth_values(old: "Any", new: "Any", share: float) -> "Any":
-    """Smooth every number of ``new`` by ``share`` of the way from ``old``; numbers that ``old`` lacks are taken as they are."""
+    """Smooth every number of ``new`` by ``share`` of the way from ``old``.
+
+    Numbers that ``old`` lacks are taken as they are.
+    """
     if isinstance(new, dict):
         before = old if isinstance(old, dict) else {}
         return {name: smooth_values(before.get(name), value, share) for name, value in new.items()}

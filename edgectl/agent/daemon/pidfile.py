@@ -1,4 +1,7 @@
-"""Pid file and lock of the one profiler of a host, in a directory beside the tasks; the profiler holds the lock while it lives."""
+"""Pid file and lock of the one profiler of a host, in a directory beside the tasks.
+
+The profiler holds the lock while it lives.
+"""
 
 import os
 import sys
@@ -31,7 +34,10 @@ def list_folders(host: str) -> "list[str]":
 
 
 def make_folder(host: str) -> str:
-    """Create the directory in the first base that accepts it and its files of fixed size. Raises RefusalError."""
+    """Create the directory in the first base that accepts it and its files of fixed size.
+
+    Raises RefusalError.
+    """
     reasons = []
     for levels in _list_places(host):
         try:
@@ -107,7 +113,10 @@ class ProfilerProcess:
         self.folder, self.pid, self.ticks, self._ring = folder, pid, ticks, ring_fd
 
     def read(self) -> "tuple[Document, int, Document]":
-        """Read (description, number of the newest sample, that sample); empty ones where it is gone or has not begun."""
+        """Read (description, number of the newest sample, that sample).
+
+        Empty ones where it is gone or has not begun.
+        """
         try:
             fd = os.open("/proc/%d/fd/%d" % (self.pid, self._ring), os.O_RDONLY | os.O_CLOEXEC)
         except OSError:
@@ -140,7 +149,9 @@ def find_holders(folder: str) -> "list[tuple[int, int]]":
 
 
 def build_probe_spec(request: Document) -> Document:
-    """Build the probe spec of a request in canonical order: links, tasks to detect, and the hash of the agent."""
+    """Build the probe spec of a request in canonical order: links, tasks to detect, and the hash of the
+    agent.
+    """
     return {
         "agent": os.path.basename(getattr(sys.modules[__name__].__loader__, "root", "")),
         "links": {str(link["robot"]): str(link["address"]) for link in request.get("links") or []},

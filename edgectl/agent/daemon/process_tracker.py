@@ -1,7 +1,8 @@
-"""Tracker of a host's tasks from sample to sample: their known processes each time, the whole process table only after a change.
+"""Tracker of a host's tasks from sample to sample: their known processes each time, the whole process table
+only after a change.
 
-Reading every process of a host takes some ms; its tasks have few. The table is read again when a task is started, restarted or ends
-(its records change), and at intervals for new children and for tasks to detect.
+Reading every process of a host takes some ms; its tasks have few. The table is read again when a task is
+started, restarted or ends (its records change), and at intervals for new children and for tasks to detect.
 """
 
 import os

@@ -1,4 +1,7 @@
-"""Measurements from the resident profiler: its smoothed rates, everything else as it is now. No sample window passes."""
+"""Measurements from the resident profiler: its smoothed rates, everything else as it is now.
+
+No sample window passes.
+"""
 
 from ..link import protocol
 from ..link.fast_json import Document
@@ -11,7 +14,10 @@ MAX_AGE_PERIODS = 3.0
 
 
 def read_measurements(request: Document) -> "Document | None":
-    """Read the measured part of a reply; None without a living profiler with this probe spec and a recent sample."""
+    """Read the measured part of a reply.
+
+    None without a living profiler with this probe spec and a recent sample.
+    """
     profiler = pidfile.find_profiler(request["host"])
     if profiler is None:
         return None
@@ -72,7 +78,10 @@ def _build_task_rates(rate: Document) -> Document:
 
 
 def _collect_tasks(request: Document, sample: Document) -> "dict[str, tuple[Document, Document]]":
-    """Collect task -> (entry as it is now, its rates). The process table is read only for ``detect`` and for new tasks."""
+    """Collect task -> (entry as it is now, its rates).
+
+    The process table is read only for ``detect`` and for new tasks.
+    """
     host, detect = request["host"], request.get("detect", [])
     entries = status.list_entries(host, None)
     if detect or any(

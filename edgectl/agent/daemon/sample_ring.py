@@ -1,8 +1,9 @@
-"""Ring of the profiler's samples: an unnamed file of fixed size in memory, which no disk holds and which never outlives the profiler.
+"""Ring of the profiler's samples: an unnamed file of fixed size in memory, which no disk holds and which
+never outlives the profiler.
 
-It belongs to one process and ends with it; a process that may inspect that one reads it as /proc/PID/fd/N. The first slot describes
-the profiler and its probe spec; the others hold the newest samples, each over the oldest. A slot carries its number and a checksum,
-so that a partly written slot is not used.
+It belongs to one process and ends with it; a process that may inspect that one reads it as /proc/PID/fd/N.
+The first slot describes the profiler and its probe spec; the others hold the newest samples, each over the
+oldest. A slot carries its number and a checksum, so that a partly written slot is not used.
 """
 
 import os
@@ -16,7 +17,10 @@ _NUMBER = 20
 
 
 def create_ring(folder: str) -> int:
-    """Create an empty ring in shared memory, else in ``folder``; its descriptor. OSError where neither can be written."""
+    """Create an empty ring in shared memory, else in ``folder``; its descriptor.
+
+    OSError where neither can be written.
+    """
     for place in ("/dev/shm", folder):  # noqa: S108 - a random name, removed at once
         path = os.path.join(place, ".edgectl-%d-%s" % (os.getpid(), os.urandom(8).hex()))
         try:

@@ -1,8 +1,9 @@
 """Boot program: load the agent from its cache or from standard input, check its hash, run one request.
 
-The text of this file is sent on standard input after the constant command line, so it may import the standard library only.
-Input: ``length newline boot-text``, then one line ``marker sha256 request-length agent-length timeout``, the request, the agent.
-Output: one frame with the request's random marker, a length and a digest; anything else that a login shell prints is noise.
+The text of this file is sent on standard input after the constant command line, so it may import the standard
+library only. Input: ``length newline boot-text``, then one line ``marker sha256 request-length agent-length
+timeout``, the request, the agent. Output: one frame with the request's random marker, a length and a digest;
+anything else that a login shell prints is noise.
 """
 
 import os
@@ -42,7 +43,10 @@ def compute_sha256(data: bytes) -> str:
 
 
 class Channel:
-    """Reply channel to the manager. It takes over standard output, so that nothing else can write between its bytes."""
+    """Reply channel to the manager.
+
+    It takes over standard output, so that nothing else can write between its bytes.
+    """
 
     def __init__(self, marker: str) -> None:
         self.marker = marker
@@ -73,13 +77,19 @@ def list_state_bases() -> "list[str]":
 
 
 def make_private_dir(path: str) -> None:
-    """Create ``path`` as a directory of this user alone. OSError where it is a link, has another owner, or others may write."""
+    """Create ``path`` as a directory of this user alone.
+
+    OSError where it is a link, has another owner, or others may write.
+    """
     os.makedirs(path, 0o700, exist_ok=True)
     check_private_dir(path)
 
 
 def check_private_dir(path: str) -> None:
-    """OSError unless ``path`` is a directory of this user that no other may write; read access of others is removed."""
+    """OSError unless ``path`` is a directory of this user that no other may write.
+
+    Read access of others is removed.
+    """
     info = os.lstat(path)
     if not stat.S_ISDIR(info.st_mode) or info.st_uid != os.geteuid() or info.st_mode & 0o022:
         raise PermissionError(1, "not a private directory of this user (mode 0700)", path)
@@ -96,7 +106,10 @@ def make_agent_dir(base: str) -> str:
 
 
 def read_cached_agent(sha: str) -> "tuple[str | None, bytes]":
-    """Read (directory, bytes) of the agent cached under its hash; (None, b"") where it is missing or was changed."""
+    """Read (directory, bytes) of the agent cached under its hash.
+
+    (None, b"") where it is missing or was changed.
+    """
     for base in list_state_bases():
         try:
             if not os.path.isdir(os.path.join(base, "agent")):
@@ -171,7 +184,10 @@ def read_archive(agent: bytes) -> "dict[str, bytes]":
 
 
 class ArchiveLoader(SourceFileLoader):
-    """Import of source from the verified bytes in memory; compiled code is cached in the private directory."""
+    """Import of source from the verified bytes in memory.
+
+    Compiled code is cached in the private directory.
+    """
 
     root = ""
     files: "dict[str, bytes]" = {}
@@ -181,7 +197,7 @@ class ArchiveLoader(SourceFileLoader):
         return self.files[path] if path in self.files else SourceFileLoader.get_data(self, path)
 
     def path_stats(self, path: str) -> "dict[str, int]":
-        """A constant time: the directory carries the hash, so compiled code cannot be older than its source."""
+        """A constant time: the directory is named by the hash, so compiled code is never stale."""
         return {"mtime": 1, "size": len(self.files[path])}
 
 

@@ -1,7 +1,7 @@
 """JSON with the C half of module json alone.
 
-``import json`` takes 10 ms of CPU for what it brings along (re, enum, collections): more than the rest of a status request.
-Where an interpreter lacks the C half, the whole module takes its place.
+``import json`` takes 10 ms of CPU for what it brings along (re, enum, collections): more than the rest of a
+status request. Where an interpreter lacks the C half, the whole module takes its place.
 """
 
 import os
@@ -49,7 +49,9 @@ def loads(text: str) -> "Any":
 
 
 def dumps(value: object) -> str:
-    """Encode None, booleans, finite numbers, strings, lists, tuples and dicts with string keys as ASCII JSON. Raises ValueError."""
+    """Encode None, booleans, finite numbers, strings, lists, tuples and dicts with string keys as ASCII JSON.
+    Raises ValueError.
+    """
     if make_scanner is None:
         import json
 

@@ -14,7 +14,9 @@ _PIECE_BYTES = 640 << 10
 
 
 def read_file_piece(request: Document) -> Document:
-    """Read the piece of ``file`` at ``offset``. ``mark`` changes with the file; ``size`` (bytes) is that of the whole file.
+    """Read the piece of ``file`` at ``offset``.
+
+    ``mark`` changes with the file; ``size`` (bytes) is that of the whole file.
 
     Raises:
         RefusalError: the file is missing, unreadable, not a regular file, or larger than ``most`` bytes.

@@ -1,7 +1,8 @@
 """Heartbeat of a host: the time of its last request, recorded by every request.
 
-Measured in seconds since boot, suspended time included, so that no change of the wall clock matters. Where the usual state
-directory cannot be written, shared memory takes the record: a full or broken disk must not end tasks that a manager looks after.
+Measured in seconds since boot, suspended time included, so that no change of the wall clock matters. Where
+the usual state directory cannot be written, shared memory takes the record: a full or broken disk must not
+end tasks that a manager looks after.
 """
 
 import os

@@ -26,7 +26,8 @@ OP_STOP = "stop"
 OP_SUPERVISE = "supervise"
 OP_WAIT = "wait"
 
-# Keys of a request besides ``op`` and ``host``; OP_PROFILER_RUN and OP_SUPERVISE are requests of the agent to itself.
+# Keys of a request besides ``op`` and ``host``; OP_PROFILER_RUN and OP_SUPERVISE are requests of the agent to
+# itself.
 REQUEST_KEYS = {
     OP_CHECK: ("command", "prelude", "env", "timeout_s"),
     OP_DOCTOR: ("links", "prelude", "env", "timeout_s"),
@@ -47,20 +48,69 @@ REQUEST_KEYS = {
 }
 # Keys of ``spec`` in OP_START.
 SPEC_KEYS = (
-    "command", "prelude", "env", "workdir", "kind", "restart", "stop", "ready", "log", "limits", "runtime",
-    "self_fence_s", "spec_hash", "fields",
-)  # fmt: skip
+    "command",
+    "prelude",
+    "env",
+    "workdir",
+    "kind",
+    "restart",
+    "stop",
+    "ready",
+    "log",
+    "limits",
+    "runtime",
+    "self_fence_s",
+    "spec_hash",
+    "fields",
+)
 # Keys of the entry of a task in a reply; the last line is measured by OP_PROBE alone.
 ENTRY_KEYS = (
-    "state", "pid", "age_s", "instance", "spec_hash", "fields", "generation", "managed", "restarts", "exit_code", "detail", "limits",
-    "last_exit", "given_up", "ended_s", "log_tail",
-    "used_cores", "used_bytes", "rx_bytes_per_s", "tx_bytes_per_s", "links", "metrics",
-)  # fmt: skip
+    "state",
+    "pid",
+    "age_s",
+    "instance",
+    "spec_hash",
+    "fields",
+    "generation",
+    "managed",
+    "restarts",
+    "exit_code",
+    "detail",
+    "limits",
+    "last_exit",
+    "given_up",
+    "ended_s",
+    "log_tail",
+    "used_cores",
+    "used_bytes",
+    "rx_bytes_per_s",
+    "tx_bytes_per_s",
+    "links",
+    "metrics",
+)
 # Keys of the reply to OP_PROBE.
 PROBE_KEYS = (
-    "v", "op", "host", "python", "boot_id", "wall", "load_1m", "generations", "checks", "resident", "sample_age_s", "psutil", "window_s",
-    "cpu", "memory", "temperature_c", "gpu_share", "interfaces", "links", "tasks",
-)  # fmt: skip
+    "v",
+    "op",
+    "host",
+    "python",
+    "boot_id",
+    "wall",
+    "load_1m",
+    "generations",
+    "checks",
+    "resident",
+    "sample_age_s",
+    "psutil",
+    "window_s",
+    "cpu",
+    "memory",
+    "temperature_c",
+    "gpu_share",
+    "interfaces",
+    "links",
+    "tasks",
+)
 
 # States of a task: key ``state`` of its entry. An entry is never STOPPED: a stopped task is left out.
 STARTING = "starting"
@@ -90,7 +140,8 @@ MAX_REPLY_BYTES = 1 << 20
 # Application metrics of one task, and of all tasks of a host: a reply has room for this many.
 MAX_TASK_METRICS, MAX_HOST_METRICS = 32, 2048
 
-# Names of hosts, tasks and instances, safe as file names; as a pattern and, without module re, as ``is_name``.
+# Names of hosts, tasks and instances, safe as file names; as a pattern and, without module re, as
+# ``is_name``.
 MAX_NAME_LENGTH = 63
 NAME_PATTERN = "[a-z0-9][a-z0-9._-]{0,62}"
 _NAME_FIRST = frozenset("abcdefghijklmnopqrstuvwxyz0123456789")

@@ -1,4 +1,6 @@
-"""Operations ``sink`` and ``send``: throughput of a link, measured by sending for a bounded time (``probe --bandwidth``)."""
+"""Operations ``sink`` and ``send``: throughput of a link, measured by sending for a bounded time (``probe
+--bandwidth``).
+"""
 
 import os
 import secrets
@@ -22,7 +24,10 @@ def _clamp_seconds(request: Document) -> float:
 
 
 def start_sink(request: Document) -> Document:
-    """Listen in the background for one sender that has the token; ends after ``seconds`` and a grace of 10 s."""
+    """Listen in the background for one sender that has the token.
+
+    Ends after ``seconds`` and a grace of 10 s.
+    """
     seconds, token = _clamp_seconds(request), secrets.token_hex(16)
     try:
         server = socket.socket(socket.AF_INET6, socket.SOCK_STREAM)

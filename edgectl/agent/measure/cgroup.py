@@ -1,6 +1,7 @@
 """Limits and usage of control groups v1, v2 and hybrid; ``root`` is another tree in tests.
 
-A ``0::PATH`` line in /proc/self/cgroup alone is no evidence: on hybrid systems there are no controllers behind it.
+A ``0::PATH`` line in /proc/self/cgroup alone is no evidence: on hybrid systems there are no controllers
+behind it.
 """
 
 import os
@@ -9,7 +10,9 @@ _NO_LIMIT = 1 << 60
 
 
 class CgroupLimit:
-    """Limit of a control group: ``value`` cores or bytes for the group at ``folder`` of hierarchy ``version`` (1 or 2)."""
+    """Limit of a control group: ``value`` cores or bytes for the group at ``folder`` of hierarchy ``version``
+    (1 or 2).
+    """
 
     __slots__ = ("folder", "value", "version")
 
@@ -32,7 +35,9 @@ def _read_numbers(path: str) -> "dict[str, int]":
 
 
 def _list_own_groups(root: str, controller: str) -> "list[tuple[str, int]]":
-    """List (directory, version) from the agent's own group up to the top of the hierarchy that has ``controller``."""
+    """List (directory, version) from the agent's own group up to the top of the hierarchy that has
+    ``controller``.
+    """
     v2_path = ""
     for line in _read_text(root + "/proc/self/cgroup").splitlines():
         number, _, rest = line.partition(":")
@@ -76,7 +81,10 @@ def is_v2(root: str = "") -> bool:
 
 
 def find_cpu_limit(root: str = "") -> "CgroupLimit | None":
-    """Find the smallest CPU quota (cores) of the agent's group and its ancestors; None where there is none."""
+    """Find the smallest CPU quota (cores) of the agent's group and its ancestors.
+
+    None where there is none.
+    """
     found = [
         CgroupLimit(_read_cpu_quota(folder, version), folder, version)
         for folder, version in _list_own_groups(root, "cpu")
@@ -99,7 +107,10 @@ def read_cpu_used_s(limit: CgroupLimit, root: str = "") -> float:
 
 
 def find_memory_limit(root: str = "") -> "CgroupLimit | None":
-    """Find the smallest memory limit (bytes) of the agent's group and its ancestors; None where there is none."""
+    """Find the smallest memory limit (bytes) of the agent's group and its ancestors.
+
+    None where there is none.
+    """
     found = []
     for folder, version in _list_own_groups(root, "memory"):
         text = _read_text(folder + ("/memory.max" if version == 2 else "/memory.limit_in_bytes"))
@@ -109,7 +120,10 @@ def find_memory_limit(root: str = "") -> "CgroupLimit | None":
 
 
 def read_memory_used(limit: CgroupLimit) -> int:
-    """Read the bytes in use in the limited group without reclaimable page cache; shared memory counts as used."""
+    """Read the bytes in use in the limited group without reclaimable page cache.
+
+    Shared memory counts as used.
+    """
     folder = limit.folder
     numbers = _read_numbers(folder + "/memory.stat")
     if limit.version == 2:

@@ -1,4 +1,5 @@
-"""Device profiler: CPU and memory, capacity and usage, and load, temperature and GPU where the host shows them.
+"""Device profiler: CPU and memory, capacity and usage, and load, temperature and GPU where the host shows
+them.
 
 Reads with psutil where the host has it, from /proc and /sys where not; the document is the same.
 """
@@ -13,15 +14,20 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from types import ModuleType
 
-# Idle columns of /proc/stat: idle and iowait. guest and guest_nice (the last two) are included in user and nice.
+# Idle columns of /proc/stat: idle and iowait. guest and guest_nice (the last two) are included in user and
+# nice.
 _IDLE_COLUMNS = (3, 4)
 _BUSY_COLUMNS = 8
-# Jetson: /sys/devices/gpu.0/load (JetPack 4), platform/17000000.gpu/load (5), platform/bus@0/17000000.gpu/load (6).
+# Jetson: /sys/devices/gpu.0/load (JetPack 4), platform/17000000.gpu/load (5),
+# platform/bus@0/17000000.gpu/load (6).
 _GPU_FOLDERS = ("/sys/devices", "/sys/devices/platform", "/sys/devices/platform/bus@0")
 
 
 def find_psutil() -> "ModuleType | None":
-    """Import psutil where the host has it. Python was started without ``site``, so the usual folders are searched here."""
+    """Import psutil where the host has it.
+
+    Python was started without ``site``, so the usual folders are searched here.
+    """
     lib = "lib/python%d.%d/" % sys.version_info[:2]
     prefixes = [os.path.dirname(os.path.dirname(sys.executable)), sys.prefix]
     folders = [os.path.join(prefix, lib, "site-packages") for prefix in prefixes]
@@ -57,7 +63,9 @@ def _read_own_cpu_s() -> float:
 
 
 class CpuMeter:
-    """Meter of the CPU in use since its creation or its last measurement, without that of the agent and its checks."""
+    """Meter of the CPU in use since its creation or its last measurement, without that of the agent and its
+    checks.
+    """
 
     def __init__(self) -> None:
         self.allowed = list_usable_cpus()
@@ -84,7 +92,9 @@ class CpuMeter:
 
 
 def read_memory(psutil: "ModuleType | None") -> "dict[str, int]":
-    """Read the bytes that this host has (the smaller of the machine's and the control group's limit) and uses."""
+    """Read the bytes that this host has (the smaller of the machine's and the control group's limit) and
+    uses.
+    """
     total, used = _read_machine_memory(psutil)
     limit = cgroup.find_memory_limit()
     if limit is not None and limit.value < total:
@@ -147,7 +157,10 @@ def _read_text(path: str) -> str:
 
 
 def read_gpu_share() -> "float | None":
-    """Read the utilisation of the GPU, 0..1: Jetson's load file, else nvidia-smi where installed; None without either."""
+    """Read the utilisation of the GPU, 0..1: Jetson's load file, else nvidia-smi where installed.
+
+    None without either.
+    """
     for path in [
         path for folder in _GPU_FOLDERS for path in _list_folder(folder) if "gpu" in os.path.basename(path)
     ]:

@@ -1,4 +1,7 @@
-"""Operation ``doctor``: facts about this host that may cause trouble; the manager judges them. ``root`` is another tree in tests."""
+"""Operation ``doctor``: facts about this host that may cause trouble; the manager judges them.
+
+``root`` is another tree in tests.
+"""
 
 import os
 import sys
@@ -82,7 +85,7 @@ def read_login_facts(root: str = "") -> Document:
 
 
 def read_disk_facts(path: str) -> Document:
-    """Read the file system of ``path``, existing or not, and the obstacle to using it as a private directory."""
+    """Read the file system of ``path``, existing or not, and what prevents its use as a private directory."""
     there = path
     while not os.path.lexists(there) and there != "/":
         there = os.path.dirname(there)
@@ -109,7 +112,9 @@ def _find_obstacle(path: str, there: str) -> str:
 
 
 def _build_script(prelude: str) -> str:
-    """Build a script: the prelude, its status, and the exported variables as a child process (a task) sees them."""
+    """Build a script: the prelude, its status, and the exported variables as a child process (a task) sees
+    them.
+    """
     show = " ".join('"%s=$%s"' % (name, name) for name in ROS_VARIABLES)
     return "%s\nset -- $?\necho\necho '%s' $1\n/bin/sh -c 'printf \"%%s\\n\" %s'" % (prelude, _MARK, show)
 

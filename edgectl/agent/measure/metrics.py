@@ -1,7 +1,7 @@
 """Application metrics: lines ``name value`` that a task appends to the file in $EDGECTL_METRICS.
 
-A task may write anything, at any rate: only whole lines near the end are read, lines that are no metric are skipped, and the
-supervisor limits the size of the file. No other function of the agent depends on it.
+A task may write anything, at any rate: only whole lines near the end are read, lines that are no metric are
+skipped, and the supervisor limits the size of the file. No other function of the agent depends on it.
 """
 
 import os
@@ -36,7 +36,10 @@ def reset_metrics_file(folder: str) -> None:
 
 
 def read_tasks_metrics(host: str, tasks: "dict[str, Document]") -> "dict[str, dict[str, float]]":
-    """Read task -> metrics of those of ``tasks`` (entries of a reply) that have any; where tasks are many, fewer of each."""
+    """Read task -> metrics of those of ``tasks`` (entries of a reply) that have any.
+
+    Where tasks are many, fewer of each.
+    """
     own = {name: entry["instance"] for name, entry in tasks.items() if entry["managed"]}
     share = max(1, min(protocol.MAX_TASK_METRICS, protocol.MAX_HOST_METRICS // max(1, len(own))))
     found = {name: _read_task_metrics(host, name, instance, share) for name, instance in own.items()}
@@ -83,7 +86,10 @@ def _read_end(fd: int) -> bytes:
 
 
 def parse_metrics(data: bytes, most: int = protocol.MAX_TASK_METRICS) -> "dict[str, float]":
-    """Parse the last value of each name in the whole lines of ``data``; of more than ``most`` names, those written last."""
+    """Parse the last value of each name in the whole lines of ``data``.
+
+    Of more than ``most`` names, those written last.
+    """
     found: "dict[bytes, float]" = {}
     for line in reversed((b"\n" + data).rsplit(b"\n", MAX_LINES + 1)[1:-1]):
         words = line.split()
@@ -126,7 +132,9 @@ def limit_metrics_file(folder: str) -> float:
 
 
 def _compact_file(fd: int) -> None:
-    """Rewrite in place, the head before the cut: lines that the task appends meanwhile come after it and count more."""
+    """Rewrite in place, the head before the cut: lines that the task appends meanwhile come after it and
+    count more.
+    """
     lines = b"".join(
         b"%s %s\n" % (name.encode(), repr(value).encode())
         for name, value in parse_metrics(_read_end(fd)).items()

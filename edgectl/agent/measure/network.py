@@ -1,7 +1,9 @@
-"""Network profiler: bytes/s between this host and each robot, round-trip time, reachability, and totals per interface.
+"""Network profiler: bytes/s between this host and each robot, round-trip time, reachability, and totals per
+interface.
 
-A connection belongs to a robot when its *remote* address is the robot's: on a machine that hosts a whole test fleet with loopback
-addresses, both ends of a connection are visible. The kernel counts bytes per TCP connection; UDP counts in the interface totals only.
+A connection belongs to a robot when its *remote* address is the robot's: on a machine that hosts a whole test
+fleet with loopback addresses, both ends of a connection are visible. The kernel counts bytes per TCP
+connection; UDP counts in the interface totals only.
 """
 
 import errno
@@ -13,7 +15,8 @@ from ..link.fast_json import Document
 from . import proc, sockets
 from .sockets import socket
 
-# Port "discard": nothing listens, and the refusal gives the round-trip time. Not sshd: it penalises unauthenticated connections.
+# Port "discard": nothing listens, and the refusal gives the round-trip time. Not sshd: it penalises
+# unauthenticated connections.
 _DISCARD_PORT = 9
 _ANSWERED = (0, errno.ECONNREFUSED)
 _RESOLVE_S = 2.0
@@ -54,7 +57,10 @@ class TrafficMeter:
         self._closed.collect()
 
     def flows(self) -> "list[Flow]":
-        """Measure: a connection that appeared in the window counts in full; one that was closed counts up to its end."""
+        """Measure: a connection that appeared in the window counts in full.
+
+        One that was closed counts up to its end.
+        """
         found = {each.key: each for each in self._closed.collect()}
         then, self._before = self._before, {each.key: each for each in sockets.list_connections(self._wanted)}
         found.update(self._before)
@@ -66,7 +72,10 @@ class TrafficMeter:
 
 
 def read_flows_since_open(addresses: "Addresses") -> "list[Flow]":
-    """Read the open connections with all bytes since they were opened; ``addresses`` as in ``TrafficMeter``."""
+    """Read the open connections with all bytes since they were opened.
+
+    ``addresses`` as in ``TrafficMeter``.
+    """
     return [_build_flow(each, None) for each in sockets.list_connections(_pack_addresses(addresses))]
 
 
@@ -81,7 +90,10 @@ def _build_flow(now: sockets.TcpConnection, then: "sockets.TcpConnection | None"
 
 
 def resolve_robots(links: "list[Document]") -> "Addresses":
-    """Resolve the addresses of each robot. Names are looked up in parallel, for at most two seconds in all."""
+    """Resolve the addresses of each robot.
+
+    Names are looked up in parallel, for at most two seconds in all.
+    """
     found = {str(link["robot"]): _parse_address(str(link["address"])) for link in links}
     unknown = {str(link["robot"]): str(link["address"]) for link in links if not found[str(link["robot"])]}
     if unknown:

@@ -19,9 +19,11 @@ _MIN_CONNECT_S = 0.02
 
 
 def probe_host(request: Document) -> Document:
-    """Measure this host, its links and its tasks, and run the ``done_when`` checks of the tasks that are alive.
+    """Measure this host, its links and its tasks, and run the ``done_when`` checks of the tasks that are
+    alive.
 
-    Where a resident profiler runs, its last sample is used; otherwise a sample window passes, with the checks running meanwhile.
+    Where a resident profiler runs, its last sample is used; otherwise a sample window passes, with the checks
+    running meanwhile.
     """
     measured, checks = _read_profiler(request) or _measure_window(request)
     for task, values in metrics.read_tasks_metrics(request["host"], measured["tasks"]).items():
@@ -43,7 +45,10 @@ def probe_host(request: Document) -> Document:
 
 
 def _read_profiler(request: Document) -> "tuple[Document, _RunningChecks] | None":
-    """Read (measured part of the reply, running checks); None without a profiler that measures what is asked and is on time."""
+    """Read (measured part of the reply, running checks).
+
+    None without a profiler that measures what is asked and is on time.
+    """
     if not any(
         os.path.isdir(os.path.join(levels[-1], "profiler"))
         for levels in state_dir.list_host_dirs(request["host"])
@@ -98,7 +103,9 @@ def _measure_window(request: Document) -> "tuple[Document, _RunningChecks]":
 
 
 def _list_generations(host: str, measured: "dict[str, Document]") -> "dict[str, int]":
-    """List task -> highest generation seen here where the task's entry has a lower one or none: a manager needs it to start the task."""
+    """List task -> highest generation seen here where the task's entry has a lower one or none: a manager
+    needs it to start the task.
+    """
     seen = {name: status.read_generation(host, name) for name in state_dir.list_task_names(host)}
     return {
         name: number for name, number in seen.items() if number > measured.get(name, {}).get("generation", 0)

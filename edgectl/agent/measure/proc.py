@@ -15,8 +15,8 @@ _CLOCK_BOOTTIME = 7
 class Process:
     """One process, as /proc/PID/stat shows it.
 
-    ``ticks``: start in clock ticks since boot, which with the pid identifies a process for as long as the host is up;
-    ``cpu`` and ``child_cpu`` (of children that were waited for) in seconds; ``rss`` in bytes.
+    ``ticks``: start in clock ticks since boot, which with the pid identifies a process for as long as the
+    host is up; ``cpu`` and ``child_cpu`` (of children that were waited for) in seconds; ``rss`` in bytes.
     """
 
     __slots__ = ("child_cpu", "cpu", "pid", "ppid", "rss", "sid", "state", "ticks")
@@ -31,7 +31,10 @@ class Process:
 
 
 def read_file(path: str) -> bytes:
-    """Read a file; empty where it is gone or unreadable. Takes two thirds of ``open``: whole process tables are read with it."""
+    """Read a file; empty where it is gone or unreadable.
+
+    Takes two thirds of ``open``: whole process tables are read with it.
+    """
     try:
         fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     except OSError:
@@ -112,7 +115,9 @@ def read_boot_id() -> str:
 
 
 def read_uptime_s() -> float:
-    """Read the seconds since boot on the clock of start ticks (lxcfs shifts /proc/uptime, so that file is not read)."""
+    """Read the seconds since boot on the clock of start ticks (lxcfs shifts /proc/uptime, so that file is not
+    read).
+    """
     return time.clock_gettime(_CLOCK_BOOTTIME)
 
 

@@ -1,4 +1,6 @@
-"""TCP connections with their byte counters, queried from the kernel (NETLINK_SOCK_DIAG): no tool needs to be installed."""
+"""TCP connections with their byte counters, queried from the kernel (NETLINK_SOCK_DIAG): no tool needs to be
+installed.
+"""
 
 import os
 import struct
@@ -15,8 +17,15 @@ if TYPE_CHECKING:
     from collections.abc import Set as AbstractSet
 
 __all__ = [
-    "CloseListener", "TcpConnection", "list_connections", "list_socket_inodes", "pack_address", "read_rtt_ms", "socket", "unmap_address",
-]  # fmt: skip
+    "CloseListener",
+    "TcpConnection",
+    "list_connections",
+    "list_socket_inodes",
+    "pack_address",
+    "read_rtt_ms",
+    "socket",
+    "unmap_address",
+]
 
 _NETLINK_SOCK_DIAG = 4
 _SOCK_DIAG_BY_FAMILY = 20
@@ -34,9 +43,10 @@ _HEAD, _MESSAGE = 16, 72
 
 
 class TcpConnection:
-    """One TCP connection. ``key`` identifies it for its whole life, ``inode`` its socket; ``local`` and ``remote`` are (address, port).
+    """One TCP connection.
 
-    ``rx`` and ``tx``: bytes since it was opened; ``rtt_ms``: 0 where unmeasured.
+    ``key`` identifies it for its whole life, ``inode`` its socket; ``local`` and ``remote`` are (address,
+    port). ``rx`` and ``tx``: bytes since it was opened; ``rtt_ms``: 0 where unmeasured.
     """
 
     __slots__ = ("inode", "key", "local", "remote", "rtt_ms", "rx", "tx")
@@ -53,10 +63,11 @@ class TcpConnection:
 
 
 def list_connections(wanted: "AbstractSet[bytes]" = frozenset()) -> "list[TcpConnection]":
-    """List the TCP connections of this network namespace, IPv4 and IPv6. Empty where the kernel does not answer.
+    """List the TCP connections of this network namespace, IPv4 and IPv6.
 
-    Connections to loopback addresses only where the remote address is in ``wanted`` (packed): a machine that hosts a whole test
-    fleet has thousands of them, and decoding one takes longer than the kernel needs to list it.
+    Empty where the kernel does not answer. Connections to loopback addresses only where the remote address is
+    in ``wanted`` (packed): a machine that hosts a whole test fleet has thousands of them, and decoding one
+    takes longer than the kernel needs to list it.
     """
     found = []
     for family in (socket.AF_INET, socket.AF_INET6):

@@ -1,4 +1,6 @@
-"""Task profiler: state, CPU, memory and traffic of each task's process tree, and detection of unmanaged tasks."""
+"""Task profiler: state, CPU, memory and traffic of each task's process tree, and detection of unmanaged
+tasks.
+"""
 
 import os
 
@@ -16,7 +18,10 @@ _MAX_PSS_BYTES = 1 << 30
 
 
 class TaskProcesses:
-    """The processes of one task: ``pids`` its own, ``above`` its supervisor (0: none); ``entry`` its entry in a reply, without rates."""
+    """The processes of one task: ``pids`` its own, ``above`` its supervisor (0: none).
+
+    ``entry`` its entry in a reply, without rates.
+    """
 
     __slots__ = ("above", "entry", "pids")
 
@@ -27,7 +32,7 @@ class TaskProcesses:
 def find_tasks(
     host: str, names: "list[str]", detect: "list[Document]", table: "dict[int, proc.Process]"
 ) -> "dict[str, TaskProcesses]":
-    """Find every task of ``names`` that lives or has ended, and those that ``detect`` matches in ``table``."""
+    """Find every task of ``names``, alive or ended, and those that ``detect`` matches in ``table``."""
     found: "dict[str, TaskProcesses]" = {}
     for name in names:
         record, alive = status.find_current(host, name, table)
@@ -101,9 +106,10 @@ class TaskMeter:
 
 
 def collect_cpu_s(group: TaskProcesses, table: "dict[int, proc.Process]") -> "dict[int, float]":
-    """Collect CPU seconds by pid; a child's time passes to the process that reaps it, so the sum over the tree only grows.
+    """Collect CPU seconds by pid.
 
-    The supervisor's own work is not the task's, but it reaps the task's orphans.
+    A child's time passes to the process that reaps it, so the sum over the tree only grows. The supervisor's
+    own work is not the task's, but it reaps the task's orphans.
     """
     seconds = {pid: table[pid].cpu + table[pid].child_cpu for pid in group.pids if pid in table}
     if group.above in table:
@@ -116,7 +122,8 @@ def compute_cores(
 ) -> float:
     """Compute the cores in use since ``then`` (CPU seconds by pid), which was ``seconds`` ago.
 
-    A process that is missing in ``then`` counts with the part of its time that falls into the window on average.
+    A process that is missing in ``then`` counts with the part of its time that falls into the window on
+    average.
     """
     now = collect_cpu_s(group, table)
     used = sum(now.values()) - sum(then.values())
@@ -126,7 +133,10 @@ def compute_cores(
 
 
 def read_task_memory(group: TaskProcesses, table: "dict[int, proc.Process]") -> int:
-    """Read the bytes in use; pages shared by several processes count once where the kernel tells how they are shared (PSS)."""
+    """Read the bytes in use.
+
+    Pages shared by several processes count once where the kernel tells how they are shared (PSS).
+    """
     seen = [table[pid] for pid in group.pids if pid in table]
     return sum((_read_pss(each.pid, each.rss) if len(seen) > 1 else 0) or each.rss for each in seen)
 
@@ -148,7 +158,10 @@ def list_sockets(pids: "set[int]") -> "set[int]":
 def compute_traffic(
     held: "set[int]", flows: "list[Flow]", addresses: "dict[str, list[str]]", seconds: float
 ) -> Document:
-    """Compute bytes/s over the sockets ``held``, in all and with each robot; traffic inside this host does not count."""
+    """Compute bytes/s over the sockets ``held``, in all and with each robot.
+
+    Traffic inside this host does not count.
+    """
     robots = {address: robot for robot, found in addresses.items() for address in found}
     own = [flow for flow in flows if flow.inode in held and (flow.remote in robots or not _is_internal(flow))]
     by_robot: "dict[str, list[Flow]]" = {}
@@ -206,7 +219,14 @@ def _find_own_ancestors(table: "dict[int, proc.Process]") -> "set[int]":
 
 def _build_unmanaged_entry(first: proc.Process) -> Document:
     return {
-        "state": protocol.RUNNING, "pid": first.pid, "age_s": round(proc.age_s_from_ticks(first.ticks), 2),
-        "instance": "", "spec_hash": "", "generation": 0, "managed": False,
-        "restarts": 0, "exit_code": None, "detail": "found by detect",
-    }  # fmt: skip
+        "state": protocol.RUNNING,
+        "pid": first.pid,
+        "age_s": round(proc.age_s_from_ticks(first.ticks), 2),
+        "instance": "",
+        "spec_hash": "",
+        "generation": 0,
+        "managed": False,
+        "restarts": 0,
+        "exit_code": None,
+        "detail": "found by detect",
+    }

@@ -1,4 +1,6 @@
-"""Launch of a supervisor or profiler from the agent: a session of its own, inside a systemd scope where requested."""
+"""Launch of a supervisor or profiler from the agent: a session of its own, inside a systemd scope where
+requested.
+"""
 
 import os
 import select
@@ -28,7 +30,9 @@ _PROGRAM = "import sys;s=sys.stdin.buffer;exec(s.read(int(s.readline())))"
 def launch_supervisor(
     folder: str, lock: int, identity: Document, spec: Document, task_scope: Scope
 ) -> Document:
-    """Start the supervisor, in a scope where ``task_scope`` has one: ``{"pid": main, "limits": text}``, or ``{"error": reason}``."""
+    """Start the supervisor, in a scope where ``task_scope`` has one: ``{"pid": main, "limits": text}``, or
+    ``{"error": reason}``.
+    """
     order: Document = {"folder": folder, "lock": lock, "identity": identity, "spec": spec}
     if task_scope.argv:
         report, complaints = _launch_in_scope(task_scope, order)
@@ -54,7 +58,10 @@ def launch_supervisor(
 
 
 def _run_detached(work: "Callable[[], None]", report: int, keep: "tuple[int, ...]") -> None:
-    """Run ``work`` in a process of a session of its own, with nothing open but ``keep``; ``report`` is closed here."""
+    """Run ``work`` in a process of a session of its own, with nothing open but ``keep``.
+
+    ``report`` is closed here.
+    """
     child = os.fork()
     if child == 0:
         _run_in_child(work, report, keep)
@@ -101,7 +108,10 @@ def _parse_report(data: bytes) -> "Document | None":
 def launch_agent(
     argv: "list[str]", env: "dict[str, str]", request: Document, lock: int, patience_s: float
 ) -> "Document | None":
-    """Start this agent on ``request`` in a session of its own, behind ``argv``; its report, or None where none comes in time."""
+    """Start this agent on ``request`` in a session of its own, behind ``argv``.
+
+    Its report, or None where none comes in time.
+    """
     read_end = _start_agent(argv, env, request, lock)
     data, _ = _read_pipe(read_end, patience_s)
     os.close(read_end)
@@ -109,7 +119,10 @@ def launch_agent(
 
 
 def _start_agent(argv: "list[str]", env: "dict[str, str]", request: Document, lock: int) -> int:
-    """Start the agent; returns the read end of its report. The request travels on standard input: command lines are public."""
+    """Start the agent; returns the read end of its report.
+
+    The request travels on standard input: command lines are public.
+    """
     read_end, report = os.pipe()
     source, source_end = os.pipe()
     packet = _build_packet(dict(request, lock=lock, report=report))
@@ -144,7 +157,10 @@ def _launch_in_scope(task_scope: Scope, order: Document) -> "tuple[Document | No
 
 
 def _end_systemd_run(data: bytes, read_end: int, folder: str) -> bool:
-    """Kill a systemd-run that hangs. True with proof that nothing of the task runs or will run: pipe closed, lock held by us alone."""
+    """Kill a systemd-run that hangs.
+
+    True with proof that nothing of the task runs or will run: pipe closed, lock held by us alone.
+    """
     pid, ticks = [int(word) for word in data.split(b"\n")[0].split()] if b"\n" in data else (0, 0)
     signals.send_signal(pid, ticks, signals.parse_signal("KILL"))
     return _read_pipe(read_end, _KILL_S)[1] and not lockfile.find_lock_holders(
@@ -153,7 +169,10 @@ def _end_systemd_run(data: bytes, read_end: int, folder: str) -> bool:
 
 
 def _exec_agent(argv: "list[str]", env: "dict[str, str]", source: int, report: int, lock: int) -> None:
-    """Become ``argv`` (systemd-run), which becomes Python; its identity and its complaints are written to ``report``."""
+    """Become ``argv`` (systemd-run), which becomes Python.
+
+    Its identity and its complaints are written to ``report``.
+    """
     os.write(report, b"%d %d\n" % (os.getpid(), proc.read_own_process().ticks))
     os.dup2(source, 0)
     os.dup2(report, 2)

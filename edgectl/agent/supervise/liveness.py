@@ -1,7 +1,7 @@
 """Liveness of a task and its processes, decided by the kernel and not by a file.
 
-A task lives while its lock is held (supervisor and task inherit it) or any process has its cookie in the environment: launchers
-that close inherited descriptors are the main workload, so both are examined.
+A task lives while its lock is held (supervisor and task inherit it) or any process has its cookie in the
+environment: launchers that close inherited descriptors are the main workload, so both are examined.
 """
 
 import os
@@ -17,7 +17,9 @@ _LAST_LINES, _LAST_LINE_LENGTH = 5, 200
 
 
 class InstanceRecord:
-    """Content of a task directory: ``instance`` (identity), ``status`` (progress) and ``locked`` (whether its lock is held)."""
+    """Content of a task directory: ``instance`` (identity), ``status`` (progress) and ``locked`` (whether its
+    lock is held).
+    """
 
     __slots__ = ("folder", "locked", "instance", "status")
 
@@ -48,7 +50,9 @@ def read_instance(folder: str) -> InstanceRecord:
 
 
 def _stays_locked(folder: str) -> bool:
-    """Whether the lock stays held: the supervisor records the end some milliseconds before it exits, and is no sign of life in between."""
+    """Whether the lock stays held: the supervisor records the end some milliseconds before it exits, and is
+    no sign of life in between.
+    """
     for _ in range(_LAST_TRIES):
         if not lockfile.is_lock_held(folder):
             return False
@@ -73,7 +77,9 @@ def is_same_boot(found: InstanceRecord) -> bool:
 
 
 def find_processes(found: InstanceRecord, table: "dict[int, proc.Process]") -> "set[int]":
-    """Find the task's processes without the supervisor: all below it, else every carrier of cookie, lock or session."""
+    """Find the task's processes without the supervisor: all below it, else every carrier of cookie, lock or
+    session.
+    """
     above = find_supervisor(found)
     if above:
         return proc.find_descendants({above}, table) - {above}
@@ -96,7 +102,10 @@ def find_orphans(found: InstanceRecord, table: "dict[int, proc.Process]") -> "se
 
 
 def is_alive(found: InstanceRecord, table: "dict[int, proc.Process] | None" = None) -> bool:
-    """Whether the lock is held or a cookie is found; processes are searched only where the record does not state the end."""
+    """Whether the lock is held or a cookie is found.
+
+    Processes are searched only where the record does not state the end.
+    """
     if found.locked:
         return True
     ended = found.status.get("state") in protocol.FINAL_STATES and not found.status.get("left")
@@ -106,7 +115,10 @@ def is_alive(found: InstanceRecord, table: "dict[int, proc.Process] | None" = No
 
 
 def build_entry(found: InstanceRecord, alive: bool) -> Document:
-    """Build the task's entry in a reply, without rates; empty for a task that was stopped on purpose or never ran."""
+    """Build the task's entry in a reply, without rates.
+
+    Empty for a task that was stopped on purpose or never ran.
+    """
     instance, status = found.instance, found.status
     if not instance or (not alive and status.get("state") == protocol.STOPPED):
         return {}
@@ -170,7 +182,10 @@ def _build_dead_fields(found: InstanceRecord) -> Document:
 
 
 def _build_ended_fields(found: InstanceRecord) -> Document:
-    """Build ``ended_s``, the seconds since the end, where that was in this boot. At least 0: the manager rejects a negative age."""
+    """Build ``ended_s``, the seconds since the end, where that was in this boot.
+
+    At least 0: the manager rejects a negative age.
+    """
     if not is_same_boot(found) or "ended" not in found.status:
         return {}
     return {"ended_s": round(max(0.0, proc.read_uptime_s() - found.status["ended"]), 2)}

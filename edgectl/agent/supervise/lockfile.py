@@ -27,7 +27,10 @@ def take_lock(folder: str) -> int:
 
 
 def is_lock_held(folder: str) -> bool:
-    """Whether a process holds the lock. Tested with a shared lock, so that two tests do not see each other."""
+    """Whether a process holds the lock.
+
+    Tested with a shared lock, so that two tests do not see each other.
+    """
     try:
         fd = records.open_private_file(os.path.join(folder, "lock"), os.O_RDONLY)
     except FileNotFoundError:
@@ -52,7 +55,10 @@ def find_lock_holders(folder: str, table: "dict[int, proc.Process]") -> "set[int
 
 
 def _has_lock_open(pid: int, wanted: os.stat_result) -> bool:
-    """Whether the process can hold the lock. An open descriptor is not enough: an agent that tests the lock has one for a moment."""
+    """Whether the process can hold the lock.
+
+    An open descriptor is not enough: an agent that tests the lock has one for a moment.
+    """
     folder = "/proc/%d/fd/" % pid
     try:
         for name in os.listdir(folder):

@@ -11,7 +11,10 @@ MAX_TEXT_BYTES = 1 << 19
 
 
 class LogWriter:
-    """Files log.0 (newest) to log.N-1, each at most ``max_bytes``. Disk errors are counted in ``dropped`` and never disturb the task."""
+    """Files log.0 (newest) to log.N-1, each at most ``max_bytes``.
+
+    Disk errors are counted in ``dropped`` and never disturb the task.
+    """
 
     def __init__(self, folder: str, max_bytes: int, files: int) -> None:
         self.folder, self.max_bytes, self.files = folder, max(4096, max_bytes), max(1, files)

@@ -1,4 +1,7 @@
-"""Settings of systemd-logind that decide whether a task survives the end of the login. ``root`` is another tree in tests."""
+"""Settings of systemd-logind that decide whether a task survives the end of the login.
+
+``root`` is another tree in tests.
+"""
 
 import os
 
@@ -27,7 +30,10 @@ def kills_users_processes(root: str = "") -> bool:
 
 
 def removes_ipc(root: str = "") -> bool:
-    """Whether a user's shared memory is removed with the last login; the default is yes. Never that of root and system users."""
+    """Whether a user's shared memory is removed with the last login; the default is yes.
+
+    Never that of root and system users.
+    """
     return read_setting("RemoveIPC", True, root)
 
 
@@ -48,7 +54,10 @@ def read_setting(wanted: str, default: bool, root: str = "") -> bool:
 
 
 def _list_config_files(root: str) -> "list[str]":
-    """List the effective logind.conf, then every drop-in by name; for one name /etc overrides /run, and /run overrides /usr."""
+    """List the effective logind.conf, then every drop-in by name.
+
+    For one name /etc overrides /run, and /run overrides /usr.
+    """
     mains = [root + folder + "/logind.conf" for folder in _FOLDERS]
     drop_ins: "dict[str, str]" = {}
     for folder in reversed(_FOLDERS):

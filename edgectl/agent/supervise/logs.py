@@ -42,7 +42,9 @@ def read_logs(request: Document) -> Document:
 
 
 def follow_log(request: Document, channel: "Channel") -> None:
-    """Operation ``follow``: a frame, then chunks ``length newline bytes``, ``0`` as a keep-alive, ``end`` after the end of the task."""
+    """Operation ``follow``: a frame, then chunks ``length newline bytes``, ``0`` as a keep-alive, ``end``
+    after the end of the task.
+    """
     state_dir.check_name(request["task"])
     folder = _find_log_folder(request)
     channel.reply(b'{"stream": true}')

@@ -1,7 +1,8 @@
-"""Small documents in files of fixed size, rewritten in place: a full disk or a power cut never loses the last valid one.
+"""Small documents in files of fixed size, rewritten in place: a full disk or a power cut never loses the last
+valid one.
 
-A file has two slots of 2 KiB; a slot is ``sequence crc32 json``, padded with blanks. Writers alternate, readers take the
-valid slot with the highest sequence number.
+A file has two slots of 2 KiB; a slot is ``sequence crc32 json``, padded with blanks. Writers alternate,
+readers take the valid slot with the highest sequence number.
 """
 
 import os
@@ -20,9 +21,10 @@ def open_private_file(path: str, flags: int) -> int:
 
 
 def write_record(path: str, document: Document, *, durable: bool = False) -> None:
-    """Replace the document in ``path``; ``durable``: return after the disk has it. OSError where the file system refuses.
+    """Replace the document in ``path``; ``durable``: return after the disk has it.
 
-    A value that a reboot makes obsolete (a pid, a living state) need not be durable.
+    OSError where the file system refuses. A value that a reboot makes obsolete (a pid, a living state) need
+    not be durable.
     """
     fd = open_private_file(path, os.O_RDWR | os.O_CREAT)
     try:

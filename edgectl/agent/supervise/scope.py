@@ -1,7 +1,9 @@
-"""Systemd scopes (``runtime: systemd``): the same supervisor in a scope of the user's systemd, which provides a control group with limits.
+"""Systemd scopes (``runtime: systemd``): the same supervisor in a scope of the user's systemd, which provides
+a control group with limits.
 
-A scope and not a service: systemd-run creates it around itself and then becomes the command, so descriptors, environment and session
-are inherited, and nothing of the task is written into a unit. Lingering is never enabled from here. ``root`` is for tests.
+A scope and not a service: systemd-run creates it around itself and then becomes the command, so descriptors,
+environment and session are inherited, and nothing of the task is written into a unit. Lingering is never
+enabled from here. ``root`` is for tests.
 """
 
 import os
@@ -14,7 +16,10 @@ _HINT = "use runtime: auto or process"
 
 
 class Scope:
-    """Way into a scope: ``argv`` before the command and ``env``; without a scope ``argv`` is empty and ``why`` is the reason."""
+    """Way into a scope: ``argv`` before the command and ``env``.
+
+    Without a scope ``argv`` is empty and ``why`` is the reason.
+    """
 
     __slots__ = ("argv", "env", "why")
 
@@ -23,7 +28,10 @@ class Scope:
 
 
 def choose_scope(runtime: str, host: str, task: str, limits: "Document | None", root: str = "") -> Scope:
-    """Choose the scope of a task, or none with the reason. Raises RefusalError where the spec requires systemd and it is not possible."""
+    """Choose the scope of a task, or none with the reason.
+
+    Raises RefusalError where the spec requires systemd and it is not possible.
+    """
     if runtime == "process":
         return Scope([], {}, "runtime process sets no control group")
     why, hint = find_obstacle(root)
@@ -76,7 +84,10 @@ def find_systemd_run() -> str:
 
 
 def find_runtime_dir(root: str = "") -> str:
-    """Find XDG_RUNTIME_DIR where systemd --user listens in it, else empty. A login without PAM does not set the variable."""
+    """Find XDG_RUNTIME_DIR where systemd --user listens in it, else empty.
+
+    A login without PAM does not set the variable.
+    """
     for folder in (os.environ.get("XDG_RUNTIME_DIR", ""), "%s/run/user/%d" % (root, os.geteuid())):
         try:
             info = os.stat(folder + "/systemd/private")
@@ -88,7 +99,9 @@ def find_runtime_dir(root: str = "") -> str:
 
 
 def build_properties(limits: "Document | None") -> "dict[str, str]":
-    """Build the settings of the unit: CPU in whole percent of a core (accepted by every systemd), memory in bytes."""
+    """Build the settings of the unit: CPU in whole percent of a core (accepted by every systemd), memory in
+    bytes.
+    """
     found = {}
     cpu, memory = (limits or {}).get("cpu"), (limits or {}).get("memory")
     if cpu:
@@ -104,7 +117,10 @@ def compute_cpu_percent(cores: float) -> int:
 
 
 def _build_scope_argv(host: str, task: str, settings: "dict[str, str]") -> "list[str]":
-    """Build the argument vector of systemd-run. Names are checked and numbers formatted: it contains no text of the user."""
+    """Build the argument vector of systemd-run.
+
+    Names are checked and numbers formatted: it contains no text of the user.
+    """
     argv = [
         find_systemd_run(),
         "--user",
@@ -114,7 +130,8 @@ def _build_scope_argv(host: str, task: str, settings: "dict[str, str]") -> "list
         "--unit=edgectl-%s-%s-%s" % (host, task, os.urandom(4).hex()),
     ]
     if "MemoryMax" in settings and read_systemd_version(argv[0]) >= 253:
-        # Otherwise systemd ends the whole scope, supervisor and log included, when one process is killed for its memory.
+        # Otherwise systemd ends the whole scope, supervisor and log included, when one process is killed for
+        # its memory.
         settings = dict(settings, OOMPolicy="continue")
     for name, value in sorted(settings.items()):
         argv += ["-p", "%s=%s" % (name, value)]
@@ -135,7 +152,9 @@ def read_systemd_version(systemd_run: str) -> int:
 
 
 def describe_limits(limits: "Document | None", why: str, root: str = "") -> str:
-    """Describe the state of the limits, read from our own control group: ``enforced``, ``not enforced: why``, or empty without limits."""
+    """Describe the state of the limits, read from our own control group: ``enforced``, ``not enforced: why``,
+    or empty without limits.
+    """
     stated = {name: value for name, value in (limits or {}).items() if value}
     if not stated:
         return ""

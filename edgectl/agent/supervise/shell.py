@@ -1,4 +1,7 @@
-"""Shell commands of the user: run by bash where the host has it (ROS set-up files need it), else by sh; bounded in time and output."""
+"""Shell commands of the user: run by bash where the host has it (ROS set-up files need it), else by sh.
+
+Bounded in time and output.
+"""
 
 import os
 import signal
@@ -57,9 +60,14 @@ class ShellCommand:
         os.set_blocking(self.pipe, False)
         try:
             self.process = subprocess.Popen(
-                build_argv(command, prelude), stdin=subprocess.DEVNULL, stdout=end, stderr=end,
-                env=build_environment(env), start_new_session=True, cwd=cwd,
-            )  # fmt: skip
+                build_argv(command, prelude),
+                stdin=subprocess.DEVNULL,
+                stdout=end,
+                stderr=end,
+                env=build_environment(env),
+                start_new_session=True,
+                cwd=cwd,
+            )
         except BaseException:
             os.close(self.pipe)
             raise

@@ -1,4 +1,6 @@
-"""Signals to processes identified by pid and start ticks, by pidfd where the kernel has it, and the order of signals of a stop."""
+"""Signals to processes identified by pid and start ticks, by pidfd where the kernel has it, and the order of
+signals of a stop.
+"""
 
 import os
 import signal
@@ -46,7 +48,10 @@ def _open_pidfd(pid: int) -> int:
 def send_signals(
     targets: "list[tuple[int, int]]", number: int, sent: "set[tuple[int, int, int]]"
 ) -> "set[tuple[int, int, int]]":
-    """Signal every (pid, ticks) that has not had this signal yet; KILL is repeated. Returns (pid, ticks, signal) of those done."""
+    """Signal every (pid, ticks) that has not had this signal yet; KILL is repeated.
+
+    Returns (pid, ticks, signal) of those done.
+    """
     done: "set[tuple[int, int, int]]" = set()
     for pid, ticks in targets:
         if (pid, ticks, number) not in sent or number == signal.SIGKILL:
@@ -68,7 +73,9 @@ def list_stop_steps(settings: Document) -> "tuple[tuple[str, str, float], ...]":
 
 
 def find_main_process(pid: int, table: "dict[int, proc.Process]") -> int:
-    """Find the command itself: the only child of the shell ``pid`` where that waits for it, since a shell keeps INT to itself."""
+    """Find the command itself: the only child of the shell ``pid`` where that waits for it, since a shell
+    keeps INT to itself.
+    """
     below = proc.group_children(table)
     while (
         pid in table

@@ -16,7 +16,9 @@ _MAX_FDS = 1 << 16
 
 
 def clean_process(keep: "tuple[int, ...]") -> None:
-    """Turn this process into a daemon: default signals, umask 077, directory /, no descriptors but ``keep``, subreaper of its tree."""
+    """Turn this process into a daemon: default signals, umask 077, directory /, no descriptors but ``keep``,
+    subreaper of its tree.
+    """
     reset_signals()
     os.umask(0o077)
     os.chdir("/")
@@ -31,7 +33,9 @@ def clean_process(keep: "tuple[int, ...]") -> None:
 
 
 def reset_signals() -> None:
-    """Reset every disposition to its default and unblock all: a login by SSH or nohup may have left INT ignored."""
+    """Reset every disposition to its default and unblock all: a login by SSH or nohup may have left INT
+    ignored.
+    """
     for number in range(1, signal.NSIG):
         try:
             signal.signal(number, signal.SIG_DFL)

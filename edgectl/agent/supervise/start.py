@@ -1,4 +1,6 @@
-"""Operation ``start``: at most one living instance of a task on this host, however many managers ask, however often."""
+"""Operation ``start``: at most one living instance of a task on this host, however many managers ask, however
+often.
+"""
 
 import os
 import time
@@ -14,7 +16,10 @@ _TRIES, _TRY_S = 10, 0.03
 
 
 def start_task(request: Document) -> Document:
-    """Start the command under a supervisor of its own; where the task is alive already, report its instance."""
+    """Start the command under a supervisor of its own.
+
+    Where the task is alive already, report its instance.
+    """
     host, task, spec = (
         state_dir.check_name(request["host"]),
         state_dir.check_name(request["task"]),
@@ -90,7 +95,9 @@ def _launch_task(folder: str, lock: int, request: Document, task_scope: scope.Sc
 
 
 def _build_identity(request: Document, spec: Document) -> Document:
-    """Build the stored identity of the instance: never its command, prelude or environment, which may contain secrets."""
+    """Build the stored identity of the instance: never its command, prelude or environment, which may contain
+    secrets.
+    """
     return {
         "instance": str(request["instance"]),
         "host": request["host"],

@@ -1,6 +1,7 @@
 """State directory of this host: BASE/hosts/HOST/tasks/TASK, directories 0700, files 0600, no links followed.
 
-``BASES`` is set once per request: the usual directory first, then shared memory for homes that cannot be written.
+``BASES`` is set once per request: the usual directory first, then shared memory for homes that cannot be
+written.
 """
 
 import os
@@ -85,7 +86,9 @@ def make_task_dir(host: str, task: str) -> str:
 
 
 def reserve_file(path: str, size: int) -> None:
-    """Create ``path`` with ``size`` bytes allocated, so that a disk that fills up later cannot stop a rewrite."""
+    """Create ``path`` with ``size`` bytes allocated, so that a disk that fills up later cannot stop a
+    rewrite.
+    """
     fd = open_private_file(path, os.O_RDWR | os.O_CREAT)
     try:
         have = os.fstat(fd).st_size

@@ -18,7 +18,10 @@ _SETTLE_S = 0.3
 def find_current(
     host: str, task: str, table: "dict[int, proc.Process] | None" = None
 ) -> "tuple[InstanceRecord | None, bool]":
-    """Find (record, alive) of the living instance, else of the last one; (None, False) where the task never ran here."""
+    """Find (record, alive) of the living instance, else of the last one.
+
+    (None, False) where the task never ran here.
+    """
     found = [(each, liveness.is_alive(each, table)) for each in liveness.read_instances(host, task)]
     return max([pair for pair in found if pair[0].instance], key=lambda pair: pair[1], default=(None, False))
 
@@ -60,7 +63,10 @@ def report_status(request: Document) -> Document:
 
 
 def wait_for_task(request: Document) -> Document:
-    """Operation ``wait``: the entry once the instance is ready, running without a ready check, ended or gone; else at the timeout."""
+    """Operation ``wait``: the entry once the instance is ready, running without a ready check, ended or gone.
+
+    Else at the timeout.
+    """
     deadline = time.monotonic() + float(request["timeout_s"])
     while True:
         record, alive = find_current(request["host"], request["task"])
@@ -75,16 +81,25 @@ def wait_for_task(request: Document) -> Document:
 def _is_settled(record: InstanceRecord, document: Document) -> bool:
     if document["state"] == protocol.READY:
         return True
-    # Between the end of the command and its record only the supervisor is seen, which is no evidence that the command runs.
+    # Between the end of the command and its record only the supervisor is seen, which is no evidence that the
+    # command runs.
     runs = document["state"] == protocol.RUNNING and document["pid"] == record.status.get("pid")
     return runs and not record.instance.get("ready_check") and document["age_s"] >= _SETTLE_S
 
 
 def _build_gone_entry(instance: str) -> Document:
     return {
-        "state": protocol.FAILED, "pid": 0, "age_s": 0.0, "instance": instance, "spec_hash": "", "generation": 0,
-        "managed": True, "restarts": 0, "exit_code": None, "detail": "not on this host",
-    }  # fmt: skip
+        "state": protocol.FAILED,
+        "pid": 0,
+        "age_s": 0.0,
+        "instance": instance,
+        "spec_hash": "",
+        "generation": 0,
+        "managed": True,
+        "restarts": 0,
+        "exit_code": None,
+        "detail": "not on this host",
+    }
 
 
 def mark_ready(request: Document) -> Document:

@@ -1,4 +1,6 @@
-"""Operation ``stop``: end the whole process tree, gently and then by force, with the kernel's proof that nothing is left."""
+"""Operation ``stop``: end the whole process tree, gently and then by force, with the kernel's proof that
+nothing is left.
+"""
 
 import os
 import time
@@ -16,7 +18,10 @@ _EMPTY_SWEEPS = 2
 
 
 def stop_task(request: Document) -> Document:
-    """Stop one instance, or every living one where ``instance`` is null. ``stopped`` is replied only with proof."""
+    """Stop one instance, or every living one where ``instance`` is null.
+
+    ``stopped`` is replied only with proof.
+    """
     began = time.monotonic()
     host, task = state_dir.check_name(request["host"]), state_dir.check_name(request["task"])
     if request.get("generation") is not None:
@@ -82,7 +87,10 @@ def disable_restarts(record: InstanceRecord) -> None:
 
 
 def _signal_until_gone(record: InstanceRecord, number: int, scope: str, patience_s: float) -> bool:
-    """Signal, then sweep until two sweeps in a row find nothing; newcomers get the signal too. False after ``patience_s``."""
+    """Signal, then sweep until two sweeps in a row find nothing; newcomers get the signal too.
+
+    False after ``patience_s``.
+    """
     deadline, empty = time.monotonic() + patience_s, 0
     sent: "set[tuple[int, int, int]]" = set()
     while empty < _EMPTY_SWEEPS:

@@ -1,6 +1,8 @@
-"""Supervisor of one task: starts it, writes its log, restarts it by policy, records its end, reaps its whole tree.
+"""Supervisor of one task: starts it, writes its log, restarts it by policy, records its end, reaps its whole
+tree.
 
-Forked from the agent, it leaves the manager's session for good and lives as long as its task or a pending restart.
+Forked from the agent, it leaves the manager's session for good and lives as long as its task or a pending
+restart.
 """
 
 import os
@@ -132,7 +134,8 @@ class Supervisor:
             self._handle_end(ended)
         due = self.next_start is not None and time.monotonic() >= self.next_start
         if self.fence_s and (due or time.monotonic() >= self.next_look):
-            self._check_heartbeat()  # before a restart: during a suspension another host may have taken over the task
+            # Before a restart: during a suspension another host may have taken over the task.
+            self._check_heartbeat()
         if self.next_start is not None and self.stopping:
             self.next_start = None
             self._record_status(state=protocol.STOPPED, pid=0, detail="")
@@ -257,7 +260,9 @@ class Supervisor:
             self._record_status(state=protocol.FAILED, pid=0, detail=str(error))
 
     def _check_heartbeat(self) -> None:
-        """Stop for good after ``self_fence_s`` without a heartbeat: a manager may have started the task elsewhere."""
+        """Stop for good after ``self_fence_s`` without a heartbeat: a manager may have started the task
+        elsewhere.
+        """
         left_s = self.fence_s - (
             proc.read_uptime_s() - max(self.begun, heartbeat.read_last_heartbeat(self.identity["host"]))
         )
@@ -282,9 +287,10 @@ class Supervisor:
         )
 
     def _end_tree(self, steps: "Sequence[tuple[str, str, float]]", *, forced: bool = False) -> "list[int]":
-        """Signal all below this process, step by step and finally with KILL, until nothing is left; returns the remaining pids.
+        """Signal all below this process, step by step and finally with KILL, until nothing is left.
 
-        During a stop the agent that requested it sends the signals, unless ``forced``; here they are only awaited.
+        Returns the remaining pids. During a stop the agent that requested it sends the signals, unless
+        ``forced``; here they are only awaited.
         """
         pending, since = [*steps, _KILL], time.monotonic()
         sent: "set[tuple[int, int, int]]" = set()
@@ -316,7 +322,10 @@ class Supervisor:
         table: "dict[int, proc.Process]",
         sent: "set[tuple[int, int, int]]",
     ) -> "set[tuple[int, int, int]]":
-        """Send one step to the remaining processes; the main process gets its signal once, newcomers of the tree get it too."""
+        """Send one step to the remaining processes.
+
+        The main process gets its signal once, newcomers of the tree get it too.
+        """
         if step[1] == "main":
             left = set() if sent else {signals.find_main_process(self.pid, table)} & left
         return signals.send_signals(

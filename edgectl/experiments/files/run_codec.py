@@ -1,4 +1,6 @@
-"""Documents of experiment runs and their trials (docs/reference/files.md), and the digest of a trial's conditions."""
+"""Documents of experiment runs and their trials (docs/reference/files.md), and the digest of a trial's
+conditions.
+"""
 
 from dataclasses import replace
 

@@ -10,7 +10,8 @@ from edgectl.model.cycle import Cycle
 from edgectl.model.encoding import Bounds, Columns, FromOne, Instant, Positive, Rounded, in_document
 from edgectl.model.inventory import Role
 
-# Precision in the files of a run: of times, cores and similarities in decimals, of what applications report in digits.
+# Precision in the files of a run: of times, cores and similarities in decimals, of what applications report
+# in digits.
 Seconds = Annotated[float, Rounded(decimals=3)]
 Cores = Annotated[float, Rounded(decimals=4)]
 Whole = Annotated[float, Rounded(decimals=0)]
