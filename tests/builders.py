@@ -1,4 +1,4 @@
-"""Builders with defaults, so that a test case shows only what it is about. Quantities: cores, bytes, bytes/s."""
+"""Builders with defaults, so that a test shows only its relevant values. Quantities: cores, bytes, bytes/s."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
@@ -98,7 +98,9 @@ def a_link(capacity: float = 10e6, used: float = 0.0) -> LinkSample:
 
 
 def a_run(state: TaskState = TaskState.READY, **fields: object) -> TaskSample:
-    """A task found on a host: ready, old enough to be moved, of the present specification where the test gives it."""
+    """A task found on a host: ready, old enough to be moved, with the present specification where the test
+    gives it.
+    """
     return replace(
         TaskSample(state=state, pid=4242, started_at=NOW - 3600.0, instance="instance-1"), **fields
     )  # type: ignore[arg-type]

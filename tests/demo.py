@@ -1,6 +1,6 @@
-"""``make demo``: the main job for real, on three pretend edges and three pretend robots of this machine.
+"""``make demo``: a whole deployment on three pretend edges and three pretend robots of this machine.
 
-Every command that is printed is run, in a fleet made by ``edgectl init``. Ends with an error if a step did not do what it says.
+Every printed command is run, in a fleet made by ``edgectl init``. Ends with an error if a step fails.
 """
 
 import json
@@ -19,16 +19,16 @@ from tests.pace import patience
 LIMIT_S = round(patience(280))
 EXPECTED_TASKS = 10
 SETTLE_S = 2.0
-# The map grows to 440 MiB, as a person sees it.
+# The map grows to 440 MiB, in edgectl's units.
 GROWN_BYTES, GROWS_S = 430 * 2**20, patience(30.0)
 
 
 class DemoError(Exception):
-    """A step did not do what it says."""
+    """A step had the wrong result."""
 
 
 class Demo:
-    """A fleet in a directory of its own; nothing of the user's is read or written."""
+    """A fleet in a directory of its own; no file of the user is read or written."""
 
     def __init__(self, root: Path) -> None:
         self.fleet = root / "fleet"
@@ -38,9 +38,9 @@ class Demo:
         self.env = {**kept, "EDGECTL_STATE_DIR": str(self.state), "PATH": path}
 
     def run(self, *words: str, shown: bool = True, code: int = 0) -> str:
-        """Run one edgectl command; show it and its output as a terminal would."""
+        """Run one edgectl command; print it and its output as a terminal would."""
         if shown:
-            say(f"\n$ edgectl {' '.join(words)}")
+            print_line(f"\n$ edgectl {' '.join(words)}")
         directory = self.fleet if self.fleet.exists() else self.fleet.parent
         done = subprocess.run(
             [sys.executable, "-m", "edgectl", *words],
@@ -51,12 +51,14 @@ class Demo:
             check=False,
         )
         if shown:
-            say(done.stdout.rstrip())
-        must(done.returncode == code, f"edgectl {' '.join(words)} ended with {done.returncode}, not {code}")
+            print_line(done.stdout.rstrip())
+        require(
+            done.returncode == code, f"edgectl {' '.join(words)} ended with {done.returncode}, not {code}"
+        )
         return done.stdout
 
     def places(self) -> dict[str, tuple[str, int]]:
-        """Host and pid of every task that is alive."""
+        """Return host and pid of every live task."""
         document: dict[str, Any] = json.loads(self.run("status", "-o", "json", shown=False))
         return {
             row["task"]: (row["host"], row["pid"])
@@ -65,7 +67,7 @@ class Demo:
         }
 
     def processes(self) -> list[int]:
-        """Every process that was started on behalf of this fleet: its environment names our state directory."""
+        """List every process started for this fleet: its environment names our state directory."""
         mark = f"EDGECTL_STATE_DIR={self.state}".encode()
         found = []
         for entry in Path("/proc").glob("[0-9]*/environ"):
@@ -77,80 +79,82 @@ class Demo:
         return found
 
 
-def say(text: str) -> None:
+def print_line(text: str) -> None:
     """Print at once, so that the output keeps its order."""
     sys.stdout.write(text + "\n")
     sys.stdout.flush()
 
 
-def must(true: object, message: str) -> None:
-    """Fail the demo where it did not do what it says."""
+def require(true: object, message: str) -> None:
+    """End the demo with an error unless the condition holds."""
     if not true:
         raise DemoError(message)
 
 
-def resident(pid: int) -> int:
-    """Bytes of memory that a process really has."""
+def read_resident_bytes(pid: int) -> int:
+    """Return the resident memory of a process in bytes."""
     return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
 
-def bring_up(demo: Demo) -> None:
-    """From files to running tasks."""
-    say("# A fleet to try: three pretend edges, three pretend robots, the tasks of the paper's scenario 2.")
+def start_fleet(demo: Demo) -> None:
+    """Create the files and start the tasks."""
+    print_line(
+        "# A fleet to try: three pretend edges, three pretend robots, the tasks of the paper's scenario 2."
+    )
     demo.run("init", str(demo.fleet))
     demo.run("validate")
     demo.run("probe")
-    must("10 to start" in demo.run("plan"), "the plan does not start ten tasks")
-    must(
+    require("10 to start" in demo.run("plan"), "the plan does not start ten tasks")
+    require(
         f"Applied {EXPECTED_TASKS} of {EXPECTED_TASKS}" in demo.run("apply", "--yes"),
         "not every task was started",
     )
     time.sleep(SETTLE_S)
     demo.run("status")
-    must(len(demo.places()) == EXPECTED_TASKS, "not every task runs")
+    require(len(demo.places()) == EXPECTED_TASKS, "not every task runs")
 
 
-def grow(demo: Demo) -> str:
-    """Make the SLAM beside robot1's detection really hold more memory; the task that has to leave."""
+def grow_map(demo: Demo) -> str:
+    """Make the SLAM beside robot1's detection hold more memory; return the task that has to leave."""
     places = demo.places()
     task = "detection-robot1"
     edge = places[task][0]
     slam = f"slam-robot{edge.removeprefix('edge')}"
-    say(
+    print_line(
         f"\n# The map of {slam} grows: it now really holds 440 of the 512 MiB of {edge}. It is pinned; its neighbour {task} must move."
     )
-    say(f"$ kill -USR1 {places[slam][1]}")
+    print_line(f"$ kill -USR1 {places[slam][1]}")
     os.kill(places[slam][1], signal.SIGUSR1)
     deadline = time.monotonic() + GROWS_S
-    while resident(places[slam][1]) < GROWN_BYTES and time.monotonic() < deadline:
+    while read_resident_bytes(places[slam][1]) < GROWN_BYTES and time.monotonic() < deadline:
         time.sleep(0.1)
     return task
 
 
-def move(demo: Demo, task: str) -> None:
-    """Plan and apply the move, and see that it happened."""
+def move_task(demo: Demo, task: str) -> None:
+    """Plan and apply the move, and check its result."""
     before = demo.places()[task][0]
-    must(f"~  {task}" in demo.run("plan", "-o", "wide"), f"the plan does not move {task}")
-    must(f"~  {task}" in demo.run("apply", "--yes"), f"{task} was not moved")
+    require(f"~  {task}" in demo.run("plan", "-o", "wide"), f"the plan does not move {task}")
+    require(f"~  {task}" in demo.run("apply", "--yes"), f"{task} was not moved")
     time.sleep(SETTLE_S)
     after = demo.places()
-    must(len(after) == EXPECTED_TASKS, "not every task runs after the move")
-    must(after[task][0] != before, f"{task} still runs on {before}")
-    say(f"\n# {task} moved from {before} to {after[task][0]}.")
-    must("No changes." in demo.run("plan"), "a plan right after the apply changes something")
+    require(len(after) == EXPECTED_TASKS, "not every task runs after the move")
+    require(after[task][0] != before, f"{task} still runs on {before}")
+    print_line(f"\n# {task} moved from {before} to {after[task][0]}.")
+    require("No changes." in demo.run("plan"), "a plan right after the apply changes something")
 
 
-def take_down(demo: Demo) -> None:
-    """Stop everything, and prove it."""
-    must("to stop" in demo.run("stop", "--all", "--yes"), "nothing was stopped")
-    must(demo.run("status", "-o", "name", shown=False) == "", "a task still runs")
+def stop_fleet(demo: Demo) -> None:
+    """Stop everything, and check that nothing is left."""
+    require("to stop" in demo.run("stop", "--all", "--yes"), "nothing was stopped")
+    require(demo.run("status", "-o", "name", shown=False) == "", "a task still runs")
     left = demo.processes()
-    must(not left, f"processes are left: {left}")
-    say("\n# No task runs, and no process of this fleet is left.")
+    require(not left, f"processes are left: {left}")
+    print_line("\n# No task runs, and no process of this fleet is left.")
 
 
-def clean(demo: Demo) -> None:
-    """Whatever happened, leave nothing behind."""
+def kill_leftovers(demo: Demo) -> None:
+    """Kill leftover processes, whatever happened."""
     for pid in demo.processes():
         try:
             os.kill(pid, signal.SIGKILL)
@@ -158,30 +162,30 @@ def clean(demo: Demo) -> None:
             continue
 
 
-def late(_signal: int, _frame: object) -> None:
+def raise_timeout(_signal: int, _frame: object) -> None:
     """End a demo that takes too long."""
     raise DemoError(f"it took more than {LIMIT_S} s")
 
 
 def main() -> int:
-    """Run all of it."""
-    signal.signal(signal.SIGALRM, late)
+    """Run all steps."""
+    signal.signal(signal.SIGALRM, raise_timeout)
     signal.alarm(LIMIT_S)
     began = time.monotonic()
     root = Path(tempfile.mkdtemp(prefix="edgectl-demo-"))
     demo = Demo(root)
     try:
-        bring_up(demo)
-        move(demo, grow(demo))
-        take_down(demo)
+        start_fleet(demo)
+        move_task(demo, grow_map(demo))
+        stop_fleet(demo)
     except DemoError as error:
         sys.stderr.write(f"demo failed: {error}\n")
         return 1
     finally:
         signal.alarm(0)
-        clean(demo)
+        kill_leftovers(demo)
         shutil.rmtree(root, ignore_errors=True)
-    say(f"# Done in {time.monotonic() - began:.0f} s.")
+    print_line(f"# Done in {time.monotonic() - began:.0f} s.")
     return 0
 
 

@@ -1,4 +1,4 @@
-"""A TCP relay that can go silent or break the line at a chosen byte: what a bad radio link does to a connection."""
+"""TCP relay that stalls or breaks a connection at a chosen byte, like a bad radio link."""
 
 import contextlib
 import socket
@@ -7,17 +7,17 @@ from collections.abc import Iterator
 from enum import StrEnum
 
 
-class Fault(StrEnum):
-    """What happens once ``after`` bytes have come from the server."""
+class RelayFault(StrEnum):
+    """Fault after ``after`` bytes from the server."""
 
     SILENCE = "silence"
     CUT = "cut"
 
 
 class Relay:
-    """Listens on ``port`` of 127.0.0.1 and passes bytes on to ``target`` until the fault."""
+    """Listens on ``port`` of 127.0.0.1 and forwards bytes to ``target`` until the fault."""
 
-    def __init__(self, target: tuple[str, int], fault: Fault, after: int) -> None:
+    def __init__(self, target: tuple[str, int], fault: RelayFault, after: int) -> None:
         self._target = target
         self._fault = fault
         self._left = after
@@ -52,7 +52,7 @@ class Relay:
     def _forward(self, source: socket.socket, sink: socket.socket) -> None:
         with contextlib.suppress(OSError):
             while data := source.recv(65536):
-                if self._left > 0 or self._fault is Fault.CUT:
+                if self._left > 0 or self._fault is RelayFault.CUT:
                     sink.sendall(data)
             sink.shutdown(socket.SHUT_WR)
 
@@ -62,15 +62,15 @@ class Relay:
                 if self._left > 0:
                     sink.sendall(data[: self._left])
                 self._left -= len(data)
-                if self._left <= 0 and self._fault is Fault.CUT:
+                if self._left <= 0 and self._fault is RelayFault.CUT:
                     sink.shutdown(socket.SHUT_RDWR)
                     source.shutdown(socket.SHUT_RDWR)
                     return
 
 
 @contextlib.contextmanager
-def relay(target: tuple[str, int], fault: Fault, after: int) -> Iterator[int]:
-    """Port of a running relay."""
+def run_relay(target: tuple[str, int], fault: RelayFault, after: int) -> Iterator[int]:
+    """Run a relay; yields its port."""
     running = Relay(target, fault, after)
     try:
         yield running.port
@@ -79,14 +79,14 @@ def relay(target: tuple[str, int], fault: Fault, after: int) -> Iterator[int]:
 
 
 @contextlib.contextmanager
-def mute_server() -> Iterator[int]:
-    """Port of a server that accepts connections and never says a word, like a frozen host."""
+def run_mute_server() -> Iterator[int]:
+    """Run a server that accepts connections and never answers, like a frozen host; yields its port."""
     with socket.create_server(("127.0.0.1", 0), backlog=50) as listener:
         yield int(listener.getsockname()[1])
 
 
-def callers(listener: socket.socket) -> int:
-    """How many connections nobody has accepted yet."""
+def count_callers(listener: socket.socket) -> int:
+    """Count the connections that nobody has accepted yet."""
     listener.setblocking(False)
     number = 0
     with contextlib.suppress(BlockingIOError):

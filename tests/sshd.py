@@ -1,9 +1,10 @@
-"""Real OpenSSH servers on loopback addresses, each a host of its own: what the tests and the benchmarks log in to.
+"""Real OpenSSH servers on loopback addresses, each a host of its own, for tests and benchmarks.
 
-No root is needed and no file of the system is touched, with one exception: as root, sshd refuses to start without its empty
-privilege separation directory (/run/sshd), which is made where it is missing. Every host has its own address, host key, HOME
-and XDG_STATE_HOME (through ``SetEnv``); the process list and the machine's figures are shared. ``EDGECTL_SSH_CONFIG`` names the
-configuration that knows the hosts by name, so that neither ssh nor edgectl reads the configuration of whoever runs the tests.
+No root is needed and no system file is changed, with one exception: as root, sshd refuses to start without
+its empty privilege separation directory (/run/sshd), which is created where it is missing. Every host has its
+own address, host key, HOME and XDG_STATE_HOME (through ``SetEnv``); the process list and the machine's
+figures are shared. ``EDGECTL_SSH_CONFIG`` names the configuration with the hosts' names, so that neither ssh
+nor edgectl reads the configuration of the user who runs the tests.
 """
 
 import getpass
@@ -31,14 +32,17 @@ PRIVSEP = Path("/run/sshd")
 MARK = "EDGECTL_TEST_SSHD"
 # The interpreter of the tests without its virtual environment: a host has a python3 and nothing of edgectl.
 PATH = f"{sys.base_prefix}/bin:/usr/local/bin:/usr/bin:/bin"
-# Addresses of this process alone: another one that looks for a free port there cannot take ours while a server restarts.
+# Addresses of this process alone: no other process that searches a free port takes ours while a server
+# restarts.
 FIRST = ipaddress.IPv4Address(f"127.{20 + os.getpid() // 250 % 80}.{os.getpid() % 250}.11")
-# For a server to start, on a machine that may be busy or stand still, seconds.
+# Time-out in seconds for the start of a server, on a machine that may be busy or stall.
 STARTS_S = patience(60.0)
 
 
-def program(name: str) -> str:
-    """Full path of ``name``, looked for in the system directories too; sshd insists on an absolute path."""
+def find_program(name: str) -> str:
+    """Return the full path of ``name``, searched in the system directories too; sshd requires an absolute
+    path.
+    """
     found = shutil.which(name, path=f"{os.environ.get('PATH', '')}:/usr/sbin:/sbin")
     assert found, f"{name} is missing; install it: sudo apt-get install openssh-server"
     return found
@@ -55,10 +59,12 @@ def make_key(path: Path, comment: str = "edgectl-test") -> str:
 
 
 @cache
-def penalties() -> tuple[str, ...]:
-    """OpenSSH 9.8 and later punish addresses that fail to log in; the tests fail on purpose, from one address."""
+def no_penalty_options() -> tuple[str, ...]:
+    """Return options that switch off penalties: OpenSSH 9.8 and later punish addresses with failed logins;
+    the tests fail on purpose, from one address.
+    """
     asked = subprocess.run(
-        [program("sshd"), "-T", "-f", "/dev/null", "-o", "PerSourcePenalties=no"],
+        [find_program("sshd"), "-T", "-f", "/dev/null", "-o", "PerSourcePenalties=no"],
         capture_output=True,
         text=True,
         check=False,
@@ -68,7 +74,7 @@ def penalties() -> tuple[str, ...]:
 
 @dataclass(kw_only=True)
 class Server:
-    """One sshd. ``key`` is its public host key line (type and base64), ``home`` the HOME of whoever logs in."""
+    """One sshd. ``key`` is its public host key line (type and base64), ``home`` the HOME of the login."""
 
     name: str
     address: str
@@ -91,13 +97,13 @@ class Server:
         """Start sshd, without waiting for it."""
         log = (self.directory / "sshd.log").open("wb")
         with log:
-            command = [program("sshd"), "-D", "-e", "-f", str(self.directory / "sshd_config")]
+            command = [find_program("sshd"), "-D", "-e", "-f", str(self.directory / "sshd_config")]
             self.process = subprocess.Popen(
                 command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True
             )
 
     def wait(self) -> None:
-        """Until it listens."""
+        """Wait until it listens."""
         deadline = time.monotonic() + STARTS_S
         assert self.process is not None
         while "Server listening on" not in self.log:
@@ -106,15 +112,15 @@ class Server:
             time.sleep(0.01)
 
     def stop(self) -> None:
-        """End the server, its open sessions, and whatever they left in the background."""
+        """End the server, its open sessions, and their background processes."""
         if self.process is not None:
-            pids = [self.process.pid, *_descendants(self.process.pid)]
+            pids = [self.process.pid, *_list_descendants(self.process.pid)]
             for pid in pids:
                 with suppress(ProcessLookupError):
                     os.kill(pid, signal.SIGKILL)
             self.process.wait()
             self.process = None
-        end_marked(str(self.directory))
+        kill_marked(str(self.directory))
 
     def restart(self) -> None:
         self.stop()
@@ -122,7 +128,7 @@ class Server:
         self.wait()
 
     def change_key(self) -> None:
-        """Swap the host key, as after a reinstallation, and restart."""
+        """Replace the host key, as after a reinstallation, and restart."""
         (self.directory / "host_key").unlink()
         self.key = make_key(self.directory / "host_key")
         self.restart()
@@ -135,11 +141,13 @@ class Server:
 def write_config(
     server: Server, *, env: Mapping[str, str], authorized: Path, extra: Sequence[str] = ()
 ) -> None:
-    """``extra`` lines come first: sshd takes the first value it sees, except of MaxStartups, of which it takes the last."""
+    """Write sshd_config. ``extra`` lines come first: sshd takes the first value, except of MaxStartups, of
+    which it takes the last.
+    """
     set_env = " ".join(f'"{name}={value}"' for name, value in env.items())
     lines = [
         *extra,
-        *penalties(),
+        *no_penalty_options(),
         f"ListenAddress {server.address}",
         f"Port {server.port}",
         f"HostKey {server.directory / 'host_key'}",
@@ -158,7 +166,7 @@ def write_config(
     (server.directory / "sshd_config").write_text("\n".join(lines) + "\n")
 
 
-def _descendants(pid: int) -> list[int]:
+def _list_descendants(pid: int) -> list[int]:
     children: dict[int, list[int]] = {}
     for stat in Path("/proc").glob("[0-9]*/stat"):
         with suppress(OSError, ValueError):
@@ -171,8 +179,8 @@ def _descendants(pid: int) -> list[int]:
     return found
 
 
-def end_marked(mark: str) -> None:
-    """End what logins to our servers left behind: processes that carry our mark in their environment."""
+def kill_marked(mark: str) -> None:
+    """End processes left by logins to our servers: those with our mark in their environment."""
     wanted = f"{MARK}={mark}\0".encode()
     for environ in Path("/proc").glob("[0-9]*/environ"):
         with suppress(OSError):
@@ -188,7 +196,7 @@ def free_port(address: str) -> int:
 
 @dataclass(kw_only=True)
 class Lab:
-    """Some running servers, the key that opens them, and the ssh_config and known_hosts that know them."""
+    """Running servers, the key that opens them, and the ssh_config and known_hosts with their entries."""
 
     directory: Path
     servers: dict[str, Server] = field(default_factory=dict)
@@ -211,14 +219,14 @@ class Lab:
 
     @property
     def environment(self) -> dict[str, str]:
-        """What a process of ours needs to find the servers."""
+        """Return the environment that a process needs to find the servers."""
         return {"EDGECTL_SSH_CONFIG": str(self.ssh_config)}
 
     def __getitem__(self, name: str) -> Server:
         return self.servers[name]
 
     def add(self, name: str, *, address: str = "", extra: Sequence[str] = ()) -> Server:
-        """Make the files of one more server; it is not started yet."""
+        """Create the files of one more server; it is not started yet."""
         directory = self.directory / name
         home = directory / "home"
         home.mkdir(parents=True)
@@ -269,7 +277,9 @@ class Lab:
 
 @contextmanager
 def running_lab(directory: Path, names: Sequence[str], *, extra: Sequence[str] = ()) -> Iterator[Lab]:
-    """Start one server per name; ``extra`` are sshd_config lines for all. Everything that ran on them is ended afterwards."""
+    """Start one server per name; ``extra`` are sshd_config lines for all. Everything that ran on them is
+    ended afterwards.
+    """
     directory.mkdir(parents=True, exist_ok=True)
     if os.geteuid() == 0:
         PRIVSEP.mkdir(mode=0o755, exist_ok=True)

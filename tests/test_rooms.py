@@ -9,7 +9,7 @@ import edgectl
 
 ROOT = Path(edgectl.__file__).parent
 PURE = {"model", "units", "errors", "names"}
-# room -> edgectl rooms it may import besides itself
+# room -> edgectl rooms that it may import besides itself
 ALLOWED = {
     "errors": set(),
     "units": set(),
@@ -138,7 +138,7 @@ IMPURE = {
 
 
 @cache
-def imports(path: Path) -> list[str]:
+def list_imports(path: Path) -> list[str]:
     names = []
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
@@ -157,7 +157,7 @@ def test_rooms_import_only_their_neighbours() -> None:
     foreign = [
         f"{module} imports {name}"
         for module in MODULES
-        for name in imports(ROOT / module)
+        for name in list_imports(ROOT / module)
         if not may_import(module, name)
     ]
     assert foreign == []
@@ -176,7 +176,7 @@ def may_import(module: str, name: str) -> bool:
 
 
 def split_wing_module(name: str) -> tuple[str, str]:
-    """Part and door of a module of the wing, such as ("", "runner") or ("views", "views")."""
+    """Return part and door of a module of the wing, such as ("", "runner") or ("views", "views")."""
     words = name.split(".")[2:]
     part = words[0] if words and words[0] in WING_PARTS else ""
     return part, part or (words[0] if words else "")
@@ -187,7 +187,7 @@ def test_the_wing_imports_downward_and_through_its_doors() -> None:
         f"{module} imports {name}"
         for module in MODULES
         if module.startswith("experiments/")
-        for name in imports(ROOT / module)
+        for name in list_imports(ROOT / module)
         if not may_wing_import(module, name)
     ]
     assert foreign == []
@@ -207,7 +207,7 @@ def may_wing_import(module: str, name: str) -> bool:
 def test_nothing_outside_of_the_wing_imports_it() -> None:
     outside = [m for m in MODULES if not m.startswith("experiments/")]
     assert [
-        m for m in outside if any(name.startswith("edgectl.experiments") for name in imports(ROOT / m))
+        m for m in outside if any(name.startswith("edgectl.experiments") for name in list_imports(ROOT / m))
     ] == []
     # The tables of commands and of schemas name modules as text, and no other module does so.
     assert [m for m in outside if '"experiments.' in (ROOT / m).read_text()] == [
@@ -220,7 +220,7 @@ def test_third_party_packages_have_one_owner() -> None:
     owned = [
         (module, name, OWNERS.get(name.split(".")[0]))
         for module in MODULES
-        for name in imports(ROOT / module)
+        for name in list_imports(ROOT / module)
     ]
     foreign = [
         f"{module} imports {name} of {owner}"
@@ -231,7 +231,7 @@ def test_third_party_packages_have_one_owner() -> None:
 
 
 def agent_imports(module: str) -> set[str]:
-    """The modules of the agent that ``module`` imports anywhere, by path; what serves type checks alone does not count."""
+    """Return the modules of the agent that ``module`` imports anywhere, by path, except for type checks."""
     tree = ast.parse((ROOT / module).read_text())
     for_types = {
         id(inner)
@@ -256,7 +256,7 @@ AGENT = {module: agent_imports(module) for module in MODULES if module.startswit
 
 def test_the_agent_needs_the_standard_library_alone() -> None:
     for module in AGENT:
-        roots = {name.split(".")[0] for name in imports(ROOT / module)}
+        roots = {name.split(".")[0] for name in list_imports(ROOT / module)}
         assert roots <= {*sys.stdlib_module_names, "psutil", "_sha2", "_sha256"}, module
 
 
@@ -281,19 +281,19 @@ def test_pure_rooms_do_no_io() -> None:
     assert [
         f"{module} imports {name}"
         for module in pure
-        for name in imports(ROOT / module)
+        for name in list_imports(ROOT / module)
         if name.split(".")[0] in IMPURE
     ] == []
 
 
 def test_no_dangerous_calls() -> None:
-    """S8: no eval, exec, pickle, yaml.load, shell=True, os.system; S1: no way to switch host keys off."""
+    """No eval, exec, pickle, yaml.load, shell=True or os.system, and no way to switch host key checks off."""
     for path in ROOT.rglob("*.py"):
         text = path.read_text()
         assert "AutoAddPolicy" not in text, path
         assert "StrictHostKeyChecking=no" not in text, path
         tree = ast.parse(text)
-        assert not {n.split(".")[0] for n in imports(path)} & {"pickle", "shelve", "marshal"}, path
+        assert not {n.split(".")[0] for n in list_imports(path)} & {"pickle", "shelve", "marshal"}, path
         for node in ast.walk(tree):
             if isinstance(node, ast.Call):
                 called = ast.unparse(node.func)

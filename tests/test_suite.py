@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.conftest import LONGEST
-from tests.e2e.bench import a_mark, sleeping
+from tests.e2e.bench import a_mark, list_sleepers
 from tests.pace import VARIABLE, measure
 
 ROOT = Path(__file__).parents[1]
@@ -23,7 +23,7 @@ def runs(name):
 FINE = "def test_fine(): pass\n"
 
 
-def suite(
+def run_suite(
     directory: Path, tests: str, *options: str, module: str = "tests.suite", deaf: bool = False, **more: str
 ) -> tuple[int, str]:
     """Exit status and output of the suite over one file of tests; ``deaf``: started with SIGINT ignored."""
@@ -49,7 +49,7 @@ def fails_once(name: str) -> str:
 
 
 def test_what_passes_is_run_once(tmp_path: Path) -> None:
-    code, said = suite(tmp_path, "def test_a(): assert runs('a') == 1\n")
+    code, said = run_suite(tmp_path, "def test_a(): assert runs('a') == 1\n")
     assert (code, "alone" in said.lower()) == (0, False), said
     assert (tmp_path / "a").read_text() == "x"
 
@@ -57,7 +57,7 @@ def test_what_passes_is_run_once(tmp_path: Path) -> None:
 @pytest.mark.parametrize("options", [(), ("-p", "xdist", "-n", "2", "--dist", "loadfile")])
 def test_what_passes_alone_is_named(tmp_path: Path, options: tuple[str, ...]) -> None:
     tests = "@pytest.mark.parametrize('command', ['ssh-sleep 0.2; exit 3::[x]'])\ndef test_once(command): assert runs('once') > 1\n"
-    code, said = suite(tmp_path, FINE + tests, *options)
+    code, said = run_suite(tmp_path, FINE + tests, *options)
     assert code == 0, said
     assert (
         said.splitlines()[-1]
@@ -68,7 +68,7 @@ def test_what_passes_alone_is_named(tmp_path: Path, options: tuple[str, ...]) ->
 
 
 def test_what_fails_twice_fails(tmp_path: Path) -> None:
-    code, said = suite(tmp_path, fails_once("once") + "def test_never(): assert runs('never') > 2\n")
+    code, said = run_suite(tmp_path, fails_once("once") + "def test_never(): assert runs('never') > 2\n")
     assert code == 1
     assert said.splitlines()[-2:] == [
         "FAILED FIRST, PASSED ALONE: look at it: test_it.py::test_once",
@@ -78,7 +78,7 @@ def test_what_fails_twice_fails(tmp_path: Path) -> None:
 
 
 def test_more_than_three_are_no_accident(tmp_path: Path) -> None:
-    code, _ = suite(tmp_path, "".join(map(fails_once, "abcd")))
+    code, _ = run_suite(tmp_path, "".join(map(fails_once, "abcd")))
     assert code == 1
     assert [(tmp_path / name).read_text() for name in "abcd"] == ["x"] * 4
 
@@ -87,16 +87,16 @@ def test_a_failed_teardown_counts(tmp_path: Path) -> None:
     fixture = (
         "@pytest.fixture\ndef left():\n    yield\n    assert runs('left') > {}\ndef test_left(left): pass\n"
     )
-    assert suite(tmp_path, fixture.format(1))[0] == 0
+    assert run_suite(tmp_path, fixture.format(1))[0] == 0
     (tmp_path / "left").unlink()
-    assert suite(tmp_path, fixture.format(2))[0] == 1
+    assert run_suite(tmp_path, fixture.format(2))[0] == 1
 
 
 @pytest.mark.parametrize("options", [("-n", "2"), ("--continue-on-collection-errors",)])
 def test_a_file_that_cannot_be_read_is_not_forgiven(tmp_path: Path, options: tuple[str, ...]) -> None:
     """pytest-xdist runs the tests of the others."""
     (tmp_path / "test_broken.py").write_text("import no_such_module\n")
-    code, said = suite(tmp_path, fails_once("once"), "test_broken.py", "-p", "xdist", *options)
+    code, said = run_suite(tmp_path, fails_once("once"), "test_broken.py", "-p", "xdist", *options)
     assert code != 0, said
     assert "PASSED ALONE" not in said
     assert (tmp_path / "once").read_text() == "x"
@@ -114,7 +114,7 @@ def test_a_file_that_cannot_be_read_is_not_forgiven(tmp_path: Path, options: tup
     ids=["a skip", "a crash", "a file that cannot be read", "a run cut short", "no test"],
 )
 def test_everything_else_fails(tmp_path: Path, tests: str, options: tuple[str, ...]) -> None:
-    code, said = suite(tmp_path, tests, *options)
+    code, said = run_suite(tmp_path, tests, *options)
     assert code != 0, said
     assert "PASSED ALONE" not in said
 
@@ -134,8 +134,8 @@ def test_it():
         process.send_signal(signal.SIGINT)
         assert process.wait(30) == -signal.SIGINT
 """
-    assert suite(tmp_path, tests, "-p", "tests.conftest", *options, module="pytest", deaf=True)[0] == 0
-    assert suite(tmp_path, tests, module="pytest", deaf=True)[0] == 1, "nothing else gives it back"
+    assert run_suite(tmp_path, tests, "-p", "tests.conftest", *options, module="pytest", deaf=True)[0] == 0
+    assert run_suite(tmp_path, tests, module="pytest", deaf=True)[0] == 1, "nothing else gives it back"
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
@@ -154,14 +154,14 @@ def test_neighbour(tmp_path):
     assert not of_the_neighbours()
     leave(tmp_path)
 """
-    code, said = suite(tmp_path, tests, "-p", "tests.conftest", module="pytest")
+    code, said = run_suite(tmp_path, tests, "-p", "tests.conftest", module="pytest")
     assert (code, "1 failed, 1 passed" in said) == (1, True), said
-    assert sleeping(mark) == [], "what the other left ends with the session"
+    assert list_sleepers(mark) == [], "what the other left ends with the session"
 
 
 def test_limits_follow_the_pace(tmp_path: Path) -> None:
     tests = "import time\ndef test_it(): time.sleep(1.5)\n"
     options = ("-p", "tests.conftest", "-p", "pytest_timeout", "-o", "timeout=1")
-    assert suite(tmp_path, tests, *options, module="pytest", **{VARIABLE: "1.00"})[0] == 1
-    assert suite(tmp_path, tests, *options, module="pytest", **{VARIABLE: "9.00"})[0] == 0
+    assert run_suite(tmp_path, tests, *options, module="pytest", **{VARIABLE: "1.00"})[0] == 1
+    assert run_suite(tmp_path, tests, *options, module="pytest", **{VARIABLE: "9.00"})[0] == 0
     assert measure() >= 1.0

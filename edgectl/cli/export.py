@@ -39,7 +39,7 @@ def export_prometheus_command(
         str | None, Option("--listen", metavar="[HOST:]PORT", help="Serve /metrics; default HOST: 127.0.0.1.")
     ] = None,
     every: Annotated[
-        str, Option("--every", metavar="TIME", help="Minimum time between probes (--listen).")
+        str, Option("--every", metavar="TIME", help="Minimum pause of probes (--listen).")
     ] = "15s",
     timeout: options.TimeoutOption = "8s",
     allow_unreachable: options.AllowUnreachableOption = False,

@@ -7,7 +7,6 @@ from typer import Argument, Option
 
 from edgectl.cli.completion import complete_hosts, complete_tasks
 from edgectl.model.policy import PolicyName
-from edgectl.names import format_alternatives
 from edgectl.views.output_format import (
     CYCLE_FORMATS,
     FLEET_FORMATS,
@@ -64,7 +63,7 @@ def build_output_option(forms: Formats) -> object:
         show_default=False,
         parser=form,
         autocompletion=beginning,
-        help=f"{format_alternatives(forms)}.",
+        help=f"{'|'.join(forms)}.",
     )
 
 
@@ -108,7 +107,7 @@ SelectorOption = Annotated[
         "--selector",
         "-l",
         metavar="LABELS",
-        help="Only tasks with these labels: a=b, a!=b, a in (b,c), a, !a.",
+        help="With these labels: a=b, a!=b, a in (b,c), a, !a.",
     ),
 ]
 DetailedExitcodeOption = Annotated[

@@ -7,7 +7,7 @@ from pathlib import Path
 from edgectl.agent.measure import proc
 from tests.agent.conftest import AgentHost
 from tests.agent.user_systemd import UserSystemd
-from tests.e2e.test_secrets import CANARIES, hits
+from tests.e2e.test_secrets import CANARIES, find_forms
 
 LIMITS = {"cpu": 0.5, "memory": 64_000_000}
 SAID = (
@@ -47,7 +47,7 @@ def test_a_secret_stands_in_no_unit(host: AgentHost, systemd: UserSystemd) -> No
     assert host.stop("slam")["state"] == "stopped"
     afterwards = dict(places(host, systemd))
     everything = [*while_running.items(), *afterwards.items()]
-    assert {where: hit for where, data in everything if (hit := hits(data))} == {}
+    assert {where: hit for where, data in everything if (hit := find_forms(data))} == {}
     if systemd.real:
         systemd.systemctl("log-level", "info")
         unit = b"edgectl-edge1-slam-"

@@ -8,7 +8,7 @@ ORDER = ("startup", "planner", "probe_fanout")
 
 
 def main() -> int:
-    """Exit status: 0, or 1 if a benchmark failed or missed its goal."""
+    """Return the exit status: 0, or 1 if a benchmark failed or missed its goal."""
     here = Path(__file__).parent
     names = sorted(path.stem for path in here.glob("*.py") if not path.stem.startswith("_"))
     names.sort(key=lambda name: ORDER.index(name) if name in ORDER else len(ORDER))

@@ -1,7 +1,7 @@
-"""What application metrics cost a host: ``python -m tests.benchmarks.app_metrics [SECONDS]``.
+"""Cost of application metrics on a host: ``python -m tests.benchmarks.app_metrics [SECONDS]``.
 
-CPU of reading one task's file, for what a task may write there, the worst included; and of a supervisor that looks at it while its task
-sleeps (the kernel's own count, schedstat).
+CPU of reading one task's file, for typical and worst content; and of a supervisor that checks the file while
+its task sleeps (the kernel's own count, schedstat).
 """
 
 import os
@@ -14,22 +14,22 @@ from edgectl.agent.measure import metrics
 from edgectl.agent.supervise import liveness, state_dir
 from edgectl.transport.agent_client import call_agent
 from edgectl.transport.local import LocalSession
-from tests.benchmarks.profilers import cpu_s
+from tests.benchmarks.profilers import read_cpu_s
 
 SECONDS, TASKS, TIMES = 30.0, 20, 5
 WRITTEN = {
     "nothing": b"",
     "two values": b"fps 29.97\nloss 0.25\n",
     "64 KiB of two values": b"".join(b"fps %d\nloss %f\n" % (number, number / 7) for number in range(5000)),
-    "the worst: no numbers": b"a x\n" * 20_000,
-    "the worst: too large numbers": b"a 1e999999999\n" * 8_000,
-    "the worst: newlines": b"\n" * 70_000,
-    "the worst: one line": b"a " + b"1" * 70_000 + b"\n",
+    "worst case: no numbers": b"a x\n" * 20_000,
+    "worst case: too large numbers": b"a 1e999999999\n" * 8_000,
+    "worst case: newlines": b"\n" * 70_000,
+    "worst case: one line": b"a " + b"1" * 70_000 + b"\n",
 }
 
 
-def reading_s(written: bytes) -> float:
-    """CPU seconds per task to read this, with everything around it."""
+def measure_reading_s(written: bytes) -> float:
+    """Return the CPU seconds per task of reading this content, with all overhead."""
     entries = {f"task{number}": {"managed": True, "instance": "i1"} for number in range(TASKS)}
     for name in entries:
         Path(metrics.get_metrics_path(state_dir.make_task_dir("edge1", name))).write_bytes(written)
@@ -39,8 +39,8 @@ def reading_s(written: bytes) -> float:
     return (time.process_time() - began) / TIMES / TASKS
 
 
-def resting_share(base: Path, seconds: float) -> float:
-    """Of one core, what a supervisor takes whose task sleeps."""
+def measure_idle_share(base: Path, seconds: float) -> float:
+    """Return the share of one core used by a supervisor of a sleeping task."""
     spec = {
         "command": "exec sleep 6000", "kind": "service", "restart": "never", "runtime": "process",
         "stop": {"signal": "TERM", "grace_s": 2.0}, "log": {"max_bytes": 100_000, "files": 2},
@@ -58,9 +58,9 @@ def resting_share(base: Path, seconds: float) -> float:
             for name in names
         ]
         time.sleep(2.0)
-        began = sum(map(cpu_s, pids))
+        began = sum(map(read_cpu_s, pids))
         time.sleep(seconds)
-        return (sum(map(cpu_s, pids)) - began) / seconds / TASKS
+        return (sum(map(read_cpu_s, pids)) - began) / seconds / TASKS
     finally:
         for name in names:
             call_agent(
@@ -78,7 +78,7 @@ def resting_share(base: Path, seconds: float) -> float:
 
 
 def main() -> int:
-    """Exit status 0."""
+    """Print the table; return 0."""
     seconds = float(sys.argv[1]) if len(sys.argv) > 1 else SECONDS
     with tempfile.TemporaryDirectory(prefix="edgectl-bench-") as name:
         base = Path(name) / "state"
@@ -86,8 +86,8 @@ def main() -> int:
         os.umask(0o077)
         state_dir.BASES[:] = [str(base)]
         for what, written in WRITTEN.items():
-            print(f"{what:32}{reading_s(written) * 1e3:8.3f} ms per task")
-        print(f"{'a supervisor at rest':32}{resting_share(base, seconds):8.4%} of a core")
+            print(f"{what:32}{measure_reading_s(written) * 1e3:8.3f} ms per task")
+        print(f"{'an idle supervisor':32}{measure_idle_share(base, seconds):8.4%} of a core")
     return 0
 
 

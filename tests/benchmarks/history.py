@@ -1,4 +1,6 @@
-"""What the history costs: one snapshot of 50 hosts, 200 links and 200 tasks, and looking back. ``python -m tests.benchmarks.history``."""
+"""Cost of the history: recording and querying snapshots of 50 hosts, 200 links and 200 tasks. ``python -m
+tests.benchmarks.history``.
+"""
 
 import argparse
 import random
@@ -19,8 +21,8 @@ HOSTS, TASKS_EACH, LINKS_EACH = 50, 4, 4
 GOAL_S = 0.05
 
 
-def a_fleet(number: int, chance: random.Random) -> Snapshot:
-    """The fleet, ten seconds after the one before."""
+def build_snapshot(number: int, chance: random.Random) -> Snapshot:
+    """Return the fleet's snapshot, ten seconds after the previous one."""
     hosts = {}
     for host in range(HOSTS):
         tasks = {
@@ -39,59 +41,59 @@ def a_fleet(number: int, chance: random.Random) -> Snapshot:
     return a_snapshot(taken_at=NOW + 10 * number, **hosts)
 
 
-def timed(act: Callable[[], object]) -> tuple[float, float]:
-    """Seconds of CPU and of the wall clock."""
+def measure_time(act: Callable[[], object]) -> tuple[float, float]:
+    """Return seconds of CPU and of the wall clock."""
     wall, cpu = time.perf_counter(), time.process_time()
     act()
     return time.process_time() - cpu, time.perf_counter() - wall
 
 
-def record(directory: Path, snapshot: Snapshot) -> None:
+def record_snapshot(directory: Path, snapshot: Snapshot) -> None:
     with Store.open(directory) as store:
         store.record_snapshot(snapshot)
 
 
-def show(what: str, times: list[tuple[float, float]]) -> float:
+def print_time(what: str, times: list[tuple[float, float]]) -> float:
     cpu = statistics.median(time[0] for time in times)
     print(f"{what:55}{cpu * 1000:9.1f} ms CPU{statistics.median(time[1] for time in times) * 1000:9.1f} ms")
     return cpu
 
 
 def main() -> int:
-    """Exit status: 1 if recording a snapshot took more CPU than its goal."""
+    """Return the exit status: 1 if recording a snapshot took more CPU than its goal."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--snapshots", type=int, default=400)
     count = parser.parse_args().snapshots
     chance = random.Random(1)
     with tempfile.TemporaryDirectory(prefix="edgectl-history-") as place:
         directory = Path(place)
-        made = [a_fleet(number, chance) for number in range(count // 2)]
-        cost = show(
-            "record a snapshot, file opened and closed",
-            [timed(lambda each=each: record(directory, each)) for each in made],
+        made = [build_snapshot(number, chance) for number in range(count // 2)]
+        cost = print_time(
+            "record a snapshot, file reopened",
+            [measure_time(lambda each=each: record_snapshot(directory, each)) for each in made],
         )
         with Store.open(directory) as store:
-            made = [a_fleet(number, chance) for number in range(count // 2, count)]
-            show(
-                "record a snapshot, file kept open",
-                [timed(lambda each=each: store.record_snapshot(each)) for each in made],
+            made = [build_snapshot(number, chance) for number in range(count // 2, count)]
+            print_time(
+                "record a snapshot, file open",
+                [measure_time(lambda each=each: store.record_snapshot(each)) for each in made],
             )
-            show(
+            print_time(
                 "the newest 60 samples of each of 200 tasks",
-                [timed(lambda: store.task_points(limit=60)) for _ in range(5)],
+                [measure_time(lambda: store.task_points(limit=60)) for _ in range(5)],
             )
-            show(
+            print_time(
                 "the newest 60 samples of each of 50 hosts",
-                [timed(lambda: store.host_points(limit=60)) for _ in range(5)],
+                [measure_time(lambda: store.host_points(limit=60)) for _ in range(5)],
             )
-            show(
+            print_time(
                 f"all {count} samples of one task",
-                [timed(lambda: store.task_points("task-7-1")) for _ in range(5)],
+                [measure_time(lambda: store.task_points("task-7-1")) for _ in range(5)],
             )
         size = (directory / HISTORY_FILE_NAME).stat().st_size
         print(f"{'file, per snapshot':55}{size / count / 1024:9.1f} KiB")
         with Store.open(directory, retention=Retention(max_bytes=size // 2)) as store:
-            show(f"halve a file of {size / 2**20:.0f} MiB", [timed(lambda: store.prune(NOW))])
+            print_time(f"halve a file of {size / 2**20:.0f} MiB", [measure_time(lambda: store.prune(NOW))])
         print(f"{'afterwards':55}{(directory / HISTORY_FILE_NAME).stat().st_size / 2**20:9.1f} MiB")
     return 1 if cost > GOAL_S else 0
 

@@ -1,4 +1,4 @@
-"""How long a plan takes and how much memory, from a lab to a thousand hosts: ``python -m tests.benchmarks.planner``."""
+"""Time and memory of a plan, from a lab to a thousand hosts: ``python -m tests.benchmarks.planner``."""
 
 import gc
 import resource
@@ -32,10 +32,11 @@ KINDS = 10
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Row:
-    """One size: CPU seconds of assign, of diff and plan (one thread, so these are wall seconds on an idle machine).
+class PlannerRow:
+    """One size: CPU seconds of assign, of diff and plan (one thread, so these are wall seconds on an idle
+    machine).
 
-    ``peak_bytes``: by how much both raised the peak of resident memory, sizes growing within one process.
+    ``peak_bytes``: increase of the peak resident memory by both, sizes growing within one process.
     """
 
     hosts: int
@@ -46,8 +47,10 @@ class Row:
     settled: bool
 
 
-def fleet(hosts: int, tasks: int) -> tuple[Inventory, Tasks, Snapshot]:
-    """Edges of three sizes, a robot for every ten of them, and tasks of ten kinds that fill about half of the fleet."""
+def build_fleet(hosts: int, tasks: int) -> tuple[Inventory, Tasks, Snapshot]:
+    """Build a fleet: edges of three sizes, a robot for every ten of them, and tasks of ten kinds that fill
+    about half of the capacity.
+    """
     robots = [f"robot{number}" for number in range(1, max(3, hosts // 10) + 1)]
     edges = [f"edge{number}" for number in range(1, hosts + 1)]
     inventory = an_inventory(*map(an_edge, edges), *map(a_robot, robots))
@@ -65,8 +68,8 @@ def fleet(hosts: int, tasks: int) -> tuple[Inventory, Tasks, Snapshot]:
     return inventory, some_tasks(*made), a_snapshot(**samples)
 
 
-def with_history(work: Tasks) -> tuple[Tasks, ManagerState]:
-    """The same demands, none of them declared: every one is measured on all three classes of hosts."""
+def add_measured_demand(work: Tasks) -> tuple[Tasks, ManagerState]:
+    """Replace declared demands by measured ones, on all three classes of hosts."""
     measured = {
         (task.name, kind): MeasuredDemand(
             samples=412, span_s=900.0, used={"cpu": (task.demand["cpu"] or ZERO).value, "memory": (task.demand["memory"] or ZERO).value, "network": (task.demand["network"] or ZERO).value},
@@ -78,30 +81,30 @@ def with_history(work: Tasks) -> tuple[Tasks, ManagerState]:
     return replace(work, tasks=silent), ManagerState(managed=True, measured=measured)
 
 
-def measure(hosts: int, tasks: int, *, history: bool = False) -> Row:
-    """One size from a cold start, all settling included; with ``history`` every demand is measured."""
-    inventory, work, snapshot = fleet(hosts, tasks)
-    work, memory = with_history(work) if history else (work, ManagerState(managed=True))
+def measure_size(hosts: int, tasks: int, *, history: bool = False) -> PlannerRow:
+    """Measure one size from a cold start, settling included; with ``history`` every demand is measured."""
+    inventory, work, snapshot = build_fleet(hosts, tasks)
+    work, memory = add_measured_demand(work) if history else (work, ManagerState(managed=True))
     gc.collect()
-    before = resident()
+    before = read_peak_bytes()
     started = time.process_time()
     assignment = assign(inventory, work, snapshot, memory, Policy(), NOW)
     assigned = time.process_time()
     plan_from_assignment(inventory, work, snapshot, memory, assignment)
     ended = time.process_time()
-    return Row(
-        hosts=hosts, tasks=tasks, assign_s=assigned - started, plan_s=ended - assigned, peak_bytes=resident() - before,
+    return PlannerRow(
+        hosts=hosts, tasks=tasks, assign_s=assigned - started, plan_s=ended - assigned, peak_bytes=read_peak_bytes() - before,
         settled=assignment.settled,
     )  # fmt: skip
 
 
-def resident() -> int:
-    """The most memory that this process ever held, in bytes."""
+def read_peak_bytes() -> int:
+    """Return the peak resident memory of this process in bytes."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
-def table(rows: Sequence[Row]) -> str:
-    """The rows as Markdown; growth is of the time per task-host pair from the row above."""
+def format_table(rows: Sequence[PlannerRow]) -> str:
+    """Format the rows as Markdown; growth is of the time per task-host pair from the row above."""
     lines = [
         "| hosts x tasks | assign CPU s | diff CPU s | us per task | ns per pair | growth | peak MiB | settled |",
         "|---|---|---|---|---|---|---|---|",
@@ -121,7 +124,7 @@ def table(rows: Sequence[Row]) -> str:
 def main(sizes: Sequence[tuple[int, int]] = SIZES) -> None:
     """Print the table, and the same with every demand measured."""
     for history in (False, True):
-        print(table([measure(hosts, tasks, history=history) for hosts, tasks in sizes]) + "\n")
+        print(format_table([measure_size(hosts, tasks, history=history) for hosts, tasks in sizes]) + "\n")
 
 
 if __name__ == "__main__":

@@ -1,8 +1,10 @@
-"""A probe of N real hosts against plain parallel ssh processes that run the same agent: ``python -m tests.benchmarks.probe_fanout [N ..]``.
+"""Probe of N real hosts against parallel ssh processes that run the same agent: ``python -m
+tests.benchmarks.probe_fanout [N ..]``.
 
-Every host is an OpenSSH server with its own key and home on this machine. Both sides check host keys, log in with the same key, run the
-same command line with the same standard input, at most 32 hosts at a time. Imports are stated apart; the agent is on the hosts already.
-Runs of the two sides alternate, and each pair gives one ratio, so that other load on the machine weighs on both.
+Every host is an OpenSSH server with its own key and home on this machine. Both sides check host keys, log in
+with the same key, run the same command line with the same standard input, at most 32 hosts at a time. Imports
+are measured separately; the agent is on the hosts already. Runs of the two sides alternate, and each pair
+gives one ratio, so that other load on the machine affects both.
 """
 
 import os
@@ -43,7 +45,7 @@ SSH = ("ssh", "-o", "BatchMode=yes", "-o", "KexAlgorithms=curve25519-sha256", "-
 
 
 class _Recorder(FakeTransport):
-    """Keeps what a probe would send."""
+    """Records the requests of a probe."""
 
     def __init__(self) -> None:
         super().__init__({})
@@ -60,14 +62,16 @@ class _Recorder(FakeTransport):
         return Session(host.name, dict, lambda *_: None)
 
 
-def packet(inventory: Inventory) -> bytes:
-    """The standard input that a probe sends to the first host of ``inventory``; only the host's name differs between hosts."""
+def record_request(inventory: Inventory) -> bytes:
+    """Return the standard input that a probe sends to the first host of ``inventory``; only the host's name
+    differs between hosts.
+    """
     recorder = _Recorder()
     probe_hosts(inventory, Tasks(tasks={}), recorder, options=OPTIONS)
     return recorder.packets[0]
 
 
-def edgectl_probe(inventory: Inventory, transport: Transport) -> Snapshot:
+def run_edgectl_probe(inventory: Inventory, transport: Transport) -> Snapshot:
     snapshot = probe_hosts(inventory, Tasks(tasks={}), transport, options=OPTIONS)
     silent = [
         f"{name}: {sample.error}"
@@ -78,8 +82,8 @@ def edgectl_probe(inventory: Inventory, transport: Transport) -> Snapshot:
     return snapshot
 
 
-def plain_ssh(lab: Lab, names: Sequence[str], stdin: Path, out: Path) -> None:
-    """``ssh`` for each host, 32 at a time, through xargs: the least that any tool on top of OpenSSH has to do."""
+def run_plain_ssh(lab: Lab, names: Sequence[str], stdin: Path, out: Path) -> None:
+    """Run ``ssh`` for each host, 32 at a time, through xargs: the lower bound for any tool on top of OpenSSH."""
     command = protocol.build_agent_command("python3")
     script = f'exec {" ".join(SSH)} -F {lab.ssh_config} "$1" "$COMMAND" < {stdin} > {out}/"$1"'
     arguments = ["xargs", "-P", str(AT_ONCE), "-n", "1", "sh", "-c", script, "sh"]
@@ -89,8 +93,8 @@ def plain_ssh(lab: Lab, names: Sequence[str], stdin: Path, out: Path) -> None:
     assert all(b"edgectl-frame" in (out / name).read_bytes() for name in names)
 
 
-def bare_channels(sessions: Sequence[SshSession], stdin: bytes) -> None:
-    """The same commands on paramiko channels of the same connections, with nothing around them."""
+def run_bare_channels(sessions: Sequence[SshSession], stdin: bytes) -> None:
+    """Run the same commands on paramiko channels of the same connections, without any other work."""
 
     def one(session: SshSession) -> bytes:
         channel = session.transport.open_session()
@@ -107,58 +111,60 @@ def bare_channels(sessions: Sequence[SshSession], stdin: bytes) -> None:
         assert all(b"edgectl-frame" in data for data in pool.map(one, sessions))
 
 
-def pairs(
+def measure_pairs(
     ours: Callable[[], object], theirs: Callable[[], object], rounds: int
 ) -> tuple[float, float, float]:
-    """Median seconds of both and the median ratio of ``rounds`` alternating pairs."""
+    """Return the median seconds of both and the median ratio of ``rounds`` alternating pairs."""
     times = []
     for turn in range(rounds):
         first, second = (ours, theirs) if turn % 2 else (theirs, ours)
-        seconds = {first: timed(first), second: timed(second)}
+        seconds = {first: measure_time(first), second: measure_time(second)}
         times.append((seconds[ours], seconds[theirs]))
     middle = [statistics.median(column) for column in zip(*times, strict=True)]
     return middle[0], middle[1], statistics.median(mine / other for mine, other in times)
 
 
-def timed(work: Callable[[], object]) -> float:
+def measure_time(work: Callable[[], object]) -> float:
     start = time.perf_counter()
     work()
     return time.perf_counter() - start
 
 
-def agent_cost() -> float:
-    """CPU seconds that the agent itself costs a host per probe, interpreter included (the least of eight)."""
+def measure_agent_cost() -> float:
+    """Return the CPU seconds of the agent per probe, interpreter included (the least of eight)."""
     host = Host(name="here", role=Role.EDGE, host="localhost", connection=Connection.LOCAL)
     fleet = Inventory(hosts={host.name: host})
     spent = []
     for _ in range(8):
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        edgectl_probe(fleet, LocalTransport())
+        run_edgectl_probe(fleet, LocalTransport())
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         spent.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
     return min(spent)
 
 
-def cold(lab: Lab, sizes: Sequence[int], out: Path) -> bool:
-    print("probe of N hosts, connections opened anew")
+def measure_cold(lab: Lab, sizes: Sequence[int], out: Path) -> bool:
+    print("probe of N hosts, new connections")
     print(
         f"{'N':>5} {'edgectl s':>10} {'ssh s':>8} {'ratio':>6} {'goal':>5} {'ms/host':>8} {'client CPU ms/host':>19}"
     )
-    met = [cold_row(lab, list(lab.servers)[:size], out) for size in sizes]
+    met = [print_cold_row(lab, list(lab.servers)[:size], out) for size in sizes]
     return all(met)
 
 
-def cold_row(lab: Lab, names: Sequence[str], out: Path) -> bool:
-    """Measure and print one N; whether its goal is met."""
+def print_cold_row(lab: Lab, names: Sequence[str], out: Path) -> bool:
+    """Measure and print one N; return whether its goal is met."""
     size = len(names)
     fleet = Inventory(hosts={name: lab.host(name) for name in names})
     stdin = out / "stdin"
-    stdin.write_bytes(packet(fleet))
-    edgectl_probe(fleet, SshTransport())  # puts the agent on hosts that lack it
+    stdin.write_bytes(record_request(fleet))
+    run_edgectl_probe(fleet, SshTransport())  # installs the agent on hosts that lack it
     rounds = 7 if size <= 16 else 5 if size <= 64 else 3
     cpu = time.process_time()
-    ours, theirs, ratio = pairs(
-        lambda: edgectl_probe(fleet, SshTransport()), lambda: plain_ssh(lab, names, stdin, out), rounds
+    ours, theirs, ratio = measure_pairs(
+        lambda: run_edgectl_probe(fleet, SshTransport()),
+        lambda: run_plain_ssh(lab, names, stdin, out),
+        rounds,
     )
     cpu = (time.process_time() - cpu) / rounds / size
     print(
@@ -168,17 +174,17 @@ def cold_row(lab: Lab, names: Sequence[str], out: Path) -> bool:
     return ratio <= COLD_GOAL
 
 
-def warm(lab: Lab, out: Path) -> bool:
+def measure_warm(lab: Lab, out: Path) -> bool:
     names = list(lab.servers)[:WARM]
     fleet = Inventory(hosts={name: lab.host(name) for name in names})
     transport = SshTransport()
     with SessionPool(transport) as pool:
-        edgectl_probe(fleet, pool)
+        run_edgectl_probe(fleet, pool)
         sessions = [transport.connect(host, timeout=30) for host in fleet.hosts.values()]
         try:
-            stdin = packet(fleet)
-            ours, theirs, ratio = pairs(
-                lambda: edgectl_probe(fleet, pool), lambda: bare_channels(sessions, stdin), 9
+            stdin = record_request(fleet)
+            ours, theirs, ratio = measure_pairs(
+                lambda: run_edgectl_probe(fleet, pool), lambda: run_bare_channels(sessions, stdin), 9
             )
         finally:
             for session in sessions:
@@ -198,10 +204,10 @@ def main(arguments: Sequence[str]) -> int:
         count = max(*sizes, WARM)
         with running_lab(Path(directory) / "lab", [f"edge{n}" for n in range(1, count + 1)]) as lab:
             os.environ.update(lab.environment)
-            good = cold(lab, sizes, out)
-            good &= warm(lab, out)
+            good = measure_cold(lab, sizes, out)
+            good &= measure_warm(lab, out)
         os.environ["EDGECTL_STATE_DIR"] = str(out / "state")
-        print(f"the agent itself, per host and probe: {agent_cost() * 1000:.0f} ms CPU of the host")
+        print(f"the agent, per host and probe: {measure_agent_cost() * 1000:.0f} ms CPU of the host")
     return 0 if good else 1
 
 

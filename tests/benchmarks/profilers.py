@@ -1,9 +1,10 @@
-"""What a profiler costs a host: ``python -m tests.benchmarks.profilers [SECONDS]``.
+"""Cost of a profiler on a host: ``python -m tests.benchmarks.profilers [SECONDS]``.
 
-The profiler at 1 Hz and at 5 Hz, with ten tasks of three processes each and three links, beside the paper's profilers' habit: psutil at
-5 and 10 Hz, for the host alone and for every process. All run at once, so that other load weighs on all alike. CPU is the kernel's own
-count (schedstat) after a first second; memory is what is resident at the end. Then probes: CPU and time of one that measures over a
-window of 0.5 s, and of one that reads the profiler. Goal: under 1 % of a core and 20 MiB at 1 Hz.
+The profiler at 1 Hz and at 5 Hz, with ten tasks of three processes each and three links, against the method
+of the paper's profilers: psutil at 5 and 10 Hz, for the host alone and for every process. All run at once, so
+that other load affects all alike. CPU is the kernel's own count (schedstat) after a first second; memory is
+the resident size at the end. Then CPU and time of a probe that measures over a window of 0.5 s, and of one
+that reads the profiler. Goal: under 1 % of a core and 20 MiB at 1 Hz.
 """
 
 import os
@@ -31,68 +32,71 @@ EVERY_PROCESS = (
 HABIT = "import psutil, time\nwhile True:\n    {work}\n    time.sleep({pause})"
 
 
-def ask(host: str, op: str, **fields: object) -> dict[str, object]:
+def ask_agent(host: str, op: str, **fields: object) -> dict[str, object]:
     return call_agent(LocalSession(host), {"op": op, "host": host, **fields}, timeout=60.0)
 
 
-def started(host: str, every: float) -> int:
-    """The pid of a profiler on a host with its tasks."""
+def start_profiler(host: str, every: float) -> int:
+    """Start a profiler on a host with its tasks; return its pid."""
     for number in range(TASKS):
         spec = {
             "command": "sleep 6000 & sleep 6000 & wait", "kind": "service", "restart": "never", "runtime": "process",
             "stop": {"signal": "TERM", "grace_s": 2.0}, "log": {"max_bytes": 100_000, "files": 2},
         }  # fmt: skip
-        ask(host, "start", task=f"task{number}", instance="i1", generation=1, spec=spec)
-    pid = ask(host, "profiler-start", every_s=every, ttl_s=3600.0, links=LINKS)["pid"]
+        ask_agent(host, "start", task=f"task{number}", instance="i1", generation=1, spec=spec)
+    pid = ask_agent(host, "profiler-start", every_s=every, ttl_s=3600.0, links=LINKS)["pid"]
     assert isinstance(pid, int)
     return pid
 
 
-def ended(host: str) -> None:
-    ask(host, "profiler-stop")
+def stop_profiler(host: str) -> None:
+    ask_agent(host, "profiler-stop")
     for number in range(TASKS):
-        ask(host, "stop", task=f"task{number}", instance=None, generation=None, stop=None)
+        ask_agent(host, "stop", task=f"task{number}", instance=None, generation=None, stop=None)
 
 
-def cpu_s(pid: int) -> float:
+def read_cpu_s(pid: int) -> float:
     return int(Path(f"/proc/{pid}/schedstat").read_text().split()[0]) / 1e9
 
 
-def rss(pid: int) -> int:
+def read_resident_bytes(pid: int) -> int:
     return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * resource.getpagesize()
 
 
-def shares(pids: dict[str, int], seconds: float) -> dict[str, tuple[float, int]]:
-    """(share of a core, resident bytes) by name."""
+def measure_shares(pids: dict[str, int], seconds: float) -> dict[str, tuple[float, int]]:
+    """Return (share of a core, resident bytes) by name."""
     time.sleep(1.0)
-    before, began = {name: cpu_s(pid) for name, pid in pids.items()}, time.monotonic()
+    before, began = {name: read_cpu_s(pid) for name, pid in pids.items()}, time.monotonic()
     time.sleep(seconds)
     took = time.monotonic() - began
-    return {name: ((cpu_s(pid) - before[name]) / took, rss(pid)) for name, pid in pids.items()}
+    return {
+        name: ((read_cpu_s(pid) - before[name]) / took, read_resident_bytes(pid))
+        for name, pid in pids.items()
+    }
 
 
-def probes(host: str) -> tuple[float, float]:
-    """Medians of one probe: agent's CPU in ms, time in ms."""
+def measure_probes(host: str) -> tuple[float, float]:
+    """Return the medians of one probe: agent's CPU in ms, time in ms."""
     cpu, wall = [], []
     for _ in range(PROBES):
-        used, began = children_s(), time.monotonic()
-        ask(host, "probe", window_s=0.5, links=LINKS)
+        used, began = read_children_cpu_s(), time.monotonic()
+        ask_agent(host, "probe", window_s=0.5, links=LINKS)
         wall.append((time.monotonic() - began) * 1000.0)
-        cpu.append((children_s() - used) * 1000.0)
+        cpu.append((read_children_cpu_s() - used) * 1000.0)
     return statistics.median(cpu), statistics.median(wall)
 
 
-def children_s() -> float:
+def read_children_cpu_s() -> float:
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime
 
 
-def measured(seconds: float, ends: list[Callable[[], object]]) -> int:
+def print_measurements(seconds: float, ends: list[Callable[[], object]]) -> int:
     pids = {}
     for name, every in (("profiler, 1 Hz", 1.0), ("profiler, 5 Hz", 0.2)):
         host = f"edge{len(pids) + 1}"
-        ends.append(lambda host=host: ended(host))  # type: ignore[misc]
-        pids[name] = started(host, every)
+        ends.append(lambda host=host: stop_profiler(host))  # type: ignore[misc]
+        pids[name] = start_profiler(host, every)
     for name, work, pause in (
         ("psutil, host only, 10 Hz", HOST_ONLY, 0.1),
         ("psutil, every process, 5 Hz", EVERY_PROCESS, 0.2),
@@ -101,16 +105,16 @@ def measured(seconds: float, ends: list[Callable[[], object]]) -> int:
         process = subprocess.Popen([sys.executable, "-c", HABIT.format(work=work, pause=pause)])
         ends += [process.wait, process.kill]
         pids[name] = process.pid
-    found = shares(pids, seconds)
+    found = measure_shares(pids, seconds)
     processes = sum(name.isdigit() for name in os.listdir("/proc"))  # noqa: PTH208
     print(
         f"{seconds:.0f} s, {processes} processes on this machine\n{'what':<32}{'% of a core':>12}{'MiB':>8}"
     )
     for name, (share, size) in found.items():
         print(f"{name:<32}{share:>12.2%}{size / 2**20:>8.1f}")
-    with_it = probes("edge1")
-    ask("edge1", "profiler-stop")
-    without = probes("edge1")
+    with_it = measure_probes("edge1")
+    ask_agent("edge1", "profiler-stop")
+    without = measure_probes("edge1")
     print(f"{'one probe':<32}{'agent ms CPU':>14}{'ms':>8}")
     for name, (cpu, wall) in (("over a window of 0.5 s", without), ("from the profiler", with_it)):
         print(f"{name:<32}{cpu:>14.1f}{wall:>8.0f}")
@@ -119,12 +123,12 @@ def measured(seconds: float, ends: list[Callable[[], object]]) -> int:
 
 
 def main() -> int:
-    """Print the table; 1 where the goal is missed."""
+    """Print the table; return 1 if the goal is missed."""
     ends: list[Callable[[], object]] = []
     with tempfile.TemporaryDirectory() as name:
         os.environ["EDGECTL_STATE_DIR"] = name
         try:
-            return measured(float(sys.argv[1]) if len(sys.argv) > 1 else SECONDS, ends)
+            return print_measurements(float(sys.argv[1]) if len(sys.argv) > 1 else SECONDS, ends)
         finally:
             for end in reversed(ends):
                 end()

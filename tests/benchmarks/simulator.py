@@ -1,4 +1,4 @@
-"""How many runs of the paper's missions the model makes per second of CPU: ``python -m tests.benchmarks.simulator [RUNS]``."""
+"""Speed of the mission simulator in runs per CPU second: ``python -m tests.benchmarks.simulator [RUNS]``."""
 
 import random
 import sys

@@ -1,7 +1,7 @@
-"""Start-up: ``python -m tests.benchmarks.startup``.
+"""Start-up time: ``python -m tests.benchmarks.startup``.
 
-``edgectl --help`` against an empty typer app of as many commands (ratio of medians, runs interleaved), and ``plan --snapshot`` of
-50 hosts x 200 tasks, start to end, which may not import fabric or paramiko.
+``edgectl --help`` against an empty typer app of as many commands (ratio of medians, runs interleaved), and
+``plan --snapshot`` of 50 hosts x 200 tasks, start to end, which may not import fabric or paramiko.
 """
 
 import json
@@ -30,16 +30,16 @@ app()
 """
 
 
-def seconds(command: Sequence[str], directory: Path) -> float:
-    """Wall time of one run."""
+def measure_run_s(command: Sequence[str], directory: Path) -> float:
+    """Return the wall time of one run."""
     began = time.perf_counter()
     subprocess.run([sys.executable, *command], cwd=directory, stdout=subprocess.DEVNULL, check=True)
     return time.perf_counter() - began
 
 
-def interleaved(commands: Sequence[Sequence[str]], directory: Path) -> list[list[float]]:
-    """Times of each command, taken in turns, so that a busy moment hits all alike."""
-    rounds = [[seconds(command, directory) for command in commands] for _ in range(RUNS + 1)][1:]
+def measure_interleaved(commands: Sequence[Sequence[str]], directory: Path) -> list[list[float]]:
+    """Return the times of each command, run in turns, so that other load affects all alike."""
+    rounds = [[measure_run_s(command, directory) for command in commands] for _ in range(RUNS + 1)][1:]
     return [list(column) for column in zip(*rounds, strict=True)]
 
 
@@ -96,8 +96,8 @@ def _sample(place: int, robots: list[str]) -> dict[str, object]:
     }
 
 
-def imports(directory: Path, *words: str) -> set[str]:
-    """Top-level packages that a command imports."""
+def list_imports(directory: Path, *words: str) -> set[str]:
+    """Return the top-level packages that a command imports."""
     command = [sys.executable, "-X", "importtime", "-c", COMMAND, *words]
     done = subprocess.run(command, cwd=directory, capture_output=True, text=True, check=True)
     return {
@@ -108,11 +108,11 @@ def imports(directory: Path, *words: str) -> set[str]:
 
 
 def main() -> int:
-    """Print the table; 1 where a goal is missed."""
+    """Print the table; return 1 if a goal is missed."""
     with tempfile.TemporaryDirectory() as name:
         directory = Path(name)
         write_fleet(directory)
-        empty, help_text, plan = interleaved(
+        empty, help_text, plan = measure_interleaved(
             [
                 ["-c", EMPTY, "--help"],
                 ["-c", COMMAND, "--help"],
@@ -120,7 +120,7 @@ def main() -> int:
             ],
             directory,
         )
-        heavy = imports(directory, "plan", "--snapshot", "snap.json") & {"fabric", "paramiko"}
+        heavy = list_imports(directory, "plan", "--snapshot", "snap.json") & {"fabric", "paramiko"}
     ratio = statistics.median(help_text) / statistics.median(empty)
     took = statistics.median(plan)
     print(f"{'what':<44}{'median ms':>10}{'min ms':>8}")

@@ -1,4 +1,4 @@
-"""A scaffold to work in, and the command as a function."""
+"""Fixtures: a scaffold as the working directory, and the command as a function."""
 
 from collections.abc import Callable
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""A terminal for one command: what it shows, and what is typed."""
+"""Pseudo-terminal for one command: its output, and typed input."""
 
 import os
 import pty
@@ -32,7 +32,7 @@ class Terminal:
         os.close(theirs)
 
     def _read(self) -> bool:
-        """Take what comes; False at the end."""
+        """Read available output; False at the end."""
         assert time.monotonic() < self._end, self.seen
         if not select.select([self._ours], [], [], 0.2)[0]:
             return True
@@ -53,7 +53,7 @@ class Terminal:
         os.write(self._ours, text.encode())
 
     def wait(self) -> int:
-        """Read to the end; the exit code."""
+        """Read to the end; return the exit code."""
         while self._read():
             pass
         return self.process.wait(patience(30))

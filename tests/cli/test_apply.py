@@ -1,4 +1,4 @@
-"""Commands that change things, on one pretend edge with one small real process."""
+"""Commands that change a fleet, on one local edge with one small real process."""
 
 import contextlib
 import json
@@ -121,9 +121,9 @@ def test_done_reopen_cordon_uncordon(run: Run, small: Path) -> None:
 
 
 def test_a_second_edgectl_waits_or_ends_with_75(run: Run, small: Path) -> None:
-    (small / "tasks" / "lab.yaml").write_text(TASKS.replace("stop:", f"{ready(small)}, stop:"))
-    with started("apply", "--yes") as first:
-        appears(small, "state/hosts/edge1/tasks/idle/log*", first)
+    (small / "tasks" / "lab.yaml").write_text(TASKS.replace("stop:", f"{ready_check(small)}, stop:"))
+    with start_edgectl("apply", "--yes") as first:
+        wait_for_file(small, "state/hosts/edge1/tasks/idle/log*", first)
         said = run("apply", "--yes")
         assert said.code == 75
         assert f"pid {first.pid}" in said.err
@@ -133,14 +133,14 @@ def test_a_second_edgectl_waits_or_ends_with_75(run: Run, small: Path) -> None:
     assert first.returncode == 0
 
 
-def ready(small: Path) -> str:
-    """A ready check that says yes once there is a file ``go``."""
+def ready_check(small: Path) -> str:
+    """A ready check that passes once there is a file ``go``."""
     return f"ready: {{command: test -e {small}/go, timeout: 60s}}"
 
 
 @contextlib.contextmanager
-def started(*words: str) -> Iterator["subprocess.Popen[str]"]:
-    """One edgectl in the background; never left behind."""
+def start_edgectl(*words: str) -> Iterator["subprocess.Popen[str]"]:
+    """Run one edgectl in the background and end it afterwards."""
     with subprocess.Popen(
         [*EDGECTL, *words],
         stdin=subprocess.DEVNULL,
@@ -154,8 +154,8 @@ def started(*words: str) -> Iterator["subprocess.Popen[str]"]:
             process.kill()
 
 
-def appears(root: Path, pattern: str, process: "subprocess.Popen[str]") -> None:
-    """Wait for a file that ``process`` makes."""
+def wait_for_file(root: Path, pattern: str, process: "subprocess.Popen[str]") -> None:
+    """Wait for a file that ``process`` creates."""
     end = time.monotonic() + patience(30)
     while not any(root.glob(pattern)):
         assert process.poll() is None, process.communicate()
@@ -185,10 +185,11 @@ def test_only_yes_is_a_yes(small: Path) -> None:
 
 def test_ctrl_c_finishes_what_is_under_way(small: Path) -> None:
     (small / "tasks" / "lab.yaml").write_text(
-        TASKS.replace("stop:", f"{ready(small)}, stop:") + "  next: {needs: [idle], command: sleep 600}\n"
+        TASKS.replace("stop:", f"{ready_check(small)}, stop:")
+        + "  next: {needs: [idle], command: sleep 600}\n"
     )
-    with started("apply", "--yes") as process:
-        appears(small, "state/hosts/edge1/tasks/idle/log*", process)
+    with start_edgectl("apply", "--yes") as process:
+        wait_for_file(small, "state/hosts/edge1/tasks/idle/log*", process)
         process.send_signal(signal.SIGINT)
         assert process.stderr is not None
         assert any("finishing the running actions" in line for line in process.stderr)

@@ -28,7 +28,7 @@ def state(site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return ensure_fleet_dir(site / "inventories" / "local.yaml")
 
 
-def happen(state: Path, *events: Event) -> None:
+def record_events(state: Path, *events: Event) -> None:
     with Store.open(state) as store:
         store.record_events(events)
 
@@ -50,7 +50,7 @@ def test_no_history_is_said_and_no_error(run: Run, state: Path) -> None:
 
 def test_events_as_a_table_and_as_documents(run: Run, state: Path) -> None:
     now = time.time()
-    happen(
+    record_events(
         state,
         Event(at=now - 90000, kind=EventKind.HOST_LOST, host="edge1", message="no route"),
         Event(
@@ -84,7 +84,7 @@ def test_events_as_a_table_and_as_documents(run: Run, state: Path) -> None:
 def test_a_name_that_nobody_knows_is_refused_with_the_closest(run: Run, state: Path) -> None:
     assert (run("events", "--host", "edge9").code, run("events", "--task", "slam-robt1").code) == (64, 64)
     assert "did you mean slam-robot1?" in run("events", "--task", "slam-robt1").err
-    happen(state, Event(at=time.time(), kind=EventKind.HOST_LOST, host="edge9"))
+    record_events(state, Event(at=time.time(), kind=EventKind.HOST_LOST, host="edge9"))
     assert run("events", "--host", "edge9").code == 0
     assert run("events", "--since", "soon").code == 64
     assert run("events", "-w", "-o", "yaml").code == 64
@@ -92,7 +92,7 @@ def test_a_name_that_nobody_knows_is_refused_with_the_closest(run: Run, state: P
 
 @pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM])
 def test_events_are_followed_until_a_signal(state: Path, ending: signal.Signals) -> None:
-    happen(state, Event(at=time.time(), kind=EventKind.HOST_LOST, host="edge1"))
+    record_events(state, Event(at=time.time(), kind=EventKind.HOST_LOST, host="edge1"))
     process = subprocess.Popen(
         [*EDGECTL, "events", "-w", "-o", "json"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
@@ -100,7 +100,9 @@ def test_events_are_followed_until_a_signal(state: Path, ending: signal.Signals)
     assert process.stderr is not None
     with process, process.stdout as out, process.stderr as err:
         assert json.loads(out.readline())["kind"] == "host-lost"
-        happen(state, Event(at=time.time(), kind=EventKind.HOST_BACK, host="edge1", message="after 3.0s"))
+        record_events(
+            state, Event(at=time.time(), kind=EventKind.HOST_BACK, host="edge1", message="after 3.0s")
+        )
         assert json.loads(out.readline())["message"] == "after 3.0s"
         process.send_signal(ending)
         assert process.wait(30) == 0
@@ -108,14 +110,14 @@ def test_events_are_followed_until_a_signal(state: Path, ending: signal.Signals)
 
 
 def test_followed_rows_stand_below_each_other_and_end_when_nobody_reads(state: Path) -> None:
-    happen(state, Event(at=time.time(), kind=EventKind.HOST_LOST, host="edge1", message="no route"))
+    record_events(state, Event(at=time.time(), kind=EventKind.HOST_LOST, host="edge1", message="no route"))
     process = subprocess.Popen(
         [*EDGECTL, "events", "-w"], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
     )
     assert process.stdout is not None
     with process:
         rows = [process.stdout.readline() for _ in range(2)]
-        happen(
+        record_events(
             state,
             Event(
                 at=time.time(),
@@ -127,7 +129,7 @@ def test_followed_rows_stand_below_each_other_and_end_when_nobody_reads(state: P
         )
         rows.append(process.stdout.readline())
         process.stdout.close()
-        happen(state, Event(at=time.time(), kind=EventKind.HOST_BACK, host="edge1"))
+        record_events(state, Event(at=time.time(), kind=EventKind.HOST_BACK, host="edge1"))
         assert process.wait(30) == 0
     places = [
         (row.index(what), row.index(why))

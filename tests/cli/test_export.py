@@ -45,8 +45,8 @@ def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @contextlib.contextmanager
-def serving(site: Path, *words: str) -> Iterator[tuple[str, "subprocess.Popen[str]"]]:
-    """``export prometheus --listen`` on a free port of this machine, and where it serves."""
+def serve_metrics(site: Path, *words: str) -> Iterator[tuple[str, "subprocess.Popen[str]"]]:
+    """Run ``export prometheus --listen`` on a free port of this machine; yields its URL."""
     command = [sys.executable, "-m", "edgectl", "export", "prometheus", "--listen", "127.0.0.1:0", *words]
     process = subprocess.Popen(command, cwd=site, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     assert process.stderr is not None
@@ -60,18 +60,18 @@ def serving(site: Path, *words: str) -> Iterator[tuple[str, "subprocess.Popen[st
         process.communicate()
 
 
-def get(url: str, **headers: str) -> bytes:
+def fetch_page(url: str, **headers: str) -> bytes:
     with urllib.request.urlopen(urllib.request.Request(url, headers=headers), timeout=60) as answer:
         return bytes(answer.read())
 
 
 def test_a_real_scrape_and_several_at_once_are_one_probe(site: Path, state: Path) -> None:
-    with serving(site, "--every", "10m", "--timeout", "50s") as (url, process):
+    with serve_metrics(site, "--every", "10m", "--timeout", "50s") as (url, process):
         with ThreadPoolExecutor(6) as pool:
-            pages = set(pool.map(get, [url] * 6))
+            pages = set(pool.map(fetch_page, [url] * 6))
         assert len(pages) == 1, "one probe, one page"
         page = pages.pop().decode()
-        assert gzip.decompress(get(url, **{"Accept-Encoding": "gzip"})).decode() == page
+        assert gzip.decompress(fetch_page(url, **{"Accept-Encoding": "gzip"})).decode() == page
         up = {
             sample.labels["host"]: sample.value
             for family in text_string_to_metric_families(page)
@@ -79,18 +79,18 @@ def test_a_real_scrape_and_several_at_once_are_one_probe(site: Path, state: Path
             if sample.name == "edgectl_host_up"
         }
         assert up == dict.fromkeys(("edge1", "edge2", "edge3", "robot1", "robot2", "robot3"), 1.0)
-        assert "# EOF" in get(url, Accept="application/openmetrics-text; version=1.0.0").decode()
+        assert "# EOF" in fetch_page(url, Accept="application/openmetrics-text; version=1.0.0").decode()
         with pytest.raises(urllib.error.HTTPError, match="404"):
-            get(url.removesuffix("/metrics") + "/etc/passwd")
+            fetch_page(url.removesuffix("/metrics") + "/etc/passwd")
         process.send_signal(signal.SIGTERM)
         assert process.wait(30) == 0
         assert process.communicate() == ("", "")
 
 
 def test_each_scrape_probes_where_nothing_is_kept_and_ctrl_c_ends_it(site: Path, state: Path) -> None:
-    with serving(site, "--every", "0s", "--timeout", "50s") as (url, process):
+    with serve_metrics(site, "--every", "0s", "--timeout", "50s") as (url, process):
         seen = [
-            re.findall(rb"^edgectl_last_probe_timestamp_seconds (.*)$", get(url), re.MULTILINE)
+            re.findall(rb"^edgectl_last_probe_timestamp_seconds (.*)$", fetch_page(url), re.MULTILINE)
             for _ in range(2)
         ]
         assert seen[0] != seen[1]
@@ -99,13 +99,13 @@ def test_each_scrape_probes_where_nothing_is_kept_and_ctrl_c_ends_it(site: Path,
 
 
 def test_a_failure_costs_the_scrape_not_the_server(site: Path, state: Path) -> None:
-    with serving(site, "--every", "0s", "--timeout", "50s") as (url, process):
+    with serve_metrics(site, "--every", "0s", "--timeout", "50s") as (url, process):
         fleet = next((state / "fleets").iterdir())
         (fleet / "memory.json").write_text('{"format_version": 99}')
         with pytest.raises(urllib.error.HTTPError, match="503: no metrics"):
-            get(url)
+            fetch_page(url)
         (fleet / "memory.json").unlink()
-        assert b"edgectl_host_up" in get(url)
+        assert b"edgectl_host_up" in fetch_page(url)
         process.send_signal(signal.SIGTERM)
         assert process.wait(30) == 0
         assert "newer edgectl" in process.communicate()[1]
@@ -183,11 +183,12 @@ def test_a_missing_extra_is_named_with_what_installs_it(
     assert done.stderr.count("\n") == 2
 
 
-# -- rows ---------------------------------------------------------------------------------------------------------------------------------
+# -- rows
+# ---------------------------------------------------------------------------------------------------------------------------------
 
 
-def saying(snapshot: Snapshot) -> Snapshot:
-    """The same, with something to say of every task."""
+def add_metrics(snapshot: Snapshot) -> Snapshot:
+    """Return the snapshot with metrics for every task."""
     hosts = {
         name: dataclasses.replace(
             host,
@@ -204,7 +205,7 @@ def saying(snapshot: Snapshot) -> Snapshot:
 def recorded(site: Path, state: Path, run: Run) -> Path:
     """The history of two real probes, an hour apart and just now, a move and an event; the file."""
     directory = ensure_fleet_dir(site / "inventories" / "local.yaml")
-    snapshot = saying(dataclasses.replace(fixtures.fleet()[2], manager=None))
+    snapshot = add_metrics(dataclasses.replace(fixtures.fleet()[2], manager=None))
     with Store.open(directory) as store:
         store.record_snapshot(dataclasses.replace(snapshot, taken_at=time.time() - 3600.0))
         store.record_snapshot(dataclasses.replace(snapshot, taken_at=time.time()))

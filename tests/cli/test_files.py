@@ -60,7 +60,7 @@ def test_init_where_nothing_can_be_written(run: Run, tmp_path: Path) -> None:
 
 
 def test_a_wheel_holds_the_files_themselves(tmp_path: Path) -> None:
-    """The scaffold stands in the repository as links; an installed edgectl must not need the repository."""
+    """The scaffold consists of links in the repository; an installed edgectl must not need the repository."""
     command = [
         sys.executable,
         "-m",

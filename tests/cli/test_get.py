@@ -1,4 +1,4 @@
-"""get and top: the commands, on pretend edges of this machine, as a person and as a program see them."""
+"""get and top on local edges of this machine, in tables and in machine-readable formats."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""Help that fits a screen, one line per flag, and a reference page that is current."""
+"""Help that fits a screen, one line per flag, and a current reference page."""
 
 import re
 
@@ -8,13 +8,13 @@ from edgectl.cli.app import COMMANDS
 from tests.docs.reference import PAGE, help_of, page
 
 
-def shown(command: str) -> str:
+def read_help(command: str) -> str:
     return help_of(command.split())
 
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_help_of_each_command(command: str) -> None:
-    lines = shown(command).splitlines()
+    lines = read_help(command).splitlines()
     assert len(lines) <= 40
     assert max(map(len, lines)) <= 80
     options = lines[lines.index("Options:") + 1 :]

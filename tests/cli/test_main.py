@@ -1,4 +1,4 @@
-"""Every way to end: exit codes, errors in one form, never a traceback."""
+"""Exit codes, and errors in one format without tracebacks."""
 
 import json
 import os
@@ -154,7 +154,7 @@ def test_a_real_ctrl_c_during_a_probe(site: Path) -> None:
 def test_help_stands_in_groups_and_names_exit_codes(run: Run) -> None:
     said = run("--help")
     assert said.code == 0
-    for group in ("Schedule:", "Inspect:", "Fleet:", "Files:", "Settings:"):
+    for group in ("Schedule:", "Inspect:", "Operate:", "Evaluate:", "Files:", "Settings:"):
         assert f"\n{group}\n" in said.out
     assert "75 locked, stale or busy" in " ".join(said.out.split())
     assert run("-h").out == said.out

@@ -1,4 +1,4 @@
-"""-o names the forms that a command offers; --version; what trust asks to be compared."""
+"""-o lists the formats that a command supports; --version; the fingerprint shown by trust."""
 
 import pytest
 

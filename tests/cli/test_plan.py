@@ -11,7 +11,7 @@ from tests.cli.conftest import Run
 PLAN = ("plan", "--snapshot", "snap.json")
 
 
-def unreachable(site: Path, host: str) -> None:
+def mark_unreachable(site: Path, host: str) -> None:
     document = json.loads((site / "snap.json").read_text())
     document["hosts"][host] = {"role": "edge", "status": "unreachable", "error": "no route"}
     (site / "snap.json").write_text(json.dumps(document))
@@ -46,7 +46,7 @@ def test_an_unplaced_task_beats_pending_changes(run: Run, site: Path) -> None:
 
 
 def test_a_silent_host_beats_everything_unless_allowed(run: Run, site: Path) -> None:
-    unreachable(site, "edge3")
+    mark_unreachable(site, "edge3")
     said = run(*PLAN, "--detailed-exitcode")
     assert said.code == 4
     assert run(*PLAN).code == 4

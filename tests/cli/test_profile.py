@@ -1,4 +1,4 @@
-"""profile: what was measured, and how it gets into the task file."""
+"""profile: measured usage, and writing it into the task file."""
 
 import json
 import os
@@ -38,7 +38,7 @@ def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def remember(site: Path, *, samples: int = 100) -> None:
+def record_samples(site: Path, *, samples: int = 100) -> None:
     """slam-robot1 used up to 1 core on edge1; slam-robot2 twice that on edge2, which is of another class."""
     _, tasks, _ = load_inventory_and_tasks(site / "inventories" / "lab.yaml", site / "tasks" / "tasks.yaml")
     with Store.open(ensure_fleet_dir(site / "inventories" / "lab.yaml")) as store:
@@ -58,7 +58,7 @@ def remember(site: Path, *, samples: int = 100) -> None:
 
 
 def test_figures_beside_what_is_declared(site: Path, run: Run) -> None:
-    remember(site)
+    record_samples(site)
     said = run("profile", "slam-robot1")
     assert [line.split() for line in said.out.splitlines()] == [
         ["TASK", "CLASS", "RESOURCE", "DECLARED", "P50", "P95", "MAX", "SAMPLES", "SPAN", "HOSTS"],
@@ -79,7 +79,7 @@ def test_figures_beside_what_is_declared(site: Path, run: Run) -> None:
 
 
 def test_the_greatest_of_the_group_is_written_and_nothing_else(site: Path, run: Run) -> None:
-    remember(site)
+    record_samples(site)
     file = site / "tasks" / "tasks.yaml"
     file.chmod(0o640)
     said = run("profile", "slam-robot1", "--write", "--yes")
@@ -96,7 +96,7 @@ def test_the_greatest_of_the_group_is_written_and_nothing_else(site: Path, run: 
 
 
 def test_only_yes_is_a_yes(site: Path) -> None:
-    remember(site)
+    record_samples(site)
     words = [sys.executable, "-m", "edgectl", "profile", "slam", "--write"]
     for answer, text in (
         ("no\n", TASKS),
@@ -111,7 +111,7 @@ def test_only_yes_is_a_yes(site: Path) -> None:
 
 def test_too_few_samples_and_no_terminal_are_refused(site: Path, run: Run) -> None:
     assert run("profile", "slam").out.startswith("No samples yet.")
-    remember(site, samples=12)
+    record_samples(site, samples=12)
     said = run("profile", "slam", "--write", "--yes")
     assert (said.code, (site / "tasks" / "tasks.yaml").read_text()) == (1, TASKS)
     assert "error: slam has 12 samples over 1m50s: too few to write a demand" in said.err
@@ -136,7 +136,7 @@ def test_a_line_with_a_secret_is_not_shown(site: Path, run: Run) -> None:
     file = site / "tasks" / "tasks.yaml"
     flow = "version: 1\ntasks:\n  slam: {for_each: robot, command: run, env: {T: {value: hush, secret: true}}, demand: {cpu: 1, memory: 1}}\n"
     file.write_text(flow)
-    remember(site)
+    record_samples(site)
     said = run("profile", "slam", "--write", "--yes")
     assert said.code == 0
     assert "hush" not in said.err + said.out

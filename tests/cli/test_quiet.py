@@ -1,4 +1,6 @@
-"""``apply --yes --quiet``, as cron calls it: not a byte where nothing was done and all is well; else why, and the exit code."""
+"""``apply --yes --quiet``, as cron calls it: no output if nothing was done and nothing failed; else the
+reason, and the exit code.
+"""
 
 import os
 import sys
@@ -14,12 +16,12 @@ INVENTORY = """version: 1
 edges:
   edge1: {host: 127.0.0.1, connection: local, capacity: {cpu: 1, memory: 1Gi}}
 """
-# Port 1 of our own machine: nobody listens there, and nothing leaves it.
+# Port 1 of this machine: nobody listens there, and no packet leaves it.
 GONE = "  edge2: {host: 127.0.0.1, port: 1}\n"
 IDLE = '  idle: {command: "exec sleep 600", demand: {cpu: 0.1, memory: 10Mi}, stop: {grace: 2s}}\n'
 
 
-class Fleet:
+class QuietFleet:
     """Its files, and the command in its directory."""
 
     def __init__(self, site: Path, run: Run) -> None:
@@ -36,11 +38,11 @@ class Fleet:
 
 
 @pytest.fixture
-def fleet(tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch) -> Iterator[Fleet]:
+def fleet(tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch) -> Iterator[QuietFleet]:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("EDGECTL_STATE_DIR", str(tmp_path / "state"))
     monkeypatch.setattr("sys.stdin", open(os.devnull))  # noqa: SIM115, PTH123 - closed below
-    made = Fleet(tmp_path, run)
+    made = QuietFleet(tmp_path, run)
     with sys.stdin:
         yield made
         made.write(INVENTORY, IDLE)
@@ -48,7 +50,7 @@ def fleet(tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch) -> Iterator
         assert run("status", "-o", "name").out == ""
 
 
-def test_what_was_done_is_said_once_without_the_plan(fleet: Fleet) -> None:
+def test_what_was_done_is_said_once_without_the_plan(fleet: QuietFleet) -> None:
     said = fleet.run(*QUIET)
     assert (said.code, said.err) == (0, "")
     assert "Applied 1 of 1" in said.out
@@ -56,8 +58,8 @@ def test_what_was_done_is_said_once_without_the_plan(fleet: Fleet) -> None:
     assert fleet.run(*QUIET) == (0, "", "")
 
 
-def test_warnings_about_files_are_for_people(fleet: Fleet) -> None:
-    """A demand that is left out, and a change that is left aside: said when one asks by hand, not every five minutes."""
+def test_warnings_about_files_are_for_people(fleet: QuietFleet) -> None:
+    """An omitted demand and an ignored change are reported to an operator, not every five minutes."""
     other = '  other: {command: "exec sleep 600"}\n'
     fleet.run(*QUIET)
     fleet.write(INVENTORY, IDLE, other)
@@ -65,7 +67,7 @@ def test_warnings_about_files_are_for_people(fleet: Fleet) -> None:
     assert "left out" in fleet.run("plan", "--target", "idle").err
 
 
-def test_a_task_without_a_host_is_silent_unless_its_exit_code_is_wanted(fleet: Fleet) -> None:
+def test_a_task_without_a_host_is_silent_unless_its_exit_code_is_wanted(fleet: QuietFleet) -> None:
     fleet.write(INVENTORY, IDLE, '  big: {command: "true", demand: {cpu: 64, memory: 1Mi}}\n')
     fleet.run(*QUIET)
     assert fleet.run(*QUIET) == (0, "", "")
@@ -75,7 +77,7 @@ def test_a_task_without_a_host_is_silent_unless_its_exit_code_is_wanted(fleet: F
     assert said.err.count("\n") == 1
 
 
-def test_a_host_that_does_not_answer_is_one_line_and_4(fleet: Fleet) -> None:
+def test_a_host_that_does_not_answer_is_one_line_and_4(fleet: QuietFleet) -> None:
     fleet.run(*QUIET)
     fleet.write(INVENTORY + GONE, IDLE)
     said = fleet.run(*QUIET)
@@ -87,7 +89,7 @@ def test_a_host_that_does_not_answer_is_one_line_and_4(fleet: Fleet) -> None:
     assert fleet.run(*QUIET) == (0, "", "")
 
 
-def test_an_action_that_fails_is_said_and_4(fleet: Fleet) -> None:
+def test_an_action_that_fails_is_said_and_4(fleet: QuietFleet) -> None:
     fleet.write(
         INVENTORY,
         '  idle: {command: "exec false", demand: {cpu: 0.1, memory: 1Mi}, restart: never, ready: {command: "false", timeout: 2s}}\n',
@@ -98,14 +100,14 @@ def test_an_action_that_fails_is_said_and_4(fleet: Fleet) -> None:
     assert "Plan:" not in said.out
 
 
-def test_what_is_wrong_with_the_files_is_said_and_64(fleet: Fleet) -> None:
+def test_what_is_wrong_with_the_files_is_said_and_64(fleet: QuietFleet) -> None:
     fleet.write(INVENTORY, "  idle: {comand: x}\n")
     said = fleet.run(*QUIET)
     assert (said.code, said.out) == (64, "")
     assert "comand" in said.err
 
 
-def test_a_lock_that_is_held_is_said_and_75(fleet: Fleet, tmp_path: Path) -> None:
+def test_a_lock_that_is_held_is_said_and_75(fleet: QuietFleet, tmp_path: Path) -> None:
     from edgectl.state.lock import FleetLock
     from edgectl.state.paths import ensure_fleet_dir
 

@@ -1,4 +1,4 @@
-"""kubectl's selectors, word for word."""
+"""Label selectors in kubectl's syntax."""
 
 import pytest
 

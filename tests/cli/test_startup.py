@@ -1,4 +1,4 @@
-"""A command pays for what it uses: heavy packages are imported only where they are needed."""
+"""Lazy imports: a command imports heavy packages only if it needs them."""
 
 import subprocess
 import sys
@@ -25,8 +25,8 @@ HEAVY = {
 }
 
 
-def imported(site: Path, *words: str) -> set[str]:
-    """Top-level packages that a command imports."""
+def list_imports(site: Path, *words: str) -> set[str]:
+    """Return the top-level packages that a command imports."""
     done = subprocess.run(
         [sys.executable, "-X", "importtime", "-m", "edgectl", *words],
         cwd=site,
@@ -56,17 +56,17 @@ def imported(site: Path, *words: str) -> set[str]:
     ],
 )
 def test_help_needs_nothing_heavy(site: Path, words: tuple[str, ...]) -> None:
-    assert not imported(site, *words) & HEAVY
+    assert not list_imports(site, *words) & HEAVY
 
 
 def test_a_plan_from_a_snapshot_needs_no_ssh_and_no_colours(site: Path) -> None:
-    found = imported(site, "plan", "--snapshot", "snap.json")
+    found = list_imports(site, "plan", "--snapshot", "snap.json")
     assert "yaml" in found
     assert not found & (HEAVY - {"yaml"})
 
 
 def test_a_local_fleet_needs_no_ssh(site: Path) -> None:
-    assert not imported(site, "probe", "-o", "name") & {
+    assert not list_imports(site, "probe", "-o", "name") & {
         "fabric",
         "paramiko",
         "invoke",

@@ -12,14 +12,14 @@ from edgectl.cli.main import expand_top_shorthand
 from tests.cli.conftest import Run
 from tests.cli.terminal import Terminal
 
-# The other screen of a terminal, on which the view draws, is left at the end.
+# The alternate screen of the terminal, used by the view, is left at the end.
 ENTERED, LEFT = "\x1b[?1049h", "\x1b[?1049l"
 TOP = [sys.executable, "-m", "edgectl", "top", "-i"]
 
 
 @pytest.fixture
 def env(tmp_path: Path) -> dict[str, str]:
-    # Names of hosts stand in one piece where nothing is coloured in between.
+    # Names of hosts are contiguous if no colour changes within them.
     return {
         **os.environ,
         "EDGECTL_STATE_DIR": str(tmp_path / "state"),

@@ -1,4 +1,4 @@
-"""watch as a person and as systemd use it: keys, signals, files that change under it. On real local hosts."""
+"""watch on a terminal and under systemd: keys, signals, edited files. On real local hosts."""
 
 import json
 import os
@@ -32,8 +32,8 @@ SLOW = TASKS.replace("command: sleep 600", 'command: sleep 600, ready: {command:
 LIMIT_S = patience(60.0)
 
 
-def entries(state: Path) -> list[dict[str, object]]:
-    """The journal as it stands."""
+def read_entries(state: Path) -> list[dict[str, object]]:
+    """Read the entries of the journal."""
     return [
         json.loads(line[65:])
         for path in state.glob("fleets/*/journal.jsonl")
@@ -43,7 +43,9 @@ def entries(state: Path) -> list[dict[str, object]]:
 
 @pytest.fixture
 def one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """A fleet of one edge, a slice of this machine, with one idle task, as the working directory; nothing runs on afterwards."""
+    """A fleet of one edge, a slice of this machine, with one idle task, as the working directory; nothing
+    runs on afterwards.
+    """
     for name, text in (("inventories/one.yaml", INVENTORY), ("tasks/one.yaml", TASKS)):
         (tmp_path / name).parent.mkdir()
         (tmp_path / name).write_text(text)
@@ -51,34 +53,34 @@ def one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setenv("EDGECTL_STATE_DIR", str(tmp_path / "state"))
     yield tmp_path
-    if entries(tmp_path / "state"):
+    if read_entries(tmp_path / "state"):
         assert main(["stop", "--all", "--yes", "-o", "name"]) == 0
 
 
-def words(*more: str) -> list[str]:
+def watch_command(*more: str) -> list[str]:
     return [sys.executable, "-m", "edgectl", "watch", *more]
 
 
-def modes(terminal: Terminal) -> tuple[int, int]:
-    """Input and local modes: whether a line is edited and echoed."""
+def read_terminal_modes(terminal: Terminal) -> tuple[int, int]:
+    """Return the terminal's input and local modes: line editing and echo."""
     attributes = termios.tcgetattr(terminal._ours)
     return attributes[0], attributes[3]
 
 
 def test_keys_plan_now_pause_and_quit(one: Path) -> None:
-    with Terminal(words("--apply", "--every", "1h"), one) as terminal:
-        before = modes(terminal)
+    with Terminal(watch_command("--apply", "--every", "1h"), one) as terminal:
+        before = read_terminal_modes(terminal)
         terminal.until("task-started idle on edge1")
         terminal.type("p")
         terminal.until("steady 1 cycle")
-        assert not modes(terminal)[1] & termios.ICANON, "keys come one by one"
+        assert not read_terminal_modes(terminal)[1] & termios.ICANON, "keys come one by one"
         terminal.type("xP")
         terminal.until("steady 2 cycles")
         terminal.type("a")
         terminal.until("paused")
         terminal.type("q")
         assert terminal.wait() == 0
-        assert modes(terminal) == before
+        assert read_terminal_modes(terminal) == before
     assert "variant all · applies · next in " in terminal.seen
     assert "\x1b[?1049l" in terminal.seen.rpartition("\x1b[?1049h")[2], "the screen from before is back"
     assert "\x1b[?25h" in terminal.seen.rpartition("\x1b[?25l")[2], "and the cursor"
@@ -86,12 +88,12 @@ def test_keys_plan_now_pause_and_quit(one: Path) -> None:
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 0), (signal.SIGINT, 130)])
 def test_a_signal_ends_it_and_the_terminal_is_as_before(one: Path, number: signal.Signals, code: int) -> None:
-    with Terminal(words("--every", "1h"), one, env={**os.environ, "NO_COLOR": "1"}) as terminal:
-        before = modes(terminal)
+    with Terminal(watch_command("--every", "1h"), one, env={**os.environ, "NO_COLOR": "1"}) as terminal:
+        before = read_terminal_modes(terminal)
         terminal.until("next in")
         terminal.process.send_signal(number)
         assert terminal.wait() == code
-        assert modes(terminal) == before
+        assert read_terminal_modes(terminal) == before
     assert "\x1b[?1049l" in terminal.seen
     assert "\x1b[36m" not in terminal.seen, "no colour"
 
@@ -99,10 +101,10 @@ def test_a_signal_ends_it_and_the_terminal_is_as_before(one: Path, number: signa
 def test_sigterm_lets_the_running_action_finish(one: Path) -> None:
     (one / "tasks" / "one.yaml").write_text(SLOW)
     with subprocess.Popen(
-        words("--apply", "--every", "1h"), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        watch_command("--apply", "--every", "1h"), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as process:
         deadline = time.monotonic() + LIMIT_S
-        while not any(entry["event"] == "phase" for entry in entries(one / "state")):
+        while not any(entry["event"] == "phase" for entry in read_entries(one / "state")):
             assert process.poll() is None
             assert time.monotonic() < deadline
             time.sleep(0.05)
@@ -110,7 +112,7 @@ def test_sigterm_lets_the_running_action_finish(one: Path) -> None:
         out, err = process.communicate(timeout=LIMIT_S)
     assert (process.returncode, err) == (0, "")
     assert "task-started idle on edge1" in out
-    assert [entry["event"] for entry in entries(one / "state")][-2:] == ["end", "placed"]
+    assert [entry["event"] for entry in read_entries(one / "state")][-2:] == ["end", "placed"]
 
 
 def test_off_a_terminal_a_line_where_something_happened_and_nothing_else(one: Path, run: Run) -> None:
@@ -126,7 +128,7 @@ def test_off_a_terminal_a_line_where_something_happened_and_nothing_else(one: Pa
 
 def test_files_that_change_are_read_anew_and_broken_ones_said(one: Path) -> None:
     with subprocess.Popen(
-        words("-o", "jsonl", "--every", "1s", "--cycles", "60"), stdout=subprocess.PIPE, text=True
+        watch_command("-o", "jsonl", "--every", "1s", "--cycles", "60"), stdout=subprocess.PIPE, text=True
     ) as process:
         assert process.stdout is not None
         rounds = (json.loads(line) for line in process.stdout)

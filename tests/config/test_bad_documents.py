@@ -1,4 +1,4 @@
-"""Broken snapshot and plan files: each with its place, message and a mend."""
+"""Broken snapshot and plan files: each with its place, message and a hint."""
 
 import json
 import time
@@ -35,7 +35,7 @@ from edgectl.model.snapshot import (
     TaskSample,
     TaskState,
 )
-from tests.config.bad import place
+from tests.config.broken_files import locate
 
 SNAPSHOT = Snapshot(
     taken_at=1_795_000_000.5,
@@ -109,7 +109,7 @@ TEXTS = {
 }
 LOADERS = {"snapshot": load_snapshot, "plan": load_plan}
 
-# what is changed, into what, where the problem stands (in what it became), its code, its message, its hint
+# changed text, replacement, place of the problem (in the replacement), its code, its message, its hint
 CASES = {
     "no cores": ("snapshot", '"capacity_cores": 4', '"capacity_cores": 0', "0", "EC202", "hosts.edge1.cpu.capacity_cores: must be above 0, not 0", "correct the value"),
     "negative use": ("snapshot", '"used_cores": 1.5', '"used_cores": -1', "-1", "EC202", "must be 0 or more, not -1", ""),
@@ -147,7 +147,7 @@ CASES = {
 }  # fmt: skip
 
 
-def problems_of(kind: str, text: str, directory: Path) -> tuple[Problem, ...]:
+def list_problems(kind: str, text: str, directory: Path) -> tuple[Problem, ...]:
     path = directory / f"{kind}.json"
     path.write_text(text)
     with pytest.raises(InputError) as caught:
@@ -161,14 +161,14 @@ def test_a_broken_document_is_told_with_its_place(name: str, tmp_path: Path) -> 
     text = TEXTS[kind]
     assert old in text
     broken = text.replace(old, new, 1)
-    problem = next(p for p in problems_of(kind, broken, tmp_path) if p.code == code)
+    problem = next(p for p in list_problems(kind, broken, tmp_path) if p.code == code)
     assert message in problem.message
     assert hint in problem.hint
     assert problem.hint
     assert 1 <= problem.line <= broken.count("\n") + 1
     if at is not None:
         start = text.index(old) + new.index(at)
-        assert (problem.line, problem.column) == place(broken[:start] + "\0" + broken[start:], "\0")
+        assert (problem.line, problem.column) == locate(broken[:start] + "\0" + broken[start:], "\0")
         assert problem.length == min(400, len(at.split()[0].rstrip("{:"))) or name in ("instant", "key twice")
 
 
@@ -200,7 +200,7 @@ def test_an_unreachable_host_needs_only_role_and_status(tmp_path: Path) -> None:
 
 def test_a_host_without_anything_is_told_in_full(tmp_path: Path) -> None:
     text = '{"format_version": 2, "taken_at": "2026-11-21T08:00:00Z", "hosts": {"edge1": {}, "edge2": 3}}'
-    messages = sorted(problem.message for problem in problems_of("snapshot", text, tmp_path))
+    messages = sorted(problem.message for problem in list_problems("snapshot", text, tmp_path))
     assert messages == [
         "hosts.edge1: cpu is missing",
         "hosts.edge1: memory is missing",
@@ -230,7 +230,7 @@ def test_a_host_without_anything_is_told_in_full(tmp_path: Path) -> None:
 def test_what_is_no_document_is_refused_at_once(text: str, tmp_path: Path) -> None:
     begin = time.process_time()
     for kind in LOADERS:
-        assert problems_of(kind, text, tmp_path)[0].line >= 1
+        assert list_problems(kind, text, tmp_path)[0].line >= 1
     assert time.process_time() - begin < 5.0
 
 

@@ -1,158 +1,158 @@
-"""Broken task files: each with its place, message and a hint that mends it."""
+"""Broken task files: each with its place, message and a hint that repairs it."""
 
 from pathlib import Path
 
 import pytest
 
-from tests.config.bad import INVENTORY, TASKS, Bad, check, problems_of
+from tests.config.broken_files import INVENTORY, TASKS, BrokenFile, check_problem, list_problems
 
 NAV = "command: roslaunch nav.launch"
 CASES = [
-    Bad(name="unknown key", old="    demand: {cpu: 500m", new="    demnd: {cpu: 500m", at="demnd", code="EC012",
+    BrokenFile(name="unknown key", old="    demand: {cpu: 500m", new="    demnd: {cpu: 500m", at="demnd", code="EC012",
         message="unknown key demnd in task navigation", hint="did you mean demand?", mended="    demand: {cpu: 500m"),
-    Bad(name="unknown resource", old="cpu: 500m", new="gpu: 500m", at="gpu: 500m", code="EC012", message="unknown key gpu in demand",
+    BrokenFile(name="unknown resource", old="cpu: 500m", new="gpu: 500m", at="gpu: 500m", code="EC012", message="unknown key gpu in demand",
         hint="did you mean cpu?", mended="cpu: 500m"),
-    Bad(name="key twice", old=NAV, new=f"{NAV}\n    {NAV}", position=(14, 5), code="EC005", message="first defined on line 13",
+    BrokenFile(name="key twice", old=NAV, new=f"{NAV}\n    {NAV}", position=(14, 5), code="EC005", message="first defined on line 13",
         hint="remove line 13 or line 14", mended=NAV),
-    Bad(name="no command", old=f"    {NAV}\n", new="", at="navigation", code="EC011", message="task navigation needs command",
+    BrokenFile(name="no command", old=f"    {NAV}\n", new="", at="navigation", code="EC011", message="task navigation needs command",
         hint="add command", mended="    command: x\n"),
-    Bad(name="empty command", old=NAV, new="command: ''", at="''", code="EC019", message="must not be empty", hint="write a value", mended=NAV),
-    Bad(name="command begins with a brace", old=NAV, new="command: {robot}/run", at="/run", code="EC004",
+    BrokenFile(name="empty command", old=NAV, new="command: ''", at="''", code="EC019", message="must not be empty", hint="write a value", mended=NAV),
+    BrokenFile(name="command begins with a brace", old=NAV, new="command: {robot}/run", at="/run", code="EC004",
         message="text after a closing bracket", hint="command: '{robot}/run'", mended="command: '{robot}/run'"),
-    Bad(name="command is a mapping", old=NAV, new="command: {robot}", at="{robot}\n    env", code="EC010",
+    BrokenFile(name="command is a mapping", old=NAV, new="command: {robot}", at="{robot}\n    env", code="EC010",
         message="must be a string, not a mapping", hint="put it in quotes: '{robot}'", mended="command: '{robot}'"),
-    Bad(name="colon in a command", old=NAV, new="command: echo a: b", at=": b", code="EC004", message='a second ": "',
+    BrokenFile(name="colon in a command", old=NAV, new="command: echo a: b", at=": b", code="EC004", message='a second ": "',
         hint="command: 'echo a: b'", mended="command: 'echo a: b'"),
-    Bad(name="at sign", old=NAV, new="command: @run", at="@run", code="EC004", message="@ cannot begin", hint="command: '@run'",
+    BrokenFile(name="at sign", old=NAV, new="command: @run", at="@run", code="EC004", message="@ cannot begin", hint="command: '@run'",
         mended="command: '@run'"),
-    Bad(name="star", old=NAV, new="command: *.launch", at=".launch\n    env", code="EC004", message="* and & begin an alias",
+    BrokenFile(name="star", old=NAV, new="command: *.launch", at=".launch\n    env", code="EC004", message="* and & begin an alias",
         hint="command: '*.launch'", mended="command: '*.launch'"),
-    Bad(name="open quote", old=NAV, new="command: 'run", at="'run", code="EC004", message="a quote is not closed",
+    BrokenFile(name="open quote", old=NAV, new="command: 'run", at="'run", code="EC004", message="a quote is not closed",
         hint="close the quote", mended="command: 'run'"),
-    Bad(name="NUL in a command", old=NAV, new='command: "a\\0b"', at='"a\\0b"', code="EC019", message="must not contain a NUL",
+    BrokenFile(name="NUL in a command", old=NAV, new='command: "a\\0b"', at='"a\\0b"', code="EC019", message="must not contain a NUL",
         hint="remove \\0", mended='command: "ab"'),
-    Bad(name="needs nobody", old="needs: [slam]", new="needs: [slan]", at="slan", code="EC030", message="unknown task slan",
+    BrokenFile(name="needs nobody", old="needs: [slam]", new="needs: [slan]", at="slan", code="EC030", message="unknown task slan",
         hint="did you mean slam?", mended="needs: [slam]"),
-    Bad(name="needs as text", old="needs: [slam]", new="needs: slam", at="slam\n    command: roslaunch nav", code="EC010",
+    BrokenFile(name="needs as text", old="needs: [slam]", new="needs: slam", at="slam\n    command: roslaunch nav", code="EC010",
         message="must be a list, not a string", hint="write [slam]", mended="needs: [slam]"),
-    Bad(name="needs twice", old="needs: [slam]", new="needs: [slam, slam]", at="slam]", code="EC032", message="slam-robot1 is needed twice",
+    BrokenFile(name="needs twice", old="needs: [slam]", new="needs: [slam, slam]", at="slam]", code="EC032", message="slam-robot1 is needed twice",
         hint="name it once", mended="needs: [slam]"),
-    Bad(name="needs itself", old="needs: [slam]", new="needs: [navigation]", at="navigation]", code="EC031",
+    BrokenFile(name="needs itself", old="needs: [slam]", new="needs: [navigation]", at="navigation]", code="EC031",
         message="navigation-robot1 needs itself: navigation-robot1 -> navigation-robot1", hint="remove one of these needs", mended="needs: []"),
-    Bad(name="cycle", old="  slam:\n", new="  slam:\n    needs: [map-merge]\n", at="{task: slam", code="EC031",
+    BrokenFile(name="cycle", old="  slam:\n", new="  slam:\n    needs: [map-merge]\n", at="{task: slam", code="EC031",
         message="map-merge needs itself: map-merge -> slam-robot1 -> map-merge", hint="such as slam-robot1 from map-merge", mended="  slam:\n"),
-    Bad(name="unknown until", old="until: ready", new="until: redy", at="redy", code="EC013", message="unknown word 'redy'",
+    BrokenFile(name="unknown until", old="until: ready", new="until: redy", at="redy", code="EC013", message="unknown word 'redy'",
         hint="did you mean ready?", mended="until: ready"),
-    Bad(name="unknown robot", old="robot: robot1", new="robot: robot9", at="robot9", code="EC030", message="unknown robot robot9",
+    BrokenFile(name="unknown robot", old="robot: robot1", new="robot: robot9", at="robot9", code="EC030", message="unknown robot robot9",
         hint="did you mean robot", mended="robot: robot2"),
-    Bad(name="robot and for_each", old="    robot: robot1\n", new="    for_each: robot\n    robot: robot1\n", at="robot: robot1", code="EC033",
+    BrokenFile(name="robot and for_each", old="    robot: robot1\n", new="    for_each: robot\n    robot: robot1\n", at="robot: robot1", code="EC033",
         message="for_each and robot do not go together", hint="remove robot or for_each", mended="    for_each: robot\n"),
-    Bad(name="for_each robots", old="for_each: robot", new="for_each: robots", at="robots", code="EC010", message="must be the word robot",
+    BrokenFile(name="for_each robots", old="for_each: robot", new="for_each: robots", at="robots", code="EC010", message="must be the word robot",
         hint="write for_each: robot", mended="for_each: robot"),
-    Bad(name="unknown host", old="never: [edge3]", new="never: [egde3]", at="egde3", code="EC030", message="unknown host egde3",
+    BrokenFile(name="unknown host", old="never: [edge3]", new="never: [egde3]", at="egde3", code="EC030", message="unknown host egde3",
         hint="did you mean edge3?", mended="never: [edge3]"),
-    Bad(name="only nobody", old="never: [edge3]", new="only: []", at="[]", code="EC033", message="only names no host", hint="or remove only",
+    BrokenFile(name="only nobody", old="never: [edge3]", new="only: []", at="[]", code="EC033", message="only names no host", hint="or remove only",
         mended="never: []"),
-    Bad(name="for each of none", old="for_each: robot", new="for_each: []", at="[]", code="EC010", message="must be the word robot",
+    BrokenFile(name="for each of none", old="for_each: robot", new="for_each: []", at="[]", code="EC010", message="must be the word robot",
         hint="write for_each: robot", mended="for_each: robot"),
-    Bad(name="unknown label", old="labels: {gpu: maxwell}", new="labels: {gpus: maxwell}", at="gpus", code="EC030",
+    BrokenFile(name="unknown label", old="labels: {gpu: maxwell}", new="labels: {gpus: maxwell}", at="gpus", code="EC030",
         message="no host has a label gpus", hint="did you mean gpu?", mended="labels: {gpu: maxwell}"),
-    Bad(name="unknown value of a label", old="labels: {gpu: maxwell}", new="labels: {gpu: maxwel}", at="maxwel", code="EC030",
+    BrokenFile(name="unknown value of a label", old="labels: {gpu: maxwell}", new="labels: {gpu: maxwel}", at="maxwel", code="EC030",
         message="no host has the label gpu: maxwel", hint="did you mean maxwell?", mended="labels: {gpu: maxwell}"),
-    Bad(name="pin to nobody", old="{never: [edge3], labels: {gpu: maxwell}}", new="{pin: edge7}", at="edge7", code="EC030",
+    BrokenFile(name="pin to nobody", old="{never: [edge3], labels: {gpu: maxwell}}", new="{pin: edge7}", at="edge7", code="EC030",
         message="unknown host edge7", hint="did you mean edge", mended="{pin: edge3}"),
-    Bad(name="pin against never", old="labels: {gpu: maxwell}}", new="pin: edge3}", at="edge3}", code="EC033",
+    BrokenFile(name="pin against never", old="labels: {gpu: maxwell}}", new="pin: edge3}", at="edge3}", code="EC033",
         message="which its own only and never exclude", hint="remove pin", mended="labels: {gpu: maxwell}}"),
-    Bad(name="pin to another robot", old="{never: [edge3], labels: {gpu: maxwell}}", new="{pin: robot1}", at="robot1}", code="EC033",
+    BrokenFile(name="pin to another robot", old="{never: [edge3], labels: {gpu: maxwell}}", new="{pin: robot1}", at="robot1}", code="EC033",
         message="navigation-robot2 is pinned to the robot robot1, which cannot run it", hint="pin it to an edge", mended="{pin: edge1}"),
-    Bad(name="demand above all", old="cpu: 35.2%", new="cpu: 135%", at="135%", code="EC015", message="at most 100% of a host, not 135%",
+    BrokenFile(name="demand above all", old="cpu: 35.2%", new="cpu: 135%", at="135%", code="EC015", message="at most 100% of a host, not 135%",
         hint="write it absolutely, such as 1.5", mended="cpu: 1.5"),
-    Bad(name="negative demand", old="cpu: 500m", new="cpu: -0.5", at="-0.5", code="EC015", message="must be a finite number, 0 or more",
+    BrokenFile(name="negative demand", old="cpu: 500m", new="cpu: -0.5", at="-0.5", code="EC015", message="must be a finite number, 0 or more",
         hint="write cores as 0.5 or 500m", mended="cpu: 0.5"),
-    Bad(name="measured misspelt", old="cpu: 500m", new="cpu: mesured", at="mesured", code="EC013", message="unknown word 'mesured'",
+    BrokenFile(name="measured misspelt", old="cpu: 500m", new="cpu: mesured", at="mesured", code="EC013", message="unknown word 'mesured'",
         hint="did you mean measured?", mended="cpu: measured"),
-    Bad(name="key of a measured demand", old="cpu: 500m", new="cpu: {until: 1}", at="until: 1", code="EC012",
+    BrokenFile(name="key of a measured demand", old="cpu: 500m", new="cpu: {until: 1}", at="until: 1", code="EC012",
         message="unknown key until in a measured demand", hint="known keys: until_measured", mended="cpu: {until_measured: 1}"),
-    Bad(name="unit of cores", old="cpu: 500m", new="cpu: 2cores", at="2cores", code="EC015", message="cannot be read as a quantity: '2cores'",
+    BrokenFile(name="unit of cores", old="cpu: 500m", new="cpu: 2cores", at="2cores", code="EC015", message="cannot be read as a quantity: '2cores'",
         hint="write 2", mended="cpu: 2"),
-    Bad(name="unit of a rate", old="throughput: 300kB/s", new="throughput: 12MBps", at="12MBps", code="EC015",
+    BrokenFile(name="unit of a rate", old="throughput: 300kB/s", new="throughput: 12MBps", at="12MBps", code="EC015",
         message="cannot be read as a quantity: '12MBps'", hint="write 12MB/s", mended="throughput: 12MB/s"),
-    Bad(name="semicolon in a quantity", old="cpu: 500m", new='cpu: "1; 2"', at='"1; 2"', code="EC015",
+    BrokenFile(name="semicolon in a quantity", old="cpu: 500m", new='cpu: "1; 2"', at='"1; 2"', code="EC015",
         message="cannot be read as a quantity: '1; 2'", hint="write cores as 0.5 or 500m", mended="cpu: 0.5"),
-    Bad(name="demand is true", old="cpu: 500m", new="cpu: true", at="true", code="EC015", message="must not be true or false",
+    BrokenFile(name="demand is true", old="cpu: 500m", new="cpu: true", at="true", code="EC015", message="must not be true or false",
         hint="write cores as 0.5", mended="cpu: 0.5"),
-    Bad(name="unit of a duration", old="timeout: 20s", new="timeout: 20 sec", at="20 sec", code="EC015",
+    BrokenFile(name="unit of a duration", old="timeout: 20s", new="timeout: 20 sec", at="20 sec", code="EC015",
         message="cannot be read as a duration: '20 sec'", hint="write 20s", mended="timeout: 20s"),
-    Bad(name="no time", old="timeout: 20s", new="timeout: 0", at="0}", code="EC015", message="must be above 0", hint="write a quantity above 0",
+    BrokenFile(name="no time", old="timeout: 20s", new="timeout: 0", at="0}", code="EC015", message="must be above 0", hint="write a quantity above 0",
         mended="timeout: 20s"),
-    Bad(name="deadline", old="priority: 1", new="deadline: 5min", at="5min", code="EC015", message="cannot be read as a duration",
+    BrokenFile(name="deadline", old="priority: 1", new="deadline: 5min", at="5min", code="EC015", message="cannot be read as a duration",
         hint="write 5m", mended="deadline: 5m"),
-    Bad(name="priority as text", old="priority: 1", new="priority: high", at="high", code="EC010", message="must be a number, not a string",
+    BrokenFile(name="priority as text", old="priority: 1", new="priority: high", at="high", code="EC010", message="must be a number, not a string",
         hint="write 10", mended="priority: 10"),
-    Bad(name="endless priority", old="priority: 1", new="priority: .inf", at=".inf", code="EC015", message="must be a finite number",
+    BrokenFile(name="endless priority", old="priority: 1", new="priority: .inf", at=".inf", code="EC015", message="must be a finite number",
         hint="write a number between", mended="priority: 1"),
-    Bad(name="onboard of several", old="    kind: job", new="    onboard: only", at="only", code="EC033",
+    BrokenFile(name="onboard of several", old="    kind: job", new="    onboard: only", at="only", code="EC033",
         message="onboard: only needs exactly one robot, and map-merge has 2", hint="or onboard: allow", mended="    onboard: allow"),
-    Bad(name="onboard where nothing runs", old="onboard: allow", new="onboard: only", at="only", code="EC033",
+    BrokenFile(name="onboard where nothing runs", old="onboard: allow", new="onboard: only", at="only", code="EC033",
         message="onboard: only, but robot2 runs no tasks", hint="onboard: allow here", mended="onboard: allow"),
-    Bad(name="regular expression", old='cmdline: "pose_node"', new='cmdline: "pose(node"', at='"pose(node"', code="EC017",
+    BrokenFile(name="regular expression", old='cmdline: "pose_node"', new='cmdline: "pose(node"', at='"pose(node"', code="EC017",
         message="not a regular expression: missing ), unterminated subpattern", hint=r"'pose\(node'", mended=r"cmdline: 'pose\(node'"),
-    Bad(name="detect of two", old='cmdline: "pose_node"', new='cmdline: "pose", ros_node: /pose', at='{cmdline: "pose"', code="EC033",
+    BrokenFile(name="detect of two", old='cmdline: "pose_node"', new='cmdline: "pose", ros_node: /pose', at='{cmdline: "pose"', code="EC033",
         message="detect needs one of cmdline and ros_node", hint="write {cmdline", mended='cmdline: "pose"'),
-    Bad(name="unmanaged with a command", old="    managed: false\n", new="    managed: false\n    command: run\n", at="command: run", code="EC033",
+    BrokenFile(name="unmanaged with a command", old="    managed: false\n", new="    managed: false\n    command: run\n", at="command: run", code="EC033",
         message="never started, so it has no command", hint="remove command", mended="    managed: false\n"),
-    Bad(name="unmanaged and not found", old='    detect: {cmdline: "pose_node"}\n', new="", at="pose:", code="EC011",
+    BrokenFile(name="unmanaged and not found", old='    detect: {cmdline: "pose_node"}\n', new="", at="pose:", code="EC011",
         message="task pose has managed: false, so it needs detect", hint="add detect: {cmdline", mended="    detect: {ros_node: /name}\n"),
-    Bad(name="managed with detect", old="stop: ros", new="detect: {ros_node: /nav}", at="detect: {ros", code="EC033",
+    BrokenFile(name="managed with detect", old="stop: ros", new="detect: {ros_node: /nav}", at="detect: {ros", code="EC033",
         message="detect finds tasks that edgectl does not start", hint="remove detect", mended="stop: ros"),
-    Bad(name="job for ever", old="kind: job", new="kind: job\n    restart: always", at="restart", code="EC033",
+    BrokenFile(name="job for ever", old="kind: job", new="kind: job\n    restart: always", at="restart", code="EC033",
         message="a job that is always restarted never completes", hint="write restart: on-failure", mended="kind: job\n    restart: on-failure"),
-    Bad(name="way to stop", old="stop: ros", new="stop: rso", at="rso", code="EC013", message="unknown way to stop: rso", hint="write ros",
+    BrokenFile(name="way to stop", old="stop: ros", new="stop: rso", at="rso", code="EC013", message="unknown way to stop: rso", hint="write ros",
         mended="stop: ros"),
-    Bad(name="signal", old="stop: ros", new="stop: {signal: SIGINT}", at="SIGINT", code="EC013", message="unknown signal 'SIGINT'",
+    BrokenFile(name="signal", old="stop: ros", new="stop: {signal: SIGINT}", at="SIGINT", code="EC013", message="unknown signal 'SIGINT'",
         hint="did you mean INT?", mended="stop: {signal: INT}"),
-    Bad(name="unreachable", old="on_unreachable: hold", new="on_unreachable: {after: 2m}", at="{after", code="EC011",
+    BrokenFile(name="unreachable", old="on_unreachable: hold", new="on_unreachable: {after: 2m}", at="{after", code="EC011",
         message="on_unreachable needs policy", hint="add policy", mended="on_unreachable: {policy: replace, after: 2m}\n    self_fence: 5m"),
-    Bad(name="downtime cost", old="on_unreachable: hold", new="downtime_cost: -1", at="-1", code="EC015",
+    BrokenFile(name="downtime cost", old="on_unreachable: hold", new="downtime_cost: -1", at="-1", code="EC015",
         message="must be a number from 0 to 1e+06, not -1", hint="write 0.5", mended="downtime_cost: 0.5"),
-    Bad(name="replace unfenced", old="on_unreachable: hold", new="on_unreachable: replace", at="on_unreachable", code="EC033",
+    BrokenFile(name="replace unfenced", old="on_unreachable: hold", new="on_unreachable: replace", at="on_unreachable", code="EC033",
         message="on_unreachable: replace needs self_fence", hint="add self_fence: 5m", mended="on_unreachable: replace\n    self_fence: 5m"),
-    Bad(name="robot without one", old="kind: job", new='env: {R: "{robot}"}', at='{R: "', code="EC035",
+    BrokenFile(name="robot without one", old="kind: job", new='env: {R: "{robot}"}', at='{R: "', code="EC035",
         message="{robot} and {robot_host} need exactly one robot, and map-merge has 2", hint="$EDGECTL_ROBOTS",
         mended='env: {R: "$EDGECTL_ROBOTS"}'),
-    Bad(name="check on no robot", old="kind: job", new="done_when: {on: robot, command: x}", at="{on", code="EC033",
+    BrokenFile(name="check on no robot", old="kind: job", new="done_when: {on: robot, command: x}", at="{on", code="EC033",
         message="done_when runs on the robot, and map-merge has 2", hint="write done_when: {on: host", mended="done_when: {on: host, command: x}"),
-    Bad(name="hook of several robots", old="kind: job", new="handoff: {hold: x}", at="x}", code="EC033",
+    BrokenFile(name="hook of several robots", old="kind: job", new="handoff: {hold: x}", at="x}", code="EC033",
         message="hold runs on the robot, and map-merge has 2", hint="hold: {on: host", mended="handoff: {hold: {on: host, command: x}}"),
-    Bad(name="weights", old="weights: all", new="weights: every", at="every", code="EC015", message="unknown weights 'every'",
+    BrokenFile(name="weights", old="weights: all", new="weights: every", at="every", code="EC015", message="unknown weights 'every'",
         hint="write one of cpu", mended="weights: cpu"),
-    Bad(name="no weight", old="weights: all", new="weights: {cpu: 0}", at="{cpu: 0}", code="EC015",
+    BrokenFile(name="no weight", old="weights: all", new="weights: {cpu: 0}", at="{cpu: 0}", code="EC015",
         message="at least one weight must be more than 0", hint="write one of", mended="weights: {cpu: .5, network: .5}"),
-    Bad(name="negative weight", old="weights: all", new="weights: {cpu: -1, memory: 2}", at="-1", code="EC015", message="weight cpu must be",
+    BrokenFile(name="negative weight", old="weights: all", new="weights: {cpu: -1, memory: 2}", at="-1", code="EC015", message="weight cpu must be",
         hint="cpu=.5", mended="weights: {cpu: .5, network: .5}"),
-    Bad(name="unknown weight", old="weights: all", new="weights: {cpu: .4, mem: .2}", at="mem: .2", code="EC015",
+    BrokenFile(name="unknown weight", old="weights: all", new="weights: {cpu: .4, mem: .2}", at="mem: .2", code="EC015",
         message="unknown weight 'mem'", hint="the weights are cpu, memory", mended="weights: {cpu: .4, memory: .2}"),
-    Bad(name="command as a list among braces", old='ready: {command: "rosnode info /{robot}/slam", timeout: 20s}',
+    BrokenFile(name="command as a list among braces", old='ready: {command: "rosnode info /{robot}/slam", timeout: 20s}',
         new="ready: {command: [a, b], timeout: 20s}", at="[a, b]", code="EC010", message="must be a string, not a list",
         hint="put it in quotes: '[a, b]'", mended="ready: {command: '[a, b]', timeout: 20s}"),
-    Bad(name="sequence", old="sequence: connectivity", new="sequence: conectivity", at="conectivity", code="EC013", message="unknown word",
+    BrokenFile(name="sequence", old="sequence: connectivity", new="sequence: conectivity", at="conectivity", code="EC013", message="unknown word",
         hint="did you mean connectivity?", mended="sequence: connectivity"),
-    Bad(name="margin", old="weights: all", new="move_margin: 2", at="2", code="EC015", message="must be a number from 0 to 1, not 2",
+    BrokenFile(name="margin", old="weights: all", new="move_margin: 2", at="2", code="EC015", message="must be a number from 0 to 1, not 2",
         hint="write 0.1", mended="move_margin: 0.1"),
-    Bad(name="name", old="  pose:", new="  Pose_Estimate!:", at="Pose_Est", code="EC014", message="cannot be the name of a task",
+    BrokenFile(name="name", old="  pose:", new="  Pose_Estimate!:", at="Pose_Est", code="EC014", message="cannot be the name of a task",
         hint="write pose_estimate", mended="  pose_estimate:"),
-    Bad(name="same name after for_each", old="  pose:", new="  slam-robot1:", at="slam-robot1", code="EC032",
+    BrokenFile(name="same name after for_each", old="  pose:", new="  slam-robot1:", at="slam-robot1", code="EC032",
         message="slam-robot1 makes a task slam-robot1, and slam does too", hint="rename one of the two", mended="  pose:"),
-    Bad(name="tasks as a list", old="tasks:\n", new="tasks: []\nx:\n", at="[]", code="EC010", message="tasks must be a mapping of names",
+    BrokenFile(name="tasks as a list", old="tasks:\n", new="tasks: []\nx:\n", at="[]", code="EC010", message="tasks must be a mapping of names",
         hint="write a name, a colon", mended="tasks:\n"),
-    Bad(name="log", old="kind: job", new="log: {max_size: 10MI}", at="10MI", code="EC015", message="cannot be read as a quantity",
+    BrokenFile(name="log", old="kind: job", new="log: {max_size: 10MI}", at="10MI", code="EC015", message="cannot be read as a quantity",
         hint="write 10Mi", mended="log: {max_size: 10Mi}"),
 ]  # fmt: skip
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
-def test_a_broken_task_file_is_told_with_place_and_mend(case: Bad, tmp_path: Path) -> None:
-    check(case, tmp_path, in_tasks=True)
+def test_a_broken_task_file_is_told_with_place_and_mend(case: BrokenFile, tmp_path: Path) -> None:
+    check_problem(case, tmp_path, in_tasks=True)
 
 
 def test_all_mistakes_of_both_files_at_once(tmp_path: Path) -> None:
@@ -162,7 +162,7 @@ def test_all_mistakes_of_both_files_at_once(tmp_path: Path) -> None:
         .replace("until: ready", "until: never")
         .replace("robot: robot1", "robot: r")
     )
-    found = problems_of(tmp_path, inventory, tasks)
+    found = list_problems(tmp_path, inventory, tasks)
     assert [(Path(p.file).name, p.line, p.code) for p in found] == [
         ("inventory.yaml", 2, "EC012"),
         ("inventory.yaml", 6, "EC015"),
@@ -173,7 +173,7 @@ def test_all_mistakes_of_both_files_at_once(tmp_path: Path) -> None:
 
 
 def test_a_template_mistake_is_told_once_not_per_robot(tmp_path: Path) -> None:
-    found = problems_of(
+    found = list_problems(
         tmp_path, INVENTORY.replace(", onboard: true", ""), TASKS.replace("onboard: allow", "onboard: only")
     )
     assert [problem.code for problem in found] == ["EC033"]
@@ -185,7 +185,7 @@ def test_what_has_a_bad_name_or_value_is_not_told_a_second_time(tmp_path: Path) 
         .replace("  pose:", "  Pose:")
         .replace("needs: [slam]", "needs: [Pose]")
     )
-    assert [problem.code for problem in problems_of(tmp_path, INVENTORY, tasks)] == ["EC014", "EC017"]
+    assert [problem.code for problem in list_problems(tmp_path, INVENTORY, tasks)] == ["EC014", "EC017"]
 
 
 def test_several_cycles_are_all_told(tmp_path: Path) -> None:
@@ -193,7 +193,7 @@ def test_several_cycles_are_all_told(tmp_path: Path) -> None:
         f"  {name}: {{command: x, needs: [{need}], demand: {{cpu: 0, memory: 0}}}}\n"
         for name, need in ("ab", "ba", "cd", "dc")
     )
-    found = problems_of(tmp_path, INVENTORY, tasks)
+    found = list_problems(tmp_path, INVENTORY, tasks)
     assert [(p.line, p.code, p.message) for p in found] == [
         (3, "EC031", "a needs itself: a -> b -> a"),
         (5, "EC031", "c needs itself: c -> d -> c"),

@@ -17,17 +17,17 @@ from edgectl.errors import InputError
 from edgectl.model.resource import RESOURCES
 from edgectl.model.task import Demand, Quantity, Tasks
 from edgectl.units import parse_bytes, parse_cores, parse_rate
-from tests.config.bad import INVENTORY
+from tests.config.broken_files import INVENTORY
 
 AMOUNTS = {"cpu": "1.36", "memory": "97.3Mi"}
 
 
-def source_of(text: str) -> Source:
+def build_source(text: str) -> Source:
     return Source(file="t.yaml", text=text, lines=tuple(text.replace("\r\n", "\n").split("\n")))
 
 
-def edited(text: str, entry: str = "t", amounts: dict[str, str] = AMOUNTS) -> str:
-    after = edit_demand(source_of(text), entry, amounts)
+def edit_text(text: str, entry: str = "t", amounts: dict[str, str] = AMOUNTS) -> str:
+    after = edit_demand(build_source(text), entry, amounts)
     assert after is not None
     return after
 
@@ -58,7 +58,7 @@ HEAD = "version: 1\ntasks:\n"
 )  # fmt: skip
 def test_by_hand(before: str, after: str | None) -> None:
     expected = after or before + "\n      cpu: 1.36\n      memory: 97.3Mi"
-    assert edited(HEAD + before) == HEAD + expected
+    assert edit_text(HEAD + before) == HEAD + expected
 
 
 @pytest.mark.parametrize(
@@ -78,7 +78,7 @@ def test_what_cannot_be_edited_safely_is_refused_with_its_place(
     text: str, line: int, column: int, message: str
 ) -> None:
     with pytest.raises(InputError) as caught:
-        edit_demand(source_of(text), "t", AMOUNTS)
+        edit_demand(build_source(text), "t", AMOUNTS)
     (problem,) = caught.value.problems
     assert (problem.line, problem.column) == (line, column)
     assert message in problem.message
@@ -86,8 +86,8 @@ def test_what_cannot_be_edited_safely_is_refused_with_its_place(
 
 
 def test_another_file_has_the_entry() -> None:
-    assert edit_demand(source_of(HEAD + "  u: {command: x}"), "t", AMOUNTS) is None
-    assert edit_demand(source_of("version: 1"), "t", AMOUNTS) is None
+    assert edit_demand(build_source(HEAD + "  u: {command: x}"), "t", AMOUNTS) is None
+    assert edit_demand(build_source("version: 1"), "t", AMOUNTS) is None
 
 
 # -- any file ----------------------------------------------------------------------------------------------------------------------------------
@@ -103,8 +103,8 @@ PARSE = {"cpu": parse_cores, "memory": parse_bytes, "throughput": parse_rate}
 
 
 @dataclass(frozen=True, slots=True)
-class File:
-    """A task file, the entry that is edited, and with what."""
+class EditedFile:
+    """A task file, the edited entry, and its new demand."""
 
     text: str
     entry: str
@@ -112,22 +112,22 @@ class File:
 
 
 @st.composite
-def flows(draw: st.DrawFn, entries: dict[str, str]) -> str:
+def draw_flow(draw: st.DrawFn, entries: dict[str, str]) -> str:
     space = draw(st.sampled_from(["", " "]))
     comma = draw(st.sampled_from([", ", ",  ", ",\n        "]))
     return "{" + space + comma.join(f"{key}: {value}" for key, value in entries.items()) + space + "}"
 
 
 @st.composite
-def demands(draw: st.DrawFn, *, block: bool) -> str | None:
-    """What stands behind ``demand:``; None: the key is absent."""
+def draw_demand(draw: st.DrawFn, *, block: bool) -> str | None:
+    """Return the value of ``demand:``; None: the key is absent."""
     keys = draw(st.lists(st.sampled_from(sorted(VALUES)), unique=True))
     entries = {key: draw(VALUES[key]) for key in keys}
     kind = draw(st.integers(0, 3))
     if kind == 0:
         return draw(st.sampled_from([None, "measured", "{}"]))
     if kind == 1 or not block or not entries:
-        return draw(flows(entries))
+        return draw(draw_flow(entries))
     lines = [f"\n      {key}: {value}{draw(COMMENTS)}" for key, value in entries.items()]
     return draw(COMMENTS) + "".join(
         draw(st.sampled_from(["", "\n      #: above", "\n"])) + line for line in lines
@@ -135,20 +135,20 @@ def demands(draw: st.DrawFn, *, block: bool) -> str | None:
 
 
 @st.composite
-def tasks(draw: st.DrawFn, name: str) -> str:
+def draw_task(draw: st.DrawFn, name: str) -> str:
     block = draw(st.booleans())
     said = draw(
         st.sampled_from([*SAID, "|\n      x\n      y", ">-\n      x\n\n      y"] if block else list(SAID))
     )
     entries = {"command": said, "priority": draw(st.sampled_from(["1", "-2"])), "robot": "robot1"}
-    demand = draw(demands(block=block))
+    demand = draw(draw_demand(block=block))
     if demand is not None:
         entries["demand"] = demand
     if draw(st.booleans()):
         entries["labels"] = "{a: b}" if not block or draw(st.booleans()) else "\n      a: b  #: l\n      c: d"
     order = draw(st.permutations(sorted(entries)))
     if not block:
-        return f"  {name}: {draw(flows({key: entries[key] for key in order}))}{draw(COMMENTS)}\n"
+        return f"  {name}: {draw(draw_flow({key: entries[key] for key in order}))}{draw(COMMENTS)}\n"
     lines = []
     for key in order:
         text = entries[key]
@@ -160,11 +160,11 @@ def tasks(draw: st.DrawFn, name: str) -> str:
 
 
 @st.composite
-def files(draw: st.DrawFn) -> File:
+def draw_file(draw: st.DrawFn) -> EditedFile:
     names = ["a", "b", "c"][: draw(st.integers(1, 3))]
     text = (
         "#: first\nversion: 1\ntasks:\n"
-        + "".join(draw(tasks(name)) for name in names)
+        + "".join(draw(draw_task(name)) for name in names)
         + draw(st.sampled_from(["", "#: last", "\n\n"]))
     )
     amounts = {
@@ -172,35 +172,37 @@ def files(draw: st.DrawFn) -> File:
         for key, value in (("cpu", "1.36"), ("memory", "97.3Mi"), ("throughput", "127kB/s"))
         if draw(st.booleans())
     }
-    return File(
+    return EditedFile(
         text if draw(st.booleans()) else text.replace("\n", "\r\n"),
         draw(st.sampled_from(names)),
         amounts or {"cpu": "0"},
     )
 
 
-def read(text: str) -> Tasks:
+def read_tasks(text: str) -> Tasks:
     with tempfile.TemporaryDirectory() as directory:
         (Path(directory) / "i.yaml").write_text(INVENTORY)
         (Path(directory) / "t.yaml").write_text(text, newline="")
         return load_inventory_and_tasks(Path(directory) / "i.yaml", Path(directory) / "t.yaml")[1]
 
 
-def leaves(span: YamlSpan, text: str, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], str]]:
-    """Every value that holds no other, as it is written; without the demands."""
+def iterate_leaves(
+    span: YamlSpan, text: str, path: tuple[str, ...] = ()
+) -> Iterator[tuple[tuple[str, ...], str]]:
+    """Return every value without nested values, as written; without the demands."""
     if "demand" in path:
         return
     for key, inner in span.entries.items():
-        yield from leaves(inner, text, (*path, key))
+        yield from iterate_leaves(inner, text, (*path, key))
     if not span.entries and not span.items:
         yield path, text[span.start : span.end].strip()
 
 
 @settings(max_examples=150)
-@given(files())
-def test_only_the_demand_changes(file: File) -> None:
-    before = read(file.text)
-    after = edited(file.text, file.entry, file.amounts)
+@given(draw_file())
+def test_only_the_demand_changes(file: EditedFile) -> None:
+    before = read_tasks(file.text)
+    after = edit_text(file.text, file.entry, file.amounts)
     demand = before.tasks[file.entry].demand
     wanted = dict(demand)
     for resource in RESOURCES:
@@ -210,7 +212,9 @@ def test_only_the_demand_changes(file: File) -> None:
                 value=resource.unit.parse(amount), measured=old is not None and old.measured
             )
     task = replace(before.tasks[file.entry], demand=Demand(wanted))
-    assert read(after).tasks == {**before.tasks, file.entry: task}
+    assert read_tasks(after).tasks == {**before.tasks, file.entry: task}
     assert re.findall(r"#:.*", after) == re.findall(r"#:.*", file.text)
-    assert list(leaves(parse_spans(after), after)) == list(leaves(parse_spans(file.text), file.text))
-    assert edited(after, file.entry, file.amounts) == after
+    assert list(iterate_leaves(parse_spans(after), after)) == list(
+        iterate_leaves(parse_spans(file.text), file.text)
+    )
+    assert edit_text(after, file.entry, file.amounts) == after

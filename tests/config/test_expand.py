@@ -1,4 +1,4 @@
-"""What good files mean: expansion per robot, placeholders, needs, defaults, warnings."""
+"""Meaning of valid files: expansion per robot, placeholders, needs, defaults, warnings."""
 
 from pathlib import Path
 
@@ -26,10 +26,10 @@ from edgectl.model.task import (
     Tasks,
     UnreachablePolicy,
 )
-from tests.config.bad import INVENTORY, TASKS
+from tests.config.broken_files import INVENTORY, TASKS
 
 
-def loaded(
+def load_files(
     directory: Path, tasks: str, inventory: str = INVENTORY
 ) -> tuple[Inventory, Tasks, tuple[Problem, ...]]:
     (directory / "i.yaml").write_text(inventory)
@@ -37,14 +37,14 @@ def loaded(
     return load_inventory_and_tasks(directory / "i.yaml", directory / "t.yaml")
 
 
-def task(directory: Path, keys: str, name: str = "t") -> Task:
-    return loaded(
+def load_task(directory: Path, keys: str, name: str = "t") -> Task:
+    return load_files(
         directory, f"version: 1\ntasks:\n  s: {{for_each: robot, command: s}}\n  t: {{command: x, {keys}}}\n"
     )[1].tasks[name]
 
 
 def test_hosts(tmp_path: Path) -> None:
-    inventory = loaded(tmp_path, TASKS)[0]
+    inventory = load_files(tmp_path, TASKS)[0]
     assert list(inventory.hosts) == ["edge1", "edge2", "edge3", "robot1", "robot2"]
     assert inventory.hosts["edge1"].user == "jetson"
     assert inventory.hosts["edge1"].env == {"ROS_DOMAIN_ID": "7"}
@@ -75,7 +75,7 @@ edges:
 
 
 def test_one_task_per_robot_with_placeholders(tmp_path: Path) -> None:
-    tasks = loaded(tmp_path, TASKS)[1].tasks
+    tasks = load_files(tmp_path, TASKS)[1].tasks
     assert list(tasks) == [
         "map-merge",
         "navigation-robot1",
@@ -94,18 +94,18 @@ def test_one_task_per_robot_with_placeholders(tmp_path: Path) -> None:
 
 
 def test_needs_are_of_the_same_robot_or_of_all(tmp_path: Path) -> None:
-    tasks = loaded(tmp_path, TASKS)[1].tasks
+    tasks = load_files(tmp_path, TASKS)[1].tasks
     assert tasks["navigation-robot2"].needs == (Need(task="slam-robot2"),)
     assert tasks["map-merge"].needs == (Need(task="slam-robot1"), Need(task="slam-robot2"))
     assert tasks["map-merge"].robots == ("robot1", "robot2")
-    assert task(
+    assert load_task(
         tmp_path, "needs: [slam2, {task: s-robot2, until: completed}]".replace("slam2, ", "")
     ).needs == (Need(task="s-robot2", until=NeedCondition.COMPLETED),)
 
 
 def test_only_exact_placeholders_are_filled_in(tmp_path: Path) -> None:
     command = "echo {robot} {robot_host} ${robot} ${HOME} {a,b} {robots} {{robot}} { robot } '{}'"
-    got = task(
+    got = load_task(
         tmp_path,
         f'robot: robot1, workdir: "/srv/{{robot}}", env: {{H: "{{robot_host}}"}}, ready: "{command}"',
     )
@@ -118,42 +118,42 @@ def test_only_exact_placeholders_are_filled_in(tmp_path: Path) -> None:
 
 
 def test_without_one_robot_shell_braces_still_survive(tmp_path: Path) -> None:
-    assert task(tmp_path, "ready: 'ls {a,b} ${robot}'").ready == Check(command="ls {a,b} ${robot}")
+    assert load_task(tmp_path, "ready: 'ls {a,b} ${robot}'").ready == Check(command="ls {a,b} ${robot}")
 
 
 def test_robots_of_a_regular_expression_are_escaped(tmp_path: Path) -> None:
     inventory = INVENTORY.replace("robot1", "r.1")
     tasks = "version: 1\ntasks: {t: {for_each: [r.1], managed: false, detect: {cmdline: 'node /{robot}$'}}}"
-    got = loaded(tmp_path, tasks, inventory)[1].tasks["t-r.1"]
+    got = load_files(tmp_path, tasks, inventory)[1].tasks["t-r.1"]
     assert got.detect == DetectRule(cmdline=r"node /r\.1$")
     assert (got.managed, got.command) == (False, "")
 
 
 def test_short_and_long_forms(tmp_path: Path) -> None:
-    assert task(tmp_path, "stop: ros").stop == StopRule(signal="INT", preset="ros")
-    assert task(tmp_path, "stop: {preset: ros, grace: 5s}").stop == StopRule(
+    assert load_task(tmp_path, "stop: ros").stop == StopRule(signal="INT", preset="ros")
+    assert load_task(tmp_path, "stop: {preset: ros, grace: 5s}").stop == StopRule(
         signal="INT", grace=5.0, preset="ros"
     )
-    assert task(tmp_path, "stop: {signal: HUP, grace: 0}").stop == StopRule(signal="HUP", grace=0.0)
-    assert task(tmp_path, "done_when: test -f x").done_when == Check(command="test -f x")
-    assert task(
+    assert load_task(tmp_path, "stop: {signal: HUP, grace: 0}").stop == StopRule(signal="HUP", grace=0.0)
+    assert load_task(tmp_path, "done_when: test -f x").done_when == Check(command="test -f x")
+    assert load_task(
         tmp_path, "robot: robot1, done_when: {command: x, on: robot, timeout: 1m}"
     ).done_when == Check(command="x", on=CheckLocation.ROBOT, timeout=60.0)
-    replaced = task(tmp_path, "on_unreachable: {policy: replace, after: 2m}, self_fence: 5m")
+    replaced = load_task(tmp_path, "on_unreachable: {policy: replace, after: 2m}, self_fence: 5m")
     assert (replaced.on_unreachable, replaced.replace_after) == (UnreachablePolicy.REPLACE, 120.0)
     assert replaced.self_fence == 300.0
     assert (
         replaced.spec_hash
-        != task(tmp_path, "on_unreachable: {policy: replace, after: 2m}, self_fence: 6m").spec_hash
+        != load_task(tmp_path, "on_unreachable: {policy: replace, after: 2m}, self_fence: 6m").spec_hash
     )
-    assert task(
+    assert load_task(
         tmp_path, "hosts: {only: [edge2, edge1], labels: {gpu: maxwell}, pin: edge1}"
     ).hosts == HostRules(only=("edge1", "edge2"), labels={"gpu": "maxwell"}, pin="edge1")
-    assert task(tmp_path, "kind: job, onboard: never, priority: -2, deadline: 1h30m").deadline == 5400.0
+    assert load_task(tmp_path, "kind: job, onboard: never, priority: -2, deadline: 1h30m").deadline == 5400.0
 
 
 def test_hooks_run_on_the_robot_unless_they_say_host(tmp_path: Path) -> None:
-    got = task(
+    got = load_task(
         tmp_path,
         "robot: robot1, handoff: {order: start-first, safe_when: 'a {robot}', hold: {command: b, on: host}}",
     )
@@ -166,7 +166,7 @@ def test_hooks_run_on_the_robot_unless_they_say_host(tmp_path: Path) -> None:
 
 def test_policy_keys(tmp_path: Path) -> None:
     text = "version: 1\npolicy: static\nsequence: sensitivity\nweights: {cpu: 3, task: 1}\nmove_margin: 0\nmin_dwell: 0\nmax_moves: unlimited\n"
-    policy = loaded(tmp_path, text + "tasks: {}\n")[1].policy
+    policy = load_files(tmp_path, text + "tasks: {}\n")[1].policy
     assert (policy.name, policy.sequence, policy.weights) == (
         PolicyName.STATIC,
         SequenceRule.SENSITIVITY,
@@ -184,7 +184,7 @@ tasks:
   c: {command: x, demand: {cpu: 1, memory: 0}}
   d: {managed: false, detect: {cmdline: x}}
 """
-    warnings = loaded(tmp_path, tasks)[2]
+    warnings = load_files(tmp_path, tasks)[2]
     assert [(p.line, p.column, p.code, p.warning) for p in warnings] == [
         (3, 3, "EC101", True),
         (4, 42, "EC101", True),
@@ -196,7 +196,7 @@ tasks:
 def test_a_check_on_a_robot_that_is_never_contacted_is_a_warning(tmp_path: Path) -> None:
     inventory = INVENTORY.replace("{host: 192.168.1.22}", "{host: 192.168.1.22, probe: false}")
     tasks = "version: 1\ntasks: {t: {robot: robot2, command: x, demand: {cpu: 1, memory: 1, throughput: 1}, done_when: {on: robot, command: y}}}"
-    (warning,) = loaded(tmp_path, tasks, inventory)[2]
+    (warning,) = load_files(tmp_path, tasks, inventory)[2]
     assert (warning.code, warning.hint) == ("EC102", "write on: host, or remove probe: false")
 
 
@@ -224,14 +224,14 @@ def test_tasks_of_several_files_and_directories(tmp_path: Path) -> None:
 
 def test_shapes_of_tasks_are_checked_even_where_the_inventory_cannot_be_read(tmp_path: Path) -> None:
     with pytest.raises(InputError) as caught:
-        loaded(tmp_path, TASKS.replace("cpu: 500m", "cpu: -1"), "edges: [")
+        load_files(tmp_path, TASKS.replace("cpu: 500m", "cpu: -1"), "edges: [")
     assert [p.code for p in caught.value.problems] == ["EC004", "EC015"]
 
 
 def test_too_many_tasks_are_refused_before_they_are_made(tmp_path: Path) -> None:
     inventory = "version: 1\nrobots:\n" + "".join(f"  r{i}: {{host: h}}\n" for i in range(2000))
     with pytest.raises(InputError) as caught:
-        loaded(
+        load_files(
             tmp_path,
             "version: 1\ntasks:\n" + "".join(f"  t{i}: {{for_each: robot, command: x}}\n" for i in range(9)),
             inventory,
@@ -240,9 +240,9 @@ def test_too_many_tasks_are_refused_before_they_are_made(tmp_path: Path) -> None
 
 
 def test_onboard_only(tmp_path: Path) -> None:
-    assert task(tmp_path, "robot: robot1, onboard: only").onboard is OnboardRule.ONLY
-    assert task(tmp_path, "robot: robot1, hosts: {pin: robot1}").hosts.pin == "robot1"
-    assert task(tmp_path, "kind: job").kind is TaskKind.JOB
+    assert load_task(tmp_path, "robot: robot1, onboard: only").onboard is OnboardRule.ONLY
+    assert load_task(tmp_path, "robot: robot1, hosts: {pin: robot1}").hosts.pin == "robot1"
+    assert load_task(tmp_path, "kind: job").kind is TaskKind.JOB
 
 
 def test_demands_may_be_measured(tmp_path: Path) -> None:
@@ -252,7 +252,7 @@ tasks:
   b: {command: x, robot: robot1, demand: {cpu: measured, memory: {until_measured: 90Mi}, throughput: {until_measured: 10%}}}
   c: {command: x, demand: {cpu: {until_measured: 0}, memory: 1}}
 """
-    _, read, warnings = loaded(tmp_path, tasks)
+    _, read, warnings = load_files(tmp_path, tasks)
     found = read.tasks
     measured = Quantity(value=0.0, measured=True)
     assert found["a"].demand == Demand(cpu=measured, memory=measured, network=measured)

@@ -1,4 +1,6 @@
-"""docs/reference/files.md: every key that exists is documented, every documented key exists, and its examples load."""
+"""docs/reference/files.md: every key that exists is documented, every documented key exists, and its examples
+load.
+"""
 
 import re
 from collections.abc import Mapping
@@ -50,17 +52,17 @@ TABLES: Mapping[str, tuple[Mapping[str, object], ...]] = {
 }
 
 
-def section(heading: str) -> str:
-    """The text below a heading, up to the next one."""
+def read_section(heading: str) -> str:
+    """Return the text below a heading, up to the next one."""
     assert f"\n{heading}\n" in PAGE, heading
     return re.split(r"\n##", PAGE.split(f"\n{heading}\n", 1)[1], maxsplit=1)[0]
 
 
-def tables(heading: str) -> list[list[str]]:
-    """The first columns of the tables below a heading, without their heads."""
+def read_tables(heading: str) -> list[list[str]]:
+    """Return the first columns of the tables below a heading, without their headings."""
     found: list[list[str]] = []
     inside = False
-    for line in section(heading).split("\n"):
+    for line in read_section(heading).split("\n"):
         if line.startswith("|---"):
             found.append([])
             inside = True
@@ -73,15 +75,15 @@ def tables(heading: str) -> list[list[str]]:
 
 @pytest.mark.parametrize("heading", TABLES)
 def test_tables_hold_every_key_in_order(heading: str) -> None:
-    assert [sorted(keys) for keys in tables(heading)] == [sorted(table) for table in TABLES[heading]]
+    assert [sorted(keys) for keys in read_tables(heading)] == [sorted(table) for table in TABLES[heading]]
 
 
 def test_codes_are_complete() -> None:
-    assert tables("## Problems") == [[code.value for code in ProblemCode]]
+    assert read_tables("## Problems") == [[code.value for code in ProblemCode]]
 
 
 def test_readers_cover_the_model() -> None:
-    """A field that is added to Host or Task is readable, or made by us."""
+    """Every field of Host and Task is read from a file, or set by edgectl."""
     assert set(inventory_file.ROBOT_KEYS) == {field.name for field in fields(Host)} - {"name", "role"}
     made = {"name", "template", "spec_hash", "spec_fields", "replace_after"}
     assert set(task_file.TASK_KEYS) - {"for_each", "robot"} == {field.name for field in fields(Task)} - made
@@ -117,27 +119,27 @@ def test_keys_of_a_snapshot_are_complete() -> None:
         type(SNAPSHOT)(taken_at=0.0, hosts={"h": sample}, manager=SNAPSHOT.manager)
     )
     encoded = document["hosts"]["h"]  # type: ignore[index]
-    assert tables("## Snapshot") == [list(document), list(encoded), list(encoded["tasks"]["t"])]
-    assert all(f"`{key}` ?" in section("## Snapshot") for key in encoded["device"])
+    assert read_tables("## Snapshot") == [list(document), list(encoded), list(encoded["tasks"]["t"])]
+    assert all(f"`{key}` ?" in read_section("## Snapshot") for key in encoded["device"])
 
 
 def test_keys_of_a_plan_are_complete() -> None:
     document = PLAN_KIND.encode(PLAN)
-    whole, decision = tables("## Plan")
+    whole, decision = read_tables("## Plan")
     encoded = document["decisions"][0]  # type: ignore[index]
     assert whole == list(document)
     assert [key for key in decision if f"| `{key}` ? |" not in PAGE.split("Of a decision.")[1]] == list(
         encoded
     )
-    assert all(f"`{key}`" in section("## Plan") for key in encoded["ranking"][0])
+    assert all(f"`{key}`" in read_section("## Plan") for key in encoded["ranking"][0])
 
 
 def test_keys_of_runs_and_trials_are_complete() -> None:
     document = run_codec.RUN_KIND.encode(RUN)
-    (head,), (trial,) = tables("## Run"), tables("## Trial")
+    (head,), (trial,) = read_tables("## Run"), read_tables("## Trial")
     assert [*head, "trials"] == list(document)
     assert trial == list(run_codec.TRIAL_KIND.encode(TRIAL))
-    assert all(f"`{key}`" in section("## Run") for key in document["experiment"])  # type: ignore[attr-defined]
+    assert all(f"`{key}`" in read_section("## Run") for key in document["experiment"])  # type: ignore[attr-defined]
 
 
 def test_the_examples_load_together(tmp_path: Path) -> None:

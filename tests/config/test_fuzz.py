@@ -1,4 +1,4 @@
-"""Loaders raise nothing but our own errors, whatever stands in the files."""
+"""Loaders raise no error but InputError, whatever the files contain."""
 
 import json
 from collections.abc import Callable
@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from edgectl.config.documents import load_plan, load_snapshot
 from edgectl.config.load import load_inventory_and_tasks
 from edgectl.errors import InputError, Problem
-from tests.config.bad import INVENTORY, TASKS
+from tests.config.broken_files import INVENTORY, TASKS
 from tests.config.test_bad_documents import TEXTS
 
 bounded = settings(max_examples=300)
@@ -25,7 +25,7 @@ pieces = st.one_of(st.sampled_from(PIECES), st.text(max_size=5))
 
 
 @st.composite
-def damaged(draw: st.DrawFn, text: str) -> str:
+def draw_damaged(draw: st.DrawFn, text: str) -> str:
     for _ in range(draw(st.integers(1, 3))):
         start = draw(st.integers(0, len(text)))
         end = min(len(text), start + draw(st.integers(0, 12)))
@@ -33,12 +33,12 @@ def damaged(draw: st.DrawFn, text: str) -> str:
     return text
 
 
-def write(path: Path, text: str) -> Path:
+def write_text(path: Path, text: str) -> Path:
     path.write_bytes(text.encode("utf-8", "surrogatepass"))
     return path
 
 
-def problems_of(action: Callable[[], Any]) -> tuple[Problem, ...]:
+def list_problems(action: Callable[[], Any]) -> tuple[Problem, ...]:
     try:
         action()
     except InputError as error:
@@ -46,8 +46,8 @@ def problems_of(action: Callable[[], Any]) -> tuple[Problem, ...]:
     return ()
 
 
-def only_input_errors(action: Callable[[], Any]) -> None:
-    for problem in problems_of(action):
+def check_only_input_errors(action: Callable[[], Any]) -> None:
+    for problem in list_problems(action):
         assert problem.message
         assert "\n" not in problem.message + problem.hint
         assert min(problem.line, problem.column) >= 0
@@ -55,22 +55,22 @@ def only_input_errors(action: Callable[[], Any]) -> None:
 
 
 @bounded
-@given(damaged(INVENTORY), damaged(TASKS))
+@given(draw_damaged(INVENTORY), draw_damaged(TASKS))
 def test_damaged_yaml(tmp_path: Path, inventory: str, tasks: str) -> None:
-    paths = write(tmp_path / "i.yaml", inventory), write(tmp_path / "t.yaml", tasks)
-    only_input_errors(lambda: load_inventory_and_tasks(*paths))
+    paths = write_text(tmp_path / "i.yaml", inventory), write_text(tmp_path / "t.yaml", tasks)
+    check_only_input_errors(lambda: load_inventory_and_tasks(*paths))
 
 
 @bounded
 @given(st.lists(pieces, max_size=30).map("".join))
 def test_any_text(tmp_path: Path, text: str) -> None:
-    path = write(tmp_path / "f", text)
+    path = write_text(tmp_path / "f", text)
     for action in (
         lambda: load_inventory_and_tasks(path, path),
         lambda: load_snapshot(path),
         lambda: load_plan(path),
     ):
-        only_input_errors(action)
+        check_only_input_errors(action)
 
 
 @settings(bounded, max_examples=100)
@@ -79,7 +79,7 @@ def test_any_bytes(tmp_path: Path, data: bytes) -> None:
     path = tmp_path / "f"
     path.write_bytes(data)
     for action in (lambda: load_inventory_and_tasks(path, path), lambda: load_snapshot(path)):
-        only_input_errors(action)
+        check_only_input_errors(action)
 
 
 scalars = (
@@ -108,18 +108,18 @@ trees = st.recursive(
 def test_any_tree_of_known_words(
     tmp_path: Path, inventory: dict[str, Any], tasks: dict[str, Any], task: Any
 ) -> None:
-    """JSON is YAML: trees are written as JSON."""
+    """Trees are written as JSON, which is YAML."""
     tasks = {"version": 1, "tasks": {"slam": task, **tasks}}
     with suppress(UnicodeEncodeError):
         paths = [
-            write(tmp_path / name, json.dumps(tree, ensure_ascii=False))
+            write_text(tmp_path / name, json.dumps(tree, ensure_ascii=False))
             for name, tree in (("i", {"version": 1, **inventory}), ("t", tasks))
         ]
-        only_input_errors(lambda: load_inventory_and_tasks(*paths))
+        check_only_input_errors(lambda: load_inventory_and_tasks(*paths))
 
 
 @bounded
-@given(damaged(TEXTS["snapshot"]), damaged(TEXTS["plan"]))
+@given(draw_damaged(TEXTS["snapshot"]), draw_damaged(TEXTS["plan"]))
 def test_damaged_documents(tmp_path: Path, snapshot: str, plan: str) -> None:
-    only_input_errors(lambda: load_snapshot(write(tmp_path / "s", snapshot)))
-    only_input_errors(lambda: load_plan(write(tmp_path / "p", plan)))
+    check_only_input_errors(lambda: load_snapshot(write_text(tmp_path / "s", snapshot)))
+    check_only_input_errors(lambda: load_plan(write_text(tmp_path / "p", plan)))

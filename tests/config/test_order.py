@@ -1,4 +1,6 @@
-"""Reordering a file changes nothing: not the values, not the digests. What runs changes the spec hash, what places does not."""
+"""The order of a file changes neither values nor digests. Fields of execution change the spec hash, fields of
+placement do not.
+"""
 
 import random
 from pathlib import Path
@@ -12,18 +14,18 @@ from hypothesis import strategies as st
 from edgectl.config.load import load_inventory_and_tasks
 from edgectl.model.inventory import Inventory
 from edgectl.model.task import Tasks
-from tests.config.bad import INVENTORY, TASKS
+from tests.config.broken_files import INVENTORY, TASKS
 
 
-def shuffled(value: Any, chance: random.Random) -> Any:
+def shuffle_value(value: Any, chance: random.Random) -> Any:
     if isinstance(value, dict):
         keys = list(value)
         chance.shuffle(keys)
-        return {key: shuffled(value[key], chance) for key in keys}
-    return [shuffled(inner, chance) for inner in value] if isinstance(value, list) else value
+        return {key: shuffle_value(value[key], chance) for key in keys}
+    return [shuffle_value(inner, chance) for inner in value] if isinstance(value, list) else value
 
 
-def both(directory: Path, inventory: str, tasks: str) -> tuple[Inventory, Tasks]:
+def load_files(directory: Path, inventory: str, tasks: str) -> tuple[Inventory, Tasks]:
     (directory / "i.yaml").write_text(inventory)
     (directory / "t.yaml").write_text(tasks)
     return load_inventory_and_tasks(directory / "i.yaml", directory / "t.yaml")[:2]
@@ -32,11 +34,12 @@ def both(directory: Path, inventory: str, tasks: str) -> tuple[Inventory, Tasks]
 @settings(max_examples=25)
 @given(st.randoms(use_true_random=False))
 def test_order_is_irrelevant(tmp_path: Path, chance: random.Random) -> None:
-    expected = both(tmp_path, INVENTORY, TASKS)
+    expected = load_files(tmp_path, INVENTORY, TASKS)
     texts = [
-        yaml.safe_dump(shuffled(yaml.safe_load(text), chance), sort_keys=False) for text in (INVENTORY, TASKS)
+        yaml.safe_dump(shuffle_value(yaml.safe_load(text), chance), sort_keys=False)
+        for text in (INVENTORY, TASKS)
     ]
-    got = both(tmp_path, *texts)
+    got = load_files(tmp_path, *texts)
     assert got == expected
     assert list(got[0].hosts) == list(expected[0].hosts)
     assert list(got[1].tasks) == list(expected[1].tasks)
@@ -62,8 +65,8 @@ def test_digests_follow_the_meaning(
     old: str, new: str, *, inventory_changes: bool, tasks_change: bool, spec_changes: bool, tmp_path: Path
 ) -> None:
     files = [INVENTORY, TASKS + "# nothing\n"]
-    before = both(tmp_path, *files)
-    after = both(tmp_path, *(text.replace(old, new, 1) for text in files))
+    before = load_files(tmp_path, *files)
+    after = load_files(tmp_path, *(text.replace(old, new, 1) for text in files))
     assert (before[0].digest != after[0].digest) is inventory_changes
     assert (before[1].digest != after[1].digest) is tasks_change
     name = "navigation-robot1"
@@ -73,5 +76,5 @@ def test_digests_follow_the_meaning(
 
 
 def test_spec_hashes_differ_between_robots(tmp_path: Path) -> None:
-    tasks = both(tmp_path, INVENTORY, TASKS)[1].tasks
+    tasks = load_files(tmp_path, INVENTORY, TASKS)[1].tasks
     assert len({task.spec_hash for task in tasks.values()}) == len(tasks)

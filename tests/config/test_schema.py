@@ -9,7 +9,7 @@ from jsonschema import Draft202012Validator
 
 from edgectl.cli.schema import EDITED_KINDS, SCHEMAS, build_schema
 from tests.config import test_bad_inventories, test_bad_tasks
-from tests.config.bad import INVENTORY, TASKS, Bad
+from tests.config.broken_files import INVENTORY, TASKS, BrokenFile
 
 ROOT = Path(__file__).parents[2]
 FILES = {
@@ -59,14 +59,14 @@ def test_the_good_files_of_the_corpus_are_valid() -> None:
     assert list_faults("tasks", load(TASKS)) == []
 
 
-def list_corpus() -> list[tuple[str, str, Bad]]:
+def list_corpus() -> list[tuple[str, str, BrokenFile]]:
     corpus = []
     for module, kind, text in (
         (test_bad_inventories, "inventory", INVENTORY),
         (test_bad_tasks, "tasks", TASKS),
     ):
         found = [bad for value in vars(importlib.import_module(module.__name__)).values() if isinstance(value, list | tuple)
-                 for bad in value if isinstance(bad, Bad)]  # fmt: skip
+                 for bad in value if isinstance(bad, BrokenFile)]  # fmt: skip
         corpus += [
             (kind, text, bad) for bad in found if bad.code in CODES_OF_FORM and bad.name not in NOT_OF_FORM
         ]
@@ -74,8 +74,12 @@ def list_corpus() -> list[tuple[str, str, Bad]]:
 
 
 @pytest.mark.parametrize(
-    ("kind", "text", "bad"), list_corpus(), ids=lambda value: value.name if isinstance(value, Bad) else ""
+    ("kind", "text", "bad"),
+    list_corpus(),
+    ids=lambda value: value.name if isinstance(value, BrokenFile) else "",
 )
-def test_what_the_readers_refuse_by_its_form_the_schema_refuses(kind: str, text: str, bad: Bad) -> None:
+def test_what_the_readers_refuse_by_its_form_the_schema_refuses(
+    kind: str, text: str, bad: BrokenFile
+) -> None:
     assert bad.old in text
     assert list_faults(kind, load(text.replace(bad.old, bad.new, 1))), bad.name

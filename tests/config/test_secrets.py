@@ -1,4 +1,4 @@
-"""Secrets in the files: read, hidden at once, and never on a line that an error shows."""
+"""Secrets in the files: hidden as soon as they are read, and never part of an error message."""
 
 import random
 from pathlib import Path
@@ -10,29 +10,29 @@ from edgectl.errors import InputError
 from edgectl.model.inventory import Inventory
 from edgectl.model.secret import Secret
 from edgectl.model.task import Task
-from tests.config.bad import INVENTORY, TASKS
+from tests.config.broken_files import INVENTORY, TASKS
 
 PLAIN = 'env: {ROBOT: "{robot}"}'
 
 
-def loaded(directory: Path, tasks: str, inventory: str = INVENTORY) -> tuple[Inventory, Task]:
+def load_task(directory: Path, tasks: str, inventory: str = INVENTORY) -> tuple[Inventory, Task]:
     (directory / "i.yaml").write_text(inventory)
     (directory / "t.yaml").write_text(tasks)
     fleet, found, _ = load_inventory_and_tasks(directory / "i.yaml", directory / "t.yaml")
     return fleet, found.tasks["navigation-robot1"]
 
 
-def with_env(text: str) -> str:
+def replace_env(text: str) -> str:
     assert PLAIN in TASKS
     return TASKS.replace(PLAIN, text)
 
 
-def secret(value: str) -> str:
-    return with_env(f"env: {{TOKEN: {{value: {value}, secret: true}}}}")
+def secret_entry(value: str) -> str:
+    return replace_env(f"env: {{TOKEN: {{value: {value}, secret: true}}}}")
 
 
 def test_a_secret_is_hidden_and_filled_in(tmp_path: Path) -> None:
-    _, task = loaded(tmp_path, secret('"canary-{robot}"'))
+    _, task = load_task(tmp_path, secret_entry('"canary-{robot}"'))
     token = task.env["TOKEN"]
     assert isinstance(token, Secret)
     assert token.reveal() == "canary-robot1"
@@ -40,7 +40,7 @@ def test_a_secret_is_hidden_and_filled_in(tmp_path: Path) -> None:
 
 
 def test_a_value_that_is_not_secret_is_a_text(tmp_path: Path) -> None:
-    _, task = loaded(tmp_path, with_env("env: {TOKEN: {value: plain, secret: false}}"))
+    _, task = load_task(tmp_path, replace_env("env: {TOKEN: {value: plain, secret: false}}"))
     assert task.env == {"TOKEN": "plain"}
     assert not isinstance(task.env["TOKEN"], Secret)
 
@@ -55,34 +55,34 @@ def test_names_that_only_sound_like_secrets_are_left_alone(tmp_path: Path) -> No
         "KEYBOARD": "de",
     }
     written = ", ".join(f'{name}: "{value}"' for name, value in env.items())
-    assert loaded(tmp_path, with_env(f"env: {{{written}}}"))[1].env == env
+    assert load_task(tmp_path, replace_env(f"env: {{{written}}}"))[1].env == env
 
 
 @pytest.mark.parametrize("fix", ["{value: plain, secret: true}", "{value: plain, secret: false}"])
 def test_the_hint_for_a_secret_in_clear_mends_it(fix: str, tmp_path: Path) -> None:
     with pytest.raises(InputError) as raised:
-        loaded(tmp_path, with_env("env: {TOKEN: plain}"))
+        load_task(tmp_path, replace_env("env: {TOKEN: plain}"))
     (problem,) = raised.value.problems
     assert (problem.code, problem.source) == ("EC018", "")
     assert "TOKEN: {value: .., secret: true} (secret: false if it is none)" in problem.hint
-    assert loaded(tmp_path, with_env(f"env: {{TOKEN: {fix}}}"))[1].env
+    assert load_task(tmp_path, replace_env(f"env: {{TOKEN: {fix}}}"))[1].env
 
 
 def test_no_digest_depends_on_a_value(tmp_path: Path) -> None:
-    one, other = loaded(tmp_path, secret("one"))[1], loaded(tmp_path, secret("other"))[1]
+    one, other = load_task(tmp_path, secret_entry("one"))[1], load_task(tmp_path, secret_entry("other"))[1]
     assert (one.spec_hash, one.spec_fields) == (other.spec_hash, other.spec_fields)
-    assert one.spec_fields["env"] != loaded(tmp_path, TASKS)[1].spec_fields["env"]
+    assert one.spec_fields["env"] != load_task(tmp_path, TASKS)[1].spec_fields["env"]
 
 
 def test_secrets_and_commands_of_hosts(tmp_path: Path) -> None:
     text = INVENTORY.replace(
         'env: {ROS_DOMAIN_ID: "7"}', "env: {KEY: {value: canary, secret: true}}, env_command: [vault, read]"
     )
-    fleet, _ = loaded(tmp_path, TASKS, text)
+    fleet, _ = load_task(tmp_path, TASKS, text)
     host = fleet.hosts["edge1"]
     assert host.env["KEY"] == "***"
     assert host.env_command == ("vault", "read")
-    _, other = loaded(tmp_path, with_env("env_command: [vault, read, slam]"))
+    _, other = load_task(tmp_path, replace_env("env_command: [vault, read, slam]"))
     assert other.env_command == ("vault", "read", "slam")
     assert other.spec_fields["env_command"]
 
@@ -129,7 +129,7 @@ def test_mistakes_have_a_place_and_show_no_secret(
     env: str, place: tuple[int, int], message: str, tmp_path: Path
 ) -> None:
     with pytest.raises(InputError) as raised:
-        loaded(tmp_path, with_env(env))
+        load_task(tmp_path, replace_env(env))
     texts = [f"{p.message} {p.hint} {p.source}" for p in raised.value.problems]
     assert not any("canary" in text or "4711" in text for text in texts), texts
     found = [p for p in raised.value.problems if message in p.message]
@@ -149,10 +149,10 @@ def test_no_damage_makes_an_error_show_a_secret(tmp_path: Path) -> None:
     """One stray character anywhere in the entry, 500 times."""
     chance = random.Random(1)
     for _ in range(500):
-        text = with_env(chance.choice(SOUND))
+        text = replace_env(chance.choice(SOUND))
         at = chance.randint(text.index("TOKEN"), text.index("secret: true") + 12)
         try:
-            loaded(tmp_path, text[:at] + chance.choice(STRAY) + text[at + chance.randint(0, 1) :])
+            load_task(tmp_path, text[:at] + chance.choice(STRAY) + text[at + chance.randint(0, 1) :])
         except InputError as error:
             shown = [f"{problem.message} {problem.hint} {problem.source}" for problem in error.problems]
             assert not any("4711" in line for line in shown), shown

@@ -1,4 +1,4 @@
-"""YAML 1.2 core scalars, places, and bombs that go off before anything is built."""
+"""YAML 1.2 core scalars, places, and expansion bombs that are rejected before anything is built."""
 
 import os
 import time
@@ -13,7 +13,7 @@ from edgectl.config.yaml_parser import parse_yaml, resolve_scalar
 from edgectl.errors import InputError
 
 
-def parsed(text: str) -> tuple[object, Problems]:
+def parse_text(text: str) -> tuple[object, Problems]:
     problems = Problems()
     node = parse_yaml(Source(file="f.yaml", text=text, lines=tuple(text.split("\n"))), problems)
     return None if node is None else value_from_node(node), problems
@@ -43,15 +43,15 @@ def test_not_a_number_is_a_float() -> None:
 
 
 def test_quoted_scalars_stay_text() -> None:
-    assert parsed("a: '1'\nb: \"true\"\nc: |\n  12\n")[0] == {"a": "1", "b": "true", "c": "12\n"}
+    assert parse_text("a: '1'\nb: \"true\"\nc: |\n  12\n")[0] == {"a": "1", "b": "true", "c": "12\n"}
 
 
 def test_keys_are_text_whatever_they_look_like() -> None:
-    assert parsed("1: a\ntrue: b\nno: c\n~: d")[0] == {"1": "a", "true": "b", "no": "c", "~": "d"}
+    assert parse_text("1: a\ntrue: b\nno: c\n~: d")[0] == {"1": "a", "true": "b", "no": "c", "~": "d"}
 
 
 def test_anchors_are_read_and_stand_where_they_are_used() -> None:
-    value, problems = parsed("a: &x {b: 1}\nc: *x\n")
+    value, problems = parse_text("a: &x {b: 1}\nc: *x\n")
     assert value == {"a": {"b": 1}, "c": {"b": 1}}
     assert not problems.found
 
@@ -67,7 +67,7 @@ def test_every_line_ending_counts(ending: str, tmp_path: Path) -> None:
 
 
 def test_a_byte_order_mark_and_wide_characters_do_not_shift_columns() -> None:
-    _, problems = parsed("ü: {ö: 1, ö: 2}")
+    _, problems = parse_text("ü: {ö: 1, ö: 2}")
     assert [(p.line, p.column) for p in problems.found] == [(1, 11)]
 
 
@@ -96,12 +96,12 @@ BOMBS = {
 def test_bombs_are_refused_at_once(name: str) -> None:
     text, code = BOMBS[name]
     begin = time.process_time()
-    _, problems = parsed(text)
+    _, problems = parse_text(text)
     assert time.process_time() - begin < 5.0
     assert [problem.code for problem in problems.found] == [code]
 
 
-def file_problem(path: Path) -> tuple[str, str, str, int, int]:
+def get_file_problem(path: Path) -> tuple[str, str, str, int, int]:
     with pytest.raises(InputError) as caught:
         load_inventory(path)
     (problem,) = caught.value.problems
@@ -112,27 +112,31 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
     (tmp_path / "lab.yaml").write_text("")
     (tmp_path / "big.yaml").write_text("#" * (2**20 + 1))
     (tmp_path / "latin.yaml").write_bytes("version: 1\nedges: {é: 1}\n".encode("latin-1"))
-    assert file_problem(tmp_path / "lab.yml") == (
+    assert get_file_problem(tmp_path / "lab.yml") == (
         "EC001",
         "no such file",
         f"did you mean {tmp_path}/lab.yaml?",
         0,
         0,
     )
-    assert file_problem(tmp_path / "other")[2] == "name an existing file, or create one: edgectl init DIR"
-    assert file_problem(tmp_path)[:2] == ("EC001", "is a directory, not a file")
-    assert file_problem(tmp_path / "lab.yaml")[:3] == ("EC008", "the file is empty", "begin with: version: 1")
-    assert file_problem(tmp_path / "big.yaml")[:2] == ("EC003", "the file is larger than 1 MiB")
-    assert file_problem(tmp_path / "latin.yaml") == (
+    assert get_file_problem(tmp_path / "other")[2] == "name an existing file, or create one: edgectl init DIR"
+    assert get_file_problem(tmp_path)[:2] == ("EC001", "is a directory, not a file")
+    assert get_file_problem(tmp_path / "lab.yaml")[:3] == (
+        "EC008",
+        "the file is empty",
+        "begin with: version: 1",
+    )
+    assert get_file_problem(tmp_path / "big.yaml")[:2] == ("EC003", "the file is larger than 1 MiB")
+    assert get_file_problem(tmp_path / "latin.yaml") == (
         "EC002",
         "byte 0xe9 is not UTF-8",
         "save the file as UTF-8",
         2,
         9,
     )
-    assert file_problem(Path("a\0b"))[0] == "EC001"
+    assert get_file_problem(Path("a\0b"))[0] == "EC001"
     os.mkfifo(tmp_path / "pipe")
-    assert file_problem(tmp_path / "pipe")[:2] == ("EC001", "is not a regular file"), (
+    assert get_file_problem(tmp_path / "pipe")[:2] == ("EC001", "is not a regular file"), (
         "nobody writes: to read it would wait for ever"
     )
-    assert file_problem(tmp_path / "lab.yaml" / "x")[0] == "EC001"
+    assert get_file_problem(tmp_path / "lab.yaml" / "x")[0] == "EC001"

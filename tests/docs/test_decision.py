@@ -25,7 +25,7 @@ from tests.builders import (
     an_inventory,
     some_tasks,
 )
-from tests.scheduler.fleets import decide, decisions, ranked, terms
+from tests.scheduler.fleets import decisions_by_task, list_terms, ranking_by_host, run_assign
 
 PAGE = Path(edgectl.__file__).parent.parent / "docs/concepts/decision.md"
 MB, LINK = 1e6, 10e6
@@ -70,20 +70,20 @@ def assignment() -> Assignment:
     edges = [an_edge(row["host"], cpu_limit=float(row["cpu limit"].rstrip("%")) / 100) for row in hosts]
     inventory = an_inventory(*edges, a_robot("robot1"), a_robot("robot2"))
     snapshot = a_snapshot(**{row["host"]: a_host(row) for row in hosts})
-    return decide(inventory, some_tasks(*map(work, table("The tasks"))), snapshot)
+    return run_assign(inventory, some_tasks(*map(work, table("The tasks"))), snapshot)
 
 
 def test_the_terms(assignment: Assignment) -> None:
     rows = table("The terms")
-    found = decisions(assignment)
+    found = decisions_by_task(assignment)
     assert [decision.task for decision in assignment.decisions] == list(
         dict.fromkeys(row["task"] for row in rows)
     )
     assert len(rows) == sum(len(decision.ranking) for decision in assignment.decisions)
     for row in rows:
-        entry = ranked(found[row["task"]])[row["host"]]
+        entry = ranking_by_host(found[row["task"]])[row["host"]]
         numbers = [float(row[name]) for name in ("UT_cpu", "UT_mem", "UT_net", "UT_task", "total")]
-        assert terms(entry) == pytest.approx(numbers, abs=1e-12), row
+        assert list_terms(entry) == pytest.approx(numbers, abs=1e-12), row
         assert (
             outcome(found[row["task"]].host == row["host"], found[row["task"]].verdict, entry)
             == row["outcome"]
@@ -117,7 +117,7 @@ def test_the_load_after_the_plan(assignment: Assignment) -> None:
 
 
 def test_the_sentences_around_the_tables(assignment: Assignment) -> None:
-    found = decisions(assignment)
+    found = decisions_by_task(assignment)
     assert found["slam-robot1"].lead == pytest.approx(0.084375)
     assert (found["navigation-robot1"].reason.value, found["navigation-robot1"].subject) == (
         "with-predecessor",
@@ -142,7 +142,7 @@ def test_the_moves(row: dict[str, str]) -> None:
         an_inventory(an_edge("edge1"), an_edge("edge2")),
         some_tasks(a_task("slam", downtime_cost=float(row["cost"]))),
     )
-    decision = decisions(decide(inventory, tasks, snapshot, memory=memory, policy=policy))["slam"]
+    decision = decisions_by_task(run_assign(inventory, tasks, snapshot, memory=memory, policy=policy))["slam"]
     assert decision.reason.value == row["outcome"]
     if decision.cost is None:
         assert (row["downtime s"], row["stay s"], float(row["gain needed"])) == ("-", "-", policy.move_margin)

@@ -1,4 +1,4 @@
-"""Builders of facts with defaults of a host on which all is well."""
+"""Builders of facts with the defaults of a healthy host."""
 
 from dataclasses import replace
 
@@ -23,6 +23,6 @@ MANAGER = ManagerFacts(
 )
 
 
-def ros(**variables: str) -> HostFacts:
-    """A host whose tasks see these ROS variables."""
+def ros_facts(**variables: str) -> HostFacts:
+    """Return the facts of a host whose tasks see these ROS variables."""
     return replace(FACTS, links={}, surroundings=ShellEnvironment(variables=variables))

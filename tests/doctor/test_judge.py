@@ -1,4 +1,4 @@
-"""Every check of the doctor, good and bad, on facts made by hand; every complaint with what mends it."""
+"""Every check of the doctor, passing and failing, on facts made by hand; every failure with a remedy."""
 
 from dataclasses import replace
 from typing import Any
@@ -19,13 +19,13 @@ from edgectl.model.diagnosis import (
 from edgectl.model.inventory import Connection, Host
 from edgectl.model.snapshot import CapacitySource
 from tests.builders import a_robot, an_edge, an_inventory
-from tests.doctor.facts import DISK, FACTS, GI, LINK, LOGIND, MANAGER, ros
+from tests.doctor.facts import DISK, FACTS, GI, LINK, LOGIND, MANAGER, ros_facts
 
 OK, WARNING, FAILED = Severity.OK, Severity.WARNING, Severity.FAILED
 EDGE, ROBOT = an_edge("edge1", prelude="source /opt/ros/noetic/setup.bash"), a_robot("robot1")
 
 
-def diagnosed(
+def diagnose_answer(
     answer: HostFacts | UnreachableHost,
     edge: Host = EDGE,
     robot: Host = ROBOT,
@@ -34,14 +34,14 @@ def diagnosed(
     return diagnose_fleet(an_inventory(edge, robot), manager, {"edge1": answer})
 
 
-def only(diagnosis: Diagnosis, check: str, host: str | None = "edge1") -> Finding:
-    """The one finding of a check."""
+def find_only(diagnosis: Diagnosis, check: str, host: str | None = "edge1") -> Finding:
+    """Return the one finding of a check."""
     (found,) = (finding for finding in diagnosis.findings if (finding.host, finding.check) == (host, check))
     return found
 
 
 def test_all_is_well() -> None:
-    diagnosis = diagnosed(FACTS)
+    diagnosis = diagnose_answer(FACTS)
     assert (diagnosis.worst, diagnosis.counts) == (OK, {OK: 11, WARNING: 0, FAILED: 0})
     assert not any(finding.remedy for finding in diagnosis.findings)
     assert [finding.check for finding in diagnosis.findings if finding.host is None] == [
@@ -56,7 +56,7 @@ CASES: list[tuple[str, dict[str, Any], Severity, str, str]] = [
     ("python", {"psutil": True}, OK, "3.8.10, psutil", ""),
     ("python", {"psutil": False}, OK, "3.8.10, no psutil: /proc is read instead, same figures", ""),
     ("clock", {"skew_s": (0.4, 0.49)}, OK, "agrees with this machine's", ""),
-    ("clock", {"skew_s": (-9.0, 9.0)}, OK, "agrees with this machine's", ""),  # a slow line: nothing is certain
+    ("clock", {"skew_s": (-9.0, 9.0)}, OK, "agrees with this machine's", ""),  # a slow link: no conclusion
     ("clock", {"skew_s": (0.6, 0.8)}, WARNING, "is 0.6s ahead of this machine's", "timedatectl set-ntp true"),
     ("clock", {"skew_s": (-3601.0, -3600.0)}, WARNING, "is 1h00m behind this machine's", 'ssh edge1.lab sudo date -s "@$(date +%s)"'),
     ("logind", {"logind": replace(LOGIND, present=False, lingers=False)}, OK, "no logind;", ""),
@@ -96,8 +96,8 @@ CASES: list[tuple[str, dict[str, Any], Severity, str, str]] = [
 def test_each_check_of_a_host(
     check: str, changes: dict[str, Any], level: Severity, says: str, mend: str
 ) -> None:
-    diagnosis = diagnosed(replace(FACTS, **changes))
-    found = only(diagnosis, check)
+    diagnosis = diagnose_answer(replace(FACTS, **changes))
+    found = find_only(diagnosis, check)
     assert (found.level, diagnosis.worst) == (level, level)
     assert says in found.message
     assert bool(found.remedy) == (level is not OK)
@@ -105,31 +105,35 @@ def test_each_check_of_a_host(
 
 
 def test_a_local_host_has_no_login_and_our_clock() -> None:
-    diagnosis = diagnosed(
+    diagnosis = diagnose_answer(
         replace(FACTS, login_s=9.0, skew_s=(5.0, 6.0)), replace(EDGE, connection=Connection.LOCAL)
     )
     assert diagnosis.worst is OK
-    assert "host key" not in only(diagnosis, "login").message
+    assert "host key" not in find_only(diagnosis, "login").message
 
 
 def test_a_robot_that_is_never_contacted_may_be_silent_but_must_be_on_the_way() -> None:
     blind = replace(ROBOT, probe=False)
     assert (
-        only(
-            diagnosed(replace(FACTS, links={"robot1": replace(LINK, reachable=None)}), robot=blind), "robot"
+        find_only(
+            diagnose_answer(replace(FACTS, links={"robot1": replace(LINK, reachable=None)}), robot=blind),
+            "robot",
         ).level
         is OK
     )
     assert (
-        only(
-            diagnosed(replace(FACTS, links={"robot1": replace(LINK, reachable=False)}), robot=blind), "robot"
+        find_only(
+            diagnose_answer(replace(FACTS, links={"robot1": replace(LINK, reachable=False)}), robot=blind),
+            "robot",
         ).level
         is FAILED
     )
     assumed = replace(LINK, capacity_source=CapacitySource.ASSUMED)
     assert (
         "--bandwidth"
-        not in only(diagnosed(replace(FACTS, links={"robot1": assumed}), robot=blind), "capacity").remedy
+        not in find_only(
+            diagnose_answer(replace(FACTS, links={"robot1": assumed}), robot=blind), "capacity"
+        ).remedy
     )
 
 
@@ -148,8 +152,8 @@ SILENT: list[tuple[str, str, str, str]] = [
 @pytest.mark.parametrize(("kind", "hint", "check", "mend"), SILENT)
 def test_a_host_that_cannot_be_asked_is_one_failed_check(kind: str, hint: str, check: str, mend: str) -> None:
     edge = replace(EDGE, port=2222, user="jetson", identity_file="~/.ssh/lab")
-    diagnosis = diagnosed(UnreachableHost(kind=kind, error="it says so", hint=hint), edge)
-    found = only(diagnosis, check)
+    diagnosis = diagnose_answer(UnreachableHost(kind=kind, error="it says so", hint=hint), edge)
+    found = find_only(diagnosis, check)
     assert (found.level, found.message) == (FAILED, "it says so")
     assert mend in found.remedy
     assert [finding.host for finding in diagnosis.findings] == [None, None, "edge1"]
@@ -176,7 +180,7 @@ MANAGERS: list[tuple[dict[str, Any], str, Severity, str]] = [
 @pytest.mark.parametrize(("changes", "check", "level", "mend"), MANAGERS)
 def test_each_check_of_this_machine(changes: dict[str, Any], check: str, level: Severity, mend: str) -> None:
     edge = replace(EDGE, connection=Connection.OPENSSH)
-    found = only(diagnosed(FACTS, edge, manager=replace(MANAGER, **changes)), check, None)
+    found = find_only(diagnose_answer(FACTS, edge, manager=replace(MANAGER, **changes)), check, None)
     assert (found.level, bool(found.remedy)) == (level, level is not OK)
     assert mend in found.remedy
     assert not found.remedy.startswith("on ")
@@ -185,15 +189,15 @@ def test_each_check_of_this_machine(changes: dict[str, Any], check: str, level: 
 def test_what_no_host_needs_is_not_checked() -> None:
     local = replace(EDGE, connection=Connection.LOCAL), replace(ROBOT, connection=Connection.LOCAL)
     broken = replace(MANAGER, known_hosts={"/k": "Permission denied"}, ssh=False)
-    assert diagnosed(FACTS, *local, manager=broken).worst is OK
-    assert [finding.check for finding in diagnosed(FACTS, manager=replace(broken, known_hosts={})).findings][
-        :2
-    ] == ["disk", "known_hosts"]
+    assert diagnose_answer(FACTS, *local, manager=broken).worst is OK
+    assert [
+        finding.check for finding in diagnose_answer(FACTS, manager=replace(broken, known_hosts={})).findings
+    ][:2] == ["disk", "known_hosts"]
     assert diagnose_fleet(an_inventory(EDGE, ROBOT), MANAGER, {}).counts[OK] == 2
 
 
-def compared(*hosts: tuple[Host, HostFacts]) -> dict[str, tuple[Severity, str, str]]:
-    """What is said of ROS, by host: level, message, mend."""
+def compare_ros(*hosts: tuple[Host, HostFacts]) -> dict[str, tuple[Severity, str, str]]:
+    """Return the ROS findings by host: level, message, remedy."""
     diagnosis = diagnose_fleet(
         an_inventory(*(host for host, _ in hosts)), MANAGER, {host.name: facts for host, facts in hosts}
     )
@@ -205,59 +209,69 @@ MASTER = "http://10.0.0.5:11311"
 
 
 def test_without_ros_nothing_is_said() -> None:
-    assert compared((E1, ros()), (E2, ros(ROS_DOMAIN_ID="")), (R1, ros())) == {}
+    assert compare_ros((E1, ros_facts()), (E2, ros_facts(ROS_DOMAIN_ID="")), (R1, ros_facts())) == {}
 
 
 def test_equal_variables_are_shown() -> None:
-    same = ros(ROS_MASTER_URI=MASTER, ROS_DOMAIN_ID="")
-    assert compared((E1, same), (R1, same)) == dict.fromkeys(
+    same = ros_facts(ROS_MASTER_URI=MASTER, ROS_DOMAIN_ID="")
+    assert compare_ros((E1, same), (R1, same)) == dict.fromkeys(
         ("edge1", "robot1"), (OK, f"ROS_MASTER_URI={MASTER}", "")
     )
 
 
 def test_the_minority_is_told_and_its_mend_is_an_edit_that_has_the_last_word() -> None:
-    seven, eight = ros(ROS_DOMAIN_ID="7"), ros(ROS_DOMAIN_ID="8")
-    said = compared((E1, seven), (E2, eight), (E3, seven))
+    seven, eight = ros_facts(ROS_DOMAIN_ID="7"), ros_facts(ROS_DOMAIN_ID="8")
+    said = compare_ros((E1, seven), (E2, eight), (E3, seven))
     assert said["edge1"][0] is said["edge3"][0] is OK
     assert said["edge2"] == (
         FAILED,
         "ROS_DOMAIN_ID is 8, but 7 on edge1, edge3",
         'in the inventory, for edge2: env: {ROS_DOMAIN_ID: "7"}',
     )
-    with_prelude = compared((E1, seven), (replace(E2, prelude="source x"), eight))["edge2"]
+    with_prelude = compare_ros((E1, seven), (replace(E2, prelude="source x"), eight))["edge2"]
     assert with_prelude[2] == "in the inventory, end the prelude of edge2 with: export ROS_DOMAIN_ID=7"
 
 
 def test_what_is_not_set_counts_as_the_default_of_ros() -> None:
-    assert {each[0] for each in compared((E1, ros(ROS_DOMAIN_ID="0")), (E2, ros())).values()} == {OK}
-    said = compared((E1, ros(ROS_DOMAIN_ID="5")), (E2, ros()))["edge2"]
+    assert {
+        each[0] for each in compare_ros((E1, ros_facts(ROS_DOMAIN_ID="0")), (E2, ros_facts())).values()
+    } == {OK}
+    said = compare_ros((E1, ros_facts(ROS_DOMAIN_ID="5")), (E2, ros_facts()))["edge2"]
     assert (said[0], said[1]) == (FAILED, "ROS_DOMAIN_ID is not set (0 by default), but 5 on edge1")
     assert (
-        compared((E1, ros(ROS_MASTER_URI=MASTER)), (E2, ros()))["edge2"][1]
+        compare_ros((E1, ros_facts(ROS_MASTER_URI=MASTER)), (E2, ros_facts()))["edge2"][1]
         == f"ROS_MASTER_URI is not set, but {MASTER} on edge1"
     )
-    rmw = compared((E1, ros(RMW_IMPLEMENTATION="rmw_cyclonedds_cpp")), (E2, ros()))["edge2"]
+    rmw = compare_ros((E1, ros_facts(RMW_IMPLEMENTATION="rmw_cyclonedds_cpp")), (E2, ros_facts()))["edge2"]
     assert rmw[0] is WARNING
     assert {
-        each[0] for each in compared((E1, ros(RMW_IMPLEMENTATION="rmw_fastrtps_cpp")), (E2, ros())).values()
+        each[0]
+        for each in compare_ros(
+            (E1, ros_facts(RMW_IMPLEMENTATION="rmw_fastrtps_cpp")), (E2, ros_facts())
+        ).values()
     } == {OK}
 
 
 def test_a_robot_that_sets_nothing_is_not_compared_and_one_that_differs_is_a_warning() -> None:
-    assert "robot1" not in compared((E1, ros(ROS_DOMAIN_ID="5")), (R1, ros()))
-    assert compared((E1, ros(ROS_DOMAIN_ID="5")), (replace(R1, onboard=True), ros()))["robot1"][0] is WARNING
+    assert "robot1" not in compare_ros((E1, ros_facts(ROS_DOMAIN_ID="5")), (R1, ros_facts()))
     assert (
-        compared((E1, ros(ROS_DOMAIN_ID="5")), (E2, ros(ROS_DOMAIN_ID="5")), (R1, ros(ROS_DOMAIN_ID="6")))[
-            "robot1"
-        ][0]
+        compare_ros((E1, ros_facts(ROS_DOMAIN_ID="5")), (replace(R1, onboard=True), ros_facts()))["robot1"][0]
+        is WARNING
+    )
+    assert (
+        compare_ros(
+            (E1, ros_facts(ROS_DOMAIN_ID="5")),
+            (E2, ros_facts(ROS_DOMAIN_ID="5")),
+            (R1, ros_facts(ROS_DOMAIN_ID="6")),
+        )["robot1"][0]
         is WARNING
     )
 
 
 @pytest.mark.parametrize("uri", ["http://localhost:11311", "http://127.0.0.1:11311/"])
 def test_a_master_on_localhost_is_another_one_on_each_host(uri: str) -> None:
-    own = ros(ROS_MASTER_URI=uri)
-    said = compared((E1, own), (E2, own), (R1, own))
+    own = ros_facts(ROS_MASTER_URI=uri)
+    said = compare_ros((E1, own), (E2, own), (R1, own))
     assert {name: each[0] for name, each in said.items()} == {
         "edge1": FAILED,
         "edge2": FAILED,
@@ -271,12 +285,12 @@ def test_a_master_on_localhost_is_another_one_on_each_host(uri: str) -> None:
 
 
 def test_a_master_on_localhost_is_right_where_there_is_one_machine() -> None:
-    own = ros(ROS_MASTER_URI="http://localhost:11311")
-    assert compared((E1, own))["edge1"][0] is OK
+    own = ros_facts(ROS_MASTER_URI="http://localhost:11311")
+    assert compare_ros((E1, own))["edge1"][0] is OK
     local = [(replace(host, connection=Connection.LOCAL), own) for host in (E1, E2, R1)]
-    assert {each[0] for each in compared(*local).values()} == {OK}
+    assert {each[0] for each in compare_ros(*local).values()} == {OK}
 
 
 def test_a_uri_that_is_none_is_compared_like_any_text() -> None:
-    odd = ros(ROS_MASTER_URI="http://[::1")
-    assert compared((E1, odd), (E2, odd))["edge1"][0] is OK
+    odd = ros_facts(ROS_MASTER_URI="http://[::1")
+    assert compare_ros((E1, odd), (E2, odd))["edge1"][0] is OK

@@ -1,4 +1,4 @@
-"""A whole manager with its files, over real hosts, and what stands beside the product: a look into /proc."""
+"""A manager with its files over real hosts, and an independent view of /proc."""
 
 import itertools
 import os
@@ -26,24 +26,24 @@ from tests.pace import patience
 
 QUICK = ProbeOptions(window=0.2, timeout=patience(10.0))
 EAGER = Policy(min_dwell=0.0)
-# A small margin: on a busy machine a process that takes all it can get may get little.
+# A small margin: on a busy machine a process without limit may get little CPU.
 BY_CPU = Policy(min_dwell=0.0, move_margin=0.01, weights=Weights(cpu=1.0, memory=0.0, network=0.0, task=0.0))
 GENTLE = StopRule(grace=2.0)
 _numbers = itertools.count(1)
 
 
 def a_slice(host: Host) -> Host:
-    """``host`` as a slice of two cores and 1 GB: many may stand on one machine."""
+    """Return ``host`` as a slice of two cores and 1 GB, so that many fit on one machine."""
     return replace(host, capacity=Capacity(cpu=2.0, memory=1e9))
 
 
 def a_local(host: Host, address: str) -> Host:
-    """``host`` as a slice of this very machine."""
+    """Return ``host`` as a slice of this very machine."""
     return a_slice(replace(host, host=address, connection=Connection.LOCAL))
 
 
 def a_mark() -> str:
-    """A number of seconds to sleep that no other process on this machine sleeps."""
+    """Return a number of seconds to sleep that no other process on this machine sleeps."""
     return f"{100_000 + next(_numbers)}.{os.getpid()}"
 
 
@@ -53,8 +53,8 @@ def a_sleeper(name: str, mark: str, **fields: object) -> Task:
     return replace(a_task(name, command=command, stop=GENTLE), **fields)  # type: ignore[arg-type]
 
 
-def sleeping(mark: str) -> list[int]:
-    """The processes that sleep for ``mark`` seconds."""
+def list_sleepers(mark: str) -> list[int]:
+    """List the processes that sleep for ``mark`` seconds."""
     found = []
     for path in Path("/proc").glob("[0-9]*/cmdline"):
         with suppress(OSError):
@@ -63,16 +63,16 @@ def sleeping(mark: str) -> list[int]:
     return found
 
 
-def asleep(mark: str, count: int = 2) -> list[int]:
-    """As `sleeping`, once ``count`` of them sleep: a shell that was just started may not have come so far."""
+def wait_for_sleepers(mark: str, count: int = 2) -> list[int]:
+    """List them once there are ``count``: a shell that was just started may not sleep yet."""
     deadline = time.monotonic() + patience(30)
-    while len(found := sleeping(mark)) < count:
+    while len(found := list_sleepers(mark)) < count:
         assert time.monotonic() < deadline, f"{len(found)} of {count} sleep"
         time.sleep(0.02)
     return found
 
 
-def kill(pids: list[int]) -> None:
+def kill_processes(pids: list[int]) -> None:
     assert all(pid > 1 for pid in pids)
     for pid in pids:
         with suppress(ProcessLookupError):
@@ -81,7 +81,7 @@ def kill(pids: list[int]) -> None:
 
 @dataclass(frozen=True)
 class Bench:
-    """One manager: its fleet, and the verbs with a short sample window."""
+    """A manager: its fleet, and its commands with a short sample window."""
 
     fleet: Fleet
     said: list[str] = field(default_factory=list)
@@ -108,7 +108,7 @@ class Bench:
         return stop_tasks(self.fleet, names or None, options=ApplyOptions(probe=QUICK))
 
     def where(self) -> dict[str, str]:
-        """Where each living task is."""
+        """Return the host of each living task."""
         return {
             task: host
             for host, sample in self.probe().hosts.items()
@@ -121,8 +121,10 @@ class Bench:
 
 
 @contextmanager
-def managing(inventory: Inventory, state: Path, clean: Callable[[], None] = lambda: None) -> Iterator[Bench]:
-    """A manager of ``inventory``; everything that it started is stopped at the end."""
+def open_bench(
+    inventory: Inventory, state: Path, clean: Callable[[], None] = lambda: None
+) -> Iterator[Bench]:
+    """Open a manager of ``inventory``; stop everything that it started at the end."""
     state.mkdir(mode=0o700)
     said: list[str] = []
     bench = Bench(

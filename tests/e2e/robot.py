@@ -1,8 +1,11 @@
-"""A robot that knows which instances steer it: each holds a connection, which the kernel closes when its process ends.
+"""Robot that knows which instances control it: each holds a connection, which the kernel closes when its
+process ends.
 
-robot.py serve SOCKET RECORD   the robot: one line of JSON every 10 ms: who steers, whether it holds, and what it was told since
-robot.py steer SOCKET READY    an instance of the task: takes the wheel, then makes READY/INSTANCE; on a host named in SOCKET.broken it fails
-robot.py WORD SOCKET           hold, release or safe: a hook; safe says no while SOCKET.unsafe exists
+robot.py serve SOCKET RECORD   the robot: one line of JSON every 10 ms: controlling instances, hold state,
+                               and requests since
+robot.py steer SOCKET READY    an instance of the task: takes control, then makes READY/INSTANCE; on a host
+                               named in SOCKET.broken it fails
+robot.py WORD SOCKET           hold, release or safe: a hook; safe fails while SOCKET.unsafe exists
 """
 
 import json
@@ -34,7 +37,7 @@ def main(word: str, path: str, *more: str) -> int:
 
 
 class Robot:
-    """One thread, so that everything that happens to it has an order."""
+    """The robot in one thread, so that all its events are ordered."""
 
     def __init__(self, path: str, record: Path) -> None:
         self.path, self.record = path, record

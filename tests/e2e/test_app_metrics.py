@@ -1,4 +1,4 @@
-"""What a job says of itself and what it made, over real sshd: seen while it runs and after its end, and brought here."""
+"""Metrics and files of a job over real sshd: shown while it runs and after its end, and fetched."""
 
 import random
 import time
@@ -14,12 +14,12 @@ from edgectl.state import store_rows as rows
 from edgectl.state.store import Store
 from tests.agent.conftest import eventually
 from tests.builders import a_task, an_inventory
-from tests.e2e.bench import GENTLE, Bench, a_slice, managing
+from tests.e2e.bench import GENTLE, Bench, a_slice, open_bench
 from tests.sshd import Lab
 
 
-def saying(bench: Bench, task: str, values: dict[str, float], state: TaskState) -> TaskSample:
-    """Its sample once it is in this state and says just this."""
+def wait_for_metrics(bench: Bench, task: str, values: dict[str, float], state: TaskState) -> TaskSample:
+    """Return its sample once it has this state and exactly these metrics."""
 
     def seen() -> TaskSample | None:
         found = bench.probe().hosts["edge1"].tasks.get(task)
@@ -42,12 +42,12 @@ def test_a_mapper_says_how_it_does_and_its_map_is_fetched(
         a_slice(lab.host("edge1", connection=connection)), a_slice(lab.host("robot1", role=Role.ROBOT))
     )
     task = a_task(name, command=command, workdir=str(work), kind=TaskKind.JOB, stop=GENTLE)
-    with managing(inventory, tmp_path / "manager") as made:
+    with open_bench(inventory, tmp_path / "manager") as made:
         bench = made.using(task)
         bench.apply()
-        saying(bench, name, {"map/fps": 29.97}, TaskState.RUNNING)
+        wait_for_metrics(bench, name, {"map/fps": 29.97}, TaskState.RUNNING)
         (work / "go").touch()
-        saying(bench, name, {"loss": 0.001, "map/fps": 29.97}, TaskState.COMPLETED)
+        wait_for_metrics(bench, name, {"loss": 0.001, "map/fps": 29.97}, TaskState.COMPLETED)
         assert (
             fetch_file(bench.fleet.transport, inventory.hosts["edge1"], task, "map.pgm", timeout=60.0)
             == picture

@@ -1,4 +1,4 @@
-"""The command itself, as processes: two at once, Ctrl-C, exit codes."""
+"""The command as a process: two at once, Ctrl-C, exit codes."""
 
 import os
 import signal
@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.e2e.bench import a_mark, asleep, sleeping
+from tests.e2e.bench import a_mark, list_sleepers, wait_for_sleepers
 from tests.pace import patience
 
 INVENTORY = """
@@ -28,7 +28,7 @@ tasks:
 
 
 class Shell:
-    """A directory with a fleet in it, in which edgectl is called."""
+    """A directory with a fleet, in which edgectl is called."""
 
     def __init__(self, directory: Path) -> None:
         self.directory = directory
@@ -63,14 +63,14 @@ class Shell:
             text=True,
         )
         deadline = time.monotonic() + patience(40)
-        while not sleeping(self.mark):
+        while not list_sleepers(self.mark):
             assert time.monotonic() < deadline
             assert process.poll() is None, process.communicate()
             time.sleep(0.05)
         return process
 
     def interrupted(self, process: subprocess.Popen[str], number: signal.Signals) -> None:
-        """Send a signal, and wait until it was heard."""
+        """Send a signal, and wait until it was handled."""
         os.kill(process.pid, number)
         assert process.stderr is not None
         assert "finishing the running actions" in next(line for line in process.stderr if "finishing" in line)
@@ -86,7 +86,7 @@ def shell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Shell]:
     made = Shell(tmp_path)
     yield made
     made.run("stop", "--all", "--yes")
-    assert sleeping(made.mark) == []
+    assert list_sleepers(made.mark) == []
 
 
 def test_the_second_of_two_applies_exits_75(shell: Shell) -> None:
@@ -97,7 +97,7 @@ def test_the_second_of_two_applies_exits_75(shell: Shell) -> None:
     shell.go()
     out, _ = first.communicate(timeout=patience(60))
     assert first.returncode == 0, out
-    assert len(asleep(shell.mark)) == 2
+    assert len(wait_for_sleepers(shell.mark)) == 2
     quiet = shell.run("apply", "--yes", "--quiet")
     assert (quiet.returncode, quiet.stdout) == (0, "")
 
@@ -114,7 +114,7 @@ def test_a_lock_timeout_waits_for_the_first(shell: Shell) -> None:
     shell.go()
     first.communicate(timeout=patience(60))
     assert (first.returncode, second.wait(timeout=patience(60))) == (0, 0)
-    assert len(asleep(shell.mark)) == 2
+    assert len(wait_for_sleepers(shell.mark)) == 2
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -124,22 +124,22 @@ def test_ctrl_c_and_sigterm_finish_what_is_under_way(shell: Shell, number: signa
     shell.go()
     out, errors = process.communicate(timeout=patience(60))
     assert process.returncode == 130, out + errors
-    assert len(sleeping(shell.mark)) == 1
+    assert len(list_sleepers(shell.mark)) == 1
     assert "interrupted" in shell.run("history").stdout
     again = shell.run("apply", "--yes")
     assert again.returncode == 0, again.stderr
     assert "cut off" not in again.stderr
-    assert len(asleep(shell.mark)) == 2
+    assert len(wait_for_sleepers(shell.mark)) == 2
 
 
 def test_ctrl_c_twice_stops_at_once_and_the_next_apply_goes_on(shell: Shell) -> None:
     process = shell.begin("apply", "--yes")
     shell.interrupted(process, signal.SIGINT)
     os.kill(process.pid, signal.SIGINT)
-    process.communicate(timeout=patience(40))  # nothing is waited for: slam has a minute to get ready
+    process.communicate(timeout=patience(40))  # no wait: slam has a minute to get ready
     assert process.returncode == 130
     shell.go()
     again = shell.run("apply", "--yes")
     assert again.returncode == 0, again.stderr
     assert "was interrupted while it changed slam" in again.stderr
-    assert len(asleep(shell.mark)) == 2
+    assert len(wait_for_sleepers(shell.mark)) == 2

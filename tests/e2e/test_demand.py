@@ -1,4 +1,4 @@
-"""A real task is measured by real probes, and the next plan counts with what it used."""
+"""A real task is measured by real probes, and the next plan uses the measured demand."""
 
 import sys
 from collections.abc import Iterator
@@ -14,7 +14,7 @@ from edgectl.state.store import Store
 from edgectl.usecases.measured_demand import load_class_profiles
 from edgectl.usecases.probe import probe_fleet
 from tests.builders import a_task, an_edge, an_inventory
-from tests.e2e.bench import GENTLE, QUICK, Bench, a_local, managing
+from tests.e2e.bench import GENTLE, QUICK, Bench, a_local, open_bench
 
 PROBES, REPEATED = 3, 30
 # Three tenths of a core by its own clock: 30 ms of work, 70 ms of sleep.
@@ -31,12 +31,14 @@ SLAM = a_task(
 
 @pytest.fixture
 def bench(tmp_path: Path) -> Iterator[Bench]:
-    with managing(an_inventory(a_local(an_edge("edge1"), "127.0.0.33")), tmp_path / "manager") as running:
+    with open_bench(an_inventory(a_local(an_edge("edge1"), "127.0.0.33")), tmp_path / "manager") as running:
         yield running.using(SLAM)
 
 
-def earlier(snapshot: Snapshot, seconds: float) -> Snapshot:
-    """The same readings so many seconds earlier, of a task that ran for a quarter of an hour by then."""
+def shift_back(snapshot: Snapshot, seconds: float) -> Snapshot:
+    """Return the same samples so many seconds earlier, of a task that had run for a quarter of an hour by
+    then.
+    """
     host = snapshot.hosts["edge1"]
     tasks = {
         name: replace(task, started_at=task.started_at - 900.0 - seconds) for name, task in host.tasks.items()
@@ -53,12 +55,12 @@ def test_what_a_task_burns_is_what_the_next_plan_charges(bench: Bench) -> None:
     seen = [probe_fleet(bench.fleet, QUICK) for _ in range(PROBES)]
     with Store.open(
         bench.fleet.state
-    ) as store:  # what was measured, again and again: a test has not got a quarter of an hour
+    ) as store:  # repeat the measured samples: a test cannot take a quarter of an hour
         for number in range(1, REPEATED):
             for snapshot in seen:
-                store.record_snapshot(earlier(snapshot, 20.0 * number))
+                store.record_snapshot(shift_back(snapshot, 20.0 * number))
     plan = bench.plan()
-    (found,) = load_class_profiles(bench.fleet, [SLAM])  # of the samples that the plan saw
+    (found,) = load_class_profiles(bench.fleet, [SLAM])  # of the samples that the plan used
     assert found.enough
     assert found.profile.samples >= PROBES * (REPEATED - 1)
     assert 0.02 < found.profile.used["cpu"].p95 < 1.0, (

@@ -1,4 +1,4 @@
-"""The doctor over real sshd: what is wrong is said, with what mends it, and the mend mends it."""
+"""The doctor over real sshd: each problem is found with a remedy, and the remedy works."""
 
 import json
 from collections.abc import Iterator
@@ -20,10 +20,10 @@ from tests.builders import a_robot, a_task, an_inventory, some_tasks
 from tests.pace import patience
 from tests.sshd import Lab
 
-# Nothing is ever sent there: our own kernel knows no way.
+# No traffic ever leaves: our own kernel has no route.
 NOWHERE = "255.255.255.255"
 LINKS = {(edge, "robot1"): 10e6 for edge in ("edge1", "edge2")}
-# Slow machines log in slowly; what the file system and the memory have left is theirs.
+# Slow machines log in slowly; free disk space and memory are the machine's.
 OWN = {
     ("login", Severity.WARNING),
     *((check, level) for check in ("disk", "memory", "logind", "clock") for level in Severity),
@@ -49,15 +49,15 @@ def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Disk:
     return inspect_state_dir(tmp_path / "lab.yaml")
 
 
-def diagnosed(inventory: Inventory, state: Disk, *names: str, tasks: Tasks | None = None) -> Diagnosis:
+def diagnose_named(inventory: Inventory, state: Disk, *names: str, tasks: Tasks | None = None) -> Diagnosis:
     fleet = Fleet(
         inventory=inventory, tasks=tasks or some_tasks(), transport=FleetTransport(), state=Path(state.path)
     )
     return run_doctor(fleet, state, names, timeout=patience(30.0))
 
 
-def complaints(diagnosis: Diagnosis) -> list[Finding]:
-    """What is wrong beside what depends on the machine that runs the tests."""
+def list_complaints(diagnosis: Diagnosis) -> list[Finding]:
+    """Return the findings that do not depend on the machine of the tests."""
     return [
         finding
         for finding in diagnosis.findings
@@ -65,7 +65,7 @@ def complaints(diagnosis: Diagnosis) -> list[Finding]:
     ]
 
 
-def changed(inventory: Inventory, *hosts: Host) -> Inventory:
+def replace_hosts(inventory: Inventory, *hosts: Host) -> Inventory:
     return replace(inventory, hosts={**inventory.hosts, **{host.name: host for host in hosts}})
 
 
@@ -74,8 +74,8 @@ def test_a_fleet_on_which_all_is_well(
     lab: Lab, inventory: Inventory, state: Disk, connection: Connection
 ) -> None:
     hosts = (replace(host, connection=connection) for host in inventory.hosts.values())
-    diagnosis = diagnosed(changed(inventory, *hosts), state)
-    assert complaints(diagnosis) == []
+    diagnosis = diagnose_named(replace_hosts(inventory, *hosts), state)
+    assert list_complaints(diagnosis) == []
     said = {(finding.host, finding.check): finding.message for finding in diagnosis.findings}
     assert said[None, "known_hosts"] == f"{lab.known_hosts} can be read"
     assert (
@@ -92,7 +92,7 @@ def test_a_fleet_on_which_all_is_well(
 
 
 def test_one_host_alone_can_be_asked(inventory: Inventory, state: Disk) -> None:
-    assert {finding.host for finding in diagnosed(inventory, state, "edge2").findings} == {None, "edge2"}
+    assert {finding.host for finding in diagnose_named(inventory, state, "edge2").findings} == {None, "edge2"}
 
 
 def test_hosts_that_cannot_be_asked_cost_no_other_host_its_answer(
@@ -102,8 +102,10 @@ def test_hosts_that_cannot_be_asked_cost_no_other_host_its_answer(
         "".join(server.known_hosts_line for server in lab.servers.values() if server.name != "edge1")
     )
     lab["robot1"].stop()
-    diagnosis = diagnosed(inventory, state)
-    found = {finding.host: finding for finding in complaints(diagnosis) if finding.level is Severity.FAILED}
+    diagnosis = diagnose_named(inventory, state)
+    found = {
+        finding.host: finding for finding in list_complaints(diagnosis) if finding.level is Severity.FAILED
+    }
     assert (found["edge1"].check, "edgectl trust edge1" in found["edge1"].remedy) == ("host key", True)
     assert (found["robot1"].check, "switch robot1 on" in found["robot1"].remedy) == ("reachability", True)
     assert set(found) == {"edge1", "robot1"}
@@ -120,7 +122,7 @@ def test_a_host_without_python(lab: Lab, inventory: Inventory, state: Disk) -> N
     lab.configure(server, [f'SetEnv "PATH=/nonexistent" "HOME={server.home}"'])
     server.restart()
     try:
-        (found,) = complaints(diagnosed(inventory, state, "edge1"))
+        (found,) = list_complaints(diagnose_named(inventory, state, "edge1"))
         assert (found.check, found.level) == ("python", Severity.FAILED)
         assert found.remedy == "on edge1: sudo apt-get install python3   (3.6 or later)"
     finally:
@@ -129,47 +131,49 @@ def test_a_host_without_python(lab: Lab, inventory: Inventory, state: Disk) -> N
 
 
 def test_ros_variables_that_differ_and_their_mend(inventory: Inventory, state: Disk) -> None:
-    """What the finding says to write is written, and the finding is gone: in env where there is no prelude, else at its end."""
+    """Writing what the finding suggests removes it: in env where there is no prelude, else at its end."""
     edge1 = replace(inventory.hosts["edge1"], env={"ROS_DOMAIN_ID": "7"})
     edge2 = replace(inventory.hosts["edge2"], env={"ROS_DOMAIN_ID": "7"}, prelude="export ROS_DOMAIN_ID=9")
-    (found,) = complaints(diagnosed(changed(inventory, edge1, edge2), state))
+    (found,) = list_complaints(diagnose_named(replace_hosts(inventory, edge1, edge2), state))
     assert (found.host, found.check, found.level) == ("edge2", "ros", Severity.FAILED)
     assert found.message == "ROS_DOMAIN_ID is 9, but 7 on edge1"
     assert found.remedy == "in the inventory, end the prelude of edge2 with: export ROS_DOMAIN_ID=7"
     mended = replace(edge2, prelude=f"{edge2.prelude}\n{found.remedy.partition('with: ')[2]}")
-    assert complaints(diagnosed(changed(inventory, edge1, mended), state)) == []
+    assert list_complaints(diagnose_named(replace_hosts(inventory, edge1, mended), state)) == []
 
 
 def test_a_state_directory_of_a_host_that_others_may_write_to(
     lab: Lab, inventory: Inventory, state: Disk
 ) -> None:
-    """Its agent does without, from shared memory, and says so; the mend mends it."""
+    """The agent of such a host uses shared memory instead, and reports it; the remedy works."""
     folder = lab["edge1"].home / "state" / "edgectl"
     folder.mkdir(parents=True, exist_ok=True)
     folder.chmod(0o777)
     with shared_memory():
         try:
-            (found,) = complaints(diagnosed(inventory, state, "edge1"))
+            (found,) = list_complaints(diagnose_named(inventory, state, "edge1"))
             assert (found.check, found.level) == ("state", Severity.WARNING)
             assert found.remedy.endswith(f" && chmod 700 {folder}")
             folder.chmod(0o700)
-            assert complaints(diagnosed(inventory, state, "edge1")) == []
+            assert list_complaints(diagnose_named(inventory, state, "edge1")) == []
         finally:
             folder.chmod(0o700)
 
 
 def test_a_prelude_that_fails(inventory: Inventory, state: Disk) -> None:
     broken = replace(inventory.hosts["edge1"], prelude="source /opt/ros/none/setup.bash")
-    (found,) = complaints(diagnosed(changed(inventory, broken), state, "edge1"))
+    (found,) = list_complaints(diagnose_named(replace_hosts(inventory, broken), state, "edge1"))
     assert (found.check, found.level) == ("prelude", Severity.WARNING)
     assert "ends with status 1" in found.message
     assert "/opt/ros/none/setup.bash" in found.message
 
 
 def test_a_robot_that_the_manager_reaches_and_an_edge_does_not(inventory: Inventory, state: Disk) -> None:
-    """The knock from the edge counts: a robot whose address leads nowhere there, and one of which no link is known."""
+    """The connection test from the edge counts: a robot whose address leads nowhere from there, and one
+    without a known link.
+    """
     far = a_robot("robot1", host=NOWHERE, probe=False)
-    found = complaints(diagnosed(replace(changed(inventory, far), links={}), state, "edge1"))
+    found = list_complaints(diagnose_named(replace(replace_hosts(inventory, far), links={}), state, "edge1"))
     assert [(each.check, each.level) for each in found] == [
         ("robot", Severity.FAILED),
         ("capacity", Severity.WARNING),
@@ -182,7 +186,9 @@ def test_a_known_hosts_file_that_cannot_be_read_is_named(lab: Lab, inventory: In
     lab.known_hosts.unlink()
     lab.known_hosts.mkdir()
     try:
-        found = next(each for each in complaints(diagnosed(inventory, state, "edge1")) if each.host is None)
+        found = next(
+            each for each in list_complaints(diagnose_named(inventory, state, "edge1")) if each.host is None
+        )
     finally:
         lab.known_hosts.rmdir()
     assert (found.check, found.message) == (
@@ -194,17 +200,20 @@ def test_a_known_hosts_file_that_cannot_be_read_is_named(lab: Lab, inventory: In
 def test_a_state_directory_that_is_not_private(
     inventory: Inventory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The hosts are asked all the same, unless a task lives by contacts that could not be recorded; the mend mends it."""
+    """Hosts are examined all the same, unless a task depends on heartbeats that could not be recorded; the
+    remedy works.
+    """
     monkeypatch.setenv("EDGECTL_STATE_DIR", str(tmp_path / "state"))
     good = inspect_state_dir(tmp_path / "lab.yaml")
     Path(good.path).chmod(0o777)
     bad = inspect_state_dir(tmp_path / "lab.yaml")
-    (found,) = complaints(diagnosed(inventory, bad, "edge1"))
+    (found,) = list_complaints(diagnose_named(inventory, bad, "edge1"))
     assert (found.host, found.check, found.level) == (None, "state", Severity.FAILED)
     assert f"chmod 700 {good.path}" in found.remedy
     fencing = some_tasks(a_task("slam", self_fence=30.0))
     assert {
-        (each.host, each.check) for each in complaints(diagnosed(inventory, bad, "edge1", tasks=fencing))
+        (each.host, each.check)
+        for each in list_complaints(diagnose_named(inventory, bad, "edge1", tasks=fencing))
     } == {
         (None, "state"),
         ("edge1", "agent"),

@@ -1,4 +1,4 @@
-"""What apply sends to real hosts is what a dry run of the same plan prints."""
+"""Requests of apply to real hosts equal those printed by a dry run of the same plan."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -15,8 +15,8 @@ from edgectl.transport.base import Reply, Session, Transport
 from edgectl.transport.fake import unpack_request
 from edgectl.usecases.apply import ApplyOptions, plan_and_apply
 from tests.builders import a_robot, an_edge, an_inventory
-from tests.e2e.bench import EAGER, QUICK, Bench, a_local, a_mark, a_sleeper, managing
-from tests.executor.test_dry_run import READY_ON_ROBOT, Sent, mask
+from tests.e2e.bench import EAGER, QUICK, Bench, a_local, a_mark, a_sleeper, open_bench
+from tests.executor.test_dry_run import READY_ON_ROBOT, Sent, mask_request
 
 EDGES = [a_local(an_edge("edge1"), "127.0.0.31"), a_local(an_edge("edge2"), "127.0.0.32")]
 ROBOT = a_local(a_robot("robot1"), "127.0.0.41")
@@ -24,21 +24,21 @@ LINKS = {("edge1", "robot1"): 10e6, ("edge2", "robot1"): 10e6}
 
 
 @dataclass
-class Wiretap:
-    """A transport that notes every request on its way to the hosts."""
+class RecordingTransport:
+    """A transport that records every request to the hosts."""
 
     transport: Transport
     requests: Sent = field(default_factory=list)
 
-    def connect(self, host: Host, *, timeout: float) -> "TappedSession":
-        return TappedSession(self.transport.connect(host, timeout=timeout), host.name, self.requests)
+    def connect(self, host: Host, *, timeout: float) -> "RecordingSession":
+        return RecordingSession(self.transport.connect(host, timeout=timeout), host.name, self.requests)
 
     def address(self, host: Host) -> str:
         return self.transport.address(host)
 
 
 @dataclass
-class TappedSession:
+class RecordingSession:
     session: Session
     host: str
     requests: Sent
@@ -68,25 +68,25 @@ class TappedSession:
 
 @pytest.fixture
 def bench(tmp_path: Path) -> Iterator[Bench]:
-    with managing(an_inventory(*EDGES, ROBOT, links=LINKS), tmp_path / "manager") as running:
+    with open_bench(an_inventory(*EDGES, ROBOT, links=LINKS), tmp_path / "manager") as running:
         yield running
 
 
-def compare(bench: Bench) -> list[str]:
-    """Apply; the operations sent, after they were compared with a dry run of the very plan."""
-    tap, printed = Wiretap(bench.fleet.transport), []
+def apply_and_compare(bench: Bench) -> list[str]:
+    """Apply; return the operations sent, after comparing them with a dry run of the same plan."""
+    tap, printed = RecordingTransport(bench.fleet.transport), []
 
     def confirm(plan: Plan) -> bool:
         tap.requests.clear()
         entries = list_dry_run_requests(plan, bench.fleet.inventory, bench.fleet.tasks)
-        printed.extend(mask(str(entry["host"]), entry["stdin"]) for entry in entries)  # type: ignore[arg-type]
+        printed.extend(mask_request(str(entry["host"]), entry["stdin"]) for entry in entries)  # type: ignore[arg-type]
         return True
 
     options = ApplyOptions(probe=QUICK, max_parallel=1)
     applied = plan_and_apply(replace(bench.fleet, transport=tap), EAGER, confirm, options)
     assert applied.results is not None
     assert applied.results.done, applied.results
-    assert [mask(host, request) for host, request in tap.requests] == printed
+    assert [mask_request(host, request) for host, request in tap.requests] == printed
     return [str(request["op"]) for _, request in tap.requests]
 
 
@@ -98,8 +98,8 @@ def test_start_move_and_stop_on_real_hosts(bench: Bench, order: HandoffOrder) ->
     ready = replace(READY_ON_ROBOT, command="true")
     task = a_sleeper("slam", a_mark(), robots=("robot1",), ready=ready, handoff=contract)
     start = ["start", "wait", "check", "mark"]
-    assert compare(bench.using(task)) == ["status", *start]
+    assert apply_and_compare(bench.using(task)) == ["status", *start]
     elsewhere = replace(task, hosts=replace(task.hosts, never=(bench.where()["slam"],)))
     change = ["stop", *start] if order is HandoffOrder.STOP_FIRST else [*start, "stop"]
-    assert compare(bench.using(elsewhere)) == ["status", "check", "check", *change, "check"]
-    assert compare(bench.using()) == ["stop"]
+    assert apply_and_compare(bench.using(elsewhere)) == ["status", "check", "check", *change, "check"]
+    assert apply_and_compare(bench.using()) == ["stop"]

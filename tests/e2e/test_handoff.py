@@ -1,4 +1,6 @@
-"""The handoff contract with a robot that writes down, every 10 ms, which instance steers it and whether it holds."""
+"""The handoff contract with a robot that records, every 10 ms, which instance controls it and whether it
+holds.
+"""
 
 import json
 import shlex
@@ -22,7 +24,7 @@ from edgectl.usecases.apply import ApplyOptions, plan_and_apply
 from edgectl.usecases.stop import restart_task
 from tests.builders import a_robot, a_task, an_edge, an_inventory
 from tests.e2e import robot
-from tests.e2e.bench import EAGER, GENTLE, QUICK, Bench, a_local, managing
+from tests.e2e.bench import EAGER, GENTLE, QUICK, Bench, a_local, open_bench
 
 EDGES = [a_local(an_edge("edge1"), "127.0.0.31"), a_local(an_edge("edge2"), "127.0.0.32")]
 ROBOT = a_local(a_robot("robot1"), "127.0.0.41")
@@ -32,7 +34,7 @@ Sample = dict[str, Any]
 
 @dataclass
 class Scene:
-    """A fleet with one robot and one task that steers it."""
+    """A fleet with one robot and one task that controls it."""
 
     bench: Bench
     socket: Path
@@ -68,14 +70,14 @@ class Scene:
         return applied.results.actions[0] if applied.results else None
 
     def running(self, task: Task) -> str:
-        """Start the task; the host that it came to."""
+        """Start the task; return its host."""
         result = self.apply(task)
         assert result is not None
         assert result.outcome is Outcome.DONE, result
         return str(result.located)
 
     def now(self) -> int:
-        """The number of samples so far, with two more to come."""
+        """Wait for two more samples; return their number before."""
         count = len(self.samples())
         while len(self.samples()) < count + 2:
             time.sleep(robot.PERIOD_S)
@@ -105,7 +107,7 @@ def scene(tmp_path: Path) -> Iterator[Scene]:
         socket, record = Path(short) / "s", tmp_path / "record"
         process = subprocess.Popen([sys.executable, robot.__file__, "serve", str(socket), str(record)])
         try:
-            with managing(an_inventory(*EDGES, ROBOT, links=LINKS), tmp_path / "manager") as bench:
+            with open_bench(an_inventory(*EDGES, ROBOT, links=LINKS), tmp_path / "manager") as bench:
                 made = Scene(bench, socket, record, ready)
                 made.broken()
                 while not record.exists() or not record.stat().st_size:
@@ -117,16 +119,18 @@ def scene(tmp_path: Path) -> Iterator[Scene]:
             process.wait()
 
 
-def away_from(task: Task, host: str) -> Task:
+def exclude_host(task: Task, host: str) -> Task:
     return replace(task, hosts=replace(task.hosts, never=(host,)))
 
 
-def told(samples: list[Sample]) -> list[str]:
+def list_requests(samples: list[Sample]) -> list[str]:
     return [word for sample in samples for word in sample["told"]]
 
 
-def gap_s(samples: list[Sample]) -> float:
-    """For how long nobody steered: from the first sample without anybody to the next with somebody."""
+def compute_gap_s(samples: list[Sample]) -> float:
+    """Return the time without control: from the first sample without a controlling instance to the next with
+    one.
+    """
     empty = [sample["t"] for sample in samples if not sample["steer"]]
     return empty[-1] - empty[0] + robot.PERIOD_S if empty else 0.0
 
@@ -135,13 +139,13 @@ def test_start_first_has_no_gap(scene: Scene) -> None:
     task = scene.task(HandoffOrder.START_FIRST)
     old = scene.running(task)
     begin = scene.now()
-    result = scene.apply(away_from(task, old))
+    result = scene.apply(exclude_host(task, old))
     assert result is not None
     assert (result.outcome, result.downtime_s) == (Outcome.DONE, 0.0)
     assert [phase.phase for phase in result.phases] == [Phase.SAFE, Phase.START, Phase.READY, Phase.STOP]
     samples = scene.since(begin)
     assert all(sample["steer"] for sample in samples)
-    assert gap_s(samples) == 0.0
+    assert compute_gap_s(samples) == 0.0
     assert any(len(sample["steer"]) == 2 for sample in samples)
     assert (samples[0]["steer"], samples[-1]["steer"]) == ([old], [result.located])
 
@@ -150,16 +154,16 @@ def test_the_hold_covers_the_whole_gap_of_stop_first(scene: Scene) -> None:
     task = scene.task(HandoffOrder.STOP_FIRST)
     old = scene.running(task)
     begin = scene.now()
-    result = scene.apply(away_from(task, old))
+    result = scene.apply(exclude_host(task, old))
     assert result is not None
     assert result.outcome is Outcome.DONE
     samples = scene.since(begin)
-    assert told(samples) == ["safe", "hold", "lost", "steer", "release"]
+    assert list_requests(samples) == ["safe", "hold", "lost", "steer", "release"]
     assert all(sample["steer"] or sample["holds"] for sample in samples)
     assert all(len(sample["steer"]) <= 1 for sample in samples)
     assert (samples[-1]["steer"], samples[-1]["holds"]) == ([result.located], False)
     assert result.downtime_s is not None
-    assert 0.0 < gap_s(samples) <= result.downtime_s + 2 * robot.PERIOD_S
+    assert 0.0 < compute_gap_s(samples) <= result.downtime_s + 2 * robot.PERIOD_S
     spent = {phase.phase: phase.seconds for phase in result.phases}
     assert spent[Phase.STOP] + spent[Phase.START] + spent[Phase.READY] <= result.downtime_s + 0.001
     measured = load_manager_state(scene.bench.fleet.state).downtimes[("steer", str(result.located))]
@@ -171,12 +175,12 @@ def test_no_event_at_all_while_it_is_not_safe(scene: Scene) -> None:
     old = scene.running(task)
     scene.unsafe()
     begin = scene.now()
-    result = scene.apply(away_from(task, old))
+    result = scene.apply(exclude_host(task, old))
     assert result is not None
     assert (result.outcome, result.located) == (Outcome.DEFERRED, old)
     assert result.error == "not safe to move steer within 1 s"
     samples = scene.since(begin)
-    assert set(told(samples)) == {"safe"}
+    assert set(list_requests(samples)) == {"safe"}
     assert all(sample["steer"] == [old] and not sample["holds"] for sample in samples)
 
 
@@ -185,41 +189,41 @@ def test_the_old_instance_steers_again_before_the_robot_is_released(scene: Scene
     old = scene.running(task)
     scene.broken(*{"edge1", "edge2"} - {old})
     begin = scene.now()
-    result = scene.apply(away_from(task, old))
+    result = scene.apply(exclude_host(task, old))
     assert result is not None
     assert (result.outcome, result.located) == (Outcome.FAILED, old)
     assert f"; restored on {old}" in result.error
     samples = scene.since(begin)
-    assert told(samples) == ["safe", "hold", "lost", "steer", "release"]
+    assert list_requests(samples) == ["safe", "hold", "lost", "steer", "release"]
     assert all(sample["steer"] or sample["holds"] for sample in samples)
     assert samples[-1]["steer"] == [old]
 
 
 def test_a_robot_that_nothing_steers_holds_until_a_restart_mends_it(scene: Scene) -> None:
-    """Under ``restart: never`` what failed is given up: no apply starts it again."""
+    """Under ``restart: never`` a failed task is given up: no apply starts it again."""
     task = scene.task(HandoffOrder.STOP_FIRST, restart=a_task("x").restart.NEVER)
     old = scene.running(task)
     scene.broken("edge1", "edge2")
     begin = scene.now()
-    result = scene.apply(away_from(task, old))
+    result = scene.apply(exclude_host(task, old))
     assert result is not None
     assert "robot1 STILL HOLDS" in result.error
     assert scene.since(begin)[-1]["holds"]
     assert result.hint.endswith("edgectl restart steer, which releases it once an instance is ready")
     scene.broken()
-    assert scene.apply(away_from(task, old)) is None
+    assert scene.apply(exclude_host(task, old)) is None
     assert scene.since(begin)[-1]["holds"]
     mended = restart_task(
-        scene.bench.using(away_from(task, old)).fleet, "steer", options=ApplyOptions(probe=QUICK)
+        scene.bench.using(exclude_host(task, old)).fleet, "steer", options=ApplyOptions(probe=QUICK)
     ).results
     assert mended is not None
     assert mended.done
     samples = scene.since(begin)
-    assert told(samples) == ["safe", "hold", "lost", "steer", "release"]
+    assert list_requests(samples) == ["safe", "hold", "lost", "steer", "release"]
     assert all(sample["steer"] or sample["holds"] for sample in samples)
 
 
-class Killed(BaseException):
+class ManagerKilledError(BaseException):
     """The manager was killed."""
 
 
@@ -231,15 +235,15 @@ def test_a_manager_that_dies_leaves_the_robot_holding_until_it_is_steered(scene:
 
     def die(reached: str) -> None:
         if reached == point:
-            raise Killed
+            raise ManagerKilledError
 
     remove = failpoints.install_hook(die)
-    with suppress(Killed):
-        scene.apply(away_from(task, old))
+    with suppress(ManagerKilledError):
+        scene.apply(exclude_host(task, old))
     remove()
-    scene.apply(away_from(task, old))
+    scene.apply(exclude_host(task, old))
     samples = scene.since(begin)
-    assert told(samples)[-1] == "release"
+    assert list_requests(samples)[-1] == "release"
     assert all(sample["steer"] or sample["holds"] for sample in samples)
     assert all(len(sample["steer"]) <= 1 for sample in samples)
     assert len(samples[-1]["steer"]) == 1

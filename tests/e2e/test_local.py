@@ -1,4 +1,4 @@
-"""The main job on this machine: two edges and a robot as slices of it, every room of the product, real processes."""
+"""A whole deployment on this machine: two edges and a robot as slices of it, with real processes."""
 
 import os
 import subprocess
@@ -29,10 +29,10 @@ from tests.e2e.bench import (
     a_local,
     a_mark,
     a_sleeper,
-    asleep,
-    kill,
-    managing,
-    sleeping,
+    kill_processes,
+    list_sleepers,
+    open_bench,
+    wait_for_sleepers,
 )
 from tests.pace import patience
 
@@ -43,7 +43,7 @@ LINKS = {("edge1", "robot1"): 10e6, ("edge2", "robot1"): 10e6}
 
 @pytest.fixture
 def bench(tmp_path: Path) -> Iterator[Bench]:
-    with managing(an_inventory(*EDGES, ROBOT, links=LINKS), tmp_path / "manager") as running:
+    with open_bench(an_inventory(*EDGES, ROBOT, links=LINKS), tmp_path / "manager") as running:
         yield running
 
 
@@ -58,7 +58,7 @@ def test_probe_plan_apply_status_and_nothing_more_to_do(bench: Bench) -> None:
     applied = bench.apply()
     assert applied.results is not None
     assert [result.outcome for result in applied.results.actions] == [Outcome.DONE] * 2
-    assert len(asleep(slam)) == len(asleep(navigation)) == 2
+    assert len(wait_for_sleepers(slam)) == len(wait_for_sleepers(navigation)) == 2
     assert (bench.sample("slam").state, bench.sample("navigation").state) == (
         TaskState.READY,
         TaskState.RUNNING,
@@ -67,7 +67,7 @@ def test_probe_plan_apply_status_and_nothing_more_to_do(bench: Bench) -> None:
     assert bench.apply().results is None
     assert read_log(bench.fleet, "slam").splitlines() == ["up"]
     bench.stop()
-    assert sleeping(slam) == sleeping(navigation) == []
+    assert list_sleepers(slam) == list_sleepers(navigation) == []
     assert bench.where() == {}
 
 
@@ -77,10 +77,10 @@ def test_what_is_killed_by_hand_is_started_by_the_next_apply(bench: Bench) -> No
     bench.apply()
     main = bench.sample("slam").pid
     supervisor = int(Path(f"/proc/{main}/stat").read_text().rpartition(")")[2].split()[1])
-    kill([supervisor, main, *asleep(mark)])
+    kill_processes([supervisor, main, *wait_for_sleepers(mark)])
     assert bench.actions() == {"slam": Action.START}
     bench.apply()
-    assert len(asleep(mark)) == 2
+    assert len(wait_for_sleepers(mark)) == 2
     assert bench.actions() == {"slam": Action.KEEP}
 
 
@@ -88,19 +88,19 @@ def test_what_failed_under_restart_never_is_started_on_a_word_only(bench: Bench)
     mark = a_mark()
     bench = bench.using(a_sleeper("slam", mark, restart=a_task("x").restart.NEVER))
     bench.apply()
-    kill([bench.sample("slam").pid, *asleep(mark)])
+    kill_processes([bench.sample("slam").pid, *wait_for_sleepers(mark)])
     for _ in range(2):
         assert bench.actions() == {"slam": Action.UNPLACED}
         assert bench.apply().results is None
-    assert sleeping(mark) == []
+    assert list_sleepers(mark) == []
     restart_task(bench.fleet, "slam", options=ApplyOptions(probe=QUICK))
-    assert len(asleep(mark)) == 2
+    assert len(wait_for_sleepers(mark)) == 2
     assert bench.actions() == {"slam": Action.KEEP}
 
 
 def test_a_load_that_rises_moves_a_task(bench: Bench) -> None:
     mark = a_mark()
-    slam = a_sleeper("slam", mark, priority=1.0)  # decided first, with all that is measured on edge1
+    slam = a_sleeper("slam", mark, priority=1.0)  # decided first, with everything measured on edge1
     bench.using(slam).apply(BY_CPU)
     assert bench.where() == {"slam": "edge1"}
     busy = f"{sys.executable} -c 'while True: pass'"
@@ -114,7 +114,7 @@ def test_a_load_that_rises_moves_a_task(bench: Bench) -> None:
     assert (moved.previous_host, moved.host) == ("edge1", "edge2")
     assert moved.downtime_s is not None
     assert loaded.where() == {"slam": "edge2", "burner": "edge1"}
-    assert len(asleep(mark)) == 2
+    assert len(wait_for_sleepers(mark)) == 2
     assert loaded.actions(BY_CPU) == {"slam": Action.KEEP, "burner": Action.KEEP}
 
 
@@ -134,7 +134,7 @@ def test_a_move_that_fails_restores_the_old_instance(bench: Bench, tmp_path: Pat
     assert (result.outcome, result.located) == (Outcome.FAILED, "edge1")
     assert result.error == "slam was not ready on edge2 within 5 s; restored on edge1"
     assert bench.where() == {"slam": "edge1"}
-    assert len(asleep(mark)) == 2
+    assert len(wait_for_sleepers(mark)) == 2
     assert (tmp_path / "hooks").read_text().split() == ["safe_when", "hold", "release"]
 
 
@@ -178,7 +178,7 @@ def test_a_job_completes_and_a_mission_is_done_when_its_robot_says_so(bench: Ben
     (tmp_path / "home").touch()
     assert bench.actions()["mission"] is Action.COMPLETE
     bench.apply()
-    assert sleeping(mark) == []
+    assert list_sleepers(mark) == []
     assert bench.actions() == {"job": Action.NONE, "mission": Action.NONE}
 
 
@@ -204,7 +204,7 @@ def test_tasks_outlive_a_manager_that_is_killed(bench: Bench, tmp_path: Path) ->
     bench = bench.using(a_sleeper("slam", mark), a_sleeper("camera", other))
     bench.apply()
     assert any("was interrupted while it changed" in text for text in bench.said)
-    assert (len(asleep(mark)), len(asleep(other))) == (2, 2)
+    assert (len(wait_for_sleepers(mark)), len(wait_for_sleepers(other))) == (2, 2)
 
 
 def test_a_link_is_measured_by_sending(bench: Bench) -> None:

@@ -1,4 +1,6 @@
-"""Profilers over real sshd: they outlive the session that started them, a probe reads them, and their end costs nothing but time."""
+"""Profilers over real sshd: they outlive the session that started them, a probe reads them, and without them
+a probe only takes longer.
+"""
 
 import os
 import signal
@@ -19,14 +21,14 @@ from edgectl.usecases import profilers
 from edgectl.usecases.probe import probe_fleet
 from tests.agent.conftest import eventually, is_running
 from tests.builders import an_inventory
-from tests.e2e.bench import Bench, a_mark, a_sleeper, a_slice, managing
+from tests.e2e.bench import Bench, a_mark, a_sleeper, a_slice, open_bench
 from tests.sshd import Lab
 
-# Much longer than any probe takes that does not wait for it.
+# Much longer than a probe takes that does not wait for it.
 ENDLESS = ProbeOptions(window=10.0, timeout=60.0)
 
 
-def fleet(lab: Lab) -> Inventory:
+def build_inventory(lab: Lab) -> Inventory:
     edges = [a_slice(lab.host(name)) for name in ("edge1", "edge2")]
     return an_inventory(
         *edges,
@@ -43,16 +45,18 @@ def bench(lab: Lab, tmp_path: Path) -> Iterator[Bench]:
                 server.restart()
         profilers.stop_profilers(bench.fleet)
 
-    with managing(fleet(lab), tmp_path / "manager", mended) as bench:
+    with open_bench(build_inventory(lab), tmp_path / "manager", mended) as bench:
         yield bench
 
 
-def states(found: tuple[Profiler, ...]) -> dict[str, ProfilerState]:
+def list_states(found: tuple[Profiler, ...]) -> dict[str, ProfilerState]:
     return {each.host: each.state for each in found}
 
 
-def resident(bench: Bench) -> Snapshot:
-    """A snapshot that profilers gave on every host. A sample that is late on a busy machine costs another, short probe."""
+def wait_for_resident_snapshot(bench: Bench) -> Snapshot:
+    """Return a snapshot from the profilers of all hosts. A sample that is late on a busy machine costs
+    another, short probe.
+    """
 
     def taken() -> Snapshot | None:
         found = bench.probe()
@@ -65,22 +69,24 @@ def resident(bench: Bench) -> Snapshot:
 def test_a_probe_reads_what_the_profilers_measured(lab: Lab, bench: Bench) -> None:
     bench = bench.using(a_sleeper("slam", a_mark(), robots=("robot1",)))
     started = profilers.start_profilers(bench.fleet)
-    assert set(states(started).values()) == {ProfilerState.STARTED}
+    assert set(list_states(started).values()) == {ProfilerState.STARTED}
     assert all(is_running(each.pid) for each in started), "the session that started them is over"
     assert all(b"edgectl" not in proc.read_file(f"/proc/{each.pid}/cmdline") for each in started), (
         "the command line tells nothing"
     )
 
-    snapshot = resident(bench)
+    snapshot = wait_for_resident_snapshot(bench)
     assert all(0.0 <= host.sample_age_s < 30.0 for host in snapshot.hosts.values())
     assert set(snapshot.hosts["edge1"].links) == {"robot1"}
     began = time.monotonic()
     if all(host.resident for host in probe_fleet(bench.fleet, ENDLESS).hosts.values()):
         assert time.monotonic() - began < ENDLESS.window, "no window passed"
     bench.apply()
-    assert resident(bench).hosts["edge1"].tasks["slam"].state.alive
+    assert wait_for_resident_snapshot(bench).hosts["edge1"].tasks["slam"].state.alive
 
-    assert set(states(profilers.start_profilers(bench.fleet)).values()) == {ProfilerState.ALREADY_RUNNING}
+    assert set(list_states(profilers.start_profilers(bench.fleet)).values()) == {
+        ProfilerState.ALREADY_RUNNING
+    }
     os.kill(started[0].pid, signal.SIGKILL)
     eventually(lambda: not is_running(started[0].pid))
     hosts = bench.probe().hosts
@@ -100,7 +106,7 @@ def test_a_probe_reads_what_the_profilers_measured(lab: Lab, bench: Bench) -> No
     lab["edge2"].restart()
 
     stopped = profilers.stop_profilers(bench.fleet)
-    assert states(stopped)["robot1"] is ProfilerState.STOPPED
+    assert list_states(stopped)["robot1"] is ProfilerState.STOPPED
     assert exit_codes.of_profilers(stopped) is ExitCode.DONE
     assert not any(is_running(each.pid) for each in started)
 

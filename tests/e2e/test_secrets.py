@@ -1,4 +1,6 @@
-"""S5: canaries stand wherever a secret may stand; a whole life of a task is searched for them, in every form that we could think of."""
+"""No secret leaks: canary values stand in every place of a secret, and every output of a task's life is
+searched for them in all usual encodings.
+"""
 
 import base64
 import json
@@ -15,12 +17,12 @@ from pathlib import Path
 
 import pytest
 
-from tests.e2e.bench import a_mark, asleep, sleeping
+from tests.e2e.bench import a_mark, list_sleepers, wait_for_sleepers
 from tests.pace import patience
 from tests.sshd import Lab
-from tests.transport.test_ssh_auth import password_server
+from tests.transport.test_ssh_auth import run_password_server
 
-# Characters that every form writes in its own way.
+# Characters that the encodings write differently.
 NAMES = ("task", "host", "task-command", "host-command", "password")
 CANARIES = {name: f'C4nary+{name}/"ö\\ x&=%7' for name in NAMES}
 DRIVER = """
@@ -34,8 +36,10 @@ sys.exit(main())
 """
 
 
-def forms(secret: str) -> dict[str, bytes]:
-    """The secret as it may be written: as it is, and in the usual encodings, base64 at each of its three alignments."""
+def encode_secret(secret: str) -> dict[str, bytes]:
+    """Return the secret as it may be written: plain, and in the usual encodings, base64 at each of its three
+    alignments.
+    """
     raw = secret.encode()
     found = {
         "plain": raw,
@@ -61,34 +65,36 @@ def forms(secret: str) -> dict[str, bytes]:
 
 
 FORMS = {
-    f"{name} as {form}": text for name, secret in CANARIES.items() for form, text in forms(secret).items()
+    f"{name} as {form}": text
+    for name, secret in CANARIES.items()
+    for form, text in encode_secret(secret).items()
 }
 
 
 ANY = re.compile(b"|".join(re.escape(text) for text in FORMS.values()))
 
 
-def hits(data: bytes) -> list[str]:
+def find_forms(data: bytes) -> list[str]:
     return [what for what, text in FORMS.items() if text in data] if ANY.search(data) else []
 
 
 def test_the_search_finds_every_form() -> None:
-    """The oracle is worth nothing if it is blind."""
+    """Without this test a blind search would pass."""
     for name, secret in CANARIES.items():
         raw = secret.encode()
         for prefix in (b"", b"x", b"xy", b"xyz"):
-            assert any(name in hit for hit in hits(base64.b64encode(prefix + raw + b"tail")))
+            assert any(name in hit for hit in find_forms(base64.b64encode(prefix + raw + b"tail")))
         for text in (
             raw,
             raw.hex().encode(),
             json.dumps({"k": secret}).encode(),
             urllib.parse.quote(secret).encode(),
         ):
-            assert any(name in hit for hit in hits(b"before" + text + b"after"))
+            assert any(name in hit for hit in find_forms(b"before" + text + b"after"))
 
 
-class Stage:
-    """A fleet over SSH and on this machine, in which every place of a secret holds a canary."""
+class SecretStage:
+    """A fleet over SSH and on this machine, with a canary in every place of a secret."""
 
     def __init__(self, directory: Path, lab: Lab, port: int) -> None:
         self.directory, self.lab, self.mark = directory / "fleet", lab, a_mark()
@@ -145,7 +151,7 @@ class Stage:
 
     def run(self, *words: str, program: tuple[str, ...] = ("-m", "edgectl")) -> int:
         command = [sys.executable, *program, *words, "-i", "inventory.yaml", "-t", "tasks.yaml"]
-        with looking_at_processes(self):
+        with watch_processes(self):
             done = subprocess.run(
                 command,
                 cwd=self.directory,
@@ -158,7 +164,9 @@ class Stage:
         return done.returncode
 
     def searched(self) -> Iterator[Path]:
-        """Every file that this test, the manager or the hosts wrote, but for the sources of the canaries."""
+        """Return every file that this test, the manager or the hosts wrote, except the sources of the
+        canaries.
+        """
         sources = {self.directory / "inventory.yaml", self.directory / "tasks.yaml", *self.vault.iterdir()}
         roots = (
             self.directory.parent,
@@ -173,7 +181,7 @@ class Stage:
 
 
 @contextmanager
-def looking_at_processes(stage: Stage) -> Iterator[None]:
+def watch_processes(stage: SecretStage) -> Iterator[None]:
     """Sample the command line of every new process, and the environment of each that is no task.
 
     Processes from before the stage cannot receive a secret.
@@ -187,9 +195,11 @@ def looking_at_processes(stage: Stage) -> Iterator[None]:
                     continue
                 stage.seen.add(process.name)
                 with suppress(OSError):
-                    stage.outputs += [found] if hits(found := (process / "cmdline").read_bytes()) else []
+                    stage.outputs += (
+                        [found] if find_forms(found := (process / "cmdline").read_bytes()) else []
+                    )
                     environment = (process / "environ").read_bytes()
-                    if hits(environment) and b"EDGECTL_TASK=uplink\0" not in environment:
+                    if find_forms(environment) and b"EDGECTL_TASK=uplink\0" not in environment:
                         stage.outputs.append(environment)
 
     thread = threading.Thread(target=look)
@@ -202,26 +212,26 @@ def looking_at_processes(stage: Stage) -> Iterator[None]:
 
 
 @pytest.fixture
-def stage(tmp_path: Path, lab: Lab, monkeypatch: pytest.MonkeyPatch) -> Iterator[Stage]:
+def stage(tmp_path: Path, lab: Lab, monkeypatch: pytest.MonkeyPatch) -> Iterator[SecretStage]:
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[2]))
     monkeypatch.setenv("EDGECTL_DEBUG", "1")
-    with password_server(lab) as (port, tried):
+    with run_password_server(lab) as (port, tried):
         lab.known_hosts.write_text(lab.known_hosts.read_text() + lab["edge1"].known_hosts_line)
-        made = Stage(tmp_path, lab, port)
+        made = SecretStage(tmp_path, lab, port)
         yield made
         made.write_tasks()
         assert made.run("stop", "--all", "--yes") in (0, 4)
-        assert sleeping(made.mark) == []
+        assert list_sleepers(made.mark) == []
         assert set(tried) == {CANARIES["password"]}
 
 
-def the_environment(stage: Stage) -> dict[str, str]:
-    (pid,) = asleep(stage.mark, 1)
+def read_task_environment(stage: SecretStage) -> dict[str, str]:
+    (pid,) = wait_for_sleepers(stage.mark, 1)
     pairs = (line.partition("=") for line in Path(f"/proc/{pid}/environ").read_bytes().decode().split("\0"))
     return {name: value for name, _, value in pairs}
 
 
-def test_a_secret_is_nowhere_but_in_the_environment_of_the_task(stage: Stage) -> None:
+def test_a_secret_is_nowhere_but_in_the_environment_of_the_task(stage: SecretStage) -> None:
     lenient = "--allow-unreachable"
     assert stage.run("plan", lenient, "--out", "saved.plan") == 0
     assert stage.run("plan", lenient, "-o", "json") == 0
@@ -236,7 +246,7 @@ def test_a_secret_is_nowhere_but_in_the_environment_of_the_task(stage: Stage) ->
         "TASK_COMMAND": "task-command",
         "HOST_COMMAND": "host-command",
     }
-    environment = the_environment(stage)
+    environment = read_task_environment(stage)
     assert {name: environment.get(name) for name in expected} == {
         name: CANARIES[canary] for name, canary in expected.items()
     }
@@ -246,8 +256,8 @@ def test_a_secret_is_nowhere_but_in_the_environment_of_the_task(stage: Stage) ->
     where = environment["EDGECTL_HOST"]
     stage.write_tasks(hosts={"never": ["locked", where]})
     assert stage.run("apply", "--yes", lenient, "-o", "json") == 0, stage.outputs[-1].decode()
-    assert the_environment(stage)["EDGECTL_HOST"] != where
-    # what changed is said, a bug shows its traceback after the request was sent, and commands fail
+    assert read_task_environment(stage)["EDGECTL_HOST"] != where
+    # changes are reported, a bug prints its traceback after the request was sent, and commands fail
     stage.write_tasks(env={"TASK": {"value": CANARIES["task"], "secret": True}, "MORE": "x"}, workdir="/")
     assert stage.run("plan", lenient) == 0
     assert b"env and workdir changed" in stage.outputs[-1]
@@ -260,8 +270,8 @@ def test_a_secret_is_nowhere_but_in_the_environment_of_the_task(stage: Stage) ->
     assert b"env_command of task uplink failed with exit code 3" in stage.outputs[-1]
     stage.write_tasks(env={"TASK": {"value": CANARIES["task"], "secret": "yes"}})
     assert stage.run("validate") == 64
-    found = {path: hit for path in stage.searched() if (hit := hits(path.read_bytes()))}
+    found = {path: hit for path in stage.searched() if (hit := find_forms(path.read_bytes()))}
     assert found == {}
-    assert [hits(text) for text in stage.outputs if hits(text)] == []
+    assert [find_forms(text) for text in stage.outputs if find_forms(text)] == []
     written = {path.name for path in stage.searched()}
     assert {"journal.jsonl", "memory.json", "saved.plan", "saved.snapshot", "instance", "status"} <= written

@@ -1,4 +1,6 @@
-"""The main job over real sshd: sessions that end, hosts that are gone, lie, make noise or stand behind another."""
+"""A deployment over real sshd: sessions that end; hosts that are down, misreport, print noise or are behind a
+jump host.
+"""
 
 from collections.abc import Callable, Iterator
 from contextlib import closing
@@ -16,7 +18,17 @@ from edgectl.usecases.apply import ApplyOptions, plan_and_apply
 from edgectl.usecases.logs import follow_log
 from edgectl.usecases.stop import restart_task
 from tests.builders import a_robot, an_inventory
-from tests.e2e.bench import EAGER, QUICK, Bench, a_mark, a_sleeper, a_slice, asleep, managing, sleeping
+from tests.e2e.bench import (
+    EAGER,
+    QUICK,
+    Bench,
+    a_mark,
+    a_sleeper,
+    a_slice,
+    list_sleepers,
+    open_bench,
+    wait_for_sleepers,
+)
 from tests.pace import patience
 from tests.sshd import Lab
 
@@ -24,7 +36,7 @@ LINKS = {("edge1", "robot1"): 10e6, ("edge2", "robot1"): 10e6}
 Managing = Callable[..., Bench]
 
 
-def fleet(lab: Lab, **changes: object) -> Inventory:
+def build_inventory(lab: Lab, **changes: object) -> Inventory:
     """The lab's three hosts as slices, reached through their ssh_config aliases."""
     edges = [a_slice(lab.host(name, **changes)) for name in ("edge1", "edge2")]
     return an_inventory(*edges, a_slice(lab.host("robot1", role=Role.ROBOT)), links=LINKS)
@@ -32,7 +44,7 @@ def fleet(lab: Lab, **changes: object) -> Inventory:
 
 @pytest.fixture
 def manager(lab: Lab, tmp_path: Path) -> Iterator[Callable[[Inventory], Bench]]:
-    """Makes managers; afterwards servers and files are as they were and all tasks are stopped."""
+    """Return a factory of managers; afterwards servers and files are as before and all tasks are stopped."""
     made = []
 
     def mended() -> None:
@@ -42,7 +54,7 @@ def manager(lab: Lab, tmp_path: Path) -> Iterator[Callable[[Inventory], Bench]]:
                 server.restart()
 
     def manage(inventory: Inventory) -> Bench:
-        context = managing(inventory, tmp_path / f"manager{len(made)}", mended)
+        context = open_bench(inventory, tmp_path / f"manager{len(made)}", mended)
         made.append(context)
         return context.__enter__()
 
@@ -54,27 +66,31 @@ def manager(lab: Lab, tmp_path: Path) -> Iterator[Callable[[Inventory], Bench]]:
 @pytest.mark.parametrize("connection", [Connection.SSH, Connection.OPENSSH])
 def test_the_main_job(lab: Lab, manager: Managing, connection: Connection) -> None:
     slam, navigation = a_mark(), a_mark()
-    # A name of its own: a manager that is new within the same second knows nothing of the generations of the one before.
+    # A name of its own: a manager that is new within the same second does not know the generations of the
+    # previous one.
     name = f"slam-{connection.value}"
     ready = Check(command='test -n "$EDGECTL_ROBOT_HOST"', timeout=patience(10.0))
-    bench = manager(fleet(lab, connection=connection)).using(
+    bench = manager(build_inventory(lab, connection=connection)).using(
         a_sleeper(name, slam, robots=("robot1",), ready=ready),
         a_sleeper(f"{name}-navigation", navigation, robots=("robot1",)),
     )
     assert bench.apply().plan.summary == {Action.START: 2}
-    assert (len(asleep(slam)), len(asleep(navigation))) == (2, 2)  # every session of the apply has ended
+    assert (len(wait_for_sleepers(slam)), len(wait_for_sleepers(navigation))) == (
+        2,
+        2,
+    )  # every session of the apply has ended
     assert bench.apply().results is None
     restart_task(bench.fleet, name, options=ApplyOptions(probe=QUICK))
-    assert len(asleep(slam)) == 2
+    assert len(wait_for_sleepers(slam)) == 2
     with closing(follow_log(bench.fleet, name)) as printed:
         assert next(printed).endswith(b"up\n")
     bench.stop()
-    assert sleeping(slam) == sleeping(navigation) == []
+    assert list_sleepers(slam) == list_sleepers(navigation) == []
 
 
 def test_tasks_of_a_host_that_is_gone_are_held(lab: Lab, manager: Managing) -> None:
     mark = a_mark()
-    bench = manager(fleet(lab)).using(a_sleeper("slam", mark))
+    bench = manager(build_inventory(lab)).using(a_sleeper("slam", mark))
     bench.apply()
     assert bench.where() == {"slam": "edge1"}
     lab["edge1"].stop()
@@ -86,7 +102,7 @@ def test_tasks_of_a_host_that_is_gone_are_held(lab: Lab, manager: Managing) -> N
 
 def test_a_changed_host_key_costs_that_host_and_no_other(lab: Lab, manager: Managing) -> None:
     lab.known_hosts.write_text(lab.known_hosts.read_text().replace(lab["edge2"].key, lab["edge1"].key))
-    bench = manager(fleet(lab)).using(a_sleeper("slam", a_mark()))
+    bench = manager(build_inventory(lab)).using(a_sleeper("slam", a_mark()))
     hosts = bench.probe().hosts
     assert {name: sample.error_kind for name, sample in hosts.items()} == {
         "edge1": "",
@@ -103,7 +119,7 @@ def test_noise_around_the_answers_does_no_harm(lab: Lab, manager: Managing) -> N
     rc = lab["edge1"].home / ".bashrc"
     rc.write_text(noise)
     try:
-        bench = manager(fleet(lab)).using(a_sleeper("slam", a_mark()))
+        bench = manager(build_inventory(lab)).using(a_sleeper("slam", a_mark()))
         bench.apply()
         sample = bench.probe().hosts["edge1"]
         assert sample.measured
@@ -115,7 +131,7 @@ def test_noise_around_the_answers_does_no_harm(lab: Lab, manager: Managing) -> N
 
 @pytest.mark.parametrize("connection", [Connection.SSH, Connection.OPENSSH])
 def test_a_host_behind_another(lab: Lab, manager: Managing, connection: Connection) -> None:
-    inventory = fleet(lab, connection=connection)
+    inventory = build_inventory(lab, connection=connection)
     behind = replace(inventory.hosts["edge2"], proxy_jump="edge1")
     bench = manager(
         an_inventory(inventory.hosts["edge1"], behind, a_robot("robot1", probe=False), links=LINKS)
@@ -129,16 +145,16 @@ def test_a_host_behind_another(lab: Lab, manager: Managing, connection: Connecti
 def test_a_move_between_hosts(lab: Lab, manager: Managing) -> None:
     mark = a_mark()
     task = a_sleeper("slam", mark, robots=("robot1",))
-    bench = manager(fleet(lab)).using(task)
+    bench = manager(build_inventory(lab)).using(task)
     bench.apply()
     moved = bench.using(replace(task, hosts=replace(task.hosts, never=("edge1",)))).apply()
     assert moved.results is not None
     assert moved.results.actions[0].located == "edge2"
-    assert len(asleep(mark)) == 2
+    assert len(wait_for_sleepers(mark)) == 2
 
 
 def test_a_host_that_goes_between_plan_and_start_costs_its_action_only(lab: Lab, manager: Managing) -> None:
-    bench = manager(fleet(lab)).using(
+    bench = manager(build_inventory(lab)).using(
         *(
             replace(task, hosts=replace(task.hosts, only=(host,)))
             for task, host in (

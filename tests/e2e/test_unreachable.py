@@ -1,4 +1,4 @@
-"""A host that falls silent and comes back, over real sshd: its task is replaced when it is certainly gone, and never kept twice."""
+"""Unreachable hosts over real sshd: a task is replaced when its copy is certainly gone, and never kept twice."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -15,14 +15,14 @@ from edgectl.model.task import Check, CheckLocation, HandoffContract, Unreachabl
 from edgectl.usecases import operator_marks
 from edgectl.views.reasons import describe_reason
 from tests.builders import an_inventory
-from tests.e2e.bench import Bench, a_mark, a_sleeper, a_slice, asleep, managing, sleeping
+from tests.e2e.bench import Bench, a_mark, a_sleeper, a_slice, list_sleepers, open_bench, wait_for_sleepers
 from tests.pace import patience
 from tests.sshd import Lab, Server
 
 LINKS = {("edge1", "robot1"): 10e6, ("edge2", "robot1"): 10e6}
 
 
-def fleet(lab: Lab) -> Inventory:
+def build_inventory(lab: Lab) -> Inventory:
     edges = [a_slice(lab.host(name)) for name in ("edge1", "edge2")]
     return an_inventory(*edges, a_slice(lab.host("robot1", role=Role.ROBOT)), links=LINKS)
 
@@ -34,23 +34,23 @@ def bench(lab: Lab, tmp_path: Path) -> Iterator[Bench]:
             if server.process is None:
                 server.restart()
 
-    with managing(fleet(lab), tmp_path / "manager", mended) as made:
+    with open_bench(build_inventory(lab), tmp_path / "manager", mended) as made:
         yield made
 
 
-def slam(bench: Bench) -> Step:
+def plan_slam(bench: Bench) -> Step:
     return next(step for step in bench.plan().steps if step.task == "slam")
 
 
-def cut(server: Server) -> None:
-    """Nobody reaches the host any more; what runs there goes on."""
+def cut_off(server: Server) -> None:
+    """Cut the host off for everyone; what runs there goes on."""
     assert server.process is not None
     server.process.kill()
     server.process.wait()
     server.process = None
 
 
-def mend(server: Server) -> None:
+def restore_server(server: Server) -> None:
     server.start()
     server.wait()
 
@@ -62,8 +62,8 @@ def wait_until(condition: Callable[[], bool], within: float) -> None:
         time.sleep(0.3)
 
 
-def told(robot: Path) -> HandoffContract:
-    """A robot that writes down what it is told."""
+def build_recording_contract(robot: Path) -> HandoffContract:
+    """Run a robot that records the requests of its hooks."""
     hold, release = (
         Check(command=f"echo {word} >> {robot}", on=CheckLocation.ROBOT) for word in ("hold", "release")
     )
@@ -77,23 +77,23 @@ def test_a_task_that_fences_itself_is_replaced_and_its_host_comes_back(
     fenced = a_sleeper(
         "slam", mark, on_unreachable=UnreachablePolicy.REPLACE, replace_after=1.0, self_fence=6.0
     )
-    bench = bench.using(replace(fenced, robots=("robot1",), handoff=told(robot)))
+    bench = bench.using(replace(fenced, robots=("robot1",), handoff=build_recording_contract(robot)))
     bench.apply()
     assert bench.where() == {"slam": "edge1"}
-    first = asleep(mark)
-    cut(lab["edge1"])
-    assert slam(bench).action is Action.HOLD
-    wait_until(lambda: not sleeping(mark), within=40.0)
-    assert slam(bench).action is Action.HOLD, "gone, but the manager cannot know yet"
-    wait_until(lambda: slam(bench).action is Action.START, within=60.0)
+    first = wait_for_sleepers(mark)
+    cut_off(lab["edge1"])
+    assert plan_slam(bench).action is Action.HOLD
+    wait_until(lambda: not list_sleepers(mark), within=40.0)
+    assert plan_slam(bench).action is Action.HOLD, "gone, but the manager cannot know yet"
+    wait_until(lambda: plan_slam(bench).action is Action.START, within=60.0)
     assert not robot.exists(), "so far nobody took the wheel"
     (replaced,) = applied.actions if (applied := bench.apply().results) else ()
     assert [phase.phase for phase in replaced.phases] == [Phase.HOLD, Phase.START, Phase.READY, Phase.RELEASE]
     assert robot.read_text() == "hold\nrelease\n"
     assert bench.where() == {"slam": "edge2"}
-    assert len(asleep(mark)) == 2
-    assert not set(first) & set(sleeping(mark))
-    mend(lab["edge1"])
+    assert len(wait_for_sleepers(mark)) == 2
+    assert not set(first) & set(list_sleepers(mark))
+    restore_server(lab["edge1"])
     assert not bench.plan().changes
     old = bench.probe().hosts["edge1"].tasks["slam"]
     assert (old.state, old.pid) == (TaskState.FAILED, 0)
@@ -101,24 +101,26 @@ def test_a_task_that_fences_itself_is_replaced_and_its_host_comes_back(
 
 
 def test_a_copy_that_outlived_the_operators_word_is_stopped_on_return(lab: Lab, bench: Bench) -> None:
-    """The host was not off at all: until it is back two copies run; then the newer assignment wins, and plan says so."""
+    """The host was not off at all: until it is back two copies run; then the newer assignment wins, and plan
+    reports it.
+    """
     mark = a_mark()
     bench = bench.using(a_sleeper("slam", mark))
     bench.apply()
-    old = asleep(mark)
-    cut(lab["edge1"])
-    assert slam(bench).action is Action.HOLD
+    old = wait_for_sleepers(mark)
+    cut_off(lab["edge1"])
+    assert plan_slam(bench).action is Action.HOLD
     operator_marks.fence_hosts(bench.fleet, ["edge1"])
     bench.apply()
     assert bench.where() == {"slam": "edge2"}
-    new = sorted(set(asleep(mark, 4)) - set(old))
-    mend(lab["edge1"])
-    step = slam(bench)
+    new = sorted(set(wait_for_sleepers(mark, 4)) - set(old))
+    restore_server(lab["edge1"])
+    step = plan_slam(bench)
     assert (step.action, step.stop) == (Action.KEEP, ("edge1",))
     assert describe_reason(step).endswith("stop the one on edge1")
     assert bench.said[-1] == "edge1 answers, so it is not powered off: its fence is cleared"
     bench.apply()
-    assert sorted(sleeping(mark)) == new
+    assert sorted(list_sleepers(mark)) == new
     assert bench.where() == {"slam": "edge2"}
     assert not bench.plan().changes
 
@@ -129,9 +131,9 @@ def test_a_host_that_is_asked_often_enough_keeps_its_task(bench: Bench) -> None:
         a_sleeper("slam", mark, on_unreachable=UnreachablePolicy.REPLACE, replace_after=1.0, self_fence=5.0)
     )
     bench.apply()
-    before = asleep(mark)
+    before = wait_for_sleepers(mark)
     end = time.monotonic() + 7.0
     while time.monotonic() < end:
         time.sleep(0.5)
         bench.probe()
-    assert sleeping(mark) == before
+    assert list_sleepers(mark) == before

@@ -1,4 +1,6 @@
-"""watch over real sshd: a load that lasts moves a task once, and a host that is cut off and comes back keeps its own."""
+"""watch over real sshd: a lasting load moves a task once, and a host that is cut off and comes back keeps its
+tasks.
+"""
 
 import itertools
 from collections.abc import Iterator
@@ -16,14 +18,23 @@ from edgectl.model.result import Outcome
 from edgectl.model.task import HostRules
 from edgectl.usecases.watch import WatchOptions, watch_fleet
 from tests.builders import an_inventory
-from tests.e2e.bench import BY_CPU, Bench, a_mark, a_sleeper, asleep, kill, managing, sleeping
+from tests.e2e.bench import (
+    BY_CPU,
+    Bench,
+    a_mark,
+    a_sleeper,
+    kill_processes,
+    list_sleepers,
+    open_bench,
+    wait_for_sleepers,
+)
 from tests.pace import patience
-from tests.sshd import Lab, Server, _descendants
-from tests.usecases.watching import EVERY, Hands, Hurried
+from tests.sshd import Lab, Server, _list_descendants
+from tests.usecases.watch_site import EVERY, JumpingWait, SteppedClock
 
-# Small slices: even on a busy machine what burns takes a large share of one.
+# Small slices: even on a busy machine a busy loop takes a large share of one.
 SLICE = Capacity(cpu=0.3, memory=1e9)
-# Burns half a core once its host says so.
+# Uses half a core once its host allows it.
 BURNER = """while [ ! -e "$HOME/burn" ]; do sleep 0.1; done
 exec python3 -c 'import time
 while True:
@@ -32,7 +43,7 @@ while True:
     time.sleep(0.05)'"""
 
 
-def fleet(lab: Lab) -> Inventory:
+def build_inventory(lab: Lab) -> Inventory:
     edges = [replace(lab.host(name), capacity=SLICE) for name in ("edge1", "edge2")]
     return an_inventory(*edges, replace(lab.host("robot1", role=Role.ROBOT), capacity=SLICE))
 
@@ -44,35 +55,36 @@ def bench(lab: Lab, tmp_path: Path) -> Iterator[Bench]:
             if server.process is None:
                 server.restart()
 
-    with managing(fleet(lab), tmp_path / "manager", mended) as made:
+    with open_bench(build_inventory(lab), tmp_path / "manager", mended) as made:
         yield made
 
 
-def moves(cycles: list[Cycle]) -> list[tuple[str, str | None]]:
-    """What was moved where."""
+def list_moves(cycles: list[Cycle]) -> list[tuple[str, str | None]]:
+    """Return the moves as (task, hosts)."""
     actions = [action for cycle in cycles if cycle.results is not None for action in cycle.results.actions]
     assert all(action.outcome is Outcome.DONE for action in actions), actions
     return [(action.task, action.host) for action in actions if action.action is Action.MOVE]
 
 
-def place(cycle: Cycle, task: str) -> str | None:
+def find_task_host(cycle: Cycle, task: str) -> str | None:
     hosts = cycle.snapshot.hosts if cycle.snapshot is not None else {}
     return next(
         (name for name, host in hosts.items() if task in host.tasks and host.tasks[task].state.alive), None
     )
 
 
-def cut(server: Server) -> None:
-    """Nobody reaches the host any more, and open connections are gone; what runs there goes on."""
+def cut_off(server: Server) -> None:
+    """Cut the host off for everyone and close open connections; what runs there goes on."""
     assert server.process is not None
-    kill([server.process.pid, *_descendants(server.process.pid)])
+    kill_processes([server.process.pid, *_list_descendants(server.process.pid)])
     server.process.wait()
     server.process = None
 
 
 def test_a_load_moves_a_task_once_and_a_host_that_was_cut_off_keeps_it(lab: Lab, bench: Bench) -> None:
-    mark, hands = a_mark(), Hands()
-    # Their names come last: a task that is placed earlier counts with its demand from then on, not with what it burns.
+    mark, hands = a_mark(), SteppedClock()
+    # Their names sort last: a task that is placed earlier counts with its demand from then on, not with its
+    # usage.
     burners = [
         a_sleeper(f"zz-burner-{name}", a_mark(), command=BURNER, hosts=HostRules(pin=name))
         for name in ("edge1", "edge2")
@@ -83,37 +95,37 @@ def test_a_load_moves_a_task_once_and_a_host_that_was_cut_off_keeps_it(lab: Lab,
     options = WatchOptions(
         every=EVERY,
         apply=True,
-        control=Hurried(hands),
+        control=JumpingWait(hands),
         probe=ProbeOptions(window=0.4, timeout=patience(10.0)),
         policy=lambda _: replace(BY_CPU, move_margin=0.1),
     )
     with closing(watch_fleet(fleet, options)) as running:
         first = list(itertools.islice(running, 3))
-        before = place(first[-1], "slam")
+        before = find_task_host(first[-1], "slam")
         assert before is not None
-        assert moves(first) == []
-        pids = asleep(mark)
+        assert list_moves(first) == []
+        pids = wait_for_sleepers(mark)
 
         (lab[before].home / "burn").touch()
         loaded = list(itertools.islice(running, 10))
-        after = place(loaded[-1], "slam")
-        assert moves(loaded) == [("slam", after)]
+        after = find_task_host(loaded[-1], "slam")
+        assert list_moves(loaded) == [("slam", after)]
         assert after not in (None, before)
-        now = asleep(mark)
+        now = wait_for_sleepers(mark)
         assert now
         assert not set(now) & set(pids), "the old one is gone"
 
         server = lab[str(after)]
-        cut(server)
+        cut_off(server)
         silent = list(itertools.islice(running, 2))
         assert all(
             cycle.snapshot is not None and not cycle.snapshot.hosts[server.name].ok for cycle in silent
         )
         assert all(cycle.plan is not None and cycle.plan.summary[Action.HOLD] == 2 for cycle in silent)
-        assert sleeping(mark) == now, "held, not doubled"
+        assert list_sleepers(mark) == now, "held, not doubled"
         server.start()
         server.wait()
         back = list(itertools.islice(running, 6))
-        assert place(back[-1], "slam") == after
-        assert moves([*silent, *back]) == []
-        assert sleeping(mark) == now
+        assert find_task_host(back[-1], "slam") == after
+        assert list_moves([*silent, *back]) == []
+        assert list_sleepers(mark) == now

@@ -1,4 +1,4 @@
-"""A fleet of simulated hosts behind FakeTransport: they obey the agent protocol and remember what ran where."""
+"""Simulated hosts behind FakeTransport: they implement the agent protocol and record what ran where."""
 
 import threading
 import time
@@ -13,8 +13,10 @@ Request = dict[str, object]
 
 
 @dataclass
-class World:
-    """What all hosts share: the order of events, and how many instances of a task ever ran at once."""
+class SharedEvents:
+    """State shared by all hosts: the order of events, and the greatest number of instances of a task at a
+    time.
+    """
 
     events: list[str] = field(default_factory=list)
     alive: dict[str, set[str]] = field(default_factory=dict)
@@ -39,10 +41,12 @@ class World:
 
 @dataclass
 class FakeHost:
-    """One host. ``faults`` maps an operation (``start``, ``stop:slam``) to an error to raise or a function that gives the reply."""
+    """One host. ``faults`` maps an operation (``start``, ``stop:slam``) to an error to raise or a function
+    that returns the reply.
+    """
 
     name: str
-    world: World
+    world: SharedEvents
     cores: float = 4.0
     used: float = 0.0
     tasks: dict[str, Request] = field(default_factory=dict)
@@ -63,7 +67,7 @@ class FakeHost:
         return getattr(self, f"_{op}")(request)
 
     def _fence(self, request: Request) -> None:
-        """Refuse a generation older than one that was seen."""
+        """Reject a generation older than the newest one."""
         name, generation = str(request["task"]), request["generation"]
         assert isinstance(generation, int)
         if generation < self.seen.get(name, 0):
@@ -170,7 +174,7 @@ class FakeHost:
         }
 
     def runs(self, name: str, *, spec_hash: str = "", instance: str = "old", state: str = "running") -> None:
-        """Put a task there as if it ran before."""
+        """Put a task on the host as if it had been started before."""
         self.tasks[name] = {
             "state": state,
             "pid": 99,
@@ -182,7 +186,7 @@ class FakeHost:
 
 
 class _Reachable(UserDict[str, Handler | HostError]):
-    """The handlers of the hosts that are switched on at the moment of asking."""
+    """The handlers of the hosts that are on at the time of the request."""
 
     def __init__(self, handlers: Mapping[str, Handler | HostError], down: set[str]) -> None:
         super().__init__(handlers)
@@ -194,15 +198,15 @@ class _Reachable(UserDict[str, Handler | HostError]):
 
 @dataclass
 class FakeFleet:
-    """Hosts by name over one transport; ``off`` switches a host off."""
+    """Hosts by name over one transport; ``down`` holds the names of hosts that are off."""
 
     hosts: dict[str, FakeHost]
-    world: World
+    world: SharedEvents
     down: set[str] = field(default_factory=set)
 
     @classmethod
     def of(cls, names: Iterable[str]) -> "FakeFleet":
-        world = World()
+        world = SharedEvents()
         return cls(hosts={name: FakeHost(name, world) for name in names}, world=world)
 
     def __getitem__(self, name: str) -> FakeHost:
@@ -225,10 +229,10 @@ class FakeFleet:
 
     @property
     def changes(self) -> list[str]:
-        """Starts and stops, in order."""
+        """Return starts and stops, in order."""
         return [event for event in self.world.events if event.startswith(("start", "stop"))]
 
     @property
     def placed(self) -> dict[str, str]:
-        """Where each task runs."""
+        """Return the host of each task."""
         return {task: host.name for host in self.hosts.values() for task in host.tasks}

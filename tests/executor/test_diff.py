@@ -1,4 +1,4 @@
-"""Algorithm 2 as a pure diff: an assignment against what runs."""
+"""Algorithm 2 as a pure diff: an assignment against the running tasks."""
 
 import pytest
 
@@ -15,18 +15,18 @@ NOTHING = ManagerState()
 EDGES = ("edge1", "edge2", "edge3")
 
 
-def decided(
+def a_decision(
     verdict: Verdict, reason: Reason, host: str | None = None, before: str | None = None, task: str = "slam"
 ) -> Decision:
     return Decision(task=task, verdict=verdict, reason=reason, host=host, previous_host=before)
 
 
-def step(decision: Decision, snapshot: Snapshot, task: Task | None = None) -> Step:
+def diff_step(decision: Decision, snapshot: Snapshot, task: Task | None = None) -> Step:
     assignment = Assignment(policy=Policy(), decisions=(decision,), expected={})
     return diff_assignment(assignment, some_tasks(task or a_task()), snapshot, NOTHING)[0]
 
 
-def fleet(**runs: TaskSample) -> Snapshot:
+def a_fleet_snapshot(**runs: TaskSample) -> Snapshot:
     return a_snapshot(
         **{edge: a_sample(tasks={"slam": runs[edge]} if edge in runs else {}) for edge in EDGES}
     )
@@ -35,29 +35,29 @@ def fleet(**runs: TaskSample) -> Snapshot:
 @pytest.mark.parametrize(
     ("decision", "runs", "action", "instances", "stop"),
     [
-        (decided(Verdict.PLACED, Reason.BEST, "edge1"), {}, Action.START, {}, ()),
-        (decided(Verdict.PLACED, Reason.BEST, "edge1"), {"edge1": a_run(TaskState.FAILED)}, Action.START, {}, ()),
-        (decided(Verdict.PLACED, Reason.GAIN, "edge2", "edge1"), {"edge1": a_run()}, Action.MOVE, {"edge1": "instance-1"}, ()),
-        (decided(Verdict.KEPT, Reason.STILL_BEST, "edge1", "edge1"), {"edge1": a_run()}, Action.KEEP, {}, ()),
-        (decided(Verdict.HELD, Reason.HOST_SILENT, "edge1", "edge1"), {}, Action.HOLD, {}, ()),
-        (decided(Verdict.HELD, Reason.ROBOT_SILENT), {}, Action.HOLD, {}, ()),
-        (decided(Verdict.UNPLACED, Reason.NO_FEASIBLE_HOST), {}, Action.UNPLACED, {}, ()),
-        (decided(Verdict.COMPLETED, Reason.DONE), {}, Action.NONE, {}, ()),
-        (decided(Verdict.COMPLETED, Reason.DONE), {"edge1": a_run(TaskState.COMPLETED, pid=0)}, Action.NONE, {}, ()),
-        (decided(Verdict.COMPLETED, Reason.DONE, None, "edge1"), {"edge1": a_run(TaskState.COMPLETED)}, Action.COMPLETE,
+        (a_decision(Verdict.PLACED, Reason.BEST, "edge1"), {}, Action.START, {}, ()),
+        (a_decision(Verdict.PLACED, Reason.BEST, "edge1"), {"edge1": a_run(TaskState.FAILED)}, Action.START, {}, ()),
+        (a_decision(Verdict.PLACED, Reason.GAIN, "edge2", "edge1"), {"edge1": a_run()}, Action.MOVE, {"edge1": "instance-1"}, ()),
+        (a_decision(Verdict.KEPT, Reason.STILL_BEST, "edge1", "edge1"), {"edge1": a_run()}, Action.KEEP, {}, ()),
+        (a_decision(Verdict.HELD, Reason.HOST_SILENT, "edge1", "edge1"), {}, Action.HOLD, {}, ()),
+        (a_decision(Verdict.HELD, Reason.ROBOT_SILENT), {}, Action.HOLD, {}, ()),
+        (a_decision(Verdict.UNPLACED, Reason.NO_FEASIBLE_HOST), {}, Action.UNPLACED, {}, ()),
+        (a_decision(Verdict.COMPLETED, Reason.DONE), {}, Action.NONE, {}, ()),
+        (a_decision(Verdict.COMPLETED, Reason.DONE), {"edge1": a_run(TaskState.COMPLETED, pid=0)}, Action.NONE, {}, ()),
+        (a_decision(Verdict.COMPLETED, Reason.DONE, None, "edge1"), {"edge1": a_run(TaskState.COMPLETED)}, Action.COMPLETE,
          {"edge1": "instance-1"}, ()),
-        (decided(Verdict.COMPLETED, Reason.DONE, None, "edge2"), {"edge1": a_run(), "edge2": a_run(instance="b")}, Action.COMPLETE,
+        (a_decision(Verdict.COMPLETED, Reason.DONE, None, "edge2"), {"edge1": a_run(), "edge2": a_run(instance="b")}, Action.COMPLETE,
          {"edge1": "instance-1", "edge2": "b"}, ("edge1",)),
-        # a copy that should not be there goes, whatever else happens
-        (decided(Verdict.KEPT, Reason.STILL_BEST, "edge1", "edge1"), {"edge1": a_run(), "edge2": a_run(instance="b")}, Action.KEEP,
+        # an unwanted copy is stopped, regardless of the rest
+        (a_decision(Verdict.KEPT, Reason.STILL_BEST, "edge1", "edge1"), {"edge1": a_run(), "edge2": a_run(instance="b")}, Action.KEEP,
          {"edge2": "b"}, ("edge2",)),
-        (decided(Verdict.PLACED, Reason.GAIN, "edge3", "edge1"), {"edge1": a_run(), "edge2": a_run(instance="b")}, Action.MOVE,
+        (a_decision(Verdict.PLACED, Reason.GAIN, "edge3", "edge1"), {"edge1": a_run(), "edge2": a_run(instance="b")}, Action.MOVE,
          {"edge1": "instance-1", "edge2": "b"}, ("edge2",)),
-        # the supervisor of a crash loop gave up, but may still be there when the task starts elsewhere
-        (decided(Verdict.PLACED, Reason.BEST, "edge2"), {"edge1": a_run(TaskState.CRASHLOOP)}, Action.START, {"edge1": "instance-1"},
+        # the supervisor of a crash loop gave up, but may still exist when the task starts elsewhere
+        (a_decision(Verdict.PLACED, Reason.BEST, "edge2"), {"edge1": a_run(TaskState.CRASHLOOP)}, Action.START, {"edge1": "instance-1"},
          ("edge1",)),
-        # an older specification completed and lingers where the new one is to start
-        (decided(Verdict.PLACED, Reason.BEST, "edge1"), {"edge1": a_run(TaskState.COMPLETED, spec_hash="old")}, Action.RESTART,
+        # an older specification completed and its record is still on the host of the new start
+        (a_decision(Verdict.PLACED, Reason.BEST, "edge1"), {"edge1": a_run(TaskState.COMPLETED, spec_hash="old")}, Action.RESTART,
          {"edge1": "instance-1"}, ()),
     ],
 )  # fmt: skip
@@ -68,7 +68,7 @@ def test_actions(
     instances: dict[str, str],
     stop: tuple[str, ...],
 ) -> None:
-    assert step(decision, fleet(**runs)) == Step(
+    assert diff_step(decision, a_fleet_snapshot(**runs)) == Step(
         decision=decision, action=action, instances=instances, stop=stop
     )
 
@@ -77,8 +77,9 @@ def test_actions(
     ("spec_hash", "action"), [("hash-slam", Action.KEEP), ("older", Action.RESTART), ("", Action.KEEP)]
 )
 def test_a_changed_specification_restarts_in_place_where_it_is_known(spec_hash: str, action: Action) -> None:
-    found = step(
-        decided(Verdict.KEPT, Reason.STILL_BEST, "edge1", "edge1"), fleet(edge1=a_run(spec_hash=spec_hash))
+    found = diff_step(
+        a_decision(Verdict.KEPT, Reason.STILL_BEST, "edge1", "edge1"),
+        a_fleet_snapshot(edge1=a_run(spec_hash=spec_hash)),
     )
     assert found.action is action
     if action is Action.RESTART:
@@ -98,19 +99,23 @@ def test_a_changed_specification_restarts_in_place_where_it_is_known(spec_hash: 
         (
             {"command": "1", "env": "3"},
             ("spec",),
-        ),  # the hash differs and no field does: an edgectl with other fields started it
+        ),  # the hash differs and no field does: started by an edgectl with other fields
     ],
 )
 def test_a_restart_says_what_changed(before: dict[str, str], changed: tuple[str, ...]) -> None:
     task = a_task(spec_fields={"command": "1", "env": "3"})
-    runs = fleet(edge1=a_run(spec_hash="older", fields=before))
-    assert step(decided(Verdict.KEPT, Reason.STILL_BEST, "edge1", "edge1"), runs, task).changed == changed
+    runs = a_fleet_snapshot(edge1=a_run(spec_hash="older", fields=before))
+    assert (
+        diff_step(a_decision(Verdict.KEPT, Reason.STILL_BEST, "edge1", "edge1"), runs, task).changed
+        == changed
+    )
 
 
 def test_a_move_is_a_move_even_with_a_changed_specification() -> None:
     assert (
-        step(
-            decided(Verdict.PLACED, Reason.GAIN, "edge2", "edge1"), fleet(edge1=a_run(spec_hash="older"))
+        diff_step(
+            a_decision(Verdict.PLACED, Reason.GAIN, "edge2", "edge1"),
+            a_fleet_snapshot(edge1=a_run(spec_hash="older")),
         ).action
         is Action.MOVE
     )
@@ -119,15 +124,15 @@ def test_a_move_is_a_move_even_with_a_changed_specification() -> None:
 @pytest.mark.parametrize(
     ("decision", "action"),
     [
-        (decided(Verdict.KEPT, Reason.UNMANAGED, "edge1", "edge1"), Action.KEEP),
-        (decided(Verdict.KEPT, Reason.UNMANAGED), Action.NONE),
-        (decided(Verdict.COMPLETED, Reason.DONE), Action.NONE),
-        (decided(Verdict.HELD, Reason.HOST_SILENT, "edge3"), Action.HOLD),
+        (a_decision(Verdict.KEPT, Reason.UNMANAGED, "edge1", "edge1"), Action.KEEP),
+        (a_decision(Verdict.KEPT, Reason.UNMANAGED), Action.NONE),
+        (a_decision(Verdict.COMPLETED, Reason.DONE), Action.NONE),
+        (a_decision(Verdict.HELD, Reason.HOST_SILENT, "edge3"), Action.HOLD),
     ],
 )
 def test_nothing_unmanaged_is_ever_stopped(decision: Decision, action: Action) -> None:
-    runs = fleet(edge1=a_run(spec_hash="x"), edge2=a_run(spec_hash="y"))
-    found = step(decision, runs, a_task(managed=False))
+    runs = a_fleet_snapshot(edge1=a_run(spec_hash="x"), edge2=a_run(spec_hash="y"))
+    found = diff_step(decision, runs, a_task(managed=False))
     assert (found.action, found.instances, found.stop) == (action, {}, ())
 
 
@@ -142,7 +147,7 @@ def test_tasks_that_left_the_file_are_stopped_last_and_only_if_ours() -> None:
         edge1=a_sample(tasks=runs), edge2=a_sample(tasks={"old2": a_run(instance="b")}), edge3=silent()
     )
     assignment = Assignment(
-        policy=Policy(), decisions=(decided(Verdict.PLACED, Reason.BEST, "edge1"),), expected={}
+        policy=Policy(), decisions=(a_decision(Verdict.PLACED, Reason.BEST, "edge1"),), expected={}
     )
     memory = ManagerState(placements={"old2": Placement(host="edge2", since=NOW)})
     start, old2, old10 = diff_assignment(assignment, some_tasks(a_task()), snapshot, memory)
@@ -162,7 +167,7 @@ def test_a_plan_can_be_repeated_from_itself() -> None:
     snapshot, memory = a_snapshot(edge1=a_sample()), ManagerState(cordons=frozenset({"edge9"}))
     assignment = Assignment(
         policy=Policy(),
-        decisions=(decided(Verdict.PLACED, Reason.BEST, "edge1"),),
+        decisions=(a_decision(Verdict.PLACED, Reason.BEST, "edge1"),),
         expected={},
         settled=False,
     )
@@ -183,9 +188,9 @@ def test_selecting_targets_shows_all_and_does_some() -> None:
     )
     runs = {"edge1": a_sample(tasks={"b": a_run(), "c": a_run()}), "edge2": a_sample(tasks={"c": a_run()})}
     decisions = (
-        decided(Verdict.PLACED, Reason.BEST, "edge1", task="a"),
-        decided(Verdict.PLACED, Reason.GAIN, "edge2", "edge1", task="b"),
-        decided(Verdict.KEPT, Reason.STILL_BEST, "edge1", "edge1", task="c"),
+        a_decision(Verdict.PLACED, Reason.BEST, "edge1", task="a"),
+        a_decision(Verdict.PLACED, Reason.GAIN, "edge2", "edge1", task="b"),
+        a_decision(Verdict.KEPT, Reason.STILL_BEST, "edge1", "edge1", task="c"),
     )
     assignment = Assignment(policy=Policy(), decisions=decisions, expected={})
     plan = plan_from_assignment(inventory, tasks, a_snapshot(**runs), NOTHING, assignment)

@@ -15,7 +15,7 @@ from edgectl.state.journal import Journal
 from edgectl.transport.fake import FakeTransport
 from tests.builders import a_robot, a_run, a_sample, a_snapshot, a_task, an_edge, an_inventory, some_tasks
 from tests.executor.fake_fleet import FakeFleet
-from tests.executor.test_run import EDGES, plan, step
+from tests.executor.test_run import EDGES, a_plan, a_step
 
 Sent = list[tuple[str, dict[str, object]]]
 HOOKS = {name: Check(command=name, on=CheckLocation.ROBOT) for name in ("safe_when", "hold", "release")}
@@ -32,8 +32,8 @@ def a_fleet() -> Inventory:
     return an_inventory(*(an_edge(name) for name in EDGES), a_robot("robot1"))
 
 
-def mask(host: str, request: dict[str, object]) -> tuple[str, dict[str, object]]:
-    """A request with the placeholders of a dry run; what is left of a time-out, as a whole number."""
+def mask_request(host: str, request: dict[str, object]) -> tuple[str, dict[str, object]]:
+    """Replace values by a dry run's placeholders; the rest of a time-out becomes a whole number."""
     placeholders: dict[str, object] = {"generation": 0} if request.get("generation") is not None else {}
     if request["op"] in ("start", "wait", "mark") and request["instance"] != "old":
         placeholders["instance"] = "0"
@@ -42,69 +42,69 @@ def mask(host: str, request: dict[str, object]) -> tuple[str, dict[str, object]]
     return host, {**request, **placeholders}
 
 
-def planned(made: Plan, *tasks: Task, inventory: Inventory | None = None) -> Sent:
+def list_planned(made: Plan, *tasks: Task, inventory: Inventory | None = None) -> Sent:
     entries = list_dry_run_requests(made, inventory or a_fleet(), some_tasks(*tasks))
-    return [mask(str(entry["host"]), dict(entry["stdin"])) for entry in entries]  # type: ignore[call-overload]
+    return [mask_request(str(entry["host"]), dict(entry["stdin"])) for entry in entries]  # type: ignore[call-overload]
 
 
-def sent(fleet: FakeFleet, journal: Journal, made: Plan, *tasks: Task) -> Sent:
+def list_sent(fleet: FakeFleet, journal: Journal, made: Plan, *tasks: Task) -> Sent:
     transport: FakeTransport = fleet.transport
     options, identity = RunOptions(max_parallel=1, poll_s=0.01), RunIdentity(plan_id="p", revision=1)
     results = run_plan(made, a_fleet(), some_tasks(*tasks), transport, journal, identity, options)
     assert results.done, results
-    return [mask(host, request) for host, request in transport.requests]
+    return [mask_request(host, request) for host, request in transport.requests]
 
 
-def moving(order: HandoffOrder, **fields: object) -> Task:
+def a_moving_task(order: HandoffOrder, **fields: object) -> Task:
     contract = HandoffContract(order=order, timeout=3.0, **HOOKS)
     return a_task("slam", robots=["robot1"], handoff=contract, **fields)  # type: ignore[arg-type]
 
 
 CASES: dict[str, tuple[Plan, tuple[Task, ...]]] = {
-    "start": (plan(step("slam", Action.START, host="edge1")), (a_task("slam"),)),
+    "start": (a_plan(a_step("slam", Action.START, host="edge1")), (a_task("slam"),)),
     "start, ready on the host": (
-        plan(step("slam", Action.START, host="edge1")),
+        a_plan(a_step("slam", Action.START, host="edge1")),
         (a_task("slam", ready=Check(command="is up", timeout=40.0)),),
     ),
     "start, ready on the robot": (
-        plan(step("slam", Action.START, host="edge1")),
+        a_plan(a_step("slam", Action.START, host="edge1")),
         (a_task("slam", robots=["robot1"], ready=READY_ON_ROBOT),),
     ),
-    "stop": (plan(step("slam", Action.STOP, previous="edge1")), (a_task("slam"),)),
-    "stop of a task that left the files": (plan(step("slam", Action.STOP, previous="edge1")), ()),
-    "complete": (plan(step("slam", Action.COMPLETE, previous="edge1")), (a_task("slam"),)),
+    "stop": (a_plan(a_step("slam", Action.STOP, previous="edge1")), (a_task("slam"),)),
+    "stop of a task that left the files": (a_plan(a_step("slam", Action.STOP, previous="edge1")), ()),
+    "complete": (a_plan(a_step("slam", Action.COMPLETE, previous="edge1")), (a_task("slam"),)),
     "stop-first move": (
-        plan(step("slam", Action.MOVE, host="edge2", previous="edge1")),
-        (moving(HandoffOrder.STOP_FIRST),),
+        a_plan(a_step("slam", Action.MOVE, host="edge2", previous="edge1")),
+        (a_moving_task(HandoffOrder.STOP_FIRST),),
     ),
     "start-first move": (
-        plan(step("slam", Action.MOVE, host="edge2", previous="edge1")),
-        (moving(HandoffOrder.START_FIRST, ready=READY_ON_ROBOT),),
+        a_plan(a_step("slam", Action.MOVE, host="edge2", previous="edge1")),
+        (a_moving_task(HandoffOrder.START_FIRST, ready=READY_ON_ROBOT),),
     ),
     "restart": (
-        plan(step("slam", Action.RESTART, host="edge1", previous="edge1")),
-        (moving(HandoffOrder.START_FIRST),),
+        a_plan(a_step("slam", Action.RESTART, host="edge1", previous="edge1")),
+        (a_moving_task(HandoffOrder.START_FIRST),),
     ),
     "replacement": (
-        plan(step("slam", Action.START, host="edge2", previous="edge3")),
-        (moving(HandoffOrder.STOP_FIRST),),
+        a_plan(a_step("slam", Action.START, host="edge2", previous="edge3")),
+        (a_moving_task(HandoffOrder.STOP_FIRST),),
     ),
     "duplicate of a kept task": (
-        plan(step("slam", Action.KEEP, host="edge2", stop=("edge1",))),
+        a_plan(a_step("slam", Action.KEEP, host="edge2", stop=("edge1",))),
         (a_task("slam"),),
     ),
     "room before the newcomer, stops before starts": (
-        plan(
-            step("camera", Action.START, host="edge1"),
-            step("slam", Action.MOVE, host="edge2", previous="edge1"),
-            step("other", Action.STOP, previous="edge3"),
+        a_plan(
+            a_step("camera", Action.START, host="edge1"),
+            a_step("slam", Action.MOVE, host="edge2", previous="edge1"),
+            a_step("other", Action.STOP, previous="edge3"),
         ),
-        (a_task("camera"), moving(HandoffOrder.STOP_FIRST), a_task("other")),
+        (a_task("camera"), a_moving_task(HandoffOrder.STOP_FIRST), a_task("other")),
     ),
     "needs a task that is starting": (
-        plan(
-            step("slam", Action.KEEP, host="edge1"),
-            step("navigation", Action.START, host="edge2"),
+        a_plan(
+            a_step("slam", Action.KEEP, host="edge1"),
+            a_step("navigation", Action.START, host="edge2"),
             snapshot=a_snapshot(
                 edge1=a_sample(tasks={"slam": a_run(instance="old", state="starting")})  # type: ignore[arg-type]
             ),
@@ -112,7 +112,7 @@ CASES: dict[str, tuple[Plan, tuple[Task, ...]]] = {
         (a_task("slam", ready=Check(command="is up")), a_task("navigation", needs=["slam"])),
     ),
     "needs a job that has completed": (
-        plan(step("slam", Action.KEEP, host="edge1"), step("after", Action.START, host="edge2")),
+        a_plan(a_step("slam", Action.KEEP, host="edge1"), a_step("after", Action.START, host="edge2")),
         (a_task("slam"), a_task("after", needs=[Need(task="slam", until=NeedCondition.COMPLETED)])),
     ),
 }
@@ -126,12 +126,12 @@ def test_apply_sends_what_a_dry_run_prints(name: str, journal: Journal) -> None:
     if any(action.instances or action.stop or action.action is Action.KEEP for action in made.steps):
         state = "starting" if "starting" in name else "completed" if "completed" in name else "running"
         fleet["edge1"].runs("slam", state=state)
-    assert sent(fleet, journal, made, *tasks) == planned(made, *tasks)
+    assert list_sent(fleet, journal, made, *tasks) == list_planned(made, *tasks)
 
 
 def test_an_action_that_apply_would_defer_has_no_requests() -> None:
-    made = plan(step("slam", Action.UNPLACED), step("navigation", Action.START, host="edge2"))
-    assert planned(made, a_task("slam"), a_task("navigation", needs=["slam"])) == []
+    made = a_plan(a_step("slam", Action.UNPLACED), a_step("navigation", Action.START, host="edge2"))
+    assert list_planned(made, a_task("slam"), a_task("navigation", needs=["slam"])) == []
 
 
 def test_order_follows_dependencies_and_else_the_plan() -> None:

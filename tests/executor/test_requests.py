@@ -1,4 +1,4 @@
-"""What is asked of hosts: requests, environment, dry run, order."""
+"""Requests to hosts: content, environment, dry run, order."""
 
 from edgectl.executor import host_requests
 from edgectl.executor.dependencies import build_step_dependencies, list_stop_hosts
@@ -100,7 +100,7 @@ def a_step(
     return Step(decision=decision, action=action, instances={previous: "old"} if previous else {}, stop=stop)
 
 
-def shown(order_of_move: HandoffOrder) -> list[tuple[object, object]]:
+def list_dry_run(order_of_move: HandoffOrder) -> list[tuple[object, object]]:
     hooks = {name: Check(command=name, on=CheckLocation.ROBOT) for name in ("safe_when", "hold", "release")}
     task = a_task("slam", robots=["robot1"], handoff=HandoffContract(order=order_of_move, **hooks))
     entries = list_dry_run_requests(
@@ -112,8 +112,8 @@ def shown(order_of_move: HandoffOrder) -> list[tuple[object, object]]:
 def test_a_dry_run_of_a_move_shows_its_phases_in_order() -> None:
     around = [("safe", "robot1"), ("hold", "robot1")], [("release", "robot1")]
     reach, stop, start = [("reach", "edge2")], [("stop", "edge1")], [("start", "edge2"), ("ready", "edge2")]
-    assert shown(HandoffOrder.STOP_FIRST) == [*reach, *around[0], *stop, *start, *around[1]]
-    assert shown(HandoffOrder.START_FIRST) == [*reach, *around[0], *start, *stop, *around[1]]
+    assert list_dry_run(HandoffOrder.STOP_FIRST) == [*reach, *around[0], *stop, *start, *around[1]]
+    assert list_dry_run(HandoffOrder.START_FIRST) == [*reach, *around[0], *start, *stop, *around[1]]
 
 
 def test_a_dry_run_shows_stops_first_and_duplicates_once() -> None:
@@ -131,7 +131,9 @@ def test_a_dry_run_shows_stops_first_and_duplicates_once() -> None:
 
 
 def test_starts_wait_for_needs_and_for_room_but_never_in_a_circle() -> None:
-    """b needs a and goes where a leaves; c goes where b leaves; a goes where c leaves: the last wait would close the circle."""
+    """b needs a and starts where a leaves; c starts where b leaves; a starts where c leaves: the last
+    dependency would close the cycle.
+    """
     steps = (
         a_step("a", Action.MOVE, "edge2", "edge1"),
         a_step("b", Action.MOVE, "edge1", "edge3"),

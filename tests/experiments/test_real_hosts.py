@@ -19,7 +19,7 @@ from edgectl.model.plan import Action
 from edgectl.model.policy import Policy, PolicyName
 from edgectl.model.task import Need, NeedCondition, TaskKind
 from tests.builders import a_robot, a_task, an_edge, an_inventory
-from tests.e2e.bench import Bench, a_local, a_mark, a_sleeper, managing, sleeping
+from tests.e2e.bench import Bench, a_local, a_mark, a_sleeper, list_sleepers, open_bench
 from tests.pace import patience
 from tests.sshd import Lab
 
@@ -37,7 +37,7 @@ SPEC = Experiment(
 
 @pytest.fixture
 def bench(tmp_path: Path) -> Iterator[Bench]:
-    with managing(an_inventory(*EDGES, ROBOT, links=LINKS), tmp_path / "manager") as running:
+    with open_bench(an_inventory(*EDGES, ROBOT, links=LINKS), tmp_path / "manager") as running:
         yield running
 
 
@@ -56,7 +56,7 @@ def test_two_schemes_twice_with_real_processes(bench: Bench, tmp_path: Path) -> 
     run = run_experiment(
         bench.fleet, SPEC, ExperimentOptions(directory=tmp_path / "run", spec_directory=tmp_path)
     )
-    assert sleeping(mark) == []
+    assert list_sleepers(mark) == []
     assert [(trial.scheme, trial.repetition, trial.finished) for trial in run.trials] == [
         (scheme, repetition, True) for scheme in ("local", "utility") for repetition in (1, 2)
     ]
@@ -142,25 +142,25 @@ def test_killed_in_a_trial_interrupted_in_the_next_try_and_finished_in_the_third
     hold.touch()  # as long as it is there, the mission does not end
 
     killed = command(tmp_path, "run", "spec.yaml")
-    until(lambda: len(sleeping(mark)) == 3)
+    until(lambda: len(list_sleepers(mark)) == 3)
     killed.kill()
     killed.communicate()
-    assert len(sleeping(mark)) == 3
-    before = set(sleeping(mark))
+    assert len(list_sleepers(mark)) == 3
+    before = set(list_sleepers(mark))
 
     ended = command(tmp_path, "run", "spec.yaml")
-    until(lambda: len(set(sleeping(mark)) - before) == 3)
-    assert len(sleeping(mark)) == 3, "the tasks of the trial that was killed were stopped first"
+    until(lambda: len(set(list_sleepers(mark)) - before) == 3)
+    assert len(list_sleepers(mark)) == 3, "the tasks of the trial that was killed were stopped first"
     ended.send_signal(signal.SIGINT)
     _, said = ended.communicate(timeout=patience(120))
-    assert (ended.returncode, sleeping(mark)) == (130, [])
+    assert (ended.returncode, list_sleepers(mark)) == (130, [])
     assert "ending the trial and stopping its tasks" in said
     assert list((tmp_path / "runs" / "mission" / "trials").iterdir()) == []
 
     hold.unlink()
     whole = command(tmp_path, "run", "spec.yaml", "-o", "json", "-n", "1")
     out, said = whole.communicate(timeout=patience(240))
-    assert (whole.returncode, sleeping(mark)) == (0, []), said
+    assert (whole.returncode, list_sleepers(mark)) == (0, []), said
     assert json.loads(out)["item"]["trials"] == 1
     assert said.splitlines()[0] == "trial 1 of 1: utility all, repetition 1"
     assert [(trial.scheme, trial.finished) for trial in load_run(tmp_path / "runs" / "mission").trials] == [

@@ -23,7 +23,7 @@ from edgectl.usecases.operator_marks import cordon_hosts
 from edgectl.usecases.plan import make_plan
 from edgectl.usecases.stop import stop_tasks
 from tests.builders import a_robot, a_task, an_edge, an_inventory, some_tasks
-from tests.usecases.watching import Hurried, Site
+from tests.usecases.watch_site import JumpingWait, WatchSite
 
 FLEET: Inventory = an_inventory(an_edge("edge1"), an_edge("edge2"), a_robot("robot1", onboard=True))
 TASKS: Tasks = some_tasks(
@@ -36,7 +36,7 @@ SCHEMES = tuple(
 SPEC = Experiment(name="mission", schemes=SCHEMES, until=("merge",), repetitions=2, every=5.0, limit=60.0)
 
 
-class Lab(Site):
+class Lab(WatchSite):
     """A site with experiments. ``mission`` is called in every cycle; where it does nothing else, ``merge`` completes in the third."""
 
     def __init__(self, tmp_path: Path) -> None:
@@ -205,7 +205,7 @@ def test_one_that_is_told_to_end_stops_its_tasks_and_the_same_call_goes_on(lab: 
     lab.mission = ended_in_the_second
     assert [trial.scheme for trial in lab.run().trials] == ["local"]
     assert lab.running() == []
-    lab.control, lab.mission = Hurried(lab.hands), lab.complete
+    lab.control, lab.mission = JumpingWait(lab.hands), lab.complete
     lab.seen.clear()
     assert len(lab.run().trials) == 4
     assert order(lab)[0] == ("utility", 1, 2)

@@ -1,4 +1,4 @@
-"""The line of a crontab: the schedule it says, and that it runs as cron runs it, whatever the paths look like."""
+"""Crontab lines: the right schedule, and a command that runs as under cron, with any paths."""
 
 import os
 import shutil
@@ -12,7 +12,7 @@ import pytest
 from edgectl.errors import UsageError
 from edgectl.export.cron import format_cron_command, format_cron_schedule, format_crontab, quote_for_cron
 from edgectl.export.job import ScheduledJob, format_interval
-from tests.e2e.bench import a_mark, asleep, sleeping
+from tests.e2e.bench import a_mark, list_sleepers, wait_for_sleepers
 
 JOB = ScheduledJob(
     name="lab", program=("/opt/edgectl/bin/edgectl",), inventory="/srv/lab/lab.yaml", tasks=("/srv/lab/tasks",), directory="/srv/lab", user="ana"
@@ -20,8 +20,10 @@ JOB = ScheduledJob(
 AWKWARD = 'it\'s 100% $HOME "a b" & co; #1'
 
 
-def as_cron_reads(line: str, *, keeps_backslash: bool) -> str:
-    """The command of a crontab's line: to the first bare percent sign; the backslash before another one is taken away, or not."""
+def read_as_cron(line: str, *, keeps_backslash: bool) -> str:
+    """Return the command of a crontab line as cron reads it: up to the first bare percent sign; a backslash
+    before a percent sign is removed, or not.
+    """
     text, rest = "", line.split(" ", 5)[5]
     while rest:
         head, rest = rest[:1], rest[1:]
@@ -74,7 +76,7 @@ def test_the_line() -> None:
 @pytest.mark.parametrize("word", [AWKWARD, "%", "a%b", "%d/%m", "plain", "", "100%"])
 @pytest.mark.parametrize("keeps_backslash", [False, True])
 def test_every_word_reaches_the_program_unchanged(word: str, keeps_backslash: bool) -> None:
-    line = as_cron_reads(
+    line = read_as_cron(
         f"* * * * * printf %s {quote_for_cron(word)}".replace("%s ", r"\%s ", 1),
         keeps_backslash=keeps_backslash,
     )
@@ -105,11 +107,11 @@ def site(tmp_path: Path) -> Iterator[tuple[Path, str]]:
     (here / "lab.yaml").write_text(INVENTORY)
     (here / "tasks.yaml").write_text(TASKS.format(mark))
     yield here, mark
-    edgectl(here, "stop", "--all", "--yes")
-    assert sleeping(mark) == []
+    run_edgectl(here, "stop", "--all", "--yes")
+    assert list_sleepers(mark) == []
 
 
-def edgectl(here: Path, *words: str) -> subprocess.CompletedProcess[str]:
+def run_edgectl(here: Path, *words: str) -> subprocess.CompletedProcess[str]:
     env = {**os.environ, "EDGECTL_STATE_DIR": str(here / "state")}
     return subprocess.run(
         [sys.executable, "-m", "edgectl", *words, "-i", "lab.yaml", "-t", "tasks.yaml"],
@@ -118,11 +120,13 @@ def edgectl(here: Path, *words: str) -> subprocess.CompletedProcess[str]:
 
 
 def test_the_line_runs_as_cron_runs_it(site: tuple[Path, str], isolated: Path) -> None:
-    """An almost empty environment, no terminal, the home directory: the first run says what it did, the second nothing at all."""
+    """A minimal environment, no terminal, the home directory: the first run reports its changes, the second
+    prints nothing.
+    """
     here, mark = site
-    said = edgectl(here, "export", "cron", "--every", "10m")
+    said = run_edgectl(here, "export", "cron", "--every", "10m")
     assert (said.returncode, said.stderr) == (0, "")
-    line = as_cron_reads(said.stdout.splitlines()[-1], keeps_backslash=False)
+    line = read_as_cron(said.stdout.splitlines()[-1], keeps_backslash=False)
     env = shutil.which("env")
     assert env
     poor = [
@@ -150,6 +154,6 @@ def test_the_line_runs_as_cron_runs_it(site: tuple[Path, str], isolated: Path) -
     ]
     assert (runs[0].returncode, runs[0].stderr) == (0, "")
     assert "Applied 1 of 1" in runs[0].stdout
-    assert len(asleep(mark, 1)) == 1
+    assert len(wait_for_sleepers(mark, 1)) == 1
     assert (runs[1].returncode, runs[1].stdout, runs[1].stderr) == (0, "", "")
     assert (here / "state").is_dir(), "the line takes the state directory along"

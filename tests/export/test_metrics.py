@@ -1,4 +1,4 @@
-"""What each metric says, as Prometheus' own tools read it."""
+"""The metrics page as read by Prometheus' own tools."""
 
 import os
 import re
@@ -21,13 +21,13 @@ from edgectl.model.snapshot import TaskState
 from tests.builders import NOW
 from tests.docs.metrics import PAGE
 from tests.docs.metrics import page as listed
-from tests.export.pictures import a_move, a_revision, picture
+from tests.export.metrics_inputs import a_metrics_input, a_move, a_revision
 
 LABELS = {"host", "role", "edge", "robot", "task", "state", "action", "outcome", "version", "name"}
 
 
-def values(seen: MetricsInput) -> dict[str, float]:
-    """``name{label values}`` -> value, as prometheus_client's parser reads the page."""
+def parse_page(seen: MetricsInput) -> dict[str, float]:
+    """Return ``name{label values}`` -> value, as prometheus_client's parser reads the page."""
     found = {}
     for family in text_string_to_metric_families(render_metrics_page(seen)):
         for sample in family.samples:
@@ -38,8 +38,8 @@ def values(seen: MetricsInput) -> dict[str, float]:
 
 @pytest.fixture(scope="module")
 def page() -> dict[str, float]:
-    return values(
-        picture(
+    return parse_page(
+        a_metrics_input(
             a_revision(1, a_move()),
             a_revision(2, a_move(downtime_s=3.0), a_move(outcome=Outcome.FAILED, downtime_s=None)),
         )
@@ -101,8 +101,8 @@ def test_runs_and_decisions(page: dict[str, float]) -> None:
 
 
 def test_totals_are_those_of_the_plan() -> None:
-    seen = picture()
-    page = values(seen)
+    seen = a_metrics_input()
+    page = parse_page(seen)
     decided = [step.decision for step in seen.plan.steps]
     totals = {each.task: each.total for each in decided if each.total is not None}
     assert totals
@@ -128,20 +128,20 @@ def test_handoffs_of_the_past(page: dict[str, float]) -> None:
 
 
 def test_a_task_that_left_the_files_leaves_the_metrics() -> None:
-    page = values(picture(a_revision(1, a_move("gone"))))
+    page = parse_page(a_metrics_input(a_revision(1, a_move("gone"))))
     assert not [name for name in page if "task=gone" in name]
     assert page["edgectl_actions_total{action=move,outcome=done}"] == 1.0
 
 
 def test_before_the_first_change_counters_stand_at_zero() -> None:
-    page = values(picture())
+    page = parse_page(a_metrics_input())
     assert page["edgectl_task_moves_total{task=slam}"] == 0.0
     assert page["edgectl_handoff_downtime_seconds_count{action=move}"] == 0.0
     assert "edgectl_last_change_timestamp_seconds" not in page
 
 
-def growing() -> Iterator[MetricsInput]:
-    """The same fleet over four applies."""
+def yield_growing_inputs() -> Iterator[MetricsInput]:
+    """Yield the same fleet over four applies."""
     actions: list[ActionResult] = [
         a_move(),
         a_move(downtime_s=200.0),
@@ -149,14 +149,16 @@ def growing() -> Iterator[MetricsInput]:
         a_move("map"),
     ]
     for count in range(len(actions) + 1):
-        yield picture(*(a_revision(number, action) for number, action in enumerate(actions[:count], 1)))
+        yield a_metrics_input(
+            *(a_revision(number, action) for number, action in enumerate(actions[:count], 1))
+        )
 
 
 def test_counters_never_fall() -> None:
     counted = tuple(m.name for m in METRICS if m.kind is not MetricType.GAUGE)
     pages = [
-        {name: value for name, value in values(each).items() if name.startswith(counted)}
-        for each in growing()
+        {name: value for name, value in parse_page(each).items() if name.startswith(counted)}
+        for each in yield_growing_inputs()
     ]
     for before, after in pairwise(pages):
         assert before.keys() == after.keys()
@@ -175,8 +177,8 @@ def test_names_and_labels_keep_to_the_conventions() -> None:
     assert len(Action) == 10
 
 
-def promtool(*words: str, page: str = "") -> tuple[int, str]:
-    """What Prometheus' own tool says."""
+def run_promtool(*words: str, page: str = "") -> tuple[int, str]:
+    """Run promtool; return its output."""
     beside = Path(sys.executable).parent
     program = shutil.which("promtool", path=f"{os.environ.get('PATH', os.defpath)}{os.pathsep}{beside}")
     assert program, "promtool is missing; run .ci/need-promtool"
@@ -187,31 +189,31 @@ def promtool(*words: str, page: str = "") -> tuple[int, str]:
 
 
 def test_promtool_finds_nothing_to_say() -> None:
-    page = render_metrics_page(picture(a_revision(1, a_move())))
-    assert promtool("metrics", page=page) == (0, "")
+    page = render_metrics_page(a_metrics_input(a_revision(1, a_move())))
+    assert run_promtool("metrics", page=page) == (0, "")
 
 
 def test_promtool_would_say_what_is_wrong() -> None:
-    page = render_metrics_page(picture()).replace("edgectl_actions_total", "edgectl_actions")
-    code, said = promtool("metrics", page=page)
+    page = render_metrics_page(a_metrics_input()).replace("edgectl_actions_total", "edgectl_actions")
+    code, said = run_promtool("metrics", page=page)
     assert code != 0
     assert "edgectl_actions counter metrics should have" in said
 
 
 def test_every_metric_is_on_the_page() -> None:
-    seen = picture(a_revision(1, a_move()))
+    seen = a_metrics_input(a_revision(1, a_move()))
     assert [metric.name for metric in METRICS if not metric.samples(seen)] == []
     kinds = dict(re.findall(r"^# TYPE (\S+) (\S+)$", render_metrics_page(seen), re.MULTILINE))
     assert kinds == {metric.name: metric.kind.value for metric in METRICS}
 
 
 def test_there_are_no_more_series_than_the_page_of_the_docs_says() -> None:
-    seen = picture(a_revision(1, a_move()))
+    seen = a_metrics_input(a_revision(1, a_move()))
     lines = [line for line in render_metrics_page(seen).splitlines() if not line.startswith("#")]
     hosts, links, tasks, runs, said_of_themselves = len(seen.snapshot.hosts), 2, len(seen.plan.steps), 1, 2
     said = PAGE.read_text()
     assert re.search(
-        r"at most 13 series per host, 3 per link,\s+12 per task and 6 more for each host on which it runs, and 60 besides",
+        r"at most 13 series\s+per host, 3 per link, 12 per task and 6 more for each host on which it runs, and 60 others",
         said,
     )
     assert len(lines) <= 13 * hosts + 3 * links + 12 * tasks + 6 * runs + 60 + said_of_themselves
@@ -225,7 +227,7 @@ def test_promtool_takes_the_configuration_and_the_rules_of_the_docs(tmp_path: Pa
     blocks = re.findall(r"^```yaml\n# (\S+)\n(.*?)^```$", PAGE.read_text(), re.MULTILINE | re.DOTALL)
     for name, block in blocks:
         (tmp_path / name).write_text(block)
-    code, said = promtool("config", str(tmp_path / "prometheus.yml"))
+    code, said = run_promtool("config", str(tmp_path / "prometheus.yml"))
     assert code == 0, said
     assert "5 rules found" in said
     named = {name for _, block in blocks for name in re.findall(r"edgectl_[a-z_]+", block)}

@@ -1,4 +1,4 @@
-"""Rows that the csv module and any JSON reader give back as they were."""
+"""Rows that the csv module and any JSON reader read back unchanged."""
 
 import csv
 import dataclasses

@@ -1,4 +1,4 @@
-"""The server itself, in this process."""
+"""The metrics server, in this process."""
 
 import contextlib
 import select
@@ -14,20 +14,20 @@ import pytest
 from edgectl.errors import StateError
 from edgectl.export.metric_samples import MetricsInput
 from edgectl.export.prometheus import MAX_CONNECTIONS, bind_metrics_server
-from tests.export.pictures import picture
+from tests.export.metrics_inputs import a_metrics_input
 
 
 @contextlib.contextmanager
-def running(*, fails: bool = False) -> Iterator[tuple[ThreadingHTTPServer, list[str]]]:
+def run_server(*, fails: bool = False) -> Iterator[tuple[ThreadingHTTPServer, list[str]]]:
     said: list[str] = []
 
     def look() -> MetricsInput:
         if fails:
             raise StateError("the disk <is> full")
-        return picture()
+        return a_metrics_input()
 
     made = bind_metrics_server(("127.0.0.1", 0), look, said.append)
-    # Nothing here may depend on how fast this machine is.
+    # No result here may depend on the speed of this machine.
     made.RequestHandlerClass.timeout = 600.0  # type: ignore[attr-defined]
     thread = threading.Thread(target=made.serve_forever, kwargs={"poll_interval": 0.05})
     thread.start()
@@ -40,7 +40,7 @@ def running(*, fails: bool = False) -> Iterator[tuple[ThreadingHTTPServer, list[
 
 
 def test_more_connections_than_there_is_room_for_are_hung_up_on() -> None:
-    with running() as (made, _), contextlib.ExitStack() as stack:
+    with run_server() as (made, _), contextlib.ExitStack() as stack:
         idle = [
             stack.enter_context(socket.create_connection(made.server_address[:2], timeout=60))
             for _ in range(MAX_CONNECTIONS)
@@ -53,7 +53,7 @@ def test_more_connections_than_there_is_room_for_are_hung_up_on() -> None:
 
 
 def test_a_failure_is_told_to_both_sides_and_steers_no_browser() -> None:
-    with running(fails=True) as (made, said):
+    with run_server(fails=True) as (made, said):
         with pytest.raises(urllib.error.HTTPError) as caught:
             urllib.request.urlopen(f"http://127.0.0.1:{made.server_port}/metrics", timeout=60)
         with caught.value as answer:

@@ -1,4 +1,6 @@
-"""The units: systemd accepts them, reads every word back as it was, and a run in the sandbox reaches its hosts over ssh."""
+"""Exported units: systemd accepts them, reads every word back unchanged, and a run in the sandbox reaches its
+hosts over ssh.
+"""
 
 import json
 import os
@@ -16,7 +18,7 @@ from edgectl.errors import UsageError
 from edgectl.export.job import ScheduledJob
 from edgectl.export.systemd import build_timer_units, build_unit_name, build_watch_unit
 from tests.agent.user_systemd import UserSystemd, can_be_real, user_systemd
-from tests.e2e.bench import a_mark, asleep, sleeping
+from tests.e2e.bench import a_mark, list_sleepers, wait_for_sleepers
 from tests.sshd import Lab
 
 JOB = ScheduledJob(
@@ -25,8 +27,8 @@ JOB = ScheduledJob(
 AWKWARD = 'it\'s 100% $HOME ${PATH} "a b" %h;'
 
 
-def verified(units: dict[str, str], folder: Path, *, user: bool) -> None:
-    """What systemd itself says of the units: nothing."""
+def verify_units(units: dict[str, str], folder: Path, *, user: bool) -> None:
+    """Verify the units with systemd's own tool."""
     program = shutil.which("systemd-analyze")
     assert program, "systemd-analyze is missing; install it: sudo apt-get install systemd"
     folder.mkdir(parents=True, exist_ok=True)
@@ -52,8 +54,8 @@ def test_systemd_accepts_the_units(tmp_path: Path, user: bool, local: bool) -> N
             environment={"EDGECTL_STATE_DIR": f"{path}/state"},
             local=local,
         )
-        verified(build_timer_units(job, user=user), tmp_path / f"apply{number}", user=user)
-        verified(
+        verify_units(build_timer_units(job, user=user), tmp_path / f"apply{number}", user=user)
+        verify_units(
             build_watch_unit(replace(job, every_s=30.0), user=user), tmp_path / f"watch{number}", user=user
         )
 
@@ -64,17 +66,17 @@ def test_verification_finds_what_is_wrong(tmp_path: Path) -> None:
         for name, text in build_timer_units(JOB, user=False).items()
     }
     with pytest.raises(AssertionError):
-        verified(units, tmp_path / "units", user=False)
+        verify_units(units, tmp_path / "units", user=False)
 
 
-def settings(text: str) -> dict[str, str]:
+def parse_settings(text: str) -> dict[str, str]:
     return dict(line.split("=", 1) for line in text.splitlines() if re.match(r"[A-Z]\w*=", line))
 
 
 def test_a_timer_and_its_service() -> None:
     units = build_timer_units(replace(JOB, every_s=90.0), user=False)
     assert list(units) == ["edgectl-lab.service", "edgectl-lab.timer"]
-    service, timer = (settings(text) for text in units.values())
+    service, timer = (parse_settings(text) for text in units.values())
     assert service["ExecStart"] == "/bin/true apply --yes --quiet -i /srv/lab/lab.yaml -t /srv/lab/tasks"
     assert (service["SuccessExitStatus"], service["User"], service["KillMode"]) == (
         "4 75 130",
@@ -82,14 +84,16 @@ def test_a_timer_and_its_service() -> None:
         "process",
     )
     assert timer["OnUnitActiveSec"] == "90s"
-    assert settings(build_timer_units(JOB, user=False)["edgectl-lab.timer"])["OnUnitActiveSec"] == "300s"
     assert (
-        settings(build_timer_units(replace(JOB, every_s=1234567.0), user=False)["edgectl-lab.timer"])[
+        parse_settings(build_timer_units(JOB, user=False)["edgectl-lab.timer"])["OnUnitActiveSec"] == "300s"
+    )
+    assert (
+        parse_settings(build_timer_units(replace(JOB, every_s=1234567.0), user=False)["edgectl-lab.timer"])[
             "OnUnitActiveSec"
         ]
         == "1234567s"
     )
-    assert "User" not in settings(build_timer_units(JOB, user=True)["edgectl-lab.service"])
+    assert "User" not in parse_settings(build_timer_units(JOB, user=True)["edgectl-lab.service"])
     with pytest.raises(UsageError, match="too short"):
         build_timer_units(replace(JOB, every_s=0.5), user=False)
     with pytest.raises(UsageError, match="too short"):
@@ -97,7 +101,9 @@ def test_a_timer_and_its_service() -> None:
 
 
 def test_a_watch_is_started_again_but_not_where_its_files_are_wrong() -> None:
-    unit = settings(build_watch_unit(replace(JOB, every_s=30.0), user=True)["edgectl-lab-watch.service"])
+    unit = parse_settings(
+        build_watch_unit(replace(JOB, every_s=30.0), user=True)["edgectl-lab-watch.service"]
+    )
     assert unit["ExecStart"].startswith("/bin/true watch --apply --every 30s -i ")
     assert (unit["Restart"], unit["RestartPreventExitStatus"], unit["WantedBy"]) == (
         "always",
@@ -105,13 +111,14 @@ def test_a_watch_is_started_again_but_not_where_its_files_are_wrong() -> None:
         "default.target",
     )
     assert (
-        "--every" not in settings(build_watch_unit(JOB, user=False)["edgectl-lab-watch.service"])["ExecStart"]
+        "--every"
+        not in parse_settings(build_watch_unit(JOB, user=False)["edgectl-lab-watch.service"])["ExecStart"]
     )
 
 
 def test_tasks_on_this_machine_do_not_inherit_a_sandbox() -> None:
-    assert "NoNewPrivileges" in settings(build_timer_units(JOB, user=False)["edgectl-lab.service"])
-    assert "NoNewPrivileges" not in settings(
+    assert "NoNewPrivileges" in parse_settings(build_timer_units(JOB, user=False)["edgectl-lab.service"])
+    assert "NoNewPrivileges" not in parse_settings(
         build_timer_units(replace(JOB, local=True), user=False)["edgectl-lab.service"]
     )
 
@@ -122,7 +129,9 @@ def test_names_of_units_are_names() -> None:
 
 @pytest.fixture(scope="module")
 def manager(tmp_path_factory: pytest.TempPathFactory) -> Iterator[UserSystemd | None]:
-    """A real systemd to run units in; None where the tests may not have one (the units are verified all the same)."""
+    """A real systemd to run units in; None where the tests may not have one (the units are verified all the
+    same).
+    """
     if not can_be_real():
         yield None
         return
@@ -130,7 +139,7 @@ def manager(tmp_path_factory: pytest.TempPathFactory) -> Iterator[UserSystemd | 
         yield found
 
 
-def systemctl(manager: UserSystemd, *words: str) -> "subprocess.CompletedProcess[str]":
+def run_systemctl(manager: UserSystemd, *words: str) -> "subprocess.CompletedProcess[str]":
     inside = [
         "nsenter",
         f"--mount=/proc/{manager.pid}/ns/mnt",
@@ -142,19 +151,21 @@ def systemctl(manager: UserSystemd, *words: str) -> "subprocess.CompletedProcess
     )
 
 
-def started(manager: UserSystemd, units: dict[str, str], name: str) -> dict[str, str]:
-    """Start a unit, which takes until it has ended: what systemd then says of it, and whether it counts as a success (``ok``)."""
+def start_unit(manager: UserSystemd, units: dict[str, str], name: str) -> dict[str, str]:
+    """Start a unit and wait for its end; return systemd's properties, and whether it counts as a success
+    (``ok``).
+    """
     folder = manager.folder / ".config" / "systemd" / "user"
     folder.mkdir(parents=True, exist_ok=True)
     for unit, text in units.items():
-        # systemd --user runs as whoever it is; there is no journal to print into.
+        # systemd --user has the uid of its caller; there is no journal to print into.
         kept = "".join(line for line in text.splitlines(keepends=True) if not line.startswith("User="))
         said = f"[Service]\nStandardOutput=append:{manager.folder}/said\nStandardError=inherit\n"
         (folder / unit).write_text(kept.replace("[Service]\n", said))
-    systemctl(manager, "daemon-reload")
-    done = systemctl(manager, "start", name)
+    run_systemctl(manager, "daemon-reload")
+    done = run_systemctl(manager, "start", name)
     shown = dict(
-        line.split("=", 1) for line in systemctl(manager, "show", name).stdout.splitlines() if "=" in line
+        line.split("=", 1) for line in run_systemctl(manager, "show", name).stdout.splitlines() if "=" in line
     )
     said = manager.folder / "said"
     return {
@@ -177,9 +188,9 @@ def test_systemd_hands_over_every_word_as_it_was(manager: UserSystemd | None, tm
     )  # fmt: skip
     units = build_timer_units(job, user=False)
     if manager is None:
-        verified(units, tmp_path / "units", user=False)
+        verify_units(units, tmp_path / "units", user=False)
         return
-    shown = started(manager, units, "edgectl-words.service")
+    shown = start_unit(manager, units, "edgectl-words.service")
     assert shown["ok"] == "yes", "a busy lock is no failure of the unit"
     said, directory, state = json.loads(Path(f"{script}.json").read_text())
     assert said == [
@@ -198,10 +209,12 @@ def test_systemd_hands_over_every_word_as_it_was(manager: UserSystemd | None, tm
     assert (directory, state) == (str(folder), f"{folder}/$state")
 
 
-def possible(manager: UserSystemd, units: dict[str, str]) -> dict[str, str]:
-    """The units as they are; without their sandbox where this machine cannot create one, not even around /bin/true (a container may not)."""
+def drop_impossible_sandbox(manager: UserSystemd, units: dict[str, str]) -> dict[str, str]:
+    """Return the units; without their sandbox where this machine cannot create one, not even around /bin/true
+    (some containers).
+    """
     probe = build_timer_units(replace(JOB, name="nothing", directory="/"), user=False)
-    if started(manager, probe, "edgectl-nothing.service")["ok"] == "yes":
+    if start_unit(manager, probe, "edgectl-nothing.service")["ok"] == "yes":
         return units
     return {
         name: re.sub(r"^(Protect|Restrict[AN]).*\n", "", text, flags=re.MULTILINE)
@@ -209,7 +222,7 @@ def possible(manager: UserSystemd, units: dict[str, str]) -> dict[str, str]:
     }
 
 
-# Slices: a busy machine has room for them all the same.
+# Slices: they fit on a busy machine, too.
 HOSTS = """version: 1
 edges:
   edge1: {host: edge1, capacity: {cpu: 2, memory: 1Gi}}
@@ -220,7 +233,9 @@ edges:
 def test_a_run_in_the_sandbox_reaches_its_hosts(
     manager: UserSystemd | None, lab: Lab, tmp_path: Path
 ) -> None:
-    """The whole unit as exported by the command, for hosts by paramiko and by the ssh program; then a file that is wrong fails the unit."""
+    """The whole unit as exported by the command, for hosts by paramiko and by the ssh program; then a broken
+    file fails the unit.
+    """
     mark = a_mark()
     (tmp_path / "lab.yaml").write_text(HOSTS)
     tasks = [f'  {name}: {{command: "exec sleep {mark}", hosts: {{only: [{host}]}}, demand: {{cpu: 0.1, memory: 1Mi}}, stop: {{grace: 2s}}}}' for name, host in (("one", "edge1"), ("two", "edge2"))]  # fmt: skip
@@ -239,17 +254,17 @@ def test_a_run_in_the_sandbox_reaches_its_hosts(
     units = {path.name: path.read_text() for path in sorted((tmp_path / "units").iterdir())}
     assert list(units) == ["edgectl-lab.service", "edgectl-lab.timer"]
     if manager is None:
-        verified(units, tmp_path / "verified", user=False)
+        verify_units(units, tmp_path / "verified", user=False)
         return
-    units = possible(manager, units)
+    units = drop_impossible_sandbox(manager, units)
     try:
-        shown = started(manager, units, "edgectl-lab.service")
+        shown = start_unit(manager, units, "edgectl-lab.service")
         assert shown["ok"] == "yes", shown
         assert shown["NoNewPrivileges"] == "yes"
         assert shown["ProtectSystem"] == (
             "full" if "ProtectSystem=full" in units["edgectl-lab.service"] else "no"
         )
-        assert len(asleep(mark)) == 2, shown["said"]
+        assert len(wait_for_sleepers(mark)) == 2, shown["said"]
     finally:
         subprocess.run(
             [*edgectl, "stop", "--all", "--yes", *files],
@@ -259,7 +274,7 @@ def test_a_run_in_the_sandbox_reaches_its_hosts(
             capture_output=True,
             timeout=60,
         )
-    assert sleeping(mark) == []
+    assert list_sleepers(mark) == []
     (tmp_path / "tasks.yaml").write_text("version: 2\n")
-    shown = started(manager, units, "edgectl-lab.service")
+    shown = start_unit(manager, units, "edgectl-lab.service")
     assert (shown["ActiveState"], shown["ExecMainStatus"]) == ("failed", "64")

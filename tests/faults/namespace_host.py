@@ -119,13 +119,13 @@ class NamespaceHost:
             "hidden": [str(REPOSITORY)],
             "oracle": str(self.directory / "oracle"),
             "ssh": str(self.directory / "ssh"),
-            "sshd": sshd.program("sshd"),
+            "sshd": sshd.find_program("sshd"),
             "cgroups": self.group.procs_files,
         }
 
     def _write_sshd_config(self) -> None:
         lines = [
-            *sshd.penalties(),
+            *sshd.no_penalty_options(),
             "Port 22",
             "HostKey /etc/ssh/edgectl-faults/host_key",
             "AuthorizedKeysFile /etc/ssh/edgectl-faults/authorized_keys",

@@ -13,7 +13,9 @@ from tests.faults.hosts import wait_for
 def run_ip(*words: str, netns: int = 0) -> None:
     """Run ip(8), in the network namespace of process ``netns``."""
     prefix = ["nsenter", f"--target={netns}", "--net"] if netns else []
-    done = subprocess.run([*prefix, sshd.program("ip"), *words], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [*prefix, sshd.find_program("ip"), *words], capture_output=True, text=True, check=False
+    )
     assert not done.returncode, f"ip {' '.join(words)}: {done.stderr}"
 
 

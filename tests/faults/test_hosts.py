@@ -45,7 +45,7 @@ def run_ssh(
     words = [word for option in options for word in ("-o", option)]
     line = [
         *site.prefix,
-        sshd.program("ssh"),
+        sshd.find_program("ssh"),
         "-F",
         "none",
         *words,

@@ -1,4 +1,4 @@
-"""Hypothesis strategies for every value that can stand in a snapshot, a memory or a plan."""
+"""Hypothesis strategies for every value of a snapshot, a manager state or a plan."""
 
 from typing import TypeVar
 
@@ -47,11 +47,11 @@ instants = st.integers(0, 4_000_000_000_000).map(lambda ms: ms / 1000)
 counts = st.integers(0, 2**40)
 
 
-def maybe(strategy: st.SearchStrategy[T]) -> st.SearchStrategy[T | None]:
+def optional_of(strategy: st.SearchStrategy[T]) -> st.SearchStrategy[T | None]:
     return st.none() | strategy
 
 
-def by_name(strategy: st.SearchStrategy[T]) -> st.SearchStrategy[dict[str, T]]:
+def dictionaries_of(strategy: st.SearchStrategy[T]) -> st.SearchStrategy[dict[str, T]]:
     return st.dictionaries(names, strategy, max_size=3)
 
 
@@ -59,7 +59,7 @@ links = st.builds(
     LinkSample,
     capacity_bytes_per_s=amounts,
     used_bytes_per_s=amounts,
-    rtt_ms=maybe(amounts),
+    rtt_ms=optional_of(amounts),
     capacity_source=st.sampled_from(CapacitySource),
 )
 task_samples = st.builds(
@@ -68,33 +68,33 @@ task_samples = st.builds(
     pid=counts,
     started_at=instants,
     used=st.builds(Usage, cpu=amounts, memory=amounts, network=amounts),
-    links=maybe(by_name(amounts)),
+    links=optional_of(dictionaries_of(amounts)),
     instance=texts,
     spec_hash=texts,
     generation=counts,
     managed=st.booleans(),
     restarts=counts,
-    exit_code=maybe(st.integers(-255, 255)),
+    exit_code=optional_of(st.integers(-255, 255)),
     detail=texts,
-    fields=by_name(texts),
-    last_exit=maybe(st.integers(-255, 255)),
+    fields=dictionaries_of(texts),
+    last_exit=optional_of(st.integers(-255, 255)),
     log_tail=st.lists(texts, max_size=2).map(tuple),
     limits=texts,
     given_up=st.booleans(),
-    ended_at=maybe(instants),
+    ended_at=optional_of(instants),
     metrics=st.dictionaries(names, st.floats(allow_nan=False, allow_infinity=False), max_size=3),
 )
 interfaces = st.builds(
-    InterfaceSample, rx_bytes_per_s=amounts, tx_bytes_per_s=amounts, speed_bytes_per_s=maybe(amounts)
+    InterfaceSample, rx_bytes_per_s=amounts, tx_bytes_per_s=amounts, speed_bytes_per_s=optional_of(amounts)
 )
 devices = st.builds(
     DeviceSample,
-    load_1m=maybe(amounts),
-    temperature_c=maybe(signed),
-    gpu_share=maybe(amounts),
+    load_1m=optional_of(amounts),
+    temperature_c=optional_of(signed),
+    gpu_share=optional_of(amounts),
     boot_id=texts,
-    clock_skew_s=maybe(signed),
-    interfaces=by_name(interfaces),
+    clock_skew_s=optional_of(signed),
+    interfaces=dictionaries_of(interfaces),
 )
 hosts = st.builds(
     HostSample,
@@ -108,10 +108,10 @@ hosts = st.builds(
             for resource in HOST_RESOURCES
         }
     ),
-    links=by_name(links),
-    tasks=by_name(task_samples),
+    links=dictionaries_of(links),
+    tasks=dictionaries_of(task_samples),
     device=devices,
-    generations=by_name(counts),
+    generations=dictionaries_of(counts),
 ) | st.builds(
     HostSample,
     role=st.sampled_from(Role),
@@ -123,16 +123,18 @@ hosts = st.builds(
 memories = st.builds(
     ManagerState,
     managed=st.booleans(),
-    placements=by_name(st.builds(Placement, host=names, since=instants, spec_hash=texts, generation=counts)),
-    first=by_name(names),
+    placements=dictionaries_of(
+        st.builds(Placement, host=names, since=instants, spec_hash=texts, generation=counts)
+    ),
+    first=dictionaries_of(names),
     cordons=st.frozensets(names, max_size=3),
     draining=st.frozensets(names, max_size=3),
-    done=by_name(texts),
+    done=dictionaries_of(texts),
     downtimes=st.dictionaries(st.tuples(names, names), st.lists(amounts, max_size=3).map(tuple), max_size=2),
-    stays=by_name(st.lists(amounts, max_size=3).map(tuple)),
-    contact=by_name(instants),
+    stays=dictionaries_of(st.lists(amounts, max_size=3).map(tuple)),
+    contact=dictionaries_of(instants),
     fenced=st.frozensets(names, max_size=3),
-    deferred=by_name(texts),
+    deferred=dictionaries_of(texts),
     measured=st.dictionaries(
         st.tuples(names, names),
         st.builds(
@@ -147,16 +149,18 @@ memories = st.builds(
         max_size=2,
     ),
 )
-snapshots = st.builds(Snapshot, taken_at=instants, hosts=by_name(hosts), manager=maybe(memories))
+snapshots = st.builds(
+    Snapshot, taken_at=instants, hosts=dictionaries_of(hosts), manager=optional_of(memories)
+)
 
 rejections = st.builds(
     Rejection,
     rule=st.sampled_from(RejectionRule),
-    resource=maybe(st.sampled_from(RESOURCES)),
-    robot=maybe(names),
-    demand=maybe(amounts),
-    used=maybe(amounts),
-    capacity=maybe(amounts),
+    resource=optional_of(st.sampled_from(RESOURCES)),
+    robot=optional_of(names),
+    demand=optional_of(amounts),
+    used=optional_of(amounts),
+    capacity=optional_of(amounts),
 )
 demands = st.lists(
     st.builds(
@@ -164,7 +168,7 @@ demands = st.lists(
         resource=st.sampled_from(RESOURCES),
         value=amounts,
         source=st.sampled_from(DemandSource),
-        samples=maybe(counts),
+        samples=optional_of(counts),
     ),
     unique_by=lambda rho: rho.resource,
     max_size=3,
@@ -173,9 +177,13 @@ ranked = st.builds(
     RankedHost,
     host=names,
     rank=st.integers(0, 99),
-    total=maybe(signed),
+    total=optional_of(signed),
     terms=st.builds(
-        UtilityTerms, cpu=maybe(signed), memory=maybe(signed), network=maybe(signed), task=maybe(signed)
+        UtilityTerms,
+        cpu=optional_of(signed),
+        memory=optional_of(signed),
+        network=optional_of(signed),
+        task=optional_of(signed),
     ),
     feasible=st.booleans(),
     affinity=st.integers(-9, 9),
@@ -187,25 +195,25 @@ decisions = st.builds(
     task=names,
     verdict=st.sampled_from(Verdict),
     reason=st.sampled_from(Reason),
-    host=maybe(names),
-    previous_host=maybe(names),
-    total=maybe(signed),
-    lead=maybe(signed),
-    challenger=maybe(names),
-    subject=maybe(texts),
-    amount=maybe(signed),
-    cost=maybe(st.builds(MoveCost, stay_s=positive, downtime_s=amounts, per_s=amounts)),
-    nearest=maybe(names),
+    host=optional_of(names),
+    previous_host=optional_of(names),
+    total=optional_of(signed),
+    lead=optional_of(signed),
+    challenger=optional_of(names),
+    subject=optional_of(texts),
+    amount=optional_of(signed),
+    cost=optional_of(st.builds(MoveCost, stay_s=positive, downtime_s=amounts, per_s=amounts)),
+    nearest=optional_of(names),
     overcommitted=st.booleans(),
     ranking=st.lists(ranked, max_size=2).map(tuple),
-    rejection_counts=by_name(counts),
+    rejection_counts=dictionaries_of(counts),
     demand=demands,
 )
 steps = st.builds(
     Step,
     decision=decisions,
     action=st.sampled_from(Action),
-    instances=by_name(texts),
+    instances=dictionaries_of(texts),
     stop=st.lists(names, max_size=2).map(tuple),
     changed=st.lists(names, max_size=2).map(tuple),
 )
@@ -216,7 +224,7 @@ policies = st.builds(
     sequence=st.sampled_from(SequenceRule),
     move_margin=amounts,
     min_dwell=amounts,
-    max_moves=maybe(counts),
+    max_moves=optional_of(counts),
     attended=st.booleans(),
     best_effort=st.booleans(),
     full=st.booleans(),
@@ -231,8 +239,10 @@ plans = st.builds(
     snapshot=snapshots,
     settled=st.booleans(),
     steps=st.lists(steps, max_size=3).map(tuple),
-    expected=by_name(
-        st.builds(ExpectedLoad, used=st.builds(Usage, cpu=signed, memory=signed), links=by_name(signed))
+    expected=dictionaries_of(
+        st.builds(
+            ExpectedLoad, used=st.builds(Usage, cpu=signed, memory=signed), links=dictionaries_of(signed)
+        )
     ),
     frozen=st.booleans(),
     unseen=st.lists(names, max_size=2).map(tuple),

@@ -1,4 +1,4 @@
-"""A field that is added to the model is added to the documents: every field, set to something, survives."""
+"""Completeness of the documents: every field of the model, set to something, survives encoding and decoding."""
 
 from dataclasses import MISSING, fields
 from enum import StrEnum

@@ -1,4 +1,6 @@
-"""Seeded damage: bytes that are changed, cut, doubled and moved, words that parsers trip over, and JSON values in wrong places."""
+"""Seeded mutations: changed, cut, duplicated and moved bytes, words that confuse parsers, and misplaced JSON
+values.
+"""
 
 import json
 import random
@@ -16,76 +18,78 @@ VALUES: list[Any] = [
 ]  # fmt: skip
 
 
-def damaged(chance: random.Random, seeds: list[bytes]) -> bytes:
-    """One of the seeds with one to four changes."""
+def mutate_seed(chance: random.Random, seeds: list[bytes]) -> bytes:
+    """Apply one to four mutations to one of the seeds."""
     data = chance.choice(seeds)
     for _ in range(chance.choice((1, 1, 1, 2, 2, 3, 4))):
         data = chance.choice(CHANGES)(chance, data, seeds)
     return data
 
 
-def worn(chance: random.Random, seeds: list[bytes]) -> bytes:
-    """One of the seeds as a bad disk gives it: bits flipped, a stretch of zeros, the end missing; what is left stays where it was."""
+def damage_seed(chance: random.Random, seeds: list[bytes]) -> bytes:
+    """Damage one of the seeds like a bad disk: flipped bits, a run of zeros, a missing end; all other bytes
+    stay in place.
+    """
     data = bytearray(chance.choice(seeds))
     for _ in range(chance.choice((0, 1, 1, 2, 8))):
         data[chance.randrange(len(data))] ^= 1 << chance.randrange(8)
     if chance.random() < 0.3:
-        start, end = _span(chance, data)
+        start, end = _choose_span(chance, data)
         data[start:end] = bytes(end - start)
     return bytes(data[: chance.randint(0, len(data))] if chance.random() < 0.3 else data)
 
 
-def _span(chance: random.Random, data: bytes) -> tuple[int, int]:
+def _choose_span(chance: random.Random, data: bytes) -> tuple[int, int]:
     start = chance.randint(0, len(data))
     return start, min(len(data), start + chance.choice((0, 1, 2, 4, 8, 16, 64, 256)))
 
 
-def _flip(chance: random.Random, data: bytes, _seeds: list[bytes]) -> bytes:
+def _flip_bit(chance: random.Random, data: bytes, _seeds: list[bytes]) -> bytes:
     if not data:
         return b"\xff"
     at = chance.randrange(len(data))
     return data[:at] + bytes([data[at] ^ 1 << chance.randrange(8)]) + data[at + 1 :]
 
 
-def _cut(chance: random.Random, data: bytes, _seeds: list[bytes]) -> bytes:
-    start, end = _span(chance, data)
+def _cut_span(chance: random.Random, data: bytes, _seeds: list[bytes]) -> bytes:
+    start, end = _choose_span(chance, data)
     return data[:start] + data[end:]
 
 
-def _truncate(chance: random.Random, data: bytes, _seeds: list[bytes]) -> bytes:
+def _truncate_end(chance: random.Random, data: bytes, _seeds: list[bytes]) -> bytes:
     return data[: chance.randint(0, len(data))]
 
 
-def _insert(chance: random.Random, data: bytes, _seeds: list[bytes]) -> bytes:
-    start, end = _span(chance, data)
+def _insert_word(chance: random.Random, data: bytes, _seeds: list[bytes]) -> bytes:
+    start, end = _choose_span(chance, data)
     return data[:start] + chance.choice(WORDS) + data[chance.choice((start, end)) :]
 
 
-def _double(chance: random.Random, data: bytes, _seeds: list[bytes]) -> bytes:
-    start, end = _span(chance, data)
+def _duplicate_span(chance: random.Random, data: bytes, _seeds: list[bytes]) -> bytes:
+    start, end = _choose_span(chance, data)
     at = chance.randint(0, len(data))
     return data[:at] + data[start:end] * chance.choice((1, 1, 2, 50)) + data[at:]
 
 
-def _lines(chance: random.Random, data: bytes, _seeds: list[bytes]) -> bytes:
+def _swap_lines(chance: random.Random, data: bytes, _seeds: list[bytes]) -> bytes:
     lines = data.split(b"\n")
     one, other = chance.randrange(len(lines)), chance.randrange(len(lines))
     lines[one], lines[other] = lines[other], lines[one]
     return b"\n".join(lines if chance.random() < 0.7 else lines[:one] + lines[one + 1 :])
 
 
-def _splice(chance: random.Random, data: bytes, seeds: list[bytes]) -> bytes:
+def _splice_seeds(chance: random.Random, data: bytes, seeds: list[bytes]) -> bytes:
     other = chance.choice(seeds)
     return data[: chance.randint(0, len(data))] + other[chance.randint(0, len(other)) :]
 
 
-def _value(chance: random.Random, data: bytes, _seeds: list[bytes]) -> bytes:
-    """Where the data is JSON: one value replaced, taken away or put under another name, anywhere in the tree."""
+def _change_json_value(chance: random.Random, data: bytes, _seeds: list[bytes]) -> bytes:
+    """In JSON, replace, remove or rename one value anywhere in the tree."""
     try:
         tree = json.loads(data)
     except (ValueError, RecursionError):
-        return _insert(chance, data, _seeds)
-    places = list(_places(tree))
+        return _insert_word(chance, data, _seeds)
+    places = list(_list_json_places(tree))
     if not places:
         return json.dumps(chance.choice(VALUES)).encode()
     inside, key = chance.choice(places)
@@ -99,7 +103,7 @@ def _value(chance: random.Random, data: bytes, _seeds: list[bytes]) -> bytes:
     return json.dumps(tree, ensure_ascii=chance.random() < 0.5).encode("utf-8", "surrogatepass")
 
 
-def _places(tree: Any) -> list[tuple[Any, Any]]:
+def _list_json_places(tree: Any) -> list[tuple[Any, Any]]:
     found, waiting = [], [tree]
     while waiting:
         inside = waiting.pop()
@@ -115,4 +119,16 @@ def _places(tree: Any) -> list[tuple[Any, Any]]:
     return found
 
 
-CHANGES = (_flip, _cut, _truncate, _insert, _insert, _double, _lines, _splice, _value, _value, _value)
+CHANGES = (
+    _flip_bit,
+    _cut_span,
+    _truncate_end,
+    _insert_word,
+    _insert_word,
+    _duplicate_span,
+    _swap_lines,
+    _splice_seeds,
+    _change_json_value,
+    _change_json_value,
+    _change_json_value,
+)

@@ -1,4 +1,4 @@
-"""Run cases and tell those that ended otherwise than with a value or an error of our own, or took too long."""
+"""Run cases and report those that end with neither a value nor an EdgectlError, or take too long."""
 
 import signal
 import time
@@ -14,8 +14,8 @@ _HANG_S = 20.0
 
 
 @dataclass
-class Tally:
-    """What became of the cases of one target. ``bad`` says how to repeat each that went wrong."""
+class TargetResults:
+    """Results of one target. ``bad`` says how to repeat each failed case."""
 
     target: str
     cases: int = 0
@@ -25,35 +25,35 @@ class Tally:
     bad: list[str] = field(default_factory=list)
 
 
-class _Hang(BaseException):
-    """The decoder did not come back."""
+class _DecoderHang(BaseException):
+    """The decoder did not return in time."""
 
 
-def _alarm(_signal: int, _frame: FrameType | None) -> None:
-    raise _Hang
+def _raise_hang(_signal: int, _frame: FrameType | None) -> None:
+    raise _DecoderHang
 
 
-def cases_of(target: Target, cases: int) -> int:
-    """How many of ``cases`` a target is given: fewer where one is dear."""
+def count_cases(target: Target, cases: int) -> int:
+    """Return the number of cases for a target: fewer for an expensive one."""
     return -(-cases // target.cost)
 
 
-def run(target: Target, *, seed: int, cases: int, until: float) -> Tally:
-    """``cases`` cases, fewer where the monotonic clock reaches ``until`` first."""
-    tally = Tally(target.name)
-    before = signal.signal(signal.SIGPROF, _alarm)
+def run_target(target: Target, *, seed: int, cases: int, until: float) -> TargetResults:
+    """Run ``cases`` cases, fewer if the monotonic clock reaches ``until``."""
+    tally = TargetResults(target.name)
+    before = signal.signal(signal.SIGPROF, _raise_hang)
     try:
-        for number in range(cases_of(target, cases)):
+        for number in range(count_cases(target, cases)):
             if time.monotonic() >= until:
                 break
-            _one(target, seed, number, tally)
+            _run_case(target, seed, number, tally)
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0)
         signal.signal(signal.SIGPROF, before)
     return tally
 
 
-def _one(target: Target, seed: int, number: int, tally: Tally) -> None:
+def _run_case(target: Target, seed: int, number: int, tally: TargetResults) -> None:
     data = target.case(seed, number)
     tally.cases += 1
     signal.setitimer(signal.ITIMER_PROF, _HANG_S)
@@ -62,8 +62,10 @@ def _one(target: Target, seed: int, number: int, tally: Tally) -> None:
         target.read(data)
     except EdgectlError as error:
         tally.refused += 1
-        wrong = "" if error.message and "\n" not in error.message.split("\n")[0] else "an error without words"
-    except (Exception, _Hang) as error:
+        wrong = (
+            "" if error.message and "\n" not in error.message.split("\n")[0] else "an error without a message"
+        )
+    except (Exception, _DecoderHang) as error:
         wrong = f"{type(error).__name__}: {error}"[:200]
     else:
         tally.accepted += 1

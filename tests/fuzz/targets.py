@@ -1,4 +1,4 @@
-"""Every decoder that reads what others wrote: sound inputs to damage, and how each is read."""
+"""Fuzz targets: every decoder of foreign input, with valid seeds and a reader."""
 
 import contextlib
 import hashlib
@@ -35,11 +35,8 @@ from edgectl.transport.agent_client import call_agent
 from edgectl.transport.base import Reply
 from tests import builders
 from tests.builders import NOW, a_sample, a_snapshot, an_edge, silent
-from tests.config.bad import INVENTORY, TASKS
+from tests.config.broken_files import INVENTORY, TASKS
 from tests.config.test_bad_documents import TEXTS
-from tests.config.test_experiment import GOOD as SPEC
-from tests.config.test_experiment import TASKS as SPEC_TASKS
-from tests.config.test_maps import ROS1, ROS2
 from tests.experiments.map_images import (
     a_grey_image,
     a_map_image,
@@ -48,9 +45,12 @@ from tests.experiments.map_images import (
     encode_pgm,
     encode_png,
 )
+from tests.experiments.test_experiment_file import GOOD as SPEC
+from tests.experiments.test_experiment_file import TASKS as SPEC_TASKS
+from tests.experiments.test_map_file import ROS1, ROS2
 from tests.experiments.test_run_codec import RUN, TRIAL
 from tests.formats.test_complete import MANAGER, PLAN
-from tests.fuzz.mutate import damaged, worn
+from tests.fuzz.mutate import damage_seed, mutate_seed
 from tests.gateway.test_decode import a_document, a_task
 from tests.gateway.test_facts import DOCUMENT as FACTS
 
@@ -62,91 +62,101 @@ SECRETS = INVENTORY.replace(
 
 @dataclass(frozen=True)
 class Target:
-    """One decoder. ``read`` raises an EdgectlError or gives a value; anything else is a bug. ``cost``: how many cases one of it stands for."""
+    """One decoder. ``read`` returns a value or raises an EdgectlError; anything else is a bug. ``cost``:
+    number of plain cases that one of its cases is worth.
+    """
 
     name: str
     seeds: list[bytes]
     read: Read
     cost: int = 1
-    damage: Callable[[random.Random, list[bytes]], bytes] = damaged
+    damage: Callable[[random.Random, list[bytes]], bytes] = mutate_seed
 
     def case(self, seed: int, number: int) -> bytes:
-        """The input of one case: the same for the same seed and number."""
+        """Return the input of one case: the same for the same seed and number."""
         return self.damage(random.Random(f"{seed}:{self.name}:{number}"), self.seeds)
 
 
 @contextlib.contextmanager
-def targets(directory: Path) -> Iterator[list[Target]]:
-    """All of them; files are written into ``directory``."""
+def build_targets(directory: Path) -> Iterator[list[Target]]:
+    """Return all targets; their files are written into ``directory``."""
     good_inventory, good_tasks = directory / "good-inventory", directory / "good-tasks"
     good_inventory.write_text(INVENTORY)
     good_tasks.write_text(TASKS)
     (directory / "world.yaml").touch()
     path = directory / "damaged"
     yield [
-        Target("agent document", _documents(), _as_payload),
-        Target("agent frame", [b"%s " % MARK, *(_frame(text) for text in _documents())], _as_frame),
-        Target("task's metrics", [METRICS], _as_metrics),
-        Target("fetched piece", [json.dumps(PIECE).encode()], _as_piece),
-        Target("doctor's answer", [json.dumps(FACTS).encode()], _as_facts),
-        Target("snapshot", [TEXTS["snapshot"].encode()], _from_file(path, load_snapshot)),
-        Target("plan", [TEXTS["plan"].encode()], _from_file(path, load_plan)),
+        Target("agent document", _build_documents(), _read_as_payload),
+        Target(
+            "agent frame",
+            [b"%s " % MARK, *(_frame_reply(text) for text in _build_documents())],
+            _read_as_frame,
+        ),
+        Target("task's metrics", [METRICS], _read_as_metrics),
+        Target("fetched piece", [json.dumps(PIECE).encode()], _read_as_piece),
+        Target("doctor's answer", [json.dumps(FACTS).encode()], _read_as_facts),
+        Target("snapshot", [TEXTS["snapshot"].encode()], _read_through_file(path, load_snapshot)),
+        Target("plan", [TEXTS["plan"].encode()], _read_through_file(path, load_plan)),
         Target(
             "journal",
-            _journals(directory / "journal"),
-            _from_file(directory / "journal.jsonl", _read_journal),
+            _write_journals(directory / "journal"),
+            _read_through_file(directory / "journal.jsonl", _read_journal),
         ),
         Target(
             "history",
-            [_history(directory / "history")],
-            _from_file(directory / "history" / HISTORY, _read_history),
+            [_write_history(directory / "history")],
+            _read_through_file(directory / "history" / HISTORY, _read_history),
             cost=20,
-            damage=worn,
+            damage=damage_seed,
         ),
         Target(
             "memory",
             [json.dumps(MANAGER_STATE_KIND.encode(MANAGER)).encode()],
-            _from_file(directory / "memory.json", _read_memory),
+            _read_through_file(directory / "memory.json", _read_manager_state),
         ),
         Target(
             "run",
-            [_run(directory / "run")],
-            _from_file(directory / "run" / "run.json", lambda file: load_run(file.parent)),
+            [_write_run(directory / "run")],
+            _read_through_file(directory / "run" / "run.json", lambda file: load_run(file.parent)),
         ),
         Target(
             "trial",
             [json.dumps(run_codec.TRIAL_KIND.encode(TRIAL)).encode()],
-            _from_file(_trial(directory / "trial"), lambda file: load_run(file.parents[1])),
+            _read_through_file(_write_trial(directory / "trial"), lambda file: load_run(file.parents[1])),
         ),
         Target(
-            "experiment", [SPEC.encode()], _from_file(path, lambda file: load_experiment(file, SPEC_TASKS))
+            "experiment",
+            [SPEC.encode()],
+            _read_through_file(path, lambda file: load_experiment(file, SPEC_TASKS)),
         ),
         Target(
             "inventory",
             [INVENTORY.encode(), SECRETS.encode()],
-            _from_file(path, lambda file: load_inventory_and_tasks(file, good_tasks)),
+            _read_through_file(path, lambda file: load_inventory_and_tasks(file, good_tasks)),
         ),
         Target(
             "sheet of a map",
             [ROS1.encode(), ROS2.encode()],
             lambda data: parse_map_metadata("map.yaml", data),
         ),
-        Target("image of a map", [encode_pgm(draw_room()), encode_png(a_grey_image(draw_room()))], _as_map),
+        Target(
+            "image of a map", [encode_pgm(draw_room()), encode_png(a_grey_image(draw_room()))], _read_as_map
+        ),
         Target(
             "tasks",
             [TASKS.encode()],
-            _from_file(path, lambda file: load_inventory_and_tasks(good_inventory, file)),
+            _read_through_file(path, lambda file: load_inventory_and_tasks(good_inventory, file)),
         ),
     ]
 
 
-def _as_map(data: bytes) -> object:
+def _read_as_map(data: bytes) -> object:
     return compute_ssim(
         MapImage(name="map", data=data, metadata=a_map_metadata()), a_map_image(draw_room(), a_map_metadata())
     )
 
 
-def _from_file(path: Path, read: Callable[[Path], object]) -> Read:
+def _read_through_file(path: Path, read: Callable[[Path], object]) -> Read:
     def from_bytes(data: bytes) -> object:
         path.write_bytes(data)
         return read(path)
@@ -154,12 +164,13 @@ def _from_file(path: Path, read: Callable[[Path], object]) -> Read:
     return from_bytes
 
 
-# -- what a host answers -----------------------------------------------------------------------------------------------------------------
+# -- replies of hosts
+# -----------------------------------------------------------------------------------------------------------------
 
 MARK = b"@MARK@"
 
 
-def _documents() -> list[bytes]:
+def _build_documents() -> list[bytes]:
     given_up = a_task(
         state="crashloop",
         last_exit=1,
@@ -182,8 +193,8 @@ def _documents() -> list[bytes]:
     ]
 
 
-def _frame(payload: bytes) -> bytes:
-    """A reply as a host sends it, with noise around; the marker is put in when it is asked."""
+def _frame_reply(payload: bytes) -> bytes:
+    """Frame a reply as a host sends it, surrounded by noise; the marker of the request is inserted later."""
     return b"Last login: today\r%s %d %s\n%s\r\nbye" % (
         MARK,
         len(payload),
@@ -192,8 +203,8 @@ def _frame(payload: bytes) -> bytes:
     )
 
 
-class _Host:
-    """A session to a host that answers whatever it is asked with one text."""
+class _AnsweringSession:
+    """Session to a host that answers every request with one text."""
 
     python = "python3"
 
@@ -211,19 +222,19 @@ class _Host:
     def close(self) -> None:
         return
 
-    def __enter__(self) -> "_Host":
+    def __enter__(self) -> "_AnsweringSession":
         return self
 
     def __exit__(self, *exc: object) -> None:
         return
 
 
-def _as_payload(data: bytes) -> object:
-    return _as_frame(_frame(data))
+def _read_as_payload(data: bytes) -> object:
+    return _read_as_frame(_frame_reply(data))
 
 
-def _as_frame(data: bytes) -> object:
-    document = call_agent(_Host(data), {"op": "probe", "host": "edge1"}, timeout=1.0)
+def _read_as_frame(data: bytes) -> object:
+    document = call_agent(_AnsweringSession(data), {"op": "probe", "host": "edge1"}, timeout=1.0)
     return decode_host_sample(
         document, ReplyContext(host=an_edge("edge1"), answered_at=NOW, robots=("robot1",))
     )
@@ -233,8 +244,8 @@ METRICS = b"fps 29.97\nloss 0.03125\nmap/ssim 0.93\n" * 3
 PIECE = {"op": "fetch", "size": 3, "mark": "1-2-3", "data": "YWJj"}
 
 
-def _as_metrics(data: bytes) -> object:
-    """What a task wrote, from the agent's eyes to the manager's."""
+def _read_as_metrics(data: bytes) -> object:
+    """Pass the output of a task through the agent's parser to the manager's decoder."""
     said = fast_json.loads(fast_json.dumps(metrics.parse_metrics(data)))
     return decode_host_sample(
         json.loads(json.dumps(a_document(tasks={"slam": a_task(metrics=said)}))),
@@ -242,25 +253,29 @@ def _as_metrics(data: bytes) -> object:
     )
 
 
-class _Line:
-    """A transport to a host that answers whatever it is asked with one text."""
+class _AnsweringTransport:
+    """Transport to a host that answers every request with one text."""
 
     def __init__(self, answer: bytes) -> None:
         self.answer = answer
 
-    def connect(self, host: Host, *, timeout: float) -> _Host:
-        return _Host(self.answer)
+    def connect(self, host: Host, *, timeout: float) -> _AnsweringSession:
+        return _AnsweringSession(self.answer)
 
     def address(self, host: Host) -> str:
         return host.host
 
 
-def _as_piece(data: bytes) -> object:
-    return fetch_file(_Line(_frame(data)), an_edge("edge1"), builders.a_task(), "map.pgm", timeout=0.2)
+def _read_as_piece(data: bytes) -> object:
+    return fetch_file(
+        _AnsweringTransport(_frame_reply(data)), an_edge("edge1"), builders.a_task(), "map.pgm", timeout=0.2
+    )
 
 
-def _as_facts(data: bytes) -> object:
-    document = call_agent(_Host(_frame(data)), {"op": "doctor", "host": "edge1"}, timeout=1.0)
+def _read_as_facts(data: bytes) -> object:
+    document = call_agent(
+        _AnsweringSession(_frame_reply(data)), {"op": "doctor", "host": "edge1"}, timeout=1.0
+    )
     return decode_host_facts(
         document,
         ReplyContext(host=an_edge("edge1"), answered_at=NOW),
@@ -268,10 +283,11 @@ def _as_facts(data: bytes) -> object:
     )
 
 
-# -- what stands on our own disk ---------------------------------------------------------------------------------------------------------
+# -- files of the manager
+# ---------------------------------------------------------------------------------------------------------
 
 
-def _journals(directory: Path) -> list[bytes]:
+def _write_journals(directory: Path) -> list[bytes]:
     directory.mkdir()
     with journal.Journal.open(directory, clock=lambda: NOW) as written:
         for revision in (1, 2):
@@ -288,7 +304,9 @@ def _journals(directory: Path) -> list[bytes]:
 
 
 def _read_journal(path: Path) -> object:
-    """Read it, and open it as the next apply does: a torn line is cut off, a damaged file set aside and a new one begun."""
+    """Read the journal, and open it as the next apply does: a torn line is cut off, a damaged file set aside
+    and a new one started.
+    """
     try:
         log = journal_reader.read_journal(path)
         journal.Journal.open(path.parent, clock=lambda: NOW).close()
@@ -299,7 +317,7 @@ def _read_journal(path: Path) -> object:
             left.unlink()
 
 
-def _history(directory: Path) -> bytes:
+def _write_history(directory: Path) -> bytes:
     directory.mkdir()
     with Store.open(directory) as store:
         for second in range(4):
@@ -330,7 +348,9 @@ def _history(directory: Path) -> bytes:
 
 
 def _read_history(path: Path) -> object:
-    """Use it as the next command does; what is in the way is said, and then there is a history."""
+    """Use the history as the next command does: problems are reported, and a usable history exists
+    afterwards.
+    """
     said: list[str] = []
     try:
         with Store.open(path.parent, warn=said.append) as store:
@@ -354,20 +374,20 @@ def _read_history(path: Path) -> object:
             left.unlink()
 
 
-def _run(directory: Path) -> bytes:
+def _write_run(directory: Path) -> bytes:
     save_run(directory, RUN)
     return (directory / "run.json").read_bytes()
 
 
-def _trial(directory: Path) -> Path:
-    """Where the trial of a sound run stands."""
+def _write_trial(directory: Path) -> Path:
+    """Return the path of the trial of a valid run."""
     save_run(directory, RUN)
     save_trial(directory, TRIAL)
     (path,) = (directory / "trials").iterdir()
     return path
 
 
-def _read_memory(path: Path) -> object:
+def _read_manager_state(path: Path) -> object:
     try:
         return load_manager_state(path.parent)
     finally:

@@ -1,4 +1,4 @@
-"""All hosts at once; one bad host costs only itself."""
+"""Probing all hosts in parallel; a failing host affects only itself."""
 
 import threading
 import time
@@ -27,7 +27,7 @@ from tests.executor.fake_fleet import FakeFleet
 NONE = Tasks(tasks={})
 
 
-def fleet() -> Inventory:
+def build_inventory() -> Inventory:
     return an_inventory(
         an_edge("edge1"),
         an_edge("edge2"),
@@ -39,7 +39,7 @@ def fleet() -> Inventory:
 
 def test_hosts_stand_in_the_order_of_the_inventory_and_unprobed_robots_are_left_out() -> None:
     hosts = FakeFleet.of(["edge1", "edge2", "edge10", "robot1"])
-    snapshot = probe_hosts(fleet(), NONE, hosts.transport, clock=lambda: NOW)
+    snapshot = probe_hosts(build_inventory(), NONE, hosts.transport, clock=lambda: NOW)
     assert list(snapshot.hosts) == ["edge1", "edge2", "edge10", "robot1"]
     assert snapshot.taken_at == NOW
     assert all(sample.ok for sample in snapshot.hosts.values())
@@ -62,7 +62,7 @@ def test_hosts_stand_in_the_order_of_the_inventory_and_unprobed_robots_are_left_
 def test_a_bad_host_is_unreachable_with_its_cause_and_costs_no_other(error: HostError) -> None:
     hosts = FakeFleet.of(["edge1", "edge2", "edge10", "robot1"])
     transport = FakeTransport({**dict(hosts.hosts), "edge2": error})
-    snapshot = probe_hosts(fleet(), NONE, transport)
+    snapshot = probe_hosts(build_inventory(), NONE, transport)
     bad = snapshot.hosts["edge2"]
     assert (bad.status, bad.error, bad.error_kind, bad.hint) == (
         HostStatus.UNREACHABLE,
@@ -77,7 +77,7 @@ def test_a_host_that_lies_is_unreachable() -> None:
     hosts = FakeFleet.of(["edge1", "edge2", "edge10", "robot1"])
     liar = {**hosts["edge1"](_request("edge1")), "host": "edge2", "cpu": {"cores": 64, "used_cores": 0}}
     snapshot = probe_hosts(
-        fleet(), NONE, FakeTransport({**dict(hosts.hosts), "edge1": lambda _request: liar})
+        build_inventory(), NONE, FakeTransport({**dict(hosts.hosts), "edge1": lambda _request: liar})
     )
     assert snapshot.hosts["edge1"].error_kind == "bad-reply"
     assert snapshot.hosts["edge2"].ok
@@ -116,10 +116,11 @@ def test_hosts_are_asked_at_once_and_each_is_told_as_it_ends() -> None:
     assert sorted(heard) == sorted((name, True, True) for name in hosts.hosts)
 
 
-class Slow:
-    """A transport whose dead hosts answer nothing until ``together`` of all wait, and whose living ones take their time.
+class SlowTransport:
+    """A transport whose dead hosts reply only after ``together`` of all are waiting, and whose live hosts are
+    slow.
 
-    It notes how much each call was given.
+    It records the timeout of each call.
     """
 
     def __init__(self, fleet: FakeFleet, dead: set[str], *, together: int, connect_s: float = 0.0) -> None:
@@ -153,22 +154,22 @@ class Slow:
         return host.host
 
 
-def many(count: int) -> tuple[Inventory, FakeFleet]:
+def build_fleet(count: int) -> tuple[Inventory, FakeFleet]:
     hosts = FakeFleet.of([f"edge{number}" for number in range(count)])
     return an_inventory(*(an_edge(name) for name in hosts.hosts)), hosts
 
 
 def test_ten_dead_hosts_of_fifty_are_waited_for_together() -> None:
-    inventory, hosts = many(50)
+    inventory, hosts = build_fleet(50)
     dead = {f"edge{number}" for number in range(0, 50, 5)}
-    snapshot = probe_hosts(inventory, NONE, Slow(hosts, dead, together=10))
+    snapshot = probe_hosts(inventory, NONE, SlowTransport(hosts, dead, together=10))
     assert {name for name, sample in snapshot.hosts.items() if not sample.ok} == dead
     assert {snapshot.hosts[name].error_kind for name in dead} == {"deadline"}
 
 
 def test_connecting_and_calling_share_one_deadline_and_connections_are_bounded() -> None:
-    inventory, hosts = many(12)
-    transport = Slow(hosts, set(), together=4, connect_s=0.2)
+    inventory, hosts = build_fleet(12)
+    transport = SlowTransport(hosts, set(), together=4, connect_s=0.2)
     probe_hosts(inventory, NONE, transport, options=ProbeOptions(timeout=20.0, workers=4))
     assert transport.most == 4
     assert len(transport.given) == 12
@@ -183,7 +184,7 @@ def test_what_is_asked_depends_on_the_host() -> None:
         a_task("roscore", managed=False, detect=DetectRule(cmdline="rosmaster")),
     )
     transport = hosts.transport
-    probe_hosts(fleet(), tasks, transport, options=ProbeOptions(window=0.2))
+    probe_hosts(build_inventory(), tasks, transport, options=ProbeOptions(window=0.2))
     asked = dict(transport.requests)
     assert asked["edge1"]["window_s"] == 0.2
     assert asked["edge1"]["links"] == [
@@ -196,7 +197,7 @@ def test_what_is_asked_depends_on_the_host() -> None:
         "slam",
         False,
         10.8,
-    )  # 15 - .2 - 4: it must not cost the probe
+    )  # 15 - .2 - 4: it must not fail the probe
     assert check["env"]["EDGECTL_ROBOT"] == "robot1"
     names = {entry["task"]: entry["always"] for entry in asked["robot1"]["checks"]}  # type: ignore[attr-defined]
     assert names == {"slam": False, "mission": True}
@@ -215,7 +216,7 @@ def test_what_a_robot_says_is_done_is_done_where_it_runs() -> None:
         a_task("mission", robots=["robot1"], done_when=Check(command="is home", on=CheckLocation.ROBOT))
     )
     snapshot = probe_hosts(
-        fleet(), tasks, FakeTransport({**dict(hosts.hosts), "robot1": lambda _request: said})
+        build_inventory(), tasks, FakeTransport({**dict(hosts.hosts), "robot1": lambda _request: said})
     )
     sample = snapshot.hosts["edge2"]
     assert (sample.tasks["mission"].state, sample.tasks["mission"].pid) == (TaskState.COMPLETED, 99)

@@ -1,4 +1,4 @@
-"""Documents as hosts send them -> samples; everything odd costs its host the sample."""
+"""Replies of hosts as samples; an invalid reply costs its host the sample."""
 
 import copy
 import json
@@ -70,13 +70,13 @@ def a_document(**fields: object) -> Document:
     }
 
 
-def decoded(document: Document, host: Host | None = None, **context: object) -> HostSample:
+def decode_document(document: Document, host: Host | None = None, **context: object) -> HostSample:
     settings = {"robots": ("robot1",), "answered_at": NOW, **context}
     return decode_host_sample(document, ReplyContext(host=host or an_edge("edge1"), **settings))  # type: ignore[arg-type]
 
 
 def test_a_device_is_what_it_says() -> None:
-    sample = decoded(a_document())
+    sample = decode_document(a_document())
     assert sample.status is HostStatus.OK
     assert sample.measured
     assert (sample.usage["cpu"].capacity, sample.usage["cpu"].used) == (4.0, 1.5)
@@ -93,14 +93,16 @@ def test_a_device_is_what_it_says() -> None:
 
 def test_a_clock_is_shown_and_not_trusted() -> None:
     for wall in (NOW + 86400.0, 0.0, NOW - 10 * 365 * 86400.0):
-        sample = decoded(a_document(wall=wall))
+        sample = decode_document(a_document(wall=wall))
         assert sample.device.clock_skew_s == wall - NOW
         assert sample.tasks["slam"].started_at == NOW - 60.0
 
 
 def test_a_slice_is_its_base_and_its_own_tasks() -> None:
-    """cpu: .25 + .5 = .75 of 2; memory: 1e8 + 2e8 = 3e8 of 1e9; link: the task's 1500, not the machine's 2600."""
-    sample = decoded(a_document(), SLICE)
+    """cpu: .25 + .5 = .75 of 2; memory: 1e8 + 2e8 = 3e8 of 1e9; link: the task's 1500, not the machine's
+    2600.
+    """
+    sample = decode_document(a_document(), SLICE)
     assert sample.measured
     assert (sample.usage["cpu"].capacity, sample.usage["cpu"].used) == (2.0, 0.75)
     assert (sample.usage["memory"].capacity, sample.usage["memory"].used) == (1e9, 3e8)
@@ -109,7 +111,7 @@ def test_a_slice_is_its_base_and_its_own_tasks() -> None:
 
 def test_a_task_that_is_done_keeps_its_pid_and_frees_its_load() -> None:
     """gamma 1.5 - .5 = 1.0 cores; 3e9 - 2e8 = 2.8e9 bytes; link 2600 - 1500 = 1100."""
-    sample = decoded(a_document(checks={"slam": {"exit": 0, "timed_out": False, "output": ""}}))
+    sample = decode_document(a_document(checks={"slam": {"exit": 0, "timed_out": False, "output": ""}}))
     assert (sample.tasks["slam"].state, sample.tasks["slam"].pid) == (TaskState.COMPLETED, 71)
     assert sample.measured
     assert sample.usage["cpu"].used == 1.0
@@ -119,7 +121,7 @@ def test_a_task_that_is_done_keeps_its_pid_and_frees_its_load() -> None:
 
 @pytest.mark.parametrize("check", [{"exit": 1}, {"exit": None, "timed_out": True}, {}])
 def test_a_check_that_does_not_say_yes_changes_nothing(check: Document) -> None:
-    assert decoded(a_document(checks={"slam": check})).tasks["slam"].state is TaskState.READY
+    assert decode_document(a_document(checks={"slam": check})).tasks["slam"].state is TaskState.READY
 
 
 @pytest.mark.parametrize(
@@ -136,7 +138,7 @@ def test_a_links_capacity_is_declared_measured_nominal_or_assumed(
     context: dict[str, object], speed: float | None, expected: tuple[float, CapacitySource]
 ) -> None:
     interfaces = {"eth0": {"rx_bytes_per_s": 0.0, "tx_bytes_per_s": 0.0, "speed_bytes_per_s": speed}}
-    link = decoded(a_document(interfaces=interfaces), **context).links["robot1"]
+    link = decode_document(a_document(interfaces=interfaces), **context).links["robot1"]
     assert (link.capacity_bytes_per_s, link.capacity_source) == expected
 
 
@@ -144,31 +146,31 @@ def test_a_robot_that_cannot_be_reached_is_a_dead_link_unless_it_is_never_asked(
     document = a_document(
         links={"robot1": {"rx_bytes_per_s": 0.0, "tx_bytes_per_s": 0.0, "reachable": False}}
     )
-    assert decoded(document, declared={"robot1": 5e6}).links["robot1"].capacity_bytes_per_s == 0.0
+    assert decode_document(document, declared={"robot1": 5e6}).links["robot1"].capacity_bytes_per_s == 0.0
     assert (
-        decoded(document, blind=frozenset({"robot1"})).links["robot1"].capacity_bytes_per_s
+        decode_document(document, blind=frozenset({"robot1"})).links["robot1"].capacity_bytes_per_s
         == ASSUMED_BYTES_PER_S
     )
 
 
 def test_a_link_that_was_not_asked_for_is_left_out_and_a_missing_one_stays_missing() -> None:
     links = {"robot9": {"rx_bytes_per_s": 0.0, "tx_bytes_per_s": 0.0}}
-    assert decoded(a_document(links=links)).links == {}
+    assert decode_document(a_document(links=links)).links == {}
 
 
 def test_a_robot_has_no_links() -> None:
-    assert decoded(a_document(), a_robot("edge1")).links == {}
+    assert decode_document(a_document(), a_robot("edge1")).links == {}
 
 
 def test_a_bare_entry_is_enough_for_a_task_found_by_its_pattern() -> None:
-    sample = decoded(a_document(tasks={"roscore": {"state": "running", "pid": 5, "managed": False}}))
+    sample = decode_document(a_document(tasks={"roscore": {"state": "running", "pid": 5, "managed": False}}))
     task = sample.tasks["roscore"]
     assert (task.managed, task.used["cpu"], task.links, task.instance) == (False, 0.0, None, "")
 
 
 def test_control_characters_never_reach_a_terminal() -> None:
     nasty = "\x1b]0;owned\x07 \u202egnp.\u2028 \x00 ok \u00e9"
-    sample = decoded(a_document(tasks={"sl\x1bam": a_task(detail=nasty)}, boot_id=nasty))
+    sample = decode_document(a_document(tasks={"sl\x1bam": a_task(detail=nasty)}, boot_id=nasty))
     (name,) = sample.tasks
     assert name == "sl\\x1bam"
     assert sample.tasks[name].detail == "\\x1b]0;owned\\x07 \\u202egnp.\\u2028 \\x00 ok \u00e9"
@@ -217,7 +219,7 @@ def test_odd_documents_are_refused(spoil: Callable[[Document], object]) -> None:
     document = a_document()
     spoil(document)
     with pytest.raises(ReplyError):
-        decoded(document)
+        decode_document(document)
 
 
 VALUES: list[object] = [
@@ -241,17 +243,19 @@ VALUES: list[object] = [
 ]
 
 
-def _paths(value: object, path: tuple[str, ...] = ()) -> list[tuple[str, ...]]:
+def _list_paths(value: object, path: tuple[str, ...] = ()) -> list[tuple[str, ...]]:
     if not isinstance(value, dict):
         return [path]
-    return [path, *(deeper for key, inner in value.items() for deeper in _paths(inner, (*path, key)))]
+    return [path, *(deeper for key, inner in value.items() for deeper in _list_paths(inner, (*path, key)))]
 
 
 def test_whatever_stands_in_a_document_it_is_a_sound_sample_or_a_reply_error() -> None:
-    """20,000 documents with one to three values exchanged; a sound sample has only finite numbers and survives JSON."""
+    """20,000 documents with one to three values exchanged; a valid sample has only finite numbers and
+    survives JSON.
+    """
     chance = random.Random(20261121)
     original = a_document(checks={"slam": {"exit": 1}})
-    paths = [path for path in _paths(original) if path]
+    paths = [path for path in _list_paths(original) if path]
     refused = 0
     for _ in range(20_000):
         document = copy.deepcopy(original)
@@ -262,7 +266,7 @@ def test_whatever_stands_in_a_document_it_is_a_sound_sample_or_a_reply_error() -
             if isinstance(inner, dict):
                 inner[path[-1]] = chance.choice(VALUES)
         try:
-            sample = decoded(document)
+            sample = decode_document(document)
         except ReplyError:
             refused += 1
             continue
@@ -282,31 +286,36 @@ def test_whatever_stands_in_a_document_it_is_a_sound_sample_or_a_reply_error() -
 
 
 def test_a_profiler_s_readings_say_how_old_they_are() -> None:
-    sample = decoded(a_document(resident=True, sample_age_s=0.75))
+    sample = decode_document(a_document(resident=True, sample_age_s=0.75))
     assert (sample.resident, sample.sample_age_s) == (True, 0.75)
-    assert (decoded(a_document()).resident, decoded(a_document()).sample_age_s) == (False, 0.0)
+    assert (decode_document(a_document()).resident, decode_document(a_document()).sample_age_s) == (
+        False,
+        0.0,
+    )
     for wrong in ({"resident": "yes"}, {"sample_age_s": -1.0}, {"sample_age_s": "old"}):
         with pytest.raises(ReplyError):
-            decoded(a_document(**wrong))
+            decode_document(a_document(**wrong))
 
 
 def test_a_run_that_no_longer_counts_has_used_its_generation_up() -> None:
     document = a_document(
         tasks={"job": a_task(state="completed", generation=9)}, generations={"nav": 4, "job": 3}
     )
-    sample = decoded(document, reopened=frozenset({"i1"}))
+    sample = decode_document(document, reopened=frozenset({"i1"}))
     assert (sample.tasks, sample.generations) == ({}, {"nav": 4, "job": 9})
-    assert decoded(document).generations == {"nav": 4, "job": 3}
+    assert decode_document(document).generations == {"nav": 4, "job": 3}
 
 
 def test_when_a_task_ended_is_told_in_the_manager_s_time() -> None:
-    tasks = decoded(a_document(tasks={"job": a_task(state="completed", ended_s=1.5), "nav": a_task()})).tasks
+    tasks = decode_document(
+        a_document(tasks={"job": a_task(state="completed", ended_s=1.5), "nav": a_task()})
+    ).tasks
     assert (tasks["job"].ended_at, tasks["nav"].ended_at) == (NOW - 1.5, None)
 
 
 def test_metrics_of_the_application_pass_as_they_are() -> None:
     values = {"fps": 29.5, "map/loss.total": -1e300, "_n:x-y": 0}
-    task = decoded(a_document(tasks={"slam": a_task(metrics=values), "nav": a_task()}))
+    task = decode_document(a_document(tasks={"slam": a_task(metrics=values), "nav": a_task()}))
     assert task.tasks["slam"].metrics == values
     assert task.tasks["nav"].metrics == {}
 
@@ -321,4 +330,4 @@ def test_metrics_of_the_application_pass_as_they_are() -> None:
 )  # fmt: skip
 def test_metrics_that_no_agent_sends_cost_the_sample(values: object) -> None:
     with pytest.raises(ReplyError):
-        decoded(a_document(tasks={"slam": a_task(metrics=values)}))
+        decode_document(a_document(tasks={"slam": a_task(metrics=values)}))

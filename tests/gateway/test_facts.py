@@ -1,4 +1,4 @@
-"""What a host says to the doctor -> facts; everything odd costs its host the answer."""
+"""Replies to the doctor as facts; an invalid reply costs its host the answer."""
 
 import copy
 
@@ -23,8 +23,8 @@ DOCUMENT: Document = {
 }  # fmt: skip
 
 
-def read(document: Document, **context: object) -> HostFacts:
-    """As of a request that went out at NOW and was answered 2 s later."""
+def read_facts(document: Document, **context: object) -> HostFacts:
+    """Decode a reply to a request sent at NOW and answered 2 s later."""
     asked = SentRequest(began=NOW, addresses={"robot1": "10.0.0.21"})
     return decode_host_facts(
         document, ReplyContext(host=an_edge("edge1"), answered_at=NOW + 2.0, **context), asked
@@ -32,7 +32,7 @@ def read(document: Document, **context: object) -> HostFacts:
 
 
 def test_a_whole_answer() -> None:
-    found = read(DOCUMENT)
+    found = read_facts(DOCUMENT)
     assert found.login_s == 0.5
     assert found.skew_s == (8.5, 9.0)
     assert found.logind == Logind(user="jetson", present=True, removes_ipc=True)
@@ -44,10 +44,16 @@ def test_a_whole_answer() -> None:
 
 
 def test_capacity_comes_from_the_same_sources_as_in_a_probe() -> None:
-    assert read(DOCUMENT, declared={"robot1": 1e6}).links["robot1"].capacity_source is CapacitySource.DECLARED
-    assert read(DOCUMENT, measured={"robot1": 2e6}).links["robot1"].capacity_source is CapacitySource.MEASURED
-    assert read(DOCUMENT).links["robot1"].capacity_source is CapacitySource.NIC
-    assert read({**DOCUMENT, "links": {}}).links["robot1"].capacity_source is CapacitySource.ASSUMED
+    assert (
+        read_facts(DOCUMENT, declared={"robot1": 1e6}).links["robot1"].capacity_source
+        is CapacitySource.DECLARED
+    )
+    assert (
+        read_facts(DOCUMENT, measured={"robot1": 2e6}).links["robot1"].capacity_source
+        is CapacitySource.MEASURED
+    )
+    assert read_facts(DOCUMENT).links["robot1"].capacity_source is CapacitySource.NIC
+    assert read_facts({**DOCUMENT, "links": {}}).links["robot1"].capacity_source is CapacitySource.ASSUMED
 
 
 @pytest.mark.parametrize(
@@ -66,4 +72,4 @@ def test_what_is_odd_is_refused(path: tuple[str, ...], value: object) -> None:
         place = place[key]  # type: ignore[assignment]
     place[path[-1]] = value
     with pytest.raises(ReplyError):
-        read(document)
+        read_facts(document)

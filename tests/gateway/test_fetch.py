@@ -1,4 +1,4 @@
-"""A file that a task made, brought from a host in pieces: by the real agent, and by hosts that talk nonsense."""
+"""Fetching a file in pieces: from the real agent, and from hosts with invalid replies."""
 
 import base64
 import os
@@ -19,13 +19,13 @@ HOST = an_edge("edge1")
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Where the task works, on a host that is this machine."""
+    """The working directory of the task, on a host that is this machine."""
     monkeypatch.setenv("EDGECTL_STATE_DIR", str(tmp_path / "state"))
     (tmp_path / "work").mkdir()
     return tmp_path / "work"
 
 
-def fetched(file: str, folder: Path | None) -> bytes:
+def fetch_from_agent(file: str, folder: Path | None) -> bytes:
     return fetch_file(LocalTransport(), HOST, a_task(workdir=folder and str(folder)), file, timeout=60.0)
 
 
@@ -34,7 +34,7 @@ def test_a_file_comes_as_it_is(folder: Path, size: int) -> None:
     (folder / "out").mkdir()
     data = random.Random(size).randbytes(size)
     (folder / "out" / "map é.pgm").write_bytes(data)
-    assert fetched("out/map é.pgm", folder) == data
+    assert fetch_from_agent("out/map é.pgm", folder) == data
 
 
 def test_a_path_begins_at_the_workdir_the_home_or_the_root(
@@ -43,20 +43,20 @@ def test_a_path_begins_at_the_workdir_the_home_or_the_root(
     monkeypatch.setenv("HOME", str(folder))
     (folder / "map").write_bytes(b"free")
     found = {
-        fetched("map", folder),
-        fetched("map", None),
-        fetched("~/map", Path("/")),
-        fetched(str(folder / "map"), Path("/")),
+        fetch_from_agent("map", folder),
+        fetch_from_agent("map", None),
+        fetch_from_agent("~/map", Path("/")),
+        fetch_from_agent(str(folder / "map"), Path("/")),
     }
     assert found == {b"free"}
 
 
-def a_link(path: Path) -> None:
+def make_link(path: Path) -> None:
     path.with_name("secret").write_bytes(b"x")
     path.symlink_to("secret")
 
 
-def a_large_file(path: Path) -> None:
+def make_large_file(path: Path) -> None:
     with path.open("wb") as file:
         file.truncate(MAX_FILE_BYTES + 1)
 
@@ -67,8 +67,8 @@ def a_large_file(path: Path) -> None:
         (lambda path: None, "no such file"),
         (Path.mkdir, "is not a regular file"),
         (os.mkfifo, "is not a regular file"),
-        (a_link, "is a symbolic link"),
-        (a_large_file, "has 33554433 bytes, the limit is 33554432"),
+        (make_link, "is a symbolic link"),
+        (make_large_file, "has 33554433 bytes, the limit is 33554432"),
     ],
 )
 def test_what_cannot_be_had_is_refused_with_the_path(
@@ -76,21 +76,21 @@ def test_what_cannot_be_had_is_refused_with_the_path(
 ) -> None:
     make(folder / "map")
     with pytest.raises(RefusedError, match=words) as caught:
-        fetched("map", folder)
+        fetch_from_agent("map", folder)
     assert str(folder / "map") in caught.value.message
     assert caught.value.hint
 
 
 def test_no_path_is_refused(folder: Path) -> None:
     with pytest.raises(RefusedError, match="not a path"):
-        fetched("a\0b", folder)
+        fetch_from_agent("a\0b", folder)
 
 
 def a_piece(content: bytes, **fields: object) -> dict[str, object]:
     return {"size": 6, "mark": "1", "data": base64.b64encode(content).decode(), **fields}
 
 
-def answered(*replies: Mapping[str, object] | HostError) -> bytes:
+def fetch_from_replies(*replies: Mapping[str, object] | HostError) -> bytes:
     waiting = list(replies)
 
     def answer(_request: object) -> dict[str, object]:
@@ -103,7 +103,7 @@ def answered(*replies: Mapping[str, object] | HostError) -> bytes:
 
 
 def test_pieces_are_put_together() -> None:
-    assert answered(a_piece(b"abc"), a_piece(b"de"), a_piece(b"f")) == b"abcdef"
+    assert fetch_from_replies(a_piece(b"abc"), a_piece(b"de"), a_piece(b"f")) == b"abcdef"
 
 
 @pytest.mark.parametrize(
@@ -128,7 +128,7 @@ def test_a_host_that_talks_nonsense_gives_nothing(
     replies: list[Mapping[str, object] | HostError], error: type[HostError]
 ) -> None:
     with pytest.raises(error):
-        answered(*replies)
+        fetch_from_replies(*replies)
 
 
 def test_a_deadline_holds_for_all_pieces_together() -> None:

@@ -1,4 +1,4 @@
-"""What hosts say of their profilers -> values; a host that says nothing, or nonsense, costs no other."""
+"""Replies about profilers as values; a missing or invalid reply affects no other host."""
 
 import pytest
 
@@ -11,7 +11,7 @@ from tests.builders import a_robot, an_edge, an_inventory, some_tasks
 Document = dict[str, object]
 
 
-def said(**fields: object) -> Document:
+def a_reply(**fields: object) -> Document:
     return {
         "state": "running", "pid": 71, "age_s": 60.5, "every_s": 1.0, "period_s": 2.0, "samples": 30, "sample_age_s": 0.4,
         "used_cores": 0.002, "used_bytes": 11_000_000, "ttl_s": 3600.0, "ttl_left_s": 3599.0, "current": False, **fields,
@@ -19,7 +19,7 @@ def said(**fields: object) -> Document:
 
 
 def test_every_field_is_taken_over() -> None:
-    found = profilers.decode_profiler("edge1", said())
+    found = profilers.decode_profiler("edge1", a_reply())
     assert (found.host, found.state, found.pid, found.age) == ("edge1", ProfilerState.RUNNING, 71, 60.5)
     assert (found.every, found.period, found.samples, found.sample_age) == (1.0, 2.0, 30, 0.4)
     assert (found.used_cores, found.used_bytes, found.ttl, found.ttl_left, found.current) == (
@@ -29,7 +29,7 @@ def test_every_field_is_taken_over() -> None:
         3599.0,
         False,
     )
-    assert profilers.decode_profiler("edge1", said(sample_age_s=None, ttl_left_s=-0.5)).ttl_left == 0.0
+    assert profilers.decode_profiler("edge1", a_reply(sample_age_s=None, ttl_left_s=-0.5)).ttl_left == 0.0
 
 
 def test_one_that_is_gone_says_why_and_nothing_else() -> None:
@@ -52,7 +52,7 @@ def test_one_that_is_gone_says_why_and_nothing_else() -> None:
 )
 def test_nonsense_is_refused(wrong: Document) -> None:
     with pytest.raises(ReplyError):
-        profilers.decode_profiler("edge1", said(**wrong))
+        profilers.decode_profiler("edge1", a_reply(**wrong))
 
 
 def test_hosts_are_asked_for_their_own_links_and_answer_in_order() -> None:
@@ -60,13 +60,13 @@ def test_hosts_are_asked_for_their_own_links_and_answer_in_order() -> None:
 
     def edge(request: Document) -> Document:
         requests.append(request)
-        return said(state="started")
+        return a_reply(state="started")
 
     def gone(_request: Document) -> Document:
         raise ConnectError("no route", hint="look at the cable")
 
     inventory = an_inventory(an_edge("edge1"), an_edge("edge2"), a_robot("robot1"))
-    transport = FakeTransport({"edge1": edge, "edge2": gone, "robot1": lambda _: said(state="dancing")})
+    transport = FakeTransport({"edge1": edge, "edge2": gone, "robot1": lambda _: a_reply(state="dancing")})
     found = profilers.start_profilers(
         list(inventory.hosts.values()), inventory, some_tasks(), transport, every=2.0, ttl=60.0, timeout=5.0
     )

@@ -1,4 +1,6 @@
-"""Smoothing on the manager: noise is averaged, time counts, and what we start, stop or move is seen at once."""
+"""Smoothing on the manager: noise is averaged with time weights, and our own starts, stops and moves take
+effect at once.
+"""
 
 import dataclasses
 
@@ -12,8 +14,8 @@ from tests.builders import GI, NOW, a_link, a_run, a_sample, a_snapshot, silent
 PERIOD = 10.0
 
 
-def fold(*snapshots: Snapshot) -> Snapshot:
-    """Each smoothed into those before it."""
+def smooth_all(*snapshots: Snapshot) -> Snapshot:
+    """Smooth each snapshot with the previous ones."""
     before: Snapshot | None = None
     for snapshot in snapshots:
         before = smooth_snapshot(before, snapshot, period=PERIOD)
@@ -21,18 +23,18 @@ def fold(*snapshots: Snapshot) -> Snapshot:
     return before
 
 
-def used(snapshot: Snapshot, host: str = "edge1") -> float:
+def get_used_cores(snapshot: Snapshot, host: str = "edge1") -> float:
     return snapshot.hosts[host].usage["cpu"].used
 
 
 def test_the_first_snapshot_is_taken_as_it_is() -> None:
     first = a_snapshot(edge1=a_sample(used=2.0))
-    assert fold(first) is first
+    assert smooth_all(first) is first
 
 
 def test_a_sample_one_period_later_weighs_three_tenths() -> None:
     link = {"robot1": a_link(used=1e6)}
-    made = fold(
+    made = smooth_all(
         a_snapshot(edge1=a_sample(used=1.0, used_memory=1 * GI, links=link)),
         a_snapshot(
             taken_at=NOW + PERIOD,
@@ -42,25 +44,29 @@ def test_a_sample_one_period_later_weighs_three_tenths() -> None:
         ),
     )
     host = made.hosts["edge1"]
-    assert used(made) == pytest.approx(1.3)
+    assert get_used_cores(made) == pytest.approx(1.3)
     assert host.usage["memory"].used == pytest.approx(1.3 * GI)
     assert host.links["robot1"].used_bytes_per_s == pytest.approx(1.3e6)
     assert host.links["robot2"].used_bytes_per_s == 7.0
 
 
 def test_time_counts_not_the_number_of_samples() -> None:
-    once = fold(a_snapshot(edge1=a_sample(used=1.0)), a_snapshot(taken_at=NOW + 20, edge1=a_sample(used=2.0)))
-    twice = fold(
+    once = smooth_all(
+        a_snapshot(edge1=a_sample(used=1.0)), a_snapshot(taken_at=NOW + 20, edge1=a_sample(used=2.0))
+    )
+    twice = smooth_all(
         a_snapshot(edge1=a_sample(used=1.0)),
         a_snapshot(taken_at=NOW + 13, edge1=a_sample(used=2.0)),
         a_snapshot(taken_at=NOW + 20, edge1=a_sample(used=2.0)),
     )
-    assert used(once) == pytest.approx(used(twice)) == pytest.approx(2.0 - 0.7**2)
+    assert get_used_cores(once) == pytest.approx(get_used_cores(twice)) == pytest.approx(2.0 - 0.7**2)
 
 
 def test_a_clock_that_goes_back_counts_as_one_period() -> None:
-    assert used(
-        fold(a_snapshot(edge1=a_sample(used=1.0)), a_snapshot(taken_at=NOW - 3600, edge1=a_sample(used=2.0)))
+    assert get_used_cores(
+        smooth_all(
+            a_snapshot(edge1=a_sample(used=1.0)), a_snapshot(taken_at=NOW - 3600, edge1=a_sample(used=2.0))
+        )
     ) == pytest.approx(1.3)
 
 
@@ -69,7 +75,9 @@ def test_a_task_that_comes_or_goes_changes_the_load_at_once() -> None:
     idle = a_sample(used=0.5, used_memory=GI, links={"robot1": a_link(used=0.0)})
     busy = a_sample(used=1.5, used_memory=2 * GI, links={"robot1": a_link(used=1e6)}, tasks={"slam": task})
     for before, after, cores in ((idle, busy, 1.5), (busy, idle, 0.5)):
-        made = fold(a_snapshot(edge1=before), a_snapshot(taken_at=NOW + PERIOD, edge1=after)).hosts["edge1"]
+        made = smooth_all(a_snapshot(edge1=before), a_snapshot(taken_at=NOW + PERIOD, edge1=after)).hosts[
+            "edge1"
+        ]
         assert made.measured
         assert made.usage["cpu"].used == pytest.approx(cores)
         assert made.usage["memory"].used == pytest.approx(after.usage["memory"].used)
@@ -81,16 +89,16 @@ def test_a_tasks_use_is_averaged_with_its_host_and_anew_after_a_restart() -> Non
     more = dataclasses.replace(task, used=Usage(cpu=2.0, network=200.0), links={"robot1": 200.0})
     first = a_snapshot(edge1=a_sample(used=1.0, tasks={"slam": task}))
     second = a_snapshot(taken_at=NOW + PERIOD, edge1=a_sample(used=2.0, tasks={"slam": more}))
-    made = fold(first, second).hosts["edge1"].tasks["slam"]
+    made = smooth_all(first, second).hosts["edge1"].tasks["slam"]
     assert (made.used["cpu"], made.used["network"]) == pytest.approx((1.3, 130.0))
     assert made.links == pytest.approx({"robot1": 130.0})
-    assert used(fold(first, second)) == pytest.approx(1.3)
+    assert get_used_cores(smooth_all(first, second)) == pytest.approx(1.3)
     for new in (
         dataclasses.replace(more, instance="instance-2"),
         dataclasses.replace(more, state=TaskState.COMPLETED),
     ):
         third = dataclasses.replace(second, hosts={"edge1": a_sample(used=2.0, tasks={"slam": new})})
-        assert fold(first, third).hosts["edge1"].tasks["slam"] == new
+        assert smooth_all(first, third).hosts["edge1"].tasks["slam"] == new
 
 
 def test_a_host_that_returns_or_was_rebooted_starts_anew() -> None:
@@ -99,18 +107,22 @@ def test_a_host_that_returns_or_was_rebooted_starts_anew() -> None:
         a_snapshot(taken_at=NOW + 2 * PERIOD, edge1=a_sample(used=3.0)),
     )
     lost = a_snapshot(taken_at=NOW + PERIOD, edge1=silent())
-    assert not fold(first, lost).hosts["edge1"].ok
-    assert used(fold(first, lost, back)) == 3.0
+    assert not smooth_all(first, lost).hosts["edge1"].ok
+    assert get_used_cores(smooth_all(first, lost, back)) == 3.0
     rebooted = dataclasses.replace(
         back, hosts={"edge1": dataclasses.replace(a_sample(used=3.0), device=DeviceSample(boot_id="another"))}
     )
-    assert used(fold(first, rebooted)) == 3.0
+    assert get_used_cores(smooth_all(first, rebooted)) == 3.0
 
 
 def test_what_a_resident_profiler_smoothed_is_not_smoothed_again() -> None:
     resident = dataclasses.replace(a_sample(used=3.0), resident=True)
     assert (
-        used(fold(a_snapshot(edge1=a_sample(used=1.0)), a_snapshot(taken_at=NOW + PERIOD, edge1=resident)))
+        get_used_cores(
+            smooth_all(
+                a_snapshot(edge1=a_sample(used=1.0)), a_snapshot(taken_at=NOW + PERIOD, edge1=resident)
+            )
+        )
         == 3.0
     )
 
@@ -118,6 +130,8 @@ def test_what_a_resident_profiler_smoothed_is_not_smoothed_again() -> None:
 def test_nothing_is_ever_negative() -> None:
     task = a_run(used=Usage(cpu=3.0, memory=3 * GI), links={"robot1": 5e6})
     busy = a_sample(used=0.5, used_memory=GI, links={"robot1": a_link(used=1e6)}, tasks={"slam": task})
-    made = fold(a_snapshot(edge1=busy), a_snapshot(taken_at=NOW + PERIOD, edge1=a_sample())).hosts["edge1"]
+    made = smooth_all(a_snapshot(edge1=busy), a_snapshot(taken_at=NOW + PERIOD, edge1=a_sample())).hosts[
+        "edge1"
+    ]
     assert made.measured
     assert (made.usage["cpu"].used, made.usage["memory"].used, made.links) == (0.0, 0.0, {})

@@ -1,4 +1,4 @@
-"""Names that are unknown are refused in one way, by every command."""
+"""Unknown names are rejected by every command in the same way."""
 
 import pytest
 
@@ -31,7 +31,7 @@ def test_the_nearest_name_is_the_one_that_was_meant(word: str, meant: str) -> No
             [f"host{number}" for number in range(20)],
             "known: " + ", ".join(f"host{number}" for number in range(12)) + ", ..",
         ),
-        ([], "there is no host at all"),
+        ([], "there is no host"),
     ],
 )
 def test_an_unknown_name_is_refused_with_what_mends_it(among: list[str], hint: str) -> None:

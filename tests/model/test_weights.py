@@ -1,4 +1,4 @@
-"""Weights as people write them, always summing to 1."""
+"""Parsing of weights, always normalised to a sum of 1."""
 
 import math
 

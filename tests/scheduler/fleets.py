@@ -1,4 +1,4 @@
-"""Running the scheduler in tests: shorthand, and the apply that everybody expects."""
+"""Shorthand for running the scheduler, and a simulated apply."""
 
 from dataclasses import replace
 
@@ -17,7 +17,7 @@ from tests.builders import NOW, a_robot, an_edge, an_inventory
 NO_MEMORY = ManagerState(managed=True)
 
 
-def decide(
+def run_assign(
     inventory: Inventory,
     tasks: Tasks,
     snapshot: Snapshot,
@@ -26,36 +26,41 @@ def decide(
     policy: Policy | None = None,
     now: float = NOW,
 ) -> Assignment:
-    """``assign`` with the policy of the task file."""
+    """Call ``assign`` with the policy of the task file."""
     return assign(inventory, tasks, snapshot, memory, policy or tasks.policy, now)
 
 
-def decisions(assignment: Assignment) -> dict[str, Decision]:
-    """The decisions by task."""
+def decisions_by_task(assignment: Assignment) -> dict[str, Decision]:
+    """Return the decisions by task."""
     return {decision.task: decision for decision in assignment.decisions}
 
 
-def hosts(assignment: Assignment) -> dict[str, str | None]:
-    """The host of each task."""
+def hosts_by_task(assignment: Assignment) -> dict[str, str | None]:
+    """Return the host of each task."""
     return {decision.task: decision.host for decision in assignment.decisions}
 
 
-def ranked(decision: Decision) -> dict[str, RankedHost]:
-    """A decision's ranking by host."""
+def ranking_by_host(decision: Decision) -> dict[str, RankedHost]:
+    """Return a decision's ranking by host."""
     return {entry.host: entry for entry in decision.ranking}
 
 
-def terms(entry: RankedHost) -> tuple[float | None, ...]:
-    """UT_cpu, UT_mem, UT_net, UT_task and the total."""
+def list_terms(entry: RankedHost) -> tuple[float | None, ...]:
+    """Return UT_cpu, UT_mem, UT_net, UT_task and the total."""
     return *(entry.terms[name] for name in ("cpu", "memory", "network", "task")), entry.total
 
 
-def applied(
+def simulate_apply(
     assignment: Assignment, tasks: Tasks, snapshot: Snapshot, memory: ManagerState
 ) -> tuple[Snapshot, ManagerState]:
-    """The world right after a perfect apply: gamma is what was expected, each placed task runs where it was put and uses its rho."""
-    worn = with_demands(tasks, snapshot, memory)
-    samples = {name: _after(name, sample, assignment, worn[name]) for name, sample in snapshot.hosts.items()}
+    """Return the snapshot after a perfect apply: the load gamma is as expected, each placed task runs on its
+    host and uses its demand rho.
+    """
+    worn = add_demands(tasks, snapshot, memory)
+    samples = {
+        name: _sample_after_apply(name, sample, assignment, worn[name])
+        for name, sample in snapshot.hosts.items()
+    }
     moved = [d for d in assignment.decisions if d.verdict is Verdict.PLACED and d.host is not None]
     placements = {
         **memory.placements,
@@ -70,8 +75,8 @@ def applied(
     )
 
 
-def with_demands(tasks: Tasks, snapshot: Snapshot, memory: ManagerState) -> dict[str, Tasks]:
-    """The tasks as each host sees them: with the demand that counts there."""
+def add_demands(tasks: Tasks, snapshot: Snapshot, memory: ManagerState) -> dict[str, Tasks]:
+    """Return the tasks with the demand that counts on each host."""
     hosts = [
         (an_edge if sample.role is Role.EDGE else a_robot)(name) for name, sample in snapshot.hosts.items()
     ]
@@ -90,13 +95,13 @@ def with_demands(tasks: Tasks, snapshot: Snapshot, memory: ManagerState) -> dict
     }
 
 
-def _after(name: str, sample: HostSample, assignment: Assignment, tasks: Tasks) -> HostSample:
+def _sample_after_apply(name: str, sample: HostSample, assignment: Assignment, tasks: Tasks) -> HostSample:
     if not sample.measured:
         return sample
     unchanged = ExpectedLoad(used=Usage({name: usage.used for name, usage in sample.usage.items()}))
     load = assignment.expected.get(name, unchanged)
     running = {
-        decision.task: _run(
+        decision.task: _sample_of_run(
             tasks.tasks[decision.task],
             name,
             sample,
@@ -113,7 +118,7 @@ def _after(name: str, sample: HostSample, assignment: Assignment, tasks: Tasks) 
         for decision in assignment.decisions
         if decision.host == name and decision.verdict is Verdict.HELD
     }
-    left = {task: run for task, run in sample.tasks.items() if task in held or not _ours(task, run, tasks)}
+    left = {task: run for task, run in sample.tasks.items() if task in held or not _is_ours(task, run, tasks)}
     links = {
         robot: replace(link, used_bytes_per_s=load.links.get(robot, link.used_bytes_per_s))
         for robot, link in sample.links.items()
@@ -126,11 +131,11 @@ def _after(name: str, sample: HostSample, assignment: Assignment, tasks: Tasks) 
     )
 
 
-def _ours(name: str, run: TaskSample, tasks: Tasks) -> bool:
+def _is_ours(name: str, run: TaskSample, tasks: Tasks) -> bool:
     return run.managed and (name not in tasks.tasks or tasks.tasks[name].managed)
 
 
-def _run(
+def _sample_of_run(
     task: Task, host: str, sample: HostSample, *, snapshot_of: TaskSample | None, new: bool
 ) -> TaskSample:
     assert sample.measured

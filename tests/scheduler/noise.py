@@ -1,8 +1,8 @@
-"""Simulation of measurement noise: measured loads are off by some points, and a decision is made again and again.
+"""Simulation of measurement noise: measured loads are off by some points, and the scheduler runs periodically.
 
     python -m tests.scheduler.noise
 
-prints how often tasks change hosts under each scheme, and how a load that really steps up, and stays, is answered.
+prints how often tasks change hosts under each scheme, and the reaction to a lasting step of the load.
 """
 
 import random
@@ -28,10 +28,10 @@ from tests.builders import (
     an_inventory,
     some_tasks,
 )
-from tests.scheduler.paper import DEMANDS, kind
+from tests.scheduler.paper import DEMANDS, get_kind
 
 Points = tuple[float, float, float]
-# Percent of CPU, memory and each link that others use.
+# Load of others in percent of CPU, memory and each link.
 BASE: Mapping[str, Points] = {
     "edge1": (12.0, 35.0, 3.0),
     "edge2": (10.0, 35.0, 3.0),
@@ -43,7 +43,7 @@ PERIOD_S = 10.0
 LINK = 6.75e6
 STEP = 25.0
 STEP_AT = 60
-# Which loads step up where each variant looks; nothing moves a task that is placed by its predecessors alone.
+# Step of the load that each variant weighs; tasks placed by their predecessors alone never move.
 STEPS: Mapping[str, Points] = {
     "cpu": (STEP, 0.0, 0.0), "memory": (0.0, STEP, 0.0), "network": (0.0, 0.0, STEP), "task": (STEP, STEP, STEP),
     "all": (STEP, STEP, STEP), "resources": (STEP, STEP, STEP),
@@ -51,9 +51,12 @@ STEPS: Mapping[str, Points] = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Trial:
-    """``noise``: points by which CPU, memory and links are off, at most. ``smooth``: as ``watch`` does. ``downtime_s``: of every move
-    measured before. ``step``: points added to the first task's host from cycle ``STEP_AT`` on.
+class NoiseTrial:
+    """One simulation.
+
+    ``noise``: greatest error of CPU, memory and links in points. ``smooth``: as ``watch`` does.
+    ``downtime_s``: measured downtime of every earlier move. ``step``: points added to the first task's host
+    from cycle ``STEP_AT`` on.
     """
 
     policy: Policy
@@ -68,8 +71,8 @@ class Trial:
 
 
 @dataclass(slots=True)
-class Site:
-    """Where everything runs and since when; ``moves`` are (cycle, task)."""
+class SimulatedSite:
+    """Placement of every task and its start; ``moves`` are (cycle, task)."""
 
     where: dict[str, str] = field(default_factory=dict)
     since: dict[str, float] = field(default_factory=dict)
@@ -85,10 +88,10 @@ class Site:
         self.where[task], self.since[task] = host, now
 
 
-def work(names: Iterable[str]) -> Tasks:
+def build_tasks(names: Iterable[str]) -> Tasks:
     made = []
     for name in names:
-        cpu, memory, throughput = DEMANDS[kind(name)]
+        cpu, memory, throughput = DEMANDS[get_kind(name)]
         robot = name.rsplit("-", 1)[1]
         made.append(
             a_task(name, cpu=f"{cpu}%", memory=f"{memory}%", throughput=f"{throughput}%", robots=[robot])
@@ -96,9 +99,9 @@ def work(names: Iterable[str]) -> Tasks:
     return some_tasks(*made)
 
 
-def run(trial: Trial) -> list[tuple[int, str]]:
-    """(cycle, task) of every change of host."""
-    dice, site, tasks = random.Random(trial.seed), Site(), work(trial.names)
+def run_trial(trial: NoiseTrial) -> list[tuple[int, str]]:
+    """Return (cycle, task) of every change of host."""
+    dice, site, tasks = random.Random(trial.seed), SimulatedSite(), build_tasks(trial.names)
     inventory = an_inventory(*map(an_edge, BASE), *map(a_robot, ROBOTS))
     downtimes = {
         (task, edge): (trial.downtime_s,) * 5
@@ -113,7 +116,7 @@ def run(trial: Trial) -> list[tuple[int, str]]:
         if cycle == STEP_AT:
             stepped = site.where[trial.names[0]]
         measured = {
-            edge: sample(trial, site, edge, trial.step if edge == stepped else (0.0, 0.0, 0.0), dice)
+            edge: sample_host(trial, site, edge, trial.step if edge == stepped else (0.0, 0.0, 0.0), dice)
             for edge in BASE
         }
         snapshot = a_snapshot(taken_at=now, **measured)
@@ -126,23 +129,26 @@ def run(trial: Trial) -> list[tuple[int, str]]:
     return site.moves
 
 
-def sample(trial: Trial, site: Site, edge: str, step: Points, dice: random.Random) -> HostSample:
-    """What is measured of ``edge``: what others use, what our tasks use, and an error."""
+def sample_host(
+    trial: NoiseTrial, site: SimulatedSite, edge: str, step: Points, dice: random.Random
+) -> HostSample:
+    """Return the sample of ``edge``: load of others, load of the tasks, and an error."""
     here = [task for task, host in site.where.items() if host == edge]
     cpu, memory, link = (base + more for base, more in zip(BASE[edge], step, strict=True))
     errors = [dice.uniform(-points, points) if points else 0.0 for points in (*trial.noise, trial.noise[2])]
     tasks = {
-        task: a_run(used=Usage(cpu=4.0 * DEMANDS[kind(task)][0] / 100, memory=4 * GI * DEMANDS[kind(task)][1] / 100, network=LINK * DEMANDS[kind(task)][2] / 100), started_at=site.since[task])
+        task: a_run(used=Usage(cpu=4.0 * DEMANDS[get_kind(task)][0] / 100, memory=4 * GI * DEMANDS[get_kind(task)][1] / 100, network=LINK * DEMANDS[get_kind(task)][2] / 100), started_at=site.since[task])
         for task in here
     }  # fmt: skip
     rates = {
-        robot: link + sum(DEMANDS[kind(task)][2] for task in here if task.endswith(robot)) for robot in ROBOTS
+        robot: link + sum(DEMANDS[get_kind(task)][2] for task in here if task.endswith(robot))
+        for robot in ROBOTS
     }
     return a_sample(
-        used=4.0 * max(0.0, cpu + sum(DEMANDS[kind(task)][0] for task in here) + errors[0]) / 100,
+        used=4.0 * max(0.0, cpu + sum(DEMANDS[get_kind(task)][0] for task in here) + errors[0]) / 100,
         used_memory=4
         * GI
-        * max(0.0, memory + sum(DEMANDS[kind(task)][1] for task in here) + errors[1])
+        * max(0.0, memory + sum(DEMANDS[get_kind(task)][1] for task in here) + errors[1])
         / 100,
         links={
             robot: a_link(LINK, LINK * max(0.0, rate + error) / 100)
@@ -152,25 +158,25 @@ def sample(trial: Trial, site: Site, edge: str, step: Points, dice: random.Rando
     )
 
 
-def watching(variant: str) -> Policy:
-    """The defaults, as ``watch`` uses them."""
+def watch_policy(variant: str) -> Policy:
+    """Return the defaults as used by ``watch``."""
     return Policy(weights=WEIGHT_PRESETS[variant], attended=False)
 
 
-def handoffs(trial: Trial) -> float:
-    """Changes of host per cycle, over all tasks."""
-    return len(run(trial)) / trial.cycles
+def compute_handoff_rate(trial: NoiseTrial) -> float:
+    """Return the changes of host per cycle, over all tasks."""
+    return len(run_trial(trial)) / trial.cycles
 
 
-def steady(variant: str, **changes: object) -> Trial:
-    """Every load off by up to 8 points of 100, as ``watch`` sees and decides it."""
-    return replace(Trial(policy=watching(variant), noise=(8.0, 8.0, 8.0), smooth=True), **changes)  # type: ignore[arg-type]
+def a_steady_trial(variant: str, **changes: object) -> NoiseTrial:
+    """Return a trial with every load off by up to 8 points of 100, under ``watch``'s defaults."""
+    return replace(NoiseTrial(policy=watch_policy(variant), noise=(8.0, 8.0, 8.0), smooth=True), **changes)  # type: ignore[arg-type]
 
 
-def response(variant: str, seed: int = 1) -> list[int]:
-    """In which cycles after the step the one task moved, under the same noise."""
-    trial = steady(variant, names=("slam-robot1",), step=STEPS[variant], seed=seed)
-    return [cycle - STEP_AT for cycle, _ in run(trial)]
+def measure_response(variant: str, seed: int = 1) -> list[int]:
+    """Return the cycles after the step in which the one task moved, under the same noise."""
+    trial = a_steady_trial(variant, names=("slam-robot1",), step=STEPS[variant], seed=seed)
+    return [cycle - STEP_AT for cycle, _ in run_trial(trial)]
 
 
 def main() -> None:
@@ -187,16 +193,16 @@ def main() -> None:
     for variant, weights in WEIGHT_PRESETS.items():
         free = Policy(weights=weights, move_margin=0.0, min_dwell=0.0, max_moves=None)
         schemes = (
-            steady(variant, policy=Policy(name=PolicyName.PAPER, weights=weights), smooth=False),
-            steady(variant, policy=free, smooth=False),
-            steady(variant, smooth=False),
-            steady(variant),
+            a_steady_trial(variant, policy=Policy(name=PolicyName.PAPER, weights=weights), smooth=False),
+            a_steady_trial(variant, policy=free, smooth=False),
+            a_steady_trial(variant, smooth=False),
+            a_steady_trial(variant),
         )
         figures = [
-            sum(handoffs(replace(trial, cycles=cycles, seed=seed)) for seed in seeds) / len(seeds)
+            sum(compute_handoff_rate(replace(trial, cycles=cycles, seed=seed)) for seed in seeds) / len(seeds)
             for trial in schemes
         ]
-        answers = [response(variant, seed) for seed in seeds]
+        answers = [measure_response(variant, seed) for seed in seeds]
         told = (
             f"{min(a[0] for a in answers)} to {max(a[0] for a in answers)} cycles, {max(map(len, answers))} move"
             if all(answers)

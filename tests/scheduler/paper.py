@@ -1,4 +1,6 @@
-"""Measurements for the two scenarios of the paper's Section V, and a second, naive computation of equations (1)-(5) to check ours against."""
+"""Measurements for the two scenarios of the paper's Section V, and an independent naive computation of
+equations (1)-(5) as a reference.
+"""
 
 from edgectl.model.policy import Weights
 from edgectl.model.resource import Usage
@@ -15,71 +17,73 @@ DEMANDS = {
 BASE = {"edge1": (12.0, 35.0, 3.0), "edge2": (10.0, 35.0, 3.0), "edge3": (11.0, 35.0, 3.0)}
 ROBOTS = ("robot1", "robot2", "robot3")
 CORES, MEMORY, LINK = 4.0, 4 * GI, 6.75e6  # ARMv8 x 4, 4 GB, 54 Mbit/s
-LIMIT = 1.2  # ten tasks ask for 303 % of three edges: the overcommit is stated
+LIMIT = 1.2  # ten tasks ask for 303 % of three edges: the overcommit is reported
 
 
 def paper_snapshot(placed: dict[str, str]) -> Snapshot:
-    """Base load plus the demands of the tasks that already run, measured exactly; robots carry what is not on an edge."""
+    """Return base load plus the demands of the running tasks, measured exactly; tasks on no edge run on the
+    robots.
+    """
     samples = {}
     for edge, (cpu, memory, throughput) in BASE.items():
         here = [name for name, host in placed.items() if host == edge]
         rates = {
-            robot: throughput + sum(DEMANDS[kind(name)][2] for name in here if serves(name, robot))
+            robot: throughput + sum(DEMANDS[get_kind(name)][2] for name in here if has_link(name, robot))
             for robot in ROBOTS
         }
         samples[edge] = a_sample(
-            cores=CORES, used=CORES * (cpu + sum(DEMANDS[kind(name)][0] for name in here)) / 100, memory=MEMORY,
-            used_memory=MEMORY * (memory + sum(DEMANDS[kind(name)][1] for name in here)) / 100,
-            links={robot: a_link(LINK, LINK * rate / 100) for robot, rate in rates.items()}, tasks={name: run_of(name) for name in here},
+            cores=CORES, used=CORES * (cpu + sum(DEMANDS[get_kind(name)][0] for name in here)) / 100, memory=MEMORY,
+            used_memory=MEMORY * (memory + sum(DEMANDS[get_kind(name)][1] for name in here)) / 100,
+            links={robot: a_link(LINK, LINK * rate / 100) for robot, rate in rates.items()}, tasks={name: a_paper_run(name) for name in here},
         )  # fmt: skip
     for robot in ROBOTS:
         samples[robot] = a_sample(
-            tasks={name: run_of(name) for name, host in placed.items() if host == robot}
+            tasks={name: a_paper_run(name) for name, host in placed.items() if host == robot}
         )
     return a_snapshot(**samples)
 
 
-def run_of(name: str) -> TaskSample:
-    """A task that runs and uses exactly its demand."""
-    cpu, memory, throughput = DEMANDS[kind(name)]
-    links = {robot: LINK * throughput / 100 for robot in ROBOTS if serves(name, robot)}
+def a_paper_run(name: str) -> TaskSample:
+    """A running task that uses exactly its demand."""
+    cpu, memory, throughput = DEMANDS[get_kind(name)]
+    links = {robot: LINK * throughput / 100 for robot in ROBOTS if has_link(name, robot)}
     return a_run(
         used=Usage(cpu=CORES * cpu / 100, memory=MEMORY * memory / 100, network=sum(links.values())),
         links=links,
     )
 
 
-def kind(name: str) -> str:
+def get_kind(name: str) -> str:
     """``slam-robot1`` -> ``slam``."""
     return name.rsplit("-robot", 1)[0]
 
 
-def serves(name: str, robot: str) -> bool:
-    """Whether a task uses the link to ``robot``."""
+def has_link(name: str, robot: str) -> bool:
+    """Return whether a task uses the link to ``robot``."""
     return name == "map-merge" or name.endswith(robot)
 
 
 Numbers = dict[str, tuple[float, float, float, float, float]]
 
 
-def naive(
+def compute_naively(
     placed: dict[str, str], order: list[str], weights: Weights, needs: dict[str, str]
 ) -> tuple[dict[str, str], dict[str, Numbers]]:
-    """Place ``order`` on the three edges in percent, by the equations as they stand in the paper; nothing of edgectl is used."""
-    cpu = {e: BASE[e][0] + sum(DEMANDS[kind(t)][0] for t in placed if placed[t] == e) for e in BASE}
-    memory = {e: BASE[e][1] + sum(DEMANDS[kind(t)][1] for t in placed if placed[t] == e) for e in BASE}
+    """Place ``order`` on the three edges in percent, by the equations of the paper, without code of edgectl."""
+    cpu = {e: BASE[e][0] + sum(DEMANDS[get_kind(t)][0] for t in placed if placed[t] == e) for e in BASE}
+    memory = {e: BASE[e][1] + sum(DEMANDS[get_kind(t)][1] for t in placed if placed[t] == e) for e in BASE}
     net = {
-        (e, r): BASE[e][2] + sum(DEMANDS[kind(t)][2] for t in placed if placed[t] == e and serves(t, r))
+        (e, r): BASE[e][2] + sum(DEMANDS[get_kind(t)][2] for t in placed if placed[t] == e and has_link(t, r))
         for e in BASE
         for r in ROBOTS
     }
     where, numbers = dict(placed), {}
     for task in order:
-        rho = DEMANDS[kind(task)]
+        rho = DEMANDS[get_kind(task)]
         table: Numbers = {}
         near = [e for e in BASE if task in needs and where[needs[task]] == e]
         for e in BASE:
-            robot = next(r for r in ROBOTS if serves(task, r))
+            robot = next(r for r in ROBOTS if has_link(task, r))
             terms = (
                 (100 * LIMIT - cpu[e] - rho[0]) / (100 * LIMIT),
                 (100 - memory[e] - rho[1]) / 100,

@@ -1,4 +1,4 @@
-"""Affinity, ties, and moves of running tasks."""
+"""Choice of a host: affinity, ties, and moves of running tasks."""
 
 import pytest
 
@@ -11,14 +11,14 @@ from edgectl.model.resource import Usage
 from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Task
 from tests.builders import NOW, a_run, a_sample, a_snapshot, a_task, an_edge, an_inventory, silent, some_tasks
-from tests.scheduler.fleets import NO_MEMORY, decide, decisions, hosts, ranked
+from tests.scheduler.fleets import NO_MEMORY, decisions_by_task, hosts_by_task, ranking_by_host, run_assign
 
 TWO = an_inventory(an_edge("edge1"), an_edge("edge2"))
 THREE = an_inventory(an_edge("edge1"), an_edge("edge2"), an_edge("edge3"))
 CPU = Policy(weights=parse_weights("cpu"), min_dwell=0.0)
 
 
-def one(
+def decide_one(
     inventory: Inventory,
     task: Task,
     snapshot: Snapshot,
@@ -26,37 +26,42 @@ def one(
     policy: Policy = CPU,
     *others: Task,
 ) -> Decision:
-    return decisions(decide(inventory, some_tasks(task, *others), snapshot, memory=memory, policy=policy))[
-        task.name
-    ]
+    return decisions_by_task(
+        run_assign(inventory, some_tasks(task, *others), snapshot, memory=memory, policy=policy)
+    )[task.name]
 
 
 def test_affinity_draws_a_successor_to_its_predecessor() -> None:
     snapshot = a_snapshot(edge1=a_sample(used=1.0, tasks={"slam": a_run()}), edge2=a_sample())
-    decision = one(TWO, a_task("nav", needs=["slam"]), snapshot, NO_MEMORY, Policy(), a_task("slam"))
+    decision = decide_one(TWO, a_task("nav", needs=["slam"]), snapshot, NO_MEMORY, Policy(), a_task("slam"))
     # edge1 (.75 + 1 + 1 + 1) / 4 = .9375; edge2 (1 + 1 + 1 + 0) / 4 = .75
     assert (decision.host, decision.reason, decision.subject) == ("edge1", Reason.WITH_PREDECESSOR, "slam")
     assert (decision.total, decision.lead) == pytest.approx((0.9375, 0.1875))
-    assert {name: entry.affinity for name, entry in ranked(decision).items()} == {"edge1": 1, "edge2": -1}
+    assert {name: entry.affinity for name, entry in ranking_by_host(decision).items()} == {
+        "edge1": 1,
+        "edge2": -1,
+    }
 
 
 def test_placements_of_this_plan_draw_too() -> None:
     snapshot = a_snapshot(edge1=a_sample(used=1.0), edge2=a_sample())
-    found = decide(
+    found = run_assign(
         TWO, some_tasks(a_task("slam", cpu=0.4), a_task("nav", needs=["slam"])), snapshot, policy=Policy()
     )
-    assert hosts(found) == {"slam": "edge2", "nav": "edge2"}
+    assert hosts_by_task(found) == {"slam": "edge2", "nav": "edge2"}
 
 
 def test_hosts_without_predecessor_share_a_rank() -> None:
     runs = {"edge1": "a", "edge2": "b"}
     samples = {host: a_sample(tasks={task: a_run()}) for host, task in runs.items()}
     snapshot = a_snapshot(**samples, edge3=a_sample())
-    decision = one(
+    decision = decide_one(
         THREE, a_task("c", needs=["a", "b"]), snapshot, NO_MEMORY, Policy(), a_task("a"), a_task("b")
     )
     # a(edge1) = a(edge2) = 1 - 1 = 0, a(edge3) = -2: m = 2, so 1, 1 and 0
-    assert {name: (entry.affinity, entry.terms["task"]) for name, entry in ranked(decision).items()} == {
+    assert {
+        name: (entry.affinity, entry.terms["task"]) for name, entry in ranking_by_host(decision).items()
+    } == {
         "edge1": (0, 1.0),
         "edge2": (0, 1.0),
         "edge3": (-2, 0.0),
@@ -66,7 +71,7 @@ def test_hosts_without_predecessor_share_a_rank() -> None:
 def test_only_candidates_are_ranked_by_affinity() -> None:
     # slam is on edge1, which is cordoned: the two others are equal, so .5 each
     snapshot = a_snapshot(edge1=a_sample(tasks={"slam": a_run()}), edge2=a_sample(), edge3=a_sample())
-    decision = one(
+    decision = decide_one(
         THREE,
         a_task("nav", needs=["slam"]),
         snapshot,
@@ -74,14 +79,18 @@ def test_only_candidates_are_ranked_by_affinity() -> None:
         Policy(),
         a_task("slam"),
     )
-    assert [ranked(decision)[name].terms["task"] for name in ("edge1", "edge2", "edge3")] == [None, 0.5, 0.5]
+    assert [ranking_by_host(decision)[name].terms["task"] for name in ("edge1", "edge2", "edge3")] == [
+        None,
+        0.5,
+        0.5,
+    ]
 
 
 def test_an_infeasible_candidate_still_counts_in_the_ranks() -> None:
     snapshot = a_snapshot(
         edge1=a_sample(used=4.0, tasks={"slam": a_run()}), edge2=a_sample(), edge3=a_sample()
     )
-    decision = one(
+    decision = decide_one(
         THREE,
         a_task("nav", cpu=1.0, needs=["slam"]),
         snapshot,
@@ -89,7 +98,11 @@ def test_an_infeasible_candidate_still_counts_in_the_ranks() -> None:
         Policy(),
         a_task("slam", pin="edge1"),
     )
-    assert [ranked(decision)[name].terms["task"] for name in ("edge1", "edge2", "edge3")] == [1.0, 0.0, 0.0]
+    assert [ranking_by_host(decision)[name].terms["task"] for name in ("edge1", "edge2", "edge3")] == [
+        1.0,
+        0.0,
+        0.0,
+    ]
     assert decision.host == "edge2"
 
 
@@ -98,17 +111,21 @@ def test_ties_go_to_the_incumbent_then_the_emptiest_then_the_first_by_name() -> 
     idle = a_snapshot(edge10=a_sample(), edge2=a_sample())
     tasks = some_tasks(a_task("a"), a_task("b"), a_task("c"))
     # zero demands: all totals are equal. a: natural order -> edge2; b: edge2 has one -> edge10; c: one each -> edge2
-    assert hosts(decide(inventory, tasks, idle, policy=CPU)) == {"a": "edge2", "b": "edge10", "c": "edge2"}
+    assert hosts_by_task(run_assign(inventory, tasks, idle, policy=CPU)) == {
+        "a": "edge2",
+        "b": "edge10",
+        "c": "edge2",
+    }
     running = a_snapshot(edge10=a_sample(tasks={"a": a_run()}), edge2=a_sample())
-    assert one(inventory, a_task("a"), running).host == "edge10"
+    assert decide_one(inventory, a_task("a"), running).host == "edge10"
 
 
 def test_equal_within_1e_9_is_a_tie() -> None:
     nearly = a_snapshot(edge1=a_sample(used=2e-9), edge2=a_sample())  # .5e-9 apart
     clearly = a_snapshot(edge1=a_sample(used=2e-8), edge2=a_sample())
-    assert one(TWO, a_task(), nearly).host == "edge1"
-    assert [entry.rank for entry in one(TWO, a_task(), nearly).ranking] == [1, 2]
-    assert one(TWO, a_task(), clearly).host == "edge2"
+    assert decide_one(TWO, a_task(), nearly).host == "edge1"
+    assert [entry.rank for entry in decide_one(TWO, a_task(), nearly).ranking] == [1, 2]
+    assert decide_one(TWO, a_task(), clearly).host == "edge2"
 
 
 @pytest.mark.parametrize(
@@ -125,7 +142,7 @@ def test_equal_within_1e_9_is_a_tie() -> None:
 )
 def test_the_margin_must_be_exceeded(used: float, host: str, reason: Reason) -> None:
     snapshot = a_snapshot(edge1=a_sample(used=used, tasks={"slam": a_run()}), edge2=a_sample())
-    decision = one(TWO, a_task(), snapshot)
+    decision = decide_one(TWO, a_task(), snapshot)
     assert (decision.host, decision.reason, decision.previous_host, decision.challenger) == (
         host, reason, "edge1", "edge1" if host == "edge2" else "edge2",
     )  # fmt: skip
@@ -138,17 +155,17 @@ def test_the_margin_must_be_exceeded(used: float, host: str, reason: Reason) -> 
     [
         (NO_MEMORY, 119.0, "edge1", 1.0),
         (NO_MEMORY, 120.0, "edge2", None),
-        # the memory knows since when it is here; a restart in place does not make it young
+        # the manager state knows the time of arrival; a restart in place does not reset it
         (ManagerState(placements={"slam": Placement(host="edge1", since=NOW - 500.0)}), 5.0, "edge2", None),
         (ManagerState(placements={"slam": Placement(host="edge1", since=NOW - 20.0)}), 500.0, "edge1", 100.0),
-        # it remembers another host: the start counts
+        # the manager state has another host: the start counts
         (ManagerState(placements={"slam": Placement(host="edge2", since=NOW - 500.0)}), 5.0, "edge1", 115.0),
     ],
 )
 def test_dwell(memory: ManagerState, started_s_ago: float, host: str, left: float | None) -> None:
     run = a_run(started_at=NOW - started_s_ago)
     snapshot = a_snapshot(edge1=a_sample(used=2.0, tasks={"slam": run}), edge2=a_sample())
-    decision = one(TWO, a_task(), snapshot, memory, Policy(weights=parse_weights("cpu")))
+    decision = decide_one(TWO, a_task(), snapshot, memory, Policy(weights=parse_weights("cpu")))
     assert decision.host == host
     if left is not None:
         assert (decision.reason, decision.amount) == (Reason.DWELL, pytest.approx(left))
@@ -165,13 +182,15 @@ def test_max_moves_acts_when_nobody_looks(attended: bool, max_moves: int | None,
         edge1=a_sample(used=3.9, tasks=runs), edge2=a_sample(), edge3=a_sample(), edge4=a_sample()
     )
     policy = Policy(weights=parse_weights("cpu"), attended=attended, max_moves=max_moves)
-    found = decide(inventory, some_tasks(*(a_task(name, cpu=1.0) for name in "abc")), snapshot, policy=policy)
+    found = run_assign(
+        inventory, some_tasks(*(a_task(name, cpu=1.0) for name in "abc")), snapshot, policy=policy
+    )
     forced = [d for d in found.decisions if d.reason is Reason.FORCED_INFEASIBLE]
-    assert len(forced) == 3  # nothing fits on edge1 any more: forced, whatever max_moves says
+    assert len(forced) == 3  # nothing fits on edge1 any more: forced, despite max_moves
     snapshot = a_snapshot(
         edge1=a_sample(used=2.0, tasks=runs), edge2=a_sample(), edge3=a_sample(), edge4=a_sample()
     )
-    found = decide(
+    found = run_assign(
         inventory, some_tasks(*(a_task(name, cpu=0.01) for name in "abc")), snapshot, policy=policy
     )
     assert sum(d.reason is Reason.GAIN for d in found.decisions) == moved
@@ -199,7 +218,7 @@ def test_forced_moves_bypass_margin_dwell_and_max_moves(
     snapshot = a_snapshot(
         edge1=a_sample(used=2.0, tasks={"slam": a_run(started_at=NOW)}), edge2=a_sample(used=1.0)
     )
-    decision = one(TWO, task, snapshot, memory, policy)
+    decision = decide_one(TWO, task, snapshot, memory, policy)
     assert (decision.host, decision.previous_host, decision.reason, decision.subject) == (
         "edge2",
         "edge1",
@@ -212,21 +231,21 @@ def test_forced_moves_bypass_margin_dwell_and_max_moves(
 def test_a_cordon_or_an_old_sample_only_closes_to_new_work(memory: ManagerState) -> None:
     age = 0.0 if memory.cordons else 600.0
     snapshot = a_snapshot(edge1=a_sample(tasks={"slam": a_run()}, age=age), edge2=a_sample(used=2.0))
-    found = decide(TWO, some_tasks(a_task("slam"), a_task("zoom")), snapshot, memory=memory, policy=CPU)
-    assert hosts(found) == {"slam": "edge1", "zoom": "edge2"}
+    found = run_assign(TWO, some_tasks(a_task("slam"), a_task("zoom")), snapshot, memory=memory, policy=CPU)
+    assert hosts_by_task(found) == {"slam": "edge1", "zoom": "edge2"}
 
 
 def test_a_drained_task_that_fits_nowhere_else_stays_with_its_total() -> None:
     snapshot = a_snapshot(
         edge1=a_sample(used=1.0, tasks={"slam": a_run(used=Usage(cpu=1.0))}), edge2=a_sample(used=3.5)
     )
-    decision = one(TWO, a_task(cpu=1.0), snapshot, ManagerState(draining=frozenset({"edge1"})))
+    decision = decide_one(TWO, a_task(cpu=1.0), snapshot, ManagerState(draining=frozenset({"edge1"})))
     assert (decision.host, decision.reason, decision.total) == (
         "edge1",
         Reason.NOTHING_FITS,
         pytest.approx(0.75),
     )
-    assert not ranked(decision)["edge1"].feasible
+    assert not ranking_by_host(decision)["edge1"].feasible
 
 
 @pytest.mark.parametrize(
@@ -236,7 +255,7 @@ def test_a_drained_task_that_fits_nowhere_else_stays_with_its_total() -> None:
 def test_with_most_edges_silent_nothing_moves_but_starts_are_allowed(
     edges: int, quiet: int, frozen: bool
 ) -> None:
-    # .55 x 20 = 11 silent is not more than 55 %, 12 is
+    # .55 x 20 = 11 unreachable is not more than 55 %, 12 is
     inventory = an_inventory(*(an_edge(f"edge{n}") for n in range(1, edges + 1)))
     answered = edges - quiet
     samples = {
@@ -244,11 +263,11 @@ def test_with_most_edges_silent_nothing_moves_but_starts_are_allowed(
         for n in range(1, edges + 1)
     }
     samples["edge1"] = a_sample(used=3.0, tasks={"old": a_run()})
-    found = decide(inventory, some_tasks(a_task("new"), a_task("old")), a_snapshot(**samples), policy=CPU)
+    found = run_assign(inventory, some_tasks(a_task("new"), a_task("old")), a_snapshot(**samples), policy=CPU)
     assert found.frozen is frozen
-    assert decisions(found)["new"].verdict is Verdict.PLACED
+    assert decisions_by_task(found)["new"].verdict is Verdict.PLACED
     if frozen:
-        assert decisions(found)["old"].host == "edge1"
+        assert decisions_by_task(found)["old"].host == "edge1"
 
 
 def test_frozen_says_so() -> None:
@@ -261,5 +280,5 @@ def test_frozen_says_so() -> None:
             edge4=silent(),
             edge5=silent(),
         )
-        decision = one(inventory, a_task(), snapshot)
+        decision = decide_one(inventory, a_task(), snapshot)
         assert (decision.host, decision.reason) == ("edge1", Reason.MOVES_FROZEN)

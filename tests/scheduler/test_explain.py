@@ -1,4 +1,6 @@
-"""Explanations are checked against the scheduler itself: every flip is made, and just before it nothing changes."""
+"""Explanations checked against the scheduler itself: every flip is applied, and just before it nothing
+changes.
+"""
 
 from dataclasses import replace
 
@@ -31,18 +33,19 @@ from tests.builders import (
 )
 
 LINK = 10e6
-# How far beyond a crossing to look, as a share of the capacity: totals then differ by more than what counts as equal.
+# Distance beyond a crossing as a share of the capacity: totals then differ by more than the tolerance of
+# equality.
 STEP = 1e-6
 
 
-def decide(inventory: Inventory, tasks: Tasks, snapshot: Snapshot, policy: Policy) -> Assignment:
+def run_assign(inventory: Inventory, tasks: Tasks, snapshot: Snapshot, policy: Policy) -> Assignment:
     return assign(inventory, tasks, snapshot, snapshot.manager or ManagerState(), policy, NOW)
 
 
-def explained(
+def explain_slam(
     inventory: Inventory, tasks: Tasks, snapshot: Snapshot, policy: Policy, **noise: TermNoise
 ) -> Explanation:
-    assignment = decide(inventory, tasks, snapshot, policy)
+    assignment = run_assign(inventory, tasks, snapshot, policy)
     return explain_decision(
         inventory, tasks.tasks["slam"], snapshot, assignment.decisions[0], assignment.policy, noise or None
     )
@@ -63,7 +66,7 @@ CPU = Policy(weights=Weights(cpu=1.0, memory=0.0, network=0.0, task=0.0))
 
 def test_by_hand_a_load_that_rises_and_one_that_falls() -> None:
     """Totals (4 - 1 - .4)/4 = .65 and (4 - 2 - .4)/4 = .4: one core apart."""
-    found = explained(*two_edges(1.0, 2.0), CPU)
+    found = explain_slam(*two_edges(1.0, 2.0), CPU)
     assert found.runner_up == "edge2"
     assert [round(each.lead, 9) for each in found.contributions] == [0.25, 0.0, 0.0, 0.0]
     flips = {(flip.change, flip.host): flip for flip in found.flips if flip.term == "cpu"}
@@ -74,11 +77,13 @@ def test_by_hand_a_load_that_rises_and_one_that_falls() -> None:
 
 
 def test_by_hand_a_weight() -> None:
-    """Memory speaks for edge2 by .5, cpu for edge1 by .25: with weights w and 1 - w they are equal at .25 w = .5 (1 - w)."""
+    """Memory favours edge2 by .5, cpu edge1 by .25: with weights w and 1 - w they are equal at .25 w = .5 (1
+    - w).
+    """
     inventory, tasks, _ = two_edges(0.0, 0.0)
     world = a_snapshot(edge1=a_sample(used=1.0, used_memory=2 * GI), edge2=a_sample(used=2.0))
     policy = Policy(weights=Weights(cpu=0.9, memory=0.1, network=0.0, task=0.0))
-    found = explained(inventory, tasks, world, policy)
+    found = explain_slam(inventory, tasks, world, policy)
     falls = next(
         flip for flip in found.flips if flip.change is ChangeKind.WEIGHT_FALLS and flip.term == "cpu"
     )
@@ -94,14 +99,14 @@ def test_a_running_task_flips_only_beyond_the_margin() -> None:
         edge1=a_sample(used=1.4, tasks={"slam": run}),
         edge2=a_sample(used=1.0),
     )
-    found = explained(inventory, tasks, world, CPU)
+    found = explain_slam(inventory, tasks, world, CPU)
     rises = next(flip for flip in found.flips if flip.change is ChangeKind.LOAD_RISES)
     assert (rises.host, rises.winner) == ("edge1", "edge2")
     assert rises.amount == pytest.approx(0.4)
 
 
 def test_an_unplaced_task_says_what_would_have_to_go() -> None:
-    found = explained(*two_edges(3.9, 3.8), CPU)
+    found = explain_slam(*two_edges(3.9, 3.8), CPU)
     assert found.decision.reason is Reason.NO_FEASIBLE_HOST
     falls = next(flip for flip in found.flips if flip.change is ChangeKind.LOAD_FALLS)
     assert (falls.host, falls.winner) == ("edge2", "edge2")
@@ -110,16 +115,16 @@ def test_an_unplaced_task_says_what_would_have_to_go() -> None:
 
 def test_a_lead_within_the_noise_is_fragile() -> None:
     noise = {"edge1": TermNoise(cpu=0.03), "edge2": TermNoise(cpu=0.04)}
-    near = explained(*two_edges(1.0, 1.16), CPU, **noise)
+    near = explain_slam(*two_edges(1.0, 1.16), CPU, **noise)
     assert near.noise == pytest.approx(0.05)
     assert near.slack == pytest.approx(0.04)
     assert near.fragile
-    assert not explained(*two_edges(1.0, 2.0), CPU, **noise).fragile
-    assert not explained(*two_edges(1.0, 1.0001), CPU).fragile, "nothing is known of the noise"
+    assert not explain_slam(*two_edges(1.0, 2.0), CPU, **noise).fragile
+    assert not explain_slam(*two_edges(1.0, 1.0001), CPU).fragile, "nothing is known of the noise"
 
 
 @st.composite
-def worlds(draw: st.DrawFn) -> tuple[Inventory, Tasks, Snapshot, Policy]:
+def draw_inputs(draw: st.DrawFn) -> tuple[Inventory, Tasks, Snapshot, Policy]:
     edges = [f"edge{number}" for number in range(1, draw(st.integers(2, 4)) + 1)]
     share = st.integers(0, 90).map(lambda percent: percent / 100)
     demand = {"cpu": draw(share) * 1.5, "memory": draw(share) * GI, "throughput": draw(share) * 3e6}
@@ -154,30 +159,32 @@ def worlds(draw: st.DrawFn) -> tuple[Inventory, Tasks, Snapshot, Policy]:
 
 
 @settings(max_examples=300)
-@given(worlds(), st.data())
+@given(draw_inputs(), st.data())
 def test_every_flip_flips_and_nothing_smaller_does(
     world: tuple[Inventory, Tasks, Snapshot, Policy], data: st.DataObject
 ) -> None:
     inventory, tasks, snapshot, policy = world
-    found = explained(*world)
+    found = explain_slam(*world)
     assume(found.flips)
     flip = data.draw(st.sampled_from(found.flips))
     assume(flip.size > 2 * STEP)
     just_before, just_after = (
-        changed(snapshot, policy, flip, 1 + step / flip.size) for step in (-STEP, STEP)
+        apply_flip(snapshot, policy, flip, 1 + step / flip.size) for step in (-STEP, STEP)
     )
     assume(just_after is not None)
     assert just_before is not None
     assert just_after is not None
-    assert decide(inventory, tasks, *just_before).decisions[0].host == found.decision.host
-    assert decide(inventory, tasks, *just_after).decisions[0].host == flip.winner
+    assert run_assign(inventory, tasks, *just_before).decisions[0].host == found.decision.host
+    assert run_assign(inventory, tasks, *just_after).decisions[0].host == flip.winner
 
 
-def changed(snapshot: Snapshot, policy: Policy, flip: Flip, share: float) -> tuple[Snapshot, Policy] | None:
-    """The world after ``share`` of the flip; None where a load would fall below nothing."""
+def apply_flip(
+    snapshot: Snapshot, policy: Policy, flip: Flip, share: float
+) -> tuple[Snapshot, Policy] | None:
+    """Return the input after ``share`` of the flip; None where a load would become negative."""
     if flip.host is None:
         assume(1e-3 < flip.amount < 1 - 1e-3)
-        return snapshot, reweighted(policy, flip, share)
+        return snapshot, change_weight(policy, flip, share)
     host, sign = snapshot.hosts[flip.host], 1.0 if flip.change is ChangeKind.LOAD_RISES else -1.0
     delta = sign * flip.amount * share
     assert host.measured
@@ -201,7 +208,7 @@ def changed(snapshot: Snapshot, policy: Policy, flip: Flip, share: float) -> tup
     return (replace(snapshot, hosts={**snapshot.hosts, flip.host: host}), policy) if left >= 0 else None
 
 
-def reweighted(policy: Policy, flip: Flip, share: float) -> Policy:
+def change_weight(policy: Policy, flip: Flip, share: float) -> Policy:
     old = dict(policy.weights)
     weight = old[flip.term] + (flip.amount - old[flip.term]) * share
     rest = (1 - weight) / (1 - old[flip.term])

@@ -1,4 +1,4 @@
-"""Candidates, feasibility and the rejections of hosts where a task does not fit."""
+"""Feasibility: candidate hosts, capacity checks, and the reasons given where a task does not fit."""
 
 import pytest
 
@@ -22,7 +22,7 @@ from tests.builders import (
     silent,
     some_tasks,
 )
-from tests.scheduler.fleets import NO_MEMORY, decide, decisions, ranked
+from tests.scheduler.fleets import NO_MEMORY, decisions_by_task, ranking_by_host, run_assign
 
 LINKS = {"robot1": a_link()}
 
@@ -57,7 +57,7 @@ LINKS = {"robot1": a_link()}
 def test_no_candidate(
     host: Host, sample: HostSample, memory: ManagerState, task: Task, rule: RejectionRule
 ) -> None:
-    decision = decide(
+    decision = run_assign(
         an_inventory(host), some_tasks(task), a_snapshot(edge1=sample), memory=memory
     ).decisions[0]
     assert (decision.verdict, decision.reason, decision.host) == (Verdict.UNPLACED, Reason.NO_CANDIDATE, None)
@@ -68,18 +68,18 @@ def test_no_candidate(
 def test_a_fresh_enough_sample_and_matching_rules_pass() -> None:
     task = a_task(only=["edge1"], labels={"gpu": "maxwell"}, pin="edge1")
     inventory = an_inventory(an_edge(labels={"gpu": "maxwell", "rack": "2"}))
-    decision = decide(inventory, some_tasks(task), a_snapshot(edge1=a_sample(age=60.0))).decisions[0]
+    decision = run_assign(inventory, some_tasks(task), a_snapshot(edge1=a_sample(age=60.0))).decisions[0]
     assert (decision.host, decision.reason) == ("edge1", Reason.PINNED)
 
 
 def test_without_is_what_if() -> None:
     inventory = an_inventory(an_edge("edge1"), an_edge("edge2"))
     policy = Policy(without=frozenset({"edge1"}))
-    decision = decide(
+    decision = run_assign(
         inventory, some_tasks(a_task()), a_snapshot(edge1=a_sample(), edge2=a_sample(used=1.0)), policy=policy
     ).decisions[0]
     assert (decision.host, decision.reason) == ("edge2", Reason.ONLY_FEASIBLE)
-    assert ranked(decision)["edge1"].rejections == (Rejection(rule=RejectionRule.WITHOUT),)
+    assert ranking_by_host(decision)["edge1"].rejections == (Rejection(rule=RejectionRule.WITHOUT),)
 
 
 @pytest.mark.parametrize(
@@ -99,24 +99,26 @@ def test_when_the_robot_is_a_candidate(
     inventory = an_inventory(an_edge(), a_robot("robot1", onboard=onboard), a_robot("robot2"))
     links = {"robot1": a_link(), "robot2": a_link()}
     snapshot = a_snapshot(edge1=a_sample(used=3.0, links=links), robot1=a_sample(), robot2=a_sample())
-    decision = decide(inventory, some_tasks(a_task(robots=robots, onboard=allowed)), snapshot).decisions[0]
+    decision = run_assign(inventory, some_tasks(a_task(robots=robots, onboard=allowed)), snapshot).decisions[
+        0
+    ]
     assert decision.host == ("robot1" if candidate else "edge1")
-    assert ("robot1" in ranked(decision)) == (onboard and robots == ["robot1"])
+    assert ("robot1" in ranking_by_host(decision)) == (onboard and robots == ["robot1"])
 
 
 def test_an_onboard_robot_that_is_never_probed_is_no_host() -> None:
     inventory = an_inventory(an_edge(), a_robot(onboard=True, probe=False))
-    decision = decide(
+    decision = run_assign(
         inventory, some_tasks(a_task(robots=["robot1"])), a_snapshot(edge1=a_sample(links=LINKS))
     ).decisions[0]
     assert decision.host == "edge1"
-    assert ranked(decision)["robot1"].rejections == (Rejection(rule=RejectionRule.UNREACHABLE),)
+    assert ranking_by_host(decision)["robot1"].rejections == (Rejection(rule=RejectionRule.UNREACHABLE),)
 
 
 def test_a_rejection_says_what_is_lacking() -> None:
     inventory = an_inventory(an_edge(cpu_limit=0.5), a_robot())
     snapshot = a_snapshot(edge1=a_sample(used=1.5, used_memory=3 * GI, links={"robot1": a_link(10e6, 8e6)}))
-    decision = decide(
+    decision = run_assign(
         inventory, some_tasks(a_task(cpu=1.0, memory=2 * GI, throughput=3e6, robots=["robot1"])), snapshot
     ).decisions[0]
     rule = RejectionRule.INSUFFICIENT
@@ -135,7 +137,7 @@ def test_a_rejection_says_what_is_lacking() -> None:
 
 
 def test_exactly_full_still_fits() -> None:
-    decision = decide(
+    decision = run_assign(
         an_inventory(an_edge()), some_tasks(a_task(cpu=1.0)), a_snapshot(edge1=a_sample(used=3.0 + 1e-10))
     ).decisions[0]
     assert (decision.host, decision.reason) == ("edge1", Reason.ONLY_FEASIBLE)
@@ -146,7 +148,7 @@ def test_demand_larger_than_any_host_names_the_nearest_miss() -> None:
     snapshot = a_snapshot(
         edge1=a_sample(), edge2=a_sample(cores=8.0), edge3=a_sample(cores=16.0, used_memory=4 * GI)
     )
-    decision = decide(inventory, some_tasks(a_task(cpu=10.0, memory=2 * GI)), snapshot).decisions[0]
+    decision = run_assign(inventory, some_tasks(a_task(cpu=10.0, memory=2 * GI)), snapshot).decisions[0]
     # worst terms: edge1 cpu (4-10)/4 = -1.5; edge2 cpu (8-10)/8 = -.25; edge3 mem (4-4-2)/4 = -.5
     assert (decision.verdict, decision.nearest, decision.host) == (Verdict.UNPLACED, "edge2", None)
 
@@ -157,7 +159,7 @@ def test_best_effort_takes_the_highest_total_all_the_same() -> None:
         edge1=a_sample(links=LINKS), edge2=a_sample(cores=8.0, links=LINKS), edge3=a_sample(cores=64.0)
     )
     task = a_task(cpu=10.0, robots=["robot1"])
-    assignment = decide(inventory, some_tasks(task), snapshot, policy=Policy(best_effort=True))
+    assignment = run_assign(inventory, some_tasks(task), snapshot, policy=Policy(best_effort=True))
     decision = assignment.decisions[0]
     assert (decision.verdict, decision.reason, decision.host, decision.overcommitted) == (
         Verdict.PLACED,
@@ -173,7 +175,7 @@ def test_a_running_task_that_fits_nowhere_stays_and_is_charged() -> None:
     snapshot = a_snapshot(
         edge1=a_sample(used=1.0, tasks={"slam": a_run(used=Usage(cpu=1.0))}), edge2=a_sample()
     )
-    assignment = decide(inventory, some_tasks(a_task(cpu=5.0)), snapshot)
+    assignment = run_assign(inventory, some_tasks(a_task(cpu=5.0)), snapshot)
     decision = assignment.decisions[0]
     assert (decision.verdict, decision.reason, decision.host) == (Verdict.KEPT, Reason.NOTHING_FITS, "edge1")
     # cpu (4 - 0 - 5) / 4 = -.25; total (-.25 + 1 + 1 + .5) / 4 = .5625
@@ -194,7 +196,9 @@ def test_a_running_task_that_fits_nowhere_stays_and_is_charged() -> None:
 )
 def test_predecessors(needs: list[str | Need], others: list[Task], missing: str | None) -> None:
     tasks = some_tasks(a_task("nav", needs=needs), *others)
-    decision = decisions(decide(an_inventory(an_edge()), tasks, a_snapshot(edge1=a_sample())))["nav"]
+    decision = decisions_by_task(run_assign(an_inventory(an_edge()), tasks, a_snapshot(edge1=a_sample())))[
+        "nav"
+    ]
     if missing is None:
         assert decision.host == "edge1"
     else:
@@ -209,7 +213,9 @@ def test_a_predecessor_that_must_complete_is_not_called_missing_once_it_is_place
     tasks = some_tasks(
         a_task("nav", needs=[Need(task="slam", until=NeedCondition.COMPLETED)]), a_task("slam")
     )
-    decision = decisions(decide(an_inventory(an_edge()), tasks, a_snapshot(edge1=a_sample())))["nav"]
+    decision = decisions_by_task(run_assign(an_inventory(an_edge()), tasks, a_snapshot(edge1=a_sample())))[
+        "nav"
+    ]
     assert (decision.verdict, decision.reason, decision.subject) == (
         Verdict.UNPLACED,
         Reason.PREDECESSOR_INCOMPLETE,
@@ -219,7 +225,7 @@ def test_a_predecessor_that_must_complete_is_not_called_missing_once_it_is_place
 
 def test_a_running_task_does_not_lose_its_host_to_a_missing_predecessor() -> None:
     tasks = some_tasks(a_task("nav", needs=["slam"]), a_task("slam", cpu=9.0))
-    decision = decisions(
-        decide(an_inventory(an_edge()), tasks, a_snapshot(edge1=a_sample(tasks={"nav": a_run()})))
+    decision = decisions_by_task(
+        run_assign(an_inventory(an_edge()), tasks, a_snapshot(edge1=a_sample(tasks={"nav": a_run()})))
     )["nav"]
     assert (decision.verdict, decision.host) == (Verdict.KEPT, "edge1")

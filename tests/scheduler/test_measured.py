@@ -1,4 +1,4 @@
-"""Measured demand by hand: which figure counts on which host, what is charged there, and what is told of it."""
+"""Measured demand by hand: the value used on each host, the charged load, and the explanation."""
 
 from dataclasses import replace
 
@@ -19,7 +19,7 @@ from tests.builders import (
     an_inventory,
     some_tasks,
 )
-from tests.scheduler.fleets import decide, decisions, ranked
+from tests.scheduler.fleets import decisions_by_task, ranking_by_host, run_assign
 
 SMALL, LARGE = "4c-4Gi", "8c-8Gi"
 INVENTORY = an_inventory(an_edge("edge1"), an_edge("edge2"), a_robot())
@@ -32,7 +32,7 @@ LEFT_OUT = a_task(cpu=None, memory=None, throughput=None, robots=["robot1"])
 DECLARED = a_task(cpu=3.0, memory=GI, throughput=1e6, robots=["robot1"])
 
 
-def history(**of: MeasuredDemand) -> ManagerState:
+def a_measured_state(**of: MeasuredDemand) -> ManagerState:
     kinds = {"small": SMALL, "large": LARGE}
     return ManagerState(managed=True, measured={("slam", kinds[name]): found for name, found in of.items()})
 
@@ -55,24 +55,24 @@ def a_history(
 def cpu_terms(tasks: Tasks, memory: ManagerState) -> dict[str, float | None]:
     return {
         host: entry.terms["cpu"]
-        for host, entry in ranked(
-            decisions(decide(INVENTORY, tasks, SNAPSHOT, memory=memory))["slam"]
+        for host, entry in ranking_by_host(
+            decisions_by_task(run_assign(INVENTORY, tasks, SNAPSHOT, memory=memory))["slam"]
         ).items()
     }
 
 
 def test_the_demand_of_the_class_that_is_looked_at_counts_and_is_charged() -> None:
-    memory = history(
+    memory = a_measured_state(
         small=a_history(cpu=2.0), large=a_history(cpu=5.0, throughput=2e6, samples=60, span=300.0)
     )
-    found = decide(INVENTORY, some_tasks(LEFT_OUT), SNAPSHOT, memory=memory)
-    entries = ranked(decisions(found)["slam"])
+    found = run_assign(INVENTORY, some_tasks(LEFT_OUT), SNAPSHOT, memory=memory)
+    entries = ranking_by_host(decisions_by_task(found)["slam"])
     assert entries["edge1"].terms["cpu"] == (4 - 2) / 4
     assert entries["edge2"].terms["cpu"] == (8 - 5) / 8
     assert entries["edge1"].terms["network"] == (10 - 1) / 10
     assert entries["edge2"].terms["network"] == (5 - 2) / 5
     # all .25 each, the only task: edge1 0.5+0.75+0.9+0.5, edge2 0.375+0.8649+0.6+0.5
-    assert decisions(found)["slam"].host == "edge1"
+    assert decisions_by_task(found)["slam"].host == "edge1"
     assert found.expected["edge1"].used["cpu"] == 2.0
     assert found.expected["edge1"].links == {"robot1": 1e6}
     assert entries["edge2"].demand == (
@@ -80,31 +80,31 @@ def test_the_demand_of_the_class_that_is_looked_at_counts_and_is_charged() -> No
         ResourceDemand(resource=MEMORY, value=GI, source=DemandSource.MEASURED, samples=60),
         ResourceDemand(resource=NETWORK, value=2e6, source=DemandSource.MEASURED, samples=60),
     )
-    assert decisions(found)["slam"].demand == entries["edge1"].demand
+    assert decisions_by_task(found)["slam"].demand == entries["edge1"].demand
 
 
 @pytest.mark.parametrize(("samples", "span"), [(59, 900.0), (412, 299.0), (0, 0.0)])
 def test_too_few_samples_count_as_nothing(samples: int, span: float) -> None:
-    memory = history(small=a_history(cpu=2.0, samples=samples, span=span))
-    found = decisions(decide(INVENTORY, some_tasks(LEFT_OUT), SNAPSHOT, memory=memory))["slam"]
+    memory = a_measured_state(small=a_history(cpu=2.0, samples=samples, span=span))
+    found = decisions_by_task(run_assign(INVENTORY, some_tasks(LEFT_OUT), SNAPSHOT, memory=memory))["slam"]
     assert {entry.terms["cpu"] for entry in found.ranking} == {1.0}
     assert [(rho.value, rho.source) for rho in found.demand] == [(0.0, DemandSource.NONE)] * 3
     assert {rho.samples for rho in found.demand} == {samples if found.host == "edge1" else 0}
 
 
 def test_the_history_of_another_command_counts_not() -> None:
-    """As when a snapshot of yesterday decides about the files of today."""
-    memory = history(small=replace(a_history(cpu=2.0), spec_hash="another"))
-    found = decisions(decide(INVENTORY, some_tasks(LEFT_OUT), SNAPSHOT, memory=memory))["slam"]
+    """As when yesterday's snapshot meets today's files."""
+    memory = a_measured_state(small=replace(a_history(cpu=2.0), spec_hash="another"))
+    found = decisions_by_task(run_assign(INVENTORY, some_tasks(LEFT_OUT), SNAPSHOT, memory=memory))["slam"]
     assert [(rho.value, rho.source, rho.samples) for rho in found.demand] == [(0.0, DemandSource.NONE, 0)] * 3
-    same = history(small=replace(a_history(cpu=2.0), spec_hash=LEFT_OUT.spec_hash))
+    same = a_measured_state(small=replace(a_history(cpu=2.0), spec_hash=LEFT_OUT.spec_hash))
     assert cpu_terms(some_tasks(LEFT_OUT), same)["edge1"] == 0.5
 
 
 def test_what_is_declared_is_never_replaced() -> None:
-    memory = history(small=a_history(cpu=2.0), large=a_history(cpu=5.0))
+    memory = a_measured_state(small=a_history(cpu=2.0), large=a_history(cpu=5.0))
     assert cpu_terms(some_tasks(DECLARED), memory) == {"edge1": (4 - 3) / 4, "edge2": (8 - 3) / 8}
-    found = decisions(decide(INVENTORY, some_tasks(DECLARED), SNAPSHOT, memory=memory))["slam"]
+    found = decisions_by_task(run_assign(INVENTORY, some_tasks(DECLARED), SNAPSHOT, memory=memory))["slam"]
     assert [(rho.value, rho.source, rho.samples) for rho in found.demand] == [
         (3.0, DemandSource.DECLARED, None), (GI, DemandSource.DECLARED, None), (1e6, DemandSource.DECLARED, None),
     ]  # fmt: skip
@@ -112,29 +112,29 @@ def test_what_is_declared_is_never_replaced() -> None:
 
 def test_until_it_is_measured_the_declared_value_counts() -> None:
     task = a_task(cpu=Quantity(value=3.0, measured=True), robots=["robot1"])
-    assert cpu_terms(some_tasks(task), history()) == {"edge1": (4 - 3) / 4, "edge2": (8 - 3) / 8}
-    assert cpu_terms(some_tasks(task), history(small=a_history(cpu=2.0))) == {
+    assert cpu_terms(some_tasks(task), a_measured_state()) == {"edge1": (4 - 3) / 4, "edge2": (8 - 3) / 8}
+    assert cpu_terms(some_tasks(task), a_measured_state(small=a_history(cpu=2.0))) == {
         "edge1": (4 - 2) / 4,
         "edge2": (8 - 3) / 8,
     }
     share = replace(
         task, demand=Demand({**task.demand, "cpu": Quantity(value=0.5, relative=True, measured=True)})
     )
-    assert cpu_terms(some_tasks(share), history(large=a_history(cpu=2.0))) == {
+    assert cpu_terms(some_tasks(share), a_measured_state(large=a_history(cpu=2.0))) == {
         "edge1": 0.5,
         "edge2": (8 - 2) / 8,
     }
 
 
 def test_a_class_without_history_is_no_bait() -> None:
-    """Nothing is declared and edge2 is unknown: the most that was measured elsewhere counts there, not 0."""
-    found = decide(
+    """Nothing is declared and edge2 is unknown: the greatest demand measured elsewhere counts there, not 0."""
+    found = run_assign(
         INVENTORY,
         some_tasks(LEFT_OUT),
         SNAPSHOT,
-        memory=history(small=a_history(cpu=2.0), large=a_history(samples=3)),
+        memory=a_measured_state(small=a_history(cpu=2.0), large=a_history(samples=3)),
     )
-    entries = ranked(decisions(found)["slam"])
+    entries = ranking_by_host(decisions_by_task(found)["slam"])
     assert entries["edge2"].terms["cpu"] == (8 - 2) / 8
     assert entries["edge2"].demand[0] == ResourceDemand(
         resource=CPU, value=2.0, source=DemandSource.MEASURED_ELSEWHERE, samples=3
@@ -145,14 +145,16 @@ def test_no_traffic_seen_is_no_figure() -> None:
     task = replace(
         DECLARED, demand=Demand({**DECLARED.demand, "network": Quantity(value=1e6, measured=True)})
     )
-    found = decisions(
-        decide(INVENTORY, some_tasks(task), SNAPSHOT, memory=history(small=a_history(throughput=None)))
+    found = decisions_by_task(
+        run_assign(
+            INVENTORY, some_tasks(task), SNAPSHOT, memory=a_measured_state(small=a_history(throughput=None))
+        )
     )["slam"]
     assert {entry.host: entry.demand[2].source for entry in found.ranking} == {
         "edge1": DemandSource.DECLARED,
         "edge2": DemandSource.DECLARED,
     }
-    assert ranked(found)["edge1"].terms["network"] == (10 - 1) / 10
+    assert ranking_by_host(found)["edge1"].terms["network"] == (10 - 1) / 10
 
 
 def test_a_label_makes_a_class() -> None:
@@ -160,7 +162,7 @@ def test_a_label_makes_a_class() -> None:
         *(an_edge(name, labels={"class": "jetson"}) for name in ("edge1", "edge2")), a_robot()
     )
     memory = ManagerState(managed=True, measured={("slam", "jetson"): a_history(cpu=2.0)})
-    found = decisions(decide(labelled, some_tasks(LEFT_OUT), SNAPSHOT, memory=memory))["slam"]
+    found = decisions_by_task(run_assign(labelled, some_tasks(LEFT_OUT), SNAPSHOT, memory=memory))["slam"]
     assert {entry.host: entry.terms["cpu"] for entry in found.ranking} == {"edge1": 0.5, "edge2": 0.75}
 
 
@@ -169,7 +171,7 @@ def test_a_percent_demand_of_unlike_hosts_is_told_once_with_the_figures() -> Non
         a_task("a-robot1", cpu="35%", memory="10%", template="a"), a_task("a-robot2", cpu="35%", memory="10%", template="a"),
         a_task("b", cpu=1.4, memory=GI), a_task("c", cpu="35%", memory=GI, only=["edge1"]),
     )  # fmt: skip
-    found = decide(INVENTORY, tasks, SNAPSHOT).demand_spreads
+    found = run_assign(INVENTORY, tasks, SNAPSHOT).demand_spreads
     assert [(each.task, each.resource, each.hosts) for each in found] == [
         ("a", CPU, ("edge1", "edge2")), ("a", MEMORY, ("edge1", "edge2")),
     ]  # fmt: skip
@@ -179,4 +181,4 @@ def test_a_percent_demand_of_unlike_hosts_is_told_once_with_the_figures() -> Non
 @pytest.mark.parametrize(("cores", "told"), [(5.0, False), (5.1, True)])
 def test_hosts_up_to_a_quarter_apart_are_alike(cores: float, told: bool) -> None:
     snapshot = a_snapshot(edge1=a_sample(cores=4), edge2=a_sample(cores=cores))
-    assert bool(decide(INVENTORY, some_tasks(a_task(cpu="35%")), snapshot).demand_spreads) == told
+    assert bool(run_assign(INVENTORY, some_tasks(a_task(cpu="35%")), snapshot).demand_spreads) == told

@@ -1,4 +1,6 @@
-"""The paper's two scenarios in every weight variant: the shipped files, every number checked against a naive computation."""
+"""The paper's two scenarios in every weight variant: the shipped files, every number checked against a naive
+computation.
+"""
 
 from pathlib import Path
 
@@ -10,8 +12,8 @@ from edgectl.model.assignment import Assignment, Verdict
 from edgectl.model.inventory import Inventory
 from edgectl.model.policy import WEIGHT_PRESETS, Policy
 from edgectl.model.task import Tasks
-from tests.scheduler.fleets import decide, decisions, hosts, ranked, terms
-from tests.scheduler.paper import BASE, ROBOTS, naive, paper_snapshot
+from tests.scheduler.fleets import decisions_by_task, hosts_by_task, list_terms, ranking_by_host, run_assign
+from tests.scheduler.paper import BASE, ROBOTS, compute_naively, paper_snapshot
 
 ROOT = Path(edgectl.__file__).parent.parent
 NEEDS = {f"navigation-{robot}": f"slam-{robot}" for robot in ROBOTS}
@@ -26,17 +28,17 @@ EXPECTED = {
 }  # fmt: skip
 
 
-def scenario(number: int) -> tuple[Inventory, Tasks]:
+def load_scenario(number: int) -> tuple[Inventory, Tasks]:
     inventory, tasks, _ = load_inventory_and_tasks(
         ROOT / "inventories/paper.yaml", [ROOT / f"tasks/paper-scenario-{number}.yaml"]
     )
     return inventory, tasks
 
 
-def assignment(number: int, variant: str) -> Assignment:
-    inventory, tasks = scenario(number)
+def assign_scenario(number: int, variant: str) -> Assignment:
+    inventory, tasks = load_scenario(number)
     # scenario 1 starts from nothing; in scenario 2 mapping and merging run on the edges
-    return decide(
+    return run_assign(
         inventory,
         tasks,
         paper_snapshot({} if number == 1 else STATIC),
@@ -46,21 +48,23 @@ def assignment(number: int, variant: str) -> Assignment:
 
 @pytest.mark.parametrize(("number", "variant"), EXPECTED)
 def test_every_number(number: int, variant: str) -> None:
-    found = decisions(assignment(number, variant))
+    found = decisions_by_task(assign_scenario(number, variant))
     order = [name for name in found if name.startswith(("detection", "navigation"))]
-    where, numbers = naive(ONBOARD if number == 1 else STATIC, order, WEIGHT_PRESETS[variant], NEEDS)
+    where, numbers = compute_naively(
+        ONBOARD if number == 1 else STATIC, order, WEIGHT_PRESETS[variant], NEEDS
+    )
     for name in order:
         assert found[name].host == where[name]
         assert found[name].total == pytest.approx(numbers[name][where[name]][4])
         for edge in BASE:
-            assert terms(ranked(found[name])[edge]) == pytest.approx(numbers[name][edge])
-            assert ranked(found[name])[edge].feasible == (min(numbers[name][edge][:3]) >= 0)
+            assert list_terms(ranking_by_host(found[name])[edge]) == pytest.approx(numbers[name][edge])
+            assert ranking_by_host(found[name])[edge].feasible == (min(numbers[name][edge][:3]) >= 0)
 
 
 @pytest.mark.parametrize(("number", "variant"), EXPECTED)
 def test_where_everything_goes(number: int, variant: str) -> None:
-    made = assignment(number, variant)
-    found = hosts(made)
+    made = assign_scenario(number, variant)
+    found = hosts_by_task(made)
     edges = [
         "".join(str(found[f"{kind}-{robot}"])[-1] for robot in ROBOTS) for kind in ("detection", "navigation")
     ]
@@ -76,10 +80,10 @@ def test_one_row_by_hand() -> None:
     #        memory (100 - 35 - 2.5 - 2.83 - 20.04) / 100 = .3963;  link (100 - 3 - 2.53 - 3.62 - 35.652) / 100 = .55198
     # edge2: cpu (120 - 10 - 35.195 - 60.035) / 120 = .123083;  memory (100 - 37.5 - 20.04) / 100 = .4246;  link (97 - 35.652) / 100 = .61348
     # edge3: cpu (120 - 11 - 35.195 - 60.035) / 120 = .114750;  the rest as edge2
-    first = ranked(decisions(assignment(2, "all"))["detection-robot1"])
-    assert terms(first["edge1"])[:3] == pytest.approx((0.0263583, 0.3963, 0.55198), abs=1e-6)
-    assert terms(first["edge2"]) == pytest.approx((0.1230833, 0.4246, 0.61348, 0.5, 0.4152908), abs=1e-6)
-    assert terms(first["edge3"]) == pytest.approx((0.11475, 0.4246, 0.61348, 0.5, 0.4132075), abs=1e-6)
+    first = ranking_by_host(decisions_by_task(assign_scenario(2, "all"))["detection-robot1"])
+    assert list_terms(first["edge1"])[:3] == pytest.approx((0.0263583, 0.3963, 0.55198), abs=1e-6)
+    assert list_terms(first["edge2"]) == pytest.approx((0.1230833, 0.4246, 0.61348, 0.5, 0.4152908), abs=1e-6)
+    assert list_terms(first["edge3"]) == pytest.approx((0.11475, 0.4246, 0.61348, 0.5, 0.4132075), abs=1e-6)
     # navigation-robot1 follows its slam to edge1 although edge3 is emptier: UT_task 1 against 0
-    row = ranked(decisions(assignment(2, "all"))["navigation-robot1"])
+    row = ranking_by_host(decisions_by_task(assign_scenario(2, "all"))["navigation-robot1"])
     assert [row[edge].terms["task"] for edge in BASE] == [1.0, 0.0, 0.0]

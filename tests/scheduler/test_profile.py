@@ -5,7 +5,7 @@ from edgectl.model.profile import UsagePercentiles, UsageSample
 from edgectl.scheduler.profile import build_usage_profile, compute_percentile, measured_demand_from_profile
 
 
-def uses(*rates: float, links: int = 1) -> list[UsageSample]:
+def usage_samples(*rates: float, links: int = 1) -> list[UsageSample]:
     return [UsageSample(10.0 * at, (rate / 100, 1000 + rate, rate), links) for at, rate in enumerate(rates)]
 
 
@@ -19,7 +19,7 @@ def test_nearest_rank() -> None:
 
 
 def test_a_profile_by_hand() -> None:
-    found = build_usage_profile(uses(*range(20, 0, -1)), robots=1)
+    found = build_usage_profile(usage_samples(*range(20, 0, -1)), robots=1)
     assert found is not None
     assert found.used["cpu"] == UsagePercentiles(p50=0.10, p95=0.19, most=0.20)
     assert found.used["memory"] == UsagePercentiles(p50=1010.0, p95=1019.0, most=1020.0)
@@ -30,9 +30,9 @@ def test_a_profile_by_hand() -> None:
 
 
 def test_throughput_is_of_one_link() -> None:
-    used = build_usage_profile(uses(30.0, links=2), robots=3)
-    unknown = build_usage_profile(uses(30.0, links=0), robots=3)
-    alone = build_usage_profile(uses(30.0, links=0), robots=0)
+    used = build_usage_profile(usage_samples(30.0, links=2), robots=3)
+    unknown = build_usage_profile(usage_samples(30.0, links=0), robots=3)
+    alone = build_usage_profile(usage_samples(30.0, links=0), robots=0)
     assert used is not None
     assert unknown is not None
     assert alone is not None
@@ -41,6 +41,6 @@ def test_throughput_is_of_one_link() -> None:
 
 def test_no_sample_is_no_profile_and_no_traffic_is_no_throughput() -> None:
     assert build_usage_profile([], robots=1) is None
-    silent = build_usage_profile(uses(0.0, 0.0), robots=1)
+    silent = build_usage_profile(usage_samples(0.0, 0.0), robots=1)
     assert silent is not None
     assert "network" not in measured_demand_from_profile(silent).used

@@ -1,4 +1,4 @@
-"""What holds for every fleet (Nomad's safety style: a bad thing never happens)."""
+"""Properties that hold for every fleet (safety: a bad thing never happens)."""
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -31,7 +31,7 @@ from tests.builders import (
     silent,
     some_tasks,
 )
-from tests.scheduler.fleets import applied, decisions, hosts
+from tests.scheduler.fleets import decisions_by_task, hosts_by_task, simulate_apply
 
 ROBOTS = ("robot1", "robot2")
 quick = settings(max_examples=60)
@@ -39,7 +39,7 @@ quick = settings(max_examples=60)
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class Case:
-    """Everything that a decision is made of."""
+    """The input of one decision."""
 
     inventory: Inventory
     tasks: Tasks
@@ -236,12 +236,12 @@ def test_utility_falls_as_load_rises(case: Case, more: float) -> None:
     cpu = sample.usage["cpu"]
     heavier = replace(sample, usage={**sample.usage, "cpu": replace(cpu, used=cpu.used + more)})
     after = replace(one, snapshot=replace(one.snapshot, hosts={**one.snapshot.hosts, "edge1": heavier}))
-    pairs = zip(_totals(one.assign(), "edge1"), _totals(after.assign(), "edge1"), strict=True)
-    # own use beyond what is measured is floored at 0, so very small loads may be equal
+    pairs = zip(_list_cpu_terms(one.assign(), "edge1"), _list_cpu_terms(after.assign(), "edge1"), strict=True)
+    # own use beyond the measured load is floored at 0, so very small loads may be equal
     assert all(low <= high + 1e-12 for high, low in pairs)
 
 
-def _totals(assignment: Assignment, host: str) -> list[float]:
+def _list_cpu_terms(assignment: Assignment, host: str) -> list[float]:
     return [
         entry.terms["cpu"]
         for d in assignment.decisions
@@ -255,9 +255,9 @@ def _totals(assignment: Assignment, host: str) -> list[float]:
 def test_a_plan_after_the_apply_of_a_settled_plan_changes_nothing(case: Case) -> None:
     first = case.assign()
     assume(first.settled)
-    snapshot, memory = applied(first, case.tasks, case.snapshot, case.memory)
+    snapshot, memory = simulate_apply(first, case.tasks, case.snapshot, case.memory)
     again = replace(case, snapshot=snapshot, memory=memory).assign()
-    assert hosts(again) == hosts(first)
+    assert hosts_by_task(again) == hosts_by_task(first)
     steps = diff_assignment(again, case.tasks, snapshot, memory)
     assert {step.action for step in steps} <= {Action.KEEP, Action.HOLD, Action.UNPLACED, Action.NONE}
     assert not any(step.stop for step in steps)
@@ -293,7 +293,7 @@ def test_nothing_unmanaged_is_ever_stopped_and_nothing_runs_twice(case: Case) ->
 @given(cases())
 def test_held_tasks_and_frozen_fleets_do_not_move(case: Case) -> None:
     found = case.assign()
-    for decision in decisions(found).values():
+    for decision in decisions_by_task(found).values():
         if found.frozen and decision.previous_host is not None and decision.verdict is not Verdict.COMPLETED:
             assert decision.host == decision.previous_host
         if decision.reason in (Reason.GAIN, Reason.GAIN_OVER_COST):

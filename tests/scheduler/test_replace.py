@@ -1,4 +1,6 @@
-"""ADR 0020: a task on a silent host is held, until its copy there is certainly gone; on return the newer copy wins."""
+"""Replacement of tasks on unreachable hosts (ADR 0020): held until the copy there is certainly gone; on
+return the newer copy wins.
+"""
 
 from dataclasses import dataclass, field, replace
 from random import Random
@@ -31,14 +33,14 @@ from tests.builders import (
     silent,
     some_tasks,
 )
-from tests.scheduler.fleets import decide, decisions, ranked
+from tests.scheduler.fleets import decisions_by_task, ranking_by_host, run_assign
 from tests.scheduler.test_properties import quick
 
 THREE = an_inventory(an_edge("edge1"), an_edge("edge2"), an_edge("edge3"))
 AROUND = a_snapshot(edge1=silent(), edge2=a_sample(), edge3=a_sample(used=1.0))
 
 
-def replaceable(name: str = "slam", **fields: object) -> Task:
+def a_replaceable_task(name: str = "slam", **fields: object) -> Task:
     return a_task(
         name,
         **{
@@ -51,8 +53,10 @@ def replaceable(name: str = "slam", **fields: object) -> Task:
     )  # type: ignore[arg-type]
 
 
-def remembered(*, contact: float | None = None, fenced: bool = False, generation: int = 7) -> ManagerState:
-    """slam was last on edge1, which was heard of ``contact`` seconds ago."""
+def a_manager_state(
+    *, contact: float | None = None, fenced: bool = False, generation: int = 7
+) -> ManagerState:
+    """Manager state with slam on edge1, last contacted ``contact`` seconds ago."""
     return ManagerState(
         managed=True,
         placements={"slam": Placement(host="edge1", since=NOW - 900.0, generation=generation)},
@@ -61,37 +65,41 @@ def remembered(*, contact: float | None = None, fenced: bool = False, generation
     )
 
 
-def one(task: Task, memory: ManagerState, snapshot: Snapshot = AROUND) -> Decision:
-    return decide(THREE, some_tasks(task), snapshot, memory=memory).decisions[0]
+def decide_one(task: Task, memory: ManagerState, snapshot: Snapshot = AROUND) -> Decision:
+    return run_assign(THREE, some_tasks(task), snapshot, memory=memory).decisions[0]
 
 
 @pytest.mark.parametrize(
     ("task", "memory", "left"),
     [
-        (replaceable(), remembered(contact=119.0), 1.0),  # after: 120 is more than 60 + 20 + 10
-        (replaceable(), remembered(contact=120.0), 0.0),
-        (replaceable(self_fence=300.0), remembered(contact=120.0), 210.0),  # 300 + 20 + 10
-        (replaceable(self_fence=300.0), remembered(contact=330.0), 0.0),
+        (a_replaceable_task(), a_manager_state(contact=119.0), 1.0),  # after: 120 is more than 60 + 20 + 10
+        (a_replaceable_task(), a_manager_state(contact=120.0), 0.0),
+        (a_replaceable_task(self_fence=300.0), a_manager_state(contact=120.0), 210.0),  # 300 + 20 + 10
+        (a_replaceable_task(self_fence=300.0), a_manager_state(contact=330.0), 0.0),
         (
-            replaceable(self_fence=300.0, stop=StopRule(grace=100.0)),
-            remembered(contact=330.0),
+            a_replaceable_task(self_fence=300.0, stop=StopRule(grace=100.0)),
+            a_manager_state(contact=330.0),
             80.0,
         ),  # 300 + 100 + 10
         (
-            replaceable(self_fence=300.0, stop=StopRule(signal="INT", grace=1.0, preset="ros")),
-            remembered(contact=330.0),
+            a_replaceable_task(self_fence=300.0, stop=StopRule(signal="INT", grace=1.0, preset="ros")),
+            a_manager_state(contact=330.0),
             5.0,
         ),  # 300 + 25 + 10
-        (replaceable(), remembered(), None),  # when it was heard of is not known
-        (replaceable(), remembered(contact=-3600.0), 3720.0),  # the clock went back by an hour
-        (replaceable(self_fence=None), remembered(contact=1e6), None),  # nothing stops it there
-        (replaceable(on_unreachable=UnreachablePolicy.HOLD), remembered(contact=1e6), None),
-        (replaceable(), remembered(fenced=True), 0.0),  # the operator's word
-        (replaceable(on_unreachable=UnreachablePolicy.HOLD, self_fence=None), remembered(fenced=True), 0.0),
+        (a_replaceable_task(), a_manager_state(), None),  # time of the last contact unknown
+        (a_replaceable_task(), a_manager_state(contact=-3600.0), 3720.0),  # the clock went back by an hour
+        (a_replaceable_task(self_fence=None), a_manager_state(contact=1e6), None),  # no self-fence
+        (a_replaceable_task(on_unreachable=UnreachablePolicy.HOLD), a_manager_state(contact=1e6), None),
+        (a_replaceable_task(), a_manager_state(fenced=True), 0.0),  # fenced by the operator
+        (
+            a_replaceable_task(on_unreachable=UnreachablePolicy.HOLD, self_fence=None),
+            a_manager_state(fenced=True),
+            0.0,
+        ),
     ],
 )
 def test_when_a_task_is_replaced(task: Task, memory: ManagerState, left: float | None) -> None:
-    decision = one(task, memory)
+    decision = decide_one(task, memory)
     if left == 0.0:
         assert (decision.verdict, decision.reason, decision.host) == (
             Verdict.PLACED,
@@ -114,25 +122,28 @@ def test_when_a_task_is_replaced(task: Task, memory: ManagerState, left: float |
 def test_a_file_that_was_changed_since_says_nothing_of_the_copy_on_the_silent_host(
     started: str, verdict: Verdict
 ) -> None:
-    memory = remembered(contact=1e6)
+    memory = a_manager_state(contact=1e6)
     memory = replace(memory, placements={"slam": replace(memory.placements["slam"], spec_hash=started)})
-    assert one(replaceable(), memory).verdict is verdict
-    assert one(replaceable(), replace(memory, fenced=frozenset({"edge1"}))).verdict is Verdict.PLACED
+    assert decide_one(a_replaceable_task(), memory).verdict is verdict
+    assert (
+        decide_one(a_replaceable_task(), replace(memory, fenced=frozenset({"edge1"}))).verdict
+        is Verdict.PLACED
+    )
 
 
 def test_a_replaced_task_is_started_elsewhere_and_its_demand_is_charged() -> None:
-    tasks = some_tasks(replaceable(), a_task("nav", needs=["slam"]))
-    found = decide(THREE, tasks, AROUND, memory=remembered(contact=500.0))
-    slam, nav = (decisions(found)[name] for name in ("slam", "nav"))
+    tasks = some_tasks(a_replaceable_task(), a_task("nav", needs=["slam"]))
+    found = run_assign(THREE, tasks, AROUND, memory=a_manager_state(contact=500.0))
+    slam, nav = (decisions_by_task(found)[name] for name in ("slam", "nav"))
     assert found.expected["edge2"].used["cpu"] == 1.0
-    assert [entry.rule for entry in ranked(slam)["edge1"].rejections] == [RejectionRule.UNREACHABLE]
+    assert [entry.rule for entry in ranking_by_host(slam)["edge1"].rejections] == [RejectionRule.UNREACHABLE]
     assert (nav.host, nav.reason) == ("edge2", Reason.BEST)
-    (step, _) = diff_assignment(found, tasks, AROUND, remembered())
+    (step, _) = diff_assignment(found, tasks, AROUND, a_manager_state())
     assert (step.action, step.instances, step.stop) == (Action.START, {}, ())
 
 
 def test_a_replaced_task_that_fits_nowhere_is_unplaced() -> None:
-    decision = one(replaceable(cpu=9.0), remembered(contact=500.0))
+    decision = decide_one(a_replaceable_task(cpu=9.0), a_manager_state(contact=500.0))
     assert (decision.verdict, decision.reason, decision.previous_host) == (
         Verdict.UNPLACED,
         Reason.NO_FEASIBLE_HOST,
@@ -142,10 +153,10 @@ def test_a_replaced_task_that_fits_nowhere_is_unplaced() -> None:
 
 def test_nothing_is_replaced_while_most_edges_are_silent() -> None:
     alone = a_snapshot(edge1=silent(), edge2=a_sample(), edge3=silent())
-    decision = one(replaceable(), remembered(contact=500.0), alone)
+    decision = decide_one(a_replaceable_task(), a_manager_state(contact=500.0), alone)
     assert (decision.verdict, decision.amount) == (Verdict.HELD, None)
-    # an edge that is known to be off says nothing of the manager's own link: 1 of 2 is silent
-    assert one(replaceable(), remembered(fenced=True), alone).reason is Reason.REPLACED
+    # an edge that is known to be off says nothing about the manager's own link: 1 of 2 is unreachable
+    assert decide_one(a_replaceable_task(), a_manager_state(fenced=True), alone).reason is Reason.REPLACED
 
 
 def test_a_silent_robot_still_holds_its_task() -> None:
@@ -156,8 +167,8 @@ def test_a_silent_robot_still_holds_its_task() -> None:
         edge3=a_sample(),
         robot1=silent(Role.ROBOT),
     )
-    tasks = some_tasks(replaceable(robots=["robot1"]))
-    decision = decide(inventory, tasks, snapshot, memory=remembered(fenced=True)).decisions[0]
+    tasks = some_tasks(a_replaceable_task(robots=["robot1"]))
+    decision = run_assign(inventory, tasks, snapshot, memory=a_manager_state(fenced=True)).decisions[0]
     assert (decision.reason, decision.host, decision.subject) == (Reason.ROBOT_SILENT, "edge1", "robot1")
 
 
@@ -177,8 +188,8 @@ def test_a_silent_robot_still_holds_its_task() -> None:
             "edge2",
             Reason.STILL_BEST,
             (),
-        ),  # the newer one is gone by now: the older one is all there is
-        (7, 30.0, "edge2", Reason.STILL_BEST, ()),  # not older: it was started by somebody else since
+        ),  # the newer one is gone by now: the older one is the only copy
+        (7, 30.0, "edge2", Reason.STILL_BEST, ()),  # not older: started by someone else since
         (8, 30.0, "edge2", Reason.STILL_BEST, ()),
     ],
 )
@@ -189,8 +200,8 @@ def test_a_copy_that_is_seen_may_be_older_than_one_that_is_silent(
     snapshot = a_snapshot(
         edge1=silent(), edge2=a_sample(used=1.0, tasks={"slam": copy}), edge3=a_sample(used=1.0)
     )
-    tasks, memory = some_tasks(replaceable()), remembered(contact=contact)
-    found = decide(THREE, tasks, snapshot, memory=memory)
+    tasks, memory = some_tasks(a_replaceable_task()), a_manager_state(contact=contact)
+    found = run_assign(THREE, tasks, snapshot, memory=memory)
     assert (found.decisions[0].host, found.decisions[0].reason) == (host, reason)
     assert found.expected["edge2"].used["cpu"] == (0.0 if stop else 1.0)
     assert diff_assignment(found, tasks, snapshot, memory)[0].stop == stop
@@ -200,7 +211,7 @@ def test_what_somebody_else_started_is_not_stopped_for_a_silent_copy() -> None:
     snapshot = a_snapshot(
         edge1=silent(), edge2=a_sample(tasks={"slam": a_run(managed=False)}), edge3=a_sample()
     )
-    decision = one(replaceable(), remembered(contact=30.0), snapshot)
+    decision = decide_one(a_replaceable_task(), a_manager_state(contact=30.0), snapshot)
     assert (decision.host, decision.reason) == ("edge2", Reason.UNMANAGED)
 
 
@@ -209,16 +220,16 @@ def test_what_somebody_else_started_is_not_stopped_for_a_silent_copy() -> None:
 EDGES = ("edge1", "edge2", "edge3", "edge4", "edge5")
 FLEET = an_inventory(*map(an_edge, EDGES))
 WORK = some_tasks(
-    replaceable("a", cpu=0.5),
-    replaceable("b", cpu=0.3, needs=["a"], self_fence=200.0, stop=StopRule(grace=30.0)),
+    a_replaceable_task("a", cpu=0.5),
+    a_replaceable_task("b", cpu=0.3, needs=["a"], self_fence=200.0, stop=StopRule(grace=30.0)),
     a_task("c", cpu=0.3),
     a_task("d", cpu=0.2, needs=["c"]),
 )
 
 
 @dataclass(slots=True, kw_only=True)
-class Truth:
-    """Which copies run where (with their generation), which hosts can be heard, and one manager that plans and applies.
+class FleetTruth:
+    """Running copies (with their generation), reachable hosts, and one manager that plans and applies.
 
     ``sound``: supervisors stop their task after a silence, as they must.
     """
@@ -231,7 +242,7 @@ class Truth:
     memory: ManagerState = field(default_factory=ManagerState)
 
     def wait(self, seconds: float) -> None:
-        """Time passes; whoever was not heard of for so long stops itself."""
+        """Advance time; supervisors without contact for so long stop their task."""
         self.now += seconds
         for task, host in list(self.copies) if self.sound else ():
             spec = WORK.tasks[task]
@@ -243,7 +254,7 @@ class Truth:
                 del self.copies[task, host]
 
     def power_off(self, host: str, *, told: bool) -> None:
-        """A host loses power; ``told``: the operator says so."""
+        """Cut the power of a host; ``told``: the operator fences it."""
         self.off.add(host)
         self.copies = {(task, at): generation for (task, at), generation in self.copies.items() if at != host}
         if told:
@@ -262,7 +273,7 @@ class Truth:
             WORK,
             snapshot,
             self.memory,
-            decide(FLEET, WORK, snapshot, memory=self.memory, policy=Policy(), now=self.now),
+            run_assign(FLEET, WORK, snapshot, memory=self.memory, policy=Policy(), now=self.now),
         )
         numbers = compute_next_generations(self.memory, snapshot, plan.steps, self.now)
         results = tuple(
@@ -297,12 +308,12 @@ class Truth:
         )  # fmt: skip
 
     def most(self) -> int:
-        """The most copies that any task has, on hosts that are heard or not."""
+        """Return the greatest number of copies of any task, on reachable and unreachable hosts."""
         return max((sum(name == task for name, _ in self.copies) for task in WORK.tasks), default=0)
 
 
-def troubles(truth: Truth, dice: Random) -> None:
-    """One thing happens to one host."""
+def inject_trouble(truth: FleetTruth, dice: Random) -> None:
+    """Apply one random event to one host."""
     host = dice.choice(EDGES)
     kind = dice.choice(("cut", "cut", "back", "back", "power", "nothing"))
     if kind == "back":
@@ -318,10 +329,10 @@ def troubles(truth: Truth, dice: Random) -> None:
 @quick
 @given(st.randoms(use_true_random=False), st.integers(1, 25))
 def test_no_task_ever_runs_twice_while_hosts_go_and_come_back(dice: Random, steps: int) -> None:
-    truth = Truth(sound=True)
+    truth = FleetTruth(sound=True)
     truth.apply()
     for _ in range(steps):
-        troubles(truth, dice)
+        inject_trouble(truth, dice)
         truth.wait(dice.choice((1.0, 30.0, 100.0, 400.0)))
         truth.apply()
         assert truth.most() <= 1
@@ -337,10 +348,10 @@ def test_no_task_ever_runs_twice_while_hosts_go_and_come_back(dice: Random, step
 def test_where_a_supervisor_failed_to_stop_its_task_the_newest_copy_wins_on_return(
     dice: Random, steps: int
 ) -> None:
-    truth = Truth(sound=False)
+    truth = FleetTruth(sound=False)
     truth.apply()
     for _ in range(steps):
-        troubles(truth, dice)
+        inject_trouble(truth, dice)
         truth.wait(dice.choice((1.0, 30.0, 100.0, 400.0)))
         plan = truth.apply()
         heard = [task for task, host in truth.copies if host not in truth.cut | truth.off]

@@ -1,4 +1,4 @@
-"""The tight loop against its reference, and rankings of many hosts."""
+"""The optimized ranking loop compared with its reference, and rankings of many hosts."""
 
 import random
 
@@ -29,11 +29,11 @@ from tests.builders import (
     silent,
     some_tasks,
 )
-from tests.scheduler.fleets import NO_MEMORY, decide, ranked
+from tests.scheduler.fleets import NO_MEMORY, ranking_by_host, run_assign
 
 
 def a_view(seed: int) -> CandidateSet:
-    """A task in a fleet of thirty edges with every odd thing that can be wrong with one."""
+    """A task in a fleet of thirty edges with every anomaly that an edge can have."""
     dice = random.Random(seed)
     robots = ["robot1", "robot2"]
     inventory = an_inventory(
@@ -106,16 +106,16 @@ def test_a_long_ranking_keeps_the_winner_the_incumbent_and_the_best_16() -> None
     samples["edge92"] = a_sample(used=4.0)
     memory = ManagerState(managed=True, cordons=frozenset({"edge93", "edge94"}))
     tasks = some_tasks(a_task(cpu=0.5, robots=["robot1"]))
-    decision = decide(
+    decision = run_assign(
         inventory, tasks, a_snapshot(**samples), memory=memory, policy=Policy(weights=parse_weights("cpu"))
     ).decisions[0]
     assert (decision.host, decision.reason, decision.challenger) == ("edge1", Reason.GAIN, "edge2")
     assert [entry.host for entry in decision.ranking] == [*HUNDRED[:16], "edge60"]
     # edge60 (4 - 2 - .5) / 4 = .375; better: (4 - .03 n - .5) / 4 > .375, that is n < 66.7: n = 0..66 without n = 59, so rank 67
-    assert ranked(decision)["edge60"].rank == 67
-    # left out: one silent, two cordoned, edge91 full, edge92 without a link
+    assert ranking_by_host(decision)["edge60"].rank == 67
+    # left out: one unreachable, two cordoned, edge91 full, edge92 without a link
     assert decision.rejection_counts == {"cordoned": 2, "insufficient": 1, "no-link": 1, "unreachable": 1}
-    full = decide(
+    full = run_assign(
         inventory,
         tasks,
         a_snapshot(**samples),
@@ -128,12 +128,12 @@ def test_a_long_ranking_keeps_the_winner_the_incumbent_and_the_best_16() -> None
         decision.total,
         decision.lead,
     )
-    assert ranked(full)["edge60"].rank == 67
+    assert ranking_by_host(full)["edge60"].rank == 67
 
 
 def test_up_to_64_hosts_all_are_kept() -> None:
     inventory = an_inventory(*map(an_edge, HUNDRED[:64]))
-    decision = decide(
+    decision = run_assign(
         inventory,
         some_tasks(a_task()),
         a_snapshot(**{name: a_sample() for name in HUNDRED[:64]}),
@@ -145,6 +145,6 @@ def test_up_to_64_hosts_all_are_kept() -> None:
 def test_a_long_ranking_of_an_unplaced_task_shows_the_nearest_misses() -> None:
     inventory = an_inventory(*map(an_edge, HUNDRED))
     snapshot = a_snapshot(**{name: a_sample(used=0.01 * n) for n, name in enumerate(HUNDRED)})
-    decision = decide(inventory, some_tasks(a_task(cpu=5.0)), snapshot).decisions[0]
+    decision = run_assign(inventory, some_tasks(a_task(cpu=5.0)), snapshot).decisions[0]
     assert (decision.nearest, decision.rejection_counts) == ("edge1", {"insufficient": 84})
     assert [entry.host for entry in decision.ranking] == HUNDRED[:16]

@@ -1,1 +1,1 @@
-"""A watch that runs for long: nothing of it may grow."""
+"""Soak test: resources of a long watch must not grow."""

@@ -1,31 +1,38 @@
-"""``python -m tests.soak [CYCLES [CYCLES]]``: a long watch over simulated hosts, then one over real sshd hosts. Fails where anything grew."""
+"""Soak test: ``python -m tests.soak [CYCLES [CYCLES]]``, a long watch over simulated hosts, then one over
+real sshd hosts. Fails on growth.
+"""
 
 import sys
 import tempfile
 from pathlib import Path
 
-from tests.soak import fake, real
-from tests.soak.gauge import Reading, grown, table
+from tests.soak import simulated_hosts, ssh_hosts
+from tests.soak.resource_readings import ResourceReading, format_table, list_growth
 
 
 def main(simulated: int = 10_000, over_ssh: int = 200) -> int:
-    """Exit status: 0, or 1 where something grew or was left behind."""
+    """Return the exit status: 0, or 1 if something grew or was left behind."""
     wrong = []
     for name, (seconds, warm, end, counts), cycles in (
-        ("simulated hosts", fake.timed(simulated), simulated),
-        ("real sshd", real.timed(over_ssh), over_ssh),
+        ("simulated hosts", simulated_hosts.time_simulated_soak(simulated), simulated),
+        ("real sshd", ssh_hosts.time_ssh_soak(over_ssh), over_ssh),
     ):
-        report(name, cycles, seconds, warm, end, counts)
-        wrong += [f"{name}: {each}" for each in grown(warm, end)]
+        print_report(name, cycles, seconds, warm, end, counts)
+        wrong += [f"{name}: {each}" for each in list_growth(warm, end)]
         wrong += [f"{name}: {counts[key]} {key}" for key in ("errors", "left behind") if counts.get(key)]
     print("grew: " + "; ".join(wrong) if wrong else "nothing grew")
     return 1 if wrong else 0
 
 
-def report(
-    name: str, cycles: int, seconds: float, warm: Reading, end: Reading, counts: dict[str, int]
+def print_report(
+    name: str,
+    cycles: int,
+    seconds: float,
+    warm: ResourceReading,
+    end: ResourceReading,
+    counts: dict[str, int],
 ) -> None:
-    print(table(name, cycles, seconds, warm, end))
+    print(format_table(name, cycles, seconds, warm, end))
     print(", ".join(f"{count} {what}" for what, count in counts.items()), "\n", flush=True)
 
 

@@ -1,4 +1,6 @@
-"""Memory, measured links and directories: private, whole or not at all, never fatal when broken."""
+"""Manager state, measured links and directories: private, written atomically or not at all, never fatal when
+damaged.
+"""
 
 import dataclasses
 import json

@@ -1,4 +1,4 @@
-"""The journal: chained, synced, honest about what is torn or damaged."""
+"""The journal: chained, synced, and explicit about torn or damaged entries."""
 
 import json
 import os
@@ -11,11 +11,11 @@ import pytest
 from edgectl.errors import StateError
 from edgectl.state.journal import JOURNAL_FILE_NAME, Journal
 from edgectl.state.journal_reader import JournalSummary, read_journal, read_journal_cached
-from tests.state.journals import entries
+from tests.state.journal_files import read_entries
 
 
-def written(directory: Path) -> Path:
-    """A journal of two applies, the second cut off while it moved slam."""
+def a_written_journal(directory: Path) -> Path:
+    """A journal of two applies, the second interrupted while it moved slam."""
     with Journal.open(directory, clock=lambda: 0.0) as journal:
         journal.append("begin", revision=1, plan="plan-a")
         journal.append("intent", task="slam", action="start")
@@ -29,8 +29,8 @@ def written(directory: Path) -> Path:
 
 
 def test_what_was_written_is_read(tmp_path: Path) -> None:
-    log = read_journal(written(tmp_path))
-    assert [entry["event"] for entry in entries(tmp_path / JOURNAL_FILE_NAME)] == [
+    log = read_journal(a_written_journal(tmp_path))
+    assert [entry["event"] for entry in read_entries(tmp_path / JOURNAL_FILE_NAME)] == [
         "begin",
         "intent",
         "commit",
@@ -50,20 +50,20 @@ def test_no_journal_is_an_empty_one(tmp_path: Path) -> None:
 
 
 def test_every_truncation_is_a_torn_line_and_never_a_wrong_entry(tmp_path: Path) -> None:
-    data = written(tmp_path).read_bytes()
-    whole = entries(tmp_path / "journal.jsonl")
+    data = a_written_journal(tmp_path).read_bytes()
+    whole = read_entries(tmp_path / "journal.jsonl")
     ends = [position + 1 for position, byte in enumerate(data) if byte == ord("\n")]
     for length in range(len(data)):
         path = tmp_path / "cut.jsonl"
         path.write_bytes(data[:length])
         log = read_journal(path)
         sound = [end for end in ends if end <= length]
-        assert entries(path) == whole[: len(sound)]
+        assert read_entries(path) == whole[: len(sound)]
         assert (log.size, log.torn, log.broken) == (max(sound, default=0), length - max(sound, default=0), 0)
 
 
 def test_every_flipped_bit_is_noticed_where_it_is(tmp_path: Path) -> None:
-    data = written(tmp_path).read_bytes()
+    data = a_written_journal(tmp_path).read_bytes()
     path = tmp_path / "flipped.jsonl"
     for position in range(0, len(data) - 1, 3):
         flipped = bytearray(data)
@@ -73,7 +73,7 @@ def test_every_flipped_bit_is_noticed_where_it_is(tmp_path: Path) -> None:
 
 
 def test_a_removed_or_exchanged_line_breaks_the_chain(tmp_path: Path) -> None:
-    lines = written(tmp_path).read_bytes().splitlines(keepends=True)
+    lines = a_written_journal(tmp_path).read_bytes().splitlines(keepends=True)
     path = tmp_path / "edited.jsonl"
     path.write_bytes(b"".join(lines[:2] + lines[3:]))
     assert read_journal(path).broken == 3
@@ -82,7 +82,7 @@ def test_a_removed_or_exchanged_line_breaks_the_chain(tmp_path: Path) -> None:
 
 
 def test_a_torn_line_is_cut_off_said_and_recorded(tmp_path: Path) -> None:
-    path = written(tmp_path)
+    path = a_written_journal(tmp_path)
     with path.open("ab") as file:
         file.write(b"deadbeef {")
     said: list[str] = []
@@ -90,12 +90,12 @@ def test_a_torn_line_is_cut_off_said_and_recorded(tmp_path: Path) -> None:
         journal.append("begin", revision=3, plan="plan-c")
     log = read_journal(path)
     assert "unfinished last line (10 bytes) was cut off" in said[0]
-    assert [entry["event"] for entry in entries(path)[-2:]] == ["torn", "begin"]
+    assert [entry["event"] for entry in read_entries(path)[-2:]] == ["torn", "begin"]
     assert (log.torn, log.broken) == (0, 0)
 
 
 def test_a_damaged_journal_is_set_aside_and_its_plans_still_count(tmp_path: Path) -> None:
-    path = written(tmp_path)
+    path = a_written_journal(tmp_path)
     path.write_bytes(path.read_bytes().replace(b'"camera"', b'"kamera"', 1))
     said: list[str] = []
     with Journal.open(tmp_path, warn=said.append) as journal:
@@ -108,7 +108,7 @@ def test_a_damaged_journal_is_set_aside_and_its_plans_still_count(tmp_path: Path
 
 
 def test_a_long_journal_is_put_away_and_continued(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = written(tmp_path)
+    path = a_written_journal(tmp_path)
     monkeypatch.setattr("edgectl.state.journal._ROTATE_BYTES", 100)
     with Journal.open(tmp_path) as journal:
         assert not (tmp_path / "journal-2.jsonl").exists()  # slam is unfinished
@@ -118,7 +118,7 @@ def test_a_long_journal_is_put_away_and_continued(tmp_path: Path, monkeypatch: p
         assert journal.log.revision == 2
         journal.append("begin", revision=3, plan="plan-c")
     log = read_journal(path)
-    assert (log.revision, log.applied, entries(tmp_path / JOURNAL_FILE_NAME)[0]["after"]) == (
+    assert (log.revision, log.applied, read_entries(tmp_path / JOURNAL_FILE_NAME)[0]["after"]) == (
         3,
         {"plan-a", "plan-b", "plan-c"},
         last,
@@ -129,7 +129,7 @@ def test_a_long_journal_is_put_away_and_continued(tmp_path: Path, monkeypatch: p
 def test_a_newer_format_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as patch:
         patch.setattr("edgectl.state.journal.JOURNAL_FORMAT", 2)
-        written(tmp_path)
+        a_written_journal(tmp_path)
     with pytest.raises(StateError, match="written by a newer edgectl"):
         Journal.open(tmp_path)
 
@@ -157,11 +157,11 @@ def test_threads_keep_the_chain(tmp_path: Path) -> None:
         for thread in threads:
             thread.join()
     log = read_journal(tmp_path / "journal.jsonl")
-    assert (len(entries(tmp_path / JOURNAL_FILE_NAME)), log.broken) == (80, 0)
+    assert (len(read_entries(tmp_path / JOURNAL_FILE_NAME)), log.broken) == (80, 0)
 
 
 def test_the_file_is_private_and_plain_json(tmp_path: Path) -> None:
-    path = written(tmp_path)
+    path = a_written_journal(tmp_path)
     assert path.stat().st_mode & 0o777 == 0o600
     assert json.loads(path.read_text().splitlines()[0][65:])["at"] == "1970-01-01T00:00:00Z"
 

@@ -1,4 +1,4 @@
-"""One at a time; the lock dies with its holder."""
+"""One holder at a time; the lock is released when its holder dies."""
 
 import os
 import signal
@@ -25,8 +25,8 @@ with FleetLock(Path(sys.argv[1]), verb="apply"):
 """
 
 
-def holder(directory: Path) -> tuple[subprocess.Popen[str], int]:
-    """A process that holds the lock, and its child that must not."""
+def hold_lock(directory: Path) -> tuple[subprocess.Popen[str], int]:
+    """Start a process that holds the lock, with a child that must not inherit it."""
     process = subprocess.Popen(
         [sys.executable, "-c", HOLDER, str(directory)], stdout=subprocess.PIPE, text=True
     )
@@ -54,14 +54,14 @@ def test_it_is_free_after_use_and_after_a_failure(tmp_path: Path) -> None:
 
 
 def test_it_dies_with_its_holder_and_is_not_inherited(tmp_path: Path) -> None:
-    process, child = holder(tmp_path)
+    process, child = hold_lock(tmp_path)
     try:
         with pytest.raises(LockBusyError, match=f"pid {process.pid}"), FleetLock(tmp_path):
             pass
         process.kill()
         process.wait()
         with FleetLock(tmp_path):
-            os.kill(child, 0)  # the child still lives, without the lock
+            os.kill(child, 0)  # the child is alive, without the lock
     finally:
         process.kill()
         process.wait()
@@ -69,7 +69,7 @@ def test_it_dies_with_its_holder_and_is_not_inherited(tmp_path: Path) -> None:
 
 
 def test_a_timeout_waits_for_the_holder(tmp_path: Path) -> None:
-    process, child = holder(tmp_path)
+    process, child = hold_lock(tmp_path)
     try:
         with ThreadPoolExecutor(1) as pool:
             began = time.monotonic()

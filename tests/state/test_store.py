@@ -1,4 +1,4 @@
-"""The history in SQLite: what is recorded is read back; it keeps itself small; nothing is fatal to it."""
+"""The history in SQLite: records are read back, size is bounded, and no failure is fatal."""
 
 import dataclasses
 import stat

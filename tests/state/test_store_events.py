@@ -1,4 +1,4 @@
-"""Events, worked out by hand: what one picture after another, and an apply between them, must tell."""
+"""Events derived from consecutive snapshots and an apply between them, worked out by hand."""
 
 import dataclasses
 
@@ -18,14 +18,14 @@ def a_task(**changes: object) -> TaskSample:
 
 
 def a_host(boot: str = "boot1", **tasks: TaskSample) -> HostSample:
-    """A host that answers, and what runs there."""
+    """A host that answers, and its tasks."""
     return dataclasses.replace(a_sample(tasks=tasks), device=DeviceSample(boot_id=boot))
 
 
-def told(
+def list_told_events(
     *pictures: Snapshot, known: KnownFleet = NOTHING, changing: bool = False
 ) -> tuple[list[tuple[str, ...]], KnownFleet]:
-    """What the last picture tells after those before it: (kind, task or -, host or -, message)."""
+    """Return the events of the last snapshot after those before it: (kind, task or -, host or -, message)."""
     events = ()
     for picture in pictures:
         events, known = detect_events(known, picture, changing=changing)
@@ -45,7 +45,7 @@ def test_the_first_picture_tells_only_what_is_wrong() -> None:
     first = at(
         0, edge1=a_host(slam=a_task(), camera=a_task(state=TaskState.FAILED, exit_code=3)), edge2=silent()
     )
-    assert told(first)[0] == [
+    assert list_told_events(first)[0] == [
         ("host-lost", "-", "edge2", "connection refused"),
         ("task-failed", "camera", "edge1", "exit code 3"),
     ]
@@ -59,7 +59,7 @@ def test_a_host_is_lost_once_and_comes_back_once() -> None:
         at(75, edge1=a_host()),
         at(80, edge1=a_host()),
     ]
-    each = [told(*pictures[: count + 1])[0] for count in range(len(pictures))]
+    each = [list_told_events(*pictures[: count + 1])[0] for count in range(len(pictures))]
     assert each == [
         [],
         [("host-lost", "-", "edge1", "connection refused")],
@@ -71,112 +71,127 @@ def test_a_host_is_lost_once_and_comes_back_once() -> None:
 
 def test_a_host_that_started_anew_is_told_with_and_without_a_silence() -> None:
     rebooted = ("host-rebooted", "-", "edge1", "the machine has rebooted since")
-    assert told(at(0, edge1=a_host()), at(10, edge1=a_host("boot2")))[0] == [rebooted]
-    assert told(at(0, edge1=a_host()), at(10, edge1=silent()), at(20, edge1=a_host("boot2")))[0] == [
+    assert list_told_events(at(0, edge1=a_host()), at(10, edge1=a_host("boot2")))[0] == [rebooted]
+    assert list_told_events(at(0, edge1=a_host()), at(10, edge1=silent()), at(20, edge1=a_host("boot2")))[
+        0
+    ] == [
         ("host-back", "-", "edge1", "after 10s"),
         rebooted,
     ]
-    assert told(at(0, edge1=a_host()), at(10, edge1=a_host("")))[0] == []
+    assert list_told_events(at(0, edge1=a_host()), at(10, edge1=a_host("")))[0] == []
 
 
 # -- tasks -------------------------------------------------------------------------------------------------------------------------------
 
 
-def after(
+def list_events_after(
     now: TaskSample | None, *, before: TaskSample | None = None, host: str = "edge1"
 ) -> list[tuple[str, ...]]:
-    """What a second picture tells, with ``now`` on ``host``, after ``before`` (a ready task) on edge1."""
+    """Return the events of a second snapshot with ``now`` on ``host``, after ``before`` (a ready task) on
+    edge1.
+    """
     there = {"slam": now} if now is not None else {}
     hosts = {"edge1": a_host(), "edge2": a_host()} | {host: a_host(**there)}
-    return told(at(0, edge1=a_host(slam=before or a_task()), edge2=a_host()), at(10, **hosts))[0]
+    return list_told_events(at(0, edge1=a_host(slam=before or a_task()), edge2=a_host()), at(10, **hosts))[0]
 
 
 def test_a_task_that_is_as_it_was_tells_nothing() -> None:
-    assert after(a_task()) == []
-    assert after(a_task(used_cores=3.0, pid=7)) == []
+    assert list_events_after(a_task()) == []
+    assert list_events_after(a_task(used_cores=3.0, pid=7)) == []
 
 
 def test_how_a_task_ends() -> None:
-    assert after(a_task(state=TaskState.COMPLETED, exit_code=0)) == [
+    assert list_events_after(a_task(state=TaskState.COMPLETED, exit_code=0)) == [
         ("task-completed", "slam", "edge1", "exit code 0")
     ]
-    assert after(a_task(state=TaskState.FAILED, exit_code=1, detail="killed")) == [
+    assert list_events_after(a_task(state=TaskState.FAILED, exit_code=1, detail="killed")) == [
         ("task-failed", "slam", "edge1", "exit code 1; killed")
     ]
     gone_wrong = a_task(state=TaskState.CRASHLOOP, restarts=5, last_exit=7)
-    assert after(gone_wrong) == [
+    assert list_events_after(gone_wrong) == [
         ("task-restarted", "slam", "edge1", "by its supervisor 5 times, after exit code 7"),
         ("task-crashloop", "slam", "edge1", ""),
     ]
-    assert after(gone_wrong, before=gone_wrong) == []
+    assert list_events_after(gone_wrong, before=gone_wrong) == []
 
 
 def test_a_task_becomes_ready_once() -> None:
     starting = a_task(state=TaskState.STARTING)
-    assert after(a_task(), before=starting) == [("task-ready", "slam", "edge1", "")]
-    assert after(starting, before=starting) == []
+    assert list_events_after(a_task(), before=starting) == [("task-ready", "slam", "edge1", "")]
+    assert list_events_after(starting, before=starting) == []
 
 
 def test_a_restart_by_the_supervisor_and_one_by_somebody_else() -> None:
-    assert after(a_task(restarts=1, last_exit=-9)) == [
+    assert list_events_after(a_task(restarts=1, last_exit=-9)) == [
         ("task-restarted", "slam", "edge1", "by its supervisor once, after exit code -9")
     ]
-    assert after(a_task(instance="i2")) == [("task-restarted", "slam", "edge1", "found restarted")]
+    assert list_events_after(a_task(instance="i2")) == [
+        ("task-restarted", "slam", "edge1", "found restarted")
+    ]
 
 
 def test_a_task_that_vanished_or_moved_without_us() -> None:
-    assert after(None) == [("task-lost", "slam", "edge1", "gone, and not stopped by this manager")]
-    assert after(None, before=a_task(state=TaskState.COMPLETED)) == []
-    assert after(a_task(instance="i2"), host="edge2") == [
+    assert list_events_after(None) == [
+        ("task-lost", "slam", "edge1", "gone, and not stopped by this manager")
+    ]
+    assert list_events_after(None, before=a_task(state=TaskState.COMPLETED)) == []
+    assert list_events_after(a_task(instance="i2"), host="edge2") == [
         ("task-moved", "slam", "edge2", "found there; it was on edge1")
     ]
 
 
 def test_a_task_on_a_silent_host_is_not_lost_until_it_is_seen_elsewhere() -> None:
     first, dark = at(0, edge1=a_host(slam=a_task()), edge2=a_host()), at(10, edge1=silent(), edge2=a_host())
-    assert told(first, dark)[0] == [("host-lost", "-", "edge1", "connection refused")]
+    assert list_told_events(first, dark)[0] == [("host-lost", "-", "edge1", "connection refused")]
     moved = at(20, edge1=silent(), edge2=a_host(slam=a_task(instance="i2")))
-    assert told(first, dark, moved)[0] == [("task-moved", "slam", "edge2", "found there; it was on edge1")]
-    assert told(first, dark, at(20, edge1=a_host(slam=a_task()), edge2=a_host()))[0] == [
+    assert list_told_events(first, dark, moved)[0] == [
+        ("task-moved", "slam", "edge2", "found there; it was on edge1")
+    ]
+    assert list_told_events(first, dark, at(20, edge1=a_host(slam=a_task()), edge2=a_host()))[0] == [
         ("host-back", "-", "edge1", "after 10s")
     ]
 
 
 def test_a_task_found_on_a_known_host_was_started_by_somebody() -> None:
-    assert told(at(0, edge1=a_host()), at(10, edge1=a_host(slam=a_task())))[0] == [
+    assert list_told_events(at(0, edge1=a_host()), at(10, edge1=a_host(slam=a_task())))[0] == [
         ("task-started", "slam", "edge1", "found running")
     ]
     over = at(10, edge1=a_host(slam=a_task(state=TaskState.COMPLETED)))
-    assert told(at(0, edge1=a_host()), over)[0] == [("task-completed", "slam", "edge1", "")]
+    assert list_told_events(at(0, edge1=a_host()), over)[0] == [("task-completed", "slam", "edge1", "")]
 
 
 def test_of_two_places_the_one_where_it_lives_counts() -> None:
     dead = a_task(state=TaskState.FAILED)
     both = at(10, edge1=a_host(slam=dead), edge2=a_host(slam=a_task(instance="i2")))
-    assert told(at(0, edge1=a_host(slam=a_task()), edge2=a_host()), both)[0] == [
+    assert list_told_events(at(0, edge1=a_host(slam=a_task()), edge2=a_host()), both)[0] == [
         ("task-moved", "slam", "edge2", "found there; it was on edge1")
     ]
     twice = at(10, edge1=a_host(slam=a_task()), edge2=a_host(slam=a_task(instance="i2", started_at=NOW)))
-    assert told(at(0, edge1=a_host(slam=a_task()), edge2=a_host()), twice)[0] == []
+    assert list_told_events(at(0, edge1=a_host(slam=a_task()), edge2=a_host()), twice)[0] == []
 
 
 def test_what_is_left_of_an_old_run_tells_nothing() -> None:
     first = at(0, edge1=a_host(), edge2=a_host(slam=a_task()))
     left = a_task(state=TaskState.FAILED, instance="i0")
-    assert told(first, at(10, edge1=a_host(slam=left), edge2=silent()))[0] == [
+    assert list_told_events(first, at(10, edge1=a_host(slam=left), edge2=silent()))[0] == [
         ("host-lost", "-", "edge2", "connection refused")
     ]
     gone = at(10, edge1=a_host(), edge2=a_host())
     assert (
-        told(first, gone, at(20, edge1=a_host(), edge2=a_host(slam=a_task(state=TaskState.FAILED))))[0] == []
+        list_told_events(
+            first, gone, at(20, edge1=a_host(), edge2=a_host(slam=a_task(state=TaskState.FAILED)))
+        )[0]
+        == []
     )
 
 
 def test_an_older_picture_and_the_same_one_tell_nothing_but_a_clock_set_back_does() -> None:
     first, lost = at(0, edge1=a_host()), at(10, edge1=silent())
-    assert told(first, lost, at(5, edge1=a_host()))[0] == []
-    assert told(first, lost, lost)[0] == []
-    assert told(first, lost, at(-86400, edge1=a_host()))[0] == [("host-back", "-", "edge1", "after 0.0s")]
+    assert list_told_events(first, lost, at(5, edge1=a_host()))[0] == []
+    assert list_told_events(first, lost, lost)[0] == []
+    assert list_told_events(first, lost, at(-86400, edge1=a_host()))[0] == [
+        ("host-back", "-", "edge1", "after 0.0s")
+    ]
 
 
 # -- an apply ----------------------------------------------------------------------------------------------------------------------------
@@ -194,7 +209,7 @@ def a_result(action: Action, outcome: Outcome = Outcome.DONE, **changes: object)
     return dataclasses.replace(result, **changes)  # type: ignore[arg-type]
 
 
-def applied(
+def list_events_after_apply(
     *results: ActionResult, known: KnownFleet = NOTHING, second: float = 20.0
 ) -> tuple[list[tuple[str, ...]], KnownFleet]:
     events, after = detect_result_events(
@@ -206,56 +221,64 @@ def applied(
 
 
 def test_what_an_apply_did() -> None:
-    assert applied(a_result(Action.START))[0] == [("task-started", "slam", "edge2", "took 2.0s")]
+    assert list_events_after_apply(a_result(Action.START))[0] == [
+        ("task-started", "slam", "edge2", "took 2.0s")
+    ]
     move = a_result(Action.MOVE, previous_host="edge1", downtime_s=1.25)
-    assert applied(move)[0] == [("task-moved", "slam", "edge2", "from edge1, gap 1.2s")]
-    assert applied(a_result(Action.RESTART, downtime_s=1.0))[0] == [
+    assert list_events_after_apply(move)[0] == [("task-moved", "slam", "edge2", "from edge1, gap 1.2s")]
+    assert list_events_after_apply(a_result(Action.RESTART, downtime_s=1.0))[0] == [
         ("task-restarted", "slam", "edge2", "gap 1.0s")
     ]
     stop = a_result(Action.STOP, host=None, previous_host="edge1", located=None)
-    assert applied(stop)[0] == [("task-stopped", "slam", "edge1", "took 2.0s")]
-    assert applied(a_result(Action.COMPLETE, host=None, previous_host="edge1", located=None))[0] == [
-        ("task-stopped", "slam", "edge1", "it has completed, took 2.0s")
-    ]
-    assert applied(a_result(Action.MOVE, Outcome.FAILED, error="no route"))[0] == [
+    assert list_events_after_apply(stop)[0] == [("task-stopped", "slam", "edge1", "took 2.0s")]
+    assert list_events_after_apply(a_result(Action.COMPLETE, host=None, previous_host="edge1", located=None))[
+        0
+    ] == [("task-stopped", "slam", "edge1", "it has completed, took 2.0s")]
+    assert list_events_after_apply(a_result(Action.MOVE, Outcome.FAILED, error="no route"))[0] == [
         ("action-failed", "slam", "edge2", "move: no route")
     ]
-    assert applied(a_result(Action.START, Outcome.DEFERRED, phases=(), error="later"))[0] == [
+    assert list_events_after_apply(a_result(Action.START, Outcome.DEFERRED, phases=(), error="later"))[0] == [
         ("task-deferred", "slam", "edge2", "start: later")
     ]
-    assert applied(a_result(Action.START, Outcome.SKIPPED, phases=()))[0] == []
+    assert list_events_after_apply(a_result(Action.START, Outcome.SKIPPED, phases=()))[0] == []
 
 
 def test_the_picture_after_an_apply_tells_nothing_of_what_it_did() -> None:
-    before = told(at(0, edge1=a_host(slam=a_task()), edge2=a_host()))[1]
-    _, known = applied(a_result(Action.MOVE, previous_host="edge1", downtime_s=1.0), known=before)
+    before = list_told_events(at(0, edge1=a_host(slam=a_task()), edge2=a_host()))[1]
+    _, known = list_events_after_apply(
+        a_result(Action.MOVE, previous_host="edge1", downtime_s=1.0), known=before
+    )
     moved = at(30, edge1=a_host(), edge2=a_host(slam=a_task(instance="i2")))
-    assert told(moved, known=known)[0] == []
-    _, known = applied(a_result(Action.STOP, host=None, previous_host="edge1", located=None), known=before)
-    assert told(at(30, edge1=a_host(), edge2=a_host()), known=known)[0] == []
-    assert told(at(30, edge1=a_host(slam=a_task(instance="i2")), edge2=a_host()), known=known)[0] == [
-        ("task-started", "slam", "edge1", "found running")
-    ]
+    assert list_told_events(moved, known=known)[0] == []
+    _, known = list_events_after_apply(
+        a_result(Action.STOP, host=None, previous_host="edge1", located=None), known=before
+    )
+    assert list_told_events(at(30, edge1=a_host(), edge2=a_host()), known=known)[0] == []
+    assert list_told_events(at(30, edge1=a_host(slam=a_task(instance="i2")), edge2=a_host()), known=known)[
+        0
+    ] == [("task-started", "slam", "edge1", "found running")]
 
 
 def test_a_picture_from_within_an_apply_leaves_its_work_to_it() -> None:
-    before = told(at(0, edge1=a_host(slam=a_task(), camera=a_task()), edge2=a_host()))[1]
+    before = list_told_events(at(0, edge1=a_host(slam=a_task(), camera=a_task()), edge2=a_host()))[1]
     half = at(15, edge1=a_host(camera=a_task(restarts=1)), edge2=silent())
-    assert told(half, known=before, changing=True)[0] == [
+    assert list_told_events(half, known=before, changing=True)[0] == [
         ("host-lost", "-", "edge2", "connection refused"),
         ("task-restarted", "camera", "edge1", "by its supervisor once"),
     ]
-    # The same picture, recorded only after the apply had ended, is older than what it left.
-    _, known = applied(a_result(Action.MOVE, previous_host="edge1", downtime_s=1.0), known=before)
-    assert ("task-lost", "slam", "edge1", "gone, and not stopped by this manager") not in told(
+    # The same snapshot, recorded after the apply had ended, is older than the result of the apply.
+    _, known = list_events_after_apply(
+        a_result(Action.MOVE, previous_host="edge1", downtime_s=1.0), known=before
+    )
+    assert ("task-lost", "slam", "edge1", "gone, and not stopped by this manager") not in list_told_events(
         half, known=known
     )[0]
 
 
 def test_a_failed_action_that_touched_nothing_leaves_what_was_known() -> None:
-    known = told(at(0, edge1=a_host(slam=a_task())))[1]
+    known = list_told_events(at(0, edge1=a_host(slam=a_task())))[1]
     assert (
-        applied(
+        list_events_after_apply(
             a_result(Action.MOVE, Outcome.FAILED, phases=(), error="no route", located="edge1"), known=known
         )[1]
         == known
@@ -263,7 +286,7 @@ def test_a_failed_action_that_touched_nothing_leaves_what_was_known() -> None:
 
 
 def test_all_that_is_known_is_that_of_the_last_picture() -> None:
-    known = told(
+    known = list_told_events(
         at(0, edge1=a_host(slam=a_task())),
         at(10, edge1=a_host(slam=a_task(restarts=1))),
         at(20, edge1=a_host()),

@@ -1,4 +1,6 @@
-"""What applications say of themselves in the history: kept when it changes, by start, within bounds, also in a file of an older edgectl."""
+"""Application metrics in the history: stored on change, by start, within bounds, also in a file of an older
+edgectl.
+"""
 
 import sqlite3
 import threading
@@ -17,30 +19,35 @@ from tests.builders import NOW, a_sample, a_snapshot
 from tests.state.test_store import a_task
 
 
-def saying(second: float, metrics: Mapping[str, float], **changes: object) -> Snapshot:
-    """A snapshot in which slam says this."""
+def a_metrics_snapshot(second: float, metrics: Mapping[str, float], **changes: object) -> Snapshot:
+    """A snapshot with these metrics of slam."""
     return a_snapshot(
         taken_at=NOW + second,
         edge1=a_sample(tasks={"slam": a_task(metrics=metrics, **changes), "nav": a_task()}),
     )
 
 
-def points(store: Store) -> list[MetricPoint]:
+def list_points(store: Store) -> list[MetricPoint]:
     return list(store.stream(rows.METRICS, "metric_samples", "at, name"))
 
 
-def said(store: Store) -> list[tuple[float, str, float]]:
-    return [(point.at - NOW, point.name, point.value) for point in points(store)]
+def list_metrics(store: Store) -> list[tuple[float, str, float]]:
+    return [(point.at - NOW, point.name, point.value) for point in list_points(store)]
 
 
 def test_a_value_is_kept_when_it_changes(tmp_path: Path) -> None:
     with Store.open(tmp_path) as store:
         for second, fps in enumerate([29.5, 29.5, 30.0, 30.0, 29.5]):
-            store.record_snapshot(saying(second, {"fps": fps, "map/loss": -1e300}))
-        store.record_snapshot(saying(5, {}))
-        store.record_snapshot(saying(6, {"fps": 29.5}))
-        assert said(store) == [(0, "fps", 29.5), (0, "map/loss", -1e300), (2, "fps", 30.0), (4, "fps", 29.5)]
-        assert {(point.task, point.host, point.instance) for point in points(store)} == {
+            store.record_snapshot(a_metrics_snapshot(second, {"fps": fps, "map/loss": -1e300}))
+        store.record_snapshot(a_metrics_snapshot(5, {}))
+        store.record_snapshot(a_metrics_snapshot(6, {"fps": 29.5}))
+        assert list_metrics(store) == [
+            (0, "fps", 29.5),
+            (0, "map/loss", -1e300),
+            (2, "fps", 30.0),
+            (4, "fps", 29.5),
+        ]
+        assert {(point.task, point.host, point.instance) for point in list_points(store)} == {
             ("slam", "edge1", "i1")
         }
 
@@ -49,36 +56,36 @@ def test_the_same_snapshot_again_changes_nothing(tmp_path: Path) -> None:
     with Store.open(tmp_path) as store:
         for _ in range(2):
             for second, fps in enumerate([1.0, 2.0, 2.0]):
-                store.record_snapshot(saying(second, {"fps": fps}))
-        assert said(store) == [(0, "fps", 1.0), (1, "fps", 2.0)]
+                store.record_snapshot(a_metrics_snapshot(second, {"fps": fps}))
+        assert list_metrics(store) == [(0, "fps", 1.0), (1, "fps", 2.0)]
 
 
 def test_every_start_has_values_of_its_own(tmp_path: Path) -> None:
     with Store.open(tmp_path) as store:
         for second, instance in enumerate(["i1", "i1", "i2", "i2"]):
-            store.record_snapshot(saying(second, {"fps": 1.0}, instance=instance))
-        assert [(point.at - NOW, point.instance) for point in points(store)] == [(0, "i1"), (2, "i2")]
+            store.record_snapshot(a_metrics_snapshot(second, {"fps": 1.0}, instance=instance))
+        assert [(point.at - NOW, point.instance) for point in list_points(store)] == [(0, "i1"), (2, "i2")]
 
 
 def test_old_values_go_as_samples_do(tmp_path: Path) -> None:
     with Store.open(tmp_path, retention=Retention(samples_s=10)) as store:
-        store.record_snapshot(saying(0, {"fps": 1.0, "loss": 1.0}))
-        store.record_snapshot(saying(50, {"fps": 2.0, "loss": 1.0}))
+        store.record_snapshot(a_metrics_snapshot(0, {"fps": 1.0, "loss": 1.0}))
+        store.record_snapshot(a_metrics_snapshot(50, {"fps": 2.0, "loss": 1.0}))
         store.prune(NOW + 55)
-        assert said(store) == [(50, "fps", 2.0)]
+        assert list_metrics(store) == [(50, "fps", 2.0)]
         store.prune(NOW + 100)
-        assert said(store) == []
-        store.record_snapshot(saying(101, {"fps": 2.0}))
-        assert said(store) == [(101, "fps", 2.0)]
+        assert list_metrics(store) == []
+        store.record_snapshot(a_metrics_snapshot(101, {"fps": 2.0}))
+        assert list_metrics(store) == [(101, "fps", 2.0)]
     left = dict(
-        columns(
+        list_columns(
             tmp_path, "SELECT 'metrics', count(*) FROM metrics UNION SELECT 'starts', count(*) FROM starts"
         )
     )
     assert left == {"metrics": 1, "starts": 2}
 
 
-def columns(directory: Path, sql: str) -> list[tuple[str, int]]:
+def list_columns(directory: Path, sql: str) -> list[tuple[str, int]]:
     connection = sqlite3.connect(directory / HISTORY_FILE_NAME)
     try:
         return connection.execute(sql).fetchall()
@@ -90,18 +97,20 @@ def test_much_that_is_said_does_not_make_the_file_larger_than_it_may_be(tmp_path
     most = 200_000
     with Store.open(tmp_path, retention=Retention(max_bytes=most)) as store:
         for second in range(300):
-            store.record_snapshot(saying(second, {f"m{number}": second + number for number in range(32)}))
+            store.record_snapshot(
+                a_metrics_snapshot(second, {f"m{number}": second + number for number in range(32)})
+            )
         store.prune(NOW + 300)
-        kept = said(store)
+        kept = list_metrics(store)
         assert kept[-1][0] == 299
         assert 32 < len(kept) < 32 * 300
     assert (tmp_path / HISTORY_FILE_NAME).stat().st_size <= most
 
 
 def an_older_history(directory: Path) -> None:
-    """As the edgectl before this one left it: with samples, and no place for what applications say."""
+    """A history as an older edgectl left it: with samples, and without a table for metrics."""
     with Store.open(directory) as store:
-        store.record_snapshot(saying(0, {"fps": 1.0}))
+        store.record_snapshot(a_metrics_snapshot(0, {"fps": 1.0}))
     connection = sqlite3.connect(directory / HISTORY_FILE_NAME, isolation_level=None)
     connection.executescript(
         "DROP VIEW metric_samples; DROP TABLE readings; DROP TABLE metrics; PRAGMA user_version = 1;"
@@ -113,12 +122,12 @@ def test_a_history_of_an_older_edgectl_is_kept_and_goes_on(tmp_path: Path) -> No
     an_older_history(tmp_path)
     warnings: list[str] = []
     with Store.open(tmp_path, warn=warnings.append) as store:
-        assert said(store) == []
-        store.record_snapshot(saying(1, {"fps": 2.0}))
-        assert said(store) == [(1, "fps", 2.0)]
+        assert list_metrics(store) == []
+        store.record_snapshot(a_metrics_snapshot(1, {"fps": 2.0}))
+        assert list_metrics(store) == [(1, "fps", 2.0)]
         assert [point.at - NOW for point in store.task_points("slam")] == [0, 1]
     assert warnings == []
-    assert columns(tmp_path, "PRAGMA user_version") == [(SCHEMA_VERSION,)]
+    assert list_columns(tmp_path, "PRAGMA user_version") == [(SCHEMA_VERSION,)]
 
 
 def test_several_may_bring_it_up_to_date_at_once(tmp_path: Path) -> None:
@@ -129,7 +138,7 @@ def test_several_may_bring_it_up_to_date_at_once(tmp_path: Path) -> None:
     def bring(number: int) -> None:
         ready.wait(timeout=60)
         with Store.open(tmp_path, warn=warnings.append) as store:
-            store.record_snapshot(saying(number, {"fps": float(number)}))
+            store.record_snapshot(a_metrics_snapshot(number, {"fps": float(number)}))
 
     threads = [threading.Thread(target=bring, args=(number,)) for number in range(4)]
     for thread in threads:
@@ -138,13 +147,13 @@ def test_several_may_bring_it_up_to_date_at_once(tmp_path: Path) -> None:
         thread.join(timeout=60)
     assert warnings == []
     with Store.open(tmp_path) as store:
-        assert len(said(store)) == 4
+        assert len(list_metrics(store)) == 4
 
 
 @pytest.mark.parametrize("value", ["'x'", "9e999", "-9e999"])
 def test_a_value_that_edgectl_did_not_write_is_damage(tmp_path: Path, value: str) -> None:
     with Store.open(tmp_path) as store:
-        store.record_snapshot(saying(0, {"fps": 1.0}))
+        store.record_snapshot(a_metrics_snapshot(0, {"fps": 1.0}))
     connection = sqlite3.connect(tmp_path / HISTORY_FILE_NAME, isolation_level=None)
     connection.executescript(
         "PRAGMA writable_schema = ON; UPDATE sqlite_schema SET sql = replace(sql, ') STRICT,', ')') WHERE name = 'readings';"
@@ -154,4 +163,4 @@ def test_a_value_that_edgectl_did_not_write_is_damage(tmp_path: Path, value: str
     connection.execute(f"UPDATE readings SET value = {value}")
     connection.close()
     with Store.open(tmp_path) as store, pytest.raises(StateError, match="cannot be read to its end"):
-        points(store)
+        list_points(store)

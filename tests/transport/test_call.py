@@ -1,4 +1,4 @@
-"""The framed call: noise never changes a reading, and whatever is wrong has a name."""
+"""The framed call: noise never changes a value, and every failure has an error of its own."""
 
 import hashlib
 import json
@@ -23,8 +23,8 @@ from tests.pace import patience
 REQUEST = {"op": "status", "host": "edge1", "task": None}
 
 
-class Scripted:
-    """A session that answers with what ``answer`` makes of the marker."""
+class ScriptedSession:
+    """Session whose reply is computed from the marker by ``answer``."""
 
     python = "python3"
 
@@ -48,7 +48,9 @@ class Scripted:
     def __exit__(self, *exc: object) -> None: ...
 
 
-def frame(marker: str, payload: bytes, *, length: int | None = None, digest: str | None = None) -> bytes:
+def frame_reply(
+    marker: str, payload: bytes, *, length: int | None = None, digest: str | None = None
+) -> bytes:
     digest = digest or hashlib.sha256(payload).hexdigest()
     return (
         f"\nedgectl-frame {marker} {len(payload) if length is None else length} {digest}\n".encode()
@@ -61,8 +63,8 @@ GOOD = b'{"v": 1}'
 OTHER = "0" * 32
 
 
-def asked(answer: Callable[[str], Reply | bytes]) -> dict[str, object]:
-    return call_agent(Scripted(answer), REQUEST, timeout=30.0)
+def call_scripted(answer: Callable[[str], Reply | bytes]) -> dict[str, object]:
+    return call_agent(ScriptedSession(answer), REQUEST, timeout=30.0)
 
 
 @pytest.mark.parametrize(
@@ -72,18 +74,18 @@ def asked(answer: Callable[[str], Reply | bytes]) -> dict[str, object]:
         b"Welcome to Ubuntu 18.04\nLast login: yesterday\n",
         b"\x1b]0;title\x07\x1b[31mred\x1b[0m \xff\xfe\x00 not utf-8",
         b'{"v": 2}\n',
-        frame(OTHER, b'{"v": 3}'),
+        frame_reply(OTHER, b'{"v": 3}'),
         b"\nedgectl-frame ",
         b"\nedgectl-frame " + b"f" * 5000,
         b"x" * 900_000,
     ],
 )
 def test_noise_around_the_frame_changes_nothing(noise: bytes) -> None:
-    assert asked(lambda marker: noise + frame(marker, GOOD) + noise) == {"v": 1}
+    assert call_scripted(lambda marker: noise + frame_reply(marker, GOOD) + noise) == {"v": 1}
 
 
 def test_the_same_frame_twice_is_one_answer() -> None:
-    assert asked(lambda marker: frame(marker, GOOD) * 2) == {"v": 1}
+    assert call_scripted(lambda marker: frame_reply(marker, GOOD) * 2) == {"v": 1}
 
 
 @pytest.mark.parametrize(
@@ -91,43 +93,43 @@ def test_the_same_frame_twice_is_one_answer() -> None:
     [
         lambda marker: b"",
         lambda marker: b"Welcome\n",
-        lambda marker: frame(marker, GOOD)[:-4],
-        lambda marker: frame(marker, GOOD, length=7),
-        lambda marker: frame(marker, GOOD, length=10**9),
-        lambda marker: frame(marker, GOOD, digest="0" * 64),
-        lambda marker: frame(marker, GOOD).replace(b'"v"', b'"w"'),
-        lambda marker: frame(marker, GOOD) + frame(marker, b'{"v": 2}'),
-        lambda marker: frame(marker[:-1] + "x", GOOD),
-        lambda marker: frame(marker, b"[1]"),
-        lambda marker: frame(marker, b""),
-        lambda marker: frame(marker, b'{"v": NaN}'),
-        lambda marker: frame(marker, b'{"v": -Infinity}'),
-        lambda marker: frame(marker, b'{"v": 1e999}'),
-        lambda marker: frame(marker, b'{"v": 1, "v": 2}'),
-        lambda marker: frame(marker, b'{"v": "\xff"}'),
-        lambda marker: frame(marker, b'{"v": ' + b"9" * 5000 + b"}"),
-        lambda marker: frame(marker, b"[" * 100_000),
-        lambda marker: frame(marker, b'{"error": "no"}'),
-        lambda marker: frame(marker, b'{"missing": true}'),
+        lambda marker: frame_reply(marker, GOOD)[:-4],
+        lambda marker: frame_reply(marker, GOOD, length=7),
+        lambda marker: frame_reply(marker, GOOD, length=10**9),
+        lambda marker: frame_reply(marker, GOOD, digest="0" * 64),
+        lambda marker: frame_reply(marker, GOOD).replace(b'"v"', b'"w"'),
+        lambda marker: frame_reply(marker, GOOD) + frame_reply(marker, b'{"v": 2}'),
+        lambda marker: frame_reply(marker[:-1] + "x", GOOD),
+        lambda marker: frame_reply(marker, b"[1]"),
+        lambda marker: frame_reply(marker, b""),
+        lambda marker: frame_reply(marker, b'{"v": NaN}'),
+        lambda marker: frame_reply(marker, b'{"v": -Infinity}'),
+        lambda marker: frame_reply(marker, b'{"v": 1e999}'),
+        lambda marker: frame_reply(marker, b'{"v": 1, "v": 2}'),
+        lambda marker: frame_reply(marker, b'{"v": "\xff"}'),
+        lambda marker: frame_reply(marker, b'{"v": ' + b"9" * 5000 + b"}"),
+        lambda marker: frame_reply(marker, b"[" * 100_000),
+        lambda marker: frame_reply(marker, b'{"error": "no"}'),
+        lambda marker: frame_reply(marker, b'{"missing": true}'),
     ],
 )
 def test_anything_else_is_a_bad_reply(broken: Callable[[str], bytes]) -> None:
     with pytest.raises(ReplyError) as caught:
-        asked(broken)
+        call_scripted(broken)
     assert "\n" not in caught.value.message
     assert len(caught.value.message) < 300
 
 
 def test_excerpt_of_noise_is_harmless() -> None:
     with pytest.raises(ReplyError) as caught:
-        asked(lambda marker: b"\x1b[2J evil\xe2\x80\xae \x07 " + b"y" * 1000)
+        call_scripted(lambda marker: b"\x1b[2J evil\xe2\x80\xae \x07 " + b"y" * 1000)
     assert caught.value.message.isprintable()
 
 
 def test_error_document_is_a_refusal_with_its_hint() -> None:
     document = {"error": {"kind": "stale-generation", "message": "too \x1b old", "hint": "plan again"}}
     with pytest.raises(RefusedError) as caught:
-        asked(lambda marker: frame(marker, json.dumps(document).encode()))
+        call_scripted(lambda marker: frame_reply(marker, json.dumps(document).encode()))
     assert (caught.value.message, caught.value.hint) == ("too \\x1b old", "plan again")
 
 
@@ -144,21 +146,25 @@ def test_error_document_is_a_refusal_with_its_hint() -> None:
 )
 def test_missing_python_has_its_own_error(stderr: bytes, status: int) -> None:
     with pytest.raises(NoPythonError):
-        asked(lambda marker: Reply(stdout=b"Welcome\n", stderr=stderr, status=status))
+        call_scripted(lambda marker: Reply(stdout=b"Welcome\n", stderr=stderr, status=status))
 
 
 def test_old_python_says_its_version() -> None:
     with pytest.raises(NoPythonError, match=r"3\.5\.2, 3\.6 or later"):
-        asked(lambda marker: frame(marker, b'{"python": "3.5.2", "too_old": true}'))
+        call_scripted(lambda marker: frame_reply(marker, b'{"python": "3.5.2", "too_old": true}'))
 
 
 def test_stream_takes_chunks_apart_whatever_their_borders() -> None:
     def answer(marker: str) -> bytes:
         return (
-            b"motd\n" + frame(marker, b'{"stream": true}') + b"3\na\nb0\n2\n\xff\n" + b"end\n" + b"logout\n"
+            b"motd\n"
+            + frame_reply(marker, b'{"stream": true}')
+            + b"3\na\nb0\n2\n\xff\n"
+            + b"end\n"
+            + b"logout\n"
         )
 
-    assert list(stream_agent_log(Scripted(answer), {**REQUEST, "op": "follow"}, idle_timeout=20)) == [
+    assert list(stream_agent_log(ScriptedSession(answer), {**REQUEST, "op": "follow"}, idle_timeout=20)) == [
         b"a\nb",
         b"\xff\n",
     ]
@@ -168,7 +174,7 @@ def test_garbled_stream_is_a_bad_reply() -> None:
     with pytest.raises(ReplyError):
         list(
             stream_agent_log(
-                Scripted(lambda marker: frame(marker, b'{"stream": true}') + b"what\n"),
+                ScriptedSession(lambda marker: frame_reply(marker, b'{"stream": true}') + b"what\n"),
                 {**REQUEST, "op": "follow"},
                 idle_timeout=20,
             )
@@ -199,7 +205,7 @@ def test_page_about_hosts_shows_the_command_line() -> None:
 
 @pytest.fixture
 def wrapped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], Any]:
-    """A real session whose interpreter is a shell script: what a noisy or poor host is like."""
+    """Run a real session whose interpreter is a shell script, as on a noisy or minimal host."""
     monkeypatch.setenv("EDGECTL_STATE_DIR", str(tmp_path / "state"))
 
     def session(script: str) -> LocalSession:
@@ -228,14 +234,14 @@ def test_background_noise_cannot_get_into_the_frame(wrapped: Callable[[str], Any
 
 
 def test_a_host_that_gave_up_at_the_deadline_met_the_deadline() -> None:
-    """Its own deadline begins a little later than ours, but a busy manager may look later still."""
+    """The host's deadline starts a little later than ours, but a busy manager may notice later still."""
 
     def gave_up(_marker: str) -> Reply:
         time.sleep(0.1)
         return Reply(stdout=b"", stderr=b"", status=124)
 
     with pytest.raises(DeadlineError, match=r"no answer within 0\.1 s"):
-        call_agent(Scripted(gave_up), REQUEST, timeout=0.1)
+        call_agent(ScriptedSession(gave_up), REQUEST, timeout=0.1)
 
 
 def test_real_missing_python(wrapped: Callable[[str], Any]) -> None:
@@ -261,13 +267,13 @@ def test_hung_agent_ends_on_both_sides(wrapped: Callable[[str], Any]) -> None:
     while any(
         mark.encode() in (path / "cmdline").read_bytes()
         for path in Path("/proc").glob("[0-9]*")
-        if _readable(path)
+        if _is_readable(path)
     ):
         assert time.monotonic() - began < patience(30), "the check runs on"
         time.sleep(0.1)
 
 
-def _readable(path: Path) -> bool:
+def _is_readable(path: Path) -> bool:
     try:
         (path / "cmdline").read_bytes()
     except OSError:

@@ -1,4 +1,4 @@
-"""The fake fleet speaks the real protocol."""
+"""The fake fleet uses the real protocol."""
 
 import pytest
 
@@ -13,12 +13,12 @@ def a_host(name: str = "edge1") -> Host:
     return Host(name=name, role=Role.EDGE, host="10.0.0.1")
 
 
-def echo(request: dict[str, object]) -> dict[str, object]:
+def echo_request(request: dict[str, object]) -> dict[str, object]:
     return {"seen": request}
 
 
 def test_requests_and_replies_travel_in_frames() -> None:
-    transport = FakeTransport({"edge1": echo})
+    transport = FakeTransport({"edge1": echo_request})
     request = {"op": "probe", "host": "edge1", "odd": 'quotes " and ümlauts\n'}
     with transport.connect(a_host(), timeout=30) as session:
         assert call_agent(session, request, timeout=30) == {"seen": request}
@@ -26,7 +26,7 @@ def test_requests_and_replies_travel_in_frames() -> None:
     assert transport.address(a_host()) == "10.0.0.1"
 
 
-def raising(error: HostError) -> object:
+def raise_on_request(error: HostError) -> object:
     def handler(_: dict[str, object]) -> dict[str, object]:
         raise error
 
@@ -37,7 +37,7 @@ def raising(error: HostError) -> object:
     "error", [RefusedError("no", hint="because"), DeadlineError("slow"), ConnectError("gone")]
 )
 def test_errors_of_a_handler(error: HostError) -> None:
-    transport = FakeTransport({"edge1": raising(error)})  # type: ignore[dict-item]
+    transport = FakeTransport({"edge1": raise_on_request(error)})  # type: ignore[dict-item]
     with pytest.raises(type(error), match=error.message) as caught:
         call_agent(transport.connect(a_host(), timeout=30), {"op": "status"}, timeout=30)
     assert caught.value.hint == error.hint
@@ -54,7 +54,7 @@ def test_hosts_that_cannot_be_reached() -> None:
 
 def test_only_the_agents_command_line_runs() -> None:
     with pytest.raises(RefusedError):
-        FakeTransport({"edge1": echo}).connect(a_host(), timeout=30).run("rm -rf /", b"", timeout=30)
+        FakeTransport({"edge1": echo_request}).connect(a_host(), timeout=30).run("rm -rf /", b"", timeout=30)
 
 
 def test_logs_are_followed() -> None:

@@ -1,4 +1,4 @@
-"""The known_hosts reader against what ssh itself makes of the same lines."""
+"""The known_hosts reader compared with ssh on the same lines."""
 
 import base64
 import hmac
@@ -22,17 +22,18 @@ from edgectl.transport.trust import fetch_host_keys, trust_host_key
 from tests.sshd import Lab, make_key
 
 
-def key_of(line: str) -> HostKey:
+def parse_key(line: str) -> HostKey:
     kind, encoded = line.split()[:2]
     return HostKey(kind, base64.b64decode(encoded))
 
 
-def made_key(path: Path, kind: str) -> str:
+def generate_key(path: Path, kind: str) -> str:
     subprocess.run(["ssh-keygen", "-q", "-t", kind, "-N", "", "-f", str(path)], check=True)
     return " ".join(path.with_suffix(".pub").read_text().split()[:2])
 
 
-# {name}: how the server is filed, {key}: its key, {other}: another of the same type, {ecdsa}: one of another type, {hashed}: its name hashed.
+# {name}: the server's entry, {key}: its key, {other}: another of the same type, {ecdsa}: one of another type,
+# {hashed}: its hashed name.
 LINES = {
     "nothing": ("", HostKeyVerdict.UNKNOWN),
     "plain": ("{name} {key}", HostKeyVerdict.KNOWN),
@@ -72,8 +73,8 @@ LINES = {
 def others(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     directory = tmp_path_factory.mktemp("keys")
     return {
-        "other": made_key(directory / "other", "ed25519"),
-        "ecdsa": made_key(directory / "ecdsa", "ecdsa"),
+        "other": generate_key(directory / "other", "ed25519"),
+        "ecdsa": generate_key(directory / "ecdsa", "ecdsa"),
     }
 
 
@@ -93,7 +94,7 @@ def test_lines_mean_what_ssh_makes_of_them(lab: Lab, others: dict[str, str], kin
     lab.known_hosts.write_text(lines.format(**words) + "\n")
 
     assert (
-        KnownHosts([lab.known_hosts]).check(key_of(server.key), server.address, server.port).verdict
+        KnownHosts([lab.known_hosts]).check(parse_key(server.key), server.address, server.port).verdict
         is expected
     )
 
@@ -136,7 +137,7 @@ def test_lines_mean_what_ssh_makes_of_them(lab: Lab, others: dict[str, str], kin
 def test_names(tmp_path: Path, others: dict[str, str], names: str, host: str, port: int, found: bool) -> None:
     (tmp_path / "known_hosts").write_text(f"{names} {others['other']}\n")
     known = KnownHosts([tmp_path / "known_hosts"])
-    assert (known.check(key_of(others["other"]), host, port).verdict is HostKeyVerdict.KNOWN) is found
+    assert (known.check(parse_key(others["other"]), host, port).verdict is HostKeyVerdict.KNOWN) is found
     if port == 22:
         asked = subprocess.run(
             ["ssh-keygen", "-F", host.lower(), "-f", tmp_path / "known_hosts"],
@@ -149,7 +150,9 @@ def test_names(tmp_path: Path, others: dict[str, str], names: str, host: str, po
 def test_alias_is_used_without_the_port(tmp_path: Path, others: dict[str, str]) -> None:
     (tmp_path / "known_hosts").write_text(f"gate {others['other']}\n")
     assert (
-        KnownHosts([tmp_path / "known_hosts"]).check(key_of(others["other"]), "1.2.3.4", 2222, "Gate").verdict
+        KnownHosts([tmp_path / "known_hosts"])
+        .check(parse_key(others["other"]), "1.2.3.4", 2222, "Gate")
+        .verdict
         is HostKeyVerdict.KNOWN
     )
 
@@ -158,7 +161,7 @@ def test_files_add_up_and_may_be_missing(tmp_path: Path, others: dict[str, str])
     (tmp_path / "system").write_text(f"edge1 {others['ecdsa']}\n")
     (tmp_path / "user").write_text(f"edge1 {others['other']}\n")
     known = KnownHosts([tmp_path / "user", tmp_path / "missing", tmp_path / "system"])
-    assert known.check(key_of(others["ecdsa"]), "edge1", 22).verdict is HostKeyVerdict.KNOWN
+    assert known.check(parse_key(others["ecdsa"]), "edge1", 22).verdict is HostKeyVerdict.KNOWN
     assert known.key_types("edge1", 22) == ["ssh-ed25519", "ecdsa-sha2-nistp256"]
     assert known.key_types("[edge1]", 22) == []
 
@@ -166,8 +169,8 @@ def test_files_add_up_and_may_be_missing(tmp_path: Path, others: dict[str, str])
 def test_a_finding_names_the_lines_it_rests_on(tmp_path: Path, others: dict[str, str]) -> None:
     path = tmp_path / "known_hosts"
     path.write_text(f"# comment\nedge1 {others['other']}\n")
-    finding = KnownHosts([path]).check(key_of(others["ecdsa"]), "edge1", 22)
-    assert finding.known == ((key_of(others["other"]), f"{path}:2"),)
+    finding = KnownHosts([path]).check(parse_key(others["ecdsa"]), "edge1", 22)
+    assert finding.known == ((parse_key(others["other"]), f"{path}:2"),)
 
 
 def test_fingerprint_is_the_one_that_ssh_keygen_prints(tmp_path: Path, others: dict[str, str]) -> None:
@@ -175,7 +178,7 @@ def test_fingerprint_is_the_one_that_ssh_keygen_prints(tmp_path: Path, others: d
     printed = subprocess.run(
         ["ssh-keygen", "-l", "-f", tmp_path / "key.pub"], capture_output=True, text=True, check=True
     ).stdout
-    assert key_of(others["ecdsa"]).fingerprint == printed.split()[1]
+    assert parse_key(others["ecdsa"]).fingerprint == printed.split()[1]
 
 
 def test_appending_changes_no_line(tmp_path: Path) -> None:
@@ -196,7 +199,7 @@ def test_hashed_names_are_those_of_openssh() -> None:
 def test_a_file_that_cannot_be_written(tmp_path: Path, others: dict[str, str]) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(HostKeyError, match="cannot record"):
-        KnownHosts([]).add(tmp_path / "file" / "known_hosts", key_of(others["other"]), "edge1", 22)
+        KnownHosts([]).add(tmp_path / "file" / "known_hosts", parse_key(others["other"]), "edge1", 22)
 
 
 def test_four_thousand_lines_are_read_and_searched_quickly(tmp_path: Path, others: dict[str, str]) -> None:
@@ -205,7 +208,7 @@ def test_four_thousand_lines_are_read_and_searched_quickly(tmp_path: Path, other
     path.write_text("".join(f"{hash_host_name(f'edge{n}')} {others['other']}\n" for n in range(4096)))
     start = time.process_time()
     known = KnownHosts([path])
-    assert known.check(key_of(others["other"]), "edge4000", 22).verdict is HostKeyVerdict.KNOWN
+    assert known.check(parse_key(others["other"]), "edge4000", 22).verdict is HostKeyVerdict.KNOWN
     assert time.process_time() - start < 4.0
 
 
@@ -216,7 +219,7 @@ def test_trust(lab: Lab) -> None:
     server = lab["edge1"]
     assert (kind, fingerprint, line) == (
         "ssh-ed25519",
-        key_of(server.key).fingerprint,
+        parse_key(server.key).fingerprint,
         server.known_hosts_line.strip(),
     )
     assert lab.known_hosts.read_text() == ""

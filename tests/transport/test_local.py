@@ -1,4 +1,4 @@
-"""Commands on this machine: deadlines that end everything, bounded output, nothing left open."""
+"""Commands on this machine: deadlines, bounded output, no leftovers."""
 
 import os
 import time

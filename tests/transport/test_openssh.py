@@ -1,4 +1,4 @@
-"""What is special about the user's own ssh program; the rest is in test_ssh, for both ways."""
+"""Special cases of the user's own ssh program; the rest is in test_ssh, for both transports."""
 
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from tests.sshd import Lab
 
 
 def test_settings_of_the_user_that_would_spoil_a_session(lab: Lab, tmp_path: Path) -> None:
-    """Each of them would print, hang, hide errors or leave something behind."""
+    """Each of these settings would print, hang, hide errors or leave something behind."""
     canary = tmp_path / "canary"
     lab.write_files(
         "RequestTTY force",

@@ -1,4 +1,4 @@
-"""Sessions kept open: one login per host, a new one after a loss, no second knock after a refusal."""
+"""Connection reuse: one login per host, a new one after a loss, no second attempt after a refusal."""
 
 import threading
 from collections.abc import Iterator
@@ -13,8 +13,8 @@ from edgectl.transport.connections import SessionPool
 from tests.builders import an_edge
 
 
-class Counting:
-    """A transport that counts connections and closings; ``faults`` are raised by the next connects or runs."""
+class CountingTransport:
+    """A transport that counts connects and closes; ``faults`` are raised by the next connects or runs."""
 
     def __init__(self) -> None:
         self.opened: list[str] = []
@@ -24,20 +24,20 @@ class Counting:
         self.busy, self.most, self.guard = 0, 0, threading.Lock()
         self.together = threading.Barrier(1)
 
-    def connect(self, host: Host, *, timeout: float) -> "Counted":
+    def connect(self, host: Host, *, timeout: float) -> "CountedSession":
         self.opened.append(host.name)
         if self.refusal is not None:
             raise self.refusal
-        return Counted(self)
+        return CountedSession(self)
 
     def address(self, host: Host) -> str:
         return f"address of {host.name}"
 
 
-class Counted:
+class CountedSession:
     python = "python3"
 
-    def __init__(self, transport: Counting) -> None:
+    def __init__(self, transport: CountingTransport) -> None:
         self.transport = transport
 
     def run(self, command: str, stdin: bytes, *, timeout: float, limit: int = 1 << 20) -> Reply:
@@ -64,15 +64,15 @@ class Counted:
         self.close()
 
 
-def use(pool: SessionPool, name: str = "edge1") -> bytes:
+def send_request(pool: SessionPool, name: str = "edge1") -> bytes:
     with pool.connect(an_edge(name), timeout=1.0) as session:
         return session.run("c", b"in", timeout=1.0).stdout
 
 
 def test_a_host_is_opened_once_and_closed_at_the_end() -> None:
-    transport = Counting()
+    transport = CountingTransport()
     with SessionPool(transport) as pool:
-        assert [use(pool), use(pool), use(pool, "edge2")] == [b"in"] * 3
+        assert [send_request(pool), send_request(pool), send_request(pool, "edge2")] == [b"in"] * 3
         with pool.connect(an_edge("edge1"), timeout=1.0) as session:
             assert (session.python, b"".join(session.stream("c", b"out", idle_timeout=1.0))) == (
                 "python3",
@@ -84,51 +84,51 @@ def test_a_host_is_opened_once_and_closed_at_the_end() -> None:
 
 
 def test_a_lost_session_is_opened_anew_and_both_are_closed() -> None:
-    transport = Counting()
+    transport = CountingTransport()
     with SessionPool(transport) as pool:
-        use(pool)
+        send_request(pool)
         transport.fault = ConnectError("lost")
         with pytest.raises(ConnectError):
-            use(pool)
+            send_request(pool)
         transport.fault = None
-        use(pool)
+        send_request(pool)
         assert transport.opened == ["edge1", "edge1"]
     assert transport.closed == 2
 
 
 def test_a_refused_login_is_not_tried_again() -> None:
-    transport = Counting()
+    transport = CountingTransport()
     transport.refusal = AuthError("no key was accepted")
     with SessionPool(transport) as pool:
         for _ in range(3):
             with pytest.raises(AuthError):
-                use(pool)
+                send_request(pool)
     assert transport.opened == ["edge1"]
 
 
 def test_a_refusal_is_forgotten_after_a_while() -> None:
-    transport, now = Counting(), [0.0]
+    transport, now = CountingTransport(), [0.0]
     transport.refusal = AuthError("no key was accepted", hint="ssh-copy-id")
     with SessionPool(transport, forget_s=60.0, clock=lambda: now[0]) as pool:
         for _ in range(3):
             with pytest.raises(AuthError) as raised:
-                use(pool)
+                send_request(pool)
             assert raised.value.hint == "ssh-copy-id"
         now[0], transport.refusal = 60.0, None
-        assert use(pool) == b"in"
+        assert send_request(pool) == b"in"
     assert transport.opened == ["edge1", "edge1"]
 
 
 def test_lost_sessions_are_closed_with_their_last_user_and_not_collected() -> None:
-    transport = Counting()
+    transport = CountingTransport()
     with SessionPool(transport) as pool:
         held = pool.connect(an_edge("edge1"), timeout=1.0)
         for number in range(1, 50):
             transport.fault = ConnectError("lost")
             with pytest.raises(ConnectError):
-                use(pool)
+                send_request(pool)
             transport.fault = None
-            use(pool)
+            send_request(pool)
             assert len(transport.opened) == number + 1
         assert transport.closed == 48, "the first one is still in use"
         held.close()
@@ -138,20 +138,20 @@ def test_lost_sessions_are_closed_with_their_last_user_and_not_collected() -> No
 
 
 def test_a_host_that_was_off_is_tried_again() -> None:
-    transport = Counting()
+    transport = CountingTransport()
     transport.refusal = ConnectError("off")
     with SessionPool(transport) as pool:
         with pytest.raises(ConnectError):
-            use(pool)
+            send_request(pool)
         transport.refusal = None
-        assert use(pool) == b"in"
+        assert send_request(pool) == b"in"
 
 
 def test_threads_share_a_session_and_leave_sshd_two_channels() -> None:
-    transport = Counting()
+    transport = CountingTransport()
     transport.together = threading.Barrier(8)
     with SessionPool(transport) as pool:
-        threads = [threading.Thread(target=use, args=(pool,)) for _ in range(24)]
+        threads = [threading.Thread(target=send_request, args=(pool,)) for _ in range(24)]
         for thread in threads:
             thread.start()
         for thread in threads:

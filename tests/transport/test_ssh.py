@@ -1,4 +1,4 @@
-"""Both ways over SSH, against real servers: what they carry, and that they name every failure alike."""
+"""Both SSH transports against real servers: same features, same errors."""
 
 import os
 import subprocess
@@ -17,7 +17,7 @@ from edgectl.transport.base import Reply, Transport
 from edgectl.transport.fleet_transport import FleetTransport
 from edgectl.transport.sockets import ProxySocket, start_proxy_command
 from tests.pace import patience
-from tests.relay import Fault, mute_server, relay
+from tests.relay import RelayFault, run_mute_server, run_relay
 from tests.sshd import Lab, make_key, running_lab
 
 
@@ -31,7 +31,7 @@ def transport() -> Transport:
     return FleetTransport()
 
 
-def ask(
+def run_command(
     transport: Transport,
     host: Host,
     command: str = "echo here",
@@ -44,17 +44,17 @@ def ask(
         return session.run(command, stdin, timeout=timeout, limit=limit)
 
 
-# What ends at once does so within this time on a machine that is busy with other things; what hangs takes longer.
+# Bound for operations that end at once, on a busy machine; a hang takes longer.
 BUSY_S = patience(15.0)
 
 
-def failure(
+def measure_failure(
     transport: Transport, host: Host, command: str = "echo here", *, timeout: float = 10.0
 ) -> tuple[HostError, float]:
-    """The error and how long it took."""
+    """Return the error and its delay."""
     start = time.monotonic()
     with pytest.raises(HostError) as caught:
-        ask(transport, host, command, timeout=timeout)
+        run_command(transport, host, command, timeout=timeout)
     assert "\n" not in caught.value.message
     assert caught.value.host == host.name
     return caught.value, time.monotonic() - start
@@ -62,7 +62,7 @@ def failure(
 
 def test_bytes_go_in_and_out_unchanged(lab: Lab, transport: Transport, connection: Connection) -> None:
     data = bytes(range(256)) * 8000
-    reply = ask(
+    reply = run_command(
         transport, lab.host("edge1", connection=connection), "cat; echo oops >&2; exit 3", data, limit=4 << 20
     )
     assert (reply.stdout, reply.stderr, reply.status) == (data, b"oops\n", 3)
@@ -70,18 +70,21 @@ def test_bytes_go_in_and_out_unchanged(lab: Lab, transport: Transport, connectio
 
 def test_each_server_is_a_host_of_its_own(lab: Lab, transport: Transport, connection: Connection) -> None:
     homes = [
-        ask(transport, lab.host(name, connection=connection), "echo $HOME").stdout.decode().strip()
+        run_command(transport, lab.host(name, connection=connection), "echo $HOME").stdout.decode().strip()
         for name in lab.servers
     ]
     assert homes == [str(server.home) for server in lab.servers.values()]
 
 
 def test_a_program_may_leave_its_input_unread(lab: Lab, transport: Transport, connection: Connection) -> None:
-    assert ask(transport, lab.host("edge1", connection=connection), "exec true", b"x" * 3_000_000).status == 0
+    assert (
+        run_command(transport, lab.host("edge1", connection=connection), "exec true", b"x" * 3_000_000).status
+        == 0
+    )
 
 
 def test_large_stderr_does_not_block(lab: Lab, transport: Transport, connection: Connection) -> None:
-    reply = ask(
+    reply = run_command(
         transport,
         lab.host("edge1", connection=connection),
         "head -c 5000000 /dev/zero >&2; echo end",
@@ -92,7 +95,7 @@ def test_large_stderr_does_not_block(lab: Lab, transport: Transport, connection:
 
 def test_output_is_capped(lab: Lab, transport: Transport, connection: Connection) -> None:
     with pytest.raises(ReplyError, match="more than 1048576 bytes"):
-        ask(
+        run_command(
             transport,
             lab.host("edge1", connection=connection),
             "head -c 20000000 /dev/zero; sleep 30",
@@ -101,7 +104,7 @@ def test_output_is_capped(lab: Lab, transport: Transport, connection: Connection
 
 
 def test_deadline_of_a_command(lab: Lab, transport: Transport, connection: Connection) -> None:
-    error, seconds = failure(
+    error, seconds = measure_failure(
         transport, lab.host("edge1", connection=connection), "exec sleep 60", timeout=2.0
     )
     assert isinstance(error, DeadlineError)
@@ -126,7 +129,7 @@ def test_noise_of_the_login_shell_changes_no_reply(
         (lab["edge1"].home / ".bashrc").write_text(
             "echo 'Welcome to the robot {\"v\": 1}'; printf '\\033[31m\\377\\n'; echo nonsense >&2\n"
         )
-        reply = ask(transport, lab.host("edge1", connection=connection), "echo here")
+        reply = run_command(transport, lab.host("edge1", connection=connection), "echo here")
         with transport.connect(lab.host("edge1", connection=connection), timeout=10) as session:
             document = call_agent(session, {"op": "status", "host": "edge1", "task": None}, timeout=10)
     assert reply.stdout.startswith(b"Welcome")
@@ -136,7 +139,7 @@ def test_noise_of_the_login_shell_changes_no_reply(
 
 
 def test_a_restricted_key_is_enough(lab: Lab, transport: Transport, connection: Connection) -> None:
-    """No terminal, no forwarding: ``restrict`` in authorized_keys takes nothing away that is used."""
+    """No terminal, no forwarding: ``restrict`` in authorized_keys disables nothing that edgectl uses."""
     before = lab.authorized_keys.read_text()
     lab.authorized_keys.write_text("restrict " + before)
     try:
@@ -152,7 +155,7 @@ def test_a_restricted_key_is_enough(lab: Lab, transport: Transport, connection: 
 def test_output_comes_as_a_stream(
     lab: Lab, transport: Transport, connection: Connection, tmp_path: Path
 ) -> None:
-    """The second line is not said before the first was heard."""
+    """The second line is sent only after the first was received."""
     heard = tmp_path / "heard"
     with transport.connect(lab.host("edge1", connection=connection), timeout=10) as session:
         pieces = session.stream(
@@ -187,7 +190,9 @@ def test_sixteen_at_once(lab: Lab, transport: Transport, connection: Connection)
     with ThreadPoolExecutor(16) as pool:
         replies = list(
             pool.map(
-                lambda host: ask(transport, host, "cat", host.name.encode(), timeout=30).stdout.decode(),
+                lambda host: run_command(
+                    transport, host, "cat", host.name.encode(), timeout=30
+                ).stdout.decode(),
                 hosts[:16],
             )
         )
@@ -202,15 +207,16 @@ def test_one_session_serves_many_threads(lab: Lab, transport: Transport) -> None
     assert replies == [b"%d" % n * 10_000 for n in range(24)]
 
 
-# -- who the host is ---------------------------------------------------------------------------------------------------------------------
+# -- host keys
+# ---------------------------------------------------------------------------------------------------------------------
 
 
 def other_key(tmp_path: Path) -> str:
     return make_key(tmp_path / "other_key")
 
 
-def known_hosts(kind: str, lab: Lab, name: str, other: str) -> str:
-    """known_hosts lines that make server ``name`` appear as ``kind``; the other servers stay known."""
+def write_known_hosts_lines(kind: str, lab: Lab, name: str, other: str) -> str:
+    """Return known_hosts lines that make server ``name`` appear as ``kind``; the other servers stay known."""
     server = lab[name]
     place = f"[{server.address}]:{server.port}"
     rest = "".join(s.known_hosts_line for s in lab.servers.values() if s is not server)
@@ -248,14 +254,14 @@ def test_host_keys(
     kind: str,
     words: str | None,
 ) -> None:
-    """The key in question is the target's, or, with a jump host, the jump host's."""
-    lab.known_hosts.write_text(known_hosts(kind, lab, through or "edge1", other_key(tmp_path)))
+    """The key in question is the target's or, with a jump host, the jump host's."""
+    lab.known_hosts.write_text(write_known_hosts_lines(kind, lab, through or "edge1", other_key(tmp_path)))
     before = lab.known_hosts.read_bytes()
     host = lab.host("edge1", connection=connection, proxy_jump=through)
     if words is None:
-        assert ask(transport, host).stdout == b"here\n"
+        assert run_command(transport, host).stdout == b"here\n"
     else:
-        error, _ = failure(transport, host)
+        error, _ = measure_failure(transport, host)
         assert isinstance(error, HostKeyError)
         assert words in error.message
         assert error.hint
@@ -271,7 +277,7 @@ def test_host_keys(
 def test_revoked_host_keys(
     lab: Lab, transport: Transport, connection: Connection, tmp_path: Path, form: str
 ) -> None:
-    """A list or a KRL of ssh_config's RevokedHostKeys; one that cannot be read revokes everything."""
+    """A list or a KRL in RevokedHostKeys of ssh_config; an unreadable one revokes everything."""
     keys, krl = tmp_path / "revoked", tmp_path / "krl"
     keys.write_text((lab["edge1"].key if form != "other" else other_key(tmp_path)) + "\n")
     subprocess.run(["ssh-keygen", "-q", "-k", "-f", krl, keys], check=True, capture_output=True)
@@ -279,9 +285,9 @@ def test_revoked_host_keys(
     lab.write_files(f"RevokedHostKeys {named}")
     host = lab.host("edge1", connection=connection)
     if form == "other":
-        assert ask(transport, host).stdout == b"here\n"
+        assert run_command(transport, host).stdout == b"here\n"
     else:
-        error, _ = failure(transport, host)
+        error, _ = measure_failure(transport, host)
         assert isinstance(error, HostKeyError)
         assert "revoked" in error.message
 
@@ -291,22 +297,22 @@ def test_ssh_config_cannot_switch_verification_off(
     lab: Lab, transport: Transport, connection: Connection, through: str | None
 ) -> None:
     lab.write_files("StrictHostKeyChecking no", "NoHostAuthenticationForLocalhost yes")
-    lab.known_hosts.write_text(known_hosts("unknown", lab, through or "edge1", ""))
-    error, _ = failure(transport, lab.host("edge1", connection=connection, proxy_jump=through))
+    lab.known_hosts.write_text(write_known_hosts_lines("unknown", lab, through or "edge1", ""))
+    error, _ = measure_failure(transport, lab.host("edge1", connection=connection, proxy_jump=through))
     assert isinstance(error, HostKeyError)
 
 
 def test_the_target_behind_a_jump_host_is_verified_too(
     lab: Lab, transport: Transport, connection: Connection, tmp_path: Path
 ) -> None:
-    lab.known_hosts.write_text(known_hosts("changed", lab, "edge1", other_key(tmp_path)))
-    error, _ = failure(transport, lab.host("edge1", connection=connection, proxy_jump="robot1"))
+    lab.known_hosts.write_text(write_known_hosts_lines("changed", lab, "edge1", other_key(tmp_path)))
+    error, _ = measure_failure(transport, lab.host("edge1", connection=connection, proxy_jump="robot1"))
     assert isinstance(error, HostKeyError)
 
 
 def test_fingerprints_are_shown(lab: Lab, transport: Transport, connection: Connection) -> None:
     lab.known_hosts.write_text("")
-    error, _ = failure(transport, lab.host("edge1", connection=connection))
+    error, _ = measure_failure(transport, lab.host("edge1", connection=connection))
     # OpenSSH shows the fingerprint of a changed key only.
     assert connection is Connection.OPENSSH or "SHA256:" in error.message
 
@@ -321,20 +327,22 @@ def test_accept_new_records_unknown_keys_only(
     os.umask(0o000)
     try:
         assert (
-            ask(FleetTransport(accept_new=True), lab.host("edge1", connection=connection)).stdout == b"here\n"
+            run_command(FleetTransport(accept_new=True), lab.host("edge1", connection=connection)).stdout
+            == b"here\n"
         )
     finally:
         os.umask(0o022)
     line = lab.known_hosts.read_text()
     assert line.startswith("|1|") if hashed else line == server.known_hosts_line
-    # The file that ssh itself makes is 0644.
+    # The file that ssh itself creates is 0644.
     assert lab.known_hosts.stat().st_mode & (0o777 if connection is Connection.SSH else 0o022) == (
         0o600 if connection is Connection.SSH else 0
     )
-    assert ask(FleetTransport(), lab.host("edge1", connection=connection)).stdout == b"here\n"
+    assert run_command(FleetTransport(), lab.host("edge1", connection=connection)).stdout == b"here\n"
     lab.known_hosts.write_text(f"[{server.address}]:{server.port} {other}\n")
     assert isinstance(
-        failure(FleetTransport(accept_new=True), lab.host("edge1", connection=connection))[0], HostKeyError
+        measure_failure(FleetTransport(accept_new=True), lab.host("edge1", connection=connection))[0],
+        HostKeyError,
     )
     assert other in lab.known_hosts.read_text()
     assert server.key not in lab.known_hosts.read_text()
@@ -346,20 +354,21 @@ def test_a_reinstalled_host_is_refused_before_login(
     with running_lab(tmp_path / "lab", ["edge1"]) as lab:
         monkeypatch.setenv("EDGECTL_SSH_CONFIG", str(lab.ssh_config))
         lab["edge1"].change_key()
-        error, _ = failure(transport, lab.host("edge1", connection=connection))
+        error, _ = measure_failure(transport, lab.host("edge1", connection=connection))
         assert isinstance(error, HostKeyError)
         assert "Accepted" not in lab["edge1"].log
         assert "Failed publickey" not in lab["edge1"].log
 
 
-# -- getting there -----------------------------------------------------------------------------------------------------------------------
+# -- connecting
+# -----------------------------------------------------------------------------------------------------------------------
 
 
 def test_login_refused_once(lab: Lab, transport: Transport, connection: Connection, tmp_path: Path) -> None:
     make_key(tmp_path / "stranger")
     lab.write_files(key=tmp_path / "stranger")
-    lab["edge1"].restart()  # with an empty log: sshd may still be writing of the sessions before
-    error, seconds = failure(transport, lab.host("edge1", connection=connection))
+    lab["edge1"].restart()  # with an empty log: sshd may still be logging the sessions before
+    error, seconds = measure_failure(transport, lab.host("edge1", connection=connection))
     assert isinstance(error, AuthError)
     assert seconds < BUSY_S
     deadline = time.monotonic() + BUSY_S
@@ -371,19 +380,19 @@ def test_login_refused_once(lab: Lab, transport: Transport, connection: Connecti
 
 def test_no_key_at_all(lab: Lab, transport: Transport, connection: Connection, tmp_path: Path) -> None:
     lab.write_files(key=tmp_path / "missing")
-    error, _ = failure(transport, lab.host("edge1", connection=connection))
+    error, _ = measure_failure(transport, lab.host("edge1", connection=connection))
     assert isinstance(error, AuthError)
 
 
 def test_closed_port(lab: Lab, transport: Transport, connection: Connection) -> None:
-    error, seconds = failure(transport, lab.host("edge1", connection=connection, port=1))
+    error, seconds = measure_failure(transport, lab.host("edge1", connection=connection, port=1))
     assert isinstance(error, ConnectError)
     assert "refused" in error.message
     assert seconds < BUSY_S
 
 
 def test_closed_port_behind_a_jump_host(lab: Lab, transport: Transport, connection: Connection) -> None:
-    error, seconds = failure(
+    error, seconds = measure_failure(
         transport, lab.host("edge1", connection=connection, port=1, proxy_jump="robot1"), timeout=20.0
     )
     assert isinstance(error, ConnectError)
@@ -391,7 +400,7 @@ def test_closed_port_behind_a_jump_host(lab: Lab, transport: Transport, connecti
 
 
 def test_unknown_name(lab: Lab, transport: Transport, connection: Connection) -> None:
-    error, _ = failure(
+    error, _ = measure_failure(
         transport,
         Host(name="x", role=lab.host("edge1").role, host="no-such-host.invalid", connection=connection),
     )
@@ -400,7 +409,7 @@ def test_unknown_name(lab: Lab, transport: Transport, connection: Connection) ->
 
 def test_a_name_is_no_option(lab: Lab, transport: Transport, connection: Connection, tmp_path: Path) -> None:
     canary = tmp_path / "canary"
-    error, _ = failure(
+    error, _ = measure_failure(
         transport, lab.host("edge1", host=f"-oProxyCommand=touch {canary}", connection=connection)
     )
     assert isinstance(error, ConnectError)
@@ -408,8 +417,8 @@ def test_a_name_is_no_option(lab: Lab, transport: Transport, connection: Connect
 
 
 def test_a_mute_server(transport: Transport, connection: Connection, lab: Lab) -> None:
-    with mute_server() as port:
-        error, seconds = failure(
+    with run_mute_server() as port:
+        error, seconds = measure_failure(
             transport,
             Host(name="m", role=lab.host("edge1").role, host="127.0.0.1", port=port, connection=connection),
             timeout=2,
@@ -421,9 +430,9 @@ def test_a_mute_server(transport: Transport, connection: Connection, lab: Lab) -
 @pytest.mark.parametrize("after", [0, 500, 1200, 1700])
 def test_silence_during_login(lab: Lab, transport: Transport, connection: Connection, after: int) -> None:
     server = lab["edge1"]
-    with relay((server.address, server.port), Fault.SILENCE, after) as port:
+    with run_relay((server.address, server.port), RelayFault.SILENCE, after) as port:
         lab.known_hosts.write_text(f"[127.0.0.1]:{port} {server.key}\n")
-        error, seconds = failure(
+        error, seconds = measure_failure(
             transport, lab.host("edge1", host="127.0.0.1", port=port, connection=connection), timeout=2
         )
     assert isinstance(error, DeadlineError)
@@ -432,7 +441,7 @@ def test_silence_during_login(lab: Lab, transport: Transport, connection: Connec
 
 def test_silence_in_the_middle_of_output(lab: Lab, transport: Transport, connection: Connection) -> None:
     server = lab["edge1"]
-    with relay((server.address, server.port), Fault.SILENCE, 200_000) as port:
+    with run_relay((server.address, server.port), RelayFault.SILENCE, 200_000) as port:
         lab.known_hosts.write_text(f"[127.0.0.1]:{port} {server.key}\n")
         host = lab.host("edge1", host="127.0.0.1", port=port, connection=connection)
         with transport.connect(host, timeout=20) as session:
@@ -444,7 +453,7 @@ def test_silence_in_the_middle_of_output(lab: Lab, transport: Transport, connect
 
 def test_a_jump_host_that_falls_silent(lab: Lab, transport: Transport, connection: Connection) -> None:
     jump = lab["robot1"]
-    with relay((jump.address, jump.port), Fault.SILENCE, 300_000) as port:
+    with run_relay((jump.address, jump.port), RelayFault.SILENCE, 300_000) as port:
         lab.known_hosts.write_text(lab.known_hosts.read_text() + f"[127.0.0.1]:{port} {jump.key}\n")
         session = transport.connect(
             lab.host("edge1", proxy_jump=f"127.0.0.1:{port}", connection=connection), timeout=20
@@ -459,10 +468,10 @@ def test_a_jump_host_that_falls_silent(lab: Lab, transport: Transport, connectio
 @pytest.mark.parametrize("after", [10, 1500, 30_000])
 def test_a_line_that_is_cut(lab: Lab, transport: Transport, connection: Connection, after: int) -> None:
     server = lab["edge1"]
-    with relay((server.address, server.port), Fault.CUT, after) as port:
+    with run_relay((server.address, server.port), RelayFault.CUT, after) as port:
         lab.known_hosts.write_text(f"[127.0.0.1]:{port} {server.key}\n")
         host = lab.host("edge1", host="127.0.0.1", port=port, connection=connection)
-        error, seconds = failure(transport, host, "head -c 800000 /dev/zero; sleep 60", timeout=30)
+        error, seconds = measure_failure(transport, host, "head -c 800000 /dev/zero; sleep 60", timeout=30)
     assert isinstance(error, ConnectError)
     assert seconds < BUSY_S
 
@@ -480,12 +489,13 @@ def test_a_host_that_dies_during_a_stream(
                 list(pieces)
 
 
-# -- ways there --------------------------------------------------------------------------------------------------------------------------
+# -- routes
+# --------------------------------------------------------------------------------------------------------------------------
 
 
 def test_two_jumps(lab: Lab, transport: Transport, connection: Connection) -> None:
     assert (
-        ask(transport, lab.host("edge1", connection=connection, proxy_jump="edge2,robot1")).stdout
+        run_command(transport, lab.host("edge1", connection=connection, proxy_jump="edge2,robot1")).stdout
         == b"here\n"
     )
 
@@ -493,7 +503,7 @@ def test_two_jumps(lab: Lab, transport: Transport, connection: Connection) -> No
 def test_proxy_jump_of_ssh_config(lab: Lab, transport: Transport, connection: Connection) -> None:
     server = lab["edge2"]
     lab.write_files(f"Host far\n  HostName {server.address}\n  Port {server.port}\n  ProxyJump robot1")
-    assert ask(
+    assert run_command(
         transport, lab.host("edge2", host="far", connection=connection), "echo $HOME"
     ).stdout.decode().strip() == str(server.home)
 
@@ -518,7 +528,7 @@ def test_proxy_command(lab: Lab, transport: Transport, connection: Connection) -
     command = f"ssh -F {lab.ssh_config} -W %h:%p robot1"
     lab.write_files(f"Host far\n  HostName {edge.address}\n  Port {edge.port}\n  ProxyCommand {command}")
     before = robot.log.count("Accepted publickey")
-    assert ask(transport, lab.host("edge1", host="far", connection=connection)).stdout == b"here\n"
+    assert run_command(transport, lab.host("edge1", host="far", connection=connection)).stdout == b"here\n"
     assert robot.log.count("Accepted publickey") == before + 1
 
 
@@ -528,18 +538,20 @@ def test_a_dead_proxy_command_costs_nothing(
 ) -> None:
     lab.write_files(f"Host far\n  HostName 127.0.0.1\n  ProxyCommand {command}")
     spent = time.process_time()
-    error, seconds = failure(transport, lab.host("edge1", host="far", connection=connection), timeout=30.0)
+    error, seconds = measure_failure(
+        transport, lab.host("edge1", host="far", connection=connection), timeout=30.0
+    )
     assert isinstance(error, ConnectError)
     assert seconds < BUSY_S
     assert time.process_time() - spent < 10.0, "paramiko alone burns a core until its deadline"
-    assert not [pid for pid in children() if "Z" in state(pid)]
+    assert not [pid for pid in list_children() if "Z" in read_process_state(pid)]
 
 
 def test_whoever_closes_a_proxy_command_finds_it_reaped() -> None:
     for _ in range(30):
-        before = {*children()}
+        before = {*list_children()}
         line = start_proxy_command("sleep 60")
-        (pid,) = {*children()} - before
+        (pid,) = {*list_children()} - before
         both = threading.Barrier(2)
 
         def close(line: ProxySocket = line, pid: str = pid, both: threading.Barrier = both) -> bool:
@@ -551,9 +563,9 @@ def test_whoever_closes_a_proxy_command_finds_it_reaped() -> None:
             assert not any(future.result() for future in [pool.submit(close), pool.submit(close)])
 
 
-def children() -> list[str]:
+def list_children() -> list[str]:
     return Path(f"/proc/self/task/{threading.get_native_id()}/children").read_text().split()
 
 
-def state(pid: str) -> str:
+def read_process_state(pid: str) -> str:
     return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]

@@ -1,4 +1,4 @@
-"""Keys, agents and passwords of the paramiko way."""
+"""Keys, agents and passwords of the paramiko transport."""
 
 import os
 import signal
@@ -20,24 +20,24 @@ from edgectl.transport.ssh import SshTransport
 from edgectl.transport.ssh_auth import Keyring, SshAgentClient
 from edgectl.transport.ssh_config import SshConfigResolver
 from tests.pace import patience
-from tests.relay import callers
+from tests.relay import count_callers
 from tests.sshd import Lab, make_key
 
 
-def answers(path: Path) -> bool:
-    """Whether somebody listens at a socket; its file is there a moment before."""
+def is_listening(path: Path) -> bool:
+    """Return whether a server listens at a socket; the socket's file exists a moment before."""
     with socket.socket(socket.AF_UNIX) as line:
         return line.connect_ex(str(path)) == 0
 
 
 @contextmanager
-def agent_with(directory: Path, *keys: Path) -> Iterator[str]:
-    """A real ssh-agent holding ``keys``."""
+def run_agent(directory: Path, *keys: Path) -> Iterator[str]:
+    """Run a real ssh-agent with ``keys``."""
     path = directory / "agent.sock"
     process = subprocess.Popen(["ssh-agent", "-D", "-a", str(path)], stdout=subprocess.DEVNULL)
     try:
         deadline = time.monotonic() + patience(30)
-        while not answers(path):
+        while not is_listening(path):
             assert time.monotonic() < deadline, "the agent did not start"
             time.sleep(0.01)
         subprocess.run(["ssh-add", "-q", *keys], env=os.environ | {"SSH_AUTH_SOCK": str(path)}, check=True)
@@ -47,8 +47,8 @@ def agent_with(directory: Path, *keys: Path) -> Iterator[str]:
         process.wait()
 
 
-def with_agent(lab: Lab, path: str, *lines: str) -> None:
-    """The lab's ssh_config, but with an agent, and no key unless ``lines`` name one."""
+def use_agent(lab: Lab, path: str, *lines: str) -> None:
+    """Write the lab's ssh_config with an agent, and without keys unless ``lines`` name one."""
     lab.write_files(key=Path("none"))
     text = (
         lab.ssh_config.read_text()
@@ -58,44 +58,46 @@ def with_agent(lab: Lab, path: str, *lines: str) -> None:
     lab.ssh_config.write_text(text.replace("  IdentityFile none\n", "".join(f"  {line}\n" for line in lines)))
 
 
-def works(host: Host, transport: SshTransport | None = None) -> bool:
+def can_log_in(host: Host, transport: SshTransport | None = None) -> bool:
     with (transport or SshTransport()).connect(host, timeout=10) as session:
         return session.run("echo in", b"", timeout=20).stdout == b"in\n"
 
 
 def test_key_of_the_agent(lab: Lab, tmp_path: Path) -> None:
-    with agent_with(tmp_path, lab.user_key) as path:
-        with_agent(lab, path)
-        assert works(lab.host("edge1"))
+    with run_agent(tmp_path, lab.user_key) as path:
+        use_agent(lab, path)
+        assert can_log_in(lab.host("edge1"))
 
 
 def test_agent_key_is_found_by_its_public_half(lab: Lab, tmp_path: Path) -> None:
-    """The file is not readable by us (locked by a passphrase, say), but the agent has it, among too many others."""
+    """The file is unreadable for us (protected by a passphrase, for example), but the agent holds the key,
+    among too many others.
+    """
     strangers = [tmp_path / f"stranger{n}" for n in range(8)]
     for stranger in strangers:
         make_key(stranger)
     locked = tmp_path / "locked"
     locked.write_text("not readable")
     Path(f"{locked}.pub").write_text(Path(f"{lab.user_key}.pub").read_text())
-    with agent_with(tmp_path, *strangers, lab.user_key) as path:
-        with_agent(lab, path, f"IdentityFile {locked}", "IdentitiesOnly yes")
-        assert works(lab.host("edge1"))
+    with run_agent(tmp_path, *strangers, lab.user_key) as path:
+        use_agent(lab, path, f"IdentityFile {locked}", "IdentitiesOnly yes")
+        assert can_log_in(lab.host("edge1"))
         assert "Failed publickey" not in lab["edge1"].log.split("Connection from")[-1]
-        with_agent(lab, path)
+        use_agent(lab, path)
         with pytest.raises(AuthError, match="hung up after"):
-            works(lab.host("edge1"))
+            can_log_in(lab.host("edge1"))
 
 
 def test_a_mute_agent_is_waited_for_three_seconds(lab: Lab, tmp_path: Path) -> None:
     with socket.socket(socket.AF_UNIX) as mute:
         mute.bind(str(tmp_path / "mute"))
         mute.listen(5)
-        with_agent(lab, str(tmp_path / "mute"), f"IdentityFile {lab.user_key}")
+        use_agent(lab, str(tmp_path / "mute"), f"IdentityFile {lab.user_key}")
         transport = SshTransport()
-        assert works(lab.host("edge1"), transport)
-        assert works(lab.host("edge2"), transport)
-        assert works(lab.host("robot1"), transport)
-        assert callers(mute) == 1, "waited for once, not by each login"
+        assert can_log_in(lab.host("edge1"), transport)
+        assert can_log_in(lab.host("edge2"), transport)
+        assert can_log_in(lab.host("robot1"), transport)
+        assert count_callers(mute) == 1, "waited for once, not by each login"
 
 
 def test_agents_that_are_none(tmp_path: Path) -> None:
@@ -127,13 +129,13 @@ def test_kinds_of_user_keys(lab: Lab, tmp_path: Path, kind: str) -> None:
     lab.authorized_keys.write_text(before + key.with_suffix(".pub").read_text())
     try:
         lab.write_files(key=key)
-        assert works(lab.host("edge1"))
+        assert can_log_in(lab.host("edge1"))
     finally:
         lab.authorized_keys.write_text(before)
 
 
 def test_user_certificate(lab: Lab, tmp_path: Path) -> None:
-    """A key that only its certificate opens the door for."""
+    """A key that is accepted only with its certificate."""
     key, authority = tmp_path / "key", tmp_path / "authority"
     make_key(key)
     public = make_key(authority)
@@ -146,7 +148,7 @@ def test_user_certificate(lab: Lab, tmp_path: Path) -> None:
     lab.authorized_keys.write_text(f"{before}cert-authority {public}\n")
     try:
         lab.write_files(key=key)
-        assert works(lab.host("edge1"))
+        assert can_log_in(lab.host("edge1"))
     finally:
         lab.authorized_keys.write_text(before)
 
@@ -165,14 +167,14 @@ def test_files_that_are_no_keys(lab: Lab, tmp_path: Path) -> None:
     lab.write_files(
         *(f"IdentityFile {tmp_path}/{name}" for name in ("odd", "directory", "locked", "missing"))
     )
-    assert works(lab.host("edge1"))
+    assert can_log_in(lab.host("edge1"))
 
 
 # -- passwords ---------------------------------------------------------------------------------------------------------------------------
 
 
 class PasswordOnly(paramiko.ServerInterface):
-    """Lets "sesame" in; as many hosts, only after refusing keys."""
+    """Accepts the password "sesame" only, and, like many hosts, only after rejecting keys."""
 
     def __init__(self, tried: list[str]) -> None:
         self.tried = tried
@@ -197,7 +199,7 @@ class PasswordOnly(paramiko.ServerInterface):
     def _answer(self, channel: paramiko.Channel) -> None:
         while channel.recv(
             1024
-        ):  # up to the end of the input: paramiko's server says only after this thread has started that it accepts
+        ):  # up to the end of the input: paramiko's server confirms the request only after this thread has started
             pass
         channel.sendall(b"in\n")
         channel.send_exit_status(0)
@@ -205,8 +207,8 @@ class PasswordOnly(paramiko.ServerInterface):
 
 
 @contextmanager
-def password_server(lab: Lab) -> Iterator[tuple[int, list[str]]]:
-    """Port of a server that wants a password, and the passwords it was offered."""
+def run_password_server(lab: Lab) -> Iterator[tuple[int, list[str]]]:
+    """Run a server that requires a password; yields its port and the passwords that it received."""
     tried: list[str] = []
     key = paramiko.Ed25519Key.from_private_key_file(str(lab["edge1"].directory / "host_key"))
     transports: list[paramiko.Transport] = []
@@ -244,11 +246,11 @@ def test_a_password_is_asked_for_after_the_keys_and_once(lab: Lab) -> None:
         asked.append(prompt)
         return "sesame"
 
-    with password_server(lab) as (port, tried):
+    with run_password_server(lab) as (port, tried):
         host = Host(name="edge1", role=Role.EDGE, host="127.0.0.1", port=port, user="jetson")
         transport = SshTransport(ask_password=ask)
-        assert works(host, transport)
-        assert works(host, transport)
+        assert can_log_in(host, transport)
+        assert can_log_in(host, transport)
     assert asked == ["jetson@127.0.0.1's password: "]
     assert tried == ["sesame", "sesame"]
 
@@ -257,23 +259,23 @@ def test_a_host_that_takes_keys_only_asks_for_no_password(lab: Lab, tmp_path: Pa
     make_key(tmp_path / "stranger")
     lab.write_files(key=tmp_path / "stranger")
     with pytest.raises(AuthError, match=r"1 key\(s\) refused"):
-        works(lab.host("edge1"), SshTransport(ask_password=pytest.fail))
+        can_log_in(lab.host("edge1"), SshTransport(ask_password=pytest.fail))
 
 
 def test_without_somebody_to_ask_nothing_is_asked(lab: Lab) -> None:
-    with password_server(lab) as (port, tried):
+    with run_password_server(lab) as (port, tried):
         with pytest.raises(AuthError):
-            works(Host(name="edge1", role=Role.EDGE, host="127.0.0.1", port=port))
+            can_log_in(Host(name="edge1", role=Role.EDGE, host="127.0.0.1", port=port))
         assert tried == []
 
 
 def test_a_wrong_password_is_offered_once(lab: Lab) -> None:
-    with password_server(lab) as (port, tried):
+    with run_password_server(lab) as (port, tried):
         host = Host(name="edge1", role=Role.EDGE, host="127.0.0.1", port=port)
         transport = SshTransport(ask_password=lambda _: "wrong")
         for _ in range(2):
             with pytest.raises(AuthError):
-                works(host, transport)
+                can_log_in(host, transport)
         assert tried == ["wrong"]
 
 
@@ -288,11 +290,11 @@ def test_a_wrong_password_is_offered_once(lab: Lab) -> None:
     ],
 )
 def test_password_command(lab: Lab, command: tuple[str, ...], good: bool) -> None:
-    with password_server(lab) as (port, tried):
+    with run_password_server(lab) as (port, tried):
         host = Host(name="edge1", role=Role.EDGE, host="127.0.0.1", port=port, password_command=command)
         if good:
-            assert works(host)
+            assert can_log_in(host)
             assert tried == ["sesame"]
         else:
             with pytest.raises(AuthError, match="password_command"):
-                works(host)
+                can_log_in(host)

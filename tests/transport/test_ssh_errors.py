@@ -1,4 +1,4 @@
-"""Every exception that paramiko can raise has its place in our tree."""
+"""Every exception of paramiko is mapped to an error of edgectl."""
 
 import importlib
 import inspect
@@ -11,11 +11,11 @@ import pytest
 from edgectl.errors import AuthError, ConnectError, DeadlineError, HostError, HostKeyError
 from edgectl.transport import openssh, ssh_errors
 
-# Never leave paramiko, or belong to parts of it that we do not use.
+# Never raised out of paramiko, or of parts of it that edgectl does not use.
 INTERNAL = {"NeedRekeyException", "BERException", "InvalidHostKey", "SFTPError", "WindowsError"}
 
 
-def exceptions_of_paramiko() -> set[type[BaseException]]:
+def list_paramiko_exceptions() -> set[type[BaseException]]:
     found = set()
     for module in pkgutil.iter_modules(paramiko.__path__):
         if module.name in ("_winapi", "win_openssh", "win_pageant"):
@@ -31,7 +31,7 @@ def exceptions_of_paramiko() -> set[type[BaseException]]:
 
 def test_the_table_is_complete() -> None:
     mapped = {kind for kind, _, _ in ssh_errors.SSH_ERRORS}
-    missing = {kind.__name__ for kind in exceptions_of_paramiko() - mapped} - INTERNAL
+    missing = {kind.__name__ for kind in list_paramiko_exceptions() - mapped} - INTERNAL
     assert not missing, f"give them a row in ssh_errors.TABLE: {missing}"
 
 

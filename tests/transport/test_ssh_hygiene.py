@@ -1,4 +1,4 @@
-"""What the paramiko way leaves behind (nothing), runs of others' code (none), and how it treats busy servers (kindly)."""
+"""The paramiko transport leaves nothing behind, executes no foreign code, and retries on busy servers."""
 
 import os
 import resource
@@ -19,31 +19,31 @@ from edgectl.transport.ssh import SshTransport
 from edgectl.transport.ssh_auth import LoginStrategy
 from edgectl.transport.ssh_config import SshConfigResolver
 from tests.pace import patience
-from tests.relay import callers, mute_server
+from tests.relay import count_callers, run_mute_server
 from tests.sshd import Lab, make_key, running_lab
 
 
-def open_files() -> int:
+def count_open_files() -> int:
     return len(list(Path("/proc/self/fd").iterdir()))
 
 
-def settled(threads: int, files: int) -> bool:
-    """Whether threads and files are back to what they were, after a while."""
+def wait_until_released(threads: int, files: int) -> bool:
+    """Wait until threads and files are back to their initial number."""
     deadline = time.monotonic() + patience(30)
-    while (threading.active_count() > threads or open_files() > files) and time.monotonic() < deadline:
+    while (threading.active_count() > threads or count_open_files() > files) and time.monotonic() < deadline:
         time.sleep(0.01)
-    return threading.active_count() <= threads and open_files() <= files
+    return threading.active_count() <= threads and count_open_files() <= files
 
 
 def test_nothing_is_left_open(lab: Lab, tmp_path: Path) -> None:
     make_key(tmp_path / "stranger")
     transport = SshTransport()
     transport.connect(lab.host("edge1"), timeout=10).close()
-    threads, files = threading.active_count(), open_files()
+    threads, files = threading.active_count(), count_open_files()
     for _ in range(5):
         with transport.connect(lab.host("edge1", proxy_jump="robot1"), timeout=10) as session:
             session.run("true", b"", timeout=20)
-    with mute_server() as port:
+    with run_mute_server() as port:
         for host in (
             lab.host("edge1", port=1),
             lab.host("edge1", host="127.0.0.1", port=port),
@@ -57,7 +57,7 @@ def test_nothing_is_left_open(lab: Lab, tmp_path: Path) -> None:
     lab.write_files(key=tmp_path / "stranger")
     with pytest.raises(HostError):
         SshTransport().connect(lab.host("edge2"), timeout=20)
-    assert settled(threads, files), [thread.name for thread in threading.enumerate()]
+    assert wait_until_released(threads, files), [thread.name for thread in threading.enumerate()]
 
 
 def test_closing_is_quick_and_can_be_repeated(lab: Lab) -> None:
@@ -81,7 +81,9 @@ def test_closing_wakes_who_waits(lab: Lab) -> None:
 
 
 def test_no_file_of_fabric_is_executed_or_read(lab: Lab, tmp_path: Path) -> None:
-    """A poisoned home and working directory; a process of its own, because Fabric looks around when it is imported."""
+    """A poisoned home and working directory, in a process of its own because Fabric reads configuration at
+    import.
+    """
     poison = "import pathlib; pathlib.Path(__file__).with_name('canary').touch()\nuser = 'somebody-else'\nload_ssh_configs = True\n"
     home = tmp_path / "home"
     for directory in (home, home / ".ssh"):
@@ -112,7 +114,7 @@ def test_no_file_of_fabric_is_executed_or_read(lab: Lab, tmp_path: Path) -> None
 
 def test_nothing_is_printed_when_a_login_fails(lab: Lab, capfd: pytest.CaptureFixture[str]) -> None:
     """paramiko logs tracebacks of its thread, which Python would print."""
-    with mute_server() as port, pytest.raises(HostError):
+    with run_mute_server() as port, pytest.raises(HostError):
         SshTransport().connect(lab.host("edge1", host="127.0.0.1", port=port), timeout=0.5)
     with pytest.raises(HostError):
         SshTransport().connect(lab.host("edge1", port=1), timeout=10)
@@ -121,15 +123,15 @@ def test_nothing_is_printed_when_a_login_fails(lab: Lab, capfd: pytest.CaptureFi
 
 
 def test_a_busy_server_is_asked_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """sshd that accepts one login at a time, and hangs up on the others before its banner, until the one is done."""
+    """sshd accepts one login at a time, and drops the others before its banner until that one is done."""
     with running_lab(tmp_path / "lab", ["edge1"], extra=["MaxStartups 1"]) as lab:
         monkeypatch.setenv("EDGECTL_SSH_CONFIG", str(lab.ssh_config))
-        # The pauses of the product are short; on a slow machine sshd may take longer to notice that there is room again.
+        # The product's pauses are short; on a slow machine sshd may take longer to free the slot.
         monkeypatch.setattr(ssh, "PAUSES_S", (0.2,) * 60)
         server = lab["edge1"]
         with ThreadPoolExecutor(1) as pool:
             with socket.create_connection((server.address, server.port)) as first:
-                first.recv(4)  # it has the one place
+                first.recv(4)  # it occupies the only slot
                 waiting = pool.submit(SshTransport().connect, lab.host("edge1"), timeout=60)
                 deadline = time.monotonic() + patience(30)
                 while "drop connection" not in server.log:
@@ -158,7 +160,7 @@ def test_what_is_no_ssh_server(lab: Lab, tmp_path: Path) -> None:
 
 
 def test_a_server_that_talks_without_end(lab: Lab) -> None:
-    """A proxy command that repeats one letter for ever, without a line's end: neither memory nor time is given to it."""
+    """A proxy command that repeats one letter forever without a newline must not consume memory or time."""
     lab.write_files("Host odd\n  ProxyCommand yes | tr -d '\\n'")
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     start = time.monotonic()
@@ -174,11 +176,11 @@ def test_a_failed_jump_host_fails_its_hosts_at_once(lab: Lab) -> None:
         for name in ("edge1", "edge2", "edge1", "edge2"):
             with pytest.raises(HostError, match=r"jump host 127\.0\.0\.1"):
                 transport.connect(lab.host(name, proxy_jump=f"127.0.0.1:{mute.getsockname()[1]}"), timeout=2)
-        assert callers(mute) == 1
+        assert count_callers(mute) == 1
 
 
 def test_a_second_key_type_is_no_change(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The server has ed25519 and RSA, known_hosts only RSA: asked for first, as OpenSSH does."""
+    """The server has ed25519 and RSA, known_hosts only RSA: that one is requested first, as OpenSSH does."""
     rsa = tmp_path / "rsa"
     subprocess.run(["ssh-keygen", "-q", "-t", "rsa", "-b", "2048", "-N", "", "-f", rsa], check=True)
     with running_lab(tmp_path / "lab", ["edge1"], extra=[f"HostKey {rsa}"]) as lab:
@@ -189,7 +191,7 @@ def test_a_second_key_type_is_no_change(tmp_path: Path, monkeypatch: pytest.Monk
 
 
 def test_connections_are_made_in_many_threads(lab: Lab) -> None:
-    """A Config of Fabric's that connections share is cleared by one while another reads it."""
+    """One connection clears a Config of Fabric that another shares and reads."""
     transport, login = SshTransport(), LoginStrategy("me", ())
     resolved = SshConfigResolver().resolve(lab.host("edge1"))
     interval = sys.getswitchinterval()

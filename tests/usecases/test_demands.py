@@ -1,4 +1,4 @@
-"""From the history to the snapshot, and from the snapshot alone to the decision."""
+"""Measured demand from the history into the snapshot, and from the snapshot alone into the decision."""
 
 import dataclasses
 from pathlib import Path
@@ -50,8 +50,8 @@ def fleet(tmp_path: Path) -> Fleet:
     )
 
 
-def remember(fleet: Fleet, *, samples: int = 100, cores: float = 4.0, host: str = "edge1") -> None:
-    """So many samples before now, 10 s apart, of which the n-th used n hundredths of a core."""
+def record_samples(fleet: Fleet, *, samples: int = 100, cores: float = 4.0, host: str = "edge1") -> None:
+    """Record samples before now, 10 s apart, of which the n-th used n hundredths of a core."""
     with Store.open(fleet.state) as store:
         for n in range(samples):
             run = a_run(
@@ -63,14 +63,14 @@ def remember(fleet: Fleet, *, samples: int = 100, cores: float = 4.0, host: str 
             store.record_snapshot(a_snapshot(taken_at=NOW - 10 * (samples - n), **{host: sample}))
 
 
-def seen(fleet: Fleet) -> Snapshot:
+def a_seen_snapshot(fleet: Fleet) -> Snapshot:
     """Two hosts of one size, of which edge2 does not answer."""
     return a_snapshot(edge1=a_sample(cores=4.0, memory=8 * GI, links={"robot1": a_link()}), edge2=silent())
 
 
 def test_p95_of_the_class_is_loaded(fleet: Fleet) -> None:
-    remember(fleet)
-    found = load_measured_demands(fleet, seen(fleet))
+    record_samples(fleet)
+    found = load_measured_demands(fleet, a_seen_snapshot(fleet))
     assert found == {
         ("slam", "4c-8Gi"): MeasuredDemand(
             samples=100,
@@ -82,25 +82,25 @@ def test_p95_of_the_class_is_loaded(fleet: Fleet) -> None:
 
 
 def test_a_silent_host_counts_by_its_last_answer(fleet: Fleet) -> None:
-    remember(fleet, host="edge2", cores=8.0)
+    record_samples(fleet, host="edge2", cores=8.0)
     with Store.open(fleet.state) as store:
         store.record_snapshot(a_snapshot(taken_at=NOW - 1, edge2=silent()))
-    assert list(load_measured_demands(fleet, seen(fleet))) == [("slam", "8c-8Gi")]
+    assert list(load_measured_demands(fleet, a_seen_snapshot(fleet))) == [("slam", "8c-8Gi")]
 
 
 def test_nothing_is_read_where_all_is_declared_or_nothing_is_kept(fleet: Fleet) -> None:
-    assert load_measured_demands(fleet, seen(fleet)) == {}
+    assert load_measured_demands(fleet, a_seen_snapshot(fleet)) == {}
     assert not list(fleet.state.iterdir())
-    remember(fleet, samples=1)
+    record_samples(fleet, samples=1)
     (fleet.state / "history.db").write_bytes(b"no database at all")
     declared = dataclasses.replace(fleet, tasks=some_tasks(a_task("slam", cpu=1.0)), warn=pytest.fail)
-    assert load_measured_demands(declared, seen(fleet)) == {}
+    assert load_measured_demands(declared, a_seen_snapshot(fleet)) == {}
 
 
 def test_another_command_begins_a_new_history(fleet: Fleet) -> None:
-    remember(fleet)
+    record_samples(fleet)
     changed = dataclasses.replace(fleet, tasks=some_tasks(dataclasses.replace(SLAM, spec_hash="another")))
-    assert load_measured_demands(changed, seen(fleet)) == {}
+    assert load_measured_demands(changed, a_seen_snapshot(fleet)) == {}
     assert load_class_profiles(changed, changed.tasks.tasks.values()) == []
 
 
@@ -139,7 +139,7 @@ def test_a_probe_carries_it_and_the_snapshot_alone_decides_the_same(fleet: Fleet
 
 
 def test_the_memory_file_does_not_keep_what_the_history_has(fleet: Fleet) -> None:
-    remember(fleet)
+    record_samples(fleet)
     applied = plan_and_apply(fleet, Policy())
     assert applied.plan.snapshot.manager is not None
     assert applied.plan.snapshot.manager.measured
@@ -147,8 +147,8 @@ def test_the_memory_file_does_not_keep_what_the_history_has(fleet: Fleet) -> Non
 
 
 def test_profiles_are_by_class_without_asking_a_host(fleet: Fleet) -> None:
-    remember(fleet)
-    remember(fleet, host="edge2", cores=8.0, samples=7)
+    record_samples(fleet)
+    record_samples(fleet, host="edge2", cores=8.0, samples=7)
     small, large = load_class_profiles(fleet, fleet.tasks.tasks.values())
     assert (
         small.kind,

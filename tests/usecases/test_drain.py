@@ -1,4 +1,4 @@
-"""drain: the tasks of a host leave through their handoff contracts, or it is said what is left."""
+"""drain: tasks leave through their handoff contracts, or the remaining ones are reported."""
 
 import dataclasses
 from pathlib import Path
@@ -27,7 +27,7 @@ CAMERA = a_task("camera", cpu=1.0, pin="edge2")
 
 
 class Bench:
-    """slam on edge1, where it is put first; camera stays on edge2."""
+    """slam on edge1, where it is placed first; camera stays on edge2."""
 
     def __init__(self, state: Path) -> None:
         self.hosts = FakeFleet.of(["edge1", "edge2", "robot1"])

@@ -1,4 +1,4 @@
-"""What was done, read back from the journal; and new plans towards how it was."""
+"""History read back from the journal, and plans towards an earlier revision."""
 
 import dataclasses
 import json
@@ -60,14 +60,14 @@ def bench(tmp_path: Path) -> Bench:
     return Bench(tmp_path)
 
 
-def never(task: object, host: str) -> object:
+def exclude_host(task: object, host: str) -> object:
     return dataclasses.replace(task, hosts=dataclasses.replace(SLAM.hosts, never=(host,)))  # type: ignore[type-var]
 
 
 def test_each_change_is_a_revision_with_its_phases_and_where_everything_stood(bench: Bench) -> None:
     bench.apply(SLAM)
     first = bench.hosts.placed["slam"]
-    bench.apply(never(SLAM, first), CAMERA)
+    bench.apply(exclude_host(SLAM, first), CAMERA)
     stop_tasks(bench.files(SLAM, CAMERA), ["camera"])
     one, two, three = bench.past
     assert [(each.number, each.verb, each.ending) for each in (one, two, three)] == [
@@ -134,7 +134,7 @@ def test_failures_skips_and_cut_offs_are_told_apart(bench: Bench) -> None:
 def test_a_rollback_without_a_number_undoes_the_last_revision(bench: Bench) -> None:
     bench.apply(SLAM)
     first = bench.hosts.placed["slam"]
-    bench.apply(never(SLAM, first), CAMERA)
+    bench.apply(exclude_host(SLAM, first), CAMERA)
     applied = roll_back_fleet(bench.files(SLAM, CAMERA), POLICY)
     assert {step.task: step.action for step in applied.plan.steps} == {
         "slam": Action.MOVE,
@@ -157,8 +157,8 @@ def test_a_rollback_to_what_already_is_changes_nothing(bench: Bench) -> None:
 def test_a_rollback_obeys_the_files_and_cordons_of_today(bench: Bench) -> None:
     bench.apply(SLAM)
     first = bench.hosts.placed["slam"]
-    bench.apply(never(SLAM, first), CAMERA)
-    forbidden = bench.files(never(SLAM, first), CAMERA)
+    bench.apply(exclude_host(SLAM, first), CAMERA)
+    forbidden = bench.files(exclude_host(SLAM, first), CAMERA)
     plan = plan_rollback(forbidden, POLICY, 1, ApplyOptions())
     assert {step.task: step.action for step in plan.steps}["slam"] is Action.KEEP
     operator_marks.cordon_hosts(bench.fleet, [first])
@@ -179,8 +179,7 @@ def test_tasks_and_hosts_that_are_gone_are_said(bench: Bench) -> None:
     gone = "which is no longer in the inventory; it is placed as by apply"
     assert f"slam ran on {place} then, {gone}" in bench.said
     assert any(
-        text.startswith("camera ran on")
-        and text.endswith("not in the task files any more; it is not started")
+        text.startswith("camera ran on") and text.endswith("no longer in the task files; it is not started")
         for text in bench.said
     )
 

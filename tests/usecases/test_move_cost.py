@@ -1,4 +1,4 @@
-"""What moves were measured to take decides over later ones (ADR 18), with the real apply, memory and scheduler."""
+"""Measured downtimes of moves affect later moves (ADR 18), with the real apply, manager state and scheduler."""
 
 from pathlib import Path
 
@@ -10,12 +10,12 @@ from tests.builders import a_task, some_tasks
 from tests.usecases.test_usecases import Bench
 
 POLICY = Policy()
-# slam is worth 0.05 more on an idle host than on one of four cores with 0.8 in use: less than the margin.
+# slam gains 0.05 on an idle host over one of four cores with 0.8 in use: less than the margin.
 SMALL = 0.8
 
 
 def drive_away(bench: Bench, times: int) -> None:
-    """Load the host of slam until it leaves, again and again, ten minutes apart."""
+    """Load the host of slam until it leaves, several times, ten minutes apart."""
     for _ in range(times):
         here = bench.hosts.placed["slam"]
         bench.hosts[here].used = 4.5
@@ -25,8 +25,8 @@ def drive_away(bench: Bench, times: int) -> None:
         bench.hosts[here].used = 0.0
 
 
-def slam(bench: Bench, cost: float) -> Decision:
-    """The decision on slam, on a host a little busier than the other, with a price of downtime."""
+def decide_slam(bench: Bench, cost: float) -> Decision:
+    """Return the decision on slam, on a host a little busier than the other, with a downtime cost."""
     bench.hosts[bench.hosts.placed["slam"]].used = SMALL
     bench.now += 600.0
     tasks = some_tasks(a_task("slam", robots=["robot1"], downtime_cost=cost))
@@ -39,11 +39,11 @@ def test_after_five_measured_moves_their_downtime_decides(tmp_path: Path) -> Non
     plan_and_apply(bench.fleet, POLICY)
     drive_away(bench, 8)
     assert sorted(map(len, bench.memory.downtimes.values())) == [4, 4]
-    assert slam(bench, 10.0).reason is Reason.BELOW_MARGIN
+    assert decide_slam(bench, 10.0).reason is Reason.BELOW_MARGIN
     drive_away(bench, 1)
     assert len(bench.memory.stays["slam"]) == 9
     assert min(bench.memory.stays["slam"]) > 600.0
-    cheap, dear = slam(bench, 0.01), slam(bench, 1e6)
+    cheap, dear = decide_slam(bench, 0.01), decide_slam(bench, 1e6)
     assert (cheap.reason, dear.reason) == (Reason.GAIN_OVER_COST, Reason.COST_ABOVE_GAIN)
     assert cheap.cost is not None
     assert (cheap.cost.stay_s, 0.0 < cheap.cost.downtime_s < 5.0) == (600.0, True)

@@ -1,4 +1,4 @@
-"""What the verbs leave in the history, over simulated hosts."""
+"""History records of the use cases, over simulated hosts."""
 
 import dataclasses
 import gc
@@ -35,12 +35,12 @@ def bench(tmp_path: Path) -> Bench:
     return Bench(tmp_path)
 
 
-def kinds(found: tuple[Event, ...]) -> list[tuple[str, str | None]]:
+def list_kinds(found: tuple[Event, ...]) -> list[tuple[str, str | None]]:
     return [(event.kind.value, event.task or event.host) for event in found]
 
 
-def told(bench: Bench) -> list[tuple[str, str | None]]:
-    return kinds(list_events(bench.fleet, EventFilter()))
+def list_told_events(bench: Bench) -> list[tuple[str, str | None]]:
+    return list_kinds(list_events(bench.fleet, EventFilter()))
 
 
 def test_every_probe_is_kept(bench: Bench) -> None:
@@ -55,13 +55,13 @@ def test_every_probe_is_kept(bench: Bench) -> None:
 def test_an_apply_tells_what_it_planned_and_did_once(bench: Bench) -> None:
     plan_and_apply(bench.fleet, POLICY)
     started = [("planned", None), ("task-started", "slam"), ("task-started", "navigation")]
-    assert told(bench) == started
+    assert list_told_events(bench) == started
     probe_fleet(bench.fleet)
     plan_and_apply(bench.fleet, POLICY)
-    assert told(bench) == started
+    assert list_told_events(bench) == started
     stop_tasks(bench.fleet, ["navigation"])
     probe_fleet(bench.fleet)
-    assert told(bench) == [*started, ("task-stopped", "navigation")]
+    assert list_told_events(bench) == [*started, ("task-stopped", "navigation")]
 
 
 def test_a_move_is_a_handoff_with_its_gap(bench: Bench) -> None:
@@ -87,7 +87,7 @@ def test_a_move_is_a_handoff_with_its_gap(bench: Bench) -> None:
 def test_the_same_plan_again_is_told_once(bench: Bench) -> None:
     for _ in range(3):
         make_plan(bench.fleet, POLICY)
-    assert told(bench) == [("planned", None)]
+    assert list_told_events(bench) == [("planned", None)]
 
 
 def test_a_plan_from_a_snapshot_is_not_kept(bench: Bench, tmp_path: Path) -> None:
@@ -104,7 +104,7 @@ def test_a_host_that_is_lost_and_back_is_told(bench: Bench) -> None:
     probe_fleet(bench.fleet)
     del bench.hosts["edge2"].faults["probe"]
     probe_fleet(bench.fleet)
-    assert kinds(list_events(bench.fleet, EventFilter(host="edge2"))) == [
+    assert list_kinds(list_events(bench.fleet, EventFilter(host="edge2"))) == [
         ("host-lost", "edge2"),
         ("host-back", "edge2"),
     ]
@@ -121,7 +121,7 @@ def test_trouble_with_the_history_is_said_once_and_costs_nothing_else(bench: Ben
 
 def test_what_another_edgectl_is_doing_is_left_to_its_own_record(bench: Bench) -> None:
     plan_and_apply(bench.fleet, POLICY)
-    before = told(bench)
+    before = list_told_events(bench)
     place = bench.hosts.placed["slam"]
     running = bench.hosts[place].tasks.pop("slam")
     holder = subprocess.Popen(
@@ -135,22 +135,22 @@ def test_what_another_edgectl_is_doing_is_left_to_its_own_record(bench: Bench) -
     try:
         assert is_locked_elsewhere(bench.fleet.state)
         probe_fleet(bench.fleet)
-        assert told(bench) == before
+        assert list_told_events(bench) == before
     finally:
         holder.communicate("", timeout=30)
     assert not is_locked_elsewhere(bench.fleet.state)
     probe_fleet(bench.fleet)
-    assert told(bench) == [*before, ("task-lost", "slam")]
+    assert list_told_events(bench) == [*before, ("task-lost", "slam")]
     bench.hosts[place].tasks["slam"] = running
     probe_fleet(bench.fleet)
-    assert told(bench)[-1] == ("task-started", "slam")
+    assert list_told_events(bench)[-1] == ("task-started", "slam")
 
 
 def test_a_lock_that_nobody_holds_is_not_held(bench: Bench) -> None:
     assert not is_locked_elsewhere(bench.fleet.state)
     with FleetLock(bench.fleet.state):
         assert not is_locked_elsewhere(bench.fleet.state)  # it is ours
-    (bench.fleet.state / "lock").write_text('{"pid": 1}')  # of one that was killed
+    (bench.fleet.state / "lock").write_text('{"pid": 1}')  # left by a killed manager
     assert not is_locked_elsewhere(bench.fleet.state)
     for text in ("[]", "no json", '{"pid": []}'):
         (bench.fleet.state / "lock").write_text(text)
@@ -175,7 +175,7 @@ def test_events_are_followed_even_into_another_history(bench: Bench, tmp_path: P
             step()
         return step is None
 
-    batches = [kinds(batch) for batch in follow_events(bench.fleet, EventFilter(), told_to_end)]
+    batches = [list_kinds(batch) for batch in follow_events(bench.fleet, EventFilter(), told_to_end)]
     assert batches == [
         [("planned", None), ("task-started", "slam"), ("task-started", "navigation")],
         [("task-stopped", "navigation")],

@@ -1,4 +1,6 @@
-"""The manager dies at every named point of an apply; the next plain apply ends with exactly one instance of each task."""
+"""The manager dies at every failpoint of an apply; the next plain apply ends with exactly one instance of
+each task.
+"""
 
 import contextlib
 import dataclasses
@@ -32,13 +34,13 @@ SLAM = a_task("slam", cpu=0.5, robots=["robot1"], handoff=HOOKS, ready=Check(com
 NAVIGATION = a_task("navigation", cpu=0.5, needs=["slam"])
 
 
-class Died(BaseException):
-    """The manager was killed: nothing of its own handles this."""
+class ManagerKilledError(BaseException):
+    """The manager was killed: no handler of the product catches this."""
 
 
 @dataclasses.dataclass
-class Scene:
-    """A fleet just before the apply that is cut off."""
+class RecoveryScene:
+    """A fleet just before the apply that is interrupted."""
 
     hosts: FakeFleet
     fleet: Fleet
@@ -49,7 +51,7 @@ class Scene:
         return dataclasses.replace(self.fleet, tasks=self.tasks)
 
 
-def a_scene(state: Path, *tasks: Task) -> Scene:
+def build_scene(state: Path, *tasks: Task) -> RecoveryScene:
     hosts = FakeFleet.of(["edge1", "edge2", "robot1"])
     inventory = an_inventory(an_edge("edge1"), an_edge("edge2"), a_robot("robot1"))
     state.mkdir(mode=0o700)
@@ -60,64 +62,64 @@ def a_scene(state: Path, *tasks: Task) -> Scene:
         state=state,
         clock=lambda: NOW + 5,
     )
-    return Scene(hosts, fleet, some_tasks(*tasks) if tasks else fleet.tasks)
+    return RecoveryScene(hosts, fleet, some_tasks(*tasks) if tasks else fleet.tasks)
 
 
-def starting(state: Path) -> Scene:
-    return a_scene(state)
+def prepare_start(state: Path) -> RecoveryScene:
+    return build_scene(state)
 
 
-def _running(state: Path, *tasks: Task) -> Scene:
-    scene = a_scene(state, *tasks)
+def _start_tasks(state: Path, *tasks: Task) -> RecoveryScene:
+    scene = build_scene(state, *tasks)
     plan_and_apply(scene.fleet, POLICY, options=ONE_BY_ONE)
     return scene
 
 
-def moving(state: Path) -> Scene:
-    return _running(
+def prepare_move(state: Path) -> RecoveryScene:
+    return _start_tasks(
         state, dataclasses.replace(SLAM, hosts=dataclasses.replace(SLAM.hosts, never=("edge1",))), NAVIGATION
     )
 
 
-def overlapping(state: Path) -> Scene:
+def prepare_start_first(state: Path) -> RecoveryScene:
     order = dataclasses.replace(HOOKS, order=HandoffOrder.START_FIRST)
     task = dataclasses.replace(SLAM, hosts=dataclasses.replace(SLAM.hosts, never=("edge1",)), handoff=order)
-    return _running(state, task, NAVIGATION)
+    return _start_tasks(state, task, NAVIGATION)
 
 
-def restarting(state: Path) -> Scene:
-    return _running(state, dataclasses.replace(SLAM, spec_hash="changed"), NAVIGATION)
+def prepare_restart(state: Path) -> RecoveryScene:
+    return _start_tasks(state, dataclasses.replace(SLAM, spec_hash="changed"), NAVIGATION)
 
 
-def draining(state: Path) -> Scene:
-    scene = _running(state)
+def prepare_drain(state: Path) -> RecoveryScene:
+    scene = _start_tasks(state)
     operator_marks.cordon_hosts(scene.fleet, ["edge1"], drain=True)
     return scene
 
 
-def leaving(state: Path) -> Scene:
-    return _running(state, SLAM)
+def prepare_removal(state: Path) -> RecoveryScene:
+    return _start_tasks(state, SLAM)
 
 
-def completing(state: Path) -> Scene:
-    scene = _running(state)
+def prepare_completion(state: Path) -> RecoveryScene:
+    scene = _start_tasks(state)
     operator_marks.mark_tasks_done(scene.fleet, ["navigation"])
     return scene
 
 
-SCENES: list[Callable[[Path], Scene]] = [
-    starting,
-    moving,
-    overlapping,
-    restarting,
-    draining,
-    leaving,
-    completing,
+SCENES: list[Callable[[Path], RecoveryScene]] = [
+    prepare_start,
+    prepare_move,
+    prepare_start_first,
+    prepare_restart,
+    prepare_drain,
+    prepare_removal,
+    prepare_completion,
 ]
 
 
-def points_of(scene: Scene) -> list[str]:
-    """Every point that the apply of ``scene`` comes to."""
+def list_failpoints(scene: RecoveryScene) -> list[str]:
+    """Return every failpoint that the apply of ``scene`` hits."""
     seen: list[str] = []
     remove = failpoints.install_hook(seen.append)
     try:
@@ -127,25 +129,25 @@ def points_of(scene: Scene) -> list[str]:
     return seen
 
 
-def cut_off(scene: Scene, number: int) -> None:
-    """Apply, and die at the ``number``-th point."""
+def interrupt_apply(scene: RecoveryScene, number: int) -> None:
+    """Apply, and die at the ``number``-th failpoint."""
     left = [number]
 
     def die(_point: str) -> None:
         left[0] -= 1
         if left[0] < 0:
-            raise Died
+            raise ManagerKilledError
 
     remove = failpoints.install_hook(die)
     try:
-        with pytest.raises(Died):
+        with pytest.raises(ManagerKilledError):
             plan_and_apply(scene.ready, POLICY, options=ONE_BY_ONE)
     finally:
         remove()
 
 
-def converged(scene: Scene, expected: dict[str, str]) -> None:
-    """One plain apply, and everything is as it should be."""
+def apply_and_check(scene: RecoveryScene, expected: dict[str, str]) -> None:
+    """Apply once and check that every task runs as expected."""
     applied = plan_and_apply(scene.ready, POLICY, options=ONE_BY_ONE)
     assert applied.results is None or applied.results.done
     counts = [task for host in scene.hosts.hosts.values() for task in host.tasks]
@@ -159,15 +161,17 @@ def converged(scene: Scene, expected: dict[str, str]) -> None:
 
 
 @pytest.mark.parametrize("make", SCENES, ids=lambda make: make.__name__)
-def test_death_at_every_point_is_mended_by_one_apply(make: Callable[[Path], Scene], tmp_path: Path) -> None:
+def test_death_at_every_point_is_mended_by_one_apply(
+    make: Callable[[Path], RecoveryScene], tmp_path: Path
+) -> None:
     whole = make(tmp_path / "whole")
-    names = points_of(whole)
+    names = list_failpoints(whole)
     assert len(names) > 15
     for number in range(len(names)):
         scene = make(tmp_path / str(number))
-        cut_off(scene, number)
-        converged(scene, whole.hosts.placed)
-        assert make is overlapping or not scene.hosts.world.overlap, names[number]
+        interrupt_apply(scene, number)
+        apply_and_check(scene, whole.hosts.placed)
+        assert make is prepare_start_first or not scene.hosts.world.overlap, names[number]
 
 
 def test_death_during_recovery_is_mended_too(tmp_path: Path) -> None:
@@ -175,33 +179,37 @@ def test_death_during_recovery_is_mended_too(tmp_path: Path) -> None:
     for number in range(60):
         make = chance.choice(SCENES)
         whole = make(tmp_path / f"whole{number}")
-        length = len(points_of(whole))
+        length = len(list_failpoints(whole))
         scene = make(tmp_path / str(number))
-        cut_off(scene, chance.randrange(length))
-        with contextlib.suppress(pytest.fail.Exception):  # the recovery may have fewer points
-            cut_off(scene, chance.randrange(length))
-        converged(scene, whole.hosts.placed)
+        interrupt_apply(scene, chance.randrange(length))
+        with contextlib.suppress(pytest.fail.Exception):  # the recovery may have fewer failpoints
+            interrupt_apply(scene, chance.randrange(length))
+        apply_and_check(scene, whole.hosts.placed)
 
 
-def _failing(scene: Scene) -> None:
-    """From now on nothing gets ready anywhere."""
+def _fail_starts(scene: RecoveryScene) -> None:
+    """Make every instance fail to become ready."""
     scene.hosts["edge2"].faults["wait:slam"] = lambda _request: {"state": "failed", "exit_code": 3}
     scene.hosts["edge1"].faults["start:slam"] = RefusedError("disk is full")
 
 
-def _releases(scene: Scene) -> int:
+def _count_releases(scene: RecoveryScene) -> int:
     return scene.hosts.world.events.count("check release robot1")
 
 
 @pytest.mark.parametrize("killed", [False, True])
 def test_a_robot_holds_until_an_instance_is_ready(killed: bool, tmp_path: Path) -> None:
-    """Neither the new nor the old instance gets ready; the manager may die then, too. The apply that gets one ready releases the robot."""
-    scene = moving(tmp_path / "state")
+    """Neither the new nor the old instance becomes ready; the manager may die then, too. The apply that gets
+    one ready releases the robot.
+    """
+    scene = prepare_move(tmp_path / "state")
     said: list[str] = []
     scene.fleet = dataclasses.replace(scene.fleet, warn=said.append)
-    _failing(scene)
+    _fail_starts(scene)
     if killed:
-        cut_off(scene, points_of(moving(tmp_path / "whole")).index("stop acknowledged") + 1)
+        interrupt_apply(
+            scene, list_failpoints(prepare_move(tmp_path / "whole")).index("stop acknowledged") + 1
+        )
     else:
         (failed,) = (
             result
@@ -209,37 +217,39 @@ def test_a_robot_holds_until_an_instance_is_ready(killed: bool, tmp_path: Path) 
             if result.task == "slam"
         )  # type: ignore[union-attr]
         assert "robot1 STILL HOLDS" in failed.error
-    assert _releases(scene) == 0
+    assert _count_releases(scene) == 0
     plan_and_apply(scene.ready, POLICY, options=ONE_BY_ONE)
-    assert _releases(scene) == 0
+    assert _count_releases(scene) == 0
     assert any("robot1 STILL HOLDS: no instance of slam is ready" in text for text in said)
     scene.hosts["edge1"].faults.clear()
     scene.hosts["edge2"].faults.clear()
     plan_and_apply(scene.ready, POLICY, options=ONE_BY_ONE)
-    assert _releases(scene) == 1
+    assert _count_releases(scene) == 1
     assert "slam" in scene.hosts.placed
-    converged(scene, {"slam": "", "navigation": ""})
-    assert _releases(scene) == 1
+    apply_and_check(scene, {"slam": "", "navigation": ""})
+    assert _count_releases(scene) == 1
 
 
 def test_a_robot_that_steers_itself_ready_is_asked(tmp_path: Path) -> None:
-    """The manager died between the start and the robot's yes: the check is asked again, the instance marked, the robot released."""
+    """The manager died between the start and the robot's confirmation: the check is repeated, the instance
+    marked, the robot released.
+    """
     ready = dataclasses.replace(SLAM, ready=Check(command="sees", on=CheckLocation.ROBOT, timeout=1.0))
-    scene = _running(tmp_path / "state", dataclasses.replace(ready, spec_hash="changed"), NAVIGATION)
-    names = points_of(
-        _running(tmp_path / "whole", dataclasses.replace(ready, spec_hash="changed"), NAVIGATION)
+    scene = _start_tasks(tmp_path / "state", dataclasses.replace(ready, spec_hash="changed"), NAVIGATION)
+    names = list_failpoints(
+        _start_tasks(tmp_path / "whole", dataclasses.replace(ready, spec_hash="changed"), NAVIGATION)
     )
-    cut_off(scene, len(names) - 1 - names[::-1].index("start acknowledged"))
-    before = _releases(scene)
+    interrupt_apply(scene, len(names) - 1 - names[::-1].index("start acknowledged"))
+    before = _count_releases(scene)
     plan_and_apply(scene.ready, POLICY, options=ONE_BY_ONE)
     assert scene.hosts.world.events[-3:] == ["check sees robot1", "mark slam edge1", "check release robot1"]
-    assert _releases(scene) == before + 1
+    assert _count_releases(scene) == before + 1
 
 
 def test_a_plan_shows_what_the_last_apply_deferred(tmp_path: Path) -> None:
     waiting = dataclasses.replace(HOOKS, safe_when=Check(command="safe", on=CheckLocation.ROBOT), timeout=0.0)
     task = dataclasses.replace(SLAM, hosts=dataclasses.replace(SLAM.hosts, never=("edge1",)), handoff=waiting)
-    scene = _running(tmp_path / "state", task, NAVIGATION)
+    scene = _start_tasks(tmp_path / "state", task, NAVIGATION)
     scene.hosts["robot1"].checks["safe"] = 1
     plan_and_apply(scene.ready, POLICY, options=ONE_BY_ONE)
     shown = make_plan(scene.ready, POLICY)
@@ -255,16 +265,20 @@ def test_a_plan_shows_what_the_last_apply_deferred(tmp_path: Path) -> None:
 @pytest.mark.parametrize("make", SCENES, ids=lambda make: make.__name__)
 @pytest.mark.parametrize("late", [False, True], ids=["request lost", "answer lost"])
 def test_a_link_cut_at_every_request_is_mended_by_one_apply(
-    make: Callable[[Path], Scene], late: bool, tmp_path: Path
+    make: Callable[[Path], RecoveryScene], late: bool, tmp_path: Path
 ) -> None:
-    """From the k-th request on the host it goes to is silent until the apply has ended; the request itself may have arrived."""
+    """From the k-th request on the target host is unreachable until the apply has ended; the request itself
+    may have arrived.
+    """
     whole = make(tmp_path / "whole")
     plan_and_apply(whole.ready, POLICY, options=ONE_BY_ONE)
     for number in range(30):
         scene = make(tmp_path / str(number))
         counted = [0]
 
-        def cutting(host: str, scene: Scene = scene, counted: list[int] = counted, number: int = number):  # noqa: ANN202
+        def cutting(
+            host: str, scene: RecoveryScene = scene, counted: list[int] = counted, number: int = number
+        ) -> Callable[[dict[str, object]], dict[str, object]]:
             def answer(request: dict[str, object]) -> dict[str, object]:
                 counted[0] += 1
                 if host in scene.hosts.down:
@@ -281,5 +295,5 @@ def test_a_link_cut_at_every_request_is_mended_by_one_apply(
         cut = FakeTransport({name: cutting(name) for name in scene.hosts.hosts})
         plan_and_apply(dataclasses.replace(scene.ready, transport=cut), POLICY, options=ONE_BY_ONE)
         scene.hosts.down.clear()
-        converged(scene, whole.hosts.placed)
-        assert make is overlapping or not scene.hosts.world.overlap
+        apply_and_check(scene, whole.hosts.placed)
+        assert make is prepare_start_first or not scene.hosts.world.overlap

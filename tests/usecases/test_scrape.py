@@ -1,4 +1,4 @@
-"""One probe for all who ask at once."""
+"""Sharing one probe among concurrent requests."""
 
 import dataclasses
 import threading
@@ -16,8 +16,8 @@ from tests.builders import NOW, a_task, an_edge, an_inventory, some_tasks
 from tests.executor.fake_fleet import FakeFleet
 
 
-class Maker:
-    """Counts; fails where told to."""
+class CountingMaker:
+    """Counts its calls; fails on request."""
 
     def __init__(self) -> None:
         self.made = 0
@@ -31,7 +31,7 @@ class Maker:
 
 
 def test_a_value_is_kept_for_a_while() -> None:
-    make, now = Maker(), [100.0]
+    make, now = CountingMaker(), [100.0]
     shared = SharedCache(make, every=10.0, now=lambda: now[0])
     assert [shared(), shared()] == [1, 1]
     now[0] = 109.9
@@ -41,12 +41,12 @@ def test_a_value_is_kept_for_a_while() -> None:
 
 
 def test_nothing_is_kept_where_nothing_may_be() -> None:
-    shared = SharedCache(Maker(), every=0.0)
+    shared = SharedCache(CountingMaker(), every=0.0)
     assert [shared(), shared(), shared()] == [1, 2, 3]
 
 
 def test_an_error_is_kept_as_long_as_a_value() -> None:
-    make, now = Maker(), [100.0]
+    make, now = CountingMaker(), [100.0]
     shared = SharedCache(make, every=10.0, now=lambda: now[0])
     make.fails = True
     for _ in range(2):
@@ -76,7 +76,7 @@ def test_many_at_once_share_one_call() -> None:
 
 
 def test_who_comes_while_it_is_made_does_not_ask_again() -> None:
-    """Even where nothing is kept: whoever waited behind a call takes its value."""
+    """Even without caching: a caller that waited for a running call takes its value."""
     inside: list[int] = []
     shared: SharedCache[int]
 
@@ -96,7 +96,7 @@ def test_who_comes_while_it_is_made_does_not_ask_again() -> None:
     guard = shared._guard
 
     class Told:
-        """The lock of Shared, which says when somebody comes to wait at it."""
+        """The lock of Shared, which reports when a caller starts to wait for it."""
 
         def __enter__(self) -> bool:
             if threading.current_thread() is later:

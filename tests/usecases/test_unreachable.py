@@ -1,4 +1,4 @@
-"""Hosts that fall silent: what is remembered of them, what their tasks count as, and what the operator may say."""
+"""Unreachable hosts: their remembered state, the state of their tasks, and the operator's commands."""
 
 import dataclasses
 import time
@@ -36,7 +36,7 @@ HELD = a_task("camera", pin="edge1")
 
 
 class Bench:
-    """Three edges and a robot; ``wait`` lets time pass on every clock."""
+    """Three edges and a robot; ``wait`` advances every clock."""
 
     def __init__(self, state: Path) -> None:
         self.hosts = FakeFleet.of(["edge1", "edge2", "edge3", "robot1"])
@@ -55,7 +55,7 @@ class Bench:
         return {step.task: step.action for step in make_plan(self.fleet, POLICY).steps}
 
     def lose(self, task: str) -> str:
-        """Switch the host of a task off; its name."""
+        """Switch the host of a task off; return its name."""
         host = self.hosts.placed[task]
         self.hosts.down.add(host)
         return host
@@ -83,7 +83,7 @@ def test_every_command_that_asks_a_host_notes_the_contact(bench: Bench) -> None:
 
 
 def test_a_request_whose_answer_is_lost_counts_as_contact(bench: Bench) -> None:
-    """It may have reached the host, and there it put off the task's own end."""
+    """The request may have reached the host and postponed the task's self-fence."""
     bench.wait(50.0)
     silent = bench.hosts.placed["slam"]
 
@@ -132,7 +132,7 @@ def test_replaced_only_after_its_own_end_is_certain(bench: Bench) -> None:
 
 
 def test_a_replaced_task_is_at_home_on_its_new_host(bench: Bench) -> None:
-    """Also for policy static: a later start goes there, and not back to where it was first."""
+    """Also for policy static: a later start goes to the new host, not to the first one."""
     bench.lose("slam")
     bench.wait(100.0)
     static = Policy(name=PolicyName.STATIC)
@@ -192,7 +192,7 @@ def test_contacts_that_are_lost_replace_nothing(bench: Bench) -> None:
 
 
 def test_a_long_apply_keeps_the_hosts_from_taking_the_manager_for_lost(bench: Bench) -> None:
-    """camera takes its time on edge1; the other hosts are asked meanwhile, and only where a task fences itself."""
+    """camera is slow on edge1; meanwhile other hosts get heartbeats, but only where a task fences itself."""
     for fence, asked in ((0.4, True), (None, False)):
         restless = dataclasses.replace(HELD, spec_hash=f"changed {fence}")
         bench.fleet = dataclasses.replace(
@@ -200,22 +200,22 @@ def test_a_long_apply_keeps_the_hosts_from_taking_the_manager_for_lost(bench: Be
             tasks=some_tasks(dataclasses.replace(REPLACED, self_fence=fence), restless),
             transport=bench.hosts.transport,
         )
-        bench.hosts["edge1"].faults["wait"] = slow(bench, patience=30.0 if asked else 0.5)
+        bench.hosts["edge1"].faults["wait"] = a_slow_task(bench, patience=30.0 if asked else 0.5)
         plan_and_apply(bench.fleet, POLICY)
-        assert (("edge2", "status") in sent(bench)) is asked
+        assert (("edge2", "status") in list_requests(bench)) is asked
 
 
-def sent(bench: Bench) -> set[tuple[str, object]]:
-    """Which host was asked what."""
+def list_requests(bench: Bench) -> set[tuple[str, object]]:
+    """Return the pairs (host, operation) of all requests."""
     return {(name, request["op"]) for name, request in bench.fleet.transport.requests}  # type: ignore[attr-defined]
 
 
-def slow(bench: Bench, *, patience: float) -> Callable[[dict[str, object]], dict[str, object]]:
-    """A task that runs only after edge2 was asked how it is, or ``patience`` seconds."""
+def a_slow_task(bench: Bench, *, patience: float) -> Callable[[dict[str, object]], dict[str, object]]:
+    """A task that runs only after edge2 received a status request, or after ``patience`` seconds."""
 
     def answer(_request: dict[str, object]) -> dict[str, object]:
         end = time.monotonic() + patience
-        while ("edge2", "status") not in sent(bench) and time.monotonic() < end:
+        while ("edge2", "status") not in list_requests(bench) and time.monotonic() < end:
             time.sleep(0.02)
         return {"state": "running"}
 

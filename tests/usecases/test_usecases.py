@@ -1,4 +1,4 @@
-"""The verbs over simulated hosts, with the real scheduler, lock, journal and memory."""
+"""The use cases over simulated hosts, with the real scheduler, lock, journal and manager state."""
 
 import dataclasses
 from pathlib import Path
@@ -68,7 +68,7 @@ def bench(tmp_path: Path) -> Bench:
     return Bench(tmp_path)
 
 
-def actions(made: Plan) -> dict[str, Action]:
+def actions_by_task(made: Plan) -> dict[str, Action]:
     return {step.task: step.action for step in made.steps}
 
 
@@ -83,7 +83,7 @@ def test_apply_starts_what_is_missing_and_a_second_one_changes_nothing(bench: Be
     assert bench.memory.first == bench.hosts.placed
     again = plan_and_apply(bench.fleet, POLICY)
     assert again.results is None
-    assert actions(again.plan) == {"slam": Action.KEEP, "navigation": Action.KEEP}
+    assert actions_by_task(again.plan) == {"slam": Action.KEEP, "navigation": Action.KEEP}
     assert read_journal(bench.fleet.state / "journal.jsonl").revision == 1
 
 
@@ -121,7 +121,7 @@ def test_a_task_that_died_is_started_again(bench: Bench) -> None:
     plan_and_apply(bench.fleet, POLICY)
     bench.hosts[bench.hosts.placed["slam"]].tasks.pop("slam")
     applied = plan_and_apply(bench.fleet, POLICY)
-    assert actions(applied.plan)["slam"] is Action.START
+    assert actions_by_task(applied.plan)["slam"] is Action.START
     assert "slam" in bench.hosts.placed
 
 
@@ -130,7 +130,7 @@ def test_tasks_of_a_silent_host_are_held_and_not_doubled(bench: Bench) -> None:
     silent = bench.hosts.placed["slam"]
     bench.hosts.down.add(silent)
     applied = plan_and_apply(bench.fleet, POLICY)
-    assert actions(applied.plan)["slam"] is Action.HOLD
+    assert actions_by_task(applied.plan)["slam"] is Action.HOLD
     assert applied.results is None
     assert bench.memory.placements["slam"].host == silent
     bench.hosts.down.clear()
@@ -159,7 +159,7 @@ def test_a_manager_whose_clock_is_behind_takes_over_what_another_one_stopped(
 
 
 def test_a_manager_that_was_overtaken_is_refused_and_recovers(bench: Bench, tmp_path: Path) -> None:
-    """Two managers, each with a state of its own: the second restarts slam while the first looks at its plan."""
+    """Two managers with separate state: the second restarts slam while the first shows its plan."""
     plan_and_apply(bench.fleet, POLICY)
     (tmp_path / "other").mkdir(mode=0o700)
     other = dataclasses.replace(bench.fleet, state=tmp_path / "other")
@@ -287,11 +287,11 @@ def test_restart_keeps_the_place(bench: Bench) -> None:
 def test_done_stops_a_task_until_it_is_reopened(bench: Bench) -> None:
     plan_and_apply(bench.fleet, POLICY)
     operator_marks.mark_tasks_done(bench.fleet, ["navigation"])
-    assert actions(plan_and_apply(bench.fleet, POLICY).plan)["navigation"] is Action.COMPLETE
+    assert actions_by_task(plan_and_apply(bench.fleet, POLICY).plan)["navigation"] is Action.COMPLETE
     assert bench.hosts.placed.keys() == {"slam"}
     assert not make_plan(bench.fleet, POLICY).changes
     operator_marks.reopen_tasks(bench.fleet, ["navigation"])
-    assert actions(make_plan(bench.fleet, POLICY))["navigation"] is Action.START
+    assert actions_by_task(make_plan(bench.fleet, POLICY))["navigation"] is Action.START
     with pytest.raises(UsageError, match="unknown task 'nav'"):
         operator_marks.mark_tasks_done(bench.fleet, ["nav"])
 
@@ -314,11 +314,11 @@ def test_a_reopened_job_runs_again(bench: Bench) -> None:
     host.tasks["job"] |= {"state": "completed", "pid": 0, "exit_code": 0}
     plan_and_apply(job, POLICY)
     operator_marks.reopen_tasks(job, ["job"])
-    assert actions(make_plan(job, POLICY))["job"] is Action.START
+    assert actions_by_task(make_plan(job, POLICY))["job"] is Action.START
 
 
-def given_up(bench: Bench) -> FakeHost:
-    """slam has crashed again and again; its host."""
+def give_up_slam(bench: Bench) -> FakeHost:
+    """slam has crashed until it was given up; returns its host."""
     plan_and_apply(bench.fleet, POLICY)
     host = bench.hosts[bench.hosts.placed["slam"]]
     host.tasks["slam"] |= {"state": "crashloop", "pid": 0, "exit_code": 1, "given_up": True}
@@ -326,24 +326,24 @@ def given_up(bench: Bench) -> FakeHost:
 
 
 def test_a_crash_loop_is_not_started_again_by_every_apply(bench: Bench) -> None:
-    host = given_up(bench)
+    host = give_up_slam(bench)
     before = list(bench.hosts.changes)
     for _ in range(3):
-        assert actions(plan_and_apply(bench.fleet, POLICY).plan)["slam"] is Action.UNPLACED
+        assert actions_by_task(plan_and_apply(bench.fleet, POLICY).plan)["slam"] is Action.UNPLACED
     bench.hosts.down.add(host.name)
-    assert actions(plan_and_apply(bench.fleet, POLICY).plan)["slam"] is Action.HOLD, (
+    assert actions_by_task(plan_and_apply(bench.fleet, POLICY).plan)["slam"] is Action.HOLD, (
         "nor elsewhere, when its host falls silent"
     )
     assert bench.hosts.changes == before
     bench.hosts.down.clear()
     changed = dataclasses.replace(bench.fleet.tasks.tasks["slam"], spec_hash="new")
-    assert actions(make_plan(bench.with_tasks(some_tasks(changed)), POLICY))["slam"] is Action.START
+    assert actions_by_task(make_plan(bench.with_tasks(some_tasks(changed)), POLICY))["slam"] is Action.START
 
 
 def test_restart_starts_what_was_given_up(bench: Bench) -> None:
-    host = given_up(bench)
+    host = give_up_slam(bench)
     assert restart_task(bench.fleet, "slam", lambda _plan: False).declined
-    assert actions(make_plan(bench.fleet, POLICY))["slam"] is Action.UNPLACED, (
+    assert actions_by_task(make_plan(bench.fleet, POLICY))["slam"] is Action.UNPLACED, (
         "declined, so it is still given up"
     )
     applied = restart_task(bench.fleet, "slam")
@@ -355,16 +355,16 @@ def test_restart_starts_what_was_given_up(bench: Bench) -> None:
 
 
 def test_restart_of_what_was_given_up_and_has_no_place(bench: Bench) -> None:
-    given_up(bench)
+    give_up_slam(bench)
     operator_marks.cordon_hosts(bench.fleet, ["edge1", "edge2"])
     with pytest.raises(UsageError, match="slam has no placement now"):
         restart_task(bench.fleet, "slam")
 
 
 def test_reopen_lets_the_next_apply_start_what_was_given_up(bench: Bench) -> None:
-    given_up(bench)
+    give_up_slam(bench)
     operator_marks.reopen_tasks(bench.fleet, ["slam"])
-    assert actions(plan_and_apply(bench.fleet, POLICY).plan)["slam"] is Action.START
+    assert actions_by_task(plan_and_apply(bench.fleet, POLICY).plan)["slam"] is Action.START
 
 
 def test_drained_hosts_are_left(bench: Bench) -> None:
@@ -419,7 +419,7 @@ def test_a_dry_run_shows_the_exact_requests_and_sends_none(bench: Bench) -> None
 
 
 def test_a_cut_off_apply_is_said_and_mended_by_the_next(bench: Bench) -> None:
-    """The manager dies after the host took the start and before it was told: nothing is started twice."""
+    """The manager dies after the host accepted the start and before the reply: nothing is started twice."""
 
     def die(point: str) -> None:
         if point == "start acknowledged":
@@ -433,7 +433,7 @@ def test_a_cut_off_apply_is_said_and_mended_by_the_next(bench: Bench) -> None:
         remove()
     assert bench.hosts.changes == [f"start slam {bench.hosts.placed['slam']}"]
     applied = plan_and_apply(bench.fleet, POLICY)
-    assert actions(applied.plan) == {"slam": Action.KEEP, "navigation": Action.START}
+    assert actions_by_task(applied.plan) == {"slam": Action.KEEP, "navigation": Action.START}
     assert bench.said == [
         "revision 1 was interrupted while it changed slam; the hosts were asked for their running tasks"
     ]

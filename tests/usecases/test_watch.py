@@ -1,4 +1,4 @@
-"""The loop over simulated hosts, with the real scheduler, lock, journal, memory and history."""
+"""The watch loop over simulated hosts, with the real scheduler, lock, journal, manager state and history."""
 
 import dataclasses
 import time
@@ -21,31 +21,31 @@ from edgectl.usecases.control import Control, ControlRequest
 from edgectl.usecases.fleet import Fleet
 from tests.builders import a_task, some_tasks
 from tests.pace import patience
-from tests.state.journals import entries
-from tests.usecases.watching import EVERY, Site
+from tests.state.journal_files import read_entries
+from tests.usecases.watch_site import EVERY, WatchSite
 
 
 @pytest.fixture
-def site(tmp_path: Path) -> Site:
-    return Site(tmp_path)
+def site(tmp_path: Path) -> WatchSite:
+    return WatchSite(tmp_path)
 
 
-def acted(cycles: list[Cycle]) -> dict[int, list[tuple[str, Action]]]:
-    """What was carried out, by the number of the cycle."""
+def list_actions(cycles: list[Cycle]) -> dict[int, list[tuple[str, Action]]]:
+    """Return the actions carried out by the number of the cycle."""
     return {
         c.number: [(a.task, a.action) for a in c.results.actions] for c in cycles if c.results is not None
     }
 
 
-def well(cycles: list[Cycle]) -> bool:
+def is_clean(cycles: list[Cycle]) -> bool:
     return not any(c.error or c.warnings or c.busy or c.resting for c in cycles)
 
 
-def test_it_starts_what_is_missing_and_then_changes_nothing(site: Site) -> None:
+def test_it_starts_what_is_missing_and_then_changes_nothing(site: WatchSite) -> None:
     cycles = list(site.watch(20))
     assert [c.number for c in cycles] == list(range(1, 21))
-    assert acted(cycles) == {1: [("slam", Action.START), ("navigation", Action.START)]}
-    assert well(cycles)
+    assert list_actions(cycles) == {1: [("slam", Action.START), ("navigation", Action.START)]}
+    assert is_clean(cycles)
     assert site.hosts.placed.keys() == {"slam", "navigation"}
     assert site.transport.connected == {"edge1": 1, "edge2": 1, "robot1": 1}
     assert [c.next_in is None for c in cycles] == [False] * 19 + [True]
@@ -53,10 +53,10 @@ def test_it_starts_what_is_missing_and_then_changes_nothing(site: Site) -> None:
     assert load_manager_state(site.fleet.state).placements.keys() == {"slam", "navigation"}
 
 
-def test_without_apply_it_only_says_what_it_would_do(site: Site) -> None:
+def test_without_apply_it_only_says_what_it_would_do(site: WatchSite) -> None:
     cycles = list(site.watch(3, apply=False))
     assert all(c.plan is not None and c.plan.summary == {Action.START: 2} for c in cycles)
-    assert acted(cycles) == {}
+    assert list_actions(cycles) == {}
     assert site.hosts.world.events == []
     assert not (site.fleet.state / "journal.jsonl").exists()
 
@@ -65,7 +65,7 @@ def test_a_lasting_load_moves_each_task_once_after_its_dwell(tmp_path: Path) -> 
     tasks = some_tasks(
         a_task("slam", cpu=1.0), a_task("navigation", cpu=0.5), policy=Policy(weights=WEIGHT_PRESETS["cpu"])
     )
-    site = Site(tmp_path, tasks=tasks)
+    site = WatchSite(tmp_path, tasks=tasks)
     site.hosts["edge1"].cores = site.hosts["edge2"].cores = 8.0
 
     def load() -> None:
@@ -73,14 +73,14 @@ def test_a_lasting_load_moves_each_task_once_after_its_dwell(tmp_path: Path) -> 
             site.hosts[name].used = 4.0 if name == site.hosts.placed["slam"] else 0.0
 
     cycles = list(site.watch(60, {2: load}))
-    moves = {number: each for number, each in acted(cycles).items() if number > 1}
+    moves = {number: each for number, each in list_actions(cycles).items() if number > 1}
     assert list(moves.values()) == [[("slam", Action.MOVE)]]
     assert 120 / EVERY <= min(moves) <= 120 / EVERY + 3, "not before min_dwell has passed"
     assert not site.hosts.world.overlap
-    assert well(cycles)
+    assert is_clean(cycles)
 
 
-def test_a_dead_host_is_held_asked_ever_more_rarely_and_taken_back(site: Site) -> None:
+def test_a_dead_host_is_held_asked_ever_more_rarely_and_taken_back(site: WatchSite) -> None:
     lost: list[str] = []
 
     def die() -> None:
@@ -93,8 +93,8 @@ def test_a_dead_host_is_held_asked_ever_more_rarely_and_taken_back(site: Site) -
     assert len(dead) <= 34, "it is found again within a minute"
     assert all(c.plan is not None and c.plan.summary.get(Action.HOLD) == 2 for c in dead)
     assert 5 <= site.transport.connected[lost[0]] <= 12
-    assert acted(cycles).keys() == {1}
-    assert well(cycles)
+    assert list_actions(cycles).keys() == {1}
+    assert is_clean(cycles)
     told = [
         (c.number, event.kind)
         for c in cycles
@@ -105,7 +105,7 @@ def test_a_dead_host_is_held_asked_ever_more_rarely_and_taken_back(site: Site) -
     assert not site.hosts.world.overlap
 
 
-def test_a_host_that_flaps_costs_no_move(site: Site) -> None:
+def test_a_host_that_flaps_costs_no_move(site: WatchSite) -> None:
     list(site.watch(1))
     flapping = site.hosts.placed["slam"]
     site.hands.seconds += 600.0
@@ -116,17 +116,17 @@ def test_a_host_that_flaps_costs_no_move(site: Site) -> None:
     cycles = list(site.watch(90, dict.fromkeys(range(1, 90), flap)))
     seen = [cycle.snapshot is not None and cycle.snapshot.hosts[flapping].ok for cycle in cycles]
     assert sum(a != b for a, b in pairwise(seen)) > 10
-    assert acted(cycles) == {}
+    assert list_actions(cycles) == {}
     assert not site.hosts.world.overlap
 
 
-def test_a_failing_action_is_not_repeated_in_every_cycle(site: Site) -> None:
+def test_a_failing_action_is_not_repeated_in_every_cycle(site: WatchSite) -> None:
     for edge in ("edge1", "edge2"):
         site.hosts[edge].faults["start:slam"] = RefusedError("disk full")
     cycles = list(
         site.watch(55, {40: lambda: [site.hosts[edge].faults.clear() for edge in ("edge1", "edge2")]})
     )
-    tried = [number for number, actions in acted(cycles).items() if ("slam", Action.START) in actions]
+    tried = [number for number, actions in list_actions(cycles).items() if ("slam", Action.START) in actions]
     assert tried[0] == 1
     assert 4 <= len(tried) <= 7, tried
     assert [b - a for a, b in pairwise(tried)][:3] == [4, 7, 13], "30, 60, 120 s"
@@ -139,19 +139,19 @@ def test_a_failing_action_is_not_repeated_in_every_cycle(site: Site) -> None:
     assert not any(c.error for c in cycles)
 
 
-def test_the_lock_is_taken_for_changes_alone(site: Site) -> None:
+def test_the_lock_is_taken_for_changes_alone(site: WatchSite) -> None:
     list(site.watch(1))
     with FleetLock(site.fleet.state):
-        assert well(list(site.watch(5))), "nothing was to be done, so nobody asked for the lock"
+        assert is_clean(list(site.watch(5))), "nothing was to be done, so nobody asked for the lock"
         site.hosts[site.hosts.placed["slam"]].tasks.pop("slam")
         busy = list(site.watch(2))
     assert all("lock held by" in c.busy for c in busy)
-    assert acted(busy) == {}
+    assert list_actions(busy) == {}
     after = list(site.watch(1))
-    assert acted(after) == {1: [("slam", Action.START)]}
+    assert list_actions(after) == {1: [("slam", Action.START)]}
 
 
-def test_a_fleet_changed_by_another_edgectl_since_the_sample_is_planned_anew(site: Site) -> None:
+def test_a_fleet_changed_by_another_edgectl_since_the_sample_is_planned_anew(site: WatchSite) -> None:
     list(site.watch(1))
     away = site.hosts.placed["slam"]
     site.hosts[away].tasks.clear()
@@ -171,26 +171,26 @@ def test_a_fleet_changed_by_another_edgectl_since_the_sample_is_planned_anew(sit
     assert set(site.hosts.placed.values()) == {"edge2" if away == "edge1" else "edge1"}
 
 
-def test_completed_tasks_are_remembered_although_nothing_is_carried_out(site: Site) -> None:
+def test_completed_tasks_are_remembered_although_nothing_is_carried_out(site: WatchSite) -> None:
     list(site.watch(1))
     host = site.hosts[site.hosts.placed["navigation"]]
     host.tasks["navigation"] |= {"state": "completed", "pid": 0}
     cycles = list(site.watch(3))
-    assert well(cycles)
-    assert acted(cycles) == {}
+    assert is_clean(cycles)
+    assert list_actions(cycles) == {}
     assert load_manager_state(site.fleet.state).done == {"navigation": "hash-navigation"}
 
 
-def test_pausing_samples_on_and_plans_nothing_until_asked(site: Site) -> None:
+def test_pausing_samples_on_and_plans_nothing_until_asked(site: WatchSite) -> None:
     cycles = list(site.watch(8, {1: site.control.pause, 4: site.control.now, 6: site.control.pause}))
     assert [c.plan is None for c in cycles] == [False, True, True, True, False, True, False, False]
     assert [c.paused for c in cycles] == [c.plan is None for c in cycles]
     assert all(c.snapshot is not None for c in cycles)
     assert cycles[4].at - cycles[3].at < 1.0, "at once"
-    assert well(cycles)
+    assert is_clean(cycles)
 
 
-def test_stop_ends_it_without_beginning_anything(site: Site) -> None:
+def test_stop_ends_it_without_beginning_anything(site: WatchSite) -> None:
     cycles = list(site.watch(9, {3: site.control.stop}))
     assert len(cycles) == 3
     site.control.stop_requested.set()
@@ -201,7 +201,7 @@ def test_stop_ends_it_without_beginning_anything(site: Site) -> None:
     assert site.hosts.placed == {}
 
 
-def test_cycles_that_take_too_long_do_not_pile_up(site: Site) -> None:
+def test_cycles_that_take_too_long_do_not_pile_up(site: WatchSite) -> None:
     list(site.watch(1))
     site.hands.cost = 7.0
     cycles = list(site.watch(6, apply=False))
@@ -211,7 +211,7 @@ def test_cycles_that_take_too_long_do_not_pile_up(site: Site) -> None:
         assert (later - earlier) / EVERY == pytest.approx(round((later - earlier) / EVERY), abs=0.1)
 
 
-def test_changed_files_are_taken_over_and_broken_ones_said(site: Site) -> None:
+def test_changed_files_are_taken_over_and_broken_ones_said(site: WatchSite) -> None:
     new = dataclasses.replace(
         site.fleet, tasks=some_tasks(a_task("slam", cpu=1.0, robots=["robot1"])), transport=site.transport
     )
@@ -229,12 +229,12 @@ def test_changed_files_are_taken_over_and_broken_ones_said(site: Site) -> None:
     cycles = list(site.watch(6, refresh=refresh))
     said = "tasks.yaml:3:5: unknown field 'demnd'; the files as read before stay in use"
     assert [c.warnings for c in cycles] == [(), (said,), (said,), (), (), ()]
-    assert acted(cycles)[4] == [("navigation", Action.STOP)]
+    assert list_actions(cycles)[4] == [("navigation", Action.STOP)]
     assert site.hosts.placed.keys() == {"slam"}
     assert site.transport.connected["edge1"] == 2, "new files, new connections"
 
 
-def test_an_error_belongs_to_its_cycle(site: Site) -> None:
+def test_an_error_belongs_to_its_cycle(site: WatchSite) -> None:
     list(site.watch(1))
     path = site.fleet.state / "memory.json"
     good = path.read_text()
@@ -246,7 +246,7 @@ def test_an_error_belongs_to_its_cycle(site: Site) -> None:
     assert site.hosts.placed.keys() == {"slam", "navigation"}
 
 
-def test_noise_does_not_move_what_a_lasting_load_would(site: Site) -> None:
+def test_noise_does_not_move_what_a_lasting_load_would(site: WatchSite) -> None:
     list(site.watch(1))
     site.hands.seconds += 600.0
     busy = site.hosts[site.hosts.placed["slam"]]
@@ -254,18 +254,18 @@ def test_noise_does_not_move_what_a_lasting_load_would(site: Site) -> None:
         number: (lambda n=number: setattr(busy, "used", 3.2 if n % 9 == 0 else 0.0))
         for number in range(1, 80)
     }
-    assert acted(list(site.watch(80, spikes))) == {}
+    assert list_actions(list(site.watch(80, spikes))) == {}
 
 
-def test_the_journal_says_who_did_it(site: Site) -> None:
+def test_the_journal_says_who_did_it(site: WatchSite) -> None:
     list(site.watch(2))
-    log = entries(site.fleet.state / "journal.jsonl")
+    log = read_entries(site.fleet.state / "journal.jsonl")
     assert [entry["verb"] for entry in log if entry["event"] == "begin"] == ["watch"]
     assert isinstance(load_manager_state(site.fleet.state), ManagerState)
 
 
 def test_tasks_that_fence_themselves_hear_of_it_between_the_cycles(tmp_path: Path) -> None:
-    site = Site(tmp_path, tasks=some_tasks(a_task("slam", cpu=1.0, self_fence=0.2)))
+    site = WatchSite(tmp_path, tasks=some_tasks(a_task("slam", cpu=1.0, self_fence=0.2)))
     asked: list[str] = []
     for name in ("edge1", "edge2"):
         site.hosts[name].faults["status"] = lambda request: (
@@ -280,11 +280,11 @@ def test_tasks_that_fence_themselves_hear_of_it_between_the_cycles(tmp_path: Pat
             site.hands.seconds += seconds
             return None
 
-    assert well(list(site.watch(2, control=Patiently())))
+    assert is_clean(list(site.watch(2, control=Patiently())))
     assert set(asked) == {"edge1", "edge2"}
 
 
-def test_a_bug_costs_a_cycle_and_says_that_it_is_one(site: Site) -> None:
+def test_a_bug_costs_a_cycle_and_says_that_it_is_one(site: WatchSite) -> None:
     answers: list[Policy] = [site.fleet.tasks.policy]
 
     def odd(_fleet: Fleet) -> Policy:

@@ -1,4 +1,6 @@
-"""Broken files as one-place changes of good ones: what is changed, where the problem stands, and what the hint makes of it."""
+"""Broken files as single changes of valid ones: the change, the place of the problem, and the text repaired
+by its hint.
+"""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -56,8 +58,10 @@ tasks:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Bad:
-    """``old`` becomes ``new``; the problem stands at ``at`` (in the broken text, default ``new``); ``mended`` takes the place of ``new``."""
+class BrokenFile:
+    """``old`` becomes ``new``; the problem is at ``at`` (in the broken text, default ``new``); ``mended``
+    replaces ``new``.
+    """
 
     name: str
     old: str
@@ -70,13 +74,13 @@ class Bad:
     position: tuple[int, int] | None = None
 
 
-def place(text: str, at: str) -> tuple[int, int]:
+def locate(text: str, at: str) -> tuple[int, int]:
     assert at in text, at
     before = text[: text.index(at)]
     return before.count("\n") + 1, len(before) - (before.rfind("\n") + 1) + 1
 
 
-def problems_of(directory: Path, inventory: str, tasks: str) -> tuple[Problem, ...]:
+def list_problems(directory: Path, inventory: str, tasks: str) -> tuple[Problem, ...]:
     (directory / "inventory.yaml").write_text(inventory)
     (directory / "tasks.yaml").write_text(tasks)
     try:
@@ -86,19 +90,19 @@ def problems_of(directory: Path, inventory: str, tasks: str) -> tuple[Problem, .
     return ()
 
 
-def check(case: Bad, directory: Path, *, in_tasks: bool) -> None:
-    """The problem has its place, words and hint; what the hint says makes the file valid."""
+def check_problem(case: BrokenFile, directory: Path, *, in_tasks: bool) -> None:
+    """Check place, message and hint of the problem; following the hint makes the file valid."""
     good = TASKS if in_tasks else INVENTORY
     assert case.old in good
     broken = good.replace(case.old, case.new, 1)
 
     def problems(text: str) -> tuple[Problem, ...]:
-        return problems_of(directory, *((INVENTORY, text) if in_tasks else (text, TASKS)))
+        return list_problems(directory, *((INVENTORY, text) if in_tasks else (text, TASKS)))
 
     found = [problem for problem in problems(broken) if problem.code == case.code]
     assert found, problems(broken)
     problem = found[0]
-    assert (problem.line, problem.column) == (case.position or place(broken, case.at or case.new.strip()))
+    assert (problem.line, problem.column) == (case.position or locate(broken, case.at or case.new.strip()))
     assert Path(problem.file).name == ("tasks.yaml" if in_tasks else "inventory.yaml")
     assert problem.source == broken.split("\n")[problem.line - 1]
     assert problem.column - 1 + problem.length <= len(problem.source) + 1

@@ -1,4 +1,6 @@
-"""What keeps further actions from beginning: a failure under --fail-fast, a deadline; what is under way is finished."""
+"""Stopping early: no new action after a failure with --fail-fast or after the deadline; running actions are
+finished.
+"""
 
 import threading
 import time
@@ -16,8 +18,8 @@ from edgectl.state.journal import Journal
 from edgectl.state.journal_reader import read_journal
 from tests.builders import a_task
 from tests.executor.fake_fleet import FakeFleet
-from tests.executor.test_run import EDGES, carried_out, plan, step
-from tests.state.journals import entries
+from tests.executor.test_run import EDGES, a_plan, a_step, run_steps
+from tests.state.journal_files import read_entries
 
 
 @pytest.fixture
@@ -26,36 +28,41 @@ def journal(tmp_path: Path) -> Iterator[Journal]:
         yield opened
 
 
-def three(fleet: FakeFleet, journal: Journal, **options: object) -> Results:
+def run_three_starts(fleet: FakeFleet, journal: Journal, **options: object) -> Results:
     """Three starts, one after the other; the first fails."""
     fleet["edge1"].faults["start:one"] = HostError("no space left")
     steps = [
-        step(name, Action.START, host=host) for name, host in zip(("one", "two", "three"), EDGES, strict=True)
+        a_step(name, Action.START, host=host)
+        for name, host in zip(("one", "two", "three"), EDGES, strict=True)
     ]
     tasks = [a_task(name) for name in ("one", "two", "three")]
-    return carried_out(fleet, journal, plan(*steps), *tasks, max_parallel=1, **options)
+    return run_steps(fleet, journal, a_plan(*steps), *tasks, max_parallel=1, **options)
 
 
-def outcomes(results: Results) -> list[tuple[str, Outcome, str]]:
+def list_outcomes(results: Results) -> list[tuple[str, Outcome, str]]:
     return [(result.task, result.outcome, result.error) for result in results.actions]
 
 
 def test_after_a_failure_nothing_new_begins(journal: Journal, tmp_path: Path) -> None:
     fleet = FakeFleet.of(EDGES)
     reason = "not begun, because one failed (--fail-fast)"
-    results = three(fleet, journal, fail_fast=True)
-    assert outcomes(results) == [
+    results = run_three_starts(fleet, journal, fail_fast=True)
+    assert list_outcomes(results) == [
         ("one", Outcome.FAILED, "no space left"), ("two", Outcome.SKIPPED, reason), ("three", Outcome.SKIPPED, reason),
     ]  # fmt: skip
     assert (results.interrupted, fleet.changes) == (False, [])
     path = tmp_path / "journal.jsonl"
-    assert [entry["error"] for entry in entries(path) if entry["event"] == "skipped"] == [reason, reason]
+    assert [entry["error"] for entry in read_entries(path) if entry["event"] == "skipped"] == [reason, reason]
     assert read_journal(path).unfinished == ()
 
 
 def test_without_fail_fast_the_others_go_on(journal: Journal) -> None:
-    results = three(FakeFleet.of(EDGES), journal)
-    assert [outcome for _, outcome, _ in outcomes(results)] == [Outcome.FAILED, Outcome.DONE, Outcome.DONE]
+    results = run_three_starts(FakeFleet.of(EDGES), journal)
+    assert [outcome for _, outcome, _ in list_outcomes(results)] == [
+        Outcome.FAILED,
+        Outcome.DONE,
+        Outcome.DONE,
+    ]
 
 
 def test_what_was_begun_beside_the_failure_is_finished(journal: Journal) -> None:
@@ -73,20 +80,25 @@ def test_what_was_begun_beside_the_failure_is_finished(journal: Journal) -> None
     fleet["edge1"].faults["start:one"] = fails
     fleet["edge2"].faults["wait:two"] = goes_on
     steps = [
-        step(name, Action.START, host=host) for name, host in zip(("one", "two", "three"), EDGES, strict=True)
+        a_step(name, Action.START, host=host)
+        for name, host in zip(("one", "two", "three"), EDGES, strict=True)
     ]
     tasks = [a_task(name) for name in ("one", "two")] + [a_task("three", needs=["two"])]
-    results = carried_out(fleet, journal, plan(*steps), *tasks, fail_fast=True)
-    assert [outcome for _, outcome, _ in outcomes(results)] == [Outcome.FAILED, Outcome.DONE, Outcome.SKIPPED]
+    results = run_steps(fleet, journal, a_plan(*steps), *tasks, fail_fast=True)
+    assert [outcome for _, outcome, _ in list_outcomes(results)] == [
+        Outcome.FAILED,
+        Outcome.DONE,
+        Outcome.SKIPPED,
+    ]
 
 
 def test_a_stop_that_fails_keeps_the_starts_from_beginning(journal: Journal) -> None:
     fleet = FakeFleet.of(EDGES)
     fleet["edge1"].runs("old")
     fleet["edge1"].faults["stop:old"] = HostError("refused")
-    made = plan(step("old", Action.STOP, previous="edge1"), step("new", Action.START, host="edge2"))
-    results = carried_out(fleet, journal, made, a_task("old"), a_task("new"), fail_fast=True)
-    assert [outcome for _, outcome, _ in outcomes(results)] == [Outcome.FAILED, Outcome.SKIPPED]
+    made = a_plan(a_step("old", Action.STOP, previous="edge1"), a_step("new", Action.START, host="edge2"))
+    results = run_steps(fleet, journal, made, a_task("old"), a_task("new"), fail_fast=True)
+    assert [outcome for _, outcome, _ in list_outcomes(results)] == [Outcome.FAILED, Outcome.SKIPPED]
 
 
 def test_nothing_begins_after_the_deadline(journal: Journal) -> None:
@@ -98,11 +110,11 @@ def test_nothing_begins_after_the_deadline(journal: Journal) -> None:
         return {"state": "running"}
 
     fleet["edge1"].faults["wait:one"] = late
-    steps = [step(name, Action.START, host="edge1") for name in ("one", "two")]
-    results = carried_out(
-        fleet, journal, plan(*steps), a_task("one"), a_task("two"), max_parallel=1, deadline=deadline
+    steps = [a_step(name, Action.START, host="edge1") for name in ("one", "two")]
+    results = run_steps(
+        fleet, journal, a_plan(*steps), a_task("one"), a_task("two"), max_parallel=1, deadline=deadline
     )
-    assert outcomes(results) == [
+    assert list_outcomes(results) == [
         ("one", Outcome.DONE, ""),
         ("two", Outcome.SKIPPED, "not begun before the deadline (--timeout)"),
     ]

@@ -1,12 +1,12 @@
-"""What stands in a journal."""
+"""Reading journals in tests."""
 
 from pathlib import Path
 
 from edgectl.state.journal_reader import JournalEntry, read_journal
 
 
-def entries(path: Path) -> list[JournalEntry]:
-    """Its entries, oldest first."""
+def read_entries(path: Path) -> list[JournalEntry]:
+    """Return the entries, oldest first."""
     found: list[JournalEntry] = []
     read_journal(path, found.append)
     return found

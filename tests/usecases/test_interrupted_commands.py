@@ -1,4 +1,6 @@
-"""drain and rollback die at every named point; the same command again, or a plain apply, ends with exactly one instance of each task."""
+"""drain and rollback die at every failpoint; the same command again, or a plain apply, ends with exactly one
+instance of each task.
+"""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -12,46 +14,46 @@ from edgectl.usecases.apply import plan_and_apply
 from edgectl.usecases.drain import drain_hosts
 from edgectl.usecases.history import roll_back_fleet
 from edgectl.usecases.plan import make_plan
-from tests.usecases.test_recovery import ONE_BY_ONE, POLICY, Died, Scene, _running
+from tests.usecases.test_recovery import ONE_BY_ONE, POLICY, ManagerKilledError, RecoveryScene, _start_tasks
 
-Verb = Callable[[Scene], object]
+Verb = Callable[[RecoveryScene], object]
 
 
-def drained(scene: Scene) -> object:
+def drain_edge1(scene: RecoveryScene) -> object:
     return drain_hosts(
         scene.fleet, POLICY, ["edge1"], options=ONE_BY_ONE, timeout=5.0, pause=lambda _seconds: None
     )
 
 
-def rolled_back(scene: Scene) -> object:
+def roll_back(scene: RecoveryScene) -> object:
     return roll_back_fleet(scene.fleet, POLICY, 1, options=ONE_BY_ONE)
 
 
-def on_edge1(state: Path) -> Scene:
-    return _running(state)
+def start_on_edge1(state: Path) -> RecoveryScene:
+    return _start_tasks(state)
 
 
-def moved_away(state: Path) -> Scene:
-    scene = _running(state)
+def start_moved_away(state: Path) -> RecoveryScene:
+    scene = _start_tasks(state)
     operator_marks.cordon_hosts(scene.fleet, ["edge1"], drain=True)
     plan_and_apply(scene.fleet, POLICY, options=ONE_BY_ONE)
     operator_marks.uncordon_hosts(scene.fleet, ["edge1"])
     return scene
 
 
-def reached(scene: Scene, verb: Verb, die_at: int | None) -> list[str]:
-    """The points that the verb comes to; it dies at one of them."""
+def run_until_failpoint(scene: RecoveryScene, verb: Verb, die_at: int | None) -> list[str]:
+    """Return the failpoints that the command hits; it dies at ``die_at``."""
     seen: list[str] = []
 
     def note(point: str) -> None:
         seen.append(point)
         if die_at is not None and len(seen) > die_at:
-            raise Died
+            raise ManagerKilledError
 
     remove = failpoints.install_hook(note)
     try:
         verb(scene)
-    except Died:
+    except ManagerKilledError:
         pass
     finally:
         remove()
@@ -59,15 +61,17 @@ def reached(scene: Scene, verb: Verb, die_at: int | None) -> list[str]:
 
 
 @pytest.mark.parametrize(
-    ("make", "verb"), [(on_edge1, drained), (moved_away, rolled_back)], ids=["drain", "rollback"]
+    ("make", "verb"),
+    [(start_on_edge1, drain_edge1), (start_moved_away, roll_back)],
+    ids=["drain", "rollback"],
 )
-def test_death_at_every_point(make: Callable[[Path], Scene], verb: Verb, tmp_path: Path) -> None:
+def test_death_at_every_point(make: Callable[[Path], RecoveryScene], verb: Verb, tmp_path: Path) -> None:
     whole = make(tmp_path / "whole")
-    names = reached(whole, verb, None)
+    names = run_until_failpoint(whole, verb, None)
     assert len(names) > 20
     for number, name in enumerate(names):
         scene = make(tmp_path / str(number))
-        reached(scene, verb, number)
+        run_until_failpoint(scene, verb, number)
         verb(scene)
         assert scene.hosts.placed == whole.hosts.placed, name
         assert not scene.hosts.world.overlap, name

@@ -1,4 +1,4 @@
-"""history, show REV, rollback, drain, fence: the commands, on two pretend edges with one small real process."""
+"""history, show REV, rollback, drain, fence: the commands, on two local edges with one small real process."""
 
 import json
 import os
@@ -38,7 +38,7 @@ def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
         yield tmp_path
 
 
-def where(run: Run) -> list[str]:
+def list_running_hosts(run: Run) -> list[str]:
     rows = json.loads(run("status", "-o", "json").out)["items"]
     return [row["host"] for row in rows if row["state"] == "running"]
 
@@ -47,11 +47,11 @@ def test_history_show_drain_rollback(run: Run, small: Path) -> None:
     assert run("history").out == "Nothing was applied yet.\n"
     assert run("rollback", "--yes").code == 64
     assert run("apply", "--yes").code == 0
-    assert where(run) == ["edge1"]
+    assert list_running_hosts(run) == ["edge1"]
     said = run("drain", "edge1", "--yes")
     assert said.code == 0
     assert "edge1 is drained" in said.out
-    assert where(run) == ["edge2"]
+    assert list_running_hosts(run) == ["edge2"]
     probed = run("probe").out
     assert "ok, draining" in probed
     assert "note: draining, tasks move away: edge1 (edgectl uncordon)" in run("plan").out
@@ -76,9 +76,9 @@ def test_history_show_drain_rollback(run: Run, small: Path) -> None:
 
     assert run("rollback").code == 64
     assert "# edge1: start idle" in run("rollback", "--dry-run").out
-    assert where(run) == ["edge2"]
+    assert list_running_hosts(run) == ["edge2"]
     said = run("rollback", "1", "--yes")
-    assert (said.code, where(run)) == (0, ["edge1"])
+    assert (said.code, list_running_hosts(run)) == (0, ["edge1"])
     assert "as after revision 1" in said.out
     assert run("rollback", "3", "--yes", "--quiet") == (0, "", "")
 
@@ -90,7 +90,7 @@ def test_a_drain_that_leaves_something_behind_exits_4(run: Run, small: Path) -> 
     )
     said = run("drain", "edge1", "--yes", "--timeout", "1s")
     assert (said.code, said.err) == (4, "still on edge1: idle\n")
-    assert where(run) == ["edge1"]
+    assert list_running_hosts(run) == ["edge1"]
     assert run("drain", "edge9", "--yes").code == 64
 
 

@@ -1,4 +1,6 @@
-"""Looking again and again: one session per host, hosts that come and go, and a history that grows with each look."""
+"""Repeated status queries: one session per host, hosts that come and go, and a history that grows with each
+query.
+"""
 
 import dataclasses
 from collections.abc import Callable
@@ -14,7 +16,7 @@ from tests.builders import NOW, a_robot, a_task, an_edge, an_inventory, some_tas
 from tests.executor.fake_fleet import FakeFleet
 
 
-class Counting:
+class CountingTransport:
     """Counts connections."""
 
     def __init__(self, transport: Transport) -> None:
@@ -30,12 +32,12 @@ class Counting:
 
 
 class Bench:
-    """Two edges and a robot; slam runs on edge1. Each look is a second after the one before."""
+    """Two edges and a robot; slam runs on edge1. Each query is a second after the previous one."""
 
     def __init__(self, state: Path, *tasks: Task) -> None:
         self.hosts = FakeFleet.of(["edge1", "edge2", "robot1"])
         self.hosts["edge1"].runs("slam")
-        self.transport = Counting(self.hosts.transport)
+        self.transport = CountingTransport(self.hosts.transport)
         self.now = NOW
         self.fleet = Fleet(
             inventory=an_inventory(an_edge("edge1"), an_edge("edge2"), a_robot("robot1")), tasks=some_tasks(*tasks),
@@ -43,7 +45,7 @@ class Bench:
         )  # fmt: skip
 
     def looks(self, count: int, before: Callable[[int], None] = lambda number: None) -> list[dict[str, bool]]:
-        """Which hosts answered at each of ``count`` looks; ``before`` is called between two."""
+        """Return the hosts that answered each of ``count`` queries; ``before`` is called between two."""
         left = iter(range(1, count))
 
         def told() -> bool:

@@ -1,4 +1,4 @@
-"""Secrets become clear in the request that starts a task, and in no other."""
+"""secrets are revealed in the request that starts a task, and in no other."""
 
 import json
 import sys

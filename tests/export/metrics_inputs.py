@@ -1,4 +1,4 @@
-"""A small fleet that has everything metrics speak of."""
+"""A small fleet with a value for every metric."""
 
 from dataclasses import replace
 
@@ -37,8 +37,10 @@ DEVICE = DeviceSample(
 LINK = LinkSample(capacity_bytes_per_s=6e6, used_bytes_per_s=3e5, rtt_ms=4.0)
 
 
-def picture(*revisions: Revision) -> MetricsInput:
-    """edge1 runs slam; edge2 is silent and ran map; edge3 is idle; big fits nowhere; camera is for edge1 alone, which is cordoned."""
+def a_metrics_input(*revisions: Revision) -> MetricsInput:
+    """edge1 runs slam; edge2 is unreachable and ran map; edge3 is idle; big fits nowhere; camera is pinned to
+    edge1, which is cordoned.
+    """
     inventory = an_inventory(
         an_edge("edge1"), an_edge("edge2"), an_edge("edge3"), a_robot("robot1", probe=False)
     )
@@ -77,7 +79,7 @@ def picture(*revisions: Revision) -> MetricsInput:
 
 
 def a_revision(number: int, *actions: ActionResult) -> Revision:
-    """One apply, an hour after the one before."""
+    """One apply, an hour after the previous one."""
     return Revision(
         number=number,
         began_at=NOW + 3600.0 * number,

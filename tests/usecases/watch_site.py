@@ -20,8 +20,10 @@ from tests.executor.fake_fleet import FakeFleet
 EVERY = 10.0
 
 
-class Hands:
-    """Wall clock and uptime in step; ``cost``: what each reading of the wall clock takes, as if the work took time."""
+class SteppedClock:
+    """Wall clock and uptime in step; ``cost``: time that each reading of the wall clock takes, as if the work
+    took it.
+    """
 
     def __init__(self) -> None:
         self.seconds = 0.0
@@ -35,10 +37,10 @@ class Hands:
         return Uptime(boot="boot", seconds=self.seconds)
 
 
-class Hurried(Control):
-    """Waits by setting the clock; ``wishes`` are granted first."""
+class JumpingWait(Control):
+    """Waits by advancing the clock; requests of the test are executed first."""
 
-    def __init__(self, hands: Hands) -> None:
+    def __init__(self, hands: SteppedClock) -> None:
         super().__init__()
         self.hands = hands
         self.waited: list[float] = []
@@ -51,8 +53,10 @@ class Hurried(Control):
         return wish
 
 
-class Site:
-    """Two edges, a robot, two tasks and a watch over them. ``transport`` keeps no list of requests, unlike the FakeTransport below it."""
+class WatchSite:
+    """Two edges, a robot, two tasks and a watch over them. ``transport`` keeps no list of requests, unlike
+    the FakeTransport below it.
+    """
 
     def __init__(
         self, state: Path, *, tasks: Tasks | None = None, inventory: Inventory | None = None
@@ -63,9 +67,9 @@ class Site:
             a_task("navigation", cpu=0.5, robots=["robot1"], needs=["slam"]),
         )
         self.hosts = FakeFleet.of(inventory.hosts)
-        self.hands = Hands()
-        self.control = Hurried(self.hands)
-        self.transport = Forgetful(self.hosts.transport)
+        self.hands = SteppedClock()
+        self.control = JumpingWait(self.hands)
+        self.transport = UnrecordedTransport(self.hosts.transport)
         self.fleet = Fleet(
             inventory=inventory,
             tasks=tasks,
@@ -78,7 +82,9 @@ class Site:
     def watch(
         self, cycles: int, between: Mapping[int, Callable[[], object]] | None = None, **changes: object
     ) -> Iterator[Cycle]:
-        """The cycles; after that of a number in ``between`` something happens. Changes are for `WatchOptions`."""
+        """Run the watch; events in ``between`` happen after the cycle of that number. Changes are for
+        `WatchOptions`.
+        """
         options = dataclasses.replace(
             WatchOptions(every=EVERY, apply=True, control=self.control, cycles=cycles), **changes
         )  # type: ignore[arg-type]
@@ -88,8 +94,8 @@ class Site:
                 (between or {}).get(cycle.number, int)()
 
 
-class Forgetful(FakeTransport):
-    """Over a FakeTransport: counts connections and forgets requests."""
+class UnrecordedTransport(FakeTransport):
+    """Wraps a FakeTransport: counts connections and drops recorded requests."""
 
     def __init__(self, within: FakeTransport) -> None:
         super().__init__({})

@@ -1,4 +1,4 @@
-"""What the manager remembers after an apply, case by case."""
+"""The manager state after an apply, case by case."""
 
 import dataclasses
 
@@ -26,7 +26,7 @@ def a_step(
     )
 
 
-def after(
+def update_after(
     step: Step,
     *,
     located: str | None = None,
@@ -34,7 +34,9 @@ def after(
     world: Snapshot | None = None,
     **fields: object,
 ) -> ManagerState:
-    """Memory that knew slam on edge1, after one step; without an outcome the step was not carried out."""
+    """Return the state that had slam on edge1, after one step; without an outcome the step was not carried
+    out.
+    """
     plan = Plan(
         created_at=NOW,
         policy=Policy(),
@@ -55,7 +57,7 @@ def after(
 
 
 def test_a_start_is_a_new_place() -> None:
-    memory = after(a_step(Action.START, host="edge2"), outcome=Outcome.DONE, located="edge2")
+    memory = update_after(a_step(Action.START, host="edge2"), outcome=Outcome.DONE, located="edge2")
     assert memory.placements == {
         "slam": Placement(host="edge2", since=NOW, spec_hash="hash-slam", generation=9)
     }
@@ -64,7 +66,7 @@ def test_a_start_is_a_new_place() -> None:
 
 
 def test_a_restart_keeps_its_dwell() -> None:
-    memory = after(
+    memory = update_after(
         a_step(Action.RESTART, host="edge1", previous="edge1"),
         outcome=Outcome.DONE,
         located="edge1",
@@ -78,26 +80,28 @@ def test_a_restart_keeps_its_dwell() -> None:
 
 def test_a_move_tells_its_downtime_and_how_long_the_task_had_been_where_it_was() -> None:
     step = a_step(Action.MOVE, host="edge2", previous="edge1")
-    memory = after(step, outcome=Outcome.DONE, located="edge2", previous_host="edge1", downtime_s=2.5)
+    memory = update_after(step, outcome=Outcome.DONE, located="edge2", previous_host="edge1", downtime_s=2.5)
     assert memory.downtimes == {("slam", "edge2"): (2.5,)}
     assert memory.stays == {"slam": (NOW - 5.0,)}
 
 
 def test_a_restored_task_measures_no_move() -> None:
     step = a_step(Action.MOVE, host="edge2", previous="edge1")
-    memory = after(step, outcome=Outcome.FAILED, located="edge1", previous_host="edge1", downtime_s=60.0)
+    memory = update_after(
+        step, outcome=Outcome.FAILED, located="edge1", previous_host="edge1", downtime_s=60.0
+    )
     assert (memory.downtimes, memory.stays) == ({}, {})
 
 
 def test_a_stopped_task_is_forgotten_and_a_deferred_one_is_not() -> None:
-    assert after(a_step(Action.STOP, previous="edge1"), outcome=Outcome.DONE).placements == {}
+    assert update_after(a_step(Action.STOP, previous="edge1"), outcome=Outcome.DONE).placements == {}
     move = a_step(Action.MOVE, host="edge2", previous="edge1")
-    assert after(move, outcome=Outcome.DEFERRED, located="edge1").placements == {"slam": OLD}
+    assert update_after(move, outcome=Outcome.DEFERRED, located="edge1").placements == {"slam": OLD}
 
 
 def test_a_restored_task_has_a_generation_of_its_own() -> None:
     phases = (PhaseResult(phase=Phase.RESTORE, host="edge1", seconds=0.1, ok=True),)
-    memory = after(
+    memory = update_after(
         a_step(Action.MOVE, host="edge2", previous="edge1"),
         outcome=Outcome.FAILED,
         located="edge1",
@@ -108,15 +112,15 @@ def test_a_restored_task_has_a_generation_of_its_own() -> None:
 
 def test_a_silent_host_keeps_its_tasks_and_one_that_answers_does_not() -> None:
     hold = a_step(Action.HOLD, host="edge1", verdict=Verdict.HELD)
-    assert after(hold, world=a_snapshot(edge1=silent(), edge2=a_sample())).placements == {"slam": OLD}
+    assert update_after(hold, world=a_snapshot(edge1=silent(), edge2=a_sample())).placements == {"slam": OLD}
     unplaced = a_step(Action.UNPLACED, verdict=Verdict.UNPLACED)
-    assert after(unplaced).placements == {}
+    assert update_after(unplaced).placements == {}
 
 
 def test_an_untouched_task_is_where_the_snapshot_shows_it() -> None:
     run = a_run(spec_hash="seen", generation=4)
     world = a_snapshot(edge1=a_sample(), edge2=a_sample(tasks={"slam": run}))
-    memory = after(a_step(Action.KEEP, host="edge2"), world=world)
+    memory = update_after(a_step(Action.KEEP, host="edge2"), world=world)
     assert memory.placements["slam"] == Placement(
         host="edge2", since=run.started_at, spec_hash="seen", generation=4
     )
@@ -124,13 +128,13 @@ def test_an_untouched_task_is_where_the_snapshot_shows_it() -> None:
 
 def test_completed_tasks_are_marked_by_their_specification() -> None:
     complete = a_step(Action.COMPLETE, previous="edge1", verdict=Verdict.COMPLETED)
-    assert after(complete, outcome=Outcome.DONE).done == {"slam": "hash-slam"}
-    assert after(complete, outcome=Outcome.FAILED, located="edge1").done == {}
-    assert after(a_step(Action.NONE, verdict=Verdict.COMPLETED)).done == {"slam": "hash-slam"}
+    assert update_after(complete, outcome=Outcome.DONE).done == {"slam": "hash-slam"}
+    assert update_after(complete, outcome=Outcome.FAILED, located="edge1").done == {}
+    assert update_after(a_step(Action.NONE, verdict=Verdict.COMPLETED)).done == {"slam": "hash-slam"}
 
 
 def test_the_journal_knows_generations_that_nobody_else_does() -> None:
-    """The task is nowhere, its host keeps the generation, and the clock went back."""
+    """The task runs nowhere, its host keeps the generation, and the clock went back."""
     decision = Decision(task="slam", verdict=Verdict.PLACED, reason=Reason.BEST, host="edge1")
     steps = (Step(decision=decision, action=Action.START),)
     assert compute_next_generations(ManagerState(), a_snapshot(), steps, 5.0, {"slam": 90}) == {"slam": 91}

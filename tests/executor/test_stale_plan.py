@@ -1,4 +1,4 @@
-"""A plan that replaces a silent task is refused where its host was not silent all the time."""
+"""A plan that replaces a task is refused if its old host was reachable in the meantime."""
 
 import pytest
 
@@ -15,7 +15,7 @@ SNAPSHOT = a_snapshot(edge1=silent(), edge2=a_sample())
 TASKS = some_tasks(a_task(on_unreachable=UnreachablePolicy.REPLACE, self_fence=60.0))
 
 
-def remembered(contact: float, *fenced: str) -> ManagerState:
+def a_manager_state(contact: float, *fenced: str) -> ManagerState:
     placements = {"slam": Placement(host="edge1", since=NOW - 900.0)}
     return ManagerState(
         managed=True, placements=placements, contact={"edge1": NOW - contact}, fenced=frozenset(fenced)
@@ -25,10 +25,10 @@ def remembered(contact: float, *fenced: str) -> ManagerState:
 @pytest.mark.parametrize(
     ("before", "after", "refused"),
     [
-        (remembered(500.0), remembered(500.3), False),  # the same contact, read again
-        (remembered(500.0), remembered(20.0), True),
-        (remembered(20.0, "edge1"), remembered(20.0, "edge1"), False),
-        (remembered(20.0, "edge1"), remembered(20.0), True),  # unfenced by hand
+        (a_manager_state(500.0), a_manager_state(500.3), False),  # the same contact, read again
+        (a_manager_state(500.0), a_manager_state(20.0), True),
+        (a_manager_state(20.0, "edge1"), a_manager_state(20.0, "edge1"), False),
+        (a_manager_state(20.0, "edge1"), a_manager_state(20.0), True),  # unfenced by the operator
     ],
 )
 def test_a_replacing_plan_holds_only_while_its_host_stays_silent(

@@ -1,4 +1,4 @@
-"""The samples that a demand is measured by: the newest, of this specification, on these hosts, after the start."""
+"""The samples for measured demand: the newest, of this specification, on these hosts, after the start."""
 
 from pathlib import Path
 
@@ -7,34 +7,34 @@ from edgectl.state.store import Store
 from tests.builders import NOW, a_run, a_sample, a_snapshot
 
 
-def record(store: Store, at: float, host: str, **changes: object) -> None:
+def record_samples(store: Store, at: float, host: str, **changes: object) -> None:
     run: TaskSample = a_run(**{"started_at": NOW, "spec_hash": "s1", **changes})  # type: ignore[arg-type]
     store.record_snapshot(a_snapshot(taken_at=NOW + at, **{host: a_sample(tasks={"slam": run})}))
 
 
-def cores(store: Store, *hosts: str, limit: int = 100) -> list[float]:
+def list_cores(store: Store, *hosts: str, limit: int = 100) -> list[float]:
     return [use.used[0] for use in store.steady_usages("slam", hosts, "s1", min_age_s=10.0, limit=limit)]
 
 
 def test_only_steady_samples_of_this_specification_on_these_hosts(tmp_path: Path) -> None:
     with Store.open(tmp_path) as store:
-        record(store, 9, "edge1", used_cores=1.0)
-        record(store, 10, "edge1", used_cores=2.0)
-        record(store, 20, "edge1", used_cores=3.0, state=TaskState.RUNNING)
-        record(store, 30, "edge1", used_cores=4.0, state=TaskState.STARTING)
-        record(store, 40, "edge1", used_cores=5.0, state=TaskState.FAILED)
-        record(store, 50, "edge1", used_cores=6.0, spec_hash="s2", instance="i2")
-        record(store, 60, "edge2", used_cores=7.0, instance="i3")
-        record(store, 70, "edge3", used_cores=8.0, instance="i4")
-        assert cores(store, "edge1") == [3.0, 2.0]
-        assert cores(store, "edge1", "edge2") == [7.0, 3.0, 2.0]
-        assert cores(store, "edge1", "edge2", limit=2) == [7.0, 3.0]
-        assert cores(store) == []
+        record_samples(store, 9, "edge1", used_cores=1.0)
+        record_samples(store, 10, "edge1", used_cores=2.0)
+        record_samples(store, 20, "edge1", used_cores=3.0, state=TaskState.RUNNING)
+        record_samples(store, 30, "edge1", used_cores=4.0, state=TaskState.STARTING)
+        record_samples(store, 40, "edge1", used_cores=5.0, state=TaskState.FAILED)
+        record_samples(store, 50, "edge1", used_cores=6.0, spec_hash="s2", instance="i2")
+        record_samples(store, 60, "edge2", used_cores=7.0, instance="i3")
+        record_samples(store, 70, "edge3", used_cores=8.0, instance="i4")
+        assert list_cores(store, "edge1") == [3.0, 2.0]
+        assert list_cores(store, "edge1", "edge2") == [7.0, 3.0, 2.0]
+        assert list_cores(store, "edge1", "edge2", limit=2) == [7.0, 3.0]
+        assert list_cores(store) == []
 
 
 def test_a_use_is_read_whole(tmp_path: Path) -> None:
     with Store.open(tmp_path) as store:
-        record(
+        record_samples(
             store,
             100,
             "edge1",

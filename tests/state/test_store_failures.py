@@ -1,4 +1,6 @@
-"""The history under harm: killed writers, many writers, a full disk, a damaged file. Nothing of it is fatal, all of it is said."""
+"""The history under failures: killed writers, concurrent writers, a full disk, a damaged file. None is fatal,
+all are reported.
+"""
 
 import os
 import random
@@ -14,6 +16,7 @@ from pathlib import Path
 import pytest
 
 from edgectl.model.event import Event, EventKind
+from edgectl.model.resource import Usage
 from edgectl.state.store import Retention, Store
 from edgectl.state.store_file import HISTORY_FILE_NAME
 from tests.builders import NOW, a_sample, a_snapshot
@@ -23,27 +26,28 @@ ROOT = Path(__file__).parents[2]
 WRITER = """
 import sys
 from pathlib import Path
+from edgectl.model.resource import Usage
 from edgectl.state.store import Store
 from tests.builders import NOW, a_sample, a_snapshot
 from tests.state.test_store import a_task
 directory, name, count = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3])
 for number in range(count):
     with Store.open(directory, warn=lambda text: print("said:", text, flush=True)) as store:
-        store.record_snapshot(a_snapshot(taken_at=NOW + number, **{name: a_sample(tasks={f"task-{name}": a_task(used_cores=float(number))})}))
+        store.record_snapshot(a_snapshot(taken_at=NOW + number, **{name: a_sample(tasks={f"task-{name}": a_task(used=Usage(cpu=float(number)))})}))
         print(number, flush=True)
 """
 
 
-def writer(
+def start_writer(
     directory: Path, name: str, count: int, limit: Callable[[], None] | None = None
 ) -> subprocess.Popen[str]:
-    """A process that records ``count`` snapshots, and prints the number of each once it is recorded."""
+    """Start a process that records ``count`` snapshots, and prints the number of each once it is recorded."""
     words = [sys.executable, "-c", WRITER, str(directory), name, str(count)]
     return subprocess.Popen(words, cwd=ROOT, stdout=subprocess.PIPE, text=True, preexec_fn=limit)
 
 
-def everything(store: Store) -> int:
-    """Read all that there is; how many rows."""
+def count_rows(store: Store) -> int:
+    """Read all rows; return their number."""
     return sum(
         map(
             len,
@@ -54,7 +58,7 @@ def everything(store: Store) -> int:
 
 def test_what_a_killed_writer_had_recorded_is_there(tmp_path: Path) -> None:
     for run in range(3):
-        process = writer(tmp_path, f"edge{run}", 100_000)
+        process = start_writer(tmp_path, f"edge{run}", 100_000)
         assert process.stdout is not None
         with process.stdout as out:
             said = [out.readline().strip() for _ in range(5 + 7 * run)]
@@ -73,7 +77,7 @@ def test_what_a_killed_writer_had_recorded_is_there(tmp_path: Path) -> None:
 
 def test_several_write_at_once_from_the_first_moment(tmp_path: Path) -> None:
     count = 25
-    processes = [writer(tmp_path, f"edge{number}", count) for number in range(3)]
+    processes = [start_writer(tmp_path, f"edge{number}", count) for number in range(3)]
     for process in processes:
         out, _ = process.communicate(timeout=90)
         assert (process.returncode, out.split()) == (0, [str(number) for number in range(count)])
@@ -90,7 +94,7 @@ def test_a_disk_that_takes_no_more_is_said_once_per_store_and_harms_nothing(tmp_
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
 
-    process = writer(tmp_path, "edge2", 2, full)
+    process = start_writer(tmp_path, "edge2", 2, full)
     out, _ = process.communicate(timeout=60)
     assert process.returncode == 0
     lines = out.splitlines()
@@ -108,7 +112,7 @@ def test_a_history_of_a_newer_edgectl_is_left_alone(tmp_path: Path) -> None:
     said: list[str] = []
     with Store.open(tmp_path, warn=said.append) as store:
         store.record_snapshot(a_snapshot(edge1=a_sample()))
-        assert everything(store) == 0
+        assert count_rows(store) == 0
     assert len(said) == 1
     assert "newer edgectl (schema 99)" in said[0]
     assert [path.name for path in tmp_path.iterdir()] == [HISTORY_FILE_NAME]
@@ -120,21 +124,22 @@ def test_a_place_that_cannot_be_used_is_said(tmp_path: Path) -> None:
         said: list[str] = []
         with Store.open(directory, warn=said.append) as store:
             store.record_events([Event(at=NOW, kind=EventKind.PLANNED)])
-            assert everything(store) == 0
+            assert count_rows(store) == 0
             assert not store.is_prune_due(NOW)
         assert len(said) == 1
         assert said[0].startswith("history is not recorded")
 
 
-# -- damage ------------------------------------------------------------------------------------------------------------------------------
+# -- damage
+# ------------------------------------------------------------------------------------------------------------------------------
 
 
 def a_history(directory: Path) -> bytes:
-    """A sound history of a few pages."""
+    """A valid history of a few pages."""
     directory.mkdir()
     with Store.open(directory) as store:
         for number in range(40):
-            tasks = {f"task{each}": a_task(used_cores=float(each)) for each in range(4)}
+            tasks = {f"task{each}": a_task(used=Usage(cpu=float(each))) for each in range(4)}
             store.record_snapshot(
                 a_snapshot(taken_at=NOW + number, edge1=a_sample(tasks=tasks), edge2=a_sample())
             )
@@ -142,15 +147,17 @@ def a_history(directory: Path) -> bytes:
     return (directory / HISTORY_FILE_NAME).read_bytes()
 
 
-def lives_on(directory: Path) -> list[str]:
-    """Use the history as a command does, twice: what is in the way may be said, then it must take and give. The result is what is said."""
+def use_history(directory: Path) -> list[str]:
+    """Use the history twice as a command does: problems may be reported, then it must store and return rows.
+    Returns the warnings.
+    """
     said: list[str] = []
     for second in (1000.0, 1001.0):
         with Store.open(directory, warn=said.append) as store:
-            everything(store)
+            count_rows(store)
             store.record_snapshot(a_snapshot(taken_at=NOW + second, edge9=a_sample(tasks={"new": a_task()})))
             store.prune(NOW + second)
-            everything(store)
+            count_rows(store)
     return said
 
 
@@ -163,7 +170,7 @@ def test_a_truncated_history_is_set_aside_or_read_but_never_fatal(tmp_path: Path
         directory = tmp_path / f"cut-{place}"
         directory.mkdir()
         (directory / HISTORY_FILE_NAME).write_bytes(sound[:place])
-        said = lives_on(directory)
+        said = use_history(directory)
         with Store.open(directory) as store:
             assert len(store.host_points("edge9")) == 2, place
         assert bool(said) == (directory / f"{HISTORY_FILE_NAME}.broken-1").exists(), (place, said)
@@ -180,7 +187,7 @@ def test_flipped_bits_are_never_fatal(tmp_path: Path) -> None:
         for _ in range(chance.choice((1, 1, 8, 64))):
             data[chance.randrange(4096 if number % 3 else len(data))] ^= 1 << chance.randrange(8)
         (directory / HISTORY_FILE_NAME).write_bytes(data)
-        lives_on(directory)
+        use_history(directory)
         aside += (directory / f"{HISTORY_FILE_NAME}.broken-1").exists()
         shutil.rmtree(directory)
     assert aside > 5
@@ -188,10 +195,8 @@ def test_flipped_bits_are_never_fatal(tmp_path: Path) -> None:
 
 def test_a_log_that_is_cut_or_damaged_costs_at_most_what_was_in_it(tmp_path: Path) -> None:
     (tmp_path / "sound").mkdir()
-    process = writer(tmp_path / "sound", "edge1", 100_000)
-    with Store.open(
-        tmp_path / "sound"
-    ):  # as long as another one is open, no writer that ends empties the log
+    process = start_writer(tmp_path / "sound", "edge1", 100_000)
+    with Store.open(tmp_path / "sound"):  # while another connection is open, no ending writer empties the log
         assert process.stdout is not None
         with process.stdout as out:
             for _ in range(10):
@@ -213,7 +218,7 @@ def test_a_log_that_is_cut_or_damaged_costs_at_most_what_was_in_it(tmp_path: Pat
         (directory / f"{HISTORY_FILE_NAME}-wal").write_bytes(
             log[:place] + b"\xff" + log[place + 1 :] if place % 2 else log[:place]
         )
-        lives_on(directory)
+        use_history(directory)
         with Store.open(directory) as store:
             assert len(store.host_points("edge9")) == 2
         shutil.rmtree(directory)
@@ -237,7 +242,7 @@ def test_the_file_is_kept_small_by_the_oldest_samples(tmp_path: Path) -> None:
     most = 200_000
     with Store.open(tmp_path, retention=Retention(max_bytes=most)) as store:
         for number in range(300):
-            tasks = {f"task{each}": a_task(used_cores=float(each)) for each in range(30)}
+            tasks = {f"task{each}": a_task(used=Usage(cpu=float(each))) for each in range(30)}
             store.record_snapshot(a_snapshot(taken_at=NOW + number, edge1=a_sample(tasks=tasks)))
         store.record_events([Event(at=NOW, kind=EventKind.PLANNED)])
         store.prune(NOW + 300)
@@ -254,4 +259,4 @@ def test_a_limit_below_what_an_empty_file_takes_ends(tmp_path: Path, most: int) 
         store.record_snapshot(a_snapshot(edge1=a_sample(tasks={"slam": a_task()})))
         store.record_events([Event(at=NOW, kind=EventKind.PLANNED)])
         store.prune(NOW)
-        assert everything(store) == 0
+        assert count_rows(store) == 0

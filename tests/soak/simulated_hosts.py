@@ -1,4 +1,4 @@
-"""The real loop over simulated hosts that die, return, lose tasks and refuse actions, on a clock that jumps."""
+"""Watch over simulated hosts that die, return, lose tasks and refuse actions, on a clock that jumps."""
 
 import random
 import tempfile
@@ -12,17 +12,18 @@ from edgectl.model.plan import Action
 from edgectl.model.result import Outcome
 from edgectl.model.task import Tasks
 from tests.builders import a_robot, a_task, an_edge, an_inventory, some_tasks
-from tests.soak.gauge import Reading, at_rest, take
-from tests.usecases.watching import Site
+from tests.soak.resource_readings import ResourceReading, take_reading, take_reading_at_rest
+from tests.usecases.watch_site import WatchSite
 
 EDGES = ("edge1", "edge2", "edge3")
-# Cycles at the end in which everything is mended: longer than a task that failed rests, or a share of a short run without failures.
+# Last cycles, without faults: longer than the rest period of a failed task, or a share of a short run.
 QUIET = 150
-# Share of the cycles after which it is warm: memory is highest while the journal is read, which is put away at 1 MiB, after some 4,800 cycles.
+# Warm-up as a share of the cycles: memory peaks while the journal is read; it is rotated at 1 MiB, after some
+# 4,800 cycles.
 WARM_AT = 0.6
 
 
-def work() -> Tasks:
+def build_tasks() -> Tasks:
     return some_tasks(
         a_task("slam", cpu=1.0, robots=["robot1"]),
         a_task("navigation", cpu=0.3, robots=["robot1"], needs=["slam"]),
@@ -32,23 +33,23 @@ def work() -> Tasks:
 
 
 @contextmanager
-def directory() -> Iterator[Path]:
-    """A place for the state in memory, where there is one: what is measured is the loop, not the disk."""
+def open_memory_directory() -> Iterator[Path]:
+    """Directory for the state, in memory if possible: the loop is measured, not the disk."""
     memory = Path("/dev/shm")
     with tempfile.TemporaryDirectory(dir=memory if memory.is_dir() else None) as name:
         yield Path(name)
 
 
-class Trouble:
-    """What happens to the fleet, drawn from a seed. Everything is mended by the last ``quiet`` cycles."""
+class FleetTrouble:
+    """Faults of the fleet, drawn from a seed. All are repaired before the last ``quiet`` cycles."""
 
-    def __init__(self, site: Site, cycles: int, quiet: int, seed: int) -> None:
+    def __init__(self, site: WatchSite, cycles: int, quiet: int, seed: int) -> None:
         self.site, self.dice, self.last = site, random.Random(seed), cycles - quiet
         self.back: dict[str, int] = {}
         self.losses = 0
 
     def strike(self, number: int) -> None:
-        """Between cycle ``number`` and the next."""
+        """Change faults between cycle ``number`` and the next."""
         hosts = self.site.hosts
         hosts.world.events.clear()
         for name in [name for name, when in self.back.items() if number >= when or number >= self.last]:
@@ -87,14 +88,16 @@ class Trouble:
             hosts.world.ends(task, name)
 
 
-def soak(
+def soak_simulated_hosts(
     cycles: int, quiet: int = QUIET, warm_at: float = WARM_AT, seed: int = 1
-) -> tuple[Reading, Reading, dict[str, int]]:
-    """Readings after a share ``warm_at`` of the cycles and at the end, and what happened; in the end every task runs, and none ran twice."""
-    with directory() as state:
+) -> tuple[ResourceReading, ResourceReading, dict[str, int]]:
+    """Return the readings after a share ``warm_at`` of the cycles and at the end, and the counts of events;
+    every task must run in the end, and none twice.
+    """
+    with open_memory_directory() as state:
         inventory = an_inventory(*map(an_edge, EDGES), a_robot("robot1"))
-        site = Site(state, tasks=work(), inventory=inventory)
-        trouble, warm = Trouble(site, cycles, quiet, seed), None
+        site = WatchSite(state, tasks=build_tasks(), inventory=inventory)
+        trouble, warm = FleetTrouble(site, cycles, quiet, seed), None
         counts = {"moves": 0, "starts": 0, "failed": 0, "errors": 0}
         for cycle in site.watch(cycles):
             for action in cycle.results.actions if cycle.results is not None else ():
@@ -104,19 +107,19 @@ def soak(
             counts["errors"] += bool(cycle.error)
             trouble.strike(cycle.number)
             if cycle.number == int(cycles * warm_at):
-                warm = take()
+                warm = take_reading()
             if cycle.number == cycles:
                 assert warm is not None
-                end = at_rest(warm)
+                end = take_reading_at_rest(warm)
         counts["losses"] = trouble.losses
-        assert site.hosts.placed.keys() == work().tasks.keys(), site.hosts.placed
+        assert site.hosts.placed.keys() == build_tasks().tasks.keys(), site.hosts.placed
         assert not site.hosts.world.overlap, f"ran twice: {site.hosts.world.overlap}"
         assert warm is not None
         return warm, end, counts
 
 
-def timed(cycles: int) -> tuple[float, Reading, Reading, dict[str, int]]:
-    """The same with the seconds that it took."""
+def time_simulated_soak(cycles: int) -> tuple[float, ResourceReading, ResourceReading, dict[str, int]]:
+    """Run the soak test and return its duration in seconds, too."""
     began = time.monotonic()
-    warm, end, counts = soak(cycles)
+    warm, end, counts = soak_simulated_hosts(cycles)
     return time.monotonic() - began, warm, end, counts

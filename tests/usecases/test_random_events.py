@@ -1,6 +1,8 @@
-"""Seeded random lives of a fleet over simulated hosts: applies, deaths of the manager, hosts lost, back and rebooted, changes of everything.
+"""Random seeded sequences of events over simulated hosts: applies, deaths of the manager, lost, returned and
+rebooted hosts, edits.
 
-Throughout: at most one instance of each task, nothing foreign stopped. After each life is mended: exactly one of every placed task.
+Throughout: at most one instance of each task, no foreign process stopped. After each sequence and repair:
+exactly one of every placed task.
 """
 
 import contextlib
@@ -31,13 +33,13 @@ FOREIGN = a_task("roscore", managed=False, detect=DetectRule(cmdline="roscore"))
 POLICY = Policy(min_dwell=0.0, move_margin=0.05)
 
 
-class Died(BaseException):
-    """The manager was killed: nothing of its own handles this."""
+class ManagerKilledError(BaseException):
+    """The manager was killed: no handler of the product catches this."""
 
 
 @dataclasses.dataclass
-class Life:
-    """One fleet and what fate has in store for it."""
+class FleetLife:
+    """One fleet and its random events."""
 
     fate: random.Random
     hosts: FakeFleet
@@ -58,7 +60,7 @@ class Life:
         return self.fate.choice([task for task in self.fleet.tasks.tasks.values() if task.managed])
 
 
-def a_life(state: Path, seed: int) -> Life:
+def build_life(state: Path, seed: int) -> FleetLife:
     hosts = FakeFleet.of([*EDGES, "robot1"])
     hosts["edge3"].tasks["roscore"] = {
         "state": "running",
@@ -77,49 +79,49 @@ def a_life(state: Path, seed: int) -> Life:
     )
     state.mkdir(mode=0o700)
     fleet = Fleet(inventory=inventory, tasks=tasks, transport=hosts.transport, state=state)
-    return Life(fate=random.Random(seed), hosts=hosts, fleet=fleet)
+    return FleetLife(fate=random.Random(seed), hosts=hosts, fleet=fleet)
 
 
-def applied(life: Life) -> None:
+def apply_plan(life: FleetLife) -> None:
     life.applies += 1
     plan_and_apply(life.current, POLICY, options=ApplyOptions(max_parallel=1))
 
 
-def killed(life: Life) -> None:
-    """The manager dies at some point of an apply, if it gets that far."""
+def kill_manager(life: FleetLife) -> None:
+    """The manager dies at some failpoint of an apply, if the apply gets that far."""
     left = [life.fate.randrange(30)]
 
     def die(_point: str) -> None:
         left[0] -= 1
         if left[0] < 0:
-            raise Died
+            raise ManagerKilledError
 
     remove = failpoints.install_hook(die)
     try:
-        with contextlib.suppress(Died):
-            applied(life)
+        with contextlib.suppress(ManagerKilledError):
+            apply_plan(life)
     finally:
         remove()
 
 
-def lost(life: Life) -> None:
+def lose_host(life: FleetLife) -> None:
     life.hosts.down.add(life.fate.choice([*EDGES, "robot1"]))
 
 
-def back(life: Life) -> None:
+def return_host(life: FleetLife) -> None:
     if life.hosts.down:
         life.hosts.down.discard(life.fate.choice(sorted(life.hosts.down)))
 
 
-def rebooted(life: Life) -> None:
-    """Everything that ran there is gone, also what nobody can see at the moment."""
+def reboot_host(life: FleetLife) -> None:
+    """Everything that ran there is gone, even on a host that is unreachable at the moment."""
     host = life.hosts[life.fate.choice(EDGES)]
     for name in [name for name, entry in host.tasks.items() if entry.get("managed", True)]:
         del host.tasks[name]
         host.world.ends(name, host.name)
 
 
-def crashed(life: Life) -> None:
+def crash_task(life: FleetLife) -> None:
     name = life.task().name
     for host in life.hosts.hosts.values():
         if name in host.tasks:
@@ -127,52 +129,52 @@ def crashed(life: Life) -> None:
             host.world.ends(name, host.name)
 
 
-def loaded(life: Life) -> None:
+def load_host(life: FleetLife) -> None:
     life.hosts[life.fate.choice(EDGES)].used = life.fate.choice([0.0, 1.0, 2.0, 3.2])
 
 
-def edited(life: Life) -> None:
+def edit_task(life: FleetLife) -> None:
     life.change(life.task().name, spec_hash=f"spec{life.fate.randrange(1000)}")
 
 
-def cordoned(life: Life) -> None:
+def cordon_host(life: FleetLife) -> None:
     operator_marks.cordon_hosts(life.current, [life.fate.choice(EDGES)], drain=life.fate.random() < 0.5)
 
 
-def uncordoned(life: Life) -> None:
+def uncordon_all(life: FleetLife) -> None:
     operator_marks.uncordon_hosts(life.current, list(EDGES))
 
 
-def finished(life: Life) -> None:
+def finish_task(life: FleetLife) -> None:
     operator_marks.mark_tasks_done(life.current, [life.task().name])
 
 
-def reopened(life: Life) -> None:
+def reopen_all(life: FleetLife) -> None:
     operator_marks.reopen_tasks(
         life.current, [task.name for task in life.fleet.tasks.tasks.values() if task.managed]
     )
 
 
-FATES: tuple[Callable[[Life], None], ...] = (
-    *(applied,) * 6, *(killed,) * 4, lost, *(back,) * 2, rebooted, crashed, loaded, loaded, edited, cordoned, uncordoned, finished, reopened,
+FATES: tuple[Callable[[FleetLife], None], ...] = (
+    *(apply_plan,) * 6, *(kill_manager,) * 4, lose_host, *(return_host,) * 2, reboot_host, crash_task, load_host, load_host, edit_task, cordon_host, uncordon_all, finish_task, reopen_all,
 )  # fmt: skip
 
 
-def sound(life: Life) -> None:
+def check_invariants(life: FleetLife) -> None:
     assert not life.hosts.world.overlap
     assert not any(event.startswith("stop roscore") for event in life.hosts.world.events)
     assert "roscore" in life.hosts["edge3"].tasks
 
 
-def mended(life: Life) -> None:
-    """All hosts answer, nothing is closed: one apply, and every task runs exactly once."""
+def repair_and_check(life: FleetLife) -> None:
+    """All hosts answer, nothing is cordoned: one apply, and every task runs exactly once."""
     life.hosts.down.clear()
     for host in life.hosts.hosts.values():
         host.used = 0.0
-    uncordoned(life)
-    reopened(life)
-    applied(life)
-    sound(life)
+    uncordon_all(life)
+    reopen_all(life)
+    apply_plan(life)
+    check_invariants(life)
     alive = [
         name
         for host in life.hosts.hosts.values()
@@ -187,15 +189,15 @@ def mended(life: Life) -> None:
 def test_random_lives(block: int, tmp_path: Path) -> None:
     applies = 0
     for seed in range(block * 25, block * 25 + 25):
-        life = a_life(tmp_path / str(seed), seed)
+        life = build_life(tmp_path / str(seed), seed)
         story = []
         try:
             for _ in range(EVENTS):
                 event = life.fate.choice(FATES)
                 story.append(event.__name__)
                 event(life)
-                sound(life)
-            mended(life)
+                check_invariants(life)
+            repair_and_check(life)
         except AssertionError as error:
             raise AssertionError(f"seed {seed}: {' '.join(story)}") from error
         applies += life.applies

@@ -1,4 +1,4 @@
-"""The real loop over real sshd hosts, of which one after the other loses its power, and returns."""
+"""Watch over real sshd hosts that lose power in turn and return."""
 
 import os
 import tempfile
@@ -13,32 +13,32 @@ from edgectl.model.plan import Action
 from edgectl.model.result import Outcome
 from edgectl.usecases.watch import WatchOptions, watch_fleet
 from tests.builders import an_inventory, some_tasks
-from tests.e2e.bench import a_mark, a_sleeper, a_slice, managing
+from tests.e2e.bench import a_mark, a_sleeper, a_slice, open_bench
 from tests.pace import patience
-from tests.soak.gauge import Reading, at_rest, take
+from tests.soak.resource_readings import ResourceReading, take_reading, take_reading_at_rest
 from tests.sshd import MARK, Lab, Server, running_lab
-from tests.usecases.watching import EVERY, Hands, Hurried
+from tests.usecases.watch_site import EVERY, JumpingWait, SteppedClock
 
 NAMES = ("edge1", "edge2", "robot1")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Rhythm:
-    """A host dies every ``period`` cycles, for ``dead``; the last ``quiet`` are quiet."""
+class OutageSchedule:
+    """A host dies every ``period`` cycles, for ``dead`` cycles; the last ``quiet`` have no faults."""
 
     period: int = 20
     dead: int = 6
     quiet: int = 14
 
 
-def fleet(lab: Lab) -> Inventory:
+def build_inventory(lab: Lab) -> Inventory:
     edges = [a_slice(lab.host(name)) for name in ("edge1", "edge2")]
     links = {("edge1", "robot1"): 10e6, ("edge2", "robot1"): 10e6}
     return an_inventory(*edges, a_slice(lab.host("robot1", role=Role.ROBOT)), links=links)
 
 
-def living(lab: Lab) -> int:
-    """Processes on the hosts: sessions of sshd, supervisors, tasks, and whatever should not be there."""
+def count_living(lab: Lab) -> int:
+    """Count processes on the hosts: sshd sessions, supervisors, tasks and leftovers."""
     marks = tuple(f"{MARK}={server.directory}".encode() for server in lab.servers.values())
     servers = {str(server.process.pid) for server in lab.servers.values() if server.process is not None}
     found = 0
@@ -50,16 +50,16 @@ def living(lab: Lab) -> int:
     return found
 
 
-class Power:
-    """Takes the hosts' power in turn: one host dies at a time, with everything that runs on it."""
+class HostPower:
+    """Cuts the power of the hosts in turn: one host at a time, with everything that runs on it."""
 
-    def __init__(self, lab: Lab, cycles: int, rhythm: Rhythm) -> None:
+    def __init__(self, lab: Lab, cycles: int, rhythm: OutageSchedule) -> None:
         self.lab, self.last, self.rhythm = lab, cycles - rhythm.quiet, rhythm
         self.losses = 0
         self.dead: Server | None = None
 
     def strike(self, number: int) -> None:
-        """Between cycle ``number`` and the next."""
+        """Change the power between cycle ``number`` and the next."""
         if self.dead is not None and (number % self.rhythm.period == self.rhythm.dead or number >= self.last):
             self.dead.start()
             self.dead.wait()
@@ -70,17 +70,19 @@ class Power:
             self.losses += 1
 
 
-def soak(
-    lab: Lab, directory: Path, cycles: int, rhythm: Rhythm = Rhythm()
-) -> tuple[Reading, Reading, dict[str, int]]:
-    """Readings after the first host has come back and at the end, and what happened; all tasks run once in the end, none afterwards."""
+def soak_ssh_hosts(
+    lab: Lab, directory: Path, cycles: int, rhythm: OutageSchedule = OutageSchedule()
+) -> tuple[ResourceReading, ResourceReading, dict[str, int]]:
+    """Return the readings after the first host has come back and at the end, and the counts of events; all
+    tasks run once in the end, and none after the stop.
+    """
     marks = {"first": a_mark(), "second": a_mark(), "third": a_mark()}
     tasks = some_tasks(*(a_sleeper(name, mark, robots=("robot1",)) for name, mark in marks.items()))
-    hands, warm = Hands(), None
-    control = Hurried(hands)
+    hands, warm = SteppedClock(), None
+    control = JumpingWait(hands)
     counts = {"moves": 0, "starts": 0, "failed": 0, "errors": 0}
-    with managing(fleet(lab), directory / "manager") as bench:
-        power = Power(lab, cycles, rhythm)
+    with open_bench(build_inventory(lab), directory / "manager") as bench:
+        power = HostPower(lab, cycles, rhythm)
         made = replace(bench.using(*tasks.tasks.values()).fleet, clock=hands.wall, uptime=hands.uptime)
         options = WatchOptions(
             every=EVERY,
@@ -97,10 +99,10 @@ def soak(
                     counts["failed"] += action.outcome is Outcome.FAILED
                 counts["errors"] += bool(cycle.error)
                 if cycle.number == rhythm.period - 1:
-                    warm = take(lambda: living(lab))
+                    warm = take_reading(lambda: count_living(lab))
                 if cycle.number == cycles:
                     assert warm is not None
-                    end = at_rest(warm, lambda: living(lab))
+                    end = take_reading_at_rest(warm, lambda: count_living(lab))
                     assert cycle.snapshot is not None
                     alive = [
                         task
@@ -112,20 +114,20 @@ def soak(
                 power.strike(cycle.number)
         counts["losses"] = power.losses
     deadline = time.monotonic() + patience(60)
-    while living(lab) and time.monotonic() < deadline:
+    while count_living(lab) and time.monotonic() < deadline:
         time.sleep(0.1)
-    counts["left behind"] = living(lab)
+    counts["left behind"] = count_living(lab)
     assert warm is not None
     return warm, end, counts
 
 
-def timed(cycles: int) -> tuple[float, Reading, Reading, dict[str, int]]:
-    """The same over servers of its own, with the seconds that it took."""
+def time_ssh_soak(cycles: int) -> tuple[float, ResourceReading, ResourceReading, dict[str, int]]:
+    """Run the soak test on new servers and return its duration in seconds, too."""
     with (
         tempfile.TemporaryDirectory(prefix="edgectl-soak-") as name,
         running_lab(Path(name) / "lab", NAMES) as lab,
     ):
         os.environ.update(lab.environment)
         began = time.monotonic()
-        warm, end, counts = soak(lab, Path(name), cycles)
+        warm, end, counts = soak_ssh_hosts(lab, Path(name), cycles)
         return time.monotonic() - began, warm, end, counts
