@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from typing import Any
 
 from edgectl.model.inventory import Host, Inventory, Limits, Role
 from edgectl.model.manager_state import ManagerState
@@ -97,13 +98,13 @@ def a_link(capacity: float = 10e6, used: float = 0.0) -> LinkSample:
     return LinkSample(capacity_bytes_per_s=capacity, used_bytes_per_s=used)
 
 
-def a_run(state: TaskState = TaskState.READY, **fields: object) -> TaskSample:
+def a_run(state: TaskState = TaskState.READY, **fields: Any) -> TaskSample:
     """A task found on a host: ready, old enough to be moved, with the present specification where the test
     gives it.
     """
     return replace(
         TaskSample(state=state, pid=4242, started_at=NOW - 3600.0, instance="instance-1"), **fields
-    )  # type: ignore[arg-type]
+    )
 
 
 def a_sample(
@@ -138,6 +139,13 @@ def silent(role: Role = Role.EDGE) -> HostSample:
     )
 
 
-def a_snapshot(*, taken_at: float = NOW, memory: ManagerState | None = None, **hosts: HostSample) -> Snapshot:
+def a_snapshot(
+    found: Mapping[str, HostSample] | None = None,
+    /,
+    *,
+    taken_at: float = NOW,
+    memory: ManagerState | None = None,
+    **hosts: HostSample,
+) -> Snapshot:
     """The fleet at one instant, hosts by name: ``a_snapshot(edge1=a_sample(used=1.0))``."""
-    return Snapshot(taken_at=taken_at, hosts=hosts, manager=memory)
+    return Snapshot(taken_at=taken_at, hosts={**(found or {}), **hosts}, manager=memory)

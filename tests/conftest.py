@@ -112,7 +112,8 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
 def pytest_unconfigure(config: pytest.Config) -> None:
     """End what an interrupted session left running: its workers had no time to clean up."""
     if not hasattr(config, "workerinput"):
-        end_started_in([Path(config._tmp_path_factory.getbasetemp())])
+        factory: pytest.TempPathFactory = vars(config)["_tmp_path_factory"]
+        end_started_in([factory.getbasetemp()])
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

@@ -60,7 +60,7 @@ ALLOWED = {
 PROTOCOL = "edgectl.agent.link.protocol"
 PROTOCOL_READERS = {"model", "config", "transport", "gateway", "executor", "usecases", "experiments"}
 # third-party package -> the only modules that may import it
-OWNERS = {
+OWNERS: dict[str, str | tuple[str, ...]] = {
     "typer": ("cli", "experiments/commands"),
     "rich": ("views", "tui/"),
     "yaml": ("config", "views/encoder"),

@@ -10,7 +10,7 @@ import pytest
 
 from tests.conftest import LONGEST
 from tests.e2e.bench import a_mark, list_sleepers
-from tests.pace import VARIABLE, measure
+from tests.pace import measure
 
 ROOT = Path(__file__).parents[1]
 ONCE = """
@@ -162,6 +162,6 @@ def test_neighbour(tmp_path):
 def test_limits_follow_the_pace(tmp_path: Path) -> None:
     tests = "import time\ndef test_it(): time.sleep(1.5)\n"
     options = ("-p", "tests.conftest", "-p", "pytest_timeout", "-o", "timeout=1")
-    assert run_suite(tmp_path, tests, *options, module="pytest", **{VARIABLE: "1.00"})[0] == 1
-    assert run_suite(tmp_path, tests, *options, module="pytest", **{VARIABLE: "9.00"})[0] == 0
+    assert run_suite(tmp_path, tests, *options, module="pytest", TESTS_PACE="1.00")[0] == 1
+    assert run_suite(tmp_path, tests, *options, module="pytest", TESTS_PACE="9.00")[0] == 0
     assert measure() >= 1.0

@@ -44,7 +44,7 @@ from edgectl.config.schema import (
 )
 from edgectl.config.weights import parse_weights
 from edgectl.model.policy import WEIGHT_PRESETS, Policy, PolicyName, SequenceRule
-from edgectl.model.resource import RESOURCES, RESOURCES_BY_NAME, TERMS
+from edgectl.model.resource import RESOURCES, TASK_RESOURCES, TERMS
 from edgectl.model.task import (
     Check,
     CheckLocation,
@@ -236,7 +236,7 @@ def _find_weight_mark(node: Node, message: str) -> Mark:
 @describe_as(lambda: {"anyOf": [{"const": MEASURED_WORD}, build_object_schema(DEMAND_KEYS)]})
 def _read_demand(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     if node.value == MEASURED_WORD:
-        return Demand(dict.fromkeys(RESOURCES_BY_NAME, MEASURED))
+        return Demand({resource.name: MEASURED for resource in TASK_RESOURCES})
     return record_reader(DEMAND_KEYS, _build_demand, "demand")(node, problems)
 
 

@@ -10,6 +10,7 @@ from edgectl.config.problems import ProblemCode, Problems, Source, mark_from_spa
 from edgectl.config.task_file import MEASURED_WORD
 from edgectl.config.yaml_parser import LOADER
 from edgectl.errors import InputError
+from edgectl.model.resource import TASK_RESOURCES
 
 YamlEvent: TypeAlias = Any  # the stubs do not declare the attributes of the parser's events
 
@@ -118,7 +119,8 @@ class _DemandEditor:
             until = {
                 key: _format_flow_mapping({"until_measured": amount}) for key, amount in self.amounts.items()
             }
-            left = {key: MEASURED_WORD for key in ("cpu", "memory", "throughput") if key not in until}
+            keys = (resource.demand_key for resource in TASK_RESOURCES)
+            left = {key: MEASURED_WORD for key in keys if key not in until}
             yield TextEdit(demand.start, demand.end, _format_flow_mapping({**until, **left}))
             return
         for key in self.amounts.keys() - missing.keys():

@@ -77,7 +77,7 @@ def run_trial(
         control=options.control,
     )
     began = trial_fleet.clock()
-    with closing(watch_fleet(trial_fleet, watch_options)) as cycles:  # type: ignore[type-var]
+    with closing(watch_fleet(trial_fleet, watch_options)) as cycles:
         for cycle in cycles:
             recorder.record_cycle(cycle)
             options.listener(recorder, cycle)

@@ -7,7 +7,7 @@ from math import log2
 
 from edgectl.model.inventory import Host
 from edgectl.model.manager_state import MeasuredDemand
-from edgectl.model.resource import RESOURCES
+from edgectl.model.resource import TASK_RESOURCES
 from edgectl.model.task import Demand, Quantity, Task
 
 # So many samples, over so many seconds, make a figure.
@@ -49,9 +49,7 @@ def is_of_current_spec(task: Task, found: MeasuredDemand) -> bool:
 def follows_history(demand: Demand) -> bool:
     """Whether any resource of ``demand`` counts as measured once it is."""
     return any(
-        (quantity := demand[resource.name]) is None or quantity.measured
-        for resource in RESOURCES
-        if not resource.declared_only
+        (quantity := demand[resource.name]) is None or quantity.measured for resource in TASK_RESOURCES
     )
 
 

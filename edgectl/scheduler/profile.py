@@ -5,7 +5,7 @@ from math import ceil
 
 from edgectl.model.manager_state import MeasuredDemand
 from edgectl.model.profile import UsagePercentiles, UsageProfile, UsageSample
-from edgectl.model.resource import RESOURCES
+from edgectl.model.resource import TASK_RESOURCES
 
 
 def build_usage_profile(uses: Sequence[UsageSample], robots: int) -> UsageProfile | None:
@@ -20,7 +20,7 @@ def build_usage_profile(uses: Sequence[UsageSample], robots: int) -> UsageProfil
             resource.name: _compute_percentiles(
                 [use.used[column] / (_count_links(use, robots) if resource.per_link else 1) for use in uses]
             )
-            for column, resource in enumerate(RESOURCES)
+            for column, resource in enumerate(TASK_RESOURCES)
         },
     )
 
@@ -53,7 +53,7 @@ def measured_demand_from_profile(found: UsageProfile, spec_hash: str = "") -> Me
         span_s=found.span_s,
         used={
             resource.name: found.used[resource.name].p95
-            for resource in RESOURCES
+            for resource in TASK_RESOURCES
             if not resource.per_link or found.used[resource.name].most > 0
         },
         spec_hash=spec_hash,

@@ -28,10 +28,11 @@ def total_utility(weights: Weights, terms: UtilityTerms) -> float | None:
     Between the least and the greatest term.
     """
     total = 0.0
-    for name, term in terms.items():
+    # Both are in the order of the table.
+    for weight, term in zip(weights.values(), terms.values(), strict=True):
         if term is None:
             return None
-        total += weights[name] * term
+        total += weight * term
     return total
 
 

@@ -1,7 +1,7 @@
 """Logs of a task from the host where it runs or ran last."""
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 
 from edgectl.agent.link import protocol
 from edgectl.errors import UsageError
@@ -34,7 +34,7 @@ def read_log(fleet: Fleet, task: str, *, tail: int = 100) -> str:
     return str(answer.get("text") or "")
 
 
-def follow_log(fleet: Fleet, task: str, *, tail: int = 10) -> Iterator[bytes]:
+def follow_log(fleet: Fleet, task: str, *, tail: int = 10) -> Generator[bytes, None, None]:
     """The last ``tail`` lines, then new output as it is printed, until the iterator is closed.
 
     Raises:

@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable
 from dataclasses import dataclass, field
 from typing import Self
 
@@ -73,7 +73,7 @@ class WatchOptions:
     control: Control = field(default_factory=Control)
 
 
-def watch_fleet(fleet: Fleet, options: WatchOptions) -> Iterator[Cycle]:
+def watch_fleet(fleet: Fleet, options: WatchOptions) -> Generator[Cycle, None, None]:
     """Yield one `Cycle` after the other until ``options.control`` requests a stop. An error belongs to its
     cycle; the loop continues.
 
@@ -123,7 +123,7 @@ class _WatchLoop:
         """Seconds on a monotonic clock."""
         return self._fleet.uptime().seconds
 
-    def cycles(self) -> Iterator[Cycle]:
+    def cycles(self) -> Generator[Cycle, None, None]:
         """Yield the cycles. Cycles that a long one overran are skipped; they do not accumulate."""
         number, wish = 0, None
         while wish is not ControlRequest.STOP:

@@ -5,9 +5,10 @@ from collections.abc import Mapping, Sequence
 from edgectl.formats.document import Document, without_none
 from edgectl.model.event import Event
 from edgectl.model.inventory import Host, Inventory
+from edgectl.model.resource import HOST_RESOURCES
 from edgectl.model.snapshot import HostSample, InterfaceSample, ResourceUsage, Snapshot
 from edgectl.model.task import Tasks
-from edgectl.units import format_bytes, format_cores, format_duration, format_instant, format_rate
+from edgectl.units import format_duration, format_instant, format_rate
 from edgectl.views.describe import Field, format_pairs, render_events_section, render_fields, render_section
 from edgectl.views.events import encode_event
 from edgectl.views.glossary import head
@@ -93,7 +94,7 @@ def _list_host_fields(stated: Host, sample: HostSample | None, value: Snapshot) 
         ),
         ("Labels", format_pairs(stated.labels)),
         ("Capacity", _format_host_capacity(stated, sample)),
-        ("Limits", f"cpu {stated.limits['cpu']:.0%}, memory {stated.limits['memory']:.0%}"),
+        ("Limits", ", ".join(f"{each.name} {stated.limits[each.name]:.0%}" for each in HOST_RESOURCES)),
         ("Onboard", "candidate for its own tasks" if stated.onboard else ""),
         ("Runtime", stated.runtime.value),
         ("Prelude", stated.prelude),
@@ -116,19 +117,19 @@ def _list_connection_fields(stated: Host) -> list[Field]:
 
 def _format_host_capacity(stated: Host, sample: HostSample | None) -> str:
     if stated.is_slice and stated.capacity is not None:
-        declared = _format_cores_and_memory(stated.capacity["cpu"], stated.capacity["memory"])
-        base = _format_cores_and_memory(stated.base["cpu"], stated.base["memory"])
-        return f"{declared} (declared)" + (
-            f"; base load {base}" if stated.base["cpu"] or stated.base["memory"] else ""
-        )
+        declared, base = _format_amounts(stated.capacity), _format_amounts(stated.base)
+        return f"{declared} (declared)" + (f"; base load {base}" if any(stated.base.values()) else "")
     if sample is None or not sample.measured:
         return ""
-    cpu, memory = sample.usage["cpu"], sample.usage["memory"]
-    return f"{_format_cores_and_memory(cpu.capacity, memory.capacity)} (measured)"
+    return f"{_format_amounts({name: usage.capacity for name, usage in sample.usage.items()})} (measured)"
 
 
-def _format_cores_and_memory(cores: float, memory: float) -> str:
-    return f"{format_cores(cores)} cores, {format_bytes(memory)}"
+def _format_amounts(amounts: Mapping[str, float]) -> str:
+    return ", ".join(
+        f"{resource.unit.format(amounts[resource.name])}{resource.unit.word}"
+        for resource in HOST_RESOURCES
+        if amounts.get(resource.name) or (resource.name in amounts and not resource.declared_only)
+    )
 
 
 def _format_device(sample: HostSample) -> str:
@@ -150,17 +151,15 @@ def _format_clock_skew(seconds: float) -> str:
 def _render_host_usage_rows(stated: Host, sample: HostSample, look: RenderOptions) -> list[Row]:
     if not sample.measured:
         return []
-    cpu, memory = sample.usage["cpu"], sample.usage["memory"]
     return [
-        (
-            "cpu",
-            render_usage_share(cpu, stated.limits["cpu"], look),
-            f"{format_cores(cpu.used)} of {format_cores(cpu.capacity)} cores",
-        ),
-        (
-            "memory",
-            render_usage_share(memory, stated.limits["memory"], look),
-            f"{format_bytes(memory.used)} of {format_bytes(memory.capacity)}",
+        *(
+            (
+                each.name,
+                render_usage_share(usage, stated.limits[each.name], look),
+                f"{each.unit.format(usage.used)} of {each.unit.format(usage.capacity)}{each.unit.word}",
+            )
+            for each in HOST_RESOURCES
+            if (usage := sample.usage.get(each.name)) is not None
         ),
         *(
             (

@@ -86,6 +86,8 @@ def _list_amount_headings() -> dict[str, str]:
             f"{resource.name}.excess_{unit}": f"{title} EXCESS",
             f"{resource.name}.share": f"{title}%",
         }
+        if not resource.per_link:
+            headings |= {f"{resource.name}.capacity_{unit}": title, f"{resource.name}.usage": unit.upper()}
     terms = {term: "AFFINITY" if term == AFFINITY else term.upper() for term in TERMS}
     return headings | {f"utility.{term}": title for term, title in terms.items()}
 
@@ -302,7 +304,7 @@ _MEANINGS: dict[KeyType, dict[str, str]] = {
 
 
 # Headings of tables by column: the key of the document, with its object where that is needed.
-HEADINGS = {
+HEADINGS = _list_amount_headings() | {
     "action": "ACTION",
     "address": "ADDRESS",
     "age_s": "AGE",
@@ -315,7 +317,6 @@ HEADINGS = {
     "class": "CLASS",
     "counts": "ACTIONS",
     "cpu.capacity_cores": "CORES",
-    "cpu.usage": "CORES",
     "declared": "DECLARED",
     "demand": "DEMAND",
     "device.gpu_share": "GPU",
@@ -335,8 +336,6 @@ HEADINGS = {
     "links": "LINKS",
     "link": "LINK",
     "max": "MAX",
-    "memory.capacity_bytes": "MEMORY",
-    "memory.usage": "BYTES",
     "message": "MESSAGE",
     "metrics": "METRICS",
     "needs": "NEEDS",
@@ -376,7 +375,7 @@ HEADINGS = {
     "user": "USER",
     "verb": "VERB",
     "weight": "WEIGHT",
-} | _list_amount_headings()
+}
 
 
 def head(*columns: str) -> Row:

@@ -10,9 +10,10 @@ from enum import StrEnum
 
 from edgectl.formats.document import Document
 from edgectl.model.inventory import Host, Inventory
+from edgectl.model.resource import HOST_RESOURCES
 from edgectl.model.snapshot import HostSample, LinkSample, Snapshot, TaskSample
 from edgectl.model.task import Task, Tasks
-from edgectl.units import format_bytes, format_duration, format_instant, format_rate
+from edgectl.units import format_duration, format_instant, format_rate
 from edgectl.views import metrics
 from edgectl.views.glossary import head
 from edgectl.views.output import ListView, round_item
@@ -84,8 +85,10 @@ class Listing:
 Change = tuple[ItemChange, ListingItem]
 
 # Of each kind: the columns, those that wide adds before the last one, and the headings of numbers.
-_HOST_COLUMNS = ("host", "status", "cpu.capacity_cores", "memory.capacity_bytes", "task_count")
-_WIDE_HOST_COLUMNS = ("address", "cpu.share", "memory.share")
+_CAPACITY_COLUMNS = tuple(f"{resource.name}.capacity_{resource.unit.name}" for resource in HOST_RESOURCES)
+_SHARE_COLUMNS = tuple(f"{resource.name}.share" for resource in HOST_RESOURCES)
+_HOST_COLUMNS = ("host", "status", *_CAPACITY_COLUMNS, "task_count")
+_WIDE_HOST_COLUMNS = ("address", *_SHARE_COLUMNS)
 _COLUMNS: Mapping[ListingKind, tuple[tuple[str, ...], tuple[str, ...]]] = {
     ListingKind.EDGES: ((*_HOST_COLUMNS, "labels"), _WIDE_HOST_COLUMNS),
     ListingKind.ROBOTS: ((*_HOST_COLUMNS, "onboard", "labels"), _WIDE_HOST_COLUMNS),
@@ -99,7 +102,7 @@ _COLUMNS: Mapping[ListingKind, tuple[tuple[str, ...], tuple[str, ...]]] = {
     ),
 }
 _NUMBERS = {
-    "cpu.capacity_cores", "memory.capacity_bytes", "task_count", "cpu.share", "memory.share", "restarts",
+    *_CAPACITY_COLUMNS, *_SHARE_COLUMNS, "task_count", "restarts",
     "age_s", "pid", "capacity_bytes_per_s", "network.used_bytes_per_s", "rtt_ms",
 }  # fmt: skip
 _UNKNOWN_SOURCE = Cell("unknown", "warn")
@@ -217,11 +220,12 @@ def _build_host_item(host: Host, value: Snapshot, extra: Row) -> ListingItem:
     sample = value.hosts.get(host.name)
     status, alive = render_host_status(host.name, sample, value.manager), _count_alive_tasks(sample)
     usage = sample.usage if sample and sample.ok else {}
-    cpu, memory = usage.get("cpu"), usage.get("memory")
     capacity = (
-        f"{cpu.capacity:.2f}" if cpu else "-",
-        format_bytes(memory.capacity) if memory else "-",
-        str(alive) if cpu else "-",
+        *(
+            resource.unit.format(found.capacity) if (found := usage.get(resource.name)) else "-"
+            for resource in HOST_RESOURCES
+        ),
+        str(alive) if usage else "-",
     )
     labels = ",".join(f"{key}={text}" for key, text in host.labels.items()) or "-"
     return ListingItem(
@@ -231,8 +235,10 @@ def _build_host_item(host: Host, value: Snapshot, extra: Row) -> ListingItem:
         row=(Cell(host.name, "name"), status, *capacity, *extra, labels),
         wide_cells=(
             f"{host.connection} {host.host}",
-            f"{cpu.used / cpu.capacity:.0%}" if cpu else "-",
-            f"{memory.used / memory.capacity:.0%}" if memory else "-",
+            *(
+                f"{found.used / found.capacity:.0%}" if (found := usage.get(resource.name)) else "-"
+                for resource in HOST_RESOURCES
+            ),
         ),
         told=(status.text, *capacity, *extra, labels),
         document=encode_host_row(host.name, value, host),

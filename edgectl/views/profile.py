@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from edgectl.formats.document import Document
 from edgectl.model.measured_demand import MIN_SAMPLES
 from edgectl.model.profile import ClassProfile, UsagePercentiles
-from edgectl.model.resource import RESOURCES, Resource
+from edgectl.model.resource import TASK_RESOURCES, Resource
 from edgectl.model.task import Quantity
 from edgectl.units import format_duration
 from edgectl.views.demands import encode_declared_demand
@@ -61,7 +61,7 @@ def _render_profile_rows(value: ClassProfile) -> Iterator[Row]:
 def _list_resource_spreads(value: ClassProfile) -> list[tuple[Resource, UsagePercentiles]]:
     return [
         (resource, value.profile.used[resource.name])
-        for resource in RESOURCES
+        for resource in TASK_RESOURCES
         if value.task.robots or not resource.per_link
     ]
 

@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 
 from edgectl.formats.document import Document, encode_optional, without_none
 from edgectl.formats.kinds import SNAPSHOT_KIND
+from edgectl.model.resource import HOST_RESOURCES
 from edgectl.model.snapshot import (
     BandwidthMeasurement,
     HostSample,
@@ -12,7 +13,7 @@ from edgectl.model.snapshot import (
     ResourceUsage,
     Snapshot,
 )
-from edgectl.units import format_bytes, format_cores, format_duration, format_rate
+from edgectl.units import format_duration, format_rate
 from edgectl.views.glossary import head
 from edgectl.views.output import View
 from edgectl.views.output_format import FLEET_FORMATS
@@ -20,6 +21,8 @@ from edgectl.views.plan_sections import list_unreachable_notes, render_notes
 from edgectl.views.rows import encode_host_row
 from edgectl.views.state import render_host_status
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, render_columns
+
+_USED_COLUMNS = tuple(f"{each.name}.used_{each.unit.name}" for each in HOST_RESOURCES)
 
 
 class SnapshotView(View):
@@ -33,11 +36,11 @@ class SnapshotView(View):
 
     def table(self, look: RenderOptions = PLAIN) -> str:
         """One line per host: capacity, usage, links and tasks."""
-        rows = [head("host", "role", "status", "cpu.used_cores", "memory.used_bytes", "task_count", "links")]
+        rows = [head("host", "role", "status", *_USED_COLUMNS, "task_count", "links")]
         rows += [_render_host_row(name, host, self._snapshot) for name, host in self._snapshot.hosts.items()]
         return (
             self._render_bandwidth(look)
-            + render_columns(rows, look, right={3, 4, 5}, wrap={2})
+            + render_columns(rows, look, right=set(range(3, 4 + len(HOST_RESOURCES))), wrap={2})
             + render_notes(list_unreachable_notes(self._snapshot), look)
         )
 
@@ -83,17 +86,18 @@ class SnapshotView(View):
 def _render_host_row(name: str, host: HostSample, value: Snapshot) -> Row:
     first = (Cell(name, "name"), host.role, render_host_status(name, host, value.manager))
     if not host.ok or not host.measured:
-        return (*first, "-", "-", "-", "-")
+        return (*first, *("-",) * (len(HOST_RESOURCES) + 2))
     return (
         *first,
-        _render_used_cell(host.usage["cpu"], format_cores),
-        _render_used_cell(host.usage["memory"], format_bytes),
+        *(_render_used_cell(host.usage.get(each.name), each.unit.format) for each in HOST_RESOURCES),
         str(sum(task.state.alive for task in host.tasks.values())),
         ", ".join(_format_link_share(robot, link) for robot, link in host.links.items()) or "-",
     )
 
 
-def _render_used_cell(usage: ResourceUsage, show: Callable[[float], str]) -> Cell:
+def _render_used_cell(usage: ResourceUsage | None, show: Callable[[float], str]) -> Cell:
+    if usage is None:
+        return Cell("-")
     share = usage.used / usage.capacity
     return Cell(f"{show(usage.used)}/{show(usage.capacity)} ({share:.0%})", "bad" if share > 1 else "")
 

@@ -5,6 +5,7 @@ from collections.abc import Iterable, Sequence
 from edgectl.formats.document import Document, without_none
 from edgectl.model.inventory import Host, Inventory, Limits
 from edgectl.model.point import HostPoint, TaskPoint
+from edgectl.model.resource import HOST_RESOURCES, Resource
 from edgectl.model.snapshot import HostSample, Snapshot, TaskSample, TaskState
 from edgectl.model.task import Task, Tasks
 from edgectl.names import natural_key
@@ -26,10 +27,9 @@ from edgectl.views.usage import (
     subtract_demand,
 )
 
-_HOST_HEAD = head("host", "status", "cpu.share", "memory.share", "link", "task_count")
+_HOST_HEAD = head("host", "status", *(f"{each.name}.share" for each in HOST_RESOURCES), "link", "task_count")
 _WIDE_HOST_HEAD = head(
-    "cpu.usage",
-    "memory.usage",
+    *(f"{each.name}.usage" for each in HOST_RESOURCES),
     "rx_bytes_per_s",
     "tx_bytes_per_s",
     "device.load_1m",
@@ -43,7 +43,7 @@ _WIDE_TASK_HEAD = head(
     "memory.demand_bytes", "memory.excess_bytes", "network.demand_bytes_per_s",
     "network.excess_bytes_per_s", "restarts",
 )  # fmt: skip
-_HOST_RIGHT_COLUMNS = frozenset({2, 3, 5, *range(len(_HOST_HEAD), len(_HOST_HEAD) + len(_WIDE_HOST_HEAD))})
+_HOST_RIGHT_COLUMNS = frozenset(range(2, len(_HOST_HEAD) + len(_WIDE_HOST_HEAD))) - {2 + len(HOST_RESOURCES)}
 _RIGHT_COLUMNS = frozenset(range(2, 8))
 _WIDE_RIGHT_COLUMNS = frozenset(range(len(_TASK_HEAD), len(_TASK_HEAD) + len(_WIDE_TASK_HEAD)))
 
@@ -168,8 +168,12 @@ def _render_top_host_row(
     limits = host.limits if host else Limits()
     row: Row = (
         *first,
-        render_usage_share(sample.usage["cpu"], limits["cpu"], look),
-        render_usage_share(sample.usage["memory"], limits["memory"], look),
+        *(
+            render_usage_share(usage, limits[each.name], look)
+            if (usage := sample.usage.get(each.name)) is not None
+            else Cell("-")
+            for each in HOST_RESOURCES
+        ),
         _render_busiest_link(sample),
         str(sum(task.state.alive for task in sample.tasks.values())),
     )
@@ -190,17 +194,23 @@ def _render_busiest_link(sample: HostSample) -> Cell:
 
 
 def _render_wide_host_cells(sample: HostSample) -> Row:
-    cpu, memory, device = sample.usage.get("cpu"), sample.usage.get("memory"), sample.device
+    device = sample.device
     inward = sum(each.rx_bytes_per_s for each in device.interfaces.values())
     outward = sum(each.tx_bytes_per_s for each in device.interfaces.values())
     return (
-        f"{format_cores(cpu.used)}/{format_cores(cpu.capacity)}" if cpu else "-",
-        f"{format_bytes(memory.used)}/{format_bytes(memory.capacity)}" if memory else "-",
+        *(_format_used_of_capacity(sample, each) for each in HOST_RESOURCES),
         format_rate(inward) if device.interfaces else "-",
         format_rate(outward) if device.interfaces else "-",
         "-" if device.load_1m is None else f"{device.load_1m:.2f}",
         "-" if device.temperature_c is None else f"{device.temperature_c:.0f}C",
     )
+
+
+def _format_used_of_capacity(sample: HostSample, resource: Resource) -> str:
+    usage = sample.usage.get(resource.name)
+    if usage is None:
+        return "-"
+    return f"{resource.unit.format(usage.used)}/{resource.unit.format(usage.capacity)}"
 
 
 def _list_over_limit_notes(value: Snapshot, inventory: Inventory) -> list[str]:

@@ -95,7 +95,7 @@ def metres(cells: float) -> float:
     return cells * RESOLUTION
 
 
-def cast(solid: bytes, x: float, y: float, angle: float, reach: float) -> float:
+def cast(solid: bytes | bytearray, x: float, y: float, angle: float, reach: float) -> float:
     """How far it is from (x, y) to what is solid in that direction, at most ``reach``.
 
     Walks from cell to cell, and skips none.

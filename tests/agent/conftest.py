@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import pytest
 
@@ -23,6 +23,8 @@ from tests.pace import patience
 # Timeout of one request to the agent.
 ANSWERS_S = patience(30.0)
 
+Found = TypeVar("Found")
+
 
 class AgentHost:
     """Client of the agent of one simulated host. ``python`` is the interpreter that runs it."""
@@ -33,11 +35,11 @@ class AgentHost:
         self.session = LocalSession(name)
         self.session.python = python
 
-    def ask(self, op: str, *, timeout: float = ANSWERS_S, **fields: object) -> dict[str, Any]:
+    def ask(self, op: str, *, timeout: float = ANSWERS_S, **fields: Any) -> dict[str, Any]:
         return call_agent(self.session, {"op": op, "host": self.name, **fields}, timeout=timeout)
 
     def start(
-        self, task: str, command: str, *, instance: str = "i1", generation: int = 1, **spec: object
+        self, task: str, command: str, *, instance: str = "i1", generation: int = 1, **spec: Any
     ) -> dict[str, Any]:
         return self.ask(
             "start",
@@ -47,19 +49,20 @@ class AgentHost:
             spec=a_spec(command, **{"runtime": self.runtime, **spec}),
         )
 
-    def stop(self, task: str, **fields: object) -> dict[str, Any]:
+    def stop(self, task: str, **fields: Any) -> dict[str, Any]:
         return self.ask(
             "stop", **{"task": task, "instance": None, "generation": None, "stop": None, **fields}
         )
 
     def entry(self, task: str) -> dict[str, Any] | None:
-        return self.ask("status", task=task)["tasks"].get(task)
+        found: dict[str, Any] | None = self.ask("status", task=task)["tasks"].get(task)
+        return found
 
     def folder(self, task: str) -> Path:
         return self.state / "hosts" / self.name / "tasks" / task
 
     def supervisor(self, task: str) -> int:
-        return liveness.read_instance(str(self.folder(task))).instance["supervisor"]
+        return int(liveness.read_instance(str(self.folder(task))).instance["supervisor"])
 
     def members(self, task: str) -> set[int]:
         record, table = liveness.read_instance(str(self.folder(task))), proc.read_process_table()
@@ -81,7 +84,7 @@ class AgentHost:
                     os.kill(pid, signal.SIGKILL)
 
 
-def a_spec(command: str, **fields: object) -> dict[str, object]:
+def a_spec(command: str, **fields: Any) -> dict[str, object]:
     spec: dict[str, object] = {
         "command": command, "prelude": "", "env": {}, "workdir": None, "kind": "service", "restart": "never",
         "stop": {"signal": "TERM", "grace_s": 2.0, "preset": None}, "ready": None, "log": {"max_bytes": 100_000, "files": 2},
@@ -90,7 +93,7 @@ def a_spec(command: str, **fields: object) -> dict[str, object]:
     return spec | fields
 
 
-def eventually(found: Callable[[], Any], *, seconds: float = 30.0) -> Any:
+def eventually(found: Callable[[], Found | None], *, seconds: float = 30.0) -> Found:
     """Poll ``found`` until it returns a true value; returns that."""
     deadline = time.monotonic() + patience(seconds)
     while not (value := found()):

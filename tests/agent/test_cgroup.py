@@ -46,9 +46,11 @@ V2 = {
 def test_v1_limit_of_a_parent_counts(tmp_path: Path) -> None:
     root = tree(tmp_path, V1)
     limit = cgroup.find_cpu_limit(root)
+    assert limit is not None
     assert limit.value == 0.4
     assert cgroup.read_cpu_used_s(limit, root) == 2.5
     memory = cgroup.find_memory_limit(root)
+    assert memory is not None
     assert memory.value == 1 << 30
     # 500 MB in use, 200 MB of it page cache, of which 50 MB are shared memory and not reclaimable.
     assert cgroup.read_memory_used(memory) == 350_000_000
@@ -57,9 +59,11 @@ def test_v1_limit_of_a_parent_counts(tmp_path: Path) -> None:
 def test_v2_smallest_limit_on_the_way_up_counts(tmp_path: Path) -> None:
     root = tree(tmp_path, V2)
     limit = cgroup.find_cpu_limit(root)
+    assert limit is not None
     assert limit.value == 1.5
     assert cgroup.read_cpu_used_s(limit, root) == 7.5
     memory = cgroup.find_memory_limit(root)
+    assert memory is not None
     assert memory.value == 1 << 29
     assert cgroup.read_memory_used(memory) == 200_000_000
 
@@ -73,6 +77,7 @@ def test_v1_joint_hierarchy(tmp_path: Path) -> None:
     }
     root = tree(tmp_path, files)
     limit = cgroup.find_cpu_limit(root)
+    assert limit is not None
     assert (limit.value, cgroup.read_cpu_used_s(limit, root)) == (2.0, 3.0)
 
 
@@ -83,7 +88,9 @@ def test_container_that_sees_only_its_own_group(tmp_path: Path) -> None:
         "sys/fs/cgroup/cpu/cpu.cfs_quota_us": "50000",
         "sys/fs/cgroup/cpu/cpu.cfs_period_us": "100000",
     }
-    assert cgroup.find_cpu_limit(tree(tmp_path, files)).value == 0.5
+    limit = cgroup.find_cpu_limit(tree(tmp_path, files))
+    assert limit is not None
+    assert limit.value == 0.5
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ import os
 import signal
 import time
 from pathlib import Path
+from typing import Any
 
 from edgectl.agent.measure import proc
 from edgectl.agent.supervise import liveness, lockfile, records
@@ -55,13 +56,12 @@ def test_any_call_is_a_heartbeat_for_every_task_of_its_host(host: AgentHost) -> 
     pid = host.start("slam", "exec sleep 600", self_fence_s=5)["pid"]
     other = AgentHost("edge2", host.state)
     other.start("slam", "exec sleep 600", self_fence_s=5)
-    calls = itertools.cycle(
-        [
-            ("status", {"task": None}),
-            ("check", {"command": "true", "timeout_s": 20}),
-            ("logs", {"task": "nav", "tail": 1}),
-        ]
-    )
+    requests: list[tuple[str, dict[str, Any]]] = [
+        ("status", {"task": None}),
+        ("check", {"command": "true", "timeout_s": 20}),
+        ("logs", {"task": "nav", "tail": 1}),
+    ]
+    calls = itertools.cycle(requests)
 
     def fenced_meanwhile() -> bool:
         op, fields = next(calls)
@@ -145,6 +145,7 @@ def test_heartbeat_is_kept_in_shared_memory_where_the_disk_refuses(host: AgentHo
 def test_fencing_uses_the_ros_preset(host: AgentHost, tmp_path: Path) -> None:
     program = f"""
 import signal, sys, time
+from typing import Any
 def end(*_):
     open({str(tmp_path / "clean")!r}, "w").close(); sys.exit(0)
 signal.signal(signal.SIGINT, end)

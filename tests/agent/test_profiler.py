@@ -30,10 +30,10 @@ class Profiled:
     def __init__(self, host: AgentHost) -> None:
         self.host = host
 
-    def start(self, *, every: float = 1.0, ttl: float = 600.0, **spec: object) -> dict[str, Any]:
+    def start(self, *, every: float = 1.0, ttl: float = 600.0, **spec: Any) -> dict[str, Any]:
         return self.host.ask("profiler-start", every_s=every, ttl_s=ttl, **spec)
 
-    def status(self, **spec: object) -> dict[str, Any]:
+    def status(self, **spec: Any) -> dict[str, Any]:
         return self.host.ask("profiler-status", **spec)
 
     def sampled(self, count: int) -> dict[str, Any]:
@@ -42,7 +42,7 @@ class Profiled:
             lambda: reply if (reply := self.status()).get("samples", 0) >= count else None, seconds=30
         )
 
-    def probe(self, **fields: object) -> dict[str, Any]:
+    def probe(self, **fields: Any) -> dict[str, Any]:
         """A probe served by the profiler. On a busy machine a sample may be late, and then a window is measured."""
         return eventually(
             lambda: (
@@ -224,7 +224,7 @@ def test_traffic_of_links_and_tasks_is_seen(profiled: Profiled) -> None:
 
 def test_checks_run_and_detected_tasks_are_found(profiled: Profiled) -> None:
     mark = f"{os.getpid()}.7531"
-    spec = {"detect": [{"task": "found", "cmdline": f"^sleep {mark}$"}]}
+    spec: dict[str, Any] = {"detect": [{"task": "found", "cmdline": f"^sleep {mark}$"}]}
     profiled.start(**spec)
     assert profiled.probe(**spec)["tasks"] == {}
     for _ in range(2):
@@ -251,7 +251,9 @@ def test_metrics_of_the_application_are_as_they_are_now(profiled: Profiled, tmp_
     profiled.host.start(
         "slam", f'echo "fps 1" >>"$EDGECTL_METRICS"; echo "$EDGECTL_METRICS" >{tmp_path}/path; exec sleep 600'
     )
-    file = Path(eventually(lambda: (tmp_path / "path").exists() and (tmp_path / "path").read_text().strip()))
+    file = Path(
+        eventually(lambda: ((tmp_path / "path").exists() and (tmp_path / "path").read_text().strip()) or None)
+    )
     assert profiled.probe()["tasks"]["slam"]["metrics"] == {"fps": 1.0}
     with file.open("a") as lines:
         lines.write("fps 2\nloss 0.5\n")
@@ -294,7 +296,8 @@ def test_starts_at_the_same_time_make_one(profiled: Profiled) -> None:
 def test_another_probe_spec_replaces_it(profiled: Profiled) -> None:
     first = profiled.start(links=LINKS)
     assert profiled.start(links=list(reversed(LINKS)))["state"] == "already-running"
-    for change in ({"every": 0.5}, {"ttl": 60.0}, {"links": LINKS[:1]}):
+    changes: tuple[dict[str, Any], ...] = ({"every": 0.5}, {"ttl": 60.0}, {"links": LINKS[:1]})
+    for change in changes:
         reply = profiled.start(**{"links": LINKS, **change})
         assert reply["state"] == "replaced"
         assert profiled.holders() == [reply["pid"]]

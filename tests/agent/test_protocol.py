@@ -53,7 +53,7 @@ def test_requests_of_the_manager_have_the_stated_keys() -> None:
     edge, task = an_edge("edge1"), a_task("slam", done_when=Check(command="true"))
     fleet = an_inventory(edge, a_robot("robot1"))
     sent = [
-        requests.build_start_request(task, edge, fleet.hosts, instance="i", generation=1),
+        requests.build_start_request(task, edge, fleet.hosts),
         requests.build_stop_request("slam", edge, task=task, instance="i"),
         requests.build_wait_request("slam", edge, instance="i", timeout_s=1.0),
         requests.build_mark_ready_request("slam", edge, instance="i"),

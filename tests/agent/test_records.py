@@ -39,7 +39,11 @@ def test_any_changed_byte_gives_a_good_document_or_none(tmp_path: Path) -> None:
     records.write_record(str(path), {"state": "running", "pid": 41})
     records.write_record(str(path), {"state": "failed", "pid": 0})
     good = path.read_bytes()
-    allowed = ({"state": "running", "pid": 41}, {"state": "failed", "pid": 0}, {})
+    allowed: tuple[dict[str, object], ...] = (
+        {"state": "running", "pid": 41},
+        {"state": "failed", "pid": 0},
+        {},
+    )
     for at in [*range(120), *range(records.SLOT_BYTES - 5, records.SLOT_BYTES + 120)]:
         for bit in range(8):
             path.write_bytes(good[:at] + bytes([good[at] ^ 1 << bit]) + good[at + 1 :])

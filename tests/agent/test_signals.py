@@ -25,8 +25,14 @@ def sleeper(
     process.wait()
 
 
+def read_ticks(pid: int) -> int:
+    process = proc.read_process(pid)
+    assert process is not None
+    return process.ticks
+
+
 def test_reused_pid_is_not_signalled(sleeper: subprocess.Popen[bytes]) -> None:
-    ticks = proc.read_process(sleeper.pid).ticks
+    ticks = read_ticks(sleeper.pid)
     assert not signals.send_signal(sleeper.pid, ticks - 1, signal.SIGKILL)
     assert is_running(sleeper.pid)
     assert signals.send_signal(sleeper.pid, ticks, signal.SIGKILL)
@@ -42,7 +48,7 @@ def test_names_of_signals(name: str, number: int) -> None:
 def test_record_with_a_reused_pid_is_dead(
     sleeper: subprocess.Popen[bytes], tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    ticks = proc.read_process(sleeper.pid).ticks - 1
+    ticks = read_ticks(sleeper.pid) - 1
     folder = tmp_path_factory.mktemp("task")
     instance = {
         "instance": "i1",

@@ -213,7 +213,7 @@ def test_stop_of_another_instance_leaves_this_one_alone(host: AgentHost) -> None
     ],
 )
 def test_end_is_recorded(
-    host: AgentHost, command: str, spec: dict[str, object], state: str, code: int, detail: str, given_up: bool
+    host: AgentHost, command: str, spec: dict[str, Any], state: str, code: int, detail: str, given_up: bool
 ) -> None:
     """With ``restart: never`` unless the spec differs: only then, or in a crash loop, is a failure final."""
     host.start("work", command, **spec)

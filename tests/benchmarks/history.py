@@ -9,6 +9,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from edgectl.model.resource import Usage
@@ -38,7 +39,7 @@ def build_snapshot(number: int, chance: random.Random) -> Snapshot:
             for each in range(LINKS_EACH)
         }
         hosts[f"edge{host}"] = a_sample(used=chance.random(), tasks=tasks, links=links)
-    return a_snapshot(taken_at=NOW + 10 * number, **hosts)
+    return a_snapshot(hosts, taken_at=NOW + 10 * number)
 
 
 def measure_time(act: Callable[[], object]) -> tuple[float, float]:
@@ -70,13 +71,13 @@ def main() -> int:
         made = [build_snapshot(number, chance) for number in range(count // 2)]
         cost = print_time(
             "record a snapshot, file reopened",
-            [measure_time(lambda each=each: record_snapshot(directory, each)) for each in made],
+            [measure_time(partial(record_snapshot, directory, each)) for each in made],
         )
         with Store.open(directory) as store:
             made = [build_snapshot(number, chance) for number in range(count // 2, count)]
             print_time(
                 "record a snapshot, file open",
-                [measure_time(lambda each=each: store.record_snapshot(each)) for each in made],
+                [measure_time(partial(store.record_snapshot, each)) for each in made],
             )
             print_time(
                 "the newest 60 samples of each of 200 tasks",

@@ -65,7 +65,7 @@ def build_fleet(hosts: int, tasks: int) -> tuple[Inventory, Tasks, Snapshot]:
                throughput=2e4 * (n % KINDS), robots=[robots[n % len(robots)]], needs=[f"task{n - 1}"] if n % 2 else [])
         for n in range(tasks)
     ]  # fmt: skip
-    return inventory, some_tasks(*made), a_snapshot(**samples)
+    return inventory, some_tasks(*made), a_snapshot(samples)
 
 
 def add_measured_demand(work: Tasks) -> tuple[Tasks, ManagerState]:

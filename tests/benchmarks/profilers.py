@@ -92,7 +92,7 @@ def read_children_cpu_s() -> float:
 
 
 def print_measurements(seconds: float, ends: list[Callable[[], object]]) -> int:
-    pids = {}
+    pids: dict[str, int] = {}
     for name, every in (("profiler, 1 Hz", 1.0), ("profiler, 5 Hz", 0.2)):
         host = f"edge{len(pids) + 1}"
         ends.append(lambda host=host: stop_profiler(host))  # type: ignore[misc]

@@ -7,6 +7,7 @@ from functools import partial
 from pathlib import Path
 
 from edgectl.config.load import load_inventory_and_tasks
+from edgectl.config.weights import parse_weights
 from edgectl.experiments.files.scenario_file import load_scenario, load_scenario_paths
 from edgectl.experiments.model.schemes import build_schemes
 from edgectl.experiments.simulator import simulate_mission
@@ -26,7 +27,7 @@ def main(runs: int = 10) -> None:
         assert tasks_file is not None
         inventory, tasks, _ = load_inventory_and_tasks(inventory_file, tasks_file)
         scenario = load_scenario(path, inventory, tasks)
-        for variant in build_schemes(tasks.policy, POLICIES, ["all"], []):
+        for variant in build_schemes(tasks.policy, POLICIES, {"all": parse_weights("all")}, []):
             began, minutes = time.process_time(), 0.0
             for run in range(runs):
                 dice = partial(random.Random(run).gauss, 0.0, 1.0)

@@ -15,8 +15,8 @@ from edgectl.config.load import load_inventory_and_tasks
 from edgectl.config.problems import ProblemCode
 from edgectl.experiments.files import experiment_file, run_codec
 from edgectl.formats.kinds import PLAN_KIND, SNAPSHOT_KIND
-from edgectl.model.inventory import Host
-from edgectl.model.snapshot import DeviceSample, HostSample, InterfaceSample, Role, TaskSample, TaskState
+from edgectl.model.inventory import Host, Role
+from edgectl.model.snapshot import DeviceSample, HostSample, InterfaceSample, TaskSample, TaskState
 from edgectl.model.snapshot import HostStatus as Status
 from edgectl.model.task import Task
 from tests.config.test_bad_documents import PLAN, SNAPSHOT

@@ -118,7 +118,7 @@ def test_secrets_and_commands_of_hosts(tmp_path: Path) -> None:
             "must be a string without NUL",
         ),
         ("env: {TOKEN: {value: canary, secret: true}", (14, 10), "cannot be read; the text is hidden"),
-        ("env: {DB_PASSWORD: canary}", (14, 11), "DB_PASSWORD looks like a secret that stands here in clear"),
+        ("env: {DB_PASSWORD: canary}", (14, 11), "DB_PASSWORD looks like a secret in plain text"),
         ('env: {api_key: "canary"}', (14, 11), "api_key looks like a secret"),
         ("env:\n      GITHUB_TOKEN: 4711", (15, 7), "GITHUB_TOKEN looks like a secret"),
         ("env_command: vault read-env", (14, 18), "must be a list of arguments, not a string"),

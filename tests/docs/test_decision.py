@@ -69,7 +69,7 @@ def assignment() -> Assignment:
     hosts = table("The hosts")
     edges = [an_edge(row["host"], cpu_limit=float(row["cpu limit"].rstrip("%")) / 100) for row in hosts]
     inventory = an_inventory(*edges, a_robot("robot1"), a_robot("robot2"))
-    snapshot = a_snapshot(**{row["host"]: a_host(row) for row in hosts})
+    snapshot = a_snapshot({row["host"]: a_host(row) for row in hosts})
     return run_assign(inventory, some_tasks(*map(work, table("The tasks"))), snapshot)
 
 

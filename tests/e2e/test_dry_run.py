@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import pytest
 
@@ -74,7 +74,8 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
 
 def apply_and_compare(bench: Bench) -> list[str]:
     """Apply; return the operations sent, after comparing them with a dry run of the same plan."""
-    tap, printed = RecordingTransport(bench.fleet.transport), []
+    tap = RecordingTransport(bench.fleet.transport)
+    printed: list[Any] = []
 
     def confirm(plan: Plan) -> bool:
         tap.requests.clear()
@@ -93,7 +94,7 @@ def apply_and_compare(bench: Bench) -> list[str]:
 @pytest.mark.parametrize("order", list(HandoffOrder))
 def test_start_move_and_stop_on_real_hosts(bench: Bench, order: HandoffOrder) -> None:
     names = ("safe_when", "hold", "release")
-    hooks = {name: Check(command=f": {name}", on=CheckLocation.ROBOT) for name in names}
+    hooks: dict[str, Any] = {name: Check(command=f": {name}", on=CheckLocation.ROBOT) for name in names}
     contract = HandoffContract(order=order, **hooks)
     ready = replace(READY_ON_ROBOT, command="true")
     task = a_sleeper("slam", a_mark(), robots=("robot1",), ready=ready, handoff=contract)

@@ -6,6 +6,7 @@ import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -120,7 +121,7 @@ def test_a_load_that_rises_moves_a_task(bench: Bench) -> None:
 
 def test_a_move_that_fails_restores_the_old_instance(bench: Bench, tmp_path: Path) -> None:
     mark = a_mark()
-    hooks = {
+    hooks: dict[str, Any] = {
         name: Check(command=f"echo {name} >> {tmp_path}/hooks", on=CheckLocation.ROBOT)
         for name in ("safe_when", "hold", "release")
     }

@@ -7,6 +7,7 @@ import signal
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -43,10 +44,10 @@ def bench(lab: Lab, tmp_path: Path) -> Iterator[Bench]:
         for server in lab.servers.values():
             if server.process is None:
                 server.restart()
-        profilers.stop_profilers(bench.fleet)
+        profilers.stop_profilers(made.fleet)
 
-    with open_bench(build_inventory(lab), tmp_path / "manager", mended) as bench:
-        yield bench
+    with open_bench(build_inventory(lab), tmp_path / "manager", mended) as made:
+        yield made
 
 
 def list_states(found: tuple[Profiler, ...]) -> dict[str, ProfilerState]:
@@ -112,7 +113,8 @@ def test_a_probe_reads_what_the_profilers_measured(lab: Lab, bench: Bench) -> No
 
 
 def test_wishes_that_make_no_sense_are_refused(bench: Bench) -> None:
-    for wrong in ({"every": 0.01}, {"every": 61.0}, {"every": 10.0, "ttl": 99.0}):
+    refused: tuple[dict[str, Any], ...] = ({"every": 0.01}, {"every": 61.0}, {"every": 10.0, "ttl": 99.0})
+    for wrong in refused:
         with pytest.raises(UsageError):
             profilers.start_profilers(bench.fleet, **wrong)
     with pytest.raises(UsageError, match="unknown host 'edge7'"):

@@ -3,7 +3,7 @@ jump host.
 """
 
 from collections.abc import Callable, Iterator
-from contextlib import closing
+from contextlib import AbstractContextManager, closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -45,7 +45,7 @@ def build_inventory(lab: Lab, **changes: object) -> Inventory:
 @pytest.fixture
 def manager(lab: Lab, tmp_path: Path) -> Iterator[Callable[[Inventory], Bench]]:
     """Return a factory of managers; afterwards servers and files are as before and all tasks are stopped."""
-    made = []
+    made: list[AbstractContextManager[Bench]] = []
 
     def mended() -> None:
         lab.write_files()

@@ -64,7 +64,8 @@ class FakeHost:
                 raise type(fault)(fault.message, hint=fault.hint)
             if fault is not None:
                 return fault(request)
-        return getattr(self, f"_{op}")(request)
+        reply: dict[str, object] = getattr(self, f"_{op}")(request)
+        return reply
 
     def _fence(self, request: Request) -> None:
         """Reject a generation older than the newest one."""

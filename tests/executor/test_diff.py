@@ -1,5 +1,7 @@
 """Algorithm 2 as a pure diff: an assignment against the running tasks."""
 
+from typing import Any
+
 import pytest
 
 from edgectl.executor.diff import diff_assignment, plan_from_assignment, select_targets
@@ -27,9 +29,7 @@ def diff_step(decision: Decision, snapshot: Snapshot, task: Task | None = None) 
 
 
 def a_fleet_snapshot(**runs: TaskSample) -> Snapshot:
-    return a_snapshot(
-        **{edge: a_sample(tasks={"slam": runs[edge]} if edge in runs else {}) for edge in EDGES}
-    )
+    return a_snapshot({edge: a_sample(tasks={"slam": runs[edge]} if edge in runs else {}) for edge in EDGES})
 
 
 @pytest.mark.parametrize(
@@ -186,14 +186,17 @@ def test_selecting_targets_shows_all_and_does_some() -> None:
         an_inventory(an_edge("edge1"), an_edge("edge2")),
         some_tasks(a_task("a"), a_task("b"), a_task("c")),
     )
-    runs = {"edge1": a_sample(tasks={"b": a_run(), "c": a_run()}), "edge2": a_sample(tasks={"c": a_run()})}
+    runs: dict[str, Any] = {
+        "edge1": a_sample(tasks={"b": a_run(), "c": a_run()}),
+        "edge2": a_sample(tasks={"c": a_run()}),
+    }
     decisions = (
         a_decision(Verdict.PLACED, Reason.BEST, "edge1", task="a"),
         a_decision(Verdict.PLACED, Reason.GAIN, "edge2", "edge1", task="b"),
         a_decision(Verdict.KEPT, Reason.STILL_BEST, "edge1", "edge1", task="c"),
     )
     assignment = Assignment(policy=Policy(), decisions=decisions, expected={})
-    plan = plan_from_assignment(inventory, tasks, a_snapshot(**runs), NOTHING, assignment)
+    plan = plan_from_assignment(inventory, tasks, a_snapshot(runs), NOTHING, assignment)
     assert [(s.action, s.stop) for s in plan.steps] == [
         (Action.START, ()),
         (Action.MOVE, ()),

@@ -1,5 +1,7 @@
 """Requests to hosts: content, environment, dry run, order."""
 
+from typing import Any
+
 from edgectl.executor import host_requests
 from edgectl.executor.dependencies import build_step_dependencies, list_stop_hosts
 from edgectl.executor.dry_run import list_dry_run_requests
@@ -101,7 +103,9 @@ def a_step(
 
 
 def list_dry_run(order_of_move: HandoffOrder) -> list[tuple[object, object]]:
-    hooks = {name: Check(command=name, on=CheckLocation.ROBOT) for name in ("safe_when", "hold", "release")}
+    hooks: dict[str, Any] = {
+        name: Check(command=name, on=CheckLocation.ROBOT) for name in ("safe_when", "hold", "release")
+    }
     task = a_task("slam", robots=["robot1"], handoff=HandoffContract(order=order_of_move, **hooks))
     entries = list_dry_run_requests(
         a_plan(a_step("slam", Action.MOVE, "edge2", "edge1")), FLEET, some_tasks(task)

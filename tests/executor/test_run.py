@@ -4,6 +4,7 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -372,8 +373,10 @@ def test_a_repeated_start_is_the_same_start(fleet: FakeFleet, journal: Journal) 
 
 
 def a_contract(order: HandoffOrder = HandoffOrder.STOP_FIRST, **fields: object) -> HandoffContract:
-    hooks = {name: Check(command=name, on=CheckLocation.ROBOT) for name in ("safe_when", "hold", "release")}
-    return HandoffContract(order=order, timeout=0.1, **{**hooks, **fields})  # type: ignore[arg-type]
+    hooks: dict[str, Any] = {
+        name: Check(command=name, on=CheckLocation.ROBOT) for name in ("safe_when", "hold", "release")
+    }
+    return HandoffContract(order=order, timeout=0.1, **{**hooks, **fields})
 
 
 def run_move(fleet: FakeFleet, journal: Journal, contract: HandoffContract, **fields: object) -> ActionResult:
@@ -431,7 +434,7 @@ def test_a_replacement_that_cannot_hold_is_deferred_and_stays_one(fleet: FakeFle
 
 
 def test_a_hold_on_the_silent_host_is_left_out(fleet: FakeFleet, journal: Journal) -> None:
-    hooks = {name: Check(command=name, on=CheckLocation.HOST) for name in ("hold", "release")}
+    hooks: dict[str, Any] = {name: Check(command=name, on=CheckLocation.HOST) for name in ("hold", "release")}
     result = run_replacement(fleet, journal, a_contract(**hooks))
     assert (result.outcome, [phase.phase for phase in result.phases]) == (
         Outcome.DONE,
@@ -568,7 +571,9 @@ def test_an_env_command_that_fails_defers_a_move_and_touches_nothing(
 
 
 def test_hooks_on_the_host_run_where_the_task_is(fleet: FakeFleet, journal: Journal) -> None:
-    hooks = {name: Check(command=name, on=CheckLocation.HOST) for name in ("safe_when", "hold", "release")}
+    hooks: dict[str, Any] = {
+        name: Check(command=name, on=CheckLocation.HOST) for name in ("safe_when", "hold", "release")
+    }
     assert run_move(fleet, journal, a_contract(**hooks)).outcome is Outcome.DONE
     checks = [event for event in fleet.world.events if event.startswith("check")]
     assert checks == ["check safe_when edge1", "check hold edge1", "check release edge2"]

@@ -72,7 +72,7 @@ def _generate_trial(scheme: Scheme, repetition: int, number: int, rng: random.Ra
         for task, end in ends.items()
     ]
     spans.append(PlacementInterval(task=ENDS, host="edge3", start=latency * 0.3, end=latency))
-    handoffs = []
+    handoffs: list[HandoffRecord] = []
     if moving:
         spans, handoffs = _add_handoffs(spans, rng)
     return Trial(

@@ -1,6 +1,7 @@
 """The table of an experiment on real hosts."""
 
 import json
+from typing import Any
 
 import pytest
 import yaml
@@ -137,7 +138,7 @@ def test_markdown_is_one_table_and_a_list() -> None:
 
 def test_the_documents_hold_every_figure_and_null_where_there_is_none() -> None:
     view = ExperimentView(run=RUN, results=DONE)
-    document = view.document()["item"]
+    document: Any = view.document()["item"]
     for output, parse in ((OutputFormat.JSON, json.loads), (OutputFormat.YAML, yaml.safe_load)):
         assert parse(render_view(view, output, PLAIN))["item"] == document
     assert (document["experiment"], document["digest"], document["planned"], document["trials"]) == (
@@ -153,7 +154,7 @@ def test_the_documents_hold_every_figure_and_null_where_there_is_none() -> None:
     assert static["figures"]["downtime"] == [None]
     assert static["metrics"]["fps"]["mean"] == 9.5
     assert static["maps"]["ssim"]["mean"] == 0.8125
-    single = ExperimentView(run=RUN, results=[column("static", 0.5, 1.0, 1.0, 1.0, runs=1)]).document()[
+    single: Any = ExperimentView(run=RUN, results=[column("static", 0.5, 1.0, 1.0, 1.0, runs=1)]).document()[
         "item"
     ]
     assert single["schemes"][0]["figures"]["latency"] == [

@@ -17,8 +17,12 @@ HOSTED = ("cpu", "cpu peak", "memory", "throughput", "rate")
 
 
 def model(name: str, *hosts: str) -> SchemeResult:
-    figures = {metric: (Estimate(mean=1.0),) * max(1, len(hosts)) for metric in HOSTED}
-    whole = {metric: (Estimate(mean=1.0),) for metric in ("latency", "handoffs")}
+    figures: dict[str, tuple[Estimate, ...]] = {
+        metric: (Estimate(mean=1.0),) * max(1, len(hosts)) for metric in HOSTED
+    }
+    whole: dict[str, tuple[Estimate, ...]] = {
+        metric: (Estimate(mean=1.0),) for metric in ("latency", "handoffs")
+    }
     return SchemeResult(
         scheme=Scheme(name=name, policy=Policy()),
         runs=5,

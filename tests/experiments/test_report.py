@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from html.parser import HTMLParser
 from itertools import combinations
+from typing import Any
 from xml.etree import ElementTree as ET
 
 import pytest
@@ -302,7 +303,7 @@ def test_words_neither_overlap_nor_leave_the_figure(run: ExperimentRun) -> None:
 
 def extents(drawing: ReportFigure) -> list[tuple[str, Bbox]]:
     """Where each word of a figure stands, in pixels."""
-    canvas = FigureCanvasAgg(drawing.figure)
+    canvas: Any = FigureCanvasAgg(drawing.figure)
     drawing.figure.set_dpi(150)
     canvas.draw()
     beyond = set(_beyond(drawing))

@@ -2,6 +2,7 @@
 
 import random
 from dataclasses import replace
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -35,10 +36,15 @@ MACHINES = {
 }
 
 
-def trial(scheme: str = "static", repetition: int = 1, **fields: object) -> Trial:
+def close_to(value: float, abs: float | None = None) -> Any:  # noqa: A002 - as pytest.approx has it
+    """``pytest.approx`` for a field of type float."""
+    return pytest.approx(value, abs=abs)
+
+
+def trial(scheme: str = "static", repetition: int = 1, **fields: Any) -> Trial:
     return replace(
         Trial(scheme=scheme, repetition=repetition, began_at=0.0, latency=60.0, finished=True), **fields
-    )  # type: ignore[arg-type]
+    )
 
 
 def run(*trials: Trial, metrics: dict[str, MetricAggregation] | None = None) -> ExperimentRun:
@@ -104,11 +110,11 @@ def test_trials_are_summed_up() -> None:
     found = column(run(*trials))
     assert (found.runs, found.unfinished, found.unplaced) == (3, 1, 3)
     assert found.estimates["latency"] == (
-        Estimate(mean=2.0, std=1.0, half_ci95=pytest.approx(2.4843, abs=1e-4), count=3),
-    )  # type: ignore[arg-type]
+        Estimate(mean=2.0, std=1.0, half_ci95=close_to(2.4843, abs=1e-4), count=3),
+    )
     assert found.estimates["handoffs"][0] == Estimate(
-        mean=1.0, std=1.0, half_ci95=pytest.approx(2.4843, abs=1e-4), count=3
-    )  # type: ignore[arg-type]
+        mean=1.0, std=1.0, half_ci95=close_to(2.4843, abs=1e-4), count=3
+    )
     assert means(found.estimates["unplaced"]) == [1.0]
     assert found.estimates["downtime"] == (Estimate(mean=2.0),)
 

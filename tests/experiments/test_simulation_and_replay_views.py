@@ -1,5 +1,7 @@
 """Tables and documents of simulations and replays."""
 
+from typing import Any
+
 from edgectl.experiments.model.comparison import (
     Estimate,
     ReferenceValues,
@@ -77,7 +79,7 @@ def test_wide_has_every_metric_and_its_deviation() -> None:
 
 
 def test_the_document_holds_figures_and_assumptions() -> None:
-    document = VIEW.document()["item"]
+    document: Any = VIEW.document()["item"]
     assert document["assumptions"] == ["all is well"]
     scheme = document["schemes"][0]
     assert scheme["figures"]["latency"] == [{"mean": 4.001, "std": 0.5, "half_ci95": 0.1, "run_count": 5}]
@@ -108,11 +110,12 @@ def test_replayed_variants_stand_side_by_side() -> None:
         lines[3]
         == "note: never recorded as running, so their usage is taken from their demand: slam-robot2, slam-robot10 (2)"
     )
-    assert view.document()["items"][0]["assumed"] == [
+    items: Any = view.document()["items"]
+    assert items[0]["assumed"] == [
         "slam-robot10",
         "slam-robot2",
     ]
-    assert view.document()["items"][0]["utilisation"]["cpu"] == {"mean": 0.5, "peak": 1.2}
+    assert items[0]["utilisation"]["cpu"] == {"mean": 0.5, "peak": 1.2}
 
 
 def test_where_nothing_was_recorded_no_number_is_shown() -> None:

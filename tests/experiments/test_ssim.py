@@ -1,6 +1,7 @@
 """SSIM of images with known values, and refused files."""
 
 import random
+from typing import Any
 
 import numpy as np
 import pytest
@@ -34,7 +35,7 @@ def by_formula(one: Rows, other: Rows) -> float:
     return float(top / ((a.mean() ** 2 + b.mean() ** 2 + C1) * (a.var(ddof=1) + b.var(ddof=1) + C2)))
 
 
-def noise(seed: int, size: int = 7) -> Rows:
+def noise(seed: int, size: int = 7) -> np.ndarray[Any, Any]:
     return np.random.default_rng(seed).integers(0, 256, (size, size))
 
 

@@ -17,6 +17,10 @@ from edgectl.export.prometheus import MAX_CONNECTIONS, bind_metrics_server
 from tests.export.metrics_inputs import a_metrics_input
 
 
+def address_of(made: ThreadingHTTPServer) -> tuple[str, int]:
+    return "127.0.0.1", made.server_port
+
+
 @contextlib.contextmanager
 def run_server(*, fails: bool = False) -> Iterator[tuple[ThreadingHTTPServer, list[str]]]:
     said: list[str] = []
@@ -42,10 +46,10 @@ def run_server(*, fails: bool = False) -> Iterator[tuple[ThreadingHTTPServer, li
 def test_more_connections_than_there_is_room_for_are_hung_up_on() -> None:
     with run_server() as (made, _), contextlib.ExitStack() as stack:
         idle = [
-            stack.enter_context(socket.create_connection(made.server_address[:2], timeout=60))
+            stack.enter_context(socket.create_connection(address_of(made), timeout=60))
             for _ in range(MAX_CONNECTIONS)
-        ]  # type: ignore[arg-type]
-        with socket.create_connection(made.server_address[:2], timeout=60) as late:  # type: ignore[arg-type]
+        ]
+        with socket.create_connection(address_of(made), timeout=60) as late:
             assert late.recv(1) == b""
         assert select.select(idle, [], [], 0)[0] == [], "those before it are still served"
         idle[0].sendall(b"GET /metrics HTTP/1.0\r\n\r\n")

@@ -167,11 +167,11 @@ def start_unit(manager: UserSystemd, units: dict[str, str], name: str) -> dict[s
     shown = dict(
         line.split("=", 1) for line in run_systemctl(manager, "show", name).stdout.splitlines() if "=" in line
     )
-    said = manager.folder / "said"
+    output = manager.folder / "said"
     return {
         **shown,
         "ok": "yes" if done.returncode == 0 else done.stderr,
-        "said": said.read_text() if said.exists() else "",
+        "said": output.read_text() if output.exists() else "",
     }
 
 

@@ -30,7 +30,7 @@ def main() -> int:
     parser.add_argument("--code", type=Path, help="directory of another edgectl package to test")
     options = parser.parse_args()
     with ThreadPoolExecutor(options.jobs) as pool:
-        rows = list(pool.map(lambda case: run_case(*case, options), list_cases(options)))
+        rows = list(pool.map(lambda case: run_case(case[0], case[1], case[2], options), list_cases(options)))
     print(format_table(rows))
     return 0 if rows and all(row.good for row in rows) else 1
 

@@ -1,5 +1,4 @@
 # Hosts may have Python 3.6, so:
-# ruff: noqa: ANN001, ANN003, ANN201
 """Unrelated process that records every signal it receives, and the sender.
 
 Started on a host beside the tasks, with a command line that resembles theirs. Python >= 3.6, standard
@@ -18,12 +17,12 @@ BOOTTIME = 7
 DEADLY = {signal.SIGKILL, signal.SIGSTOP}
 
 
-def write_event(record, event, **more):
+def write_event(record: int, event: str, **more: object) -> None:
     line = dict(more, pid=os.getpid(), event=event, ns=int(time.clock_gettime(BOOTTIME) * 1e9))
     os.write(record, (json.dumps(line) + "\n").encode())
 
 
-def main(path):
+def main(path: str) -> None:
     watched = set(signal.Signals) - DEADLY
     signal.pthread_sigmask(signal.SIG_BLOCK, watched)
     record = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)

@@ -15,6 +15,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from tests.faults import failpoint_runner, oracle, scan
 from tests.faults.command_result import WORST_S, CommandResult, ExpectationError
@@ -311,9 +312,9 @@ class FaultFleet:
     def has_stopped(self, task: str) -> bool:
         """Whether the last launch of the task reported its end."""
         found = oracle.group_by_task(oracle.list_lifetimes(self.records)).get(task)
-        return bool(found) and found[-1].stopped
+        return found[-1].stopped if found else False
 
-    def probe_host(self, host: str) -> dict[str, object]:
+    def probe_host(self, host: str) -> dict[str, Any]:
         """Return edgectl's measurement of the host."""
         hosts = self.run_edgectl("probe", "-o", "json").expect_exit(0, 4).data["hosts"]
         assert isinstance(hosts, dict)

@@ -1,5 +1,5 @@
 # Hosts may have Python 3.6, so:
-# ruff: noqa: ANN001, ANN003, ANN201, ANN202, ANN204, PTH100, PTH109, PTH110, PTH118, PTH123, RUF005, UP030, UP032
+# ruff: noqa: PTH100, PTH109, PTH110, PTH118, PTH123, RUF005, UP030, UP032
 """Task that records its own life: every process appends its events to a file of its own.
 
 Runs on hosts: Python >= 3.6, standard library, one file, no import of edgectl. One start of the task is a
@@ -21,7 +21,7 @@ BOOTTIME = 7  # Python 3.6 has no time.CLOCK_BOOTTIME
 ROLES = ("child", "daemon", "session")
 
 
-def parse_arguments(argv):
+def parse_arguments(argv: "list[str]") -> argparse.Namespace:
     parser = argparse.ArgumentParser()
     parser.add_argument("--dir", required=True, help="directory of the records")
     parser.add_argument("--task", required=True)
@@ -63,7 +63,7 @@ def parse_arguments(argv):
 class EventFile:
     """Event file of one process."""
 
-    def __init__(self, options):
+    def __init__(self, options: argparse.Namespace) -> None:
         self.head = {
             "task": options.task,
             "launch": options.launch,
@@ -74,12 +74,12 @@ class EventFile:
         name = "{0}.{1}.{2}.jsonl".format(options.launch, options.role, os.urandom(3).hex())
         self.file = os.open(os.path.join(options.dir, name), os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
 
-    def write(self, event, **more):
+    def write(self, event: str, **more: object) -> None:
         line = dict(self.head, event=event, ns=int(time.clock_gettime(BOOTTIME) * 1e9), **more)
         os.write(self.file, (json.dumps(line) + "\n").encode())
 
 
-def start_process(options, argv, role):
+def start_process(options: argparse.Namespace, argv: "list[str]", role: str) -> None:
     """Start one further process of this launch."""
     command = (
         [sys.executable, os.path.abspath(__file__)] + argv + ["--launch", options.launch, "--role", role]
@@ -108,8 +108,8 @@ def start_process(options, argv, role):
     os.execve(sys.executable, command, environment)
 
 
-def record_signals(options, record, state):
-    def heard(number, _frame):
+def record_signals(options: argparse.Namespace, record: EventFile, state: "dict[str, bool]") -> None:
+    def heard(number: int, _frame: object) -> None:
         record.write(signal.Signals(number).name)
         if not options.deaf:
             state["end"] = True
@@ -118,7 +118,7 @@ def record_signals(options, record, state):
         signal.signal(number, heard)
 
 
-def write_output(options):
+def write_output(options: argparse.Namespace) -> None:
     """Write the requested output of one period."""
     if options.garbage:
         os.write(1, b"\xff\xfe\x00\xc3\x28\x1b]0;owned\x07\x9b31m" + os.urandom(32))
@@ -127,7 +127,7 @@ def write_output(options):
         os.write(1, (b"spam" * 20 + b"\n") * max(1, count // 81))
 
 
-def run_main_process(options, record):
+def run_main_process(options: argparse.Namespace, record: EventFile) -> int:
     state = {"end": False}
     record_signals(options, record, state)
     begun = time.monotonic()
@@ -137,7 +137,7 @@ def run_main_process(options, record):
         age = time.monotonic() - begun
         if options.role == "main" and options.seconds and age >= options.seconds:
             record.write("stop", code=options.code)
-            return options.code
+            return int(options.code)
         if (
             options.role == "main"
             and options.touch
@@ -153,7 +153,7 @@ def run_main_process(options, record):
     return 0
 
 
-def main(argv):
+def main(argv: "list[str]") -> int:
     if "LD_PRELOAD" in os.environ:  # the records need an unskewed clock
         environment = {name: value for name, value in os.environ.items() if name != "LD_PRELOAD"}
         os.execve(sys.executable, [sys.executable, os.path.abspath(__file__)] + argv, environment)

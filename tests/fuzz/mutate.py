@@ -39,7 +39,7 @@ def damage_seed(chance: random.Random, seeds: list[bytes]) -> bytes:
     return bytes(data[: chance.randint(0, len(data))] if chance.random() < 0.3 else data)
 
 
-def _choose_span(chance: random.Random, data: bytes) -> tuple[int, int]:
+def _choose_span(chance: random.Random, data: bytes | bytearray) -> tuple[int, int]:
     start = chance.randint(0, len(data))
     return start, min(len(data), start + chance.choice((0, 1, 2, 4, 8, 16, 64, 256)))
 

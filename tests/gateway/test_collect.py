@@ -2,6 +2,8 @@
 
 import threading
 import time
+from collections.abc import Callable
+from typing import Any
 
 import pytest
 
@@ -92,7 +94,7 @@ def test_hosts_are_asked_at_once_and_each_is_told_as_it_ends() -> None:
 
     together = threading.Barrier(16)
 
-    def slow(name: str):  # noqa: ANN202
+    def slow(name: str) -> Callable[[dict[str, object]], dict[str, object]]:
         def answer(request: dict[str, object]) -> dict[str, object]:
             together.wait(30)
             time.sleep(0.3)
@@ -192,14 +194,16 @@ def test_what_is_asked_depends_on_the_host() -> None:
         {"robot": "robot2", "address": "robot2.lab"},
     ]
     assert asked["edge1"]["detect"] == [{"task": "roscore", "cmdline": "rosmaster"}]
-    (check,) = asked["edge1"]["checks"]  # type: ignore[misc]
+    checks: Any = asked["edge1"]["checks"]
+    (check,) = checks
     assert (check["task"], check["always"], check["timeout_s"]) == (
         "slam",
         False,
         10.8,
     )  # 15 - .2 - 4: it must not fail the probe
     assert check["env"]["EDGECTL_ROBOT"] == "robot1"
-    names = {entry["task"]: entry["always"] for entry in asked["robot1"]["checks"]}  # type: ignore[attr-defined]
+    of_robot: Any = asked["robot1"]["checks"]
+    names = {entry["task"]: entry["always"] for entry in of_robot}
     assert names == {"slam": False, "mission": True}
     assert asked["robot1"]["links"] == []
 

@@ -5,6 +5,7 @@ import json
 import math
 import random
 from collections.abc import Callable
+from typing import Any
 
 import pytest
 
@@ -70,9 +71,9 @@ def a_document(**fields: object) -> Document:
     }
 
 
-def decode_document(document: Document, host: Host | None = None, **context: object) -> HostSample:
-    settings = {"robots": ("robot1",), "answered_at": NOW, **context}
-    return decode_host_sample(document, ReplyContext(host=host or an_edge("edge1"), **settings))  # type: ignore[arg-type]
+def decode_document(document: Document, host: Host | None = None, **context: Any) -> HostSample:
+    settings: dict[str, Any] = {"robots": ("robot1",), "answered_at": NOW, **context}
+    return decode_host_sample(document, ReplyContext(host=host or an_edge("edge1"), **settings))
 
 
 def test_a_device_is_what_it_says() -> None:
@@ -135,7 +136,7 @@ def test_a_check_that_does_not_say_yes_changes_nothing(check: Document) -> None:
     ],
 )
 def test_a_links_capacity_is_declared_measured_nominal_or_assumed(
-    context: dict[str, object], speed: float | None, expected: tuple[float, CapacitySource]
+    context: dict[str, Any], speed: float | None, expected: tuple[float, CapacitySource]
 ) -> None:
     interfaces = {"eth0": {"rx_bytes_per_s": 0.0, "tx_bytes_per_s": 0.0, "speed_bytes_per_s": speed}}
     link = decode_document(a_document(interfaces=interfaces), **context).links["robot1"]

@@ -119,7 +119,7 @@ def run_trial(trial: NoiseTrial) -> list[tuple[int, str]]:
             edge: sample_host(trial, site, edge, trial.step if edge == stepped else (0.0, 0.0, 0.0), dice)
             for edge in BASE
         }
-        snapshot = a_snapshot(taken_at=now, **measured)
+        snapshot = a_snapshot(measured, taken_at=now)
         before = smooth_snapshot(before, snapshot, period=trial.period_s) if trial.smooth else snapshot
         placements = {task: Placement(host=host, since=site.since[task]) for task, host in site.where.items()}
         memory = ManagerState(managed=True, placements=placements, downtimes=downtimes, stays=site.stays)

@@ -40,7 +40,7 @@ def paper_snapshot(placed: dict[str, str]) -> Snapshot:
         samples[robot] = a_sample(
             tasks={name: a_paper_run(name) for name, host in placed.items() if host == robot}
         )
-    return a_snapshot(**samples)
+    return a_snapshot(samples)
 
 
 def a_paper_run(name: str) -> TaskSample:

@@ -43,11 +43,15 @@ def run_assign(inventory: Inventory, tasks: Tasks, snapshot: Snapshot, policy: P
 
 
 def explain_slam(
-    inventory: Inventory, tasks: Tasks, snapshot: Snapshot, policy: Policy, **noise: TermNoise
+    inventory: Inventory,
+    tasks: Tasks,
+    snapshot: Snapshot,
+    policy: Policy,
+    noise: dict[str, TermNoise] | None = None,
 ) -> Explanation:
     assignment = run_assign(inventory, tasks, snapshot, policy)
     return explain_decision(
-        inventory, tasks.tasks["slam"], snapshot, assignment.decisions[0], assignment.policy, noise or None
+        inventory, tasks.tasks["slam"], snapshot, assignment.decisions[0], assignment.policy, noise
     )
 
 
@@ -115,11 +119,11 @@ def test_an_unplaced_task_says_what_would_have_to_go() -> None:
 
 def test_a_lead_within_the_noise_is_fragile() -> None:
     noise = {"edge1": TermNoise(cpu=0.03), "edge2": TermNoise(cpu=0.04)}
-    near = explain_slam(*two_edges(1.0, 1.16), CPU, **noise)
+    near = explain_slam(*two_edges(1.0, 1.16), CPU, noise)
     assert near.noise == pytest.approx(0.05)
     assert near.slack == pytest.approx(0.04)
     assert near.fragile
-    assert not explain_slam(*two_edges(1.0, 2.0), CPU, **noise).fragile
+    assert not explain_slam(*two_edges(1.0, 2.0), CPU, noise).fragile
     assert not explain_slam(*two_edges(1.0, 1.0001), CPU).fragile, "nothing is known of the noise"
 
 
@@ -153,7 +157,7 @@ def draw_inputs(draw: st.DrawFn) -> tuple[Inventory, Tasks, Snapshot, Policy]:
     return (
         inventory,
         some_tasks(task),
-        a_snapshot(memory=ManagerState(managed=True, placements=placements), **samples),
+        a_snapshot(samples, memory=ManagerState(managed=True, placements=placements)),
         policy,
     )
 

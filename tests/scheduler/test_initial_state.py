@@ -1,6 +1,7 @@
 """Initial state of a plan: completed, unmanaged, held and doubled tasks; unreachable hosts and robots."""
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
@@ -278,7 +279,7 @@ def test_a_robot_that_is_never_probed_is_taken_as_reachable() -> None:
     ],
 )
 def test_of_two_copies_the_newer_assignment_wins(
-    first: dict[str, object], second: dict[str, object], memory: ManagerState, winner: str
+    first: dict[str, Any], second: dict[str, Any], memory: ManagerState, winner: str
 ) -> None:
     snapshot = a_snapshot(
         edge1=a_sample(used=1.0, tasks={"slam": a_run(used=Usage(cpu=1.0), **first)}),

@@ -64,7 +64,7 @@ def test_paper_follows_a_predecessor_to_where_nothing_fits(others: int) -> None:
     """cpu (4 - 3.9 - .5)/4 = -.1 and the reward 1 outweigh cpu .875 and the reward -1 on any other edge."""
     edges = [f"edge{number}" for number in range(1, others + 2)]
     full = a_sample(used=3.9, tasks={"slam": a_run()})
-    world = a_snapshot(edge1=full, **{edge: a_sample() for edge in edges[1:]})
+    world = a_snapshot({edge: a_sample() for edge in edges[1:]}, edge1=full)
     tasks = some_tasks(a_task("nav", cpu=0.5, needs=["slam"]), a_task("slam", managed=False))
     nav = decisions_by_task(
         run_assign(an_inventory(*map(an_edge, edges)), tasks, world, policy=a_policy("paper"))

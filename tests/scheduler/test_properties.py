@@ -1,8 +1,10 @@
 """Properties that hold for every fleet (safety: a bad thing never happens)."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from random import Random
+from typing import TypeVar
 
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
@@ -32,6 +34,8 @@ from tests.builders import (
     some_tasks,
 )
 from tests.scheduler.fleets import decisions_by_task, hosts_by_task, simulate_apply
+
+Value = TypeVar("Value")
 
 ROBOTS = ("robot1", "robot2")
 quick = settings(max_examples=60)
@@ -152,7 +156,7 @@ def cases(draw: st.DrawFn) -> Case:
     return Case(
         inventory=an_inventory(*edges, *robots),
         tasks=some_tasks(*tasks),
-        snapshot=a_snapshot(**samples),
+        snapshot=a_snapshot(samples),
         memory=memory,
         policy=policy,
     )
@@ -200,16 +204,16 @@ def test_rank_1_is_the_argmax_and_leads_are_what_they_say(case: Case) -> None:
 @quick
 @given(cases(), st.randoms(use_true_random=False))
 def test_the_order_of_the_files_is_irrelevant(case: Case, dice: Random) -> None:
-    def shuffled(mapping: dict[str, object]) -> dict[str, object]:
+    def shuffled(mapping: Mapping[str, Value]) -> dict[str, Value]:
         items = list(mapping.items())
         dice.shuffle(items)
         return dict(items)
 
     other = replace(
         case,
-        inventory=replace(case.inventory, hosts=shuffled(dict(case.inventory.hosts))),
-        tasks=replace(case.tasks, tasks=shuffled(dict(case.tasks.tasks))),
-        snapshot=replace(case.snapshot, hosts=shuffled(dict(case.snapshot.hosts))),
+        inventory=replace(case.inventory, hosts=shuffled(case.inventory.hosts)),
+        tasks=replace(case.tasks, tasks=shuffled(case.tasks.tasks)),
+        snapshot=replace(case.snapshot, hosts=shuffled(case.snapshot.hosts)),
     )
     assert repr(other.assign()) == repr(case.assign())
 

@@ -4,6 +4,7 @@ return the newer copy wins.
 
 from dataclasses import dataclass, field, replace
 from random import Random
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -40,7 +41,7 @@ THREE = an_inventory(an_edge("edge1"), an_edge("edge2"), an_edge("edge3"))
 AROUND = a_snapshot(edge1=silent(), edge2=a_sample(), edge3=a_sample(used=1.0))
 
 
-def a_replaceable_task(name: str = "slam", **fields: object) -> Task:
+def a_replaceable_task(name: str = "slam", **fields: Any) -> Task:
     return a_task(
         name,
         **{
@@ -50,7 +51,7 @@ def a_replaceable_task(name: str = "slam", **fields: object) -> Task:
             "cpu": 1.0,
             **fields,
         },
-    )  # type: ignore[arg-type]
+    )
 
 
 def a_manager_state(
@@ -266,7 +267,7 @@ class FleetTruth:
         contact = {**self.memory.contact, **dict.fromkeys(heard, self.now)}
         self.memory = replace(self.memory, contact=contact, fenced=self.memory.fenced - set(heard))
         snapshot = a_snapshot(
-            taken_at=self.now, **{host: self._sample(host) if host in heard else silent() for host in EDGES}
+            {host: self._sample(host) if host in heard else silent() for host in EDGES}, taken_at=self.now
         )
         plan = plan_from_assignment(
             FLEET,

@@ -47,7 +47,7 @@ def a_view(seed: int) -> CandidateSet:
         ) if dice.random() < 0.9 else silent()
         for n in range(30)
     }  # fmt: skip
-    amounts = [0.0, "10%", "40%", None]
+    amounts: list[float | str | None] = [0.0, "10%", "40%", None]
     task = a_task(
         cpu=dice.choice([*amounts, 0.7]), memory=dice.choice([*amounts, GI]), throughput=dice.choice([*amounts, 1e6]),
         robots=dice.sample(robots, dice.randint(0, 2)), never=["edge3"], needs=["a", "b"],
@@ -60,7 +60,7 @@ def a_view(seed: int) -> CandidateSet:
         ) for kind in kinds if dice.random() < 0.7},
     )  # fmt: skip
     fleet = add_measured_demands(
-        build_capacities(inventory, a_snapshot(**samples), memory, frozenset({"edge5"})),
+        build_capacities(inventory, a_snapshot(samples), memory, frozenset({"edge5"})),
         some_tasks(task),
         memory,
     )
@@ -107,7 +107,7 @@ def test_a_long_ranking_keeps_the_winner_the_incumbent_and_the_best_16() -> None
     memory = ManagerState(managed=True, cordons=frozenset({"edge93", "edge94"}))
     tasks = some_tasks(a_task(cpu=0.5, robots=["robot1"]))
     decision = run_assign(
-        inventory, tasks, a_snapshot(**samples), memory=memory, policy=Policy(weights=parse_weights("cpu"))
+        inventory, tasks, a_snapshot(samples), memory=memory, policy=Policy(weights=parse_weights("cpu"))
     ).decisions[0]
     assert (decision.host, decision.reason, decision.challenger) == ("edge1", Reason.GAIN, "edge2")
     assert [entry.host for entry in decision.ranking] == [*HUNDRED[:16], "edge60"]
@@ -118,7 +118,7 @@ def test_a_long_ranking_keeps_the_winner_the_incumbent_and_the_best_16() -> None
     full = run_assign(
         inventory,
         tasks,
-        a_snapshot(**samples),
+        a_snapshot(samples),
         memory=memory,
         policy=Policy(weights=parse_weights("cpu"), full=True),
     ).decisions[0]
@@ -136,7 +136,7 @@ def test_up_to_64_hosts_all_are_kept() -> None:
     decision = run_assign(
         inventory,
         some_tasks(a_task()),
-        a_snapshot(**{name: a_sample() for name in HUNDRED[:64]}),
+        a_snapshot({name: a_sample() for name in HUNDRED[:64]}),
         memory=NO_MEMORY,
     ).decisions[0]
     assert len(decision.ranking) == 64
@@ -144,7 +144,7 @@ def test_up_to_64_hosts_all_are_kept() -> None:
 
 def test_a_long_ranking_of_an_unplaced_task_shows_the_nearest_misses() -> None:
     inventory = an_inventory(*map(an_edge, HUNDRED))
-    snapshot = a_snapshot(**{name: a_sample(used=0.01 * n) for n, name in enumerate(HUNDRED)})
+    snapshot = a_snapshot({name: a_sample(used=0.01 * n) for n, name in enumerate(HUNDRED)})
     decision = run_assign(inventory, some_tasks(a_task(cpu=5.0)), snapshot).decisions[0]
     assert (decision.nearest, decision.rejection_counts) == ("edge1", {"insufficient": 84})
     assert [entry.host for entry in decision.ranking] == HUNDRED[:16]

@@ -10,7 +10,10 @@ from tests.sshd import Lab
 
 def test_the_gauge_sees_what_grows() -> None:
     before = take_reading()
-    kept = [object() for _ in range(10)], [[] for _ in range(TOLERANCE.objects + 100)]
+    kept: tuple[list[object], list[list[object]]] = (
+        [object() for _ in range(10)],
+        [[] for _ in range(TOLERANCE.objects + 100)],
+    )
     over = threading.Event()
     thread = threading.Thread(target=over.wait)
     thread.start()

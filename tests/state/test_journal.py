@@ -148,10 +148,12 @@ def test_a_full_disk_stops_the_caller(tmp_path: Path) -> None:
 
 def test_threads_keep_the_chain(tmp_path: Path) -> None:
     with Journal.open(tmp_path) as journal:
-        threads = [
-            threading.Thread(target=lambda: [journal.append("phase", task="t") for _ in range(10)])
-            for _ in range(8)
-        ]
+
+        def append_ten() -> None:
+            for _ in range(10):
+                journal.append("phase", task="t")
+
+        threads = [threading.Thread(target=append_ten) for _ in range(8)]
         for thread in threads:
             thread.start()
         for thread in threads:
@@ -177,10 +179,13 @@ def test_how_a_journal_stands_is_read_anew_only_where_it_changed(
         journal.append("phase", task="slam", phase="start", host="edge1")
         log = read_journal_cached(tmp_path / JOURNAL_FILE_NAME)
         assert (log.located, log.sound) == ({"slam": ("edge1", 7)}, False)
-        reads = []
-        monkeypatch.setattr(
-            "edgectl.state.journal_reader.read_journal", lambda path: reads.append(path) or read_journal(path)
-        )
+        reads: list[Path] = []
+
+        def note_read(path: Path) -> JournalSummary:
+            reads.append(path)
+            return read_journal(path)
+
+        monkeypatch.setattr("edgectl.state.journal_reader.read_journal", note_read)
         for _ in range(3):
             assert not read_journal_cached(tmp_path / JOURNAL_FILE_NAME).sound
         assert reads == []

@@ -70,10 +70,15 @@ def test_it_dies_with_its_holder_and_is_not_inherited(tmp_path: Path) -> None:
 
 def test_a_timeout_waits_for_the_holder(tmp_path: Path) -> None:
     process, child = hold_lock(tmp_path)
+
+    def kill_later() -> None:
+        time.sleep(0.3)
+        process.kill()
+
     try:
         with ThreadPoolExecutor(1) as pool:
             began = time.monotonic()
-            pool.submit(lambda: (time.sleep(0.3), process.kill()))
+            pool.submit(kill_later)
             with FleetLock(tmp_path, timeout=30.0):
                 assert 0.2 < time.monotonic() - began < patience(25)
     finally:

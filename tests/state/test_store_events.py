@@ -1,12 +1,14 @@
 """Events derived from consecutive snapshots and an apply between them, worked out by hand."""
 
 import dataclasses
+from typing import Any
 
+from edgectl.model.event import Event
 from edgectl.model.plan import Action
 from edgectl.model.result import ActionResult, Outcome, Phase, PhaseResult, Results
 from edgectl.model.snapshot import DeviceSample, HostSample, HostStatus, Snapshot, TaskSample, TaskState
 from edgectl.state.store_events import KnownFleet, KnownHost, KnownTask, detect_events, detect_result_events
-from tests.builders import NOW, a_sample, a_snapshot, silent
+from tests.builders import NOW, a_sample, silent
 
 NOTHING = KnownFleet()
 
@@ -26,7 +28,7 @@ def list_told_events(
     *pictures: Snapshot, known: KnownFleet = NOTHING, changing: bool = False
 ) -> tuple[list[tuple[str, ...]], KnownFleet]:
     """Return the events of the last snapshot after those before it: (kind, task or -, host or -, message)."""
-    events = ()
+    events: tuple[Event, ...] = ()
     for picture in pictures:
         events, known = detect_events(known, picture, changing=changing)
     return [
@@ -35,7 +37,7 @@ def list_told_events(
 
 
 def at(second: float, **hosts: HostSample) -> Snapshot:
-    return a_snapshot(taken_at=NOW + second, **hosts)
+    return Snapshot(taken_at=NOW + second, hosts=hosts)
 
 
 # -- hosts -------------------------------------------------------------------------------------------------------------------------------
@@ -90,7 +92,7 @@ def list_events_after(
     """Return the events of a second snapshot with ``now`` on ``host``, after ``before`` (a ready task) on
     edge1.
     """
-    there = {"slam": now} if now is not None else {}
+    there: dict[str, Any] = {"slam": now} if now is not None else {}
     hosts = {"edge1": a_host(), "edge2": a_host()} | {host: a_host(**there)}
     return list_told_events(at(0, edge1=a_host(slam=before or a_task()), edge2=a_host()), at(10, **hosts))[0]
 

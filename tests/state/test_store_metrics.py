@@ -6,6 +6,7 @@ import sqlite3
 import threading
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -85,7 +86,7 @@ def test_old_values_go_as_samples_do(tmp_path: Path) -> None:
     assert left == {"metrics": 1, "starts": 2}
 
 
-def list_columns(directory: Path, sql: str) -> list[tuple[str, int]]:
+def list_columns(directory: Path, sql: str) -> list[tuple[Any, ...]]:
     connection = sqlite3.connect(directory / HISTORY_FILE_NAME)
     try:
         return connection.execute(sql).fetchall()

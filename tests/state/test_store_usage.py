@@ -9,7 +9,7 @@ from tests.builders import NOW, a_run, a_sample, a_snapshot
 
 def record_samples(store: Store, at: float, host: str, **changes: object) -> None:
     run: TaskSample = a_run(**{"started_at": NOW, "spec_hash": "s1", **changes})  # type: ignore[arg-type]
-    store.record_snapshot(a_snapshot(taken_at=NOW + at, **{host: a_sample(tasks={"slam": run})}))
+    store.record_snapshot(a_snapshot({host: a_sample(tasks={"slam": run})}, taken_at=NOW + at))
 
 
 def list_cores(store: Store, *hosts: str, limit: int = 100) -> list[float]:
@@ -43,7 +43,6 @@ def test_a_use_is_read_whole(tmp_path: Path) -> None:
             used_bytes_per_s=30.0,
             links={"robot1": 10.0, "robot2": 20.0},
         )
-        assert store.steady_usages("slam", ["edge1"], "s1", min_age_s=10.0, limit=9) == (
-            (NOW + 100, 0.5, 7.0, 30.0, 2),
-        )
+        (usage,) = store.steady_usages("slam", ["edge1"], "s1", min_age_s=10.0, limit=9)
+        assert tuple(usage) == (NOW + 100, 0.5, 7.0, 30.0, 2)
         assert store.steady_usages("other", ["edge1"], "s1", min_age_s=10.0, limit=9) == ()

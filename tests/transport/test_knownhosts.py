@@ -98,7 +98,7 @@ def test_lines_mean_what_ssh_makes_of_them(lab: Lab, others: dict[str, str], kin
         is expected
     )
 
-    command = [
+    command: list[str | Path] = [
         "ssh",
         "-F",
         lab.ssh_config,

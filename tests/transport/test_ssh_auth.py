@@ -183,14 +183,14 @@ class PasswordOnly(paramiko.ServerInterface):
         return "publickey,password"
 
     def check_auth_publickey(self, username: str, key: paramiko.PKey) -> int:
-        return paramiko.AUTH_FAILED
+        return paramiko.common.AUTH_FAILED
 
     def check_auth_password(self, username: str, password: str) -> int:
         self.tried.append(password)
-        return paramiko.AUTH_SUCCESSFUL if password == "sesame" else paramiko.AUTH_FAILED
+        return paramiko.common.AUTH_SUCCESSFUL if password == "sesame" else paramiko.common.AUTH_FAILED
 
     def check_channel_request(self, kind: str, chanid: int) -> int:
-        return paramiko.OPEN_SUCCEEDED
+        return paramiko.common.OPEN_SUCCEEDED
 
     def check_channel_exec_request(self, channel: paramiko.Channel, command: bytes) -> bool:
         threading.Thread(target=self._answer, args=(channel,)).start()

@@ -164,7 +164,7 @@ def crowded(hosts: int, tasks: int) -> Frame:
     }
     inventory = an_inventory(*map(an_edge, every))
     return Frame(
-        snapshot=a_snapshot(**every),
+        snapshot=a_snapshot(every),
         inventory=inventory,
         tasks=some_tasks(*map(a_task, runs)),
         host_points=frame.host_points,

@@ -60,7 +60,7 @@ def record_samples(fleet: Fleet, *, samples: int = 100, cores: float = 4.0, host
                 used=Usage(cpu=(n + 1) / 100, memory=GI, network=1e5),
             )
             sample = a_sample(cores=cores, memory=8 * GI, links={"robot1": a_link()}, tasks={"slam": run})
-            store.record_snapshot(a_snapshot(taken_at=NOW - 10 * (samples - n), **{host: sample}))
+            store.record_snapshot(a_snapshot({host: sample}, taken_at=NOW - 10 * (samples - n)))
 
 
 def a_seen_snapshot(fleet: Fleet) -> Snapshot:

@@ -64,7 +64,7 @@ def test_the_tasks_of_the_host_leave_and_it_stays_closed(bench: Bench) -> None:
     assert {step.task: step.action for step in drained.applied.plan.steps} == {"slam": Action.MOVE}
     assert bench.hosts.placed == {"slam": "edge2", "camera": "edge2"}
     assert "check safe robot1" in bench.hosts.world.events
-    assert bench.marks == ({"edge1"}, {"edge1"})
+    assert bench.marks == (frozenset({"edge1"}), frozenset({"edge1"}))
     assert list_revisions(bench.fleet)[-1].verb == "drain"
     assert not make_plan(bench.fleet, POLICY).changes
     operator_marks.uncordon_hosts(bench.fleet, ["edge1"])
@@ -105,7 +105,7 @@ def test_at_the_deadline_it_is_said_what_is_left(bench: Bench) -> None:
     drained = bench.drain("edge1", timeout=0.3)
     assert drained.left == (("slam", "edge1"),)
     assert bench.hosts.placed["slam"] == "edge1"
-    assert bench.marks == ({"edge1"}, {"edge1"})
+    assert bench.marks == (frozenset({"edge1"}), frozenset({"edge1"}))
 
 
 def test_what_fits_nowhere_is_left_and_not_waited_for(bench: Bench) -> None:

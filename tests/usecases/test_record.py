@@ -4,6 +4,7 @@ import dataclasses
 import gc
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -167,7 +168,13 @@ def test_events_are_followed_even_into_another_history(bench: Bench, tmp_path: P
         bench.hosts["edge1"].faults["probe"] = ConnectError("connection refused", host="edge1")
         probe_fleet(bench.fleet)
 
-    steps = iter([lambda: None, lambda: stop_tasks(bench.fleet, ["navigation"]), begin_anew, lambda: None])
+    changes: list[Callable[[], object]] = [
+        lambda: None,
+        lambda: stop_tasks(bench.fleet, ["navigation"]),
+        begin_anew,
+        lambda: None,
+    ]
+    steps = iter(changes)
 
     def told_to_end() -> bool:
         step = next(steps, None)

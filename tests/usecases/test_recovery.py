@@ -211,11 +211,9 @@ def test_a_robot_holds_until_an_instance_is_ready(killed: bool, tmp_path: Path) 
             scene, list_failpoints(prepare_move(tmp_path / "whole")).index("stop acknowledged") + 1
         )
     else:
-        (failed,) = (
-            result
-            for result in plan_and_apply(scene.ready, POLICY, options=ONE_BY_ONE).results.actions
-            if result.task == "slam"
-        )  # type: ignore[union-attr]
+        results = plan_and_apply(scene.ready, POLICY, options=ONE_BY_ONE).results
+        assert results is not None
+        (failed,) = (result for result in results.actions if result.task == "slam")
         assert "robot1 STILL HOLDS" in failed.error
     assert _count_releases(scene) == 0
     plan_and_apply(scene.ready, POLICY, options=ONE_BY_ONE)

@@ -89,7 +89,12 @@ def test_apply_starts_what_is_missing_and_a_second_one_changes_nothing(bench: Be
 
 def test_a_declined_plan_touches_nothing(bench: Bench) -> None:
     shown: list[Plan] = []
-    applied = plan_and_apply(bench.fleet, POLICY, lambda made: bool(shown.append(made)))
+
+    def decline(made: Plan) -> bool:
+        shown.append(made)
+        return False
+
+    applied = plan_and_apply(bench.fleet, POLICY, decline)
     assert applied.declined
     assert shown[0].summary == {Action.START: 2}
     assert bench.hosts.world.events == []

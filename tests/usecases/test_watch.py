@@ -123,9 +123,12 @@ def test_a_host_that_flaps_costs_no_move(site: WatchSite) -> None:
 def test_a_failing_action_is_not_repeated_in_every_cycle(site: WatchSite) -> None:
     for edge in ("edge1", "edge2"):
         site.hosts[edge].faults["start:slam"] = RefusedError("disk full")
-    cycles = list(
-        site.watch(55, {40: lambda: [site.hosts[edge].faults.clear() for edge in ("edge1", "edge2")]})
-    )
+
+    def repair() -> None:
+        for edge in ("edge1", "edge2"):
+            site.hosts[edge].faults.clear()
+
+    cycles = list(site.watch(55, {40: repair}))
     tried = [number for number, actions in list_actions(cycles).items() if ("slam", Action.START) in actions]
     assert tried[0] == 1
     assert 4 <= len(tried) <= 7, tried
@@ -267,10 +270,13 @@ def test_the_journal_says_who_did_it(site: WatchSite) -> None:
 def test_tasks_that_fence_themselves_hear_of_it_between_the_cycles(tmp_path: Path) -> None:
     site = WatchSite(tmp_path, tasks=some_tasks(a_task("slam", cpu=1.0, self_fence=0.2)))
     asked: list[str] = []
+
+    def answer(request: dict[str, object]) -> dict[str, object]:
+        asked.append(str(request["host"]))
+        return {"tasks": {}}
+
     for name in ("edge1", "edge2"):
-        site.hosts[name].faults["status"] = lambda request: (
-            asked.append(str(request["host"])) or {"tasks": {}}
-        )  # type: ignore[func-returns-value]
+        site.hosts[name].faults["status"] = answer
 
     class Patiently(Control):
         def wait(self, seconds: float) -> ControlRequest | None:

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 from edgectl.model.cycle import Cycle
 from edgectl.model.inventory import Host, Inventory
@@ -80,14 +81,14 @@ class WatchSite:
         )
 
     def watch(
-        self, cycles: int, between: Mapping[int, Callable[[], object]] | None = None, **changes: object
+        self, cycles: int, between: Mapping[int, Callable[[], object]] | None = None, **changes: Any
     ) -> Iterator[Cycle]:
         """Run the watch; events in ``between`` happen after the cycle of that number. Changes are for
         `WatchOptions`.
         """
         options = dataclasses.replace(
             WatchOptions(every=EVERY, apply=True, control=self.control, cycles=cycles), **changes
-        )  # type: ignore[arg-type]
+        )
         with closing(watch_fleet(self.fleet, options)) as running:
             for cycle in islice(running, 2 * cycles):
                 yield cycle
@@ -101,7 +102,7 @@ class UnrecordedTransport(FakeTransport):
         super().__init__({})
         self.within = within
         self.connected: dict[str, int] = {}
-        within._note = lambda _host, _request: None  # type: ignore[method-assign]
+        within._note = lambda name, request: None  # type: ignore[method-assign]
 
     def connect(self, host: Host, *, timeout: float) -> FakeSession:
         self.connected[host.name] = self.connected.get(host.name, 0) + 1

@@ -96,7 +96,7 @@ def edge1() -> HostSample:
 
 
 def snapshot(**hosts: HostSample) -> Snapshot:
-    return a_snapshot(**{"edge1": edge1(), "edge2": silent(), "robot1": a_sample(), **hosts}, memory=MEMORY)
+    return a_snapshot({"edge1": edge1(), "edge2": silent(), "robot1": a_sample(), **hosts}, memory=MEMORY)
 
 
 def host_view(name: str) -> HostDetailsView:

@@ -299,7 +299,10 @@ def test_numbers_are_rounded_at_the_encoder() -> None:
 
 
 def test_csv_joins_the_keys_of_objects() -> None:
-    rows = [{"task": "a", "memory": {"used_bytes": 2}, "names": ["x"]}, {"task": 'b,"', "pid": None}]
+    rows: list[dict[str, object]] = [
+        {"task": "a", "memory": {"used_bytes": 2}, "names": ["x"]},
+        {"task": 'b,"', "pid": None},
+    ]
     assert encoder.encode_csv(rows) == 'task,memory_used_bytes,names,pid\na,2,"[""x""]",\n"b,""",,,\n'
     assert encoder.encode_csv([]) == ""
 

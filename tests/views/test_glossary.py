@@ -126,7 +126,7 @@ def test_every_view_is_walked() -> None:
     assert {each.__name__ for each in list_classes(View)} - files == {type(view).__name__ for view in VIEWS}
 
 
-def list_classes(base: type) -> Iterator[type]:
+def list_classes(base: type[View]) -> Iterator[type[View]]:
     for each in base.__subclasses__():
         if each not in (ItemView, ListView):
             yield each

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from typing import Any
 
 import pytest
 import yaml
@@ -54,7 +55,7 @@ MEMORY = ManagerState(
 )  # fmt: skip
 
 
-def snapshot(**fields: object) -> Snapshot:
+def snapshot(**fields: Any) -> Snapshot:
     runs = {
         "slam": a_run(started_at=NOW - 192, metrics={"fps": 29.97, "loss": 0.03125}),
         "nav": a_run(TaskState.CRASHLOOP, pid=0, restarts=5, last_exit=1),

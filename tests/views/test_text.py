@@ -7,6 +7,7 @@ import pytest
 from edgectl.views.text import (
     Cell,
     RenderOptions,
+    Row,
     compute_remaining_width,
     detect_render_options,
     is_within_width,
@@ -14,7 +15,7 @@ from edgectl.views.text import (
     wrap_text,
 )
 
-ROWS = [
+ROWS: list[Row] = [
     ("NAME", "STATE", "N", "REASON"),
     (
         Cell("slam-robot1", "name"),
@@ -78,7 +79,7 @@ def test_lists_break_after_commas_and_names_stay_whole() -> None:
 
 
 def test_headings_of_several_words_wrap_before_anything_else() -> None:
-    rows = [
+    rows: list[Row] = [
         (Cell("TASK", "head"), Cell("CPU DEMAND", "head"), Cell("READY", "head")),
         ("slam", "2.00", "yes"),
     ]

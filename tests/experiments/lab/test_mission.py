@@ -188,7 +188,7 @@ def test_a_mapper_elsewhere_goes_on_with_the_map(monkeypatch: pytest.MonkeyPatch
         serving = threading.Thread(target=server.serve_forever, args=(0.05,))
         serving.start()
         link = wire.Link("127.0.0.1", "robot1")
-        link.where = server.server_address
+        link.where = ("127.0.0.1", server.server_address[1])
         try:
             assert mapper.begin(link) == grid.empty()
             first = grid.empty()
