@@ -9,7 +9,9 @@ from typing import Annotated, Any
 from typer import Argument
 
 from edgectl.cli import console
+from edgectl.errors import UsageError
 from edgectl.names import check_known_names
+from edgectl.views.document_schema import DOCUMENT_KINDS, build_view_schema
 
 # Kind -> module below edgectl, and the function in it that builds the schema.
 SCHEMAS = {
@@ -23,24 +25,31 @@ SCHEMAS = {
     "run": ("experiments.files.run_codec", "RUN_KIND.schema"),
     "trial": ("experiments.files.run_codec", "TRIAL_KIND.schema"),
 }
+# Kind -> kind of the document that -o json prints. The experiment is a file too, and that has the name.
+DOCUMENTS = {"experiment-results" if kind == "experiment" else kind: kind for kind in DOCUMENT_KINDS}
 # Schemas of the files that a user edits.
 EDITED_KINDS = ("inventory", "tasks", "experiment", "scenario")
 
 
+def list_kinds() -> tuple[str, ...]:
+    """The kinds that have a schema: files first, then documents."""
+    return (*SCHEMAS, *DOCUMENTS)
+
+
 def _complete_kinds(incomplete: str) -> list[str]:
-    return [kind for kind in SCHEMAS if kind.startswith(incomplete)]
+    return [kind for kind in list_kinds() if kind.startswith(incomplete)]
 
 
 def schema_command(
     kind: Annotated[
-        str,
+        str | None,
         Argument(
             metavar="KIND",
             autocompletion=_complete_kinds,
-            help="inventory, tasks, snapshot, plan ..",
+            help="inventory, tasks, snapshot, plan, or the kind of a document: event, task-status ..",
             show_default=False,
         ),
-    ],
+    ] = None,
 ) -> None:
     """Print the JSON Schema (draft 2020-12) of a file or document.
 
@@ -49,13 +58,18 @@ def schema_command(
     Examples:
         edgectl schema inventory > inventory.schema.json
         edgectl schema plan
+        edgectl schema task-status
     """
-    check_known_names([kind], SCHEMAS, "kind")
+    if kind is None:
+        raise UsageError("Missing argument 'KIND'", hint="known: " + ", ".join(list_kinds()))
+    check_known_names([kind], list_kinds(), "kind")
     console.print_text(render_schema(kind))
 
 
 def build_schema(kind: str) -> dict[str, Any]:
-    """The schema of one of ``SCHEMAS``."""
+    """The schema of one of ``list_kinds``."""
+    if kind in DOCUMENTS:
+        return build_view_schema(DOCUMENTS[kind])
     module, name = SCHEMAS[kind]
     schema: dict[str, Any] = attrgetter(name)(import_module(f"edgectl.{module}"))()
     return schema

@@ -4,8 +4,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
-from edgectl.formats.codec import Schema, build_document_schema, decode, describe_json_type, encode
+from edgectl.formats.codec import build_document_schema, decode, encode
 from edgectl.formats.document import Document, Fault, Faults, FormatErrors
+from edgectl.formats.scalar_codecs import Schema, describe_json_type
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Plan
 from edgectl.model.snapshot import Snapshot

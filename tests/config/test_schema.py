@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from jsonschema import Draft202012Validator
 
-from edgectl.cli.schema import EDITED_KINDS, SCHEMAS, build_schema
+from edgectl.cli.schema import EDITED_KINDS, build_schema, list_kinds
 from tests.config import test_bad_inventories, test_bad_tasks
 from tests.config.broken_files import INVENTORY, TASKS, BrokenFile
 
@@ -41,7 +41,7 @@ def load(text: str) -> Any:
     return value_from_node(node) if node is not None else None
 
 
-@pytest.mark.parametrize("kind", SCHEMAS)
+@pytest.mark.parametrize("kind", list_kinds())
 def test_each_schema_is_one(kind: str) -> None:
     Draft202012Validator.check_schema(build_schema(kind))
 

@@ -5,6 +5,7 @@ from typing import Any
 
 from edgectl.model.event import Event
 from edgectl.model.plan import Action
+from edgectl.model.resource import Usage
 from edgectl.model.result import ActionResult, Outcome, Phase, PhaseResult, Results
 from edgectl.model.snapshot import DeviceSample, HostSample, HostStatus, Snapshot, TaskSample, TaskState
 from edgectl.state.store_events import KnownFleet, KnownHost, KnownTask, detect_events, detect_result_events
@@ -99,7 +100,7 @@ def list_events_after(
 
 def test_a_task_that_is_as_it_was_tells_nothing() -> None:
     assert list_events_after(a_task()) == []
-    assert list_events_after(a_task(used_cores=3.0, pid=7)) == []
+    assert list_events_after(a_task(used=Usage(cpu=3.0), pid=7)) == []
 
 
 def test_how_a_task_ends() -> None:

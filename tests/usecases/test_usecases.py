@@ -217,7 +217,7 @@ def test_a_stale_plan_is_refused_with_all_that_moved(bench: Bench) -> None:
     assert caught.value.changes == (
         "the task files changed",
         "the cordoned hosts changed",
-        "cpu of edge1 went from 0.00 to 0.41 cores",
+        "cpu of edge1 went from 0m to 0.41 cores",
         "slam runs on edge2 now",
         "robot1 no longer answers",
     )

@@ -50,7 +50,7 @@ REQUEST = {"host": "edge1", "phase": "start", "task": "slam", "command": "python
 
 def list_views() -> Iterator[View]:
     yield from (view for what, view in test_forms.views().items() if what not in ("plan", "snapshot"))
-    yield from (test_describe.host_view("edge1"), test_describe.host_view("edge2"))
+    yield from map(test_describe.host_view, ("edge1", "edge2", "robot1"))
     yield from (test_describe.task_view(), test_describe.task_view("idle"))
     yield from (test_top.hosts_view(), test_top.tasks_view(test_top.saying()))
     listing = test_listing.listed(ListingKind.TASKS)

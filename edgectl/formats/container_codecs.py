@@ -1,0 +1,147 @@
+"""Codecs of lists, sets, mappings and tables by resource, made from the codecs of their items."""
+
+from typing import Any
+
+from edgectl.formats.document import Fault, Faults, FieldPath
+from edgectl.formats.scalar_codecs import Codec, Schema, compile_plain, is_type, report_absent
+from edgectl.model.resource import ResourceMap
+
+
+def decode_each(codec: Codec, raw: list[Any], path: FieldPath, faults: Faults) -> list[Any]:
+    """The values of a list, where null is a fault."""
+    return [_decode_inner(codec, inner, (*path, index), faults) for index, inner in enumerate(raw)]
+
+
+def _decode_inner(codec: Codec, raw: Any, path: FieldPath, faults: Faults) -> Any:  # noqa: ANN401
+    """A value of a list or of an object, where null says nothing."""
+    if raw is None:
+        faults.append(Fault(path=path, message="must not be null"))
+        return None
+    return codec.decode(raw, path, faults)
+
+
+def compile_tuple(item: Codec, size: int | None) -> Codec:
+    """A list; ``size``: its length, None for any."""
+
+    def decode_list(raw: Any, path: FieldPath, faults: Faults) -> Any:  # noqa: ANN401
+        if not is_type(raw, list, path, faults):
+            return None
+        if size is not None and len(raw) != size:
+            faults.append(Fault(path=path, message=f"must be a list of {size}, not of {len(raw)}"))
+            return None
+        return tuple(decode_each(item, raw, path, faults))
+
+    limits = {} if size is None else {"minItems": size, "maxItems": size}
+    return Codec(
+        lambda values: [item.encode(value) for value in values],
+        decode_list,
+        lambda found: {"type": "array", "items": item.schema(found)} | limits,
+    )
+
+
+def compile_set(item: Codec) -> Codec:
+    """A set as a sorted list."""
+
+    def decode_set(raw: Any, path: FieldPath, faults: Faults) -> Any:  # noqa: ANN401
+        return frozenset(decode_each(item, raw, path, faults)) if is_type(raw, list, path, faults) else None
+
+    return Codec(
+        lambda values: sorted(item.encode(value) for value in values),
+        decode_set,
+        lambda found: {"type": "array", "items": item.schema(found), "uniqueItems": True},
+    )
+
+
+def compile_mapping(key: Codec, item: Codec) -> Codec:
+    """A mapping as an object; ``key`` is the codec of its keys."""
+
+    def decode_mapping(raw: Any, path: FieldPath, faults: Faults) -> Any:  # noqa: ANN401
+        if not is_type(raw, dict, path, faults):
+            return None
+        return {
+            key.decode(name, path, faults): _decode_inner(item, inner, (*path, name), faults)
+            for name, inner in raw.items()
+        }
+
+    return Codec(
+        lambda values: {key.encode(name): item.encode(value) for name, value in values.items()},
+        decode_mapping,
+        lambda found: {"type": "object", "additionalProperties": item.schema(found)},
+    )
+
+
+def compile_resource_map(kind: type[ResourceMap[Any]], item: Codec) -> Codec:
+    """Values by the names of a table.
+
+    One that is absent has its default where that is 0 or null, else it must be there.
+    """
+
+    def decode_map(raw: Any, path: FieldPath, faults: Faults) -> Any:  # noqa: ANN401
+        if not is_type(raw, dict, path, faults):
+            return None
+        values = {}
+        for name, default in kind.DEFAULTS.items():
+            if raw.get(name) is not None:
+                values[name] = item.decode(raw[name], (*path, name), faults)
+            elif default:
+                report_absent(name, raw, path, faults)
+        return kind(values)
+
+    def describe(found: Schema) -> Schema:
+        needed = [name for name, default in kind.DEFAULTS.items() if default]
+        properties = {name: item.schema(found) for name in kind.DEFAULTS}
+        return {"type": "object", "properties": properties} | ({"required": needed} if needed else {})
+
+    return Codec(
+        lambda values: {name: item.encode(value) for name, value in values.items()}, decode_map, describe
+    )
+
+
+def compile_wrapped(item: Codec, key: str) -> Codec:
+    """A value in an object of one key."""
+
+    def decode_wrapped(raw: Any, path: FieldPath, faults: Faults) -> Any:  # noqa: ANN401
+        if not is_type(raw, dict, path, faults):
+            return None
+        if raw.get(key) is None:
+            return report_absent(key, raw, path, faults)
+        return item.decode(raw[key], (*path, key), faults)
+
+    return Codec(
+        lambda value: {key: item.encode(value)},
+        decode_wrapped,
+        lambda found: {"type": "object", "properties": {key: item.schema(found)}, "required": [key]},
+    )
+
+
+def compile_entries(item: Codec, parts: tuple[str, ...], value_key: str) -> Codec:
+    """A mapping by tuples as a list of objects."""
+    inner = compile_wrapped(item, value_key) if value_key else item
+    names = [compile_wrapped(compile_plain(str), part) for part in parts]
+
+    def decode_entries(raw: Any, path: FieldPath, faults: Faults) -> Any:  # noqa: ANN401
+        if not is_type(raw, list, path, faults):
+            return None
+        decoded: dict[Any, Any] = {}
+        for index, entry in enumerate(raw):
+            place = (*path, index)
+            if is_type(entry, dict, place, faults):
+                key = tuple(name.decode(entry, place, faults) for name in names)
+                decoded[key] = inner.decode(entry, place, faults)
+        return decoded
+
+    def describe(found: Schema) -> Schema:
+        keys = {
+            "type": "object",
+            "properties": {part: {"type": "string"} for part in parts},
+            "required": list(parts),
+        }
+        return {"type": "array", "items": {"allOf": [keys, inner.schema(found)]}}
+
+    return Codec(
+        lambda values: [
+            dict(zip(parts, key, strict=True)) | inner.encode(values[key]) for key in sorted(values)
+        ],
+        decode_entries,
+        describe,
+    )

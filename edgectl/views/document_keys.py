@@ -1,0 +1,133 @@
+"""Keys of each document that ``-o json`` prints, by its kind, and of the objects inside.
+
+The glossary has the type, the unit and the meaning of each key.
+"""
+
+from collections.abc import Mapping
+
+from edgectl.model.resource import HOST_RESOURCES, RESOURCES
+
+Keys = tuple[str, ...]
+KeysByName = Mapping[str, Keys]
+
+_RESOURCES = tuple(resource.name for resource in RESOURCES)
+_LINK_SAMPLE = ("capacity_bytes_per_s", "used_bytes_per_s", "rtt_ms", "capacity_source")
+_HOST = (
+    "host", "role", "address", "connection", "labels", "limits", "onboard", "taken_at", "status", "error",
+    "hint", "sample_age_s", "resident", *(resource.name for resource in HOST_RESOURCES), "links",
+    "task_names", "device", "mark",
+)  # fmt: skip
+_ABSENT_TASK = ("task", "host", "taken_at", "state", "contacted_at", "managed")
+_RUN = (
+    "task", "host", "taken_at", "state", "detail", "age_s", "started_at", "ended_at", *_RESOURCES, "restarts",
+    "pid", "instance", "generation", "managed", "given_up", "exit_code", "last_exit", "enforcement",
+    "log_tail", "metrics",
+)  # fmt: skip
+_TASK = (*_RUN, "contacted_at", "in_files", "task_kind", "robot_names", "needs", "labels")
+_LINK = ("edge", "robot", "taken_at", *_LINK_SAMPLE)
+_EVENT = ("id", "at", "kind", "host", "task", "message")
+_ACTION = (
+    "task", "action", "outcome", "host", "previous_host", "located", "downtime_s", "phases", "error", "hint",
+)  # fmt: skip
+_RESULT = ("revision", "duration_s", "done", "interrupted", "actions")
+_REVISION = ("revision", "started_at", "user", "verb", "outcome", "duration_s", "counts")
+_ESTIMATE = ("mean", "std", "half_ci95", "run_count")
+
+# Kind -> keys of each item of a list.
+LIST_KEYS: KeysByName = {
+    "change": ("type", "at", "object"),
+    "edge": _HOST,
+    "event": _EVENT,
+    "finding": ("host", "check", "level", "message", "hint"),
+    "host-usage": (*_HOST, "history"),
+    "link": _LINK,
+    "profile": ("task", "class", "host_names", "samples", "span_s", "enough", "resources"),
+    "profiler": (
+        "host", "state", "pid", "age_s", "every_s", "period_s", "samples", "sample_age_s", "cpu", "memory",
+        "ttl_s", "ttl_left_s", "current", "detail", "error", "hint",
+    ),
+    "replay": (
+        "scheme", "policy", "move_margin", "cycles", "handoffs", "unplaced", "unsettled", "assumed",
+        "utilisation",
+    ),
+    "request": ("host", "phase", "task", "command", "stdin"),
+    "revision": _REVISION,
+    "robot": _HOST,
+    "task": _TASK,
+    "task-status": (*_RUN, "contacted_at", "attention"),
+    "task-usage": (*_RUN, "history"),
+}  # fmt: skip
+
+# Kind -> keys of a single item.
+_HOST_DETAILS = (*_HOST, "port", "user", "runtime", "proxy_jump", "env", "events", "contacted_at")
+ITEM_KEYS: KeysByName = {
+    "cycle": (
+        "cycle", "at", "duration_s", "next_in_s", "paused", "hosts", "placements", "pending", "actions",
+        "events", "resting", "warnings", "lock", "error",
+    ),
+    "drain": ("done", "left", "passes"),
+    "edge": _HOST_DETAILS,
+    "experiment": ("experiment", "digest", "planned", "trials", "schemes"),
+    "explanation": (
+        "task", "action", "reason", "host", "previous_host", "runner_up", "total", "lead", "slack", "noise",
+        "fragile", "contributions", "flips",
+    ),
+    "map-score": ("ssim",),
+    "result": _RESULT,
+    "revision": (*_REVISION, "actions", "placements"),
+    "robot": _HOST_DETAILS,
+    "simulation": ("scenario", "reference", "assumptions", "notes", "schemes"),
+    "task": ("task", "taken_at", "spec", "runs", "placement", "downtimes_s", "decision", "events"),
+    "validation": ("edge_names", "robot_names", "task_names", "inventory_digest", "tasks_digest"),
+    "version": ("edgectl", "python"),
+}  # fmt: skip
+
+# Key of an object, of a list of objects or of a map of objects -> keys of those objects.
+INNER_KEYS: KeysByName = {
+    **{
+        resource.name: tuple(
+            f"{amount}_{resource.unit.name}"
+            for amount in ("used", "demand", "excess", *(() if resource.per_link else ("capacity",)))
+        )
+        for resource in RESOURCES
+    },
+    "actions": _ACTION,
+    "contributions": ("term", "weight", "here", "there", "adds"),
+    "decision": ("action", "reason", "host", "previous_host", "total", "lead"),
+    "declared": ("amount", "relative", "until_measured"),
+    "device": ("load_1m", "temperature_c", "gpu_share", "boot_id", "clock_skew_s", "interfaces"),
+    "events": _EVENT,
+    "flips": ("change", "term", "host", "robot", "amount", "unit", "size", "winner"),
+    "handoff": ("order", "safe_when", "hold", "release"),
+    "history": ("at", "host", "used_cores", "memory_used_bytes", "network_used_bytes_per_s"),
+    "hosts": ("status", "error", "cpu", "memory"),
+    "interfaces": ("rx_bytes_per_s", "tx_bytes_per_s", "speed_bytes_per_s"),
+    "left": ("task", "host"),
+    "links": _LINK_SAMPLE,
+    "maps": _ESTIMATE,
+    "needs": ("task", "until"),
+    "object": tuple(dict.fromkeys((*_TASK, *_HOST, *_LINK))),
+    "passes": _RESULT,
+    "pending": ("task", "action", "host", "previous_host"),
+    "phases": ("phase", "host", "duration_s", "ok", "detail"),
+    "placement": ("host", "placed_at"),
+    "resources": ("declared", "p50", "p95", "max"),
+    "runs": tuple(dict.fromkeys((*_RUN, *_ABSENT_TASK))),
+    "schemes": (
+        "scheme", "run_count", "unfinished", "unplaced", "host_names", "figures", "metrics", "maps",
+        "reference_figures", "off_by",
+    ),
+    "spec": (
+        "template", "task_kind", "managed", "command", "robot_names", "needs", "priority", "deadline_s",
+        "labels", "restart", "handoff", "on_unreachable", "env",
+    ),
+    "utilisation": ("mean", "peak"),
+}  # fmt: skip
+
+# Key of a map -> keys of the objects in its lists.
+LISTED_KEYS: KeysByName = {"figures": _ESTIMATE}
+# Maps whose values are numbers, and those whose values are lists of numbers; of other maps without keys in
+# the tables above, texts. The metrics of a task are numbers, those of a scheme estimates.
+NUMBER_MAPS = frozenset({"counts", "limits"})
+NUMBER_LIST_MAPS = frozenset({"downtimes_s", "off_by", "reference_figures"})
+ESTIMATE_MAPS: KeysByName = {"metrics": _ESTIMATE}
