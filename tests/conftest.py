@@ -84,7 +84,7 @@ LONGEST = (
     "experiments/test_report.py",
     "agent/test_heartbeat.py",
     "cli/test_apply.py",
-    "cli/test_past.py",
+    "cli/test_history_commands.py",
     "cli/test_watch.py",
     "cli/test_quiet.py",
     "cli/test_files.py",

@@ -56,7 +56,7 @@ def schema_command(
     Editors use it to complete and check YAML files.
 
     Examples:
-        edgectl schema inventory > inventory.schema.json
+        edgectl schema inventory
         edgectl schema plan
         edgectl schema task-status
     """

@@ -62,8 +62,9 @@ def compile_converted(codec: Codec, convert: Callable[[Any], Any]) -> Codec:
     """The codec of values that are converted once they are decoded."""
 
     def decode_value(raw: Any, path: FieldPath, faults: Faults) -> Any:  # noqa: ANN401
+        before = len(faults)
         value = codec.decode(raw, path, faults)
-        return None if value is None else convert(value)
+        return convert(value) if value is not None and len(faults) == before else None
 
     return codec._replace(decode=decode_value)
 

@@ -98,11 +98,11 @@ def test_fence_takes_the_name_of_the_host_for_a_yes(run: Run, small: Path) -> No
     assert run("fence", "edge1").code == 64
     assert run("fence", "edge9", "--yes").code == 64
     with Terminal([*EDGECTL, "fence", "edge1"], small) as terminal:
-        terminal.until("Type its name if it is switched off: ")
+        terminal.until("Type its name if it is powered off: ")
         terminal.type("yes\n")
         assert terminal.wait() == 1
     with Terminal([*EDGECTL, "fence", "edge1"], small) as terminal:
-        terminal.until("Type its name if it is switched off: ")
+        terminal.until("Type its name if it is powered off: ")
         terminal.type("edge1\n")
         assert terminal.wait() == 0
     assert run("fence", "edge2", "--yes").out == "fenced: edge1, edge2\n"

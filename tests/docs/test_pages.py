@@ -25,7 +25,11 @@ PAGES = [
     *sorted(path for path in (ROOT / "docs").rglob("*.md") if "adr" not in path.parts),
 ]
 AS_WRITTEN = ("README.md", "ci.md")
-WITH_COMMANDS = [page for page in PAGES if any(not block.skipped for block in blocks(page))]
+# The commands of these pages need the page's patch; test_contributing.py runs them in a patched copy.
+PATCHED = ROOT / "docs" / "contributing"
+WITH_COMMANDS = [
+    page for page in PAGES if page.parent != PATCHED and any(not block.skipped for block in blocks(page))
+]
 
 
 def test_pages_are_found() -> None:

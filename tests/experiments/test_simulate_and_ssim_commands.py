@@ -49,7 +49,7 @@ def test_the_model_stands_beside_what_was_measured(run: Run, measured: Path) -> 
     model, real, off = (static[key] for key in ("figures", "reference_figures", "off_by"))
     for metric in ("latency", "cpu", "memory", "throughput"):
         for figure, known, share in zip(model[metric], real[metric], off[metric], strict=True):
-            assert share == pytest.approx((figure["mean"] - known) / known)
+            assert share == pytest.approx((figure["mean"] - known) / known, rel=1e-5)
     assert len(off["cpu"]) == 3
     assert schemes["paper cpu"]["reference_figures"] == {}
     assert document["notes"] == [
