@@ -19,7 +19,7 @@ def test_two_tables_in_80_by_24() -> None:
         assert lines[1].split() == ["HOST", "STATUS", "CPU", "MEMORY%", "TASKS"]
         assert [line.split()[0] for line in lines[2:5]] == ["edge1", "edge2", "edge10"]
         assert lines[2].split() == ["edge1", "ok", "0.60/4.00", "▁▃▅▇█", "25%", "▃▃▃▃▃", "1"]
-        assert lines[3].split() == ["edge2", "silent", "-", "-", "-"]
+        assert lines[3].split() == ["edge2", "unreachable", "-", "-", "-"]
         assert lines[6].split() == ["TASK", "HOST", "STATE", "AGE", "CPU/DEMAND", "MEMORY", "NETWORK"]
         assert [line.split()[:3] for line in lines[7:11]] == [
             ["camera", "edge10", "running"], ["idle", "-", "not"], ["map", "edge1", "failed"], ["slam", "edge1", "ready"],
