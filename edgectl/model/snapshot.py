@@ -176,6 +176,12 @@ class Snapshot:
     hosts: Mapping[str, HostSample]
     manager: ManagerState | None = None
 
+    @property
+    def silent_hosts(self) -> tuple[str, ...]:
+        """Hosts that did not answer, without those that the operator declared powered off."""
+        fenced = self.manager.fenced if self.manager else frozenset()
+        return tuple(name for name, host in self.hosts.items() if not host.ok and name not in fenced)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BandwidthMeasurement:

@@ -303,7 +303,7 @@ def _build_result_events(result: ActionResult, at: float) -> Iterator[Event]:
             task=result.task,
             message=f"{result.action}: {result.error}",
         )
-    elif result.outcome is Outcome.FAILED:
+    elif result.outcome in (Outcome.FAILED, Outcome.UNREACHABLE):
         yield Event(
             at=at,
             kind=EventKind.ACTION_FAILED,
