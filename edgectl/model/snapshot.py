@@ -79,6 +79,7 @@ class TaskSample:
     lines of a task that failed or was given up. ``limits``: "enforced", or "not enforced: why"; empty where
     none are stated. ``given_up``: it ended by itself and is not to be started again by itself: a crash loop,
     or a failure under ``restart: never``. ``ended_at``: when it ended for good, where its host knows.
+    ``started_at``: 0 where it is not known any more.
     ``metrics``: what the application says of itself, the last value by name, also after its end.
     """
 

@@ -389,7 +389,7 @@ def test_logs_come_from_where_the_task_is(bench: Bench) -> None:
     with pytest.raises(UsageError, match="unknown task 'camera'"):
         read_log(bench.fleet, "camera")
     bench.hosts.down.update({"edge1", "edge2"})
-    with pytest.raises(UnansweredError, match="no logs of slam, last known on edge., which does not answer"):
+    with pytest.raises(UnansweredError, match=r"no logs of slam, last known on edge., which does not answer"):
         read_log(bench.fleet, "slam")
 
 
