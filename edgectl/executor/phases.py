@@ -123,7 +123,7 @@ def _wait_on_host(run: RunContext, planned: PlannedPhase, body: Request, deadlin
     hint = f"edgectl logs {task.name}"
     while True:
         entry = run.ask(host, {**body, "timeout_s": piece}, timeout=piece + run.options.call_s)
-        if _is_ready(task, str(entry.get("state")), checked=checked):
+        if _is_ready(task, entry, checked=checked):
             return
         if entry.get("state") not in (protocol.STARTING, protocol.RUNNING):
             raise HostError(f"{task.name} {_describe_end(entry)} on {host.name}", hint=hint, host=host.name)
@@ -137,10 +137,12 @@ def _wait_on_host(run: RunContext, planned: PlannedPhase, body: Request, deadlin
         piece = max(0.0, min(WAIT_PIECE_S, deadline - time.monotonic()))
 
 
-def _is_ready(task: Task, state: str, *, checked: bool) -> bool:
+def _is_ready(task: Task, entry: Request, *, checked: bool) -> bool:
+    """Whether a reply to a wait shows the task ready; ``settled`` is false where only its time ran out."""
+    state = entry.get("state")
     return (
         state == protocol.READY
-        or (state == protocol.RUNNING and not checked)
+        or (state == protocol.RUNNING and not checked and entry.get("settled") is not False)
         or (state == protocol.COMPLETED and task.kind is TaskKind.JOB)
     )
 
