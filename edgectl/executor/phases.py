@@ -105,7 +105,7 @@ def _wait_until_ready(act: StepRun, planned: PlannedPhase) -> None:
             check, mark = elsewhere
             if not _repeat_check(act.run, check, deadline):
                 raise HostError(
-                    f"the check on {check.host.name} did not pass within {check.timeout_s:g} s: "
+                    f"the check on {check.host.name} did not pass within {check.timeout_s:.3g} s: "
                     f"{check.body['command']}",
                     host=check.host.name,
                 )
@@ -130,7 +130,7 @@ def _wait_on_host(run: RunContext, planned: PlannedPhase, body: Request, deadlin
         if time.monotonic() >= deadline:
             why = f": {entry['detail']}" if entry.get("detail") else ""
             raise HostError(
-                f"{task.name} was not ready on {host.name} within {planned.timeout_s:g} s{why}",
+                f"{task.name} was not ready on {host.name} within {planned.timeout_s:.3g} s{why}",
                 hint=hint,
                 host=host.name,
             )
@@ -176,7 +176,7 @@ def _wait_until_safe(act: StepRun, planned: PlannedPhase) -> None:
     with act.phase(Phase.SAFE, planned.host.name, side_effect=False):
         if not _repeat_check(act.run, planned.requests[0], time.monotonic() + planned.timeout_s):
             raise HostError(
-                f"not safe to move {act.name} within {planned.timeout_s:g} s",
+                f"not safe to move {act.name} within {planned.timeout_s:.3g} s",
                 hint="apply again later",
                 host=planned.host.name,
             )
