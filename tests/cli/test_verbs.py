@@ -121,5 +121,15 @@ def test_a_given_up_task_is_reported_once_a_day(hosts: FakeFleet, run: Run, tmp_
     ]
 
 
+@pytest.mark.parametrize("words", [("plan",), ("explain", "t1"), ("graph",)])
+def test_a_what_if_is_no_event(words: tuple[str, ...], hosts: FakeFleet, run: Run) -> None:
+    end_everything(hosts)
+    before = run("events").out.count("planned")
+    assert run(*words, "--without", "edge1").code == 0
+    assert run("events").out.count("planned") == before
+    assert run(*words).code == 0
+    assert run("events").out.count("planned") == before + 1
+
+
 def test_every_situation_is_on_the_page() -> None:
     assert {answer.situation for answer in read_answers()} == set(SITUATIONS)
