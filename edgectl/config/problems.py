@@ -44,6 +44,8 @@ class ProblemCode(StrEnum):
     PLACEHOLDER = "EC035"
     NO_DEMAND = "EC101"
     NEVER_ANSWERED = "EC102"
+    NO_IDENTITY_FILE = "EC103"
+    BACKGROUND = "EC104"
     JSON = "EC201"
     DOCUMENT = "EC202"
 
@@ -53,6 +55,7 @@ _ONCE_PER_PLACE = (
     ProblemCode.CONTRADICTION,
     ProblemCode.PLACEHOLDER,
     ProblemCode.NEVER_ANSWERED,
+    ProblemCode.BACKGROUND,
     ProblemCode.CYCLE,
     ProblemCode.NAME,
 )
