@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 
 from edgectl.doctor.diagnosis import diagnose_fleet
+from edgectl.doctor.ssh_command import format_ssh_command
 from edgectl.model.diagnosis import (
     NOT_A_DIRECTORY,
     Diagnosis,
@@ -294,3 +295,15 @@ def test_a_master_on_localhost_is_right_where_there_is_one_machine() -> None:
 def test_a_uri_that_is_none_is_compared_like_any_text() -> None:
     odd = ros_facts(ROS_MASTER_URI="http://[::1")
     assert compare_ros((E1, odd), (E2, odd))["edge1"][0] is OK
+
+
+def test_lines_to_paste_have_port_key_and_jump() -> None:
+    host = an_edge(port=22911, user="ana", identity_file="/keys/my key", proxy_jump="gate")
+    words = "-p 22911 -i '/keys/my key' -J gate ana@edge1.lab"
+    assert format_ssh_command(host, "-vvv") == f"ssh -vvv {words}"
+    facts = replace(FACTS, skew_s=(-3601.0, -3600.0), login_s=9.0)
+    mends = [finding.remedy for finding in diagnose_answer(facts, host).findings]
+    assert any(f"ssh {words} sudo date" in mend for mend in mends)
+    assert any(f"ssh -vvv {words} true" in mend for mend in mends)
+    refused = diagnose_answer(UnreachableHost(kind="connect", error="connection refused"), host)
+    assert "sshd runs there on port 22911" in find_only(refused, "reachability").remedy
