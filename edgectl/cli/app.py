@@ -114,7 +114,7 @@ COMMANDS = {
 # Help of the command groups.
 GROUP_HELP: dict[str, str] = {
     "describe": "Show details of an edge, robot or task.",
-    "top": "Show resource usage (-w to refresh, -i for the full-screen view).",
+    "top": "Show resource usage: of hosts by default (-w to refresh, -i for the full-screen view).",
     "profilers": "Manage resident profilers on the hosts.",
     "export": "Export for cron, systemd, Prometheus, CSV and others.",
     "experiment": "Compare schemes on real hosts.",

@@ -81,7 +81,7 @@ SnapshotOption = Annotated[
 ]
 WeightsOption = Annotated[
     str | None,
-    Option("--weights", "-w", metavar="WEIGHTS", help="cpu, memory, network, task, all, or cpu=.5,task=1."),
+    Option("--weights", "-W", metavar="WEIGHTS", help="cpu, memory, network, task, all, or cpu=.5,task=1."),
 ]
 PolicyOption = Annotated[
     PolicyName | None, Option("--policy", metavar="NAME", help="utility, paper, static or local.")

@@ -43,7 +43,7 @@ def top_hosts_command(
         edgectl top hosts -w --every 5s
         edgectl top hosts -w -o json
     """
-    loaded, period = load_inputs(inventory, tasks), parse_every_option(every)
+    loaded, period = load_inputs(inventory, tasks, needs_tasks=False), parse_every_option(every)
     if interactive:
         return _run_live_view(loaded, period, readonly=readonly, first="hosts")
     raise Exit(

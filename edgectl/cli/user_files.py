@@ -10,6 +10,7 @@ from edgectl.model.inventory import Inventory
 from edgectl.model.task import Tasks
 
 _YAML_SUFFIXES = (".yaml", ".yml")
+_INVENTORIES_DIRECTORY, _TASKS_DIRECTORY = "inventories", "tasks"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -22,10 +23,17 @@ class LoadedInputs:
 
 
 def load_inputs(
-    inventory: Path | None, tasks: Sequence[Path] | None, *, every_warning: bool = False, quiet: bool = False
+    inventory: Path | None,
+    tasks: Sequence[Path] | None,
+    *,
+    every_warning: bool = False,
+    quiet: bool = False,
+    needs_tasks: bool = True,
 ) -> LoadedInputs:
     """Load both files, given or found; warnings go to stderr unless ``quiet`` or said with more detail by a
     plan or by ``validate`` and ``doctor``.
+
+    Not ``needs_tasks``: there are no tasks if no task file is given and tasks/ does not hold exactly one.
 
     Raises:
         UsageError: none is given and none can be chosen.
@@ -35,7 +43,9 @@ def load_inputs(
     from edgectl.config.load import load_inventory_and_tasks as read
     from edgectl.config.problems import ProblemCode
 
-    path, paths = resolve_inventory_path(inventory), resolve_task_paths(tasks)
+    path = resolve_inventory_path(inventory)
+    found = _list_yaml_files(Path(_TASKS_DIRECTORY))
+    paths = resolve_task_paths(tasks) if needs_tasks or tasks or len(found) == 1 else []
     fleet, work, warnings = read(path, paths)
     elsewhere = () if every_warning else (ProblemCode.NO_DEMAND, ProblemCode.UNNAMED_FLEET)
     print_input_warnings(warning for warning in warnings if not quiet and warning.code not in elsewhere)
@@ -44,13 +54,13 @@ def load_inputs(
 
 def resolve_inventory_path(given: Path | None) -> Path:
     """The given inventory, or the only one in inventories/."""
-    return given if given is not None else _get_only_file("inventory", "inventories", "-i")
+    return given if given is not None else _get_only_file("inventory", _INVENTORIES_DIRECTORY, "-i")
 
 
 def resolve_task_paths(given: Sequence[Path] | None) -> list[Path]:
     """The given task files (of a directory: all of its YAML files), or the only one in tasks/."""
     if not given:
-        return [_get_only_file("task file", "tasks", "-t")]
+        return [_get_only_file("task file", _TASKS_DIRECTORY, "-t")]
     return [file for path in given for file in (_get_yaml_files(path) if path.is_dir() else [path])]
 
 
@@ -70,9 +80,11 @@ def _get_only_file(what: str, directory: str, option: str) -> Path:
     if len(files) == 1:
         return files[0]
     if not files:
+        own = directory == _TASKS_DIRECTORY and _list_yaml_files(Path(_INVENTORIES_DIRECTORY))
         raise UsageError(
             f"no {what} given, and there is none in {directory}/",
-            hint=f"pass {option} FILE, or create an example fleet: edgectl init .",
+            hint=f"pass {option} FILE, or "
+            + (f"write {directory}/{own[0].name}" if own else "create an example fleet: edgectl init ."),
         )
     names = ", ".join(file.name for file in files)
     raise UsageError(

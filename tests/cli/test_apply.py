@@ -98,6 +98,17 @@ def test_a_saved_plan_is_applied_once(run: Run, small: Path) -> None:
     )
 
 
+def test_a_plan_with_an_unknown_host_is_refused_also_in_a_dry_run(run: Run, small: Path) -> None:
+    run("plan", "--out", "next.plan")
+    plan = json.loads((small / "next.plan").read_text())
+    plan["decisions"][0]["host"] = "edge9"
+    (small / "next.plan").write_text(json.dumps(plan))
+    for words in (("apply", "next.plan", "--dry-run"), ("apply", "next.plan")):
+        said = run(*words)
+        assert (said.code, said.out) == (75, "")
+        assert "edge9 (start of idle) is not in the inventory" in said.err
+
+
 def test_dry_run_prints_what_would_be_sent_and_sends_nothing(run: Run, small: Path) -> None:
     said = run("apply", "--dry-run")
     assert said.code == 0
