@@ -1,6 +1,8 @@
 """explain command."""
 
-from edgectl.cli import console, options
+from typer import Exit
+
+from edgectl.cli import console, exit_codes, options
 from edgectl.cli.user_files import load_inputs
 from edgectl.names import check_known_names
 from edgectl.views.output_format import OutputFormat
@@ -16,6 +18,7 @@ def explain_command(
     weights: options.WeightsOption = None,
     policy: options.PolicyOption = None,
     without: options.WithoutOption = None,
+    allow_unreachable: options.AllowUnreachableOption = False,
     accept_new: options.AcceptNewOption = False,
 ) -> None:
     """Explain a placement: the contribution of each term, and the smallest changes that would change the
@@ -35,6 +38,7 @@ def explain_command(
     from edgectl.usecases.explain import compute_noise_by_host, explain_placement
     from edgectl.usecases.plan import make_plan
     from edgectl.views.explanation import ExplanationView
+    from edgectl.views.plan_sections import list_unreachable_notes
 
     loaded = load_inputs(inventory, tasks)
     check_known_names([task], loaded.tasks.tasks, "task")
@@ -45,4 +49,5 @@ def explain_command(
     made = make_plan(fleet, how, snapshot=load_snapshot(snapshot) if snapshot else None)
     found = explain_placement(fleet, made, task, None if snapshot else compute_noise_by_host(fleet))
     step = next(step for step in made.steps if step.task == task)
-    console.print_view(ExplanationView(step, found), output)
+    console.print_view(ExplanationView(step, found, list_unreachable_notes(made.snapshot)), output)
+    raise Exit(exit_codes.of_plan(made, detailed=False, allow_unreachable=allow_unreachable))

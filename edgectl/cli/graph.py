@@ -1,6 +1,8 @@
 """graph command."""
 
-from edgectl.cli import console, options
+from typer import Exit
+
+from edgectl.cli import console, exit_codes, options
 from edgectl.cli.user_files import load_inputs
 from edgectl.views.output_format import OutputFormat
 
@@ -14,6 +16,7 @@ def graph_command(
     weights: options.WeightsOption = None,
     policy: options.PolicyOption = None,
     without: options.WithoutOption = None,
+    allow_unreachable: options.AllowUnreachableOption = False,
     accept_new: options.AcceptNewOption = False,
 ) -> None:
     """Export the task graph with the hosts of the plan as Mermaid or DOT.
@@ -28,6 +31,7 @@ def graph_command(
     from edgectl.config.documents import load_snapshot
     from edgectl.usecases.plan import make_plan
     from edgectl.views.graph import build_task_graph
+    from edgectl.views.plan_sections import list_unreachable_notes, render_notes
 
     loaded = load_inputs(inventory, tasks)
     fleet = build_offline_fleet(loaded) if snapshot else build_fleet(loaded, accept_new=accept_new)
@@ -37,3 +41,7 @@ def graph_command(
     made = make_plan(fleet, how, snapshot=load_snapshot(snapshot) if snapshot else None)
     drawn = build_task_graph(made, loaded.tasks)
     console.print_text(drawn.mermaid() if output is OutputFormat.MERMAID else drawn.dot())
+    console.print_stderr(
+        render_notes(list_unreachable_notes(made.snapshot), console.get_stderr_render_options())
+    )
+    raise Exit(exit_codes.of_plan(made, detailed=False, allow_unreachable=allow_unreachable))

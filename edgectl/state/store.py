@@ -166,10 +166,10 @@ class Store:
         return self._newest(rows.TASKS, "task_samples", "start", starts, (task,), since, limit)
 
     def task_starts(self, runs: Iterable[tuple[str, str, str]]) -> dict[tuple[str, str, str], float]:
-        """The start (s since 1970) of each of ``runs`` (task, host, instance) as it was last recorded."""
+        """The start (s since 1970) of each of ``runs`` (task, host, instance) as recorded with its age."""
         sql = (
             "SELECT at - age_s FROM starts JOIN uses USING (start) "
-            "WHERE task = ? AND host = ? AND instance = ? ORDER BY at DESC LIMIT 1"
+            "WHERE task = ? AND host = ? AND instance = ? AND age_s > 0 ORDER BY at DESC LIMIT 1"
         )
 
         def read(connection: sqlite3.Connection) -> dict[tuple[str, str, str], float]:

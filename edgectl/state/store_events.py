@@ -190,10 +190,14 @@ def _is_leftover(now: _SeenTask, before: KnownTask | None) -> bool:
 
 def _rank_location(now: _SeenTask, before: KnownTask | None) -> tuple[bool, bool, float]:
     """Rank of one of several locations of a task: alive first, then its known location, then the latest
-    start.
+    start or end.
     """
     sample = now.sample or TaskSample(state=TaskState.COMPLETED)
-    return sample.state.alive, before is not None and before.host == now.host, sample.started_at
+    return (
+        sample.state.alive,
+        before is not None and before.host == now.host,
+        max(sample.started_at, sample.ended_at or 0.0),
+    )
 
 
 def _has_arrived_or_left(before: KnownTask | None, now: _SeenTask) -> bool:
@@ -303,7 +307,7 @@ def _build_result_events(result: ActionResult, at: float) -> Iterator[Event]:
             task=result.task,
             message=f"{result.action}: {result.error}",
         )
-    elif result.outcome is Outcome.FAILED:
+    elif result.outcome in (Outcome.FAILED, Outcome.UNREACHABLE):
         yield Event(
             at=at,
             kind=EventKind.ACTION_FAILED,

@@ -28,7 +28,8 @@ def pin_task_starts(fleet: Fleet, snapshot: Snapshot) -> Snapshot:
     """``snapshot`` with the start of each run as it was first recorded.
 
     A start is measured as the time of the reply less an age on the host's clock, so it varies by the time
-    that a reply takes. One that differs by more is another start.
+    that a reply takes. One that differs by more is another start. Of a run that has ended only the record
+    knows it.
     """
     runs = [
         (name, host, task.instance)
@@ -55,7 +56,7 @@ def pin_task_starts(fleet: Fleet, snapshot: Snapshot) -> Snapshot:
 
 def _pin_start(task: TaskSample, known: float | None) -> float:
     """Rounded, so that what the history keeps in milliseconds gives the same instant again."""
-    same = known is not None and abs(known - task.started_at) < _START_TOLERANCE_S
+    same = known is not None and (not task.started_at or abs(known - task.started_at) < _START_TOLERANCE_S)
     return round(known if same and known is not None else task.started_at, 2)
 
 

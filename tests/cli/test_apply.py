@@ -120,13 +120,13 @@ def test_dry_run_prints_what_would_be_sent_and_sends_nothing(run: Run, small: Pa
 
 
 def test_done_reopen_cordon_uncordon(run: Run, small: Path) -> None:
-    assert run("done", "idle").out == "done: idle\n"
+    assert run("done", "idle").out == "task/idle marked as done\n"
     assert "No changes" in run("plan").out
-    assert run("reopen", "idle").out == "done: none\n"
-    assert run("cordon", "edge1").out == "cordoned: edge1\n"
+    assert run("reopen", "idle").out == "task/idle reopened\n"
+    assert run("cordon", "edge1").out == "edge/edge1 cordoned\n"
     said = run("plan", "--detailed-exitcode")
     assert (said.code, "0/1 hosts fit: 1 cordoned" in said.out) == (3, True)
-    assert run("uncordon", "edge1").out == "cordoned: none\n"
+    assert run("uncordon", "edge1").out == "edge/edge1 uncordoned\n"
     assert run("cordon", "edge9").code == 64
     assert run("done", "idel").code == 64
 
