@@ -16,6 +16,7 @@ from edgectl.executor.dependencies import (
     is_replacement,
 )
 from edgectl.executor.handoff import move_task, replace_task
+from edgectl.executor.moved_world import MovedWorldError
 from edgectl.executor.phases import perform_phases, resolve_variables
 from edgectl.executor.step_run import RunContext, RunIdentity, RunOptions, StepRun
 from edgectl.executor.worker_pool import WorkerPool
@@ -133,6 +134,8 @@ def _stop_step(act: StepRun) -> ActionResult | None:
         perform_phases(act, build_stop_phases(act.step, act.run.inventory, act.run.tasks))
     except StateError as error:
         return _end_unrecorded(act, error)
+    except MovedWorldError as error:
+        return act.end(Outcome.DEFERRED, located=error.located, error=error)
     except HostError as error:
         return act.end(Outcome.FAILED, located=here, error=error)
     if act.step.action in STARTING_ACTIONS:
