@@ -11,7 +11,7 @@ from edgectl.model.task import Check, CheckLocation, StopRule, Task
 Request = dict[str, object]
 Hosts = Mapping[str, Host]
 # Placeholders in a request that is not filled yet.
-NO_INSTANCE, NO_GENERATION = "0", 0
+NO_INSTANCE, NO_GENERATION, NO_MANAGER = "0", 0, ""
 
 
 def build_instance_id(plan_id: str, task: str, host: str, attempt: int) -> str:
@@ -22,7 +22,7 @@ def build_instance_id(plan_id: str, task: str, host: str, attempt: int) -> str:
 def build_start_request(task: Task, host: Host, hosts: Hosts) -> Request:
     """Start ``task`` on ``host`` under its supervisor; a ready check on the robot is left to the manager.
 
-    Secrets are masked, instance and generation are placeholders; `fill_start_request` completes it.
+    Secrets are masked, instance, generation and manager are placeholders; `fill_start_request` completes it.
     """
     ready = task.ready if task.ready is not None and task.ready.on is CheckLocation.HOST else None
     spec: Request = {
@@ -48,17 +48,22 @@ def build_start_request(task: Task, host: Host, hosts: Hosts) -> Request:
         "task": task.name,
         "instance": NO_INSTANCE,
         "generation": NO_GENERATION,
+        "manager": NO_MANAGER,
         "spec": spec,
     }
 
 
 def fill_start_request(
-    request: Request, *, instance: str, generation: int, variables: Mapping[str, str]
+    request: Request, *, instance: str, generation: int, manager: str, variables: Mapping[str, str]
 ) -> Request:
-    """A start request as it is sent; ``variables``: its environment with the secrets in clear."""
+    """A start request as it is sent.
+
+    ``manager``: user and machine, for people who find the task on the host. ``variables``: its environment
+    with the secrets in clear.
+    """
     spec = request["spec"]
     filled = {**spec, "env": dict(variables)} if isinstance(spec, dict) else spec
-    return {**request, "instance": instance, "generation": generation, "spec": filled}
+    return {**request, "instance": instance, "generation": generation, "manager": manager, "spec": filled}
 
 
 def build_stop_request(name: str, host: Host, *, task: Task | None, instance: str | None) -> Request:

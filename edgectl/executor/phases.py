@@ -14,6 +14,7 @@ from edgectl.executor.secrets import resolve_environment
 from edgectl.executor.step_run import RunContext, StepRun
 from edgectl.model.result import Phase
 from edgectl.model.task import CheckLocation, Task, TaskKind
+from edgectl.state.lock import describe_manager
 
 # Beyond the grace: SIGKILL, the sweeps that prove the end, and the way back.
 _STOP_MARGIN_S = 20.0
@@ -95,7 +96,11 @@ def _start_task(act: StepRun, planned: PlannedPhase, variables: Mapping[str, str
     attempt = 2 if planned.phase is Phase.RESTORE else 1
     instance = act.instance(host.name, attempt)
     body = host_requests.fill_start_request(
-        request.body, instance=instance, generation=act.generation + attempt - 1, variables=variables
+        request.body,
+        instance=instance,
+        generation=act.generation + attempt - 1,
+        manager=describe_manager(),
+        variables=variables,
     )
     with act.phase(planned.phase, host.name):
         answer = act.run.ask(host, body)

@@ -18,7 +18,7 @@ from edgectl.gateway.probe_reply import (
 from edgectl.gateway.probe_request import build_probe_request
 from edgectl.gateway.replies import escape_unprintable
 from edgectl.model.inventory import Host, Inventory, Role
-from edgectl.model.snapshot import HostSample, HostStatus, Snapshot
+from edgectl.model.snapshot import HostSample, HostStatus, OtherTask, Snapshot
 from edgectl.model.task import Tasks
 from edgectl.transport.base import Transport
 
@@ -156,7 +156,19 @@ def _finalize_samples(answers: Mapping[str, HostAnswer[_Decoded]]) -> dict[str, 
             if answer.host.role is Role.ROBOT and not isinstance(answer.value, HostError)
         )
     )
-    return {name: _finalize_sample(answer, done, now) for name, answer in answers.items()}
+    samples = {name: _finalize_sample(answer, done, now) for name, answer in answers.items()}
+    return {name: _drop_reported_tasks(sample, samples) for name, sample in samples.items()}
+
+
+def _drop_reported_tasks(sample: HostSample, samples: Mapping[str, HostSample]) -> HostSample:
+    """``sample`` without other tasks that the host of their name reports itself: two names of one machine."""
+    left = tuple(each for each in sample.other_tasks if not _is_reported(each, samples.get(each.host)))
+    return sample if len(left) == len(sample.other_tasks) else dataclasses.replace(sample, other_tasks=left)
+
+
+def _is_reported(other: OtherTask, sample: HostSample | None) -> bool:
+    known = sample.tasks.get(other.task) if sample is not None else None
+    return known is not None and known.instance == other.instance
 
 
 def _finalize_sample(answer: HostAnswer[_Decoded], done: frozenset[str], now: float) -> HostSample:

@@ -43,7 +43,7 @@ REQUEST_KEYS = {
     OP_PROFILER_STOP: (),
     OP_SEND: ("address", "port", "token", "seconds"),
     OP_SINK: ("seconds",),
-    OP_START: ("task", "instance", "generation", "spec"),
+    OP_START: ("task", "instance", "generation", "manager", "spec"),
     OP_STATUS: ("task",),
     OP_STOP: ("task", "instance", "generation", "stop"),
     OP_WAIT: ("task", "instance", "timeout_s"),
@@ -90,6 +90,18 @@ ENTRY_KEYS = (
     "links",
     "metrics",
 )
+# Keys of an entry of ``other_tasks`` in the reply to OP_PROBE.
+OTHER_TASK_KEYS = (
+    "fleet",
+    "host",
+    "task",
+    "started_by",
+    "state",
+    "age_s",
+    "instance",
+    "spec_hash",
+    "generation",
+)
 # Keys of the reply to OP_PROBE.
 PROBE_KEYS = (
     "v",
@@ -100,6 +112,7 @@ PROBE_KEYS = (
     "wall",
     "load_1m",
     "generations",
+    "other_tasks",
     "unowned",
     "checks",
     "resident",
