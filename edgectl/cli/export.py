@@ -45,7 +45,7 @@ def export_prometheus_command(
 ) -> None:
     """Probe and print Prometheus metrics: hosts, links, tasks, decisions, handoffs. Nothing is changed.
 
-    Needs the extra edgectl[metrics].
+    Needs the extra metrics.
 
     Examples:
         edgectl export prometheus
