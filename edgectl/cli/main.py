@@ -8,6 +8,7 @@ import sys
 from collections.abc import Sequence
 
 _INTERRUPTED = 130  # ExitCode.INTERRUPTED
+_INSECURE_FILES = "--insecure-files"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -48,7 +49,7 @@ def _run_command(words: list[str]) -> int:
     from edgectl.cli.console import guard_standard_streams
 
     code: object = 0
-    args = expand_shorthand(words)
+    args = expand_shorthand(move_global_options(words))
     with guard_standard_streams():
         try:
             code = get_command(build_app(args)).main(args=args, prog_name="edgectl", standalone_mode=False)
@@ -56,6 +57,12 @@ def _run_command(words: list[str]) -> int:
             # the only exit that typer makes by itself: the reader of the help is gone
             raise BrokenPipeError from None
     return code if isinstance(code, int) else 0
+
+
+def move_global_options(words: Sequence[str]) -> list[str]:
+    """``--insecure-files``, which may stand anywhere, before the command."""
+    others = [word for word in words if word != _INSECURE_FILES]
+    return [_INSECURE_FILES, *others] if others and len(others) < len(words) else others
 
 
 def expand_shorthand(words: Sequence[str]) -> list[str]:
@@ -67,6 +74,8 @@ def expand_shorthand(words: Sequence[str]) -> list[str]:
     match list(words):
         case []:
             return ["--help"]
+        case [option, *rest] if option == _INSECURE_FILES:
+            return [option, *expand_shorthand(rest)]
         case ["help", *rest]:
             return [*rest, "--help"]
         case ["top", "-i" | "-I" | "--interactive", *rest]:

@@ -133,7 +133,7 @@ WatchOption = Annotated[bool, Option("--watch", "-w", help="Keep watching until 
 EveryOption = Annotated[str, Option("--every", metavar="TIME", help="With -w: time between probes.")]
 ReadonlyOption = Annotated[bool, Option("--readonly", help="With -I: keys change nothing.")]
 InteractiveOption = Annotated[
-    bool, Option("--interactive", "-I", help="Full-screen view with keys (needs edgectl[tui]).")
+    bool, Option("--interactive", "-I", help="Full-screen view with keys (needs the extra tui).")
 ]
 TimeoutOption = Annotated[str, Option("--timeout", metavar="TIME", help="Deadline of each host.")]
 AcceptNewOption = Annotated[

@@ -142,7 +142,7 @@ def _quit_on_q(key: str) -> None:
 
 
 def _run_live_view(loaded: LoadedInputs, every: float, *, readonly: bool, first: str) -> None:
-    """The full-screen view of edgectl[tui].
+    """The full-screen view of the extra tui.
 
     Raises:
         UsageError: stdout is not a terminal, or the extra is not installed.
