@@ -185,6 +185,12 @@ def isolated(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.Monke
     return home
 
 
+@pytest.fixture(autouse=True)
+def short_up_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tasks without a ready check count as ready after 0.3 s, so that an apply in this process returns soon."""
+    monkeypatch.setattr("edgectl.executor.action_phases.DEFAULT_UP_S", 0.3)
+
+
 @pytest.fixture(scope="module")
 def module_lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Lab]:
     """Three real ssh servers (edge1, edge2, robot1) that serve one test module."""

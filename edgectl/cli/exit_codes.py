@@ -4,15 +4,19 @@ from collections.abc import Collection, Iterable
 from typing import TYPE_CHECKING
 
 from edgectl.errors import ExitCode
+from edgectl.model.assignment import Reason
 from edgectl.model.cycle import Cycle
 from edgectl.model.diagnosis import Diagnosis, Severity
 from edgectl.model.inventory import Inventory
 from edgectl.model.plan import Action, Plan
 from edgectl.model.profiler import Profiler, ProfilerState
 from edgectl.model.snapshot import Snapshot
+from edgectl.model.task import Tasks
 
 if TYPE_CHECKING:
     from edgectl.usecases.plan_execution import ApplyResult
+
+_MILDER_CODES = (ExitCode.DONE, ExitCode.CHANGES, ExitCode.UNPLACED)
 
 
 def of_snapshot(snapshot: Snapshot, inventory: Inventory, *, allow_unreachable: bool = False) -> ExitCode:
@@ -63,18 +67,38 @@ def of_stopped(applied: "ApplyResult", names: Collection[str] | None) -> ExitCod
     return of_applied(applied, allow_unreachable=not depends)
 
 
+def worsen_if_given_up(code: ExitCode, plan: Plan) -> ExitCode:
+    """4 instead of 0, 2 or 3 while a wanted task is given up."""
+    lasting = any(step.decision.reason is Reason.GIVEN_UP for step in plan.steps)
+    return ExitCode.PARTLY if lasting and code in _MILDER_CODES else code
+
+
+def of_status(
+    snapshot: Snapshot, inventory: Inventory, tasks: Tasks, *, allow_unreachable: bool = False
+) -> ExitCode:
+    """4 if a host that should answer did not, or a wanted task has failed."""
+    from edgectl.views.state import find_failed_tasks
+
+    if find_failed_tasks(tasks, snapshot):
+        return ExitCode.PARTLY
+    return of_snapshot(snapshot, inventory, allow_unreachable=allow_unreachable)
+
+
 def of_cycle(cycle: Cycle) -> ExitCode:
-    """1 if the cycle failed, 75 if the lock was busy, 4 if an action failed or a host did not answer."""
+    """1 if the cycle failed, 75 if the lock was busy, 4 if an action failed, a host did not answer, or a
+    wanted task is given up.
+    """
     if cycle.error:
         return ExitCode.FAILED
     if cycle.busy:
         return ExitCode.TRY_AGAIN
     failed = cycle.results is not None and not cycle.results.done
-    return (
+    code = (
         ExitCode.PARTLY
         if failed or (cycle.snapshot is not None and cycle.snapshot.silent_hosts)
         else ExitCode.DONE
     )
+    return code if cycle.plan is None else worsen_if_given_up(code, cycle.plan)
 
 
 def of_diagnosis(diagnosis: Diagnosis) -> ExitCode:

@@ -33,7 +33,7 @@ def explain_command(
         edgectl explain slam-robot1 --weights network -o json
     """
     from edgectl.cli.connect import build_fleet, build_offline_fleet
-    from edgectl.cli.policy_options import policy_from_options
+    from edgectl.cli.policy_options import is_what_if, policy_from_options
     from edgectl.config.documents import load_snapshot
     from edgectl.usecases.explain import compute_noise_by_host, explain_placement
     from edgectl.usecases.plan import make_plan
@@ -46,7 +46,12 @@ def explain_command(
     how = policy_from_options(
         fleet, weights=weights, policy=policy, without=without, best_effort=False, full=False
     )
-    made = make_plan(fleet, how, snapshot=load_snapshot(snapshot) if snapshot else None)
+    made = make_plan(
+        fleet,
+        how,
+        snapshot=load_snapshot(snapshot) if snapshot else None,
+        recorded=not is_what_if(fleet, how),
+    )
     found = explain_placement(fleet, made, task, None if snapshot else compute_noise_by_host(fleet))
     step = next(step for step in made.steps if step.task == task)
     console.print_view(ExplanationView(step, found, list_unreachable_notes(made.snapshot)), output)

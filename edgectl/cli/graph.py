@@ -27,7 +27,7 @@ def graph_command(
         edgectl graph --without edge2
     """
     from edgectl.cli.connect import build_fleet, build_offline_fleet
-    from edgectl.cli.policy_options import policy_from_options
+    from edgectl.cli.policy_options import is_what_if, policy_from_options
     from edgectl.config.documents import load_snapshot
     from edgectl.usecases.plan import make_plan
     from edgectl.views.graph import build_task_graph
@@ -38,7 +38,12 @@ def graph_command(
     how = policy_from_options(
         fleet, weights=weights, policy=policy, without=without, best_effort=False, full=False
     )
-    made = make_plan(fleet, how, snapshot=load_snapshot(snapshot) if snapshot else None)
+    made = make_plan(
+        fleet,
+        how,
+        snapshot=load_snapshot(snapshot) if snapshot else None,
+        recorded=not is_what_if(fleet, how),
+    )
     drawn = build_task_graph(made, loaded.tasks)
     console.print_text(drawn.mermaid() if output is OutputFormat.MERMAID else drawn.dot())
     console.print_stderr(

@@ -19,16 +19,22 @@ from edgectl.usecases.record import record_plan
 
 
 def make_plan(
-    fleet: Fleet, policy: Policy, *, snapshot: Snapshot | None = None, options: ProbeOptions | None = None
+    fleet: Fleet,
+    policy: Policy,
+    *,
+    snapshot: Snapshot | None = None,
+    options: ProbeOptions | None = None,
+    recorded: bool = True,
 ) -> Plan:
     """Decide for every task, from a fresh probe or from ``snapshot``.
 
     With a given snapshot no host is asked, ``now`` is its ``taken_at`` and the manager's state is the one in
-    it: the result is the same on any day.
+    it: the result is the same on any day. ``recorded``: the plan of a probe becomes part of the history.
     """
     if snapshot is None:
         made = make_plan(fleet, policy, snapshot=probe_fleet(fleet, options))
-        record_plan(fleet, made)
+        if recorded:
+            record_plan(fleet, made)
         return made
     manager = snapshot.manager or ManagerState()
     assignment = assign(fleet.inventory, fleet.tasks, snapshot, manager, policy, snapshot.taken_at)

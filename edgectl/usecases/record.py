@@ -8,6 +8,8 @@ from edgectl.model.event import Event
 from edgectl.model.plan import Plan
 from edgectl.model.result import Results
 from edgectl.model.snapshot import Snapshot, TaskSample
+from edgectl.state.journal import JOURNAL_FILE_NAME
+from edgectl.state.journal_reader import read_journal_cached
 from edgectl.state.lock import is_locked_elsewhere
 from edgectl.usecases.fleet import Fleet
 
@@ -21,7 +23,10 @@ _START_TOLERANCE_S = 5.0
 def record_snapshot(fleet: Fleet, snapshot: Snapshot) -> None:
     """Record the samples of a probe and the events that they show."""
     changing = is_locked_elsewhere(fleet.state)
-    _record_and_prune(fleet, lambda store: store.record_snapshot(snapshot, changing=changing))
+    unfinished = read_journal_cached(fleet.state / JOURNAL_FILE_NAME).unfinished
+    _record_and_prune(
+        fleet, lambda store: store.record_snapshot(snapshot, changing=changing, unfinished=unfinished)
+    )
 
 
 def pin_task_starts(fleet: Fleet, snapshot: Snapshot) -> Snapshot:

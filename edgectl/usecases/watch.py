@@ -21,6 +21,7 @@ from edgectl.transport.backoff import compute_backoff_s
 from edgectl.transport.connections import REFUSED_BACKOFF_S, BackoffTransport, SessionPool
 from edgectl.usecases.control import Control, ControlRequest
 from edgectl.usecases.fleet import Fleet
+from edgectl.usecases.given_up import take_given_up_reminders
 from edgectl.usecases.heartbeat import send_heartbeats, track_heartbeats
 from edgectl.usecases.plan import limit_plan_to_tasks, make_plan
 from edgectl.usecases.plan_execution import (
@@ -182,6 +183,7 @@ class _WatchLoop:
             return
         plan = self._plan(snapshot)
         draft.put(plan=plan)
+        self._said += take_given_up_reminders(self._fleet, plan)
         if self._options.apply and not has_nothing_to_do(self._fleet, plan):
             draft.put(results=self._apply(plan, before))
 

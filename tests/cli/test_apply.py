@@ -144,6 +144,19 @@ def test_a_second_edgectl_waits_or_ends_with_75(run: Run, small: Path) -> None:
     assert first.returncode == 0
 
 
+def test_a_program_that_dies_at_start_is_never_done(small: Path, run: Run) -> None:
+    """Also one that lives longer than a glance takes; what needs it is not started."""
+    dying = 'command: "sleep 0.6; exit 3", up: 20s, restart: never'
+    (small / "tasks" / "lab.yaml").write_text(
+        TASKS.replace('command: "echo started; exec sleep 600"', dying)
+        + "  next: {needs: [idle], command: sleep 600}\n"
+    )
+    said = run("apply", "--yes")
+    assert said.code == 4
+    assert "idle failed (exit code 3)" in said.out
+    assert "needs idle, which did not start" in said.out
+
+
 def ready_check(small: Path) -> str:
     """A ready check that passes once there is a file ``go``."""
     return f"ready: {{command: test -e {small}/go, timeout: 60s}}"

@@ -106,5 +106,30 @@ def test_what_is_said_is_so(answer: Answer, hosts: FakeFleet, run: Run) -> None:
     assert (told.code, answer.said in told.out + told.err) == (answer.code, True), told
 
 
+def test_a_given_up_task_is_reported_once_a_day(hosts: FakeFleet, run: Run, tmp_path: Path) -> None:
+    give_up(hosts)
+    told = [run("apply", "--yes", "--quiet") for _ in range(2)]
+    (record,) = (tmp_path / "state").rglob("reminders.json")
+    text = record.read_text()
+    record.write_text(re.sub(r'"at": "\d{4}', '"at": "2001', text))
+    assert record.read_text() != text
+    told.append(run("apply", "--yes", "--quiet"))
+    assert [(each.code, each.out, "t0 is given up" in each.err) for each in told] == [
+        (4, "", True),
+        (4, "", False),
+        (4, "", True),
+    ]
+
+
+@pytest.mark.parametrize("words", [("plan",), ("explain", "t1"), ("graph",)])
+def test_a_what_if_is_no_event(words: tuple[str, ...], hosts: FakeFleet, run: Run) -> None:
+    end_everything(hosts)
+    before = run("events").out.count("planned")
+    assert run(*words, "--without", "edge1").code == 0
+    assert run("events").out.count("planned") == before
+    assert run(*words).code == 0
+    assert run("events").out.count("planned") == before + 1
+
+
 def test_every_situation_is_on_the_page() -> None:
     assert {answer.situation for answer in read_answers()} == set(SITUATIONS)

@@ -46,7 +46,7 @@ REQUEST_KEYS = {
     OP_START: ("task", "instance", "generation", "manager", "spec"),
     OP_STATUS: ("task",),
     OP_STOP: ("task", "instance", "generation", "stop"),
-    OP_WAIT: ("task", "instance", "timeout_s"),
+    OP_WAIT: ("task", "instance", "timeout_s", "up_s"),
 }
 # Keys of ``spec`` in OP_START.
 SPEC_KEYS = (
