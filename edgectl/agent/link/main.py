@@ -31,7 +31,14 @@ def serve_request(request: bytes, channel: "Channel", bases: "list[str]") -> Non
             from ..supervise.logs import follow_log
 
             return follow_log(document, channel)
-        reply = _find_operation(document["op"])(document)
+        operation = _find_operation(document["op"])
+        if _needs_lease(document):
+            from ..supervise.lease import hold_for_request
+
+            with hold_for_request(document):
+                reply = operation(document)
+        else:
+            reply = operation(document)
     except RefusalError as refusal:
         reply = _build_error(refusal.kind, refusal.message, refusal.hint)
     except Exception as error:  # noqa: BLE001 - the manager needs a document, not a traceback
@@ -44,6 +51,13 @@ def serve_request(request: bytes, channel: "Channel", bases: "list[str]") -> Non
             _build_error("too-large", "the reply is larger than 1 MiB", "request less")
         ).encode("ascii")
     return channel.reply(payload)
+
+
+def _needs_lease(document: Document) -> bool:
+    """Whether the request changes something; a check does where the manager says so by its signature."""
+    return document["op"] in protocol.CHANGING_OPS and (
+        document["op"] != protocol.OP_CHECK or "lease" in document
+    )
 
 
 def _build_error(kind: str, message: str, hint: str) -> Document:
@@ -74,6 +88,8 @@ def _find_operation(name: str) -> "Callable[[Document], Document]":  # noqa: C90
         from ..supervise.status import mark_ready as operation
     elif name == protocol.OP_CHECK:
         from ..supervise.shell import run_check as operation
+    elif name == protocol.OP_LEASE:
+        from ..supervise.lease import serve_lease as operation
     elif name == protocol.OP_LOGS:
         from ..supervise.logs import read_logs as operation
     elif name == protocol.OP_FETCH:
