@@ -132,6 +132,17 @@ def build_check_request(
     }
 
 
+def build_renewal_request(host: Host, signature: Mapping[str, object]) -> Request:
+    """Renew the lease of the fleet on a host."""
+    return {
+        "op": protocol.OP_LEASE,
+        "host": host.name,
+        "action": "renew",
+        "lease": signature,
+        "end_watch": False,
+    }
+
+
 def build_status_request(host: Host, name: str | None = None) -> Request:
     """The state of one task, or of all, as the host knows it, without a measurement."""
     return {"op": protocol.OP_STATUS, "fleet": host.fleet, "host": host.name, "task": name}

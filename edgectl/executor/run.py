@@ -28,6 +28,7 @@ from edgectl.model.result import ActionResult, Outcome, Results
 from edgectl.model.task import Task, Tasks
 from edgectl.state.journal import Journal
 from edgectl.transport.base import Transport
+from edgectl.transport.fleet_lease import FleetLease
 
 __all__ = ["RunIdentity", "RunOptions", "run_plan"]
 
@@ -41,8 +42,10 @@ def run_plan(
     identity: RunIdentity,
     options: RunOptions,
     progress: ProgressListener = ignore_progress,
+    *,
+    lease: FleetLease | None = None,
 ) -> Results:
-    """Carry out the changes of ``plan``; the result of each, in the order of the plan.
+    """Carry out the changes of ``plan`` within ``lease``; the result of each, in the order of the plan.
 
     Independent actions run in parallel. The successors of a failed action are skipped, the others go on.
     When ``options.stop_requested`` is set, actions under way are finished and the rest is skipped.
@@ -63,6 +66,7 @@ def run_plan(
         identity=identity,
         options=options,
         report_progress=workers.report_progress,
+        lease=lease,
     )
     acts = {
         step.task: StepRun(run=shared, step=step) for step in plan.steps if step.action.changes or step.stop

@@ -44,7 +44,14 @@ def serve_request(request: bytes, channel: "Channel", bases: "list[str]") -> Non
             from ..supervise.logs import follow_log
 
             return follow_log(document, channel)
-        reply = _find_operation(document["op"])(document)
+        operation = _find_operation(document["op"])
+        if _needs_lease(document):
+            from ..supervise.lease import hold_for_request
+
+            with hold_for_request(document):
+                reply = operation(document)
+        else:
+            reply = operation(document)
     except RefusalError as refusal:
         reply = _build_error(refusal.kind, refusal.message, refusal.hint)
     except OSError as error:
@@ -65,6 +72,13 @@ def _build_os_error(error: OSError) -> Document:
     if lacks is None:
         return _build_error("agent-error", _describe_exception(error), _BUG_HINT)
     return _build_error("out-of-resources", "the host is out of " + lacks[0], lacks[1])
+
+
+def _needs_lease(document: Document) -> bool:
+    """Whether the request changes something; a check does where the manager says so by its signature."""
+    return document["op"] in protocol.CHANGING_OPS and (
+        document["op"] != protocol.OP_CHECK or "lease" in document
+    )
 
 
 def _build_error(kind: str, message: str, hint: str) -> Document:
@@ -97,6 +111,8 @@ def _find_operation(name: str) -> "Callable[[Document], Document]":  # noqa: C90
         from ..supervise.status import mark_ready as operation
     elif name == protocol.OP_CHECK:
         from ..supervise.shell import run_check as operation
+    elif name == protocol.OP_LEASE:
+        from ..supervise.lease import serve_lease as operation
     elif name == protocol.OP_LOGS:
         from ..supervise.logs import read_logs as operation
     elif name == protocol.OP_FETCH:

@@ -12,6 +12,7 @@ OP_CHECK = "check"
 OP_DOCTOR = "doctor"
 OP_FETCH = "fetch"
 OP_FOLLOW = "follow"
+OP_LEASE = "lease"
 OP_LOGS = "logs"
 OP_MARK = "mark"
 OP_PROBE = "probe"
@@ -27,6 +28,12 @@ OP_STOP = "stop"
 OP_SUPERVISE = "supervise"
 OP_WAIT = "wait"
 
+# Operations that change tasks or robots. While a manager holds the fleet they carry its ``lease``
+# (SIGNATURE_KEYS); a probe may carry a claim of it (CLAIM_KEYS).
+CHANGING_OPS = (OP_START, OP_STOP, OP_MARK, OP_CHECK)
+SIGNATURE_KEYS = ("holder", "session", "epoch")
+CLAIM_KEYS = ("holder", "session", "who", "verb", "ttl_s", "watch", "take_over")
+
 # Keys of a request besides ``op``, ``fleet`` and ``host``; OP_PROFILER_RUN and OP_SUPERVISE are requests of
 # the agent to itself.
 REQUEST_KEYS = {
@@ -35,6 +42,7 @@ REQUEST_KEYS = {
     OP_DOCTOR: ("links", "prelude", "env", "timeout_s"),
     OP_FETCH: ("task", "workdir", "file", "most", "offset"),
     OP_FOLLOW: ("task", "tail"),
+    OP_LEASE: ("action", "lease", "end_watch"),
     OP_LOGS: ("task", "tail"),
     OP_MARK: ("task", "instance", "ready"),
     OP_PROBE: ("window_s", "links", "detect", "checks"),
@@ -125,6 +133,7 @@ PROBE_KEYS = (
     "gpu_share",
     "interfaces",
     "links",
+    "lease",
     "tasks",
 )
 

@@ -25,6 +25,7 @@ def probe_host(request: Document) -> Document:
     Where a resident profiler runs, its last sample is used; otherwise a sample window passes, with the checks
     running meanwhile.
     """
+    lease = _claim_lease(request)
     measured, checks = _read_profiler(request) or _measure_window(request)
     for task, values in metrics.read_tasks_metrics(request["host"], measured["tasks"]).items():
         measured["tasks"][task]["metrics"] = values
@@ -43,7 +44,17 @@ def probe_host(request: Document) -> Document:
             "checks": checks.results(),
         },
         **measured,
+        **lease,
     )
+
+
+def _claim_lease(request: Document) -> Document:
+    """Claim the fleet before anything is measured: what is seen then, no other manager changes afterwards."""
+    if "lease" not in request:
+        return {}
+    from ..supervise.lease import claim_lease
+
+    return {"lease": claim_lease(request["host"], request["lease"])}
 
 
 def _read_profiler(request: Document) -> "tuple[Document, _RunningChecks] | None":
