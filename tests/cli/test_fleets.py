@@ -18,8 +18,8 @@ edges:
 """
 TASKS = """version: 1
 tasks:
-  idle: {{command: "echo {fleet}; exec sleep 600", demand: {{cpu: 0.1, memory: 10Mi}}, stop: {{grace: 2s}}}}
-  {fleet}: {{command: exec sleep 600, demand: {{cpu: 0.1, memory: 10Mi}}, stop: {{grace: 2s}}}}
+  idle: {{command: "echo {fleet}; exec sleep 600", demand: {{cpu: 0.1, memory: 10Mi}}, up: 100ms, stop: {{grace: 2s}}}}
+  {fleet}: {{command: exec sleep 600, demand: {{cpu: 0.1, memory: 10Mi}}, up: 100ms, stop: {{grace: 2s}}}}
 """
 
 
