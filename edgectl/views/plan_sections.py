@@ -96,7 +96,7 @@ def _render_load_cell(used: float, capacity: float | None, shown: str) -> Cell:
     return Cell(f"{shown} ({share:.0%})", "bad" if share > 1 else "")
 
 
-def render_plan_notes(value: Plan, look: RenderOptions = PLAIN) -> str:
+def list_plan_notes(value: Plan) -> list[str]:
     """Notes on hosts, deferred tasks and demands."""
     lines = list_unreachable_notes(value.snapshot) + list_operator_mark_notes(value.snapshot)
     deferred = value.snapshot.manager.deferred if value.snapshot.manager else {}
@@ -115,7 +115,7 @@ def render_plan_notes(value: Plan, look: RenderOptions = PLAIN) -> str:
             f"first plan of this fleet: tasks on {join_words(value.unseen)} are not known "
             "and count as not running"
         )
-    return render_notes(lines + list_demand_notes(value), look)
+    return lines + list_demand_notes(value)
 
 
 def list_unreachable_notes(value: Snapshot) -> list[str]:

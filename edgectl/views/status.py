@@ -12,7 +12,7 @@ from edgectl.views.glossary import head
 from edgectl.views.other_tasks import list_foreign_notes
 from edgectl.views.output import ListView
 from edgectl.views.output_format import NAMED_FORMATS
-from edgectl.views.plan_sections import list_operator_mark_notes, list_unreachable_notes, render_notes
+from edgectl.views.plan_sections import list_operator_mark_notes, list_unreachable_notes
 from edgectl.views.rows import (
     compute_task_age,
     encode_absent_row,
@@ -74,24 +74,18 @@ class StatusView(ListView):
         )
 
     def _render(self, rows: list[Row], look: RenderOptions, *, right: set[int]) -> str:
-        notes = render_notes(
-            list_unreachable_notes(self._snapshot)
-            + list_operator_mark_notes(self._snapshot)
-            + list_foreign_notes(self._snapshot)
-            + list_task_remarks(self._snapshot)
-            + self._list_need_notes(),
-            look,
-        )
         failed = [
             f"{name} on {host}{', given up' if sample.given_up else ''}"
             for name, (host, sample) in self._failed.items()
         ]
         first = f"{len(failed)} of {len(self._tasks.tasks)} tasks failed: {', '.join(failed)}"
-        return (
-            (style_text(wrap_text(first, look), "bad", look) if failed else "")
-            + render_columns(rows, look, right=right, wrap={2})
-            + notes
+        return (style_text(wrap_text(first, look), "bad", look) if failed else "") + render_columns(
+            rows, look, right=right, wrap={2}
         )
+
+    def notes(self) -> Sequence[str]:
+        """The warnings, and remarks on tasks that stand in their rows in documents."""
+        return [*self.warnings(), *list_task_remarks(self._snapshot), *self._list_need_notes()]
 
     def _render_run_row(self, run: tuple[str, str, TaskSample]) -> Row:
         name, host, sample = run
