@@ -19,13 +19,13 @@ from edgectl.config.problems import ProblemCode, Problems
 from edgectl.config.scalars import (
     NAME_PATTERN,
     NodeReader,
+    address_reader,
     check_name,
     enum_reader,
     integer_reader,
     quantity_reader,
     read_bool,
     read_name,
-    read_safe_argument,
     read_text,
     read_text_or_empty,
     read_version,
@@ -84,9 +84,9 @@ def _read_capacity(node: Node, problems: Problems) -> Any:  # noqa: ANN401
 DEFAULTS_KEYS: Mapping[str, NodeReader] = {
     "connection": enum_reader(Connection),
     "port": integer_reader(1, 65535),
-    "user": read_safe_argument,
+    "user": address_reader(),
     "identity_file": read_text,
-    "proxy_jump": read_safe_argument,
+    "proxy_jump": address_reader(more=","),
     "password_command": read_argument_vector,
     "labels": read_labels,
     "limits": record_reader(LIMITS_KEYS, Limits, "limits"),
@@ -96,7 +96,7 @@ DEFAULTS_KEYS: Mapping[str, NodeReader] = {
     "runtime": enum_reader(Runtime),
 }
 EDGE_KEYS: Mapping[str, NodeReader] = {
-    "host": read_safe_argument,
+    "host": address_reader(),
     **DEFAULTS_KEYS,
     "capacity": _read_capacity,
     "base": record_reader(BASE_KEYS, BaseLoad, "base"),
