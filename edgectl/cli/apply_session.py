@@ -103,12 +103,11 @@ def _print_plan(plan: Plan, output: OutputFormat) -> None:
 
 def _explain_exit_code(plan: Plan, code: ExitCode) -> None:
     """Print the causes of an exit code of a plan that was not shown."""
-    from edgectl.cli.exit_codes import list_unreachable_hosts
     from edgectl.views import plan_sections
 
     if code is ExitCode.PARTLY:
         console.print_stderr(
-            plan_sections.render_unreachable_hosts(plan.snapshot, list_unreachable_hosts(plan.snapshot))
+            plan_sections.render_unreachable_hosts(plan.snapshot, plan.snapshot.silent_hosts)
         )
     elif code is ExitCode.UNPLACED:
         console.print_stderr(plan_sections.render_unplaced_tasks(plan))

@@ -152,11 +152,31 @@ HostArgument = Annotated[
         metavar="HOST", autocompletion=complete_hosts, help="Name in the inventory.", show_default=False
     ),
 ]
+
+
+def strip_task_kind(word: str) -> str:
+    """The name of a task that may be given as ``-o name`` prints it, ``task/NAME``."""
+    return word.removeprefix("task/")
+
+
 TaskArgument = Annotated[
-    str, Argument(metavar="TASK", autocompletion=complete_tasks, help="Name of the task.", show_default=False)
+    str,
+    Argument(
+        metavar="TASK",
+        autocompletion=complete_tasks,
+        parser=strip_task_kind,
+        help="Name of the task.",
+        show_default=False,
+    ),
 ]
 TasksArgument = Annotated[
     list[str],
-    Argument(metavar="TASK...", autocompletion=complete_tasks, help="Names of tasks.", show_default=False),
+    Argument(
+        metavar="TASK...",
+        autocompletion=complete_tasks,
+        parser=strip_task_kind,
+        help="Names of tasks.",
+        show_default=False,
+    ),
 ]
 Shell = Literal["bash", "zsh", "fish"]

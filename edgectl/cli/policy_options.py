@@ -48,6 +48,14 @@ def policy_from_options(
     )
 
 
+def is_what_if(fleet: Fleet, policy: Policy) -> bool:
+    """Whether a plan under ``policy`` answers a question (``--without``, ``--weights``, ..) and does not show
+    what an apply of the files would do. Such a plan is no part of the history.
+    """
+    stated = fleet.tasks.policy
+    return policy != dataclasses.replace(stated, attended=policy.attended, full=policy.full)
+
+
 def _parse_weights_option(text: str) -> Weights:
     try:
         return parse_weights(text)

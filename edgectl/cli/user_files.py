@@ -24,7 +24,7 @@ _INVENTORIES_DIRECTORY, _TASKS_DIRECTORY = "inventories", "tasks"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LoadedInputs:
-    """Inventory and tasks as read, and the path of the inventory, which identifies the fleet's state.
+    """Inventory and tasks as read, and the path of the inventory.
 
     ``exposed``: warnings about the files that others may write.
     """
@@ -43,8 +43,8 @@ def load_inputs(
     quiet: bool = False,
     needs_tasks: bool = True,
 ) -> LoadedInputs:
-    """Load both files, given or found; warnings go to stderr unless ``quiet`` or repeated with more detail by
-    a plan.
+    """Load both files, given or found; warnings go to stderr unless ``quiet`` or said with more detail by a
+    plan or by ``validate`` and ``doctor``.
 
     Not ``needs_tasks``: there are no tasks if no task file is given and tasks/ does not hold exactly one.
 
@@ -60,11 +60,10 @@ def load_inputs(
     found = _list_yaml_files(Path(_TASKS_DIRECTORY))
     paths = resolve_task_paths(tasks) if needs_tasks or tasks or len(found) == 1 else []
     fleet, work, warnings = read(path, paths)
-    print_input_warnings(
-        warning
-        for warning in warnings
-        if not quiet and (every_warning or warning.code not in (ProblemCode.NO_DEMAND, ProblemCode.EXPOSED))
+    elsewhere = (
+        () if every_warning else (ProblemCode.NO_DEMAND, ProblemCode.UNNAMED_FLEET, ProblemCode.EXPOSED)
     )
+    print_input_warnings(warning for warning in warnings if not quiet and warning.code not in elsewhere)
     return LoadedInputs(inventory=fleet, tasks=work, path=path, exposed=select_exposed(warnings))
 
 

@@ -79,10 +79,10 @@ def test_a_file_that_everybody_may_write_is_refused(run: Run, site: Path, name: 
     said = run(*words)
     assert (said.code, said.out) == (64, "")
     assert said.err == (
-        f"error[EC103]: {name}: every user may change it (mode 0666)\n"
+        f"error[EC104]: {name}: every user may change it (mode 0666)\n"
         f"hint: chmod go-w {name}; or use it nevertheless: --insecure-files\n"
     )
-    assert "EC103" in run("validate").err or name == "next.plan"
+    assert "EC104" in run("validate").err or name == "next.plan"
 
 
 def test_nothing_is_refused_where_no_host_is_asked_or_it_is_wished(
