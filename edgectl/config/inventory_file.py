@@ -22,13 +22,13 @@ from edgectl.config.scalars import (
     INVALID,
     NAME_PATTERN,
     NodeReader,
+    address_reader,
     check_name,
     enum_reader,
     integer_reader,
     quantity_reader,
     read_bool,
     read_name,
-    read_safe_argument,
     read_text,
     read_text_or_empty,
     read_version,
@@ -84,16 +84,19 @@ def _read_capacity(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     )
 
 
+_read_any_address = address_reader()
+
+
 @describe_as(
     lambda: {
         "type": "string",
-        "pattern": r"^[^-\s\0@][^\s\0@]*$",
+        "pattern": r"^(?!-)[A-Za-z0-9._:%\[\]-]+$",
         "not": {"pattern": "^[^:]+:[0-9]+$"},
     }
 )
 def _read_address(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     """An address or an alias; user and port have keys of their own."""
-    value = read_safe_argument(node, problems)
+    value = _read_any_address(node, problems)
     if not isinstance(value, str):
         return value
     user, _, rest = value.rpartition("@")
@@ -112,9 +115,9 @@ def _read_address(node: Node, problems: Problems) -> Any:  # noqa: ANN401
 DEFAULTS_KEYS: Mapping[str, NodeReader] = {
     "connection": enum_reader(Connection),
     "port": integer_reader(1, 65535),
-    "user": read_safe_argument,
+    "user": address_reader(),
     "identity_file": read_text,
-    "proxy_jump": read_safe_argument,
+    "proxy_jump": address_reader(more=","),
     "password_command": read_argument_vector,
     "labels": read_labels,
     "limits": record_reader(LIMITS_KEYS, Limits, "limits"),
