@@ -5,7 +5,8 @@
     ├── UsageError                  a call that cannot be carried out as given (exit 64)
     ├── FileError                   a file that cannot be read or written (exit 1)
     ├── StateError                  the manager's own state is damaged or of a newer version (exit 1)
-    ├── LockBusyError               another edgectl holds the lock (exit 75)
+    ├── LockBusyError               another edgectl holds the lock or the fleet (exit 75)
+    │   └── WatchedError            another watch looks after the fleet (exit 75)
     ├── StalePlanError              the world moved since the plan was made (exit 75)
     ├── UnansweredError             the answer depends on a host that did not answer (exit 4)
     ├── FleetBusyError              the fleet is not free for an experiment (exit 75)
@@ -107,6 +108,10 @@ class LockBusyError(EdgectlError):
     """Another edgectl is changing this fleet."""
 
     exit_code = ExitCode.TRY_AGAIN
+
+
+class WatchedError(LockBusyError):
+    """Another watch looks after this fleet; ``--take-over`` replaces it."""
 
 
 class StalePlanError(EdgectlError):

@@ -11,6 +11,7 @@ from edgectl.errors import ExitCode, UsageError
 from edgectl.model.plan import Plan
 from edgectl.model.policy import Policy
 from edgectl.model.progress import ProgressEvent, ProgressListener, ignore_progress
+from edgectl.usecases.apply import check_saved_plan
 from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.plan import keep_whole_plan, list_remote_commands, make_plan
 from edgectl.usecases.plan_execution import ApplyOptions, ApplyResult
@@ -136,6 +137,8 @@ def print_dry_run(
     from edgectl.views.dry_run import RequestsView
 
     check_output_format(output, RequestsView.formats)
+    if saved is not None:
+        check_saved_plan(fleet, saved)
     plan = saved if saved is not None else choose(make_plan(fleet, policy))
     console.print_view(RequestsView(list_remote_commands(fleet, plan)), output)
     return ExitCode.DONE

@@ -26,7 +26,7 @@ def trust_command(
     """
     from edgectl.transport.trust import fetch_host_keys, get_public_key_path, trust_host_key
 
-    loaded = load_inputs(inventory, tasks)
+    loaded = load_inputs(inventory, tasks, needs_tasks=False)
     check_known_names([host], loaded.inventory.hosts, "host")
     keys = fetch_host_keys(loaded.inventory.hosts[host])
     if not keys:

@@ -81,7 +81,7 @@ SnapshotOption = Annotated[
 ]
 WeightsOption = Annotated[
     str | None,
-    Option("--weights", "-w", metavar="WEIGHTS", help="cpu, memory, network, task, all, or cpu=.5,task=1."),
+    Option("--weights", "-W", metavar="WEIGHTS", help="cpu, memory, network, task, all, or cpu=.5,task=1."),
 ]
 PolicyOption = Annotated[
     PolicyName | None, Option("--policy", metavar="NAME", help="utility, paper, static or local.")
@@ -133,7 +133,7 @@ WatchOption = Annotated[bool, Option("--watch", "-w", help="Keep watching until 
 EveryOption = Annotated[str, Option("--every", metavar="TIME", help="With -w: time between probes.")]
 ReadonlyOption = Annotated[bool, Option("--readonly", help="With -I: keys change nothing.")]
 InteractiveOption = Annotated[
-    bool, Option("--interactive", "-I", help="Full-screen view with keys (needs edgectl[tui]).")
+    bool, Option("--interactive", "-I", help="Full-screen view with keys (needs the extra tui).")
 ]
 TimeoutOption = Annotated[str, Option("--timeout", metavar="TIME", help="Deadline of each host.")]
 AcceptNewOption = Annotated[

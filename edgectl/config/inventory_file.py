@@ -15,19 +15,20 @@ from edgectl.config.fields import (
     read_labels,
     record_reader,
 )
+from edgectl.config.fleet_name import derive_fleet_name
 from edgectl.config.node import Node
 from edgectl.config.problems import ProblemCode, Problems
 from edgectl.config.scalars import (
     INVALID,
     NAME_PATTERN,
     NodeReader,
+    address_reader,
     check_name,
     enum_reader,
     integer_reader,
     quantity_reader,
     read_bool,
     read_name,
-    read_safe_argument,
     read_text,
     read_text_or_empty,
     read_version,
@@ -83,16 +84,19 @@ def _read_capacity(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     )
 
 
+_read_any_address = address_reader()
+
+
 @describe_as(
     lambda: {
         "type": "string",
-        "pattern": r"^[^-\s\0@][^\s\0@]*$",
+        "pattern": r"^(?!-)[A-Za-z0-9._:%\[\]-]+$",
         "not": {"pattern": "^[^:]+:[0-9]+$"},
     }
 )
 def _read_address(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     """An address or an alias; user and port have keys of their own."""
-    value = read_safe_argument(node, problems)
+    value = _read_any_address(node, problems)
     if not isinstance(value, str):
         return value
     user, _, rest = value.rpartition("@")
@@ -111,9 +115,9 @@ def _read_address(node: Node, problems: Problems) -> Any:  # noqa: ANN401
 DEFAULTS_KEYS: Mapping[str, NodeReader] = {
     "connection": enum_reader(Connection),
     "port": integer_reader(1, 65535),
-    "user": read_safe_argument,
+    "user": address_reader(),
     "identity_file": read_text,
-    "proxy_jump": read_safe_argument,
+    "proxy_jump": address_reader(more=","),
     "password_command": read_argument_vector,
     "labels": read_labels,
     "limits": record_reader(LIMITS_KEYS, Limits, "limits"),
@@ -138,6 +142,7 @@ LINK_KEYS: Mapping[str, NodeReader] = {
 
 INVENTORY_KEYS: Mapping[str, NodeReader] = {
     "version": read_version,
+    "fleet": read_name,
     "defaults": keep_node,
     "edges": keep_node,
     "robots": keep_node,
@@ -180,9 +185,13 @@ def read_inventory(node: Node, problems: Problems) -> Inventory:
         )
     ordered = {key: hosts[key] for key in sorted(hosts, key=natural_key)}
     links = _read_link_entries(top.at("links"), ordered, problems) if "links" in top else {}
-    digest = digest_inventory(Inventory(hosts=ordered, links=links))
-    return Inventory(
-        hosts={key: _expand_identity_file(host) for key, host in ordered.items()}, links=links, digest=digest
+    fleet = top.values.get("fleet") or derive_fleet_name(Path(node.mark.source.file))
+    stated = Inventory(hosts=ordered, links=links, fleet=fleet, is_fleet_named="fleet" in top.values)
+    # The digest is of the file alone: no path and no home of a user may change it.
+    return replace(
+        stated,
+        hosts={key: replace(_expand_identity_file(host), fleet=fleet) for key, host in ordered.items()},
+        digest=digest_inventory(stated),
     )
 
 

@@ -9,10 +9,12 @@ from edgectl.errors import HostError
 from edgectl.executor import host_requests
 from edgectl.executor.action_phases import WAIT_PIECE_S, PlannedPhase, PlannedPhases, PlannedRequest
 from edgectl.executor.host_requests import Request
+from edgectl.executor.moved_world import check_gone_everywhere
 from edgectl.executor.secrets import resolve_environment
 from edgectl.executor.step_run import RunContext, StepRun
 from edgectl.model.result import Phase
 from edgectl.model.task import CheckLocation, Task, TaskKind
+from edgectl.state.lock import describe_manager
 
 # Beyond the grace: SIGKILL, the sweeps that prove the end, and the way back.
 _STOP_MARGIN_S = 20.0
@@ -66,6 +68,7 @@ def _send(run: RunContext, request: PlannedRequest, **values: object) -> Request
 
 
 def _stop_task(act: StepRun, planned: PlannedPhase) -> None:
+    """Stop the task. Where the plan had seen it alive and it is gone, the fleet has changed: look again."""
     request, host = planned.requests[0], planned.host
     body = {**request.body, "generation": act.generation}
     with act.phase(planned.phase, host.name):
@@ -76,6 +79,15 @@ def _stop_task(act: StepRun, planned: PlannedPhase) -> None:
                 hint=f"end them on {host.name}, then apply again",
                 host=host.name,
             )
+        if answer.get("state") == protocol.NOT_RUNNING and _was_alive(act, request):
+            check_gone_everywhere(act, host)
+
+
+def _was_alive(act: StepRun, request: PlannedRequest) -> bool:
+    """Whether the plan had seen the very instance alive that was to be stopped."""
+    sample = act.run.plan.snapshot.hosts.get(request.host.name)
+    task = sample.tasks.get(act.name) if sample is not None else None
+    return request.body.get("instance") is not None and task is not None and task.state.alive
 
 
 def _start_task(act: StepRun, planned: PlannedPhase, variables: Mapping[str, str]) -> None:
@@ -84,7 +96,11 @@ def _start_task(act: StepRun, planned: PlannedPhase, variables: Mapping[str, str
     attempt = 2 if planned.phase is Phase.RESTORE else 1
     instance = act.instance(host.name, attempt)
     body = host_requests.fill_start_request(
-        request.body, instance=instance, generation=act.generation + attempt - 1, variables=variables
+        request.body,
+        instance=instance,
+        generation=act.generation + attempt - 1,
+        manager=describe_manager(),
+        variables=variables,
     )
     with act.phase(planned.phase, host.name):
         answer = act.run.ask(host, body)

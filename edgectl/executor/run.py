@@ -16,6 +16,7 @@ from edgectl.executor.dependencies import (
     is_replacement,
 )
 from edgectl.executor.handoff import move_task, replace_task
+from edgectl.executor.moved_world import MovedWorldError
 from edgectl.executor.phases import perform_phases, resolve_variables
 from edgectl.executor.step_run import RunContext, RunIdentity, RunOptions, StepRun
 from edgectl.executor.worker_pool import WorkerPool
@@ -27,6 +28,7 @@ from edgectl.model.result import ActionResult, Outcome, Results
 from edgectl.model.task import Task, Tasks
 from edgectl.state.journal import Journal
 from edgectl.transport.base import Transport
+from edgectl.transport.fleet_lease import FleetLease
 
 __all__ = ["RunIdentity", "RunOptions", "run_plan"]
 
@@ -40,8 +42,10 @@ def run_plan(
     identity: RunIdentity,
     options: RunOptions,
     progress: ProgressListener = ignore_progress,
+    *,
+    lease: FleetLease | None = None,
 ) -> Results:
-    """Carry out the changes of ``plan``; the result of each, in the order of the plan.
+    """Carry out the changes of ``plan`` within ``lease``; the result of each, in the order of the plan.
 
     Independent actions run in parallel. The successors of a failed action are skipped, the others go on.
     When ``options.stop_requested`` is set, actions under way are finished and the rest is skipped.
@@ -62,6 +66,7 @@ def run_plan(
         identity=identity,
         options=options,
         report_progress=workers.report_progress,
+        lease=lease,
     )
     acts = {
         step.task: StepRun(run=shared, step=step) for step in plan.steps if step.action.changes or step.stop
@@ -133,6 +138,8 @@ def _stop_step(act: StepRun) -> ActionResult | None:
         perform_phases(act, build_stop_phases(act.step, act.run.inventory, act.run.tasks))
     except StateError as error:
         return _end_unrecorded(act, error)
+    except MovedWorldError as error:
+        return act.end(Outcome.DEFERRED, located=error.located, error=error)
     except HostError as error:
         return act.end(Outcome.FAILED, located=here, error=error)
     if act.step.action in STARTING_ACTIONS:

@@ -25,7 +25,7 @@ def mark_tasks_done(fleet: Fleet, names: Sequence[str]) -> ManagerState:
     spec.
     """
     check_known_names(names, fleet.tasks.tasks, "task")
-    with FleetLock(fleet.state, verb="done", clock=fleet.clock):
+    with FleetLock(fleet.state, verb="done", timeout=None, clock=fleet.clock):
         manager = load_manager_state(fleet.state, fleet.warn)
         marked = {name: fleet.tasks.tasks[name].spec_hash for name in names}
         return _save_and_return(fleet, dataclasses.replace(manager, done={**manager.done, **marked}))
@@ -36,7 +36,7 @@ def reopen_tasks(fleet: Fleet, names: Sequence[str]) -> frozenset[str]:
     that did not answer, where one may be recorded still.
     """
     check_known_names(names, fleet.tasks.tasks, "task")
-    with FleetLock(fleet.state, verb="reopen", clock=fleet.clock):
+    with FleetLock(fleet.state, verb="reopen", timeout=None, clock=fleet.clock):
         unanswered = _ignore_ended_instances(fleet, names)
         manager = load_manager_state(fleet.state, fleet.warn)
         kept = {name: spec for name, spec in manager.done.items() if name not in names}
@@ -64,7 +64,7 @@ def _ignore_ended_instances(fleet: Fleet, names: Sequence[str]) -> frozenset[str
 def cordon_hosts(fleet: Fleet, names: Sequence[str], *, drain: bool = False) -> ManagerState:
     """Mark hosts as unschedulable; with ``drain`` their tasks move away at the next apply."""
     check_known_names(names, fleet.inventory.hosts, "host")
-    with FleetLock(fleet.state, verb="cordon", clock=fleet.clock):
+    with FleetLock(fleet.state, verb="cordon", timeout=None, clock=fleet.clock):
         manager = load_manager_state(fleet.state, fleet.warn)
         draining = manager.draining | set(names) if drain else manager.draining
         return _save_and_return(
@@ -75,7 +75,7 @@ def cordon_hosts(fleet: Fleet, names: Sequence[str], *, drain: bool = False) -> 
 def uncordon_hosts(fleet: Fleet, names: Sequence[str]) -> ManagerState:
     """Mark hosts as schedulable."""
     check_known_names(names, fleet.inventory.hosts, "host")
-    with FleetLock(fleet.state, verb="uncordon", clock=fleet.clock):
+    with FleetLock(fleet.state, verb="uncordon", timeout=None, clock=fleet.clock):
         manager = load_manager_state(fleet.state, fleet.warn)
         return _save_and_return(
             fleet,
@@ -88,14 +88,14 @@ def uncordon_hosts(fleet: Fleet, names: Sequence[str]) -> ManagerState:
 def fence_hosts(fleet: Fleet, names: Sequence[str]) -> frozenset[str]:
     """Declare hosts powered off: their tasks can be rescheduled. Returns all fenced hosts."""
     check_known_names(names, fleet.inventory.hosts, "host")
-    with FleetLock(fleet.state, verb="fence", clock=fleet.clock):
+    with FleetLock(fleet.state, verb="fence", timeout=None, clock=fleet.clock):
         return heartbeats.add_fences(fleet.state, names).fenced
 
 
 def unfence_hosts(fleet: Fleet, names: Sequence[str]) -> frozenset[str]:
     """Clear the fence of hosts. Returns all hosts that are still fenced."""
     check_known_names(names, fleet.inventory.hosts, "host")
-    with FleetLock(fleet.state, verb="unfence", clock=fleet.clock):
+    with FleetLock(fleet.state, verb="unfence", timeout=None, clock=fleet.clock):
         return heartbeats.remove_fences(fleet.state, names).fenced
 
 

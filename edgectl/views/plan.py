@@ -1,5 +1,6 @@
 """The plan: what changes, why, and the expected load; as a table, in full, as a document and as a comment."""
 
+import re
 from collections.abc import Sequence
 
 from edgectl.formats.document import Document
@@ -26,7 +27,10 @@ from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, escape_unprintab
 # A CI job finds its comment by it, and edits that instead of adding one.
 PLAN_COMMENT_MARKER = "<!-- edgectl-plan -->"
 _MARKDOWN_HEAD = "| | task | now | next | utility | lead | reason |\n|---|---|---|---|---:|---:|---|\n"
-_MARKDOWN_ESCAPES = str.maketrans({character: f"\\{character}" for character in "\\`*_[]<>|#~"})
+_MARKDOWN_ESCAPES = str.maketrans({character: f"\\{character}" for character in "\\`*_[]<>|#~&"})
+# What forges make a link or a mention of even without markup; behind it an invisible space ends that.
+_LIVE_TEXT = re.compile(r"@|\b(?:https?|ftp|mailto|xmpp):|\bwww(?=\.)", re.IGNORECASE)
+_INVISIBLE_BREAK = "&#8203;"
 
 
 class PlanView(View):
@@ -192,5 +196,6 @@ def _render_markdown_row(step: Step) -> str:
 
 
 def escape_markdown(text: str) -> str:
-    """``text`` with the characters that Markdown interprets escaped."""
-    return escape_unprintable(text).translate(_MARKDOWN_ESCAPES)
+    """``text`` with the characters that Markdown interprets escaped, and no live mention or link."""
+    escaped = escape_unprintable(text).translate(_MARKDOWN_ESCAPES)
+    return _LIVE_TEXT.sub(rf"\g<0>{_INVISIBLE_BREAK}", escaped)

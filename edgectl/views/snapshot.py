@@ -15,6 +15,7 @@ from edgectl.model.snapshot import (
 )
 from edgectl.units import format_duration, format_rate
 from edgectl.views.glossary import head
+from edgectl.views.other_tasks import list_foreign_notes
 from edgectl.views.output import View
 from edgectl.views.output_format import FLEET_FORMATS
 from edgectl.views.plan_sections import list_unreachable_notes
@@ -43,8 +44,8 @@ class SnapshotView(View):
         )
 
     def notes(self) -> Sequence[str]:
-        """Hosts without a reply."""
-        return list_unreachable_notes(self._snapshot)
+        """Hosts without a reply, and tasks of other fleets."""
+        return [*list_unreachable_notes(self._snapshot), *list_foreign_notes(self._snapshot)]
 
     def wide(self, look: RenderOptions = PLAIN) -> str:
         """The table, then load, temperature, GPU, sample age, links in full and interfaces of each host."""

@@ -9,6 +9,7 @@ from edgectl.model.snapshot import Snapshot, TaskSample, TaskState
 from edgectl.model.task import Task, Tasks
 from edgectl.units import format_duration
 from edgectl.views.glossary import head
+from edgectl.views.other_tasks import list_foreign_notes
 from edgectl.views.output import ListView
 from edgectl.views.output_format import NAMED_FORMATS
 from edgectl.views.plan_sections import list_operator_mark_notes, list_unreachable_notes
@@ -134,8 +135,12 @@ class StatusView(ListView):
         return [*runs, *absent]
 
     def warnings(self) -> Sequence[str]:
-        """Hosts without a reply and marks of the operator."""
-        return [*list_unreachable_notes(self._snapshot), *list_operator_mark_notes(self._snapshot)]
+        """Hosts without a reply, marks of the operator, and tasks of other fleets."""
+        return [
+            *list_unreachable_notes(self._snapshot),
+            *list_operator_mark_notes(self._snapshot),
+            *list_foreign_notes(self._snapshot),
+        ]
 
     def names(self) -> Sequence[str]:
         """The tasks that run."""

@@ -8,6 +8,7 @@ from tests.faults import (
     faults_noise,
     faults_random,
     faults_task,
+    faults_two_managers,
 )
 from tests.faults.registry import FAULTS, Fault
 
@@ -16,6 +17,7 @@ MODULES = (
     faults_host,
     faults_link,
     faults_manager,
+    faults_two_managers,
     faults_task,
     faults_noise,
     faults_failpoints,

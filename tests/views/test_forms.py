@@ -23,7 +23,7 @@ from edgectl.views.describe_task import TaskDetailsView
 from edgectl.views.listing import ListingKind, ListingView, build_listing
 from edgectl.views.output import ItemView, ListView, View, render_view
 from edgectl.views.output_format import OutputFormat
-from edgectl.views.plan import PlanView
+from edgectl.views.plan import PlanView, escape_markdown
 from edgectl.views.results import DrainView, ResultsView
 from edgectl.views.snapshot import SnapshotView
 from edgectl.views.status import StatusView
@@ -139,6 +139,23 @@ def test_markdown_carries_a_hidden_marker_and_one_row_per_task() -> None:
     text = render_view(PlanView(plan()), OutputFormat.MARKDOWN)
     assert text.startswith("<!-- edgectl-plan -->\n**Plan: ")
     assert len([line for line in text.splitlines() if line.startswith("| `")]) == 10
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("@org/team", "@&#8203;org/team"),
+        ("a@b.example", "a@&#8203;b.example"),
+        ("http://evil.example/x", "http:&#8203;//evil.example/x"),
+        ("HTTPS://e.example", "HTTPS:&#8203;//e.example"),
+        ("www.evil.example", "www&#8203;.evil.example"),
+        ("mailto:a", "mailto:&#8203;a"),
+        ("&commat;team &#64;team", "\\&commat;team \\&\\#64;team"),
+        ("12:30 slam-robot1", "12:30 slam-robot1"),
+    ],
+)
+def test_markdown_has_no_live_mention_and_no_link(text: str, shown: str) -> None:
+    assert escape_markdown(text) == shown
 
 
 def test_a_host_cannot_steer_the_terminal() -> None:

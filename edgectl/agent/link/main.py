@@ -36,15 +36,22 @@ _LACKING = {
 
 def serve_request(request: bytes, channel: "Channel", bases: "list[str]") -> None:
     """Carry out ``request`` and reply on ``channel``; every failure becomes an ``error`` document."""
-    state_dir.BASES[:] = bases
     try:
         document = fast_json.loads(request.decode("utf-8"))
+        state_dir.use_fleet(bases, document.get("fleet"))
         heartbeat.record_heartbeat(document["host"])
         if document["op"] == protocol.OP_FOLLOW:
             from ..supervise.logs import follow_log
 
             return follow_log(document, channel)
-        reply = _find_operation(document["op"])(document)
+        operation = _find_operation(document["op"])
+        if _needs_lease(document):
+            from ..supervise.lease import hold_for_request
+
+            with hold_for_request(document):
+                reply = operation(document)
+        else:
+            reply = operation(document)
     except RefusalError as refusal:
         reply = _build_error(refusal.kind, refusal.message, refusal.hint)
     except OSError as error:
@@ -67,6 +74,13 @@ def _build_os_error(error: OSError) -> Document:
     return _build_error("out-of-resources", "the host is out of " + lacks[0], lacks[1])
 
 
+def _needs_lease(document: Document) -> bool:
+    """Whether the request changes something; a check does where the manager says so by its signature."""
+    return document["op"] in protocol.CHANGING_OPS and (
+        document["op"] != protocol.OP_CHECK or "lease" in document
+    )
+
+
 def _build_error(kind: str, message: str, hint: str) -> Document:
     return {"error": {"kind": kind, "message": message, "hint": hint}}
 
@@ -83,6 +97,8 @@ def _describe_exception(error: Exception) -> str:
 def _find_operation(name: str) -> "Callable[[Document], Document]":  # noqa: C901 - a table of lazy imports
     if name == protocol.OP_PROBE:
         from ..measure.probe import probe_host as operation
+    elif name == protocol.OP_ADOPT:
+        from ..supervise.adoption import adopt_tasks as operation
     elif name == protocol.OP_START:
         from ..supervise.start import start_task as operation
     elif name == protocol.OP_STOP:
@@ -95,6 +111,8 @@ def _find_operation(name: str) -> "Callable[[Document], Document]":  # noqa: C90
         from ..supervise.status import mark_ready as operation
     elif name == protocol.OP_CHECK:
         from ..supervise.shell import run_check as operation
+    elif name == protocol.OP_LEASE:
+        from ..supervise.lease import serve_lease as operation
     elif name == protocol.OP_LOGS:
         from ..supervise.logs import read_logs as operation
     elif name == protocol.OP_FETCH:

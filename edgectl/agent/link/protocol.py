@@ -7,10 +7,12 @@ Valid for Python 3.6, without imports: the agent loads it on the host, the manag
 VERSION = 1
 
 # Operations: key ``op`` of a request.
+OP_ADOPT = "adopt"
 OP_CHECK = "check"
 OP_DOCTOR = "doctor"
 OP_FETCH = "fetch"
 OP_FOLLOW = "follow"
+OP_LEASE = "lease"
 OP_LOGS = "logs"
 OP_MARK = "mark"
 OP_PROBE = "probe"
@@ -26,13 +28,21 @@ OP_STOP = "stop"
 OP_SUPERVISE = "supervise"
 OP_WAIT = "wait"
 
-# Keys of a request besides ``op`` and ``host``; OP_PROFILER_RUN and OP_SUPERVISE are requests of the agent to
-# itself.
+# Operations that change tasks or robots. While a manager holds the fleet they carry its ``lease``
+# (SIGNATURE_KEYS); a probe may carry a claim of it (CLAIM_KEYS).
+CHANGING_OPS = (OP_START, OP_STOP, OP_MARK, OP_CHECK)
+SIGNATURE_KEYS = ("holder", "session", "epoch")
+CLAIM_KEYS = ("holder", "session", "who", "verb", "ttl_s", "watch", "take_over")
+
+# Keys of a request besides ``op``, ``fleet`` and ``host``; OP_PROFILER_RUN and OP_SUPERVISE are requests of
+# the agent to itself.
 REQUEST_KEYS = {
+    OP_ADOPT: ("tasks",),
     OP_CHECK: ("command", "prelude", "env", "timeout_s"),
     OP_DOCTOR: ("links", "prelude", "env", "timeout_s"),
     OP_FETCH: ("task", "workdir", "file", "most", "offset"),
     OP_FOLLOW: ("task", "tail"),
+    OP_LEASE: ("action", "lease", "end_watch"),
     OP_LOGS: ("task", "tail"),
     OP_MARK: ("task", "instance", "ready"),
     OP_PROBE: ("window_s", "links", "detect", "checks"),
@@ -41,7 +51,7 @@ REQUEST_KEYS = {
     OP_PROFILER_STOP: (),
     OP_SEND: ("address", "port", "token", "seconds"),
     OP_SINK: ("seconds",),
-    OP_START: ("task", "instance", "generation", "spec"),
+    OP_START: ("task", "instance", "generation", "manager", "spec"),
     OP_STATUS: ("task",),
     OP_STOP: ("task", "instance", "generation", "stop"),
     OP_WAIT: ("task", "instance", "timeout_s", "up_s"),
@@ -88,6 +98,18 @@ ENTRY_KEYS = (
     "links",
     "metrics",
 )
+# Keys of an entry of ``other_tasks`` in the reply to OP_PROBE.
+OTHER_TASK_KEYS = (
+    "fleet",
+    "host",
+    "task",
+    "started_by",
+    "state",
+    "age_s",
+    "instance",
+    "spec_hash",
+    "generation",
+)
 # Keys of the reply to OP_PROBE.
 PROBE_KEYS = (
     "v",
@@ -98,6 +120,8 @@ PROBE_KEYS = (
     "wall",
     "load_1m",
     "generations",
+    "other_tasks",
+    "unowned",
     "checks",
     "resident",
     "sample_age_s",
@@ -109,6 +133,7 @@ PROBE_KEYS = (
     "gpu_share",
     "interfaces",
     "links",
+    "lease",
     "tasks",
 )
 
