@@ -9,16 +9,17 @@ from edgectl.model.diagnosis import Diagnosis, Severity
 from edgectl.model.inventory import Inventory
 from edgectl.model.plan import Action, Plan
 from edgectl.model.profiler import Profiler, ProfilerState
-from edgectl.model.snapshot import Snapshot
+from edgectl.model.snapshot import Snapshot, find_doubled_tasks
 
 if TYPE_CHECKING:
     from edgectl.usecases.plan_execution import ApplyResult
 
 
 def of_snapshot(snapshot: Snapshot, inventory: Inventory, *, allow_unreachable: bool = False) -> ExitCode:
-    """4 if a host that should answer did not."""
+    """4 if a host that should answer did not, or a task runs twice."""
     silent = any(name in inventory.hosts for name in list_unreachable_hosts(snapshot))
-    return ExitCode.PARTLY if silent and not allow_unreachable else ExitCode.DONE
+    wrong = find_doubled_tasks(snapshot) or (silent and not allow_unreachable)
+    return ExitCode.PARTLY if wrong else ExitCode.DONE
 
 
 def list_unreachable_hosts(snapshot: Snapshot) -> list[str]:
@@ -46,12 +47,14 @@ def of_plan(plan: Plan, *, detailed: bool, allow_unreachable: bool) -> ExitCode:
 
 
 def of_applied(applied: "ApplyResult", *, detailed: bool = False, allow_unreachable: bool = True) -> ExitCode:
-    """1 if declined, 130 if interrupted, 4 if an action failed or was deferred; unreachable hosts and
-    unplaced tasks as in a plan.
+    """1 if declined, 130 if interrupted, 4 if an action failed or was deferred or a task runs twice;
+    unreachable hosts and unplaced tasks as in a plan.
     """
     results = applied.results
     if applied.declined:
         return ExitCode.FAILED
+    if applied.doubled and (results is None or not results.interrupted):
+        return ExitCode.PARTLY
     if results is not None and not results.done:
         return ExitCode.INTERRUPTED if results.interrupted else ExitCode.PARTLY
     code = of_plan(applied.plan, detailed=detailed, allow_unreachable=allow_unreachable)
@@ -59,17 +62,19 @@ def of_applied(applied: "ApplyResult", *, detailed: bool = False, allow_unreacha
 
 
 def of_cycle(cycle: Cycle) -> ExitCode:
-    """1 if the cycle failed, 75 if the lock was busy, 4 if an action failed or a host did not answer."""
+    """1 if the cycle failed, 75 if the lock was busy, 4 if an action failed, a host did not answer or a task
+    runs twice.
+    """
     if cycle.error:
         return ExitCode.FAILED
     if cycle.busy:
         return ExitCode.TRY_AGAIN
     failed = cycle.results is not None and not cycle.results.done
-    return (
-        ExitCode.PARTLY
-        if failed or (cycle.snapshot is not None and list_unreachable_hosts(cycle.snapshot))
-        else ExitCode.DONE
+    seen = cycle.snapshot
+    wrong = failed or (
+        seen is not None and (bool(list_unreachable_hosts(seen)) or bool(find_doubled_tasks(seen)))
     )
+    return ExitCode.PARTLY if wrong else ExitCode.DONE
 
 
 def of_diagnosis(diagnosis: Diagnosis) -> ExitCode:

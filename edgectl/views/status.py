@@ -11,7 +11,12 @@ from edgectl.units import format_duration
 from edgectl.views.glossary import head
 from edgectl.views.output import ListView
 from edgectl.views.output_format import NAMED_FORMATS
-from edgectl.views.plan_sections import list_operator_mark_notes, list_unreachable_notes, render_notes
+from edgectl.views.plan_sections import (
+    list_doubled_notes,
+    list_operator_mark_notes,
+    list_unreachable_notes,
+    render_notes,
+)
 from edgectl.views.rows import (
     compute_task_age,
     encode_absent_row,
@@ -27,7 +32,15 @@ from edgectl.views.state import (
     list_task_remarks,
     resolve_absent_task,
 )
-from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, is_within_width, render_columns
+from edgectl.views.text import (
+    PLAIN,
+    Cell,
+    RenderOptions,
+    Row,
+    is_within_width,
+    render_columns,
+    style_text,
+)
 from edgectl.views.usage import Amounts, format_or_dash
 
 _USAGE_COLUMNS = [
@@ -49,7 +62,7 @@ class StatusView(ListView):
         self._snapshot, self._inventory, self._tasks = snapshot, inventory, tasks
 
     def table(self, look: RenderOptions = PLAIN) -> str:
-        """Usage beside demand; on a narrow terminal the demands stand below."""
+        """What runs twice, then usage beside demand; on a narrow terminal the demands stand below."""
         rows: list[Row] = [_HEAD, *map(self._render_run_row, list_task_runs(self._snapshot))]
         rows += [_render_absent_row(task, self._snapshot) for task in self._absent_tasks()]
         # A state may wrap, so the longest one does not count.
@@ -67,7 +80,8 @@ class StatusView(ListView):
             + list_task_remarks(self._snapshot),
             look,
         )
-        return render_columns(rows, look, right=right, wrap={2}) + notes
+        doubled = [style_text(line, "bad", look) + "\n" for line in list_doubled_notes(self._snapshot)]
+        return "".join(doubled) + render_columns(rows, look, right=right, wrap={2}) + notes
 
     def _render_run_row(self, run: tuple[str, str, TaskSample]) -> Row:
         name, host, sample = run
@@ -105,8 +119,12 @@ class StatusView(ListView):
         return [*runs, *absent]
 
     def warnings(self) -> Sequence[str]:
-        """Hosts without a reply and marks of the operator."""
-        return [*list_unreachable_notes(self._snapshot), *list_operator_mark_notes(self._snapshot)]
+        """Tasks that run twice, hosts without a reply and marks of the operator."""
+        return [
+            *list_doubled_notes(self._snapshot),
+            *list_unreachable_notes(self._snapshot),
+            *list_operator_mark_notes(self._snapshot),
+        ]
 
     def names(self) -> Sequence[str]:
         """The tasks that run."""
