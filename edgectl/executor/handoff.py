@@ -100,16 +100,22 @@ def _release_and_end(act: StepRun, planned: StartPhases, host: str, downtime: fl
 def _swap_instances(
     act: StepRun, task: Task, planned: StartPhases, old: str, new: str, variables: dict[str, str]
 ) -> float:
-    """Old for new in the stated order; the time in between in seconds, 0 where they overlapped."""
+    """Old for new in the stated order; the time in between in seconds, 0 where they overlapped.
+
+    It ends when the new instance is ready; without a ready check when it was started, for it has run since.
+    """
     stop_first, began = planned.change[0].phase is Phase.STOP, time.monotonic()
+    started = began
     for phase in planned.change:
         try:
             perform_phase(act, phase, variables)
+            started = time.monotonic() if phase.phase is Phase.START else started
         except HostError as error:
             if stop_first:
                 raise _recover_stop_first(act, task, phase, old, new, error, began) from error
             raise _recover_start_first(act, task, phase, old, new, error) from error
-    return time.monotonic() - began if stop_first else 0.0
+    ended = time.monotonic() if task.ready is not None else started
+    return ended - began if stop_first else 0.0
 
 
 def _recover_stop_first(

@@ -6,6 +6,7 @@ from functools import partial
 from edgectl.agent.link import protocol
 from edgectl.errors import HostError
 from edgectl.executor import host_requests
+from edgectl.executor.action_phases import get_up_time
 from edgectl.model.inventory import Host, Inventory
 from edgectl.model.task import Check, CheckLocation, Task, Tasks
 from edgectl.transport.agent_client import ask_host
@@ -60,17 +61,19 @@ def _is_instance_ready(task: Task, host: Host, inventory: Inventory, ask: Ask) -
     """Whether the task is ready on ``host``; a check on the robot is run again: its result may be lost."""
     entry = _ask_task_entry(task, host, ask)
     instance, state = str(entry.get("instance")), entry.get("state")
-    if state == protocol.STARTING:
+    if state == protocol.STARTING or (state == protocol.RUNNING and task.ready is None):
         wait_s = min(_WAIT_S, task.ready.timeout if task.ready else _WAIT_S)
         entry = ask(
             host,
-            host_requests.build_wait_request(task.name, host, instance=instance, timeout_s=wait_s),
+            host_requests.build_wait_request(
+                task.name, host, instance=instance, timeout_s=wait_s, up_s=get_up_time(task)
+            ),
             wait_s,
         )
         state = entry.get("state")
     if state == protocol.READY:
         return True
-    if state != protocol.RUNNING or entry.get("detail"):
+    if state != protocol.RUNNING or entry.get("detail") or entry.get("settled") is False:
         return False
     if task.ready is None:
         return True

@@ -11,7 +11,7 @@ from edgectl.model.task import Check, CheckLocation, StopRule, Task
 Request = dict[str, object]
 Hosts = Mapping[str, Host]
 # Placeholders in a request that is not filled yet.
-NO_INSTANCE, NO_GENERATION = "0", 0
+NO_INSTANCE, NO_GENERATION, NO_MANAGER = "0", 0, ""
 
 
 def build_instance_id(plan_id: str, task: str, host: str, attempt: int) -> str:
@@ -22,7 +22,7 @@ def build_instance_id(plan_id: str, task: str, host: str, attempt: int) -> str:
 def build_start_request(task: Task, host: Host, hosts: Hosts) -> Request:
     """Start ``task`` on ``host`` under its supervisor; a ready check on the robot is left to the manager.
 
-    Secrets are masked, instance and generation are placeholders; `fill_start_request` completes it.
+    Secrets are masked, instance, generation and manager are placeholders; `fill_start_request` completes it.
     """
     ready = task.ready if task.ready is not None and task.ready.on is CheckLocation.HOST else None
     spec: Request = {
@@ -43,21 +43,27 @@ def build_start_request(task: Task, host: Host, hosts: Hosts) -> Request:
     }
     return {
         "op": protocol.OP_START,
+        "fleet": host.fleet,
         "host": host.name,
         "task": task.name,
         "instance": NO_INSTANCE,
         "generation": NO_GENERATION,
+        "manager": NO_MANAGER,
         "spec": spec,
     }
 
 
 def fill_start_request(
-    request: Request, *, instance: str, generation: int, variables: Mapping[str, str]
+    request: Request, *, instance: str, generation: int, manager: str, variables: Mapping[str, str]
 ) -> Request:
-    """A start request as it is sent; ``variables``: its environment with the secrets in clear."""
+    """A start request as it is sent.
+
+    ``manager``: user and machine, for people who find the task on the host. ``variables``: its environment
+    with the secrets in clear.
+    """
     spec = request["spec"]
     filled = {**spec, "env": dict(variables)} if isinstance(spec, dict) else spec
-    return {**request, "instance": instance, "generation": generation, "spec": filled}
+    return {**request, "instance": instance, "generation": generation, "manager": manager, "spec": filled}
 
 
 def build_stop_request(name: str, host: Host, *, task: Task | None, instance: str | None) -> Request:
@@ -68,6 +74,7 @@ def build_stop_request(name: str, host: Host, *, task: Task | None, instance: st
     rule = None if task is None else encode_stop_rule(task.stop)
     return {
         "op": protocol.OP_STOP,
+        "fleet": host.fleet,
         "host": host.name,
         "task": name,
         "instance": instance or None,
@@ -81,20 +88,33 @@ def encode_stop_rule(rule: StopRule) -> Request:
     return {"signal": rule.signal, "grace_s": rule.grace, "preset": rule.preset}
 
 
-def build_wait_request(name: str, host: Host, *, instance: str, timeout_s: float) -> Request:
-    """Wait on the host until the instance is ready, has failed or is gone."""
+def build_wait_request(
+    name: str, host: Host, *, instance: str, timeout_s: float, up_s: float = 0.0
+) -> Request:
+    """Wait on the host until the instance is ready, has failed or is gone. ``up_s``: without a ready check,
+    how long its command must have run.
+    """
     return {
         "op": protocol.OP_WAIT,
+        "fleet": host.fleet,
         "host": host.name,
         "task": name,
         "instance": instance,
         "timeout_s": timeout_s,
+        "up_s": up_s,
     }
 
 
 def build_mark_ready_request(name: str, host: Host, *, instance: str) -> Request:
     """Mark the instance as ready on the host after a ready check elsewhere passed."""
-    return {"op": protocol.OP_MARK, "host": host.name, "task": name, "instance": instance, "ready": True}
+    return {
+        "op": protocol.OP_MARK,
+        "fleet": host.fleet,
+        "host": host.name,
+        "task": name,
+        "instance": instance,
+        "ready": True,
+    }
 
 
 def build_check_request(
@@ -103,6 +123,7 @@ def build_check_request(
     """Run a check or hook of ``task`` on ``host``; secrets are for the task alone."""
     return {
         "op": protocol.OP_CHECK,
+        "fleet": host.fleet,
         "host": host.name,
         "command": rule.command,
         "prelude": host.prelude,
@@ -115,6 +136,7 @@ def build_renewal_request(host: Host, signature: Mapping[str, object]) -> Reques
     """Renew the lease of the fleet on a host."""
     return {
         "op": protocol.OP_LEASE,
+        "fleet": host.fleet,
         "host": host.name,
         "action": "renew",
         "lease": signature,
@@ -124,4 +146,4 @@ def build_renewal_request(host: Host, signature: Mapping[str, object]) -> Reques
 
 def build_status_request(host: Host, name: str | None = None) -> Request:
     """The state of one task, or of all, as the host knows it, without a measurement."""
-    return {"op": protocol.OP_STATUS, "host": host.name, "task": name}
+    return {"op": protocol.OP_STATUS, "fleet": host.fleet, "host": host.name, "task": name}

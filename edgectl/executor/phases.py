@@ -14,6 +14,7 @@ from edgectl.executor.secrets import resolve_environment
 from edgectl.executor.step_run import RunContext, StepRun
 from edgectl.model.result import Phase
 from edgectl.model.task import CheckLocation, Task, TaskKind
+from edgectl.state.lock import describe_manager
 
 # Beyond the grace: SIGKILL, the sweeps that prove the end, and the way back.
 _STOP_MARGIN_S = 20.0
@@ -95,7 +96,11 @@ def _start_task(act: StepRun, planned: PlannedPhase, variables: Mapping[str, str
     attempt = 2 if planned.phase is Phase.RESTORE else 1
     instance = act.instance(host.name, attempt)
     body = host_requests.fill_start_request(
-        request.body, instance=instance, generation=act.generation + attempt - 1, variables=variables
+        request.body,
+        instance=instance,
+        generation=act.generation + attempt - 1,
+        manager=describe_manager(),
+        variables=variables,
     )
     with act.phase(planned.phase, host.name):
         answer = act.run.ask(host, body)
@@ -116,7 +121,7 @@ def _wait_until_ready(act: StepRun, planned: PlannedPhase) -> None:
             check, mark = elsewhere
             if not _repeat_check(act.run, check, deadline):
                 raise HostError(
-                    f"the check on {check.host.name} did not pass within {check.timeout_s:g} s: "
+                    f"the check on {check.host.name} did not pass within {check.timeout_s:.3g} s: "
                     f"{check.body['command']}",
                     host=check.host.name,
                 )
@@ -134,24 +139,26 @@ def _wait_on_host(run: RunContext, planned: PlannedPhase, body: Request, deadlin
     hint = f"edgectl logs {task.name}"
     while True:
         entry = run.ask(host, {**body, "timeout_s": piece}, timeout=piece + run.options.call_s)
-        if _is_ready(task, str(entry.get("state")), checked=checked):
+        if _is_ready(task, entry, checked=checked):
             return
         if entry.get("state") not in (protocol.STARTING, protocol.RUNNING):
             raise HostError(f"{task.name} {_describe_end(entry)} on {host.name}", hint=hint, host=host.name)
         if time.monotonic() >= deadline:
             why = f": {entry['detail']}" if entry.get("detail") else ""
             raise HostError(
-                f"{task.name} was not ready on {host.name} within {planned.timeout_s:g} s{why}",
+                f"{task.name} was not ready on {host.name} within {planned.timeout_s:.3g} s{why}",
                 hint=hint,
                 host=host.name,
             )
         piece = max(0.0, min(WAIT_PIECE_S, deadline - time.monotonic()))
 
 
-def _is_ready(task: Task, state: str, *, checked: bool) -> bool:
+def _is_ready(task: Task, entry: Request, *, checked: bool) -> bool:
+    """Whether a reply to a wait shows the task ready; ``settled`` is false where only its time ran out."""
+    state = entry.get("state")
     return (
         state == protocol.READY
-        or (state == protocol.RUNNING and not checked)
+        or (state == protocol.RUNNING and not checked and entry.get("settled") is not False)
         or (state == protocol.COMPLETED and task.kind is TaskKind.JOB)
     )
 
@@ -185,7 +192,7 @@ def _wait_until_safe(act: StepRun, planned: PlannedPhase) -> None:
     with act.phase(Phase.SAFE, planned.host.name, side_effect=False):
         if not _repeat_check(act.run, planned.requests[0], time.monotonic() + planned.timeout_s):
             raise HostError(
-                f"not safe to move {act.name} within {planned.timeout_s:g} s",
+                f"not safe to move {act.name} within {planned.timeout_s:.3g} s",
                 hint="apply again later",
                 host=planned.host.name,
             )

@@ -4,7 +4,7 @@ import time
 from collections import Counter
 from collections.abc import Mapping
 
-from edgectl.errors import HostError, RefusedError, StateError
+from edgectl.errors import HostError, RefusedError, StateError, describe_unseen_task
 from edgectl.executor.action_phases import StartPhases, build_start_phases, build_stop_phases
 from edgectl.executor.cancellation import INTERRUPTED, Cancellation
 from edgectl.executor.dependencies import (
@@ -20,6 +20,7 @@ from edgectl.executor.moved_world import MovedWorldError
 from edgectl.executor.phases import perform_phases, resolve_variables
 from edgectl.executor.step_run import RunContext, RunIdentity, RunOptions, StepRun
 from edgectl.executor.worker_pool import WorkerPool
+from edgectl.model.assignment import Reason
 from edgectl.model.inventory import Inventory
 from edgectl.model.plan import Action, Plan
 from edgectl.model.progress import ProgressListener, ignore_progress
@@ -143,7 +144,19 @@ def _stop_step(act: StepRun) -> ActionResult | None:
         return act.end(Outcome.FAILED, located=here, error=error)
     if act.step.action in STARTING_ACTIONS:
         return None
+    if act.step.action is Action.STOP and decision.reason is Reason.HOST_SILENT:
+        return act.end(
+            Outcome.UNREACHABLE, located=here, error=_build_silent_stop_error(act.name, here or "")
+        )
     return act.end(Outcome.DONE, located=None if act.step.action in STOPPING_ACTIONS else here)
+
+
+def _build_silent_stop_error(task: str, host: str) -> HostError:
+    return HostError(
+        f"not stopped: {describe_unseen_task(task, host)}",
+        hint=f"stop it again once {host} answers; if {host} is powered off: edgectl fence {host}",
+        host=host,
+    )
 
 
 def _start_step(act: StepRun, waits: StepDependencies, results: Mapping[str, ActionResult]) -> ActionResult:

@@ -183,7 +183,9 @@ class Task:
     ``env`` may be ``Secret``; ``env_command`` is an argument vector that prints more of them as lines
     NAME=value. ``spec_fields``: short hash of each field that ``spec_hash`` covers. ``self_fence``: its
     supervisor stops it when no request of a manager has reached the host for so many seconds; None: never.
-    ``downtime_cost``: utility lost per second of downtime, 0 or more; weighed once downtimes are measured.
+    ``up``: without ``ready``, how long (s) the command must have run until it counts as ready; None: the
+    default. ``downtime_cost``: utility lost per second of downtime, 0 or more; weighed once downtimes are
+    measured.
     """
 
     name: str
@@ -201,6 +203,7 @@ class Task:
     detect: DetectRule | None = None
     kind: TaskKind = TaskKind.SERVICE
     ready: Check | None = None
+    up: float | None = None
     done_when: Check | None = None
     stop: StopRule = StopRule()
     restart: RestartPolicy = RestartPolicy.ON_FAILURE

@@ -31,18 +31,22 @@ def mark_tasks_done(fleet: Fleet, names: Sequence[str]) -> ManagerState:
         return _save_and_return(fleet, dataclasses.replace(manager, done={**manager.done, **marked}))
 
 
-def reopen_tasks(fleet: Fleet, names: Sequence[str]) -> ManagerState:
-    """Remove the marks of completed tasks, and forget their recorded completion or failure."""
+def reopen_tasks(fleet: Fleet, names: Sequence[str]) -> frozenset[str]:
+    """Remove the marks of completed tasks, and forget their recorded completion or failure. Returns the hosts
+    that did not answer, where one may be recorded still.
+    """
     check_known_names(names, fleet.tasks.tasks, "task")
     with FleetLock(fleet.state, verb="reopen", timeout=None, clock=fleet.clock):
-        _ignore_ended_instances(fleet, names)
+        unanswered = _ignore_ended_instances(fleet, names)
         manager = load_manager_state(fleet.state, fleet.warn)
         kept = {name: spec for name, spec in manager.done.items() if name not in names}
-        return _save_and_return(fleet, dataclasses.replace(manager, done=kept))
+        _save_and_return(fleet, dataclasses.replace(manager, done=kept))
+    return unanswered
 
 
-def _ignore_ended_instances(fleet: Fleet, names: Sequence[str]) -> None:
+def _ignore_ended_instances(fleet: Fleet, names: Sequence[str]) -> frozenset[str]:
     """Record which ended instances are ignored; a host that does not answer may report one later."""
+    unanswered: frozenset[str] = frozenset()
     reopened = load_ignored_instances(fleet.state, fleet.warn)
     for name in names:
         with track_heartbeats(fleet) as tracked:
@@ -50,9 +54,11 @@ def _ignore_ended_instances(fleet: Fleet, names: Sequence[str]) -> None:
                 name, fleet.inventory, tracked.transport, timeout=_TIMEOUT_S
             )
         reopened = (*reopened, *sorted(instances - set(reopened)))
+        unanswered |= frozenset(silent)
         if silent:
             fleet.warn(f"{', '.join(silent)} did not answer: if {name} ended there, run reopen again")
     save_ignored_instances(fleet.state, reopened)
+    return unanswered
 
 
 def cordon_hosts(fleet: Fleet, names: Sequence[str], *, drain: bool = False) -> ManagerState:

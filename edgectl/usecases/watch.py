@@ -23,6 +23,7 @@ from edgectl.transport.fleet_lease import WatchNote
 from edgectl.usecases.control import Control, ControlRequest
 from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.fleet_lease import compute_files_digest, hold_fleet, release_fleet
+from edgectl.usecases.given_up import take_given_up_reminders
 from edgectl.usecases.heartbeat import send_heartbeats
 from edgectl.usecases.plan import limit_plan_to_tasks, make_plan
 from edgectl.usecases.plan_execution import (
@@ -195,6 +196,7 @@ class _WatchLoop:
                 return
             plan = self._plan(snapshot)
             draft.put(plan=plan)
+            self._said += take_given_up_reminders(fleet, plan)
             if self._options.apply and not has_nothing_to_do(fleet, plan):
                 if busy is not None:
                     raise busy

@@ -9,6 +9,7 @@ from edgectl.model.snapshot import Snapshot, TaskSample, TaskState
 from edgectl.model.task import Task, Tasks
 from edgectl.units import format_duration
 from edgectl.views.glossary import head
+from edgectl.views.other_tasks import list_foreign_notes
 from edgectl.views.output import ListView
 from edgectl.views.output_format import NAMED_FORMATS
 from edgectl.views.plan_sections import (
@@ -27,8 +28,10 @@ from edgectl.views.rows import (
 from edgectl.views.state import (
     TASK_STATE_STYLES,
     describe_attention,
+    find_failed_tasks,
     format_silence,
     format_task_state,
+    list_failed_needs,
     list_task_remarks,
     resolve_absent_task,
 )
@@ -40,6 +43,7 @@ from edgectl.views.text import (
     is_within_width,
     render_columns,
     style_text,
+    wrap_text,
 )
 from edgectl.views.usage import Amounts, format_or_dash
 
@@ -60,9 +64,10 @@ class StatusView(ListView):
 
     def __init__(self, snapshot: Snapshot, inventory: Inventory, tasks: Tasks) -> None:
         self._snapshot, self._inventory, self._tasks = snapshot, inventory, tasks
+        self._failed = find_failed_tasks(tasks, snapshot)
 
     def table(self, look: RenderOptions = PLAIN) -> str:
-        """What runs twice, then usage beside demand; on a narrow terminal the demands stand below."""
+        """First what runs twice and what failed; usage beside demand, or below on a narrow terminal."""
         rows: list[Row] = [_HEAD, *map(self._render_run_row, list_task_runs(self._snapshot))]
         rows += [_render_absent_row(task, self._snapshot) for task in self._absent_tasks()]
         # A state may wrap, so the longest one does not count.
@@ -77,11 +82,23 @@ class StatusView(ListView):
         notes = render_notes(
             list_unreachable_notes(self._snapshot)
             + list_operator_mark_notes(self._snapshot)
-            + list_task_remarks(self._snapshot),
+            + list_foreign_notes(self._snapshot)
+            + list_task_remarks(self._snapshot)
+            + self._list_need_notes(),
             look,
         )
-        doubled = [style_text(line, "bad", look) + "\n" for line in list_doubled_notes(self._snapshot)]
-        return "".join(doubled) + render_columns(rows, look, right=right, wrap={2}) + notes
+        failed = [
+            f"{name} on {host}{', given up' if sample.given_up else ''}"
+            for name, (host, sample) in self._failed.items()
+        ]
+        first = list_doubled_notes(self._snapshot)
+        if failed:
+            first.append(f"{len(failed)} of {len(self._tasks.tasks)} tasks failed: {', '.join(failed)}")
+        return (
+            "".join(style_text(wrap_text(line, look), "bad", look) for line in first)
+            + render_columns(rows, look, right=right, wrap={2})
+            + notes
+        )
 
     def _render_run_row(self, run: tuple[str, str, TaskSample]) -> Row:
         name, host, sample = run
@@ -94,6 +111,18 @@ class StatusView(ListView):
             format_or_dash(age, format_duration),
             *_render_usage_cells(sample, demand),
         )
+
+    def _list_need_notes(self) -> list[str]:
+        return [
+            f"{name} needs {need}, which has failed"
+            for name, task in self._tasks.tasks.items()
+            for need in list_failed_needs(task, self._failed)
+        ]
+
+    def _describe_attention(self, name: str, sample: TaskSample) -> str:
+        needs = list_failed_needs(self._tasks.tasks.get(name), self._failed)
+        own = describe_attention(sample)
+        return "; ".join([*([own] if own else []), *(f"needs {need}, which has failed" for need in needs)])
 
     def _absent_tasks(self) -> list[Task]:
         seen = {name for name, _, _ in list_task_runs(self._snapshot)}
@@ -109,7 +138,7 @@ class StatusView(ListView):
                 find_task_demand(name, host, self._snapshot, self._inventory, self._tasks),
                 self._snapshot,
             )
-            | {"attention": describe_attention(sample) or None}
+            | {"attention": self._describe_attention(name, sample) or None}
             for name, host, sample in list_task_runs(self._snapshot)
         ]
         absent = [
@@ -119,11 +148,12 @@ class StatusView(ListView):
         return [*runs, *absent]
 
     def warnings(self) -> Sequence[str]:
-        """Tasks that run twice, hosts without a reply and marks of the operator."""
+        """Tasks that run twice, hosts without a reply, marks of the operator, and tasks of other fleets."""
         return [
             *list_doubled_notes(self._snapshot),
             *list_unreachable_notes(self._snapshot),
             *list_operator_mark_notes(self._snapshot),
+            *list_foreign_notes(self._snapshot),
         ]
 
     def names(self) -> Sequence[str]:

@@ -34,6 +34,7 @@ from edgectl.model.snapshot import (
     HostStatus,
     InterfaceSample,
     LinkSample,
+    OtherTask,
     ResourceUsage,
     Snapshot,
     TaskSample,
@@ -58,9 +59,13 @@ DEVICE = DeviceSample(
     interfaces={"eth0": INTERFACE},
 )
 CPU_USE, MEMORY_USE = ResourceUsage(capacity=4.0, used=1.5), ResourceUsage(capacity=5.0, used=2.0)
+OTHER = OtherTask(
+    fleet="f", host="h", task="t", state=TaskState.READY, started_by="u@m", age_s=1.5, instance="i", spec_hash="s", generation=3,
+)  # fmt: skip
 HOST = HostSample(
     role=Role.ROBOT, status=HostStatus.UNREACHABLE, error="e", error_kind="k", hint="h", sample_age_s=1.5, resident=True, usage={"cpu": CPU_USE, "memory": MEMORY_USE},
     links={"r": LINK}, tasks={"t": TASK}, device=DEVICE, generations={"t": 9},
+    other_tasks=(OTHER,), foreign_tasks=(OTHER,),
 )  # fmt: skip
 PLACEMENT = Placement(host="h", since=1.0, spec_hash="s", generation=2)
 MEASURED = MeasuredDemand(
@@ -106,7 +111,7 @@ PLAN = Plan(
 )  # fmt: skip
 VALUES = [
     LINK, TASK, INTERFACE, DEVICE, CPU_USE, MEMORY_USE, HOST, PLACEMENT, MANAGER, SNAPSHOT, WEIGHTS, POLICY, REJECTION, TERMS, RANKED, COST, DECISION,
-    STEP, EXPECTED, PLAN, MEASURED, RHO, UNEVEN,
+    STEP, EXPECTED, PLAN, MEASURED, RHO, UNEVEN, OTHER,
 ]  # fmt: skip
 
 

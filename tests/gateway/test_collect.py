@@ -238,3 +238,52 @@ def test_a_bug_is_not_swallowed() -> None:
 
 def test_fan_out_of_nothing_is_nothing() -> None:
     assert list(fan_out(str, [], workers=4)) == []
+
+
+def other_task(fleet: str, host: str, task: str, **fields: object) -> dict[str, object]:
+    return {
+        "fleet": fleet,
+        "host": host,
+        "task": task,
+        "state": "running",
+        "instance": f"{host}-{task}",
+    } | fields
+
+
+def test_other_tasks_of_a_machine_are_split_by_fleet_and_told_once() -> None:
+    """A task that the host of its name reports itself is no other one, as on a machine with two names."""
+    hosts = FakeFleet.of(["edge1", "edge2", "edge10", "robot1"])
+    hosts["edge2"].runs("slam", instance="edge2-slam")
+    listed = [
+        other_task("unnamed", "edge2", "slam"),
+        other_task("unnamed", "old1", "slam"),
+        other_task("hall", "edge2", "slam", started_by="eve\x1b[2J@x", age_s=60),
+    ]
+    transport = FakeTransport(
+        {**dict(hosts.hosts), "edge1": lambda request: hosts["edge1"](request) | {"other_tasks": listed}}
+    )
+    sample = probe_hosts(build_inventory(), NONE, transport).hosts["edge1"]
+    assert [(each.fleet, each.host) for each in sample.other_tasks] == [("unnamed", "old1")]
+    (foreign,) = sample.foreign_tasks
+    assert (foreign.fleet, foreign.started_by, foreign.age_s) == ("hall", "eve\\x1b[2J@x", 60.0)
+
+
+def test_known_tasks_without_an_owner_are_adopted_and_probed_again() -> None:
+    """Those of the first release: the fleet takes what it names, and nothing else."""
+    hosts = FakeFleet.of(["edge1", "edge2", "edge10", "robot1"])
+    adopted: list[object] = []
+
+    def edge1(request: dict[str, object]) -> dict[str, object]:
+        if request["op"] == "adopt":
+            adopted.append(request["tasks"])
+            hosts["edge1"].runs("slam")
+            return {"adopted": request["tasks"]}
+        return hosts["edge1"](request) | {"unowned": ["web"] if adopted else ["slam", "web"]}
+
+    transport = FakeTransport({**dict(hosts.hosts), "edge1": edge1})
+    options = ProbeOptions(known_tasks=lambda: frozenset({"slam", "nav"}))
+    snapshot = probe_hosts(build_inventory(), NONE, transport, options=options)
+    assert (adopted, list(snapshot.hosts["edge1"].tasks)) == ([["slam"]], ["slam"])
+    adopted_before = list(adopted)
+    probe_hosts(build_inventory(), NONE, transport, options=options)
+    assert adopted == adopted_before

@@ -7,6 +7,7 @@ Valid for Python 3.6, without imports: the agent loads it on the host, the manag
 VERSION = 1
 
 # Operations: key ``op`` of a request.
+OP_ADOPT = "adopt"
 OP_CHECK = "check"
 OP_DOCTOR = "doctor"
 OP_FETCH = "fetch"
@@ -33,9 +34,10 @@ CHANGING_OPS = (OP_START, OP_STOP, OP_MARK, OP_CHECK)
 SIGNATURE_KEYS = ("holder", "session", "epoch")
 CLAIM_KEYS = ("holder", "session", "who", "verb", "ttl_s", "watch", "take_over")
 
-# Keys of a request besides ``op`` and ``host``; OP_PROFILER_RUN and OP_SUPERVISE are requests of the agent to
-# itself.
+# Keys of a request besides ``op``, ``fleet`` and ``host``; OP_PROFILER_RUN and OP_SUPERVISE are requests of
+# the agent to itself.
 REQUEST_KEYS = {
+    OP_ADOPT: ("tasks",),
     OP_CHECK: ("command", "prelude", "env", "timeout_s"),
     OP_DOCTOR: ("links", "prelude", "env", "timeout_s"),
     OP_FETCH: ("task", "workdir", "file", "most", "offset"),
@@ -49,10 +51,10 @@ REQUEST_KEYS = {
     OP_PROFILER_STOP: (),
     OP_SEND: ("address", "port", "token", "seconds"),
     OP_SINK: ("seconds",),
-    OP_START: ("task", "instance", "generation", "spec"),
+    OP_START: ("task", "instance", "generation", "manager", "spec"),
     OP_STATUS: ("task",),
     OP_STOP: ("task", "instance", "generation", "stop"),
-    OP_WAIT: ("task", "instance", "timeout_s"),
+    OP_WAIT: ("task", "instance", "timeout_s", "up_s"),
 }
 # Keys of ``spec`` in OP_START.
 SPEC_KEYS = (
@@ -96,6 +98,18 @@ ENTRY_KEYS = (
     "links",
     "metrics",
 )
+# Keys of an entry of ``other_tasks`` in the reply to OP_PROBE.
+OTHER_TASK_KEYS = (
+    "fleet",
+    "host",
+    "task",
+    "started_by",
+    "state",
+    "age_s",
+    "instance",
+    "spec_hash",
+    "generation",
+)
 # Keys of the reply to OP_PROBE.
 PROBE_KEYS = (
     "v",
@@ -106,6 +120,8 @@ PROBE_KEYS = (
     "wall",
     "load_1m",
     "generations",
+    "other_tasks",
+    "unowned",
     "checks",
     "resident",
     "sample_age_s",

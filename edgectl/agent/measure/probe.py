@@ -6,7 +6,7 @@ import time
 
 from ..link import protocol
 from ..link.fast_json import Document
-from ..supervise import state_dir, status
+from ..supervise import adoption, other_tasks, state_dir, status
 from . import device, metrics, network, proc
 from .task import TaskMeter
 
@@ -39,6 +39,8 @@ def probe_host(request: Document) -> Document:
             "wall": time.time(),
             "load_1m": device.read_load_1m(),
             "generations": _list_generations(request["host"], measured["tasks"]),
+            "other_tasks": other_tasks.list_other_tasks(request["host"]),
+            "unowned": adoption.list_unowned_tasks(request["host"]),
             "checks": checks.results(),
         },
         **measured,
@@ -52,7 +54,7 @@ def _claim_lease(request: Document) -> Document:
         return {}
     from ..supervise.lease import claim_lease
 
-    return {"lease": claim_lease(request["host"], request["lease"])}
+    return {"lease": claim_lease(request["lease"])}
 
 
 def _read_profiler(request: Document) -> "tuple[Document, _RunningChecks] | None":
