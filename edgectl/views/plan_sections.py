@@ -7,7 +7,7 @@ from edgectl.model.assignment import ExpectedLoad
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Action, Plan
 from edgectl.model.resource import HOST_RESOURCES
-from edgectl.model.snapshot import HostSample, LinkSample, Snapshot
+from edgectl.model.snapshot import HostSample, LinkSample, Snapshot, find_doubled_tasks
 from edgectl.names import natural_key
 from edgectl.units import format_instant, format_rate
 from edgectl.views.demands import list_demand_notes
@@ -127,6 +127,14 @@ def list_unreachable_notes(value: Snapshot) -> list[str]:
         + format_silence(contact.get(name), value.taken_at)
         for name, host in value.hosts.items()
         if not host.ok
+    ]
+
+
+def list_doubled_notes(value: Snapshot) -> list[str]:
+    """One line for each task that runs twice."""
+    return [
+        f"DOUBLED: {task} runs on {join_words(hosts)}; edgectl apply keeps the newest instance"
+        for task, hosts in find_doubled_tasks(value).items()
     ]
 
 
