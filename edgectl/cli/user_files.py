@@ -35,7 +35,7 @@ def load_inputs(
     from edgectl.config.load import load_inventory_and_tasks as read
     from edgectl.config.problems import ProblemCode
 
-    path, paths = resolve_inventory_path(inventory), resolve_task_paths(tasks)
+    path, paths = resolve_inventory_path(inventory), choose_task_paths(tasks)
     fleet, work, warnings = read(path, paths)
     print_input_warnings(
         warning
@@ -48,6 +48,11 @@ def load_inputs(
 def resolve_inventory_path(given: Path | None) -> Path:
     """The given inventory, or the only one in inventories/."""
     return given if given is not None else _get_only_file("inventory", "inventories", "-i")
+
+
+def choose_task_paths(given: Sequence[Path] | None) -> list[Path]:
+    """The given task files and directories, each of which holds one; or the only file in tasks/."""
+    return list(given) if given and resolve_task_paths(given) else resolve_task_paths(None)
 
 
 def resolve_task_paths(given: Sequence[Path] | None) -> list[Path]:

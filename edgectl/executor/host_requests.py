@@ -40,6 +40,7 @@ def build_start_request(task: Task, host: Host, hosts: Hosts) -> Request:
         "self_fence_s": task.self_fence,
         "spec_hash": task.spec_hash,
         "fields": dict(task.spec_fields),
+        "file": task.file,
     }
     return {
         "op": protocol.OP_START,

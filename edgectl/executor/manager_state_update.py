@@ -49,11 +49,16 @@ def update_manager_state(
         if located is not None and task is not None and _is_newly_started(result):
             since = _get_placed_since(memory.placements.get(step.task), step, now)
             placements[step.task] = Placement(
-                host=located, since=since, spec_hash=task.spec_hash, generation=used.get(step.task, 0)
+                host=located,
+                since=since,
+                spec_hash=task.spec_hash,
+                generation=used.get(step.task, 0),
+                file=task.file,
             )
         elif located is not None:
             least = used.get(step.task, 0) + 1 if _is_restored(result) else 0
-            placements[step.task] = _keep_placement(memory, plan.snapshot, step.task, located, now, least)
+            kept = _keep_placement(memory, plan.snapshot, step.task, located, now, least)
+            placements[step.task] = kept if task is None else dataclasses.replace(kept, file=task.file)
         elif _is_task_gone(plan.snapshot, step, result, placements.get(step.task)):
             placements.pop(step.task, None)
         if task is not None and _is_step_completed(step, result):
@@ -152,6 +157,7 @@ def _keep_placement(
         since=sample.started_at,
         spec_hash=sample.spec_hash,
         generation=max(least, sample.generation),
+        file=sample.file,
     )
 
 

@@ -162,6 +162,7 @@ def _decode_task(name: str, entry: object, context: ReplyContext) -> TaskSample:
         given_up=reply.given_up,
         ended_at=None if reply.ended_s is None else context.answered_at - reply.ended_s,
         metrics=reply.metrics,
+        file=reply.file,
     )
 
 

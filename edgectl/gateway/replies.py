@@ -111,6 +111,7 @@ class TaskReply:
     given_up: bool = False
     ended_s: Amount | None = None
     metrics: Mapping[str, Signed] = field(default_factory=dict)
+    file: Text = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -159,6 +159,7 @@ class Reason(StrEnum):
     DONE = "done"
     GIVEN_UP = "given-up"
     LEFT_FILE = "left-the-file"
+    PRUNED = "pruned"
     DUPLICATE = "duplicate"
     SPEC_CHANGED = "spec-changed"
     OPERATOR = "operator"

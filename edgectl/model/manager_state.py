@@ -10,12 +10,16 @@ _WRITTEN = in_document(always=True)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Placement:
-    """Last known place of a task: ``since`` (s since 1970) is when it came to that host."""
+    """Last known place of a task: ``since`` (s since 1970) is when it came to that host.
+
+    ``file``: the task file that last listed it.
+    """
 
     host: str
     since: Instant
     spec_hash: str = field(default="", metadata=in_document(always=True))
     generation: int = field(default=0, metadata=in_document(always=True))
+    file: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

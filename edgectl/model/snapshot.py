@@ -79,7 +79,8 @@ class TaskSample:
     lines of a task that failed or was given up. ``limits``: "enforced", or "not enforced: why"; empty where
     none are stated. ``given_up``: it ended by itself and is not to be started again by itself: a crash loop,
     or a failure under ``restart: never``. ``ended_at``: when it ended for good, where its host knows.
-    ``metrics``: what the application says of itself, the last value by name, also after its end.
+    ``metrics``: what the application says of itself, the last value by name, also after its end. ``file``:
+    the task file that it was started from.
     """
 
     state: TaskState
@@ -103,6 +104,7 @@ class TaskSample:
     given_up: bool = False
     metrics: Mapping[str, Signed] = field(default_factory=dict)
     ended_at: Instant | None = None
+    file: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -7,8 +7,10 @@ from dataclasses import dataclass, field
 
 from edgectl.model.assignment import Decision, Reason, Verdict
 from edgectl.model.manager_state import ManagerState
+from edgectl.model.policy import Policy
 from edgectl.model.snapshot import TaskSample, TaskState
 from edgectl.model.task import Task, Tasks
+from edgectl.model.task_origin import is_left_alone
 from edgectl.scheduler.capacities import Capacities
 from edgectl.scheduler.ledger import Ledger, TaskUsage, build_measured_ledger, compute_measured_usage
 from edgectl.scheduler.partition import seconds_until_replaced
@@ -73,7 +75,9 @@ class _InitialStateBuilder:
     replaced: dict[str, str] = field(default_factory=dict)
 
 
-def build_initial_state(tasks: Tasks, manager: ManagerState, fleet: Capacities, now: float) -> InitialState:
+def build_initial_state(
+    tasks: Tasks, manager: ManagerState, fleet: Capacities, now: float, policy: Policy
+) -> InitialState:
     """The initial state from the snapshot (in ``fleet``) and the manager state."""
     seen = _collect_instances(fleet)
     builder = _InitialStateBuilder(
@@ -88,7 +92,9 @@ def build_initial_state(tasks: Tasks, manager: ManagerState, fleet: Capacities, 
     for name in sorted(tasks.tasks):
         _add_task(builder, tasks.tasks[name], seen.pop(name, ()))
     for name in sorted(seen):
-        _release_usage(builder, (s for s in seen[name] if s.sample.managed), None)
+        ours = [s for s in seen[name] if s.sample.managed]
+        if not is_left_alone(name, [s.sample for s in ours], tasks, manager, policy):
+            _release_usage(builder, ours, None)
     silent = [
         host.name
         for place, host in enumerate(fleet.places)

@@ -115,7 +115,22 @@ def render_plan_notes(value: Plan, look: RenderOptions = PLAIN) -> str:
             f"first plan of this fleet: tasks on {join_words(value.unseen)} are not known "
             "and count as not running"
         )
-    return render_notes(lines + list_demand_notes(value), look)
+    return render_notes(lines + list_demand_notes(value) + list_other_task_notes(value), look)
+
+
+def list_other_task_notes(value: Plan) -> list[str]:
+    """One line that counts the tasks of other task files, which the plan leaves alone."""
+    count = len(value.other_tasks)
+    if not count:
+        return []
+    files = sorted({file for file in value.other_tasks.values() if file}, key=natural_key)
+    where = f" ({join_words(files)})" if files else ""
+    return [
+        f"1 task of another file{where} runs on; --prune stops it: {next(iter(value.other_tasks))}"
+        if count == 1
+        else f"{count} tasks of other files{where} run on; --prune stops them: "
+        + join_words(value.other_tasks)
+    ]
 
 
 def list_unreachable_notes(value: Snapshot) -> list[str]:

@@ -35,7 +35,8 @@ _FIXED_REASON_TEXTS = {
     Reason.NEVER_MOVED: "placed once, never moved (policy static)",
     Reason.DONE: "completed",
     Reason.OPERATOR: "requested by name",
-    Reason.LEFT_FILE: "no longer in the task files",
+    Reason.LEFT_FILE: "no longer in its task file",
+    Reason.PRUNED: "in none of the given task files (--prune)",
     Reason.MOVES_FROZEN: "too many edges do not answer; no moves",
 }
 

@@ -85,14 +85,14 @@ def test_codes_are_complete() -> None:
 def test_readers_cover_the_model() -> None:
     """Every field of Host and Task is read from a file, or set by edgectl."""
     assert set(inventory_file.ROBOT_KEYS) == {field.name for field in fields(Host)} - {"name", "role"}
-    made = {"name", "template", "spec_hash", "spec_fields", "replace_after"}
+    made = {"name", "template", "spec_hash", "spec_fields", "replace_after", "file"}
     assert set(task_file.TASK_KEYS) - {"for_each", "robot"} == {field.name for field in fields(Task)} - made
 
 
 def test_keys_of_a_snapshot_are_complete() -> None:
     everything = TaskSample(
         state=TaskState.FAILED, links={}, instance="i", spec_hash="s", generation=1, managed=False, restarts=1, exit_code=1, detail="d",
-        fields={"command": "c"}, last_exit=1, log_tail=("l",), limits="l", given_up=True, metrics={"fps": 29.5}, ended_at=1.0,
+        fields={"command": "c"}, last_exit=1, log_tail=("l",), limits="l", given_up=True, metrics={"fps": 29.5}, ended_at=1.0, file="f",
     )  # fmt: skip
     device = DeviceSample(
         load_1m=1.0,

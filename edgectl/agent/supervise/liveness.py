@@ -129,6 +129,7 @@ def build_entry(found: InstanceRecord, alive: bool) -> Document:
         "instance": instance.get("instance", ""),
         "spec_hash": instance.get("spec_hash", ""),
         "fields": instance.get("fields") or {},
+        "file": instance.get("file", ""),
         "generation": instance.get("generation", 0),
         "managed": True,
         "restarts": status.get("restarts", 0),
