@@ -16,11 +16,10 @@ def build_fleet(loaded: LoadedInputs, *, accept_new: bool = False, asking: bool 
 
     ``asking``: passwords may be asked for at the terminal.
     """
-    from edgectl.state.paths import ensure_fleet_dir
+    from edgectl.state.fleet_dir import ensure_fleet_dir
 
-    return _build_fleet_with_state(
-        loaded, ensure_fleet_dir(loaded.path), accept_new=accept_new, asking=asking
-    )
+    state = ensure_fleet_dir(loaded.inventory.fleet, loaded.path)
+    return _build_fleet_with_state(loaded, state, accept_new=accept_new, asking=asking)
 
 
 def _build_fleet_with_state(
@@ -40,7 +39,7 @@ def build_fleet_with_state_check(loaded: LoadedInputs) -> tuple[Fleet, Disk]:
     """The fleet, even if its state directory is unusable, and the condition of that directory."""
     from edgectl.state.state_dir_check import inspect_state_dir
 
-    state = inspect_state_dir(loaded.path)
+    state = inspect_state_dir(loaded.inventory.fleet, loaded.path)
     return (
         build_fleet(loaded) if not state.obstacle else _build_fleet_with_state(loaded, Path(state.path))
     ), state

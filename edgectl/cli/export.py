@@ -128,13 +128,11 @@ def _run_export(
 ) -> None:
     from edgectl.cli.connect import parse_duration_option, print_warning
     from edgectl.config.load import load_inventory
-    from edgectl.state.paths import ensure_fleet_dir
+    from edgectl.state.fleet_dir import ensure_fleet_dir
     from edgectl.usecases.export import export_history
 
     begin = time.time() - parse_duration_option(since, "--since") if since is not None else None
     path = resolve_inventory_path(inventory)
-    load_inventory(path)
+    state = ensure_fleet_dir(load_inventory(path).fleet, path)
     put = console.print_lines if out is None else partial(save_file, out)
-    export_history(
-        ensure_fleet_dir(path), kind, lambda found: put(lines(kind, found)), since=begin, warn=print_warning
-    )
+    export_history(state, kind, lambda found: put(lines(kind, found)), since=begin, warn=print_warning)

@@ -14,7 +14,7 @@ _YAML_SUFFIXES = (".yaml", ".yml")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LoadedInputs:
-    """Inventory and tasks as read, and the path of the inventory, which identifies the fleet's state."""
+    """Inventory and tasks as read, and the path of the inventory."""
 
     inventory: Inventory
     tasks: Tasks
@@ -24,8 +24,8 @@ class LoadedInputs:
 def load_inputs(
     inventory: Path | None, tasks: Sequence[Path] | None, *, every_warning: bool = False, quiet: bool = False
 ) -> LoadedInputs:
-    """Load both files, given or found; warnings go to stderr unless ``quiet`` or repeated with more detail by
-    a plan.
+    """Load both files, given or found; warnings go to stderr unless ``quiet`` or said with more detail by a
+    plan or by ``validate`` and ``doctor``.
 
     Raises:
         UsageError: none is given and none can be chosen.
@@ -37,11 +37,8 @@ def load_inputs(
 
     path, paths = resolve_inventory_path(inventory), choose_task_paths(tasks)
     fleet, work, warnings = read(path, paths)
-    print_input_warnings(
-        warning
-        for warning in warnings
-        if not quiet and (every_warning or warning.code != ProblemCode.NO_DEMAND)
-    )
+    elsewhere = () if every_warning else (ProblemCode.NO_DEMAND, ProblemCode.UNNAMED_FLEET)
+    print_input_warnings(warning for warning in warnings if not quiet and warning.code not in elsewhere)
     return LoadedInputs(inventory=fleet, tasks=work, path=path)
 
 

@@ -44,6 +44,7 @@ class ProblemCode(StrEnum):
     PLACEHOLDER = "EC035"
     NO_DEMAND = "EC101"
     NEVER_ANSWERED = "EC102"
+    UNNAMED_FLEET = "EC103"
     JSON = "EC201"
     DOCUMENT = "EC202"
 

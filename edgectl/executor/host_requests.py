@@ -44,6 +44,7 @@ def build_start_request(task: Task, host: Host, hosts: Hosts) -> Request:
     }
     return {
         "op": protocol.OP_START,
+        "fleet": host.fleet,
         "host": host.name,
         "task": task.name,
         "instance": NO_INSTANCE,
@@ -69,6 +70,7 @@ def build_stop_request(name: str, host: Host, *, task: Task | None, instance: st
     rule = None if task is None else encode_stop_rule(task.stop)
     return {
         "op": protocol.OP_STOP,
+        "fleet": host.fleet,
         "host": host.name,
         "task": name,
         "instance": instance or None,
@@ -86,6 +88,7 @@ def build_wait_request(name: str, host: Host, *, instance: str, timeout_s: float
     """Wait on the host until the instance is ready, has failed or is gone."""
     return {
         "op": protocol.OP_WAIT,
+        "fleet": host.fleet,
         "host": host.name,
         "task": name,
         "instance": instance,
@@ -95,7 +98,14 @@ def build_wait_request(name: str, host: Host, *, instance: str, timeout_s: float
 
 def build_mark_ready_request(name: str, host: Host, *, instance: str) -> Request:
     """Mark the instance as ready on the host after a ready check elsewhere passed."""
-    return {"op": protocol.OP_MARK, "host": host.name, "task": name, "instance": instance, "ready": True}
+    return {
+        "op": protocol.OP_MARK,
+        "fleet": host.fleet,
+        "host": host.name,
+        "task": name,
+        "instance": instance,
+        "ready": True,
+    }
 
 
 def build_check_request(
@@ -104,6 +114,7 @@ def build_check_request(
     """Run a check or hook of ``task`` on ``host``; secrets are for the task alone."""
     return {
         "op": protocol.OP_CHECK,
+        "fleet": host.fleet,
         "host": host.name,
         "command": rule.command,
         "prelude": host.prelude,
@@ -114,4 +125,4 @@ def build_check_request(
 
 def build_status_request(host: Host, name: str | None = None) -> Request:
     """The state of one task, or of all, as the host knows it, without a measurement."""
-    return {"op": protocol.OP_STATUS, "host": host.name, "task": name}
+    return {"op": protocol.OP_STATUS, "fleet": host.fleet, "host": host.name, "task": name}

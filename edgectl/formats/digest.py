@@ -17,8 +17,12 @@ OPTIONAL_RUN_FIELDS = ("self_fence", "env_command")
 
 
 def digest_inventory(inventory: Inventory) -> str:
-    """Of everything that an inventory says."""
-    return "sha256:" + hash_value({"hosts": inventory.hosts, "links": inventory.links})
+    """Of everything that an inventory says.
+
+    A fleet name that is derived from the path of the file does not count.
+    """
+    stated = {"fleet": inventory.fleet} if inventory.is_fleet_named else {}
+    return "sha256:" + hash_value({"hosts": inventory.hosts, "links": inventory.links} | stated)
 
 
 def digest_tasks(tasks: Tasks) -> str:

@@ -26,6 +26,7 @@ def fetch_file(transport: Transport, host: Host, task: Task, file: str, *, timeo
     deadline = time.monotonic() + timeout
     request = {
         "op": protocol.OP_FETCH,
+        "fleet": host.fleet,
         "host": host.name,
         "task": task.name,
         "workdir": task.workdir,

@@ -2,12 +2,19 @@
 
 import dataclasses
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
+from edgectl.agent.link import protocol
 from edgectl.errors import HostError
 from edgectl.gateway.fanout import MAX_PARALLEL_HOSTS, HostAnswer, HostReply, ask_all, fan_out
-from edgectl.gateway.probe_reply import ReplyContext, apply_done_tasks, decode_done_tasks, decode_host_sample
+from edgectl.gateway.probe_reply import (
+    ReplyContext,
+    apply_done_tasks,
+    decode_done_tasks,
+    decode_host_sample,
+    decode_unowned_tasks,
+)
 from edgectl.gateway.probe_request import build_probe_request
 from edgectl.gateway.replies import escape_unprintable
 from edgectl.model.inventory import Host, Inventory, Role
@@ -32,6 +39,8 @@ class ProbeOptions:
 
     ``measured``: link capacities in bytes/s by (edge, robot), as ``probe --bandwidth`` kept them.
     ``reopened``: instances whose end, completed or given up, no longer counts.
+    ``known_tasks``: names of the tasks that this fleet has placed or is about to place; where the first
+    release left them on a host without an owner, the fleet adopts them.
     ``on_host`` is called as each host ends, in the caller's thread, with name, sample and seconds.
     """
 
@@ -40,10 +49,20 @@ class ProbeOptions:
     workers: int = MAX_PARALLEL_HOSTS
     measured: Mapping[tuple[str, str], float] = field(default_factory=dict)
     reopened: frozenset[str] = frozenset()
+    known_tasks: Callable[[], frozenset[str]] = frozenset
     on_host: HostCallback = _ignore_host
 
 
-_SampleAndDone = tuple[HostSample, frozenset[str]]
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Decoded:
+    """The sample of a host, the tasks whose checks passed there, and those that have no owner there."""
+
+    sample: HostSample
+    done: frozenset[str]
+    unowned: frozenset[str]
+
+
+_Answers = dict[str, HostAnswer[_Decoded]]
 
 
 def probe_hosts(
@@ -67,40 +86,72 @@ def probe_hosts(
             host, inventory, tasks, addresses, window_s=options.window, timeout_s=options.timeout
         )
 
-    def decode(reply: HostReply) -> _SampleAndDone:
-        """The sample, and the tasks whose checks passed there."""
+    def decode(reply: HostReply) -> _Decoded:
         context = _build_reply_context(reply.host, inventory, options, clock())
-        return decode_host_sample(reply.document, context), decode_done_tasks(reply.document)
+        return _Decoded(
+            sample=decode_host_sample(reply.document, context),
+            done=decode_done_tasks(reply.document),
+            unowned=decode_unowned_tasks(reply.document),
+        )
 
-    answers: dict[str, HostAnswer[_SampleAndDone]] = {}
-    for answer in ask_all(
-        hosts,
-        transport,
-        build,
-        decode,
-        timeout=options.timeout,
-        max_logins=options.workers,
-        max_hosts=_PROBES_PER_LOGIN * options.workers,
-    ):
-        answers[answer.host.name] = answer
-        options.on_host(answer.host.name, _get_sample(answer), answer.seconds)
+    def ask(asked: Sequence[Host]) -> _Answers:
+        answers: _Answers = {}
+        for answer in ask_all(
+            asked,
+            transport,
+            build,
+            decode,
+            timeout=options.timeout,
+            max_logins=options.workers,
+            max_hosts=_PROBES_PER_LOGIN * options.workers,
+        ):
+            answers[answer.host.name] = answer
+            options.on_host(answer.host.name, _get_sample(answer), answer.seconds)
+        return answers
+
+    answers = ask(hosts)
+    answers |= ask(_adopt_unowned_tasks(answers, transport, options))
     return Snapshot(
         taken_at=clock(), hosts=_finalize_samples({host.name: answers[host.name] for host in hosts})
     )
 
 
-def _get_sample(answer: HostAnswer[_SampleAndDone]) -> HostSample:
+def _adopt_unowned_tasks(answers: _Answers, transport: Transport, options: ProbeOptions) -> list[Host]:
+    """Adopt the known tasks without an owner; the hosts that have such tasks."""
+    unowned = {
+        name: answer.value.unowned
+        for name, answer in answers.items()
+        if not isinstance(answer.value, HostError) and answer.value.unowned
+    }
+    known = options.known_tasks() if unowned else frozenset()
+    adopted = {name: sorted(tasks & known) for name, tasks in unowned.items() if tasks & known}
+    hosts = [answers[name].host for name in adopted]
+
+    def build(host: Host, _left: float) -> dict[str, object]:
+        return {
+            "op": protocol.OP_ADOPT,
+            "fleet": host.fleet,
+            "host": host.name,
+            "tasks": adopted[host.name],
+        }
+
+    for _ in ask_all(hosts, transport, build, lambda _reply: None, timeout=options.timeout):
+        pass  # a host that fails here is asked again by the next probe
+    return hosts
+
+
+def _get_sample(answer: HostAnswer[_Decoded]) -> HostSample:
     if isinstance(answer.value, HostError):
         return _build_unreachable_sample(answer.host, answer.value)
-    return answer.value[0]
+    return answer.value.sample
 
 
-def _finalize_samples(answers: Mapping[str, HostAnswer[_SampleAndDone]]) -> dict[str, HostSample]:
+def _finalize_samples(answers: Mapping[str, HostAnswer[_Decoded]]) -> dict[str, HostSample]:
     """The samples with their ages, completed by the checks that robots answered for tasks elsewhere."""
     now = time.monotonic()
     done = frozenset[str]().union(
         *(
-            answer.value[1]
+            answer.value.done
             for answer in answers.values()
             if answer.host.role is Role.ROBOT and not isinstance(answer.value, HostError)
         )
@@ -108,7 +159,7 @@ def _finalize_samples(answers: Mapping[str, HostAnswer[_SampleAndDone]]) -> dict
     return {name: _finalize_sample(answer, done, now) for name, answer in answers.items()}
 
 
-def _finalize_sample(answer: HostAnswer[_SampleAndDone], done: frozenset[str], now: float) -> HostSample:
+def _finalize_sample(answer: HostAnswer[_Decoded], done: frozenset[str], now: float) -> HostSample:
     sample = _get_sample(answer)
     if not sample.ok:
         return sample

@@ -104,6 +104,15 @@ def decode_done_tasks(document: ReplyDocument) -> frozenset[str]:
     return _list_done_tasks(decode_reply(ProbeReply, document))
 
 
+def decode_unowned_tasks(document: ReplyDocument) -> frozenset[str]:
+    """Tasks on this host that the first release started and no fleet has adopted.
+
+    Raises:
+        ReplyError: the reply is no probe.
+    """
+    return frozenset(decode_reply(ProbeReply, document).unowned)
+
+
 def _list_done_tasks(reply: ProbeReply) -> frozenset[str]:
     return frozenset(name for name, check in reply.checks.items() if check.exit == 0)
 

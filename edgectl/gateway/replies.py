@@ -133,6 +133,7 @@ class ProbeReply:
     tasks: Mapping[Text, object] = field(default_factory=dict)
     checks: Mapping[Text, CheckReply] = field(default_factory=dict)
     generations: Mapping[Text, Count] = field(default_factory=dict)
+    unowned: tuple[Text, ...] = ()
 
 
 # Usage of a task, and capacity and usage of each resource of a device, under the keys of the table.

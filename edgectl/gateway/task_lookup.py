@@ -45,7 +45,7 @@ def _ask_task_status(
     hosts = [host for host in inventory.hosts.values() if host.probe]
 
     def build(host: Host, _left: float) -> dict[str, object]:
-        return {"op": protocol.OP_STATUS, "host": host.name, "task": task}
+        return {"op": protocol.OP_STATUS, "fleet": host.fleet, "host": host.name, "task": task}
 
     def decode(reply: HostReply) -> TaskReply | None:
         return decode_reply(StatusReply, reply.document).tasks.get(task)

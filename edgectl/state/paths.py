@@ -19,17 +19,13 @@ def get_state_root() -> Path:
     return Path(named) if named else Path(platformdirs.user_state_dir("edgectl", appauthor=False))
 
 
-def ensure_fleet_dir(inventory: Path) -> Path:
-    """The directory of the fleet described by the file ``inventory``, created if missing.
-
-    Raises:
-        StateError: it belongs to another user, or others may write to it.
-    """
-    return ensure_private_dir(get_fleet_path(inventory))
+def get_fleet_path(fleet: str) -> Path:
+    """The directory of a fleet, whether it exists or not."""
+    return get_state_root() / "fleets" / fleet
 
 
-def get_fleet_path(inventory: Path) -> Path:
-    """Path of ``fleet_dir``, whether it exists or not."""
+def get_legacy_path(inventory: Path) -> Path:
+    """The directory in which the first release kept the state of a fleet: named by the path of its file."""
     resolved = inventory.resolve()
     name = f"{resolved.stem}-{hashlib.sha256(os.fsencode(resolved)).hexdigest()[:8]}"
     return get_state_root() / "fleets" / name

@@ -242,7 +242,7 @@ def stream_agent_log(
     # A stream cannot upload the agent: this call does, where the host does not have it yet.
     call_agent(
         session,
-        {"op": protocol.OP_STATUS, "host": request["host"], "task": request["task"]},
+        {"op": protocol.OP_STATUS, **{key: request[key] for key in ("fleet", "host", "task")}},
         timeout=max(idle_timeout, 5.0),
     )
     marker = secrets.token_hex(16)

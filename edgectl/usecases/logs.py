@@ -28,7 +28,7 @@ def read_log(fleet: Fleet, task: str, *, tail: int = 100) -> str:
     with track_heartbeats(fleet) as near, _connect_to_task_host(near, task) as (host, session):
         answer = call_agent(
             session,
-            {"op": protocol.OP_LOGS, "host": host.name, "task": task, "tail": tail},
+            {"op": protocol.OP_LOGS, "fleet": host.fleet, "host": host.name, "task": task, "tail": tail},
             timeout=_TIMEOUT_S,
         )
     return str(answer.get("text") or "")
@@ -44,7 +44,7 @@ def follow_log(fleet: Fleet, task: str, *, tail: int = 10) -> Generator[bytes, N
     with track_heartbeats(fleet) as near, _connect_to_task_host(near, task) as (host, session):
         yield from stream_agent_log(
             session,
-            {"op": protocol.OP_FOLLOW, "host": host.name, "task": task, "tail": tail},
+            {"op": protocol.OP_FOLLOW, "fleet": host.fleet, "host": host.name, "task": task, "tail": tail},
             idle_timeout=_IDLE_TIMEOUT_S,
         )
 

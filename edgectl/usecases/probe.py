@@ -9,7 +9,12 @@ from edgectl.model.snapshot import BandwidthMeasurement, Snapshot
 from edgectl.state.heartbeats import load_heartbeats
 from edgectl.state.journal import JOURNAL_FILE_NAME
 from edgectl.state.journal_reader import read_journal_cached
-from edgectl.state.manager_state import load_ignored_instances, load_link_capacities, save_link_capacities
+from edgectl.state.manager_state import (
+    load_ignored_instances,
+    load_link_capacities,
+    load_manager_state,
+    save_link_capacities,
+)
 from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.heartbeat import load_state_with_heartbeats, track_heartbeats
 from edgectl.usecases.measured_demand import load_measured_demands
@@ -22,7 +27,12 @@ def probe_fleet(fleet: Fleet, options: ProbeOptions | None = None) -> Snapshot:
     """
     measured = load_link_capacities(fleet.state, fleet.warn)
     reopened = frozenset(load_ignored_instances(fleet.state, fleet.warn))
-    options = dataclasses.replace(options or ProbeOptions(), measured=measured, reopened=reopened)
+    options = dataclasses.replace(
+        options or ProbeOptions(),
+        measured=measured,
+        reopened=reopened,
+        known_tasks=lambda: _list_known_tasks(fleet),
+    )
     fenced = load_heartbeats(fleet.state, fleet.warn).fenced
     with track_heartbeats(fleet) as tracked:
         snapshot = host_probe.probe_hosts(
@@ -37,6 +47,11 @@ def probe_fleet(fleet: Fleet, options: ProbeOptions | None = None) -> Snapshot:
         _add_journaled_starts(fleet, manager, snapshot), measured=load_measured_demands(fleet, snapshot)
     )
     return dataclasses.replace(snapshot, manager=manager)
+
+
+def _list_known_tasks(fleet: Fleet) -> frozenset[str]:
+    """Tasks of the files, and tasks that this manager has placed."""
+    return frozenset(fleet.tasks.tasks) | frozenset(load_manager_state(fleet.state, fleet.warn).placements)
 
 
 def _add_journaled_starts(fleet: Fleet, manager: ManagerState, snapshot: Snapshot) -> ManagerState:

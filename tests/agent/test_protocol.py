@@ -64,7 +64,7 @@ def test_requests_of_the_manager_have_the_stated_keys() -> None:
         ),
     ]
     for request in sent:
-        assert set(request) == {"op", "host", *protocol.REQUEST_KEYS[str(request["op"])]}
+        assert set(request) == {"op", "fleet", "host", *protocol.REQUEST_KEYS[str(request["op"])]}
     spec = sent[0]["spec"]
     assert isinstance(spec, dict)
     assert set(spec) == set(protocol.SPEC_KEYS)

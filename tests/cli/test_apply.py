@@ -52,7 +52,7 @@ def test_nobody_to_ask_means_64_and_nothing_done(run: Run, small: Path, words: t
 def test_an_unknown_form_is_refused_before_anything_is_done(run: Run, small: Path) -> None:
     assert run("apply", "--yes", "-o", "markdown").code == 64
     assert run("apply", "--dry-run", "-o", "name").code == 64
-    assert not (small / "state" / "hosts").exists()
+    assert not (small / "state" / "agent-state").exists()
 
 
 def test_apply_status_logs_restart_stop(run: Run, small: Path) -> None:
@@ -123,7 +123,7 @@ def test_done_reopen_cordon_uncordon(run: Run, small: Path) -> None:
 def test_a_second_edgectl_waits_or_ends_with_75(run: Run, small: Path) -> None:
     (small / "tasks" / "lab.yaml").write_text(TASKS.replace("stop:", f"{ready_check(small)}, stop:"))
     with start_edgectl("apply", "--yes") as first:
-        wait_for_file(small, "state/hosts/edge1/tasks/idle/log*", first)
+        wait_for_file(small, "state/agent-state/*/hosts/edge1/tasks/idle/log*", first)
         said = run("apply", "--yes")
         assert said.code == 75
         assert f"pid {first.pid}" in said.err
@@ -189,7 +189,7 @@ def test_ctrl_c_finishes_what_is_under_way(small: Path) -> None:
         + "  next: {needs: [idle], command: sleep 600}\n"
     )
     with start_edgectl("apply", "--yes") as process:
-        wait_for_file(small, "state/hosts/edge1/tasks/idle/log*", process)
+        wait_for_file(small, "state/agent-state/*/hosts/edge1/tasks/idle/log*", process)
         process.send_signal(signal.SIGINT)
         assert process.stderr is not None
         assert any("finishing the running actions" in line for line in process.stderr)

@@ -13,9 +13,9 @@ from pathlib import Path
 import pytest
 
 from edgectl.model.event import Event, EventKind
-from edgectl.state.paths import ensure_fleet_dir
 from edgectl.state.store import Store
 from tests.cli.conftest import Run
+from tests.cli.fleet_dir import open_fleet_dir
 from tests.views.fixtures import ROOT
 
 EDGECTL = [sys.executable, "-m", "edgectl"]
@@ -25,7 +25,7 @@ EDGECTL = [sys.executable, "-m", "edgectl"]
 def state(site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The scaffold's state directory."""
     monkeypatch.setenv("EDGECTL_STATE_DIR", str(tmp_path / "state"))
-    return ensure_fleet_dir(site / "inventories" / "local.yaml")
+    return open_fleet_dir(site / "inventories" / "local.yaml")
 
 
 def record_events(state: Path, *events: Event) -> None:

@@ -31,10 +31,10 @@ from edgectl.model.event import Event, EventKind
 from edgectl.model.plan import Action
 from edgectl.model.result import ActionResult, Outcome, Results
 from edgectl.model.snapshot import Snapshot
-from edgectl.state.paths import ensure_fleet_dir
 from edgectl.state.store import Store
 from edgectl.units import parse_instant
 from tests.cli.conftest import Run
+from tests.cli.fleet_dir import open_fleet_dir
 from tests.views import fixtures
 
 
@@ -204,7 +204,7 @@ def add_metrics(snapshot: Snapshot) -> Snapshot:
 @pytest.fixture
 def recorded(site: Path, state: Path, run: Run) -> Path:
     """The history of two real probes, an hour apart and just now, a move and an event; the file."""
-    directory = ensure_fleet_dir(site / "inventories" / "local.yaml")
+    directory = open_fleet_dir(site / "inventories" / "local.yaml")
     snapshot = add_metrics(dataclasses.replace(fixtures.fleet()[2], manager=None))
     with Store.open(directory) as store:
         store.record_snapshot(dataclasses.replace(snapshot, taken_at=time.time() - 3600.0))

@@ -23,9 +23,9 @@ _MAX_PAYLOAD_BYTES = protocol.MAX_REPLY_BYTES - 65536
 
 def serve_request(request: bytes, channel: "Channel", bases: "list[str]") -> None:
     """Carry out ``request`` and reply on ``channel``; every failure becomes an ``error`` document."""
-    state_dir.BASES[:] = bases
     try:
         document = fast_json.loads(request.decode("utf-8"))
+        state_dir.use_fleet(bases, document.get("fleet"))
         heartbeat.record_heartbeat(document["host"])
         if document["op"] == protocol.OP_FOLLOW:
             from ..supervise.logs import follow_log
@@ -62,6 +62,8 @@ def _describe_exception(error: Exception) -> str:
 def _find_operation(name: str) -> "Callable[[Document], Document]":  # noqa: C901 - a table of lazy imports
     if name == protocol.OP_PROBE:
         from ..measure.probe import probe_host as operation
+    elif name == protocol.OP_ADOPT:
+        from ..supervise.adoption import adopt_tasks as operation
     elif name == protocol.OP_START:
         from ..supervise.start import start_task as operation
     elif name == protocol.OP_STOP:

@@ -7,6 +7,7 @@ Valid for Python 3.6, without imports: the agent loads it on the host, the manag
 VERSION = 1
 
 # Operations: key ``op`` of a request.
+OP_ADOPT = "adopt"
 OP_CHECK = "check"
 OP_DOCTOR = "doctor"
 OP_FETCH = "fetch"
@@ -26,9 +27,10 @@ OP_STOP = "stop"
 OP_SUPERVISE = "supervise"
 OP_WAIT = "wait"
 
-# Keys of a request besides ``op`` and ``host``; OP_PROFILER_RUN and OP_SUPERVISE are requests of the agent to
-# itself.
+# Keys of a request besides ``op``, ``fleet`` and ``host``; OP_PROFILER_RUN and OP_SUPERVISE are requests of
+# the agent to itself.
 REQUEST_KEYS = {
+    OP_ADOPT: ("tasks",),
     OP_CHECK: ("command", "prelude", "env", "timeout_s"),
     OP_DOCTOR: ("links", "prelude", "env", "timeout_s"),
     OP_FETCH: ("task", "workdir", "file", "most", "offset"),
@@ -98,6 +100,7 @@ PROBE_KEYS = (
     "wall",
     "load_1m",
     "generations",
+    "unowned",
     "checks",
     "resident",
     "sample_age_s",

@@ -6,7 +6,7 @@ import time
 
 from ..link import protocol
 from ..link.fast_json import Document
-from ..supervise import state_dir, status
+from ..supervise import adoption, state_dir, status
 from . import device, metrics, network, proc
 from .task import TaskMeter
 
@@ -38,6 +38,7 @@ def probe_host(request: Document) -> Document:
             "wall": time.time(),
             "load_1m": device.read_load_1m(),
             "generations": _list_generations(request["host"], measured["tasks"]),
+            "unowned": adoption.list_unowned_tasks(request["host"]),
             "checks": checks.results(),
         },
         **measured,

@@ -138,7 +138,8 @@ def _launch_in_scope(task_scope: Scope, order: Document) -> "tuple[Document | No
     Raises:
         RefusalError: no report came, and it is unknown whether it may still come.
     """
-    request = dict(order, op=protocol.OP_SUPERVISE, host=order["identity"]["host"], why="")
+    identity = order["identity"]
+    request = dict(order, op=protocol.OP_SUPERVISE, fleet=identity["fleet"], host=identity["host"], why="")
     read_end = _start_agent(task_scope.argv, task_scope.env, request, order["lock"])
     data, ended = _read_pipe(read_end, _SCOPE_S)
     if not ended:

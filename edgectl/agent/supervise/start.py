@@ -101,6 +101,7 @@ def _build_identity(request: Document, spec: Document) -> Document:
     """
     return {
         "instance": str(request["instance"]),
+        "fleet": state_dir.get_fleet(),
         "host": request["host"],
         "task": request["task"],
         "generation": int(request["generation"]),
