@@ -7,6 +7,7 @@ from edgectl.errors import ExitCode
 from edgectl.model.cycle import Cycle
 from edgectl.model.diagnosis import Diagnosis, Severity
 from edgectl.model.inventory import Inventory
+from edgectl.model.lost_places import list_lost_tasks
 from edgectl.model.plan import Action, Plan
 from edgectl.model.profiler import Profiler, ProfilerState
 from edgectl.model.snapshot import Snapshot
@@ -16,7 +17,9 @@ if TYPE_CHECKING:
 
 
 def of_snapshot(snapshot: Snapshot, inventory: Inventory, *, allow_unreachable: bool = False) -> ExitCode:
-    """4 if a host that should answer did not."""
+    """4 if a host that should answer did not, or a task is where the inventory no longer reaches it."""
+    if list_lost_tasks(snapshot):
+        return ExitCode.PARTLY
     silent = any(name in inventory.hosts for name in list_unreachable_hosts(snapshot))
     return ExitCode.PARTLY if silent and not allow_unreachable else ExitCode.DONE
 
@@ -38,6 +41,8 @@ def of_profilers(profilers: Iterable[Profiler]) -> ExitCode:
 
 def of_plan(plan: Plan, *, detailed: bool, allow_unreachable: bool) -> ExitCode:
     """4 beats 3 beats 2; 2 and 3 only with --detailed-exitcode."""
+    if list_lost_tasks(plan.snapshot):
+        return ExitCode.PARTLY
     if not allow_unreachable and list_unreachable_hosts(plan.snapshot):
         return ExitCode.PARTLY
     if detailed and Action.UNPLACED in plan.summary:
@@ -67,7 +72,11 @@ def of_cycle(cycle: Cycle) -> ExitCode:
     failed = cycle.results is not None and not cycle.results.done
     return (
         ExitCode.PARTLY
-        if failed or (cycle.snapshot is not None and list_unreachable_hosts(cycle.snapshot))
+        if failed
+        or (
+            cycle.snapshot is not None
+            and (list_unreachable_hosts(cycle.snapshot) or list_lost_tasks(cycle.snapshot))
+        )
         else ExitCode.DONE
     )
 

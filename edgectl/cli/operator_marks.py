@@ -101,14 +101,14 @@ def fence_command(
     from edgectl.cli.connect import build_fleet
     from edgectl.usecases import operator_marks
 
-    loaded = load_inputs(inventory, tasks)
-    check_known_names([host], loaded.inventory.hosts, "host")
+    fleet = build_fleet(load_inputs(inventory, tasks))
+    check_known_names([host], operator_marks.list_fenceable_hosts(fleet), "host")
     apply_session.check_can_confirm(asked=not yes)
     if not yes and not apply_session.ask_confirmation(
         f"If {host} is still on, its tasks will run twice. Type its name if it is powered off: ", host
     ):
         raise Exit(ExitCode.FAILED)
-    _print_marked_names("fenced", operator_marks.fence_hosts(build_fleet(loaded), [host]))
+    _print_marked_names("fenced", operator_marks.fence_hosts(fleet, [host]))
 
 
 def unfence_command(

@@ -202,4 +202,5 @@ def _build_unreachable_sample(host: Host, error: HostError) -> HostSample:
         error=escape_unprintable(error.message),
         error_kind=error.kind,
         hint=escape_unprintable(error.hint),
+        address=host.address,
     )

@@ -81,6 +81,8 @@ def decode_host_sample(document: ReplyDocument, context: ReplyContext) -> HostSa
         tasks=tasks,
         device=_build_device(reply, context.answered_at),
         generations=_build_generations(reply, tasks),
+        address=context.host.address,
+        machine="" if reply.machine.startswith("/") else reply.machine,
     )
     return apply_done_tasks(sample, _list_done_tasks(reply))
 

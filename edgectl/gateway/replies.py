@@ -124,6 +124,7 @@ class ProbeReply:
     sample_age_s: Amount = 0.0
     resident: bool = False
     boot_id: Text = ""
+    machine: Text = ""
     wall: Reading | None = None
     load_1m: Amount | None = None
     temperature_c: Reading | None = None

@@ -155,6 +155,8 @@ class Reason(StrEnum):
     PREDECESSOR_MISSING = "predecessor-missing"
     PREDECESSOR_INCOMPLETE = "predecessor-incomplete"
     HOST_SILENT = "host-silent"
+    HOST_LEFT = "host-left"
+    HOST_READDRESSED = "host-readdressed"
     ROBOT_SILENT = "robot-silent"
     DONE = "done"
     GIVEN_UP = "given-up"

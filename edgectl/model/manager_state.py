@@ -12,7 +12,7 @@ _WRITTEN = in_document(always=True)
 class Placement:
     """Last known place of a task: ``since`` (s since 1970) is when it came to that host.
 
-    ``file``: the task file that last listed it.
+    ``file``: the task file that last listed it. ``address`` and ``machine``: of the host, as in its sample.
     """
 
     host: str
@@ -20,6 +20,8 @@ class Placement:
     spec_hash: str = field(default="", metadata=in_document(always=True))
     generation: int = field(default=0, metadata=in_document(always=True))
     file: str = ""
+    address: str = ""
+    machine: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

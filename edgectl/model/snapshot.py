@@ -135,7 +135,8 @@ class HostSample:
     ``error`` is the cause in words, ``error_kind`` its stable word (``HostError.kind``), ``hint`` what mends
     it. ``sample_age_s``: age of the readings when the snapshot was taken. ``resident``: a profiler that stays
     on the host took them, so rates are smoothed already. ``generations``: by task, the highest generation the
-    host was ever given, where ``tasks`` does not tell.
+    host was ever given, where ``tasks`` does not tell. ``address``: as the inventory states it. ``machine``:
+    machine id, user and state directories of the login, as ``ID/UID/HASH``; "" where there is no machine id.
     """
 
     role: Role
@@ -155,6 +156,8 @@ class HostSample:
     tasks: Mapping[str, TaskSample] = field(default_factory=dict, metadata=in_document(always=True))
     device: DeviceSample = DeviceSample()
     generations: Mapping[str, int] = field(default_factory=dict)
+    address: str = ""
+    machine: str = ""
 
     @property
     def ok(self) -> bool:

@@ -63,7 +63,7 @@ def _add_journaled_starts(fleet: Fleet, manager: ManagerState, snapshot: Snapsho
     started = {
         task: Placement(host=host, since=snapshot.taken_at, generation=generation)
         for task, (host, generation) in read_journal_cached(fleet.state / JOURNAL_FILE_NAME).located.items()
-        if host in snapshot.hosts and not snapshot.hosts[host].ok
+        if host not in snapshot.hosts or not snapshot.hosts[host].ok
         if task not in manager.placements or manager.placements[task].generation < generation
     }
     return dataclasses.replace(manager, placements={**manager.placements, **started}) if started else manager

@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Collection, Iterable
 
 from edgectl.model.assignment import ExpectedLoad
+from edgectl.model.lost_places import list_lost_tasks
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Action, Plan
 from edgectl.model.resource import HOST_RESOURCES
@@ -11,7 +12,7 @@ from edgectl.model.snapshot import HostSample, LinkSample, Snapshot
 from edgectl.names import natural_key
 from edgectl.units import format_instant, format_rate
 from edgectl.views.demands import list_demand_notes
-from edgectl.views.reasons import describe_reason, is_left_out, is_not_found, join_words
+from edgectl.views.reasons import describe_lost_place, describe_reason, is_left_out, is_not_found, join_words
 from edgectl.views.state import format_silence
 from edgectl.views.text import (
     PLAIN,
@@ -99,6 +100,7 @@ def _render_load_cell(used: float, capacity: float | None, shown: str) -> Cell:
 def render_plan_notes(value: Plan, look: RenderOptions = PLAIN) -> str:
     """Notes on hosts, deferred tasks and demands."""
     lines = list_unreachable_notes(value.snapshot) + list_operator_mark_notes(value.snapshot)
+    lines += list_lost_task_notes(value.snapshot, {step.task for step in value.steps})
     deferred = value.snapshot.manager.deferred if value.snapshot.manager else {}
     changing = (step.task for step in value.steps if step.action.changes)
     lines += [
@@ -142,6 +144,15 @@ def list_unreachable_notes(value: Snapshot) -> list[str]:
         + format_silence(contact.get(name), value.taken_at)
         for name, host in value.hosts.items()
         if not host.ok
+    ]
+
+
+def list_lost_task_notes(value: Snapshot, without: Collection[str] = ()) -> list[str]:
+    """One line for each task whose place the inventory no longer reaches, except those of ``without``."""
+    return [
+        f"{task} {describe_lost_place(place)}"
+        for task, place in list_lost_tasks(value).items()
+        if task not in without
     ]
 
 
@@ -225,6 +236,11 @@ def render_unreachable_hosts(value: Snapshot, names: Collection[str]) -> str:
         f"{escape_unprintable(line)}\n"
         for line in list_unreachable_notes(dataclasses.replace(value, hosts=hosts))
     )
+
+
+def render_lost_tasks(value: Snapshot) -> str:
+    """The tasks whose place the inventory no longer reaches, each with the remedy."""
+    return "".join(f"{escape_unprintable(line)}\n" for line in list_lost_task_notes(value))
 
 
 def render_unplaced_tasks(value: Plan) -> str:

@@ -11,7 +11,12 @@ from edgectl.units import format_duration
 from edgectl.views.glossary import head
 from edgectl.views.output import ListView
 from edgectl.views.output_format import NAMED_FORMATS
-from edgectl.views.plan_sections import list_operator_mark_notes, list_unreachable_notes, render_notes
+from edgectl.views.plan_sections import (
+    list_lost_task_notes,
+    list_operator_mark_notes,
+    list_unreachable_notes,
+    render_notes,
+)
 from edgectl.views.rows import (
     compute_task_age,
     encode_absent_row,
@@ -63,6 +68,7 @@ class StatusView(ListView):
     def _render(self, rows: list[Row], look: RenderOptions, *, right: set[int]) -> str:
         notes = render_notes(
             list_unreachable_notes(self._snapshot)
+            + list_lost_task_notes(self._snapshot)
             + list_operator_mark_notes(self._snapshot)
             + list_task_remarks(self._snapshot),
             look,
@@ -105,8 +111,12 @@ class StatusView(ListView):
         return [*runs, *absent]
 
     def warnings(self) -> Sequence[str]:
-        """Hosts without a reply and marks of the operator."""
-        return [*list_unreachable_notes(self._snapshot), *list_operator_mark_notes(self._snapshot)]
+        """Hosts without a reply, tasks at lost places, and marks of the operator."""
+        return [
+            *list_unreachable_notes(self._snapshot),
+            *list_lost_task_notes(self._snapshot),
+            *list_operator_mark_notes(self._snapshot),
+        ]
 
     def names(self) -> Sequence[str]:
         """The tasks that run."""

@@ -114,6 +114,8 @@ def test_keys_of_a_snapshot_are_complete() -> None:
         generations={"t": 2},
         resident=True,
         device=device,
+        address="ana@10.0.0.1",
+        machine="m/1000/a",
     )
     document = SNAPSHOT_KIND.encode(
         type(SNAPSHOT)(taken_at=0.0, hosts={"h": sample}, manager=SNAPSHOT.manager)

@@ -60,9 +60,9 @@ DEVICE = DeviceSample(
 CPU_USE, MEMORY_USE = ResourceUsage(capacity=4.0, used=1.5), ResourceUsage(capacity=5.0, used=2.0)
 HOST = HostSample(
     role=Role.ROBOT, status=HostStatus.UNREACHABLE, error="e", error_kind="k", hint="h", sample_age_s=1.5, resident=True, usage={"cpu": CPU_USE, "memory": MEMORY_USE},
-    links={"r": LINK}, tasks={"t": TASK}, device=DEVICE, generations={"t": 9},
+    links={"r": LINK}, tasks={"t": TASK}, device=DEVICE, generations={"t": 9}, address="a", machine="m",
 )  # fmt: skip
-PLACEMENT = Placement(host="h", since=1.0, spec_hash="s", generation=2, file="f")
+PLACEMENT = Placement(host="h", since=1.0, spec_hash="s", generation=2, file="f", address="a", machine="m")
 MEASURED = MeasuredDemand(
     samples=60, span_s=300.5, used={"cpu": 0.25, "memory": 7.0, "network": 1.5}, spec_hash="s"
 )

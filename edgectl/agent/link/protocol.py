@@ -97,6 +97,7 @@ PROBE_KEYS = (
     "host",
     "python",
     "boot_id",
+    "machine",
     "wall",
     "load_1m",
     "generations",

@@ -112,7 +112,7 @@ def _build_identity(request: Document, spec: Document) -> Document:
         "fields": _trim_fields(spec.get("fields")),
         "file": str(spec.get("file", ""))[:_MAX_FILE],
         "boot_id": proc.read_boot_id(),
-        "machine_id": proc.read_file("/etc/machine-id").decode("ascii", "replace").strip(),
+        "machine_id": proc.read_machine_id(),
     }
 
 
