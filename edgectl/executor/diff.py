@@ -100,10 +100,19 @@ def _build_step(decision: Decision, tasks: Tasks, found: SamplesByHost) -> Step:
     changed = _list_changed_fields(decision, tasks, found) if action is Action.KEEP else ()
     if changed:
         decision, action = replace(decision, reason=Reason.SPEC_CHANGED), Action.RESTART
+    elif action is Action.KEEP and (orphan := _find_orphan(decision, found)) is not None:
+        action = Action.ADOPT if orphan.adoptable else Action.RESTART
+        decision = replace(decision, reason=Reason.ORPHANED)
     stop = _list_surplus_hosts(decision, action, found)
     concerned = found if action is not Action.KEEP else {host: found[host] for host in stop}
     instances = {host: sample.instance for host, sample in concerned.items()}
     return Step(decision=decision, action=action, instances=instances, stop=stop, changed=changed)
+
+
+def _find_orphan(decision: Decision, found: SamplesByHost) -> TaskSample | None:
+    """The kept instance, where it lives without a supervisor."""
+    sample = found.get(decision.host or "")
+    return sample if sample is not None and sample.orphaned else None
 
 
 def _is_managed_decision(decision: Decision, tasks: Tasks) -> bool:

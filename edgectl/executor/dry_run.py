@@ -6,6 +6,7 @@ from edgectl.errors import HostError
 from edgectl.executor.action_phases import (
     PlannedPhases,
     PlannedRequest,
+    build_adopt_phases,
     build_start_phases,
     build_stop_phases,
 )
@@ -50,7 +51,10 @@ def _list_step_phases(plan: Plan, inventory: Inventory, tasks: Tasks) -> list[tu
 
 def _build_stops(step: Step, inventory: Inventory, tasks: Tasks) -> PlannedPhases:
     try:
-        return build_stop_phases(step, inventory, tasks)
+        return (
+            *build_stop_phases(step, inventory, tasks),
+            *build_adopt_phases(step, inventory, tasks),
+        )
     except HostError:
         return ()
 

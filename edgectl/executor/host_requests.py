@@ -53,6 +53,13 @@ def build_start_request(task: Task, host: Host, hosts: Hosts) -> Request:
     }
 
 
+def build_takeover_request(task: Task, host: Host, hosts: Hosts) -> Request:
+    """Give the living instance of ``task`` on ``host``, whose supervisor was lost, a new one; completed as a
+    start request is.
+    """
+    return {**build_start_request(task, host, hosts), "op": protocol.OP_TAKE_OVER}
+
+
 def fill_start_request(
     request: Request, *, instance: str, generation: int, variables: Mapping[str, str]
 ) -> Request:

@@ -5,7 +5,12 @@ from collections import Counter
 from collections.abc import Mapping
 
 from edgectl.errors import HostError, RefusedError, StateError
-from edgectl.executor.action_phases import StartPhases, build_start_phases, build_stop_phases
+from edgectl.executor.action_phases import (
+    StartPhases,
+    build_adopt_phases,
+    build_start_phases,
+    build_stop_phases,
+)
 from edgectl.executor.cancellation import INTERRUPTED, Cancellation
 from edgectl.executor.dependencies import (
     STARTING_ACTIONS,
@@ -106,7 +111,7 @@ def _run_steps(
     halting = {
         name: frozenset[str]()
         for name, act in acts.items()
-        if act.step.action in STOPPING_ACTIONS or act.step.stop
+        if act.step.action in (*STOPPING_ACTIONS, Action.ADOPT) or act.step.stop
     }
     halted = workers.run_all(
         halting, lambda name, _results: cancellation.note_result(_stop_step(acts[name])), skip
@@ -124,12 +129,17 @@ def _run_steps(
 
 
 def _stop_step(act: StepRun) -> ActionResult | None:
-    """Stop the task where the step says so; no result yet where the step goes on to start it elsewhere."""
+    """Stop the task where the step says so, and adopt it where it is kept; no result yet where the step goes
+    on to start it elsewhere.
+    """
     decision = act.step.decision
     here = decision.previous_host if act.step.action in STOPPING_ACTIONS else decision.host
     try:
         act.begin()
         perform_phases(act, build_stop_phases(act.step, act.run.inventory, act.run.tasks))
+        adoption = build_adopt_phases(act.step, act.run.inventory, act.run.tasks)
+        if adoption and act.task is not None:
+            perform_phases(act, adoption, resolve_variables(act, act.task, decision.host or ""))
     except StateError as error:
         return _end_unrecorded(act, error)
     except HostError as error:

@@ -174,6 +174,8 @@ def _decode_task(name: str, entry: object, context: ReplyContext) -> TaskSample:
         ended_at=None if reply.ended_s is None else context.answered_at - reply.ended_s,
         metrics=reply.metrics,
         file=reply.file,
+        orphaned=reply.orphaned,
+        adoptable=reply.adoptable,
     )
 
 

@@ -112,6 +112,8 @@ class TaskReply:
     ended_s: Amount | None = None
     metrics: Mapping[str, Signed] = field(default_factory=dict)
     file: Text = ""
+    orphaned: bool = False
+    adoptable: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

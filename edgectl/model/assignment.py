@@ -164,6 +164,7 @@ class Reason(StrEnum):
     PRUNED = "pruned"
     DUPLICATE = "duplicate"
     SPEC_CHANGED = "spec-changed"
+    ORPHANED = "orphaned"
     OPERATOR = "operator"
     ROLLBACK = "rollback"
 

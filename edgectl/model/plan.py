@@ -18,6 +18,7 @@ class Action(StrEnum):
     MOVE = "move"
     KEEP = "keep"
     RESTART = "restart"
+    ADOPT = "adopt"
     HOLD = "hold"
     COMPLETE = "complete"
     UNPLACED = "unplaced"
@@ -32,11 +33,12 @@ class Action(StrEnum):
     @property
     def changes(self) -> bool:
         """Whether the action touches a host."""
-        return self in (Action.START, Action.STOP, Action.MOVE, Action.RESTART, Action.COMPLETE)
+        return self not in (Action.KEEP, Action.HOLD, Action.UNPLACED, Action.DEFER, Action.NONE)
 
 
 _SYMBOLS = {
     Action.START: "+", Action.STOP: "-", Action.MOVE: "~", Action.KEEP: "=", Action.RESTART: "^",
+    Action.ADOPT: "&",
     Action.HOLD: "?", Action.COMPLETE: "*", Action.UNPLACED: "!", Action.DEFER: ">", Action.NONE: ".",
 }  # fmt: skip
 

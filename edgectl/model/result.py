@@ -28,6 +28,7 @@ class Phase(StrEnum):
     HOLD = "hold"
     STOP = "stop"
     START = "start"
+    ADOPT = "adopt"
     READY = "ready"
     RELEASE = "release"
     RESTORE = "restore"

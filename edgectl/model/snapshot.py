@@ -80,7 +80,8 @@ class TaskSample:
     none are stated. ``given_up``: it ended by itself and is not to be started again by itself: a crash loop,
     or a failure under ``restart: never``. ``ended_at``: when it ended for good, where its host knows.
     ``metrics``: what the application says of itself, the last value by name, also after its end. ``file``:
-    the task file that it was started from.
+    the task file that it was started from. ``orphaned``: it lives without a supervisor; ``adoptable``: a new
+    one can take it over as it is (ADR 0041).
     """
 
     state: TaskState
@@ -105,6 +106,8 @@ class TaskSample:
     metrics: Mapping[str, Signed] = field(default_factory=dict)
     ended_at: Instant | None = None
     file: str = ""
+    orphaned: bool = False
+    adoptable: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

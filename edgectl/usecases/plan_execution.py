@@ -11,9 +11,10 @@ from edgectl.executor.manager_state_update import compute_next_generations, upda
 from edgectl.executor.run import RunIdentity, RunOptions, run_plan
 from edgectl.gateway.host_probe import ProbeOptions
 from edgectl.model.manager_state import ManagerState
-from edgectl.model.plan import Plan
+from edgectl.model.plan import Action, Plan
 from edgectl.model.progress import ProgressListener, ignore_progress
-from edgectl.model.result import Results
+from edgectl.model.result import Outcome, Results
+from edgectl.state.heartbeats import record_orphans
 from edgectl.state.journal import JOURNAL_FILE_NAME, Journal
 from edgectl.state.journal_reader import JournalSummary, read_journal_cached
 from edgectl.state.lock import FleetLock, get_user_name
@@ -111,9 +112,25 @@ def confirm_and_execute(
             )
         after = _save_manager_state(fleet, plan, manager, results, used)
         _record_placements(fleet, journal, results.revision, after)
+    _forget_adopted_orphans(fleet, manager, results)
     record_results(fleet, plan, results)
     _recover_interrupted_apply(fleet, cut_off)
     return ApplyResult(plan=plan, results=results)
+
+
+def _forget_adopted_orphans(fleet: Fleet, manager: ManagerState, results: Results) -> None:
+    """An orphan that was adopted fences itself again."""
+    adopted = {
+        (result.host, result.task)
+        for result in results.actions
+        if result.action is Action.ADOPT and result.outcome is Outcome.DONE
+    }
+    left = {
+        host: tuple(task for task in tasks if (host, task) not in adopted)
+        for host, tasks in manager.orphans.items()
+    }
+    if left != dict(manager.orphans):
+        record_orphans(fleet.state, left)
 
 
 def has_nothing_to_do(fleet: Fleet, plan: Plan) -> bool:

@@ -6,7 +6,7 @@ from edgectl.gateway import bandwidth, host_probe
 from edgectl.gateway.host_probe import ProbeOptions
 from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.snapshot import BandwidthMeasurement, Snapshot
-from edgectl.state.heartbeats import load_heartbeats
+from edgectl.state.heartbeats import load_heartbeats, record_orphans
 from edgectl.state.journal import JOURNAL_FILE_NAME
 from edgectl.state.journal_reader import read_journal_cached
 from edgectl.state.manager_state import (
@@ -38,6 +38,7 @@ def probe_fleet(fleet: Fleet, options: ProbeOptions | None = None) -> Snapshot:
         snapshot = host_probe.probe_hosts(
             fleet.inventory, fleet.tasks, tracked.transport, options=options, clock=fleet.clock
         )
+    _record_orphans(fleet, snapshot)
     manager = load_state_with_heartbeats(fleet)
     for host in sorted(fenced - manager.fenced):
         fleet.warn(f"{host} answers, so it is not powered off: its fence is cleared")
@@ -52,6 +53,18 @@ def probe_fleet(fleet: Fleet, options: ProbeOptions | None = None) -> Snapshot:
 def _list_known_tasks(fleet: Fleet) -> frozenset[str]:
     """Tasks of the files, and tasks that this manager has placed."""
     return frozenset(fleet.tasks.tasks) | frozenset(load_manager_state(fleet.state, fleet.warn).placements)
+
+
+def _record_orphans(fleet: Fleet, snapshot: Snapshot) -> None:
+    """Remember which tasks have no supervisor: a later silence of their host must not count as their end."""
+    seen = {
+        name: tuple(sorted(task for task, run in host.tasks.items() if run.orphaned))
+        for name, host in snapshot.hosts.items()
+        if host.ok
+    }
+    known = load_heartbeats(fleet.state, fleet.warn).orphans
+    if any(known.get(host, ()) != tasks for host, tasks in seen.items()):
+        record_orphans(fleet.state, seen)
 
 
 def _add_journaled_starts(fleet: Fleet, manager: ManagerState, snapshot: Snapshot) -> ManagerState:

@@ -30,6 +30,7 @@ ACTION_STYLES = {
     Action.STOP: "bad",
     Action.MOVE: "warn",
     Action.RESTART: "warn",
+    Action.ADOPT: "warn",
     Action.COMPLETE: "good",
     Action.KEEP: "dim",
     Action.NONE: "dim",
@@ -206,6 +207,7 @@ def render_plan_summary(value: Plan, look: RenderOptions = PLAIN) -> str:
 
 _RARE_ACTION_TEXTS = {
     Action.RESTART: "to restart",
+    Action.ADOPT: "to adopt",
     Action.HOLD: "held",
     Action.COMPLETE: "to complete",
     Action.DEFER: "deferred",

@@ -239,6 +239,11 @@ _REASON_DESCRIBERS: dict[Reason, Callable[[Step], str]] = {
     Reason.UNMANAGED: lambda step: (
         "not managed by edgectl" + (", and found nowhere" if is_not_found(step) else "")
     ),
+    Reason.ORPHANED: lambda step: (
+        "its supervisor was lost; a new one takes over"
+        if step.action is Action.ADOPT
+        else "its supervisor was lost and cannot be replaced"
+    ),
     Reason.SPEC_CHANGED: _describe_spec_change,
     Reason.DUPLICATE: _describe_duplicate,
     Reason.ROLLBACK: lambda step: f"as after revision {step.decision.amount or 0:.0f}",

@@ -25,6 +25,7 @@ OP_START = "start"
 OP_STATUS = "status"
 OP_STOP = "stop"
 OP_SUPERVISE = "supervise"
+OP_TAKE_OVER = "takeover"
 OP_WAIT = "wait"
 
 # Keys of a request besides ``op``, ``fleet`` and ``host``; OP_PROFILER_RUN and OP_SUPERVISE are requests of
@@ -44,6 +45,7 @@ REQUEST_KEYS = {
     OP_SEND: ("address", "port", "token", "seconds"),
     OP_SINK: ("seconds",),
     OP_START: ("task", "instance", "generation", "spec"),
+    OP_TAKE_OVER: ("task", "instance", "generation", "spec"),
     OP_STATUS: ("task",),
     OP_STOP: ("task", "instance", "generation", "stop"),
     OP_WAIT: ("task", "instance", "timeout_s"),
@@ -130,6 +132,7 @@ FINAL_STATES = (COMPLETED, FAILED, CRASHLOOP, STOPPED)
 
 # States of the replies to OP_START, OP_STOP and OP_PROFILER_*.
 STARTED = "started"
+TAKEN_OVER = "taken-over"
 ALREADY_RUNNING = "already-running"
 NOT_RUNNING = "not-running"
 STOP_INCOMPLETE = "stop-incomplete"

@@ -81,6 +81,8 @@ def find_processes(found: InstanceRecord, table: "dict[int, proc.Process]") -> "
     session.
     """
     above = find_supervisor(found)
+    if above and found.instance.get("adopted"):
+        return (proc.find_descendants({above}, table) | find_orphans(found, table)) - {above}
     if above:
         return proc.find_descendants({above}, table) - {above}
     return find_orphans(found, table)
@@ -102,7 +104,8 @@ def find_orphans(found: InstanceRecord, table: "dict[int, proc.Process]") -> "se
 
 
 def is_alive(found: InstanceRecord, table: "dict[int, proc.Process] | None" = None) -> bool:
-    """Whether the lock is held or a cookie is found.
+    """Whether the lock is held, or the supervisor or a cookie is found: a supervisor that took over a task
+    has the lock only once the processes that it found have ended.
 
     Processes are searched only where the record does not state the end.
     """
@@ -111,6 +114,8 @@ def is_alive(found: InstanceRecord, table: "dict[int, proc.Process] | None" = No
     ended = found.status.get("state") in protocol.FINAL_STATES and not found.status.get("left")
     if ended or not found.instance or not is_same_boot(found):
         return False
+    if find_supervisor(found):
+        return True
     return bool(find_orphans(found, proc.read_process_table() if table is None else table))
 
 
@@ -164,7 +169,13 @@ def _build_living_fields(found: InstanceRecord) -> Document:
     if status.get("state") in protocol.FINAL_STATES:
         seen.update(state=protocol.RUNNING, detail="processes of the ended task remain")
     if not above:
-        seen["detail"] = "orphaned: the supervisor is gone, its processes still run"
+        from .takeover import is_adoptable
+
+        seen.update(
+            orphaned=True,
+            adoptable=is_adoptable(found),
+            detail="orphaned: the supervisor is gone, its processes still run",
+        )
     return seen
 
 
