@@ -159,7 +159,7 @@ def read_inventory(node: Node, problems: Problems) -> Inventory:
         )
     ordered = {key: hosts[key] for key in sorted(hosts, key=natural_key)}
     links = _read_link_entries(top.at("links"), ordered, problems) if "links" in top else {}
-    fleet = top.values.get("fleet") or _derive_fleet_name(node, problems)
+    fleet = top.values.get("fleet") or derive_fleet_name(Path(node.mark.source.file))
     stated = Inventory(hosts=ordered, links=links, fleet=fleet, is_fleet_named="fleet" in top.values)
     # The digest is of the file alone: no path and no home of a user may change it.
     return replace(
@@ -167,15 +167,6 @@ def read_inventory(node: Node, problems: Problems) -> Inventory:
         hosts={key: replace(_expand_identity_file(host), fleet=fleet) for key, host in ordered.items()},
         digest=digest_inventory(stated),
     )
-
-
-def _derive_fleet_name(node: Node, problems: Problems) -> str:
-    """The fleet of a file that names none, with a warning that says how to keep it."""
-    fleet = derive_fleet_name(Path(node.mark.source.file))
-    message = f"no fleet name: {fleet} stands for the path of this file, which may change"
-    if not problems.errors:
-        problems.add(node.mark, ProblemCode.UNNAMED_FLEET, message, f"add fleet: {fleet}", warning=True)
-    return fleet
 
 
 def _expand_identity_file(host: Host) -> Host:

@@ -62,7 +62,15 @@ def load_inventory_and_tasks(
     inventory = _read_inventory_file(Path(inventory_path), problems)
     tasks = _read_task_files(_list_paths(tasks_paths), inventory, problems, Path(inventory_path).parent)
     problems.check()
+    if inventory is not None and not inventory.is_fleet_named:
+        _warn_of_unnamed_fleet(Path(inventory_path), inventory.fleet, problems)
     return inventory or Inventory(hosts={}), tasks, problems.warnings
+
+
+def _warn_of_unnamed_fleet(path: Path, fleet: str, problems: Problems) -> None:
+    start = Mark(Source(file=str(path), text="", lines=()), 1, 1)
+    message = f"no fleet name: {fleet} stands for the path of this file, which may change"
+    problems.add(start, ProblemCode.UNNAMED_FLEET, message, f"add fleet: {fleet}", warning=True)
 
 
 def _list_paths(paths: StrPath | Iterable[StrPath]) -> list[Path]:

@@ -32,7 +32,7 @@ def plan_from_assignment(
         demand_spreads=assignment.demand_spreads,
         frozen=assignment.frozen,
         unseen=assignment.unseen,
-        other_tasks=_list_other_tasks(assignment.policy, tasks, snapshot, memory),
+        tasks_left_alone=_list_tasks_left_alone(assignment.policy, tasks, snapshot, memory),
     )
 
 
@@ -51,12 +51,12 @@ def diff_assignment(
         )
         for decision in assignment.decisions
     ]
-    others = _list_other_tasks(assignment.policy, tasks, snapshot, memory)
+    others = _list_tasks_left_alone(assignment.policy, tasks, snapshot, memory)
     left = sorted(found.keys() - tasks.tasks.keys() - others.keys(), key=natural_key)
     return (*steps, *(_build_removal_step(name, found[name], tasks, memory) for name in left))
 
 
-def _list_other_tasks(
+def _list_tasks_left_alone(
     policy: Policy, tasks: Tasks, snapshot: Snapshot, memory: ManagerState
 ) -> dict[str, str]:
     """The running tasks of task files that were not given, by name with their file."""

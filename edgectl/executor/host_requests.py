@@ -6,12 +6,13 @@ from collections.abc import Mapping
 from edgectl.agent.link import protocol
 from edgectl.model.environment import drop_secrets, merge_environment
 from edgectl.model.inventory import Host
+from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Check, CheckLocation, StopRule, Task
 
 Request = dict[str, object]
 Hosts = Mapping[str, Host]
 # Placeholders in a request that is not filled yet.
-NO_INSTANCE, NO_GENERATION = "0", 0
+NO_INSTANCE, NO_GENERATION, NO_MANAGER = "0", 0, ""
 
 
 def build_instance_id(plan_id: str, task: str, host: str, attempt: int) -> str:
@@ -22,7 +23,7 @@ def build_instance_id(plan_id: str, task: str, host: str, attempt: int) -> str:
 def build_start_request(task: Task, host: Host, hosts: Hosts) -> Request:
     """Start ``task`` on ``host`` under its supervisor; a ready check on the robot is left to the manager.
 
-    Secrets are masked, instance and generation are placeholders; `fill_start_request` completes it.
+    Secrets are masked, instance, generation and manager are placeholders; `fill_start_request` completes it.
     """
     ready = task.ready if task.ready is not None and task.ready.on is CheckLocation.HOST else None
     spec: Request = {
@@ -49,6 +50,7 @@ def build_start_request(task: Task, host: Host, hosts: Hosts) -> Request:
         "task": task.name,
         "instance": NO_INSTANCE,
         "generation": NO_GENERATION,
+        "manager": NO_MANAGER,
         "spec": spec,
     }
 
@@ -61,12 +63,16 @@ def build_takeover_request(task: Task, host: Host, hosts: Hosts) -> Request:
 
 
 def fill_start_request(
-    request: Request, *, instance: str, generation: int, variables: Mapping[str, str]
+    request: Request, *, instance: str, generation: int, manager: str, variables: Mapping[str, str]
 ) -> Request:
-    """A start request as it is sent; ``variables``: its environment with the secrets in clear."""
+    """A start request as it is sent.
+
+    ``manager``: user and machine, for people who find the task on the host. ``variables``: its environment
+    with the secrets in clear.
+    """
     spec = request["spec"]
     filled = {**spec, "env": dict(variables)} if isinstance(spec, dict) else spec
-    return {**request, "instance": instance, "generation": generation, "spec": filled}
+    return {**request, "instance": instance, "generation": generation, "manager": manager, "spec": filled}
 
 
 def build_stop_request(name: str, host: Host, *, task: Task | None, instance: str | None) -> Request:
@@ -84,6 +90,15 @@ def build_stop_request(name: str, host: Host, *, task: Task | None, instance: st
         "generation": NO_GENERATION,
         "stop": rule,
     }
+
+
+def name_stop_host(request: Request, snapshot: Snapshot) -> Request:
+    """A stop request with the name under which the host keeps the task: the one that it had when the task was
+    started (ADR 0040).
+    """
+    host = snapshot.hosts.get(str(request["host"]))
+    run = host.tasks.get(str(request["task"])) if host is not None else None
+    return {**request, "host": run.filed_as} if run is not None and run.filed_as else request
 
 
 def encode_stop_rule(rule: StopRule) -> Request:

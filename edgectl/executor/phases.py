@@ -13,6 +13,7 @@ from edgectl.executor.secrets import resolve_environment
 from edgectl.executor.step_run import RunContext, StepRun
 from edgectl.model.result import Phase
 from edgectl.model.task import CheckLocation, Task, TaskKind
+from edgectl.state.lock import describe_manager
 
 # Beyond the grace: SIGKILL, the sweeps that prove the end, and the way back.
 _STOP_MARGIN_S = 20.0
@@ -69,7 +70,8 @@ def _send(run: RunContext, request: PlannedRequest, **values: object) -> Request
 
 def _stop_task(act: StepRun, planned: PlannedPhase) -> None:
     request, host = planned.requests[0], planned.host
-    body = {**request.body, "generation": act.generation}
+    body = host_requests.name_stop_host(request.body, act.run.plan.snapshot)
+    body = {**body, "generation": act.generation}
     with act.phase(planned.phase, host.name):
         answer = act.run.ask(host, body, timeout=request.timeout_s + _STOP_MARGIN_S)
         if answer.get("state") not in (protocol.STOPPED, protocol.NOT_RUNNING):
@@ -86,7 +88,11 @@ def _start_task(act: StepRun, planned: PlannedPhase, variables: Mapping[str, str
     attempt = 2 if planned.phase is Phase.RESTORE else 1
     instance = act.instance(host.name, attempt)
     body = host_requests.fill_start_request(
-        request.body, instance=instance, generation=act.generation + attempt - 1, variables=variables
+        request.body,
+        instance=instance,
+        generation=act.generation + attempt - 1,
+        manager=describe_manager(),
+        variables=variables,
     )
     with act.phase(planned.phase, host.name):
         answer = act.run.ask(host, body)
@@ -104,6 +110,7 @@ def _adopt_task(act: StepRun, planned: PlannedPhase, variables: Mapping[str, str
         request.body,
         instance=act.step.instances[host.name],
         generation=act.generation,
+        manager=describe_manager(),
         variables=variables,
     )
     with act.phase(planned.phase, host.name):

@@ -18,7 +18,7 @@ from edgectl.gateway.probe_reply import (
 from edgectl.gateway.probe_request import build_probe_request
 from edgectl.gateway.replies import escape_unprintable
 from edgectl.model.inventory import Host, Inventory, Role
-from edgectl.model.snapshot import HostSample, HostStatus, Snapshot
+from edgectl.model.snapshot import HostSample, HostStatus, OtherTask, Snapshot, TaskSample
 from edgectl.model.task import Tasks
 from edgectl.transport.base import Transport
 
@@ -111,9 +111,9 @@ def probe_hosts(
 
     answers = ask(hosts)
     answers |= ask(_adopt_unowned_tasks(answers, transport, options))
-    return Snapshot(
-        taken_at=clock(), hosts=_finalize_samples({host.name: answers[host.name] for host in hosts})
-    )
+    taken_at = clock()
+    in_order = {host.name: answers[host.name] for host in hosts}
+    return Snapshot(taken_at=taken_at, hosts=_finalize_samples(in_order, taken_at))
 
 
 def _adopt_unowned_tasks(answers: _Answers, transport: Transport, options: ProbeOptions) -> list[Host]:
@@ -146,7 +146,7 @@ def _get_sample(answer: HostAnswer[_Decoded]) -> HostSample:
     return answer.value.sample
 
 
-def _finalize_samples(answers: Mapping[str, HostAnswer[_Decoded]]) -> dict[str, HostSample]:
+def _finalize_samples(answers: Mapping[str, HostAnswer[_Decoded]], taken_at: float) -> dict[str, HostSample]:
     """The samples with their ages, completed by the checks that robots answered for tasks elsewhere."""
     now = time.monotonic()
     done = frozenset[str]().union(
@@ -156,7 +156,50 @@ def _finalize_samples(answers: Mapping[str, HostAnswer[_Decoded]]) -> dict[str, 
             if answer.host.role is Role.ROBOT and not isinstance(answer.value, HostError)
         )
     )
-    return {name: _finalize_sample(answer, done, now) for name, answer in answers.items()}
+    samples = {name: _finalize_sample(answer, done, now) for name, answer in answers.items()}
+    left = {name: _drop_reported_tasks(sample, samples) for name, sample in samples.items()}
+    return claim_former_tasks(left, taken_at)
+
+
+def claim_former_tasks(samples: Mapping[str, HostSample], taken_at: float) -> dict[str, HostSample]:
+    """``samples`` in which each living task of this fleet that a machine keeps under a host name of the past
+    runs on the first host of that machine (ADR 0040).
+    """
+    claimed: set[str] = {""}
+    found = {}
+    for name, sample in samples.items():
+        former = [
+            each
+            for each in sample.other_tasks
+            if each.host not in samples and each.task not in sample.tasks and each.instance not in claimed
+        ]
+        claimed |= {each.instance for each in sample.other_tasks}
+        seen = {each.task: _build_former_sample(each, taken_at) for each in former}
+        others = tuple(each for each in sample.other_tasks if each not in former)
+        found[name] = dataclasses.replace(sample, tasks={**sample.tasks, **seen}, other_tasks=others)
+    return found
+
+
+def _build_former_sample(other: OtherTask, taken_at: float) -> TaskSample:
+    return TaskSample(
+        state=other.state,
+        started_at=taken_at - other.age_s,
+        instance=other.instance,
+        spec_hash=other.spec_hash,
+        generation=other.generation,
+        filed_as=other.host,
+    )
+
+
+def _drop_reported_tasks(sample: HostSample, samples: Mapping[str, HostSample]) -> HostSample:
+    """``sample`` without other tasks that the host of their name reports itself: two names of one machine."""
+    left = tuple(each for each in sample.other_tasks if not _is_reported(each, samples.get(each.host)))
+    return sample if len(left) == len(sample.other_tasks) else dataclasses.replace(sample, other_tasks=left)
+
+
+def _is_reported(other: OtherTask, sample: HostSample | None) -> bool:
+    known = sample.tasks.get(other.task) if sample is not None else None
+    return known is not None and known.instance == other.instance
 
 
 def _finalize_sample(answer: HostAnswer[_Decoded], done: frozenset[str], now: float) -> HostSample:

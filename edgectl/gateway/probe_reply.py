@@ -13,6 +13,7 @@ from edgectl.gateway.replies import (
     DEVICE_USAGE,
     TASK_USAGE,
     LinkReply,
+    OtherTaskReply,
     ProbeReply,
     ReplyDocument,
     TaskReply,
@@ -28,6 +29,7 @@ from edgectl.model.snapshot import (
     HostStatus,
     InterfaceSample,
     LinkSample,
+    OtherTask,
     ResourceUsage,
     TaskSample,
     TaskState,
@@ -71,6 +73,7 @@ def decode_host_sample(document: ReplyDocument, context: ReplyContext) -> HostSa
     _check_origin(document, context.host)
     reply = decode_reply(ProbeReply, document)
     tasks = _build_tasks(reply, context)
+    others = [_build_other_task(each) for each in reply.other_tasks]
     sample = HostSample(
         role=context.host.role,
         status=HostStatus.OK,
@@ -83,6 +86,8 @@ def decode_host_sample(document: ReplyDocument, context: ReplyContext) -> HostSa
         generations=_build_generations(reply, tasks),
         address=context.host.address,
         machine="" if reply.machine.startswith("/") else reply.machine,
+        other_tasks=tuple(each for each in others if each.fleet == context.host.fleet),
+        foreign_tasks=tuple(each for each in others if each.fleet != context.host.fleet),
     )
     return apply_done_tasks(sample, _list_done_tasks(reply))
 
@@ -127,6 +132,10 @@ def _build_tasks(reply: ProbeReply, context: ReplyContext) -> dict[str, TaskSamp
         for name, task in tasks.items()
         if not (_has_ended(task) and task.instance in context.reopened)
     }
+
+
+def _build_other_task(reply: OtherTaskReply) -> OtherTask:
+    return OtherTask(**{member.name: getattr(reply, member.name) for member in dataclasses.fields(OtherTask)})
 
 
 def _build_generations(reply: ProbeReply, tasks: Mapping[str, TaskSample]) -> dict[str, int]:

@@ -117,6 +117,21 @@ class TaskReply:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class OtherTaskReply:
+    """A living task of another host name or fleet on the same machine; age in s before the reply."""
+
+    fleet: Text
+    host: Text
+    task: Text
+    state: TaskState
+    started_by: Text = ""
+    age_s: Amount = 0.0
+    instance: Text = ""
+    spec_hash: Text = ""
+    generation: Count = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ProbeReply:
     """Reply to a probe.
 
@@ -136,6 +151,7 @@ class ProbeReply:
     tasks: Mapping[Text, object] = field(default_factory=dict)
     checks: Mapping[Text, CheckReply] = field(default_factory=dict)
     generations: Mapping[Text, Count] = field(default_factory=dict)
+    other_tasks: tuple[OtherTaskReply, ...] = ()
     unowned: tuple[Text, ...] = ()
 
 

@@ -32,15 +32,22 @@ def find_lost_place(
     An address that changed is the same place where the host answers from the same login of that machine.
     """
     host = hosts.get(placement.host)
+    if host is None and any(_is_same_place(placement, sample) for sample in hosts.values()):
+        return None
     if host is None:
         return LostPlace(host=placement.host, fenced=placement.host in manager.fenced)
     if "" in (placement.address, host.address) or placement.address == host.address:
         return None
-    if host.ok and placement.machine and placement.machine == host.machine:
+    if _is_same_place(placement, host):
         return None
     return LostPlace(
         host=placement.host, address=placement.address, fenced=placement.address in manager.fenced
     )
+
+
+def _is_same_place(placement: Placement, host: HostSample) -> bool:
+    """Whether the host reads the directories of the placement, which it lists under every name."""
+    return host.ok and placement.machine != "" and placement.machine == host.machine
 
 
 def list_lost_tasks(snapshot: Snapshot) -> dict[str, LostPlace]:

@@ -69,8 +69,8 @@ class Plan:
     """A value that can be printed, saved, compared and refused; holds no command and no secret.
 
     ``created_at`` (s since 1970) is the snapshot's ``taken_at``. ``summary`` counts steps by action.
-    ``other_tasks``: running tasks of task files that were not given, which the plan leaves alone, by name
-    with their file ("" where it is not known).
+    ``tasks_left_alone``: running tasks of task files that were not given, by name with their file ("" where
+    it is not known).
     """
 
     created_at: Instant
@@ -83,7 +83,7 @@ class Plan:
     frozen: bool = field(default=False, metadata=in_document(always=True))
     unseen: tuple[str, ...] = field(default=(), metadata=in_document(always=True))
     demand_spreads: tuple[DemandSpread, ...] = field(default=(), metadata=in_document(always=True))
-    other_tasks: Mapping[str, str] = field(default_factory=dict, metadata=in_document(always=True))
+    tasks_left_alone: Mapping[str, str] = field(default_factory=dict, metadata=in_document(always=True))
     snapshot: Snapshot
 
     @property

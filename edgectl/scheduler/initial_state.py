@@ -291,9 +291,9 @@ def _find_lost_newest_place(
     samples = {
         host.name: sample
         for host, sample in zip(builder.fleet.places, builder.fleet.samples, strict=True)
-        if host.name == placement.host and sample is not None
+        if sample is not None
     }
-    if not samples and placement.host in builder.fleet.index:
+    if placement.host not in samples and placement.host in builder.fleet.index:
         return None
     return find_lost_place(placement, samples, builder.manager)
 

@@ -117,6 +117,11 @@ def get_user_name() -> str:
         return str(os.getuid())
 
 
+def describe_manager() -> str:
+    """User and machine of this command: ``ana@lab-pc``."""
+    return f"{get_user_name()}@{socket.gethostname()}"
+
+
 def _decode_holder_pid(signed: bytes) -> object:
     try:
         holder = json.loads(signed)

@@ -110,7 +110,7 @@ def _plan_drain(fleet: Fleet, policy: Policy, names: Sequence[str], options: App
         made,
         steps=tuple(step for step in made.steps if step.task in leaving),
         expected={},
-        other_tasks={},
+        tasks_left_alone={},
     )
 
 

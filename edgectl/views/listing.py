@@ -16,6 +16,7 @@ from edgectl.model.task import Task, Tasks
 from edgectl.units import format_duration, format_instant, format_rate
 from edgectl.views import metrics
 from edgectl.views.glossary import head
+from edgectl.views.other_tasks import list_foreign_notes
 from edgectl.views.output import ListView, round_item
 from edgectl.views.output_format import FLEET_FORMATS
 from edgectl.views.plan_sections import list_unreachable_notes, render_notes
@@ -200,7 +201,10 @@ def build_listing(kind: ListingKind, value: Snapshot, inventory: Inventory, task
         kind=kind,
         at=value.taken_at,
         items=tuple(build[kind]()),
-        notes=tuple(list_unreachable_notes(value)),
+        notes=(
+            *list_unreachable_notes(value),
+            *(list_foreign_notes(value) if kind is ListingKind.TASKS else ()),
+        ),
     )
 
 

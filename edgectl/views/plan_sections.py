@@ -118,21 +118,21 @@ def render_plan_notes(value: Plan, look: RenderOptions = PLAIN) -> str:
             f"first plan of this fleet: tasks on {join_words(value.unseen)} are not known "
             "and count as not running"
         )
-    return render_notes(lines + list_demand_notes(value) + list_other_task_notes(value), look)
+    return render_notes(lines + list_demand_notes(value) + list_left_alone_notes(value), look)
 
 
-def list_other_task_notes(value: Plan) -> list[str]:
+def list_left_alone_notes(value: Plan) -> list[str]:
     """One line that counts the tasks of other task files, which the plan leaves alone."""
-    count = len(value.other_tasks)
+    count = len(value.tasks_left_alone)
     if not count:
         return []
-    files = sorted({file for file in value.other_tasks.values() if file}, key=natural_key)
+    files = sorted({file for file in value.tasks_left_alone.values() if file}, key=natural_key)
     where = f" ({join_words(files)})" if files else ""
     return [
-        f"1 task of another file{where} runs on; --prune stops it: {next(iter(value.other_tasks))}"
+        f"1 task of another file{where} runs on; --prune stops it: {next(iter(value.tasks_left_alone))}"
         if count == 1
         else f"{count} tasks of other files{where} run on; --prune stops them: "
-        + join_words(value.other_tasks)
+        + join_words(value.tasks_left_alone)
     ]
 
 

@@ -6,6 +6,7 @@ from edgectl.model.resource import HOST_RESOURCES, RESOURCES
 from edgectl.model.snapshot import DeviceSample, HostSample, LinkSample, Snapshot, TaskSample
 from edgectl.model.task import Task, Tasks
 from edgectl.units import format_instant
+from edgectl.views.other_tasks import encode_other_tasks
 from edgectl.views.state import format_operator_mark, resolve_absent_task
 from edgectl.views.usage import Amounts, compute_task_demand, subtract_demand
 
@@ -42,6 +43,8 @@ def _encode_measurements(sample: HostSample) -> Document:
         **encode_host_usage(sample),
         "links": {robot: encode_link_sample(link) for robot, link in sample.links.items()} or None,
         "task_names": [name for name, task in sample.tasks.items() if task.state.alive],
+        "other_tasks": encode_other_tasks(sample.other_tasks),
+        "foreign_tasks": encode_other_tasks(sample.foreign_tasks),
         "device": _encode_device(sample.device) or None,
     }
 

@@ -15,6 +15,7 @@ from edgectl.model.snapshot import (
 )
 from edgectl.units import format_duration, format_rate
 from edgectl.views.glossary import head
+from edgectl.views.other_tasks import list_foreign_notes
 from edgectl.views.output import View
 from edgectl.views.output_format import FLEET_FORMATS
 from edgectl.views.plan_sections import list_unreachable_notes, render_notes
@@ -41,7 +42,9 @@ class SnapshotView(View):
         return (
             self._render_bandwidth(look)
             + render_columns(rows, look, right=set(range(3, 4 + len(HOST_RESOURCES))), wrap={2})
-            + render_notes(list_unreachable_notes(self._snapshot), look)
+            + render_notes(
+                [*list_unreachable_notes(self._snapshot), *list_foreign_notes(self._snapshot)], look
+            )
         )
 
     def wide(self, look: RenderOptions = PLAIN) -> str:

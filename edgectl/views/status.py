@@ -9,6 +9,7 @@ from edgectl.model.snapshot import Snapshot, TaskSample, TaskState
 from edgectl.model.task import Task, Tasks
 from edgectl.units import format_duration
 from edgectl.views.glossary import head
+from edgectl.views.other_tasks import list_foreign_notes
 from edgectl.views.output import ListView
 from edgectl.views.output_format import NAMED_FORMATS
 from edgectl.views.plan_sections import (
@@ -70,6 +71,7 @@ class StatusView(ListView):
             list_unreachable_notes(self._snapshot)
             + list_lost_task_notes(self._snapshot)
             + list_operator_mark_notes(self._snapshot)
+            + list_foreign_notes(self._snapshot)
             + list_task_remarks(self._snapshot),
             look,
         )
@@ -111,11 +113,12 @@ class StatusView(ListView):
         return [*runs, *absent]
 
     def warnings(self) -> Sequence[str]:
-        """Hosts without a reply, tasks at lost places, and marks of the operator."""
+        """Hosts without a reply, tasks at lost places, marks of the operator, and tasks of other fleets."""
         return [
             *list_unreachable_notes(self._snapshot),
             *list_lost_task_notes(self._snapshot),
             *list_operator_mark_notes(self._snapshot),
+            *list_foreign_notes(self._snapshot),
         ]
 
     def names(self) -> Sequence[str]:

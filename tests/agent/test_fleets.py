@@ -1,14 +1,18 @@
 """Fleets on one host and login: each has tasks of its own; what the first release left has one owner."""
 
+import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from edgectl.agent.supervise import records
+from edgectl.agent.link import protocol
+from edgectl.agent.supervise import liveness, records
 from edgectl.errors import RefusedError
-from tests.agent.conftest import AgentHost, a_spec
+from tests.agent.conftest import AgentHost, a_spec, eventually
 
 # As the first release did: the directory of a task names no fleet.
 _START_UNOWNED = """
@@ -44,6 +48,18 @@ def start_unowned(host: AgentHost, task: str, command: str) -> int:
     return int(subprocess.run(words, check=True, capture_output=True, timeout=30).stdout)
 
 
+def others(host: AgentHost) -> list[dict[str, Any]]:
+    """Without those of other tests on this machine, which may be in shared memory."""
+    return [each for each in host.ask("probe", window_s=0.05)["other_tasks"] if each["host"] == "edge1"]
+
+
+def end_unowned(host: AgentHost, task: str, pid: int) -> None:
+    record = liveness.read_instance(str(host.state / "hosts" / host.name / "tasks" / task))
+    for each in (liveness.find_supervisor(record), pid):
+        if each:
+            os.kill(each, signal.SIGKILL)
+
+
 def test_fleets_do_not_see_or_touch_each_other(host: AgentHost, other: AgentHost) -> None:
     first = host.start("slam", "exec sleep 600")
     second = other.start("slam", "exec sleep 600", instance="theirs")
@@ -54,6 +70,33 @@ def test_fleets_do_not_see_or_touch_each_other(host: AgentHost, other: AgentHost
     assert found is not None
     assert (found["pid"], found["state"]) == (first["pid"], "running")
     assert host.stop("slam")["state"] == "stopped"
+
+
+def test_a_probe_lists_what_else_lives_on_the_machine(host: AgentHost, other: AgentHost) -> None:
+    """Of the same fleet under another name of this machine, and of other fleets; nothing that has ended."""
+    renamed = AgentHost("jetson-a", host.state)
+    pid = start_unowned(host, "web", "exec sleep 600")
+    try:
+        host.start("slam", "exec sleep 600", generation=4)
+        other.ask(
+            "start", task="slam", instance="theirs", generation=2, manager="paula@laptop",
+            spec=a_spec("exec sleep 600", runtime="process"),
+        )  # fmt: skip
+        other.start("once", "exit 0")
+        eventually(lambda: (entry := other.entry("once")) and entry["state"] == "failed")
+        found = others(renamed)
+        assert [(each["fleet"], each["host"], each["task"]) for each in found] == [
+            ("lab", "edge1", "slam"), ("", "edge1", "web"), ("hall", "edge1", "slam"),
+        ]  # fmt: skip
+        assert all(set(each) == set(protocol.OTHER_TASK_KEYS) for each in found)
+        own, _, foreign = found
+        assert (own["instance"], own["generation"], own["state"]) == ("i1", 4, "running")
+        assert (foreign["started_by"], foreign["instance"]) == ("paula@laptop", "theirs")
+        assert 0 <= foreign["age_s"] < 60
+        assert [each["fleet"] for each in others(host)] == ["", "hall"]
+    finally:
+        other.end()
+        end_unowned(host, "web", pid)
 
 
 @pytest.mark.parametrize("fleet", [None, "", "../lab", "Lab"])

@@ -1,5 +1,6 @@
 """Meaning of valid files: expansion per robot, placeholders, needs, defaults, warnings."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -175,6 +176,27 @@ def test_policy_keys(tmp_path: Path) -> None:
     assert (policy.move_margin, policy.min_dwell, policy.max_moves) == (0.0, 0.0, None)
 
 
+def test_a_fleet_has_its_stated_name_or_one_of_its_path(tmp_path: Path) -> None:
+    """A derived name is the same for every call, another for every file, and no part of the digest."""
+    text = INVENTORY.replace("fleet: lab\n", "")
+    named, _, none = load_files(tmp_path, TASKS)
+    assert ({host.fleet for host in named.hosts.values()}, named.fleet, none) == ({"lab"}, "lab", ())
+    unnamed, _, (warning,) = load_files(tmp_path, TASKS, text)
+    assert re.fullmatch("i-[0-9a-f]{8}", unnamed.fleet)
+    assert {host.fleet for host in unnamed.hosts.values()} == {unnamed.fleet}
+    assert (warning.code, warning.hint) == ("EC103", f"add fleet: {unnamed.fleet}")
+    assert load_files(tmp_path, TASKS, text)[0] == unnamed
+    (tmp_path / "other").mkdir()
+    other = load_files(tmp_path / "other", TASKS, text)[0]
+    assert (other.digest, other.fleet == unnamed.fleet) == (unnamed.digest, False)
+    assert (
+        named.digest != load_files(tmp_path, TASKS, INVENTORY.replace("fleet: lab", "fleet: hall"))[0].digest
+    )
+    odd = tmp_path / "Unser Labor (neu).yaml"
+    odd.write_text(text)
+    assert load_inventory(odd).fleet.startswith("unser-labor-neu-")
+
+
 def test_demand_left_out_is_a_warning(tmp_path: Path) -> None:
     tasks = """\
 version: 1
@@ -229,7 +251,7 @@ def test_shapes_of_tasks_are_checked_even_where_the_inventory_cannot_be_read(tmp
 
 
 def test_too_many_tasks_are_refused_before_they_are_made(tmp_path: Path) -> None:
-    inventory = "version: 1\nrobots:\n" + "".join(f"  r{i}: {{host: h}}\n" for i in range(2000))
+    inventory = "version: 1\nfleet: lab\nrobots:\n" + "".join(f"  r{i}: {{host: h}}\n" for i in range(2000))
     with pytest.raises(InputError) as caught:
         load_files(
             tmp_path,

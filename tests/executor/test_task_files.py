@@ -59,7 +59,7 @@ def test_only_tasks_of_given_files_are_stopped(
     plan = plan_beside(file, given=given, remembered=remembered, prune=prune)
     stops = {step.task: step.decision.reason for step in plan.steps if step.task == "nav"}
     assert stops == ({} if reason is None else {"nav": reason})
-    assert dict(plan.other_tasks) == ({"nav": remembered or file} if reason is None else {})
+    assert dict(plan.tasks_left_alone) == ({"nav": remembered or file} if reason is None else {})
 
 
 def test_what_runs_on_keeps_its_load() -> None:
@@ -75,7 +75,7 @@ def test_the_plan_says_what_it_leaves_alone() -> None:
     assert (
         render_plan_notes(plan) == "note: 1 task of another file (nav.yaml) runs on; --prune stops it: nav\n"
     )
-    three = replace(plan, other_tasks={"a": "x.yaml", "b": "x.yaml", "c": ""})
+    three = replace(plan, tasks_left_alone={"a": "x.yaml", "b": "x.yaml", "c": ""})
     assert render_plan_notes(three) == (
         "note: 3 tasks of other files (x.yaml) run on; --prune stops them: a, b and c\n"
     )

@@ -34,6 +34,7 @@ from edgectl.model.snapshot import (
     HostStatus,
     InterfaceSample,
     LinkSample,
+    OtherTask,
     ResourceUsage,
     Snapshot,
     TaskSample,
@@ -46,7 +47,7 @@ LINK = LinkSample(
 TASK = TaskSample(
     state=TaskState.FAILED, pid=1, started_at=2.0, used=Usage(cpu=3.0, memory=4.0, network=5.0), links={"r": 6.0}, instance="i",
     spec_hash="s", generation=7, managed=False, restarts=8, exit_code=-9, detail="d",
-    fields={"command": "c"}, last_exit=3, log_tail=("l",), limits="enforced", given_up=True, metrics={"fps": 29.5}, ended_at=2.5, file="f", orphaned=True, adoptable=True,
+    fields={"command": "c"}, last_exit=3, log_tail=("l",), limits="enforced", given_up=True, metrics={"fps": 29.5}, ended_at=2.5, file="f", orphaned=True, adoptable=True, filed_as="n",
 )  # fmt: skip
 INTERFACE = InterfaceSample(rx_bytes_per_s=1.0, tx_bytes_per_s=2.0, speed_bytes_per_s=3.0)
 DEVICE = DeviceSample(
@@ -58,9 +59,13 @@ DEVICE = DeviceSample(
     interfaces={"eth0": INTERFACE},
 )
 CPU_USE, MEMORY_USE = ResourceUsage(capacity=4.0, used=1.5), ResourceUsage(capacity=5.0, used=2.0)
+OTHER = OtherTask(
+    fleet="f", host="h", task="t", state=TaskState.READY, started_by="u@m", age_s=1.5, instance="i", spec_hash="s", generation=3,
+)  # fmt: skip
 HOST = HostSample(
     role=Role.ROBOT, status=HostStatus.UNREACHABLE, error="e", error_kind="k", hint="h", sample_age_s=1.5, resident=True, usage={"cpu": CPU_USE, "memory": MEMORY_USE},
-    links={"r": LINK}, tasks={"t": TASK}, device=DEVICE, generations={"t": 9}, address="a", machine="m",
+    links={"r": LINK}, tasks={"t": TASK}, device=DEVICE, generations={"t": 9},
+    other_tasks=(OTHER,), foreign_tasks=(OTHER,), address="a", machine="m",
 )  # fmt: skip
 PLACEMENT = Placement(host="h", since=1.0, spec_hash="s", generation=2, file="f", address="a", machine="m")
 MEASURED = MeasuredDemand(
@@ -102,11 +107,11 @@ STEP = Step(decision=DECISION, action=Action.MOVE, instances={"h": "i"}, stop=("
 EXPECTED = ExpectedLoad(used=Usage(cpu=1.0, memory=2.0), links={"r": 3.0})
 PLAN = Plan(
     created_at=1.5, policy=POLICY, inventory_digest="a", tasks_digest="b", snapshot=SNAPSHOT, settled=False, steps=(STEP,),
-    expected={"h": EXPECTED}, frozen=True, unseen=("u",), demand_spreads=(UNEVEN,), other_tasks={"o": "f"},
+    expected={"h": EXPECTED}, frozen=True, unseen=("u",), demand_spreads=(UNEVEN,), tasks_left_alone={"o": "f"},
 )  # fmt: skip
 VALUES = [
     LINK, TASK, INTERFACE, DEVICE, CPU_USE, MEMORY_USE, HOST, PLACEMENT, MANAGER, SNAPSHOT, WEIGHTS, POLICY, REJECTION, TERMS, RANKED, COST, DECISION,
-    STEP, EXPECTED, PLAN, MEASURED, RHO, UNEVEN,
+    STEP, EXPECTED, PLAN, MEASURED, RHO, UNEVEN, OTHER,
 ]  # fmt: skip
 
 

@@ -44,8 +44,8 @@ REQUEST_KEYS = {
     OP_PROFILER_STOP: (),
     OP_SEND: ("address", "port", "token", "seconds"),
     OP_SINK: ("seconds",),
-    OP_START: ("task", "instance", "generation", "spec"),
-    OP_TAKE_OVER: ("task", "instance", "generation", "spec"),
+    OP_START: ("task", "instance", "generation", "manager", "spec"),
+    OP_TAKE_OVER: ("task", "instance", "generation", "manager", "spec"),
     OP_STATUS: ("task",),
     OP_STOP: ("task", "instance", "generation", "stop"),
     OP_WAIT: ("task", "instance", "timeout_s"),
@@ -66,6 +66,7 @@ SPEC_KEYS = (
     "self_fence_s",
     "spec_hash",
     "fields",
+    "file",
 )
 # Keys of the entry of a task in a reply; the last line is measured by OP_PROBE alone.
 ENTRY_KEYS = (
@@ -75,6 +76,7 @@ ENTRY_KEYS = (
     "instance",
     "spec_hash",
     "fields",
+    "file",
     "generation",
     "managed",
     "restarts",
@@ -83,6 +85,8 @@ ENTRY_KEYS = (
     "limits",
     "last_exit",
     "given_up",
+    "orphaned",
+    "adoptable",
     "ended_s",
     "log_tail",
     "used_cores",
@@ -91,6 +95,18 @@ ENTRY_KEYS = (
     "tx_bytes_per_s",
     "links",
     "metrics",
+)
+# Keys of an entry of ``other_tasks`` in the reply to OP_PROBE.
+OTHER_TASK_KEYS = (
+    "fleet",
+    "host",
+    "task",
+    "started_by",
+    "state",
+    "age_s",
+    "instance",
+    "spec_hash",
+    "generation",
 )
 # Keys of the reply to OP_PROBE.
 PROBE_KEYS = (
@@ -103,6 +119,7 @@ PROBE_KEYS = (
     "wall",
     "load_1m",
     "generations",
+    "other_tasks",
     "unowned",
     "checks",
     "resident",

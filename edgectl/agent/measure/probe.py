@@ -7,7 +7,7 @@ import zlib
 
 from ..link import protocol
 from ..link.fast_json import Document
-from ..supervise import adoption, state_dir, status
+from ..supervise import adoption, other_tasks, state_dir, status
 from . import device, metrics, network, proc
 from .task import TaskMeter
 
@@ -40,6 +40,7 @@ def probe_host(request: Document) -> Document:
             "wall": time.time(),
             "load_1m": device.read_load_1m(),
             "generations": _list_generations(request["host"], measured["tasks"]),
+            "other_tasks": other_tasks.list_other_tasks(request["host"]),
             "unowned": adoption.list_unowned_tasks(request["host"]),
             "checks": checks.results(),
         },

@@ -14,6 +14,7 @@ from .liveness import InstanceRecord
 
 _TRIES, _TRY_S = 10, 0.03
 _MAX_FILE = 200
+_MAX_MANAGER_LENGTH = 100
 
 
 def start_task(request: Document) -> Document:
@@ -102,6 +103,7 @@ def _build_identity(request: Document, spec: Document) -> Document:
     return {
         "instance": str(request["instance"]),
         "fleet": state_dir.get_fleet(),
+        "manager": str(request.get("manager", ""))[:_MAX_MANAGER_LENGTH],
         "host": request["host"],
         "task": request["task"],
         "generation": int(request["generation"]),
