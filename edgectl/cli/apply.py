@@ -5,7 +5,7 @@ from typing import Annotated
 
 from typer import Argument, Exit, Option
 
-from edgectl.cli import exit_codes, options
+from edgectl.cli import console, exit_codes, options
 from edgectl.cli.user_files import load_inputs
 from edgectl.views.output_format import OutputFormat
 
@@ -48,6 +48,7 @@ def apply_command(
     from edgectl.cli import apply_session, policy_options
     from edgectl.cli.connect import build_fleet, parse_duration_option
     from edgectl.usecases.apply import apply_saved_plan, plan_and_apply
+    from edgectl.usecases.given_up import take_given_up_reminders
 
     asked = apply_session.check_can_confirm(asked=plan is None and not yes and not dry_run)
     fleet = build_fleet(load_inputs(inventory, tasks, quiet=quiet), accept_new=accept_new)
@@ -81,4 +82,7 @@ def apply_command(
         )
     code = exit_codes.of_applied(applied, detailed=detailed, allow_unreachable=allow_unreachable)
     act.report(applied, code)
-    raise Exit(code)
+    if quiet:
+        for reminder in take_given_up_reminders(fleet, applied.plan):
+            console.print_message(reminder)
+    raise Exit(exit_codes.worsen_if_given_up(code, applied.plan))

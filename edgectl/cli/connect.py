@@ -4,7 +4,7 @@ import sys
 from pathlib import Path
 
 from edgectl.cli import console
-from edgectl.cli.user_files import LoadedInputs
+from edgectl.cli.user_files import LoadedInputs, refuse_exposed_files
 from edgectl.errors import UsageError
 from edgectl.model.diagnosis import Disk
 from edgectl.units import QuantityError, parse_duration
@@ -15,6 +15,9 @@ def build_fleet(loaded: LoadedInputs, *, accept_new: bool = False, asking: bool 
     """The fleet with a transport and its state directory. Nothing is contacted yet.
 
     ``asking``: passwords may be asked for at the terminal.
+
+    Raises:
+        InputError: others may write the files.
     """
     from edgectl.state.fleet_dir import ensure_fleet_dir
 
@@ -27,6 +30,7 @@ def _build_fleet_with_state(
 ) -> Fleet:
     from edgectl.transport.fleet_transport import FleetTransport
 
+    refuse_exposed_files(loaded.exposed)
     transport = FleetTransport(
         accept_new=accept_new, ask_password=_ask_password if asking and sys.stdin.isatty() else None
     )

@@ -56,5 +56,5 @@ def drain_command(
         act.report(drained.applied)
     for task, host in drained.left:
         console.print_message(f"still on {host}: {task}")
-    code = exit_codes.of_applied(drained.applied)
+    code = exit_codes.of_applied(drained.applied, allow_unreachable=True)
     raise Exit(code or (ExitCode.DONE if drained.done else ExitCode.PARTLY))

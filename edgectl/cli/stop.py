@@ -1,21 +1,31 @@
 """stop and restart commands."""
 
-from typing import Annotated
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument, Exit, Option
 
-from edgectl.cli import exit_codes, options
+from edgectl.cli import console, exit_codes, options
 from edgectl.cli.completion import complete_tasks as task_names
 from edgectl.cli.user_files import load_inputs
 from edgectl.errors import UsageError
 from edgectl.views.output_format import OutputFormat
+
+if TYPE_CHECKING:
+    from edgectl.usecases.plan_execution import ApplyResult
 
 
 def stop_command(
     *,
     names: Annotated[
         list[str] | None,
-        Argument(metavar="[TASK...]", autocompletion=task_names, help="Names of tasks.", show_default=False),
+        Argument(
+            metavar="[TASK...]",
+            autocompletion=task_names,
+            parser=options.strip_task_kind,
+            help="Names of tasks.",
+            show_default=False,
+        ),
     ] = None,
     every: Annotated[bool, Option("--all", help="Every running task on every host.")] = False,
     inventory: options.InventoryOption = None,
@@ -49,7 +59,17 @@ def stop_command(
         )
         applied = stop_tasks(fleet, names or None, act.confirm, chosen)
     act.report(applied)
-    raise Exit(exit_codes.of_applied(applied))
+    _report_tasks_not_running(names or (), applied)
+    raise Exit(exit_codes.of_stopped(applied, names or None))
+
+
+def _report_tasks_not_running(names: Sequence[str], applied: "ApplyResult") -> None:
+    """Name the tasks that were not stopped because no host reports them, and the hosts that might."""
+    planned, silent = {step.task for step in applied.plan.steps}, applied.plan.snapshot.silent_hosts
+    for name in dict.fromkeys(names):
+        if name not in planned:
+            unseen = f" that answers; no answer from {', '.join(silent)}" if silent else ""
+            console.print_message(f"{name} runs on no host{unseen}")
 
 
 def restart_command(
@@ -81,4 +101,4 @@ def restart_command(
             act.options(lock_timeout=parse_duration_option(lock_timeout, "--lock-timeout")),
         )
     act.report(applied)
-    raise Exit(exit_codes.of_applied(applied))
+    raise Exit(exit_codes.of_applied(applied, allow_unreachable=True))

@@ -43,7 +43,7 @@ def top_hosts_command(
         edgectl top hosts -w --every 5s
         edgectl top hosts -w -o json
     """
-    loaded, period = load_inputs(inventory, tasks), parse_every_option(every)
+    loaded, period = load_inputs(inventory, tasks, needs_tasks=False), parse_every_option(every)
     if interactive:
         return _run_live_view(loaded, period, readonly=readonly, first="hosts")
     raise Exit(
@@ -142,7 +142,7 @@ def _quit_on_q(key: str) -> None:
 
 
 def _run_live_view(loaded: LoadedInputs, every: float, *, readonly: bool, first: str) -> None:
-    """The full-screen view of edgectl[tui].
+    """The full-screen view of the extra tui.
 
     Raises:
         UsageError: stdout is not a terminal, or the extra is not installed.

@@ -45,6 +45,7 @@ class ProblemCode(StrEnum):
     NO_DEMAND = "EC101"
     NEVER_ANSWERED = "EC102"
     UNNAMED_FLEET = "EC103"
+    EXPOSED = "EC104"
     JSON = "EC201"
     DOCUMENT = "EC202"
 

@@ -344,6 +344,7 @@ TASK_KEYS: Mapping[str, NodeReader] = {
     "managed": read_bool,
     "detect": record_reader(DETECT_KEYS, DetectRule, "detect"),
     "ready": _check_reader(CheckLocation.HOST),
+    "up": quantity_reader(parse_duration),
     "done_when": _check_reader(CheckLocation.HOST),
     "stop": _read_stop,
     "restart": enum_reader(RestartPolicy),

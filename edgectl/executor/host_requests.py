@@ -106,8 +106,12 @@ def encode_stop_rule(rule: StopRule) -> Request:
     return {"signal": rule.signal, "grace_s": rule.grace, "preset": rule.preset}
 
 
-def build_wait_request(name: str, host: Host, *, instance: str, timeout_s: float) -> Request:
-    """Wait on the host until the instance is ready, has failed or is gone."""
+def build_wait_request(
+    name: str, host: Host, *, instance: str, timeout_s: float, up_s: float = 0.0
+) -> Request:
+    """Wait on the host until the instance is ready, has failed or is gone. ``up_s``: without a ready check,
+    how long its command must have run.
+    """
     return {
         "op": protocol.OP_WAIT,
         "fleet": host.fleet,
@@ -115,6 +119,7 @@ def build_wait_request(name: str, host: Host, *, instance: str, timeout_s: float
         "task": name,
         "instance": instance,
         "timeout_s": timeout_s,
+        "up_s": up_s,
     }
 
 
@@ -142,6 +147,17 @@ def build_check_request(
         "prelude": host.prelude,
         "env": drop_secrets(merge_environment(task, host, hosts)),
         "timeout_s": rule.timeout if timeout_s is None else timeout_s,
+    }
+
+
+def build_renewal_request(host: Host, signature: Mapping[str, object]) -> Request:
+    """Renew the lease of the fleet on a host."""
+    return {
+        "op": protocol.OP_LEASE,
+        "host": host.name,
+        "action": "renew",
+        "lease": signature,
+        "end_watch": False,
     }
 
 

@@ -9,6 +9,7 @@ from edgectl.errors import HostError
 from edgectl.executor import host_requests
 from edgectl.executor.action_phases import WAIT_PIECE_S, PlannedPhase, PlannedPhases, PlannedRequest
 from edgectl.executor.host_requests import Request
+from edgectl.executor.moved_world import check_gone_everywhere
 from edgectl.executor.secrets import resolve_environment
 from edgectl.executor.step_run import RunContext, StepRun
 from edgectl.model.result import Phase
@@ -69,6 +70,7 @@ def _send(run: RunContext, request: PlannedRequest, **values: object) -> Request
 
 
 def _stop_task(act: StepRun, planned: PlannedPhase) -> None:
+    """Stop the task. Where the plan had seen it alive and it is gone, the fleet has changed: look again."""
     request, host = planned.requests[0], planned.host
     body = host_requests.name_stop_host(request.body, act.run.plan.snapshot)
     body = {**body, "generation": act.generation}
@@ -80,6 +82,15 @@ def _stop_task(act: StepRun, planned: PlannedPhase) -> None:
                 hint=f"end them on {host.name}, then apply again",
                 host=host.name,
             )
+        if answer.get("state") == protocol.NOT_RUNNING and _was_alive(act, request):
+            check_gone_everywhere(act, host)
+
+
+def _was_alive(act: StepRun, request: PlannedRequest) -> bool:
+    """Whether the plan had seen the very instance alive that was to be stopped."""
+    sample = act.run.plan.snapshot.hosts.get(request.host.name)
+    task = sample.tasks.get(act.name) if sample is not None else None
+    return request.body.get("instance") is not None and task is not None and task.state.alive
 
 
 def _start_task(act: StepRun, planned: PlannedPhase, variables: Mapping[str, str]) -> None:
@@ -127,7 +138,7 @@ def _wait_until_ready(act: StepRun, planned: PlannedPhase) -> None:
             check, mark = elsewhere
             if not _repeat_check(act.run, check, deadline):
                 raise HostError(
-                    f"the check on {check.host.name} did not pass within {check.timeout_s:g} s: "
+                    f"the check on {check.host.name} did not pass within {check.timeout_s:.3g} s: "
                     f"{check.body['command']}",
                     host=check.host.name,
                 )
@@ -145,24 +156,26 @@ def _wait_on_host(run: RunContext, planned: PlannedPhase, body: Request, deadlin
     hint = f"edgectl logs {task.name}"
     while True:
         entry = run.ask(host, {**body, "timeout_s": piece}, timeout=piece + run.options.call_s)
-        if _is_ready(task, str(entry.get("state")), checked=checked):
+        if _is_ready(task, entry, checked=checked):
             return
         if entry.get("state") not in (protocol.STARTING, protocol.RUNNING):
             raise HostError(f"{task.name} {_describe_end(entry)} on {host.name}", hint=hint, host=host.name)
         if time.monotonic() >= deadline:
             why = f": {entry['detail']}" if entry.get("detail") else ""
             raise HostError(
-                f"{task.name} was not ready on {host.name} within {planned.timeout_s:g} s{why}",
+                f"{task.name} was not ready on {host.name} within {planned.timeout_s:.3g} s{why}",
                 hint=hint,
                 host=host.name,
             )
         piece = max(0.0, min(WAIT_PIECE_S, deadline - time.monotonic()))
 
 
-def _is_ready(task: Task, state: str, *, checked: bool) -> bool:
+def _is_ready(task: Task, entry: Request, *, checked: bool) -> bool:
+    """Whether a reply to a wait shows the task ready; ``settled`` is false where only its time ran out."""
+    state = entry.get("state")
     return (
         state == protocol.READY
-        or (state == protocol.RUNNING and not checked)
+        or (state == protocol.RUNNING and not checked and entry.get("settled") is not False)
         or (state == protocol.COMPLETED and task.kind is TaskKind.JOB)
     )
 
@@ -196,7 +209,7 @@ def _wait_until_safe(act: StepRun, planned: PlannedPhase) -> None:
     with act.phase(Phase.SAFE, planned.host.name, side_effect=False):
         if not _repeat_check(act.run, planned.requests[0], time.monotonic() + planned.timeout_s):
             raise HostError(
-                f"not safe to move {act.name} within {planned.timeout_s:g} s",
+                f"not safe to move {act.name} within {planned.timeout_s:.3g} s",
                 hint="apply again later",
                 host=planned.host.name,
             )

@@ -4,7 +4,7 @@ import time
 from collections import Counter
 from collections.abc import Mapping
 
-from edgectl.errors import HostError, RefusedError, StateError
+from edgectl.errors import HostError, RefusedError, StateError, describe_unseen_task
 from edgectl.executor.action_phases import (
     StartPhases,
     build_adopt_phases,
@@ -21,9 +21,11 @@ from edgectl.executor.dependencies import (
     is_replacement,
 )
 from edgectl.executor.handoff import move_task, replace_task
+from edgectl.executor.moved_world import MovedWorldError
 from edgectl.executor.phases import perform_phases, resolve_variables
 from edgectl.executor.step_run import RunContext, RunIdentity, RunOptions, StepRun
 from edgectl.executor.worker_pool import WorkerPool
+from edgectl.model.assignment import Reason
 from edgectl.model.inventory import Inventory
 from edgectl.model.plan import Action, Plan
 from edgectl.model.progress import ProgressListener, ignore_progress
@@ -31,6 +33,7 @@ from edgectl.model.result import ActionResult, Outcome, Results
 from edgectl.model.task import Task, Tasks
 from edgectl.state.journal import Journal
 from edgectl.transport.base import Transport
+from edgectl.transport.fleet_lease import FleetLease
 
 __all__ = ["RunIdentity", "RunOptions", "run_plan"]
 
@@ -44,8 +47,10 @@ def run_plan(
     identity: RunIdentity,
     options: RunOptions,
     progress: ProgressListener = ignore_progress,
+    *,
+    lease: FleetLease | None = None,
 ) -> Results:
-    """Carry out the changes of ``plan``; the result of each, in the order of the plan.
+    """Carry out the changes of ``plan`` within ``lease``; the result of each, in the order of the plan.
 
     Independent actions run in parallel. The successors of a failed action are skipped, the others go on.
     When ``options.stop_requested`` is set, actions under way are finished and the rest is skipped.
@@ -66,6 +71,7 @@ def run_plan(
         identity=identity,
         options=options,
         report_progress=workers.report_progress,
+        lease=lease,
     )
     acts = {
         step.task: StepRun(run=shared, step=step) for step in plan.steps if step.action.changes or step.stop
@@ -142,11 +148,25 @@ def _stop_step(act: StepRun) -> ActionResult | None:
             perform_phases(act, adoption, resolve_variables(act, act.task, decision.host or ""))
     except StateError as error:
         return _end_unrecorded(act, error)
+    except MovedWorldError as error:
+        return act.end(Outcome.DEFERRED, located=error.located, error=error)
     except HostError as error:
         return act.end(Outcome.FAILED, located=here, error=error)
     if act.step.action in STARTING_ACTIONS:
         return None
+    if act.step.action is Action.STOP and decision.reason is Reason.HOST_SILENT:
+        return act.end(
+            Outcome.UNREACHABLE, located=here, error=_build_silent_stop_error(act.name, here or "")
+        )
     return act.end(Outcome.DONE, located=None if act.step.action in STOPPING_ACTIONS else here)
+
+
+def _build_silent_stop_error(task: str, host: str) -> HostError:
+    return HostError(
+        f"not stopped: {describe_unseen_task(task, host)}",
+        hint=f"stop it again once {host} answers; if {host} is powered off: edgectl fence {host}",
+        host=host,
+    )
 
 
 def _start_step(act: StepRun, waits: StepDependencies, results: Mapping[str, ActionResult]) -> ActionResult:

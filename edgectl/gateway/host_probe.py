@@ -21,6 +21,7 @@ from edgectl.model.inventory import Host, Inventory, Role
 from edgectl.model.snapshot import HostSample, HostStatus, OtherTask, Snapshot, TaskSample
 from edgectl.model.task import Tasks
 from edgectl.transport.base import Transport
+from edgectl.transport.fleet_lease import FleetLease
 
 # A login costs CPU here, a sample window only time: more hosts may measure than log in at once.
 _PROBES_PER_LOGIN = 4
@@ -72,8 +73,11 @@ def probe_hosts(
     *,
     options: ProbeOptions | None = None,
     clock: Callable[[], float] = time.time,
+    lease: FleetLease | None = None,
 ) -> Snapshot:
     """Measure every host. One that fails is ``unreachable`` with its cause, and delays no other host.
+
+    With a ``lease``, each host is asked for the fleet before it measures.
 
     Hosts are in the order of the inventory; robots with ``probe: false`` are neither contacted nor included.
     """
@@ -82,11 +86,14 @@ def probe_hosts(
     addresses = resolve_robot_addresses(inventory, transport, options.workers)
 
     def build(host: Host, _left: float) -> dict[str, object]:
-        return build_probe_request(
+        request = build_probe_request(
             host, inventory, tasks, addresses, window_s=options.window, timeout_s=options.timeout
         )
+        return request if lease is None else {**request, "lease": lease.build_claim(host.name)}
 
     def decode(reply: HostReply) -> _Decoded:
+        if lease is not None:
+            lease.take_reply(reply.host.name, reply.document.get("lease"))
         context = _build_reply_context(reply.host, inventory, options, clock())
         return _Decoded(
             sample=decode_host_sample(reply.document, context),

@@ -160,7 +160,8 @@ def _decode_task(name: str, entry: object, context: ReplyContext) -> TaskSample:
     return TaskSample(
         state=reply.state,
         pid=reply.pid,
-        started_at=context.answered_at - reply.age_s,
+        # The age of a run that has ended is unknown, and sent as 0.
+        started_at=context.answered_at - reply.age_s if reply.state.alive or reply.pid else 0.0,
         used=Usage(
             {
                 resource.name: traffic if resource.per_link else getattr(usage, resource.used_key)

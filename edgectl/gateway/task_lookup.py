@@ -1,7 +1,6 @@
 """The host that runs a task, or ran it last, and the instances that have ended."""
 
 from collections.abc import Mapping
-from math import inf
 
 from edgectl.agent.link import protocol
 from edgectl.errors import HostError
@@ -14,15 +13,17 @@ from edgectl.transport.base import Transport
 
 def find_task_host(
     task: str, inventory: Inventory, transport: Transport, *, timeout: float
-) -> tuple[Host | None, tuple[str, ...]]:
-    """The host where ``task`` runs, else one that has it in another state; and the hosts that did not answer.
+) -> tuple[Host | None, bool, tuple[str, ...]]:
+    """The host where ``task`` runs, else one that has it in another state; whether it runs there; and the
+    hosts that did not answer.
 
     Of several the youngest instance counts.
     """
     answers = _ask_task_status(task, inventory, transport, timeout)
-    known = [name for name, entry in answers.items() if isinstance(entry, TaskReply)]
-    best = min(known, key=lambda name: _rank_status(answers[name]), default=None)
-    return inventory.hosts[best] if best else None, _list_unanswered(answers)
+    known = {name: entry for name, entry in answers.items() if isinstance(entry, TaskReply)}
+    best = min(known, key=lambda name: _rank_status(known[name]), default=None)
+    host, alive = (inventory.hosts[best], known[best].state.alive) if best else (None, False)
+    return host, alive, _list_unanswered(answers)
 
 
 def list_ended_instances(
@@ -60,7 +61,5 @@ def _list_unanswered(answers: Mapping[str, TaskReply | HostError | None]) -> tup
     return tuple(name for name, entry in answers.items() if isinstance(entry, HostError))
 
 
-def _rank_status(entry: TaskReply | HostError | None) -> tuple[bool, float]:
-    if not isinstance(entry, TaskReply):
-        return True, inf
+def _rank_status(entry: TaskReply) -> tuple[bool, float]:
     return not entry.state.alive, entry.age_s

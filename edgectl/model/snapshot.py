@@ -79,6 +79,7 @@ class TaskSample:
     lines of a task that failed or was given up. ``limits``: "enforced", or "not enforced: why"; empty where
     none are stated. ``given_up``: it ended by itself and is not to be started again by itself: a crash loop,
     or a failure under ``restart: never``. ``ended_at``: when it ended for good, where its host knows.
+    ``started_at``: 0 where it is not known any more.
     ``metrics``: what the application says of itself, the last value by name, also after its end. ``file``:
     the task file that it was started from. ``orphaned``: it lives without a supervisor; ``adoptable``: a new
     one can take it over as it is (ADR 0041). ``filed_as``: the host name under which its machine
@@ -210,6 +211,12 @@ class Snapshot:
     taken_at: Instant
     hosts: Mapping[str, HostSample]
     manager: ManagerState | None = None
+
+    @property
+    def silent_hosts(self) -> tuple[str, ...]:
+        """Hosts that did not answer, without those that the operator declared powered off."""
+        fenced = self.manager.fenced if self.manager else frozenset()
+        return tuple(name for name, host in self.hosts.items() if not host.ok and name not in fenced)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -184,8 +184,9 @@ class Task:
     ``env`` may be ``Secret``; ``env_command`` is an argument vector that prints more of them as lines
     NAME=value. ``spec_fields``: short hash of each field that ``spec_hash`` covers. ``self_fence``: its
     supervisor stops it when no request of a manager has reached the host for so many seconds; None: never.
-    ``downtime_cost``: utility lost per second of downtime, 0 or more; weighed once downtimes are measured.
-    ``file``: the task file that lists it (ADR 0039); it is no part of any digest.
+    ``up``: without ``ready``, how long (s) the command must have run until it counts as ready; None: the
+    default. ``downtime_cost``: utility lost per second of downtime, 0 or more; weighed once downtimes are
+    measured. ``file``: the task file that lists it (ADR 0039); it is no part of any digest.
     """
 
     name: str
@@ -203,6 +204,7 @@ class Task:
     detect: DetectRule | None = None
     kind: TaskKind = TaskKind.SERVICE
     ready: Check | None = None
+    up: float | None = None
     done_when: Check | None = None
     stop: StopRule = StopRule()
     restart: RestartPolicy = RestartPolicy.ON_FAILURE

@@ -117,7 +117,8 @@ def _send_request(
     )
     payload = _find_payload(answer.stdout, marker)
     if payload is None and time.monotonic() - began >= timeout:
-        raise DeadlineError(f"no answer within {timeout:g} s")  # the host's own deadline was seen before ours
+        # The host's own deadline was seen before ours.
+        raise DeadlineError(f"no answer within {timeout:.3g} s")
     if payload is None:
         raise _build_frame_error(answer)
     return _parse_reply_json(payload)

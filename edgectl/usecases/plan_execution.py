@@ -21,7 +21,8 @@ from edgectl.state.lock import FleetLock, get_user_name
 from edgectl.state.manager_state import load_manager_state, save_manager_state, select_saved_fields
 from edgectl.transport.connections import SessionPool
 from edgectl.usecases.fleet import Fleet
-from edgectl.usecases.heartbeat import send_heartbeats, track_heartbeats
+from edgectl.usecases.fleet_lease import hold_fleet
+from edgectl.usecases.heartbeat import track_heartbeats
 from edgectl.usecases.plan import compute_plan_id, keep_whole_plan
 from edgectl.usecases.record import record_results
 
@@ -38,10 +39,11 @@ def confirm_always(_plan: Plan) -> bool:
 class ApplyOptions(RunOptions):
     """The options of a change, from the command line to the executor (`RunOptions`).
 
-    ``lock_timeout`` (s): how long to wait for another edgectl. ``choose`` narrows a plan (``--target``).
+    ``lock_timeout`` (s): how long to wait for another edgectl; None: for one cycle of a watch, else not at
+    all. ``choose`` narrows a plan (``--target``).
     """
 
-    lock_timeout: float = 0.0
+    lock_timeout: float | None = None
     probe: ProbeOptions | None = None
     choose: Callable[[Plan], Plan] = keep_whole_plan
     progress: ProgressListener = ignore_progress
@@ -60,14 +62,17 @@ class ApplyResult:
 def lock_fleet(fleet: Fleet, verb: str, options: ApplyOptions) -> Iterator[Fleet]:
     """The fleet, locked against every other edgectl of this machine, with sessions kept open until the end.
 
+    Its first probe claims it on the hosts, against every other machine: probe it before anything is changed.
+
     Raises:
         LockBusyError: another edgectl is changing this fleet.
     """
     with (
         FleetLock(fleet.state, verb=verb, timeout=options.lock_timeout, clock=fleet.clock),
         SessionPool(fleet.transport) as pool,
+        hold_fleet(dataclasses.replace(fleet, transport=pool), verb, patience_s=options.lock_timeout) as held,
     ):
-        yield dataclasses.replace(fleet, transport=pool)
+        yield held
 
 
 def confirm_and_execute(
@@ -99,7 +104,7 @@ def confirm_and_execute(
             verb=verb,
             user=get_user_name(),
         )
-        with track_heartbeats(fleet) as tracked, send_heartbeats(tracked, plan.snapshot):
+        with track_heartbeats(fleet) as tracked:
             results = run_plan(
                 plan,
                 fleet.inventory,
@@ -109,6 +114,7 @@ def confirm_and_execute(
                 identity,
                 options,
                 options.progress,
+                lease=fleet.lease,
             )
         after = _save_manager_state(fleet, plan, manager, results, used)
         _record_placements(fleet, journal, results.revision, after)
@@ -181,7 +187,7 @@ def _recover_interrupted_apply(fleet: Fleet, log: JournalSummary) -> None:
             located = places[task].host if task in places else None
             with track_heartbeats(fleet) as tracked:
                 released = release_hold(
-                    task, located, fleet.inventory, fleet.tasks, tracked.transport, fleet.warn
+                    task, located, fleet.inventory, fleet.tasks, tracked.transport, fleet.warn, fleet.lease
                 )
             if released:
                 journal.append("released", task=task)

@@ -16,6 +16,7 @@ from edgectl.state.manager_state import (
     save_link_capacities,
 )
 from edgectl.usecases.fleet import Fleet
+from edgectl.usecases.fleet_lease import probe_within_lease
 from edgectl.usecases.heartbeat import load_state_with_heartbeats, track_heartbeats
 from edgectl.usecases.measured_demand import load_measured_demands
 from edgectl.usecases.record import pin_task_starts, record_snapshot
@@ -24,6 +25,9 @@ from edgectl.usecases.record import pin_task_starts, record_snapshot
 def probe_fleet(fleet: Fleet, options: ProbeOptions | None = None) -> Snapshot:
     """Measure every host; the snapshot includes the manager's state, so that it suffices to repeat a
     decision.
+
+    Raises:
+        LockBusyError: the fleet has a lease to claim (``fleet.lease``), and another manager holds it.
     """
     measured = load_link_capacities(fleet.state, fleet.warn)
     reopened = frozenset(load_ignored_instances(fleet.state, fleet.warn))
@@ -35,8 +39,16 @@ def probe_fleet(fleet: Fleet, options: ProbeOptions | None = None) -> Snapshot:
     )
     fenced = load_heartbeats(fleet.state, fleet.warn).fenced
     with track_heartbeats(fleet) as tracked:
-        snapshot = host_probe.probe_hosts(
-            fleet.inventory, fleet.tasks, tracked.transport, options=options, clock=fleet.clock
+        snapshot = probe_within_lease(
+            tracked,
+            lambda: host_probe.probe_hosts(
+                fleet.inventory,
+                fleet.tasks,
+                tracked.transport,
+                options=options,
+                clock=fleet.clock,
+                lease=fleet.lease,
+            ),
         )
     _record_orphans(fleet, snapshot)
     manager = load_state_with_heartbeats(fleet)

@@ -162,7 +162,7 @@ _MEANINGS: dict[KeyType, dict[str, str]] = {
         **_describe_amounts(),
         "capacity_bytes_per_s": "capacity of a link",
         "adds": "contribution of a term to the lead",
-        "age_s": "time since the start",
+        "age_s": "time since the start; of a task that has ended, since its end",
         "amount": "amount in the unit of its resource; a share where relative",
         "clock_skew_s": "clock of a host minus clock of the manager",
         "cycle": "number of a cycle",

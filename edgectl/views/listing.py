@@ -269,7 +269,7 @@ def _build_running_task_item(
     name, host, sample = run
     task, demand = tasks.tasks.get(name), find_task_demand(name, host, value, inventory, tasks)
     state, restarts = Cell(format_task_state(sample), TASK_STATE_STYLES[sample.state]), str(sample.restarts)
-    age = compute_task_age(sample, value) if sample.state.alive else None
+    age = compute_task_age(sample, value)
     return ListingItem(
         path=f"{name} on {host}",
         name=f"task/{name}",

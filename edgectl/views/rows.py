@@ -105,8 +105,9 @@ def find_task_demand(name: str, host: str, value: Snapshot, inventory: Inventory
 
 
 def compute_task_age(sample: TaskSample, value: Snapshot) -> float | None:
-    """Seconds since this start, None where that is not known."""
-    return max(0.0, value.taken_at - sample.started_at) if sample.started_at else None
+    """Seconds since this start, or since the end of what has ended; None where that is not known."""
+    since = sample.started_at if sample.state.alive else sample.ended_at
+    return max(0.0, value.taken_at - since) if since else None
 
 
 def encode_run_row(name: str, host: str, sample: TaskSample, demand: Amounts, value: Snapshot) -> Document:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 
+from edgectl.errors import describe_unseen_task
 from edgectl.formats.document import Document, without_none
 from edgectl.model.inventory import Host, Inventory, Limits
 from edgectl.model.point import HostPoint, TaskPoint
@@ -16,7 +17,7 @@ from edgectl.views.output import ListView
 from edgectl.views.output_format import WIDE_FORMATS
 from edgectl.views.plan_sections import list_unreachable_notes, render_notes
 from edgectl.views.rows import compute_task_age, encode_host_row, encode_run_row, find_task_demand
-from edgectl.views.state import TASK_STATE_STYLES, render_host_status
+from edgectl.views.state import TASK_STATE_STYLES, render_host_status, resolve_absent_task
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, render_columns
 from edgectl.views.usage import (
     Amounts,
@@ -122,7 +123,7 @@ class TopTasksView(ListView):
         runs = _list_running_tasks(self._snapshot)
         notes = [*self._list_idle_notes(), *list_unreachable_notes(self._snapshot)]
         if not runs:
-            return "No task runs.\n" + render_notes(list_unreachable_notes(self._snapshot), look)
+            return render_notes(notes, look)
         rows: list[Row] = [(*_TASK_HEAD, *_WIDE_TASK_HEAD) if wide else _TASK_HEAD]
         histories: list[tuple[Sequence[float | None], float]] = []
         for name, host, sample in runs:
@@ -137,11 +138,22 @@ class TopTasksView(ListView):
         return body + (reported and "\n" + reported) + render_notes(notes, look)
 
     def _list_idle_notes(self) -> list[str]:
-        tasks = self._tasks.tasks
-        missing = len(tasks) - len(
-            tasks.keys() & {name for name, _, _ in _list_running_tasks(self._snapshot)}
-        )
-        return [f"{missing} of {len(tasks)} tasks do not run: edgectl status"] if missing else []
+        """How many tasks do not run, and those of which it is not known because their host is silent."""
+        running = {name for name, _, _ in _list_running_tasks(self._snapshot)}
+        missing = [task for name, task in self._tasks.tasks.items() if name not in running]
+        unseen = {
+            task.name: host
+            for task in missing
+            if (host := resolve_absent_task(task, self._snapshot).host) is not None
+        }
+        unknown = [f"not known: {describe_unseen_task(task, host)}" for task, host in unseen.items()]
+        idle = len(missing) - len(unseen)
+        count = f"{idle} of {len(self._tasks.tasks)} tasks do not run: edgectl status"
+        return [
+            *unknown,
+            *([count] if idle else []),
+            *([] if running or idle else ["no task is seen to run"]),
+        ]
 
     def _find_demand(self, name: str, host: str) -> Amounts:
         return find_task_demand(name, host, self._snapshot, self._inventory, self._tasks)

@@ -168,21 +168,6 @@ def test_no_addresses(text: str) -> None:
         parse_listen_address(text)
 
 
-@pytest.mark.parametrize(
-    ("words", "package", "name"), [(("export", "prometheus"), "prometheus_client", "metrics")]
-)
-def test_a_missing_extra_is_named_with_what_installs_it(
-    site: Path, state: Path, words: tuple[str, ...], package: str, name: str
-) -> None:
-    code = f"import sys; sys.modules[{package!r}] = None; from edgectl.cli.main import main; sys.exit(main({list(words)!r}))"
-    done = subprocess.run([sys.executable, "-c", code], cwd=site, capture_output=True, text=True, check=False)
-    assert done.returncode == 64
-    assert done.stdout == ""
-    assert done.stderr.startswith(f"error: this needs {package}, which is not installed\nhint: ")
-    assert f'"edgectl[{name}]"' in done.stderr
-    assert done.stderr.count("\n") == 2
-
-
 # -- rows
 # ---------------------------------------------------------------------------------------------------------------------------------
 

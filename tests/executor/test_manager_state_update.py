@@ -150,3 +150,13 @@ def test_generations_are_above_all_that_is_known_and_never_below_the_clock() -> 
     assert compute_next_generations(ManagerState(), stopped, steps, NOW) == {"slam": far + 1}
     known = ManagerState(placements={"slam": Placement(host="edge1", since=0.0, generation=far + 7)})
     assert compute_next_generations(known, world, steps, NOW) == {"slam": far + 8}
+
+
+def test_one_host_cannot_make_the_others_unusable_by_a_generation() -> None:
+    steps = (a_step(Action.START, host="edge1"),)
+    liar = a_snapshot(edge2=a_sample(tasks={"slam": a_run(generation=2**63)}), edge1=a_sample())
+    assert compute_next_generations(ManagerState(), liar, steps, NOW) == {"slam": int(NOW)}
+    memory = update_after(a_step(Action.KEEP, host="edge1"), world=a_snapshot(edge1=liar.hosts["edge2"]))
+    assert memory.placements["slam"].generation == OLD.generation
+    behind = a_snapshot(edge1=dataclasses.replace(a_sample(), generations={"slam": int(NOW)}))
+    assert compute_next_generations(ManagerState(), behind, steps, 5.0) == {"slam": int(NOW) + 1}

@@ -9,6 +9,7 @@ from tests.faults import (
     faults_noise,
     faults_random,
     faults_task,
+    faults_two_managers,
 )
 from tests.faults.registry import FAULTS, Fault
 
@@ -18,6 +19,7 @@ MODULES = (
     faults_inventory,
     faults_link,
     faults_manager,
+    faults_two_managers,
     faults_task,
     faults_noise,
     faults_failpoints,

@@ -270,7 +270,7 @@ def test_a_measured_demand_counts_where_it_was_asked_for() -> None:
 def test_nothing_runs() -> None:
     assert (
         render_view(TopTasksView(a_snapshot(edge1=a_sample()), FLEET, TASKS, ()), OutputFormat.TABLE)
-        == "No task runs.\n"
+        == "note: 3 of 3 tasks do not run: edgectl status\n"
     )
 
 

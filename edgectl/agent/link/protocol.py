@@ -12,6 +12,7 @@ OP_CHECK = "check"
 OP_DOCTOR = "doctor"
 OP_FETCH = "fetch"
 OP_FOLLOW = "follow"
+OP_LEASE = "lease"
 OP_LOGS = "logs"
 OP_MARK = "mark"
 OP_PROBE = "probe"
@@ -28,6 +29,12 @@ OP_SUPERVISE = "supervise"
 OP_TAKE_OVER = "takeover"
 OP_WAIT = "wait"
 
+# Operations that change tasks or robots. While a manager holds the fleet they carry its ``lease``
+# (SIGNATURE_KEYS); a probe may carry a claim of it (CLAIM_KEYS).
+CHANGING_OPS = (OP_START, OP_STOP, OP_MARK, OP_CHECK)
+SIGNATURE_KEYS = ("holder", "session", "epoch")
+CLAIM_KEYS = ("holder", "session", "who", "verb", "ttl_s", "watch", "take_over")
+
 # Keys of a request besides ``op``, ``fleet`` and ``host``; OP_PROFILER_RUN and OP_SUPERVISE are requests of
 # the agent to itself.
 REQUEST_KEYS = {
@@ -36,6 +43,7 @@ REQUEST_KEYS = {
     OP_DOCTOR: ("links", "prelude", "env", "timeout_s"),
     OP_FETCH: ("task", "workdir", "file", "most", "offset"),
     OP_FOLLOW: ("task", "tail"),
+    OP_LEASE: ("action", "lease", "end_watch"),
     OP_LOGS: ("task", "tail"),
     OP_MARK: ("task", "instance", "ready"),
     OP_PROBE: ("window_s", "links", "detect", "checks"),
@@ -48,7 +56,7 @@ REQUEST_KEYS = {
     OP_TAKE_OVER: ("task", "instance", "generation", "manager", "spec"),
     OP_STATUS: ("task",),
     OP_STOP: ("task", "instance", "generation", "stop"),
-    OP_WAIT: ("task", "instance", "timeout_s"),
+    OP_WAIT: ("task", "instance", "timeout_s", "up_s"),
 }
 # Keys of ``spec`` in OP_START.
 SPEC_KEYS = (
@@ -132,6 +140,7 @@ PROBE_KEYS = (
     "gpu_share",
     "interfaces",
     "links",
+    "lease",
     "tasks",
 )
 

@@ -26,6 +26,7 @@ def probe_host(request: Document) -> Document:
     Where a resident profiler runs, its last sample is used; otherwise a sample window passes, with the checks
     running meanwhile.
     """
+    lease = _claim_lease(request)
     measured, checks = _read_profiler(request) or _measure_window(request)
     for task, values in metrics.read_tasks_metrics(request["host"], measured["tasks"]).items():
         measured["tasks"][task]["metrics"] = values
@@ -45,6 +46,7 @@ def probe_host(request: Document) -> Document:
             "checks": checks.results(),
         },
         **measured,
+        **lease,
     )
 
 
@@ -52,6 +54,15 @@ def _describe_place() -> str:
     """Describe where the tasks of this login are: machine, user and state directories."""
     folders = zlib.crc32("\0".join(state_dir.BASES).encode("utf-8", "surrogateescape"))
     return "%s/%d/%08x" % (proc.read_machine_id(), os.getuid(), folders)
+
+
+def _claim_lease(request: Document) -> Document:
+    """Claim the fleet before anything is measured: what is seen then, no other manager changes afterwards."""
+    if "lease" not in request:
+        return {}
+    from ..supervise.lease import claim_lease
+
+    return {"lease": claim_lease(request["host"], request["lease"])}
 
 
 def _read_profiler(request: Document) -> "tuple[Document, _RunningChecks] | None":
