@@ -44,7 +44,10 @@ def an_inventory(*hosts: Host, links: Mapping[tuple[str, str], float] | None = N
     """The fleet, in natural order of names."""
     ordered = sorted(hosts, key=lambda host: natural_key(host.name))
     return Inventory(
-        hosts={host.name: host for host in ordered}, links=links or {}, digest="inventory-digest"
+        hosts={host.name: host for host in ordered},
+        links=links or {},
+        digest="inventory-digest",
+        is_fleet_named=True,
     )
 
 

@@ -219,6 +219,7 @@ class DiskReply:
     files_left: Count | None = None
     obstacle: Text = ""
     in_shared_memory: bool = field(default=False, metadata=in_document("spare"))
+    skipped: tuple[Text, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -101,6 +101,17 @@ def has_environ_entry(pid: int, entry: bytes) -> bool:
     return b"\0" + entry + b"\0" in b"\0" + read_file("/proc/%d/environ" % pid) + b"\0"
 
 
+def is_own_process(pid: int) -> bool:
+    """Whether this user started the process: its real uid is ours.
+
+    The owner of /proc/PID is no evidence: it is root for a process that forbids to be dumped.
+    """
+    for line in read_file("/proc/%d/status" % pid).splitlines():
+        if line.startswith(b"Uid:"):
+            return int(line.split()[1]) == os.geteuid()
+    return False
+
+
 def read_cmdline(pid: int) -> "list[str]":
     """Read the argument vector, decoded with replacement."""
     return [

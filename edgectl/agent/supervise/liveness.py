@@ -1,7 +1,8 @@
 """Liveness of a task and its processes, decided by the kernel and not by a file.
 
-A task lives while its lock is held (supervisor and task inherit it) or any process has its cookie in the
-environment: launchers that close inherited descriptors are the main workload, so both are examined.
+A task lives while its lock is held (supervisor and task inherit it) or any process of this user has its
+cookie in the environment: launchers that close inherited descriptors are the main workload, so both are
+examined.
 """
 
 import os
@@ -89,9 +90,13 @@ def find_processes(found: InstanceRecord, table: "dict[int, proc.Process]") -> "
 
 
 def find_orphans(found: InstanceRecord, table: "dict[int, proc.Process]") -> "set[int]":
-    """Find the task's processes without the help of its supervisor."""
+    """Find the task's processes without the help of its supervisor.
+
+    Any user can write the cookie into the environment of a process, so it counts only in one of this user. A
+    process of the task that has become another user's is found by descent, by its session or by the lock.
+    """
     entry = build_cookie(found.folder).encode()
-    seeds = {pid for pid in table if proc.has_environ_entry(pid, entry)}
+    seeds = {pid for pid in table if proc.has_environ_entry(pid, entry) and proc.is_own_process(pid)}
     main, ticks = found.status.get("pid", 0), found.status.get("ticks", -1)
     if is_same_boot(found) and main in table and table[main].ticks == ticks:
         seeds.add(main)
