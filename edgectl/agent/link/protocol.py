@@ -31,7 +31,7 @@ OP_WAIT = "wait"
 
 # Operations that change tasks or robots. While a manager holds the fleet they carry its ``lease``
 # (SIGNATURE_KEYS); a probe may carry a claim of it (CLAIM_KEYS).
-CHANGING_OPS = (OP_START, OP_STOP, OP_MARK, OP_CHECK)
+CHANGING_OPS = (OP_START, OP_STOP, OP_MARK, OP_CHECK, OP_TAKE_OVER)
 SIGNATURE_KEYS = ("holder", "session", "epoch")
 CLAIM_KEYS = ("holder", "session", "who", "verb", "ttl_s", "watch", "take_over")
 
@@ -55,7 +55,7 @@ REQUEST_KEYS = {
     OP_START: ("task", "instance", "generation", "manager", "spec"),
     OP_TAKE_OVER: ("task", "instance", "generation", "manager", "spec"),
     OP_STATUS: ("task",),
-    OP_STOP: ("task", "instance", "generation", "stop"),
+    OP_STOP: ("task", "instance", "generation", "stop", "filed_as"),
     OP_WAIT: ("task", "instance", "timeout_s", "up_s"),
 }
 # Keys of ``spec`` in OP_START.
