@@ -14,6 +14,7 @@ from edgectl.views.output import ListView
 from edgectl.views.output_format import NAMED_FORMATS
 from edgectl.views.plan_sections import (
     list_doubled_notes,
+    list_lost_task_notes,
     list_operator_mark_notes,
     list_unreachable_notes,
 )
@@ -141,10 +142,11 @@ class StatusView(ListView):
         return [*runs, *absent]
 
     def warnings(self) -> Sequence[str]:
-        """Tasks that run twice, hosts without a reply, marks of the operator, and tasks of other fleets."""
+        """Tasks that run twice, at lost places or of other fleets, hosts without a reply, and marks."""
         return [
             *list_doubled_notes(self._snapshot),
             *list_unreachable_notes(self._snapshot),
+            *list_lost_task_notes(self._snapshot),
             *list_operator_mark_notes(self._snapshot),
             *list_foreign_notes(self._snapshot),
         ]
