@@ -405,11 +405,12 @@ def build_tasks_schema() -> Schema:
 
 @dataclass(frozen=True, slots=True)
 class TaskTemplate:
-    """One entry of ``tasks:`` as written, before ``for_each`` is expanded."""
+    """One entry of ``tasks:`` as written, before ``for_each`` is expanded; ``file``: the id of its file."""
 
     name: str
     fields: Fields
     named_at: Mark
+    file: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -425,8 +426,12 @@ class TaskDraft:
     each: str | None = None
 
 
-def read_templates(node: Node, problems: Problems, templates: dict[str, TaskTemplate]) -> Fields:
-    """Add one file's templates to ``templates``, with everything wrong noted; gives the file's other keys."""
+def read_templates(
+    node: Node, problems: Problems, templates: dict[str, TaskTemplate], file: str = ""
+) -> Fields:
+    """Add the templates of the file with id ``file`` to ``templates``, with everything wrong noted; gives the
+    file's other keys.
+    """
     top = read_fields(node, problems, TASK_FILE_KEYS, required=("version", "tasks"), what="a task file")
     entries = top.at("tasks")
     if "tasks" in top and not isinstance(entries.value, dict):
@@ -444,7 +449,7 @@ def read_templates(node: Node, problems: Problems, templates: dict[str, TaskTemp
             problems.add(entries.key_mark(key), ProblemCode.TAKEN, message, "rename or remove one of the two")
             continue
         fields = read_fields(inner, problems, TASK_KEYS, what=f"task {key}")
-        templates[key] = TaskTemplate(key, fields, entries.key_mark(key))
+        templates[key] = TaskTemplate(key, fields, entries.key_mark(key), file)
     return top
 
 

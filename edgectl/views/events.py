@@ -19,6 +19,7 @@ _EVENT_STYLES = {
     EventKind.TASK_READY: "good",
     EventKind.TASK_COMPLETED: "good",
     EventKind.TASK_RESTARTED: "warn",
+    EventKind.TASK_ADOPTED: "warn",
     EventKind.TASK_FAILED: "bad",
     EventKind.TASK_CRASHLOOP: "bad",
     EventKind.TASK_LOST: "bad",
