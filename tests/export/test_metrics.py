@@ -174,7 +174,7 @@ def test_names_and_labels_keep_to_the_conventions() -> None:
         assert metric.help.endswith(".")
         assert metric.name.endswith("_total") == (metric.kind is MetricType.COUNTER)
     assert {state.value for state in TaskState} < set(TASK_STATES)
-    assert len(Action) == 10
+    assert len(Action) == 11
 
 
 def run_promtool(*words: str, page: str = "") -> tuple[int, str]:
