@@ -97,7 +97,7 @@ class ResourceMap(dict[str, Value]):
             raise TypeError(f"{type(self).__name__} has no {unknown}")
 
     @classmethod
-    def from_complete(cls, values: dict[str, Value]) -> Self:
+    def from_complete(cls, values: Mapping[str, Value]) -> Self:
         """A map of all names, already in the order of the table: one for every candidate of every task."""
         made = cls.__new__(cls)
         dict.update(made, values)
