@@ -5,8 +5,10 @@
     ├── UsageError                  a call that cannot be carried out as given (exit 64)
     ├── FileError                   a file that cannot be read or written (exit 1)
     ├── StateError                  the manager's own state is damaged or of a newer version (exit 1)
-    ├── LockBusyError               another edgectl holds the lock (exit 75)
+    ├── LockBusyError               another edgectl holds the lock or the fleet (exit 75)
+    │   └── WatchedError            another watch looks after the fleet (exit 75)
     ├── StalePlanError              the world moved since the plan was made (exit 75)
+    ├── UnansweredError             the answer depends on a host that did not answer (exit 4)
     ├── FleetBusyError              the fleet is not free for an experiment (exit 75)
     └── HostError                   one host did not do what was asked; costs that host, never the run
         ├── ConnectError            no TCP or SSH session (off, refused, no route, name unknown)
@@ -108,6 +110,10 @@ class LockBusyError(EdgectlError):
     exit_code = ExitCode.TRY_AGAIN
 
 
+class WatchedError(LockBusyError):
+    """Another watch looks after this fleet; ``--take-over`` replaces it."""
+
+
 class StalePlanError(EdgectlError):
     """The saved plan no longer matches the fleet; ``changes`` lists the differences."""
 
@@ -118,6 +124,17 @@ class StalePlanError(EdgectlError):
             "saved plan is stale: " + "; ".join(changes), hint="make a new plan: edgectl plan --out PLAN"
         )
         self.changes = tuple(changes)
+
+
+class UnansweredError(EdgectlError):
+    """The answer depends on a host that did not answer."""
+
+    exit_code = ExitCode.PARTLY
+
+
+def describe_unseen_task(task: str, host: str) -> str:
+    """Phrase for a task that no host reports, and whose last known ``host`` did not answer."""
+    return f"{task}, last known on {host}, which does not answer"
 
 
 class FleetBusyError(EdgectlError):

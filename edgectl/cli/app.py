@@ -114,7 +114,7 @@ COMMANDS = {
 # Help of the command groups.
 GROUP_HELP: dict[str, str] = {
     "describe": "Show details of an edge, robot or task.",
-    "top": "Show resource usage (-w to refresh, -i for the full-screen view).",
+    "top": "Show resource usage: of hosts by default (-w to refresh, -i for the full-screen view).",
     "profilers": "Manage resident profilers on the hosts.",
     "export": "Export for cron, systemd, Prometheus, CSV and others.",
     "experiment": "Compare schemes on real hosts.",
@@ -124,8 +124,8 @@ EPILOG = (
     "Exit codes: 0 done; 1 failed; 2 changes pending, 3 unplaced (plan --detailed-exitcode); 4 partly "
     "done; 64 usage; "
     "75 locked, stale or busy, try again; 130 interrupted.\n\n"
-    "Environment: EDGECTL_INVENTORY, EDGECTL_TASKS, EDGECTL_OUTPUT, EDGECTL_STATE_DIR, EDGECTL_DEBUG, "
-    "NO_COLOR, FORCE_COLOR."
+    "Environment: EDGECTL_INVENTORY, EDGECTL_TASKS, EDGECTL_OUTPUT, EDGECTL_STATE_DIR, "
+    "EDGECTL_INSECURE_FILES, EDGECTL_DEBUG, NO_COLOR, FORCE_COLOR."
 )
 CONTEXT_SETTINGS: dict[str, Any] = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
 
@@ -202,8 +202,13 @@ def _root_callback(
     _version: Annotated[
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
     ] = False,
+    insecure_files: Annotated[
+        bool, typer.Option("--insecure-files", help="Act on files that other users may write.")
+    ] = False,
 ) -> None:
-    """Options that precede every command."""
+    """Options of every command."""
+    if insecure_files:
+        os.environ["EDGECTL_INSECURE_FILES"] = "1"
 
 
 def _placeholder_command() -> None:

@@ -11,6 +11,7 @@ from edgectl.errors import ExitCode, UsageError
 from edgectl.model.plan import Plan
 from edgectl.model.policy import Policy
 from edgectl.model.progress import ProgressEvent, ProgressListener, ignore_progress
+from edgectl.usecases.apply import check_saved_plan
 from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.plan import keep_whole_plan, list_remote_commands, make_plan
 from edgectl.usecases.plan_execution import ApplyOptions, ApplyResult
@@ -48,7 +49,7 @@ class ApplySession:
     def options(
         self,
         *,
-        lock_timeout: float,
+        lock_timeout: float | None,
         max_parallel: int = 16,
         fail_fast: bool = False,
         choose: Callable[[Plan], Plan] = keep_whole_plan,
@@ -102,12 +103,12 @@ def _print_plan(plan: Plan, output: OutputFormat) -> None:
 
 def _explain_exit_code(plan: Plan, code: ExitCode) -> None:
     """Print the causes of an exit code of a plan that was not shown."""
-    from edgectl.cli.exit_codes import list_unreachable_hosts
     from edgectl.views import plan_sections
 
     if code is ExitCode.PARTLY:
         console.print_stderr(
-            plan_sections.render_unreachable_hosts(plan.snapshot, list_unreachable_hosts(plan.snapshot))
+            plan_sections.render_unreachable_hosts(plan.snapshot, plan.snapshot.silent_hosts)
+            + plan_sections.render_lost_tasks(plan.snapshot)
         )
     elif code is ExitCode.UNPLACED:
         console.print_stderr(plan_sections.render_unplaced_tasks(plan))
@@ -137,6 +138,8 @@ def print_dry_run(
     from edgectl.views.dry_run import RequestsView
 
     check_output_format(output, RequestsView.formats)
+    if saved is not None:
+        check_saved_plan(fleet, saved)
     plan = saved if saved is not None else choose(make_plan(fleet, policy))
     console.print_view(RequestsView(list_remote_commands(fleet, plan)), output)
     return ExitCode.DONE

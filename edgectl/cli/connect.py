@@ -4,7 +4,7 @@ import sys
 from pathlib import Path
 
 from edgectl.cli import console
-from edgectl.cli.user_files import LoadedInputs
+from edgectl.cli.user_files import LoadedInputs, refuse_exposed_files
 from edgectl.errors import UsageError
 from edgectl.model.diagnosis import Disk
 from edgectl.units import QuantityError, parse_duration
@@ -15,12 +15,14 @@ def build_fleet(loaded: LoadedInputs, *, accept_new: bool = False, asking: bool 
     """The fleet with a transport and its state directory. Nothing is contacted yet.
 
     ``asking``: passwords may be asked for at the terminal.
-    """
-    from edgectl.state.paths import ensure_fleet_dir
 
-    return _build_fleet_with_state(
-        loaded, ensure_fleet_dir(loaded.path), accept_new=accept_new, asking=asking
-    )
+    Raises:
+        InputError: others may write the files.
+    """
+    from edgectl.state.fleet_dir import ensure_fleet_dir
+
+    state = ensure_fleet_dir(loaded.inventory.fleet, loaded.path)
+    return _build_fleet_with_state(loaded, state, accept_new=accept_new, asking=asking)
 
 
 def _build_fleet_with_state(
@@ -28,6 +30,7 @@ def _build_fleet_with_state(
 ) -> Fleet:
     from edgectl.transport.fleet_transport import FleetTransport
 
+    refuse_exposed_files(loaded.exposed)
     transport = FleetTransport(
         accept_new=accept_new, ask_password=_ask_password if asking and sys.stdin.isatty() else None
     )
@@ -40,7 +43,7 @@ def build_fleet_with_state_check(loaded: LoadedInputs) -> tuple[Fleet, Disk]:
     """The fleet, even if its state directory is unusable, and the condition of that directory."""
     from edgectl.state.state_dir_check import inspect_state_dir
 
-    state = inspect_state_dir(loaded.path)
+    state = inspect_state_dir(loaded.inventory.fleet, loaded.path)
     return (
         build_fleet(loaded) if not state.obstacle else _build_fleet_with_state(loaded, Path(state.path))
     ), state
@@ -62,6 +65,15 @@ def _ask_password(prompt: str) -> str:
 def print_warning(message: str) -> None:
     """Print a warning that does not stop the call."""
     console.print_message(f"warning: {message}")
+
+
+def parse_lock_timeout(text: str | None) -> float | None:
+    """Parse ``--lock-timeout``; None: one cycle of a watch.
+
+    Raises:
+        UsageError: it is not a duration.
+    """
+    return None if text is None else parse_duration_option(text, "--lock-timeout")
 
 
 def parse_duration_option(text: str, option: str) -> float:

@@ -39,7 +39,7 @@ def doctor_command(
     from edgectl.usecases.doctor import run_doctor
     from edgectl.views.diagnosis import DiagnosisView
 
-    loaded = load_inputs(inventory, tasks)
+    loaded = load_inputs(inventory, tasks, needs_tasks=False)
     fleet, state = build_fleet_with_state_check(loaded)
     diagnosis = run_doctor(fleet, state, hosts or (), timeout=parse_duration_option(timeout, "--timeout"))
     console.print_view(DiagnosisView(diagnosis), output)

@@ -1,30 +1,37 @@
 """Exit codes of results (docs/cli.md, "Exit codes")."""
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from typing import TYPE_CHECKING
 
 from edgectl.errors import ExitCode
+from edgectl.model.assignment import Reason
 from edgectl.model.cycle import Cycle
 from edgectl.model.diagnosis import Diagnosis, Severity
 from edgectl.model.inventory import Inventory
+from edgectl.model.lost_places import list_lost_tasks
 from edgectl.model.plan import Action, Plan
 from edgectl.model.profiler import Profiler, ProfilerState
-from edgectl.model.snapshot import Snapshot
+from edgectl.model.snapshot import Snapshot, find_doubled_tasks
+from edgectl.model.task import Tasks
 
 if TYPE_CHECKING:
     from edgectl.usecases.plan_execution import ApplyResult
 
+_MILDER_CODES = (ExitCode.DONE, ExitCode.CHANGES, ExitCode.UNPLACED)
+
 
 def of_snapshot(snapshot: Snapshot, inventory: Inventory, *, allow_unreachable: bool = False) -> ExitCode:
-    """4 if a host that should answer did not."""
-    silent = any(name in inventory.hosts for name in list_unreachable_hosts(snapshot))
-    return ExitCode.PARTLY if silent and not allow_unreachable else ExitCode.DONE
+    """4 if a host that should answer did not, a task runs twice, or one is where the inventory no longer
+    reaches it.
+    """
+    silent = any(name in inventory.hosts for name in snapshot.silent_hosts)
+    wrong = _has_misplaced_tasks(snapshot) or (silent and not allow_unreachable)
+    return ExitCode.PARTLY if wrong else ExitCode.DONE
 
 
-def list_unreachable_hosts(snapshot: Snapshot) -> list[str]:
-    """Unreachable hosts, without those that the operator declared powered off."""
-    fenced = snapshot.manager.fenced if snapshot.manager else frozenset()
-    return [name for name, host in snapshot.hosts.items() if not host.ok and name not in fenced]
+def _has_misplaced_tasks(snapshot: Snapshot) -> bool:
+    """Whether a task runs twice, or where the inventory no longer reaches it."""
+    return bool(find_doubled_tasks(snapshot) or list_lost_tasks(snapshot))
 
 
 def of_profilers(profilers: Iterable[Profiler]) -> ExitCode:
@@ -38,38 +45,71 @@ def of_profilers(profilers: Iterable[Profiler]) -> ExitCode:
 
 def of_plan(plan: Plan, *, detailed: bool, allow_unreachable: bool) -> ExitCode:
     """4 beats 3 beats 2; 2 and 3 only with --detailed-exitcode."""
-    if not allow_unreachable and list_unreachable_hosts(plan.snapshot):
+    if list_lost_tasks(plan.snapshot):
+        return ExitCode.PARTLY
+    if not allow_unreachable and plan.snapshot.silent_hosts:
         return ExitCode.PARTLY
     if detailed and Action.UNPLACED in plan.summary:
         return ExitCode.UNPLACED
     return ExitCode.CHANGES if detailed and plan.changes else ExitCode.DONE
 
 
-def of_applied(applied: "ApplyResult", *, detailed: bool = False, allow_unreachable: bool = True) -> ExitCode:
-    """1 if declined, 130 if interrupted, 4 if an action failed or was deferred; unreachable hosts and
-    unplaced tasks as in a plan.
+def of_applied(
+    applied: "ApplyResult", *, detailed: bool = False, allow_unreachable: bool = False
+) -> ExitCode:
+    """1 if declined, 130 if interrupted, 4 if an action failed or was deferred or a task runs twice;
+    unreachable hosts and unplaced tasks as in a plan.
     """
     results = applied.results
     if applied.declined:
         return ExitCode.FAILED
+    if applied.doubled and (results is None or not results.interrupted):
+        return ExitCode.PARTLY
     if results is not None and not results.done:
         return ExitCode.INTERRUPTED if results.interrupted else ExitCode.PARTLY
     code = of_plan(applied.plan, detailed=detailed, allow_unreachable=allow_unreachable)
     return ExitCode.DONE if code is ExitCode.CHANGES else code
 
 
+def of_stopped(applied: "ApplyResult", names: Collection[str] | None) -> ExitCode:
+    """As ``of_applied``, where silent hosts count only if the answer depends on them: all tasks (``names`` is
+    None) were to be stopped, or one that no host reports.
+    """
+    planned = {step.task for step in applied.plan.steps}
+    depends = names is None or not planned.issuperset(names)
+    return of_applied(applied, allow_unreachable=not depends)
+
+
+def worsen_if_given_up(code: ExitCode, plan: Plan) -> ExitCode:
+    """4 instead of 0, 2 or 3 while a wanted task is given up."""
+    lasting = any(step.decision.reason is Reason.GIVEN_UP for step in plan.steps)
+    return ExitCode.PARTLY if lasting and code in _MILDER_CODES else code
+
+
+def of_status(
+    snapshot: Snapshot, inventory: Inventory, tasks: Tasks, *, allow_unreachable: bool = False
+) -> ExitCode:
+    """4 if a host that should answer did not, or a wanted task has failed."""
+    from edgectl.views.state import find_failed_tasks
+
+    if find_failed_tasks(tasks, snapshot):
+        return ExitCode.PARTLY
+    return of_snapshot(snapshot, inventory, allow_unreachable=allow_unreachable)
+
+
 def of_cycle(cycle: Cycle) -> ExitCode:
-    """1 if the cycle failed, 75 if the lock was busy, 4 if an action failed or a host did not answer."""
+    """1 if the cycle failed, 75 if the lock was busy, 4 if an action failed, a host did not answer, a task
+    runs twice, or a wanted task is given up.
+    """
     if cycle.error:
         return ExitCode.FAILED
     if cycle.busy:
         return ExitCode.TRY_AGAIN
     failed = cycle.results is not None and not cycle.results.done
-    return (
-        ExitCode.PARTLY
-        if failed or (cycle.snapshot is not None and list_unreachable_hosts(cycle.snapshot))
-        else ExitCode.DONE
-    )
+    seen = cycle.snapshot
+    wrong = failed or (seen is not None and bool(seen.silent_hosts or _has_misplaced_tasks(seen)))
+    code = ExitCode.PARTLY if wrong else ExitCode.DONE
+    return code if cycle.plan is None else worsen_if_given_up(code, cycle.plan)
 
 
 def of_diagnosis(diagnosis: Diagnosis) -> ExitCode:

@@ -1,6 +1,8 @@
 """explain command."""
 
-from edgectl.cli import console, options
+from typer import Exit
+
+from edgectl.cli import console, exit_codes, options
 from edgectl.cli.user_files import load_inputs
 from edgectl.names import check_known_names
 from edgectl.views.output_format import OutputFormat
@@ -16,6 +18,7 @@ def explain_command(
     weights: options.WeightsOption = None,
     policy: options.PolicyOption = None,
     without: options.WithoutOption = None,
+    allow_unreachable: options.AllowUnreachableOption = False,
     accept_new: options.AcceptNewOption = False,
 ) -> None:
     """Explain a placement: the contribution of each term, and the smallest changes that would change the
@@ -30,11 +33,12 @@ def explain_command(
         edgectl explain slam-robot1 --weights network -o json
     """
     from edgectl.cli.connect import build_fleet, build_offline_fleet
-    from edgectl.cli.policy_options import policy_from_options
+    from edgectl.cli.policy_options import is_what_if, policy_from_options
     from edgectl.config.documents import load_snapshot
     from edgectl.usecases.explain import compute_noise_by_host, explain_placement
     from edgectl.usecases.plan import make_plan
     from edgectl.views.explanation import ExplanationView
+    from edgectl.views.plan_sections import list_unreachable_notes
 
     loaded = load_inputs(inventory, tasks)
     check_known_names([task], loaded.tasks.tasks, "task")
@@ -42,7 +46,13 @@ def explain_command(
     how = policy_from_options(
         fleet, weights=weights, policy=policy, without=without, best_effort=False, full=False
     )
-    made = make_plan(fleet, how, snapshot=load_snapshot(snapshot) if snapshot else None)
+    made = make_plan(
+        fleet,
+        how,
+        snapshot=load_snapshot(snapshot) if snapshot else None,
+        recorded=not is_what_if(fleet, how),
+    )
     found = explain_placement(fleet, made, task, None if snapshot else compute_noise_by_host(fleet))
     step = next(step for step in made.steps if step.task == task)
-    console.print_view(ExplanationView(step, found), output)
+    console.print_view(ExplanationView(step, found, list_unreachable_notes(made.snapshot)), output)
+    raise Exit(exit_codes.of_plan(made, detailed=False, allow_unreachable=allow_unreachable))

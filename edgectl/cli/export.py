@@ -10,7 +10,7 @@ from typer import Argument, Exit, Option
 
 from edgectl.cli import console, exit_codes, options
 from edgectl.cli.extras import require_extra
-from edgectl.cli.user_files import load_inputs, resolve_inventory_path, save_file
+from edgectl.cli.user_files import PUBLIC_FILE_MODE, load_inputs, resolve_inventory_path, save_file
 from edgectl.errors import UsageError
 from edgectl.export.history_rows import HistoryPoint, RowKind, format_csv_lines, format_json_lines
 
@@ -22,10 +22,8 @@ _SinceOption = Annotated[
     str | None, Option("--since", metavar="TIME", help="Only rows newer than this; default: all.")
 ]
 _OutOption = Annotated[
-    Path | None, Option("--out", metavar="FILE", help="Replace this file; default: stdout.")
+    Path | None, Option("--out", metavar="FILE", help="Replace this file (mode 0600); default: stdout.")
 ]
-# node_exporter reads it as another user.
-_WORLD_READABLE_MODE = 0o644
 
 
 def export_prometheus_command(
@@ -33,7 +31,8 @@ def export_prometheus_command(
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
     textfile: Annotated[
-        Path | None, Option("--textfile", metavar="FILE", help="Replace this file, for node_exporter.")
+        Path | None,
+        Option("--textfile", metavar="FILE", help="Replace this file, for node_exporter: mode 0644."),
     ] = None,
     listen: Annotated[
         str | None, Option("--listen", metavar="[HOST:]PORT", help="Serve /metrics; default HOST: 127.0.0.1.")
@@ -46,7 +45,7 @@ def export_prometheus_command(
 ) -> None:
     """Probe and print Prometheus metrics: hosts, links, tasks, decisions, handoffs. Nothing is changed.
 
-    Needs the extra edgectl[metrics].
+    Needs the extra metrics.
 
     Examples:
         edgectl export prometheus
@@ -77,7 +76,7 @@ def export_prometheus_command(
     if textfile is None:
         console.print_text(prometheus.render_metrics_page(seen))
     else:
-        save_file(textfile, prometheus.render_metrics_page(seen), mode=_WORLD_READABLE_MODE)
+        save_file(textfile, prometheus.render_metrics_page(seen), mode=PUBLIC_FILE_MODE)
     raise Exit(exit_codes.of_snapshot(seen.snapshot, fleet.inventory, allow_unreachable=allow_unreachable))
 
 
@@ -128,13 +127,11 @@ def _run_export(
 ) -> None:
     from edgectl.cli.connect import parse_duration_option, print_warning
     from edgectl.config.load import load_inventory
-    from edgectl.state.paths import ensure_fleet_dir
+    from edgectl.state.fleet_dir import ensure_fleet_dir
     from edgectl.usecases.export import export_history
 
     begin = time.time() - parse_duration_option(since, "--since") if since is not None else None
     path = resolve_inventory_path(inventory)
-    load_inventory(path)
+    state = ensure_fleet_dir(load_inventory(path).fleet, path)
     put = console.print_lines if out is None else partial(save_file, out)
-    export_history(
-        ensure_fleet_dir(path), kind, lambda found: put(lines(kind, found)), since=begin, warn=print_warning
-    )
+    export_history(state, kind, lambda found: put(lines(kind, found)), since=begin, warn=print_warning)

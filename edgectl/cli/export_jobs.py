@@ -10,8 +10,10 @@ from typer import Option
 
 from edgectl.cli import console, options
 from edgectl.cli.user_files import (
+    PUBLIC_FILE_MODE,
     load_inputs,
     make_directory,
+    refuse_exposed_files,
     resolve_inventory_path,
     resolve_task_paths,
     save_file,
@@ -82,7 +84,7 @@ def _write_output(text: str, out: Path | None) -> None:
     if out is None:
         console.print_text(text)
     else:
-        save_file(out, text)
+        save_file(out, text, mode=PUBLIC_FILE_MODE)
         console.print_message(f"wrote {out}")
 
 
@@ -93,6 +95,7 @@ def _build_job(inventory: Path | None, tasks: Sequence[Path] | None, every: str 
     from edgectl.state.lock import get_user_name
 
     loaded = load_inputs(inventory, tasks)
+    refuse_exposed_files(loaded.exposed)
     return ScheduledJob(
         name=loaded.path.stem,
         program=_find_own_command(),

@@ -76,7 +76,7 @@ def get_command(
     from edgectl.views.output_format import NAMED_STREAM_FORMATS, check_output_format
 
     wanted, period = ListingKind(_resolve_kind(kind)), parse_every_option(every)
-    fleet = build_fleet(load_inputs(inventory, tasks))
+    fleet = build_fleet(load_inputs(inventory, tasks, needs_tasks=wanted is ListingKind.TASKS))
     _check_names_and_selector(wanted, names or (), selector, fleet)
     if watch:
         check_output_format(output, NAMED_STREAM_FORMATS)

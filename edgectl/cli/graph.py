@@ -1,6 +1,8 @@
 """graph command."""
 
-from edgectl.cli import console, options
+from typer import Exit
+
+from edgectl.cli import console, exit_codes, options
 from edgectl.cli.user_files import load_inputs
 from edgectl.views.output_format import OutputFormat
 
@@ -14,6 +16,7 @@ def graph_command(
     weights: options.WeightsOption = None,
     policy: options.PolicyOption = None,
     without: options.WithoutOption = None,
+    allow_unreachable: options.AllowUnreachableOption = False,
     accept_new: options.AcceptNewOption = False,
 ) -> None:
     """Export the task graph with the hosts of the plan as Mermaid or DOT.
@@ -24,16 +27,24 @@ def graph_command(
         edgectl graph --without edge2
     """
     from edgectl.cli.connect import build_fleet, build_offline_fleet
-    from edgectl.cli.policy_options import policy_from_options
+    from edgectl.cli.policy_options import is_what_if, policy_from_options
     from edgectl.config.documents import load_snapshot
     from edgectl.usecases.plan import make_plan
     from edgectl.views.graph import build_task_graph
+    from edgectl.views.plan_sections import list_unreachable_notes
 
     loaded = load_inputs(inventory, tasks)
     fleet = build_offline_fleet(loaded) if snapshot else build_fleet(loaded, accept_new=accept_new)
     how = policy_from_options(
         fleet, weights=weights, policy=policy, without=without, best_effort=False, full=False
     )
-    made = make_plan(fleet, how, snapshot=load_snapshot(snapshot) if snapshot else None)
+    made = make_plan(
+        fleet,
+        how,
+        snapshot=load_snapshot(snapshot) if snapshot else None,
+        recorded=not is_what_if(fleet, how),
+    )
     drawn = build_task_graph(made, loaded.tasks)
     console.print_text(drawn.mermaid() if output is OutputFormat.MERMAID else drawn.dot())
+    console.print_notes(list_unreachable_notes(made.snapshot))
+    raise Exit(exit_codes.of_plan(made, detailed=False, allow_unreachable=allow_unreachable))

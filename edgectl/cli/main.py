@@ -8,6 +8,7 @@ import sys
 from collections.abc import Sequence
 
 _INTERRUPTED = 130  # ExitCode.INTERRUPTED
+_INSECURE_FILES = "--insecure-files"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -48,7 +49,7 @@ def _run_command(words: list[str]) -> int:
     from edgectl.cli.console import guard_standard_streams
 
     code: object = 0
-    args = expand_top_shorthand(words)
+    args = expand_shorthand(move_global_options(words))
     with guard_standard_streams():
         try:
             code = get_command(build_app(args)).main(args=args, prog_name="edgectl", standalone_mode=False)
@@ -58,7 +59,30 @@ def _run_command(words: list[str]) -> int:
     return code if isinstance(code, int) else 0
 
 
-def expand_top_shorthand(words: Sequence[str]) -> list[str]:
-    """Expand ``top -i`` to ``top hosts -I``; after ``hosts``, ``-i`` names the inventory as everywhere."""
-    live = list(words[:2]) in (["top", "-i"], ["top", "-I"], ["top", "--interactive"])
-    return ["top", "hosts", "-I", *words[2:]] if live else list(words)
+def move_global_options(words: Sequence[str]) -> list[str]:
+    """``--insecure-files``, which may stand anywhere, before the command."""
+    others = [word for word in words if word != _INSECURE_FILES]
+    return [_INSECURE_FILES, *others] if others and len(others) < len(words) else others
+
+
+def expand_shorthand(words: Sequence[str]) -> list[str]:
+    """Expand the calls that have no command of their own.
+
+    None is the help, as is ``help [COMMAND]``; ``top`` is ``top hosts``, and ``top -i`` is ``top hosts -I``
+    (after ``hosts``, ``-i`` names the inventory as everywhere).
+    """
+    match list(words):
+        case []:
+            return ["--help"]
+        case [option, *rest] if option == _INSECURE_FILES:
+            return [option, *expand_shorthand(rest)]
+        case ["help", *rest]:
+            return [*rest, "--help"]
+        case ["top", "-i" | "-I" | "--interactive", *rest]:
+            return ["top", "hosts", "-I", *rest]
+        case ["top"]:
+            return ["top", "hosts"]
+        case ["top", option, *rest] if option.startswith("-") and option not in ("-h", "--help"):
+            return ["top", "hosts", option, *rest]
+        case others:
+            return others

@@ -8,6 +8,7 @@ from typer import Exit, Option
 from edgectl.cli import apply_session, console, options
 from edgectl.cli.user_files import load_inputs
 from edgectl.errors import ExitCode
+from edgectl.model.inventory import Inventory
 from edgectl.names import check_known_names
 
 
@@ -25,7 +26,7 @@ def trust_command(
     """
     from edgectl.transport.trust import fetch_host_keys, get_public_key_path, trust_host_key
 
-    loaded = load_inputs(inventory, tasks)
+    loaded = load_inputs(inventory, tasks, needs_tasks=False)
     check_known_names([host], loaded.inventory.hosts, "host")
     keys = fetch_host_keys(loaded.inventory.hosts[host])
     if not keys:
@@ -63,8 +64,11 @@ def cordon_command(
     from edgectl.cli.connect import build_fleet
     from edgectl.usecases import operator_marks
 
-    manager = operator_marks.cordon_hosts(build_fleet(load_inputs(inventory, tasks)), hosts, drain=drain)
-    _print_marked_names("cordoned", manager.cordons)
+    loaded = load_inputs(inventory, tasks)
+    operator_marks.cordon_hosts(build_fleet(loaded), hosts, drain=drain)
+    _report_hosts(
+        hosts, loaded.inventory, "cordoned" + ("; its tasks leave at the next apply" if drain else "")
+    )
 
 
 def uncordon_command(
@@ -78,8 +82,9 @@ def uncordon_command(
     from edgectl.cli.connect import build_fleet
     from edgectl.usecases import operator_marks
 
-    manager = operator_marks.uncordon_hosts(build_fleet(load_inputs(inventory, tasks)), hosts)
-    _print_marked_names("cordoned", manager.cordons)
+    loaded = load_inputs(inventory, tasks)
+    operator_marks.uncordon_hosts(build_fleet(loaded), hosts)
+    _report_hosts(hosts, loaded.inventory, "uncordoned")
 
 
 def fence_command(
@@ -101,14 +106,15 @@ def fence_command(
     from edgectl.cli.connect import build_fleet
     from edgectl.usecases import operator_marks
 
-    loaded = load_inputs(inventory, tasks)
-    check_known_names([host], loaded.inventory.hosts, "host")
+    fleet = build_fleet(load_inputs(inventory, tasks))
+    check_known_names([host], operator_marks.list_fenceable_hosts(fleet), "host")
     apply_session.check_can_confirm(asked=not yes)
     if not yes and not apply_session.ask_confirmation(
         f"If {host} is still on, its tasks will run twice. Type its name if it is powered off: ", host
     ):
         raise Exit(ExitCode.FAILED)
-    _print_marked_names("fenced", operator_marks.fence_hosts(build_fleet(loaded), [host]))
+    operator_marks.fence_hosts(fleet, [host])
+    _report_hosts([host], fleet.inventory, "fenced")
 
 
 def unfence_command(
@@ -122,9 +128,9 @@ def unfence_command(
     from edgectl.cli.connect import build_fleet
     from edgectl.usecases import operator_marks
 
-    _print_marked_names(
-        "fenced", operator_marks.unfence_hosts(build_fleet(load_inputs(inventory, tasks)), hosts)
-    )
+    loaded = load_inputs(inventory, tasks)
+    operator_marks.unfence_hosts(build_fleet(loaded), hosts)
+    _report_hosts(hosts, loaded.inventory, "unfenced")
 
 
 def done_command(
@@ -138,14 +144,15 @@ def done_command(
     from edgectl.cli.connect import build_fleet
     from edgectl.usecases import operator_marks
 
-    manager = operator_marks.mark_tasks_done(build_fleet(load_inputs(inventory, tasks)), names)
-    _print_marked_names("done", manager.done)
+    operator_marks.mark_tasks_done(build_fleet(load_inputs(inventory, tasks)), names)
+    _report_tasks(names, "marked as done")
 
 
 def reopen_command(
     names: options.TasksArgument, inventory: options.InventoryOption = None, tasks: options.TasksOption = None
 ) -> None:
-    """Make completed or failed tasks schedulable again.
+    """Make completed or failed tasks schedulable again. Exit 4 if a host did not answer: one that ended there
+    is not forgotten.
 
     Examples:
         edgectl reopen navigation-robot1
@@ -153,9 +160,17 @@ def reopen_command(
     from edgectl.cli.connect import build_fleet
     from edgectl.usecases import operator_marks
 
-    manager = operator_marks.reopen_tasks(build_fleet(load_inputs(inventory, tasks)), names)
-    _print_marked_names("done", manager.done)
+    silent = operator_marks.reopen_tasks(build_fleet(load_inputs(inventory, tasks)), names)
+    _report_tasks(names, "reopened")
+    raise Exit(ExitCode.PARTLY if silent else ExitCode.DONE)
 
 
-def _print_marked_names(what: str, names: Iterable[str]) -> None:
-    console.print_text(f"{what}: {', '.join(sorted(names)) or 'none'}\n")
+def _report_hosts(names: Iterable[str], inventory: Inventory, act: str) -> None:
+    for name in dict.fromkeys(names):
+        role = inventory.hosts[name].role if name in inventory.hosts else "host"
+        console.print_text(f"{role}/{name} {act}\n")
+
+
+def _report_tasks(names: Iterable[str], act: str) -> None:
+    for name in dict.fromkeys(names):
+        console.print_text(f"task/{name} {act}\n")

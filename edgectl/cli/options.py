@@ -81,12 +81,13 @@ SnapshotOption = Annotated[
 ]
 WeightsOption = Annotated[
     str | None,
-    Option("--weights", "-w", metavar="WEIGHTS", help="cpu, memory, network, task, all, or cpu=.5,task=1."),
+    Option("--weights", "-W", metavar="WEIGHTS", help="cpu, memory, network, task, all, or cpu=.5,task=1."),
 ]
 PolicyOption = Annotated[
     PolicyName | None, Option("--policy", metavar="NAME", help="utility, paper, static or local.")
 ]
 BestEffortOption = Annotated[bool, Option("--best-effort", help="Place a task even where it does not fit.")]
+PruneOption = Annotated[bool, Option("--prune", help="Also stop the tasks of other task files.")]
 FullOption = Annotated[bool, Option("--full", help="Rank every host, however many there are.")]
 WithoutOption = Annotated[
     list[str] | None,
@@ -122,7 +123,13 @@ SavePlanOption = Annotated[
 YesOption = Annotated[bool, Option("--yes", "-y", help="Do not ask.")]
 QuietOption = Annotated[bool, Option("--quiet", "-q", help="Print nothing if there is nothing to do.")]
 LockTimeoutOption = Annotated[
-    str, Option("--lock-timeout", metavar="TIME", help="How long to wait for another edgectl.")
+    str | None,
+    Option(
+        "--lock-timeout",
+        metavar="TIME",
+        help="How long to wait for another edgectl.",
+        show_default="one cycle of a watch, else 0s",
+    ),
 ]
 MaxParallelOption = Annotated[
     int, Option("--max-parallel", metavar="N", min=1, help="At most N actions at once.")
@@ -133,7 +140,7 @@ WatchOption = Annotated[bool, Option("--watch", "-w", help="Keep watching until 
 EveryOption = Annotated[str, Option("--every", metavar="TIME", help="With -w: time between probes.")]
 ReadonlyOption = Annotated[bool, Option("--readonly", help="With -I: keys change nothing.")]
 InteractiveOption = Annotated[
-    bool, Option("--interactive", "-I", help="Full-screen view with keys (needs edgectl[tui]).")
+    bool, Option("--interactive", "-I", help="Full-screen view with keys (needs the extra tui).")
 ]
 TimeoutOption = Annotated[str, Option("--timeout", metavar="TIME", help="Deadline of each host.")]
 AcceptNewOption = Annotated[
@@ -152,11 +159,31 @@ HostArgument = Annotated[
         metavar="HOST", autocompletion=complete_hosts, help="Name in the inventory.", show_default=False
     ),
 ]
+
+
+def strip_task_kind(word: str) -> str:
+    """The name of a task that may be given as ``-o name`` prints it, ``task/NAME``."""
+    return word.removeprefix("task/")
+
+
 TaskArgument = Annotated[
-    str, Argument(metavar="TASK", autocompletion=complete_tasks, help="Name of the task.", show_default=False)
+    str,
+    Argument(
+        metavar="TASK",
+        autocompletion=complete_tasks,
+        parser=strip_task_kind,
+        help="Name of the task.",
+        show_default=False,
+    ),
 ]
 TasksArgument = Annotated[
     list[str],
-    Argument(metavar="TASK...", autocompletion=complete_tasks, help="Names of tasks.", show_default=False),
+    Argument(
+        metavar="TASK...",
+        autocompletion=complete_tasks,
+        parser=strip_task_kind,
+        help="Names of tasks.",
+        show_default=False,
+    ),
 ]
 Shell = Literal["bash", "zsh", "fish"]

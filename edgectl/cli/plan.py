@@ -17,6 +17,7 @@ def plan_command(
     weights: options.WeightsOption = None,
     policy: options.PolicyOption = None,
     best_effort: options.BestEffortOption = False,
+    prune: options.PruneOption = False,
     full: options.FullOption = False,
     without: options.WithoutOption = None,
     target: options.TargetOption = None,
@@ -34,7 +35,7 @@ def plan_command(
         edgectl plan --without edge2 --detailed-exitcode
     """
     from edgectl.cli.connect import build_fleet, build_offline_fleet
-    from edgectl.cli.policy_options import build_plan_filter, policy_from_options
+    from edgectl.cli.policy_options import build_plan_filter, is_what_if, policy_from_options
     from edgectl.config.documents import load_snapshot
     from edgectl.usecases.plan import make_plan
     from edgectl.views.output import render_view
@@ -44,9 +45,22 @@ def plan_command(
     choose = build_plan_filter(loaded.tasks, target, selector)
     fleet = build_offline_fleet(loaded) if snapshot else build_fleet(loaded, accept_new=accept_new)
     how = policy_from_options(
-        fleet, weights=weights, policy=policy, without=without, best_effort=best_effort, full=full
+        fleet,
+        weights=weights,
+        policy=policy,
+        without=without,
+        best_effort=best_effort,
+        full=full,
+        prune=prune,
     )
-    result = choose(make_plan(fleet, how, snapshot=load_snapshot(snapshot) if snapshot else None))
+    result = choose(
+        make_plan(
+            fleet,
+            how,
+            snapshot=load_snapshot(snapshot) if snapshot else None,
+            recorded=not is_what_if(fleet, how),
+        )
+    )
     view = PlanView(result)
     if out is not None:
         save_file(out, render_view(view, OutputFormat.JSON))

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from edgectl.cli import console
 from edgectl.cli.selector import matches_selector
+from edgectl.cli.user_files import refuse_exposed_files, select_exposed
 from edgectl.config.weights import parse_weights
 from edgectl.errors import UsageError
 from edgectl.model.plan import Plan
@@ -27,6 +28,7 @@ def policy_from_options(
     without: Sequence[str] | None,
     best_effort: bool,
     full: bool,
+    prune: bool = False,
     attended: bool = True,
 ) -> Policy:
     """The policy of the task files with the overrides of the command line.
@@ -43,8 +45,17 @@ def policy_from_options(
         without=frozenset(without or ()),
         best_effort=best_effort,
         full=full,
+        prune=prune,
         attended=attended,
     )
+
+
+def is_what_if(fleet: Fleet, policy: Policy) -> bool:
+    """Whether a plan under ``policy`` answers a question (``--without``, ``--weights``, ..) and does not show
+    what an apply of the files would do. Such a plan is no part of the history.
+    """
+    stated = fleet.tasks.policy
+    return policy != dataclasses.replace(stated, attended=policy.attended, full=policy.full)
 
 
 def _parse_weights_option(text: str) -> Weights:
@@ -59,9 +70,10 @@ def load_saved_plan(path: Path | None, *decisions: object) -> Plan | None:
 
     Raises:
         UsageError: an option of ``decisions`` is given as well.
-        InputError: everything that is wrong with the file.
+        InputError: everything that is wrong with the file, or others may write it.
     """
-    from edgectl.config.documents import load_plan
+    from edgectl.config.documents import read_plan
+    from edgectl.config.problems import Problems
 
     if path is None:
         return None
@@ -70,7 +82,10 @@ def load_saved_plan(path: Path | None, *decisions: object) -> Plan | None:
             f"{path} is a saved plan: options that change decisions do not apply to it",
             hint="pass them to: edgectl plan --out PLAN",
         )
-    return load_plan(path)
+    problems = Problems()
+    plan = read_plan(path, problems)
+    refuse_exposed_files(select_exposed(problems.warnings))
+    return plan
 
 
 def build_plan_filter(

@@ -40,7 +40,7 @@ def probe_command(
     from edgectl.views.progress import show_probe_progress
     from edgectl.views.snapshot import SnapshotView
 
-    fleet = build_fleet(load_inputs(inventory, tasks), accept_new=accept_new)
+    fleet = build_fleet(load_inputs(inventory, tasks, needs_tasks=False), accept_new=accept_new)
     links = measure_links(fleet) if bandwidth else ()
     with show_probe_progress(len(fleet.inventory.hosts)) as heard:
         how = ProbeOptions(

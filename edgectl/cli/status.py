@@ -16,7 +16,7 @@ def status_command(
     output: options.NamedOutput = OutputFormat.TABLE,
     allow_unreachable: options.AllowUnreachableOption = False,
 ) -> None:
-    """Show where tasks run, their age, and their usage against demand.
+    """Show where tasks run, their age, and their usage against demand. Exit 4 while a wanted task has failed.
 
     Examples:
         edgectl status
@@ -30,7 +30,9 @@ def status_command(
     fleet = build_fleet(load_inputs(inventory, tasks))
     snapshot = probe_fleet(fleet)
     console.print_view(StatusView(snapshot, fleet.inventory, fleet.tasks), output)
-    raise Exit(exit_codes.of_snapshot(snapshot, fleet.inventory, allow_unreachable=allow_unreachable))
+    raise Exit(
+        exit_codes.of_status(snapshot, fleet.inventory, fleet.tasks, allow_unreachable=allow_unreachable)
+    )
 
 
 def logs_command(

@@ -1,21 +1,31 @@
 """stop and restart commands."""
 
-from typing import Annotated
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument, Exit, Option
 
-from edgectl.cli import exit_codes, options
+from edgectl.cli import console, exit_codes, options
 from edgectl.cli.completion import complete_tasks as task_names
 from edgectl.cli.user_files import load_inputs
 from edgectl.errors import UsageError
 from edgectl.views.output_format import OutputFormat
+
+if TYPE_CHECKING:
+    from edgectl.usecases.plan_execution import ApplyResult
 
 
 def stop_command(
     *,
     names: Annotated[
         list[str] | None,
-        Argument(metavar="[TASK...]", autocompletion=task_names, help="Names of tasks.", show_default=False),
+        Argument(
+            metavar="[TASK...]",
+            autocompletion=task_names,
+            parser=options.strip_task_kind,
+            help="Names of tasks.",
+            show_default=False,
+        ),
     ] = None,
     every: Annotated[bool, Option("--all", help="Every running task on every host.")] = False,
     inventory: options.InventoryOption = None,
@@ -24,7 +34,7 @@ def stop_command(
     yes: options.YesOption = False,
     max_parallel: options.MaxParallelOption = 16,
     fail_fast: options.FailFastOption = False,
-    lock_timeout: options.LockTimeoutOption = "0s",
+    lock_timeout: options.LockTimeoutOption = None,
 ) -> None:
     """Stop tasks and verify that they are gone. The next apply starts them again, unless they are marked
     done.
@@ -34,7 +44,7 @@ def stop_command(
         edgectl stop --all --yes
     """
     from edgectl.cli import apply_session
-    from edgectl.cli.connect import build_fleet, parse_duration_option
+    from edgectl.cli.connect import build_fleet, parse_lock_timeout
     from edgectl.usecases.stop import stop_tasks
 
     if bool(names) == every:
@@ -43,13 +53,23 @@ def stop_command(
     fleet = build_fleet(load_inputs(inventory, tasks))
     with apply_session.open_apply_session(quiet=False, output=output, asked=not yes) as act:
         chosen = act.options(
-            lock_timeout=parse_duration_option(lock_timeout, "--lock-timeout"),
+            lock_timeout=parse_lock_timeout(lock_timeout),
             max_parallel=max_parallel,
             fail_fast=fail_fast,
         )
         applied = stop_tasks(fleet, names or None, act.confirm, chosen)
     act.report(applied)
-    raise Exit(exit_codes.of_applied(applied))
+    _report_tasks_not_running(names or (), applied)
+    raise Exit(exit_codes.of_stopped(applied, names or None))
+
+
+def _report_tasks_not_running(names: Sequence[str], applied: "ApplyResult") -> None:
+    """Name the tasks that were not stopped because no host reports them, and the hosts that might."""
+    planned, silent = {step.task for step in applied.plan.steps}, applied.plan.snapshot.silent_hosts
+    for name in dict.fromkeys(names):
+        if name not in planned:
+            unseen = f" that answers; no answer from {', '.join(silent)}" if silent else ""
+            console.print_message(f"{name} runs on no host{unseen}")
 
 
 def restart_command(
@@ -59,7 +79,7 @@ def restart_command(
     tasks: options.TasksOption = None,
     output: options.NamedOutput = OutputFormat.TABLE,
     yes: options.YesOption = False,
-    lock_timeout: options.LockTimeoutOption = "0s",
+    lock_timeout: options.LockTimeoutOption = None,
 ) -> None:
     """Stop a task and start it again on the same host; or start one that failed for good.
 
@@ -68,7 +88,7 @@ def restart_command(
         edgectl restart slam-robot1 --yes -o json
     """
     from edgectl.cli import apply_session
-    from edgectl.cli.connect import build_fleet, parse_duration_option
+    from edgectl.cli.connect import build_fleet, parse_lock_timeout
     from edgectl.usecases.stop import restart_task
 
     apply_session.check_can_confirm(asked=not yes)
@@ -78,7 +98,7 @@ def restart_command(
             fleet,
             task,
             act.confirm,
-            act.options(lock_timeout=parse_duration_option(lock_timeout, "--lock-timeout")),
+            act.options(lock_timeout=parse_lock_timeout(lock_timeout)),
         )
     act.report(applied)
-    raise Exit(exit_codes.of_applied(applied))
+    raise Exit(exit_codes.of_applied(applied, allow_unreachable=True))

@@ -43,7 +43,7 @@ def top_hosts_command(
         edgectl top hosts -w --every 5s
         edgectl top hosts -w -o json
     """
-    loaded, period = load_inputs(inventory, tasks), parse_every_option(every)
+    loaded, period = load_inputs(inventory, tasks, needs_tasks=False), parse_every_option(every)
     if interactive:
         return _run_live_view(loaded, period, readonly=readonly, first="hosts")
     raise Exit(
@@ -129,11 +129,13 @@ def _watch_top(fleet: "Fleet", what: str, output: OutputFormat, every: float) ->
 def _redraw_screen(views: "Iterator[View]", output: OutputFormat) -> None:
     from edgectl.cli.terminal import listen_for_keys, open_screen
     from edgectl.views.output import render_view
+    from edgectl.views.plan_sections import render_notes
     from edgectl.views.text import detect_render_options
 
     with listen_for_keys(_quit_on_q), open_screen() as show:
         for view in views:
-            show(render_view(view, output, detect_render_options(sys.stdout)))
+            look = detect_render_options(sys.stdout)
+            show(render_view(view, output, look) + render_notes(view.notes(), look))
 
 
 def _quit_on_q(key: str) -> None:
@@ -142,7 +144,7 @@ def _quit_on_q(key: str) -> None:
 
 
 def _run_live_view(loaded: LoadedInputs, every: float, *, readonly: bool, first: str) -> None:
-    """The full-screen view of edgectl[tui].
+    """The full-screen view of the extra tui.
 
     Raises:
         UsageError: stdout is not a terminal, or the extra is not installed.

@@ -1,31 +1,52 @@
 """Choice, reading and writing of the user's files."""
 
+import errno
+import os
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from stat import S_IMODE
+from stat import S_IMODE, S_ISLNK, S_ISREG
+from tempfile import mkstemp
+from typing import BinaryIO
 
-from edgectl.errors import FileError, UsageError
+from edgectl.errors import FileError, InputError, Problem, UsageError
 from edgectl.model.inventory import Inventory
 from edgectl.model.task import Tasks
 
 _YAML_SUFFIXES = (".yaml", ".yml")
+PRIVATE_FILE_MODE = 0o600
+# Of files that another account has to read: node_exporter, systemd.
+PUBLIC_FILE_MODE = 0o644
+INSECURE_FILES_VARIABLE = "EDGECTL_INSECURE_FILES"
+_MAX_LINKS = 40
+_INVENTORIES_DIRECTORY, _TASKS_DIRECTORY = "inventories", "tasks"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LoadedInputs:
-    """Inventory and tasks as read, and the path of the inventory, which identifies the fleet's state."""
+    """Inventory and tasks as read, and the path of the inventory.
+
+    ``exposed``: warnings about the files that others may write.
+    """
 
     inventory: Inventory
     tasks: Tasks
     path: Path
+    exposed: tuple[Problem, ...] = ()
 
 
 def load_inputs(
-    inventory: Path | None, tasks: Sequence[Path] | None, *, every_warning: bool = False, quiet: bool = False
+    inventory: Path | None,
+    tasks: Sequence[Path] | None,
+    *,
+    every_warning: bool = False,
+    quiet: bool = False,
+    needs_tasks: bool = True,
 ) -> LoadedInputs:
-    """Load both files, given or found; warnings go to stderr unless ``quiet`` or repeated with more detail by
-    a plan.
+    """Load both files, given or found; warnings go to stderr unless ``quiet`` or said with more detail by a
+    plan or by ``validate`` and ``doctor``.
+
+    Not ``needs_tasks``: there are no tasks if no task file is given and tasks/ does not hold exactly one.
 
     Raises:
         UsageError: none is given and none can be chosen.
@@ -35,25 +56,48 @@ def load_inputs(
     from edgectl.config.load import load_inventory_and_tasks as read
     from edgectl.config.problems import ProblemCode
 
-    path, paths = resolve_inventory_path(inventory), resolve_task_paths(tasks)
+    path = resolve_inventory_path(inventory)
+    found = _list_yaml_files(Path(_TASKS_DIRECTORY))
+    paths = choose_task_paths(tasks) if needs_tasks or tasks or len(found) == 1 else []
     fleet, work, warnings = read(path, paths)
-    print_input_warnings(
-        warning
-        for warning in warnings
-        if not quiet and (every_warning or warning.code != ProblemCode.NO_DEMAND)
+    elsewhere = (
+        () if every_warning else (ProblemCode.NO_DEMAND, ProblemCode.UNNAMED_FLEET, ProblemCode.EXPOSED)
     )
-    return LoadedInputs(inventory=fleet, tasks=work, path=path)
+    print_input_warnings(warning for warning in warnings if not quiet and warning.code not in elsewhere)
+    return LoadedInputs(inventory=fleet, tasks=work, path=path, exposed=select_exposed(warnings))
+
+
+def select_exposed(warnings: Iterable[Problem]) -> tuple[Problem, ...]:
+    """The warnings about files that others may write."""
+    from edgectl.config.problems import ProblemCode
+
+    return tuple(warning for warning in warnings if warning.code == ProblemCode.EXPOSED)
+
+
+def refuse_exposed_files(exposed: Sequence[Problem]) -> None:
+    """Refuse to act on files that others may write, unless ``--insecure-files`` is given.
+
+    Raises:
+        InputError: there are such files.
+    """
+    if exposed and os.environ.get(INSECURE_FILES_VARIABLE, "0") in ("", "0"):
+        raise InputError([replace(warning, warning=False) for warning in exposed])
 
 
 def resolve_inventory_path(given: Path | None) -> Path:
     """The given inventory, or the only one in inventories/."""
-    return given if given is not None else _get_only_file("inventory", "inventories", "-i")
+    return given if given is not None else _get_only_file("inventory", _INVENTORIES_DIRECTORY, "-i")
+
+
+def choose_task_paths(given: Sequence[Path] | None) -> list[Path]:
+    """The given task files and directories, each of which holds one; or the only file in tasks/."""
+    return list(given) if given and resolve_task_paths(given) else resolve_task_paths(None)
 
 
 def resolve_task_paths(given: Sequence[Path] | None) -> list[Path]:
     """The given task files (of a directory: all of its YAML files), or the only one in tasks/."""
     if not given:
-        return [_get_only_file("task file", "tasks", "-t")]
+        return [_get_only_file("task file", _TASKS_DIRECTORY, "-t")]
     return [file for path in given for file in (_get_yaml_files(path) if path.is_dir() else [path])]
 
 
@@ -73,9 +117,11 @@ def _get_only_file(what: str, directory: str, option: str) -> Path:
     if len(files) == 1:
         return files[0]
     if not files:
+        own = directory == _TASKS_DIRECTORY and _list_yaml_files(Path(_INVENTORIES_DIRECTORY))
         raise UsageError(
             f"no {what} given, and there is none in {directory}/",
-            hint=f"pass {option} FILE, or create an example fleet: edgectl init .",
+            hint=f"pass {option} FILE, or "
+            + (f"write {directory}/{own[0].name}" if own else "create an example fleet: edgectl init ."),
         )
     names = ", ".join(file.name for file in files)
     raise UsageError(
@@ -83,21 +129,49 @@ def _get_only_file(what: str, directory: str, option: str) -> Path:
     )
 
 
-def save_file(path: Path, text: str | bytes | Iterable[str], *, mode: int | None = None) -> None:
-    """Write a user's file, whole or not at all; through a link, and directly to a pipe or a device.
+def save_file(path: Path, text: str | bytes | Iterable[str], *, mode: int = PRIVATE_FILE_MODE) -> None:
+    """Write a user's file, whole or not at all; directly to a pipe or a device.
 
-    ``text`` may come in parts. ``mode``: permissions of the file; by the umask if None.
+    ``text`` may come in parts. ``mode``: permissions of the file, whatever the umask. A link is followed only
+    if it belongs to the caller or to root: another user of the directory may have made it.
 
     Raises:
-        FileError: it cannot be written.
+        FileError: it cannot be written, or is a link of another user.
     """
     try:
-        if path.exists() and not path.is_file():
-            _write_content(path, text)
+        target = _follow_own_links(path)
+        if target.exists() and not target.is_file():
+            _write_to_device(target, text)
         else:
-            _write_atomically(path.resolve(), text, mode)
+            _write_atomically(target, text, mode)
     except OSError as error:
         raise FileError(f"cannot write {path}: {error.strerror}") from error
+
+
+def _follow_own_links(path: Path) -> Path:
+    """The file that ``path`` names; the last link itself if it is one of /proc that names no path."""
+    for _ in range(_MAX_LINKS):
+        try:
+            descriptor = os.open(path, os.O_PATH | os.O_NOFOLLOW | os.O_CLOEXEC)
+        except FileNotFoundError:
+            return path
+        try:
+            status = os.fstat(descriptor)
+            if not S_ISLNK(status.st_mode):
+                return path
+            if status.st_uid not in (0, os.geteuid()):
+                raise FileError(
+                    f"cannot write {path}: it is a link that belongs to user {status.st_uid}",
+                    hint="remove it, or name another file",
+                )
+            # of the link that was examined, even if another one has its name by now
+            following = path.parent / os.readlink("", dir_fd=descriptor)
+        finally:
+            os.close(descriptor)
+        if path.exists() and not following.exists():
+            return path
+        path = following
+    raise OSError(errno.ELOOP, os.strerror(errno.ELOOP))
 
 
 def make_directory(directory: Path) -> None:
@@ -129,23 +203,33 @@ def replace_file_text(path: Path, before: str, after: str) -> None:
     save_file(path, mark * now.startswith(mark) + after, mode=mode)
 
 
-def _write_content(path: Path, text: str | bytes | Iterable[str]) -> None:
-    if isinstance(text, bytes):
-        path.write_bytes(text)
-        return
-    with path.open("w", encoding="utf-8", newline="") as file:
-        file.writelines([text] if isinstance(text, str) else text)
+def _write_to_device(path: Path, text: str | bytes | Iterable[str]) -> None:
+    """Write to what is no regular file, even if its name was given to one meanwhile."""
+    follow = path.is_relative_to("/proc")
+    descriptor = os.open(path, os.O_WRONLY | os.O_CLOEXEC | (0 if follow else os.O_NOFOLLOW))
+    with os.fdopen(descriptor, "wb") as file:
+        if S_ISREG(os.fstat(descriptor).st_mode):
+            raise OSError(errno.EEXIST, os.strerror(errno.EEXIST))
+        _write_content(file, text)
 
 
-def _write_atomically(path: Path, text: str | bytes | Iterable[str], mode: int | None) -> None:
-    partial = path.with_name(f".{path.name}.partial")
+def _write_atomically(path: Path, text: str | bytes | Iterable[str], mode: int) -> None:
+    # a name that nobody can foresee, opened with O_EXCL and O_NOFOLLOW
+    descriptor, name = mkstemp(prefix=".edgectl-", dir=path.parent)
+    partial = Path(name)
     try:
-        if mode is not None:
-            partial.touch(mode)  # never with wider permissions than the final ones
-        _write_content(partial, text)
-        if mode is not None:
-            partial.chmod(mode)
+        with os.fdopen(descriptor, "wb") as file:
+            _write_content(file, text)
+            os.fchmod(descriptor, mode)
         partial.replace(path)
     except BaseException:
         partial.unlink(missing_ok=True)
         raise
+
+
+def _write_content(file: BinaryIO, text: str | bytes | Iterable[str]) -> None:
+    if isinstance(text, bytes):
+        file.write(text)
+        return
+    for part in [text] if isinstance(text, str) else text:
+        file.write(part.encode())

@@ -25,7 +25,7 @@ def load_snapshot(path: str | Path) -> Snapshot:
     Raises:
         InputError: everything that is wrong with it.
     """
-    return _load_document(Path(path), SNAPSHOT_KIND.decode, _SNAPSHOT_COMMAND)
+    return _load_document(Path(path), SNAPSHOT_KIND.decode, _SNAPSHOT_COMMAND, Problems())
 
 
 def load_snapshots(paths: Iterable[Path]) -> tuple[Snapshot, ...]:
@@ -44,15 +44,23 @@ def load_plan(path: str | Path) -> Plan:
     Raises:
         InputError: everything that is wrong with it.
     """
-    return _load_document(Path(path), PLAN_KIND.decode, _PLAN_COMMAND)
+    return read_plan(Path(path), Problems())
+
+
+def read_plan(path: Path, problems: Problems) -> Plan:
+    """The plan in a file; ``problems`` collects the warnings.
+
+    Raises:
+        InputError: everything that is wrong with it.
+    """
+    return _load_document(path, PLAN_KIND.decode, _PLAN_COMMAND, problems)
 
 
 class _NotJsonError(Exception):
     """The text is not the JSON that we read."""
 
 
-def _load_document(path: Path, decode: Callable[[object], Model], again: str) -> Model:
-    problems = Problems()
+def _load_document(path: Path, decode: Callable[[object], Model], again: str, problems: Problems) -> Model:
     source = read_source(path, problems, max_bytes=MAX_DOCUMENT_BYTES, maker=f"{again} {path}")
     if source is None:
         problems.check()

@@ -44,6 +44,10 @@ class ProblemCode(StrEnum):
     PLACEHOLDER = "EC035"
     NO_DEMAND = "EC101"
     NEVER_ANSWERED = "EC102"
+    UNNAMED_FLEET = "EC103"
+    EXPOSED = "EC104"
+    NO_IDENTITY_FILE = "EC105"
+    BACKGROUND = "EC106"
     JSON = "EC201"
     DOCUMENT = "EC202"
 
@@ -53,6 +57,7 @@ _ONCE_PER_PLACE = (
     ProblemCode.CONTRADICTION,
     ProblemCode.PLACEHOLDER,
     ProblemCode.NEVER_ANSWERED,
+    ProblemCode.BACKGROUND,
     ProblemCode.CYCLE,
     ProblemCode.NAME,
 )

@@ -1,7 +1,10 @@
 """Reading of files as text: present, readable, bounded, UTF-8."""
 
+import grp
+import os
+import pwd
 from pathlib import Path
-from stat import S_ISREG
+from stat import S_IMODE, S_ISREG, S_IWGRP, S_IWOTH
 
 from edgectl.config.problems import Mark, ProblemCode, Problems, Source
 from edgectl.names import suggest_name
@@ -26,6 +29,7 @@ def read_source(
             )
             return None
         with path.open("rb") as stream:
+            _warn_if_exposed(path, os.fstat(stream.fileno()), problems)
             data = stream.read(max_bytes + 1)
     except (OSError, ValueError) as error:
         problems.add(nowhere, ProblemCode.UNREADABLE, *_explain_read_error(path, error, maker))
@@ -35,6 +39,41 @@ def read_source(
         problems.add(nowhere, ProblemCode.SIZE, message, "split it, or check that it is the right file")
         return None
     return decode_source(str(path), data, problems)
+
+
+def _warn_if_exposed(path: Path, status: os.stat_result, problems: Problems) -> None:
+    exposure = describe_exposure(path, status)
+    if exposure is not None:
+        nowhere = Mark(Source(file=str(path), text="", lines=()), 0, 0)
+        problems.add(nowhere, ProblemCode.EXPOSED, *exposure, warning=True)
+
+
+def describe_exposure(path: Path, status: os.stat_result) -> tuple[str, str] | None:
+    """Who besides the caller and root may write the file, and the mend; None if nobody (ADR 50)."""
+    if status.st_uid not in _list_trusted_users():
+        message, mend = f"user {status.st_uid} owns it and may change it", f"chown it: {path}"
+    elif status.st_mode & S_IWOTH:
+        message, mend = f"every user may change it (mode {S_IMODE(status.st_mode):04o})", f"chmod go-w {path}"
+    elif status.st_mode & S_IWGRP and not _is_private_group(status.st_gid):
+        message, mend = f"group {status.st_gid} may change it", f"chmod g-w {path}"
+    else:
+        return None
+    return message, f"{mend}; or use it nevertheless: --insecure-files"
+
+
+def _list_trusted_users() -> set[int]:
+    """Root, the caller, and whoever became root by sudo."""
+    sudo = os.environ.get("SUDO_UID", "") if os.geteuid() == 0 else ""
+    return {0, os.geteuid(), *([int(sudo)] if sudo.isdecimal() else [])}
+
+
+def _is_private_group(group: int) -> bool:
+    """Whether this is the group of the caller alone, which has the caller's name."""
+    try:
+        user, entry = pwd.getpwuid(os.geteuid()), grp.getgrgid(group)
+    except KeyError:
+        return False
+    return user.pw_gid == group and entry.gr_name == user.pw_name and set(entry.gr_mem) <= {user.pw_name}
 
 
 def _explain_read_error(path: Path, error: Exception, maker: str) -> tuple[str, str]:

@@ -15,7 +15,10 @@ from edgectl.model.task import Check, CheckLocation, HandoffOrder, Need, NeedCon
 
 # One wait request lasts at most so long, so that a lost connection is not mistaken for a slow task.
 WAIT_PIECE_S = 15.0
-# How long a task without a ready check may take until it runs.
+# How long a command without a ready check must have run until it counts as ready: most that die at start do
+# so within it (a missing library, a refused connection, a bad argument).
+DEFAULT_UP_S = 3.0
+# How long a task without a ready check may take beyond that: it may be restarted meanwhile.
 DEFAULT_READY_S = 10.0
 # How long a successor waits for a job to complete before it is left to the next apply.
 COMPLETION_S = 30.0
@@ -90,6 +93,21 @@ def build_stop_phases(step: Step, inventory: Inventory, tasks: Tasks) -> Planned
     )
 
 
+def build_adopt_phases(step: Step, inventory: Inventory, tasks: Tasks) -> PlannedPhases:
+    """The takeover of an orphan by a new supervisor; nothing for other steps.
+
+    Raises:
+        HostError: the host left the inventory.
+    """
+    task = tasks.tasks.get(step.task)
+    if step.action is not Action.ADOPT or task is None:
+        return ()
+    host = _get_host(inventory, step.decision.host or "")
+    body = host_requests.build_takeover_request(task, host, inventory.hosts)
+    request = PlannedRequest(host=host, body=body)
+    return (PlannedPhase(phase=Phase.ADOPT, task=task.name, requests=(request,)),)
+
+
 def build_start_phases(
     step: Step, task: Task, needs: Iterable[Need], plan: Plan, inventory: Inventory, tasks: Tasks
 ) -> StartPhases:
@@ -142,7 +160,9 @@ def build_stop_phase(
 def build_run_phases(
     task: Task, host_name: str, inventory: Inventory, *, phase: Phase = Phase.START
 ) -> PlannedPhases:
-    """Start a task on a host and wait until it is ready by its own check (running, where it has none)."""
+    """Start a task on a host and wait until it is ready by its own check (up for its time, where it has
+    none).
+    """
     host = _get_host(inventory, host_name)
     body = host_requests.build_start_request(task, host, inventory.hosts)
     start = PlannedPhase(phase=phase, task=task.name, requests=(PlannedRequest(host=host, body=body),))
@@ -152,7 +172,7 @@ def build_run_phases(
 def _build_ready_phase(task: Task, host: Host, inventory: Inventory) -> PlannedPhase:
     """Wait on the host; a check on the robot is asked there, and its yes is marked on the host."""
     timeout = _get_ready_timeout(task)
-    requests = [_build_wait(task.name, host, host_requests.NO_INSTANCE, timeout)]
+    requests = [_build_wait(task, host, host_requests.NO_INSTANCE, timeout)]
     if task.ready is not None and task.ready.on is CheckLocation.ROBOT:
         robot = _get_check_robot(task, inventory)
         body = host_requests.build_check_request(task, task.ready, robot, inventory.hosts)
@@ -162,13 +182,22 @@ def _build_ready_phase(task: Task, host: Host, inventory: Inventory) -> PlannedP
     return PlannedPhase(phase=Phase.READY, task=task.name, requests=tuple(requests), timeout_s=timeout)
 
 
+def get_up_time(task: Task) -> float:
+    """How long (s) the command must have run until the task counts as ready; 0 where a check decides."""
+    if task.ready is not None:
+        return 0.0
+    return DEFAULT_UP_S if task.up is None else task.up
+
+
 def _get_ready_timeout(task: Task) -> float:
-    return task.ready.timeout if task.ready else DEFAULT_READY_S
+    return task.ready.timeout if task.ready else DEFAULT_READY_S + get_up_time(task)
 
 
-def _build_wait(name: str, host: Host, instance: str, timeout_s: float) -> PlannedRequest:
+def _build_wait(task: Task, host: Host, instance: str, timeout_s: float) -> PlannedRequest:
     piece = min(WAIT_PIECE_S, timeout_s)
-    body = host_requests.build_wait_request(name, host, instance=instance, timeout_s=piece)
+    body = host_requests.build_wait_request(
+        task.name, host, instance=instance, timeout_s=piece, up_s=get_up_time(task)
+    )
     return PlannedRequest(host=host, body=body, timeout_s=piece)
 
 
@@ -227,8 +256,10 @@ def _is_predecessor_settled(need: Need, task: Task, step: Step, plan: Plan) -> b
     sample = _find_sample(plan, step)
     if sample is None:
         return False
+    if sample.state is TaskState.RUNNING and task.ready is None and need.until is NeedCondition.READY:
+        return plan.snapshot.taken_at - sample.started_at >= get_up_time(task)
     return sample.state is TaskState.READY or (
-        sample.state is TaskState.RUNNING and (task.ready is None or need.until is NeedCondition.RUNNING)
+        sample.state is TaskState.RUNNING and need.until is NeedCondition.RUNNING
     )
 
 
@@ -247,7 +278,7 @@ def _build_need_phase(need: Need, task: Task, step: Step, inventory: Inventory, 
         request, timeout = PlannedRequest(host=host, body=body), COMPLETION_S
     else:
         sample, timeout = _find_sample(plan, step), _get_ready_timeout(task)
-        request = _build_wait(task.name, host, sample.instance if sample else "", timeout)
+        request = _build_wait(task, host, sample.instance if sample else "", timeout)
     return PlannedPhase(phase=Phase.NEEDS, task=need.task, requests=(request,), timeout_s=timeout)
 
 

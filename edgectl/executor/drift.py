@@ -3,12 +3,10 @@
 from collections.abc import Iterator, Mapping
 
 from edgectl.model.assignment import Reason
-from edgectl.model.inventory import Inventory
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Plan
 from edgectl.model.resource import HOST_RESOURCES
 from edgectl.model.snapshot import HostSample, Snapshot, TaskSample
-from edgectl.model.task import Tasks
 from edgectl.names import natural_key
 from edgectl.units import format_rate
 
@@ -18,17 +16,12 @@ LOAD_TOLERANCE = 0.10
 CONTACT_TOLERANCE_S = 1.0
 
 
-def list_drift(
-    plan: Plan, inventory: Inventory, tasks: Tasks, snapshot: Snapshot, memory: ManagerState
-) -> tuple[str, ...]:
-    """The changes since ``plan`` was made, one line each; empty where it still holds."""
-    changes = []
-    if plan.inventory_digest != inventory.digest:
-        changes.append("the inventory changed")
-    if plan.tasks_digest != tasks.digest:
-        changes.append("the task files changed")
-    changes += _list_mark_drift(plan.snapshot.manager or ManagerState(), memory)
-    changes += _list_contact_drift(plan, memory)
+def list_drift(plan: Plan, snapshot: Snapshot, memory: ManagerState) -> tuple[str, ...]:
+    """The changes of the fleet since ``plan`` was made, one line each; empty where it still holds."""
+    changes = [
+        *_list_mark_drift(plan.snapshot.manager or ManagerState(), memory),
+        *_list_contact_drift(plan, memory),
+    ]
     for name, host in snapshot.hosts.items():
         before = plan.snapshot.hosts.get(name)
         if before is not None:

@@ -18,6 +18,7 @@ from edgectl.executor.action_phases import (
     build_run_phases,
     build_stop_phase,
 )
+from edgectl.executor.moved_world import MovedWorldError
 from edgectl.executor.phases import perform_phase, perform_phases, resolve_variables
 from edgectl.executor.step_run import StepRun
 from edgectl.model.result import ActionResult, Outcome, Phase
@@ -99,22 +100,30 @@ def _release_and_end(act: StepRun, planned: StartPhases, host: str, downtime: fl
 def _swap_instances(
     act: StepRun, task: Task, planned: StartPhases, old: str, new: str, variables: dict[str, str]
 ) -> float:
-    """Old for new in the stated order; the time in between in seconds, 0 where they overlapped."""
+    """Old for new in the stated order; the time in between in seconds, 0 where they overlapped.
+
+    It ends when the new instance is ready; without a ready check when it was started, for it has run since.
+    """
     stop_first, began = planned.change[0].phase is Phase.STOP, time.monotonic()
+    started = began
     for phase in planned.change:
         try:
             perform_phase(act, phase, variables)
+            started = time.monotonic() if phase.phase is Phase.START else started
         except HostError as error:
             if stop_first:
                 raise _recover_stop_first(act, task, phase, old, new, error, began) from error
             raise _recover_start_first(act, task, phase, old, new, error) from error
-    return time.monotonic() - began if stop_first else 0.0
+    ended = time.monotonic() if task.ready is not None else started
+    return ended - began if stop_first else 0.0
 
 
 def _recover_stop_first(
     act: StepRun, task: Task, failed: PlannedPhase, old: str, new: str, error: HostError, began: float
 ) -> _HandoffError:
     """Where the old instance is gone and the new one failed, put the old one back."""
+    if isinstance(error, MovedWorldError):
+        return _HandoffError(error, error.located, steers=False)
     if failed.phase is Phase.STOP:
         return _HandoffError(error, old, steers=isinstance(error, RefusedError))
     if old == new:
@@ -141,7 +150,8 @@ def _end_failed_handoff(act: StepRun, task: Task, failed: _HandoffError) -> Acti
             error = _build_still_holding_error(act, task, error)
     except HostError as another:
         error = HostError(f"{error.message}; {another.message}", hint=error.hint)
-    return act.end(Outcome.FAILED, located=failed.located, downtime_s=failed.downtime_s, error=error)
+    outcome = Outcome.DEFERRED if isinstance(failed.error, MovedWorldError) else Outcome.FAILED
+    return act.end(outcome, located=failed.located, downtime_s=failed.downtime_s, error=error)
 
 
 def _build_still_holding_error(act: StepRun, task: Task, error: HostError) -> HostError:

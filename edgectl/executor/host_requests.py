@@ -6,12 +6,13 @@ from collections.abc import Mapping
 from edgectl.agent.link import protocol
 from edgectl.model.environment import drop_secrets, merge_environment
 from edgectl.model.inventory import Host
+from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Check, CheckLocation, StopRule, Task
 
 Request = dict[str, object]
 Hosts = Mapping[str, Host]
 # Placeholders in a request that is not filled yet.
-NO_INSTANCE, NO_GENERATION = "0", 0
+NO_INSTANCE, NO_GENERATION, NO_MANAGER = "0", 0, ""
 
 
 def build_instance_id(plan_id: str, task: str, host: str, attempt: int) -> str:
@@ -22,7 +23,7 @@ def build_instance_id(plan_id: str, task: str, host: str, attempt: int) -> str:
 def build_start_request(task: Task, host: Host, hosts: Hosts) -> Request:
     """Start ``task`` on ``host`` under its supervisor; a ready check on the robot is left to the manager.
 
-    Secrets are masked, instance and generation are placeholders; `fill_start_request` completes it.
+    Secrets are masked, instance, generation and manager are placeholders; `fill_start_request` completes it.
     """
     ready = task.ready if task.ready is not None and task.ready.on is CheckLocation.HOST else None
     spec: Request = {
@@ -40,24 +41,38 @@ def build_start_request(task: Task, host: Host, hosts: Hosts) -> Request:
         "self_fence_s": task.self_fence,
         "spec_hash": task.spec_hash,
         "fields": dict(task.spec_fields),
+        "file": task.file,
     }
     return {
         "op": protocol.OP_START,
+        "fleet": host.fleet,
         "host": host.name,
         "task": task.name,
         "instance": NO_INSTANCE,
         "generation": NO_GENERATION,
+        "manager": NO_MANAGER,
         "spec": spec,
     }
 
 
+def build_takeover_request(task: Task, host: Host, hosts: Hosts) -> Request:
+    """Give the living instance of ``task`` on ``host``, whose supervisor was lost, a new one; completed as a
+    start request is.
+    """
+    return {**build_start_request(task, host, hosts), "op": protocol.OP_TAKE_OVER}
+
+
 def fill_start_request(
-    request: Request, *, instance: str, generation: int, variables: Mapping[str, str]
+    request: Request, *, instance: str, generation: int, manager: str, variables: Mapping[str, str]
 ) -> Request:
-    """A start request as it is sent; ``variables``: its environment with the secrets in clear."""
+    """A start request as it is sent.
+
+    ``manager``: user and machine, for people who find the task on the host. ``variables``: its environment
+    with the secrets in clear.
+    """
     spec = request["spec"]
     filled = {**spec, "env": dict(variables)} if isinstance(spec, dict) else spec
-    return {**request, "instance": instance, "generation": generation, "spec": filled}
+    return {**request, "instance": instance, "generation": generation, "manager": manager, "spec": filled}
 
 
 def build_stop_request(name: str, host: Host, *, task: Task | None, instance: str | None) -> Request:
@@ -68,12 +83,23 @@ def build_stop_request(name: str, host: Host, *, task: Task | None, instance: st
     rule = None if task is None else encode_stop_rule(task.stop)
     return {
         "op": protocol.OP_STOP,
+        "fleet": host.fleet,
         "host": host.name,
         "task": name,
         "instance": instance or None,
         "generation": NO_GENERATION,
         "stop": rule,
+        "filed_as": None,
     }
+
+
+def name_stop_host(request: Request, snapshot: Snapshot) -> Request:
+    """A stop request with the name under which the host keeps the task, where it had another one when the
+    task was started (ADR 0040).
+    """
+    host = snapshot.hosts.get(str(request["host"]))
+    run = host.tasks.get(str(request["task"])) if host is not None else None
+    return {**request, "filed_as": run.filed_as} if run is not None and run.filed_as else request
 
 
 def encode_stop_rule(rule: StopRule) -> Request:
@@ -81,20 +107,33 @@ def encode_stop_rule(rule: StopRule) -> Request:
     return {"signal": rule.signal, "grace_s": rule.grace, "preset": rule.preset}
 
 
-def build_wait_request(name: str, host: Host, *, instance: str, timeout_s: float) -> Request:
-    """Wait on the host until the instance is ready, has failed or is gone."""
+def build_wait_request(
+    name: str, host: Host, *, instance: str, timeout_s: float, up_s: float = 0.0
+) -> Request:
+    """Wait on the host until the instance is ready, has failed or is gone. ``up_s``: without a ready check,
+    how long its command must have run.
+    """
     return {
         "op": protocol.OP_WAIT,
+        "fleet": host.fleet,
         "host": host.name,
         "task": name,
         "instance": instance,
         "timeout_s": timeout_s,
+        "up_s": up_s,
     }
 
 
 def build_mark_ready_request(name: str, host: Host, *, instance: str) -> Request:
     """Mark the instance as ready on the host after a ready check elsewhere passed."""
-    return {"op": protocol.OP_MARK, "host": host.name, "task": name, "instance": instance, "ready": True}
+    return {
+        "op": protocol.OP_MARK,
+        "fleet": host.fleet,
+        "host": host.name,
+        "task": name,
+        "instance": instance,
+        "ready": True,
+    }
 
 
 def build_check_request(
@@ -103,6 +142,7 @@ def build_check_request(
     """Run a check or hook of ``task`` on ``host``; secrets are for the task alone."""
     return {
         "op": protocol.OP_CHECK,
+        "fleet": host.fleet,
         "host": host.name,
         "command": rule.command,
         "prelude": host.prelude,
@@ -111,6 +151,18 @@ def build_check_request(
     }
 
 
+def build_renewal_request(host: Host, signature: Mapping[str, object]) -> Request:
+    """Renew the lease of the fleet on a host."""
+    return {
+        "op": protocol.OP_LEASE,
+        "fleet": host.fleet,
+        "host": host.name,
+        "action": "renew",
+        "lease": signature,
+        "end_watch": False,
+    }
+
+
 def build_status_request(host: Host, name: str | None = None) -> Request:
     """The state of one task, or of all, as the host knows it, without a measurement."""
-    return {"op": protocol.OP_STATUS, "host": host.name, "task": name}
+    return {"op": protocol.OP_STATUS, "fleet": host.fleet, "host": host.name, "task": name}

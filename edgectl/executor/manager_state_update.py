@@ -11,6 +11,9 @@ from edgectl.model.result import ActionResult, Outcome, Phase, Results
 from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Tasks
 
+# Generations follow a manager's clock. One that a host reports is believed up to ten years ahead of this
+# clock, or of 2050 where this clock is behind: no host makes the others unusable by its word.
+_MAX_LEAD_S, _YEAR_2050 = 10 * 366 * 86_400, 2_524_608_000
 # Measurements kept of each kind: enough for a median and a mean that follow a change of the task.
 _MAX_MEASUREMENTS = 20
 
@@ -24,17 +27,26 @@ def compute_next_generations(
 ) -> dict[str, int]:
     """The generation of each task's next start: above all known ones, and at least the clock's seconds.
 
-    The clock as a floor lets a manager that lost its state, or that another one overtook, start tasks again.
+    A generation out of all proportion is not believed: its host alone refuses starts then. The clock as a
+    floor lets a manager that lost its state, or that another one overtook, start tasks again.
     """
-    known = dict(journalled or {})
+    own = dict(journalled or {})
     for name, placement in memory.placements.items():
-        known[name] = max(known.get(name, 0), placement.generation)
-    for host in snapshot.hosts.values():
-        for name, sample in host.tasks.items():
-            known[name] = max(known.get(name, 0), sample.generation)
-        for name, generation in host.generations.items():
-            known[name] = max(known.get(name, 0), generation)
-    return {step.task: max(int(now), known.get(step.task, 0) + 1) for step in steps}
+        own[name] = max(own.get(name, 0), placement.generation)
+    return {
+        step.task: _compute_next_generation(step.task, own.get(step.task, 0), snapshot, now) for step in steps
+    }
+
+
+def _compute_next_generation(task: str, own: int, snapshot: Snapshot, now: float) -> int:
+    reported = [host.tasks[task].generation for host in snapshot.hosts.values() if task in host.tasks]
+    reported += [host.generations.get(task, 0) for host in snapshot.hosts.values()]
+    return max(int(now), 1 + max([own, *(_limit_generation(each, own, now) for each in reported)]))
+
+
+def _limit_generation(reported: int, own: int, now: float) -> int:
+    """A generation that a host reports, or 0 where it is out of all proportion."""
+    return reported if reported <= max(own, int(now), _YEAR_2050) + _MAX_LEAD_S else 0
 
 
 def update_manager_state(
@@ -44,16 +56,25 @@ def update_manager_state(
     ended = {result.task: result for result in results.actions}
     placements, done = dict(memory.placements), dict(memory.done)
     for step in plan.steps:
+        if step.decision.reason in (Reason.HOST_LEFT, Reason.HOST_READDRESSED):
+            continue
         result, task = ended.get(step.task), tasks.tasks.get(step.task)
         located = result.located if result is not None else _find_running_host(plan.snapshot, step)
         if located is not None and task is not None and _is_newly_started(result):
             since = _get_placed_since(memory.placements.get(step.task), step, now)
             placements[step.task] = Placement(
-                host=located, since=since, spec_hash=task.spec_hash, generation=used.get(step.task, 0)
+                host=located,
+                since=since,
+                spec_hash=task.spec_hash,
+                generation=used.get(step.task, 0),
+                file=task.file,
+                address=_get_sample_text(plan.snapshot, located, "address"),
+                machine=_get_sample_text(plan.snapshot, located, "machine"),
             )
         elif located is not None:
             least = used.get(step.task, 0) + 1 if _is_restored(result) else 0
-            placements[step.task] = _keep_placement(memory, plan.snapshot, step.task, located, now, least)
+            kept = _keep_placement(memory, plan.snapshot, step.task, located, now, least)
+            placements[step.task] = kept if task is None else dataclasses.replace(kept, file=task.file)
         elif _is_task_gone(plan.snapshot, step, result, placements.get(step.task)):
             placements.pop(step.task, None)
         if task is not None and _is_step_completed(step, result):
@@ -106,6 +127,11 @@ def _is_task_gone(
     return host is not None and host.ok and step.decision.reason is not Reason.GIVEN_UP
 
 
+def _get_sample_text(snapshot: Snapshot, host: str, name: str) -> str:
+    sample = snapshot.hosts.get(host)
+    return str(getattr(sample, name)) if sample is not None else ""
+
+
 def _is_step_completed(step: Step, result: ActionResult | None) -> bool:
     """Whether the task has completed: stopped because it was done, or ended by itself."""
     if step.decision.verdict is not Verdict.COMPLETED:
@@ -116,6 +142,7 @@ def _is_step_completed(step: Step, result: ActionResult | None) -> bool:
 def _is_newly_started(result: ActionResult | None) -> bool:
     return (
         result is not None
+        and result.outcome is not Outcome.DEFERRED
         and result.action in (Action.START, Action.MOVE, Action.RESTART)
         and result.located == result.host
     )
@@ -141,9 +168,15 @@ def _keep_placement(
     host = snapshot.hosts.get(located)
     sample = host.tasks.get(task) if host else None
     old = memory.placements.get(task)
+    seen = sample is not None and sample.state.alive
+    known = max(least, old.generation if old is not None else 0)
+    shown = _limit_generation(sample.generation, known, now) if sample is not None else 0
     if old is not None and old.host == located:
         return dataclasses.replace(
-            old, generation=max(least, old.generation, sample.generation if sample else 0)
+            old,
+            generation=max(known, shown),
+            address=host.address if host is not None and seen else old.address,
+            machine=host.machine if host is not None and seen else old.machine,
         )
     if sample is None:
         return Placement(host=located, since=now, generation=least)
@@ -151,7 +184,10 @@ def _keep_placement(
         host=located,
         since=sample.started_at,
         spec_hash=sample.spec_hash,
-        generation=max(least, sample.generation),
+        generation=max(least, shown),
+        file=sample.file,
+        address=host.address if host is not None else "",
+        machine=host.machine if host is not None else "",
     )
 
 

@@ -5,6 +5,7 @@ from collections.abc import Iterable, Iterator, Mapping
 
 from edgectl.model.assignment import Decision, Reason, Verdict
 from edgectl.model.inventory import Inventory
+from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.snapshot import HostSample, Snapshot
 from edgectl.model.task import Tasks
@@ -20,19 +21,35 @@ def list_running_instances(snapshot: Snapshot) -> dict[str, dict[str, str]]:
     return found
 
 
+def list_unseen_placements(snapshot: Snapshot) -> dict[str, str]:
+    """Last known hosts of the tasks whose host does not answer and was not declared powered off, by task."""
+    manager = snapshot.manager or ManagerState()
+    return {
+        task: placement.host
+        for task, placement in manager.placements.items()
+        if placement.host in snapshot.hosts
+        and not snapshot.hosts[placement.host].ok
+        and placement.host not in manager.fenced
+    }
+
+
 def build_stop_plan(names: Iterable[str], inventory: Inventory, tasks: Tasks, snapshot: Snapshot) -> Plan:
-    """Stop the named tasks wherever they run; those that do not run need no step."""
-    places = list_running_instances(snapshot)
+    """Stop the named tasks wherever they run or may run; those that do not run need no step.
+
+    The step of a task whose last known host does not answer has the reason ``HOST_SILENT``.
+    """
+    places, unseen = list_running_instances(snapshot), list_unseen_placements(snapshot)
     steps = []
     for name in names:
-        if name in places:
+        if name in places or name in unseen:
             decision = Decision(
                 task=name,
                 verdict=Verdict.UNPLACED,
-                reason=Reason.OPERATOR,
-                previous_host=next(iter(places[name])),
+                reason=Reason.HOST_SILENT if name in unseen else Reason.OPERATOR,
+                previous_host=unseen.get(name) or next(iter(places[name])),
+                subject=unseen.get(name),
             )
-            steps.append(Step(decision=decision, action=Action.STOP, instances=places[name]))
+            steps.append(Step(decision=decision, action=Action.STOP, instances=places.get(name, {})))
     return _build_operator_plan(tuple(steps), inventory, tasks, snapshot)
 
 
@@ -92,7 +109,7 @@ def build_rollback_plan(plan: Plan, wanted: Mapping[str, str], revision: int) ->
         for step in plan.steps
         for step in _build_rollback_steps(step, wanted, places.get(step.task, {}), revision)
     )
-    return dataclasses.replace(plan, steps=tuple(steps))
+    return dataclasses.replace(plan, steps=tuple(steps), tasks_left_alone={})
 
 
 def _build_rollback_steps(

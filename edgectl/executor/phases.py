@@ -9,10 +9,12 @@ from edgectl.errors import HostError
 from edgectl.executor import host_requests
 from edgectl.executor.action_phases import WAIT_PIECE_S, PlannedPhase, PlannedPhases, PlannedRequest
 from edgectl.executor.host_requests import Request
+from edgectl.executor.moved_world import check_gone_everywhere
 from edgectl.executor.secrets import resolve_environment
 from edgectl.executor.step_run import RunContext, StepRun
 from edgectl.model.result import Phase
 from edgectl.model.task import CheckLocation, Task, TaskKind
+from edgectl.state.lock import describe_manager
 
 # Beyond the grace: SIGKILL, the sweeps that prove the end, and the way back.
 _STOP_MARGIN_S = 20.0
@@ -51,6 +53,8 @@ def perform_phase(act: StepRun, planned: PlannedPhase, variables: Mapping[str, s
             _stop_task(act, planned)
         case Phase.START | Phase.RESTORE:
             _start_task(act, planned, variables)
+        case Phase.ADOPT:
+            _adopt_task(act, planned, variables)
         case Phase.READY:
             _wait_until_ready(act, planned)
 
@@ -66,8 +70,10 @@ def _send(run: RunContext, request: PlannedRequest, **values: object) -> Request
 
 
 def _stop_task(act: StepRun, planned: PlannedPhase) -> None:
+    """Stop the task. Where the plan had seen it alive and it is gone, the fleet has changed: look again."""
     request, host = planned.requests[0], planned.host
-    body = {**request.body, "generation": act.generation}
+    body = host_requests.name_stop_host(request.body, act.run.plan.snapshot)
+    body = {**body, "generation": act.generation}
     with act.phase(planned.phase, host.name):
         answer = act.run.ask(host, body, timeout=request.timeout_s + _STOP_MARGIN_S)
         if answer.get("state") not in (protocol.STOPPED, protocol.NOT_RUNNING):
@@ -76,6 +82,15 @@ def _stop_task(act: StepRun, planned: PlannedPhase) -> None:
                 hint=f"end them on {host.name}, then apply again",
                 host=host.name,
             )
+        if answer.get("state") == protocol.NOT_RUNNING and _was_alive(act, request):
+            check_gone_everywhere(act, host)
+
+
+def _was_alive(act: StepRun, request: PlannedRequest) -> bool:
+    """Whether the plan had seen the very instance alive that was to be stopped."""
+    sample = act.run.plan.snapshot.hosts.get(request.host.name)
+    task = sample.tasks.get(act.name) if sample is not None else None
+    return request.body.get("instance") is not None and task is not None and task.state.alive
 
 
 def _start_task(act: StepRun, planned: PlannedPhase, variables: Mapping[str, str]) -> None:
@@ -84,7 +99,11 @@ def _start_task(act: StepRun, planned: PlannedPhase, variables: Mapping[str, str
     attempt = 2 if planned.phase is Phase.RESTORE else 1
     instance = act.instance(host.name, attempt)
     body = host_requests.fill_start_request(
-        request.body, instance=instance, generation=act.generation + attempt - 1, variables=variables
+        request.body,
+        instance=instance,
+        generation=act.generation + attempt - 1,
+        manager=describe_manager(),
+        variables=variables,
     )
     with act.phase(planned.phase, host.name):
         answer = act.run.ask(host, body)
@@ -93,6 +112,20 @@ def _start_task(act: StepRun, planned: PlannedPhase, variables: Mapping[str, str
                 f"{act.name} did not start on {host.name}: {answer.get('detail')}", host=host.name
             )
     act.started = str(answer.get("instance") or instance)
+
+
+def _adopt_task(act: StepRun, planned: PlannedPhase, variables: Mapping[str, str]) -> None:
+    """Have a new supervisor take over the running instance; the same request twice is one takeover."""
+    request, host = planned.requests[0], planned.host
+    body = host_requests.fill_start_request(
+        request.body,
+        instance=act.step.instances[host.name],
+        generation=act.generation,
+        manager=describe_manager(),
+        variables=variables,
+    )
+    with act.phase(planned.phase, host.name):
+        act.run.ask(host, body, timeout=request.timeout_s + act.run.options.call_s)
 
 
 def _wait_until_ready(act: StepRun, planned: PlannedPhase) -> None:
@@ -105,7 +138,7 @@ def _wait_until_ready(act: StepRun, planned: PlannedPhase) -> None:
             check, mark = elsewhere
             if not _repeat_check(act.run, check, deadline):
                 raise HostError(
-                    f"the check on {check.host.name} did not pass within {check.timeout_s:g} s: "
+                    f"the check on {check.host.name} did not pass within {check.timeout_s:.3g} s: "
                     f"{check.body['command']}",
                     host=check.host.name,
                 )
@@ -123,24 +156,26 @@ def _wait_on_host(run: RunContext, planned: PlannedPhase, body: Request, deadlin
     hint = f"edgectl logs {task.name}"
     while True:
         entry = run.ask(host, {**body, "timeout_s": piece}, timeout=piece + run.options.call_s)
-        if _is_ready(task, str(entry.get("state")), checked=checked):
+        if _is_ready(task, entry, checked=checked):
             return
         if entry.get("state") not in (protocol.STARTING, protocol.RUNNING):
             raise HostError(f"{task.name} {_describe_end(entry)} on {host.name}", hint=hint, host=host.name)
         if time.monotonic() >= deadline:
             why = f": {entry['detail']}" if entry.get("detail") else ""
             raise HostError(
-                f"{task.name} was not ready on {host.name} within {planned.timeout_s:g} s{why}",
+                f"{task.name} was not ready on {host.name} within {planned.timeout_s:.3g} s{why}",
                 hint=hint,
                 host=host.name,
             )
         piece = max(0.0, min(WAIT_PIECE_S, deadline - time.monotonic()))
 
 
-def _is_ready(task: Task, state: str, *, checked: bool) -> bool:
+def _is_ready(task: Task, entry: Request, *, checked: bool) -> bool:
+    """Whether a reply to a wait shows the task ready; ``settled`` is false where only its time ran out."""
+    state = entry.get("state")
     return (
         state == protocol.READY
-        or (state == protocol.RUNNING and not checked)
+        or (state == protocol.RUNNING and not checked and entry.get("settled") is not False)
         or (state == protocol.COMPLETED and task.kind is TaskKind.JOB)
     )
 
@@ -174,7 +209,7 @@ def _wait_until_safe(act: StepRun, planned: PlannedPhase) -> None:
     with act.phase(Phase.SAFE, planned.host.name, side_effect=False):
         if not _repeat_check(act.run, planned.requests[0], time.monotonic() + planned.timeout_s):
             raise HostError(
-                f"not safe to move {act.name} within {planned.timeout_s:g} s",
+                f"not safe to move {act.name} within {planned.timeout_s:.3g} s",
                 hint="apply again later",
                 host=planned.host.name,
             )

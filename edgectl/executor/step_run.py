@@ -6,7 +6,8 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 
-from edgectl.errors import ConnectError, HostError, StateError
+from edgectl.agent.link import protocol
+from edgectl.errors import ConnectError, HostError, RefusedError, StateError
 from edgectl.executor.host_requests import Request, build_instance_id
 from edgectl.model.inventory import Host, Inventory
 from edgectl.model.plan import Plan, Step
@@ -17,6 +18,7 @@ from edgectl.state.failpoints import hit_failpoint
 from edgectl.state.journal import Journal
 from edgectl.transport.agent_client import call_agent
 from edgectl.transport.base import Session, Transport
+from edgectl.transport.fleet_lease import FleetLease
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,7 +56,10 @@ class RunIdentity:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunContext:
-    """Everything that the actions of one apply share. ``report_progress`` may be called from any thread."""
+    """Everything that the actions of one apply share. ``report_progress`` may be called from any thread.
+
+    ``lease`` signs every changing request.
+    """
 
     plan: Plan
     inventory: Inventory
@@ -64,6 +69,7 @@ class RunContext:
     identity: RunIdentity
     options: RunOptions
     report_progress: Callable[[ProgressEvent], None]
+    lease: FleetLease | None = None
 
     @property
     def hosts(self) -> Mapping[str, Host]:
@@ -77,12 +83,25 @@ class RunContext:
 
         Raises:
             HostError: the host did not do it.
+            LeaseLostError: another manager may have the fleet by now; nothing was sent.
         """
         timeout = self.options.call_s if timeout is None else timeout
         with self._connect(host) as session, contextlib.suppress(ConnectError):
+            return self._send_signed(session, host, request, timeout)
+        try:
+            with self._connect(host) as session:
+                return self._send_signed(session, host, request, timeout)
+        except RefusedError as error:
+            # The first one may have arrived, so nobody knows that nothing was done.
+            raise HostError(error.message, hint=error.hint, host=host.name) from error
+
+    def _send_signed(self, session: Session, host: Host, request: Request, timeout: float) -> Request:
+        if self.lease is None or request["op"] not in protocol.CHANGING_OPS:
             return self._send(session, request, timeout)
-        with self._connect(host) as session:
-            return self._send(session, request, timeout)
+        signature, sent = self.lease.sign(host.name), self.lease.now()
+        answer = self._send(session, {**request, "lease": signature}, timeout)
+        self.lease.extend(host.name, sent)
+        return answer
 
     def _connect(self, host: Host) -> Session:
         hit_failpoint("connect")

@@ -115,12 +115,12 @@ def _stop_trial_tasks(trial_fleet: Fleet, generations: Mapping[str, int]) -> Sna
     """Stop the tasks that the trial started. Later starts, by anyone, have a higher generation."""
     names: list[str] = []
     for _ in range(_STOP_ATTEMPTS):
-        snapshot = _probe_all_hosts(trial_fleet)
-        names = _select_trial_tasks(snapshot, generations)
-        if not names:
-            return snapshot
-        plan = build_stop_plan(names, trial_fleet.inventory, trial_fleet.tasks, snapshot)
         with lock_fleet(trial_fleet, "stop", ApplyOptions()) as held:
+            snapshot = _probe_all_hosts(held)
+            names = _select_trial_tasks(snapshot, generations)
+            if not names:
+                return snapshot
+            plan = build_stop_plan(names, trial_fleet.inventory, trial_fleet.tasks, snapshot)
             confirm_and_execute(held, plan, confirm_always, ApplyOptions(), verb="stop")
     raise FleetBusyError(
         f"{', '.join(names)} did not stop", hint=f"run edgectl stop {names[0]} to see the reason"

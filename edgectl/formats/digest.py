@@ -3,7 +3,7 @@
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import MISSING, Field, fields, is_dataclass
+from dataclasses import MISSING, Field, fields, is_dataclass, replace
 from enum import StrEnum
 from functools import cache
 from typing import Any
@@ -17,13 +17,18 @@ OPTIONAL_RUN_FIELDS = ("self_fence", "env_command")
 
 
 def digest_inventory(inventory: Inventory) -> str:
-    """Of everything that an inventory says."""
-    return "sha256:" + hash_value({"hosts": inventory.hosts, "links": inventory.links})
+    """Of everything that an inventory says.
+
+    A fleet name that is derived from the path of the file does not count.
+    """
+    stated = {"fleet": inventory.fleet} if inventory.is_fleet_named else {}
+    return "sha256:" + hash_value({"hosts": inventory.hosts, "links": inventory.links} | stated)
 
 
 def digest_tasks(tasks: Tasks) -> str:
-    """Of all tasks and the stated policy."""
-    return "sha256:" + hash_value({"tasks": tasks.tasks, "policy": tasks.policy})
+    """Of all tasks and the stated policy, in whatever files they stand."""
+    placeless = {name: replace(task, file="") for name, task in tasks.tasks.items()}
+    return "sha256:" + hash_value({"tasks": placeless, "policy": tasks.policy})
 
 
 def hash_spec(task: Task) -> str:

@@ -38,11 +38,14 @@ def _measure_throughput(edge: Host, robot: Host, transport: Transport, seconds: 
     timeout = seconds + _MARGIN_S
     with transport.connect(robot, timeout=_CONNECT_S) as session:
         sink = call_agent(
-            session, {"op": protocol.OP_SINK, "host": robot.name, "seconds": seconds}, timeout=timeout
+            session,
+            {"op": protocol.OP_SINK, "fleet": robot.fleet, "host": robot.name, "seconds": seconds},
+            timeout=timeout,
         )
     receiver = decode_reply(SinkReply, sink)
     request = {
         "op": protocol.OP_SEND,
+        "fleet": edge.fleet,
         "host": edge.name,
         "address": transport.address(robot),
         "seconds": seconds,

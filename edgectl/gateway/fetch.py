@@ -26,6 +26,7 @@ def fetch_file(transport: Transport, host: Host, task: Task, file: str, *, timeo
     deadline = time.monotonic() + timeout
     request = {
         "op": protocol.OP_FETCH,
+        "fleet": host.fleet,
         "host": host.name,
         "task": task.name,
         "workdir": task.workdir,
@@ -37,7 +38,7 @@ def fetch_file(transport: Transport, host: Host, task: Task, file: str, *, timeo
         while len(data) != total:
             left = deadline - time.monotonic()
             if left <= 0:
-                raise DeadlineError(f"{file} did not arrive within {timeout:g} s", hint="allow more time")
+                raise DeadlineError(f"{file} did not arrive within {timeout:.3g} s", hint="allow more time")
             document = call_agent(session, {**request, "offset": len(data)}, timeout=left)
             reply = decode_reply(PieceReply, document)
             if data and reply.mark != mark:

@@ -150,6 +150,7 @@ def _build_facts_context(
 def _build_doctor_request(host: Host, links: Mapping[str, str], timeout: float) -> dict[str, object]:
     return {
         "op": protocol.OP_DOCTOR,
+        "fleet": host.fleet,
         "host": host.name,
         "links": [{"robot": robot, "address": address} for robot, address in links.items()],
         "prelude": host.prelude,

@@ -13,6 +13,7 @@ from edgectl.gateway.replies import (
     DEVICE_USAGE,
     TASK_USAGE,
     LinkReply,
+    OtherTaskReply,
     ProbeReply,
     ReplyDocument,
     TaskReply,
@@ -28,6 +29,7 @@ from edgectl.model.snapshot import (
     HostStatus,
     InterfaceSample,
     LinkSample,
+    OtherTask,
     ResourceUsage,
     TaskSample,
     TaskState,
@@ -71,6 +73,7 @@ def decode_host_sample(document: ReplyDocument, context: ReplyContext) -> HostSa
     _check_origin(document, context.host)
     reply = decode_reply(ProbeReply, document)
     tasks = _build_tasks(reply, context)
+    others = [_build_other_task(each) for each in reply.other_tasks]
     sample = HostSample(
         role=context.host.role,
         status=HostStatus.OK,
@@ -81,6 +84,10 @@ def decode_host_sample(document: ReplyDocument, context: ReplyContext) -> HostSa
         tasks=tasks,
         device=_build_device(reply, context.answered_at),
         generations=_build_generations(reply, tasks),
+        address=context.host.address,
+        machine="" if reply.machine.startswith("/") else reply.machine,
+        other_tasks=tuple(each for each in others if each.fleet == context.host.fleet),
+        foreign_tasks=tuple(each for each in others if each.fleet != context.host.fleet),
     )
     return apply_done_tasks(sample, _list_done_tasks(reply))
 
@@ -104,6 +111,15 @@ def decode_done_tasks(document: ReplyDocument) -> frozenset[str]:
     return _list_done_tasks(decode_reply(ProbeReply, document))
 
 
+def decode_unowned_tasks(document: ReplyDocument) -> frozenset[str]:
+    """Tasks on this host that the first release started and no fleet has adopted.
+
+    Raises:
+        ReplyError: the reply is no probe.
+    """
+    return frozenset(decode_reply(ProbeReply, document).unowned)
+
+
 def _list_done_tasks(reply: ProbeReply) -> frozenset[str]:
     return frozenset(name for name, check in reply.checks.items() if check.exit == 0)
 
@@ -116,6 +132,10 @@ def _build_tasks(reply: ProbeReply, context: ReplyContext) -> dict[str, TaskSamp
         for name, task in tasks.items()
         if not (_has_ended(task) and task.instance in context.reopened)
     }
+
+
+def _build_other_task(reply: OtherTaskReply) -> OtherTask:
+    return OtherTask(**{member.name: getattr(reply, member.name) for member in dataclasses.fields(OtherTask)})
 
 
 def _build_generations(reply: ProbeReply, tasks: Mapping[str, TaskSample]) -> dict[str, int]:
@@ -140,7 +160,8 @@ def _decode_task(name: str, entry: object, context: ReplyContext) -> TaskSample:
     return TaskSample(
         state=reply.state,
         pid=reply.pid,
-        started_at=context.answered_at - reply.age_s,
+        # The age of a run that has ended is unknown, and sent as 0.
+        started_at=context.answered_at - reply.age_s if reply.state.alive or reply.pid else 0.0,
         used=Usage(
             {
                 resource.name: traffic if resource.per_link else getattr(usage, resource.used_key)
@@ -162,6 +183,9 @@ def _decode_task(name: str, entry: object, context: ReplyContext) -> TaskSample:
         given_up=reply.given_up,
         ended_at=None if reply.ended_s is None else context.answered_at - reply.ended_s,
         metrics=reply.metrics,
+        file=reply.file,
+        orphaned=reply.orphaned,
+        adoptable=reply.adoptable,
     )
 
 

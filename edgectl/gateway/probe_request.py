@@ -27,6 +27,7 @@ def build_probe_request(
     longest = max(1.0, timeout_s - window_s - _OVERHEAD_S)
     return {
         "op": protocol.OP_PROBE,
+        "fleet": host.fleet,
         "host": host.name,
         "window_s": window_s,
         **build_probe_spec(host, tasks, addresses),

@@ -75,7 +75,7 @@ def _ask_profilers(
     """The answers in the order of ``hosts``."""
 
     def build(host: Host, _left: float) -> ProfilerRequest:
-        return {**requests[host.name], "host": host.name}
+        return {**requests[host.name], "fleet": host.fleet, "host": host.name}
 
     def decode(reply: HostReply) -> Profiler:
         return decode_profiler(reply.host.name, reply.document)

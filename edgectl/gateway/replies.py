@@ -111,6 +111,24 @@ class TaskReply:
     given_up: bool = False
     ended_s: Amount | None = None
     metrics: Mapping[str, Signed] = field(default_factory=dict)
+    file: Text = ""
+    orphaned: bool = False
+    adoptable: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OtherTaskReply:
+    """A living task of another host name or fleet on the same machine; age in s before the reply."""
+
+    fleet: Text
+    host: Text
+    task: Text
+    state: TaskState
+    started_by: Text = ""
+    age_s: Amount = 0.0
+    instance: Text = ""
+    spec_hash: Text = ""
+    generation: Count = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -123,6 +141,7 @@ class ProbeReply:
     sample_age_s: Amount = 0.0
     resident: bool = False
     boot_id: Text = ""
+    machine: Text = ""
     wall: Reading | None = None
     load_1m: Amount | None = None
     temperature_c: Reading | None = None
@@ -132,6 +151,8 @@ class ProbeReply:
     tasks: Mapping[Text, object] = field(default_factory=dict)
     checks: Mapping[Text, CheckReply] = field(default_factory=dict)
     generations: Mapping[Text, Count] = field(default_factory=dict)
+    other_tasks: tuple[OtherTaskReply, ...] = ()
+    unowned: tuple[Text, ...] = ()
 
 
 # Usage of a task, and capacity and usage of each resource of a device, under the keys of the table.
@@ -198,6 +219,7 @@ class DiskReply:
     files_left: Count | None = None
     obstacle: Text = ""
     in_shared_memory: bool = field(default=False, metadata=in_document("spare"))
+    skipped: tuple[Text, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

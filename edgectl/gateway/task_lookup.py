@@ -1,7 +1,6 @@
 """The host that runs a task, or ran it last, and the instances that have ended."""
 
-from collections.abc import Mapping
-from math import inf
+from collections.abc import Mapping, Sequence
 
 from edgectl.agent.link import protocol
 from edgectl.errors import HostError
@@ -9,20 +8,23 @@ from edgectl.gateway.fanout import HostReply, ask_all
 from edgectl.gateway.replies import StatusReply, TaskReply, decode_reply
 from edgectl.model.inventory import Host, Inventory
 from edgectl.model.snapshot import TaskState
+from edgectl.names import natural_key
 from edgectl.transport.base import Transport
 
 
 def find_task_host(
     task: str, inventory: Inventory, transport: Transport, *, timeout: float
-) -> tuple[Host | None, tuple[str, ...]]:
-    """The host where ``task`` runs, else one that has it in another state; and the hosts that did not answer.
+) -> tuple[Host | None, bool, tuple[str, ...]]:
+    """The host where ``task`` runs, else one that has it in another state; whether it runs there; and the
+    hosts that did not answer.
 
     Of several the youngest instance counts.
     """
     answers = _ask_task_status(task, inventory, transport, timeout)
-    known = [name for name, entry in answers.items() if isinstance(entry, TaskReply)]
-    best = min(known, key=lambda name: _rank_status(answers[name]), default=None)
-    return inventory.hosts[best] if best else None, _list_unanswered(answers)
+    known = {name: entry for name, entry in answers.items() if isinstance(entry, TaskReply)}
+    best = min(known, key=lambda name: _rank_status(known[name]), default=None)
+    host, alive = (inventory.hosts[best], known[best].state.alive) if best else (None, False)
+    return host, alive, _list_unanswered(answers)
 
 
 def list_ended_instances(
@@ -38,6 +40,28 @@ def list_ended_instances(
     return frozenset(instances), _list_unanswered(answers)
 
 
+def find_doubled_instances(
+    hosts: Sequence[Host], transport: Transport, *, timeout: float
+) -> dict[str, tuple[str, ...]]:
+    """The tasks of which more than one instance is alive, with their hosts; hosts without an answer are left
+    out.
+    """
+    places: dict[str, list[str]] = {}
+    for answer in ask_all(hosts, transport, _build_status_request, _decode_living_tasks, timeout=timeout):
+        for task in answer.value if not isinstance(answer.value, HostError) else ():
+            places.setdefault(task, []).append(answer.host.name)
+    return {task: tuple(sorted(names, key=natural_key)) for task, names in places.items() if len(names) > 1}
+
+
+def _build_status_request(host: Host, _left: float) -> dict[str, object]:
+    return {"op": protocol.OP_STATUS, "fleet": host.fleet, "host": host.name, "task": None}
+
+
+def _decode_living_tasks(reply: HostReply) -> tuple[str, ...]:
+    tasks = decode_reply(StatusReply, reply.document).tasks
+    return tuple(name for name, entry in tasks.items() if entry.managed and entry.state.alive)
+
+
 def _ask_task_status(
     task: str, inventory: Inventory, transport: Transport, timeout: float
 ) -> dict[str, TaskReply | HostError | None]:
@@ -45,7 +69,7 @@ def _ask_task_status(
     hosts = [host for host in inventory.hosts.values() if host.probe]
 
     def build(host: Host, _left: float) -> dict[str, object]:
-        return {"op": protocol.OP_STATUS, "host": host.name, "task": task}
+        return {"op": protocol.OP_STATUS, "fleet": host.fleet, "host": host.name, "task": task}
 
     def decode(reply: HostReply) -> TaskReply | None:
         return decode_reply(StatusReply, reply.document).tasks.get(task)
@@ -60,7 +84,5 @@ def _list_unanswered(answers: Mapping[str, TaskReply | HostError | None]) -> tup
     return tuple(name for name, entry in answers.items() if isinstance(entry, HostError))
 
 
-def _rank_status(entry: TaskReply | HostError | None) -> tuple[bool, float]:
-    if not isinstance(entry, TaskReply):
-        return True, inf
+def _rank_status(entry: TaskReply) -> tuple[bool, float]:
     return not entry.state.alive, entry.age_s

@@ -6,6 +6,9 @@ from enum import StrEnum
 
 from edgectl.model.resource import HOST_RESOURCES, ResourceMap
 
+# Fleet of hosts that no inventory file states.
+UNNAMED_FLEET = "unnamed"
+
 
 class Role(StrEnum):
     """Role of a host in the paper's system: an edge (epsilon) or a robot (R)."""
@@ -58,6 +61,9 @@ class BaseLoad(ResourceMap[float]):
 class Host:
     """One edge or robot.
 
+    ``fleet`` is the owner of what this inventory runs there: requests carry it, and the host keeps the tasks
+    of different fleets apart.
+
     ``host`` is an address or an ssh_config alias. A declared ``capacity`` of what is measured otherwise makes
     the host a slice: its load is ``base`` plus its own process trees. ``onboard`` (robots) makes the robot a
     candidate for its own tasks; ``probe: false`` means that it is never contacted. ``password_command`` is an
@@ -84,6 +90,20 @@ class Host:
     runtime: Runtime = Runtime.AUTO
     onboard: bool = False
     probe: bool = True
+    fleet: str = UNNAMED_FLEET
+
+    @property
+    def address(self) -> str:
+        """The place that the inventory names: login, address and port, as far as they are stated."""
+        if self.connection is Connection.LOCAL:
+            return "local"
+        login = f"{self.user}@" if self.user else ""
+        return f"{login}{self.host}" + (f":{self.port}" if self.port else "")
+
+    @property
+    def shares_machine(self) -> bool:
+        """Whether other hosts of the fleet may be on the same machine: slices, and hosts of this machine."""
+        return self.is_slice or self.connection is Connection.LOCAL
 
     @property
     def is_slice(self) -> bool:
@@ -98,11 +118,14 @@ class Inventory:
     """The fleet.
 
     ``hosts`` in natural order of names; ``links`` holds declared throughput in bytes/s by (edge, robot).
+    ``fleet`` is the stated name, else one derived from the path of the file (``is_fleet_named`` tells which).
     """
 
     hosts: Mapping[str, Host]
     links: Mapping[tuple[str, str], float] = field(default_factory=dict)
     digest: str = ""
+    fleet: str = UNNAMED_FLEET
+    is_fleet_named: bool = False
 
     @property
     def edges(self) -> tuple[Host, ...]:

@@ -7,12 +7,13 @@ from edgectl.model.plan import Action
 
 
 class Outcome(StrEnum):
-    """Outcome of one action."""
+    """Outcome of one action. ``unreachable``: its host did not answer, so nothing was sent."""
 
     DONE = "done"
     FAILED = "failed"
     DEFERRED = "deferred"
     SKIPPED = "skipped"
+    UNREACHABLE = "unreachable"
 
 
 class Phase(StrEnum):
@@ -28,6 +29,7 @@ class Phase(StrEnum):
     HOLD = "hold"
     STOP = "stop"
     START = "start"
+    ADOPT = "adopt"
     READY = "ready"
     RELEASE = "release"
     RESTORE = "restore"

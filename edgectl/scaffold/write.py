@@ -1,12 +1,15 @@
 """The example fleet that ``init`` writes."""
 
 import json
+import re
+import secrets
 import shlex
 from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
 
 _DIRECTORY_PLACEHOLDER = b'prelude: cd "$EDGECTL_DEMO"'
+_FLEET_PLACEHOLDER = re.compile(rb"^fleet: (\w+)$", re.MULTILINE)
 _PROGRAMS = ("detection", "follower", "grid", "mapper", "merger", "robot", "wire", "world")
 MISSION_FILES = (
     "experiment.yaml",
@@ -48,7 +51,8 @@ def write_scaffold(directory: Path, schemas: Mapping[str, str] = NO_SCHEMAS) -> 
     """
     source = files("edgectl.scaffold")
     contents = {
-        name: _fill_in_directory(source.joinpath(name).read_bytes(), directory) for name in SCAFFOLD_FILES
+        name: _name_fleet(_fill_in_directory(source.joinpath(name).read_bytes(), directory))
+        for name in SCAFFOLD_FILES
     }
     for name, kind in _KINDS.items():
         if kind not in schemas:
@@ -71,6 +75,11 @@ def _fill_in_directory(content: bytes, directory: Path) -> bytes:
         _DIRECTORY_PLACEHOLDER,
         b"prelude: " + json.dumps(f"cd {shlex.quote(str(directory.resolve()))}").encode(),
     )
+
+
+def _name_fleet(content: bytes) -> bytes:
+    """The content with a fleet of its own: nobody else on the same hosts has its name."""
+    return _FLEET_PLACEHOLDER.sub(rb"fleet: \1-%s" % secrets.token_hex(3).encode(), content)
 
 
 def _write_new_file(path: Path, content: bytes) -> bool:

@@ -15,13 +15,14 @@ from edgectl.state.failpoints import hit_failpoint
 from edgectl.state.paths import open_private_file
 from edgectl.units import format_instant
 
-_POLL_S = 0.1
+_POLL_S, _MAX_CYCLE_S = 0.1, 3600.0
 
 
 class FleetLock:
     """Context manager around the lock file of one fleet. The file stays; only the kernel's lock counts.
 
-    ``timeout`` (s, 0: do not wait). The holder records its identity for the message of others.
+    ``timeout`` (s, 0: do not wait; None: for one cycle of a watch, else not at all). The holder records its
+    identity for the message of others, and a watch how long its cycle may take (``cycle_s``).
     """
 
     def __init__(
@@ -29,10 +30,13 @@ class FleetLock:
         fleet_dir: Path,
         *,
         verb: str = "apply",
-        timeout: float = 0.0,
+        timeout: float | None = 0.0,
         clock: Callable[[], float] = time.time,
+        name: str = "lock",
+        cycle_s: float = 0.0,
     ) -> None:
-        self._path = fleet_dir / "lock"
+        self._path = fleet_dir / name
+        self._cycle_s = cycle_s
         self._verb = verb
         self._timeout = timeout
         self._clock = clock
@@ -63,12 +67,13 @@ class FleetLock:
             hit_failpoint("lock released")
 
     def _wait(self, descriptor: int) -> None:
-        deadline = time.monotonic() + self._timeout
+        began = time.monotonic()
         while True:
             try:
                 fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
-                if time.monotonic() >= deadline:
+                timeout = _read_cycle_s(descriptor) if self._timeout is None else self._timeout
+                if time.monotonic() - began >= timeout:
                     raise LockBusyError(
                         f"lock held by {_describe_holder(descriptor)}",
                         hint="wait for it, or pass --lock-timeout 60s",
@@ -84,7 +89,7 @@ class FleetLock:
             "pid": os.getpid(),
             "verb": self._verb,
             "since": format_instant(self._clock()),
-        }
+        } | ({"cycle_s": self._cycle_s} if self._cycle_s else {})
         os.ftruncate(descriptor, 0)
         os.pwrite(descriptor, json.dumps(holder).encode() + b"\n", 0)
 
@@ -117,12 +122,25 @@ def get_user_name() -> str:
         return str(os.getuid())
 
 
+def describe_manager() -> str:
+    """User and machine of this command: ``ana@lab-pc``."""
+    return f"{get_user_name()}@{socket.gethostname()}"
+
+
 def _decode_holder_pid(signed: bytes) -> object:
     try:
         holder = json.loads(signed)
     except ValueError:
         return None
     return holder.get("pid") if isinstance(holder, dict) else None
+
+
+def _read_cycle_s(descriptor: int) -> float:
+    """How long the holder, a watch, may take for its cycle; 0 for any other holder."""
+    try:
+        return min(_MAX_CYCLE_S, float(json.loads(os.pread(descriptor, 4096, 0))["cycle_s"]))
+    except (ValueError, KeyError, TypeError):
+        return 0.0
 
 
 def _describe_holder(descriptor: int) -> str:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from edgectl.formats.kinds import MANAGER_STATE_KIND, DocumentKind
-from edgectl.model.encoding import in_document
+from edgectl.model.encoding import Instant, in_document
 from edgectl.model.manager_state import ManagerState
 from edgectl.state.journal import JOURNAL_FILE_NAME
 from edgectl.state.json_files import Warn, ignore_warning, load_or_set_aside, write_json
@@ -91,6 +91,40 @@ def save_ignored_instances(fleet_dir: Path, instances: tuple[str, ...]) -> None:
     """Replace them; the oldest are dropped beyond a thousand."""
     stored = _StoredInstances(instances=instances[-_MAX_IGNORED:])
     write_json(fleet_dir / _IGNORED_FILE_NAME, _IGNORED_KIND.encode(stored))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reminder:
+    """When an unattended run last reported (s since 1970) that the run ``instance`` is given up."""
+
+    instance: str = field(metadata=in_document(required=True))
+    at: Instant = field(metadata=in_document(required=True))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _StoredReminders:
+    """Reminders by task."""
+
+    tasks: Mapping[str, Reminder] = field(default_factory=dict, metadata=in_document(required=True))
+
+
+_REMINDERS_FILE_NAME = "reminders.json"
+_REMINDERS_KIND = DocumentKind(name="file of reminders", version=1, model=_StoredReminders)
+
+
+def load_reminders(fleet_dir: Path, warn: Warn = ignore_warning) -> Mapping[str, Reminder]:
+    """The reminders by task."""
+    path = fleet_dir / _REMINDERS_FILE_NAME
+    return load_or_set_aside(path, _REMINDERS_KIND.decode, _StoredReminders(), warn).tasks
+
+
+def save_reminders(fleet_dir: Path, reminders: Mapping[str, Reminder]) -> None:
+    """Replace them.
+
+    Raises:
+        StateError: the disk does not take it.
+    """
+    write_json(fleet_dir / _REMINDERS_FILE_NAME, _REMINDERS_KIND.encode(_StoredReminders(tasks=reminders)))
 
 
 StateFingerprint = tuple[tuple[int, int, int] | None, ...]

@@ -5,16 +5,17 @@ from pathlib import Path
 
 from edgectl.errors import StateError
 from edgectl.model.diagnosis import NOT_A_DIRECTORY, Disk
-from edgectl.state.paths import ensure_private_dir, get_fleet_path
+from edgectl.state.fleet_dir import ensure_fleet_dir
+from edgectl.state.paths import get_fleet_path
 
 
-def inspect_state_dir(inventory: Path) -> Disk:
-    """Inspect the state directory of the fleet described by the file ``inventory``; it is created if missing,
-    as by every command.
+def inspect_state_dir(fleet: str, inventory: Path) -> Disk:
+    """Inspect the state directory of ``fleet``, which the file ``inventory`` describes; it is created if
+    missing, as by every command.
     """
-    obstacle, path = "", get_fleet_path(inventory)
+    obstacle, path = "", get_fleet_path(fleet)
     try:
-        ensure_private_dir(path)
+        ensure_fleet_dir(fleet, inventory)
     except StateError as error:
         cause = error.__cause__
         obstacle = (cause.strerror or str(cause)) if isinstance(cause, OSError) else "is not private to you"

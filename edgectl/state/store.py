@@ -81,17 +81,21 @@ class Store:
 
     # -- writing -----------------------------------------------------------------------------------
 
-    def record_snapshot(self, snapshot: Snapshot, *, changing: bool = False) -> None:
+    def record_snapshot(
+        self, snapshot: Snapshot, *, changing: bool = False, unfinished: Collection[str] = ()
+    ) -> None:
         """Record the samples and the events that they show; the same snapshot again changes nothing.
 
         ``changing``: another edgectl is changing the fleet; starts and stops of tasks are left to its own
-        record.
+        record. ``unfinished``: tasks that an apply was changing when it was interrupted.
         """
 
         def record(connection: sqlite3.Connection) -> None:
             store_write.write_samples(connection, snapshot)
             known = store_write.load_known_fleet(connection)
-            events, after = store_events.detect_events(known, snapshot, changing=changing)
+            events, after = store_events.detect_events(
+                known, snapshot, changing=changing, unfinished=unfinished
+            )
             store_write.write_events(connection, events)
             store_write.write_known_fleet(connection, known, after)
 
@@ -166,10 +170,10 @@ class Store:
         return self._newest(rows.TASKS, "task_samples", "start", starts, (task,), since, limit)
 
     def task_starts(self, runs: Iterable[tuple[str, str, str]]) -> dict[tuple[str, str, str], float]:
-        """The start (s since 1970) of each of ``runs`` (task, host, instance) as it was last recorded."""
+        """The start (s since 1970) of each of ``runs`` (task, host, instance) as recorded with its age."""
         sql = (
             "SELECT at - age_s FROM starts JOIN uses USING (start) "
-            "WHERE task = ? AND host = ? AND instance = ? ORDER BY at DESC LIMIT 1"
+            "WHERE task = ? AND host = ? AND instance = ? AND age_s > 0 ORDER BY at DESC LIMIT 1"
         )
 
         def read(connection: sqlite3.Connection) -> dict[tuple[str, str, str], float]:

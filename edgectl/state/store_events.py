@@ -4,7 +4,7 @@ Pure: known state and new snapshot give events.
 """
 
 import dataclasses
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 
 from edgectl.model.event import Event, EventKind
@@ -29,6 +29,7 @@ _DONE_EVENTS = {
     Action.COMPLETE: EventKind.TASK_STOPPED,
     Action.MOVE: EventKind.TASK_MOVED,
     Action.RESTART: EventKind.TASK_RESTARTED,
+    Action.ADOPT: EventKind.TASK_ADOPTED,
 }
 
 
@@ -64,13 +65,14 @@ class KnownFleet:
 
 
 def detect_events(
-    known: KnownFleet, snapshot: Snapshot, *, changing: bool = False
+    known: KnownFleet, snapshot: Snapshot, *, changing: bool = False, unfinished: Collection[str] = ()
 ) -> tuple[tuple[Event, ...], KnownFleet]:
     """Events of ``snapshot`` relative to the known state, and the new known state. The same or an older
     snapshot gives none.
 
     The first sight of a host gives no events for what is in order there. ``changing``: another edgectl is
-    changing the fleet; starts and stops of tasks are left to its own record.
+    changing the fleet; starts and stops of tasks are left to its own record. ``unfinished``: tasks that an
+    apply was changing when it was interrupted.
     """
     at = snapshot.taken_at
     hosts = {name: sample for name, sample in snapshot.hosts.items() if _is_newer(at, known.hosts.get(name))}
@@ -87,7 +89,11 @@ def detect_events(
         before = known.tasks.get(name)
         if _is_newer(at, before) and not (changing and _has_arrived_or_left(before, now)):
             events += _detect_task_events(
-                name, before, now, quiet=before is None and now.host not in known.hosts
+                name,
+                before,
+                now,
+                quiet=before is None and now.host not in known.hosts,
+                unfinished=name in unfinished,
             )
             after_tasks[name] = now.known(before)
     return tuple(events), KnownFleet(
@@ -190,10 +196,14 @@ def _is_leftover(now: _SeenTask, before: KnownTask | None) -> bool:
 
 def _rank_location(now: _SeenTask, before: KnownTask | None) -> tuple[bool, bool, float]:
     """Rank of one of several locations of a task: alive first, then its known location, then the latest
-    start.
+    start or end.
     """
     sample = now.sample or TaskSample(state=TaskState.COMPLETED)
-    return sample.state.alive, before is not None and before.host == now.host, sample.started_at
+    return (
+        sample.state.alive,
+        before is not None and before.host == now.host,
+        max(sample.started_at, sample.ended_at or 0.0),
+    )
 
 
 def _has_arrived_or_left(before: KnownTask | None, now: _SeenTask) -> bool:
@@ -202,18 +212,17 @@ def _has_arrived_or_left(before: KnownTask | None, now: _SeenTask) -> bool:
     return before.instance != now.sample.instance
 
 
+_UNKNOWN_STOP = (EventKind.TASK_LOST, "gone, and not stopped by this manager")
+_UNFINISHED_STOP = (EventKind.TASK_STOPPED, "by an edgectl that was interrupted before it could record it")
+
+
 def _detect_task_events(
-    name: str, before: KnownTask | None, now: _SeenTask, *, quiet: bool
+    name: str, before: KnownTask | None, now: _SeenTask, *, quiet: bool, unfinished: bool
 ) -> Iterator[Event]:
     if now.sample is None:
         if before is not None and before.state is not None and before.state.alive:
-            yield Event(
-                at=now.at,
-                kind=EventKind.TASK_LOST,
-                host=before.host,
-                task=name,
-                message="gone, and not stopped by this manager",
-            )
+            kind, message = _UNFINISHED_STOP if unfinished else _UNKNOWN_STOP
+            yield Event(at=now.at, kind=kind, host=before.host, task=name, message=message)
         return
     event = None if quiet else _classify_arrival(before, now.host, now.sample)
     state = before.state if before is not None else None
@@ -303,7 +312,7 @@ def _build_result_events(result: ActionResult, at: float) -> Iterator[Event]:
             task=result.task,
             message=f"{result.action}: {result.error}",
         )
-    elif result.outcome is Outcome.FAILED:
+    elif result.outcome in (Outcome.FAILED, Outcome.UNREACHABLE):
         yield Event(
             at=at,
             kind=EventKind.ACTION_FAILED,

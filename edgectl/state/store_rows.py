@@ -234,7 +234,7 @@ def _build_task_point(at: float, host: str, name: str, task: TaskSample) -> Task
         used_bytes_per_s=task.used["network"],
         instance=task.instance,
         spec_hash=task.spec_hash,
-        age_s=round(max(0.0, at - task.started_at), 3),
+        age_s=round(max(0.0, at - task.started_at), 3) if task.started_at else 0.0,
         links=len(task.links or ()),
     )
 

@@ -117,7 +117,8 @@ def _send_request(
     )
     payload = _find_payload(answer.stdout, marker)
     if payload is None and time.monotonic() - began >= timeout:
-        raise DeadlineError(f"no answer within {timeout:g} s")  # the host's own deadline was seen before ours
+        # The host's own deadline was seen before ours.
+        raise DeadlineError(f"no answer within {timeout:.3g} s")
     if payload is None:
         raise _build_frame_error(answer)
     return _parse_reply_json(payload)
@@ -242,7 +243,7 @@ def stream_agent_log(
     # A stream cannot upload the agent: this call does, where the host does not have it yet.
     call_agent(
         session,
-        {"op": protocol.OP_STATUS, "host": request["host"], "task": request["task"]},
+        {"op": protocol.OP_STATUS, **{key: request[key] for key in ("fleet", "host", "task")}},
         timeout=max(idle_timeout, 5.0),
     )
     marker = secrets.token_hex(16)

@@ -48,7 +48,7 @@ class LocalSession:
                 stdout, stderr = exchange.finish()
                 status = process.wait(timeout=max(0.1, exchange.left()))
             except (TimeoutError, subprocess.TimeoutExpired):
-                raise DeadlineError(f"no answer within {timeout:g} s", host=self._name) from None
+                raise DeadlineError(f"no answer within {timeout:.3g} s", host=self._name) from None
             except OverflowError:
                 raise ReplyError(f"more than {limit} bytes of output", host=self._name) from None
         return Reply(stdout=stdout, stderr=stderr, status=status)

@@ -174,7 +174,7 @@ def _collect_reply(channel: paramiko.Channel, deadline: float, limit: int, timeo
         if _has_output_ended(channel) or not arrived.wait(max(0.0, deadline - time.monotonic())):
             break
     if not _has_output_ended(channel) or not channel.status_event.wait(max(0.0, deadline - time.monotonic())):
-        raise DeadlineError(f"no end within {timeout:g} s")
+        raise DeadlineError(f"no answer within {timeout:.3g} s")
     return Reply(stdout=bytes(stdout), stderr=bytes(stderr), status=channel.exit_status)
 
 

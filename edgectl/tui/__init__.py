@@ -1,4 +1,4 @@
-"""Live view of ``edgectl top -i``. Needs the extra edgectl[tui], so nothing imports this room at start."""
+"""Live view of ``edgectl top -i``. Needs the extra tui, so nothing imports this room at start."""
 
 from edgectl.tui.run import run_top_view
 

@@ -20,8 +20,9 @@ from edgectl.usecases.plan_execution import (
     lock_fleet,
 )
 from edgectl.usecases.probe import probe_fleet
+from edgectl.usecases.saved_plan import list_file_conflicts, list_unsafe_steps
 
-__all__ = ["ApplyOptions", "ApplyResult", "Confirm", "apply_saved_plan", "plan_and_apply"]
+__all__ = ["ApplyOptions", "ApplyResult", "Confirm", "apply_saved_plan", "check_saved_plan", "plan_and_apply"]
 
 
 def plan_and_apply(
@@ -38,11 +39,23 @@ def plan_and_apply(
         return confirm_and_execute(held, plan, confirm, options)
 
 
-def apply_saved_plan(fleet: Fleet, plan: Plan, options: ApplyOptions | None = None) -> ApplyResult:
-    """Execute a saved plan once, and only if nothing changed since it was made.
+def check_saved_plan(fleet: Fleet, plan: Plan) -> None:
+    """Compare a saved plan with the files; no host is asked.
 
     Raises:
-        StalePlanError: something changed, or the plan was applied before.
+        StalePlanError: it was made for other files, or does not fit them.
+    """
+    conflicts = list_file_conflicts(plan, fleet.inventory, fleet.tasks)
+    if conflicts:
+        raise StalePlanError(conflicts)
+
+
+def apply_saved_plan(fleet: Fleet, plan: Plan, options: ApplyOptions | None = None) -> ApplyResult:
+    """Execute a saved plan once, only if nothing changed since it was made, and only steps that edgectl would
+    plan now.
+
+    Raises:
+        StalePlanError: something changed, a step is unsafe, or the plan was applied before.
         LockBusyError: another edgectl is changing this fleet.
     """
     options = options or ApplyOptions()
@@ -52,7 +65,10 @@ def apply_saved_plan(fleet: Fleet, plan: Plan, options: ApplyOptions | None = No
             if name in journal.log.applied:
                 raise StalePlanError(["it was applied before"])
         snapshot = probe_fleet(held, options.probe)
-        changes = list_drift(plan, fleet.inventory, fleet.tasks, snapshot, snapshot.manager or ManagerState())
+        changes = (
+            *list_file_conflicts(plan, fleet.inventory, fleet.tasks),
+            *list_drift(plan, snapshot, snapshot.manager or ManagerState()),
+        ) or list_unsafe_steps(plan, fleet.inventory, fleet.tasks, snapshot)
         hit_failpoint("staleness checked")
         if changes:
             raise StalePlanError(changes)

@@ -11,6 +11,7 @@ from edgectl.state.json_files import Warn, ignore_warning
 from edgectl.state.store_handle import StoreHandle
 from edgectl.state.uptime import Uptime, read_uptime
 from edgectl.transport.base import Transport
+from edgectl.transport.fleet_lease import FleetLease
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -19,7 +20,8 @@ class Fleet:
     (``state.paths.fleet_dir``).
 
     ``clock`` gives s since 1970, ``uptime`` monotonic seconds. ``warn`` receives warnings that do not stop
-    the call; ``history`` records samples and actions.
+    the call; ``history`` records samples and actions. ``lease``: the hold of the fleet by this run, while it
+    changes something.
     """
 
     inventory: Inventory
@@ -30,3 +32,4 @@ class Fleet:
     warn: Warn = ignore_warning
     uptime: Callable[[], Uptime] = read_uptime
     history: StoreHandle = field(default_factory=StoreHandle)
+    lease: FleetLease | None = None

@@ -1,18 +1,17 @@
-"""Record heartbeats of hosts, and send them to idle hosts during a long apply so that self_fence does not
-fire.
+"""Record heartbeats of hosts, and send them to idle hosts during a long apply and between the requests of a
+watch, so that self_fence does not fire and the hold of the fleet lasts.
 """
 
 import contextlib
 import dataclasses
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 
 from edgectl.errors import HostError, StateError
 from edgectl.executor import host_requests
-from edgectl.gateway.fanout import fan_out
 from edgectl.model.inventory import Host
 from edgectl.model.manager_state import ManagerState
-from edgectl.model.snapshot import Snapshot
+from edgectl.model.task import Tasks
 from edgectl.state.heartbeats import load_heartbeats, record_heartbeats
 from edgectl.state.manager_state import load_manager_state
 from edgectl.state.uptime import Uptime
@@ -44,7 +43,10 @@ def load_state_with_heartbeats(fleet: Fleet) -> ManagerState:
     """The manager's state of the fleet with its heartbeats and fences."""
     manager, contacts = load_manager_state(fleet.state, fleet.warn), load_heartbeats(fleet.state, fleet.warn)
     return dataclasses.replace(
-        manager, contact=contacts.to_instants(fleet.clock(), fleet.uptime()), fenced=contacts.fenced
+        manager,
+        contact=contacts.to_instants(fleet.clock(), fleet.uptime()),
+        fenced=contacts.fenced,
+        orphans=contacts.orphans,
     )
 
 
@@ -85,48 +87,79 @@ class _HeartbeatRecorder:
                 self._fleet.warn(f"{error.message}: the last heartbeats of the hosts are not recorded")
 
 
-_HEARTBEAT_TIMEOUT_S = 10.0
-_WORKERS = 8
-# Fraction of the shortest self_fence between heartbeats: three may be lost.
-_SELF_FENCE_SHARE = 0.25
+_MAX_HEARTBEAT_TIMEOUT_S = 10.0
+# Fraction of the shortest self_fence, and of the lease, between heartbeats: three (two) may be lost.
+_SELF_FENCE_SHARE, _LEASE_SHARE = 0.25, 1 / 3
+
+
+def compute_heartbeat_pause_s(fleet: Fleet) -> float | None:
+    """Seconds between two heartbeats of a host; None where no task fences itself and nothing is held."""
+    pauses = [_SELF_FENCE_SHARE * fence for fence in list_self_fences(fleet.tasks)]
+    if fleet.lease is not None:
+        pauses.append(_LEASE_SHARE * fleet.lease.ttl_s)
+    return min(pauses, default=None)
+
+
+def list_self_fences(tasks: Tasks) -> list[float]:
+    """The ``self_fence`` (s) of each task that has one."""
+    return [task.self_fence for task in tasks.tasks.values() if task.self_fence is not None]
 
 
 @contextlib.contextmanager
-def send_heartbeats(fleet: Fleet, snapshot: Snapshot) -> Iterator[None]:
-    """Send heartbeats periodically to every host of ``snapshot`` that answered, if a task has ``self_fence``;
-    else do nothing.
+def send_heartbeats(fleet: Fleet, list_hosts: Callable[[], Iterable[str]]) -> Iterator[None]:
+    """Send heartbeats periodically to the hosts that ``list_hosts`` names then; they renew the lease too.
+
+    Nothing is sent where no task has ``self_fence`` and nothing is held. A host that hangs delays no other.
     """
-    fences = [task.self_fence for task in fleet.tasks.tasks.values() if task.self_fence is not None]
-    if not fences:
+    pause = compute_heartbeat_pause_s(fleet)
+    if pause is None:
         yield
         return
-    hosts = [
-        fleet.inventory.hosts[name]
-        for name, sample in snapshot.hosts.items()
-        if sample.ok and name in fleet.inventory.hosts
-    ]
     over = threading.Event()
     keeper = threading.Thread(
-        target=_send_heartbeats_until, args=(fleet, hosts, _SELF_FENCE_SHARE * min(fences), over), daemon=True
+        target=_send_heartbeats_until, args=(fleet, list_hosts, pause, over), daemon=True
     )
     keeper.start()
     try:
         yield
     finally:
         over.set()
-        keeper.join(_HEARTBEAT_TIMEOUT_S)
+        keeper.join(_MAX_HEARTBEAT_TIMEOUT_S)
 
 
-def _send_heartbeats_until(fleet: Fleet, hosts: list[Host], pause: float, over: threading.Event) -> None:
-    while not over.wait(pause):
-        for _ in fan_out(lambda host: _send_heartbeat(fleet, host, over), hosts, workers=_WORKERS):
-            pass
+def _send_heartbeats_until(
+    fleet: Fleet, list_hosts: Callable[[], Iterable[str]], pause: float, over: threading.Event
+) -> None:
+    """One thread for each host that is asked, none while the last one of that host still waits."""
+    asking: dict[str, threading.Thread] = {}
+    with track_heartbeats(fleet) as tracked:
+        while not over.wait(pause):
+            for name in list_hosts():
+                if name in tracked.inventory.hosts and not (name in asking and asking[name].is_alive()):
+                    host = tracked.inventory.hosts[name]
+                    asking[name] = threading.Thread(
+                        target=_send_heartbeat, args=(tracked, host, pause, over), daemon=True
+                    )
+                    asking[name].start()
+        for thread in asking.values():
+            thread.join(min(pause, _MAX_HEARTBEAT_TIMEOUT_S))
 
 
-def _send_heartbeat(fleet: Fleet, host: Host, over: threading.Event) -> None:
-    """Send one heartbeat; a host that does not take it is found out by the action that needs it."""
-    if over.is_set():
-        return
-    request, seconds = host_requests.build_status_request(host), _HEARTBEAT_TIMEOUT_S
+def _send_heartbeat(fleet: Fleet, host: Host, pause: float, over: threading.Event) -> None:
+    """Send one heartbeat; a host that does not take it is found out by the action that needs it.
+
+    It waits no longer than one pause: a connection that was lost is replaced with the next heartbeat.
+    """
+    seconds, lease = min(pause, _MAX_HEARTBEAT_TIMEOUT_S), fleet.lease
     with contextlib.suppress(HostError):
+        if over.is_set():
+            return
+        request = (
+            host_requests.build_status_request(host)
+            if lease is None
+            else host_requests.build_renewal_request(host, lease.sign(host.name))
+        )
+        sent = 0.0 if lease is None else lease.now()
         ask_host(fleet.transport, host, request, timeout=seconds, connect_timeout=seconds)
+        if lease is not None:
+            lease.extend(host.name, sent)

@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Sequence
 
 from edgectl.gateway.task_lookup import list_ended_instances
+from edgectl.model.lost_places import list_fence_marks
 from edgectl.model.manager_state import ManagerState
 from edgectl.names import check_known_names
 from edgectl.state import heartbeats
@@ -25,24 +26,28 @@ def mark_tasks_done(fleet: Fleet, names: Sequence[str]) -> ManagerState:
     spec.
     """
     check_known_names(names, fleet.tasks.tasks, "task")
-    with FleetLock(fleet.state, verb="done", clock=fleet.clock):
+    with FleetLock(fleet.state, verb="done", timeout=None, clock=fleet.clock):
         manager = load_manager_state(fleet.state, fleet.warn)
         marked = {name: fleet.tasks.tasks[name].spec_hash for name in names}
         return _save_and_return(fleet, dataclasses.replace(manager, done={**manager.done, **marked}))
 
 
-def reopen_tasks(fleet: Fleet, names: Sequence[str]) -> ManagerState:
-    """Remove the marks of completed tasks, and forget their recorded completion or failure."""
+def reopen_tasks(fleet: Fleet, names: Sequence[str]) -> frozenset[str]:
+    """Remove the marks of completed tasks, and forget their recorded completion or failure. Returns the hosts
+    that did not answer, where one may be recorded still.
+    """
     check_known_names(names, fleet.tasks.tasks, "task")
-    with FleetLock(fleet.state, verb="reopen", clock=fleet.clock):
-        _ignore_ended_instances(fleet, names)
+    with FleetLock(fleet.state, verb="reopen", timeout=None, clock=fleet.clock):
+        unanswered = _ignore_ended_instances(fleet, names)
         manager = load_manager_state(fleet.state, fleet.warn)
         kept = {name: spec for name, spec in manager.done.items() if name not in names}
-        return _save_and_return(fleet, dataclasses.replace(manager, done=kept))
+        _save_and_return(fleet, dataclasses.replace(manager, done=kept))
+    return unanswered
 
 
-def _ignore_ended_instances(fleet: Fleet, names: Sequence[str]) -> None:
+def _ignore_ended_instances(fleet: Fleet, names: Sequence[str]) -> frozenset[str]:
     """Record which ended instances are ignored; a host that does not answer may report one later."""
+    unanswered: frozenset[str] = frozenset()
     reopened = load_ignored_instances(fleet.state, fleet.warn)
     for name in names:
         with track_heartbeats(fleet) as tracked:
@@ -50,15 +55,17 @@ def _ignore_ended_instances(fleet: Fleet, names: Sequence[str]) -> None:
                 name, fleet.inventory, tracked.transport, timeout=_TIMEOUT_S
             )
         reopened = (*reopened, *sorted(instances - set(reopened)))
+        unanswered |= frozenset(silent)
         if silent:
             fleet.warn(f"{', '.join(silent)} did not answer: if {name} ended there, run reopen again")
     save_ignored_instances(fleet.state, reopened)
+    return unanswered
 
 
 def cordon_hosts(fleet: Fleet, names: Sequence[str], *, drain: bool = False) -> ManagerState:
     """Mark hosts as unschedulable; with ``drain`` their tasks move away at the next apply."""
     check_known_names(names, fleet.inventory.hosts, "host")
-    with FleetLock(fleet.state, verb="cordon", clock=fleet.clock):
+    with FleetLock(fleet.state, verb="cordon", timeout=None, clock=fleet.clock):
         manager = load_manager_state(fleet.state, fleet.warn)
         draining = manager.draining | set(names) if drain else manager.draining
         return _save_and_return(
@@ -69,7 +76,7 @@ def cordon_hosts(fleet: Fleet, names: Sequence[str], *, drain: bool = False) -> 
 def uncordon_hosts(fleet: Fleet, names: Sequence[str]) -> ManagerState:
     """Mark hosts as schedulable."""
     check_known_names(names, fleet.inventory.hosts, "host")
-    with FleetLock(fleet.state, verb="uncordon", clock=fleet.clock):
+    with FleetLock(fleet.state, verb="uncordon", timeout=None, clock=fleet.clock):
         manager = load_manager_state(fleet.state, fleet.warn)
         return _save_and_return(
             fleet,
@@ -80,16 +87,29 @@ def uncordon_hosts(fleet: Fleet, names: Sequence[str]) -> ManagerState:
 
 
 def fence_hosts(fleet: Fleet, names: Sequence[str]) -> frozenset[str]:
-    """Declare hosts powered off: their tasks can be rescheduled. Returns all fenced hosts."""
-    check_known_names(names, fleet.inventory.hosts, "host")
-    with FleetLock(fleet.state, verb="fence", clock=fleet.clock):
-        return heartbeats.add_fences(fleet.state, names).fenced
+    """Declare hosts powered off: their tasks can be rescheduled. Returns all fenced hosts.
+
+    A host that left the inventory is known as long as a task was last placed there; of one whose address
+    changed, the former address is fenced (ADR 0040).
+    """
+    manager = load_manager_state(fleet.state, fleet.warn)
+    check_known_names(names, list_fenceable_hosts(fleet, manager), "host")
+    marks = {mark for name in names for mark in list_fence_marks(name, fleet.inventory, manager)}
+    with FleetLock(fleet.state, verb="fence", timeout=None, clock=fleet.clock):
+        return heartbeats.add_fences(fleet.state, marks).fenced
+
+
+def list_fenceable_hosts(fleet: Fleet, manager: ManagerState | None = None) -> list[str]:
+    """The hosts of the inventory, and those where a task was last placed."""
+    manager = manager or load_manager_state(fleet.state, fleet.warn)
+    return [*fleet.inventory.hosts, *(placement.host for placement in manager.placements.values())]
 
 
 def unfence_hosts(fleet: Fleet, names: Sequence[str]) -> frozenset[str]:
     """Clear the fence of hosts. Returns all hosts that are still fenced."""
-    check_known_names(names, fleet.inventory.hosts, "host")
-    with FleetLock(fleet.state, verb="unfence", clock=fleet.clock):
+    fenced = heartbeats.load_heartbeats(fleet.state, fleet.warn).fenced
+    check_known_names(names, [*fleet.inventory.hosts, *sorted(fenced)], "host")
+    with FleetLock(fleet.state, verb="unfence", timeout=None, clock=fleet.clock):
         return heartbeats.remove_fences(fleet.state, names).fenced
 
 

@@ -6,11 +6,17 @@ from edgectl.gateway import bandwidth, host_probe
 from edgectl.gateway.host_probe import ProbeOptions
 from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.snapshot import BandwidthMeasurement, Snapshot
-from edgectl.state.heartbeats import load_heartbeats
+from edgectl.state.heartbeats import load_heartbeats, record_orphans
 from edgectl.state.journal import JOURNAL_FILE_NAME
 from edgectl.state.journal_reader import read_journal_cached
-from edgectl.state.manager_state import load_ignored_instances, load_link_capacities, save_link_capacities
+from edgectl.state.manager_state import (
+    load_ignored_instances,
+    load_link_capacities,
+    load_manager_state,
+    save_link_capacities,
+)
 from edgectl.usecases.fleet import Fleet
+from edgectl.usecases.fleet_lease import probe_within_lease
 from edgectl.usecases.heartbeat import load_state_with_heartbeats, track_heartbeats
 from edgectl.usecases.measured_demand import load_measured_demands
 from edgectl.usecases.record import pin_task_starts, record_snapshot
@@ -19,15 +25,32 @@ from edgectl.usecases.record import pin_task_starts, record_snapshot
 def probe_fleet(fleet: Fleet, options: ProbeOptions | None = None) -> Snapshot:
     """Measure every host; the snapshot includes the manager's state, so that it suffices to repeat a
     decision.
+
+    Raises:
+        LockBusyError: the fleet has a lease to claim (``fleet.lease``), and another manager holds it.
     """
     measured = load_link_capacities(fleet.state, fleet.warn)
     reopened = frozenset(load_ignored_instances(fleet.state, fleet.warn))
-    options = dataclasses.replace(options or ProbeOptions(), measured=measured, reopened=reopened)
+    options = dataclasses.replace(
+        options or ProbeOptions(),
+        measured=measured,
+        reopened=reopened,
+        known_tasks=lambda: _list_known_tasks(fleet),
+    )
     fenced = load_heartbeats(fleet.state, fleet.warn).fenced
     with track_heartbeats(fleet) as tracked:
-        snapshot = host_probe.probe_hosts(
-            fleet.inventory, fleet.tasks, tracked.transport, options=options, clock=fleet.clock
+        snapshot = probe_within_lease(
+            tracked,
+            lambda: host_probe.probe_hosts(
+                fleet.inventory,
+                fleet.tasks,
+                tracked.transport,
+                options=options,
+                clock=fleet.clock,
+                lease=fleet.lease,
+            ),
         )
+    _record_orphans(fleet, snapshot)
     manager = load_state_with_heartbeats(fleet)
     for host in sorted(fenced - manager.fenced):
         fleet.warn(f"{host} answers, so it is not powered off: its fence is cleared")
@@ -39,6 +62,23 @@ def probe_fleet(fleet: Fleet, options: ProbeOptions | None = None) -> Snapshot:
     return dataclasses.replace(snapshot, manager=manager)
 
 
+def _list_known_tasks(fleet: Fleet) -> frozenset[str]:
+    """Tasks of the files, and tasks that this manager has placed."""
+    return frozenset(fleet.tasks.tasks) | frozenset(load_manager_state(fleet.state, fleet.warn).placements)
+
+
+def _record_orphans(fleet: Fleet, snapshot: Snapshot) -> None:
+    """Remember which tasks have no supervisor: a later silence of their host must not count as their end."""
+    seen = {
+        name: tuple(sorted(task for task, run in host.tasks.items() if run.orphaned))
+        for name, host in snapshot.hosts.items()
+        if host.ok
+    }
+    known = load_heartbeats(fleet.state, fleet.warn).orphans
+    if any(known.get(host, ()) != tasks for host, tasks in seen.items()):
+        record_orphans(fleet.state, seen)
+
+
 def _add_journaled_starts(fleet: Fleet, manager: ManagerState, snapshot: Snapshot) -> ManagerState:
     """The manager's state with starts that only the journal records, on hosts that are unreachable now.
 
@@ -48,7 +88,7 @@ def _add_journaled_starts(fleet: Fleet, manager: ManagerState, snapshot: Snapsho
     started = {
         task: Placement(host=host, since=snapshot.taken_at, generation=generation)
         for task, (host, generation) in read_journal_cached(fleet.state / JOURNAL_FILE_NAME).located.items()
-        if host in snapshot.hosts and not snapshot.hosts[host].ok
+        if host not in snapshot.hosts or not snapshot.hosts[host].ok
         if task not in manager.placements or manager.placements[task].generation < generation
     }
     return dataclasses.replace(manager, placements={**manager.placements, **started}) if started else manager

@@ -8,6 +8,8 @@ from edgectl.model.event import Event
 from edgectl.model.plan import Plan
 from edgectl.model.result import Results
 from edgectl.model.snapshot import Snapshot, TaskSample
+from edgectl.state.journal import JOURNAL_FILE_NAME
+from edgectl.state.journal_reader import read_journal_cached
 from edgectl.state.lock import is_locked_elsewhere
 from edgectl.usecases.fleet import Fleet
 
@@ -21,14 +23,18 @@ _START_TOLERANCE_S = 5.0
 def record_snapshot(fleet: Fleet, snapshot: Snapshot) -> None:
     """Record the samples of a probe and the events that they show."""
     changing = is_locked_elsewhere(fleet.state)
-    _record_and_prune(fleet, lambda store: store.record_snapshot(snapshot, changing=changing))
+    unfinished = read_journal_cached(fleet.state / JOURNAL_FILE_NAME).unfinished
+    _record_and_prune(
+        fleet, lambda store: store.record_snapshot(snapshot, changing=changing, unfinished=unfinished)
+    )
 
 
 def pin_task_starts(fleet: Fleet, snapshot: Snapshot) -> Snapshot:
     """``snapshot`` with the start of each run as it was first recorded.
 
     A start is measured as the time of the reply less an age on the host's clock, so it varies by the time
-    that a reply takes. One that differs by more is another start.
+    that a reply takes. One that differs by more is another start. Of a run that has ended only the record
+    knows it.
     """
     runs = [
         (name, host, task.instance)
@@ -55,7 +61,7 @@ def pin_task_starts(fleet: Fleet, snapshot: Snapshot) -> Snapshot:
 
 def _pin_start(task: TaskSample, known: float | None) -> float:
     """Rounded, so that what the history keeps in milliseconds gives the same instant again."""
-    same = known is not None and abs(known - task.started_at) < _START_TOLERANCE_S
+    same = known is not None and (not task.started_at or abs(known - task.started_at) < _START_TOLERANCE_S)
     return round(known if same and known is not None else task.started_at, 2)
 
 

@@ -3,12 +3,13 @@
 import dataclasses
 from collections.abc import Sequence
 
-from edgectl.errors import UsageError
+from edgectl.errors import UnansweredError, UsageError, describe_unseen_task
 from edgectl.executor.operator_plans import (
     build_restart_plan,
     build_stop_plan,
     drop_given_up_runs,
     list_running_instances,
+    list_unseen_placements,
 )
 from edgectl.model.plan import Action, Plan
 from edgectl.model.snapshot import Snapshot
@@ -35,6 +36,8 @@ def stop_tasks(
     """Stop the named tasks (None: all) on every host. The next apply starts them again unless they are marked
     done.
 
+    A task last known on a host that does not answer is an action with the outcome ``unreachable``.
+
     Raises:
         UsageError: a name is neither in the files nor running.
         LockBusyError: another edgectl is changing this fleet.
@@ -43,7 +46,7 @@ def stop_tasks(
     with lock_fleet(fleet, "stop", options) as held:
         snapshot = probe_fleet(held, options.probe)
         wanted = (
-            list(list_running_instances(snapshot))
+            list({**list_running_instances(snapshot), **list_unseen_placements(snapshot)})
             if names is None
             else _check_task_names(fleet, names, snapshot)
         )
@@ -64,6 +67,7 @@ def restart_task(
 
     Raises:
         UsageError: it is not in the files, neither runs nor failed for good, or has no placement.
+        UnansweredError: it may run on a host that does not answer.
         LockBusyError: another edgectl is changing this fleet.
     """
     options = options or ApplyOptions()
@@ -80,6 +84,7 @@ def _plan_restart(fleet: Fleet, name: str, snapshot: Snapshot) -> Plan:
         raise UsageError(f"{name} is not in the task files", hint="edgectl apply")
     if name in list_running_instances(snapshot):
         return build_restart_plan(name, fleet.inventory, fleet.tasks, snapshot)
+    _check_not_unseen(name, snapshot)
     forgiven = drop_given_up_runs(name, snapshot)
     if forgiven == snapshot:
         raise UsageError(f"{name} is not running", hint="edgectl apply")
@@ -92,6 +97,27 @@ def _plan_restart(fleet: Fleet, name: str, snapshot: Snapshot) -> Plan:
     return dataclasses.replace(made, steps=steps, expected={})
 
 
+def _check_not_unseen(name: str, snapshot: Snapshot) -> None:
+    """Refuse to call a task stopped that may run on a host that does not answer.
+
+    Raises:
+        UnansweredError: it was last known there; or it is seen nowhere and is not given up anywhere.
+    """
+    host = list_unseen_placements(snapshot).get(name)
+    if host is not None:
+        raise UnansweredError(
+            f"not restarted: {describe_unseen_task(name, host)}",
+            hint=f"restart it once {host} answers; if {host} is powered off: edgectl fence {host}",
+        )
+    silent = snapshot.silent_hosts
+    if silent and drop_given_up_runs(name, snapshot) == snapshot:
+        raise UnansweredError(
+            f"{name} runs on no host that answers; no answer from {', '.join(silent)}",
+            hint="edgectl doctor",
+        )
+
+
 def _check_task_names(fleet: Fleet, names: Sequence[str], snapshot: Snapshot) -> list[str]:
-    check_known_names(names, [*fleet.tasks.tasks, *list_running_instances(snapshot)], "task")
+    known = {**list_running_instances(snapshot), **list_unseen_placements(snapshot)}
+    check_known_names(names, [*fleet.tasks.tasks, *known], "task")
     return list(dict.fromkeys(names))

@@ -1,12 +1,13 @@
 """Watch loop: sample, smooth, plan and, if allowed, apply, over sessions that stay open."""
 
+import contextlib
 import dataclasses
 import math
-from collections.abc import Callable, Generator, Iterable
+from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Self
 
-from edgectl.errors import EdgectlError, LockBusyError
+from edgectl.errors import EdgectlError, LockBusyError, WatchedError
 from edgectl.gateway.host_probe import ProbeOptions
 from edgectl.gateway.smoothing import smooth_snapshot
 from edgectl.model.cycle import Cycle
@@ -16,12 +17,14 @@ from edgectl.model.result import Outcome, Results
 from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Tasks
 from edgectl.state.lock import FleetLock
-from edgectl.state.manager_state import StateFingerprint, fingerprint_state_files
 from edgectl.transport.backoff import compute_backoff_s
 from edgectl.transport.connections import REFUSED_BACKOFF_S, BackoffTransport, SessionPool
+from edgectl.transport.fleet_lease import WatchNote
 from edgectl.usecases.control import Control, ControlRequest
 from edgectl.usecases.fleet import Fleet
-from edgectl.usecases.heartbeat import send_heartbeats, track_heartbeats
+from edgectl.usecases.fleet_lease import compute_files_digest, hold_fleet, release_fleet
+from edgectl.usecases.given_up import take_given_up_reminders
+from edgectl.usecases.heartbeat import send_heartbeats
 from edgectl.usecases.plan import limit_plan_to_tasks, make_plan
 from edgectl.usecases.plan_execution import (
     ApplyOptions,
@@ -60,10 +63,12 @@ class WatchOptions:
     ``debug``: a bug ends the loop instead of one cycle.
     ``refresh``: a new fleet if its files changed, else None; raises EdgectlError if they are broken, and the
     old ones stay in use.
+    ``take_over``: replace another watch of the fleet.
     """
 
     every: float = 10.0
     apply: bool = False
+    take_over: bool = False
     cycles: int | None = None
     debug: bool = False
     probe: ProbeOptions = field(default_factory=lambda: ProbeOptions(timeout=_PROBE_TIMEOUT_S))
@@ -78,6 +83,10 @@ def watch_fleet(fleet: Fleet, options: WatchOptions) -> Generator[Cycle, None, N
     cycle; the loop continues.
 
     Close the iterator (``contextlib.closing``) if it is not read to its end: it holds connections.
+
+    Raises:
+        LockBusyError: another watch of this machine applies plans to this fleet.
+        WatchedError: one of another machine does, or has taken over.
     """
     with _WatchLoop(fleet, options) as loop:
         yield from loop.cycles()
@@ -100,20 +109,33 @@ class _WatchLoop:
         self._resting: dict[str, _TaskBackoff] = {}
         self._smooth: Snapshot | None = None
         self._planned: PlanSignature = ()
+        self._answering: tuple[str, ...] = ()
+        self._take_over = options.take_over
+        self._last_hold: Fleet | None = None
+        self._alone = FleetLock(fleet.state, verb="watch", clock=fleet.clock, name="watch.lock")
+        self._heartbeats = contextlib.ExitStack()
         self._take(fleet)
         self._heard = get_newest_event_id(self._fleet)
 
     def __enter__(self) -> Self:
+        if self._options.apply:
+            self._alone.__enter__()
         return self
 
     def __exit__(self, *exc: object) -> None:
+        if self._last_hold is not None:
+            release_fleet(self._last_hold, self._answering, end_watch=True)
+        self._heartbeats.close()
         self._pool.close()
+        self._alone.__exit__(*exc)
 
     def _take(self, fleet: Fleet) -> None:
-        """Switch to ``fleet`` with new connections."""
+        """Switch to ``fleet`` with new connections; heartbeats go on over these while a cycle waits."""
+        self._heartbeats.close()
         self._pool = SessionPool(fleet.transport, forget_s=REFUSED_BACKOFF_S, clock=self._now_of(fleet))
         self._patient = BackoffTransport(self._pool, clock=self._now_of(fleet))
         self._fleet = dataclasses.replace(fleet, transport=self._pool, warn=self._said.append)
+        self._heartbeats.enter_context(send_heartbeats(self._fleet, lambda: self._answering))
 
     @staticmethod
     def _now_of(fleet: Fleet) -> Callable[[], float]:
@@ -138,17 +160,7 @@ class _WatchLoop:
             yield dataclasses.replace(cycle, seconds=seconds, next_in=None if last else left)
             if last:
                 return
-            wish = self._wait(began + seconds + left)
-
-    def _wait(self, until: float) -> ControlRequest | None:
-        """Wait for the next cycle or a request. Heartbeats for tasks with self_fence continue meanwhile."""
-        left = max(0.0, until - self._now())
-        if self._smooth is None or not any(
-            task.self_fence is not None for task in self._fleet.tasks.tasks.values()
-        ):
-            return self._options.control.wait(left)
-        with track_heartbeats(self._fleet) as near, send_heartbeats(near, self._smooth):
-            return self._options.control.wait(left)
+            wish = self._options.control.wait(max(0.0, began + seconds + left - self._now()))
 
     def _cycle(self, number: int, *, paused: bool) -> Cycle:
         """Run one cycle; an error is recorded in it."""
@@ -156,6 +168,8 @@ class _WatchLoop:
         self._said.clear()
         try:
             self._round(draft, paused=paused)
+        except WatchedError:
+            raise
         except LockBusyError as error:
             draft.put(busy=error.message)
         except EdgectlError as error:
@@ -175,15 +189,44 @@ class _WatchLoop:
 
     def _round(self, draft: "_CycleBuilder", *, paused: bool) -> None:
         self._refresh()
-        before = fingerprint_state_files(self._fleet.state)
-        snapshot = self._sample()
-        draft.put(snapshot=snapshot)
-        if paused or self._options.control.stop_requested.is_set():
+        with self._hold(paused=paused) as (fleet, busy):
+            snapshot = self._sample(fleet)
+            draft.put(snapshot=snapshot)
+            if paused or self._options.control.stop_requested.is_set():
+                return
+            plan = self._plan(snapshot)
+            draft.put(plan=plan)
+            self._said += take_given_up_reminders(fleet, plan)
+            if self._options.apply and not has_nothing_to_do(fleet, plan):
+                if busy is not None:
+                    raise busy
+                draft.put(results=self._apply(fleet, plan))
+
+    @contextlib.contextmanager
+    def _hold(self, *, paused: bool) -> Iterator[tuple[Fleet, LockBusyError | None]]:
+        """The fleet to sample: held from its probe to the end of the actions where this watch applies plans.
+
+        With the error where another edgectl of this machine is changing the fleet; then it is only sampled.
+        """
+        if paused or not self._options.apply:
+            yield self._fleet, None
             return
-        plan = self._plan(snapshot)
-        draft.put(plan=plan)
-        if self._options.apply and not has_nothing_to_do(self._fleet, plan):
-            draft.put(results=self._apply(plan, before))
+        every = self._options.every
+        note = WatchNote(every_s=every, digest=compute_files_digest(self._fleet))
+        lock = FleetLock(
+            self._fleet.state, verb="watch", clock=self._fleet.clock, cycle_s=every + _PROBE_TIMEOUT_S
+        )
+        try:
+            lock.__enter__()
+        except LockBusyError as error:
+            yield self._fleet, error
+            return
+        with contextlib.ExitStack() as stack:
+            stack.push(lock)
+            held = stack.enter_context(
+                hold_fleet(self._fleet, "watch", patience_s=0.0, watch=note, take_over=self._take_over)
+            )
+            yield held, None
 
     def _refresh(self) -> None:
         """Load changed files; if they are broken, warn and keep the old ones."""
@@ -197,9 +240,12 @@ class _WatchLoop:
             self._take(fleet)
             self._resting = {task: rest for task, rest in self._resting.items() if task in fleet.tasks.tasks}
 
-    def _sample(self) -> Snapshot:
+    def _sample(self, fleet: Fleet) -> Snapshot:
         """Probe the fleet; unreachable hosts are retried with back-off."""
-        snapshot = probe_fleet(dataclasses.replace(self._fleet, transport=self._patient), self._options.probe)
+        snapshot = probe_fleet(dataclasses.replace(fleet, transport=self._patient), self._options.probe)
+        self._answering = tuple(name for name, host in snapshot.hosts.items() if host.ok)
+        if fleet.lease is not None:
+            self._take_over, self._last_hold = False, fleet
         self._smooth = smooth_snapshot(self._smooth, snapshot, period=self._options.every)
         return snapshot
 
@@ -218,20 +264,11 @@ class _WatchLoop:
         now = self._now()
         return tuple(sorted(task for task, rest in self._resting.items() if now < rest.until))
 
-    def _apply(self, plan: Plan, before: StateFingerprint) -> Results | None:
-        """Apply under the lock, unless another edgectl changed the fleet after the plan's snapshot was begun.
-
-        Raises:
-            LockBusyError: another edgectl is changing this fleet.
-        """
+    def _apply(self, fleet: Fleet, plan: Plan) -> Results | None:
         options = dataclasses.replace(
             self._options.execution, stop_requested=self._options.control.stop_requested
         )
-        with FleetLock(self._fleet.state, verb="watch", clock=self._fleet.clock):
-            if fingerprint_state_files(self._fleet.state) != before:
-                self._said.append("another edgectl changed the fleet meanwhile; the next cycle plans again")
-                return None
-            results = confirm_and_execute(self._fleet, plan, confirm_always, options, verb="watch").results
+        results = confirm_and_execute(fleet, plan, confirm_always, options, verb="watch").results
         self._note_failures(results)
         return results
 

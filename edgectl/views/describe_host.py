@@ -12,6 +12,7 @@ from edgectl.units import format_duration, format_instant, format_rate
 from edgectl.views.describe import Field, format_pairs, render_events_section, render_fields, render_section
 from edgectl.views.events import encode_event
 from edgectl.views.glossary import head
+from edgectl.views.other_tasks import render_other_task_rows
 from edgectl.views.output import ItemView
 from edgectl.views.output_format import ITEM_FORMATS
 from edgectl.views.rows import encode_host_row
@@ -53,6 +54,9 @@ class HostDetailsView(ItemView):
                 render_section("Usage", _render_host_usage_rows(stated, sample, look), look),
                 render_section("Links", _render_host_link_rows(sample), look, right={1, 3, 4}),
                 render_section("Tasks", tasks, look, right=set(range(1, 7))),
+                render_section(
+                    "Other tasks on this machine", render_other_task_rows(sample), look, right={5}
+                ),
                 render_section("Interfaces", interfaces, look, right={1, 2, 3}),
             ]
         return "".join([*parts, render_events_section(self._events, look)])

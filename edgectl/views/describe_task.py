@@ -213,14 +213,11 @@ def _select_task_runs(name: str, value: Snapshot) -> list[tuple[str, TaskSample]
 
 
 def _render_run_rows(sample: TaskSample, now: float) -> list[Row]:
-    since = (
-        f"{format_instant(int(sample.started_at))} ({format_duration(max(0.0, now - sample.started_at))})"
-        if sample.started_at
-        else ""
-    )
+    since = _format_ago(sample.started_at, now) if sample.started_at else ""
     found: list[Field] = [
         ("State:", Cell(format_task_state(sample), TASK_STATE_STYLES[sample.state])),
         ("Since:", since),
+        ("Ended:", "" if sample.ended_at is None else _format_ago(sample.ended_at, now)),
         ("Process:", str(sample.pid or "")),
         ("Restarts:", str(sample.restarts)),
         ("Last exit:", "" if sample.last_exit is None else str(sample.last_exit)),
@@ -230,6 +227,11 @@ def _render_run_rows(sample: TaskSample, now: float) -> list[Row]:
         ("Instance:", sample.instance),
     ]
     return [field for field in found if field[1]]
+
+
+def _format_ago(at: float, now: float) -> str:
+    """An instant, and the time that has passed since."""
+    return f"{format_instant(int(at))} ({format_duration(max(0.0, now - at))})"
 
 
 def _render_usage_rows(sample: TaskSample, demand: Amounts) -> list[Row]:

@@ -15,7 +15,7 @@ _LINK_SAMPLE = ("capacity_bytes_per_s", "used_bytes_per_s", "rtt_ms", "capacity_
 _HOST = (
     "host", "role", "address", "connection", "labels", "limits", "onboard", "taken_at", "status", "error",
     "hint", "sample_age_s", "resident", *(resource.name for resource in HOST_RESOURCES), "links",
-    "task_names", "device", "mark",
+    "task_names", "other_tasks", "foreign_tasks", "device", "mark",
 )  # fmt: skip
 _ABSENT_TASK = ("task", "host", "taken_at", "state", "contacted_at", "managed")
 _RUN = (
@@ -32,6 +32,10 @@ _ACTION = (
 _RESULT = ("revision", "duration_s", "done", "interrupted", "actions")
 _REVISION = ("revision", "started_at", "user", "verb", "outcome", "duration_s", "counts")
 _ESTIMATE = ("mean", "std", "half_ci95", "run_count")
+
+_OTHER_TASK = (
+    "fleet", "host", "task", "state", "started_by", "age_s", "instance", "spec_hash", "generation",
+)  # fmt: skip
 
 # Kind -> keys of each item of a list.
 LIST_KEYS: KeysByName = {
@@ -94,6 +98,8 @@ INNER_KEYS: KeysByName = {
     "actions": _ACTION,
     "contributions": ("term", "weight", "here", "there", "adds"),
     "decision": ("action", "reason", "host", "previous_host", "total", "lead"),
+    "other_tasks": _OTHER_TASK,
+    "foreign_tasks": _OTHER_TASK,
     "declared": ("amount", "relative", "until_measured"),
     "device": ("load_1m", "temperature_c", "gpu_share", "boot_id", "clock_skew_s", "interfaces"),
     "events": _EVENT,

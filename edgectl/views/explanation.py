@@ -1,10 +1,10 @@
 """The explanation of one placement: the decision, its terms, and the changes that would alter it."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from edgectl.formats.document import Document
 from edgectl.model.explanation import ChangeKind, Explanation, Flip
-from edgectl.model.plan import Step
+from edgectl.model.plan import Action, Step
 from edgectl.model.resource import RESOURCES_BY_NAME
 from edgectl.views.glossary import head
 from edgectl.views.output import ItemView
@@ -17,13 +17,16 @@ _WEIGHT_CHANGES = (ChangeKind.WEIGHT_RISES, ChangeKind.WEIGHT_FALLS)
 
 
 class ExplanationView(ItemView):
-    """The decision of a task, the contribution of each term, and the changes that would alter it."""
+    """The decision of a task, the contribution of each term, and the changes that would alter it.
+
+    ``unanswered``: notes on the hosts that did not answer, which the decision leaves out.
+    """
 
     kind = "explanation"
     formats = WIDE_FORMATS
 
-    def __init__(self, step: Step, explanation: Explanation) -> None:
-        self._step, self._explanation = step, explanation
+    def __init__(self, step: Step, explanation: Explanation, unanswered: Sequence[str] = ()) -> None:
+        self._step, self._explanation, self._unanswered = step, explanation, unanswered
 
     def table(self, look: RenderOptions = PLAIN) -> str:
         """With the smallest changes only."""
@@ -36,13 +39,22 @@ class ExplanationView(ItemView):
     def _render(self, look: RenderOptions, *, every: bool) -> str:
         step, value = self._step, self._explanation
         title = style_text(f"{step.task} -> {value.decision.host or 'nowhere'}", "bold", look)
-        sentences = "".join(wrap_text(line, look) for line in _list_sentences(value, every=every))
+        sentences = "".join(wrap_text(line, look) for line in self._list_sentences(every=every))
         parts = (
             title + "\n" + wrap_text(describe_reason(step), look),
             _render_contributions(value, look) if value.contributions else "",
             sentences,
         )
         return "\n".join(part for part in parts if part)
+
+    def _list_sentences(self, *, every: bool) -> Iterable[str]:
+        if self._step.action is Action.HOLD:
+            return ["Nothing is decided until its host answers, or is declared powered off (edgectl fence)."]
+        return _list_sentences(self._explanation, every=every, complete=not self._unanswered)
+
+    def warnings(self) -> Sequence[str]:
+        """The hosts that did not answer."""
+        return self._unanswered
 
     def item(self) -> Document:
         """The explanation as JSON types; ``flips`` smallest first."""
@@ -103,12 +115,13 @@ def _render_contributions(value: Explanation, look: RenderOptions) -> str:
     return render_columns(rows, look, right={1, 2, 3, 4})
 
 
-def _list_sentences(value: Explanation, *, every: bool) -> Iterable[str]:
+def _list_sentences(value: Explanation, *, every: bool, complete: bool) -> Iterable[str]:
     flips = value.flips if every else _select_smallest_flips(value.flips)
     for flip in flips:
         yield f"{_describe_flip_outcome(flip)} if {_describe_flip_condition(flip)}."
     if value.decision.host is not None and not value.contributions:
-        yield "No other host fits (edgectl plan -o wide shows what each lacks)."
+        among = "" if complete else " of those that answer"
+        yield f"No other host{among} fits (edgectl plan -o wide shows what each lacks)."
     if not value.flips:
         yield "No single change of a load or a weight would change this."
     if not value.linear:

@@ -16,9 +16,10 @@ from edgectl.model.task import Task, Tasks
 from edgectl.units import format_duration, format_instant, format_rate
 from edgectl.views import metrics
 from edgectl.views.glossary import head
+from edgectl.views.other_tasks import list_foreign_notes
 from edgectl.views.output import ListView, round_item
 from edgectl.views.output_format import FLEET_FORMATS
-from edgectl.views.plan_sections import list_unreachable_notes, render_notes
+from edgectl.views.plan_sections import list_unreachable_notes
 from edgectl.views.rows import (
     compute_task_age,
     encode_absent_row,
@@ -134,6 +135,10 @@ class ListingView(ListView):
         """Hosts without a reply."""
         return self._listing.notes
 
+    def notes(self) -> Sequence[str]:
+        """The same, and that nothing is listed."""
+        return _list_listing_notes(self._listing)
+
     def names(self) -> Sequence[str]:
         """KIND/NAME of each item."""
         return [item.name for item in self._listing.items]
@@ -181,6 +186,10 @@ class ListingChangesView(ListView):
             for change, item in self._changes
         ]
 
+    def notes(self) -> Sequence[str]:
+        """The notes of the first listing."""
+        return _list_listing_notes(self._listing) if self._first is None else ()
+
     def names(self) -> Sequence[str]:
         """KIND/NAME of each item that changed."""
         return [item.name for _, item in self._changes]
@@ -200,7 +209,10 @@ def build_listing(kind: ListingKind, value: Snapshot, inventory: Inventory, task
         kind=kind,
         at=value.taken_at,
         items=tuple(build[kind]()),
-        notes=tuple(list_unreachable_notes(value)),
+        notes=(
+            *list_unreachable_notes(value),
+            *(list_foreign_notes(value) if kind is ListingKind.TASKS else ()),
+        ),
     )
 
 
@@ -265,7 +277,7 @@ def _build_running_task_item(
     name, host, sample = run
     task, demand = tasks.tasks.get(name), find_task_demand(name, host, value, inventory, tasks)
     state, restarts = Cell(format_task_state(sample), TASK_STATE_STYLES[sample.state]), str(sample.restarts)
-    age = compute_task_age(sample, value) if sample.state.alive else None
+    age = compute_task_age(sample, value)
     return ListingItem(
         path=f"{name} on {host}",
         name=f"task/{name}",
@@ -355,8 +367,12 @@ def _build_link_item(edge: str, robot: str, link: LinkSample | None, value: Snap
     )
 
 
+def _list_listing_notes(value: Listing) -> list[str]:
+    return [*([] if value.items else [f"no {value.kind}"]), *value.notes]
+
+
 def _render_listing(value: Listing, look: RenderOptions, *, wide: bool) -> str:
-    table = (
+    return (
         render_columns(
             _build_listing_rows(value, wide=wide),
             look,
@@ -364,9 +380,8 @@ def _render_listing(value: Listing, look: RenderOptions, *, wide: bool) -> str:
             wrap=_WRAPPED_COLUMNS,
         )
         if value.items
-        else f"No {value.kind}.\n"
+        else ""
     )
-    return table + render_notes(value.notes, look)
 
 
 def _build_listing_rows(value: Listing, *, wide: bool) -> list[Row]:

@@ -23,6 +23,7 @@ _OUTCOME_STYLES = {
     Outcome.FAILED: "bad",
     Outcome.DEFERRED: "warn",
     Outcome.SKIPPED: "dim",
+    Outcome.UNREACHABLE: "bad",
 }
 
 

@@ -6,6 +6,7 @@ from edgectl.model.resource import HOST_RESOURCES, RESOURCES
 from edgectl.model.snapshot import DeviceSample, HostSample, LinkSample, Snapshot, TaskSample
 from edgectl.model.task import Task, Tasks
 from edgectl.units import format_instant
+from edgectl.views.other_tasks import encode_other_tasks
 from edgectl.views.state import format_operator_mark, resolve_absent_task
 from edgectl.views.usage import Amounts, compute_task_demand, subtract_demand
 
@@ -42,6 +43,8 @@ def _encode_measurements(sample: HostSample) -> Document:
         **encode_host_usage(sample),
         "links": {robot: encode_link_sample(link) for robot, link in sample.links.items()} or None,
         "task_names": [name for name, task in sample.tasks.items() if task.state.alive],
+        "other_tasks": encode_other_tasks(sample.other_tasks),
+        "foreign_tasks": encode_other_tasks(sample.foreign_tasks),
         "device": _encode_device(sample.device) or None,
     }
 
@@ -102,8 +105,9 @@ def find_task_demand(name: str, host: str, value: Snapshot, inventory: Inventory
 
 
 def compute_task_age(sample: TaskSample, value: Snapshot) -> float | None:
-    """Seconds since this start, None where that is not known."""
-    return max(0.0, value.taken_at - sample.started_at) if sample.started_at else None
+    """Seconds since this start, or since the end of what has ended; None where that is not known."""
+    since = sample.started_at if sample.state.alive else sample.ended_at
+    return max(0.0, value.taken_at - since) if since else None
 
 
 def encode_run_row(name: str, host: str, sample: TaskSample, demand: Amounts, value: Snapshot) -> Document:

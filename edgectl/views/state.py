@@ -1,12 +1,15 @@
 """State of tasks and hosts as phrases, and remarks on failed tasks and limits."""
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.snapshot import HostSample, Snapshot, TaskSample, TaskState
-from edgectl.model.task import Task
+from edgectl.model.task import Task, Tasks
 from edgectl.units import format_duration
 from edgectl.views.text import Cell
+
+_FAILED_STATES = (TaskState.FAILED, TaskState.CRASHLOOP)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,6 +34,28 @@ def resolve_absent_task(task: Task, value: Snapshot) -> AbsentTask:
     if placement is not None and placement.host in value.hosts and not value.hosts[placement.host].ok:
         return AbsentTask(state="unknown", host=placement.host, contact=memory.contact.get(placement.host))
     return AbsentTask(state="not running" if task.managed else "not found")
+
+
+def find_failed_tasks(tasks: Tasks, value: Snapshot) -> dict[str, tuple[str, TaskSample]]:
+    """The wanted tasks that have ended without success and run nowhere, each with host and latest run.
+
+    One whose last known host does not answer may run there.
+    """
+    memory = value.manager or ManagerState()
+    silent = {host for host, each in value.hosts.items() if not each.ok}
+    failed: dict[str, tuple[str, TaskSample]] = {}
+    for name, task in tasks.tasks.items():
+        runs = [(host, each.tasks[name]) for host, each in value.hosts.items() if name in each.tasks]
+        wanted = task.managed and memory.done.get(name) != task.spec_hash
+        unseen = name in memory.placements and memory.placements[name].host in silent
+        if wanted and runs and not unseen and all(run.state in _FAILED_STATES for _, run in runs):
+            failed[name] = max(runs, key=lambda found: found[1].generation)
+    return failed
+
+
+def list_failed_needs(task: Task | None, failed: Collection[str]) -> list[str]:
+    """The tasks that ``task`` needs and that have failed."""
+    return [need.task for need in task.needs if need.task in failed] if task is not None else []
 
 
 def format_silence(contact: float | None, now: float) -> str:

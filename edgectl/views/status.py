@@ -9,9 +9,15 @@ from edgectl.model.snapshot import Snapshot, TaskSample, TaskState
 from edgectl.model.task import Task, Tasks
 from edgectl.units import format_duration
 from edgectl.views.glossary import head
+from edgectl.views.other_tasks import list_foreign_notes
 from edgectl.views.output import ListView
 from edgectl.views.output_format import NAMED_FORMATS
-from edgectl.views.plan_sections import list_operator_mark_notes, list_unreachable_notes, render_notes
+from edgectl.views.plan_sections import (
+    list_doubled_notes,
+    list_lost_task_notes,
+    list_operator_mark_notes,
+    list_unreachable_notes,
+)
 from edgectl.views.rows import (
     compute_task_age,
     encode_absent_row,
@@ -22,12 +28,23 @@ from edgectl.views.rows import (
 from edgectl.views.state import (
     TASK_STATE_STYLES,
     describe_attention,
+    find_failed_tasks,
     format_silence,
     format_task_state,
+    list_failed_needs,
     list_task_remarks,
     resolve_absent_task,
 )
-from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, is_within_width, render_columns
+from edgectl.views.text import (
+    PLAIN,
+    Cell,
+    RenderOptions,
+    Row,
+    is_within_width,
+    render_columns,
+    style_text,
+    wrap_text,
+)
 from edgectl.views.usage import Amounts, format_or_dash
 
 _USAGE_COLUMNS = [
@@ -47,9 +64,10 @@ class StatusView(ListView):
 
     def __init__(self, snapshot: Snapshot, inventory: Inventory, tasks: Tasks) -> None:
         self._snapshot, self._inventory, self._tasks = snapshot, inventory, tasks
+        self._failed = find_failed_tasks(tasks, snapshot)
 
     def table(self, look: RenderOptions = PLAIN) -> str:
-        """Usage beside demand; on a narrow terminal the demands stand below."""
+        """First what runs twice and what failed; usage beside demand, or below on a narrow terminal."""
         rows: list[Row] = [_HEAD, *map(self._render_run_row, list_task_runs(self._snapshot))]
         rows += [_render_absent_row(task, self._snapshot) for task in self._absent_tasks()]
         # A state may wrap, so the longest one does not count.
@@ -61,13 +79,20 @@ class StatusView(ListView):
         )
 
     def _render(self, rows: list[Row], look: RenderOptions, *, right: set[int]) -> str:
-        notes = render_notes(
-            list_unreachable_notes(self._snapshot)
-            + list_operator_mark_notes(self._snapshot)
-            + list_task_remarks(self._snapshot),
-            look,
+        failed = [
+            f"{name} on {host}{', given up' if sample.given_up else ''}"
+            for name, (host, sample) in self._failed.items()
+        ]
+        first = list_doubled_notes(self._snapshot)
+        if failed:
+            first.append(f"{len(failed)} of {len(self._tasks.tasks)} tasks failed: {', '.join(failed)}")
+        return "".join(style_text(wrap_text(line, look), "bad", look) for line in first) + render_columns(
+            rows, look, right=right, wrap={2}
         )
-        return render_columns(rows, look, right=right, wrap={2}) + notes
+
+    def notes(self) -> Sequence[str]:
+        """The warnings, and remarks on tasks that stand in their rows in documents."""
+        return [*self.warnings(), *list_task_remarks(self._snapshot), *self._list_need_notes()]
 
     def _render_run_row(self, run: tuple[str, str, TaskSample]) -> Row:
         name, host, sample = run
@@ -80,6 +105,18 @@ class StatusView(ListView):
             format_or_dash(age, format_duration),
             *_render_usage_cells(sample, demand),
         )
+
+    def _list_need_notes(self) -> list[str]:
+        return [
+            f"{name} needs {need}, which has failed"
+            for name, task in self._tasks.tasks.items()
+            for need in list_failed_needs(task, self._failed)
+        ]
+
+    def _describe_attention(self, name: str, sample: TaskSample) -> str:
+        needs = list_failed_needs(self._tasks.tasks.get(name), self._failed)
+        own = describe_attention(sample)
+        return "; ".join([*([own] if own else []), *(f"needs {need}, which has failed" for need in needs)])
 
     def _absent_tasks(self) -> list[Task]:
         seen = {name for name, _, _ in list_task_runs(self._snapshot)}
@@ -95,7 +132,7 @@ class StatusView(ListView):
                 find_task_demand(name, host, self._snapshot, self._inventory, self._tasks),
                 self._snapshot,
             )
-            | {"attention": describe_attention(sample) or None}
+            | {"attention": self._describe_attention(name, sample) or None}
             for name, host, sample in list_task_runs(self._snapshot)
         ]
         absent = [
@@ -105,8 +142,14 @@ class StatusView(ListView):
         return [*runs, *absent]
 
     def warnings(self) -> Sequence[str]:
-        """Hosts without a reply and marks of the operator."""
-        return [*list_unreachable_notes(self._snapshot), *list_operator_mark_notes(self._snapshot)]
+        """Tasks that run twice, at lost places or of other fleets, hosts without a reply, and marks."""
+        return [
+            *list_doubled_notes(self._snapshot),
+            *list_unreachable_notes(self._snapshot),
+            *list_lost_task_notes(self._snapshot),
+            *list_operator_mark_notes(self._snapshot),
+            *list_foreign_notes(self._snapshot),
+        ]
 
     def names(self) -> Sequence[str]:
         """The tasks that run."""

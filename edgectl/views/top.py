@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 
+from edgectl.errors import describe_unseen_task
 from edgectl.formats.document import Document, without_none
 from edgectl.model.inventory import Host, Inventory, Limits
 from edgectl.model.point import HostPoint, TaskPoint
@@ -14,9 +15,9 @@ from edgectl.views import metrics
 from edgectl.views.glossary import head
 from edgectl.views.output import ListView
 from edgectl.views.output_format import WIDE_FORMATS
-from edgectl.views.plan_sections import list_unreachable_notes, render_notes
+from edgectl.views.plan_sections import list_unreachable_notes
 from edgectl.views.rows import compute_task_age, encode_host_row, encode_run_row, find_task_demand
-from edgectl.views.state import TASK_STATE_STYLES, render_host_status
+from edgectl.views.state import TASK_STATE_STYLES, render_host_status, resolve_absent_task
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, render_columns
 from edgectl.views.usage import (
     Amounts,
@@ -77,10 +78,7 @@ class TopHostsView(ListView):
             for name in value.hosts
         ]
         first: Row = (*_HOST_HEAD, *_WIDE_HOST_HEAD) if wide else _HOST_HEAD
-        notes = [*_list_over_limit_notes(value, inventory), *list_unreachable_notes(value)]
-        return render_with_sparklines(
-            [first, *rows], histories, look, right=_HOST_RIGHT_COLUMNS
-        ) + render_notes(notes, look)
+        return render_with_sparklines([first, *rows], histories, look, right=_HOST_RIGHT_COLUMNS)
 
     def items(self) -> Sequence[Document]:
         """The hosts as JSON types, each with its last samples, oldest first."""
@@ -120,9 +118,8 @@ class TopTasksView(ListView):
 
     def _render(self, look: RenderOptions, *, wide: bool) -> str:
         runs = _list_running_tasks(self._snapshot)
-        notes = [*self._list_idle_notes(), *list_unreachable_notes(self._snapshot)]
         if not runs:
-            return "No task runs.\n" + render_notes(list_unreachable_notes(self._snapshot), look)
+            return ""
         rows: list[Row] = [(*_TASK_HEAD, *_WIDE_TASK_HEAD) if wide else _TASK_HEAD]
         histories: list[tuple[Sequence[float | None], float]] = []
         for name, host, sample in runs:
@@ -134,14 +131,25 @@ class TopTasksView(ListView):
         right = _RIGHT_COLUMNS | _WIDE_RIGHT_COLUMNS if wide else _RIGHT_COLUMNS
         body = render_with_sparklines(rows, histories, look, right=right)
         reported = render_columns(metrics.render_metrics_rows(runs), look)
-        return body + (reported and "\n" + reported) + render_notes(notes, look)
+        return body + (reported and "\n" + reported)
 
     def _list_idle_notes(self) -> list[str]:
-        tasks = self._tasks.tasks
-        missing = len(tasks) - len(
-            tasks.keys() & {name for name, _, _ in _list_running_tasks(self._snapshot)}
-        )
-        return [f"{missing} of {len(tasks)} tasks do not run: edgectl status"] if missing else []
+        """How many tasks do not run, and those of which it is not known because their host is silent."""
+        running = {name for name, _, _ in _list_running_tasks(self._snapshot)}
+        missing = [task for name, task in self._tasks.tasks.items() if name not in running]
+        unseen = {
+            task.name: host
+            for task in missing
+            if (host := resolve_absent_task(task, self._snapshot).host) is not None
+        }
+        unknown = [f"not known: {describe_unseen_task(task, host)}" for task, host in unseen.items()]
+        idle = len(missing) - len(unseen)
+        count = f"{idle} of {len(self._tasks.tasks)} tasks do not run: edgectl status"
+        return [
+            *unknown,
+            *([count] if idle else []),
+            *([] if running or idle else ["no task is seen to run"]),
+        ]
 
     def _find_demand(self, name: str, host: str) -> Amounts:
         return find_task_demand(name, host, self._snapshot, self._inventory, self._tasks)

@@ -30,13 +30,15 @@ class AgentHost:
     """Client of the agent of one simulated host. ``python`` is the interpreter that runs it."""
 
     def __init__(self, name: str, state: Path, python: str = sys.executable) -> None:
-        self.name, self.state = name, state
+        self.name, self.state, self.fleet = name, state, "lab"
         self.runtime = "process"
         self.session = LocalSession(name)
         self.session.python = python
 
     def ask(self, op: str, *, timeout: float = ANSWERS_S, **fields: Any) -> dict[str, Any]:
-        return call_agent(self.session, {"op": op, "host": self.name, **fields}, timeout=timeout)
+        return call_agent(
+            self.session, {"op": op, "fleet": self.fleet, "host": self.name, **fields}, timeout=timeout
+        )
 
     def start(
         self, task: str, command: str, *, instance: str = "i1", generation: int = 1, **spec: Any
@@ -58,8 +60,13 @@ class AgentHost:
         found: dict[str, Any] | None = self.ask("status", task=task)["tasks"].get(task)
         return found
 
+    @property
+    def home(self) -> Path:
+        """The directory of this host in that of its fleet."""
+        return self.state / "agent-state" / self.fleet / "hosts" / self.name
+
     def folder(self, task: str) -> Path:
-        return self.state / "hosts" / self.name / "tasks" / task
+        return self.home / "tasks" / task
 
     def supervisor(self, task: str) -> int:
         return int(liveness.read_instance(str(self.folder(task))).instance["supervisor"])
@@ -77,7 +84,7 @@ class AgentHost:
 
     def end(self) -> None:
         """Kill the leftovers of a failed test, supervisors first; only processes with this host's cookies."""
-        for folder in (self.state / "hosts" / self.name / "tasks").glob("*"):
+        for folder in (self.home / "tasks").glob("*"):
             record = liveness.read_instance(str(folder))
             for pid in (liveness.find_supervisor(record), *self.members(folder.name)):
                 if pid:

@@ -76,9 +76,7 @@ def test_any_call_is_a_heartbeat_for_every_task_of_its_host(host: AgentHost) -> 
 
 def test_task_without_a_fence_runs_on(host: AgentHost) -> None:
     pid = host.start("slam", "exec sleep 600")["pid"]
-    records.write_record(
-        str(host.state / "hosts" / "edge1" / "contact"), {"boot_id": proc.read_boot_id(), "at": 1.0}
-    )
+    records.write_record(str(host.home / "contact"), {"boot_id": proc.read_boot_id(), "at": 1.0})
     os.kill(host.supervisor("slam"), signal.SIGCHLD)
     time.sleep(1.0)
     assert is_running(pid)
@@ -88,7 +86,7 @@ def test_task_without_a_fence_runs_on(host: AgentHost) -> None:
 def test_old_heartbeat_and_heartbeat_of_another_boot(host: AgentHost) -> None:
     """A heartbeat that is old on the clock since boot fences at the next check; one of another boot is ignored."""
     host.start("slam", "exec sleep 600", self_fence_s=30)
-    path = str(host.state / "hosts" / "edge1" / "contact")
+    path = str(host.home / "contact")
     assert abs(records.read_record(path)["at"] - proc.read_uptime_s()) < 10
     records.write_record(path, {"boot_id": "another", "at": proc.read_uptime_s() + 1e6})
     supervisor = host.supervisor("slam")
@@ -123,10 +121,10 @@ def test_a_suspended_host_restarts_nothing_without_a_recent_heartbeat(host: Agen
 
 def test_heartbeat_is_kept_in_shared_memory_where_the_disk_refuses(host: AgentHost) -> None:
     host.name = f"test-{os.getpid()}"
-    fallback = Path(f"/dev/shm/edgectl-{os.geteuid()}/hosts/{host.name}")
+    fallback = Path(f"/dev/shm/edgectl-{os.geteuid()}/agent-state/{host.fleet}/hosts/{host.name}")
     pid = host.start("slam", "exec sleep 600", self_fence_s=4)["pid"]
     begun = proc.read_uptime_s()
-    path = host.state / "hosts" / host.name / "contact"
+    path = host.home / "contact"
     try:
         path.unlink()
         path.mkdir()

@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ ROBOT = f"{NET}.21"
 LINKS = [{"robot": "robot1", "address": ROBOT}, {"robot": "robot2", "address": f"{NET}.22"}]
 
 
+@cache
 def interpreters() -> list[str]:
     """Every Python 3.6 or later installed beside this one or on the path."""
     found = {version: shutil.which(f"python3.{version}") for version in range(6, 15)}

@@ -53,7 +53,7 @@ class Profiled:
 
     @property
     def folder(self) -> Path:
-        return self.host.state / "hosts" / self.host.name / "profiler"
+        return self.host.home / "profiler"
 
     def holders(self) -> list[int]:
         return [pid for pid, _ in pidfile.find_holders(str(self.folder))]
@@ -267,6 +267,7 @@ def test_a_directory_that_others_may_write_is_not_believed(
     profiled.start()
     profiled.probe()
     monkeypatch.setattr(state_dir, "BASES", [str(profiled.host.state)])
+    monkeypatch.setattr(state_dir, "_FLEET", [profiled.host.fleet])
     profiled.folder.chmod(0o770)
     assert pidfile.find_profiler("edge1") is None
     assert "resident" not in profiled.host.ask("probe", window_s=0.05)
@@ -369,6 +370,7 @@ def test_it_ends_when_its_directory_is_removed(profiled: Profiled) -> None:
 def test_a_host_that_was_rebooted_has_none(profiled: Profiled, monkeypatch: pytest.MonkeyPatch) -> None:
     profiled.start()
     monkeypatch.setattr(state_dir, "BASES", [str(profiled.host.state)])
+    monkeypatch.setattr(state_dir, "_FLEET", [profiled.host.fleet])
     assert pidfile.find_profiler("edge1") is not None
     monkeypatch.setattr(proc, "read_boot_id", lambda: "another boot")
     assert pidfile.find_profiler("edge1") is None

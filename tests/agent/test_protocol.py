@@ -64,7 +64,7 @@ def test_requests_of_the_manager_have_the_stated_keys() -> None:
         ),
     ]
     for request in sent:
-        assert set(request) == {"op", "host", *protocol.REQUEST_KEYS[str(request["op"])]}
+        assert set(request) == {"op", "fleet", "host", *protocol.REQUEST_KEYS[str(request["op"])]}
     spec = sent[0]["spec"]
     assert isinstance(spec, dict)
     assert set(spec) == set(protocol.SPEC_KEYS)
@@ -75,7 +75,7 @@ def test_replies_of_the_agent_have_the_stated_keys(host: AgentHost) -> None:
     host.start("work", "exit 3")
     host.until("work", "failed")
     reply = host.ask("probe", window_s=0.05, detect=[{"task": "none", "cmdline": "no-such-thing"}])
-    assert set(reply) == set(protocol.PROBE_KEYS) - {"resident", "sample_age_s"}
+    assert set(reply) == set(protocol.PROBE_KEYS) - {"resident", "sample_age_s", "lease"}
     host.ask("profiler-start", every_s=0.2, ttl_s=600.0)
     try:
         assert set(host.ask("probe", window_s=0.05)) <= set(protocol.PROBE_KEYS)
@@ -83,5 +83,5 @@ def test_replies_of_the_agent_have_the_stated_keys(host: AgentHost) -> None:
         host.ask("profiler-stop")
     host.stop("slam")
     assert set().union(*reply["tasks"].values()) == set(protocol.ENTRY_KEYS) - (
-        {"metrics"} - set(reply["tasks"]["slam"])
+        {"metrics", "orphaned", "adoptable"} - set(reply["tasks"]["slam"])
     )

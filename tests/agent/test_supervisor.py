@@ -373,6 +373,6 @@ def test_home_that_cannot_be_written_falls_back_to_shared_memory(
             assert host.start("slam", "exec sleep 600", instance="i2")["pid"] == pid
             assert host.stop("slam")["state"] == "stopped"
         finally:
-            for path in sorted((fallback / "hosts" / host.name).rglob("*"), reverse=True):
+            for path in sorted(host.home.rglob("*"), reverse=True):
                 path.rmdir() if path.is_dir() else path.unlink()
-            (fallback / "hosts" / host.name).rmdir()
+            host.home.rmdir()

@@ -52,7 +52,7 @@ def test_nobody_to_ask_means_64_and_nothing_done(run: Run, small: Path, words: t
 def test_an_unknown_form_is_refused_before_anything_is_done(run: Run, small: Path) -> None:
     assert run("apply", "--yes", "-o", "markdown").code == 64
     assert run("apply", "--dry-run", "-o", "name").code == 64
-    assert not (small / "state" / "hosts").exists()
+    assert not (small / "state" / "agent-state").exists()
 
 
 def test_apply_status_logs_restart_stop(run: Run, small: Path) -> None:
@@ -98,6 +98,17 @@ def test_a_saved_plan_is_applied_once(run: Run, small: Path) -> None:
     )
 
 
+def test_a_plan_with_an_unknown_host_is_refused_also_in_a_dry_run(run: Run, small: Path) -> None:
+    run("plan", "--out", "next.plan")
+    plan = json.loads((small / "next.plan").read_text())
+    plan["decisions"][0]["host"] = "edge9"
+    (small / "next.plan").write_text(json.dumps(plan))
+    for words in (("apply", "next.plan", "--dry-run"), ("apply", "next.plan")):
+        said = run(*words)
+        assert (said.code, said.out) == (75, "")
+        assert "edge9 (start of idle) is not in the inventory" in said.err
+
+
 def test_dry_run_prints_what_would_be_sent_and_sends_nothing(run: Run, small: Path) -> None:
     said = run("apply", "--dry-run")
     assert said.code == 0
@@ -109,13 +120,13 @@ def test_dry_run_prints_what_would_be_sent_and_sends_nothing(run: Run, small: Pa
 
 
 def test_done_reopen_cordon_uncordon(run: Run, small: Path) -> None:
-    assert run("done", "idle").out == "done: idle\n"
+    assert run("done", "idle").out == "task/idle marked as done\n"
     assert "No changes" in run("plan").out
-    assert run("reopen", "idle").out == "done: none\n"
-    assert run("cordon", "edge1").out == "cordoned: edge1\n"
+    assert run("reopen", "idle").out == "task/idle reopened\n"
+    assert run("cordon", "edge1").out == "edge/edge1 cordoned\n"
     said = run("plan", "--detailed-exitcode")
     assert (said.code, "0/1 hosts fit: 1 cordoned" in said.out) == (3, True)
-    assert run("uncordon", "edge1").out == "cordoned: none\n"
+    assert run("uncordon", "edge1").out == "edge/edge1 uncordoned\n"
     assert run("cordon", "edge9").code == 64
     assert run("done", "idel").code == 64
 
@@ -123,7 +134,7 @@ def test_done_reopen_cordon_uncordon(run: Run, small: Path) -> None:
 def test_a_second_edgectl_waits_or_ends_with_75(run: Run, small: Path) -> None:
     (small / "tasks" / "lab.yaml").write_text(TASKS.replace("stop:", f"{ready_check(small)}, stop:"))
     with start_edgectl("apply", "--yes") as first:
-        wait_for_file(small, "state/hosts/edge1/tasks/idle/log*", first)
+        wait_for_file(small, "state/agent-state/*/hosts/edge1/tasks/idle/log*", first)
         said = run("apply", "--yes")
         assert said.code == 75
         assert f"pid {first.pid}" in said.err
@@ -131,6 +142,19 @@ def test_a_second_edgectl_waits_or_ends_with_75(run: Run, small: Path) -> None:
         assert run("apply", "--yes", "--lock-timeout", "60s").code == 0
         first.communicate(timeout=60)
     assert first.returncode == 0
+
+
+def test_a_program_that_dies_at_start_is_never_done(small: Path, run: Run) -> None:
+    """Also one that lives longer than a glance takes; what needs it is not started."""
+    dying = 'command: "sleep 0.6; exit 3", up: 20s, restart: never'
+    (small / "tasks" / "lab.yaml").write_text(
+        TASKS.replace('command: "echo started; exec sleep 600"', dying)
+        + "  next: {needs: [idle], command: sleep 600}\n"
+    )
+    said = run("apply", "--yes")
+    assert said.code == 4
+    assert "idle failed (exit code 3)" in said.out
+    assert "needs idle, which did not start" in said.out
 
 
 def ready_check(small: Path) -> str:
@@ -189,7 +213,7 @@ def test_ctrl_c_finishes_what_is_under_way(small: Path) -> None:
         + "  next: {needs: [idle], command: sleep 600}\n"
     )
     with start_edgectl("apply", "--yes") as process:
-        wait_for_file(small, "state/hosts/edge1/tasks/idle/log*", process)
+        wait_for_file(small, "state/agent-state/*/hosts/edge1/tasks/idle/log*", process)
         process.send_signal(signal.SIGINT)
         assert process.stderr is not None
         assert any("finishing the running actions" in line for line in process.stderr)

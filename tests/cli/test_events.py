@@ -13,9 +13,9 @@ from pathlib import Path
 import pytest
 
 from edgectl.model.event import Event, EventKind
-from edgectl.state.paths import ensure_fleet_dir
 from edgectl.state.store import Store
 from tests.cli.conftest import Run
+from tests.cli.fleet_dir import open_fleet_dir
 from tests.views.fixtures import ROOT
 
 EDGECTL = [sys.executable, "-m", "edgectl"]
@@ -25,7 +25,7 @@ EDGECTL = [sys.executable, "-m", "edgectl"]
 def state(site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The scaffold's state directory."""
     monkeypatch.setenv("EDGECTL_STATE_DIR", str(tmp_path / "state"))
-    return ensure_fleet_dir(site / "inventories" / "local.yaml")
+    return open_fleet_dir(site / "inventories" / "local.yaml")
 
 
 def record_events(state: Path, *events: Event) -> None:
@@ -36,8 +36,8 @@ def record_events(state: Path, *events: Event) -> None:
 def test_no_history_is_said_and_no_error(run: Run, state: Path) -> None:
     assert run("events") == (
         0,
-        "No events in this time, or no edgectl observed any (edgectl probe does).\n",
         "",
+        "note: no events in this time, or no edgectl observed any (edgectl probe does)\n",
     )
     assert json.loads(run("events", "-o", "json").out) == {
         "format_version": 2,
@@ -142,7 +142,7 @@ def test_a_broken_history_is_said_and_the_command_goes_on(run: Run, state: Path)
     (state / "history.db").write_bytes(b"SQLite format 3\0" + b"x" * 5000)
     said = run("events")
     assert said.code == 0
-    assert said.out.startswith("No events")
+    assert "note: no events" in said.err
     assert "warning: " in said.err
     assert "set aside as history.db.broken-1" in said.err
 

@@ -31,10 +31,10 @@ from edgectl.model.event import Event, EventKind
 from edgectl.model.plan import Action
 from edgectl.model.result import ActionResult, Outcome, Results
 from edgectl.model.snapshot import Snapshot
-from edgectl.state.paths import ensure_fleet_dir
 from edgectl.state.store import Store
 from edgectl.units import parse_instant
 from tests.cli.conftest import Run
+from tests.cli.fleet_dir import open_fleet_dir
 from tests.views import fixtures
 
 
@@ -168,21 +168,6 @@ def test_no_addresses(text: str) -> None:
         parse_listen_address(text)
 
 
-@pytest.mark.parametrize(
-    ("words", "package", "name"), [(("export", "prometheus"), "prometheus_client", "metrics")]
-)
-def test_a_missing_extra_is_named_with_what_installs_it(
-    site: Path, state: Path, words: tuple[str, ...], package: str, name: str
-) -> None:
-    code = f"import sys; sys.modules[{package!r}] = None; from edgectl.cli.main import main; sys.exit(main({list(words)!r}))"
-    done = subprocess.run([sys.executable, "-c", code], cwd=site, capture_output=True, text=True, check=False)
-    assert done.returncode == 64
-    assert done.stdout == ""
-    assert done.stderr.startswith(f"error: this needs {package}, which is not installed\nhint: ")
-    assert f'"edgectl[{name}]"' in done.stderr
-    assert done.stderr.count("\n") == 2
-
-
 # -- rows
 # ---------------------------------------------------------------------------------------------------------------------------------
 
@@ -204,7 +189,7 @@ def add_metrics(snapshot: Snapshot) -> Snapshot:
 @pytest.fixture
 def recorded(site: Path, state: Path, run: Run) -> Path:
     """The history of two real probes, an hour apart and just now, a move and an event; the file."""
-    directory = ensure_fleet_dir(site / "inventories" / "local.yaml")
+    directory = open_fleet_dir(site / "inventories" / "local.yaml")
     snapshot = add_metrics(dataclasses.replace(fixtures.fleet()[2], manager=None))
     with Store.open(directory) as store:
         store.record_snapshot(dataclasses.replace(snapshot, taken_at=time.time() - 3600.0))

@@ -89,10 +89,10 @@ def test_validate_shows_every_mistake_in_each_form(run: Run, site: Path) -> None
     assert said.err.count("did you mean capacity?") == 6
     assert said.err.count("^^^^^^^^") == 6
     problems = json.loads(run("validate", "-o", "json").out)["problems"]
-    assert [(problem["line"], problem["hint"]) for problem in problems][:1] == [(8, "did you mean capacity?")]
+    assert [(problem["line"], problem["hint"]) for problem in problems][:1] == [(9, "did you mean capacity?")]
     github = run("validate", "-o", "github")
     assert github.code == 64
-    assert github.out.splitlines()[0].startswith("::error file=inventories/local.yaml,line=8,col=")
+    assert github.out.splitlines()[0].startswith("::error file=inventories/local.yaml,line=9,col=")
 
 
 def test_validate_of_good_files(run: Run, site: Path) -> None:

@@ -48,8 +48,34 @@ def test_get_refuses_what_there_is_not(run: Run, site: Path) -> None:
         == "error: --every 0 is too short\nhint: write 100ms or more\n"
     )
     assert (
-        run("top").err
-        == "error: missing subcommand: top hosts, top tasks\nhint: run edgectl top hosts or tasks\n"
+        run("describe").err == "error: missing subcommand: describe edge, describe robot, describe task\n"
+        "hint: run edgectl describe edge, robot or task\n"
+    )
+
+
+def test_hosts_are_asked_without_a_task_file(run: Run, site: Path) -> None:
+    """The first question of a new user: do my hosts answer?"""
+    (site / "tasks" / "demo.yaml").unlink()
+    (site / "inventories" / "local.yaml").write_text(
+        "version: 1\nedges: {edge1: {connection: local}}\nrobots: {robot1: {host: 127.0.0.1, probe: false}}\n"
+    )
+    for words in (("probe",), ("get", "links"), ("top",)):
+        said = run(*words)
+        assert said.code == 0, said
+        assert "edge1" in said.out or "robot1" in said.out
+    assert "edge1" in run("doctor", "-o", "json").out
+    assert run("trust", "edge1").out == "edge1 is this machine; it has no host key\n"
+    (site / "tasks" / "a.yml").touch()
+    (site / "tasks" / "b.yml").touch()
+    assert run("get", "edges").code == 0, "which of two is meant does not matter here"
+    assert run("get", "tasks").code == 64
+
+
+def test_what_to_write_where_only_the_tasks_are_missing(run: Run, site: Path) -> None:
+    (site / "tasks" / "demo.yaml").unlink()
+    assert run("plan").err == (
+        "error: no task file given, and there is none in tasks/\n"
+        "hint: pass -t FILE, or write tasks/local.yaml\n"
     )
 
 
@@ -81,7 +107,7 @@ def test_a_reader_that_goes_away_ends_it(site: Path) -> None:
 
 def test_top_shows_every_host_and_no_task(run: Run, site: Path) -> None:
     assert [line.split()[0] for line in run("top", "hosts").out.splitlines()] == ["HOST", *HOSTS]
-    assert run("top", "tasks").out.startswith("No task runs.\n")
+    assert run("top", "tasks") == (0, "", "note: 10 of 10 tasks do not run: edgectl status\n")
     document = json.loads(run("top", "hosts", "-o", "json").out)
     assert [len(host["history"]) for host in document["items"]] == [3] * 6, "one sample of each look"
     assert run("top", "hosts", "-w", "-o", "yaml").code == 64

@@ -21,8 +21,9 @@ EDGECTL = [sys.executable, "-m", "edgectl"]
 @pytest.mark.parametrize(
     "words",
     [
-        (),
         ("nonsense",),
+        ("help", "nonsense"),
+        ("top", "task"),
         ("plan", "--nonsense"),
         ("plan", "-o", "jsn"),
         ("logs",),
@@ -37,6 +38,14 @@ def test_usage_errors_end_with_64_and_say_where_help_is(run: Run, site: Path, wo
     assert said.err.startswith("error: ")
     assert "\nhint: " in said.err
     assert len(said.err.splitlines()) == 2
+
+
+def test_help_is_printed_where_no_command_is_given(run: Run) -> None:
+    whole = run("--help")
+    assert run() == run("help") == whole
+    assert whole.code == 0
+    assert run("help", "plan") == run("plan", "--help")
+    assert "-W, --weights" in run("help", "plan").out
 
 
 def test_a_typo_is_answered_with_the_command_that_was_meant(run: Run) -> None:

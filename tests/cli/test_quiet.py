@@ -109,10 +109,10 @@ def test_what_is_wrong_with_the_files_is_said_and_64(fleet: QuietFleet) -> None:
 
 def test_a_lock_that_is_held_is_said_and_75(fleet: QuietFleet, tmp_path: Path) -> None:
     from edgectl.state.lock import FleetLock
-    from edgectl.state.paths import ensure_fleet_dir
+    from tests.cli.fleet_dir import open_fleet_dir
 
     fleet.run(*QUIET)
-    with FleetLock(ensure_fleet_dir(tmp_path / "inventories" / "lab.yaml"), verb="drain"):
+    with FleetLock(open_fleet_dir(tmp_path / "inventories" / "lab.yaml"), verb="drain"):
         said = fleet.run(*QUIET)
     assert (said.code, said.out) == (75, "")
     assert said.err.startswith("error: lock held by ")

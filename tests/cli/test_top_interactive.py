@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from edgectl.cli.main import expand_top_shorthand
+from edgectl.cli.main import expand_shorthand
 from tests.cli.conftest import Run
 from tests.cli.terminal import Terminal
 
@@ -69,14 +69,16 @@ def test_not_without_a_terminal_nor_without_the_extra(site: Path, env: dict[str,
     code = "import sys; sys.modules['textual'] = None; from edgectl.cli.main import main; sys.exit(main(['top', '-i']))"
     with Terminal([sys.executable, "-c", code], site, env=env) as terminal:
         assert terminal.wait() == 64
-        assert "edgectl[tui]" in terminal.seen
+        assert "[tui]" in terminal.seen
         assert "Traceback" not in terminal.seen
 
 
 def test_words_of_top() -> None:
-    assert expand_top_shorthand(["top", "-i", "-i", "x.yaml"]) == ["top", "hosts", "-I", "-i", "x.yaml"]
-    assert expand_top_shorthand(["top", "hosts", "-i", "x.yaml"]) == ["top", "hosts", "-i", "x.yaml"]
-    assert expand_top_shorthand(["top"]) == ["top"]
+    assert expand_shorthand(["top", "-i", "-i", "x.yaml"]) == ["top", "hosts", "-I", "-i", "x.yaml"]
+    assert expand_shorthand(["top", "hosts", "-i", "x.yaml"]) == ["top", "hosts", "-i", "x.yaml"]
+    assert expand_shorthand(["top"]) == ["top", "hosts"]
+    assert expand_shorthand(["top", "-w"]) == ["top", "hosts", "-w"]
+    assert expand_shorthand(["top", "--help"]) == ["top", "--help"]
 
 
 def test_nothing_of_it_is_imported_before(site: Path, env: dict[str, str]) -> None:

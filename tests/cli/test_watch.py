@@ -158,7 +158,7 @@ def test_files_that_change_are_read_anew_and_broken_ones_said(one: Path) -> None
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        (("--every", "0.2"), "too often"),
+        (("--every", "0.2"), "--every 0.2 is too short"),
         (("-o", "yaml"), 'output format "yaml" is not supported here'),
         (("--without", "edge7"), "unknown host 'edge7'"),
         (("--cycles", "0"), "0"),

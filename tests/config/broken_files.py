@@ -22,6 +22,7 @@ robots:
   robot2: {host: 192.168.1.22}
 links:
   - {edge: edge1, robot: robot1, throughput: 54Mbit/s}
+fleet: lab
 """
 TASKS = """\
 version: 1

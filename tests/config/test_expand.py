@@ -1,5 +1,7 @@
 """Meaning of valid files: expansion per robot, placeholders, needs, defaults, warnings."""
 
+import json
+import re
 from pathlib import Path
 
 import pytest
@@ -175,6 +177,27 @@ def test_policy_keys(tmp_path: Path) -> None:
     assert (policy.move_margin, policy.min_dwell, policy.max_moves) == (0.0, 0.0, None)
 
 
+def test_a_fleet_has_its_stated_name_or_one_of_its_path(tmp_path: Path) -> None:
+    """A derived name is the same for every call, another for every file, and no part of the digest."""
+    text = INVENTORY.replace("fleet: lab\n", "")
+    named, _, none = load_files(tmp_path, TASKS)
+    assert ({host.fleet for host in named.hosts.values()}, named.fleet, none) == ({"lab"}, "lab", ())
+    unnamed, _, (warning,) = load_files(tmp_path, TASKS, text)
+    assert re.fullmatch("i-[0-9a-f]{8}", unnamed.fleet)
+    assert {host.fleet for host in unnamed.hosts.values()} == {unnamed.fleet}
+    assert (warning.code, warning.hint) == ("EC103", f"add fleet: {unnamed.fleet}")
+    assert load_files(tmp_path, TASKS, text)[0] == unnamed
+    (tmp_path / "other").mkdir()
+    other = load_files(tmp_path / "other", TASKS, text)[0]
+    assert (other.digest, other.fleet == unnamed.fleet) == (unnamed.digest, False)
+    assert (
+        named.digest != load_files(tmp_path, TASKS, INVENTORY.replace("fleet: lab", "fleet: hall"))[0].digest
+    )
+    odd = tmp_path / "Unser Labor (neu).yaml"
+    odd.write_text(text)
+    assert load_inventory(odd).fleet.startswith("unser-labor-neu-")
+
+
 def test_demand_left_out_is_a_warning(tmp_path: Path) -> None:
     tasks = """\
 version: 1
@@ -198,6 +221,30 @@ def test_a_check_on_a_robot_that_is_never_contacted_is_a_warning(tmp_path: Path)
     tasks = "version: 1\ntasks: {t: {robot: robot2, command: x, demand: {cpu: 1, memory: 1, throughput: 1}, done_when: {on: robot, command: y}}}"
     (warning,) = load_files(tmp_path, tasks, inventory)[2]
     assert (warning.code, warning.hint) == ("EC102", "write on: host, or remove probe: false")
+
+
+@pytest.mark.parametrize(
+    ("command", "warned"),
+    [("run &", True), ("run & # x\nwait", False), ("run 2>&1", False), ("a && b", False), ("run&\n", True)],
+)
+def test_a_command_that_goes_to_the_background_is_a_warning(
+    command: str, warned: bool, tmp_path: Path
+) -> None:
+    tasks = f"version: 1\ntasks: {{t: {{command: {json.dumps(command)}, demand: {{cpu: 1, memory: 1, throughput: 1}}}}}}"
+    found = load_files(tmp_path, tasks)[2]
+    assert [(each.code, each.hint) for each in found] == (
+        [("EC106", "drop the & at its end")] if warned else []
+    )
+
+
+def test_a_missing_identity_file_is_a_warning(tmp_path: Path) -> None:
+    (tmp_path / "key").touch()
+    for name, codes in (("key", []), ("other", ["EC105"])):
+        inventory = INVENTORY.replace(
+            "{host: 192.168.1.22}", f"{{host: a, identity_file: {tmp_path / name}}}"
+        )
+        tasks = "version: 1\ntasks: {t: {command: x, demand: {cpu: 1, memory: 1, throughput: 1}}}"
+        assert [each.code for each in load_files(tmp_path, tasks, inventory)[2]] == codes
 
 
 def test_tasks_of_several_files_and_directories(tmp_path: Path) -> None:
@@ -229,7 +276,7 @@ def test_shapes_of_tasks_are_checked_even_where_the_inventory_cannot_be_read(tmp
 
 
 def test_too_many_tasks_are_refused_before_they_are_made(tmp_path: Path) -> None:
-    inventory = "version: 1\nrobots:\n" + "".join(f"  r{i}: {{host: h}}\n" for i in range(2000))
+    inventory = "version: 1\nfleet: lab\nrobots:\n" + "".join(f"  r{i}: {{host: h}}\n" for i in range(2000))
     with pytest.raises(InputError) as caught:
         load_files(
             tmp_path,

@@ -16,7 +16,7 @@ from edgectl.config.problems import ProblemCode
 from edgectl.experiments.files import experiment_file, run_codec
 from edgectl.formats.kinds import PLAN_KIND, SNAPSHOT_KIND
 from edgectl.model.inventory import Host, Role
-from edgectl.model.snapshot import DeviceSample, HostSample, InterfaceSample, TaskSample, TaskState
+from edgectl.model.snapshot import DeviceSample, HostSample, InterfaceSample, OtherTask, TaskSample, TaskState
 from edgectl.model.snapshot import HostStatus as Status
 from edgectl.model.task import Task
 from tests.config.test_bad_documents import PLAN, SNAPSHOT
@@ -84,15 +84,19 @@ def test_codes_are_complete() -> None:
 
 def test_readers_cover_the_model() -> None:
     """Every field of Host and Task is read from a file, or set by edgectl."""
-    assert set(inventory_file.ROBOT_KEYS) == {field.name for field in fields(Host)} - {"name", "role"}
-    made = {"name", "template", "spec_hash", "spec_fields", "replace_after"}
+    assert set(inventory_file.ROBOT_KEYS) == {field.name for field in fields(Host)} - {
+        "name",
+        "role",
+        "fleet",
+    }
+    made = {"name", "template", "spec_hash", "spec_fields", "replace_after", "file"}
     assert set(task_file.TASK_KEYS) - {"for_each", "robot"} == {field.name for field in fields(Task)} - made
 
 
 def test_keys_of_a_snapshot_are_complete() -> None:
     everything = TaskSample(
         state=TaskState.FAILED, links={}, instance="i", spec_hash="s", generation=1, managed=False, restarts=1, exit_code=1, detail="d",
-        fields={"command": "c"}, last_exit=1, log_tail=("l",), limits="l", given_up=True, metrics={"fps": 29.5}, ended_at=1.0,
+        fields={"command": "c"}, last_exit=1, log_tail=("l",), limits="l", given_up=True, metrics={"fps": 29.5}, ended_at=1.0, file="f", orphaned=True, adoptable=True, filed_as="edge9",
     )  # fmt: skip
     device = DeviceSample(
         load_1m=1.0,
@@ -103,6 +107,7 @@ def test_keys_of_a_snapshot_are_complete() -> None:
         interfaces={"eth0": InterfaceSample(rx_bytes_per_s=1, tx_bytes_per_s=1)},
     )
     host = SNAPSHOT.hosts["edge1"]
+    other = OtherTask(fleet="f", host="h", task="t", state=TaskState.READY)
     sample = HostSample(
         role=Role.EDGE,
         status=Status.OK,
@@ -112,8 +117,12 @@ def test_keys_of_a_snapshot_are_complete() -> None:
         usage=host.usage,
         tasks={"t": everything},
         generations={"t": 2},
+        other_tasks=(other,),
+        foreign_tasks=(other,),
         resident=True,
         device=device,
+        address="ana@10.0.0.1",
+        machine="m/1000/a",
     )
     document = SNAPSHOT_KIND.encode(
         type(SNAPSHOT)(taken_at=0.0, hosts={"h": sample}, manager=SNAPSHOT.manager)

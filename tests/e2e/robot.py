@@ -70,18 +70,28 @@ class Robot:
         self.selector.register(listener.accept()[0], selectors.EVENT_READ)
 
     def hear(self, line: socket.socket) -> None:
+        try:  # a hook may be ended at its deadline, before it has read the answer
+            self.answer(line)
+        except OSError:
+            self.drop(line)
+
+    def answer(self, line: socket.socket) -> None:
         word, _, rest = line.recv(256).decode().strip().partition(" ")
         if not word:
-            self.selector.unregister(line)
-            line.close()
-            self.told += ["lost"] if self.steering.pop(line, None) else []
+            self.drop(line)
             return
         self.told.append(word)
         if word == "steer":
             self.steering[line] = rest
         elif word in ("hold", "release"):
             self.holds = word == "hold"
-        line.sendall(b"no\n" if word == "safe" and Path(self.path + ".unsafe").exists() else b"yes\n")
+        no = word == "safe" and Path(self.path + ".unsafe").exists()
+        line.sendall(b"no\n" if no else b"yes\n")
+
+    def drop(self, line: socket.socket) -> None:
+        self.selector.unregister(line)
+        line.close()
+        self.told += ["lost"] if self.steering.pop(line, None) else []
 
 
 if __name__ == "__main__":

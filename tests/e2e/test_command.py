@@ -23,7 +23,7 @@ TASKS = """
 version: 1
 tasks:
   slam: {command: "sleep MARK", demand: {cpu: 0.5, memory: 10Mi}, stop: {grace: 2s}, ready: {command: test -e GO, timeout: 60s}}
-  navigation: {command: "sleep MARK", needs: [slam], demand: {cpu: 0.5, memory: 10Mi}, stop: {grace: 2s}}
+  navigation: {command: "sleep MARK", up: 300ms, needs: [slam], demand: {cpu: 0.5, memory: 10Mi}, stop: {grace: 2s}}
 """
 
 

@@ -46,7 +46,7 @@ def inventory(lab: Lab) -> Iterator[Inventory]:
 @pytest.fixture
 def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Disk:
     monkeypatch.setenv("EDGECTL_STATE_DIR", str(tmp_path / "state"))
-    return inspect_state_dir(tmp_path / "lab.yaml")
+    return inspect_state_dir("lab", tmp_path / "lab.yaml")
 
 
 def diagnose_named(inventory: Inventory, state: Disk, *names: str, tasks: Tasks | None = None) -> Diagnosis:
@@ -204,9 +204,9 @@ def test_a_state_directory_that_is_not_private(
     remedy works.
     """
     monkeypatch.setenv("EDGECTL_STATE_DIR", str(tmp_path / "state"))
-    good = inspect_state_dir(tmp_path / "lab.yaml")
+    good = inspect_state_dir("lab", tmp_path / "lab.yaml")
     Path(good.path).chmod(0o777)
-    bad = inspect_state_dir(tmp_path / "lab.yaml")
+    bad = inspect_state_dir("lab", tmp_path / "lab.yaml")
     (found,) = list_complaints(diagnose_named(inventory, bad, "edge1"))
     assert (found.host, found.check, found.level) == (None, "state", Severity.FAILED)
     assert f"chmod 700 {good.path}" in found.remedy
@@ -219,7 +219,7 @@ def test_a_state_directory_that_is_not_private(
         ("edge1", "agent"),
     }
     Path(good.path).chmod(0o700)
-    assert inspect_state_dir(tmp_path / "lab.yaml").obstacle == ""
+    assert inspect_state_dir("lab", tmp_path / "lab.yaml").obstacle == ""
 
 
 def test_something_else_stands_in_the_place_of_the_state_directory(
@@ -227,10 +227,10 @@ def test_something_else_stands_in_the_place_of_the_state_directory(
 ) -> None:
     (tmp_path / "file").touch()
     monkeypatch.setenv("EDGECTL_STATE_DIR", str(tmp_path / "file"))
-    bad = inspect_state_dir(tmp_path / "lab.yaml")
+    bad = inspect_state_dir("lab", tmp_path / "lab.yaml")
     assert (bad.path, "not a directory" in bad.obstacle) == (str(tmp_path / "file"), True)
     (tmp_path / "file").rename(tmp_path / "file.old")
-    assert inspect_state_dir(tmp_path / "lab.yaml").obstacle == ""
+    assert inspect_state_dir("lab", tmp_path / "lab.yaml").obstacle == ""
 
 
 def test_the_command(

@@ -40,6 +40,7 @@ class Scene:
     socket: Path
     record: Path
     ready: Path
+    process: subprocess.Popen[bytes]
 
     def words(self, *words: str) -> str:
         return shlex.join([sys.executable, robot.__file__, *words])
@@ -80,6 +81,7 @@ class Scene:
         """Wait for two more samples; return their number before."""
         count = len(self.samples())
         while len(self.samples()) < count + 2:
+            assert self.process.poll() is None, "the robot has ended"
             time.sleep(robot.PERIOD_S)
         return count
 
@@ -108,7 +110,7 @@ def scene(tmp_path: Path) -> Iterator[Scene]:
         process = subprocess.Popen([sys.executable, robot.__file__, "serve", str(socket), str(record)])
         try:
             with open_bench(an_inventory(*EDGES, ROBOT, links=LINKS), tmp_path / "manager") as bench:
-                made = Scene(bench, socket, record, ready)
+                made = Scene(bench, socket, record, ready, process)
                 made.broken()
                 while not record.exists() or not record.stat().st_size:
                     assert process.poll() is None

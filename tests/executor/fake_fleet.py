@@ -143,6 +143,9 @@ class FakeHost:
     def _follow(self, request: Request) -> Request:
         return self._logs(request)
 
+    def _lease(self, request: Request) -> Request:
+        return {"state": {"renew": "renewed", "release": "released"}[str(request["action"])]}
+
     def _probe(self, request: Request) -> Request:
         links = [entry["robot"] for entry in request["links"]]  # type: ignore[attr-defined]
         entries = {
@@ -172,6 +175,7 @@ class FakeHost:
             "tasks": entries,
             "generations": dict(self.seen),
             "checks": {},
+            **({"lease": {"state": "granted", "epoch": 1}} if "lease" in request else {}),
         }
 
     def runs(self, name: str, *, spec_hash: str = "", instance: str = "old", state: str = "running") -> None:

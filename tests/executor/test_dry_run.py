@@ -37,6 +37,8 @@ def mask_request(host: str, request: dict[str, object]) -> tuple[str, dict[str, 
     placeholders: dict[str, object] = {"generation": 0} if request.get("generation") is not None else {}
     if request["op"] in ("start", "wait", "mark") and request["instance"] != "old":
         placeholders["instance"] = "0"
+    if "manager" in request:
+        placeholders["manager"] = ""
     if "timeout_s" in request:
         placeholders["timeout_s"] = round(float(str(request["timeout_s"])))
     return host, {**request, **placeholders}

@@ -9,10 +9,10 @@ from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.policy import Policy
 from edgectl.model.result import ActionResult, Outcome, Phase, PhaseResult, Results
 from edgectl.model.snapshot import Snapshot, TaskState
-from tests.builders import NOW, a_run, a_sample, a_snapshot, a_task, silent, some_tasks
+from tests.builders import NOW, TASK_FILE, a_run, a_sample, a_snapshot, a_task, silent, some_tasks
 
 TASKS = some_tasks(a_task("slam"))
-OLD = Placement(host="edge1", since=5.0, spec_hash="old", generation=3)
+OLD = Placement(host="edge1", since=5.0, spec_hash="old", generation=3, file=TASK_FILE)
 
 
 def a_step(
@@ -59,7 +59,7 @@ def update_after(
 def test_a_start_is_a_new_place() -> None:
     memory = update_after(a_step(Action.START, host="edge2"), outcome=Outcome.DONE, located="edge2")
     assert memory.placements == {
-        "slam": Placement(host="edge2", since=NOW, spec_hash="hash-slam", generation=9)
+        "slam": Placement(host="edge2", since=NOW, spec_hash="hash-slam", generation=9, file=TASK_FILE)
     }
     assert memory.managed
     assert memory.first == {"slam": "edge2"}
@@ -73,7 +73,7 @@ def test_a_restart_keeps_its_dwell() -> None:
         downtime_s=0.5,
     )
     assert memory.placements["slam"] == Placement(
-        host="edge1", since=5.0, spec_hash="hash-slam", generation=9
+        host="edge1", since=5.0, spec_hash="hash-slam", generation=9, file=TASK_FILE
     )
     assert memory.downtimes == {("slam", "edge1"): (0.5,)}
 
@@ -122,7 +122,7 @@ def test_an_untouched_task_is_where_the_snapshot_shows_it() -> None:
     world = a_snapshot(edge1=a_sample(), edge2=a_sample(tasks={"slam": run}))
     memory = update_after(a_step(Action.KEEP, host="edge2"), world=world)
     assert memory.placements["slam"] == Placement(
-        host="edge2", since=run.started_at, spec_hash="seen", generation=4
+        host="edge2", since=run.started_at, spec_hash="seen", generation=4, file=TASK_FILE
     )
 
 
@@ -150,3 +150,13 @@ def test_generations_are_above_all_that_is_known_and_never_below_the_clock() -> 
     assert compute_next_generations(ManagerState(), stopped, steps, NOW) == {"slam": far + 1}
     known = ManagerState(placements={"slam": Placement(host="edge1", since=0.0, generation=far + 7)})
     assert compute_next_generations(known, world, steps, NOW) == {"slam": far + 8}
+
+
+def test_one_host_cannot_make_the_others_unusable_by_a_generation() -> None:
+    steps = (a_step(Action.START, host="edge1"),)
+    liar = a_snapshot(edge2=a_sample(tasks={"slam": a_run(generation=2**63)}), edge1=a_sample())
+    assert compute_next_generations(ManagerState(), liar, steps, NOW) == {"slam": int(NOW)}
+    memory = update_after(a_step(Action.KEEP, host="edge1"), world=a_snapshot(edge1=liar.hosts["edge2"]))
+    assert memory.placements["slam"].generation == OLD.generation
+    behind = a_snapshot(edge1=dataclasses.replace(a_sample(), generations={"slam": int(NOW)}))
+    assert compute_next_generations(ManagerState(), behind, steps, 5.0) == {"slam": int(NOW) + 1}

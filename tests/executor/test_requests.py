@@ -42,10 +42,15 @@ def test_a_start_request_is_the_task_as_it_will_run() -> None:
         "slam", ready=Check(command="is up", timeout=7.0), stop=StopRule(preset="ros"), workdir="/data"
     )
     request = host_requests.fill_start_request(
-        host_requests.build_start_request(task, EDGE, FLEET.hosts), instance="i", generation=4, variables={}
+        host_requests.build_start_request(task, EDGE, FLEET.hosts),
+        instance="i",
+        generation=4,
+        manager="ana@lab",
+        variables={},
     )
-    assert {key: request[key] for key in ("op", "host", "task", "instance", "generation")} == {
+    assert {key: request[key] for key in ("op", "host", "task", "instance", "generation", "manager")} == {
         "op": "start", "host": "edge1", "task": "slam", "instance": "i", "generation": 4,
+        "manager": "ana@lab",
     }  # fmt: skip
     spec = request["spec"]
     assert isinstance(spec, dict)

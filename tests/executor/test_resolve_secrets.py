@@ -39,7 +39,9 @@ def test_only_a_start_that_is_sent_carries_secrets() -> None:
     task = a_task(env={"TOKEN": Secret(CANARY), "PLAIN": "x"}, done_when=check)
     looked_at = host_requests.build_start_request(task, host, inventory.hosts)
     variables = resolve_environment(task, host, inventory.hosts)
-    sent = host_requests.fill_start_request(looked_at, instance="i", generation=1, variables=variables)
+    sent = host_requests.fill_start_request(
+        looked_at, instance="i", generation=1, manager="", variables=variables
+    )
     assert json.dumps(sent).count(CANARY) == 2
     assert looked_at["spec"]["env"]["TOKEN"] == "***"  # type: ignore[index]
     asked = host_requests.build_check_request(task, check, host, inventory.hosts)

@@ -38,5 +38,5 @@ def test_a_replacing_plan_holds_only_while_its_host_stays_silent(
         INVENTORY, TASKS, SNAPSHOT, before, assign(INVENTORY, TASKS, SNAPSHOT, before, TASKS.policy, NOW)
     )
     assert plan.steps[0].decision.reason is Reason.REPLACED
-    changes = list_drift(plan, INVENTORY, TASKS, SNAPSHOT, after)
+    changes = list_drift(plan, SNAPSHOT, after)
     assert changes == (("edge1 was in touch since, or is no longer fenced",) if refused else ())

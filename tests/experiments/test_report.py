@@ -330,7 +330,7 @@ def test_what_is_missing_or_unfinished_is_said() -> None:
     assert list_missing_trials(run) == [("utility cpu", 2), ("utility cpu", 3)]
     words = Outline(a_page(run, drawn=False)).words
     assert "Not run yet: 2 of 9 trials. utility cpu: 2, 3." in words
-    assert "Ended by the limit of 5m00s: 1 of 7 trials. local: 1." in words
+    assert "Ended by the time limit of 5m00s: 1 of 7 trials. local: 1." in words
     assert "Not run yet" not in Outline(a_page(a_run(SCHEMES[:1], 1), drawn=False)).words
 
 

@@ -3,19 +3,23 @@
 from tests.faults import (
     faults_failpoints,
     faults_host,
+    faults_inventory,
     faults_link,
     faults_manager,
     faults_noise,
     faults_random,
     faults_task,
+    faults_two_managers,
 )
 from tests.faults.registry import FAULTS, Fault
 
 MODULES = (
     faults_failpoints,
     faults_host,
+    faults_inventory,
     faults_link,
     faults_manager,
+    faults_two_managers,
     faults_task,
     faults_noise,
     faults_failpoints,

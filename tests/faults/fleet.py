@@ -125,7 +125,9 @@ class FaultFleet:
     def write_files(self) -> None:
         """Write the files of edgectl and ssh."""
         (self.directory / "inventory.yaml").write_text(format_yaml({"version": 1, "edges": self.inventory}))
-        (self.directory / "tasks.yaml").write_text(format_yaml({"version": 1, "tasks": self.tasks}))
+        # The default of ``up`` would cost each start 3 s.
+        tasks = {name: {"up": "300ms", **task} for name, task in self.tasks.items()}
+        (self.directory / "tasks.yaml").write_text(format_yaml({"version": 1, "tasks": tasks}))
         self._write_ssh_files()
 
     def _write_ssh_files(self) -> None:

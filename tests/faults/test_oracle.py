@@ -40,6 +40,11 @@ def mark(tmp_path: Path) -> Iterator[str]:
     scan.kill_processes(scan.list_marked_processes(word))
 
 
+def count_records(directory: Path) -> int:
+    """Launches that have written their first record."""
+    return sum(b"\n" in file.read_bytes() for file in directory.glob("*.jsonl"))
+
+
 @pytest.fixture
 def launch(records: dict[str, Path], mark: str) -> Iterator[Launch]:
     running: list[subprocess.Popen[bytes]] = []
@@ -56,9 +61,9 @@ def launch(records: dict[str, Path], mark: str) -> Iterator[Launch]:
             mark,
             *options,
         ]
-        known = len(list(records[host].glob("*.jsonl")))
+        known = count_records(records[host])
         running.append(subprocess.Popen(command, stdin=subprocess.DEVNULL, start_new_session=True))
-        wait_until(lambda: len(list(records[host].glob("*.jsonl"))) > known)
+        wait_until(lambda: count_records(records[host]) > known)
         return running[-1]
 
     yield start

@@ -30,6 +30,7 @@ from edgectl.model.snapshot import (
     HostStatus,
     InterfaceSample,
     LinkSample,
+    OtherTask,
     ResourceUsage,
     Snapshot,
     TaskSample,
@@ -87,6 +88,18 @@ task_samples = st.builds(
 interfaces = st.builds(
     InterfaceSample, rx_bytes_per_s=amounts, tx_bytes_per_s=amounts, speed_bytes_per_s=optional_of(amounts)
 )
+other_tasks = st.builds(
+    OtherTask,
+    fleet=texts,
+    host=names,
+    task=names,
+    state=st.sampled_from(TaskState),
+    started_by=texts,
+    age_s=amounts,
+    instance=texts,
+    spec_hash=texts,
+    generation=counts,
+)
 devices = st.builds(
     DeviceSample,
     load_1m=optional_of(amounts),
@@ -112,6 +125,8 @@ hosts = st.builds(
     tasks=dictionaries_of(task_samples),
     device=devices,
     generations=dictionaries_of(counts),
+    other_tasks=st.lists(other_tasks, max_size=2).map(tuple),
+    foreign_tasks=st.lists(other_tasks, max_size=2).map(tuple),
 ) | st.builds(
     HostSample,
     role=st.sampled_from(Role),
@@ -124,7 +139,16 @@ memories = st.builds(
     ManagerState,
     managed=st.booleans(),
     placements=dictionaries_of(
-        st.builds(Placement, host=names, since=instants, spec_hash=texts, generation=counts)
+        st.builds(
+            Placement,
+            host=names,
+            since=instants,
+            spec_hash=texts,
+            generation=counts,
+            file=texts,
+            address=texts,
+            machine=texts,
+        )
     ),
     first=dictionaries_of(names),
     cordons=st.frozensets(names, max_size=3),

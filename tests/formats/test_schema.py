@@ -65,11 +65,14 @@ def test_examples_are_valid(pattern: str, kind: DocumentKind[Any]) -> None:
         assert list_faults(kind, json.loads(path.read_text())) == [], path
 
 
-@pytest.mark.parametrize("name", CASES)
+# A schema says nothing of the text of a number or an instant, nor of JSON that is broken.
+BEYOND_A_SCHEMA = ("infinite", "integer beyond floats", "instant")
+STRUCTURE = [name for name, case in CASES.items() if case[4] == "EC202" and name not in BEYOND_A_SCHEMA]
+
+
+@pytest.mark.parametrize("name", STRUCTURE)
 def test_what_the_codec_refuses_the_schema_refuses(name: str) -> None:
-    what, old, new, _, code, _, _ = CASES[name]
-    if code != "EC202" or name in ("infinite", "integer beyond floats", "instant"):
-        pytest.skip("beyond a schema: the text of a number or an instant")
+    what, old, new, *_ = CASES[name]
     kind = SNAPSHOT_KIND if what == "snapshot" else PLAN_KIND
     document = json.loads(TEXTS[what].replace(old, new, 1))
     with pytest.raises(FormatErrors):

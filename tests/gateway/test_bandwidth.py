@@ -23,9 +23,10 @@ def test_each_link_is_measured_in_turn_and_a_failure_costs_only_itself() -> None
     assert (first.edge, first.robot, first.bytes_per_s) == ("edge1", "robot1", 2e6)
     assert (second.bytes_per_s, second.error) == (None, "switched off")
     sink, send = transport.requests[:2]
-    assert sink == ("robot1", {"op": "sink", "host": "robot1", "seconds": 2.0})
+    assert sink == ("robot1", {"op": "sink", "fleet": "unnamed", "host": "robot1", "seconds": 2.0})
     assert send[1] == {
         "op": "send",
+        "fleet": "unnamed",
         "host": "edge1",
         "address": "robot1.lab",
         "port": 4000,

@@ -309,9 +309,10 @@ def test_a_run_that_no_longer_counts_has_used_its_generation_up() -> None:
 
 def test_when_a_task_ended_is_told_in_the_manager_s_time() -> None:
     tasks = decode_document(
-        a_document(tasks={"job": a_task(state="completed", ended_s=1.5), "nav": a_task()})
+        a_document(tasks={"job": a_task(state="completed", pid=0, ended_s=1.5), "nav": a_task()})
     ).tasks
     assert (tasks["job"].ended_at, tasks["nav"].ended_at) == (NOW - 1.5, None)
+    assert tasks["job"].started_at == 0.0, "a run that has ended has no age"
 
 
 def test_metrics_of_the_application_pass_as_they_are() -> None:

@@ -10,17 +10,19 @@ from pathlib import Path
 
 import pytest
 
-from edgectl.errors import StateError
+from edgectl.errors import LockBusyError, StateError
 from edgectl.model.manager_state import ManagerState, Placement
-from edgectl.state import failpoints
+from edgectl.state import failpoints, fleet_dir
+from edgectl.state.fleet_dir import ensure_fleet_dir
 from edgectl.state.json_files import read_json, write_json
+from edgectl.state.lock import FleetLock
 from edgectl.state.manager_state import (
     load_link_capacities,
     load_manager_state,
     save_link_capacities,
     save_manager_state,
 )
-from edgectl.state.paths import ensure_fleet_dir, ensure_private_dir, get_state_root
+from edgectl.state.paths import ensure_private_dir, get_legacy_path, get_state_root
 
 MEMORY = ManagerState(
     managed=True,
@@ -123,20 +125,36 @@ def test_measured_links_survive_and_broken_ones_are_survived(tmp_path: Path) -> 
     assert "links.edge1.robot1: must be 0 or more, not -1" in said[0]
 
 
-def test_each_inventory_has_a_directory_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_each_fleet_has_a_directory_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("EDGECTL_STATE_DIR", str(tmp_path / "state"))
     old = os.umask(0)
     try:
         one, other = (
-            ensure_fleet_dir(tmp_path / "a" / "lab.yaml"),
-            ensure_fleet_dir(tmp_path / "b" / "lab.yaml"),
+            ensure_fleet_dir("lab", tmp_path / "lab.yaml"),
+            ensure_fleet_dir("hall", tmp_path / "lab.yaml"),
         )
     finally:
         os.umask(old)
     assert one != other
     assert one.parent == get_state_root() / "fleets"
-    assert one.name.startswith("lab-")
+    assert (one.name, other.name) == ("lab", "hall")
     assert {path.stat().st_mode & 0o777 for path in (one, other, get_state_root())} == {0o700}
+
+
+def test_the_state_of_the_first_release_is_taken_over(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its directory was named by the path of the inventory; after that the file may be renamed."""
+    monkeypatch.setattr(fleet_dir, "_WAIT_S", 0.0)
+    monkeypatch.setenv("EDGECTL_STATE_DIR", str(tmp_path / "state"))
+    file = tmp_path / "lab.yaml"
+    legacy = ensure_private_dir(get_legacy_path(file))
+    (legacy / "memory.json").write_text("{}")
+    with FleetLock(legacy), pytest.raises(LockBusyError, match="lock held by"):
+        ensure_fleet_dir("lab", file)
+    taken = ensure_fleet_dir("lab", file)
+    assert ((taken / "memory.json").read_text(), legacy.exists()) == ("{}", False)
+    assert ensure_fleet_dir("lab", tmp_path / "renamed.yaml") == taken
 
 
 def test_a_directory_that_others_may_write_is_refused(tmp_path: Path) -> None:
@@ -152,3 +170,25 @@ def test_a_link_in_place_of_the_lock_is_refused(tmp_path: Path) -> None:
     (tmp_path / "memory.json").symlink_to(tmp_path / "elsewhere")
     save_manager_state(tmp_path, MEMORY)
     assert (tmp_path / "elsewhere").read_text() == ""
+
+
+@pytest.mark.parametrize(
+    ("mode", "owner", "refused"),
+    [(0o777, 0, True), (0o1777, 0, False), (0o755, 1002, True), (0o755, 0, False)],
+)
+def test_a_directory_above_that_another_user_may_exchange_is_refused(
+    tmp_path: Path, mode: int, owner: int, refused: bool
+) -> None:
+    """Whoever can rename the state directory can put another one in its place while a lock is held."""
+    if os.geteuid() != 0:
+        pytest.skip("only root can make the directory of another user")
+    above = tmp_path / "eve"
+    above.mkdir()
+    above.chmod(mode)
+    os.chown(above, owner, 0)
+    if not refused:
+        assert ensure_private_dir(above / "state").is_dir()
+        return
+    with pytest.raises(StateError, match="which another user may change") as raised:
+        ensure_private_dir(above / "state")
+    assert f"chmod go-w {above}" in raised.value.hint

@@ -2,11 +2,13 @@
 instance of each task.
 """
 
+import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+from edgectl.model.event import EventKind
 from edgectl.state import failpoints
 from edgectl.state.journal_reader import read_journal
 from edgectl.usecases import operator_marks
@@ -14,6 +16,8 @@ from edgectl.usecases.apply import plan_and_apply
 from edgectl.usecases.drain import drain_hosts
 from edgectl.usecases.history import roll_back_fleet
 from edgectl.usecases.plan import make_plan
+from edgectl.usecases.probe import probe_fleet
+from edgectl.usecases.status import load_last_events
 from tests.usecases.test_recovery import ONE_BY_ONE, POLICY, ManagerKilledError, RecoveryScene, _start_tasks
 
 Verb = Callable[[RecoveryScene], object]
@@ -82,3 +86,18 @@ def test_death_at_every_point(make: Callable[[Path], RecoveryScene], verb: Verb,
         assert not make_plan(scene.fleet, POLICY).changes, name
         log = read_journal(scene.fleet.state / "journal.jsonl")
         assert (log.broken, log.unfinished) == (0, ())
+
+
+def test_a_stop_by_a_killed_edgectl_is_not_told_as_a_loss(tmp_path: Path) -> None:
+    """The journal has the intention, although nobody recorded its result."""
+    scene = start_on_edge1(tmp_path / "killed")
+    before = dict(scene.hosts.placed)
+    names = run_until_failpoint(start_on_edge1(tmp_path / "whole"), drain_edge1, None)
+    run_until_failpoint(scene, drain_edge1, names.index("stop acknowledged"))
+    stopped = before.keys() - scene.hosts.placed.keys()
+    assert len(stopped) == 1
+    later = scene.fleet.clock() + 60.0
+    probe_fleet(dataclasses.replace(scene.fleet, clock=lambda: later))
+    events = [event for event in load_last_events(scene.fleet, 10) if event.task in stopped]
+    assert events[-1].kind is EventKind.TASK_STOPPED
+    assert "interrupted" in events[-1].message

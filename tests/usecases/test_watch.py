@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from edgectl.errors import InputError, Problem, RefusedError
+from edgectl.errors import InputError, LockBusyError, Problem, RefusedError
 from edgectl.model.cycle import Cycle
 from edgectl.model.event import EventKind
 from edgectl.model.manager_state import ManagerState
@@ -154,24 +154,18 @@ def test_the_lock_is_taken_for_changes_alone(site: WatchSite) -> None:
     assert list_actions(after) == {1: [("slam", Action.START)]}
 
 
-def test_a_fleet_changed_by_another_edgectl_since_the_sample_is_planned_anew(site: WatchSite) -> None:
-    list(site.watch(1))
-    away = site.hosts.placed["slam"]
-    site.hosts[away].tasks.clear()
-    other = dataclasses.replace(site.fleet, transport=site.hosts.transport)
-    policy = site.fleet.tasks.policy
-    answers = [lambda: operator_marks.cordon_hosts(other, [away])]
+def test_nobody_else_changes_the_fleet_between_the_sample_and_the_end_of_the_actions(site: WatchSite) -> None:
+    policy, refused = site.fleet.tasks.policy, []
 
-    def meanwhile(_fleet: Fleet) -> object:
-        if answers:
-            answers.pop()()
+    def meanwhile(_fleet: Fleet) -> Policy:
+        with pytest.raises(LockBusyError) as error, FleetLock(site.fleet.state):
+            pass
+        refused.append(error.value.message)
         return policy
 
-    first, second = site.watch(2, policy=meanwhile)
-    assert first.results is None
-    assert "another edgectl changed the fleet meanwhile" in first.warnings[0]
-    assert second.results is not None
-    assert set(site.hosts.placed.values()) == {"edge2" if away == "edge1" else "edge1"}
+    list(site.watch(1, policy=meanwhile))
+    assert "watch" in refused[0]
+    assert operator_marks.cordon_hosts(site.fleet, ["edge1"]).cordons == {"edge1"}
 
 
 def test_completed_tasks_are_remembered_although_nothing_is_carried_out(site: WatchSite) -> None:

@@ -17,6 +17,7 @@ from edgectl.model.snapshot import (
     HostSample,
     InterfaceSample,
     LinkSample,
+    OtherTask,
     Snapshot,
     TaskState,
 )
@@ -69,6 +70,10 @@ MEMORY = ManagerState(
     contact={"edge1": NOW - 1.5}, cordons=frozenset({"edge1"}), placements={"slam-robot1": Placement(host="edge1", since=NOW - 260)},
     downtimes={("slam-robot1", "edge1"): (0.75, 1.25), ("slam-robot1", "edge2"): (2.0,), ("idle", "edge1"): (9.0,)},
 )  # fmt: skip
+THEIRS = OtherTask(
+    fleet="hall", host="edge1", task="web", state=TaskState.RUNNING, started_by="paula@laptop", age_s=7200.0,
+    instance="theirs", spec_hash="s", generation=3,
+)  # fmt: skip
 EVENTS = (
     Event(
         id=3, at=NOW - 260, kind=EventKind.TASK_STARTED, host="edge1", task="slam-robot1", message="took 0.7s"
@@ -91,7 +96,10 @@ def edge1() -> HostSample:
         interfaces={"eth0": InterfaceSample(rx_bytes_per_s=1e6, tx_bytes_per_s=2e6)},
     )
     return replace(
-        a_sample(used=3.6, used_memory=GI, tasks={"slam-robot1": RUN}, links={"robot1": LINK}), device=device
+        a_sample(used=3.6, used_memory=GI, tasks={"slam-robot1": RUN}, links={"robot1": LINK}),
+        device=device,
+        other_tasks=(OtherTask(fleet="lab", host="old1", task="slam-robot2", state=TaskState.READY),),
+        foreign_tasks=(THEIRS,),
     )
 
 
@@ -152,6 +160,10 @@ Links:
 Tasks:
   TASK          CPU  CPU DEMAND  CPU EXCESS   MEMORY  NETWORK    AGE  READY
   slam-robot1  2.50        2.00       +0.50  512.0Mi  2.0MB/s  4m12s  yes
+Other tasks on this machine:
+  FLEET  STARTED BY    HOST   TASK         STATE      AGE
+  lab    -             old1   slam-robot2  ready     0.0s
+  hall   paula@laptop  edge1  web          running  2h00m
 Interfaces:
   INTERFACE  RECEIVED     SENT  SPEED
   eth0        1.0MB/s  2.0MB/s      -

@@ -8,8 +8,9 @@ end tasks that a manager looks after.
 import os
 
 from ..measure import proc
-from ..supervise import records, state_dir
+from ..supervise import lockfile, records, state_dir
 from .boot import check_private_dir, make_private_dir
+from .fast_json import Document
 
 _FILE_NAME = "contact"
 
@@ -19,7 +20,7 @@ def record_heartbeat(host: str) -> None:
     places = state_dir.list_host_dirs(host)
     if not any(os.path.isdir(levels[-1]) for levels in places):
         return
-    heartbeat = {"boot_id": proc.read_boot_id(), "at": round(proc.read_uptime_s(), 3)}
+    heartbeat: Document = {"boot_id": proc.read_boot_id(), "at": round(proc.read_uptime_s(), 3)}
     for levels in places:
         try:
             for level in levels:
@@ -27,7 +28,21 @@ def record_heartbeat(host: str) -> None:
             records.write_record(os.path.join(levels[-1], _FILE_NAME), heartbeat)
         except OSError:
             continue
+        break
+    _record_for_adopted(host, heartbeat)
+
+
+def _record_for_adopted(host: str, heartbeat: Document) -> None:
+    """Record it, too, where the supervisors of adopted tasks look for it, while one of them lives."""
+    if not any(lockfile.is_lock_held(folder) for folder in state_dir.list_adopted_dirs(host)):
         return
+    for base in state_dir.list_own_bases():
+        try:
+            records.write_record(
+                os.path.join(state_dir.list_legacy_levels(base, host)[-2], _FILE_NAME), heartbeat
+            )
+        except OSError:
+            continue
 
 
 def read_last_heartbeat(host: str) -> float:

@@ -3,6 +3,7 @@
 Each operation is imported on demand: start-up is most of the cost of a request.
 """
 
+import errno
 import os
 import sys
 
@@ -20,30 +21,64 @@ if TYPE_CHECKING:
 # Room for the noise of a login shell, which counts against the same limit.
 _MAX_PAYLOAD_BYTES = protocol.MAX_REPLY_BYTES - 65536
 
+_BUG_HINT = "this is a bug in edgectl's agent: please report it"
+_PROCESSES_HINT = "stop something there, or raise the limit of processes (ulimit -u, TasksMax)"
+# By errno: what the host lacks, and what helps.
+_LACKING = {
+    errno.EAGAIN: ("processes", _PROCESSES_HINT),
+    errno.ENOMEM: ("memory", "stop something there"),
+    errno.EMFILE: ("open files", "raise its limit of open files (ulimit -n)"),
+    errno.ENFILE: ("open files", "stop something there"),
+    errno.ENOSPC: ("disk space", "free some space there"),
+    errno.EDQUOT: ("disk space", "free some space there"),
+}
+
 
 def serve_request(request: bytes, channel: "Channel", bases: "list[str]") -> None:
     """Carry out ``request`` and reply on ``channel``; every failure becomes an ``error`` document."""
-    state_dir.BASES[:] = bases
     try:
         document = fast_json.loads(request.decode("utf-8"))
+        state_dir.use_fleet(bases, document.get("fleet"))
         heartbeat.record_heartbeat(document["host"])
         if document["op"] == protocol.OP_FOLLOW:
             from ..supervise.logs import follow_log
 
             return follow_log(document, channel)
-        reply = _find_operation(document["op"])(document)
+        operation = _find_operation(document["op"])
+        if _needs_lease(document):
+            from ..supervise.lease import hold_for_request
+
+            with hold_for_request(document):
+                reply = operation(document)
+        else:
+            reply = operation(document)
     except RefusalError as refusal:
         reply = _build_error(refusal.kind, refusal.message, refusal.hint)
+    except OSError as error:
+        reply = _build_os_error(error)
     except Exception as error:  # noqa: BLE001 - the manager needs a document, not a traceback
-        reply = _build_error(
-            "agent-error", _describe_exception(error), "this is a bug in edgectl's agent: please report it"
-        )
+        reply = _build_error("agent-error", _describe_exception(error), _BUG_HINT)
     payload = fast_json.dumps(reply).encode("ascii")
     if len(payload) > _MAX_PAYLOAD_BYTES:
         payload = fast_json.dumps(
             _build_error("too-large", "the reply is larger than 1 MiB", "request less")
         ).encode("ascii")
     return channel.reply(payload)
+
+
+def _build_os_error(error: OSError) -> Document:
+    """What the host lacks, where the error says it; any other is a bug."""
+    lacks = _LACKING.get(error.errno or 0)
+    if lacks is None:
+        return _build_error("agent-error", _describe_exception(error), _BUG_HINT)
+    return _build_error("out-of-resources", "the host is out of " + lacks[0], lacks[1])
+
+
+def _needs_lease(document: Document) -> bool:
+    """Whether the request changes something; a check does where the manager says so by its signature."""
+    return document["op"] in protocol.CHANGING_OPS and (
+        document["op"] != protocol.OP_CHECK or "lease" in document
+    )
 
 
 def _build_error(kind: str, message: str, hint: str) -> Document:
@@ -62,8 +97,12 @@ def _describe_exception(error: Exception) -> str:
 def _find_operation(name: str) -> "Callable[[Document], Document]":  # noqa: C901 - a table of lazy imports
     if name == protocol.OP_PROBE:
         from ..measure.probe import probe_host as operation
+    elif name == protocol.OP_ADOPT:
+        from ..supervise.adoption import adopt_tasks as operation
     elif name == protocol.OP_START:
         from ..supervise.start import start_task as operation
+    elif name == protocol.OP_TAKE_OVER:
+        from ..supervise.takeover import take_over_task as operation
     elif name == protocol.OP_STOP:
         from ..supervise.stop import stop_task as operation
     elif name == protocol.OP_STATUS:
@@ -74,6 +113,8 @@ def _find_operation(name: str) -> "Callable[[Document], Document]":  # noqa: C90
         from ..supervise.status import mark_ready as operation
     elif name == protocol.OP_CHECK:
         from ..supervise.shell import run_check as operation
+    elif name == protocol.OP_LEASE:
+        from ..supervise.lease import serve_lease as operation
     elif name == protocol.OP_LOGS:
         from ..supervise.logs import read_logs as operation
     elif name == protocol.OP_FETCH:

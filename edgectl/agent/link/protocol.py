@@ -7,10 +7,12 @@ Valid for Python 3.6, without imports: the agent loads it on the host, the manag
 VERSION = 1
 
 # Operations: key ``op`` of a request.
+OP_ADOPT = "adopt"
 OP_CHECK = "check"
 OP_DOCTOR = "doctor"
 OP_FETCH = "fetch"
 OP_FOLLOW = "follow"
+OP_LEASE = "lease"
 OP_LOGS = "logs"
 OP_MARK = "mark"
 OP_PROBE = "probe"
@@ -24,15 +26,24 @@ OP_START = "start"
 OP_STATUS = "status"
 OP_STOP = "stop"
 OP_SUPERVISE = "supervise"
+OP_TAKE_OVER = "takeover"
 OP_WAIT = "wait"
 
-# Keys of a request besides ``op`` and ``host``; OP_PROFILER_RUN and OP_SUPERVISE are requests of the agent to
-# itself.
+# Operations that change tasks or robots. While a manager holds the fleet they carry its ``lease``
+# (SIGNATURE_KEYS); a probe may carry a claim of it (CLAIM_KEYS).
+CHANGING_OPS = (OP_START, OP_STOP, OP_MARK, OP_CHECK, OP_TAKE_OVER)
+SIGNATURE_KEYS = ("holder", "session", "epoch")
+CLAIM_KEYS = ("holder", "session", "who", "verb", "ttl_s", "watch", "take_over")
+
+# Keys of a request besides ``op``, ``fleet`` and ``host``; OP_PROFILER_RUN and OP_SUPERVISE are requests of
+# the agent to itself.
 REQUEST_KEYS = {
+    OP_ADOPT: ("tasks",),
     OP_CHECK: ("command", "prelude", "env", "timeout_s"),
     OP_DOCTOR: ("links", "prelude", "env", "timeout_s"),
     OP_FETCH: ("task", "workdir", "file", "most", "offset"),
     OP_FOLLOW: ("task", "tail"),
+    OP_LEASE: ("action", "lease", "end_watch"),
     OP_LOGS: ("task", "tail"),
     OP_MARK: ("task", "instance", "ready"),
     OP_PROBE: ("window_s", "links", "detect", "checks"),
@@ -41,10 +52,11 @@ REQUEST_KEYS = {
     OP_PROFILER_STOP: (),
     OP_SEND: ("address", "port", "token", "seconds"),
     OP_SINK: ("seconds",),
-    OP_START: ("task", "instance", "generation", "spec"),
+    OP_START: ("task", "instance", "generation", "manager", "spec"),
+    OP_TAKE_OVER: ("task", "instance", "generation", "manager", "spec"),
     OP_STATUS: ("task",),
-    OP_STOP: ("task", "instance", "generation", "stop"),
-    OP_WAIT: ("task", "instance", "timeout_s"),
+    OP_STOP: ("task", "instance", "generation", "stop", "filed_as"),
+    OP_WAIT: ("task", "instance", "timeout_s", "up_s"),
 }
 # Keys of ``spec`` in OP_START.
 SPEC_KEYS = (
@@ -62,6 +74,7 @@ SPEC_KEYS = (
     "self_fence_s",
     "spec_hash",
     "fields",
+    "file",
 )
 # Keys of the entry of a task in a reply; the last line is measured by OP_PROBE alone.
 ENTRY_KEYS = (
@@ -71,6 +84,7 @@ ENTRY_KEYS = (
     "instance",
     "spec_hash",
     "fields",
+    "file",
     "generation",
     "managed",
     "restarts",
@@ -79,6 +93,8 @@ ENTRY_KEYS = (
     "limits",
     "last_exit",
     "given_up",
+    "orphaned",
+    "adoptable",
     "ended_s",
     "log_tail",
     "used_cores",
@@ -88,6 +104,18 @@ ENTRY_KEYS = (
     "links",
     "metrics",
 )
+# Keys of an entry of ``other_tasks`` in the reply to OP_PROBE.
+OTHER_TASK_KEYS = (
+    "fleet",
+    "host",
+    "task",
+    "started_by",
+    "state",
+    "age_s",
+    "instance",
+    "spec_hash",
+    "generation",
+)
 # Keys of the reply to OP_PROBE.
 PROBE_KEYS = (
     "v",
@@ -95,9 +123,12 @@ PROBE_KEYS = (
     "host",
     "python",
     "boot_id",
+    "machine",
     "wall",
     "load_1m",
     "generations",
+    "other_tasks",
+    "unowned",
     "checks",
     "resident",
     "sample_age_s",
@@ -109,6 +140,7 @@ PROBE_KEYS = (
     "gpu_share",
     "interfaces",
     "links",
+    "lease",
     "tasks",
 )
 
@@ -126,6 +158,7 @@ FINAL_STATES = (COMPLETED, FAILED, CRASHLOOP, STOPPED)
 
 # States of the replies to OP_START, OP_STOP and OP_PROFILER_*.
 STARTED = "started"
+TAKEN_OVER = "taken-over"
 ALREADY_RUNNING = "already-running"
 NOT_RUNNING = "not-running"
 STOP_INCOMPLETE = "stop-incomplete"

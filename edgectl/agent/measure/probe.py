@@ -3,10 +3,11 @@
 import os
 import sys
 import time
+import zlib
 
 from ..link import protocol
 from ..link.fast_json import Document
-from ..supervise import state_dir, status
+from ..supervise import adoption, other_tasks, state_dir, status
 from . import device, metrics, network, proc
 from .task import TaskMeter
 
@@ -25,6 +26,7 @@ def probe_host(request: Document) -> Document:
     Where a resident profiler runs, its last sample is used; otherwise a sample window passes, with the checks
     running meanwhile.
     """
+    lease = _claim_lease(request)
     measured, checks = _read_profiler(request) or _measure_window(request)
     for task, values in metrics.read_tasks_metrics(request["host"], measured["tasks"]).items():
         measured["tasks"][task]["metrics"] = values
@@ -35,13 +37,32 @@ def probe_host(request: Document) -> Document:
             "host": request["host"],
             "python": "%d.%d.%d" % sys.version_info[:3],
             "boot_id": proc.read_boot_id(),
+            "machine": _describe_place(),
             "wall": time.time(),
             "load_1m": device.read_load_1m(),
             "generations": _list_generations(request["host"], measured["tasks"]),
+            "other_tasks": other_tasks.list_other_tasks(request["host"]),
+            "unowned": adoption.list_unowned_tasks(request["host"]),
             "checks": checks.results(),
         },
         **measured,
+        **lease,
     )
+
+
+def _describe_place() -> str:
+    """Describe where the tasks of this login are: machine, user and state directories."""
+    folders = zlib.crc32("\0".join(state_dir.BASES).encode("utf-8", "surrogateescape"))
+    return "%s/%d/%08x" % (proc.read_machine_id(), os.getuid(), folders)
+
+
+def _claim_lease(request: Document) -> Document:
+    """Claim the fleet before anything is measured: what is seen then, no other manager changes afterwards."""
+    if "lease" not in request:
+        return {}
+    from ..supervise.lease import claim_lease
+
+    return {"lease": claim_lease(request["lease"])}
 
 
 def _read_profiler(request: Document) -> "tuple[Document, _RunningChecks] | None":

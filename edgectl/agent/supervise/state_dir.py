@@ -1,17 +1,35 @@
-"""State directory of this host: BASE/hosts/HOST/tasks/TASK, directories 0700, files 0600, no links followed.
+"""State directory of this host: BASE/agent-state/FLEET/hosts/HOST/tasks/TASK, directories 0700, files 0600,
+no links followed.
 
-``BASES`` is set once per request: the usual directory first, then shared memory for homes that cannot be
-written.
+``BASES`` and the fleet are set once per request: the usual directory first, then shared memory for homes that
+cannot be written. Every fleet has a directory of its own, so tasks of one are never those of another.
+
+The first release kept tasks in BASE/hosts/HOST/tasks/TASK, without a fleet. Those that a fleet has adopted
+(``adoption.py``) are found there.
 """
 
 import os
+import stat
 
 from ..link import protocol
 from ..link.boot import check_private_dir, make_private_dir
 from ..link.errors import RefusalError
-from .records import RECORD_BYTES, open_private_file
+from .records import RECORD_BYTES, open_private_file, read_record
 
 BASES: "list[str]" = []
+ROOT_NAME, OWNER_FILE_NAME, ADOPTION_FILE_NAME = "agent-state", "fleet", "adopted"
+_FLEET: "list[str]" = ["unnamed"]
+
+
+def use_fleet(bases: "list[str]", fleet: object) -> None:
+    """Set the bases and the fleet of this request. Raises RefusalError."""
+    BASES[:] = bases
+    _FLEET[:] = [check_name(fleet)]
+
+
+def get_fleet() -> str:
+    """Get the fleet of this request."""
+    return _FLEET[0]
 
 
 def check_name(name: object) -> str:
@@ -21,35 +39,93 @@ def check_name(name: object) -> str:
     return str(name)
 
 
+def list_fleet_levels(base: str) -> "list[str]":
+    """List the directories from ``base`` down to that of this fleet, existing or not."""
+    root = os.path.join(base, ROOT_NAME)
+    return [base, root, os.path.join(root, get_fleet())]
+
+
+def _list_host_levels(base: str, host: str) -> "list[str]":
+    levels = list_fleet_levels(base)
+    hosts = os.path.join(levels[-1], "hosts")
+    return [*levels, hosts, os.path.join(hosts, check_name(host))]
+
+
 def _list_levels(base: str, host: str, task: str) -> "list[str]":
+    levels = _list_host_levels(base, host)
+    tasks = os.path.join(levels[-1], "tasks")
+    return [*levels, tasks, os.path.join(tasks, check_name(task))]
+
+
+def list_legacy_levels(base: str, host: str) -> "list[str]":
+    """List the directories down to that of the tasks of ``host`` in the layout without fleets."""
     hosts = os.path.join(base, "hosts")
     home = os.path.join(hosts, check_name(host))
-    tasks = os.path.join(home, "tasks")
-    return [base, hosts, home, tasks, os.path.join(tasks, check_name(task))]
+    return [base, hosts, home, os.path.join(home, "tasks")]
+
+
+def list_adopted_dirs(host: str) -> "list[str]":
+    """List the directories in the layout without fleets whose tasks this fleet has adopted."""
+    if not any(
+        os.path.exists(os.path.join(levels[-1], ADOPTION_FILE_NAME)) for levels in list_host_dirs(host)
+    ):
+        return []
+    found = []
+    for base in list_own_bases():
+        tasks = list_legacy_levels(base, host)[-1]
+        names = sorted(os.listdir(tasks)) if os.path.isdir(tasks) else []
+        found += [
+            os.path.join(tasks, name)
+            for name in names
+            if protocol.is_name(name) and read_owner(os.path.join(tasks, name)) == get_fleet()
+        ]
+    return found
+
+
+def read_owner(folder: str) -> str:
+    """Read the fleet that adopted the task in ``folder``; empty where none did."""
+    return str(read_record(os.path.join(folder, OWNER_FILE_NAME)).get("fleet", ""))
+
+
+def list_own_bases() -> "list[str]":
+    """List the bases that can hold anything of this user: not those that somebody else has put there."""
+    return [base for base in BASES if not is_foreign_base(base)]
+
+
+def is_foreign_base(base: str) -> bool:
+    """Whether ``base`` exists and is a link, no directory, or of another user.
+
+    In shared memory any user can create it first; nothing of ours is ever in it.
+    """
+    try:
+        info = os.lstat(base)
+    except OSError:
+        return False
+    return not stat.S_ISDIR(info.st_mode) or info.st_uid != os.geteuid()
 
 
 def find_task_dirs(host: str, task: str) -> "list[str]":
     """Find the existing directories of ``task``, best first."""
     found = []
-    for base in BASES:
+    for base in list_own_bases():
         levels = _list_levels(base, host, task)
         if os.path.isdir(levels[-1]):
             for level in levels:
                 check_private_dir(level)
             found.append(levels[-1])
-    return found
+    return found + [folder for folder in list_adopted_dirs(host) if os.path.basename(folder) == task]
 
 
 def list_host_dirs(host: str) -> "list[list[str]]":
     """List, for each base, the directories down to that of ``host``, existing or not."""
-    return [_list_levels(base, host, host)[:3] for base in BASES]
+    return [_list_host_levels(base, host) for base in BASES]
 
 
 def list_task_names(host: str) -> "list[str]":
-    """List every task with a directory on this host, sorted."""
-    names: "set[str]" = set()
-    for base in BASES:
-        folder = os.path.join(base, "hosts", check_name(host), "tasks")
+    """List every task of this fleet with a directory on this host, sorted."""
+    names = {os.path.basename(folder) for folder in list_adopted_dirs(host)}
+    for base in list_own_bases():
+        folder = os.path.join(_list_host_levels(base, host)[-1], "tasks")
         if os.path.isdir(folder):
             names.update(name for name in os.listdir(folder) if protocol.is_name(name))
     return sorted(names)

@@ -63,9 +63,10 @@ def report_status(request: Document) -> Document:
 
 
 def wait_for_task(request: Document) -> Document:
-    """Operation ``wait``: the entry once the instance is ready, running without a ready check, ended or gone.
+    """Operation ``wait``: the entry once the instance is ready, ran for ``up_s`` without a ready check, ended
+    or is gone.
 
-    Else at the timeout.
+    Else at the timeout, with ``settled`` false.
     """
     deadline = time.monotonic() + float(request["timeout_s"])
     while True:
@@ -73,18 +74,19 @@ def wait_for_task(request: Document) -> Document:
         document = liveness.build_entry(record, alive) if record is not None else {}
         if not document or document["instance"] != request["instance"]:
             return _build_gone_entry(request["instance"])
-        if record is None or not alive or _is_settled(record, document) or time.monotonic() >= deadline:
-            return document
+        settled = record is not None and _is_settled(record, document, float(request.get("up_s") or 0.0))
+        if not alive or settled or time.monotonic() >= deadline:
+            return dict(document, settled=settled)
         time.sleep(_POLL_S)
 
 
-def _is_settled(record: InstanceRecord, document: Document) -> bool:
+def _is_settled(record: InstanceRecord, document: Document, up_s: float) -> bool:
     if document["state"] == protocol.READY:
         return True
     # Between the end of the command and its record only the supervisor is seen, which is no evidence that the
     # command runs.
     runs = document["state"] == protocol.RUNNING and document["pid"] == record.status.get("pid")
-    return runs and not record.instance.get("ready_check") and document["age_s"] >= _SETTLE_S
+    return runs and not record.instance.get("ready_check") and document["age_s"] >= max(up_s, _SETTLE_S)
 
 
 def _build_gone_entry(instance: str) -> Document:

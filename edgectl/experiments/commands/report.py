@@ -34,7 +34,7 @@ def report_command(
     """Render an experiment as an HTML page with table and figures, and print the names of the files written.
 
     The page is self-contained: no network, no script. An unfinished run is reported as far as it has come.
-    Requires the extra edgectl[report].
+    Requires the extra report.
 
     Examples:
         edgectl report docs/examples/run --out report.html

@@ -24,7 +24,7 @@ WeightsListOption = Annotated[
     str | None,
     Option(
         "--weights",
-        "-w",
+        "-W",
         metavar="LIST",
         show_default=False,
         help="Presets such as cpu,all; or one set: cpu=.5,task=1.",

@@ -32,7 +32,7 @@ def simulate_command(
 
     Inventory and tasks default to those named in the scenario; the default schemes are local, static, and
     utility with the weights cpu, memory, network and all. Below each scheme are the published values, or with
-    --against those of an experiment, and the deviation of the model. Requires the extra edgectl[evidence].
+    --against those of an experiment, and the deviation of the model. Requires the extra evidence.
 
     Examples:
         edgectl simulate docs/scenarios/paper-2.yaml --runs 2

@@ -20,7 +20,7 @@ def ssim_command(
     """Score a robot's map against ground truth (SSIM): 1 for identical maps, lower for less similar ones.
 
     Two .yaml files of ROS map_server are aligned by origin and resolution; two images are compared pixel by
-    pixel. Requires the extra edgectl[evidence].
+    pixel. Requires the extra evidence.
 
     Examples:
         edgectl ssim docs/examples/map.yaml docs/examples/world.yaml

@@ -20,7 +20,7 @@ def test_hosts_with_the_programs_on_them(tmp_path: Path) -> None:
         assert done.returncode == 0, done.stderr
         plan = json.loads(done.stdout)
         cores = {
-            name: host["cpu"]["cores"]
+            name: host["cpu"]["capacity_cores"]
             for name, host in plan["snapshot"]["hosts"].items()
             if host["status"] == "ok"
         }

@@ -1,0 +1,70 @@
+"""Adoption of tasks that the first release, which knew no fleets, left on this host.
+
+The fleet whose manager names a task of this host becomes its owner, once and for good; until then the task
+belongs to nobody and is not touched. Its directory stays where it is: the task's cookie and its supervisor
+name it.
+"""
+
+import os
+
+from ..link import protocol
+from ..link.boot import check_private_dir, make_private_dir
+from ..link.fast_json import Document
+from . import records, state_dir
+
+
+def list_unowned_tasks(host: str) -> "list[str]":
+    """List the tasks of ``host`` in the layout without fleets that no fleet has adopted."""
+    return sorted({os.path.basename(folder) for folder in _list_unowned_dirs(host)})
+
+
+def _list_unowned_dirs(host: str) -> "list[str]":
+    found = []
+    for base in state_dir.list_own_bases():
+        tasks = state_dir.list_legacy_levels(base, host)[-1]
+        names = os.listdir(tasks) if os.path.isdir(tasks) else []
+        found += [os.path.join(tasks, name) for name in names if protocol.is_name(name)]
+    return [
+        folder
+        for folder in found
+        if records.read_record(os.path.join(folder, "instance")) and not state_dir.read_owner(folder)
+    ]
+
+
+def adopt_tasks(request: Document) -> Document:
+    """Operation ``adopt``: make this fleet the owner of those of ``tasks`` that have none; replies which."""
+    host, names = state_dir.check_name(request["host"]), set(request["tasks"])
+    adopted = []
+    for folder in _list_unowned_dirs(host):
+        if os.path.basename(folder) in names:
+            check_private_dir(folder)
+            _leave_mark(host)
+            if _take_ownership(folder):
+                adopted.append(os.path.basename(folder))
+    return {"adopted": sorted(adopted)}
+
+
+def _leave_mark(host: str) -> None:
+    """Mark the fleet's directory of ``host``, so that other requests look for adopted tasks at all."""
+    for levels in state_dir.list_host_dirs(host):
+        try:
+            for level in levels:
+                make_private_dir(level)
+            state_dir.reserve_file(os.path.join(levels[-1], state_dir.ADOPTION_FILE_NAME), 0)
+        except OSError:
+            continue
+        return
+
+
+def _take_ownership(folder: str) -> bool:
+    """Write the owner, whole and once: of two fleets that adopt at the same time one succeeds."""
+    final = os.path.join(folder, state_dir.OWNER_FILE_NAME)
+    partial = "%s.%d" % (final, os.getpid())
+    records.write_record(partial, {"fleet": state_dir.get_fleet()}, durable=True)
+    try:
+        os.link(partial, final)
+    except OSError:
+        return False
+    finally:
+        os.unlink(partial)
+    return True

@@ -1,0 +1,193 @@
+"""Lease of the fleet on this host: one manager at a time changes it.
+
+Everything is measured in seconds since boot on this host's own clock. The record is durable before a grant to
+another manager is answered, and the epoch in it only grows.
+"""
+
+import contextlib
+import fcntl
+import os
+import time
+
+from ..link import protocol
+from ..link.boot import check_private_dir, make_private_dir
+from ..link.errors import RefusalError
+from ..link.fast_json import Document
+from ..measure import proc
+from . import lease_rules, records, state_dir
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import Iterator
+
+_RECORD, _NOTE, _LOCK, _STARTS = "lease", "watch", "lease.lock", "lease.starts"
+# Writers of the record hold its lock for milliseconds. A start lasts until its supervisor has reported.
+_WRITE_S, _START_S, _POLL_S = 5.0, 6.0, 0.02
+
+
+def claim_lease(claim: Document) -> Document:
+    """Grant the fleet on this host to a manager, or tell who has it."""
+    base = _make_lease_dir()
+    if not base:
+        return {"state": "unwritable"}
+    with _locked(base, _LOCK, fcntl.LOCK_EX, _WRITE_S):
+        reply, new = _decide(base, claim)
+    if new:
+        # A start of the last holder that is under way ends first: this claim is followed by a measurement.
+        with _locked(base, _STARTS, fcntl.LOCK_EX, _START_S), _locked(base, _LOCK, fcntl.LOCK_EX, _WRITE_S):
+            reply, _ = _decide(base, claim, write=True)
+    return reply
+
+
+def _decide(base: str, claim: Document, *, write: bool = False) -> "tuple[Document, bool]":
+    """Reply to a claim, and whether it is a grant of a new epoch, which is made only with ``write``."""
+    record, note, now, boot = (
+        _read(_RECORD),
+        _read(_NOTE),
+        proc.read_uptime_s(),
+        proc.read_boot_id(),
+    )
+    refusal = lease_rules.find_refusal(record, note, claim, now, boot)
+    if refusal is not None:
+        return refusal, False
+    granted = lease_rules.build_grant(record, claim, now, boot)
+    new = granted["epoch"] != record.get("epoch")
+    if write or not new:
+        durable = granted["holder"] != record.get("holder")
+        records.write_record(os.path.join(base, _RECORD), granted, durable=durable)
+        if claim.get("watch"):
+            records.write_record(os.path.join(base, _NOTE), lease_rules.build_note(claim, now, boot))
+    watch = lease_rules.describe_watch(note, now, boot)
+    return {"state": "granted", "epoch": granted["epoch"], "watch": watch or None}, new
+
+
+def serve_lease(request: Document) -> Document:
+    """Operation ``lease``: claim, renew or release it."""
+    if request["action"] == "claim":
+        return claim_lease(request["lease"])
+    base = _find_lease_dir()
+    if not base:
+        raise RefusalError("not-holder", "this host knows of no lease")
+    with _locked(base, _LOCK, fcntl.LOCK_EX, _WRITE_S):
+        if request["action"] == "renew":
+            _renew(base, request["lease"])
+            return {"state": "renewed"}
+        _release(base, request)
+    return {"state": "released"}
+
+
+@contextlib.contextmanager
+def hold_for_request(request: Document) -> "Iterator[None]":
+    """Carry out a changing request within the lease that it is signed with, which it renews.
+
+    Raises:
+        RefusalError: another manager has the fleet, or the lease has run out.
+    """
+    signature = request.get("lease")
+    base = _find_lease_dir()
+    if not base and signature is None:
+        yield
+        return
+    if not base:
+        raise RefusalError("not-holder", "this host knows of no lease", "apply again")
+    starting = request["op"] == protocol.OP_START
+    with _locked(base, _STARTS, fcntl.LOCK_SH, _START_S) if starting else _nothing():
+        with _locked(base, _LOCK, fcntl.LOCK_EX, _WRITE_S):
+            _renew(base, signature)
+        yield
+
+
+def _renew(base: str, signature: "Document | None") -> None:
+    record, now = _read(_RECORD), proc.read_uptime_s()
+    fault = lease_rules.find_fault(record, signature, now, proc.read_boot_id())
+    if fault:
+        raise RefusalError("not-holder", fault + ": nothing was done", "apply again")
+    if signature is not None:
+        records.write_record(os.path.join(base, _RECORD), lease_rules.extend_record(record, now))
+
+
+def _release(base: str, request: Document) -> None:
+    """End the lease of this session, if it still has it, and remove the note of its watch on request."""
+    record, signature, note = _read(_RECORD), request["lease"], _read(_NOTE)
+    if all(record.get(key) == signature.get(key) for key in ("holder", "session", "epoch")):
+        records.write_record(os.path.join(base, _RECORD), dict(record, until=0.0))
+    if request.get("end_watch") and note.get("holder") == signature["holder"]:
+        records.write_record(os.path.join(base, _NOTE), {})
+
+
+@contextlib.contextmanager
+def _nothing() -> "Iterator[None]":
+    yield
+
+
+@contextlib.contextmanager
+def _locked(base: str, name: str, kind: int, patience_s: float) -> "Iterator[None]":
+    """Hold a lock of this process alone: neither a supervisor nor a task inherits it.
+
+    Raises:
+        RefusalError: another request has it for longer than ``patience_s``.
+    """
+    fd = records.open_private_file(os.path.join(base, name), os.O_RDWR | os.O_CREAT)
+    try:
+        deadline = time.monotonic() + patience_s
+        while True:
+            try:
+                fcntl.lockf(fd, kind | fcntl.LOCK_NB)
+                break
+            except OSError:
+                if time.monotonic() >= deadline:
+                    raise RefusalError(
+                        "busy", "another change is under way on this host", "apply again"
+                    ) from None
+            time.sleep(_POLL_S)
+        yield
+    finally:
+        os.close(fd)
+
+
+def _read(name: str) -> Document:
+    """The record with the highest epoch, the note seen last, among all bases."""
+    found = [records.read_record(os.path.join(base, name)) for base in _list_existing_dirs()]
+    return max(found, key=lambda each: (each.get("epoch", 0), each.get("at", 0.0)), default={})
+
+
+def _list_existing_dirs() -> "list[str]":
+    found = []
+    for levels in _list_fleet_dirs():
+        if os.path.exists(os.path.join(levels[-1], _LOCK)):
+            for level in levels:
+                check_private_dir(level)
+            found.append(levels[-1])
+    return found
+
+
+def _list_fleet_dirs() -> "list[list[str]]":
+    """List, for each base, the directories down to that of the fleet, which names of one machine share."""
+    return [state_dir.list_fleet_levels(base) for base in state_dir.list_own_bases()]
+
+
+def _find_lease_dir() -> str:
+    """The first directory of the lease that can be written; empty where this host was never asked for one."""
+    for folder in _list_existing_dirs():
+        try:
+            os.close(records.open_private_file(os.path.join(folder, _LOCK), os.O_RDWR))
+        except OSError:
+            continue
+        return folder
+    return ""
+
+
+def _make_lease_dir() -> str:
+    """The first directory that accepts the files of the lease; empty where none does."""
+    for levels in _list_fleet_dirs():
+        try:
+            for level in levels:
+                make_private_dir(level)
+            for name in (_RECORD, _NOTE):
+                state_dir.reserve_file(os.path.join(levels[-1], name), records.RECORD_BYTES)
+            state_dir.reserve_file(os.path.join(levels[-1], _STARTS), 0)
+            state_dir.reserve_file(os.path.join(levels[-1], _LOCK), 0)
+        except OSError:
+            continue
+        return levels[-1]
+    return ""

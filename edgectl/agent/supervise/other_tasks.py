@@ -1,0 +1,78 @@
+"""Living tasks on this machine that are not those of the host of this request: of this fleet under another
+host name, and of other fleets. They are listed and never touched.
+"""
+
+import os
+
+from ..link import protocol
+from ..link.fast_json import Document
+from ..measure import proc
+from . import liveness, records, state_dir
+
+# Room in a reply; those of this fleet come first.
+_MAX_ENTRIES = 1000
+
+
+def list_other_tasks(host: str, table: "dict[int, proc.Process] | None" = None) -> "list[Document]":
+    """List an entry of each: fleet (empty for one of the first release that none has adopted), host, task,
+    state, age, instance, spec, generation, and the manager that started it.
+    """
+    own, found = state_dir.get_fleet(), []
+    for fleet, filed_under, folder in _list_task_dirs():
+        if (fleet, filed_under) != (own, host) and _may_live(folder):
+            record = liveness.read_instance(folder)
+            if not record.locked and table is None:
+                table = proc.read_process_table()
+            if liveness.is_alive(record, table):
+                found.append(_build_other_entry(fleet, filed_under, record))
+    found.sort(key=lambda each: (each["fleet"] != own, each["fleet"], each["host"], each["task"]))
+    return found[:_MAX_ENTRIES]
+
+
+def _may_live(folder: str) -> bool:
+    """Whether the record leaves it open that the task lives: cheap, for most have ended."""
+    status = records.read_record(os.path.join(folder, "status"))
+    return status.get("state") not in protocol.FINAL_STATES or bool(status.get("left"))
+
+
+def _build_other_entry(fleet: str, host: str, record: liveness.InstanceRecord) -> Document:
+    entry = liveness.build_entry(record, alive=True)
+    return {
+        "fleet": fleet,
+        "host": host,
+        "task": os.path.basename(record.folder),
+        "started_by": record.instance.get("manager", ""),
+        "state": entry["state"],
+        "age_s": entry["age_s"],
+        "instance": entry["instance"],
+        "spec_hash": entry["spec_hash"],
+        "generation": entry["generation"],
+    }
+
+
+def _list_task_dirs() -> "list[tuple[str, str, str]]":
+    """List (fleet, host, directory) of every task on this machine."""
+    found = []
+    for base in state_dir.list_own_bases():
+        root = os.path.join(base, state_dir.ROOT_NAME)
+        for fleet in _list_names(root):
+            hosts = os.path.join(root, fleet, "hosts")
+            found += [(fleet, host, folder) for host, folder in _list_tasks_of_hosts(hosts)]
+        for host, folder in _list_tasks_of_hosts(os.path.join(base, "hosts")):
+            found.append((state_dir.read_owner(folder), host, folder))
+    return found
+
+
+def _list_tasks_of_hosts(hosts: str) -> "list[tuple[str, str]]":
+    return [
+        (host, os.path.join(hosts, host, "tasks", task))
+        for host in _list_names(hosts)
+        for task in _list_names(os.path.join(hosts, host, "tasks"))
+    ]
+
+
+def _list_names(folder: str) -> "list[str]":
+    """List the names in a directory of this user; none where it is missing or a link."""
+    if os.path.islink(folder) or not os.path.isdir(folder):
+        return []
+    return [name for name in os.listdir(folder) if protocol.is_name(name)]

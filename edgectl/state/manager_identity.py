@@ -1,0 +1,41 @@
+"""The name by which hosts know this manager: one per state directory and machine."""
+
+import contextlib
+import hashlib
+import os
+import secrets
+import socket
+from pathlib import Path
+
+from edgectl.state.paths import open_private_file
+
+_FILE_NAME, _TOKEN_BYTES = "manager-id", 32
+_MACHINE_ID = Path("/etc/machine-id")
+
+
+def load_manager_id(fleet_dir: Path) -> str:
+    """The name of this manager, made at the first call. Call it under the fleet's lock.
+
+    A state directory that two machines share, or that was copied with its machine's disk, names two managers.
+
+    Raises:
+        StateError: the file cannot be opened.
+    """
+    descriptor = open_private_file(fleet_dir / _FILE_NAME, os.O_RDWR)
+    try:
+        token = os.pread(descriptor, _TOKEN_BYTES, 0)
+        if len(token) < _TOKEN_BYTES:
+            token = secrets.token_hex(_TOKEN_BYTES // 2).encode()
+            with contextlib.suppress(OSError):  # a full disk: the name lasts for this run
+                os.pwrite(descriptor, token, 0)
+                os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+    return hashlib.sha256(token + _read_machine_id()).hexdigest()[:32]
+
+
+def _read_machine_id() -> bytes:
+    try:
+        return _MACHINE_ID.read_bytes().strip() or socket.gethostname().encode()
+    except OSError:
+        return socket.gethostname().encode()

@@ -1,0 +1,86 @@
+"""Tasks on a machine that are not those of its host: of another fleet, or filed under another host name."""
+
+from collections.abc import Iterable
+
+from edgectl.formats.document import Document, without_none
+from edgectl.model.snapshot import HostSample, OtherTask, Snapshot
+from edgectl.names import natural_key
+from edgectl.units import format_duration
+from edgectl.views.glossary import head
+from edgectl.views.reasons import join_words
+from edgectl.views.text import Cell, Row
+
+_HEAD = head("fleet", "started_by", "host", "task", "state", "age_s")
+_MAX_NAMED = 5
+
+
+def list_foreign_notes(value: Snapshot) -> list[str]:
+    """One line for each other fleet with living tasks on these hosts.
+
+    Several host names may be one machine, so a task is counted once.
+    """
+    found: dict[tuple[str, str], dict[OtherTask, None]] = {}
+    hosts: dict[tuple[str, str], set[str]] = {}
+    for name, host in value.hosts.items():
+        for task in host.foreign_tasks:
+            owner = task.fleet, task.started_by
+            found.setdefault(owner, {})[_without_age(task)] = None
+            hosts.setdefault(owner, set()).add(name)
+    return [
+        f"{join_words(sorted(hosts[owner], key=natural_key))}: {_describe_owner(*owner)} runs "
+        f"{_name_tasks(found[owner])}; it counts as load and is left alone"
+        for owner in sorted(found)
+    ]
+
+
+def _without_age(task: OtherTask) -> OtherTask:
+    """``task`` as every host name of its machine reports it."""
+    return OtherTask(
+        fleet=task.fleet, host=task.host, task=task.task, state=task.state, instance=task.instance
+    )
+
+
+def _describe_owner(fleet: str, started_by: str) -> str:
+    if not fleet:
+        return "an edgectl before fleets"
+    return f"fleet {fleet}" + (f" ({started_by})" if started_by else "")
+
+
+def _name_tasks(tasks: Iterable[OtherTask]) -> str:
+    names = sorted({task.task for task in tasks}, key=natural_key)
+    more = f" and {len(names) - _MAX_NAMED} more" if len(names) > _MAX_NAMED else ""
+    return (join_words(names) if not more else ", ".join(names[:_MAX_NAMED])) + more
+
+
+def render_other_task_rows(host: HostSample) -> list[Row]:
+    """A table of both kinds, without rows where there are none."""
+    rows: list[Row] = [
+        (
+            Cell(each.fleet or "-", "name"),
+            each.started_by or "-",
+            each.host,
+            each.task,
+            each.state.value,
+            format_duration(each.age_s),
+        )
+        for each in (*host.other_tasks, *host.foreign_tasks)
+    ]
+    return [_HEAD, *rows] if rows else []
+
+
+def encode_other_tasks(tasks: tuple[OtherTask, ...]) -> list[Document] | None:
+    """The tasks as JSON types; None where there are none."""
+    return [
+        without_none(
+            fleet=each.fleet,
+            host=each.host,
+            task=each.task,
+            state=each.state.value,
+            started_by=each.started_by or None,
+            age_s=each.age_s,
+            instance=each.instance or None,
+            spec_hash=each.spec_hash or None,
+            generation=each.generation or None,
+        )
+        for each in tasks
+    ] or None

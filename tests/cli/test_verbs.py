@@ -1,0 +1,135 @@
+"""Every verb in situations where part of the answer is missing: the words and the exit code of the page."""
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from edgectl.model.snapshot import TaskState
+from tests.cli.conftest import Run
+from tests.executor.fake_fleet import FakeFleet
+from tests.views.fixtures import ROOT
+
+PAGE = ROOT / "docs" / "reference" / "answers.md"
+_ROW = re.compile(r"^\| `edgectl (?P<words>[^`]+)` \| (?P<code>\d+) \| (?P<said>.*) \|$")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Answer:
+    """One row of the page: the words of a command in a situation, its exit code, and what it prints."""
+
+    situation: str
+    words: tuple[str, ...]
+    code: int
+    said: str
+
+
+def read_answers() -> list[Answer]:
+    """The rows of the page below their headings."""
+    found, situation = [], ""
+    for line in PAGE.read_text().splitlines():
+        if line.startswith("## "):
+            situation = line.removeprefix("## ")
+        if match := _ROW.match(line):
+            said = match["said"].strip("`") if match["said"] != "-" else ""
+            found.append(
+                Answer(
+                    situation=situation,
+                    words=tuple(match["words"].split()),
+                    code=int(match["code"]),
+                    said=said,
+                )
+            )
+    return found
+
+
+def lose_host(hosts: FakeFleet) -> None:
+    """edge1, which runs t0, does not answer."""
+    hosts.down.add("edge1")
+
+
+def give_up(hosts: FakeFleet) -> None:
+    """t0 failed on edge1 and is not started again by itself."""
+    hosts["edge1"].tasks["t0"] |= {
+        "state": TaskState.FAILED.value,
+        "pid": 0,
+        "given_up": True,
+        "exit_code": 3,
+        "ended_s": 60.0,
+    }
+
+
+def end_everything(hosts: FakeFleet) -> None:
+    """No task runs, and every host answers."""
+    for host in hosts.hosts.values():
+        host.tasks.clear()
+
+
+SITUATIONS: dict[str, Callable[[FakeFleet], None]] = {
+    "A host does not answer": lose_host,
+    "A task is given up": give_up,
+    "Nothing matches": end_everything,
+}
+
+
+@pytest.fixture
+def hosts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run: Run) -> FakeFleet:
+    """Two edges that run t0 and t1, and the fleet's files as the working directory."""
+    fleet = FakeFleet.of(["edge1", "edge2"])
+    monkeypatch.setattr("edgectl.transport.fleet_transport.FleetTransport", lambda **_: fleet.transport)
+    monkeypatch.setenv("EDGECTL_STATE_DIR", str(tmp_path / "state"))
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "fleet.yaml").write_text(
+        "version: 1\nedges:\n  edge1: {host: edge1.lab}\n  edge2: {host: edge2.lab}\n"
+    )
+    (tmp_path / "tasks.yaml").write_text(
+        "version: 1\ntasks:\n"
+        "  t0: {command: sleep 100, hosts: {pin: edge1}, demand: {cpu: 0.1, memory: 1Mi, throughput: 0}}\n"
+        "  t1: {command: sleep 100, hosts: {pin: edge2}, demand: {cpu: 0.1, memory: 1Mi, throughput: 0},"
+        " needs: [t0]}\n"
+    )
+    monkeypatch.setenv("EDGECTL_INVENTORY", "fleet.yaml")
+    monkeypatch.setenv("EDGECTL_TASKS", "tasks.yaml")
+    applied = run("apply", "--yes")
+    assert (applied.code, fleet.placed) == (0, {"t0": "edge1", "t1": "edge2"}), applied
+    return fleet
+
+
+@pytest.mark.parametrize(
+    "answer", read_answers(), ids=lambda answer: f"{answer.situation}: {' '.join(answer.words)}"
+)
+def test_what_is_said_is_so(answer: Answer, hosts: FakeFleet, run: Run) -> None:
+    SITUATIONS[answer.situation](hosts)
+    told = run(*answer.words)
+    assert (told.code, answer.said in told.out + told.err) == (answer.code, True), told
+
+
+def test_a_given_up_task_is_reported_once_a_day(hosts: FakeFleet, run: Run, tmp_path: Path) -> None:
+    give_up(hosts)
+    told = [run("apply", "--yes", "--quiet") for _ in range(2)]
+    (record,) = (tmp_path / "state").rglob("reminders.json")
+    text = record.read_text()
+    record.write_text(re.sub(r'"at": "\d{4}', '"at": "2001', text))
+    assert record.read_text() != text
+    told.append(run("apply", "--yes", "--quiet"))
+    assert [(each.code, each.out, "t0 is given up" in each.err) for each in told] == [
+        (4, "", True),
+        (4, "", False),
+        (4, "", True),
+    ]
+
+
+@pytest.mark.parametrize("words", [("plan",), ("explain", "t1"), ("graph",)])
+def test_a_what_if_is_no_event(words: tuple[str, ...], hosts: FakeFleet, run: Run) -> None:
+    end_everything(hosts)
+    before = run("events").out.count("planned")
+    assert run(*words, "--without", "edge1").code == 0
+    assert run("events").out.count("planned") == before
+    assert run(*words).code == 0
+    assert run("events").out.count("planned") == before + 1
+
+
+def test_every_situation_is_on_the_page() -> None:
+    assert {answer.situation for answer in read_answers()} == set(SITUATIONS)

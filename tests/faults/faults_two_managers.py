@@ -1,0 +1,169 @@
+"""Faults of two managers of one fleet that disagree: each has a state of its own and wants every task elsewhere."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from tests.faults import oracle
+from tests.faults.command_result import CommandResult, ExpectationError
+from tests.faults.fleet import APPLY, FaultFleet, format_yaml
+from tests.faults.registry import fault
+
+EDGES = ("edge1", "edge2", "edge3")
+TASKS = ("t0", "t1", "t2", "t3", "t4")
+# Longer than the lease on the hosts, counted from a renewal just before the freeze.
+PAST_THE_LEASE_S = 33.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Manager:
+    """One manager: its task file, its state directory and the hosts that it reaches."""
+
+    fleet: FaultFleet
+    name: str
+
+    @property
+    def tasks(self) -> Path:
+        return self.fleet.directory / f"tasks-{self.name}.yaml"
+
+    def want(self, places: dict[str, str]) -> None:
+        """Pin each task to a host, in the file of this manager alone."""
+        tasks = {task: {**self.fleet.tasks[task], "hosts": {"pin": places[task]}} for task in places}
+        self.tasks.write_text(format_yaml({"version": 1, "tasks": tasks}))
+
+    def want_at_random(self) -> None:
+        self.want({task: self.fleet.random.choice(EDGES) for task in TASKS})
+
+    def hide(self, *hosts: str) -> None:
+        """From now on these hosts refuse the connections of this manager."""
+        text = (self.fleet.directory / "ssh_config").read_text()
+        for host in hosts:
+            text = re.sub(rf"(Host {host}\n  HostName )\S+\n  Port \d+", r"\g<1>127.0.0.1\n  Port 1", text)
+        (self.fleet.directory / f"ssh_config-{self.name}").write_text(text)
+
+    def start(self, *words: str) -> "subprocess.Popen[str]":
+        fleet, own = self.fleet, self.fleet.directory / f"ssh_config-{self.name}"
+        command = [
+            str(self.tasks) if word == str(fleet.directory / "tasks.yaml") else word
+            for word in fleet.build_command(*words)
+        ]
+        env = fleet.build_env(
+            EDGECTL_STATE_DIR=str(fleet.directory / f"state-{self.name}"),
+            **({"EDGECTL_SSH_CONFIG": str(own)} if own.exists() else {}),
+        )
+        return subprocess.Popen(
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=env,
+            start_new_session=True,
+        )
+
+    def run(self, *words: str) -> CommandResult:
+        return self.fleet.wait_for_edgectl(self.start(*words), words)
+
+
+def open_managers(fleet: FaultFleet) -> tuple[Manager, Manager]:
+    """Two managers of five tasks, which are not started yet."""
+    for task in TASKS:
+        fleet.add_task(task)
+    ana, ben = Manager(fleet=fleet, name="ana"), Manager(fleet=fleet, name="ben")
+    for manager in (ana, ben):
+        manager.want_at_random()
+    return ana, ben
+
+
+def finish(fleet: FaultFleet, *running: "subprocess.Popen[str]") -> list[int]:
+    """The exit codes; the loser of a conflict says who leads."""
+    codes = []
+    for each in running:
+        result = fleet.wait_for_edgectl(each).expect_exit(0, 4, 75)
+        if result.code == 75:
+            result.expect_output("holds this fleet")
+        codes.append(result.code)
+    return codes
+
+
+def check_nothing_doubled(fleet: FaultFleet) -> None:
+    """No two instances at any moment since the beginning; what is placed now is the business of the winner."""
+    clashes = oracle.find_overlaps(oracle.list_lifetimes(fleet.records))
+    if clashes:
+        raise ExpectationError(f"doubled: {clashes}")
+
+
+@fault(
+    "two managers that disagree: at once or staggered, from nothing or not", quick=True, full=100, hosts=EDGES
+)
+def conflict_at_random(fleet: FaultFleet) -> None:
+    ana, ben = open_managers(fleet)
+    if fleet.random.random() < 0.6:
+        ana.run(*APPLY).expect_exit(0)
+        ana.want_at_random()
+    for _ in range(2):
+        first = ana.start(*APPLY)
+        fleet.wait(fleet.random.choice([0.0, fleet.random.uniform(0.0, 3.0)]))
+        codes = finish(fleet, first, ben.start(*APPLY))
+        if codes == [75, 75] and len(fleet.hosts) == len(EDGES):
+            raise ExpectationError("both were refused")
+        check_nothing_doubled(fleet)
+        ben.want_at_random()
+
+
+@fault("a manager freezes in an apply, another one acts, the first thaws", full=8, hosts=EDGES)
+def freeze_past_the_lease(fleet: FaultFleet) -> None:
+    ana, ben = open_managers(fleet)
+    ben.run(*APPLY).expect_exit(0)
+    frozen = ana.start(*APPLY)
+    fleet.wait(fleet.random.uniform(0.6, 2.5))
+    with suppress(ProcessLookupError):
+        os.killpg(frozen.pid, signal.SIGSTOP)
+    ben.run(*APPLY).expect_exit(0, 4, 75)
+    fleet.wait(PAST_THE_LEASE_S)
+    ben.want_at_random()
+    ben.run(*APPLY).expect_exit(0, 4)
+    with suppress(ProcessLookupError):
+        os.killpg(frozen.pid, signal.SIGCONT)
+    finish(fleet, frozen)
+    check_nothing_doubled(fleet)
+
+
+@fault("two managers that disagree, each of which reaches one half", quick=True, full=8, hosts=EDGES)
+def split_the_fleet(fleet: FaultFleet) -> None:
+    """Both know where the tasks run: what runs on a host that a manager does not reach is held."""
+    ana, ben = open_managers(fleet)
+    ana.run(*APPLY).expect_exit(0)
+    ben.want(_read_pins(ana))
+    ben.run(*APPLY).expect_exit(0)
+    ana.hide("edge3", *fleet.random.choice([(), ("edge2",)]))
+    ben.hide("edge1")
+    for manager in (ana, ben):
+        manager.want_at_random()
+    finish(fleet, ana.start(*APPLY), ben.start(*APPLY))
+    check_nothing_doubled(fleet)
+
+
+def _read_pins(manager: Manager) -> dict[str, str]:
+    document = json.loads(manager.tasks.read_text())
+    return {task: entry["hosts"]["pin"] for task, entry in document["tasks"].items()}
+
+
+@fault("two watches that disagree, and a person's command between", quick=True, full=8, hosts=EDGES)
+def watch_twice(fleet: FaultFleet) -> None:
+    ana, ben = open_managers(fleet)
+    first = ana.start("watch", "--apply", "--every", "2s", "--cycles", "6")
+    fleet.wait(4.0)
+    ben.run("watch", "--apply", "--every", "2s", "--cycles", "3").expect_exit(75).expect_output(
+        "watches this fleet every 2", "--take-over"
+    )
+    ben.run(*APPLY).expect_exit(0, 4, 75)
+    fleet.wait_for_edgectl(first).expect_exit(0, 4, 75)
+    check_nothing_doubled(fleet)
+    ben.run("watch", "--apply", "--every", "1s", "--cycles", "1").expect_exit(0, 4)
+    check_nothing_doubled(fleet)
