@@ -1,10 +1,10 @@
-"""A task for trying edgectl out: it really uses the CPU, the memory and the network that its arguments say.
+"""A synthetic task: uses as much CPU, memory and network as its arguments state.
 
     python3 workload.py --cpu 0.09 --memory 102Mi --rate 1.78MB/s [--peer ADDRESS ..] [--grown 440Mi]
 
 It sends over TCP to a receiver of its own, bound to each peer's address (default: $EDGECTL_ROBOT_HOST;
-without one nothing is sent). TERM ends it. USR1 lets its memory grow to --grown, as a map grows. One line per
-second says that it is alive. Python >= 3.6, standard library only.
+without one nothing is sent). TERM ends it. USR1 makes its memory grow to --grown, as a map grows. It prints a
+line per second. Python >= 3.6, standard library only.
 """
 
 import argparse
@@ -24,7 +24,7 @@ UNITS = {"": 1, "k": 10**3, "M": 10**6, "G": 10**9, "Ki": 2**10, "Mi": 2**20, "G
 
 
 class Load:
-    """How much memory to hold, and whether to go on; signals change both."""
+    """Memory to hold, and whether to go on; signals change both."""
 
     def __init__(self, memory: float, grown: float) -> None:
         self.memory = memory
@@ -49,7 +49,7 @@ def quantity(text: str) -> float:
 
 
 def arguments() -> argparse.Namespace:
-    """What the command line says."""
+    """The parsed command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--cpu", type=float, default=0.0, help="cores to use, up to 1")
     parser.add_argument("--memory", type=quantity, default=0.0, help="resident memory of this process")
@@ -61,18 +61,18 @@ def arguments() -> argparse.Namespace:
 
 
 def say(text: str) -> None:
-    """One line to the log, at once."""
+    """Print a line to the log and flush it."""
     sys.stdout.write(text + "\n")
     sys.stdout.flush()
 
 
 def resident() -> int:
-    """Bytes of memory that this process really has."""
+    """Resident memory of this process in bytes."""
     return int(Path("/proc/self/statm").read_text().split()[1]) * PAGE
 
 
 def hold(wanted: float) -> bytearray:
-    """Memory that makes this process as large as wanted: touched, so that it is really there."""
+    """Memory that makes this process as large as wanted; touched, so that it is resident."""
     block = bytearray(max(0, int(wanted) - resident()))
     for position in range(0, len(block), PAGE):
         block[position] = 1

@@ -1,4 +1,4 @@
-"""``make demo``: a whole deployment on three pretend edges and three pretend robots of this machine.
+"""``make demo``: a whole deployment on three simulated edges and three simulated robots of this machine.
 
 Every printed command is run, in a fleet made by ``edgectl init``. Ends with an error if a step fails.
 """
@@ -99,7 +99,7 @@ def read_resident_bytes(pid: int) -> int:
 def start_fleet(demo: Demo) -> None:
     """Create the files and start the tasks."""
     print_line(
-        "# A fleet to try: three pretend edges, three pretend robots, the tasks of the paper's scenario 2."
+        "# A fleet to try: three simulated edges, three simulated robots, the tasks of the paper's scenario 2."
     )
     demo.run("init", str(demo.fleet))
     demo.run("validate")

@@ -4,7 +4,7 @@ Whatever is the same for every resource reads this table: files, documents, ledg
 weights, history, tables. Amounts are in the resource's own unit. docs/contributing/add-a-term.md adds a row.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, ClassVar, NoReturn, Self, TypeVar
@@ -97,16 +97,10 @@ class ResourceMap(dict[str, Value]):
             raise TypeError(f"{type(self).__name__} has no {unknown}")
 
     @classmethod
-    def from_row(cls, row: Iterable[Value]) -> Self:
-        """All values in the order of the table: what a plan builds for every candidate of every task.
-
-        Raises:
-            ValueError: too few values.
-        """
+    def from_complete(cls, values: Mapping[str, Value]) -> Self:
+        """A map of all names, already in the order of the table: one for every candidate of every task."""
         made = cls.__new__(cls)
-        dict.update(made, zip(cls.DEFAULTS, row))  # noqa: B905  # counted below, which takes less time
-        if len(made) != len(cls.DEFAULTS):
-            raise ValueError(f"{cls.__name__} needs {len(cls.DEFAULTS)} values")
+        dict.update(made, values)
         return made
 
     def __hash__(self) -> int:  # type: ignore[override]  # it is immutable, other dicts are not

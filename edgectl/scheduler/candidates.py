@@ -162,10 +162,10 @@ def terms_at(
     candidates: CandidateSet, place: int
 ) -> tuple[UtilityTerms, float | None, tuple[Rejection, ...]]:
     """The reference computation of all terms, the total and what is lacking at one candidate."""
-    reading = compute_resource_terms(candidates.ledger, candidates.task, place)
-    task = candidates.utilities[compute_affinity(candidates.located, place)]
-    terms = UtilityTerms.from_row((*reading.terms, task))
-    return terms, total_utility(candidates.context.policy.weights, terms), reading.rejections
+    values, rejections = compute_resource_terms(candidates.ledger, candidates.task, place)
+    values[AFFINITY] = candidates.utilities[compute_affinity(candidates.located, place)]
+    terms = UtilityTerms.from_complete(values)
+    return terms, total_utility(candidates.context.policy.weights, terms), rejections
 
 
 def _list_robot_places(context: AssignmentContext, task: Task, incumbent: int | None) -> list[int]:

@@ -3,8 +3,6 @@
 A rejection is a record, never a log line.
 """
 
-from typing import NamedTuple
-
 from edgectl.model.assignment import Rejection, RejectionRule
 from edgectl.model.inventory import Host
 from edgectl.model.resource import NETWORK, RESOURCES, Resource
@@ -13,15 +11,6 @@ from edgectl.scheduler.capacities import Capacities
 from edgectl.scheduler.demand import demand_at
 from edgectl.scheduler.ledger import Ledger
 from edgectl.scheduler.utility import EPSILON, resource_utility
-
-
-class ResourceTerms(NamedTuple):
-    """UT_k of one task at one place in the order of the table (None without capacity), and the rejections for
-    what it lacks there.
-    """
-
-    terms: list[float | None]
-    rejections: tuple[Rejection, ...]
 
 
 def find_own_robot(fleet: Capacities, task: Task) -> int | None:
@@ -52,14 +41,17 @@ def find_rule_against(host: Host, task: Task, *, robot: bool) -> RejectionRule |
     )
 
 
-def compute_resource_terms(ledger: Ledger, task: Task, place: int) -> ResourceTerms:
-    """The reference form of eqs. (1)-(3) for one task at one place.
+def compute_resource_terms(
+    ledger: Ledger, task: Task, place: int
+) -> tuple[dict[str, float | None], tuple[Rejection, ...]]:
+    """UT_k of one task at one place by resource (None without capacity), and the rejections for what it lacks
+    there: the reference form of eqs. (1)-(3).
 
     ``scan`` computes the same for all edges at once.
     """
     fleet = ledger.fleet
     demand = demand_at(fleet, task, place)
-    terms: list[float | None] = []
+    terms: dict[str, float | None] = {}
     rejections: tuple[Rejection, ...] = ()
     for resource in RESOURCES:
         name = resource.name
@@ -71,9 +63,9 @@ def compute_resource_terms(ledger: Ledger, task: Task, place: int) -> ResourceTe
             term, lacking = _compute_term(
                 resource, fleet.usable[name][place], ledger.used[name][place], amount
             )
-        terms.append(term)
+        terms[name] = term
         rejections += lacking
-    return ResourceTerms(terms, rejections)
+    return terms, rejections
 
 
 def _compute_term(

@@ -54,6 +54,7 @@ class Ledger:
         """Add a task's load: gamma += rho for every resource."""
         for name, amount in use.used.items():
             self._set(place, name, self.used[name][place] + amount)
+        self._weigh(place)
         for robot, rate in use.links.items():
             self._set_link(place, robot, self.links[robot][place] + rate)
 
@@ -61,6 +62,7 @@ class Ledger:
         """Take a task's load out of gamma, never below 0."""
         for name, amount in use.used.items():
             self._set(place, name, max(0.0, self.used[name][place] - amount))
+        self._weigh(place)
         for robot, rate in use.links.items():
             self._set_link(place, robot, max(0.0, self.links[robot][place] - rate))
 
@@ -82,14 +84,17 @@ class Ledger:
         """Sum of weight x free share over the resources of hosts, by place."""
         if self.weights is not weights:
             self.weights = weights
-            self.weighted = [self._weigh_place(weights, place) for place in range(len(self.fleet.places))]
+            self.weighted = [0.0] * len(self.fleet.places)
+            for place in range(len(self.fleet.places)):
+                self._weigh(place)
         return self.weighted
 
-    def _weigh_place(self, weights: Weights, place: int) -> float:
-        total = 0.0
-        for name, row in self.free.items():
-            total += weights[name] * row[place]
-        return total
+    def _weigh(self, place: int) -> None:
+        if self.weights is not None:
+            total = 0.0
+            for name, row in self.free.items():
+                total += self.weights[name] * row[place]
+            self.weighted[place] = total
 
     def _load(self, place: int) -> ExpectedLoad:
         linked = place < self.fleet.edges
@@ -103,8 +108,6 @@ class Ledger:
     def _set(self, place: int, name: str, amount: float) -> None:
         self.used[name][place] = amount
         self.free[name][place] = compute_free_share(self.fleet.usable[name][place], amount)
-        if self.weights is not None:
-            self.weighted[place] = self._weigh_place(self.weights, place)
 
     def _set_link(self, place: int, robot: str, rate: float) -> None:
         self.links[robot][place] = rate

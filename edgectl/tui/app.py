@@ -181,10 +181,11 @@ class TopApp(App[None]):
         self._summarise(self._frame)
 
     def _summarise(self, frame: Frame) -> None:
-        silent = f" ({frame.silent} silent)" if frame.silent else ""
+        unreachable = f" ({frame.unreachable} unreachable)" if frame.unreachable else ""
         orders = ", ".join(f"{table} by {order}" for table, order in self._orders.items())
         shown = f" · only {self._wanted!r}" if self._wanted else ""
-        text = f"{len(frame.snapshot.hosts)} hosts{silent} · {len(frame.tasks.tasks)} tasks · {orders}{shown}"
+        hosts, tasks = len(frame.snapshot.hosts), len(frame.tasks.tasks)
+        text = f"{hosts} hosts{unreachable} · {tasks} tasks · {orders}{shown}"
         self.query_one("#head", Static).update(Text(text))
 
     def _fill(self, name: str, titles: Sequence[str], lines: list[TopRow]) -> None:

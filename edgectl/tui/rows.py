@@ -32,7 +32,7 @@ class Frame:
     task_points: Mapping[str, Sequence[TaskPoint]] = field(default_factory=dict)
 
     @property
-    def silent(self) -> int:
+    def unreachable(self) -> int:
         """Number of hosts without a reply."""
         return sum(not host.ok for host in self.snapshot.hosts.values())
 

@@ -5,6 +5,7 @@ import pickle
 
 import pytest
 
+from edgectl.model.assignment import UtilityTerms
 from edgectl.model.inventory import Limits
 from edgectl.model.policy import WEIGHT_PRESETS, Weights
 from edgectl.model.resource import AFFINITY, RESOURCES, RESOURCES_BY_NAME, TERMS, Usage
@@ -15,6 +16,12 @@ def test_what_is_not_given_has_its_default() -> None:
     assert Limits(cpu=0.8) == {"cpu": 0.8, "memory": 1.0}
     assert Limits(cpu=0.8).stated == {"cpu": 0.8}
     assert tuple(Usage(network=1.0)) == tuple(RESOURCES_BY_NAME)
+
+
+def test_a_map_of_complete_values_is_like_any_other() -> None:
+    values = dict.fromkeys(TERMS, 0.5)
+    assert UtilityTerms.from_complete(values) == UtilityTerms(values)
+    assert tuple(UtilityTerms.from_complete(values)) == TERMS
 
 
 def test_an_unknown_name_is_refused() -> None:

@@ -15,7 +15,7 @@ def test_two_tables_in_80_by_24() -> None:
         lines = shown(view).split("\n")
         assert len(lines) == 24
         assert max(map(len, lines)) <= 80
-        assert lines[0] == "3 hosts (1 silent) · 4 tasks · hosts by name, tasks by name"
+        assert lines[0] == "3 hosts (1 unreachable) · 4 tasks · hosts by name, tasks by name"
         assert lines[1].split() == ["HOST", "STATUS", "CPU", "MEMORY%", "TASKS"]
         assert [line.split()[0] for line in lines[2:5]] == ["edge1", "edge2", "edge10"]
         assert lines[2].split() == ["edge1", "ok", "0.60/4.00", "▁▃▅▇█", "25%", "▃▃▃▃▃", "1"]
