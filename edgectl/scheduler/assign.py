@@ -261,7 +261,7 @@ def assign(
     rules = POLICIES[policy.name]
     used = replace(policy, weights=policy.weights.normalised())
     fleet = add_measured_demands(build_capacities(inventory, snapshot, manager, used.without), tasks, manager)
-    state = build_initial_state(tasks, manager, fleet, now)
+    state = build_initial_state(tasks, manager, fleet, now, used)
     context = AssignmentContext(
         fleet=fleet,
         policy=used,

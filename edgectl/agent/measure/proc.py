@@ -125,6 +125,11 @@ def read_boot_id() -> str:
     return read_file("/proc/sys/kernel/random/boot_id").decode().strip()
 
 
+def read_machine_id() -> str:
+    """Read the id of the installation; empty where it has none, as in many containers."""
+    return read_file("/etc/machine-id").decode("ascii", "replace").strip()
+
+
 def read_uptime_s() -> float:
     """Read the seconds since boot on the clock of start ticks (lxcfs shifts /proc/uptime, so that file is not
     read).

@@ -82,6 +82,8 @@ def find_processes(found: InstanceRecord, table: "dict[int, proc.Process]") -> "
     session.
     """
     above = find_supervisor(found)
+    if above and found.instance.get("adopted"):
+        return (proc.find_descendants({above}, table) | find_orphans(found, table)) - {above}
     if above:
         return proc.find_descendants({above}, table) - {above}
     return find_orphans(found, table)
@@ -107,7 +109,8 @@ def find_orphans(found: InstanceRecord, table: "dict[int, proc.Process]") -> "se
 
 
 def is_alive(found: InstanceRecord, table: "dict[int, proc.Process] | None" = None) -> bool:
-    """Whether the lock is held or a cookie is found.
+    """Whether the lock is held, or the supervisor or a cookie is found: a supervisor that took over a task
+    has the lock only once the processes that it found have ended.
 
     Processes are searched only where the record does not state the end.
     """
@@ -116,6 +119,8 @@ def is_alive(found: InstanceRecord, table: "dict[int, proc.Process] | None" = No
     ended = found.status.get("state") in protocol.FINAL_STATES and not found.status.get("left")
     if ended or not found.instance or not is_same_boot(found):
         return False
+    if find_supervisor(found):
+        return True
     return bool(find_orphans(found, proc.read_process_table() if table is None else table))
 
 
@@ -134,6 +139,7 @@ def build_entry(found: InstanceRecord, alive: bool) -> Document:
         "instance": instance.get("instance", ""),
         "spec_hash": instance.get("spec_hash", ""),
         "fields": instance.get("fields") or {},
+        "file": instance.get("file", ""),
         "generation": instance.get("generation", 0),
         "managed": True,
         "restarts": status.get("restarts", 0),
@@ -168,7 +174,13 @@ def _build_living_fields(found: InstanceRecord) -> Document:
     if status.get("state") in protocol.FINAL_STATES:
         seen.update(state=protocol.RUNNING, detail="processes of the ended task remain")
     if not above:
-        seen["detail"] = "orphaned: the supervisor is gone, its processes still run"
+        from .takeover import is_adoptable
+
+        seen.update(
+            orphaned=True,
+            adoptable=is_adoptable(found),
+            detail="orphaned: the supervisor is gone, its processes still run",
+        )
     return seen
 
 
