@@ -235,7 +235,12 @@ class _WatchLoop:
         except EdgectlError as error:
             self._said.append(f"{error.message}; the files as read before stay in use")
             return
-        if fleet is not None:
+        if fleet is not None and fleet.inventory.fleet != self._fleet.inventory.fleet:
+            old, new = self._fleet.inventory.fleet, fleet.inventory.fleet
+            self._said.append(
+                f"the inventory names fleet {new} now; fleet {old} stays in use until a new start"
+            )
+        elif fleet is not None:
             self._pool.close()
             self._take(fleet)
             self._resting = {task: rest for task, rest in self._resting.items() if task in fleet.tasks.tasks}

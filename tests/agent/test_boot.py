@@ -114,7 +114,10 @@ def test_runs_from_memory_where_nothing_can_be_kept(host: AgentHost, tmp_path: P
         "boot.boot_agent(sys.stdin.buffer)\n"
     )
     packet = protocol._build_packet(
-        {"op": "probe", "host": "edge1", "window_s": 0.05}, "m" * 32, 10.0, protocol.build_agent_zipapp()
+        {"op": "probe", "fleet": "lab", "host": "edge1", "window_s": 0.05},
+        "m" * 32,
+        10.0,
+        protocol.build_agent_zipapp(),
     )
     packet = packet.split(b"\n", 1)[1][len((AGENT / "link" / "boot.py").read_bytes()) :]
     done = subprocess.run(

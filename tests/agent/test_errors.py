@@ -27,7 +27,7 @@ def test_a_host_without_free_processes_is_named(tmp_path: Path, monkeypatch: pyt
     monkeypatch.setattr(os, "fork", refuse)
     monkeypatch.setattr(state_dir, "BASES", [])
     request = {
-        "op": "start", "host": "edge1", "task": "slam", "instance": "i", "generation": 1,
+        "op": "start", "fleet": "lab", "host": "edge1", "task": "slam", "instance": "i", "generation": 1,
         "spec": a_spec("sleep 1", runtime="process"),
     }  # fmt: skip
     channel = RecordingChannel()

@@ -122,7 +122,9 @@ def test_follow_gives_the_tail_then_what_comes_then_ends(host: AgentHost, tmp_pa
     host.start("work", f"seq 5; while ! test -e {tmp_path}/go; do sleep 0.05; done; seq 100 105")
     eventually(lambda: host.ask("logs", task="work", tail=9)["text"].count("\n") == 5)
     follower = stream_agent_log(
-        host.session, {"op": "follow", "host": "edge1", "task": "work", "tail": 2}, idle_timeout=20
+        host.session,
+        {"op": "follow", "fleet": "lab", "host": "edge1", "task": "work", "tail": 2},
+        idle_timeout=20,
     )
     assert next(follower) == b"4\n5\n"
     (tmp_path / "go").touch()
@@ -136,7 +138,9 @@ def test_follow_goes_on_over_rotations(host: AgentHost) -> None:
         log={"max_bytes": 4096, "files": 3},
     )
     follower = stream_agent_log(
-        host.session, {"op": "follow", "host": "edge1", "task": "work", "tail": 0}, idle_timeout=20
+        host.session,
+        {"op": "follow", "fleet": "lab", "host": "edge1", "task": "work", "tail": 0},
+        idle_timeout=20,
     )
     assert b"".join(follower).decode().splitlines() == [f"line {number}" for number in range(1, 301)]
 
@@ -144,7 +148,9 @@ def test_follow_goes_on_over_rotations(host: AgentHost) -> None:
 def test_closed_follower_leaves_no_process(host: AgentHost) -> None:
     host.start("work", "echo up; exec sleep 600")
     follower = stream_agent_log(
-        host.session, {"op": "follow", "host": "edge1", "task": "work", "tail": 5}, idle_timeout=20
+        host.session,
+        {"op": "follow", "fleet": "lab", "host": "edge1", "task": "work", "tail": 5},
+        idle_timeout=20,
     )
     assert next(follower) == b"up\n"
     mine = {

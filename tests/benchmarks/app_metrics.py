@@ -49,12 +49,22 @@ def measure_idle_share(base: Path, seconds: float) -> float:
     for name in names:
         call_agent(
             session,
-            {"op": "start", "host": "edge2", "task": name, "instance": "i1", "generation": 1, "spec": spec},
+            {
+                "op": "start",
+                "fleet": "lab",
+                "host": "edge2",
+                "task": name,
+                "instance": "i1",
+                "generation": 1,
+                "spec": spec,
+            },
             timeout=60.0,
         )
     try:
         pids = [
-            liveness.read_instance(str(base / "hosts" / "edge2" / "tasks" / name)).instance["supervisor"]
+            liveness.read_instance(
+                str(base / "agent-state" / "lab" / "hosts" / "edge2" / "tasks" / name)
+            ).instance["supervisor"]
             for name in names
         ]
         time.sleep(2.0)
@@ -67,6 +77,7 @@ def measure_idle_share(base: Path, seconds: float) -> float:
                 session,
                 {
                     "op": "stop",
+                    "fleet": "lab",
                     "host": "edge2",
                     "task": name,
                     "instance": None,

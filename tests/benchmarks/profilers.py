@@ -33,7 +33,7 @@ HABIT = "import psutil, time\nwhile True:\n    {work}\n    time.sleep({pause})"
 
 
 def ask_agent(host: str, op: str, **fields: object) -> dict[str, object]:
-    return call_agent(LocalSession(host), {"op": op, "host": host, **fields}, timeout=60.0)
+    return call_agent(LocalSession(host), {"op": op, "fleet": "lab", "host": host, **fields}, timeout=60.0)
 
 
 def start_profiler(host: str, every: float) -> int:

@@ -20,7 +20,7 @@ from edgectl.transport.base import Reply
 from edgectl.transport.local import LocalSession
 from tests.pace import patience
 
-REQUEST = {"op": "status", "host": "edge1", "task": None}
+REQUEST = {"op": "status", "fleet": "lab", "host": "edge1", "task": None}
 
 
 class ScriptedSession:
@@ -255,6 +255,7 @@ def test_hung_agent_ends_on_both_sides(wrapped: Callable[[str], Any]) -> None:
     began, mark = time.monotonic(), f"4321.{os.getpid()}"
     request = {
         "op": "check",
+        "fleet": "lab",
         "host": "edge1",
         "command": f"sleep {mark}",
         "prelude": "",

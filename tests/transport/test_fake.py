@@ -61,7 +61,7 @@ def test_logs_are_followed() -> None:
     transport = FakeTransport({"edge1": lambda request: {"text": "one\ntwo\n", "tasks": {}}})
     pieces = stream_agent_log(
         transport.connect(a_host(), timeout=30),
-        {"op": "follow", "host": "edge1", "task": "slam", "tail": 5},
+        {"op": "follow", "fleet": "lab", "host": "edge1", "task": "slam", "tail": 5},
         idle_timeout=30,
     )
     assert b"".join(pieces) == b"one\ntwo\n"

@@ -131,7 +131,9 @@ def test_noise_of_the_login_shell_changes_no_reply(
         )
         reply = run_command(transport, lab.host("edge1", connection=connection), "echo here")
         with transport.connect(lab.host("edge1", connection=connection), timeout=10) as session:
-            document = call_agent(session, {"op": "status", "host": "edge1", "task": None}, timeout=10)
+            document = call_agent(
+                session, {"op": "status", "fleet": "lab", "host": "edge1", "task": None}, timeout=10
+            )
     assert reply.stdout.startswith(b"Welcome")
     assert reply.stdout.endswith(b"here\n")
     assert b"Authorised" not in reply.stdout
@@ -145,7 +147,9 @@ def test_a_restricted_key_is_enough(lab: Lab, transport: Transport, connection: 
     try:
         with transport.connect(lab.host("edge2", connection=connection), timeout=10) as session:
             assert (
-                call_agent(session, {"op": "status", "host": "edge2", "task": None}, timeout=10)["tasks"]
+                call_agent(
+                    session, {"op": "status", "fleet": "lab", "host": "edge2", "task": None}, timeout=10
+                )["tasks"]
                 == {}
             )
     finally:

@@ -231,6 +231,19 @@ def test_changed_files_are_taken_over_and_broken_ones_said(site: WatchSite) -> N
     assert site.transport.connected["edge1"] == 2, "new files, new connections"
 
 
+def test_another_fleet_is_not_taken_over(site: WatchSite) -> None:
+    """Its tasks would be started a second time, under another owner."""
+    other = dataclasses.replace(
+        site.fleet,
+        inventory=dataclasses.replace(site.fleet.inventory, fleet="hall"),
+        transport=site.transport,
+    )
+    answers: list[Fleet | None] = [None, other, None]
+    cycles = list(site.watch(3, refresh=lambda: answers.pop(0)))
+    assert [bool(c.warnings) for c in cycles] == [False, True, False]
+    assert cycles[1].warnings[0].startswith("the inventory names fleet hall now; fleet unnamed stays in use")
+
+
 def test_an_error_belongs_to_its_cycle(site: WatchSite) -> None:
     list(site.watch(1))
     path = site.fleet.state / "memory.json"
