@@ -2,7 +2,6 @@
 
 import threading
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -17,8 +16,8 @@ FENCE_S = 0.4
 
 
 @pytest.fixture
-def site(tmp_path: Path) -> Iterator[WatchSite]:
-    yield WatchSite(tmp_path, tasks=some_tasks(a_task("slam", cpu=1.0, self_fence=FENCE_S)))
+def site(tmp_path: Path) -> WatchSite:
+    return WatchSite(tmp_path, tasks=some_tasks(a_task("slam", cpu=1.0, self_fence=FENCE_S)))
 
 
 def test_a_hanging_host_keeps_no_heartbeat_from_another(site: WatchSite) -> None:
