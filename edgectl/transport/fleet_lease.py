@@ -124,8 +124,8 @@ class FleetLease:
     def sign(self, host: str) -> Document:
         """The signature of a changing request to ``host``.
 
-        A lease that ran out on a host that answers means that this manager stood still meanwhile: another one may
-        have changed what was seen there, so nothing is sent to any host. One that fell silent is not waited for.
+        A lease that ran out on a host that answers means that this manager stood still meanwhile: another one
+        may have changed what was seen there, so nothing is sent to any host. A silent host does not count.
 
         Raises:
             LeaseLostError: the host did not grant the fleet, or a lease has run out.
