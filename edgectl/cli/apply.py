@@ -28,6 +28,7 @@ def apply_command(
     weights: options.WeightsOption = None,
     policy: options.PolicyOption = None,
     best_effort: options.BestEffortOption = False,
+    prune: options.PruneOption = False,
     full: options.FullOption = False,
     without: options.WithoutOption = None,
     target: options.TargetOption = None,
@@ -59,10 +60,11 @@ def apply_command(
         without=without,
         best_effort=best_effort,
         full=full,
+        prune=prune,
         attended=policy_options.is_interactive(),
     )
     saved = policy_options.load_saved_plan(
-        plan, weights, policy, without, target, selector, best_effort or full
+        plan, weights, policy, without, target, selector, best_effort or full or prune
     )
     if dry_run:
         raise Exit(apply_session.print_dry_run(fleet, how, saved, choose, output))

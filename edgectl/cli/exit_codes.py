@@ -8,6 +8,7 @@ from edgectl.model.assignment import Reason
 from edgectl.model.cycle import Cycle
 from edgectl.model.diagnosis import Diagnosis, Severity
 from edgectl.model.inventory import Inventory
+from edgectl.model.lost_places import list_lost_tasks
 from edgectl.model.plan import Action, Plan
 from edgectl.model.profiler import Profiler, ProfilerState
 from edgectl.model.snapshot import Snapshot, find_doubled_tasks
@@ -20,10 +21,17 @@ _MILDER_CODES = (ExitCode.DONE, ExitCode.CHANGES, ExitCode.UNPLACED)
 
 
 def of_snapshot(snapshot: Snapshot, inventory: Inventory, *, allow_unreachable: bool = False) -> ExitCode:
-    """4 if a host that should answer did not, or a task runs twice."""
+    """4 if a host that should answer did not, a task runs twice, or one is where the inventory no longer
+    reaches it.
+    """
     silent = any(name in inventory.hosts for name in snapshot.silent_hosts)
-    wrong = find_doubled_tasks(snapshot) or (silent and not allow_unreachable)
+    wrong = _has_misplaced_tasks(snapshot) or (silent and not allow_unreachable)
     return ExitCode.PARTLY if wrong else ExitCode.DONE
+
+
+def _has_misplaced_tasks(snapshot: Snapshot) -> bool:
+    """Whether a task runs twice, or where the inventory no longer reaches it."""
+    return bool(find_doubled_tasks(snapshot) or list_lost_tasks(snapshot))
 
 
 def of_profilers(profilers: Iterable[Profiler]) -> ExitCode:
@@ -37,6 +45,8 @@ def of_profilers(profilers: Iterable[Profiler]) -> ExitCode:
 
 def of_plan(plan: Plan, *, detailed: bool, allow_unreachable: bool) -> ExitCode:
     """4 beats 3 beats 2; 2 and 3 only with --detailed-exitcode."""
+    if list_lost_tasks(plan.snapshot):
+        return ExitCode.PARTLY
     if not allow_unreachable and plan.snapshot.silent_hosts:
         return ExitCode.PARTLY
     if detailed and Action.UNPLACED in plan.summary:
@@ -97,7 +107,7 @@ def of_cycle(cycle: Cycle) -> ExitCode:
         return ExitCode.TRY_AGAIN
     failed = cycle.results is not None and not cycle.results.done
     seen = cycle.snapshot
-    wrong = failed or (seen is not None and (bool(seen.silent_hosts) or bool(find_doubled_tasks(seen))))
+    wrong = failed or (seen is not None and bool(seen.silent_hosts or _has_misplaced_tasks(seen)))
     code = ExitCode.PARTLY if wrong else ExitCode.DONE
     return code if cycle.plan is None else worsen_if_given_up(code, cycle.plan)
 

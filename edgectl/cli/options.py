@@ -87,6 +87,7 @@ PolicyOption = Annotated[
     PolicyName | None, Option("--policy", metavar="NAME", help="utility, paper, static or local.")
 ]
 BestEffortOption = Annotated[bool, Option("--best-effort", help="Place a task even where it does not fit.")]
+PruneOption = Annotated[bool, Option("--prune", help="Also stop the tasks of other task files.")]
 FullOption = Annotated[bool, Option("--full", help="Rank every host, however many there are.")]
 WithoutOption = Annotated[
     list[str] | None,

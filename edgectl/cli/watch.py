@@ -41,6 +41,7 @@ def watch_command(
     weights: options.WeightsOption = None,
     policy: options.PolicyOption = None,
     best_effort: options.BestEffortOption = False,
+    prune: options.PruneOption = False,
     without: options.WithoutOption = None,
     accept_new: options.AcceptNewOption = False,
 ) -> None:
@@ -73,6 +74,7 @@ def watch_command(
             without=without,
             best_effort=best_effort,
             full=False,
+            prune=prune,
             attended=False,
         )
 

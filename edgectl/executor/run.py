@@ -5,7 +5,12 @@ from collections import Counter
 from collections.abc import Mapping
 
 from edgectl.errors import HostError, RefusedError, StateError, describe_unseen_task
-from edgectl.executor.action_phases import StartPhases, build_start_phases, build_stop_phases
+from edgectl.executor.action_phases import (
+    StartPhases,
+    build_adopt_phases,
+    build_start_phases,
+    build_stop_phases,
+)
 from edgectl.executor.cancellation import INTERRUPTED, Cancellation
 from edgectl.executor.dependencies import (
     STARTING_ACTIONS,
@@ -109,9 +114,9 @@ def _run_steps(
     """Stops at once, each start after the stops on its own host: a host that is slow to stop delays no other.
 
     With ``fail_fast`` every start waits for every stop. A task whose duplicate could not be stopped is not
-    started again.
+    started again. A task that is adopted counts as one that is stopped.
     """
-    halting = {_name_stop(name): name for name, act in acts.items() if list_stop_hosts(act.step)}
+    halting = {_name_stop(name): name for name, act in acts.items() if _list_first_hosts(act.step)}
     waits = build_step_dependencies(shared.plan.steps, shared.tasks)
     after = {key: frozenset[str]() for key in halting} | {
         name: wait.tasks
@@ -133,13 +138,20 @@ def _run_steps(
             skipped[name] = _end_skipped(acts[name], cancellation.reason() or INTERRUPTED)
         return skipped[name]
 
-    groups = {key: list_stop_hosts(acts[name].step)[0] for key, name in halting.items()}
+    groups = {key: _list_first_hosts(acts[name].step)[0] for key, name in halting.items()}
     return _merge_results(workers.run_all(after, work, skip, groups))
 
 
 def _name_stop(name: str) -> str:
     """The key of the stopping part of an action; no task has such a name."""
     return f"{name} stop"
+
+
+def _list_first_hosts(step: Step) -> tuple[str, ...]:
+    """The hosts of the first part of the step: where it stops something, or adopts the task."""
+    if step.action is Action.ADOPT:
+        return (step.decision.host or "", *list_stop_hosts(step))
+    return list_stop_hosts(step)
 
 
 def _merge_results(results: Mapping[str, ActionResult]) -> dict[str, ActionResult]:
@@ -152,12 +164,14 @@ def _list_stops_before(step: Step, halting: Mapping[str, str], acts: Mapping[str
     return frozenset(
         key
         for key, name in halting.items()
-        if name == step.task or step.decision.host in list_stop_hosts(acts[name].step)
+        if name == step.task or step.decision.host in _list_first_hosts(acts[name].step)
     )
 
 
 def _stop_step(act: StepRun, budget: StopBudget) -> ActionResult | None:
-    """Stop the task where the step says so; no result yet where the step goes on to start it elsewhere."""
+    """Stop the task where the step says so, and adopt it where it is kept; no result yet where the step goes
+    on to start it elsewhere.
+    """
     decision = act.step.decision
     here = decision.previous_host if act.step.action in STOPPING_ACTIONS else decision.host
     try:
@@ -165,6 +179,9 @@ def _stop_step(act: StepRun, budget: StopBudget) -> ActionResult | None:
             budget.check(list_stop_hosts(act.step)[0])
         act.begin()
         perform_phases(act, build_stop_phases(act.step, act.run.inventory, act.run.tasks))
+        adoption = build_adopt_phases(act.step, act.run.inventory, act.run.tasks)
+        if adoption and act.task is not None:
+            perform_phases(act, adoption, resolve_variables(act, act.task, decision.host or ""))
     except StateError as error:
         return _end_unrecorded(act, error)
     except MovedWorldError as error:

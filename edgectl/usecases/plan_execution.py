@@ -12,9 +12,10 @@ from edgectl.executor.run import RunIdentity, RunOptions, run_plan
 from edgectl.gateway.host_probe import ProbeOptions
 from edgectl.gateway.task_lookup import find_doubled_instances
 from edgectl.model.manager_state import ManagerState
-from edgectl.model.plan import Plan
+from edgectl.model.plan import Action, Plan
 from edgectl.model.progress import ProgressListener, ignore_progress
-from edgectl.model.result import Results
+from edgectl.model.result import Outcome, Results
+from edgectl.state.heartbeats import record_orphans
 from edgectl.state.journal import JOURNAL_FILE_NAME, Journal
 from edgectl.state.journal_reader import JournalSummary, read_journal_cached
 from edgectl.state.lock import FleetLock, get_user_name
@@ -125,6 +126,7 @@ def confirm_and_execute(
             )
         after = _save_manager_state(fleet, plan, manager, results, used)
         _record_placements(fleet, journal, results.revision, after)
+    _forget_adopted_orphans(fleet, manager, results)
     record_results(fleet, plan, results)
     _recover_interrupted_apply(fleet, cut_off)
     if fleet.lease is not None and fleet.lease.watched_by is not None and verb != "watch":
@@ -147,6 +149,21 @@ def _look_for_doubled(fleet: Fleet, plan: Plan) -> dict[str, tuple[str, ...]]:
 def _describe_watch(fleet: Fleet, watch: WatchNote) -> str:
     files = "" if watch.digest == compute_files_digest(fleet) else ", from other files"
     return f"{watch.who} watches this fleet every {format_duration(watch.every_s)} and plans again{files}"
+
+
+def _forget_adopted_orphans(fleet: Fleet, manager: ManagerState, results: Results) -> None:
+    """An orphan that was adopted fences itself again."""
+    adopted = {
+        (result.host, result.task)
+        for result in results.actions
+        if result.action is Action.ADOPT and result.outcome is Outcome.DONE
+    }
+    left = {
+        host: tuple(task for task in tasks if (host, task) not in adopted)
+        for host, tasks in manager.orphans.items()
+    }
+    if left != dict(manager.orphans):
+        record_orphans(fleet.state, left)
 
 
 def has_nothing_to_do(fleet: Fleet, plan: Plan) -> bool:

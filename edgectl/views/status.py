@@ -14,9 +14,9 @@ from edgectl.views.output import ListView
 from edgectl.views.output_format import NAMED_FORMATS
 from edgectl.views.plan_sections import (
     list_doubled_notes,
+    list_lost_task_notes,
     list_operator_mark_notes,
     list_unreachable_notes,
-    render_notes,
 )
 from edgectl.views.rows import (
     compute_task_age,
@@ -79,14 +79,6 @@ class StatusView(ListView):
         )
 
     def _render(self, rows: list[Row], look: RenderOptions, *, right: set[int]) -> str:
-        notes = render_notes(
-            list_unreachable_notes(self._snapshot)
-            + list_operator_mark_notes(self._snapshot)
-            + list_foreign_notes(self._snapshot)
-            + list_task_remarks(self._snapshot)
-            + self._list_need_notes(),
-            look,
-        )
         failed = [
             f"{name} on {host}{', given up' if sample.given_up else ''}"
             for name, (host, sample) in self._failed.items()
@@ -94,11 +86,13 @@ class StatusView(ListView):
         first = list_doubled_notes(self._snapshot)
         if failed:
             first.append(f"{len(failed)} of {len(self._tasks.tasks)} tasks failed: {', '.join(failed)}")
-        return (
-            "".join(style_text(wrap_text(line, look), "bad", look) for line in first)
-            + render_columns(rows, look, right=right, wrap={2})
-            + notes
+        return "".join(style_text(wrap_text(line, look), "bad", look) for line in first) + render_columns(
+            rows, look, right=right, wrap={2}
         )
+
+    def notes(self) -> Sequence[str]:
+        """The warnings, and remarks on tasks that stand in their rows in documents."""
+        return [*self.warnings(), *list_task_remarks(self._snapshot), *self._list_need_notes()]
 
     def _render_run_row(self, run: tuple[str, str, TaskSample]) -> Row:
         name, host, sample = run
@@ -148,10 +142,11 @@ class StatusView(ListView):
         return [*runs, *absent]
 
     def warnings(self) -> Sequence[str]:
-        """Tasks that run twice, hosts without a reply, marks of the operator, and tasks of other fleets."""
+        """Tasks that run twice, at lost places or of other fleets, hosts without a reply, and marks."""
         return [
             *list_doubled_notes(self._snapshot),
             *list_unreachable_notes(self._snapshot),
+            *list_lost_task_notes(self._snapshot),
             *list_operator_mark_notes(self._snapshot),
             *list_foreign_notes(self._snapshot),
         ]
