@@ -28,7 +28,7 @@ test: check
 	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.suite tests --ignore=tests/benchmarks -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 
 # Tests without real hosts: rules, files, documents, views, and simulated fleets.
-PURE := config doctor experiments executor export formats fuzz gateway model scheduler state tui usecases views test_rooms.py
+PURE := config doctor experiments executor export formats fuzz gateway model scheduler simulation state tui usecases views test_rooms.py
 test-fast: setup
 	@.ci/need-promtool
 	@$(PY) -m tests.suite $(PURE:%=tests/%) -m "not slow" -n 2 --dist loadfile --no-loadscope-reorder
@@ -41,6 +41,7 @@ bench: setup
 faults: setup
 	@.ci/need-faults
 	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.faults --seed $(or $(SEED),1)
+	@$(PY) -m tests.simulation.two_managers --seed $(or $(SEED),1)
 
 # At least 100,000 damaged inputs to every decoder together; make fuzz SEED=7 damages them otherwise.
 # Then the properties that make test checks with the same examples in every run, with others.

@@ -93,6 +93,7 @@ def _build_job(inventory: Path | None, tasks: Sequence[Path] | None, every: str 
     from edgectl.cli.connect import parse_duration_option
     from edgectl.model.inventory import Connection
     from edgectl.state.lock import get_user_name
+    from edgectl.usecases.heartbeat import list_self_fences
 
     loaded = load_inputs(inventory, tasks)
     refuse_exposed_files(loaded.exposed)
@@ -105,6 +106,7 @@ def _build_job(inventory: Path | None, tasks: Sequence[Path] | None, every: str 
         user=get_user_name(),
         environment=_collect_job_environment(os.environ),
         every_s=None if every is None else parse_duration_option(every, "--every"),
+        self_fence_s=min(list_self_fences(loaded.tasks), default=None),
         local=any(host.connection is Connection.LOCAL for host in loaded.inventory.hosts.values()),
     )
 

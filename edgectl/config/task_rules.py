@@ -22,6 +22,10 @@ from edgectl.model.task import (
     TaskKind,
     UnreachablePolicy,
 )
+from edgectl.units import format_duration
+
+# Heartbeats leave every quarter of self_fence, and those of one second count as one on the manager's disk.
+MIN_SELF_FENCE_S = 4.0
 
 _TRAILING_AMPERSAND = re.compile(r"(?<![&>|\\])&\s*$")
 
@@ -101,6 +105,15 @@ def _check_foreground(fields: Fields, problems: Problems) -> None:
 
 def _check_self_fence(fields: Fields, problems: Problems) -> None:
     """Nothing starts a task elsewhere while its old copy may still run."""
+    fence = fields.values.get("self_fence")
+    if fence is not None and fence < MIN_SELF_FENCE_S:
+        message = (
+            f"self_fence {format_duration(fence)} is too short: heartbeats leave every quarter of it "
+            f"({format_duration(fence / 4)}) and at most one a second, so it needs 4 x 1 s at least"
+        )
+        problems.add(
+            fields.node.key_mark("self_fence"), ProblemCode.CONTRADICTION, message, "write self_fence: 5m"
+        )
     policy, _ = fields.values.get("on_unreachable", (None, None))
     if policy is UnreachablePolicy.REPLACE and "self_fence" not in fields:
         message = (

@@ -3,7 +3,7 @@
 import shlex
 
 from edgectl.errors import UsageError
-from edgectl.export.job import ScheduledJob, build_arguments, format_interval
+from edgectl.export.job import ScheduledJob, build_arguments, check_self_fence, format_interval
 
 # Limit of Vixie cron, whose daemon ignores longer commands.
 _MAX_COMMAND_LENGTH = 998
@@ -19,6 +19,7 @@ def format_crontab(job: ScheduledJob) -> str:
         quoted.
     """
     every = _DEFAULT_INTERVAL_S if job.every_s is None else job.every_s
+    check_self_fence(job, every)
     line = f"{format_cron_schedule(every)} {format_cron_command(job)}"
     return (
         f"# edgectl apply for {job.inventory}, every {format_interval(every)}.\n"

@@ -14,7 +14,7 @@ class ScheduledJob:
 
     ``name`` names the units. ``program``: the words that start edgectl; ``directory``: where it starts.
     ``environment``: variables besides HOME. ``every_s``: seconds between starts; None: the default of the
-    format.
+    format. ``self_fence_s``: the shortest ``self_fence`` of its tasks.
     ``user`` runs it. ``local``: a host of the fleet is this machine, so tasks run below edgectl itself.
     """
 
@@ -26,6 +26,7 @@ class ScheduledJob:
     user: str
     environment: Mapping[str, str] = field(default_factory=dict)
     every_s: float | None = None
+    self_fence_s: float | None = None
     local: bool = False
 
 
@@ -43,6 +44,21 @@ def build_arguments(job: ScheduledJob, *command: str) -> tuple[str, ...]:
                 hint="rename it without control characters, backslashes and outer blanks",
             )
     return (*command, *files)
+
+
+def check_self_fence(job: ScheduledJob, every_s: float) -> None:
+    """Refuse an interval in which tasks that fence themselves would hear from no edgectl for too long.
+
+    Raises:
+        UsageError: ``self_fence`` is shorter than two intervals.
+    """
+    if job.self_fence_s is not None and job.self_fence_s < 2 * every_s:
+        raise UsageError(
+            f"every {format_interval(every_s)} is too seldom: between two runs no heartbeat leaves, so tasks "
+            f"with self_fence {format_interval(job.self_fence_s)} would stop themselves (needed: 2 x "
+            f"{format_interval(every_s)})",
+            hint="edgectl export systemd --watch, a shorter --every, or a longer self_fence",
+        )
 
 
 def format_interval(every_s: float) -> str:

@@ -5,7 +5,7 @@ name.
 import re
 
 from edgectl.errors import UsageError
-from edgectl.export.job import ScheduledJob, build_arguments, format_interval
+from edgectl.export.job import ScheduledJob, build_arguments, check_self_fence, format_interval
 
 _DEFAULT_INTERVAL_S, _MIN_INTERVAL_S = 300.0, 1.0
 # Exit codes that count as success beside 0: unreachable hosts (4) and a busy lock (75) are for the next run;
@@ -36,6 +36,7 @@ def build_timer_units(job: ScheduledJob, *, user: bool) -> dict[str, str]:
         UsageError: a value cannot be quoted, or the interval is below a second.
     """
     every = _check_interval(_DEFAULT_INTERVAL_S if job.every_s is None else job.every_s)
+    check_self_fence(job, every)
     name, title = build_unit_name(job), f"edgectl apply for {job.inventory}"
     service = [
         *_build_unit_section(title, user=user),

@@ -89,6 +89,7 @@ class FleetLease:
         self._lock = threading.Lock()
         self._sent: dict[str, float] = {}
         self._grants: dict[str, _Grant] = {}
+        self._silent: set[str] = set()
         self.refusals: dict[str, LeaseRefusal] = {}
         self.watched_by: WatchNote | None = None
 
@@ -123,24 +124,44 @@ class FleetLease:
     def sign(self, host: str) -> Document:
         """The signature of a changing request to ``host``.
 
+        A lease that ran out on a host that answers means that this manager stood still meanwhile: another one
+        may have changed what was seen there, so nothing is sent to any host. A silent host does not count.
+
         Raises:
-            LeaseLostError: the host did not grant the fleet, or its lease has run out.
+            LeaseLostError: the host did not grant the fleet, or a lease has run out.
         """
+        now = self._clock()
         with self._lock:
             grant = self._grants.get(host)
+            lapsed = [
+                name
+                for name, each in self._grants.items()
+                if now >= each.until and (name == host or name not in self._silent)
+            ]
         if grant is None:
             raise LeaseLostError(
                 f"{host} did not grant the fleet to this edgectl: nothing was sent",
                 hint="apply again",
                 host=host,
             )
-        if self._clock() >= grant.until:
+        if lapsed:
             raise LeaseLostError(
-                f"the lease of the fleet on {host} has run out: nothing was sent",
+                f"the lease of the fleet on {lapsed[0]} has run out: nothing was sent",
                 hint="apply again, which takes the fleet anew",
                 host=host,
             )
         return {**self._identity, "epoch": grant.epoch}
+
+    def sign_release(self, host: str) -> Document:
+        """The signature that gives ``host`` back; epoch 0 where it was given back before."""
+        with self._lock:
+            grant = self._grants.pop(host, None)
+        return {**self._identity, "epoch": 0 if grant is None else grant.epoch}
+
+    def note_silent(self, host: str) -> None:
+        """Note that ``host`` did not answer a heartbeat."""
+        with self._lock:
+            self._silent.add(host)
 
     def now(self) -> float:
         """Seconds on the clock of the lease."""
@@ -151,6 +172,7 @@ class FleetLease:
         with self._lock:
             grant = self._grants.get(host)
             if grant is not None:
+                self._silent.discard(host)
                 until = max(grant.until, sent + self.ttl_s)
                 self._grants[host] = _Grant(epoch=grant.epoch, until=until)
 
@@ -159,11 +181,6 @@ class FleetLease:
         now = self._clock()
         with self._lock:
             return tuple(host for host, grant in self._grants.items() if now < grant.until)
-
-    def drop(self, host: str) -> None:
-        """Forget the grant of ``host``: it was released."""
-        with self._lock:
-            self._grants.pop(host, None)
 
 
 def _read_refusal(document: Document) -> LeaseRefusal:

@@ -114,10 +114,9 @@ def _release_host(fleet: Fleet, lease: FleetLease, host: Host, *, end_watch: boo
             "fleet": host.fleet,
             "host": host.name,
             "action": "release",
-            "lease": lease.sign(host.name),
+            "lease": lease.sign_release(host.name),
             "end_watch": end_watch,
         }
-        lease.drop(host.name)
         ask_host(
             fleet.transport, host, request, timeout=_RELEASE_TIMEOUT_S, connect_timeout=_RELEASE_TIMEOUT_S
         )

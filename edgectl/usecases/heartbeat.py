@@ -7,7 +7,7 @@ import dataclasses
 import threading
 from collections.abc import Callable, Iterable, Iterator
 
-from edgectl.errors import HostError, StateError
+from edgectl.errors import HostError, RefusedError, StateError
 from edgectl.executor import host_requests
 from edgectl.model.inventory import Host
 from edgectl.model.manager_state import ManagerState
@@ -151,7 +151,7 @@ def _send_heartbeat(fleet: Fleet, host: Host, pause: float, over: threading.Even
     It waits no longer than one pause: a connection that was lost is replaced with the next heartbeat.
     """
     seconds, lease = min(pause, _MAX_HEARTBEAT_TIMEOUT_S), fleet.lease
-    with contextlib.suppress(HostError):
+    try:
         if over.is_set():
             return
         request = (
@@ -163,3 +163,8 @@ def _send_heartbeat(fleet: Fleet, host: Host, pause: float, over: threading.Even
         ask_host(fleet.transport, host, request, timeout=seconds, connect_timeout=seconds)
         if lease is not None:
             lease.extend(host.name, sent)
+    except RefusedError:
+        return
+    except HostError:
+        if lease is not None:
+            lease.note_silent(host.name)

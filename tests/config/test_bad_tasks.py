@@ -119,6 +119,8 @@ CASES = [
         message="must be a number from 0 to 1e+06, not -1", hint="write 0.5", mended="downtime_cost: 0.5"),
     BrokenFile(name="replace unfenced", old="on_unreachable: hold", new="on_unreachable: replace", at="on_unreachable", code="EC033",
         message="on_unreachable: replace needs self_fence", hint="add self_fence: 5m", mended="on_unreachable: replace\n    self_fence: 5m"),
+    BrokenFile(name="short fence", old="on_unreachable: hold", new="self_fence: 2s", at="self_fence", code="EC033",
+        message="self_fence 2.0s is too short: heartbeats leave every quarter of it (0.5s)", hint="write self_fence: 5m", mended="self_fence: 5m"),
     BrokenFile(name="robot without one", old="kind: job", new='env: {R: "{robot}"}', at='{R: "', code="EC035",
         message="{robot} and {robot_host} need exactly one robot, and map-merge has 2", hint="$EDGECTL_ROBOTS",
         mended='env: {R: "$EDGECTL_ROBOTS"}'),

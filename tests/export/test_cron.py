@@ -1,5 +1,6 @@
 """Crontab lines: the right schedule, and a command that runs as under cron, with any paths."""
 
+import dataclasses
 import os
 import shutil
 import subprocess
@@ -157,3 +158,9 @@ def test_the_line_runs_as_cron_runs_it(site: tuple[Path, str], isolated: Path) -
     assert len(wait_for_sleepers(mark, 1)) == 1
     assert (runs[1].returncode, runs[1].stdout, runs[1].stderr) == (0, "", "")
     assert (here / "state").is_dir(), "the line takes the state directory along"
+
+
+def test_an_interval_that_a_self_fence_does_not_survive_is_refused() -> None:
+    with pytest.raises(UsageError, match=r"self_fence 1m would stop themselves \(needed: 2 x 10m\)"):
+        format_crontab(dataclasses.replace(JOB, every_s=600.0, self_fence_s=60.0))
+    assert "*/10" in format_crontab(dataclasses.replace(JOB, every_s=600.0, self_fence_s=1200.0))

@@ -1,0 +1,173 @@
+"""Interleavings of two managers over simulated hosts: ``python -m tests.simulation.two_managers --count 10000``.
+
+The hosts decide by the agent's own rules of the lease (``lease_rules``), each on its own clock; the managers sign by
+their own lease (``FleetLease``). Everything else is a model of few lines: a manager claims all hosts that it
+reaches, looks, moves every task to where it wants it, and gives the fleet back. Between any two requests the other
+manager may act, a host may reboot, a manager may freeze past its lease, die, or lose sight of a host. The judge
+counts the living instances of each task after every step.
+"""
+
+import argparse
+import random
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+from edgectl.agent.supervise import lease_rules
+from edgectl.errors import RefusedError
+from edgectl.transport.fleet_lease import FleetLease
+
+HOSTS, TASKS, LEASE_S = ("edge1", "edge2", "edge3"), ("t0", "t1"), 30.0
+_Document = dict[str, object]
+
+
+class DoubledError(AssertionError):
+    """Two instances of a task were alive."""
+
+
+@dataclass
+class SimulatedHost:
+    """A host with its own clock (``offset``), its lease and its living tasks."""
+
+    offset: float
+    boots: int = 1
+    record: _Document = field(default_factory=dict)
+    tasks: set[str] = field(default_factory=set)
+
+    def reboot(self, now: float) -> None:
+        """Begin a new uptime; nothing lives any more."""
+        self.offset, self.boots = -now, self.boots + 1
+        self.tasks.clear()
+
+    def claim(self, claim: _Document, now: float) -> _Document:
+        refusal = lease_rules.find_refusal(self.record, {}, claim, now + self.offset, f"boot{self.boots}")
+        if refusal is not None:
+            return refusal
+        self.record = lease_rules.build_grant(self.record, claim, now + self.offset, f"boot{self.boots}")
+        return {"state": "granted", "epoch": self.record["epoch"]}
+
+    def change(self, signature: _Document, now: float) -> None:
+        """Accept a changing request, which renews the lease."""
+        fault = lease_rules.find_fault(self.record, signature, now + self.offset, f"boot{self.boots}")
+        if fault:
+            raise RefusedError(fault)
+        self.record = lease_rules.extend_record(self.record, now + self.offset)
+
+    def release(self, signature: _Document) -> None:
+        if all(self.record.get(key) == signature[key] for key in ("holder", "session", "epoch")):
+            self.record["until"] = 0.0
+
+
+class Simulation:
+    """One fleet, its two managers and one seed."""
+
+    def __init__(self, seed: int) -> None:
+        self.random = random.Random(seed)
+        self.now = 1000.0
+        self.hosts = {name: SimulatedHost(offset=self.random.uniform(0, 1e5)) for name in HOSTS}
+        self.changes = 0
+
+    def run(self) -> int:
+        """Interleave two managers, each with some runs; the number of changes on hosts."""
+        lives = {name: self.live(name) for name in ("ana", "ben")}
+        while lives:
+            name = self.random.choice(sorted(lives))
+            for _ in range(self.random.choice((1, 1, 3, 10))):
+                if name in lives and next(lives[name], None) is None:
+                    del lives[name]
+                self.disturb()
+                self.judge()
+        return self.changes
+
+    def disturb(self) -> None:
+        """Time passes, now and then more than a lease; now and then a host reboots."""
+        self.now += self.random.choice(
+            (0.01, 0.1, 1.0, 5.0, 12.0, 40.0 if self.random.random() < 0.2 else 0.5)
+        )
+        if self.random.random() < 0.03:
+            self.hosts[self.random.choice(HOSTS)].reboot(self.now)
+
+    def judge(self) -> None:
+        for task in TASKS:
+            places = [name for name, host in self.hosts.items() if task in host.tasks]
+            if len(places) > 1:
+                raise DoubledError(f"{task} runs on {places}")
+
+    def live(self, name: str) -> Iterator[str]:
+        """Some runs of one manager; after each yield anything may have happened."""
+        for number in range(4):
+            session = f"{name}-{number}"
+            lease = FleetLease(
+                holder=name, session=session, who=name, verb="apply", clock=lambda: self.now, ttl_s=LEASE_S
+            )
+            try:
+                yield from self.apply(lease)
+            except RefusedError:
+                yield "refused"
+
+    def apply(self, lease: FleetLease) -> Iterator[str]:
+        """Claim, look, move what is not where this manager wants it, release."""
+        seen: dict[str, set[str]] = {}
+        for host in HOSTS:
+            claim = lease.build_claim(host)
+            yield "claim sent"
+            lease.take_reply(host, self.hosts[host].claim(claim, self.now))
+            seen[host] = set(self.hosts[host].tasks)
+            yield "claimed"
+        if not lease.refusals and self.random.random() > 0.05:  # else it dies with its lease
+            for task in TASKS:
+                yield from self.move(lease, task, seen)
+        elif not lease.refusals:
+            return
+        for host in lease.list_granted():
+            self.hosts[host].release(lease.sign_release(host))
+            yield "released"
+
+    def move(self, lease: FleetLease, task: str, seen: dict[str, set[str]]) -> Iterator[str]:
+        wanted = self.random.choice(HOSTS)
+        places = [host for host in HOSTS if task in seen[host]]
+        if places == [wanted]:
+            return
+        for host in places:
+            yield from self.send(lease, host, task, starts=False)
+        yield from self.send(lease, wanted, task, starts=True)
+
+    def send(self, lease: FleetLease, name: str, task: str, *, starts: bool) -> Iterator[str]:
+        """Sign a request, which arrives later, if ever."""
+        signature, sent = lease.sign(name), self.now
+        yield "sent"
+        host = self.hosts[name]
+        host.change(signature, self.now)
+        (host.tasks.add if starts else host.tasks.discard)(task)
+        self.changes += 1
+        lease.extend(name, sent)
+        yield "carried out"
+
+
+def run_simulations(first_seed: int, count: int) -> int:
+    """Run ``count`` interleavings; the number of changes on hosts.
+
+    Raises:
+        DoubledError: with its seed.
+    """
+    changes = 0
+    for seed in range(first_seed, first_seed + count):
+        try:
+            changes += Simulation(seed).run()
+        except DoubledError as error:
+            raise DoubledError(f"seed {seed}: {error}") from error
+    return changes
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(prog="python -m tests.simulation.two_managers", description=__doc__)
+    parser.add_argument("--count", type=int, default=10_000)
+    parser.add_argument("--seed", type=int, default=1)
+    options = parser.parse_args()
+    changes = run_simulations(options.seed * 1_000_000, options.count)
+    print(f"{options.count} interleavings of two managers, {changes} changes on hosts, nothing doubled")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
