@@ -1,5 +1,5 @@
 # Every target works in a fresh clone; .ci/setup makes .venv where it is missing.
-.PHONY: demo experiment test test-fast check setup bench faults fuzz soak clean
+.PHONY: demo experiment test test-fast check setup audit bench faults fuzz soak clean
 PY := .venv/bin/python
 export PYTHON
 
@@ -9,6 +9,10 @@ demo:
 
 setup:
 	@.ci/setup dev
+
+# Known holes in what edgectl depends on: docs/dependencies.md.
+audit: setup
+	@.ci/audit
 
 check: setup
 	@.venv/bin/ruff format --check .

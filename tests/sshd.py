@@ -161,6 +161,7 @@ def write_config(
         f"AuthorizedKeysFile {authorized}",
         *([] if any(line.startswith("MaxStartups") for line in extra) else ["MaxStartups 200:30:400"]),
         "PrintMotd no",
+        "AcceptEnv EDGECTL_CANARY*",
         f"SetEnv {set_env}",
     ]
     (server.directory / "sshd_config").write_text("\n".join(lines) + "\n")

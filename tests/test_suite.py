@@ -78,8 +78,9 @@ def test_what_fails_twice_fails(tmp_path: Path) -> None:
 
 
 def test_more_than_three_are_no_accident(tmp_path: Path) -> None:
-    code, _ = run_suite(tmp_path, "".join(map(fails_once, "abcd")))
+    code, said = run_suite(tmp_path, "".join(map(fails_once, "abcd")))
     assert code == 1
+    assert said.splitlines()[-1] == "== 4 tests failed: more than 3, so none was run again"
     assert [(tmp_path / name).read_text() for name in "abcd"] == ["x"] * 4
 
 

@@ -24,7 +24,7 @@ def apply_command(
     dry_run: Annotated[bool, Option("--dry-run", help="Only print the exact remote commands.")] = False,
     max_parallel: options.MaxParallelOption = 16,
     fail_fast: options.FailFastOption = False,
-    lock_timeout: options.LockTimeoutOption = "0s",
+    lock_timeout: options.LockTimeoutOption = None,
     weights: options.WeightsOption = None,
     policy: options.PolicyOption = None,
     best_effort: options.BestEffortOption = False,
@@ -46,7 +46,7 @@ def apply_command(
         edgectl apply next.plan
     """
     from edgectl.cli import apply_session, policy_options
-    from edgectl.cli.connect import build_fleet, parse_duration_option
+    from edgectl.cli.connect import build_fleet, parse_lock_timeout
     from edgectl.usecases.apply import apply_saved_plan, plan_and_apply
     from edgectl.usecases.given_up import take_given_up_reminders
 
@@ -70,7 +70,7 @@ def apply_command(
         raise Exit(apply_session.print_dry_run(fleet, how, saved, choose, output))
     with apply_session.open_apply_session(quiet=quiet, output=output, asked=asked) as act:
         chosen = act.options(
-            lock_timeout=parse_duration_option(lock_timeout, "--lock-timeout"),
+            lock_timeout=parse_lock_timeout(lock_timeout),
             max_parallel=max_parallel,
             fail_fast=fail_fast,
             choose=choose,

@@ -49,7 +49,7 @@ class ApplySession:
     def options(
         self,
         *,
-        lock_timeout: float,
+        lock_timeout: float | None,
         max_parallel: int = 16,
         fail_fast: bool = False,
         choose: Callable[[Plan], Plan] = keep_whole_plan,

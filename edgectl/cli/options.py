@@ -123,7 +123,13 @@ SavePlanOption = Annotated[
 YesOption = Annotated[bool, Option("--yes", "-y", help="Do not ask.")]
 QuietOption = Annotated[bool, Option("--quiet", "-q", help="Print nothing if there is nothing to do.")]
 LockTimeoutOption = Annotated[
-    str, Option("--lock-timeout", metavar="TIME", help="How long to wait for another edgectl.")
+    str | None,
+    Option(
+        "--lock-timeout",
+        metavar="TIME",
+        help="How long to wait for another edgectl.",
+        show_default="one cycle of a watch, else 0s",
+    ),
 ]
 MaxParallelOption = Annotated[
     int, Option("--max-parallel", metavar="N", min=1, help="At most N actions at once.")

@@ -3,12 +3,13 @@
 import json
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from enum import StrEnum
 from typing import Any, Final
 
 from edgectl.agent.link import protocol
 from edgectl.config.node import Node, describe_node_type
-from edgectl.config.problems import ProblemCode, Problems
+from edgectl.config.problems import Mark, ProblemCode, Problems
 from edgectl.config.quantities import suggest_quantity
 from edgectl.config.schema import describe_as, describe_reader, get_reader_schema, limit_quantity_schema
 from edgectl.units import QuantityError
@@ -114,6 +115,44 @@ def read_safe_argument(node: Node, problems: Problems) -> Any:  # noqa: ANN401
         )
         return INVALID
     return value
+
+
+def address_reader(more: str = "") -> NodeReader:
+    """An address, a host or a user: letters, digits and ``. _ - : % @ [ ]``, and the characters of ``more``.
+
+    It reaches shells: as ``{robot_host}``, and as a token of ProxyCommand in ssh_config.
+    """
+    known = f"._:%@[]{more}-"
+    alphabet = re.compile(rf"[A-Za-z0-9{re.escape(known)}]")
+
+    def read(node: Node, problems: Problems) -> Any:  # noqa: ANN401
+        value = read_safe_argument(node, problems)
+        wrong = (
+            next((place for place, char in enumerate(value) if not alphabet.fullmatch(char)), None)
+            if isinstance(value, str)
+            else None
+        )
+        if wrong is None:
+            return value
+        problems.add(
+            _mark_character(node, value, wrong),
+            ProblemCode.TEXT,
+            f"may not contain {value[wrong]}",
+            f"use letters, digits and {' '.join(known)}",
+        )
+        return INVALID
+
+    return describe_reader(
+        read,
+        lambda: {"type": "string", "pattern": rf"^(?!-)[A-Za-z0-9{re.escape(known)}]+$"},
+    )
+
+
+def _mark_character(node: Node, value: str, place: int) -> Mark:
+    """The position of one character of a text; of the whole text where it is written with escapes."""
+    mark = node.mark
+    start = mark.source.line(mark.line).find(value, mark.column - 1)
+    return mark if start < 0 else replace(mark, column=start + place + 1, length=1)
 
 
 @describe_as(lambda: {"type": "string", "pattern": r"\S"})

@@ -155,6 +155,7 @@ def build_renewal_request(host: Host, signature: Mapping[str, object]) -> Reques
     """Renew the lease of the fleet on a host."""
     return {
         "op": protocol.OP_LEASE,
+        "fleet": host.fleet,
         "host": host.name,
         "action": "renew",
         "lease": signature,

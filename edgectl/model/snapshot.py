@@ -219,6 +219,16 @@ class Snapshot:
         return tuple(name for name, host in self.hosts.items() if not host.ok and name not in fenced)
 
 
+def find_doubled_tasks(snapshot: Snapshot) -> dict[str, tuple[str, ...]]:
+    """Managed tasks of which more than one instance is alive, with their hosts."""
+    places: dict[str, list[str]] = {}
+    for name, host in snapshot.hosts.items():
+        for task, sample in host.tasks.items() if host.ok else ():
+            if sample.managed and sample.state.alive:
+                places.setdefault(task, []).append(name)
+    return {task: tuple(hosts) for task, hosts in places.items() if len(hosts) > 1}
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BandwidthMeasurement:
     """Measured rate of one link in bytes/s; None with the ``error`` where it could not be measured."""

@@ -13,8 +13,9 @@ import shutil
 import signal
 import subprocess
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from fnmatch import fnmatchcase
 from typing import IO, Self
 
 from edgectl.errors import AuthError, ConnectError, DeadlineError, HostError, HostKeyError
@@ -30,6 +31,8 @@ FIXED_OPTIONS = {
     "ControlMaster": "no",
     "EscapeChar": "none",
     "ForwardAgent": "no",
+    "ForwardX11": "no",
+    "GSSAPIDelegateCredentials": "no",
     "LogLevel": "ERROR",
     "NoHostAuthenticationForLocalhost": "no",
     "PermitLocalCommand": "no",
@@ -39,6 +42,7 @@ FIXED_OPTIONS = {
     "ServerAliveInterval": "5",
     "UpdateHostKeys": "no",
 }
+_NEEDED_VARIABLES = ("HOME", "KRB5CCNAME", "LOGNAME", "PATH", "SHELL", "SSH_AUTH_SOCK", "USER")
 # Exit status of ssh for failures of its own.
 SSH_FAILED_STATUS = 255
 _BLOCK_BYTES = 65536
@@ -130,8 +134,10 @@ class OpenSshTransport:
             "ConnectTimeout": str(max(1, int(min(CONNECT_TIMEOUT_S, timeout * 0.8)))),
         }
         pairs = [argument for name, value in settings.items() for argument in ("-o", f"{name}={value}")]
-        jump = self._resolver.resolve(host, timeout=timeout).proxy_jump
+        resolved = self._resolver.resolve(host, timeout=timeout)
+        jump = resolved.proxy_jump
         return [
+            *hide_environment(os.environ, resolved.send_env),
             "ssh",
             *(self._through(host, jump, timeout) if jump else build_ssh_options(host)),
             *pairs,
@@ -144,6 +150,19 @@ class OpenSshTransport:
         *before, dashes, name = self._command(parse_jump_host(jump), timeout)
         inner = shlex.join([*before]).replace("%", "%%") + f" -W '[%h]:%p' {dashes} {shlex.quote(name)}"
         return [*build_ssh_options(replace(host, proxy_jump="none")), "-o", f"ProxyCommand={inner}"]
+
+
+def hide_environment(names: Iterable[str], patterns: Sequence[str]) -> list[str]:
+    """The beginning of a command line without the variables that SendEnv would send to the host.
+
+    No option of ssh takes back a SendEnv of ssh_config. What ssh itself needs stays.
+    """
+    hidden = sorted(
+        name
+        for name in names
+        if name not in _NEEDED_VARIABLES and any(fnmatchcase(name, each) for each in patterns)
+    )
+    return ["env", *(word for name in hidden for word in ("-u", name))] if hidden else []
 
 
 class OpenSshSession:

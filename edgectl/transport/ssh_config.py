@@ -34,7 +34,8 @@ class ResolvedHost:
 
     ``name`` is the inventory's, ``given`` the address or alias written there, ``hostname`` and ``port`` the
     real target. ``identity_agent`` is the agent's socket, or empty for none. ``known_hosts`` are the user's
-    files (the first one is added to), ``revoked_keys`` is the file of RevokedHostKeys, or empty.
+    files (the first one is added to), ``revoked_keys`` is the file of RevokedHostKeys, or empty. ``send_env``
+    has the patterns of SendEnv.
     """
 
     name: str
@@ -54,6 +55,7 @@ class ResolvedHost:
     host_key_alias: str = ""
     hash_known_hosts: bool = False
     connect_timeout: float | None = None
+    send_env: tuple[str, ...] = ()
 
 
 def get_home_dir() -> str:
@@ -219,6 +221,7 @@ def _merge_host_config(host: Host, values: Mapping[str, list[str]]) -> ResolvedH
         host_key_alias=alias,
         hash_known_hosts=one("hashknownhosts") == "yes",
         connect_timeout=_parse_seconds(one("connecttimeout")),
+        send_env=tuple(pattern for line in values.get("sendenv", []) for pattern in line.split()),
     )
 
 

@@ -1,5 +1,6 @@
 """The plan: what changes, why, and the expected load; as a table, in full, as a document and as a comment."""
 
+import re
 from collections.abc import Sequence
 
 from edgectl.formats.document import Document
@@ -14,9 +15,10 @@ from edgectl.views.output_format import PLAN_FORMATS
 from edgectl.views.plan_sections import (
     ACTION_STYLES,
     format_utility,
+    list_plan_notes,
     render_expected_load,
+    render_notes,
     render_plan_header,
-    render_plan_notes,
     render_plan_summary,
 )
 from edgectl.views.reasons import describe_reason, describe_rejection, is_left_out
@@ -25,7 +27,10 @@ from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, escape_unprintab
 # A CI job finds its comment by it, and edits that instead of adding one.
 PLAN_COMMENT_MARKER = "<!-- edgectl-plan -->"
 _MARKDOWN_HEAD = "| | task | now | next | utility | lead | reason |\n|---|---|---|---|---:|---:|---|\n"
-_MARKDOWN_ESCAPES = str.maketrans({character: f"\\{character}" for character in "\\`*_[]<>|#~"})
+_MARKDOWN_ESCAPES = str.maketrans({character: f"\\{character}" for character in "\\`*_[]<>|#~&"})
+# What forges make a link or a mention of even without markup; behind it an invisible space ends that.
+_LIVE_TEXT = re.compile(r"@|\b(?:https?|ftp|mailto|xmpp):|\bwww(?=\.)", re.IGNORECASE)
+_INVISIBLE_BREAK = "&#8203;"
 
 
 class PlanView(View):
@@ -44,7 +49,7 @@ class PlanView(View):
             render_plan_header(self._plan, look) if self._plan.expected else "",
             render_columns(rows, look, right={4, 5}, wrap={1, 2, 3}) if steps else "",
             render_expected_load(self._plan, look),
-            self._render_end(look),
+            render_plan_summary(self._plan, look),
         )
 
     def wide(self, look: RenderOptions = PLAIN) -> str:
@@ -56,11 +61,12 @@ class PlanView(View):
             render_columns(rows, look, right=_TERM_COLUMNS, wrap={1, 2}) if steps else "",
             render_demands(self._plan, look),
             render_expected_load(self._plan, look),
-            self._render_end(look),
+            render_plan_summary(self._plan, look),
         )
 
-    def _render_end(self, look: RenderOptions) -> str:
-        return render_plan_notes(self._plan, look) + render_plan_summary(self._plan, look)
+    def notes(self) -> Sequence[str]:
+        """Notes on hosts, deferred tasks and demands."""
+        return list_plan_notes(self._plan)
 
     def document(self) -> Document:
         """The plan file. Its numbers are exact, for it is read back."""
@@ -81,7 +87,7 @@ class PlanView(View):
         demands = render_demands(self._plan).replace("```", "'''")
         folded = _render_folded_section("Expected load", load) + _render_folded_section("Demands", demands)
         notes = "".join(
-            f"\n> {escape_markdown(line)}\n" for line in render_plan_notes(self._plan).splitlines()
+            f"\n> {escape_markdown(line)}\n" for line in render_notes(self.notes(), PLAIN).splitlines()
         )
         summary = render_plan_summary(self._plan).strip()
         return (
@@ -190,5 +196,6 @@ def _render_markdown_row(step: Step) -> str:
 
 
 def escape_markdown(text: str) -> str:
-    """``text`` with the characters that Markdown interprets escaped."""
-    return escape_unprintable(text).translate(_MARKDOWN_ESCAPES)
+    """``text`` with the characters that Markdown interprets escaped, and no live mention or link."""
+    escaped = escape_unprintable(text).translate(_MARKDOWN_ESCAPES)
+    return _LIVE_TEXT.sub(rf"\g<0>{_INVISIBLE_BREAK}", escaped)

@@ -8,7 +8,7 @@ from edgectl.model.lost_places import list_lost_tasks
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Action, Plan
 from edgectl.model.resource import HOST_RESOURCES
-from edgectl.model.snapshot import HostSample, LinkSample, Snapshot
+from edgectl.model.snapshot import HostSample, LinkSample, Snapshot, find_doubled_tasks
 from edgectl.names import natural_key
 from edgectl.units import format_instant, format_rate
 from edgectl.views.demands import list_demand_notes
@@ -98,7 +98,7 @@ def _render_load_cell(used: float, capacity: float | None, shown: str) -> Cell:
     return Cell(f"{shown} ({share:.0%})", "bad" if share > 1 else "")
 
 
-def render_plan_notes(value: Plan, look: RenderOptions = PLAIN) -> str:
+def list_plan_notes(value: Plan) -> list[str]:
     """Notes on hosts, deferred tasks and demands."""
     lines = list_unreachable_notes(value.snapshot) + list_operator_mark_notes(value.snapshot)
     lines += list_lost_task_notes(value.snapshot, {step.task for step in value.steps})
@@ -118,7 +118,7 @@ def render_plan_notes(value: Plan, look: RenderOptions = PLAIN) -> str:
             f"first plan of this fleet: tasks on {join_words(value.unseen)} are not known "
             "and count as not running"
         )
-    return render_notes(lines + list_demand_notes(value) + list_left_alone_notes(value), look)
+    return lines + list_demand_notes(value) + list_left_alone_notes(value)
 
 
 def list_left_alone_notes(value: Plan) -> list[str]:
@@ -145,6 +145,14 @@ def list_unreachable_notes(value: Snapshot) -> list[str]:
         + format_silence(contact.get(name), value.taken_at)
         for name, host in value.hosts.items()
         if not host.ok
+    ]
+
+
+def list_doubled_notes(value: Snapshot) -> list[str]:
+    """One line for each task that runs twice."""
+    return [
+        f"DOUBLED: {task} runs on {join_words(hosts)}; edgectl apply keeps the newest instance"
+        for task, hosts in find_doubled_tasks(value).items()
     ]
 
 

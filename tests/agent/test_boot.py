@@ -3,6 +3,7 @@
 import ast
 import hashlib
 import os
+import shutil
 import stat
 import subprocess
 import sys
@@ -19,16 +20,33 @@ import edgectl
 from edgectl.agent.link import boot
 from edgectl.transport import agent_client as protocol
 from edgectl.transport.base import Reply
-from tests.agent.conftest import AgentHost, shared_memory
+from tests.agent.conftest import AgentHost
 
 AGENT = Path(edgectl.__file__).parent / "agent"
 
 
+# The boot program's expression for the directory in shared memory.
+SHARED = b'"/dev/shm/edgectl-%d" % os.geteuid()'
+
+
 @pytest.fixture(autouse=True)
-def no_agent_elsewhere() -> Iterator[None]:
-    """Exclusive shared memory: an agent cached there by another test would be used, and none would be sent."""
-    with shared_memory():
-        yield
+def memory(host: AgentHost) -> Iterator[Path]:
+    """Shared memory of this test's own. In the common one a real edgectl of this user, or another test, may have
+    left the agent: it would be used, and none would be sent.
+    """
+    own = Path(f"/dev/shm/edgectl-test-{os.getpid()}")
+    expression = f'"{own}"'.encode().ljust(len(SHARED))
+    run = host.session.run
+
+    def run_there(command: str, stdin: bytes, *, timeout: float, limit: int = 1 << 20) -> Reply:
+        # the first one: the agent behind the boot program keeps its hash
+        return run(command, stdin.replace(SHARED, expression, 1), timeout=timeout, limit=limit)
+
+    assert SHARED in protocol._read_boot_program()
+    assert len(expression) == len(SHARED)
+    host.session.run = run_there  # type: ignore[method-assign]
+    yield own
+    shutil.rmtree(own, ignore_errors=True)
 
 
 class Counting:
@@ -78,12 +96,12 @@ def test_agent_behind_a_link_is_never_run(host: AgentHost, tmp_path: Path) -> No
     assert not kept(host).is_symlink()
 
 
-def test_directory_that_others_may_write_is_not_used(host: AgentHost) -> None:
+def test_directory_that_others_may_write_is_not_used(host: AgentHost, memory: Path) -> None:
     host.state.mkdir(mode=0o700)
     host.state.chmod(0o777)
     host.ask("status", task=None)
     assert not (host.state / "agent").exists()
-    fallback = Path(f"/dev/shm/edgectl-{os.geteuid()}/agent/{protocol.compute_agent_hash()}.pyz")
+    fallback = memory / "agent" / f"{protocol.compute_agent_hash()}.pyz"
     assert fallback.exists()
     assert stat.S_IMODE(fallback.stat().st_mode) == 0o600
 

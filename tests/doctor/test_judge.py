@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 
 from edgectl.doctor.diagnosis import diagnose_fleet
+from edgectl.doctor.ssh_command import format_ssh_command
 from edgectl.model.diagnosis import (
     NOT_A_DIRECTORY,
     Diagnosis,
@@ -301,3 +302,15 @@ def test_a_fleet_without_a_name_is_told_with_the_line_to_add() -> None:
     inventory = replace(an_inventory(EDGE, ROBOT), fleet="lab-1a2b3c4d", is_fleet_named=False)
     (found,) = [each for each in diagnose_fleet(inventory, MANAGER, {}).findings if each.check == "fleet"]
     assert (found.level, found.remedy) == (WARNING, "add to the inventory: fleet: lab-1a2b3c4d")
+
+
+def test_lines_to_paste_have_port_key_and_jump() -> None:
+    host = an_edge(port=22911, user="ana", identity_file="/keys/my key", proxy_jump="gate")
+    words = "-p 22911 -i '/keys/my key' -J gate ana@edge1.lab"
+    assert format_ssh_command(host, "-vvv") == f"ssh -vvv {words}"
+    facts = replace(FACTS, skew_s=(-3601.0, -3600.0), login_s=9.0)
+    mends = [finding.remedy for finding in diagnose_answer(facts, host).findings]
+    assert any(f"ssh {words} sudo date" in mend for mend in mends)
+    assert any(f"ssh -vvv {words} true" in mend for mend in mends)
+    refused = diagnose_answer(UnreachableHost(kind="connect", error="connection refused"), host)
+    assert "sshd runs there on port 22911" in find_only(refused, "reachability").remedy

@@ -11,7 +11,7 @@ from edgectl.model.plan import Plan
 from edgectl.model.policy import Policy
 from edgectl.model.task import Tasks
 from edgectl.scheduler.assign import assign
-from edgectl.views.plan_sections import render_plan_notes
+from edgectl.views.plan_sections import list_plan_notes
 from tests.builders import NOW, a_run, a_sample, a_snapshot, a_task, an_edge, an_inventory, some_tasks
 
 INVENTORY = an_inventory(an_edge())
@@ -72,10 +72,8 @@ def test_what_runs_on_keeps_its_load() -> None:
 
 def test_the_plan_says_what_it_leaves_alone() -> None:
     plan = plan_beside("nav.yaml", given=SLAM)
-    assert (
-        render_plan_notes(plan) == "note: 1 task of another file (nav.yaml) runs on; --prune stops it: nav\n"
-    )
+    assert list_plan_notes(plan) == ["1 task of another file (nav.yaml) runs on; --prune stops it: nav"]
     three = replace(plan, tasks_left_alone={"a": "x.yaml", "b": "x.yaml", "c": ""})
-    assert render_plan_notes(three) == (
-        "note: 3 tasks of other files (x.yaml) run on; --prune stops them: a, b and c\n"
-    )
+    assert list_plan_notes(three) == [
+        "3 tasks of other files (x.yaml) run on; --prune stops them: a, b and c"
+    ]

@@ -6,7 +6,7 @@ import pytest
 
 from edgectl.errors import AuthError, ConnectError
 from edgectl.model.inventory import Connection
-from edgectl.transport.openssh import OpenSshTransport
+from edgectl.transport.openssh import FIXED_OPTIONS, OpenSshTransport
 from tests.sshd import Lab
 
 
@@ -34,6 +34,23 @@ def test_settings_of_the_user_that_would_spoil_a_session(lab: Lab, tmp_path: Pat
     assert list(tmp_path.iterdir()) == []
     with pytest.raises(ConnectError, match="connection refused"):
         transport.connect(lab.host("edge1", port=1), timeout=10).run("true", b"", timeout=20)
+
+
+def test_nothing_of_the_manager_goes_along(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+    """ssh_config asks for X11, delegated credentials and variables; the host gets none of them."""
+    lab.write_files(
+        "ForwardX11 yes",
+        "GSSAPIDelegateCredentials yes",
+        "SendEnv EDGECTL_CANARY_A EDGECTL_CANARY_*",
+        "SendEnv HOME",
+    )
+    monkeypatch.setenv("EDGECTL_CANARY_A", "secret")
+    monkeypatch.setenv("EDGECTL_CANARY_B", "secret")
+    session = OpenSshTransport().connect(lab.host("edge1", connection=Connection.OPENSSH), timeout=10)
+    said = session.run('env | grep -c EDGECTL_CANARY; echo "$DISPLAY"', b"", timeout=30)
+    assert said.stdout == b"0\n\n"
+    assert b"".join(session.stream("env", b"", idle_timeout=30)).count(b"CANARY") == 0
+    assert {FIXED_OPTIONS["ForwardX11"], FIXED_OPTIONS["GSSAPIDelegateCredentials"]} == {"no"}
 
 
 def test_address(lab: Lab) -> None:

@@ -23,14 +23,14 @@ from edgectl.views.describe_task import TaskDetailsView
 from edgectl.views.listing import ListingKind, ListingView, build_listing
 from edgectl.views.output import ItemView, ListView, View, render_view
 from edgectl.views.output_format import OutputFormat
-from edgectl.views.plan import PlanView
+from edgectl.views.plan import PlanView, escape_markdown
 from edgectl.views.results import DrainView, ResultsView
 from edgectl.views.snapshot import SnapshotView
 from edgectl.views.status import StatusView
 from edgectl.views.text import RenderOptions
 from edgectl.views.top import TopHostsView, TopTasksView
 from edgectl.views.validation import ValidationView, VersionView
-from tests.views.fixtures import fleet, plan
+from tests.views.fixtures import fleet, plan, show
 
 FAILED = ActionResult(
     task="detection-robot1", action=Action.MOVE, outcome=Outcome.FAILED, host="edge2", previous_host="edge1", downtime_s=2.25,
@@ -141,6 +141,23 @@ def test_markdown_carries_a_hidden_marker_and_one_row_per_task() -> None:
     assert len([line for line in text.splitlines() if line.startswith("| `")]) == 10
 
 
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("@org/team", "@&#8203;org/team"),
+        ("a@b.example", "a@&#8203;b.example"),
+        ("http://evil.example/x", "http:&#8203;//evil.example/x"),
+        ("HTTPS://e.example", "HTTPS:&#8203;//e.example"),
+        ("www.evil.example", "www&#8203;.evil.example"),
+        ("mailto:a", "mailto:&#8203;a"),
+        ("&commat;team &#64;team", "\\&commat;team \\&\\#64;team"),
+        ("12:30 slam-robot1", "12:30 slam-robot1"),
+    ],
+)
+def test_markdown_has_no_live_mention_and_no_link(text: str, shown: str) -> None:
+    assert escape_markdown(text) == shown
+
+
 def test_a_host_cannot_steer_the_terminal() -> None:
     snapshot = fleet()[2]
     nasty = HostSample(role=Role.EDGE, status=HostStatus.UNREACHABLE, error="gone\x1b[2J\u202e\r\n<b>|x|`")
@@ -166,8 +183,7 @@ def test_status_tells_silence_from_absence() -> None:
         manager=dataclasses.replace(memory, done=done),
     )
     rows = {
-        line.split()[0]: line.split()[1:]
-        for line in StatusView(changed, inventory, tasks).table().splitlines()
+        line.split()[0]: line.split()[1:] for line in show(StatusView(changed, inventory, tasks)).splitlines()
     }
     assert rows["map-merge"][:2] == ["edge3", "unknown"]
     assert rows["detection-robot2"][:3] == ["-", "not", "running"]
@@ -253,9 +269,9 @@ def test_no_table_passes_the_edge_of_the_terminal(width: int) -> None:
     assert {
         what: line for what, text in shown.items() for line in text.splitlines() if len(line) > width
     } == {}
-    first, *_ = lines = shown["status"].splitlines()
-    assert first.startswith("1 of 10 tasks failed: detection-robot1 on edge1")
-    assert ["TASK", "HOST", "STATE"] in [line.split()[:3] for line in lines]
+    first, head = shown["status"].splitlines()[:2]
+    assert first == "1 of 10 tasks failed: detection-robot1 on edge1"
+    assert head.split()[:3] == ["TASK", "HOST", "STATE"]
 
 
 def test_a_status_on_a_narrow_terminal_has_the_demands_below() -> None:

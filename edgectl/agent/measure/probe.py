@@ -62,7 +62,7 @@ def _claim_lease(request: Document) -> Document:
         return {}
     from ..supervise.lease import claim_lease
 
-    return {"lease": claim_lease(request["host"], request["lease"])}
+    return {"lease": claim_lease(request["lease"])}
 
 
 def _read_profiler(request: Document) -> "tuple[Document, _RunningChecks] | None":
