@@ -14,6 +14,7 @@ from edgectl.cli.user_files import load_inputs
 from edgectl.errors import ExitCode, UsageError
 from edgectl.model.cycle import Cycle
 from edgectl.model.policy import Policy
+from edgectl.units import format_duration
 from edgectl.usecases.control import Control
 from edgectl.usecases.fleet import Fleet
 from edgectl.views.output_format import OutputFormat
@@ -47,8 +48,8 @@ def watch_command(
 ) -> None:
     """Re-plan periodically; with --apply, also apply.
 
-    On a terminal: a live view; q quits, p plans now, a pauses. Else: one line per event. SIGTERM ends it with
-    exit code 0.
+    On a terminal: a live view; q quits, p plans now, a pauses. Else: a line at the start, at each event and
+    at each change of health. SIGTERM ends it with exit code 0.
 
     Examples:
         edgectl watch --cycles 3 --every 2s
@@ -95,7 +96,7 @@ def watch_command(
     last: Cycle | None = None
     with (
         stop_control_on_signal(control) as signals,
-        _open_cycle_printer(output, loaded.path.stem, how(fleet), control, apply=apply) as show,
+        _open_cycle_printer(output, loaded.path.stem, how(fleet), control, every=pause, apply=apply) as show,
     ):
         for last in _yield_and_close(watch_fleet(fleet, given)):
             show(last)
@@ -111,7 +112,7 @@ def _yield_and_close(cycles: Iterator[Cycle]) -> Iterator[Cycle]:
 
 @contextlib.contextmanager
 def _open_cycle_printer(
-    output: OutputFormat, name: str, policy: Policy, control: Control, *, apply: bool
+    output: OutputFormat, name: str, policy: Policy, control: Control, *, every: float, apply: bool
 ) -> Iterator[CyclePrinter]:
     """A function that shows each cycle: draws it, prints its line, or prints its object."""
     from edgectl.cli.terminal import is_foreground, listen_for_keys
@@ -121,6 +122,10 @@ def _open_cycle_printer(
         yield lambda cycle: console.print_view(watch_cycle.CycleView(cycle), output)
         return
     if not (sys.stdout.isatty() and is_foreground() and os.environ.get("TERM") != "dumb"):
+        console.print_message(
+            f"watching {name} every {format_duration(every)}; "
+            + ("plans are applied" if apply else "plans are not applied")
+        )
         yield _build_line_printer(watch_cycle.render_cycle_line)
         return
     from edgectl.views.watch_screen import WatchScreen, WatchTitle, show_watch_screen

@@ -148,10 +148,13 @@ def _name_stop(name: str) -> str:
 
 
 def _list_first_hosts(step: Step) -> tuple[str, ...]:
-    """The hosts of the first part of the step: where it stops something, or adopts the task."""
+    """The hosts of the first part of the step: where it stops something, would but is not answered, or adopts
+    the task.
+    """
     if step.action is Action.ADOPT:
         return (step.decision.host or "", *list_stop_hosts(step))
-    return list_stop_hosts(step)
+    unseen = (step.decision.previous_host or "",) if step.action in STOPPING_ACTIONS else ()
+    return list_stop_hosts(step) or unseen
 
 
 def _merge_results(results: Mapping[str, ActionResult]) -> dict[str, ActionResult]:

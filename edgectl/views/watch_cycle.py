@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from edgectl.formats.document import Document, without_none
+from edgectl.model.assignment import Reason
 from edgectl.model.cycle import Cycle
 from edgectl.model.event import Event, EventKind
 from edgectl.model.plan import Action
@@ -57,9 +58,25 @@ def _format_cycle_action(action: ActionResult) -> str:
 
 
 def render_cycle_line(before: Cycle | None, cycle: Cycle) -> str:
-    """The line of a cycle with news, else empty."""
+    """The line of a cycle with news or another health than the one before, else empty."""
     told = list_cycle_news(before, cycle)
+    health, known = _describe_health(cycle), _describe_health(before) if before is not None else ""
+    if health is not None and known is not None and health != known:
+        told.append(f"health: {health or 'ok'}")
     return f"{format_instant(float(int(cycle.at)))} {'; '.join(told)}\n" if told else ""
+
+
+def _describe_health(cycle: Cycle) -> str | None:
+    """What is wrong with hosts and wanted tasks; empty: nothing, None: the cycle did not measure."""
+    if cycle.snapshot is None:
+        return None
+    given_up = [
+        step.task
+        for step in (cycle.plan.steps if cycle.plan is not None else ())
+        if step.decision.reason is Reason.GIVEN_UP
+    ]
+    parts = [f"{name} does not answer" for name in cycle.snapshot.silent_hosts]
+    return ", ".join([*parts, *(f"{task} is given up" for task in given_up)])
 
 
 class CycleView(ItemView):

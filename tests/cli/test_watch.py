@@ -110,16 +110,17 @@ def test_sigterm_lets_the_running_action_finish(one: Path) -> None:
             time.sleep(0.05)
         process.send_signal(signal.SIGTERM)
         out, err = process.communicate(timeout=LIMIT_S)
-    assert (process.returncode, err) == (0, "")
+    assert (process.returncode, err) == (0, "watching one every 1h00m; plans are applied\n")
     assert "task-started idle on edge1" in out
     assert [entry["event"] for entry in read_entries(one / "state")][-2:] == ["end", "placed"]
 
 
 def test_off_a_terminal_a_line_where_something_happened_and_nothing_else(one: Path, run: Run) -> None:
     said = run("watch", "--apply", "--every", "1s", "--cycles", "3")
-    assert (said.code, said.err) == (0, "")
+    assert (said.code, said.err) == (0, "watching one every 1.0s; plans are applied\n")
     assert [line.split()[1] for line in said.out.splitlines()] == ["task-started"], said.out
-    assert run("watch", "--every", "1s", "--cycles", "2") == (0, "", "")
+    again = run("watch", "--every", "1s", "--cycles", "2")
+    assert again == (0, "", "watching one every 1.0s; plans are not applied\n")
     assert run("stop", "--all", "--yes").code == 0
     planned = run("watch", "--every", "1s", "--cycles", "2")
     assert planned.code == 0
