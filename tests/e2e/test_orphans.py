@@ -73,7 +73,7 @@ def test_apply_adopts_an_orphan_and_its_restart_policy_works_again(lab: Lab, ben
 def test_an_orphan_on_a_silent_host_is_held_although_it_should_fence_itself(lab: Lab, bench: Bench) -> None:
     mark = a_mark()
     fenced = a_sleeper(
-        "slam", mark, on_unreachable=UnreachablePolicy.REPLACE, replace_after=1.0, self_fence=1.0
+        "slam", mark, on_unreachable=UnreachablePolicy.REPLACE, replace_after=1.0, self_fence=60.0
     )
     bench = bench.using(fenced)
     bench.apply()

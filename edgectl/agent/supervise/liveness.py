@@ -174,14 +174,18 @@ def _build_living_fields(found: InstanceRecord) -> Document:
     if status.get("state") in protocol.FINAL_STATES:
         seen.update(state=protocol.RUNNING, detail="processes of the ended task remain")
     if not above:
-        from .takeover import is_adoptable
-
         seen.update(
             orphaned=True,
             adoptable=is_adoptable(found),
             detail="orphaned: the supervisor is gone, its processes still run",
         )
     return seen
+
+
+def is_adoptable(record: InstanceRecord) -> bool:
+    """Whether a new supervisor can take the task over: not in a scope, whose limits it would leave."""
+    pids = find_orphans(record, proc.read_process_table())
+    return not any(b"/edgectl-" in proc.read_file("/proc/%d/cgroup" % pid) for pid in pids)
 
 
 def _is_marked_ready(found: InstanceRecord) -> bool:

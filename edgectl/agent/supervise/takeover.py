@@ -10,9 +10,7 @@ import os
 from ..link import heartbeat, protocol
 from ..link.errors import RefusalError
 from ..link.fast_json import Document
-from ..measure import proc
 from . import liveness, lockfile, logind, state_dir, status
-from .liveness import InstanceRecord
 
 _LOCK_NAME = "takeover"
 _HINT = "edgectl probe, then plan again"
@@ -37,7 +35,7 @@ def take_over_task(request: Document) -> Document:
     if guard < 0 or liveness.find_supervisor(liveness.read_instance(record.folder)):
         _close(guard)
         return {"state": protocol.ALREADY_RUNNING, "instance": request["instance"]}
-    if not is_adoptable(record):
+    if not liveness.is_adoptable(record):
         _close(guard)
         raise RefusalError(
             "not-adoptable",
@@ -54,12 +52,6 @@ def take_over_task(request: Document) -> Document:
     if "error" in report:
         raise RefusalError("start-failed", report["error"], "edgectl restart " + task)
     return {"state": protocol.TAKEN_OVER, "instance": request["instance"]}
-
-
-def is_adoptable(record: InstanceRecord) -> bool:
-    """Whether a new supervisor can take the task over: not in a scope, whose limits it would leave."""
-    pids = liveness.find_orphans(record, proc.read_process_table())
-    return not any(b"/edgectl-" in proc.read_file("/proc/%d/cgroup" % pid) for pid in pids)
 
 
 def _close(fd: int) -> None:
