@@ -19,6 +19,8 @@ from edgectl.model.snapshot import (
 from edgectl.model.task import Demand, HostRules, Need, NeedCondition, Quantity, Task, Tasks
 from edgectl.names import natural_key
 
+# The task file of every task.
+TASK_FILE = "tasks.yaml"
 NOW = 1_763_690_000.0
 GI = float(2**30)
 
@@ -42,7 +44,10 @@ def an_inventory(*hosts: Host, links: Mapping[tuple[str, str], float] | None = N
     """The fleet, in natural order of names."""
     ordered = sorted(hosts, key=lambda host: natural_key(host.name))
     return Inventory(
-        hosts={host.name: host for host in ordered}, links=links or {}, digest="inventory-digest"
+        hosts={host.name: host for host in ordered},
+        links=links or {},
+        digest="inventory-digest",
+        is_fleet_named=True,
     )
 
 
@@ -75,6 +80,7 @@ def a_task(
         template=name,
         command=f"run {name}",
         spec_hash=f"hash-{name}",
+        file=TASK_FILE,
         demand=Demand(cpu=a_quantity(cpu), memory=a_quantity(memory), network=a_quantity(throughput)),
         robots=tuple(robots),
         needs=tuple(
@@ -89,7 +95,10 @@ def some_tasks(*tasks: Task, policy: Policy | None = None) -> Tasks:
     """A task file after expansion."""
     ordered = sorted(tasks, key=lambda task: natural_key(task.name))
     return Tasks(
-        tasks={task.name: task for task in ordered}, policy=policy or Policy(), digest="tasks-digest"
+        tasks={task.name: task for task in ordered},
+        policy=policy or Policy(),
+        digest="tasks-digest",
+        files=frozenset({TASK_FILE}),
     )
 
 
@@ -103,7 +112,8 @@ def a_run(state: TaskState = TaskState.READY, **fields: Any) -> TaskSample:
     gives it.
     """
     return replace(
-        TaskSample(state=state, pid=4242, started_at=NOW - 3600.0, instance="instance-1"), **fields
+        TaskSample(state=state, pid=4242, started_at=NOW - 3600.0, instance="instance-1", file=TASK_FILE),
+        **fields,
     )
 
 

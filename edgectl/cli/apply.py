@@ -24,10 +24,11 @@ def apply_command(
     dry_run: Annotated[bool, Option("--dry-run", help="Only print the exact remote commands.")] = False,
     max_parallel: options.MaxParallelOption = 16,
     fail_fast: options.FailFastOption = False,
-    lock_timeout: options.LockTimeoutOption = "0s",
+    lock_timeout: options.LockTimeoutOption = None,
     weights: options.WeightsOption = None,
     policy: options.PolicyOption = None,
     best_effort: options.BestEffortOption = False,
+    prune: options.PruneOption = False,
     full: options.FullOption = False,
     without: options.WithoutOption = None,
     target: options.TargetOption = None,
@@ -45,7 +46,7 @@ def apply_command(
         edgectl apply next.plan
     """
     from edgectl.cli import apply_session, policy_options
-    from edgectl.cli.connect import build_fleet, parse_duration_option
+    from edgectl.cli.connect import build_fleet, parse_lock_timeout
     from edgectl.usecases.apply import apply_saved_plan, plan_and_apply
     from edgectl.usecases.given_up import take_given_up_reminders
 
@@ -59,16 +60,17 @@ def apply_command(
         without=without,
         best_effort=best_effort,
         full=full,
+        prune=prune,
         attended=policy_options.is_interactive(),
     )
     saved = policy_options.load_saved_plan(
-        plan, weights, policy, without, target, selector, best_effort or full
+        plan, weights, policy, without, target, selector, best_effort or full or prune
     )
     if dry_run:
         raise Exit(apply_session.print_dry_run(fleet, how, saved, choose, output))
     with apply_session.open_apply_session(quiet=quiet, output=output, asked=asked) as act:
         chosen = act.options(
-            lock_timeout=parse_duration_option(lock_timeout, "--lock-timeout"),
+            lock_timeout=parse_lock_timeout(lock_timeout),
             max_parallel=max_parallel,
             fail_fast=fail_fast,
             choose=choose,

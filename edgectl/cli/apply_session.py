@@ -49,7 +49,7 @@ class ApplySession:
     def options(
         self,
         *,
-        lock_timeout: float,
+        lock_timeout: float | None,
         max_parallel: int = 16,
         fail_fast: bool = False,
         choose: Callable[[Plan], Plan] = keep_whole_plan,
@@ -108,6 +108,7 @@ def _explain_exit_code(plan: Plan, code: ExitCode) -> None:
     if code is ExitCode.PARTLY:
         console.print_stderr(
             plan_sections.render_unreachable_hosts(plan.snapshot, plan.snapshot.silent_hosts)
+            + plan_sections.render_lost_tasks(plan.snapshot)
         )
     elif code is ExitCode.UNPLACED:
         console.print_stderr(plan_sections.render_unplaced_tasks(plan))

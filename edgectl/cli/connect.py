@@ -68,6 +68,15 @@ def print_warning(message: str) -> None:
     console.print_message(f"warning: {message}")
 
 
+def parse_lock_timeout(text: str | None) -> float | None:
+    """Parse ``--lock-timeout``; None: one cycle of a watch.
+
+    Raises:
+        UsageError: it is not a duration.
+    """
+    return None if text is None else parse_duration_option(text, "--lock-timeout")
+
+
 def parse_duration_option(text: str, option: str) -> float:
     """Parse a duration given to an option.
 

@@ -15,11 +15,26 @@ if TYPE_CHECKING:
 
 
 def print_view(view: "View", form: "OutputFormat") -> None:
-    """Print ``view`` on stdout in ``form``."""
+    """Print ``view`` on stdout in ``form``, and the notes of a table on stderr."""
     from edgectl.views.output import render_view
     from edgectl.views.text import detect_render_options
 
     print_text(render_view(view, form, detect_render_options(sys.stdout)))
+    _print_notes(view, form)
+
+
+def _print_notes(view: "View", form: "OutputFormat") -> None:
+    from edgectl.views.output_format import OutputFormat
+
+    if form in (OutputFormat.TABLE, OutputFormat.WIDE):
+        print_notes(view.notes())
+
+
+def print_notes(lines: Iterable[str]) -> None:
+    """Print notes on stderr."""
+    from edgectl.views.plan_sections import render_notes
+
+    print_stderr(render_notes(lines, get_stderr_render_options()))
 
 
 def print_view_series(views: "Iterable[View]", form: "OutputFormat") -> None:
@@ -32,6 +47,7 @@ def print_view_series(views: "Iterable[View]", form: "OutputFormat") -> None:
     for view in views:
         if not _try_print(render_view(view, shown, detect_render_options(sys.stdout))):
             return
+        _print_notes(view, shown)
 
 
 def print_text(text: str) -> None:

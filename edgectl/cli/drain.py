@@ -20,7 +20,7 @@ def drain_command(
     timeout: Annotated[str, Option("--timeout", metavar="TIME", help="How long to retry.")] = "5m",
     max_parallel: options.MaxParallelOption = 16,
     fail_fast: options.FailFastOption = False,
-    lock_timeout: options.LockTimeoutOption = "0s",
+    lock_timeout: options.LockTimeoutOption = None,
 ) -> None:
     """Cordon hosts and move their tasks away now, through their handoff contracts; exit 4 if tasks are left.
 
@@ -28,7 +28,7 @@ def drain_command(
         edgectl drain edge1
         edgectl drain edge1 --yes --timeout 10m
     """
-    from edgectl.cli.connect import build_fleet, parse_duration_option
+    from edgectl.cli.connect import build_fleet, parse_duration_option, parse_lock_timeout
     from edgectl.usecases.drain import drain_hosts
     from edgectl.views.results import DrainView
 
@@ -37,7 +37,7 @@ def drain_command(
     fleet = build_fleet(loaded)
     with apply_session.open_apply_session(quiet=False, output=output, asked=asked) as act:
         chosen = act.options(
-            lock_timeout=parse_duration_option(lock_timeout, "--lock-timeout"),
+            lock_timeout=parse_lock_timeout(lock_timeout),
             max_parallel=max_parallel,
             fail_fast=fail_fast,
         )

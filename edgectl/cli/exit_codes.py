@@ -8,9 +8,10 @@ from edgectl.model.assignment import Reason
 from edgectl.model.cycle import Cycle
 from edgectl.model.diagnosis import Diagnosis, Severity
 from edgectl.model.inventory import Inventory
+from edgectl.model.lost_places import list_lost_tasks
 from edgectl.model.plan import Action, Plan
 from edgectl.model.profiler import Profiler, ProfilerState
-from edgectl.model.snapshot import Snapshot
+from edgectl.model.snapshot import Snapshot, find_doubled_tasks
 from edgectl.model.task import Tasks
 
 if TYPE_CHECKING:
@@ -20,9 +21,17 @@ _MILDER_CODES = (ExitCode.DONE, ExitCode.CHANGES, ExitCode.UNPLACED)
 
 
 def of_snapshot(snapshot: Snapshot, inventory: Inventory, *, allow_unreachable: bool = False) -> ExitCode:
-    """4 if a host that should answer did not."""
+    """4 if a host that should answer did not, a task runs twice, or one is where the inventory no longer
+    reaches it.
+    """
     silent = any(name in inventory.hosts for name in snapshot.silent_hosts)
-    return ExitCode.PARTLY if silent and not allow_unreachable else ExitCode.DONE
+    wrong = _has_misplaced_tasks(snapshot) or (silent and not allow_unreachable)
+    return ExitCode.PARTLY if wrong else ExitCode.DONE
+
+
+def _has_misplaced_tasks(snapshot: Snapshot) -> bool:
+    """Whether a task runs twice, or where the inventory no longer reaches it."""
+    return bool(find_doubled_tasks(snapshot) or list_lost_tasks(snapshot))
 
 
 def of_profilers(profilers: Iterable[Profiler]) -> ExitCode:
@@ -36,6 +45,8 @@ def of_profilers(profilers: Iterable[Profiler]) -> ExitCode:
 
 def of_plan(plan: Plan, *, detailed: bool, allow_unreachable: bool) -> ExitCode:
     """4 beats 3 beats 2; 2 and 3 only with --detailed-exitcode."""
+    if list_lost_tasks(plan.snapshot):
+        return ExitCode.PARTLY
     if not allow_unreachable and plan.snapshot.silent_hosts:
         return ExitCode.PARTLY
     if detailed and Action.UNPLACED in plan.summary:
@@ -46,12 +57,14 @@ def of_plan(plan: Plan, *, detailed: bool, allow_unreachable: bool) -> ExitCode:
 def of_applied(
     applied: "ApplyResult", *, detailed: bool = False, allow_unreachable: bool = False
 ) -> ExitCode:
-    """1 if declined, 130 if interrupted, 4 if an action failed or was deferred; unreachable hosts and
-    unplaced tasks as in a plan.
+    """1 if declined, 130 if interrupted, 4 if an action failed or was deferred or a task runs twice;
+    unreachable hosts and unplaced tasks as in a plan.
     """
     results = applied.results
     if applied.declined:
         return ExitCode.FAILED
+    if applied.doubled and (results is None or not results.interrupted):
+        return ExitCode.PARTLY
     if results is not None and not results.done:
         return ExitCode.INTERRUPTED if results.interrupted else ExitCode.PARTLY
     code = of_plan(applied.plan, detailed=detailed, allow_unreachable=allow_unreachable)
@@ -85,19 +98,17 @@ def of_status(
 
 
 def of_cycle(cycle: Cycle) -> ExitCode:
-    """1 if the cycle failed, 75 if the lock was busy, 4 if an action failed, a host did not answer, or a
-    wanted task is given up.
+    """1 if the cycle failed, 75 if the lock was busy, 4 if an action failed, a host did not answer, a task
+    runs twice, or a wanted task is given up.
     """
     if cycle.error:
         return ExitCode.FAILED
     if cycle.busy:
         return ExitCode.TRY_AGAIN
     failed = cycle.results is not None and not cycle.results.done
-    code = (
-        ExitCode.PARTLY
-        if failed or (cycle.snapshot is not None and cycle.snapshot.silent_hosts)
-        else ExitCode.DONE
-    )
+    seen = cycle.snapshot
+    wrong = failed or (seen is not None and bool(seen.silent_hosts or _has_misplaced_tasks(seen)))
+    code = ExitCode.PARTLY if wrong else ExitCode.DONE
     return code if cycle.plan is None else worsen_if_given_up(code, cycle.plan)
 
 

@@ -86,7 +86,7 @@ def rollback_command(
     dry_run: Annotated[bool, Option("--dry-run", help="Only print the exact remote commands.")] = False,
     max_parallel: options.MaxParallelOption = 16,
     fail_fast: options.FailFastOption = False,
-    lock_timeout: options.LockTimeoutOption = "0s",
+    lock_timeout: options.LockTimeoutOption = None,
     allow_unreachable: options.AllowUnreachableOption = False,
 ) -> None:
     """Restore the placement of an earlier revision: plan, ask, apply. Commands and demands are those of the
@@ -98,7 +98,7 @@ def rollback_command(
         edgectl rollback 1 --dry-run
     """
     from edgectl.cli import apply_session
-    from edgectl.cli.connect import build_fleet, parse_duration_option
+    from edgectl.cli.connect import build_fleet, parse_lock_timeout
     from edgectl.usecases.history import plan_rollback, roll_back_fleet
     from edgectl.usecases.plan import keep_whole_plan
     from edgectl.usecases.plan_execution import ApplyOptions
@@ -114,7 +114,7 @@ def rollback_command(
         )
     with apply_session.open_apply_session(quiet=quiet, output=output, asked=asked) as act:
         chosen = act.options(
-            lock_timeout=parse_duration_option(lock_timeout, "--lock-timeout"),
+            lock_timeout=parse_lock_timeout(lock_timeout),
             max_parallel=max_parallel,
             fail_fast=fail_fast,
         )

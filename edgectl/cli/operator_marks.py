@@ -106,15 +106,15 @@ def fence_command(
     from edgectl.cli.connect import build_fleet
     from edgectl.usecases import operator_marks
 
-    loaded = load_inputs(inventory, tasks)
-    check_known_names([host], loaded.inventory.hosts, "host")
+    fleet = build_fleet(load_inputs(inventory, tasks))
+    check_known_names([host], operator_marks.list_fenceable_hosts(fleet), "host")
     apply_session.check_can_confirm(asked=not yes)
     if not yes and not apply_session.ask_confirmation(
         f"If {host} is still on, its tasks will run twice. Type its name if it is powered off: ", host
     ):
         raise Exit(ExitCode.FAILED)
-    operator_marks.fence_hosts(build_fleet(loaded), [host])
-    _report_hosts([host], loaded.inventory, "fenced")
+    operator_marks.fence_hosts(fleet, [host])
+    _report_hosts([host], fleet.inventory, "fenced")
 
 
 def unfence_command(
@@ -167,7 +167,8 @@ def reopen_command(
 
 def _report_hosts(names: Iterable[str], inventory: Inventory, act: str) -> None:
     for name in dict.fromkeys(names):
-        console.print_text(f"{inventory.hosts[name].role}/{name} {act}\n")
+        role = inventory.hosts[name].role if name in inventory.hosts else "host"
+        console.print_text(f"{role}/{name} {act}\n")
 
 
 def _report_tasks(names: Iterable[str], act: str) -> None:

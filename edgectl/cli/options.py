@@ -87,6 +87,7 @@ PolicyOption = Annotated[
     PolicyName | None, Option("--policy", metavar="NAME", help="utility, paper, static or local.")
 ]
 BestEffortOption = Annotated[bool, Option("--best-effort", help="Place a task even where it does not fit.")]
+PruneOption = Annotated[bool, Option("--prune", help="Also stop the tasks of other task files.")]
 FullOption = Annotated[bool, Option("--full", help="Rank every host, however many there are.")]
 WithoutOption = Annotated[
     list[str] | None,
@@ -122,7 +123,13 @@ SavePlanOption = Annotated[
 YesOption = Annotated[bool, Option("--yes", "-y", help="Do not ask.")]
 QuietOption = Annotated[bool, Option("--quiet", "-q", help="Print nothing if there is nothing to do.")]
 LockTimeoutOption = Annotated[
-    str, Option("--lock-timeout", metavar="TIME", help="How long to wait for another edgectl.")
+    str | None,
+    Option(
+        "--lock-timeout",
+        metavar="TIME",
+        help="How long to wait for another edgectl.",
+        show_default="one cycle of a watch, else 0s",
+    ),
 ]
 MaxParallelOption = Annotated[
     int, Option("--max-parallel", metavar="N", min=1, help="At most N actions at once.")

@@ -17,6 +17,7 @@ def plan_command(
     weights: options.WeightsOption = None,
     policy: options.PolicyOption = None,
     best_effort: options.BestEffortOption = False,
+    prune: options.PruneOption = False,
     full: options.FullOption = False,
     without: options.WithoutOption = None,
     target: options.TargetOption = None,
@@ -44,7 +45,13 @@ def plan_command(
     choose = build_plan_filter(loaded.tasks, target, selector)
     fleet = build_offline_fleet(loaded) if snapshot else build_fleet(loaded, accept_new=accept_new)
     how = policy_from_options(
-        fleet, weights=weights, policy=policy, without=without, best_effort=best_effort, full=full
+        fleet,
+        weights=weights,
+        policy=policy,
+        without=without,
+        best_effort=best_effort,
+        full=full,
+        prune=prune,
     )
     result = choose(
         make_plan(

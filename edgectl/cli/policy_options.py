@@ -28,6 +28,7 @@ def policy_from_options(
     without: Sequence[str] | None,
     best_effort: bool,
     full: bool,
+    prune: bool = False,
     attended: bool = True,
 ) -> Policy:
     """The policy of the task files with the overrides of the command line.
@@ -44,6 +45,7 @@ def policy_from_options(
         without=frozenset(without or ()),
         best_effort=best_effort,
         full=full,
+        prune=prune,
         attended=attended,
     )
 

@@ -5,7 +5,13 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from edgectl.cli.connect import build_fleet
-from edgectl.cli.user_files import LoadedInputs, resolve_inventory_path, resolve_task_paths, select_exposed
+from edgectl.cli.user_files import (
+    LoadedInputs,
+    choose_task_paths,
+    resolve_inventory_path,
+    resolve_task_paths,
+    select_exposed,
+)
 from edgectl.errors import EdgectlError
 from edgectl.usecases.fleet import Fleet
 
@@ -45,7 +51,7 @@ def _load_inputs_quietly(inventory: Path | None, tasks: Sequence[Path] | None) -
     from edgectl.config.load import load_inventory_and_tasks
 
     path = resolve_inventory_path(inventory)
-    fleet, work, warnings = load_inventory_and_tasks(path, resolve_task_paths(tasks))
+    fleet, work, warnings = load_inventory_and_tasks(path, choose_task_paths(tasks))
     return LoadedInputs(inventory=fleet, tasks=work, path=path, exposed=select_exposed(warnings))
 
 

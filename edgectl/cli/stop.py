@@ -34,7 +34,7 @@ def stop_command(
     yes: options.YesOption = False,
     max_parallel: options.MaxParallelOption = 16,
     fail_fast: options.FailFastOption = False,
-    lock_timeout: options.LockTimeoutOption = "0s",
+    lock_timeout: options.LockTimeoutOption = None,
 ) -> None:
     """Stop tasks and verify that they are gone. The next apply starts them again, unless they are marked
     done.
@@ -44,7 +44,7 @@ def stop_command(
         edgectl stop --all --yes
     """
     from edgectl.cli import apply_session
-    from edgectl.cli.connect import build_fleet, parse_duration_option
+    from edgectl.cli.connect import build_fleet, parse_lock_timeout
     from edgectl.usecases.stop import stop_tasks
 
     if bool(names) == every:
@@ -53,7 +53,7 @@ def stop_command(
     fleet = build_fleet(load_inputs(inventory, tasks))
     with apply_session.open_apply_session(quiet=False, output=output, asked=not yes) as act:
         chosen = act.options(
-            lock_timeout=parse_duration_option(lock_timeout, "--lock-timeout"),
+            lock_timeout=parse_lock_timeout(lock_timeout),
             max_parallel=max_parallel,
             fail_fast=fail_fast,
         )
@@ -79,7 +79,7 @@ def restart_command(
     tasks: options.TasksOption = None,
     output: options.NamedOutput = OutputFormat.TABLE,
     yes: options.YesOption = False,
-    lock_timeout: options.LockTimeoutOption = "0s",
+    lock_timeout: options.LockTimeoutOption = None,
 ) -> None:
     """Stop a task and start it again on the same host; or start one that failed for good.
 
@@ -88,7 +88,7 @@ def restart_command(
         edgectl restart slam-robot1 --yes -o json
     """
     from edgectl.cli import apply_session
-    from edgectl.cli.connect import build_fleet, parse_duration_option
+    from edgectl.cli.connect import build_fleet, parse_lock_timeout
     from edgectl.usecases.stop import restart_task
 
     apply_session.check_can_confirm(asked=not yes)
@@ -98,7 +98,7 @@ def restart_command(
             fleet,
             task,
             act.confirm,
-            act.options(lock_timeout=parse_duration_option(lock_timeout, "--lock-timeout")),
+            act.options(lock_timeout=parse_lock_timeout(lock_timeout)),
         )
     act.report(applied)
     raise Exit(exit_codes.of_applied(applied, allow_unreachable=True))

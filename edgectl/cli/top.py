@@ -129,11 +129,13 @@ def _watch_top(fleet: "Fleet", what: str, output: OutputFormat, every: float) ->
 def _redraw_screen(views: "Iterator[View]", output: OutputFormat) -> None:
     from edgectl.cli.terminal import listen_for_keys, open_screen
     from edgectl.views.output import render_view
+    from edgectl.views.plan_sections import render_notes
     from edgectl.views.text import detect_render_options
 
     with listen_for_keys(_quit_on_q), open_screen() as show:
         for view in views:
-            show(render_view(view, output, detect_render_options(sys.stdout)))
+            look = detect_render_options(sys.stdout)
+            show(render_view(view, output, look) + render_notes(view.notes(), look))
 
 
 def _quit_on_q(key: str) -> None:

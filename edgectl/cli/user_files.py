@@ -58,7 +58,7 @@ def load_inputs(
 
     path = resolve_inventory_path(inventory)
     found = _list_yaml_files(Path(_TASKS_DIRECTORY))
-    paths = resolve_task_paths(tasks) if needs_tasks or tasks or len(found) == 1 else []
+    paths = choose_task_paths(tasks) if needs_tasks or tasks or len(found) == 1 else []
     fleet, work, warnings = read(path, paths)
     elsewhere = (
         () if every_warning else (ProblemCode.NO_DEMAND, ProblemCode.UNNAMED_FLEET, ProblemCode.EXPOSED)
@@ -87,6 +87,11 @@ def refuse_exposed_files(exposed: Sequence[Problem]) -> None:
 def resolve_inventory_path(given: Path | None) -> Path:
     """The given inventory, or the only one in inventories/."""
     return given if given is not None else _get_only_file("inventory", _INVENTORIES_DIRECTORY, "-i")
+
+
+def choose_task_paths(given: Sequence[Path] | None) -> list[Path]:
+    """The given task files and directories, each of which holds one; or the only file in tasks/."""
+    return list(given) if given and resolve_task_paths(given) else resolve_task_paths(None)
 
 
 def resolve_task_paths(given: Sequence[Path] | None) -> list[Path]:

@@ -22,6 +22,9 @@ _MIN_PERIOD_S = 1.0
 _ApplyOption = Annotated[bool, Option("--apply", help="Apply the plans, without asking.")]
 _EveryOption = Annotated[str, Option("--every", metavar="TIME", help="Time from one cycle to the next.")]
 _CyclesOption = Annotated[int | None, Option("--cycles", metavar="N", min=1, help="End after N cycles.")]
+_TakeOverOption = Annotated[
+    bool, Option("--take-over", help="With --apply: replace another watch of this fleet, which ends.")
+]
 CyclePrinter = Callable[[Cycle], None]
 
 
@@ -33,10 +36,12 @@ def watch_command(
     apply: _ApplyOption = False,
     every: _EveryOption = "10s",
     cycles: _CyclesOption = None,
+    take_over: _TakeOverOption = False,
     max_parallel: options.MaxParallelOption = 16,
     weights: options.WeightsOption = None,
     policy: options.PolicyOption = None,
     best_effort: options.BestEffortOption = False,
+    prune: options.PruneOption = False,
     without: options.WithoutOption = None,
     accept_new: options.AcceptNewOption = False,
 ) -> None:
@@ -69,6 +74,7 @@ def watch_command(
             without=without,
             best_effort=best_effort,
             full=False,
+            prune=prune,
             attended=False,
         )
 
@@ -78,6 +84,7 @@ def watch_command(
     given = WatchOptions(
         every=pause,
         apply=apply,
+        take_over=take_over,
         cycles=cycles,
         execution=ApplyOptions(max_parallel=max_parallel),
         debug=bool(os.environ.get("EDGECTL_DEBUG")),

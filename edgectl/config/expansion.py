@@ -126,6 +126,7 @@ def _build_task(draft: TaskDraft, needs: tuple[Need, ...], hosts: HostRules, fle
         robots=draft.robots,
         needs=needs,
         hosts=hosts,
+        file=draft.template.file,
         **values,
     )
     return replace(task, spec_hash=hash_spec(task), spec_fields=hash_spec_fields(task))

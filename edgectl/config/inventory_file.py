@@ -1,5 +1,6 @@
 """Inventory file: tables of its keys, and the hosts and links that it defines."""
 
+import os
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +19,7 @@ from edgectl.config.fleet_name import derive_fleet_name
 from edgectl.config.node import Node
 from edgectl.config.problems import ProblemCode, Problems
 from edgectl.config.scalars import (
+    INVALID,
     NAME_PATTERN,
     NodeReader,
     address_reader,
@@ -82,6 +84,34 @@ def _read_capacity(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     )
 
 
+_read_any_address = address_reader()
+
+
+@describe_as(
+    lambda: {
+        "type": "string",
+        "pattern": r"^(?!-)[A-Za-z0-9._:%\[\]-]+$",
+        "not": {"pattern": "^[^:]+:[0-9]+$"},
+    }
+)
+def _read_address(node: Node, problems: Problems) -> Any:  # noqa: ANN401
+    """An address or an alias; user and port have keys of their own."""
+    value = _read_any_address(node, problems)
+    if not isinstance(value, str):
+        return value
+    user, _, rest = value.rpartition("@")
+    host, _, port = rest.partition(":")
+    if not host or not port.isdecimal():  # an address of IPv6 has more colons
+        host, port = rest, ""
+    if "@" not in value and not port:
+        return value
+    stated = {"host": host, "user": user, "port": port}
+    message = "host contains " + " and ".join(f"a {key}" for key in ("user", "port") if stated[key])
+    hint = "write " + ", ".join(f"{key}: {text}" for key, text in stated.items() if text)
+    problems.add(node.mark, ProblemCode.TEXT, f"{message}: {value!r}", hint)
+    return INVALID
+
+
 DEFAULTS_KEYS: Mapping[str, NodeReader] = {
     "connection": enum_reader(Connection),
     "port": integer_reader(1, 65535),
@@ -97,7 +127,7 @@ DEFAULTS_KEYS: Mapping[str, NodeReader] = {
     "runtime": enum_reader(Runtime),
 }
 EDGE_KEYS: Mapping[str, NodeReader] = {
-    "host": address_reader(),
+    "host": _read_address,
     **DEFAULTS_KEYS,
     "capacity": _read_capacity,
     "base": record_reader(BASE_KEYS, BaseLoad, "base"),
@@ -141,11 +171,7 @@ def read_inventory(node: Node, problems: Problems) -> Inventory:
     Hosts that have mistakes are in it, so that tasks can refer to them.
     """
     top = read_fields(node, problems, INVENTORY_KEYS, required=("version",), what="an inventory")
-    defaults = (
-        read_fields(top.at("defaults"), problems, DEFAULTS_KEYS, what="defaults").values
-        if "defaults" in top
-        else {}
-    )
+    defaults = _read_defaults(top.at("defaults"), problems) if "defaults" in top else {}
     hosts: dict[str, Host] = {}
     for key, role in (("edges", Role.EDGE), ("robots", Role.ROBOT)):
         if key in top:
@@ -167,6 +193,12 @@ def read_inventory(node: Node, problems: Problems) -> Inventory:
         hosts={key: replace(_expand_identity_file(host), fleet=fleet) for key, host in ordered.items()},
         digest=digest_inventory(stated),
     )
+
+
+def _read_defaults(node: Node, problems: Problems) -> Mapping[str, Any]:
+    fields = read_fields(node, problems, DEFAULTS_KEYS, what="defaults")
+    _check_identity_file(fields, problems)
+    return fields.values
 
 
 def _expand_identity_file(host: Host) -> Host:
@@ -232,6 +264,7 @@ def _read_host_entry(
             "add host: 192.168.1.20 (an address or an ssh_config alias)",
         )
     _check_host_contradictions(fields, problems)
+    _check_identity_file(fields, problems)
     return Host(name=key, role=role, **({"host": "127.0.0.1" if local else ""} | values))
 
 
@@ -258,6 +291,19 @@ def _check_host_contradictions(fields: Fields, problems: Problems) -> None:
             ProblemCode.CONTRADICTION,
             message,
             "remove onboard: true or probe: false",
+        )
+
+
+def _check_identity_file(fields: Fields, problems: Problems) -> None:
+    """A key that is missing here may be present where the inventory is used, so it is no error."""
+    path = fields.values.get("identity_file")
+    if isinstance(path, str) and not os.path.exists(os.path.expanduser(path)):  # noqa: PTH110, PTH111
+        problems.add(
+            fields.at("identity_file").mark,
+            ProblemCode.NO_IDENTITY_FILE,
+            f"{path}: no such file",
+            "write the path of a private key on this machine, or remove identity_file",
+            warning=True,
         )
 
 

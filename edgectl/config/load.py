@@ -1,5 +1,8 @@
 """Loading of inventory and task files into the model: all problems of all files at once, warnings apart."""
 
+import hashlib
+import json
+import os
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +20,8 @@ from edgectl.model.inventory import Inventory
 from edgectl.model.task import Tasks
 
 StrPath = str | Path
+# A host keeps the id in a record of 2 KiB, beside the digests of 20 fields.
+_MAX_FILE_ID = 200
 
 
 def load_inventory(path: StrPath) -> Inventory:
@@ -31,14 +36,16 @@ def load_inventory(path: StrPath) -> Inventory:
     return inventory or Inventory(hosts={})
 
 
-def load_tasks(paths: StrPath | Iterable[StrPath], inventory: Inventory) -> Tasks:
+def load_tasks(paths: StrPath | Iterable[StrPath], inventory: Inventory, *, base: StrPath = ".") -> Tasks:
     """Load the tasks of a fleet from files, or from all ``*.yaml`` and ``*.yml`` of directories.
+
+    ``base``: the directory of the inventory, relative to which task files are identified.
 
     Raises:
         InputError: everything that is wrong with them.
     """
     problems = Problems()
-    tasks = _read_task_files(_list_paths(paths), inventory, problems)
+    tasks = _read_task_files(_list_paths(paths), inventory, problems, Path(base))
     problems.check()
     return tasks
 
@@ -53,7 +60,7 @@ def load_inventory_and_tasks(
     """
     problems = Problems()
     inventory = _read_inventory_file(Path(inventory_path), problems)
-    tasks = _read_task_files(_list_paths(tasks_paths), inventory, problems)
+    tasks = _read_task_files(_list_paths(tasks_paths), inventory, problems, Path(inventory_path).parent)
     problems.check()
     if inventory is not None and not inventory.is_fleet_named:
         _warn_of_unnamed_fleet(Path(inventory_path), inventory.fleet, problems)
@@ -76,20 +83,37 @@ def _read_inventory_file(path: Path, problems: Problems) -> Inventory | None:
     return None if node is None else read_inventory(node, problems)
 
 
-def _read_task_files(paths: list[Path], inventory: Inventory | None, problems: Problems) -> Tasks:
+def _read_task_files(paths: list[Path], inventory: Inventory | None, problems: Problems, base: Path) -> Tasks:
     """The tasks; if the inventory could not be read, only their shape is checked."""
     templates: dict[str, TaskTemplate] = {}
     files: list[Fields] = []
-    for file in dict.fromkeys(file for path in paths for file in _list_task_files(path, problems)):
+    given = dict.fromkeys(file for path in paths for file in _list_task_files(path, problems))
+    for file in given:
         source = read_source(file, problems)
         node = parse_yaml(source, problems) if source is not None else None
         if node is not None:
-            files.append(read_templates(node, problems, templates))
+            files.append(read_templates(node, problems, templates, identify_path(file, base)))
     policy = merge_policy(files, problems)
     tasks = Tasks(
-        tasks=expand_templates(templates, inventory, problems) if inventory is not None else {}, policy=policy
+        tasks=expand_templates(templates, inventory, problems) if inventory is not None else {},
+        policy=policy,
+        files=frozenset(identify_path(file, base) for file in given),
+        folders=frozenset(identify_path(path, base) for path in paths if path.is_dir()),
     )
     return replace(tasks, digest=digest_tasks(tasks))
+
+
+def identify_path(path: Path, base: Path) -> str:
+    """The id of a task file or of a directory of them: its path relative to ``base``, the directory of the
+    inventory, with links resolved (ADR 0039).
+
+    The same in every clone of a repository. One that is too long for the record on a host is known by its
+    digest there, and so is never found through its directory.
+    """
+    relative = Path(os.path.relpath(path.resolve(), base.resolve())).as_posix()
+    if len(json.dumps(relative)) <= _MAX_FILE_ID:
+        return relative
+    return f"sha256:{hashlib.sha256(relative.encode()).hexdigest()}"
 
 
 def _list_task_files(path: Path, problems: Problems) -> list[Path]:

@@ -46,6 +46,8 @@ class ProblemCode(StrEnum):
     NEVER_ANSWERED = "EC102"
     UNNAMED_FLEET = "EC103"
     EXPOSED = "EC104"
+    NO_IDENTITY_FILE = "EC105"
+    BACKGROUND = "EC106"
     JSON = "EC201"
     DOCUMENT = "EC202"
 
@@ -55,6 +57,7 @@ _ONCE_PER_PLACE = (
     ProblemCode.CONTRADICTION,
     ProblemCode.PLACEHOLDER,
     ProblemCode.NEVER_ANSWERED,
+    ProblemCode.BACKGROUND,
     ProblemCode.CYCLE,
     ProblemCode.NAME,
 )

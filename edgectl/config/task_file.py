@@ -1,6 +1,7 @@
 """Task file: tables of its keys and their readers."""
 
 import re
+import shlex
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -298,6 +299,19 @@ DEMAND_KEYS: Mapping[str, NodeReader] = {
     resource.demand_key: _demand_quantity_reader(demand_parser(resource.unit.parse, resource.unit.example))
     for resource in RESOURCES
 }
+
+
+@describe_as(lambda: {"type": "string", "pattern": r"^[^\0]*[^\s\0][^\0]*$"})
+def _read_command(node: Node, problems: Problems) -> Any:  # noqa: ANN401
+    """One string for a shell; of a list of words the hint is the string."""
+    inner = [each.value for each in node.value] if isinstance(node.value, list) else []
+    words = [word for word in inner if isinstance(word, str)]
+    if words and words == inner:
+        hint = f"write command: {shlex.join(words)}"
+        return report_wrong_type(node, problems, "must be one string, which a shell runs", hint)
+    return read_text(node, problems)
+
+
 HOST_RULES_KEYS: Mapping[str, NodeReader] = {
     "only": list_reader_with_nodes(read_name),
     "never": list_reader_with_nodes(read_name),
@@ -330,7 +344,7 @@ ON_UNREACHABLE_KEYS: Mapping[str, NodeReader] = {
     "after": _read_duration,
 }
 TASK_KEYS: Mapping[str, NodeReader] = {
-    "command": read_text,
+    "command": _read_command,
     "for_each": _read_for_each,
     "robot": read_name,
     "robots": _read_robots,
@@ -391,11 +405,12 @@ def build_tasks_schema() -> Schema:
 
 @dataclass(frozen=True, slots=True)
 class TaskTemplate:
-    """One entry of ``tasks:`` as written, before ``for_each`` is expanded."""
+    """One entry of ``tasks:`` as written, before ``for_each`` is expanded; ``file``: the id of its file."""
 
     name: str
     fields: Fields
     named_at: Mark
+    file: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -411,8 +426,12 @@ class TaskDraft:
     each: str | None = None
 
 
-def read_templates(node: Node, problems: Problems, templates: dict[str, TaskTemplate]) -> Fields:
-    """Add one file's templates to ``templates``, with everything wrong noted; gives the file's other keys."""
+def read_templates(
+    node: Node, problems: Problems, templates: dict[str, TaskTemplate], file: str = ""
+) -> Fields:
+    """Add the templates of the file with id ``file`` to ``templates``, with everything wrong noted; gives the
+    file's other keys.
+    """
     top = read_fields(node, problems, TASK_FILE_KEYS, required=("version", "tasks"), what="a task file")
     entries = top.at("tasks")
     if "tasks" in top and not isinstance(entries.value, dict):
@@ -430,7 +449,7 @@ def read_templates(node: Node, problems: Problems, templates: dict[str, TaskTemp
             problems.add(entries.key_mark(key), ProblemCode.TAKEN, message, "rename or remove one of the two")
             continue
         fields = read_fields(inner, problems, TASK_KEYS, what=f"task {key}")
-        templates[key] = TaskTemplate(key, fields, entries.key_mark(key))
+        templates[key] = TaskTemplate(key, fields, entries.key_mark(key), file)
     return top
 
 

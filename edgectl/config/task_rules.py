@@ -1,5 +1,6 @@
 """Rules between the keys of a task, and between a task and the inventory."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -21,6 +22,8 @@ from edgectl.model.task import (
     TaskKind,
     UnreachablePolicy,
 )
+
+_TRAILING_AMPERSAND = re.compile(r"(?<![&>|\\])&\s*$")
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +83,20 @@ def _check_managed(template: TaskTemplate, problems: Problems) -> None:
             fields.node.key_mark("restart"), ProblemCode.CONTRADICTION, message, "write restart: on-failure"
         )
     _check_self_fence(fields, problems)
+    _check_foreground(fields, problems)
+
+
+def _check_foreground(fields: Fields, problems: Problems) -> None:
+    """A command that goes to the background has ended for its supervisor, which then ends what it left."""
+    command = fields.values.get("command")
+    if isinstance(command, str) and _TRAILING_AMPERSAND.search(command):
+        problems.add(
+            fields.at("command").mark,
+            ProblemCode.BACKGROUND,
+            "the command goes to the background, so the task ends at once",
+            "drop the & at its end",
+            warning=True,
+        )
 
 
 def _check_self_fence(fields: Fields, problems: Problems) -> None:

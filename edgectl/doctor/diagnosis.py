@@ -3,6 +3,7 @@
 from edgectl.doctor.host import diagnose_host
 from edgectl.doctor.manager import diagnose_manager
 from edgectl.doctor.ros import diagnose_ros
+from edgectl.doctor.ssh_command import format_copy_id_command, format_ssh_command
 from edgectl.model.diagnosis import (
     Diagnosis,
     FactsByHost,
@@ -12,7 +13,7 @@ from edgectl.model.diagnosis import (
     Severity,
     UnreachableHost,
 )
-from edgectl.model.inventory import Connection, Host, Inventory
+from edgectl.model.inventory import Host, Inventory
 
 # HostError.kind -> the check that failed.
 _CHECKS = {
@@ -39,13 +40,13 @@ def diagnose_no_answer(host: Host, answer: UnreachableHost) -> Finding:
 
 def _suggest_fix(host: Host, answer: UnreachableHost) -> str:
     """A command or an edit; for some errors their own hint."""
-    name = host.name
+    name, port = host.name, f" on port {host.port}" if host.port else ""
     by_kind = {
-        "connect": f"switch {name} on and check that sshd runs there, "
+        "connect": f"switch {name} on and check that sshd runs there{port}, "
         f"or correct its host: ({host.host}) in the inventory",
-        "deadline": f"check its load: {_format_ssh_command(host)} uptime; "
+        "deadline": f"check its load: {format_ssh_command(host)} uptime; "
         f"for a slow link: edgectl doctor {name} --timeout 60s",
-        "auth": f"install your key: {_format_copy_id_command(host)}; "
+        "auth": f"install your key: {format_copy_id_command(host)}; "
         "or set another one: identity_file: in the inventory",
         "no-python": _INSTALL_PYTHON.format(name=name),
     }
@@ -54,37 +55,8 @@ def _suggest_fix(host: Host, answer: UnreachableHost) -> str:
     return (
         by_kind.get(answer.kind, "")
         or answer.hint
-        or f"check the output of: {_format_ssh_command(host)} python3 --version"
+        or f"check the output of: {format_ssh_command(host)} python3 --version"
     )
-
-
-def _format_ssh_target(host: Host) -> str:
-    return f"{host.user}@{host.host}" if host.user else host.host
-
-
-def _format_ssh_options(host: Host) -> str:
-    jump = f" -J {host.proxy_jump}" if host.proxy_jump else ""
-    return (
-        (f" -p {host.port}" if host.port else "")
-        + (f" -i {host.identity_file}" if host.identity_file else "")
-        + jump
-    )
-
-
-def _format_ssh_command(host: Host) -> str:
-    """The command of a login by hand."""
-    return (
-        ""
-        if host.connection is Connection.LOCAL
-        else f"ssh{_format_ssh_options(host)} {_format_ssh_target(host)}"
-    )
-
-
-def _format_copy_id_command(host: Host) -> str:
-    jump = f" -o ProxyJump={host.proxy_jump}" if host.proxy_jump else ""
-    port = f" -p {host.port}" if host.port else ""
-    key = f" -i {host.identity_file}" if host.identity_file else ""
-    return f"ssh-copy-id{port}{key}{jump} {_format_ssh_target(host)}"
 
 
 def diagnose_fleet(inventory: Inventory, manager: ManagerFacts, answers: FactsByHost) -> Diagnosis:

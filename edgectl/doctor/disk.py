@@ -27,6 +27,16 @@ def diagnose_disk(host: str | None, disk: Disk) -> Finding:
             message=message,
             remedy=mend,
         )
+    if disk.skipped:
+        paths = " ".join(quote(path) for path in disk.skipped)
+        message = f"{paths}: made by another user, so it is skipped; there is no second place for tasks"
+        return Finding(
+            host=host,
+            check="state",
+            level=Severity.WARNING,
+            message=message,
+            remedy=f"{where}sudo rm -r {paths}",
+        )
     scarce = disk.free_bytes < _SCARCE_BYTES
     few = disk.files_left is not None and disk.files_left < _FEW_FILES
     level = (

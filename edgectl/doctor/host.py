@@ -1,6 +1,7 @@
 """Checks of one host that answered."""
 
 from edgectl.doctor.disk import diagnose_disk
+from edgectl.doctor.ssh_command import format_ssh_command
 from edgectl.model.diagnosis import Finding, HostFacts, LinkFacts, Logind, Severity, ShellEnvironment
 from edgectl.model.inventory import Connection, Host, Inventory
 from edgectl.model.snapshot import CapacitySource
@@ -42,7 +43,7 @@ def _diagnose_login(host: Host, facts: HostFacts) -> Finding:
     if facts.login_s <= _SLOW_LOGIN_S:
         return _build_finding(host, "login", f"{took}, host key known")
     mend = (
-        f"find the slow step: ssh -vvv {host.host} true; "
+        f"find the slow step: {format_ssh_command(host, '-vvv')} true; "
         f"often UseDNS no in /etc/ssh/sshd_config of {host.name} helps"
     )
     return _build_finding(host, "login", f"{took} for every command; host key known", mend)
@@ -74,7 +75,7 @@ def _diagnose_clock(host: Host, facts: HostFacts) -> Finding:
     message = (
         f"is {format_duration(sure)} {direction} this machine's: ROS drops messages with distant time stamps"
     )
-    by_hand = f'; without a time server: ssh {host.host} sudo date -s "@$(date +%s)"'
+    by_hand = f'; without a time server: {format_ssh_command(host)} sudo date -s "@$(date +%s)"'
     return _build_finding(host, "clock", message, f"on {host.name}: sudo timedatectl set-ntp true{by_hand}")
 
 

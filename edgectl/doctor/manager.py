@@ -8,14 +8,28 @@ from edgectl.model.inventory import Connection, Inventory
 
 
 def diagnose_manager(inventory: Inventory, facts: ManagerFacts) -> list[Finding]:
-    """State directory, known_hosts and the ssh program; the last two only where a host needs them."""
+    """State directory, known_hosts and the ssh program, the last two only where a host needs them; the fleet
+    only if the inventory does not name it.
+    """
     connections = {host.connection for host in inventory.hosts.values() if host.probe}
     findings = [diagnose_disk(None, facts.state)]
+    if not inventory.is_fleet_named:
+        findings.append(_build_unnamed_fleet_finding(inventory.fleet))
     if connections - {Connection.LOCAL}:
         findings += _diagnose_known_hosts(facts)
     if Connection.OPENSSH in connections:
         findings.append(_diagnose_ssh_program(facts))
     return findings
+
+
+def _build_unnamed_fleet_finding(fleet: str) -> Finding:
+    return Finding(
+        host=None,
+        check="fleet",
+        level=Severity.WARNING,
+        message=f"the inventory names no fleet; {fleet} stands for the path of its file",
+        remedy=f"add to the inventory: fleet: {fleet}",
+    )
 
 
 def _diagnose_known_hosts(facts: ManagerFacts) -> list[Finding]:

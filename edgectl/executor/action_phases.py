@@ -93,6 +93,21 @@ def build_stop_phases(step: Step, inventory: Inventory, tasks: Tasks) -> Planned
     )
 
 
+def build_adopt_phases(step: Step, inventory: Inventory, tasks: Tasks) -> PlannedPhases:
+    """The takeover of an orphan by a new supervisor; nothing for other steps.
+
+    Raises:
+        HostError: the host left the inventory.
+    """
+    task = tasks.tasks.get(step.task)
+    if step.action is not Action.ADOPT or task is None:
+        return ()
+    host = _get_host(inventory, step.decision.host or "")
+    body = host_requests.build_takeover_request(task, host, inventory.hosts)
+    request = PlannedRequest(host=host, body=body)
+    return (PlannedPhase(phase=Phase.ADOPT, task=task.name, requests=(request,)),)
+
+
 def build_start_phases(
     step: Step, task: Task, needs: Iterable[Need], plan: Plan, inventory: Inventory, tasks: Tasks
 ) -> StartPhases:

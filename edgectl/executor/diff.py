@@ -7,8 +7,10 @@ from edgectl.model.assignment import Assignment, Decision, Reason, Verdict
 from edgectl.model.inventory import Inventory
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Action, Plan, Step
+from edgectl.model.policy import Policy
 from edgectl.model.snapshot import Snapshot, TaskSample, TaskState
 from edgectl.model.task import Tasks
+from edgectl.model.task_origin import find_task_file, is_left_alone
 from edgectl.names import natural_key
 
 SamplesByHost = Mapping[str, TaskSample]  # the samples of one task, by host
@@ -30,13 +32,14 @@ def plan_from_assignment(
         demand_spreads=assignment.demand_spreads,
         frozen=assignment.frozen,
         unseen=assignment.unseen,
+        tasks_left_alone=_list_tasks_left_alone(assignment.policy, tasks, snapshot, memory),
     )
 
 
 def diff_assignment(
     assignment: Assignment, tasks: Tasks, snapshot: Snapshot, memory: ManagerState
 ) -> tuple[Step, ...]:
-    """One step per decision, in sequence order, then a stop for each managed task that left the files.
+    """One step per decision, in sequence order, then a stop for each managed task that left its file.
 
     A task that already is as decided is kept and never started again (handoff latency avoidance).
     No unmanaged task is ever stopped.
@@ -48,8 +51,21 @@ def diff_assignment(
         )
         for decision in assignment.decisions
     ]
-    left = sorted(found.keys() - tasks.tasks.keys(), key=natural_key)
-    return (*steps, *(_build_removal_step(name, found[name], memory) for name in left))
+    others = _list_tasks_left_alone(assignment.policy, tasks, snapshot, memory)
+    left = sorted(found.keys() - tasks.tasks.keys() - others.keys(), key=natural_key)
+    return (*steps, *(_build_removal_step(name, found[name], tasks, memory) for name in left))
+
+
+def _list_tasks_left_alone(
+    policy: Policy, tasks: Tasks, snapshot: Snapshot, memory: ManagerState
+) -> dict[str, str]:
+    """The running tasks of task files that were not given, by name with their file."""
+    found = _collect_managed_tasks(snapshot)
+    return {
+        name: find_task_file(name, found[name].values(), memory)
+        for name in sorted(found.keys() - tasks.tasks.keys(), key=natural_key)
+        if is_left_alone(name, found[name].values(), tasks, memory, policy)
+    }
 
 
 def select_targets(plan: Plan, targets: Collection[str]) -> Plan:
@@ -84,10 +100,19 @@ def _build_step(decision: Decision, tasks: Tasks, found: SamplesByHost) -> Step:
     changed = _list_changed_fields(decision, tasks, found) if action is Action.KEEP else ()
     if changed:
         decision, action = replace(decision, reason=Reason.SPEC_CHANGED), Action.RESTART
+    elif action is Action.KEEP and (orphan := _find_orphan(decision, found)) is not None:
+        action = Action.ADOPT if orphan.adoptable else Action.RESTART
+        decision = replace(decision, reason=Reason.ORPHANED)
     stop = _list_surplus_hosts(decision, action, found)
     concerned = found if action is not Action.KEEP else {host: found[host] for host in stop}
     instances = {host: sample.instance for host, sample in concerned.items()}
     return Step(decision=decision, action=action, instances=instances, stop=stop, changed=changed)
+
+
+def _find_orphan(decision: Decision, found: SamplesByHost) -> TaskSample | None:
+    """The kept instance, where it lives without a supervisor."""
+    sample = found.get(decision.host or "")
+    return sample if sample is not None and sample.orphaned else None
 
 
 def _is_managed_decision(decision: Decision, tasks: Tasks) -> bool:
@@ -140,11 +165,13 @@ def _list_surplus_hosts(decision: Decision, action: Action, found: SamplesByHost
     return tuple(host for host in found if host not in keep)
 
 
-def _build_removal_step(name: str, found: SamplesByHost, memory: ManagerState) -> Step:
-    """Stop a managed task that is no longer in the files."""
+def _build_removal_step(name: str, found: SamplesByHost, tasks: Tasks, memory: ManagerState) -> Step:
+    """Stop a managed task that its file no longer lists, or that is pruned."""
+    given = tasks.is_given(find_task_file(name, found.values(), memory))
+    reason = Reason.LEFT_FILE if given else Reason.PRUNED
     known = memory.placements.get(name)
     host = known.host if known is not None and known.host in found else next(iter(found))
-    decision = Decision(task=name, verdict=Verdict.UNPLACED, reason=Reason.LEFT_FILE, previous_host=host)
+    decision = Decision(task=name, verdict=Verdict.UNPLACED, reason=reason, previous_host=host)
     return Step(
         decision=decision,
         action=Action.STOP,

@@ -6,6 +6,7 @@ from edgectl.errors import HostError
 from edgectl.executor.action_phases import (
     PlannedPhases,
     PlannedRequest,
+    build_adopt_phases,
     build_start_phases,
     build_stop_phases,
 )
@@ -15,9 +16,11 @@ from edgectl.executor.dependencies import (
     build_step_dependencies,
     order_by_dependencies,
 )
+from edgectl.executor.host_requests import name_stop_host
 from edgectl.model.inventory import Connection, Inventory
 from edgectl.model.plan import Plan, Step
 from edgectl.model.result import Phase
+from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Tasks
 from edgectl.transport.agent_client import build_agent_command
 
@@ -29,7 +32,7 @@ def list_dry_run_requests(plan: Plan, inventory: Inventory, tasks: Tasks) -> lis
     Instance ids and generations are made when a plan is applied; here they stand as 0.
     """
     return [
-        _encode_request(step.task, planned.phase, request)
+        _encode_request(step.task, planned.phase, request, plan.snapshot)
         for step, phases in _list_step_phases(plan, inventory, tasks)
         for planned in phases
         for request in planned.requests
@@ -50,7 +53,10 @@ def _list_step_phases(plan: Plan, inventory: Inventory, tasks: Tasks) -> list[tu
 
 def _build_stops(step: Step, inventory: Inventory, tasks: Tasks) -> PlannedPhases:
     try:
-        return build_stop_phases(step, inventory, tasks)
+        return (
+            *build_stop_phases(step, inventory, tasks),
+            *build_adopt_phases(step, inventory, tasks),
+        )
     except HostError:
         return ()
 
@@ -68,12 +74,14 @@ def _build_starts(
         return ()
 
 
-def _encode_request(task: str, phase: Phase, request: PlannedRequest) -> dict[str, object]:
+def _encode_request(
+    task: str, phase: Phase, request: PlannedRequest, snapshot: Snapshot
+) -> dict[str, object]:
     python = sys.executable if request.host.connection is Connection.LOCAL else "python3"
     return {
         "task": task,
         "phase": phase.value,
         "host": request.host.name,
         "command": build_agent_command(python),
-        "stdin": request.body,
+        "stdin": name_stop_host(request.body, snapshot) if phase is Phase.STOP else request.body,
     }

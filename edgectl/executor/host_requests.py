@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from edgectl.agent.link import protocol
 from edgectl.model.environment import drop_secrets, merge_environment
 from edgectl.model.inventory import Host
+from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Check, CheckLocation, StopRule, Task
 
 Request = dict[str, object]
@@ -40,6 +41,7 @@ def build_start_request(task: Task, host: Host, hosts: Hosts) -> Request:
         "self_fence_s": task.self_fence,
         "spec_hash": task.spec_hash,
         "fields": dict(task.spec_fields),
+        "file": task.file,
     }
     return {
         "op": protocol.OP_START,
@@ -51,6 +53,13 @@ def build_start_request(task: Task, host: Host, hosts: Hosts) -> Request:
         "manager": NO_MANAGER,
         "spec": spec,
     }
+
+
+def build_takeover_request(task: Task, host: Host, hosts: Hosts) -> Request:
+    """Give the living instance of ``task`` on ``host``, whose supervisor was lost, a new one; completed as a
+    start request is.
+    """
+    return {**build_start_request(task, host, hosts), "op": protocol.OP_TAKE_OVER}
 
 
 def fill_start_request(
@@ -80,7 +89,17 @@ def build_stop_request(name: str, host: Host, *, task: Task | None, instance: st
         "instance": instance or None,
         "generation": NO_GENERATION,
         "stop": rule,
+        "filed_as": None,
     }
+
+
+def name_stop_host(request: Request, snapshot: Snapshot) -> Request:
+    """A stop request with the name under which the host keeps the task, where it had another one when the
+    task was started (ADR 0040).
+    """
+    host = snapshot.hosts.get(str(request["host"]))
+    run = host.tasks.get(str(request["task"])) if host is not None else None
+    return {**request, "filed_as": run.filed_as} if run is not None and run.filed_as else request
 
 
 def encode_stop_rule(rule: StopRule) -> Request:
@@ -136,6 +155,7 @@ def build_renewal_request(host: Host, signature: Mapping[str, object]) -> Reques
     """Renew the lease of the fleet on a host."""
     return {
         "op": protocol.OP_LEASE,
+        "fleet": host.fleet,
         "host": host.name,
         "action": "renew",
         "lease": signature,

@@ -56,16 +56,25 @@ def update_manager_state(
     ended = {result.task: result for result in results.actions}
     placements, done = dict(memory.placements), dict(memory.done)
     for step in plan.steps:
+        if step.decision.reason in (Reason.HOST_LEFT, Reason.HOST_READDRESSED):
+            continue
         result, task = ended.get(step.task), tasks.tasks.get(step.task)
         located = result.located if result is not None else _find_running_host(plan.snapshot, step)
         if located is not None and task is not None and _is_newly_started(result):
             since = _get_placed_since(memory.placements.get(step.task), step, now)
             placements[step.task] = Placement(
-                host=located, since=since, spec_hash=task.spec_hash, generation=used.get(step.task, 0)
+                host=located,
+                since=since,
+                spec_hash=task.spec_hash,
+                generation=used.get(step.task, 0),
+                file=task.file,
+                address=_get_sample_text(plan.snapshot, located, "address"),
+                machine=_get_sample_text(plan.snapshot, located, "machine"),
             )
         elif located is not None:
             least = used.get(step.task, 0) + 1 if _is_restored(result) else 0
-            placements[step.task] = _keep_placement(memory, plan.snapshot, step.task, located, now, least)
+            kept = _keep_placement(memory, plan.snapshot, step.task, located, now, least)
+            placements[step.task] = kept if task is None else dataclasses.replace(kept, file=task.file)
         elif _is_task_gone(plan.snapshot, step, result, placements.get(step.task)):
             placements.pop(step.task, None)
         if task is not None and _is_step_completed(step, result):
@@ -118,6 +127,11 @@ def _is_task_gone(
     return host is not None and host.ok and step.decision.reason is not Reason.GIVEN_UP
 
 
+def _get_sample_text(snapshot: Snapshot, host: str, name: str) -> str:
+    sample = snapshot.hosts.get(host)
+    return str(getattr(sample, name)) if sample is not None else ""
+
+
 def _is_step_completed(step: Step, result: ActionResult | None) -> bool:
     """Whether the task has completed: stopped because it was done, or ended by itself."""
     if step.decision.verdict is not Verdict.COMPLETED:
@@ -154,10 +168,16 @@ def _keep_placement(
     host = snapshot.hosts.get(located)
     sample = host.tasks.get(task) if host else None
     old = memory.placements.get(task)
+    seen = sample is not None and sample.state.alive
     known = max(least, old.generation if old is not None else 0)
     shown = _limit_generation(sample.generation, known, now) if sample is not None else 0
     if old is not None and old.host == located:
-        return dataclasses.replace(old, generation=max(known, shown))
+        return dataclasses.replace(
+            old,
+            generation=max(known, shown),
+            address=host.address if host is not None and seen else old.address,
+            machine=host.machine if host is not None and seen else old.machine,
+        )
     if sample is None:
         return Placement(host=located, since=now, generation=least)
     return Placement(
@@ -165,6 +185,9 @@ def _keep_placement(
         since=sample.started_at,
         spec_hash=sample.spec_hash,
         generation=max(least, shown),
+        file=sample.file,
+        address=host.address if host is not None else "",
+        machine=host.machine if host is not None else "",
     )
 
 

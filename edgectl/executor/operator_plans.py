@@ -109,7 +109,7 @@ def build_rollback_plan(plan: Plan, wanted: Mapping[str, str], revision: int) ->
         for step in plan.steps
         for step in _build_rollback_steps(step, wanted, places.get(step.task, {}), revision)
     )
-    return dataclasses.replace(plan, steps=tuple(steps))
+    return dataclasses.replace(plan, steps=tuple(steps), tasks_left_alone={})
 
 
 def _build_rollback_steps(

@@ -53,6 +53,8 @@ def perform_phase(act: StepRun, planned: PlannedPhase, variables: Mapping[str, s
             _stop_task(act, planned)
         case Phase.START | Phase.RESTORE:
             _start_task(act, planned, variables)
+        case Phase.ADOPT:
+            _adopt_task(act, planned, variables)
         case Phase.READY:
             _wait_until_ready(act, planned)
 
@@ -70,7 +72,8 @@ def _send(run: RunContext, request: PlannedRequest, **values: object) -> Request
 def _stop_task(act: StepRun, planned: PlannedPhase) -> None:
     """Stop the task. Where the plan had seen it alive and it is gone, the fleet has changed: look again."""
     request, host = planned.requests[0], planned.host
-    body = {**request.body, "generation": act.generation}
+    body = host_requests.name_stop_host(request.body, act.run.plan.snapshot)
+    body = {**body, "generation": act.generation}
     with act.phase(planned.phase, host.name):
         answer = act.run.ask(host, body, timeout=request.timeout_s + _STOP_MARGIN_S)
         if answer.get("state") not in (protocol.STOPPED, protocol.NOT_RUNNING):
@@ -109,6 +112,20 @@ def _start_task(act: StepRun, planned: PlannedPhase, variables: Mapping[str, str
                 f"{act.name} did not start on {host.name}: {answer.get('detail')}", host=host.name
             )
     act.started = str(answer.get("instance") or instance)
+
+
+def _adopt_task(act: StepRun, planned: PlannedPhase, variables: Mapping[str, str]) -> None:
+    """Have a new supervisor take over the running instance; the same request twice is one takeover."""
+    request, host = planned.requests[0], planned.host
+    body = host_requests.fill_start_request(
+        request.body,
+        instance=act.step.instances[host.name],
+        generation=act.generation,
+        manager=describe_manager(),
+        variables=variables,
+    )
+    with act.phase(planned.phase, host.name):
+        act.run.ask(host, body, timeout=request.timeout_s + act.run.options.call_s)
 
 
 def _wait_until_ready(act: StepRun, planned: PlannedPhase) -> None:

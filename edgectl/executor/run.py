@@ -5,7 +5,12 @@ from collections import Counter
 from collections.abc import Mapping
 
 from edgectl.errors import HostError, RefusedError, StateError, describe_unseen_task
-from edgectl.executor.action_phases import StartPhases, build_start_phases, build_stop_phases
+from edgectl.executor.action_phases import (
+    StartPhases,
+    build_adopt_phases,
+    build_start_phases,
+    build_stop_phases,
+)
 from edgectl.executor.cancellation import INTERRUPTED, Cancellation
 from edgectl.executor.dependencies import (
     STARTING_ACTIONS,
@@ -14,15 +19,17 @@ from edgectl.executor.dependencies import (
     build_step_dependencies,
     is_need_satisfied,
     is_replacement,
+    list_stop_hosts,
 )
 from edgectl.executor.handoff import move_task, replace_task
 from edgectl.executor.moved_world import MovedWorldError
 from edgectl.executor.phases import perform_phases, resolve_variables
 from edgectl.executor.step_run import RunContext, RunIdentity, RunOptions, StepRun
+from edgectl.executor.stop_budget import BudgetSpentError, StopBudget
 from edgectl.executor.worker_pool import WorkerPool
 from edgectl.model.assignment import Reason
 from edgectl.model.inventory import Inventory
-from edgectl.model.plan import Action, Plan
+from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.progress import ProgressListener, ignore_progress
 from edgectl.model.result import ActionResult, Outcome, Results
 from edgectl.model.task import Task, Tasks
@@ -104,42 +111,83 @@ def run_plan(
 def _run_steps(
     acts: Mapping[str, StepRun], workers: WorkerPool, shared: RunContext, cancellation: Cancellation
 ) -> dict[str, ActionResult]:
-    """All stops, then all starts; a task whose duplicate could not be stopped is not started again."""
+    """Stops at once, each start after the stops on its own host: a host that is slow to stop delays no other.
 
-    def skip(name: str) -> ActionResult:
-        return _end_skipped(acts[name], cancellation.reason() or INTERRUPTED)
-
-    halting = {
-        name: frozenset[str]()
-        for name, act in acts.items()
-        if act.step.action in STOPPING_ACTIONS or act.step.stop
-    }
-    halted = workers.run_all(
-        halting, lambda name, _results: cancellation.note_result(_stop_step(acts[name])), skip
-    )
+    With ``fail_fast`` every start waits for every stop. A task whose duplicate could not be stopped is not
+    started again. A task that is adopted counts as one that is stopped.
+    """
+    halting = {_name_stop(name): name for name, act in acts.items() if _list_first_hosts(act.step)}
     waits = build_step_dependencies(shared.plan.steps, shared.tasks)
-    after = {name: wait.tasks - halted.keys() for name, wait in waits.items() if name not in halted}
-    started = workers.run_all(
-        after,
-        lambda name, results: cancellation.note_result(
-            _start_step(acts[name], waits[name], {**halted, **results})
-        ),
-        skip,
+    after = {key: frozenset[str]() for key in halting} | {
+        name: wait.tasks
+        | (halting.keys() if shared.options.fail_fast else _list_stops_before(acts[name].step, halting, acts))
+        for name, wait in waits.items()
+    }
+    budget, skipped = StopBudget(), dict[str, ActionResult]()
+
+    def work(key: str, results: Mapping[str, ActionResult]) -> ActionResult | None:
+        if key in halting:
+            return cancellation.note_result(_stop_step(acts[halting[key]], budget))
+        if _name_stop(key) in results:
+            return None
+        return cancellation.note_result(_start_step(acts[key], waits[key], _merge_results(results)))
+
+    def skip(key: str) -> ActionResult:
+        name = halting.get(key, key)
+        if name not in skipped:
+            skipped[name] = _end_skipped(acts[name], cancellation.reason() or INTERRUPTED)
+        return skipped[name]
+
+    groups = {key: _list_first_hosts(acts[name].step)[0] for key, name in halting.items()}
+    return _merge_results(workers.run_all(after, work, skip, groups))
+
+
+def _name_stop(name: str) -> str:
+    """The key of the stopping part of an action; no task has such a name."""
+    return f"{name} stop"
+
+
+def _list_first_hosts(step: Step) -> tuple[str, ...]:
+    """The hosts of the first part of the step: where it stops something, or adopts the task."""
+    if step.action is Action.ADOPT:
+        return (step.decision.host or "", *list_stop_hosts(step))
+    return list_stop_hosts(step)
+
+
+def _merge_results(results: Mapping[str, ActionResult]) -> dict[str, ActionResult]:
+    """The result of each action; that of its stopping part, where there is one, ended it."""
+    return {result.task: result for result in reversed(list(results.values()))}
+
+
+def _list_stops_before(step: Step, halting: Mapping[str, str], acts: Mapping[str, StepRun]) -> frozenset[str]:
+    """The stops that a start waits for: of its own task, and on the host to which it comes."""
+    return frozenset(
+        key
+        for key, name in halting.items()
+        if name == step.task or step.decision.host in _list_first_hosts(acts[name].step)
     )
-    return halted | started
 
 
-def _stop_step(act: StepRun) -> ActionResult | None:
-    """Stop the task where the step says so; no result yet where the step goes on to start it elsewhere."""
+def _stop_step(act: StepRun, budget: StopBudget) -> ActionResult | None:
+    """Stop the task where the step says so, and adopt it where it is kept; no result yet where the step goes
+    on to start it elsewhere.
+    """
     decision = act.step.decision
     here = decision.previous_host if act.step.action in STOPPING_ACTIONS else decision.host
     try:
+        if decision.reason is Reason.LEFT_FILE:
+            budget.check(list_stop_hosts(act.step)[0])
         act.begin()
         perform_phases(act, build_stop_phases(act.step, act.run.inventory, act.run.tasks))
+        adoption = build_adopt_phases(act.step, act.run.inventory, act.run.tasks)
+        if adoption and act.task is not None:
+            perform_phases(act, adoption, resolve_variables(act, act.task, decision.host or ""))
     except StateError as error:
         return _end_unrecorded(act, error)
     except MovedWorldError as error:
         return act.end(Outcome.DEFERRED, located=error.located, error=error)
+    except BudgetSpentError as error:
+        return act.end(Outcome.DEFERRED, located=here, error=error)
     except HostError as error:
         return act.end(Outcome.FAILED, located=here, error=error)
     if act.step.action in STARTING_ACTIONS:

@@ -2,7 +2,9 @@
 
 import queue
 import threading
+from collections import Counter
 from collections.abc import Callable, Mapping
+from types import MappingProxyType
 
 from edgectl.model.progress import ProgressEvent, ProgressListener
 from edgectl.model.result import ActionResult
@@ -10,7 +12,8 @@ from edgectl.model.result import ActionResult
 ResultsByTask = Mapping[str, ActionResult]
 WorkFunction = Callable[[str, ResultsByTask], ActionResult | None]
 _WorkEnd = tuple[str, ActionResult | None, BaseException | None]
-_WAKE_S = 0.2
+_WAKE_S, _GROUP_PART = 0.2, 4
+_NO_GROUPS: Mapping[str, str] = MappingProxyType({})
 
 
 class WorkerPool:
@@ -30,19 +33,23 @@ class WorkerPool:
         self._events.put(event)
 
     def run_all(
-        self, after: Mapping[str, frozenset[str]], work: WorkFunction, skip: Callable[[str], ActionResult]
+        self,
+        after: Mapping[str, frozenset[str]],
+        work: WorkFunction,
+        skip: Callable[[str], ActionResult],
+        groups: Mapping[str, str] = _NO_GROUPS,
     ) -> dict[str, ActionResult]:
         """Do ``work(name, results so far)`` for each name once all in ``after[name]`` have ended.
 
         Names that have not begun once ``stopped`` are given to ``skip``. Work that returns None has no
-        result.
+        result. Of one of ``groups`` at most a quarter of the workers are busy at once, and at least one.
         """
         waiting, running, ended = dict(after), set[str](), dict[str, ActionResult]()
         while waiting or running:
             if waiting and self._stopped():
                 ended |= {name: skip(name) for name in waiting}
                 waiting.clear()
-            for name in self._ready(waiting, running):
+            for name in self._ready(waiting, running, groups):
                 del waiting[name]
                 running.add(name)
                 threading.Thread(target=self._do, args=(work, name, dict(ended)), daemon=True).start()
@@ -51,9 +58,19 @@ class WorkerPool:
             self._take_event(running, ended)
         return ended
 
-    def _ready(self, waiting: Mapping[str, frozenset[str]], running: set[str]) -> list[str]:
-        unfinished = waiting.keys() | running
-        ready = [name for name, others in waiting.items() if not others & unfinished]
+    def _ready(
+        self, waiting: Mapping[str, frozenset[str]], running: set[str], groups: Mapping[str, str]
+    ) -> list[str]:
+        unfinished, most = waiting.keys() | running, max(1, self._size // _GROUP_PART)
+        busy = Counter(groups[name] for name in running if name in groups)
+        ready = list[str]()
+        for name, others in waiting.items():
+            group = groups.get(name)
+            if others & unfinished or (group is not None and busy[group] >= most):
+                continue
+            if group is not None:
+                busy[group] += 1
+            ready.append(name)
         return ready[: max(0, self._size - len(running))]
 
     def _do(self, work: WorkFunction, name: str, results: ResultsByTask) -> None:

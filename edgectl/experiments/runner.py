@@ -39,7 +39,8 @@ _FIRST_IDLE_CHECKS, _LATER_IDLE_CHECKS = 3, 30
 class ExperimentOptions:
     """``directory``: of the run.
 
-    ``spec_directory``: of the experiment file. ``lock_timeout``: s to wait for the lock.
+    ``spec_directory``: of the experiment file. ``lock_timeout``: s to wait for the lock; None: for one cycle
+    of a watch.
 
     ``listener`` receives progress. ``control`` ends the run early. ``debug``: a bug raises instead of failing
     its cycle.
@@ -47,7 +48,7 @@ class ExperimentOptions:
 
     directory: Path
     spec_directory: Path
-    lock_timeout: float = 0.0
+    lock_timeout: float | None = None
     listener: TrialListener = ignore_trial_progress
     control: Control = field(default_factory=Control)
     debug: bool = False

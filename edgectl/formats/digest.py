@@ -3,7 +3,7 @@
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import MISSING, Field, fields, is_dataclass
+from dataclasses import MISSING, Field, fields, is_dataclass, replace
 from enum import StrEnum
 from functools import cache
 from typing import Any
@@ -26,8 +26,9 @@ def digest_inventory(inventory: Inventory) -> str:
 
 
 def digest_tasks(tasks: Tasks) -> str:
-    """Of all tasks and the stated policy."""
-    return "sha256:" + hash_value({"tasks": tasks.tasks, "policy": tasks.policy})
+    """Of all tasks and the stated policy, in whatever files they stand."""
+    placeless = {name: replace(task, file="") for name, task in tasks.tasks.items()}
+    return "sha256:" + hash_value({"tasks": placeless, "policy": tasks.policy})
 
 
 def hash_spec(task: Task) -> str:

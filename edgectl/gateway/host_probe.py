@@ -18,7 +18,7 @@ from edgectl.gateway.probe_reply import (
 from edgectl.gateway.probe_request import build_probe_request
 from edgectl.gateway.replies import escape_unprintable
 from edgectl.model.inventory import Host, Inventory, Role
-from edgectl.model.snapshot import HostSample, HostStatus, OtherTask, Snapshot
+from edgectl.model.snapshot import HostSample, HostStatus, OtherTask, Snapshot, TaskSample
 from edgectl.model.task import Tasks
 from edgectl.transport.base import Transport
 from edgectl.transport.fleet_lease import FleetLease
@@ -118,9 +118,9 @@ def probe_hosts(
 
     answers = ask(hosts)
     answers |= ask(_adopt_unowned_tasks(answers, transport, options))
-    return Snapshot(
-        taken_at=clock(), hosts=_finalize_samples({host.name: answers[host.name] for host in hosts})
-    )
+    taken_at = clock()
+    in_order = {host.name: answers[host.name] for host in hosts}
+    return Snapshot(taken_at=taken_at, hosts=_finalize_samples(in_order, taken_at))
 
 
 def _adopt_unowned_tasks(answers: _Answers, transport: Transport, options: ProbeOptions) -> list[Host]:
@@ -153,7 +153,7 @@ def _get_sample(answer: HostAnswer[_Decoded]) -> HostSample:
     return answer.value.sample
 
 
-def _finalize_samples(answers: Mapping[str, HostAnswer[_Decoded]]) -> dict[str, HostSample]:
+def _finalize_samples(answers: Mapping[str, HostAnswer[_Decoded]], taken_at: float) -> dict[str, HostSample]:
     """The samples with their ages, completed by the checks that robots answered for tasks elsewhere."""
     now = time.monotonic()
     done = frozenset[str]().union(
@@ -164,7 +164,38 @@ def _finalize_samples(answers: Mapping[str, HostAnswer[_Decoded]]) -> dict[str, 
         )
     )
     samples = {name: _finalize_sample(answer, done, now) for name, answer in answers.items()}
-    return {name: _drop_reported_tasks(sample, samples) for name, sample in samples.items()}
+    left = {name: _drop_reported_tasks(sample, samples) for name, sample in samples.items()}
+    return claim_former_tasks(left, taken_at)
+
+
+def claim_former_tasks(samples: Mapping[str, HostSample], taken_at: float) -> dict[str, HostSample]:
+    """``samples`` in which each living task of this fleet that a machine keeps under a host name of the past
+    runs on the first host of that machine (ADR 0040).
+    """
+    claimed: set[str] = {""}
+    found = {}
+    for name, sample in samples.items():
+        former = [
+            each
+            for each in sample.other_tasks
+            if each.host not in samples and each.task not in sample.tasks and each.instance not in claimed
+        ]
+        claimed |= {each.instance for each in sample.other_tasks}
+        seen = {each.task: _build_former_sample(each, taken_at) for each in former}
+        others = tuple(each for each in sample.other_tasks if each not in former)
+        found[name] = dataclasses.replace(sample, tasks={**sample.tasks, **seen}, other_tasks=others)
+    return found
+
+
+def _build_former_sample(other: OtherTask, taken_at: float) -> TaskSample:
+    return TaskSample(
+        state=other.state,
+        started_at=taken_at - other.age_s,
+        instance=other.instance,
+        spec_hash=other.spec_hash,
+        generation=other.generation,
+        filed_as=other.host,
+    )
 
 
 def _drop_reported_tasks(sample: HostSample, samples: Mapping[str, HostSample]) -> HostSample:
@@ -221,4 +252,5 @@ def _build_unreachable_sample(host: Host, error: HostError) -> HostSample:
         error=escape_unprintable(error.message),
         error_kind=error.kind,
         hint=escape_unprintable(error.hint),
+        address=host.address,
     )

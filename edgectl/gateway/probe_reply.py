@@ -84,6 +84,8 @@ def decode_host_sample(document: ReplyDocument, context: ReplyContext) -> HostSa
         tasks=tasks,
         device=_build_device(reply, context.answered_at),
         generations=_build_generations(reply, tasks),
+        address=context.host.address,
+        machine="" if reply.machine.startswith("/") else reply.machine,
         other_tasks=tuple(each for each in others if each.fleet == context.host.fleet),
         foreign_tasks=tuple(each for each in others if each.fleet != context.host.fleet),
     )
@@ -181,6 +183,9 @@ def _decode_task(name: str, entry: object, context: ReplyContext) -> TaskSample:
         given_up=reply.given_up,
         ended_at=None if reply.ended_s is None else context.answered_at - reply.ended_s,
         metrics=reply.metrics,
+        file=reply.file,
+        orphaned=reply.orphaned,
+        adoptable=reply.adoptable,
     )
 
 

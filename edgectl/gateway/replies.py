@@ -111,6 +111,9 @@ class TaskReply:
     given_up: bool = False
     ended_s: Amount | None = None
     metrics: Mapping[str, Signed] = field(default_factory=dict)
+    file: Text = ""
+    orphaned: bool = False
+    adoptable: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -138,6 +141,7 @@ class ProbeReply:
     sample_age_s: Amount = 0.0
     resident: bool = False
     boot_id: Text = ""
+    machine: Text = ""
     wall: Reading | None = None
     load_1m: Amount | None = None
     temperature_c: Reading | None = None
@@ -215,6 +219,7 @@ class DiskReply:
     files_left: Count | None = None
     obstacle: Text = ""
     in_shared_memory: bool = field(default=False, metadata=in_document("spare"))
+    skipped: tuple[Text, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,6 +1,6 @@
 """The host that runs a task, or ran it last, and the instances that have ended."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from edgectl.agent.link import protocol
 from edgectl.errors import HostError
@@ -8,6 +8,7 @@ from edgectl.gateway.fanout import HostReply, ask_all
 from edgectl.gateway.replies import StatusReply, TaskReply, decode_reply
 from edgectl.model.inventory import Host, Inventory
 from edgectl.model.snapshot import TaskState
+from edgectl.names import natural_key
 from edgectl.transport.base import Transport
 
 
@@ -37,6 +38,28 @@ def list_ended_instances(
         if isinstance(entry, TaskReply) and (entry.state is TaskState.COMPLETED or entry.given_up)
     )
     return frozenset(instances), _list_unanswered(answers)
+
+
+def find_doubled_instances(
+    hosts: Sequence[Host], transport: Transport, *, timeout: float
+) -> dict[str, tuple[str, ...]]:
+    """The tasks of which more than one instance is alive, with their hosts; hosts without an answer are left
+    out.
+    """
+    places: dict[str, list[str]] = {}
+    for answer in ask_all(hosts, transport, _build_status_request, _decode_living_tasks, timeout=timeout):
+        for task in answer.value if not isinstance(answer.value, HostError) else ():
+            places.setdefault(task, []).append(answer.host.name)
+    return {task: tuple(sorted(names, key=natural_key)) for task, names in places.items() if len(names) > 1}
+
+
+def _build_status_request(host: Host, _left: float) -> dict[str, object]:
+    return {"op": protocol.OP_STATUS, "fleet": host.fleet, "host": host.name, "task": None}
+
+
+def _decode_living_tasks(reply: HostReply) -> tuple[str, ...]:
+    tasks = decode_reply(StatusReply, reply.document).tasks
+    return tuple(name for name, entry in tasks.items() if entry.managed and entry.state.alive)
 
 
 def _ask_task_status(

@@ -56,7 +56,8 @@ class Disk:
     """The file system of a state directory at ``path``; ``files_left`` is None where it does not count files.
 
     ``obstacle`` says why the directory cannot be used; empty where it can. ``in_shared_memory``: shared
-    memory takes its place until a reboot.
+    memory takes its place until a reboot. ``skipped``: directories in its place, or in that of shared memory,
+    that belong to another user.
     """
 
     path: str
@@ -65,6 +66,7 @@ class Disk:
     files_left: int | None = None
     obstacle: str = ""
     in_shared_memory: bool = False
+    skipped: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -14,6 +14,7 @@ class EventKind(StrEnum):
     TASK_STOPPED = "task-stopped"
     TASK_MOVED = "task-moved"
     TASK_RESTARTED = "task-restarted"
+    TASK_ADOPTED = "task-adopted"
     TASK_READY = "task-ready"
     TASK_COMPLETED = "task-completed"
     TASK_FAILED = "task-failed"

@@ -93,6 +93,19 @@ class Host:
     fleet: str = UNNAMED_FLEET
 
     @property
+    def address(self) -> str:
+        """The place that the inventory names: login, address and port, as far as they are stated."""
+        if self.connection is Connection.LOCAL:
+            return "local"
+        login = f"{self.user}@" if self.user else ""
+        return f"{login}{self.host}" + (f":{self.port}" if self.port else "")
+
+    @property
+    def shares_machine(self) -> bool:
+        """Whether other hosts of the fleet may be on the same machine: slices, and hosts of this machine."""
+        return self.is_slice or self.connection is Connection.LOCAL
+
+    @property
     def is_slice(self) -> bool:
         """Whether capacity and load are the declared ones instead of those of the whole machine."""
         return self.capacity is not None and all(

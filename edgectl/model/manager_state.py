@@ -10,12 +10,18 @@ _WRITTEN = in_document(always=True)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Placement:
-    """Last known place of a task: ``since`` (s since 1970) is when it came to that host."""
+    """Last known place of a task: ``since`` (s since 1970) is when it came to that host.
+
+    ``file``: the task file that last listed it. ``address`` and ``machine``: of the host, as in its sample.
+    """
 
     host: str
     since: Instant
     spec_hash: str = field(default="", metadata=in_document(always=True))
     generation: int = field(default=0, metadata=in_document(always=True))
+    file: str = ""
+    address: str = ""
+    machine: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,7 +50,8 @@ class ManagerState:
     when each host was last in touch (s since 1970, the manager's clock): never earlier than the last request
     that may have reached it. ``fenced``: hosts that the operator declared switched off; a host that answers
     is not. ``deferred``: tasks whose last action was put off with nothing touched, and why. ``measured``: by
-    task and class of host, of the tasks whose demand is not all declared.
+    task and class of host, of the tasks whose demand is not all declared. ``orphans``: by host, the tasks
+    that had no supervisor there when it last answered.
     """
 
     managed: bool = field(default=False, metadata=_WRITTEN)
@@ -64,3 +71,4 @@ class ManagerState:
     measured: Mapping[tuple[str, str], MeasuredDemand] = field(
         default_factory=dict, metadata=in_document(always=True, entries=("task", "class"))
     )
+    orphans: Mapping[str, tuple[str, ...]] = field(default_factory=dict)

@@ -18,6 +18,7 @@ class Action(StrEnum):
     MOVE = "move"
     KEEP = "keep"
     RESTART = "restart"
+    ADOPT = "adopt"
     HOLD = "hold"
     COMPLETE = "complete"
     UNPLACED = "unplaced"
@@ -32,11 +33,12 @@ class Action(StrEnum):
     @property
     def changes(self) -> bool:
         """Whether the action touches a host."""
-        return self in (Action.START, Action.STOP, Action.MOVE, Action.RESTART, Action.COMPLETE)
+        return self not in (Action.KEEP, Action.HOLD, Action.UNPLACED, Action.DEFER, Action.NONE)
 
 
 _SYMBOLS = {
     Action.START: "+", Action.STOP: "-", Action.MOVE: "~", Action.KEEP: "=", Action.RESTART: "^",
+    Action.ADOPT: "&",
     Action.HOLD: "?", Action.COMPLETE: "*", Action.UNPLACED: "!", Action.DEFER: ">", Action.NONE: ".",
 }  # fmt: skip
 
@@ -67,6 +69,8 @@ class Plan:
     """A value that can be printed, saved, compared and refused; holds no command and no secret.
 
     ``created_at`` (s since 1970) is the snapshot's ``taken_at``. ``summary`` counts steps by action.
+    ``tasks_left_alone``: running tasks of task files that were not given, by name with their file ("" where
+    it is not known).
     """
 
     created_at: Instant
@@ -79,6 +83,7 @@ class Plan:
     frozen: bool = field(default=False, metadata=in_document(always=True))
     unseen: tuple[str, ...] = field(default=(), metadata=in_document(always=True))
     demand_spreads: tuple[DemandSpread, ...] = field(default=(), metadata=in_document(always=True))
+    tasks_left_alone: Mapping[str, str] = field(default_factory=dict, metadata=in_document(always=True))
     snapshot: Snapshot
 
     @property

@@ -72,7 +72,7 @@ class Policy:
     at least that long. ``max_moves``: voluntary moves per unattended run, None = unlimited. ``attended``: a
     person looks at the plan, so ``max_moves`` does not act. ``best_effort``: place on the highest total even
     where it does not fit. ``full``: keep every host's ranking above 64 hosts. ``without``: hosts left out as
-    candidates (what if).
+    candidates (what if). ``prune``: also stop the running tasks of files that were not given (ADR 0039).
     """
 
     name: PolicyName = field(default=PolicyName.UTILITY, metadata=in_document("policy", required=True))
@@ -87,3 +87,4 @@ class Policy:
     best_effort: bool = field(default=False, metadata=in_document("options.best_effort", required=True))
     full: bool = field(default=False, metadata=in_document("options.full", required=True))
     without: frozenset[str] = field(default=frozenset(), metadata=in_document("options.without", always=True))
+    prune: bool = field(default=False, metadata=in_document("options.prune"))

@@ -4,10 +4,10 @@ Whatever is the same for every resource reads this table: files, documents, ledg
 weights, history, tables. Amounts are in the resource's own unit. docs/contributing/add-a-term.md adds a row.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, ClassVar, NoReturn, TypeVar
+from typing import Any, ClassVar, NoReturn, Self, TypeVar
 
 from edgectl.units import BYTES, BYTES_PER_S, CORES, Unit
 
@@ -95,6 +95,19 @@ class ResourceMap(dict[str, Value]):
         if len(self) != len(self.DEFAULTS):
             unknown = ", ".join(self.keys() - self.DEFAULTS.keys())
             raise TypeError(f"{type(self).__name__} has no {unknown}")
+
+    @classmethod
+    def from_row(cls, row: Iterable[Value]) -> Self:
+        """All values in the order of the table: what a plan builds for every candidate of every task.
+
+        Raises:
+            ValueError: too few values.
+        """
+        made = cls.__new__(cls)
+        dict.update(made, zip(cls.DEFAULTS, row))  # noqa: B905  # counted below, which takes less time
+        if len(made) != len(cls.DEFAULTS):
+            raise ValueError(f"{cls.__name__} needs {len(cls.DEFAULTS)} values")
+        return made
 
     def __hash__(self) -> int:  # type: ignore[override]  # it is immutable, other dicts are not
         return hash(tuple(self.values()))

@@ -29,6 +29,7 @@ class Phase(StrEnum):
     HOLD = "hold"
     STOP = "stop"
     START = "start"
+    ADOPT = "adopt"
     READY = "ready"
     RELEASE = "release"
     RESTORE = "restore"

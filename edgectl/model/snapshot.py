@@ -80,7 +80,10 @@ class TaskSample:
     none are stated. ``given_up``: it ended by itself and is not to be started again by itself: a crash loop,
     or a failure under ``restart: never``. ``ended_at``: when it ended for good, where its host knows.
     ``started_at``: 0 where it is not known any more.
-    ``metrics``: what the application says of itself, the last value by name, also after its end.
+    ``metrics``: what the application says of itself, the last value by name, also after its end. ``file``:
+    the task file that it was started from. ``orphaned``: it lives without a supervisor; ``adoptable``: a new
+    one can take it over as it is (ADR 0041). ``filed_as``: the host name under which its machine
+    keeps it, where that is a former one (ADR 0040); its usage is not measured then.
     """
 
     state: TaskState
@@ -104,6 +107,10 @@ class TaskSample:
     given_up: bool = False
     metrics: Mapping[str, Signed] = field(default_factory=dict)
     ended_at: Instant | None = None
+    file: str = ""
+    orphaned: bool = False
+    adoptable: bool = False
+    filed_as: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -156,7 +163,9 @@ class HostSample:
     on the host took them, so rates are smoothed already. ``generations``: by task, the highest generation the
     host was ever given, where ``tasks`` does not tell. ``other_tasks``: tasks of this fleet that the machine
     has under another host name, unless that host reports them itself. ``foreign_tasks``: tasks of other
-    fleets; they are load, and nothing else is done with them.
+    fleets; they are load, and nothing else is done with them. ``address``: as the inventory states it.
+    ``machine``: machine id, user and state directories of the login, as ``ID/UID/HASH``; "" where there is no
+    machine id.
     """
 
     role: Role
@@ -178,6 +187,8 @@ class HostSample:
     generations: Mapping[str, int] = field(default_factory=dict)
     other_tasks: tuple[OtherTask, ...] = ()
     foreign_tasks: tuple[OtherTask, ...] = ()
+    address: str = ""
+    machine: str = ""
 
     @property
     def ok(self) -> bool:
@@ -206,6 +217,16 @@ class Snapshot:
         """Hosts that did not answer, without those that the operator declared powered off."""
         fenced = self.manager.fenced if self.manager else frozenset()
         return tuple(name for name, host in self.hosts.items() if not host.ok and name not in fenced)
+
+
+def find_doubled_tasks(snapshot: Snapshot) -> dict[str, tuple[str, ...]]:
+    """Managed tasks of which more than one instance is alive, with their hosts."""
+    places: dict[str, list[str]] = {}
+    for name, host in snapshot.hosts.items():
+        for task, sample in host.tasks.items() if host.ok else ():
+            if sample.managed and sample.state.alive:
+                places.setdefault(task, []).append(name)
+    return {task: tuple(hosts) for task, hosts in places.items() if len(hosts) > 1}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

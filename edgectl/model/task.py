@@ -1,5 +1,6 @@
 """Tasks with their demands, order constraints and commands."""
 
+import posixpath
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -185,7 +186,7 @@ class Task:
     supervisor stops it when no request of a manager has reached the host for so many seconds; None: never.
     ``up``: without ``ready``, how long (s) the command must have run until it counts as ready; None: the
     default. ``downtime_cost``: utility lost per second of downtime, 0 or more; weighed once downtimes are
-    measured.
+    measured. ``file``: the task file that lists it (ADR 0039); it is no part of any digest.
     """
 
     name: str
@@ -219,12 +220,22 @@ class Task:
     labels: Mapping[str, str] = field(default_factory=dict)
     env_command: tuple[str, ...] = ()
     spec_fields: Mapping[str, str] = field(default_factory=dict)
+    file: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tasks:
-    """All tasks of the task files, by expanded name in natural order, and the policy that the files state."""
+    """All tasks of the task files, by expanded name in natural order, and the policy that the files state.
+
+    ``files``: the files that were read, and ``folders``: the directories that were given whole (ADR 0039).
+    """
 
     tasks: Mapping[str, Task]
     policy: Policy = Policy()
     digest: str = ""
+    files: frozenset[str] = frozenset()
+    folders: frozenset[str] = frozenset()
+
+    def is_given(self, file: str) -> bool:
+        """Whether the task file ``file`` was given, by itself or by its directory; "" is not known."""
+        return file in self.files or (file != "" and (posixpath.dirname(file) or ".") in self.folders)

@@ -192,9 +192,12 @@ def _choose_place(
         placed=progress.placed,
     )
     candidates = weigh()
-    choice = how.rules.choose(candidates, _build_move_constraints(how, state, progress, running))
+    choice = how.rules.choose(candidates, _build_move_constraints(how, progress, task, running))
+    initial_place = _find_place(how.initial, task.name)
+    if initial_place is None and incumbent is not None and choice.verdict is Verdict.PLACED:
+        # Another place than that of an earlier pass: the task runs nowhere yet, so nothing moves.
+        choice = Choice(verdict=Verdict.PLACED, reason=Reason.BEST, place=choice.place)
     if how.record:
-        initial_place = _find_place(how.initial, task.name)
         if choice.place in candidates.denied and choice.place == incumbent:
             candidates = weigh(stays=True)
         decision = build_decision(
@@ -205,11 +208,16 @@ def _choose_place(
 
 
 def _build_move_constraints(
-    how: PlacementPass, state: InitialState, progress: _PassState, running: RunningTask | None
+    how: PlacementPass, progress: _PassState, task: Task, running: RunningTask | None
 ) -> MoveConstraints:
-    dwell_s = how.context.now - running.since if running is not None and running.since is not None else None
+    """The constraints of this pass. ``max_moves`` is about tasks that run before the plan."""
     return MoveConstraints(
-        frozen=state.frozen, voluntary=how.voluntary, dwell_s=dwell_s, moves_left=progress.moves_left
+        frozen=how.initial.frozen,
+        voluntary=how.voluntary,
+        dwell_s=how.context.now - running.since
+        if running is not None and running.since is not None
+        else None,
+        moves_left=progress.moves_left if task.name in how.initial.running else None,
     )
 
 
@@ -253,7 +261,7 @@ def assign(
     rules = POLICIES[policy.name]
     used = replace(policy, weights=policy.weights.normalised())
     fleet = add_measured_demands(build_capacities(inventory, snapshot, manager, used.without), tasks, manager)
-    state = build_initial_state(tasks, manager, fleet, now)
+    state = build_initial_state(tasks, manager, fleet, now, used)
     context = AssignmentContext(
         fleet=fleet,
         policy=used,

@@ -164,7 +164,7 @@ def terms_at(
     """The reference computation of all terms, the total and what is lacking at one candidate."""
     reading = compute_resource_terms(candidates.ledger, candidates.task, place)
     task = candidates.utilities[compute_affinity(candidates.located, place)]
-    terms = UtilityTerms(reading.terms, task=task)
+    terms = UtilityTerms.from_row((*reading.terms, task))
     return terms, total_utility(candidates.context.policy.weights, terms), reading.rejections
 
 
@@ -231,15 +231,12 @@ def _compute_place_totals(candidates: CandidateSet) -> list[float]:
     context, task, fleet = candidates.context, candidates.task, candidates.context.fleet
     weights = context.policy.weights
     far = candidates.utilities.get(-len(candidates.located), 0.0)
-    row = compute_resource_totals(
-        candidates.ledger, context.shares, task, weights, offset=weights[AFFINITY] * far
-    )
+    weight = weights[AFFINITY]
+    row = compute_resource_totals(candidates.ledger, context.shares, task, weights, offset=weight * far)
     row.extend([EXCLUDED_TOTAL] * (len(fleet.places) - fleet.edges))
     for place in set(candidates.located):
         if place < fleet.edges and place not in candidates.denied:
-            row[place] += weights[AFFINITY] * (
-                candidates.utilities[compute_affinity(candidates.located, place)] - far
-            )
+            row[place] += weight * (candidates.utilities[compute_affinity(candidates.located, place)] - far)
     for place in candidates.denied:
         row[place] = EXCLUDED_TOTAL
     for place in candidates.robots:

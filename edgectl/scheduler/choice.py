@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from edgectl.model.assignment import MoveCost, Reason, RejectionRule, Verdict
-from edgectl.model.resource import HOST_RESOURCES
+from edgectl.model.resource import HOST_RESOURCES, RESOURCES
 from edgectl.scheduler.candidates import CandidateSet
 from edgectl.scheduler.feasibility import compute_resource_terms
 from edgectl.scheduler.ledger import NO_FREE_SHARE
@@ -164,7 +164,11 @@ def _compute_shortfalls(candidates: CandidateSet) -> dict[int, float]:
     }
     for place in candidates.listed[edges:]:
         terms = compute_resource_terms(candidates.ledger, candidates.task, place).terms
-        known = [term for resource in HOST_RESOURCES if (term := terms[resource.name]) is not None]
+        known = [
+            term
+            for resource, term in zip(RESOURCES, terms, strict=True)
+            if term is not None and not resource.per_link
+        ]
         if place not in candidates.denied and len(known) == len(HOST_RESOURCES):
             found[place] = min(known)
     return found

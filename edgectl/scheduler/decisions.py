@@ -118,9 +118,9 @@ def _refine_reason(
 
 def _is_decided_by_affinity(weighed: list[RankedHost], weights: Weights, host: str) -> bool:
     """True where another host would have won on resources alone."""
+    weight = weights[AFFINITY]
     without = {
-        entry.host: (entry.total or 0.0) - weights[AFFINITY] * (entry.terms[AFFINITY] or 0.0)
-        for entry in weighed
+        entry.host: (entry.total or 0.0) - weight * (entry.terms[AFFINITY] or 0.0) for entry in weighed
     }
     return without[host] < max(without.values()) - EPSILON
 

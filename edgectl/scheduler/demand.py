@@ -56,6 +56,13 @@ def demand_at(fleet: Capacities, task: Task, place: int) -> Demand:
     return own.get(fleet.classes[place]) or own[OTHER_CLASS]
 
 
+def list_edge_demands(fleet: Capacities, task: Task, resource: str) -> list[Quantity | None]:
+    """The measured demand of ``task`` for ``resource`` at every edge."""
+    by_class = {kind: demand[resource] for kind, demand in fleet.demands[task.name].items()}
+    other = by_class[OTHER_CLASS]
+    return [by_class.get(kind, other) for kind in fleet.classes[: fleet.edges]]
+
+
 def list_resource_demands(fleet: Capacities, task: Task, place: int) -> tuple[ResourceDemand, ...]:
     """The demands of ``task`` at ``place`` in absolute numbers, and where they come from."""
     counted = demand_at(fleet, task, place)

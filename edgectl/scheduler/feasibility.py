@@ -16,11 +16,11 @@ from edgectl.scheduler.utility import EPSILON, resource_utility
 
 
 class ResourceTerms(NamedTuple):
-    """UT_k of one task at one place by resource (None without capacity), and the rejections for what it lacks
-    there.
+    """UT_k of one task at one place in the order of the table (None without capacity), and the rejections for
+    what it lacks there.
     """
 
-    terms: dict[str, float | None]
+    terms: list[float | None]
     rejections: tuple[Rejection, ...]
 
 
@@ -59,20 +59,20 @@ def compute_resource_terms(ledger: Ledger, task: Task, place: int) -> ResourceTe
     """
     fleet = ledger.fleet
     demand = demand_at(fleet, task, place)
-    terms: dict[str, float | None] = {}
+    terms: list[float | None] = []
     rejections: tuple[Rejection, ...] = ()
     for resource in RESOURCES:
         name = resource.name
         quantity = demand[name] or ZERO
         if resource.per_link:
-            terms[name], lacking = _compute_network_term(ledger, task, place, quantity)
+            term, lacking = _compute_network_term(ledger, task, place, quantity)
         else:
             amount = quantity.of(fleet.raw[name][place])
-            terms[name], lacking = _compute_term(
+            term, lacking = _compute_term(
                 resource, fleet.usable[name][place], ledger.used[name][place], amount
             )
-        if lacking:
-            rejections += lacking
+        terms.append(term)
+        rejections += lacking
     return ResourceTerms(terms, rejections)
 
 

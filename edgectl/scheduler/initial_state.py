@@ -6,9 +6,12 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from edgectl.model.assignment import Decision, Reason, Verdict
-from edgectl.model.manager_state import ManagerState
+from edgectl.model.lost_places import LostPlace, find_lost_place
+from edgectl.model.manager_state import ManagerState, Placement
+from edgectl.model.policy import Policy
 from edgectl.model.snapshot import TaskSample, TaskState
 from edgectl.model.task import Task, Tasks
+from edgectl.model.task_origin import is_left_alone
 from edgectl.scheduler.capacities import Capacities
 from edgectl.scheduler.ledger import Ledger, TaskUsage, build_measured_ledger, compute_measured_usage
 from edgectl.scheduler.partition import seconds_until_replaced
@@ -73,7 +76,9 @@ class _InitialStateBuilder:
     replaced: dict[str, str] = field(default_factory=dict)
 
 
-def build_initial_state(tasks: Tasks, manager: ManagerState, fleet: Capacities, now: float) -> InitialState:
+def build_initial_state(
+    tasks: Tasks, manager: ManagerState, fleet: Capacities, now: float, policy: Policy
+) -> InitialState:
     """The initial state from the snapshot (in ``fleet``) and the manager state."""
     seen = _collect_instances(fleet)
     builder = _InitialStateBuilder(
@@ -88,7 +93,9 @@ def build_initial_state(tasks: Tasks, manager: ManagerState, fleet: Capacities, 
     for name in sorted(tasks.tasks):
         _add_task(builder, tasks.tasks[name], seen.pop(name, ()))
     for name in sorted(seen):
-        _release_usage(builder, (s for s in seen[name] if s.sample.managed), None)
+        ours = [s for s in seen[name] if s.sample.managed]
+        if not is_left_alone(name, [s.sample for s in ours], tasks, manager, policy):
+            _release_usage(builder, ours, None)
     silent = [
         host.name
         for place, host in enumerate(fleet.places)
@@ -144,6 +151,11 @@ def _add_task(builder: _InitialStateBuilder, task: Task, sightings: tuple[FoundI
             previous_host=_get_instance_host(builder, current),
         )
         return
+    lost = _find_lost_newest_place(builder, task, ours, current)
+    if lost is not None and not lost.fenced:
+        _release_usage(builder, ours, task)
+        _hold_at_lost_place(builder, task, lost)
+        return
     away = _find_unreachable_newest_host(builder, task, ours, current)
     left = (
         None
@@ -160,8 +172,8 @@ def _add_task(builder: _InitialStateBuilder, task: Task, sightings: tuple[FoundI
     elif current is not None:
         _release_usage(builder, (s for s in ours if s is not current), task)
         _add_running_task(builder, task, current)
-    elif away is not None:
-        builder.replaced[task.name] = away
+    elif away is not None or lost is not None:
+        builder.replaced[task.name] = away or (lost.host if lost is not None else "")
     elif (ended := _find_given_up_run(builder, task, sightings)) is not None:
         builder.fixed[task.name] = _build_given_up_decision(task, ended, _get_instance_host(builder, ended))
 
@@ -261,8 +273,40 @@ def _find_unreachable_newest_host(
     place = builder.fleet.index.get(placement.host) if placement else None
     if placement is None or place is None or not builder.fleet.is_unreachable(place):
         return None
-    older = current is None or (current in ours and current.sample.generation < placement.generation)
-    return placement.host if older else None
+    return placement.host if _is_older(current, ours, placement) else None
+
+
+def _is_older(current: FoundInstance | None, ours: Iterable[FoundInstance], placement: Placement) -> bool:
+    """Whether what is seen of a task, if anything, is older than its last known placement."""
+    return current is None or (current in ours and current.sample.generation < placement.generation)
+
+
+def _find_lost_newest_place(
+    builder: _InitialStateBuilder, task: Task, ours: Iterable[FoundInstance], current: FoundInstance | None
+) -> LostPlace | None:
+    """The place of the newest copy of ``task`` where the inventory no longer reaches it (ADR 0040)."""
+    placement = builder.manager.placements.get(task.name)
+    if placement is None or not task.managed or not _is_older(current, ours, placement):
+        return None
+    samples = {
+        host.name: sample
+        for host, sample in zip(builder.fleet.places, builder.fleet.samples, strict=True)
+        if sample is not None
+    }
+    if placement.host not in samples and placement.host in builder.fleet.index:
+        return None
+    return find_lost_place(placement, samples, builder.manager)
+
+
+def _hold_at_lost_place(builder: _InitialStateBuilder, task: Task, lost: LostPlace) -> None:
+    reason = Reason.HOST_LEFT if lost.address is None else Reason.HOST_READDRESSED
+    builder.fixed[task.name] = Decision(
+        task=task.name,
+        verdict=Verdict.HELD,
+        reason=reason,
+        previous_host=lost.host,
+        subject=lost.host if lost.address is None else f"{lost.host} ({lost.address})",
+    )
 
 
 def _find_unreachable_robot(builder: _InitialStateBuilder, task: Task) -> str | None:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from math import inf
 
 from edgectl.model.assignment import ExpectedLoad
+from edgectl.model.policy import Weights
 from edgectl.model.resource import CPU, HOST_RESOURCES, NETWORK, Usage
 from edgectl.model.snapshot import TaskSample
 from edgectl.model.task import ZERO, Quantity, Task
@@ -27,7 +28,8 @@ class TaskUsage:
 class Ledger:
     """gamma: ``used`` by resource and place, ``links`` (bytes/s) by robot and edge.
 
-    ``free`` and ``free_links`` hold (Delta - gamma) / Delta of the same, kept in step.
+    ``free`` and ``free_links`` hold (Delta - gamma) / Delta of the same, kept in step; so does ``weighted``,
+    the sum of weight x free share over the resources of each place, once ``weigh_free`` has named weights.
     """
 
     fleet: Capacities
@@ -35,6 +37,8 @@ class Ledger:
     links: dict[str, list[float]]
     free: dict[str, list[float]]
     free_links: dict[str, list[float]]
+    weights: Weights | None = None
+    weighted: list[float] = field(default_factory=list)
 
     def copy(self) -> "Ledger":
         """An independent ledger with the same numbers."""
@@ -74,6 +78,19 @@ class Ledger:
             for place in sorted(places, key=fleet.order.__getitem__)
         }
 
+    def weigh_free(self, weights: Weights) -> list[float]:
+        """Sum of weight x free share over the resources of hosts, by place."""
+        if self.weights is not weights:
+            self.weights = weights
+            self.weighted = [self._weigh_place(weights, place) for place in range(len(self.fleet.places))]
+        return self.weighted
+
+    def _weigh_place(self, weights: Weights, place: int) -> float:
+        total = 0.0
+        for name, row in self.free.items():
+            total += weights[name] * row[place]
+        return total
+
     def _load(self, place: int) -> ExpectedLoad:
         linked = place < self.fleet.edges
         links = {
@@ -86,6 +103,8 @@ class Ledger:
     def _set(self, place: int, name: str, amount: float) -> None:
         self.used[name][place] = amount
         self.free[name][place] = compute_free_share(self.fleet.usable[name][place], amount)
+        if self.weights is not None:
+            self.weighted[place] = self._weigh_place(self.weights, place)
 
     def _set_link(self, place: int, robot: str, rate: float) -> None:
         self.links[robot][place] = rate

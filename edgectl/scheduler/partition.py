@@ -15,7 +15,7 @@ def seconds_until_replaced(task: Task, host: str, manager: ManagerState, now: fl
     = until ``host`` answers or is fenced.
 
     The operator's word counts for every task; the mere passing of time only where the task's supervisor stops
-    it by then.
+    it by then: not for one whose supervisor was lost (ADR 0041).
     """
     if host in manager.fenced:
         return 0.0
@@ -24,6 +24,7 @@ def seconds_until_replaced(task: Task, host: str, manager: ManagerState, now: fl
         task.on_unreachable is not UnreachablePolicy.REPLACE
         or task.self_fence is None
         or contact is None
+        or task.name in manager.orphans.get(host, ())
         or _has_spec_changed(task, manager)
     ):
         return None

@@ -82,13 +82,14 @@ def _sort_by_total(candidates: CandidateSet, hosts: list[ScoredPlace]) -> list[S
         else:
             groups.append([host])
     for group in groups:
-        group.sort(
-            key=lambda host: (
-                host.place != candidates.incumbent,
-                candidates.placed.get(host.place, 0),
-                order[host.place],
+        if len(group) > 1:
+            group.sort(
+                key=lambda host: (
+                    host.place != candidates.incumbent,
+                    candidates.placed.get(host.place, 0),
+                    order[host.place],
+                )
             )
-        )
     return [host for group in groups for host in group]
 
 

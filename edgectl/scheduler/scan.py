@@ -1,19 +1,19 @@
-"""Eq.
+"""Equation (4) for one task at every edge at once: the tight loop.
 
-(4) for one task at every edge at once: the tight loop. Its reference is ``feasibility``; tests compare the
-two. A row holds one number per edge. The scan works on shares: UT = free share - demanded share, one row
-operation per resource.
+Its reference is ``feasibility``; tests compare the two. A row holds one number per edge. The scan works on
+shares: UT = free share - demanded share, one row operation per resource.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from operator import sub
+from operator import lt, sub
+from typing import NamedTuple
 
 from edgectl.model.policy import Weights
-from edgectl.model.resource import HOST_RESOURCES, NETWORK, RESOURCES
+from edgectl.model.resource import HOST_RESOURCES, NETWORK
 from edgectl.model.task import ZERO, Quantity, Task
 from edgectl.scheduler.capacities import Capacities
-from edgectl.scheduler.demand import demand_at
+from edgectl.scheduler.demand import list_edge_demands
 from edgectl.scheduler.ledger import NO_FREE_SHARE, Ledger
 from edgectl.scheduler.utility import EPSILON
 
@@ -33,13 +33,16 @@ class DemandShares:
     """Demands as shares of capacity, filled as they are first asked for.
 
     ``rows`` is keyed by resource and quantity, of which a fleet has few; by the task's name where history
-    decides, for there the demand may differ from edge to edge. ``links`` and ``inverse_links`` are of the
+    decides, for there the demand may differ from edge to edge. ``weighted`` is keyed by all of a task's
+    quantities. ``links`` and ``inverse_links`` are of the
     links to one robot.
     """
 
     fleet: Capacities
     ones: list[float]
+    zeros: list[float]
     rows: dict[tuple[str, Quantity | str], list[float]] = field(default_factory=dict)
+    weighted: dict[tuple[Quantity | None, ...] | str, list[float]] = field(default_factory=dict)
     inverse_links: dict[str, list[float]] = field(default_factory=dict)
     links: dict[tuple[str, Quantity | str], list[float]] = field(default_factory=dict)
 
@@ -50,9 +53,28 @@ class DemandShares:
         key = resource, task.name if measured else quantity
         row = self.rows.get(key)
         if row is None:
-            quantities = self._list_quantities(task, resource) if measured else [quantity] * self.fleet.edges
+            quantities = (
+                list_edge_demands(self.fleet, task, resource) if measured else [quantity] * self.fleet.edges
+            )
             row = _build_share_row(quantities, self.fleet.raw[resource], self.fleet.usable[resource])
             self.rows[key] = row
+        return row
+
+    def of_weighted(self, task: Task, weights: Weights) -> list[float]:
+        """Sum of weight x (rho / Delta) over the resources of hosts at every edge, under one policy."""
+        key = (
+            task.name
+            if task.name in self.fleet.demands
+            else tuple(task.demand[resource.name] for resource in HOST_RESOURCES)
+        )
+        row = self.weighted.get(key)
+        if row is None:
+            row = self.zeros
+            for resource in HOST_RESOURCES:
+                weight = weights[resource.name]
+                demanded = self.of_host(task, resource.name)
+                row = [total + weight * share for total, share in zip(row, demanded, strict=True)]
+            self.weighted[key] = row
         return row
 
     def of_link(self, task: Task, robot: str) -> list[float]:
@@ -72,14 +94,11 @@ class DemandShares:
 
     def _build_measured_link_row(self, task: Task, robot: str) -> list[float]:
         capacities = [capacity or 0.0 for capacity in self.fleet.links[robot]]
-        return _build_share_row(self._list_quantities(task, NETWORK.name), capacities, capacities)
+        return _build_share_row(list_edge_demands(self.fleet, task, NETWORK.name), capacities, capacities)
 
     def _build_link_row(self, quantity: Quantity, robot: str) -> list[float]:
         units = self.ones if quantity.relative else self._per_byte(robot)
         return [quantity.value * unit for unit in units]
-
-    def _list_quantities(self, task: Task, resource: str) -> list[Quantity | None]:
-        return [demand_at(self.fleet, task, edge)[resource] for edge in range(self.fleet.edges)]
 
     def _per_byte(self, robot: str) -> list[float]:
         """1 / Delta of every edge's link to ``robot``; 0 where there is none."""
@@ -92,7 +111,7 @@ class DemandShares:
 
 def build_demand_shares(fleet: Capacities) -> DemandShares:
     """Empty shares of ``fleet``."""
-    return DemandShares(fleet=fleet, ones=[1.0] * fleet.edges)
+    return DemandShares(fleet=fleet, ones=[1.0] * fleet.edges, zeros=[0.0] * fleet.edges)
 
 
 def _build_share_row(quantities: Sequence[Quantity | None], raw: Row, usable: Row) -> list[float]:
@@ -107,25 +126,33 @@ def _build_share_row(quantities: Sequence[Quantity | None], raw: Row, usable: Ro
     ]
 
 
-def _compute_network_terms(ledger: Ledger, shares: DemandShares, task: Task) -> Row:
-    """UT of the worst link at every edge; 1 without a robot."""
+class ResourceRows(NamedTuple):
+    """Free and demanded share of one resource by edge: UT is their difference.
+
+    The free row of a host's resource goes on to the robots.
+    """
+
+    free: Row
+    demanded: Row
+
+
+def _find_link_rows(ledger: Ledger, shares: DemandShares, task: Task) -> ResourceRows:
+    """The rows of the only link; the worst of several, with the demand taken off; 1 without a robot."""
     if not task.robots:
-        return shares.ones
+        return ResourceRows(shares.ones, shares.zeros)
     if any(robot not in ledger.free_links for robot in task.robots):
-        return [NO_FREE_SHARE] * ledger.fleet.edges
-    rows = [list(map(sub, ledger.free_links[robot], shares.of_link(task, robot))) for robot in task.robots]
-    return rows[0] if len(rows) == 1 else [min(column) for column in zip(*rows, strict=True)]
+        return ResourceRows([NO_FREE_SHARE] * ledger.fleet.edges, shares.zeros)
+    rows = [ResourceRows(ledger.free_links[robot], shares.of_link(task, robot)) for robot in task.robots]
+    if len(rows) == 1:
+        return rows[0]
+    return ResourceRows(
+        [min(column) for column in zip(*map(_subtract_rows, rows), strict=True)], shares.zeros
+    )
 
 
-def _compute_term_rows(ledger: Ledger, shares: DemandShares, task: Task) -> dict[str, Row]:
-    """UT of each resource at every edge."""
-    terms: dict[str, Row] = {
-        # The free rows go on to the robots; map stops with the edges.
-        resource.name: list(map(sub, ledger.free[resource.name], shares.of_host(task, resource.name)))
-        for resource in HOST_RESOURCES
-    }
-    terms[NETWORK.name] = _compute_network_terms(ledger, shares, task)
-    return terms
+def _subtract_rows(rows: ResourceRows) -> list[float]:
+    """UT at every edge."""
+    return list(map(sub, rows.free, rows.demanded))
 
 
 def compute_resource_totals(
@@ -134,30 +161,41 @@ def compute_resource_totals(
     """``offset`` plus the resource part of the total at every edge, less the penalty where the task does not
     fit.
     """
-    terms = _compute_term_rows(ledger, shares, task)
-    first, *others, last = ((weights[resource.name], terms[resource.name]) for resource in RESOURCES)
-    weight, row = first
-    totals = [weight * term for term in row]
-    for weight, row in others:
-        totals = [total + weight * term for total, term in zip(totals, row, strict=True)]
-    weight, row = last
-    totals = [total + weight * term + offset for total, term in zip(totals, row, strict=True)]
-    for edge in _find_infeasible_edges(terms):
+    rows = _list_resource_rows(ledger, shares, task)
+    weight = weights[NETWORK.name]
+    columns = zip(
+        ledger.weigh_free(weights), shares.of_weighted(task, weights), *rows[-1], strict=False
+    )  # the free rows go on to the robots
+    totals = [
+        offset + free - demanded + weight * (free_link - demanded_link)
+        for free, demanded, free_link, demanded_link in columns
+    ]
+    for edge in _find_infeasible_edges(rows):
         totals[edge] -= INFEASIBLE_PENALTY
     return totals
 
 
-def _find_infeasible_edges(terms: dict[str, Row]) -> set[int]:
-    """Edges that lack some resource. The least of a row tells in C whether there are any."""
+def _list_resource_rows(ledger: Ledger, shares: DemandShares, task: Task) -> list[ResourceRows]:
+    """The rows of every resource of hosts, and of the links as the last."""
+    rows = [
+        ResourceRows(ledger.free[resource.name], shares.of_host(task, resource.name))
+        for resource in HOST_RESOURCES
+    ]
+    rows.append(_find_link_rows(ledger, shares, task))
+    return rows
+
+
+def _find_infeasible_edges(rows: Sequence[ResourceRows]) -> set[int]:
+    """Edges that lack some resource. A comparison of two rows in C tells whether there may be any."""
     return {
         edge
-        for row in terms.values()
-        if min(row, default=0.0) < -EPSILON
-        for edge, term in enumerate(row)
+        for row in rows
+        if any(map(lt, *row))
+        for edge, term in enumerate(_subtract_rows(row))
         if term < -EPSILON
     }
 
 
 def compute_worst_terms(ledger: Ledger, shares: DemandShares, task: Task) -> list[float]:
     """The least UT of the resources at every edge: how far the task is from fitting."""
-    return list(map(min, *_compute_term_rows(ledger, shares, task).values()))
+    return list(map(min, *map(_subtract_rows, _list_resource_rows(ledger, shares, task))))

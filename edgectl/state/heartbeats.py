@@ -30,13 +30,15 @@ _FILE_NAME = "contacts.json"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Heartbeats:
-    """Last contact of each host, and the fenced hosts (declared off).
+    """Last contact of each host, the fenced hosts (declared off), and by host the tasks that had no
+    supervisor there when it last answered: nothing stops those when the host falls silent.
 
     Nothing is known of a host that is in neither.
     """
 
     last: Mapping[str, Uptime] = field(default_factory=dict, metadata=in_document(required=True))
     fenced: frozenset[str] = field(default=frozenset(), metadata=in_document(required=True))
+    orphans: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def to_instants(self, wall: float, now: Uptime) -> dict[str, float]:
         """The contacts as instants of a wall clock that shows ``wall`` at ``now``."""
@@ -90,9 +92,23 @@ def remove_fences(fleet_dir: Path, hosts: Iterable[str]) -> Heartbeats:
     return _update_heartbeats(fleet_dir, lambda known: replace(known, fenced=known.fenced - set(hosts)))
 
 
+def record_orphans(fleet_dir: Path, seen: Mapping[str, tuple[str, ...]]) -> Heartbeats:
+    """Record the orphans of each host that answered; those of other hosts stay.
+
+    Raises:
+        StateError: the disk does not take it.
+    """
+
+    def merge(known: Heartbeats) -> Heartbeats:
+        merged = {host: tasks for host, tasks in {**known.orphans, **seen}.items() if tasks}
+        return replace(known, orphans=merged)
+
+    return _update_heartbeats(fleet_dir, merge)
+
+
 def _merge_heartbeats(known: Heartbeats, heard: Mapping[str, Uptime]) -> Heartbeats:
     later = {host: at for host, at in heard.items() if _is_later(at, known.last.get(host))}
-    return Heartbeats(last={**known.last, **later}, fenced=known.fenced - heard.keys())
+    return replace(known, last={**known.last, **later}, fenced=known.fenced - heard.keys())
 
 
 def _is_later(one: Uptime, other: Uptime | None) -> bool:

@@ -49,7 +49,33 @@ def ensure_private_dir(path: Path) -> Path:
         raise StateError(
             f"state directory {path} is not private to you", hint=f"chown it to yourself and chmod 700 {path}"
         )
+    _check_parents(path)
     return path
+
+
+def _check_parents(path: Path) -> None:
+    """Refuse a directory below one in which another user may rename it: cordons, fences and locks would be
+    theirs to exchange.
+
+    A sticky directory, as /tmp is, lets only the owner rename; a group may write if it is the caller's own.
+    """
+    for parent in {*path.absolute().parents, *path.resolve().parents}:
+        for status in (parent.lstat(), parent.stat()):
+            shared = status.st_mode & stat.S_IWOTH or (
+                status.st_mode & stat.S_IWGRP and status.st_gid != os.getegid()
+            )
+            exposed = shared and not status.st_mode & stat.S_ISVTX and not stat.S_ISLNK(status.st_mode)
+            if exposed or status.st_uid not in _list_trusted_users():
+                raise StateError(
+                    f"state directory {path} is below {parent}, which another user may change",
+                    hint=f"chown it to yourself and chmod go-w {parent}, or set EDGECTL_STATE_DIR",
+                )
+
+
+def _list_trusted_users() -> set[int]:
+    """Root, the caller, and whoever became root by sudo."""
+    sudo = os.environ.get("SUDO_UID", "") if os.geteuid() == 0 else ""
+    return {0, os.geteuid(), *([int(sudo)] if sudo.isdecimal() else [])}
 
 
 def open_private_file(path: Path, flags: int) -> int:

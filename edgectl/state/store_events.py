@@ -29,6 +29,7 @@ _DONE_EVENTS = {
     Action.COMPLETE: EventKind.TASK_STOPPED,
     Action.MOVE: EventKind.TASK_MOVED,
     Action.RESTART: EventKind.TASK_RESTARTED,
+    Action.ADOPT: EventKind.TASK_ADOPTED,
 }
 
 

@@ -107,7 +107,10 @@ def _plan_drain(fleet: Fleet, policy: Policy, names: Sequence[str], options: App
         task for task, placement in manager.placements.items() if placement.host in names
     }
     return dataclasses.replace(
-        made, steps=tuple(step for step in made.steps if step.task in leaving), expected={}
+        made,
+        steps=tuple(step for step in made.steps if step.task in leaving),
+        expected={},
+        tasks_left_alone={},
     )
 
 

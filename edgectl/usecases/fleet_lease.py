@@ -111,6 +111,7 @@ def _release_host(fleet: Fleet, lease: FleetLease, host: Host, *, end_watch: boo
     with contextlib.suppress(HostError):
         request = {
             "op": protocol.OP_LEASE,
+            "fleet": host.fleet,
             "host": host.name,
             "action": "release",
             "lease": lease.sign(host.name),

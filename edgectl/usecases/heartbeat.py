@@ -43,7 +43,10 @@ def load_state_with_heartbeats(fleet: Fleet) -> ManagerState:
     """The manager's state of the fleet with its heartbeats and fences."""
     manager, contacts = load_manager_state(fleet.state, fleet.warn), load_heartbeats(fleet.state, fleet.warn)
     return dataclasses.replace(
-        manager, contact=contacts.to_instants(fleet.clock(), fleet.uptime()), fenced=contacts.fenced
+        manager,
+        contact=contacts.to_instants(fleet.clock(), fleet.uptime()),
+        fenced=contacts.fenced,
+        orphans=contacts.orphans,
     )
 
 

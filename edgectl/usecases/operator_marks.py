@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Sequence
 
 from edgectl.gateway.task_lookup import list_ended_instances
+from edgectl.model.lost_places import list_fence_marks
 from edgectl.model.manager_state import ManagerState
 from edgectl.names import check_known_names
 from edgectl.state import heartbeats
@@ -86,15 +87,28 @@ def uncordon_hosts(fleet: Fleet, names: Sequence[str]) -> ManagerState:
 
 
 def fence_hosts(fleet: Fleet, names: Sequence[str]) -> frozenset[str]:
-    """Declare hosts powered off: their tasks can be rescheduled. Returns all fenced hosts."""
-    check_known_names(names, fleet.inventory.hosts, "host")
+    """Declare hosts powered off: their tasks can be rescheduled. Returns all fenced hosts.
+
+    A host that left the inventory is known as long as a task was last placed there; of one whose address
+    changed, the former address is fenced (ADR 0040).
+    """
+    manager = load_manager_state(fleet.state, fleet.warn)
+    check_known_names(names, list_fenceable_hosts(fleet, manager), "host")
+    marks = {mark for name in names for mark in list_fence_marks(name, fleet.inventory, manager)}
     with FleetLock(fleet.state, verb="fence", timeout=None, clock=fleet.clock):
-        return heartbeats.add_fences(fleet.state, names).fenced
+        return heartbeats.add_fences(fleet.state, marks).fenced
+
+
+def list_fenceable_hosts(fleet: Fleet, manager: ManagerState | None = None) -> list[str]:
+    """The hosts of the inventory, and those where a task was last placed."""
+    manager = manager or load_manager_state(fleet.state, fleet.warn)
+    return [*fleet.inventory.hosts, *(placement.host for placement in manager.placements.values())]
 
 
 def unfence_hosts(fleet: Fleet, names: Sequence[str]) -> frozenset[str]:
     """Clear the fence of hosts. Returns all hosts that are still fenced."""
-    check_known_names(names, fleet.inventory.hosts, "host")
+    fenced = heartbeats.load_heartbeats(fleet.state, fleet.warn).fenced
+    check_known_names(names, [*fleet.inventory.hosts, *sorted(fenced)], "host")
     with FleetLock(fleet.state, verb="unfence", timeout=None, clock=fleet.clock):
         return heartbeats.remove_fences(fleet.state, names).fenced
 

@@ -3,11 +3,13 @@
 import hashlib
 from collections.abc import Collection
 
+from edgectl.errors import UsageError
 from edgectl.executor.diff import plan_from_assignment, select_targets
 from edgectl.executor.dry_run import list_dry_run_requests
 from edgectl.formats.document import dump_line
 from edgectl.formats.kinds import PLAN_KIND
 from edgectl.gateway.host_probe import ProbeOptions
+from edgectl.model.lost_places import find_shared_machine
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Plan
 from edgectl.model.policy import Policy
@@ -30,12 +32,21 @@ def make_plan(
 
     With a given snapshot no host is asked, ``now`` is its ``taken_at`` and the manager's state is the one in
     it: the result is the same on any day. ``recorded``: the plan of a probe becomes part of the history.
+
+    Raises:
+        UsageError: two hosts of the inventory are one machine.
     """
     if snapshot is None:
         made = make_plan(fleet, policy, snapshot=probe_fleet(fleet, options))
         if recorded:
             record_plan(fleet, made)
         return made
+    shared = find_shared_machine(fleet.inventory, snapshot)
+    if shared is not None:
+        raise UsageError(
+            f"{shared[0]} and {shared[1]} are one machine: its load and its tasks would count twice",
+            hint="remove one, or declare both as slices with capacity: {cpu: .., memory: ..}",
+        )
     manager = snapshot.manager or ManagerState()
     assignment = assign(fleet.inventory, fleet.tasks, snapshot, manager, policy, snapshot.taken_at)
     return plan_from_assignment(fleet.inventory, fleet.tasks, snapshot, manager, assignment)

@@ -2,30 +2,35 @@
 
 import contextlib
 import dataclasses
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
 
 from edgectl.errors import StateError
 from edgectl.executor.hold_release import release_hold
 from edgectl.executor.manager_state_update import compute_next_generations, update_manager_state
 from edgectl.executor.run import RunIdentity, RunOptions, run_plan
 from edgectl.gateway.host_probe import ProbeOptions
+from edgectl.gateway.task_lookup import find_doubled_instances
 from edgectl.model.manager_state import ManagerState
-from edgectl.model.plan import Plan
+from edgectl.model.plan import Action, Plan
 from edgectl.model.progress import ProgressListener, ignore_progress
-from edgectl.model.result import Results
+from edgectl.model.result import Outcome, Results
+from edgectl.state.heartbeats import record_orphans
 from edgectl.state.journal import JOURNAL_FILE_NAME, Journal
 from edgectl.state.journal_reader import JournalSummary, read_journal_cached
 from edgectl.state.lock import FleetLock, get_user_name
 from edgectl.state.manager_state import load_manager_state, save_manager_state, select_saved_fields
 from edgectl.transport.connections import SessionPool
+from edgectl.transport.fleet_lease import WatchNote
+from edgectl.units import format_duration
 from edgectl.usecases.fleet import Fleet
-from edgectl.usecases.fleet_lease import hold_fleet
+from edgectl.usecases.fleet_lease import compute_files_digest, hold_fleet
 from edgectl.usecases.heartbeat import track_heartbeats
 from edgectl.usecases.plan import compute_plan_id, keep_whole_plan
 from edgectl.usecases.record import record_results
 
 Confirm = Callable[[Plan], bool]
+_LOOK_TIMEOUT_S = 10.0
 _NO_RESULTS = Results(revision=0, actions=(), seconds=0.0)
 
 
@@ -50,11 +55,15 @@ class ApplyOptions(RunOptions):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ApplyResult:
-    """A plan and its results; no results where there was nothing to do or it was declined."""
+    """A plan and its results; no results where there was nothing to do or it was declined.
+
+    ``doubled``: tasks of which two instances were alive after the change, with their hosts.
+    """
 
     plan: Plan
     results: Results | None = None
     declined: bool = False
+    doubled: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 
 @contextlib.contextmanager
@@ -117,9 +126,44 @@ def confirm_and_execute(
             )
         after = _save_manager_state(fleet, plan, manager, results, used)
         _record_placements(fleet, journal, results.revision, after)
+    _forget_adopted_orphans(fleet, manager, results)
     record_results(fleet, plan, results)
     _recover_interrupted_apply(fleet, cut_off)
-    return ApplyResult(plan=plan, results=results)
+    if fleet.lease is not None and fleet.lease.watched_by is not None and verb != "watch":
+        fleet.warn(_describe_watch(fleet, fleet.lease.watched_by))
+    return ApplyResult(plan=plan, results=results, doubled=_look_for_doubled(fleet, plan))
+
+
+def _look_for_doubled(fleet: Fleet, plan: Plan) -> dict[str, tuple[str, ...]]:
+    """One more look at all hosts that answered: the tasks of which more than one instance is alive."""
+    names = [name for name, host in plan.snapshot.hosts.items() if host.ok and name in fleet.inventory.hosts]
+    with track_heartbeats(fleet) as tracked:
+        doubled = find_doubled_instances(
+            [fleet.inventory.hosts[name] for name in names], tracked.transport, timeout=_LOOK_TIMEOUT_S
+        )
+    for task, hosts in doubled.items():
+        fleet.warn(f"DOUBLED: {task} runs on {' and '.join(hosts)}; edgectl apply keeps the newest instance")
+    return doubled
+
+
+def _describe_watch(fleet: Fleet, watch: WatchNote) -> str:
+    files = "" if watch.digest == compute_files_digest(fleet) else ", from other files"
+    return f"{watch.who} watches this fleet every {format_duration(watch.every_s)} and plans again{files}"
+
+
+def _forget_adopted_orphans(fleet: Fleet, manager: ManagerState, results: Results) -> None:
+    """An orphan that was adopted fences itself again."""
+    adopted = {
+        (result.host, result.task)
+        for result in results.actions
+        if result.action is Action.ADOPT and result.outcome is Outcome.DONE
+    }
+    left = {
+        host: tuple(task for task in tasks if (host, task) not in adopted)
+        for host, tasks in manager.orphans.items()
+    }
+    if left != dict(manager.orphans):
+        record_orphans(fleet.state, left)
 
 
 def has_nothing_to_do(fleet: Fleet, plan: Plan) -> bool:

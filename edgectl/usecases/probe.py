@@ -6,7 +6,7 @@ from edgectl.gateway import bandwidth, host_probe
 from edgectl.gateway.host_probe import ProbeOptions
 from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.snapshot import BandwidthMeasurement, Snapshot
-from edgectl.state.heartbeats import load_heartbeats
+from edgectl.state.heartbeats import load_heartbeats, record_orphans
 from edgectl.state.journal import JOURNAL_FILE_NAME
 from edgectl.state.journal_reader import read_journal_cached
 from edgectl.state.manager_state import (
@@ -50,6 +50,7 @@ def probe_fleet(fleet: Fleet, options: ProbeOptions | None = None) -> Snapshot:
                 lease=fleet.lease,
             ),
         )
+    _record_orphans(fleet, snapshot)
     manager = load_state_with_heartbeats(fleet)
     for host in sorted(fenced - manager.fenced):
         fleet.warn(f"{host} answers, so it is not powered off: its fence is cleared")
@@ -66,6 +67,18 @@ def _list_known_tasks(fleet: Fleet) -> frozenset[str]:
     return frozenset(fleet.tasks.tasks) | frozenset(load_manager_state(fleet.state, fleet.warn).placements)
 
 
+def _record_orphans(fleet: Fleet, snapshot: Snapshot) -> None:
+    """Remember which tasks have no supervisor: a later silence of their host must not count as their end."""
+    seen = {
+        name: tuple(sorted(task for task, run in host.tasks.items() if run.orphaned))
+        for name, host in snapshot.hosts.items()
+        if host.ok
+    }
+    known = load_heartbeats(fleet.state, fleet.warn).orphans
+    if any(known.get(host, ()) != tasks for host, tasks in seen.items()):
+        record_orphans(fleet.state, seen)
+
+
 def _add_journaled_starts(fleet: Fleet, manager: ManagerState, snapshot: Snapshot) -> ManagerState:
     """The manager's state with starts that only the journal records, on hosts that are unreachable now.
 
@@ -75,7 +88,7 @@ def _add_journaled_starts(fleet: Fleet, manager: ManagerState, snapshot: Snapsho
     started = {
         task: Placement(host=host, since=snapshot.taken_at, generation=generation)
         for task, (host, generation) in read_journal_cached(fleet.state / JOURNAL_FILE_NAME).located.items()
-        if host in snapshot.hosts and not snapshot.hosts[host].ok
+        if host not in snapshot.hosts or not snapshot.hosts[host].ok
         if task not in manager.placements or manager.placements[task].generation < generation
     }
     return dataclasses.replace(manager, placements={**manager.placements, **started}) if started else manager

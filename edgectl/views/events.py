@@ -19,6 +19,7 @@ _EVENT_STYLES = {
     EventKind.TASK_READY: "good",
     EventKind.TASK_COMPLETED: "good",
     EventKind.TASK_RESTARTED: "warn",
+    EventKind.TASK_ADOPTED: "warn",
     EventKind.TASK_FAILED: "bad",
     EventKind.TASK_CRASHLOOP: "bad",
     EventKind.TASK_LOST: "bad",
@@ -35,7 +36,7 @@ _UNPLACED_TEXTS: Mapping[str, str] = {
     Reason.PREDECESSOR_INCOMPLETE: "a task that it needs has not completed",
 }
 _EVENT_HEAD = head("at", "kind", "subject", "message")
-_NO_EVENTS = "No events in this time, or no edgectl observed any (edgectl probe does).\n"
+_NO_EVENTS = "no events in this time, or no edgectl observed any (edgectl probe does)"
 # Minimum widths of rows that come one by one: an instant, the longest kind, most names.
 EVENT_COLUMN_WIDTHS = (20, max(len(kind) for kind in EventKind), 24)
 
@@ -56,6 +57,10 @@ class EventsView(ListView):
         rows = [*([_EVENT_HEAD] if self._first else []), *map(_render_event_row, self._events)]
         return render_columns(rows, look, wrap={2}, least=EVENT_COLUMN_WIDTHS)
 
+    def notes(self) -> Sequence[str]:
+        """That there are none."""
+        return [] if self._events or self._stream else [_NO_EVENTS]
+
     def items(self) -> Sequence[Document]:
         """The events as JSON types."""
         return [encode_event(value) for value in self._events]
@@ -64,7 +69,7 @@ class EventsView(ListView):
 def render_events(values: Iterable[Event], look: RenderOptions = PLAIN) -> str:
     """One line per event below the headings."""
     rows = [_render_event_row(value) for value in values]
-    return render_columns([_EVENT_HEAD, *rows], look, wrap={2}) if rows else _NO_EVENTS
+    return render_columns([_EVENT_HEAD, *rows], look, wrap={2}) if rows else ""
 
 
 def _render_event_row(value: Event) -> Row:

@@ -94,7 +94,7 @@ def _list_amount_headings() -> dict[str, str]:
 
 _MEANINGS: dict[KeyType, dict[str, str]] = {
     KeyType.TEXT: {
-        "action": "action of a plan: start, stop, move, restart, keep, hold, complete, defer, unplaced, none",
+        "action": "action: start, stop, move, restart, adopt, keep, hold, complete, defer, unplaced, none",
         "address": "address of a host in the inventory",
         "attention": "reason why an operator should look at a task; null: none",
         "boot_id": "identity of the boot of a host",

@@ -19,7 +19,7 @@ from edgectl.views.glossary import head
 from edgectl.views.other_tasks import list_foreign_notes
 from edgectl.views.output import ListView, round_item
 from edgectl.views.output_format import FLEET_FORMATS
-from edgectl.views.plan_sections import list_unreachable_notes, render_notes
+from edgectl.views.plan_sections import list_unreachable_notes
 from edgectl.views.rows import (
     compute_task_age,
     encode_absent_row,
@@ -135,6 +135,10 @@ class ListingView(ListView):
         """Hosts without a reply."""
         return self._listing.notes
 
+    def notes(self) -> Sequence[str]:
+        """The same, and that nothing is listed."""
+        return _list_listing_notes(self._listing)
+
     def names(self) -> Sequence[str]:
         """KIND/NAME of each item."""
         return [item.name for item in self._listing.items]
@@ -181,6 +185,10 @@ class ListingChangesView(ListView):
             {"type": change.value, "at": at, "object": round_item(item.document)}
             for change, item in self._changes
         ]
+
+    def notes(self) -> Sequence[str]:
+        """The notes of the first listing."""
+        return _list_listing_notes(self._listing) if self._first is None else ()
 
     def names(self) -> Sequence[str]:
         """KIND/NAME of each item that changed."""
@@ -359,8 +367,12 @@ def _build_link_item(edge: str, robot: str, link: LinkSample | None, value: Snap
     )
 
 
+def _list_listing_notes(value: Listing) -> list[str]:
+    return [*([] if value.items else [f"no {value.kind}"]), *value.notes]
+
+
 def _render_listing(value: Listing, look: RenderOptions, *, wide: bool) -> str:
-    table = (
+    return (
         render_columns(
             _build_listing_rows(value, wide=wide),
             look,
@@ -368,9 +380,8 @@ def _render_listing(value: Listing, look: RenderOptions, *, wide: bool) -> str:
             wrap=_WRAPPED_COLUMNS,
         )
         if value.items
-        else f"No {value.kind}.\n"
+        else ""
     )
-    return table + render_notes(value.notes, look)
 
 
 def _build_listing_rows(value: Listing, *, wide: bool) -> list[Row]:

@@ -30,6 +30,10 @@ class View:
         """The table with more columns, where there are any."""
         return self.table(look)
 
+    def notes(self) -> Sequence[str]:
+        """Remarks on the whole, which stand below the table, on stderr."""
+        return ()
+
     def document(self) -> Document:
         """The whole as JSON types."""
         raise NotImplementedError
@@ -57,8 +61,12 @@ class ItemView(View):
         raise NotImplementedError
 
     def warnings(self) -> Sequence[str]:
-        """Remarks on the whole, which the table prints as notes."""
+        """Remarks on the whole; tables have them as notes."""
         return ()
+
+    def notes(self) -> Sequence[str]:
+        """The warnings; a class whose items carry a part of them adds that."""
+        return self.warnings()
 
     def document(self) -> Document:
         """The item in its envelope."""
@@ -84,8 +92,12 @@ class ListView(View):
         raise NotImplementedError
 
     def warnings(self) -> Sequence[str]:
-        """Remarks on the whole, which the table prints as notes."""
+        """Remarks on the whole; tables have them as notes."""
         return ()
+
+    def notes(self) -> Sequence[str]:
+        """The warnings; a class whose items carry a part of them adds that."""
+        return self.warnings()
 
     def document(self) -> Document:
         """The items in their envelope."""

@@ -15,9 +15,10 @@ from edgectl.views.output_format import PLAN_FORMATS
 from edgectl.views.plan_sections import (
     ACTION_STYLES,
     format_utility,
+    list_plan_notes,
     render_expected_load,
+    render_notes,
     render_plan_header,
-    render_plan_notes,
     render_plan_summary,
 )
 from edgectl.views.reasons import describe_reason, describe_rejection, is_left_out
@@ -48,7 +49,7 @@ class PlanView(View):
             render_plan_header(self._plan, look) if self._plan.expected else "",
             render_columns(rows, look, right={4, 5}, wrap={1, 2, 3}) if steps else "",
             render_expected_load(self._plan, look),
-            self._render_end(look),
+            render_plan_summary(self._plan, look),
         )
 
     def wide(self, look: RenderOptions = PLAIN) -> str:
@@ -60,11 +61,12 @@ class PlanView(View):
             render_columns(rows, look, right=_TERM_COLUMNS, wrap={1, 2}) if steps else "",
             render_demands(self._plan, look),
             render_expected_load(self._plan, look),
-            self._render_end(look),
+            render_plan_summary(self._plan, look),
         )
 
-    def _render_end(self, look: RenderOptions) -> str:
-        return render_plan_notes(self._plan, look) + render_plan_summary(self._plan, look)
+    def notes(self) -> Sequence[str]:
+        """Notes on hosts, deferred tasks and demands."""
+        return list_plan_notes(self._plan)
 
     def document(self) -> Document:
         """The plan file. Its numbers are exact, for it is read back."""
@@ -85,7 +87,7 @@ class PlanView(View):
         demands = render_demands(self._plan).replace("```", "'''")
         folded = _render_folded_section("Expected load", load) + _render_folded_section("Demands", demands)
         notes = "".join(
-            f"\n> {escape_markdown(line)}\n" for line in render_plan_notes(self._plan).splitlines()
+            f"\n> {escape_markdown(line)}\n" for line in render_notes(self.notes(), PLAIN).splitlines()
         )
         summary = render_plan_summary(self._plan).strip()
         return (

@@ -4,14 +4,15 @@ import dataclasses
 from collections.abc import Collection, Iterable
 
 from edgectl.model.assignment import ExpectedLoad
+from edgectl.model.lost_places import list_lost_tasks
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Action, Plan
 from edgectl.model.resource import HOST_RESOURCES
-from edgectl.model.snapshot import HostSample, LinkSample, Snapshot
+from edgectl.model.snapshot import HostSample, LinkSample, Snapshot, find_doubled_tasks
 from edgectl.names import natural_key
 from edgectl.units import format_instant, format_rate
 from edgectl.views.demands import list_demand_notes
-from edgectl.views.reasons import describe_reason, is_left_out, is_not_found, join_words
+from edgectl.views.reasons import describe_lost_place, describe_reason, is_left_out, is_not_found, join_words
 from edgectl.views.state import format_silence
 from edgectl.views.text import (
     PLAIN,
@@ -29,6 +30,7 @@ ACTION_STYLES = {
     Action.STOP: "bad",
     Action.MOVE: "warn",
     Action.RESTART: "warn",
+    Action.ADOPT: "warn",
     Action.COMPLETE: "good",
     Action.KEEP: "dim",
     Action.NONE: "dim",
@@ -96,9 +98,10 @@ def _render_load_cell(used: float, capacity: float | None, shown: str) -> Cell:
     return Cell(f"{shown} ({share:.0%})", "bad" if share > 1 else "")
 
 
-def render_plan_notes(value: Plan, look: RenderOptions = PLAIN) -> str:
+def list_plan_notes(value: Plan) -> list[str]:
     """Notes on hosts, deferred tasks and demands."""
     lines = list_unreachable_notes(value.snapshot) + list_operator_mark_notes(value.snapshot)
+    lines += list_lost_task_notes(value.snapshot, {step.task for step in value.steps})
     deferred = value.snapshot.manager.deferred if value.snapshot.manager else {}
     changing = (step.task for step in value.steps if step.action.changes)
     lines += [
@@ -115,7 +118,22 @@ def render_plan_notes(value: Plan, look: RenderOptions = PLAIN) -> str:
             f"first plan of this fleet: tasks on {join_words(value.unseen)} are not known "
             "and count as not running"
         )
-    return render_notes(lines + list_demand_notes(value), look)
+    return lines + list_demand_notes(value) + list_left_alone_notes(value)
+
+
+def list_left_alone_notes(value: Plan) -> list[str]:
+    """One line that counts the tasks of other task files, which the plan leaves alone."""
+    count = len(value.tasks_left_alone)
+    if not count:
+        return []
+    files = sorted({file for file in value.tasks_left_alone.values() if file}, key=natural_key)
+    where = f" ({join_words(files)})" if files else ""
+    return [
+        f"1 task of another file{where} runs on; --prune stops it: {next(iter(value.tasks_left_alone))}"
+        if count == 1
+        else f"{count} tasks of other files{where} run on; --prune stops them: "
+        + join_words(value.tasks_left_alone)
+    ]
 
 
 def list_unreachable_notes(value: Snapshot) -> list[str]:
@@ -127,6 +145,23 @@ def list_unreachable_notes(value: Snapshot) -> list[str]:
         + format_silence(contact.get(name), value.taken_at)
         for name, host in value.hosts.items()
         if not host.ok
+    ]
+
+
+def list_doubled_notes(value: Snapshot) -> list[str]:
+    """One line for each task that runs twice."""
+    return [
+        f"DOUBLED: {task} runs on {join_words(hosts)}; edgectl apply keeps the newest instance"
+        for task, hosts in find_doubled_tasks(value).items()
+    ]
+
+
+def list_lost_task_notes(value: Snapshot, without: Collection[str] = ()) -> list[str]:
+    """One line for each task whose place the inventory no longer reaches, except those of ``without``."""
+    return [
+        f"{task} {describe_lost_place(place)}"
+        for task, place in list_lost_tasks(value).items()
+        if task not in without
     ]
 
 
@@ -180,6 +215,7 @@ def render_plan_summary(value: Plan, look: RenderOptions = PLAIN) -> str:
 
 _RARE_ACTION_TEXTS = {
     Action.RESTART: "to restart",
+    Action.ADOPT: "to adopt",
     Action.HOLD: "held",
     Action.COMPLETE: "to complete",
     Action.DEFER: "deferred",
@@ -210,6 +246,11 @@ def render_unreachable_hosts(value: Snapshot, names: Collection[str]) -> str:
         f"{escape_unprintable(line)}\n"
         for line in list_unreachable_notes(dataclasses.replace(value, hosts=hosts))
     )
+
+
+def render_lost_tasks(value: Snapshot) -> str:
+    """The tasks whose place the inventory no longer reaches, each with the remedy."""
+    return "".join(f"{escape_unprintable(line)}\n" for line in list_lost_task_notes(value))
 
 
 def render_unplaced_tasks(value: Plan) -> str:

@@ -15,7 +15,7 @@ from edgectl.views.output_format import ITEM_FORMATS
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, is_within_width, render_columns
 
 _HEAD = head("task", "class", "resource", "declared", "p50", "p95", "max", "samples", "span_s", "host_names")
-_NO_SAMPLES = "No samples yet. Let the task run while edgectl probes or watches.\n"
+_NO_SAMPLES = "no samples yet; let the task run while edgectl probes or watches"
 
 
 class ProfileView(ListView):
@@ -30,10 +30,14 @@ class ProfileView(ListView):
     def table(self, look: RenderOptions = PLAIN) -> str:
         """One line per task, class and resource; a narrow terminal leaves out span and hosts."""
         if not self._profiles:
-            return _NO_SAMPLES
+            return ""
         rows = [_HEAD, *(row for value in self._profiles for row in _render_profile_rows(value))]
         fitting = rows if is_within_width(rows, look) else [row[:-2] for row in rows]
         return render_columns(fitting, look, right={3, 4, 5, 6, 7, 8}, wrap={1, 3})
+
+    def notes(self) -> Sequence[str]:
+        """That there are none."""
+        return [] if self._profiles else [_NO_SAMPLES]
 
     def items(self) -> Sequence[Document]:
         """The profiles as JSON types."""

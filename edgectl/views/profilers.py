@@ -8,7 +8,6 @@ from edgectl.units import format_bytes, format_cores, format_duration
 from edgectl.views.glossary import head
 from edgectl.views.output import ListView
 from edgectl.views.output_format import NAMED_FORMATS
-from edgectl.views.plan_sections import render_notes
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, render_columns
 
 _PROFILER_STATE_STYLES = {
@@ -35,7 +34,7 @@ class ProfilersView(ListView):
     def table(self, look: RenderOptions = PLAIN) -> str:
         """One line per host."""
         rows = [_HEAD, *map(_render_profiler_row, self._profilers)]
-        return render_columns(rows, look, right=set(range(2, 9))) + render_notes(self.warnings(), look)
+        return render_columns(rows, look, right=set(range(2, 9)))
 
     def items(self) -> Sequence[Document]:
         """The profilers as JSON types."""

@@ -4,6 +4,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable
 
 from edgectl.model.assignment import Decision, RankedHost, Reason, Rejection, RejectionRule, Verdict
+from edgectl.model.lost_places import LostPlace
 from edgectl.model.plan import Action, Step
 from edgectl.model.resource import Resource
 from edgectl.units import format_duration
@@ -35,7 +36,8 @@ _FIXED_REASON_TEXTS = {
     Reason.NEVER_MOVED: "placed once, never moved (policy static)",
     Reason.DONE: "completed",
     Reason.OPERATOR: "requested by name",
-    Reason.LEFT_FILE: "no longer in the task files",
+    Reason.LEFT_FILE: "no longer in its task file",
+    Reason.PRUNED: "in none of the given task files (--prune)",
     Reason.MOVES_FROZEN: "too many edges do not answer; no moves",
 }
 
@@ -170,6 +172,17 @@ def _describe_silent_host(step: Step) -> str:
     )
 
 
+def describe_lost_place(lost: LostPlace) -> str:
+    """Where a task ran that the inventory no longer reaches, and what to do about it."""
+    back = "put it back and drain it" if lost.address is None else "put that back and drain it"
+    where = (
+        f"{lost.host}, which is no longer in the inventory"
+        if lost.address is None
+        else f"{lost.host} at {lost.address}, which the inventory no longer states"
+    )
+    return f"ran on {where}: {back}, or edgectl fence {lost.host}"
+
+
 def _get_silent_host(step: Step) -> str:
     return step.decision.subject or step.decision.host or "its host"
 
@@ -180,6 +193,11 @@ def _describe_given_up(step: Step) -> str:
     code = f" (last exit {decision.amount:.0f})" if decision.amount is not None else ""
     remedy = f"edgectl restart {step.task}, or a changed spec, starts it again"
     return f"{word} on {decision.subject}{code} and is given up; {remedy}"
+
+
+def _describe_left_host(step: Step) -> str:
+    host, _, address = (step.decision.subject or "its host").rstrip(")").partition(" (")
+    return describe_lost_place(LostPlace(host=host, address=address or None))
 
 
 def _describe_replaced(step: Step) -> str:
@@ -215,9 +233,16 @@ _REASON_DESCRIBERS: dict[Reason, Callable[[Step], str]] = {
     ),
     Reason.HOST_SILENT: _describe_silent_host,
     Reason.ROBOT_SILENT: _describe_silent_host,
+    Reason.HOST_LEFT: _describe_left_host,
+    Reason.HOST_READDRESSED: _describe_left_host,
     Reason.GIVEN_UP: _describe_given_up,
     Reason.UNMANAGED: lambda step: (
         "not managed by edgectl" + (", and found nowhere" if is_not_found(step) else "")
+    ),
+    Reason.ORPHANED: lambda step: (
+        "its supervisor was lost; a new one takes over"
+        if step.action is Action.ADOPT
+        else "its supervisor was lost and cannot be replaced"
     ),
     Reason.SPEC_CHANGED: _describe_spec_change,
     Reason.DUPLICATE: _describe_duplicate,

@@ -18,7 +18,7 @@ from edgectl.views.glossary import head
 from edgectl.views.other_tasks import list_foreign_notes
 from edgectl.views.output import View
 from edgectl.views.output_format import FLEET_FORMATS
-from edgectl.views.plan_sections import list_unreachable_notes, render_notes
+from edgectl.views.plan_sections import list_unreachable_notes
 from edgectl.views.rows import encode_host_row
 from edgectl.views.state import render_host_status
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, render_columns
@@ -39,13 +39,13 @@ class SnapshotView(View):
         """One line per host: capacity, usage, links and tasks."""
         rows = [head("host", "role", "status", *_USED_COLUMNS, "task_count", "links")]
         rows += [_render_host_row(name, host, self._snapshot) for name, host in self._snapshot.hosts.items()]
-        return (
-            self._render_bandwidth(look)
-            + render_columns(rows, look, right=set(range(3, 4 + len(HOST_RESOURCES))), wrap={2})
-            + render_notes(
-                [*list_unreachable_notes(self._snapshot), *list_foreign_notes(self._snapshot)], look
-            )
+        return self._render_bandwidth(look) + render_columns(
+            rows, look, right=set(range(3, 4 + len(HOST_RESOURCES))), wrap={2}
         )
+
+    def notes(self) -> Sequence[str]:
+        """Hosts without a reply, and tasks of other fleets."""
+        return [*list_unreachable_notes(self._snapshot), *list_foreign_notes(self._snapshot)]
 
     def wide(self, look: RenderOptions = PLAIN) -> str:
         """The table, then load, temperature, GPU, sample age, links in full and interfaces of each host."""

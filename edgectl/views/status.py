@@ -12,7 +12,12 @@ from edgectl.views.glossary import head
 from edgectl.views.other_tasks import list_foreign_notes
 from edgectl.views.output import ListView
 from edgectl.views.output_format import NAMED_FORMATS
-from edgectl.views.plan_sections import list_operator_mark_notes, list_unreachable_notes, render_notes
+from edgectl.views.plan_sections import (
+    list_doubled_notes,
+    list_lost_task_notes,
+    list_operator_mark_notes,
+    list_unreachable_notes,
+)
 from edgectl.views.rows import (
     compute_task_age,
     encode_absent_row,
@@ -62,7 +67,7 @@ class StatusView(ListView):
         self._failed = find_failed_tasks(tasks, snapshot)
 
     def table(self, look: RenderOptions = PLAIN) -> str:
-        """First the tasks that failed; usage beside demand, or below on a narrow terminal."""
+        """First what runs twice and what failed; usage beside demand, or below on a narrow terminal."""
         rows: list[Row] = [_HEAD, *map(self._render_run_row, list_task_runs(self._snapshot))]
         rows += [_render_absent_row(task, self._snapshot) for task in self._absent_tasks()]
         # A state may wrap, so the longest one does not count.
@@ -74,24 +79,20 @@ class StatusView(ListView):
         )
 
     def _render(self, rows: list[Row], look: RenderOptions, *, right: set[int]) -> str:
-        notes = render_notes(
-            list_unreachable_notes(self._snapshot)
-            + list_operator_mark_notes(self._snapshot)
-            + list_foreign_notes(self._snapshot)
-            + list_task_remarks(self._snapshot)
-            + self._list_need_notes(),
-            look,
-        )
         failed = [
             f"{name} on {host}{', given up' if sample.given_up else ''}"
             for name, (host, sample) in self._failed.items()
         ]
-        first = f"{len(failed)} of {len(self._tasks.tasks)} tasks failed: {', '.join(failed)}"
-        return (
-            (style_text(wrap_text(first, look), "bad", look) if failed else "")
-            + render_columns(rows, look, right=right, wrap={2})
-            + notes
+        first = list_doubled_notes(self._snapshot)
+        if failed:
+            first.append(f"{len(failed)} of {len(self._tasks.tasks)} tasks failed: {', '.join(failed)}")
+        return "".join(style_text(wrap_text(line, look), "bad", look) for line in first) + render_columns(
+            rows, look, right=right, wrap={2}
         )
+
+    def notes(self) -> Sequence[str]:
+        """The warnings, and remarks on tasks that stand in their rows in documents."""
+        return [*self.warnings(), *list_task_remarks(self._snapshot), *self._list_need_notes()]
 
     def _render_run_row(self, run: tuple[str, str, TaskSample]) -> Row:
         name, host, sample = run
@@ -141,9 +142,11 @@ class StatusView(ListView):
         return [*runs, *absent]
 
     def warnings(self) -> Sequence[str]:
-        """Hosts without a reply, marks of the operator, and tasks of other fleets."""
+        """Tasks that run twice, at lost places or of other fleets, hosts without a reply, and marks."""
         return [
+            *list_doubled_notes(self._snapshot),
             *list_unreachable_notes(self._snapshot),
+            *list_lost_task_notes(self._snapshot),
             *list_operator_mark_notes(self._snapshot),
             *list_foreign_notes(self._snapshot),
         ]

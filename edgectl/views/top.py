@@ -15,7 +15,7 @@ from edgectl.views import metrics
 from edgectl.views.glossary import head
 from edgectl.views.output import ListView
 from edgectl.views.output_format import WIDE_FORMATS
-from edgectl.views.plan_sections import list_unreachable_notes, render_notes
+from edgectl.views.plan_sections import list_unreachable_notes
 from edgectl.views.rows import compute_task_age, encode_host_row, encode_run_row, find_task_demand
 from edgectl.views.state import TASK_STATE_STYLES, render_host_status, resolve_absent_task
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, render_columns
@@ -78,10 +78,7 @@ class TopHostsView(ListView):
             for name in value.hosts
         ]
         first: Row = (*_HOST_HEAD, *_WIDE_HOST_HEAD) if wide else _HOST_HEAD
-        notes = [*_list_over_limit_notes(value, inventory), *list_unreachable_notes(value)]
-        return render_with_sparklines(
-            [first, *rows], histories, look, right=_HOST_RIGHT_COLUMNS
-        ) + render_notes(notes, look)
+        return render_with_sparklines([first, *rows], histories, look, right=_HOST_RIGHT_COLUMNS)
 
     def items(self) -> Sequence[Document]:
         """The hosts as JSON types, each with its last samples, oldest first."""
@@ -121,9 +118,8 @@ class TopTasksView(ListView):
 
     def _render(self, look: RenderOptions, *, wide: bool) -> str:
         runs = _list_running_tasks(self._snapshot)
-        notes = [*self._list_idle_notes(), *list_unreachable_notes(self._snapshot)]
         if not runs:
-            return render_notes(notes, look)
+            return ""
         rows: list[Row] = [(*_TASK_HEAD, *_WIDE_TASK_HEAD) if wide else _TASK_HEAD]
         histories: list[tuple[Sequence[float | None], float]] = []
         for name, host, sample in runs:
@@ -135,7 +131,7 @@ class TopTasksView(ListView):
         right = _RIGHT_COLUMNS | _WIDE_RIGHT_COLUMNS if wide else _RIGHT_COLUMNS
         body = render_with_sparklines(rows, histories, look, right=right)
         reported = render_columns(metrics.render_metrics_rows(runs), look)
-        return body + (reported and "\n" + reported) + render_notes(notes, look)
+        return body + (reported and "\n" + reported)
 
     def _list_idle_notes(self) -> list[str]:
         """How many tasks do not run, and those of which it is not known because their host is silent."""

@@ -101,6 +101,9 @@ def test_a_probe_claims_before_it_measures(host: AgentHost) -> None:
 def test_a_second_watch_is_told_of_the_first_and_may_take_over(host: AgentHost) -> None:
     watch = {"every_s": 10.0, "digest": "abc"}
     claim(host, watch=watch)
+    assert (
+        claim(host, "ben", "s2", watch=watch)["state"] == "watched"
+    )  # also while the first one holds the fleet
     host.ask("lease", action="release", lease=signature(1), end_watch=False)
     told = claim(host, "ben", "s2", watch=watch)
     assert (told["state"], told["who"], told["every_s"], told["digest"]) == (

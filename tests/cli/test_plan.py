@@ -50,7 +50,7 @@ def test_a_silent_host_beats_everything_unless_allowed(run: Run, site: Path) -> 
     said = run(*PLAN, "--detailed-exitcode")
     assert said.code == 4
     assert run(*PLAN).code == 4
-    assert "note: edge3 does not answer: no route" in said.out
+    assert "note: edge3 does not answer: no route" in said.err
     assert run(*PLAN, "--allow-unreachable").code == 0
     assert run(*PLAN, "--allow-unreachable", "--detailed-exitcode").code == 2
 

@@ -17,6 +17,8 @@ CASES = [
     BrokenFile(name="no command", old=f"    {NAV}\n", new="", at="navigation", code="EC011", message="task navigation needs command",
         hint="add command", mended="    command: x\n"),
     BrokenFile(name="empty command", old=NAV, new="command: ''", at="''", code="EC019", message="must not be empty", hint="write a value", mended=NAV),
+    BrokenFile(name="command is a list", old=NAV, new="command: [roslaunch, nav.launch]", at="[roslaunch", code="EC010",
+        message="must be one string, which a shell runs", hint="write command: roslaunch nav.launch", mended=NAV),
     BrokenFile(name="command begins with a brace", old=NAV, new="command: {robot}/run", at="/run", code="EC004",
         message="text after a closing bracket", hint="command: '{robot}/run'", mended="command: '{robot}/run'"),
     BrokenFile(name="command is a mapping", old=NAV, new="command: {robot}", at="{robot}\n    env", code="EC010",

@@ -1,5 +1,6 @@
 """Meaning of valid files: expansion per robot, placeholders, needs, defaults, warnings."""
 
+import json
 import re
 from pathlib import Path
 
@@ -220,6 +221,30 @@ def test_a_check_on_a_robot_that_is_never_contacted_is_a_warning(tmp_path: Path)
     tasks = "version: 1\ntasks: {t: {robot: robot2, command: x, demand: {cpu: 1, memory: 1, throughput: 1}, done_when: {on: robot, command: y}}}"
     (warning,) = load_files(tmp_path, tasks, inventory)[2]
     assert (warning.code, warning.hint) == ("EC102", "write on: host, or remove probe: false")
+
+
+@pytest.mark.parametrize(
+    ("command", "warned"),
+    [("run &", True), ("run & # x\nwait", False), ("run 2>&1", False), ("a && b", False), ("run&\n", True)],
+)
+def test_a_command_that_goes_to_the_background_is_a_warning(
+    command: str, warned: bool, tmp_path: Path
+) -> None:
+    tasks = f"version: 1\ntasks: {{t: {{command: {json.dumps(command)}, demand: {{cpu: 1, memory: 1, throughput: 1}}}}}}"
+    found = load_files(tmp_path, tasks)[2]
+    assert [(each.code, each.hint) for each in found] == (
+        [("EC106", "drop the & at its end")] if warned else []
+    )
+
+
+def test_a_missing_identity_file_is_a_warning(tmp_path: Path) -> None:
+    (tmp_path / "key").touch()
+    for name, codes in (("key", []), ("other", ["EC105"])):
+        inventory = INVENTORY.replace(
+            "{host: 192.168.1.22}", f"{{host: a, identity_file: {tmp_path / name}}}"
+        )
+        tasks = "version: 1\ntasks: {t: {command: x, demand: {cpu: 1, memory: 1, throughput: 1}}}"
+        assert [each.code for each in load_files(tmp_path, tasks, inventory)[2]] == codes
 
 
 def test_tasks_of_several_files_and_directories(tmp_path: Path) -> None:

@@ -89,14 +89,14 @@ def test_readers_cover_the_model() -> None:
         "role",
         "fleet",
     }
-    made = {"name", "template", "spec_hash", "spec_fields", "replace_after"}
+    made = {"name", "template", "spec_hash", "spec_fields", "replace_after", "file"}
     assert set(task_file.TASK_KEYS) - {"for_each", "robot"} == {field.name for field in fields(Task)} - made
 
 
 def test_keys_of_a_snapshot_are_complete() -> None:
     everything = TaskSample(
         state=TaskState.FAILED, links={}, instance="i", spec_hash="s", generation=1, managed=False, restarts=1, exit_code=1, detail="d",
-        fields={"command": "c"}, last_exit=1, log_tail=("l",), limits="l", given_up=True, metrics={"fps": 29.5}, ended_at=1.0,
+        fields={"command": "c"}, last_exit=1, log_tail=("l",), limits="l", given_up=True, metrics={"fps": 29.5}, ended_at=1.0, file="f", orphaned=True, adoptable=True, filed_as="edge9",
     )  # fmt: skip
     device = DeviceSample(
         load_1m=1.0,
@@ -121,6 +121,8 @@ def test_keys_of_a_snapshot_are_complete() -> None:
         foreign_tasks=(other,),
         resident=True,
         device=device,
+        address="ana@10.0.0.1",
+        machine="m/1000/a",
     )
     document = SNAPSHOT_KIND.encode(
         type(SNAPSHOT)(taken_at=0.0, hosts={"h": sample}, manager=SNAPSHOT.manager)

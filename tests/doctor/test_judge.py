@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 
 from edgectl.doctor.diagnosis import diagnose_fleet
+from edgectl.doctor.ssh_command import format_ssh_command
 from edgectl.model.diagnosis import (
     NOT_A_DIRECTORY,
     Diagnosis,
@@ -71,6 +72,7 @@ CASES: list[tuple[str, dict[str, Any], Severity, str, str]] = [
     ("disk", {"disk": replace(DISK, files_left=999)}, FAILED, "only 999 more files", "sudo apt-get clean"),
     ("disk", {"disk": replace(DISK, files_left=None)}, OK, "10.0Gi of 28.0Gi free", ""),
     ("state", {"disk": replace(DISK, obstacle="it cannot be written")}, FAILED, "it cannot be written", "chmod 700 /home/jetson/.local/state/edgectl"),
+    ("state", {"disk": replace(DISK, skipped=("/dev/shm/edgectl-1001",))}, WARNING, "made by another user", "on edge1: sudo rm -r /dev/shm/edgectl-1001"),
     ("state", {"disk": replace(DISK, obstacle=NOT_A_DIRECTORY)}, FAILED, "not a directory", "on edge1: mv /home/jetson/.local/state/edgectl /home"),
     ("state", {"disk": replace(DISK, obstacle="it cannot be written", in_shared_memory=True)}, WARNING, "shared memory is used instead", "on edge1: sudo mkdir"),
     ("memory", {"used_bytes": 7 * GI}, OK, "1.0Gi of 8.0Gi free", ""),
@@ -294,3 +296,21 @@ def test_a_master_on_localhost_is_right_where_there_is_one_machine() -> None:
 def test_a_uri_that_is_none_is_compared_like_any_text() -> None:
     odd = ros_facts(ROS_MASTER_URI="http://[::1")
     assert compare_ros((E1, odd), (E2, odd))["edge1"][0] is OK
+
+
+def test_a_fleet_without_a_name_is_told_with_the_line_to_add() -> None:
+    inventory = replace(an_inventory(EDGE, ROBOT), fleet="lab-1a2b3c4d", is_fleet_named=False)
+    (found,) = [each for each in diagnose_fleet(inventory, MANAGER, {}).findings if each.check == "fleet"]
+    assert (found.level, found.remedy) == (WARNING, "add to the inventory: fleet: lab-1a2b3c4d")
+
+
+def test_lines_to_paste_have_port_key_and_jump() -> None:
+    host = an_edge(port=22911, user="ana", identity_file="/keys/my key", proxy_jump="gate")
+    words = "-p 22911 -i '/keys/my key' -J gate ana@edge1.lab"
+    assert format_ssh_command(host, "-vvv") == f"ssh -vvv {words}"
+    facts = replace(FACTS, skew_s=(-3601.0, -3600.0), login_s=9.0)
+    mends = [finding.remedy for finding in diagnose_answer(facts, host).findings]
+    assert any(f"ssh {words} sudo date" in mend for mend in mends)
+    assert any(f"ssh -vvv {words} true" in mend for mend in mends)
+    refused = diagnose_answer(UnreachableHost(kind="connect", error="connection refused"), host)
+    assert "sshd runs there on port 22911" in find_only(refused, "reachability").remedy

@@ -9,10 +9,10 @@ from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.policy import Policy
 from edgectl.model.result import ActionResult, Outcome, Phase, PhaseResult, Results
 from edgectl.model.snapshot import Snapshot, TaskState
-from tests.builders import NOW, a_run, a_sample, a_snapshot, a_task, silent, some_tasks
+from tests.builders import NOW, TASK_FILE, a_run, a_sample, a_snapshot, a_task, silent, some_tasks
 
 TASKS = some_tasks(a_task("slam"))
-OLD = Placement(host="edge1", since=5.0, spec_hash="old", generation=3)
+OLD = Placement(host="edge1", since=5.0, spec_hash="old", generation=3, file=TASK_FILE)
 
 
 def a_step(
@@ -59,7 +59,7 @@ def update_after(
 def test_a_start_is_a_new_place() -> None:
     memory = update_after(a_step(Action.START, host="edge2"), outcome=Outcome.DONE, located="edge2")
     assert memory.placements == {
-        "slam": Placement(host="edge2", since=NOW, spec_hash="hash-slam", generation=9)
+        "slam": Placement(host="edge2", since=NOW, spec_hash="hash-slam", generation=9, file=TASK_FILE)
     }
     assert memory.managed
     assert memory.first == {"slam": "edge2"}
@@ -73,7 +73,7 @@ def test_a_restart_keeps_its_dwell() -> None:
         downtime_s=0.5,
     )
     assert memory.placements["slam"] == Placement(
-        host="edge1", since=5.0, spec_hash="hash-slam", generation=9
+        host="edge1", since=5.0, spec_hash="hash-slam", generation=9, file=TASK_FILE
     )
     assert memory.downtimes == {("slam", "edge1"): (0.5,)}
 
@@ -122,7 +122,7 @@ def test_an_untouched_task_is_where_the_snapshot_shows_it() -> None:
     world = a_snapshot(edge1=a_sample(), edge2=a_sample(tasks={"slam": run}))
     memory = update_after(a_step(Action.KEEP, host="edge2"), world=world)
     assert memory.placements["slam"] == Placement(
-        host="edge2", since=run.started_at, spec_hash="seen", generation=4
+        host="edge2", since=run.started_at, spec_hash="seen", generation=4, file=TASK_FILE
     )
 
 

@@ -15,6 +15,7 @@ from edgectl.experiments.views.replay import ReplayView
 from edgectl.experiments.views.simulation import SimulationView
 from edgectl.model.policy import Policy
 from edgectl.views.text import RenderOptions
+from tests.views.fixtures import show
 
 SCENARIO = Scenario(name="test", assumptions=("all is well",), hosts={}, jobs=())
 REAL = ReferenceValues(
@@ -53,7 +54,7 @@ utility all    3.00±0.50   60/40   1.0/1.0   1.0/1.0       0.2
 
 
 def test_the_published_stands_below_the_model_with_the_deviation() -> None:
-    text = VIEW.table()
+    text = show(VIEW)
     assert text.startswith(TEXT)
     assert "Latency as a share of local execution: utility all 0.75 (published 0.50).\n" in text
     assert "local: runs ended by the time limit: 1\n" in text
@@ -102,7 +103,7 @@ REPLAYED = ReplayResult(
 
 def test_replayed_variants_stand_side_by_side() -> None:
     view = ReplayView(results=[REPLAYED])
-    lines = view.table().splitlines()
+    lines = show(view).splitlines()
     assert lines[0].split() == ["SCHEME", "HANDOFFS", "PER", "CYCLE", "UNPLACED", "CPU", "MEMORY", "NETWORK"]
     assert lines[1].split() == ["paper", "all", "6", "1.500", "1", "50%/120%", "50%/120%", "50%/120%"]
     assert lines[2].startswith("4 cycles; ")

@@ -3,6 +3,7 @@
 from tests.faults import (
     faults_failpoints,
     faults_host,
+    faults_inventory,
     faults_link,
     faults_manager,
     faults_noise,
@@ -15,6 +16,7 @@ from tests.faults.registry import FAULTS, Fault
 MODULES = (
     faults_failpoints,
     faults_host,
+    faults_inventory,
     faults_link,
     faults_manager,
     faults_two_managers,

@@ -160,7 +160,7 @@ def watch_twice(fleet: FaultFleet) -> None:
     first = ana.start("watch", "--apply", "--every", "2s", "--cycles", "6")
     fleet.wait(4.0)
     ben.run("watch", "--apply", "--every", "2s", "--cycles", "3").expect_exit(75).expect_output(
-        "watches this fleet every 2s", "--take-over"
+        "watches this fleet every 2", "--take-over"
     )
     ben.run(*APPLY).expect_exit(0, 4, 75)
     fleet.wait_for_edgectl(first).expect_exit(0, 4, 75)

@@ -139,7 +139,16 @@ memories = st.builds(
     ManagerState,
     managed=st.booleans(),
     placements=dictionaries_of(
-        st.builds(Placement, host=names, since=instants, spec_hash=texts, generation=counts)
+        st.builds(
+            Placement,
+            host=names,
+            since=instants,
+            spec_hash=texts,
+            generation=counts,
+            file=texts,
+            address=texts,
+            machine=texts,
+        )
     ),
     first=dictionaries_of(names),
     cordons=st.frozensets(names, max_size=3),

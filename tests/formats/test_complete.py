@@ -47,7 +47,7 @@ LINK = LinkSample(
 TASK = TaskSample(
     state=TaskState.FAILED, pid=1, started_at=2.0, used=Usage(cpu=3.0, memory=4.0, network=5.0), links={"r": 6.0}, instance="i",
     spec_hash="s", generation=7, managed=False, restarts=8, exit_code=-9, detail="d",
-    fields={"command": "c"}, last_exit=3, log_tail=("l",), limits="enforced", given_up=True, metrics={"fps": 29.5}, ended_at=2.5,
+    fields={"command": "c"}, last_exit=3, log_tail=("l",), limits="enforced", given_up=True, metrics={"fps": 29.5}, ended_at=2.5, file="f", orphaned=True, adoptable=True, filed_as="n",
 )  # fmt: skip
 INTERFACE = InterfaceSample(rx_bytes_per_s=1.0, tx_bytes_per_s=2.0, speed_bytes_per_s=3.0)
 DEVICE = DeviceSample(
@@ -65,22 +65,22 @@ OTHER = OtherTask(
 HOST = HostSample(
     role=Role.ROBOT, status=HostStatus.UNREACHABLE, error="e", error_kind="k", hint="h", sample_age_s=1.5, resident=True, usage={"cpu": CPU_USE, "memory": MEMORY_USE},
     links={"r": LINK}, tasks={"t": TASK}, device=DEVICE, generations={"t": 9},
-    other_tasks=(OTHER,), foreign_tasks=(OTHER,),
+    other_tasks=(OTHER,), foreign_tasks=(OTHER,), address="a", machine="m",
 )  # fmt: skip
-PLACEMENT = Placement(host="h", since=1.0, spec_hash="s", generation=2)
+PLACEMENT = Placement(host="h", since=1.0, spec_hash="s", generation=2, file="f", address="a", machine="m")
 MEASURED = MeasuredDemand(
     samples=60, span_s=300.5, used={"cpu": 0.25, "memory": 7.0, "network": 1.5}, spec_hash="s"
 )
 MANAGER = ManagerState(
     managed=True, placements={"t": PLACEMENT}, first={"t": "h"}, cordons=frozenset({"a"}), draining=frozenset({"b"}), done={"t": "s"},
     downtimes={("t", "h"): (1.5, 2.0)}, stays={"t": (60.0, 90.5)}, contact={"h": 1.5}, fenced=frozenset({"c"}),
-    deferred={"t": "d"}, measured={("t", "4c-8Gi"): MEASURED},
+    deferred={"t": "d"}, measured={("t", "4c-8Gi"): MEASURED}, orphans={"h": ("t",)},
 )  # fmt: skip
 SNAPSHOT = Snapshot(taken_at=1.5, hosts={"h": HOST}, manager=MANAGER)
 WEIGHTS = Weights(cpu=0.1, memory=0.2, network=0.3, task=0.4)
 POLICY = Policy(
     name=PolicyName.PAPER, weights=WEIGHTS, sequence=SequenceRule.SENSITIVITY, move_margin=0.2, min_dwell=3.0, max_moves=None, attended=False,
-    best_effort=True, full=True, without=frozenset({"h"}),
+    best_effort=True, full=True, without=frozenset({"h"}), prune=True,
 )  # fmt: skip
 REJECTION = Rejection(
     rule=RejectionRule.INSUFFICIENT, resource=NETWORK, robot="r", demand=1.0, used=2.0, capacity=3.0
@@ -107,7 +107,7 @@ STEP = Step(decision=DECISION, action=Action.MOVE, instances={"h": "i"}, stop=("
 EXPECTED = ExpectedLoad(used=Usage(cpu=1.0, memory=2.0), links={"r": 3.0})
 PLAN = Plan(
     created_at=1.5, policy=POLICY, inventory_digest="a", tasks_digest="b", snapshot=SNAPSHOT, settled=False, steps=(STEP,),
-    expected={"h": EXPECTED}, frozen=True, unseen=("u",), demand_spreads=(UNEVEN,),
+    expected={"h": EXPECTED}, frozen=True, unseen=("u",), demand_spreads=(UNEVEN,), tasks_left_alone={"o": "f"},
 )  # fmt: skip
 VALUES = [
     LINK, TASK, INTERFACE, DEVICE, CPU_USE, MEMORY_USE, HOST, PLACEMENT, MANAGER, SNAPSHOT, WEIGHTS, POLICY, REJECTION, TERMS, RANKED, COST, DECISION,

@@ -3,6 +3,7 @@
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -17,13 +18,13 @@ from edgectl.errors import (
     ReplyError,
 )
 from edgectl.gateway.fanout import fan_out
-from edgectl.gateway.host_probe import ProbeOptions, probe_hosts
+from edgectl.gateway.host_probe import ProbeOptions, claim_former_tasks, probe_hosts
 from edgectl.model.inventory import Host, Inventory
-from edgectl.model.snapshot import HostSample, HostStatus, TaskState
+from edgectl.model.snapshot import HostSample, HostStatus, OtherTask, TaskState
 from edgectl.model.task import Check, CheckLocation, DetectRule, Tasks
 from edgectl.transport.base import Reply, Session
 from edgectl.transport.fake import FakeTransport
-from tests.builders import NOW, a_robot, a_task, an_edge, an_inventory, some_tasks
+from tests.builders import NOW, a_robot, a_sample, a_task, an_edge, an_inventory, some_tasks
 from tests.executor.fake_fleet import FakeFleet
 
 NONE = Tasks(tasks={})
@@ -263,7 +264,8 @@ def test_other_tasks_of_a_machine_are_split_by_fleet_and_told_once() -> None:
         {**dict(hosts.hosts), "edge1": lambda request: hosts["edge1"](request) | {"other_tasks": listed}}
     )
     sample = probe_hosts(build_inventory(), NONE, transport).hosts["edge1"]
-    assert [(each.fleet, each.host) for each in sample.other_tasks] == [("unnamed", "old1")]
+    assert sample.other_tasks == ()
+    assert sample.tasks["slam"].filed_as == "old1"
     (foreign,) = sample.foreign_tasks
     assert (foreign.fleet, foreign.started_by, foreign.age_s) == ("hall", "eve\\x1b[2J@x", 60.0)
 
@@ -287,3 +289,15 @@ def test_known_tasks_without_an_owner_are_adopted_and_probed_again() -> None:
     adopted_before = list(adopted)
     probe_hosts(build_inventory(), NONE, transport, options=options)
     assert adopted == adopted_before
+
+
+def test_a_task_under_a_former_name_runs_on_one_host_of_its_machine() -> None:
+    """Two names of one machine list it; counted twice, one of the two would be stopped as a duplicate."""
+    other = OtherTask(fleet="f", host="old", task="slam", state=TaskState.READY, age_s=5.0, instance="i")
+    present = replace(other, host="b", instance="j")
+    samples = {name: replace(a_sample(), other_tasks=(other, present)) for name in ("a", "b")}
+    found = claim_former_tasks(samples, 100.0)
+    assert {name: list(sample.tasks) for name, sample in found.items()} == {"a": ["slam"], "b": []}
+    slam = found["a"].tasks["slam"]
+    assert (slam.filed_as, slam.instance, slam.started_at) == ("old", "i", 95.0)
+    assert found["a"].other_tasks == (present,)

@@ -198,6 +198,24 @@ def test_max_moves_acts_when_nobody_looks(attended: bool, max_moves: int | None,
     assert sum(d.reason is Reason.MAX_MOVES for d in found.decisions) == 3 - moved
 
 
+@pytest.mark.parametrize("max_moves", [0, 1])
+def test_a_task_that_runs_nowhere_is_placed_not_moved_in_a_later_pass(max_moves: int) -> None:
+    """The first pass puts ``a`` on edge1, before ``b`` is pinned there; the second prefers edge2."""
+    snapshot = a_snapshot(
+        edge1=a_sample(used=0.1, tasks={"c": a_run(used=Usage(cpu=0.1))}),
+        edge2=a_sample(used=0.2),
+        edge3=a_sample(used=0.3),
+    )
+    tasks = some_tasks(a_task("a", cpu=0.2), a_task("b", cpu=3.0, pin="edge1"), a_task("c", cpu=0.1))
+    policy = Policy(weights=parse_weights("cpu"), attended=False, max_moves=max_moves)
+    found = run_assign(THREE, tasks, snapshot, policy=policy)
+    by_task = decisions_by_task(found)
+    first = by_task["a"]
+    assert found.settled
+    assert (first.host, first.previous_host, first.reason, first.amount) == ("edge2", None, Reason.BEST, None)
+    assert by_task["c"].reason is (Reason.GAIN if max_moves else Reason.MAX_MOVES)
+
+
 @pytest.mark.parametrize(
     ("memory", "policy", "task", "reason"),
     [

@@ -170,3 +170,25 @@ def test_a_link_in_place_of_the_lock_is_refused(tmp_path: Path) -> None:
     (tmp_path / "memory.json").symlink_to(tmp_path / "elsewhere")
     save_manager_state(tmp_path, MEMORY)
     assert (tmp_path / "elsewhere").read_text() == ""
+
+
+@pytest.mark.parametrize(
+    ("mode", "owner", "refused"),
+    [(0o777, 0, True), (0o1777, 0, False), (0o755, 1002, True), (0o755, 0, False)],
+)
+def test_a_directory_above_that_another_user_may_exchange_is_refused(
+    tmp_path: Path, mode: int, owner: int, refused: bool
+) -> None:
+    """Whoever can rename the state directory can put another one in its place while a lock is held."""
+    if os.geteuid() != 0:
+        pytest.skip("only root can make the directory of another user")
+    above = tmp_path / "eve"
+    above.mkdir()
+    above.chmod(mode)
+    os.chown(above, owner, 0)
+    if not refused:
+        assert ensure_private_dir(above / "state").is_dir()
+        return
+    with pytest.raises(StateError, match="which another user may change") as raised:
+        ensure_private_dir(above / "state")
+    assert f"chmod go-w {above}" in raised.value.hint

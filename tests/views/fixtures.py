@@ -12,6 +12,10 @@ from edgectl.model.plan import Plan
 from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Tasks
 from edgectl.scheduler.assign import assign
+from edgectl.views.output import View, render_view
+from edgectl.views.output_format import OutputFormat
+from edgectl.views.plan_sections import render_notes
+from edgectl.views.text import PLAIN, RenderOptions
 
 ROOT = Path(__file__).parents[2]
 SNAPSHOT = ROOT / "docs" / "examples" / "snapshot.json"
@@ -36,3 +40,9 @@ def plan() -> Plan:
         memory,
         assign(inventory, tasks, snapshot, memory, tasks.policy, snapshot.taken_at),
     )
+
+
+def show(view: View, form: OutputFormat = OutputFormat.TABLE, look: RenderOptions = PLAIN) -> str:
+    """The output in ``form``, and below a table its notes."""
+    noted = form in (OutputFormat.TABLE, OutputFormat.WIDE)
+    return render_view(view, form, look) + (render_notes(view.notes(), look) if noted else "")

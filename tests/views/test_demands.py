@@ -32,6 +32,7 @@ from tests.builders import (
     an_inventory,
     some_tasks,
 )
+from tests.views.fixtures import show
 
 LINKS = {"robot1": a_link()}
 SNAPSHOT = a_snapshot(
@@ -81,7 +82,7 @@ def test_wide_tells_every_source() -> None:
 
 
 def test_the_table_has_a_note_for_each_thing_to_know() -> None:
-    notes = [line for line in PlanView(a_plan()).table().splitlines() if line.startswith("note: ")]
+    notes = [line for line in show(PlanView(a_plan())).splitlines() if line.startswith("note: ")]
     assert notes == [
         "note: demand measured (p95): slam cpu and memory (n=412)",
         "note: demand unknown, 0 until it is measured: map cpu (n=12)",
@@ -94,14 +95,14 @@ def test_a_plan_with_declared_demands_alone_has_no_note() -> None:
     plan = a_plan()
     steps = tuple(replace(step, decision=replace(step.decision, demand=())) for step in plan.steps)
     silent = replace(plan, steps=steps, demand_spreads=())
-    assert "note:" not in PlanView(silent).table()
+    assert "note:" not in show(PlanView(silent))
     assert "Demands" not in PlanView(replace(silent, steps=())).wide()
 
 
 def test_long_lists_are_cut_and_fit_the_terminal() -> None:
     plan = a_plan()
     many = replace(plan, demand_spreads=plan.demand_spreads * 9)
-    text = PlanView(many).table(RenderOptions(width=80))
+    text = show(PlanView(many), look=RenderOptions(width=80))
     assert "and 5 more" in text
     assert max(map(len, text.splitlines())) <= 80
 
@@ -109,7 +110,7 @@ def test_long_lists_are_cut_and_fit_the_terminal() -> None:
 def test_status_sets_the_measured_demand_beside_the_use() -> None:
     inventory = an_inventory(an_edge("edge1"), an_edge("edge2"), a_robot())
     hosts = {"edge1": replace(SNAPSHOT.hosts["edge1"], tasks={"slam": a_run(used=Usage(cpu=1.25))})}
-    text = StatusView(replace(SNAPSHOT, hosts=hosts, manager=MEMORY), inventory, TASKS).table()
+    text = show(StatusView(replace(SNAPSHOT, hosts=hosts, manager=MEMORY), inventory, TASKS))
     assert text.splitlines()[1].split()[4:] == ["1.25", "1.00", "0B", "100.0Mi", "0B/s", "300.0kB/s"]
 
 

@@ -30,7 +30,7 @@ from edgectl.views.status import StatusView
 from edgectl.views.text import RenderOptions
 from edgectl.views.top import TopHostsView, TopTasksView
 from edgectl.views.validation import ValidationView, VersionView
-from tests.views.fixtures import fleet, plan
+from tests.views.fixtures import fleet, plan, show
 
 FAILED = ActionResult(
     task="detection-robot1", action=Action.MOVE, outcome=Outcome.FAILED, host="edge2", previous_host="edge1", downtime_s=2.25,
@@ -183,8 +183,7 @@ def test_status_tells_silence_from_absence() -> None:
         manager=dataclasses.replace(memory, done=done),
     )
     rows = {
-        line.split()[0]: line.split()[1:]
-        for line in StatusView(changed, inventory, tasks).table().splitlines()
+        line.split()[0]: line.split()[1:] for line in show(StatusView(changed, inventory, tasks)).splitlines()
     }
     assert rows["map-merge"][:2] == ["edge3", "unknown"]
     assert rows["detection-robot2"][:3] == ["-", "not", "running"]
@@ -270,9 +269,9 @@ def test_no_table_passes_the_edge_of_the_terminal(width: int) -> None:
     assert {
         what: line for what, text in shown.items() for line in text.splitlines() if len(line) > width
     } == {}
-    first, *_ = lines = shown["status"].splitlines()
-    assert first.startswith("1 of 10 tasks failed: detection-robot1 on edge1")
-    assert ["TASK", "HOST", "STATE"] in [line.split()[:3] for line in lines]
+    first, head = shown["status"].splitlines()[:2]
+    assert first == "1 of 10 tasks failed: detection-robot1 on edge1"
+    assert head.split()[:3] == ["TASK", "HOST", "STATE"]
 
 
 def test_a_status_on_a_narrow_terminal_has_the_demands_below() -> None:

@@ -19,7 +19,6 @@ from edgectl.views.listing import (
     build_listing,
     compare_listings,
 )
-from edgectl.views.output import render_view
 from edgectl.views.output_format import OutputFormat
 from edgectl.views.text import RenderOptions
 from tests.builders import (
@@ -35,6 +34,7 @@ from tests.builders import (
     silent,
     some_tasks,
 )
+from tests.views.fixtures import show
 
 LINK = LinkSample(
     capacity_bytes_per_s=10e6, used_bytes_per_s=1e6, rtt_ms=2.25, capacity_source=CapacitySource.ASSUMED
@@ -78,7 +78,7 @@ def listing_view(kind: ListingKind) -> ListingView:
 def shown(
     kind: ListingKind, form: OutputFormat = OutputFormat.TABLE, look: RenderOptions | None = None
 ) -> str:
-    return render_view(listing_view(kind), form, look or RenderOptions())
+    return show(listing_view(kind), form, look or RenderOptions())
 
 
 LONG = "a-name-as-long-as-names-of-edges-in-a-real-lab-tend-to-be"
@@ -118,7 +118,7 @@ def test_tasks_stand_in_the_order_of_the_files_then_the_others() -> None:
 
 def test_nothing_is_said_to_be_nothing() -> None:
     empty = replace(listed(ListingKind.LINKS), items=(), notes=())
-    assert render_view(ListingView(empty), OutputFormat.TABLE, RenderOptions()) == "No links.\n"
+    assert show(ListingView(empty), OutputFormat.TABLE, RenderOptions()) == "note: no links\n"
 
 
 def test_links() -> None:
@@ -218,7 +218,7 @@ def test_changes_are_told_once() -> None:
     )
     found = [(change.value, item.path) for change, item in compare_listings(first, after)]
     assert found == [("MODIFIED", "nav on edge1"), ("MODIFIED", "slam on edge1"), ("DELETED", "old on edge1")]
-    text = render_view(ListingChangesView(after, compare_listings(first, after), first), OutputFormat.TABLE)
+    text = show(ListingChangesView(after, compare_listings(first, after), first), OutputFormat.TABLE)
     assert text == (
         "nav     edge1  ready                                    0  1h00m\n"
         "slam    edge1  failed (exited with 3)                   0      -\n"
@@ -226,7 +226,7 @@ def test_changes_are_told_once() -> None:
     )
     lines = [
         json.loads(line)
-        for line in render_view(
+        for line in show(
             ListingChangesView(after, compare_listings(first, after), first), OutputFormat.JSONL
         ).splitlines()
     ]
@@ -242,9 +242,9 @@ def test_changes_are_told_once() -> None:
 def test_the_first_of_the_lines_is_the_whole_table() -> None:
     first = listed(ListingKind.EDGES)
     for form in (OutputFormat.TABLE, OutputFormat.WIDE):
-        assert render_view(ListingChangesView(first, compare_listings(None, first), None), form) == shown(
+        assert show(ListingChangesView(first, compare_listings(None, first), None), form) == shown(
             ListingKind.EDGES, form
         )
-    assert render_view(
-        ListingChangesView(first, compare_listings(None, first), None), OutputFormat.NAME
-    ) == shown(ListingKind.EDGES, OutputFormat.NAME)
+    assert show(ListingChangesView(first, compare_listings(None, first), None), OutputFormat.NAME) == shown(
+        ListingKind.EDGES, OutputFormat.NAME
+    )

@@ -17,6 +17,7 @@ from edgectl.views.output_format import OutputFormat
 from edgectl.views.snapshot import SnapshotView
 from edgectl.views.status import StatusView
 from tests.builders import NOW, a_sample, a_snapshot, a_task, an_edge, an_inventory, silent, some_tasks
+from tests.views.fixtures import show
 
 MOVED = ActionResult(
     task="slam", action=Action.MOVE, outcome=Outcome.FAILED, host="edge2", previous_host="edge1", located="edge1", downtime_s=1.5,
@@ -40,6 +41,7 @@ MEMORY = ManagerState(
     managed=True, placements={"slam": Placement(host="edge1", since=NOW - 900.0)}, cordons=frozenset({"edge2", "edge3"}),
     draining=frozenset({"edge3"}), contact={"edge1": NOW - 90.0},
 )  # fmt: skip
+
 SNAPSHOT = a_snapshot(edge1=silent(), edge2=a_sample(), edge3=a_sample(), memory=MEMORY)
 FLEET = an_inventory(an_edge("edge1"), an_edge("edge2"), an_edge("edge3"))
 
@@ -87,13 +89,13 @@ def test_closed_hosts_show_everywhere() -> None:
     assert plan_sections.list_operator_mark_notes(SNAPSHOT) == [
         "cordoned, no new tasks: edge2 (edgectl uncordon)", "draining, tasks move away: edge3 (edgectl uncordon)",
     ]  # fmt: skip
-    text = StatusView(SNAPSHOT, FLEET, some_tasks(a_task("slam"))).table()
+    text = show(StatusView(SNAPSHOT, FLEET, some_tasks(a_task("slam"))))
     assert "note: cordoned, no new tasks: edge2 (edgectl uncordon)\n" in text
 
 
 def test_a_silent_host_is_told_with_how_long() -> None:
     tasks = some_tasks(a_task("slam"), a_task("camera"))
-    text = StatusView(SNAPSHOT, FLEET, tasks).table()
+    text = show(StatusView(SNAPSHOT, FLEET, tasks))
     assert "unknown (silent for 1m30s)" in text
     assert "note: edge1 does not answer: connection refused (silent for 1m30s)" in text
     rows = {row["task"]: row for row in StatusView(SNAPSHOT, FLEET, tasks).rows()}

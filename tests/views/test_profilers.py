@@ -10,6 +10,7 @@ from edgectl.views.output import render_view
 from edgectl.views.output_format import OutputFormat
 from edgectl.views.profilers import ProfilersView
 from edgectl.views.text import RenderOptions
+from tests.views.fixtures import show
 
 RUNNING = Profiler(
     host="edge1", state=ProfilerState.RUNNING, pid=32101, age=3725.0, every=1.0, period=1.0, samples=3725, sample_age=0.41,
@@ -25,7 +26,7 @@ FOUND = (
 
 
 def test_the_table_fits_80_columns_and_says_what_to_do() -> None:
-    table = render_view(ProfilersView(FOUND), OutputFormat.TABLE)
+    table = show(ProfilersView(FOUND))
     rows, notes = table.splitlines()[:6], table.splitlines()[6:]
     assert max(map(len, rows)) <= 80
     assert rows[0].split() == [

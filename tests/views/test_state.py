@@ -6,7 +6,7 @@ from edgectl.model.snapshot import TaskState
 from edgectl.views.state import format_task_state
 from edgectl.views.status import StatusView
 from tests.builders import a_run
-from tests.views.fixtures import fleet
+from tests.views.fixtures import fleet, show
 
 
 def test_crash_loop_is_a_failure_with_its_figures() -> None:
@@ -45,7 +45,7 @@ def test_status_ends_with_last_words_and_limits_that_do_not_hold() -> None:
         "held": a_run(limits="enforced"),
     }
     snapshot = replace(snapshot, hosts={**snapshot.hosts, host: replace(snapshot.hosts[host], tasks=runs)})
-    lines = StatusView(snapshot, inventory, tasks).table().splitlines()
+    lines = show(StatusView(snapshot, inventory, tasks)).splitlines()
     assert any(line.startswith("broken") and "failed (5 restarts, last exit 1)" in line for line in lines)
     assert f"note: broken on {host}: last output: Traceback" in lines
     assert "note: broken is given up; edgectl restart broken, or a changed spec, starts it again" in lines

@@ -28,6 +28,7 @@ from tests.builders import (
     silent,
     some_tasks,
 )
+from tests.views.fixtures import show
 
 FLEET = an_inventory(an_edge("edge1", cpu_limit=0.8), an_edge("edge2"), a_robot("robot1"))
 TASKS = some_tasks(
@@ -35,6 +36,7 @@ TASKS = some_tasks(
     a_task("slam", cpu="25%", memory=None, throughput=None, robots=["robot1"]),
     a_task("idle"),
 )
+
 RUNS = {
     "detection": a_run(started_at=NOW - 252, used=Usage(cpu=2.5, memory=0.75 * GI, network=2e6)),
     "slam": a_run(TaskState.RUNNING, started_at=NOW - 3780, used=Usage(cpu=0.9, memory=GI / 2, network=5e5)),
@@ -100,13 +102,13 @@ def tasks_view(value: Snapshot | None = None) -> TopTasksView:
 
 
 def hosts(form: OutputFormat = OutputFormat.TABLE, look: RenderOptions | None = None) -> str:
-    return render_view(hosts_view(), form, look or RenderOptions())
+    return show(hosts_view(), form, look or RenderOptions())
 
 
 def tasks(
     form: OutputFormat = OutputFormat.TABLE, look: RenderOptions | None = None, value: Snapshot | None = None
 ) -> str:
-    return render_view(tasks_view(value), form, look or RenderOptions())
+    return show(tasks_view(value), form, look or RenderOptions())
 
 
 NOTES = "note: edge1 uses 98% of its cpu; its limit is 80%\nnote: edge2 does not answer: connection refused\n"
@@ -269,7 +271,7 @@ def test_a_measured_demand_counts_where_it_was_asked_for() -> None:
 
 def test_nothing_runs() -> None:
     assert (
-        render_view(TopTasksView(a_snapshot(edge1=a_sample()), FLEET, TASKS, ()), OutputFormat.TABLE)
+        show(TopTasksView(a_snapshot(edge1=a_sample()), FLEET, TASKS, ()))
         == "note: 3 of 3 tasks do not run: edgectl status\n"
     )
 

@@ -101,6 +101,8 @@ def _find_operation(name: str) -> "Callable[[Document], Document]":  # noqa: C90
         from ..supervise.adoption import adopt_tasks as operation
     elif name == protocol.OP_START:
         from ..supervise.start import start_task as operation
+    elif name == protocol.OP_TAKE_OVER:
+        from ..supervise.takeover import take_over_task as operation
     elif name == protocol.OP_STOP:
         from ..supervise.stop import stop_task as operation
     elif name == protocol.OP_STATUS:

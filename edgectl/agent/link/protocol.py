@@ -26,11 +26,12 @@ OP_START = "start"
 OP_STATUS = "status"
 OP_STOP = "stop"
 OP_SUPERVISE = "supervise"
+OP_TAKE_OVER = "takeover"
 OP_WAIT = "wait"
 
 # Operations that change tasks or robots. While a manager holds the fleet they carry its ``lease``
 # (SIGNATURE_KEYS); a probe may carry a claim of it (CLAIM_KEYS).
-CHANGING_OPS = (OP_START, OP_STOP, OP_MARK, OP_CHECK)
+CHANGING_OPS = (OP_START, OP_STOP, OP_MARK, OP_CHECK, OP_TAKE_OVER)
 SIGNATURE_KEYS = ("holder", "session", "epoch")
 CLAIM_KEYS = ("holder", "session", "who", "verb", "ttl_s", "watch", "take_over")
 
@@ -52,8 +53,9 @@ REQUEST_KEYS = {
     OP_SEND: ("address", "port", "token", "seconds"),
     OP_SINK: ("seconds",),
     OP_START: ("task", "instance", "generation", "manager", "spec"),
+    OP_TAKE_OVER: ("task", "instance", "generation", "manager", "spec"),
     OP_STATUS: ("task",),
-    OP_STOP: ("task", "instance", "generation", "stop"),
+    OP_STOP: ("task", "instance", "generation", "stop", "filed_as"),
     OP_WAIT: ("task", "instance", "timeout_s", "up_s"),
 }
 # Keys of ``spec`` in OP_START.
@@ -72,6 +74,7 @@ SPEC_KEYS = (
     "self_fence_s",
     "spec_hash",
     "fields",
+    "file",
 )
 # Keys of the entry of a task in a reply; the last line is measured by OP_PROBE alone.
 ENTRY_KEYS = (
@@ -81,6 +84,7 @@ ENTRY_KEYS = (
     "instance",
     "spec_hash",
     "fields",
+    "file",
     "generation",
     "managed",
     "restarts",
@@ -89,6 +93,8 @@ ENTRY_KEYS = (
     "limits",
     "last_exit",
     "given_up",
+    "orphaned",
+    "adoptable",
     "ended_s",
     "log_tail",
     "used_cores",
@@ -117,6 +123,7 @@ PROBE_KEYS = (
     "host",
     "python",
     "boot_id",
+    "machine",
     "wall",
     "load_1m",
     "generations",
@@ -151,6 +158,7 @@ FINAL_STATES = (COMPLETED, FAILED, CRASHLOOP, STOPPED)
 
 # States of the replies to OP_START, OP_STOP and OP_PROFILER_*.
 STARTED = "started"
+TAKEN_OVER = "taken-over"
 ALREADY_RUNNING = "already-running"
 NOT_RUNNING = "not-running"
 STOP_INCOMPLETE = "stop-incomplete"

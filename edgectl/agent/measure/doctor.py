@@ -41,7 +41,9 @@ def collect_facts(request: Document) -> Document:
         "psutil": psutil is not None,
         "logind": read_login_facts(),
         "disk": dict(
-            read_disk_facts(state_dir.BASES[0]), spare=not read_disk_facts(state_dir.BASES[-1])["obstacle"]
+            read_disk_facts(state_dir.BASES[0]),
+            spare=not read_disk_facts(state_dir.BASES[-1])["obstacle"],
+            skipped=[base for base in state_dir.BASES if state_dir.is_foreign_base(base)],
         ),
         "memory": device.read_memory(psutil),
         "links": {robot: _build_link_facts(found, robot, probes) for robot, found in addresses.items()},

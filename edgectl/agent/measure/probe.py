@@ -3,6 +3,7 @@
 import os
 import sys
 import time
+import zlib
 
 from ..link import protocol
 from ..link.fast_json import Document
@@ -36,6 +37,7 @@ def probe_host(request: Document) -> Document:
             "host": request["host"],
             "python": "%d.%d.%d" % sys.version_info[:3],
             "boot_id": proc.read_boot_id(),
+            "machine": _describe_place(),
             "wall": time.time(),
             "load_1m": device.read_load_1m(),
             "generations": _list_generations(request["host"], measured["tasks"]),
@@ -48,13 +50,19 @@ def probe_host(request: Document) -> Document:
     )
 
 
+def _describe_place() -> str:
+    """Describe where the tasks of this login are: machine, user and state directories."""
+    folders = zlib.crc32("\0".join(state_dir.BASES).encode("utf-8", "surrogateescape"))
+    return "%s/%d/%08x" % (proc.read_machine_id(), os.getuid(), folders)
+
+
 def _claim_lease(request: Document) -> Document:
     """Claim the fleet before anything is measured: what is seen then, no other manager changes afterwards."""
     if "lease" not in request:
         return {}
     from ..supervise.lease import claim_lease
 
-    return {"lease": claim_lease(request["host"], request["lease"])}
+    return {"lease": claim_lease(request["lease"])}
 
 
 def _read_profiler(request: Document) -> "tuple[Document, _RunningChecks] | None":

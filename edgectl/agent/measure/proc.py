@@ -101,6 +101,17 @@ def has_environ_entry(pid: int, entry: bytes) -> bool:
     return b"\0" + entry + b"\0" in b"\0" + read_file("/proc/%d/environ" % pid) + b"\0"
 
 
+def is_own_process(pid: int) -> bool:
+    """Whether this user started the process: its real uid is ours.
+
+    The owner of /proc/PID is no evidence: it is root for a process that forbids to be dumped.
+    """
+    for line in read_file("/proc/%d/status" % pid).splitlines():
+        if line.startswith(b"Uid:"):
+            return int(line.split()[1]) == os.geteuid()
+    return False
+
+
 def read_cmdline(pid: int) -> "list[str]":
     """Read the argument vector, decoded with replacement."""
     return [
@@ -112,6 +123,11 @@ def read_cmdline(pid: int) -> "list[str]":
 def read_boot_id() -> str:
     """Read the id of this boot of the host."""
     return read_file("/proc/sys/kernel/random/boot_id").decode().strip()
+
+
+def read_machine_id() -> str:
+    """Read the id of the installation; empty where it has none, as in many containers."""
+    return read_file("/etc/machine-id").decode("ascii", "replace").strip()
 
 
 def read_uptime_s() -> float:

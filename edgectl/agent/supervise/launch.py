@@ -12,6 +12,7 @@ from ..link.errors import RefusalError
 from ..link.fast_json import Document
 from ..measure import proc
 from . import lockfile, signals, spawn
+from .liveness import InstanceRecord
 from .scope import Scope
 from .supervisor import Supervisor
 
@@ -55,6 +56,23 @@ def launch_supervisor(
         if ended
         else "no report from the supervisor"
     }
+
+
+def launch_takeover(record: InstanceRecord, lock: int, guard: int, spec: Document) -> Document:
+    """Start a supervisor on the living tree of ``record``: its report, or ``{"error": reason}``.
+
+    ``lock`` is -1 where the tree holds it; ``guard`` is held for as long as the supervisor lives.
+    """
+    read_end, write_end = os.pipe()
+    kept = tuple(fd for fd in (lock, guard, write_end) if fd >= 0)
+
+    def supervise() -> None:
+        Supervisor(record.folder, lock, write_end, record.instance, spec, "", orphan=record.status).run()
+
+    _run_detached(supervise, write_end, kept)
+    data, _ = _read_pipe(read_end, _REPORT_S)
+    os.close(read_end)
+    return _parse_report(data) or {"error": "no report from the supervisor"}
 
 
 def _run_detached(work: "Callable[[], None]", report: int, keep: "tuple[int, ...]") -> None:

@@ -25,25 +25,25 @@ _RECORD, _NOTE, _LOCK, _STARTS = "lease", "watch", "lease.lock", "lease.starts"
 _WRITE_S, _START_S, _POLL_S = 5.0, 6.0, 0.02
 
 
-def claim_lease(host: str, claim: Document) -> Document:
+def claim_lease(claim: Document) -> Document:
     """Grant the fleet on this host to a manager, or tell who has it."""
-    base = _make_lease_dir(host)
+    base = _make_lease_dir()
     if not base:
         return {"state": "unwritable"}
     with _locked(base, _LOCK, fcntl.LOCK_EX, _WRITE_S):
-        reply, new = _decide(host, base, claim)
+        reply, new = _decide(base, claim)
     if new:
         # A start of the last holder that is under way ends first: this claim is followed by a measurement.
         with _locked(base, _STARTS, fcntl.LOCK_EX, _START_S), _locked(base, _LOCK, fcntl.LOCK_EX, _WRITE_S):
-            reply, _ = _decide(host, base, claim, write=True)
+            reply, _ = _decide(base, claim, write=True)
     return reply
 
 
-def _decide(host: str, base: str, claim: Document, *, write: bool = False) -> "tuple[Document, bool]":
+def _decide(base: str, claim: Document, *, write: bool = False) -> "tuple[Document, bool]":
     """Reply to a claim, and whether it is a grant of a new epoch, which is made only with ``write``."""
     record, note, now, boot = (
-        _read(host, _RECORD),
-        _read(host, _NOTE),
+        _read(_RECORD),
+        _read(_NOTE),
         proc.read_uptime_s(),
         proc.read_boot_id(),
     )
@@ -64,15 +64,15 @@ def _decide(host: str, base: str, claim: Document, *, write: bool = False) -> "t
 def serve_lease(request: Document) -> Document:
     """Operation ``lease``: claim, renew or release it."""
     if request["action"] == "claim":
-        return claim_lease(request["host"], request["lease"])
-    base = _find_lease_dir(request["host"])
+        return claim_lease(request["lease"])
+    base = _find_lease_dir()
     if not base:
         raise RefusalError("not-holder", "this host knows of no lease")
     with _locked(base, _LOCK, fcntl.LOCK_EX, _WRITE_S):
         if request["action"] == "renew":
-            _renew(request["host"], base, request["lease"])
+            _renew(base, request["lease"])
             return {"state": "renewed"}
-        _release(request["host"], base, request)
+        _release(base, request)
     return {"state": "released"}
 
 
@@ -83,8 +83,8 @@ def hold_for_request(request: Document) -> "Iterator[None]":
     Raises:
         RefusalError: another manager has the fleet, or the lease has run out.
     """
-    host, signature = request["host"], request.get("lease")
-    base = _find_lease_dir(host)
+    signature = request.get("lease")
+    base = _find_lease_dir()
     if not base and signature is None:
         yield
         return
@@ -93,12 +93,12 @@ def hold_for_request(request: Document) -> "Iterator[None]":
     starting = request["op"] == protocol.OP_START
     with _locked(base, _STARTS, fcntl.LOCK_SH, _START_S) if starting else _nothing():
         with _locked(base, _LOCK, fcntl.LOCK_EX, _WRITE_S):
-            _renew(host, base, signature)
+            _renew(base, signature)
         yield
 
 
-def _renew(host: str, base: str, signature: "Document | None") -> None:
-    record, now = _read(host, _RECORD), proc.read_uptime_s()
+def _renew(base: str, signature: "Document | None") -> None:
+    record, now = _read(_RECORD), proc.read_uptime_s()
     fault = lease_rules.find_fault(record, signature, now, proc.read_boot_id())
     if fault:
         raise RefusalError("not-holder", fault + ": nothing was done", "apply again")
@@ -106,9 +106,9 @@ def _renew(host: str, base: str, signature: "Document | None") -> None:
         records.write_record(os.path.join(base, _RECORD), lease_rules.extend_record(record, now))
 
 
-def _release(host: str, base: str, request: Document) -> None:
+def _release(base: str, request: Document) -> None:
     """End the lease of this session, if it still has it, and remove the note of its watch on request."""
-    record, signature, note = _read(host, _RECORD), request["lease"], _read(host, _NOTE)
+    record, signature, note = _read(_RECORD), request["lease"], _read(_NOTE)
     if all(record.get(key) == signature.get(key) for key in ("holder", "session", "epoch")):
         records.write_record(os.path.join(base, _RECORD), dict(record, until=0.0))
     if request.get("end_watch") and note.get("holder") == signature["holder"]:
@@ -145,15 +145,15 @@ def _locked(base: str, name: str, kind: int, patience_s: float) -> "Iterator[Non
         os.close(fd)
 
 
-def _read(host: str, name: str) -> Document:
+def _read(name: str) -> Document:
     """The record with the highest epoch, the note seen last, among all bases."""
-    found = [records.read_record(os.path.join(base, name)) for base in _list_existing_dirs(host)]
+    found = [records.read_record(os.path.join(base, name)) for base in _list_existing_dirs()]
     return max(found, key=lambda each: (each.get("epoch", 0), each.get("at", 0.0)), default={})
 
 
-def _list_existing_dirs(host: str) -> "list[str]":
+def _list_existing_dirs() -> "list[str]":
     found = []
-    for levels in state_dir.list_host_dirs(host):
+    for levels in _list_fleet_dirs():
         if os.path.exists(os.path.join(levels[-1], _LOCK)):
             for level in levels:
                 check_private_dir(level)
@@ -161,9 +161,14 @@ def _list_existing_dirs(host: str) -> "list[str]":
     return found
 
 
-def _find_lease_dir(host: str) -> str:
+def _list_fleet_dirs() -> "list[list[str]]":
+    """List, for each base, the directories down to that of the fleet, which names of one machine share."""
+    return [state_dir.list_fleet_levels(base) for base in state_dir.list_own_bases()]
+
+
+def _find_lease_dir() -> str:
     """The first directory of the lease that can be written; empty where this host was never asked for one."""
-    for folder in _list_existing_dirs(host):
+    for folder in _list_existing_dirs():
         try:
             os.close(records.open_private_file(os.path.join(folder, _LOCK), os.O_RDWR))
         except OSError:
@@ -172,9 +177,9 @@ def _find_lease_dir(host: str) -> str:
     return ""
 
 
-def _make_lease_dir(host: str) -> str:
+def _make_lease_dir() -> str:
     """The first directory that accepts the files of the lease; empty where none does."""
-    for levels in state_dir.list_host_dirs(host):
+    for levels in _list_fleet_dirs():
         try:
             for level in levels:
                 make_private_dir(level)

@@ -45,6 +45,9 @@ def find_refusal(
     record: Document, note: Document, claim: Document, now: float, boot: str
 ) -> "Document | None":
     """The reply to a claim that is declined; None where it is granted."""
+    other = is_fresh(note, now, boot) and note.get("holder") != claim["holder"]
+    if claim.get("watch") and other and not claim.get("take_over"):
+        return dict(describe_watch(note, now, boot), state="watched")
     left = compute_left_s(record, now, boot)
     if left > 0.0 and record.get("holder") != claim["holder"]:
         live = record.get("boot_id") == boot
@@ -57,9 +60,6 @@ def find_refusal(
             "left_s": round(left, 3),
             "every_s": describe_watch(note, now, boot).get("every_s", 0.0),
         }
-    other = is_fresh(note, now, boot) and note.get("holder") != claim["holder"]
-    if claim.get("watch") and other and not claim.get("take_over"):
-        return dict(describe_watch(note, now, boot), state="watched")
     return None
 
 

@@ -1,7 +1,8 @@
 """Liveness of a task and its processes, decided by the kernel and not by a file.
 
-A task lives while its lock is held (supervisor and task inherit it) or any process has its cookie in the
-environment: launchers that close inherited descriptors are the main workload, so both are examined.
+A task lives while its lock is held (supervisor and task inherit it) or any process of this user has its
+cookie in the environment: launchers that close inherited descriptors are the main workload, so both are
+examined.
 """
 
 import os
@@ -81,15 +82,21 @@ def find_processes(found: InstanceRecord, table: "dict[int, proc.Process]") -> "
     session.
     """
     above = find_supervisor(found)
+    if above and found.instance.get("adopted"):
+        return (proc.find_descendants({above}, table) | find_orphans(found, table)) - {above}
     if above:
         return proc.find_descendants({above}, table) - {above}
     return find_orphans(found, table)
 
 
 def find_orphans(found: InstanceRecord, table: "dict[int, proc.Process]") -> "set[int]":
-    """Find the task's processes without the help of its supervisor."""
+    """Find the task's processes without the help of its supervisor.
+
+    Any user can write the cookie into the environment of a process, so it counts only in one of this user. A
+    process of the task that has become another user's is found by descent, by its session or by the lock.
+    """
     entry = build_cookie(found.folder).encode()
-    seeds = {pid for pid in table if proc.has_environ_entry(pid, entry)}
+    seeds = {pid for pid in table if proc.has_environ_entry(pid, entry) and proc.is_own_process(pid)}
     main, ticks = found.status.get("pid", 0), found.status.get("ticks", -1)
     if is_same_boot(found) and main in table and table[main].ticks == ticks:
         seeds.add(main)
@@ -102,7 +109,8 @@ def find_orphans(found: InstanceRecord, table: "dict[int, proc.Process]") -> "se
 
 
 def is_alive(found: InstanceRecord, table: "dict[int, proc.Process] | None" = None) -> bool:
-    """Whether the lock is held or a cookie is found.
+    """Whether the lock is held, or the supervisor or a cookie is found: a supervisor that took over a task
+    has the lock only once the processes that it found have ended.
 
     Processes are searched only where the record does not state the end.
     """
@@ -111,6 +119,8 @@ def is_alive(found: InstanceRecord, table: "dict[int, proc.Process] | None" = No
     ended = found.status.get("state") in protocol.FINAL_STATES and not found.status.get("left")
     if ended or not found.instance or not is_same_boot(found):
         return False
+    if find_supervisor(found):
+        return True
     return bool(find_orphans(found, proc.read_process_table() if table is None else table))
 
 
@@ -129,6 +139,7 @@ def build_entry(found: InstanceRecord, alive: bool) -> Document:
         "instance": instance.get("instance", ""),
         "spec_hash": instance.get("spec_hash", ""),
         "fields": instance.get("fields") or {},
+        "file": instance.get("file", ""),
         "generation": instance.get("generation", 0),
         "managed": True,
         "restarts": status.get("restarts", 0),
@@ -163,7 +174,13 @@ def _build_living_fields(found: InstanceRecord) -> Document:
     if status.get("state") in protocol.FINAL_STATES:
         seen.update(state=protocol.RUNNING, detail="processes of the ended task remain")
     if not above:
-        seen["detail"] = "orphaned: the supervisor is gone, its processes still run"
+        from .takeover import is_adoptable
+
+        seen.update(
+            orphaned=True,
+            adoptable=is_adoptable(found),
+            detail="orphaned: the supervisor is gone, its processes still run",
+        )
     return seen
 
 

@@ -12,9 +12,9 @@ _TRIES = 10
 _TRY_S = 0.03
 
 
-def take_lock(folder: str) -> int:
+def take_lock(folder: str, name: str = "lock") -> int:
     """Take the lock; its descriptor, or -1 where the holder lives."""
-    fd = records.open_private_file(os.path.join(folder, "lock"), os.O_RDWR | os.O_CREAT)
+    fd = records.open_private_file(os.path.join(folder, name), os.O_RDWR | os.O_CREAT)
     for _ in range(_TRIES):
         try:
             fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -105,8 +105,14 @@ def _exec_command(
         os._exit(127)
 
 
+# In place of the wait status of a process that was no child.
+UNKNOWN_EXIT = -1
+
+
 def describe_exit(code: int) -> Document:
     """Describe a wait status; ``exit_code`` of a killed process is 128 + signal, as in shells."""
+    if code == UNKNOWN_EXIT:
+        return {"exit_code": None, "detail": "ended; exit code unknown, its first supervisor was lost"}
     if not os.WIFSIGNALED(code):
         return {"exit_code": os.WEXITSTATUS(code), "detail": "exited with %d" % os.WEXITSTATUS(code)}
     number = os.WTERMSIG(code)

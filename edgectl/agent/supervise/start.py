@@ -13,6 +13,7 @@ from . import liveness, lockfile, logind, records, scope, state_dir, status
 from .liveness import InstanceRecord
 
 _TRIES, _TRY_S = 10, 0.03
+_MAX_FILE = 200
 _MAX_MANAGER_LENGTH = 100
 
 
@@ -111,8 +112,9 @@ def _build_identity(request: Document, spec: Document) -> Document:
         "stop": spec.get("stop") or {},
         "ready_check": bool(spec.get("ready")),
         "fields": _trim_fields(spec.get("fields")),
+        "file": str(spec.get("file", ""))[:_MAX_FILE],
         "boot_id": proc.read_boot_id(),
-        "machine_id": proc.read_file("/etc/machine-id").decode("ascii", "replace").strip(),
+        "machine_id": proc.read_machine_id(),
     }
 
 

@@ -13,7 +13,7 @@ import time
 from ..link import fast_json, heartbeat, protocol
 from ..link.fast_json import Document
 from ..measure import metrics, proc
-from . import backoff, liveness, records, scope, shell, signals, spawn
+from . import backoff, liveness, lockfile, records, scope, shell, signals, spawn
 from .logfile import LogWriter
 
 TYPE_CHECKING = False
@@ -27,15 +27,27 @@ _LEFTOVERS = (("TERM", "tree", 5.0),)
 _KILL = ("KILL", "tree", 10.0)
 # A short interval: this timer stands still while a machine is suspended, the age of the heartbeat does not.
 _HEARTBEAT_CHECK_S = 2.0
+# The end of a process that is no child is not signalled.
+_ADOPTED_CHECK_S = 0.5
+_ADOPTED = "adopted: its first supervisor was lost; no log until it restarts"
 
 
 class Supervisor:
     """The loop that runs one task according to its spec."""
 
     def __init__(
-        self, folder: str, lock: int, report: int, identity: Document, spec: Document, why: str
+        self,
+        folder: str,
+        lock: int,
+        report: int,
+        identity: Document,
+        spec: Document,
+        why: str,
+        orphan: "Document | None" = None,
     ) -> None:
-        """``why``: the reason that limits are not enforced; empty in a scope."""
+        """``why``: the reason that limits are not enforced; empty in a scope. ``orphan``: the status of a
+        living task that lost its supervisor and is taken over; ``lock`` is -1 while that task holds it.
+        """
         self.folder, self.lock, self.report, self.spec = folder, lock, report, spec
         self.identity = identity
         self.log = LogWriter(folder, int(spec["log"]["max_bytes"]), int(spec["log"]["files"]))
@@ -56,6 +68,7 @@ class Supervisor:
         self.history: "list[float]" = []
         self.next_start: "float | None" = None
         self.stopping, self.code = False, 0
+        self.adopted = False
         self.fence_s, self.begun, self.next_look = (
             float(spec.get("self_fence_s") or 0.0),
             proc.read_uptime_s(),
@@ -66,19 +79,37 @@ class Supervisor:
         self.check_every = _READY_FIRST_S
         self.next_metrics = 0.0
         self.wake, self._wake_end = os.pipe()
+        if orphan is not None:
+            self._take_over(orphan)
 
     def run(self) -> None:
         """Run until the task has ended for good."""
-        metrics.reset_metrics_file(self.folder)
         me = proc.read_own_process()
         identity = dict(self.identity, supervisor=me.pid, supervisor_ticks=me.ticks)
-        records.write_record(os.path.join(self.folder, "instance"), identity, durable=True)
-        self._install_handlers()
-        self._start_command()
+        if self.adopted:
+            identity["adopted"] = True
+            records.write_record(os.path.join(self.folder, "instance"), identity, durable=True)
+            self._install_handlers()
+            self._record_status()
+        else:
+            metrics.reset_metrics_file(self.folder)
+            records.write_record(os.path.join(self.folder, "instance"), identity, durable=True)
+            self._install_handlers()
+            self._start_command()
         fast_json.send_document(self.report, {"pid": self.pid, "limits": self.status["limits"]})
         while self.pid or self.next_start is not None:
             self._run_once()
         metrics.limit_metrics_file(self.folder)
+
+    def _take_over(self, status: Document) -> None:
+        """Continue from the status of an orphan; its processes are no children of this one."""
+        self.adopted, self.code = True, spawn.UNKNOWN_EXIT
+        self.status.update(status, detail=_ADOPTED)
+        self.pid, self.ticks = int(status.get("pid", 0)), int(status.get("ticks", -1))
+        # Without a main process there is an end to handle: only leftovers live.
+        self.pid, self.started = self.pid or -1, time.monotonic() - proc.age_s_from_ticks(self.ticks)
+        if status.get("state") == protocol.STARTING and self.spec.get("ready"):
+            self.next_check, self.check_every = time.monotonic(), _READY_FIRST_S
 
     def _install_handlers(self) -> None:
         for fd in (self.wake, self._wake_end):
@@ -103,6 +134,11 @@ class Supervisor:
 
     def _start_command(self) -> None:
         self.next_start = None
+        if self.lock < 0:
+            self.lock = lockfile.take_lock(self.folder)
+            if self.lock < 0:
+                raise OSError("the lock of the task is held by a process that it left")
+        self.adopted = False
         argv = shell.build_argv(self.spec["command"], self.spec.get("prelude") or "")
         self.pid, self.pipe = spawn.spawn_command(argv, self.env, self.spec.get("workdir"), self.lock)
         process = proc.read_process(self.pid)
@@ -146,6 +182,8 @@ class Supervisor:
     def _compute_poll_ms(self) -> float:
         now = time.monotonic()
         times = [self.next_metrics - now]
+        if self.adopted and self.pid:
+            times.append(_ADOPTED_CHECK_S)
         if self.fence_s:
             times.append(self.next_look - now)
         if self.next_start is not None:
@@ -190,8 +228,12 @@ class Supervisor:
             self.check = shell.ShellCommand(ready["command"], prelude, self.env, limit, folder)
 
     def _reap_children(self) -> "int | None":
-        """Reap every child that ended; the wait status of the main process where it is among them."""
+        """Reap every child that ended; the wait status of the main process where it is among them, or is
+        adopted and gone.
+        """
         ended = None
+        if self.adopted and self.pid and not proc.is_process_alive(self.pid, self.ticks):
+            ended = spawn.UNKNOWN_EXIT
         while True:
             try:
                 seen = os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)
@@ -297,7 +339,7 @@ class Supervisor:
         while True:
             self._reap_children()
             table = proc.read_process_table()
-            left = proc.find_descendants({os.getpid()}, table) - {os.getpid()}
+            left = self._find_tree(table)
             if not left:
                 break
             if forced or not self.stopping:
@@ -314,6 +356,13 @@ class Supervisor:
             os.close(self.pipe)
             self.pipe = -1
         return sorted(left)
+
+    def _find_tree(self, table: "dict[int, proc.Process]") -> "set[int]":
+        """Find the processes of the task; those of an orphan are found as they are without a supervisor."""
+        left = proc.find_descendants({os.getpid()}, table)
+        if self.adopted:
+            left |= liveness.find_orphans(liveness.read_instance(self.folder), table)
+        return left - {os.getpid()}
 
     def _signal_step(
         self,

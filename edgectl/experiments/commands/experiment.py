@@ -40,7 +40,7 @@ def experiment_run_command(
             help="Instead of the number in SPEC.",
         ),
     ] = None,
-    lock_timeout: options.LockTimeoutOption = "0s",
+    lock_timeout: options.LockTimeoutOption = None,
     accept_new: options.AcceptNewOption = False,
 ) -> None:
     """Run a mission on the real hosts, repeatedly under each scheme, and compare the results.
@@ -53,7 +53,7 @@ def experiment_run_command(
         edgectl experiment run tasks/mission/experiment.yaml
         edgectl experiment run tasks/mission/experiment.yaml -n 1 --out again
     """
-    from edgectl.cli.connect import build_fleet, parse_duration_option
+    from edgectl.cli.connect import build_fleet, parse_lock_timeout
     from edgectl.cli.signals import stop_control_on_signal
     from edgectl.experiments.files.experiment_file import load_experiment, load_experiment_paths
     from edgectl.experiments.runner import ExperimentOptions, run_experiment
@@ -73,7 +73,7 @@ def experiment_run_command(
         given = ExperimentOptions(
             directory=out or RUNS_DIR / experiment.name,
             spec_directory=spec.parent,
-            lock_timeout=parse_duration_option(lock_timeout, "--lock-timeout"),
+            lock_timeout=parse_lock_timeout(lock_timeout),
             listener=listener,
             control=control,
             debug=bool(os.environ.get("EDGECTL_DEBUG")),

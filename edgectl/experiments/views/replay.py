@@ -8,7 +8,6 @@ from edgectl.formats.document import Document, encode_number
 from edgectl.names import format_name_list, natural_key
 from edgectl.views.output import ListView
 from edgectl.views.output_format import ITEM_FORMATS
-from edgectl.views.plan_sections import render_notes
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, render_columns, wrap_text
 
 _OPEN_LOOP_NOTE = (
@@ -30,10 +29,8 @@ class ReplayView(ListView):
         cycles = max((result.cycles for result in self.results), default=0)
         rows: list[Row] = [("SCHEME", "HANDOFFS", "PER CYCLE", "UNPLACED", "CPU", "MEMORY", "NETWORK")]
         rows += map(_build_replay_row, self.results)
-        return (
-            render_columns(rows, look, right={1, 2, 3, 4, 5, 6})
-            + wrap_text(f"{cycles} cycles; utilisation as mean/peak. {_OPEN_LOOP_NOTE}", look)
-            + render_notes(_describe_assumed_tasks(self.results), look)
+        return render_columns(rows, look, right={1, 2, 3, 4, 5, 6}) + wrap_text(
+            f"{cycles} cycles; utilisation as mean/peak. {_OPEN_LOOP_NOTE}", look
         )
 
     def items(self) -> Sequence[Document]:
@@ -43,6 +40,10 @@ class ReplayView(ListView):
     def warnings(self) -> Sequence[str]:
         """The limits of an open loop, and tasks without measurements."""
         return [_OPEN_LOOP_NOTE, *_describe_assumed_tasks(self.results)]
+
+    def notes(self) -> Sequence[str]:
+        """Tasks without measurements; the limits stand below the table."""
+        return _describe_assumed_tasks(self.results)
 
 
 def _build_replay_row(result: ReplayResult) -> Row:

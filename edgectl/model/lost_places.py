@@ -1,0 +1,92 @@
+"""Places of tasks that the inventory no longer reaches: hosts that left it, or have another address or user
+(ADR 0040). What runs there cannot be seen, so it counts as running.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from edgectl.model.inventory import Inventory
+from edgectl.model.manager_state import ManagerState, Placement
+from edgectl.model.snapshot import HostSample, Snapshot
+from edgectl.names import natural_key
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LostPlace:
+    """The last place of a task: ``address`` of ``host`` as it was, where the host is in the inventory with
+    another one; None where the host is not in the inventory.
+
+    ``fenced``: the operator declared it powered off.
+    """
+
+    host: str
+    address: str | None = None
+    fenced: bool = False
+
+
+def find_lost_place(
+    placement: Placement, hosts: Mapping[str, HostSample], manager: ManagerState
+) -> LostPlace | None:
+    """The place of ``placement`` where ``hosts`` (all that are in the inventory) do not reach it.
+
+    An address that changed is the same place where the host answers from the same login of that machine.
+    """
+    host = hosts.get(placement.host)
+    if host is None and any(_is_same_place(placement, sample) for sample in hosts.values()):
+        return None
+    if host is None:
+        return LostPlace(host=placement.host, fenced=placement.host in manager.fenced)
+    if "" in (placement.address, host.address) or placement.address == host.address:
+        return None
+    if _is_same_place(placement, host):
+        return None
+    return LostPlace(
+        host=placement.host, address=placement.address, fenced=placement.address in manager.fenced
+    )
+
+
+def _is_same_place(placement: Placement, host: HostSample) -> bool:
+    """Whether the host reads the directories of the placement, which it lists under every name."""
+    return host.ok and placement.machine != "" and placement.machine == host.machine
+
+
+def list_lost_tasks(snapshot: Snapshot) -> dict[str, LostPlace]:
+    """The tasks that no host shows and whose last place is lost and not fenced, by name in natural order."""
+    manager = snapshot.manager or ManagerState()
+    seen = {name for host in snapshot.hosts.values() for name, run in host.tasks.items() if run.state.alive}
+    lost = {
+        name: find_lost_place(manager.placements[name], snapshot.hosts, manager)
+        for name in sorted(manager.placements.keys() - seen, key=natural_key)
+    }
+    return {name: place for name, place in lost.items() if place is not None and not place.fenced}
+
+
+def list_fence_marks(host: str, inventory: Inventory, manager: ManagerState) -> frozenset[str]:
+    """What a fence of ``host`` marks: its former addresses, where tasks were placed under one that it no
+    longer has, else its name.
+    """
+    now = inventory.hosts.get(host)
+    former = {
+        placement.address
+        for placement in manager.placements.values()
+        if now is not None and placement.host == host and placement.address not in ("", now.address)
+    }
+    return frozenset(former or {host})
+
+
+def find_shared_machine(inventory: Inventory, snapshot: Snapshot) -> tuple[str, str] | None:
+    """Two hosts that answered from one machine, and are not both slices of it; None: there are none.
+
+    The same machine has the same machine id and the same boot: images that were copied share only the first,
+    containers only the second.
+    """
+    found: dict[tuple[str, str], str] = {}
+    for name, sample in snapshot.hosts.items():
+        machine = sample.machine.partition("/")[0]
+        host = inventory.hosts.get(name)
+        if host is None or host.shares_machine or not (machine and sample.device.boot_id):
+            continue
+        other = found.setdefault((machine, sample.device.boot_id), name)
+        if other != name:
+            return other, name
+    return None

@@ -1,0 +1,110 @@
+"""An inventory that changes while tasks run, over real sshd on three hosts: one instance before and after."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from edgectl.errors import UsageError
+from edgectl.model.inventory import Host, Inventory
+from edgectl.model.plan import Action
+from edgectl.usecases import operator_marks
+from edgectl.usecases.plan import make_plan
+from edgectl.views.reasons import describe_reason
+from tests.builders import an_inventory
+from tests.e2e.bench import (
+    EAGER,
+    Bench,
+    a_mark,
+    a_sleeper,
+    a_slice,
+    list_sleepers,
+    open_bench,
+    wait_for_sleepers,
+)
+from tests.sshd import Lab
+
+NAMES = ("edge1", "edge2", "edge3")
+
+
+def list_edges(lab: Lab) -> list[Host]:
+    return [a_slice(lab.host(name)) for name in NAMES]
+
+
+@pytest.fixture
+def bench(lab: Lab, tmp_path: Path) -> Iterator[Bench]:
+    with open_bench(an_inventory(*list_edges(lab)), tmp_path / "manager") as made:
+        yield made
+
+
+def start_pinned(bench: Bench) -> tuple[Bench, list[int]]:
+    """Start ``slam`` on edge1; its processes. Afterwards it may run anywhere."""
+    mark = a_mark()
+    slam = a_sleeper("slam", mark)
+    bench.using(replace(slam, hosts=replace(slam.hosts, pin="edge1"))).apply()
+    return bench.using(slam), wait_for_sleepers(mark)
+
+
+def with_hosts(bench: Bench, *hosts: Host) -> Bench:
+    inventory: Inventory = an_inventory(*hosts)
+    return bench.using(*bench.fleet.tasks.tasks.values(), inventory=inventory)
+
+
+@pytest.mark.parametrize("change", ["remove", "address", "user"])
+def test_a_changed_inventory_starts_no_second_copy(lab: Lab, bench: Bench, change: str) -> None:
+    bench, running = start_pinned(bench)
+    edge1, edge2, edge3 = list_edges(lab)
+    changed = {
+        "remove": [edge2, edge3],
+        # The same name for another machine: edge1 is now what edge2 was, edge2 is gone.
+        "address": [replace(edge1, host="edge2"), edge3],
+        "user": [replace(edge1, user="nobody-here"), edge2, edge3],
+    }[change]
+    edited = with_hosts(bench, *changed)
+    (step,) = edited.apply().plan.steps
+    assert step.action is Action.HOLD
+    assert "edgectl fence edge1" in describe_reason(step)
+    (mark,) = {Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")[1].decode() for pid in running}
+    assert sorted(list_sleepers(mark)) == sorted(running)
+    # The edit is taken back: everything is as before, and nothing was lost on the way.
+    assert bench.actions() == {"slam": Action.KEEP}
+    bench.stop("slam")
+    assert list_sleepers(mark) == []
+    # Its old place was seen empty: the edited inventory may start it.
+    (step,) = edited.plan().steps
+    assert step.action is Action.START
+
+
+def test_a_renamed_host_keeps_its_tasks_and_stops_them_by_their_former_name(lab: Lab, bench: Bench) -> None:
+    bench, running = start_pinned(bench)
+    edge1, edge2, edge3 = list_edges(lab)
+    edited = with_hosts(bench, replace(edge1, name="jetson-a"), edge2, edge3)
+    (step,) = edited.apply().plan.steps
+    assert (step.action, step.decision.host) == (Action.KEEP, "jetson-a")
+    assert bench.apply().plan.steps[0].action is Action.KEEP
+    edited.stop("slam")
+    assert [pid for pid in running if Path(f"/proc/{pid}").exists()] == []
+    # The directories of its place were seen without it.
+    (step,) = edited.plan().steps
+    assert step.action is Action.START
+
+
+def test_a_fence_frees_the_tasks_of_a_host_that_left(lab: Lab, bench: Bench) -> None:
+    bench, _ = start_pinned(bench)
+    edited = with_hosts(bench, *list_edges(lab)[1:])
+    with pytest.raises(UsageError, match="edge7"):
+        operator_marks.fence_hosts(edited.fleet, ["edge7"])
+    operator_marks.fence_hosts(edited.fleet, ["edge1"])
+    (step,) = edited.plan().steps
+    assert (step.action, step.decision.previous_host) == (Action.START, "edge1")
+    operator_marks.unfence_hosts(edited.fleet, ["edge1"])
+    assert edited.actions() == {"slam": Action.HOLD}
+
+
+def test_one_machine_under_two_names_is_refused(lab: Lab, bench: Bench) -> None:
+    if not Path("/etc/machine-id").read_text().strip():
+        pytest.skip("this machine has no id")
+    whole = [replace(host, capacity=None) for host in list_edges(lab)[:2]]
+    with pytest.raises(UsageError, match="edge1 and edge2 are one machine"):
+        make_plan(with_hosts(bench, *whole).fleet, EAGER)
