@@ -21,6 +21,7 @@ def build_fleet(loaded: LoadedInputs, *, accept_new: bool = False, asking: bool 
     """
     from edgectl.state.fleet_dir import ensure_fleet_dir
 
+    refuse_exposed_files(loaded.exposed)
     state = ensure_fleet_dir(loaded.inventory.fleet, loaded.path)
     return _build_fleet_with_state(loaded, state, accept_new=accept_new, asking=asking)
 
