@@ -135,13 +135,12 @@ def _choose_action(decision: Decision, found: SamplesByHost) -> Action:
 
 
 def _choose_start_action(decision: Decision, found: SamplesByHost) -> Action:
-    """A move from another host; a restart where a completed instance lingers on the host; else a start."""
+    """A move from another host; a restart where another instance is on the host; else a start."""
     if decision.previous_host in found and decision.previous_host != decision.host:
         return Action.MOVE
-    lingering = found.get(decision.host or "")
-    return (
-        Action.RESTART if lingering is not None and lingering.state is TaskState.COMPLETED else Action.START
-    )
+    other = found.get(decision.host or "")
+    replaces = other is not None and (other.state.alive or other.state is TaskState.COMPLETED)
+    return Action.RESTART if replaces else Action.START
 
 
 def _list_changed_fields(decision: Decision, tasks: Tasks, found: SamplesByHost) -> tuple[str, ...]:

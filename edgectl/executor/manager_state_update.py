@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Mapping
 
+from edgectl.agent.link import protocol
 from edgectl.executor.dependencies import is_replacement
 from edgectl.model.assignment import Reason, Verdict
 from edgectl.model.manager_state import ManagerState, Placement
@@ -28,20 +29,23 @@ def compute_next_generations(
     """The generation of each task's next start: above all known ones, and at least the clock's seconds.
 
     A generation out of all proportion is not believed: its host alone refuses starts then. The clock as a
-    floor lets a manager that lost its state, or that another one overtook, start tasks again.
+    floor lets a manager that lost its state, or that another one overtook, start tasks again. Only hosts that
+    the step concerns have a say in it, and at `protocol.MAX_GENERATION` it stays: hosts accept an equal one.
     """
     own = dict(journalled or {})
     for name, placement in memory.placements.items():
         own[name] = max(own.get(name, 0), placement.generation)
-    return {
-        step.task: _compute_next_generation(step.task, own.get(step.task, 0), snapshot, now) for step in steps
-    }
+    return {step.task: _compute_next_generation(step, own.get(step.task, 0), snapshot, now) for step in steps}
 
 
-def _compute_next_generation(task: str, own: int, snapshot: Snapshot, now: float) -> int:
-    reported = [host.tasks[task].generation for host in snapshot.hosts.values() if task in host.tasks]
-    reported += [host.generations.get(task, 0) for host in snapshot.hosts.values()]
-    return max(int(now), 1 + max([own, *(_limit_generation(each, own, now) for each in reported)]))
+def _compute_next_generation(step: Step, own: int, snapshot: Snapshot, now: float) -> int:
+    task = step.task
+    concerned = {step.decision.host, step.decision.previous_host, *step.stop, *step.instances}
+    hosts = [host for name, host in snapshot.hosts.items() if name in concerned]
+    reported = [host.tasks[task].generation for host in hosts if task in host.tasks]
+    reported += [host.generations.get(task, 0) for host in hosts]
+    following = 1 + max([own, *(_limit_generation(each, own, now) for each in reported)])
+    return min(protocol.MAX_GENERATION, max(int(now), following))
 
 
 def _limit_generation(reported: int, own: int, now: float) -> int:
@@ -67,6 +71,7 @@ def update_manager_state(
                 since=since,
                 spec_hash=task.spec_hash,
                 generation=used.get(step.task, 0),
+                instance=result.instance if result is not None else "",
                 file=task.file,
                 address=_get_sample_text(plan.snapshot, located, "address"),
                 machine=_get_sample_text(plan.snapshot, located, "machine"),
@@ -163,18 +168,23 @@ def _keep_placement(
 ) -> Placement:
     """The placement of an untouched task: the remembered one, else as its host shows it.
 
-    ``least``: the lowest generation that it may have.
+    ``least``: the lowest generation that it may have. While the remembered host is silent, a copy elsewhere
+    does not replace what is remembered: once that host answers again, it counts.
     """
     host = snapshot.hosts.get(located)
     sample = host.tasks.get(task) if host else None
     old = memory.placements.get(task)
+    if old is not None and old.host != located and not least and _is_silent(snapshot, old.host):
+        return old
     seen = sample is not None and sample.state.alive
     known = max(least, old.generation if old is not None else 0)
     shown = _limit_generation(sample.generation, known, now) if sample is not None else 0
     if old is not None and old.host == located:
+        newer = seen and shown >= old.generation
         return dataclasses.replace(
             old,
             generation=max(known, shown),
+            instance=sample.instance if sample is not None and newer else old.instance,
             address=host.address if host is not None and seen else old.address,
             machine=host.machine if host is not None and seen else old.machine,
         )
@@ -185,10 +195,16 @@ def _keep_placement(
         since=sample.started_at,
         spec_hash=sample.spec_hash,
         generation=max(least, shown),
+        instance=sample.instance,
         file=sample.file,
         address=host.address if host is not None else "",
         machine=host.machine if host is not None else "",
     )
+
+
+def _is_silent(snapshot: Snapshot, host: str) -> bool:
+    sample = snapshot.hosts.get(host)
+    return sample is not None and not sample.ok
 
 
 def _collect_downtimes(memory: ManagerState, results: Results) -> dict[tuple[str, str], tuple[float, ...]]:

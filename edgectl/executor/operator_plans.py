@@ -56,7 +56,9 @@ def build_stop_plan(names: Iterable[str], inventory: Inventory, tasks: Tasks, sn
 def build_restart_plan(name: str, inventory: Inventory, tasks: Tasks, snapshot: Snapshot) -> Plan:
     """Stop a running task and start it again on its host; further instances elsewhere are stopped."""
     places = list_running_instances(snapshot)[name]
-    host, *others = places
+    known = snapshot.manager.placements.get(name) if snapshot.manager is not None else None
+    host = known.host if known is not None and known.host in places else next(iter(places))
+    others = [place for place in places if place != host]
     decision = Decision(
         task=name, verdict=Verdict.KEPT, reason=Reason.OPERATOR, host=host, previous_host=host
     )

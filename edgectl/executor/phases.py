@@ -14,11 +14,14 @@ from edgectl.executor.secrets import resolve_environment
 from edgectl.executor.step_run import RunContext, StepRun
 from edgectl.model.result import Phase
 from edgectl.model.task import CheckLocation, Task, TaskKind
+from edgectl.model.text import clean_text
 from edgectl.state.lock import describe_manager
 
 # Beyond the grace: SIGKILL, the sweeps that prove the end, and the way back.
 _STOP_MARGIN_S = 20.0
 _MIN_CHECK_S = 0.1
+# Of the text of a reply in a message, characters.
+_MAX_DETAIL = 500
 _NO_VARIABLES: Mapping[str, str] = MappingProxyType({})
 
 
@@ -77,8 +80,9 @@ def _stop_task(act: StepRun, planned: PlannedPhase) -> None:
     with act.phase(planned.phase, host.name):
         answer = act.run.ask(host, body, timeout=request.timeout_s + _STOP_MARGIN_S)
         if answer.get("state") not in (protocol.STOPPED, protocol.NOT_RUNNING):
+            left = clean_text(answer.get("left"), _MAX_DETAIL)
             raise HostError(
-                f"{act.name} did not stop completely on {host.name}: processes left {answer.get('left')}",
+                f"{act.name} did not stop completely on {host.name}: processes left {left}",
                 hint=f"end them on {host.name}, then apply again",
                 host=host.name,
             )
@@ -87,9 +91,17 @@ def _stop_task(act: StepRun, planned: PlannedPhase) -> None:
 
 
 def _was_alive(act: StepRun, request: PlannedRequest) -> bool:
-    """Whether the plan had seen the very instance alive that was to be stopped."""
-    sample = act.run.plan.snapshot.hosts.get(request.host.name)
+    """Whether the plan had seen the very instance alive that was to be stopped.
+
+    A copy on another host than the one that is recorded and answers was reported, and not believed.
+    """
+    snapshot = act.run.plan.snapshot
+    sample = snapshot.hosts.get(request.host.name)
     task = sample.tasks.get(act.name) if sample is not None else None
+    known = snapshot.manager.placements.get(act.name) if snapshot.manager is not None else None
+    holder = snapshot.hosts.get(known.host) if known is not None else None
+    if known is not None and known.host != request.host.name and holder is not None and holder.ok:
+        return False
     return request.body.get("instance") is not None and task is not None and task.state.alive
 
 
@@ -98,20 +110,20 @@ def _start_task(act: StepRun, planned: PlannedPhase, variables: Mapping[str, str
     request, host = planned.requests[0], planned.host
     attempt = 2 if planned.phase is Phase.RESTORE else 1
     instance = act.instance(host.name, attempt)
+    generation = min(protocol.MAX_GENERATION, act.generation + attempt - 1)
     body = host_requests.fill_start_request(
         request.body,
         instance=instance,
-        generation=act.generation + attempt - 1,
+        generation=generation,
         manager=describe_manager(),
         variables=variables,
     )
     with act.phase(planned.phase, host.name):
         answer = act.run.ask(host, body)
         if answer.get("state") not in (protocol.STARTED, protocol.ALREADY_RUNNING):
-            raise HostError(
-                f"{act.name} did not start on {host.name}: {answer.get('detail')}", host=host.name
-            )
-    act.started = str(answer.get("instance") or instance)
+            why = clean_text(answer.get("detail"), _MAX_DETAIL) or "no reason was given"
+            raise HostError(f"{act.name} did not start on {host.name}: {why}", host=host.name)
+    act.started = clean_text(answer.get("instance") or instance, _MAX_DETAIL)
 
 
 def _adopt_task(act: StepRun, planned: PlannedPhase, variables: Mapping[str, str]) -> None:
@@ -161,7 +173,7 @@ def _wait_on_host(run: RunContext, planned: PlannedPhase, body: Request, deadlin
         if entry.get("state") not in (protocol.STARTING, protocol.RUNNING):
             raise HostError(f"{task.name} {_describe_end(entry)} on {host.name}", hint=hint, host=host.name)
         if time.monotonic() >= deadline:
-            why = f": {entry['detail']}" if entry.get("detail") else ""
+            why = f": {clean_text(entry['detail'], _MAX_DETAIL)}" if entry.get("detail") else ""
             raise HostError(
                 f"{task.name} was not ready on {host.name} within {planned.timeout_s:.3g} s{why}",
                 hint=hint,
@@ -189,7 +201,7 @@ def _describe_end(entry: Request) -> str:
     }
     state = words.get(str(entry.get("state")), "is gone")
     code = entry.get("exit_code")
-    return state if code is None else f"{state} (exit code {code})"
+    return state if code is None else f"{state} (exit code {clean_text(code, _MAX_DETAIL)})"
 
 
 def _repeat_check(run: RunContext, check: PlannedRequest, deadline: float) -> bool:
@@ -232,8 +244,10 @@ def _run_hook(act: StepRun, planned: PlannedPhase) -> None:
 def _describe_hook_failure(answer: Request) -> str:
     lines = str(answer.get("output") or "").strip().splitlines()
     if lines:
-        return lines[-1]
-    return "timed out" if answer.get("timed_out") else f"exit code {answer.get('exit')}"
+        return clean_text(lines[-1], _MAX_DETAIL)
+    return (
+        "timed out" if answer.get("timed_out") else f"exit code {clean_text(answer.get('exit'), _MAX_DETAIL)}"
+    )
 
 
 def _wait_for_predecessor(run: RunContext, planned: PlannedPhase) -> None:

@@ -260,6 +260,7 @@ class StepRun:
             error=error.message if error else "",
             hint=error.hint if error else "",
             located=located,
+            instance=self.started,
         )
         self._journal_end(result)
         self.run.report_progress(

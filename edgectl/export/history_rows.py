@@ -10,6 +10,7 @@ from enum import StrEnum
 from edgectl.formats.document import dump_line, encode_number
 from edgectl.model.event import Event
 from edgectl.model.point import HandoffPoint, HostPoint, LinkPoint, MetricPoint, TaskPoint
+from edgectl.model.text import escape_unprintable
 from edgectl.units import format_instant
 
 HistoryPoint = HostPoint | LinkPoint | TaskPoint | MetricPoint | HandoffPoint | Event
@@ -118,4 +119,6 @@ def _format_cell(name: str, value: RowValue) -> RowValue:
         return format_instant(value)
     if isinstance(value, StrEnum):
         return value.value
+    if isinstance(value, str):
+        return escape_unprintable(value)
     return encode_number(value) if isinstance(value, float) else value

@@ -1,7 +1,9 @@
 """Metrics in Prometheus' text formats, as a page and over HTTP (with prometheus_client)."""
 
+import contextlib
 import socket
 import threading
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from http import HTTPStatus
 from http.server import ThreadingHTTPServer
@@ -17,10 +19,10 @@ from edgectl.export import metrics
 from edgectl.export.metric_samples import BUCKETS_S, Histogram, MetricsInput
 from edgectl.export.metrics import METRICS, MetricType
 
-# Of a client that connects and sends nothing.
-_IDLE_TIMEOUT_S = 10.0
-# Connections at once.
-MAX_CONNECTIONS = 64
+# Of a request until it is complete, and of its answer once it is made.
+REQUEST_TIMEOUT_S = 10.0
+# Connections at once, and of these from one address.
+MAX_CONNECTIONS, MAX_PER_PEER = 64, 16
 
 
 def render_metrics_page(picture: MetricsInput) -> str:
@@ -84,18 +86,23 @@ def bind_metrics_server(
 
 
 class _BoundedServer(ThreadingHTTPServer):
-    """One thread per connection, up to a maximum; further connections are closed."""
+    """One thread per connection, up to a maximum in all and for one address; further ones are closed."""
 
     daemon_threads = True
     request_queue_size = MAX_CONNECTIONS
 
     def __init__(self, address: tuple[str, int], handler: type[MetricsHandler]) -> None:
-        self._free = threading.BoundedSemaphore(MAX_CONNECTIONS)
+        self._peers: Counter[str] = Counter()
+        self._guard = threading.Lock()
         super().__init__(address, handler)
 
     def process_request(self, request: Any, client_address: Any) -> None:  # noqa: ANN401
         """Answer in a thread if the maximum is not reached."""
-        if self._free.acquire(blocking=False):
+        with self._guard:
+            peer = client_address[0]
+            free = self._peers.total() < MAX_CONNECTIONS and self._peers[peer] < MAX_PER_PEER
+            self._peers[peer] += free
+        if free:
             super().process_request(request, client_address)
         else:
             self.shutdown_request(request)
@@ -105,7 +112,9 @@ class _BoundedServer(ThreadingHTTPServer):
         try:
             super().process_request_thread(request, client_address)
         finally:
-            self._free.release()
+            with self._guard:
+                self._peers[client_address[0]] -= 1
+                self._peers += Counter()  # without the addresses that have none left
 
     def handle_error(self, request: object, client_address: object) -> None:
         """Ignore a client that went away."""
@@ -115,18 +124,40 @@ class _BoundedServerIPv6(_BoundedServer):
     address_family = socket.AF_INET6
 
 
+def hang_up_socket(line: socket.socket) -> None:
+    """End a connection at once, which wakes the thread that reads it."""
+    with contextlib.suppress(OSError):
+        line.shutdown(socket.SHUT_RDWR)
+
+
 class _MetricsRequestHandler(MetricsHandler):
     """One request."""
 
-    timeout = _IDLE_TIMEOUT_S
+    timeout = REQUEST_TIMEOUT_S
     look: Callable[[], MetricsInput]
     warn: Callable[[str], None]
+
+    def setup(self) -> None:
+        """Begin the deadline of the request: a byte now and then does not prolong it."""
+        super().setup()
+        self._limit_time()
+
+    def finish(self) -> None:
+        """End the deadline."""
+        self._timer.cancel()
+        super().finish()
+
+    def _limit_time(self) -> None:
+        self._timer = threading.Timer(self.timeout, hang_up_socket, (self.connection,))
+        self._timer.daemon = True
+        self._timer.start()
 
     def do_GET(self) -> None:  # noqa: N802, the name that http.server calls
         """Answer ``/metrics``; every other path is 404."""
         if urlsplit(self.path).path != "/metrics":
             self.send_error(HTTPStatus.NOT_FOUND, "metrics are at /metrics")
             return
+        self._timer.cancel()
         try:
             self.registry = _FamilyCollector(build_metric_families(self.look()))
         except Exception as error:  # an error ends one scrape, never the server
@@ -138,4 +169,5 @@ class _MetricsRequestHandler(MetricsHandler):
             self.warn(reason)
             self.send_error(HTTPStatus.SERVICE_UNAVAILABLE, "no metrics", reason)
             return
+        self._limit_time()
         super().do_GET()

@@ -15,11 +15,11 @@ from edgectl.gateway.replies import (
     ReplyDocument,
     RouteReply,
     decode_reply,
-    escape_unprintable,
 )
 from edgectl.model.diagnosis import Disk, HostFacts, LinkFacts, Logind, ShellEnvironment, UnreachableHost
 from edgectl.model.environment import drop_secrets
 from edgectl.model.inventory import Host, Inventory, Role
+from edgectl.model.text import escape_unprintable
 from edgectl.transport.base import Transport
 
 

@@ -15,11 +15,11 @@ from edgectl.gateway.probe_reply import (
     decode_host_sample,
     decode_unowned_tasks,
 )
-from edgectl.gateway.probe_request import build_probe_request
-from edgectl.gateway.replies import escape_unprintable
+from edgectl.gateway.probe_request import build_probe_request, list_checked_tasks, list_detected_tasks
 from edgectl.model.inventory import Host, Inventory, Role
 from edgectl.model.snapshot import HostSample, HostStatus, OtherTask, Snapshot, TaskSample
 from edgectl.model.task import Tasks
+from edgectl.model.text import escape_unprintable
 from edgectl.transport.base import Transport
 from edgectl.transport.fleet_lease import FleetLease
 
@@ -94,10 +94,10 @@ def probe_hosts(
     def decode(reply: HostReply) -> _Decoded:
         if lease is not None:
             lease.take_reply(reply.host.name, reply.document.get("lease"))
-        context = _build_reply_context(reply.host, inventory, options, clock())
+        context = _build_reply_context(reply.host, inventory, tasks, options, clock())
         return _Decoded(
             sample=decode_host_sample(reply.document, context),
-            done=decode_done_tasks(reply.document),
+            done=decode_done_tasks(reply.document, list_checked_tasks(tasks, reply.host, elsewhere=True)),
             unowned=decode_unowned_tasks(reply.document),
         )
 
@@ -218,7 +218,7 @@ def _finalize_sample(answer: HostAnswer[_Decoded], done: frozenset[str], now: fl
 
 
 def _build_reply_context(
-    host: Host, inventory: Inventory, options: ProbeOptions, answered_at: float
+    host: Host, inventory: Inventory, tasks: Tasks, options: ProbeOptions, answered_at: float
 ) -> ReplyContext:
     return ReplyContext(
         host=host,
@@ -228,6 +228,8 @@ def _build_reply_context(
         robots=tuple(robot.name for robot in inventory.robots),
         reopened=options.reopened,
         blind=frozenset(robot.name for robot in inventory.robots if not robot.probe),
+        checked=list_checked_tasks(tasks, host),
+        detected=list_detected_tasks(tasks),
     )
 
 

@@ -18,7 +18,6 @@ from edgectl.gateway.replies import (
     ReplyDocument,
     TaskReply,
     decode_reply,
-    escape_unprintable,
 )
 from edgectl.model.inventory import Host, Role
 from edgectl.model.resource import HOST_RESOURCES, RESOURCES, Resource, Usage
@@ -34,11 +33,15 @@ from edgectl.model.snapshot import (
     TaskSample,
     TaskState,
 )
+from edgectl.model.text import escape_unprintable
 
 PROTOCOL_VERSION = protocol.VERSION
 # Delta_thp where nothing else is known: 54 Mbit/s, the paper's wireless network.
 ASSUMED_BYTES_PER_S = 6.75e6
-# Of one task, and how they are named: as the agent reads them.
+# Larger ones overflow in a mean or a deviation.
+_MAX_METRIC = 1e100
+# Of one host, those that it only remembers included.
+_MAX_TASKS = 2000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,6 +52,8 @@ class ReplyContext:
     ``declared`` and ``measured``: bytes/s by robot of this host's links.
     ``robots``: those asked for. ``blind``: robots that are never contacted and so never count as unreachable.
     ``reopened``: instances whose end, completed or given up, no longer counts.
+    ``checked``: tasks whose ``done_when`` was to be checked there; ``detected``: tasks that were to be found
+    by their rule. Other checks and finds were not asked for, and do not count.
     """
 
     host: Host
@@ -58,6 +63,8 @@ class ReplyContext:
     robots: tuple[str, ...] = ()
     blind: frozenset[str] = frozenset()
     reopened: frozenset[str] = frozenset()
+    checked: frozenset[str] = frozenset()
+    detected: frozenset[str] = frozenset()
 
 
 def decode_host_sample(document: ReplyDocument, context: ReplyContext) -> HostSample:
@@ -89,7 +96,7 @@ def decode_host_sample(document: ReplyDocument, context: ReplyContext) -> HostSa
         other_tasks=tuple(each for each in others if each.fleet == context.host.fleet),
         foreign_tasks=tuple(each for each in others if each.fleet != context.host.fleet),
     )
-    return apply_done_tasks(sample, _list_done_tasks(reply))
+    return apply_done_tasks(sample, _list_done_tasks(reply) & context.checked)
 
 
 def _check_origin(document: ReplyDocument, host: Host) -> None:
@@ -102,13 +109,13 @@ def _check_origin(document: ReplyDocument, host: Host) -> None:
         )
 
 
-def decode_done_tasks(document: ReplyDocument) -> frozenset[str]:
-    """Tasks whose ``done_when`` check succeeded on this host.
+def decode_done_tasks(document: ReplyDocument, asked: frozenset[str]) -> frozenset[str]:
+    """Tasks of ``asked`` whose ``done_when`` check succeeded on this host.
 
     Raises:
         ReplyError: the reply is no probe.
     """
-    return _list_done_tasks(decode_reply(ProbeReply, document))
+    return _list_done_tasks(decode_reply(ProbeReply, document)) & asked
 
 
 def decode_unowned_tasks(document: ReplyDocument) -> frozenset[str]:
@@ -125,13 +132,38 @@ def _list_done_tasks(reply: ProbeReply) -> frozenset[str]:
 
 
 def _build_tasks(reply: ProbeReply, context: ReplyContext) -> dict[str, TaskSample]:
-    """The tasks of the host, without runs that are over and were reopened."""
-    tasks = {name: _decode_task(name, entry, context) for name, entry in reply.tasks.items()}
+    """The tasks of the host, without runs that are over and were reopened, and without what was not asked
+    for: no agent sends names that are none.
+    """
+    if len(reply.tasks) + len(reply.generations) > _MAX_TASKS:
+        raise ReplyError(f"more than {_MAX_TASKS} tasks in one reply")
+    tasks = {
+        name: _decode_task_or_stub(name, entry, context)
+        for name, entry in reply.tasks.items()
+        if protocol.is_name(name)
+    }
     return {
         name: task
         for name, task in tasks.items()
         if not (_has_ended(task) and task.instance in context.reopened)
+        and (task.managed or name in context.detected)
     }
+
+
+def _decode_task_or_stub(name: str, entry: object, context: ReplyContext) -> TaskSample:
+    """The task of one entry. Of an entry that cannot be read its state, at least that it may run: what may
+    run there must not be started elsewhere.
+    """
+    try:
+        return _decode_task(name, entry, context)
+    except ReplyError as error:
+        word = entry.get("state") if isinstance(entry, dict) else None
+        state = TaskState(word) if word in tuple(TaskState) else TaskState.RUNNING
+        return TaskSample(
+            state=TaskState.FAILED if state is TaskState.COMPLETED else state,
+            started_at=context.answered_at,
+            detail=f"its entry cannot be read: {error.message}",
+        )
 
 
 def _build_other_task(reply: OtherTaskReply) -> OtherTask:
@@ -140,11 +172,16 @@ def _build_other_task(reply: OtherTaskReply) -> OtherTask:
 
 def _build_generations(reply: ProbeReply, tasks: Mapping[str, TaskSample]) -> dict[str, int]:
     """Generations that the tasks do not show: an instance that no longer counts has used its generation."""
-    found = dict(reply.generations)
+    found = {name: number for name, raw in reply.generations.items() if (number := _read_generation(raw))}
     for name, entry in reply.tasks.items():
-        if name not in tasks:
-            found[name] = max(found.get(name, 0), decode_reply(TaskReply, entry).generation)
-    return found
+        if name not in tasks and isinstance(entry, dict):
+            found[name] = max(found.get(name, 0), _read_generation(entry.get("generation")))
+    return {name: number for name, number in found.items() if number and protocol.is_name(name)}
+
+
+def _read_generation(raw: object) -> int:
+    """A generation, or 0 where it is none."""
+    return raw if type(raw) is int and 0 < raw <= protocol.MAX_GENERATION else 0
 
 
 def _has_ended(task: TaskSample) -> bool:
@@ -155,7 +192,6 @@ def _decode_task(name: str, entry: object, context: ReplyContext) -> TaskSample:
     where = f"tasks.{name}"
     reply = decode_reply(TaskReply, entry, where)
     usage = decode_reply(TASK_USAGE, entry, where)
-    _check_metrics(reply.metrics)
     traffic = reply.rx_bytes_per_s + reply.tx_bytes_per_s
     return TaskSample(
         state=reply.state,
@@ -182,20 +218,24 @@ def _decode_task(name: str, entry: object, context: ReplyContext) -> TaskSample:
         limits=reply.limits,
         given_up=reply.given_up,
         ended_at=None if reply.ended_s is None else context.answered_at - reply.ended_s,
-        metrics=reply.metrics,
+        metrics=_select_metrics(reply.metrics),
         file=reply.file,
         orphaned=reply.orphaned,
         adoptable=reply.adoptable,
     )
 
 
-def _check_metrics(values: Mapping[str, float]) -> None:
-    """Refuse metrics that no agent sends."""
-    if len(values) > protocol.MAX_TASK_METRICS:
-        raise ReplyError(f"more than {protocol.MAX_TASK_METRICS} metrics of one task")
-    for name in values:
-        if not protocol.is_metric_name(name):
-            raise ReplyError(f"invalid metric name: {escape_unprintable(name)[:80]}")
+def _select_metrics(values: Mapping[str, object]) -> dict[str, float]:
+    """The metrics that an agent may send: so many, with such names, and of a size to compute with."""
+    found = {
+        name: float(value)
+        for name, value in values.items()
+        if protocol.is_metric_name(name)
+        and type(value) in (int, float)
+        and isinstance(value, int | float)
+        and abs(value) <= _MAX_METRIC
+    }
+    return dict(list(found.items())[: protocol.MAX_TASK_METRICS])
 
 
 def _select_alive(tasks: Mapping[str, TaskSample]) -> list[TaskSample]:

@@ -52,6 +52,25 @@ def build_probe_spec(host: Host, tasks: Tasks, addresses: Mapping[str, str]) -> 
     }
 
 
+def list_checked_tasks(tasks: Tasks, host: Host, *, elsewhere: bool = False) -> frozenset[str]:
+    """Tasks whose ``done_when`` is checked on ``host``.
+
+    ``elsewhere``: those whose check there counts for every host, because it is to run on their robot.
+    """
+    return frozenset(
+        task.name
+        for task in tasks.tasks.values()
+        if task.done_when is not None
+        and _can_check_done(task, host)
+        and (not elsewhere or task.done_when.on is CheckLocation.ROBOT)
+    )
+
+
+def list_detected_tasks(tasks: Tasks) -> frozenset[str]:
+    """Tasks that hosts look for by a rule."""
+    return frozenset(task.name for task in tasks.tasks.values() if task.detect)
+
+
 def _can_check_done(task: Task, host: Host) -> bool:
     """Whether ``done_when`` of ``task`` is checked on this host: any host it may run on, or its robot."""
     if task.done_when is None:

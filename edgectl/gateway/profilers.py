@@ -13,11 +13,11 @@ from edgectl.gateway.replies import (
     ProfilerReply,
     ReplyDocument,
     decode_reply,
-    escape_unprintable,
 )
 from edgectl.model.inventory import Host, Inventory
 from edgectl.model.profiler import Profiler, ProfilerState
 from edgectl.model.task import Tasks
+from edgectl.model.text import escape_unprintable
 from edgectl.transport.base import Transport
 
 ProfilerRequest = dict[str, object]

@@ -5,54 +5,46 @@ Text of a host is bounded and printable, so that no host can drive a terminal. A
 has its default.
 """
 
-import unicodedata
 from collections.abc import Mapping
 from dataclasses import dataclass, field, make_dataclass
 from typing import Annotated, Any, TypeVar
 
+from edgectl.agent.link import protocol
 from edgectl.errors import ReplyError
 from edgectl.formats.codec import decode
 from edgectl.formats.document import Faults
-from edgectl.model.encoding import Bounds, Converted, Signed, in_document
+from edgectl.model.encoding import Bounds, Converted, in_document
 from edgectl.model.profiler import ProfilerState
 from edgectl.model.resource import HOST_RESOURCES
 from edgectl.model.snapshot import InterfaceSample, TaskState
+from edgectl.model.text import clean_text, escape_unprintable
 
 ReplyDocument = Mapping[str, object]
 Reply = TypeVar("Reply")
-_MAX_NUMBER = 2.0**63
-_MAX_TEXT, _MAX_LINE, _MAX_LINES, _MAX_MESSAGE = 4096, 500, 20, 200
-
-
-def escape_unprintable(text: str) -> str:
-    """``text`` with control and direction-changing characters as escapes, so that no host can drive a
-    terminal.
-    """
-    return "".join(
-        _escape_char(char) if unicodedata.category(char) in ("Cc", "Cf", "Cs", "Zl", "Zp") else char
-        for char in text
-    )
-
-
-def _escape_char(char: str) -> str:
-    return char.encode("unicode_escape", "surrogatepass").decode("ascii")
-
-
-def _clean_text(text: str) -> str:
-    return escape_unprintable(text[:_MAX_TEXT])
+# Amounts that stay finite, and integers that stay exact, in whatever is computed and stored of them.
+_MAX_NUMBER, _MAX_COUNT, _MAX_INT32 = 2.0**63, 2.0**53, 2.0**32
+# An instant further back than ten years is no start of a task, and may lie before the first year.
+_MAX_AGE_S = 10 * 366 * 86400.0
+# Below a thousandth of a core, or of a byte, quotients overflow.
+_MIN_CAPACITY = 1e-3
+_MAX_CLOCK_S = 2.0**36
+_MAX_LINE, _MAX_LINES, _MAX_MESSAGE = 500, 20, 200
 
 
 def _clean_lines(lines: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(escape_unprintable(line[:_MAX_LINE]) for line in lines[-_MAX_LINES:])
 
 
-Text = Annotated[str, Converted(convert=_clean_text)]
+Text = Annotated[str, Converted(convert=clean_text)]
 Lines = Annotated[tuple[str, ...], Converted(convert=_clean_lines)]
 Amount = Annotated[float, Bounds(maximum=_MAX_NUMBER)]
-Capacity = Annotated[float, Bounds(above=True, maximum=_MAX_NUMBER)]
+Age = Annotated[float, Bounds(maximum=_MAX_AGE_S)]
+Capacity = Annotated[float, Bounds(minimum=_MIN_CAPACITY, maximum=_MAX_NUMBER)]
 Reading = Annotated[float, Bounds(minimum=-_MAX_NUMBER, maximum=_MAX_NUMBER)]
-Count = Annotated[int, Bounds(maximum=_MAX_NUMBER)]
-ExitStatus = Annotated[int, Bounds(minimum=-(2.0**31), maximum=_MAX_NUMBER)]
+Clock = Annotated[float, Bounds(minimum=-_MAX_CLOCK_S, maximum=_MAX_CLOCK_S)]
+Count = Annotated[int, Bounds(maximum=_MAX_COUNT)]
+Generation = Annotated[int, Bounds(maximum=float(protocol.MAX_GENERATION))]
+ExitStatus = Annotated[int, Bounds(minimum=-_MAX_INT32, maximum=_MAX_INT32)]
 
 
 def decode_reply(kind: type[Reply], document: object, where: str = "") -> Reply:
@@ -93,24 +85,24 @@ class TaskReply:
 
     state: TaskState
     pid: Count = 0
-    age_s: Amount = 0.0
+    age_s: Age = 0.0
     rx_bytes_per_s: Amount = 0.0
     tx_bytes_per_s: Amount = 0.0
-    links: Mapping[str, Amount] = field(default_factory=dict)
+    links: Mapping[Text, Amount] = field(default_factory=dict)
     instance: Text = ""
     spec_hash: Text = ""
-    generation: Count = 0
+    generation: Generation = 0
     managed: bool = True
     restarts: Count = 0
     exit_code: ExitStatus | None = None
     detail: Text = ""
-    fields: Mapping[str, Text] = field(default_factory=dict)
+    fields: Mapping[Text, Text] = field(default_factory=dict)
     last_exit: ExitStatus | None = None
     log_tail: Lines = ()
     limits: Text = ""
     given_up: bool = False
-    ended_s: Amount | None = None
-    metrics: Mapping[str, Signed] = field(default_factory=dict)
+    ended_s: Age | None = None
+    metrics: Mapping[str, object] = field(default_factory=dict)
     file: Text = ""
     orphaned: bool = False
     adoptable: bool = False
@@ -125,24 +117,25 @@ class OtherTaskReply:
     task: Text
     state: TaskState
     started_by: Text = ""
-    age_s: Amount = 0.0
+    age_s: Age = 0.0
     instance: Text = ""
     spec_hash: Text = ""
-    generation: Count = 0
+    generation: Generation = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProbeReply:
     """Reply to a probe.
 
-    Tasks and devices are decoded one by one: which keys they have is a matter of the table of resources.
+    Tasks, generations and devices are decoded one by one: a bad entry costs that entry, and which keys a
+    device has is a matter of the table of resources.
     """
 
-    sample_age_s: Amount = 0.0
+    sample_age_s: Age = 0.0
     resident: bool = False
     boot_id: Text = ""
     machine: Text = ""
-    wall: Reading | None = None
+    wall: Clock | None = None
     load_1m: Amount | None = None
     temperature_c: Reading | None = None
     gpu_share: Amount | None = None
@@ -150,7 +143,7 @@ class ProbeReply:
     links: Mapping[Text, LinkReply] = field(default_factory=dict)
     tasks: Mapping[Text, object] = field(default_factory=dict)
     checks: Mapping[Text, CheckReply] = field(default_factory=dict)
-    generations: Mapping[Text, Count] = field(default_factory=dict)
+    generations: Mapping[Text, object] = field(default_factory=dict)
     other_tasks: tuple[OtherTaskReply, ...] = ()
     unowned: tuple[Text, ...] = ()
 
@@ -186,8 +179,8 @@ class StatusReply:
 class ClockReply:
     """Clock of a host before and after its work, in s since 1970."""
 
-    began: Reading
-    ended: Reading
+    began: Clock
+    ended: Clock
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -270,15 +263,15 @@ class ProfilerReply:
 class LiveProfilerReply:
     """Figures of a profiler that lives, as ``model.profiler.Profiler``."""
 
-    age: Amount = field(metadata=in_document("age_s"))
-    every: Amount = field(metadata=in_document("every_s"))
-    period: Amount = field(metadata=in_document("period_s"))
+    age: Age = field(metadata=in_document("age_s"))
+    every: Age = field(metadata=in_document("every_s"))
+    period: Age = field(metadata=in_document("period_s"))
     samples: Count
-    sample_age: Amount | None = field(default=None, metadata=in_document("sample_age_s"))
+    sample_age: Age | None = field(default=None, metadata=in_document("sample_age_s"))
     used_cores: Amount
     used_bytes: Amount
-    ttl: Amount = field(metadata=in_document("ttl_s"))
-    ttl_left: Reading = field(metadata=in_document("ttl_left_s"))
+    ttl: Age = field(metadata=in_document("ttl_s"))
+    ttl_left: Clock = field(metadata=in_document("ttl_left_s"))
     current: bool = True
 
 

@@ -12,6 +12,7 @@ _WRITTEN = in_document(always=True)
 class Placement:
     """Last known place of a task: ``since`` (s since 1970) is when it came to that host.
 
+    ``instance``: the start that was placed there; empty where it is not known.
     ``file``: the task file that last listed it. ``address`` and ``machine``: of the host, as in its sample.
     """
 
@@ -19,6 +20,7 @@ class Placement:
     since: Instant
     spec_hash: str = field(default="", metadata=in_document(always=True))
     generation: int = field(default=0, metadata=in_document(always=True))
+    instance: str = ""
     file: str = ""
     address: str = ""
     machine: str = ""

@@ -52,6 +52,7 @@ class ActionResult:
 
     ``downtime_s``: stop to ready of a move or restart; None where there was none. ``host`` and
     ``previous_host`` are the plan's; ``located`` is where the task stands after the action (None: nowhere).
+    ``instance``: the start that was sent last; empty where none was.
     """
 
     task: str
@@ -64,6 +65,7 @@ class ActionResult:
     error: str = ""
     hint: str = ""
     located: str | None = None
+    instance: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -13,6 +13,7 @@ from edgectl.model.snapshot import TaskSample, TaskState
 from edgectl.model.task import Task, Tasks
 from edgectl.model.task_origin import is_left_alone
 from edgectl.scheduler.capacities import Capacities
+from edgectl.scheduler.claims import Standing, find_record, judge_report
 from edgectl.scheduler.ledger import Ledger, TaskUsage, build_measured_ledger, compute_measured_usage
 from edgectl.scheduler.partition import seconds_until_replaced
 
@@ -135,7 +136,12 @@ def _collect_instances(fleet: Capacities) -> dict[str, tuple[FoundInstance, ...]
 
 
 def _add_task(builder: _InitialStateBuilder, task: Task, sightings: tuple[FoundInstance, ...]) -> None:
-    """One task of the file: completed, not ours, held, running or absent."""
+    """One task of the file: completed, not ours, held, running or absent.
+
+    Reports that do not count (`claims`) decide nothing; a copy that they show is stopped.
+    """
+    reported, sightings = sightings, _select_counted(builder, task, sightings)
+    _release_usage(builder, (s for s in reported if s not in sightings), task)
     alive = [s for s in sightings if s.sample.state.alive]
     ours = [s for s in alive if s.sample.managed and task.managed]
     current = _find_newest_instance(builder, task, ours or alive)
@@ -178,6 +184,23 @@ def _add_task(builder: _InitialStateBuilder, task: Task, sightings: tuple[FoundI
         builder.fixed[task.name] = _build_given_up_decision(task, ended, _get_instance_host(builder, ended))
 
 
+def _select_counted(
+    builder: _InitialStateBuilder, task: Task, sightings: tuple[FoundInstance, ...]
+) -> tuple[FoundInstance, ...]:
+    samples = {
+        host.name: sample
+        for host, sample in zip(builder.fleet.places, builder.fleet.samples, strict=True)
+        if sample is not None
+    }
+    record = find_record(task.name, builder.manager, builder.fleet.index, samples)
+    return tuple(
+        s
+        for s in sightings
+        if not (task.managed and s.sample.managed)
+        or judge_report(task, builder.fleet.places[s.place], s.sample, record) is not Standing.REFUSED
+    )
+
+
 def _add_running_task(builder: _InitialStateBuilder, task: Task, current: FoundInstance) -> None:
     placement = builder.manager.placements.get(task.name)
     remembered = placement is not None and placement.host == builder.fleet.places[current.place].name
@@ -192,8 +215,8 @@ def _add_running_task(builder: _InitialStateBuilder, task: Task, current: FoundI
 def _find_newest_instance(
     builder: _InitialStateBuilder, task: Task, sightings: Iterable[FoundInstance]
 ) -> FoundInstance | None:
-    """Of several copies the newer assignment wins: generation, then the remembered place, then the later
-    start.
+    """Of several copies that count the newer assignment wins: generation, then the remembered place, then the
+    later start.
     """
     placement = builder.manager.placements.get(task.name)
     remembered = builder.fleet.index.get(placement.host) if placement else None
@@ -212,7 +235,7 @@ def _find_newest_instance(
 def _is_completed(
     manager: ManagerState, task: Task, sightings: Iterable[FoundInstance], current: FoundInstance | None
 ) -> bool:
-    """Marked done, or seen completed, with the specification of now.
+    """Marked done, or reported completed by a host whose word counts, with the specification of now.
 
     A newer instance that is alive says otherwise.
     """
@@ -221,7 +244,7 @@ def _is_completed(
     finished = [
         s.sample
         for s in sightings
-        if s.sample.state is TaskState.COMPLETED and s.sample.spec_hash in ("", task.spec_hash)
+        if s.sample.state is TaskState.COMPLETED and s.sample.spec_hash == task.spec_hash
     ]
     newest = max((sample.generation for sample in finished), default=None)
     return newest is not None and (current is None or current.sample.generation <= newest)

@@ -37,6 +37,7 @@ def delete_expired(connection: sqlite3.Connection, *, samples: float, records: f
     connection.execute(
         "DELETE FROM links WHERE NOT EXISTS (SELECT 1 FROM loads WHERE loads.link = links.link)"
     )
+    connection.execute("DELETE FROM known_tasks WHERE host IS NULL AND at < ?", (records,))
     connection.execute("DELETE FROM steps WHERE plan NOT IN (SELECT plan FROM plans)")
 
 

@@ -16,6 +16,9 @@ from edgectl.state.store_rows import DamagedRowError
 # Events that describe a lasting state of a task and are not repeated while it lasts.
 _LASTING_KINDS = (EventKind.TASK_DEFERRED, EventKind.TASK_UNPLACED)
 
+# Tasks that are gone and still known; each probe reads all of them.
+_MAX_GONE_TASKS = 1000
+
 
 def write_samples(connection: sqlite3.Connection, snapshot: Snapshot) -> None:
     """Insert all samples of ``snapshot``."""
@@ -218,6 +221,11 @@ def write_known_fleet(connection: sqlite3.Connection, before: KnownFleet, after:
     ]
     _insert_rows(connection, "known_hosts", "host, at, since, status, boot_id", hosts)
     _insert_rows(connection, "known_tasks", "task, at, host, state, instance, restarts", tasks)
+    connection.execute(
+        "DELETE FROM known_tasks WHERE host IS NULL AND task NOT IN"
+        " (SELECT task FROM known_tasks WHERE host IS NULL ORDER BY at DESC LIMIT ?)",
+        (_MAX_GONE_TASKS,),
+    )
 
 
 def _insert_rows(

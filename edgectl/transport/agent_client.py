@@ -19,6 +19,7 @@ from pathlib import Path
 from edgectl.agent.link import protocol
 from edgectl.errors import DeadlineError, NoPythonError, RefusedError, ReplyError
 from edgectl.model.inventory import Host
+from edgectl.model.text import clean_text
 from edgectl.transport.base import Reply, Session, Transport
 
 _AGENT_DIR = Path(__file__).parent.parent / "agent"
@@ -28,10 +29,16 @@ _AGENT_PACKAGE = "edgectl_agent"
 # deadline.
 _BOOTSTRAP = "import sys,_signal;_signal.alarm(30);s=sys.stdin.buffer;exec(s.read(int(s.readline())))"
 _FRAME_MARK = b"\nedgectl-frame "
+# The frame, and one that a login shell may print again.
+_MAX_FRAMES = 2
 _NOT_FOUND_PATTERN = re.compile(
     rb"not found|no such file or directory|unknown command|cannot execute", re.IGNORECASE
 )
 _TOO_OLD_PATTERN = re.compile(rb"unknown option:? -[IS]", re.IGNORECASE)
+# Of the reason of a refusal, characters.
+_MAX_MESSAGE = 1000
+# Of the length of a chunk of a log, digits.
+_MAX_HEAD_BYTES = 7
 _PYTHON_HINT = "install python3 (3.6 or later) on the host"
 
 
@@ -127,7 +134,8 @@ def _send_request(
 def _check_reply(reply: dict[str, object]) -> dict[str, object]:
     if reply.get("too_old") is True:
         raise NoPythonError(
-            f"python on the host is {reply.get('python')}, 3.6 or later is needed", hint=_PYTHON_HINT
+            f"python on the host is {clean_text(reply.get('python'), 40)}, 3.6 or later is needed",
+            hint=_PYTHON_HINT,
         )
     if reply.get("missing") is True:
         raise ReplyError("the agent arrived damaged on the host")
@@ -137,26 +145,28 @@ def _check_reply(reply: dict[str, object]) -> dict[str, object]:
     if not isinstance(error, dict):
         raise ReplyError("the agent's error is not an object")
     raise RefusedError(
-        _escape_unprintable(str(error.get("message") or "the host refused, without a reason")),
-        hint=_escape_unprintable(str(error.get("hint") or "")),
+        clean_text(error.get("message") or "the host refused, without a reason", _MAX_MESSAGE),
+        hint=clean_text(error.get("hint") or "", _MAX_MESSAGE),
     )
 
 
 def _find_payload(stdout: bytes, marker: str) -> bytes | None:
-    """The payload of the frame with our marker and correct digest; None if there is none or two differ."""
-    found = {
-        payload
-        for at in _list_mark_ends(stdout, _FRAME_MARK + marker.encode() + b" ")
-        if (payload := _parse_frame_at(stdout, at)) is not None
-    }
-    return found.pop() if len(found) == 1 else None
+    """The payload of the frame with our marker and correct digest; None if there is none or two differ.
 
-
-def _list_mark_ends(text: bytes, mark: bytes) -> Iterator[int]:
-    at = text.find(mark)
-    while at >= 0:
-        yield at + len(mark)
-        at = text.find(mark, at + 1)
+    What a frame encloses is its payload. Only two frames are looked at: an agent sends one, and thousands,
+    one within the other, would fill our memory.
+    """
+    mark = _FRAME_MARK + marker.encode() + b" "
+    payload, at = None, stdout.find(mark)
+    for _ in range(_MAX_FRAMES):
+        if at < 0:
+            return payload
+        found = _parse_frame_at(stdout, at + len(mark))
+        if found is not None and payload is not None and found != payload:
+            return None
+        payload = payload if found is None else found
+        at = stdout.find(mark, at + len(mark) + len(found or b""))
+    return payload if at < 0 else None
 
 
 def _parse_frame_at(text: bytes, at: int) -> bytes | None:
@@ -274,13 +284,15 @@ class _ChunkReader:
             return
         while not self.ended:
             head, newline, rest = self._buffer.partition(b"\n")
-            if not newline:
+            if not newline and len(head) <= _MAX_HEAD_BYTES:
                 return
-            if head == b"end":
+            if head == b"end" and newline:
                 self.ended = True
                 return
             if re.fullmatch(rb"[0-9]{1,7}", head) is None:
                 raise ReplyError(f"the log stream is garbled: {_format_excerpt(head)}")
+            if not newline:
+                return
             length = int(head)
             if len(rest) < length:
                 return

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from edgectl.errors import ConnectError, HostError
-from edgectl.transport.sockets import CONNECT_TIMEOUT_S
+from edgectl.transport.sockets import CONNECT_TIMEOUT_S, TunnelLine
 from edgectl.transport.ssh_session import SshSession
 
 # A failed jump host is not tried again for so many seconds: its hosts fail at once instead of one after the
@@ -43,9 +43,8 @@ class JumpHosts:
         session, release = self._lease(jump, deadline)
         seconds = max(0.01, min(CONNECT_TIMEOUT_S, deadline - time.monotonic()))
         try:
-            return session.transport.open_channel(
-                "direct-tcpip", target, ("127.0.0.1", 0), timeout=seconds
-            ), release
+            opened = session.transport.open_channel("direct-tcpip", target, ("127.0.0.1", 0), timeout=seconds)
+            return TunnelLine(opened), release
         except BaseException:
             release()
             raise

@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 # Bounds of connecting, seconds.
 CONNECT_TIMEOUT_S = 5.0
@@ -20,6 +21,9 @@ TCP_USER_TIMEOUT_MS = 20_000
 MIN_POLL_S = 2.0
 # More than any login needs, bytes.
 MAX_LOGIN_BYTES = 1 << 18
+# paramiko asks for as much as a packet announces, and OpenSSH sends none above 256 KiB.
+MAX_PACKET_BYTES = 1 << 19
+_CHUNK_BYTES = 1 << 16
 _QUICKACK = getattr(socket, "TCP_QUICKACK", None)
 _USER_TIMEOUT = getattr(socket, "TCP_USER_TIMEOUT", None)
 
@@ -28,14 +32,17 @@ class TunedSocket(socket.socket):
     """A socket without the two 40 ms stalls of an SSH login (Nagle, delayed acknowledgement).
 
     ``allowance`` is how many bytes may still come; then it reads as closed. It keeps a server that talks
-    without end from filling our memory before the login; afterwards every command has a cap of its own.
+    without end from filling our memory before the login; afterwards every command has a cap of its own, and
+    a packet that announces more than ``MAX_PACKET_BYTES`` ends the connection.
     """
 
     allowance: float = MAX_LOGIN_BYTES
 
     def recv(self, size: int, flags: int = 0, /) -> bytes:
         """Receive, and acknowledge at once; the kernel resets that option, so it is set each time."""
-        data = super().recv(size, flags)
+        if size > MAX_PACKET_BYTES:
+            return b""
+        data = super().recv(min(size, _CHUNK_BYTES), flags)
         self.allowance -= len(data)
         if self.allowance < 0:
             return b""
@@ -47,6 +54,25 @@ class TunedSocket(socket.socket):
     def settimeout(self, value: float | None, /) -> None:
         """Poll at most every two seconds: shutting the socket down stops a read at once."""
         super().settimeout(None if value is None else max(value, MIN_POLL_S))
+
+
+class TunnelLine:
+    """A channel of a jump host under an SSH connection, with the bounds of `TunedSocket`."""
+
+    def __init__(self, channel: Any) -> None:  # noqa: ANN401 - one of paramiko's
+        self._channel = channel
+        self.allowance: float = MAX_LOGIN_BYTES
+
+    def recv(self, size: int) -> bytes:
+        """Receive; nothing once more came than is allowed, or a packet is too large."""
+        if size > MAX_PACKET_BYTES:
+            return b""
+        data: bytes = self._channel.recv(min(size, _CHUNK_BYTES))
+        self.allowance -= len(data)
+        return data if self.allowance >= 0 else b""
+
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401 - whatever else a channel has
+        return getattr(self._channel, name)
 
 
 def connect_tcp(address: str, port: int, *, timeout: float) -> TunedSocket:

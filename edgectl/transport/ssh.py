@@ -23,6 +23,7 @@ from edgectl.transport.passwords import PasswordStore
 from edgectl.transport.sockets import (
     CONNECT_TIMEOUT_S,
     TunedSocket,
+    TunnelLine,
     connect_tcp,
     hang_up,
     start_proxy_command,
@@ -126,7 +127,7 @@ class SshTransport:
             try:
                 connection.open()
                 connection.transport.set_keepalive(KEEPALIVE_S)
-                if isinstance(line, TunedSocket):
+                if isinstance(line, TunedSocket | TunnelLine):
                     line.allowance = math.inf
                 return SshSession(resolved.name, connection.client, line, after=done)
             except BaseException as error:

@@ -34,7 +34,7 @@ def read_log(fleet: Fleet, task: str, *, tail: int = 100) -> str:
             {"op": protocol.OP_LOGS, "fleet": host.fleet, "host": host.name, "task": task, "tail": tail},
             timeout=_TIMEOUT_S,
         )
-    return str(answer.get("text") or "")
+    return str(answer.get("text") or "").encode("utf-8", "replace").decode()
 
 
 def follow_log(fleet: Fleet, task: str, *, tail: int = 10) -> Generator[bytes, None, None]:

@@ -15,6 +15,7 @@ from edgectl.model.plan import Plan
 from edgectl.model.policy import Policy
 from edgectl.model.snapshot import Snapshot
 from edgectl.scheduler.assign import assign
+from edgectl.scheduler.claims import describe_claims
 from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.probe import probe_fleet
 from edgectl.usecases.record import record_plan
@@ -37,7 +38,10 @@ def make_plan(
         UsageError: two hosts of the inventory are one machine.
     """
     if snapshot is None:
-        made = make_plan(fleet, policy, snapshot=probe_fleet(fleet, options))
+        probed = probe_fleet(fleet, options)
+        made = make_plan(fleet, policy, snapshot=probed)
+        for line in describe_claims(fleet.inventory, fleet.tasks, probed, probed.manager or ManagerState()):
+            fleet.warn(line)
         if recorded:
             record_plan(fleet, made)
         return made

@@ -5,7 +5,7 @@ import dataclasses
 from edgectl.gateway import bandwidth, host_probe
 from edgectl.gateway.host_probe import ProbeOptions
 from edgectl.model.manager_state import ManagerState, Placement
-from edgectl.model.snapshot import BandwidthMeasurement, Snapshot
+from edgectl.model.snapshot import BandwidthMeasurement, HostSample, Snapshot
 from edgectl.state.heartbeats import load_heartbeats, record_orphans
 from edgectl.state.journal import JOURNAL_FILE_NAME
 from edgectl.state.journal_reader import read_journal_cached
@@ -80,18 +80,29 @@ def _record_orphans(fleet: Fleet, snapshot: Snapshot) -> None:
 
 
 def _add_journaled_starts(fleet: Fleet, manager: ManagerState, snapshot: Snapshot) -> ManagerState:
-    """The manager's state with starts that only the journal records, on hosts that are unreachable now.
+    """The manager's state with starts that only the journal records, on hosts that are unreachable now or
+    show that very start.
 
     An edgectl that was killed before it saved its state may have started them; without them such a task would
     be started a second time elsewhere.
     """
     started = {
-        task: Placement(host=host, since=snapshot.taken_at, generation=generation)
+        task: Placement(host=host, since=_find_start(snapshot, host, task), generation=generation)
         for task, (host, generation) in read_journal_cached(fleet.state / JOURNAL_FILE_NAME).located.items()
-        if host not in snapshot.hosts or not snapshot.hosts[host].ok
+        if host not in snapshot.hosts or _may_have_started(snapshot.hosts[host], task, generation)
         if task not in manager.placements or manager.placements[task].generation < generation
     }
     return dataclasses.replace(manager, placements={**manager.placements, **started}) if started else manager
+
+
+def _may_have_started(host: HostSample, task: str, generation: int) -> bool:
+    return not host.ok or (task in host.tasks and host.tasks[task].generation == generation)
+
+
+def _find_start(snapshot: Snapshot, host: str, task: str) -> float:
+    sample = snapshot.hosts.get(host)
+    found = sample.tasks.get(task) if sample is not None else None
+    return snapshot.taken_at if found is None else found.started_at
 
 
 def measure_links(fleet: Fleet, *, seconds: float = 2.0) -> tuple[BandwidthMeasurement, ...]:

@@ -3,9 +3,14 @@
 import csv
 import io
 import json
+import re
 from collections.abc import Iterable, Mapping, Sequence
 
+from edgectl.model.text import escape_unprintable
+
 _SIGNIFICANT_DIGITS = 6
+# Control characters beyond ASCII, those that change the direction of text or end a line, and half surrogates.
+_UNPRINTABLE = re.compile("[\x7f-\x9f\u061c\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff\ud800-\udfff]")
 
 
 def round_numbers(value: object) -> object:
@@ -26,7 +31,7 @@ def encode_json(document: Mapping[str, object]) -> str:
     Raises:
         ValueError: a number is not finite.
     """
-    return json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    return escape_json_controls(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False)) + "\n"
 
 
 def encode_json_lines(rows: Iterable[Mapping[str, object]]) -> str:
@@ -36,8 +41,17 @@ def encode_json_lines(rows: Iterable[Mapping[str, object]]) -> str:
         ValueError: a number is not finite.
     """
     return "".join(
-        json.dumps(row, ensure_ascii=False, allow_nan=False, separators=(",", ":")) + "\n" for row in rows
+        escape_json_controls(json.dumps(row, ensure_ascii=False, allow_nan=False, separators=(",", ":")))
+        + "\n"
+        for row in rows
     )
+
+
+def escape_json_controls(text: str) -> str:
+    """JSON whose strings hold control and direction-changing characters as escapes: the same document, which
+    no terminal obeys.
+    """
+    return _UNPRINTABLE.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
 
 
 def encode_yaml(document: Mapping[str, object]) -> str:
@@ -47,7 +61,8 @@ def encode_yaml(document: Mapping[str, object]) -> str:
     # Through JSON, so that both say the same and no type of Python's own gets through.
     plain = json.loads(json.dumps(document, allow_nan=False))
     dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
-    return str(yaml.dump(plain, Dumper=dumper, sort_keys=False, allow_unicode=True, width=4096))
+    printable = not _UNPRINTABLE.search(json.dumps(plain, ensure_ascii=False))
+    return str(yaml.dump(plain, Dumper=dumper, sort_keys=False, allow_unicode=printable, width=4096))
 
 
 def encode_csv(rows: Sequence[Mapping[str, object]]) -> str:
@@ -76,5 +91,5 @@ def _format_csv_value(value: object) -> str:
     if value is None or value == {} or value == []:
         return ""
     if isinstance(value, str):
-        return value
+        return escape_unprintable(value)
     return json.dumps(value, ensure_ascii=False, allow_nan=False)

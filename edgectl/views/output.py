@@ -11,7 +11,7 @@ from edgectl.views.output_format import (
     OutputFormat,
     check_output_format,
 )
-from edgectl.views.text import PLAIN, RenderOptions
+from edgectl.views.text import PLAIN, RenderOptions, escape_unprintable
 
 # Of the documents that are printed; plans and snapshots, which are read back, have a version of their own.
 OUTPUT_VERSION = 2
@@ -138,6 +138,6 @@ def render_view(view: View, form: OutputFormat, look: RenderOptions = PLAIN) -> 
         case OutputFormat.CSV:
             return encoder.encode_csv(view.rows())
         case OutputFormat.NAME:
-            return "".join(f"{name}\n" for name in dict.fromkeys(view.names()))
+            return "".join(f"{escape_unprintable(name)}\n" for name in dict.fromkeys(view.names()))
         case _:
             return view.markdown()

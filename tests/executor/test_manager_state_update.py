@@ -122,7 +122,12 @@ def test_an_untouched_task_is_where_the_snapshot_shows_it() -> None:
     world = a_snapshot(edge1=a_sample(), edge2=a_sample(tasks={"slam": run}))
     memory = update_after(a_step(Action.KEEP, host="edge2"), world=world)
     assert memory.placements["slam"] == Placement(
-        host="edge2", since=run.started_at, spec_hash="seen", generation=4, file=TASK_FILE
+        host="edge2",
+        since=run.started_at,
+        spec_hash="seen",
+        generation=4,
+        file=TASK_FILE,
+        instance="instance-1",
     )
 
 

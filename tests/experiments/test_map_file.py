@@ -80,3 +80,8 @@ def test_each_mistake_has_its_place(old: str, new: str, place: str, words: str) 
 def test_what_is_no_sheet_is_refused(data: bytes) -> None:
     with pytest.raises(InputError):
         parse_map_metadata("map.yaml", data)
+
+
+def test_a_file_that_no_map_has_is_refused_before_it_is_parsed() -> None:
+    with pytest.raises(InputError, match="larger than 1 MiB"):
+        parse_map_metadata("map.yaml", ROS1.encode() + b"# x\n" * 300_000)

@@ -13,7 +13,7 @@ import pytest
 
 from edgectl.errors import StateError
 from edgectl.export.metric_samples import MetricsInput
-from edgectl.export.prometheus import MAX_CONNECTIONS, bind_metrics_server
+from edgectl.export.prometheus import MAX_CONNECTIONS, MAX_PER_PEER, bind_metrics_server
 from tests.export.metrics_inputs import a_metrics_input
 
 
@@ -43,17 +43,52 @@ def run_server(*, fails: bool = False) -> Iterator[tuple[ThreadingHTTPServer, li
         made.server_close()
 
 
+def connect_from(made: ThreadingHTTPServer, address: str) -> socket.socket:
+    """A connection from one of the addresses of this machine."""
+    return socket.create_connection(address_of(made), timeout=60, source_address=(address, 0))
+
+
 def test_more_connections_than_there_is_room_for_are_hung_up_on() -> None:
     with run_server() as (made, _), contextlib.ExitStack() as stack:
         idle = [
-            stack.enter_context(socket.create_connection(address_of(made), timeout=60))
-            for _ in range(MAX_CONNECTIONS)
+            stack.enter_context(connect_from(made, f"127.0.0.{1 + number // MAX_PER_PEER}"))
+            for number in range(MAX_CONNECTIONS)
         ]
-        with socket.create_connection(address_of(made), timeout=60) as late:
+        with connect_from(made, "127.0.0.99") as late:
             assert late.recv(1) == b""
         assert select.select(idle, [], [], 0)[0] == [], "those before it are still served"
         idle[0].sendall(b"GET /metrics HTTP/1.0\r\n\r\n")
         assert idle[0].recv(15) == b"HTTP/1.0 200 OK"
+
+
+def test_one_address_does_not_take_all_connections() -> None:
+    with run_server() as (made, _), contextlib.ExitStack() as stack:
+        for _ in range(MAX_PER_PEER):
+            stack.enter_context(connect_from(made, "127.0.0.1"))
+        with connect_from(made, "127.0.0.1") as late:
+            assert late.recv(1) == b""
+        with connect_from(made, "127.0.0.2") as other:
+            other.sendall(b"GET /metrics HTTP/1.0\r\n\r\n")
+            assert other.recv(15) == b"HTTP/1.0 200 OK"
+
+
+def test_a_byte_now_and_then_does_not_prolong_a_request() -> None:
+    with run_server() as (made, _):
+        made.RequestHandlerClass.timeout = 0.4  # type: ignore[attr-defined]
+        with socket.create_connection(address_of(made), timeout=60) as slow:
+            slow.settimeout(0.05)
+            for _ in range(400):
+                with contextlib.suppress(ConnectionError):
+                    slow.send(b"G")
+                try:
+                    assert slow.recv(1) == b""
+                    break
+                except TimeoutError:
+                    continue
+                except ConnectionError:
+                    break
+            else:
+                pytest.fail("the connection was kept")
 
 
 def test_a_failure_is_told_to_both_sides_and_steers_no_browser() -> None:

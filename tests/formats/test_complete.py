@@ -67,7 +67,9 @@ HOST = HostSample(
     links={"r": LINK}, tasks={"t": TASK}, device=DEVICE, generations={"t": 9},
     other_tasks=(OTHER,), foreign_tasks=(OTHER,), address="a", machine="m",
 )  # fmt: skip
-PLACEMENT = Placement(host="h", since=1.0, spec_hash="s", generation=2, file="f", address="a", machine="m")
+PLACEMENT = Placement(
+    host="h", since=1.0, spec_hash="s", generation=2, file="f", address="a", machine="m", instance="i"
+)
 MEASURED = MeasuredDemand(
     samples=60, span_s=300.5, used={"cpu": 0.25, "memory": 7.0, "network": 1.5}, spec_hash="s"
 )

@@ -14,27 +14,38 @@ from edgectl.agent.measure import metrics
 from edgectl.config.documents import load_plan, load_snapshot
 from edgectl.config.load import load_inventory_and_tasks
 from edgectl.errors import StateError
+from edgectl.executor.diff import plan_from_assignment
+from edgectl.executor.manager_state_update import update_manager_state
 from edgectl.experiments.files import run_codec
 from edgectl.experiments.files.experiment_file import load_experiment
 from edgectl.experiments.files.map_file import parse_map_metadata
 from edgectl.experiments.files.run_directory import load_run, save_run, save_trial
 from edgectl.experiments.ssim import MapImage, compute_ssim
-from edgectl.formats.kinds import MANAGER_STATE_KIND
+from edgectl.formats.document import dump_document
+from edgectl.formats.kinds import MANAGER_STATE_KIND, PLAN_KIND
 from edgectl.gateway.fetch import fetch_file
 from edgectl.gateway.host_facts import SentRequest, decode_host_facts
 from edgectl.gateway.probe_reply import ReplyContext, decode_host_sample
-from edgectl.model.inventory import Host
+from edgectl.model.inventory import Host, Role
+from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.plan import Action
 from edgectl.model.result import ActionResult, Outcome, Results
-from edgectl.model.snapshot import LinkSample, TaskSample, TaskState
+from edgectl.model.snapshot import HostSample, LinkSample, TaskSample, TaskState
+from edgectl.scheduler.assign import assign
+from edgectl.scheduler.claims import describe_claims
 from edgectl.state import journal, journal_reader, store_rows
 from edgectl.state.manager_state import load_manager_state
 from edgectl.state.store import Store
 from edgectl.state.store_file import HISTORY_FILE_NAME as HISTORY
 from edgectl.transport.agent_client import call_agent
 from edgectl.transport.base import Reply
+from edgectl.views.output import render_view
+from edgectl.views.plan import PlanView
+from edgectl.views.snapshot import SnapshotView
+from edgectl.views.status import StatusView
+from edgectl.views.text import PLAIN
 from tests import builders
-from tests.builders import NOW, a_sample, a_snapshot, an_edge, silent
+from tests.builders import NOW, a_robot, a_sample, a_snapshot, an_edge, an_inventory, silent, some_tasks
 from tests.config.broken_files import INVENTORY, TASKS
 from tests.config.test_bad_documents import TEXTS
 from tests.experiments.map_images import (
@@ -235,9 +246,30 @@ def _read_as_payload(data: bytes) -> object:
 
 def _read_as_frame(data: bytes) -> object:
     document = call_agent(_AnsweringSession(data), {"op": "probe", "host": "edge1"}, timeout=1.0)
-    return decode_host_sample(
-        document, ReplyContext(host=an_edge("edge1"), answered_at=NOW, robots=("robot1",))
+    sample = decode_host_sample(
+        document,
+        ReplyContext(host=an_edge("edge1"), answered_at=NOW, robots=("robot1",), checked=frozenset({"slam"})),
     )
+    _use_sample(sample)
+    return sample
+
+
+def _use_sample(sample: HostSample) -> None:
+    """Go on as a command does: plan, write what is saved, show every form. Nothing that a host sends breaks it."""
+    inventory = an_inventory(an_edge("edge1"), an_edge("edge2"), a_robot("robot1"))
+    tasks = some_tasks(builders.a_task("slam", robots=["robot1"]), builders.a_task("camera"))
+    snapshot = a_snapshot(edge1=sample, edge2=a_sample(), robot1=a_sample(role=Role.ROBOT))
+    memory = ManagerState(placements={"slam": Placement(host="edge1", since=NOW)})
+    assignment = assign(inventory, tasks, snapshot, memory, tasks.policy, NOW)
+    plan = plan_from_assignment(inventory, tasks, snapshot, memory, assignment)
+    dump_document(PLAN_KIND.encode(plan)).encode()
+    after = update_manager_state(memory, plan, tasks, Results(revision=1, actions=(), seconds=0.0), {}, NOW)
+    dump_document(MANAGER_STATE_KIND.encode(after)).encode()
+    list(describe_claims(inventory, tasks, snapshot, memory))
+    for view in (PlanView(plan), SnapshotView(snapshot), StatusView(snapshot, inventory, tasks)):
+        for form in view.formats:
+            shown = render_view(view, form, PLAIN).encode().decode()
+            assert all(char.isprintable() or char == "\n" for char in shown)
 
 
 METRICS = b"fps 29.97\nloss 0.03125\nmap/ssim 0.93\n" * 3

@@ -158,8 +158,8 @@ def test_the_margin_must_be_exceeded(used: float, host: str, reason: Reason) -> 
         # the manager state knows the time of arrival; a restart in place does not reset it
         (ManagerState(placements={"slam": Placement(host="edge1", since=NOW - 500.0)}), 5.0, "edge2", None),
         (ManagerState(placements={"slam": Placement(host="edge1", since=NOW - 20.0)}), 500.0, "edge1", 100.0),
-        # the manager state has another host: the start counts
-        (ManagerState(placements={"slam": Placement(host="edge2", since=NOW - 500.0)}), 5.0, "edge1", 115.0),
+        # the manager state has a host that left the inventory: the start counts
+        (ManagerState(placements={"slam": Placement(host="edge9", since=NOW - 500.0)}), 5.0, "edge1", 115.0),
     ],
 )
 def test_dwell(memory: ManagerState, started_s_ago: float, host: str, left: float | None) -> None:
@@ -216,6 +216,9 @@ def test_a_task_that_runs_nowhere_is_placed_not_moved_in_a_later_pass(max_moves:
     assert by_task["c"].reason is (Reason.GAIN if max_moves else Reason.MAX_MOVES)
 
 
+ON_EDGE1 = ManagerState(placements={"slam": Placement(host="edge1", since=NOW)})
+
+
 @pytest.mark.parametrize(
     ("memory", "policy", "task", "reason"),
     [
@@ -226,8 +229,8 @@ def test_a_task_that_runs_nowhere_is_placed_not_moved_in_a_later_pass(max_moves:
             a_task(),
             Reason.FORCED_RULE,
         ),
-        (NO_MEMORY, Policy(), a_task(never=["edge1"]), Reason.FORCED_RULE),
-        (NO_MEMORY, Policy(), a_task(pin="edge2"), Reason.FORCED_RULE),
+        (ON_EDGE1, Policy(), a_task(never=["edge1"]), Reason.FORCED_RULE),
+        (ON_EDGE1, Policy(), a_task(pin="edge2"), Reason.FORCED_RULE),
         (NO_MEMORY, Policy(max_moves=0, attended=False), a_task(cpu=3.0), Reason.FORCED_INFEASIBLE),
     ],
 )

@@ -65,7 +65,7 @@ def test_a_marked_task_is_stopped_and_its_use_is_free_for_every_task_of_the_same
 @pytest.mark.parametrize(
     ("memory", "tasks", "completed"),
     [
-        (NO_MEMORY, {"slam": a_run(TaskState.COMPLETED, pid=0)}, True),  # a job that exited with 0
+        (NO_MEMORY, {"slam": a_run(TaskState.COMPLETED, pid=0)}, False),  # of which specification?
         (NO_MEMORY, {"slam": a_run(TaskState.COMPLETED, spec_hash="hash-slam")}, True),  # done_when passed
         (
             NO_MEMORY,
@@ -273,8 +273,9 @@ def test_a_robot_that_is_never_probed_is_taken_as_reachable() -> None:
             {"generation": 3},
             {"generation": 2, "started_at": NOW},
             a_manager_state("slam", "edge2"),
-            "edge1",
-        ),  # generation
+            "edge2",
+        ),  # the one that was placed, whatever the other host reports
+        ({"generation": 3}, {"generation": 2, "started_at": NOW}, NO_MEMORY, "edge1"),  # then the generation
         ({"started_at": NOW}, {}, a_manager_state("slam", "edge2"), "edge2"),  # then the manager state
         ({"started_at": NOW - 10}, {"started_at": NOW - 500}, NO_MEMORY, "edge1"),  # then the later start
         ({}, {}, NO_MEMORY, "edge1"),  # then the name

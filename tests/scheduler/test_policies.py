@@ -1,5 +1,7 @@
 """The other schemes: paper, static, local (ADR 0015)."""
 
+from dataclasses import replace
+
 import pytest
 
 from edgectl.config.weights import parse_weights
@@ -168,7 +170,8 @@ def test_static_replaces_on_the_best_other_host_and_stays_there() -> None:
         TWO, some_tasks(a_task()), silent_first, memory=GONE, policy=a_policy("static")
     ).decisions[0]
     assert (found.host, found.reason, found.previous_host) == ("edge2", Reason.REPLACED, "edge1")
-    back = run_assign(TWO, some_tasks(a_task()), RETURNED, memory=GONE, policy=a_policy("static")).decisions[
+    moved = replace(GONE, placements={"slam": Placement(host="edge2", since=NOW)})
+    back = run_assign(TWO, some_tasks(a_task()), RETURNED, memory=moved, policy=a_policy("static")).decisions[
         0
     ]
     assert (back.host, back.reason) == ("edge2", Reason.NEVER_MOVED)

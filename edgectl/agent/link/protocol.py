@@ -173,6 +173,10 @@ MAX_REPLY_BYTES = 1 << 20
 # Application metrics of one task, and of all tasks of a host: a reply has room for this many.
 MAX_TASK_METRICS, MAX_HOST_METRICS = 32, 2048
 
+# The highest generation, in the year 2242 as seconds since 1970. Managers neither believe nor send a higher
+# one, so that a host that reports it takes no number away from the others.
+MAX_GENERATION = 1 << 33
+
 # Names of hosts, tasks and instances, safe as file names; as a pattern and, without module re, as
 # ``is_name``.
 MAX_NAME_LENGTH = 63

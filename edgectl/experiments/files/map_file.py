@@ -6,9 +6,9 @@ from typing import Any
 
 from edgectl.config.fields import list_reader, read_fields
 from edgectl.config.node import Node
-from edgectl.config.problems import ProblemCode, Problems
+from edgectl.config.problems import Mark, ProblemCode, Problems, Source
 from edgectl.config.scalars import INVALID, NodeReader, quantity_reader, read_text, report_wrong_type
-from edgectl.config.source import decode_source
+from edgectl.config.source import MAX_INPUT_BYTES, decode_source
 from edgectl.config.yaml_parser import parse_yaml
 from edgectl.units import QuantityError
 
@@ -107,6 +107,16 @@ MAP_METADATA_KEYS: dict[str, NodeReader] = {
 }
 
 
+def _decode_bounded(name: str, data: bytes, problems: Problems) -> Source | None:
+    """The text of the file; hosts send files of any size, and YAML takes twenty times theirs."""
+    if len(data) <= MAX_INPUT_BYTES:
+        return decode_source(name, data, problems)
+    nowhere = Mark(Source(file=name, text="", lines=()), 0, 0)
+    message = f"the file is larger than {MAX_INPUT_BYTES // 2**20} MiB"
+    problems.add(nowhere, ProblemCode.SIZE, message, "name the .yaml file of a map")
+    return None
+
+
 def parse_map_metadata(name: str, data: bytes) -> MapMetadata:
     """The metadata in the bytes of the file ``name``. Unknown keys are ignored: other programs add their own.
 
@@ -114,7 +124,7 @@ def parse_map_metadata(name: str, data: bytes) -> MapMetadata:
         InputError: all faults of the file.
     """
     problems = Problems()
-    source = decode_source(name, data, problems)
+    source = _decode_bounded(name, data, problems)
     node = parse_yaml(source, problems) if source is not None else None
     if node is not None and isinstance(node.value, dict):
         node = Node(
