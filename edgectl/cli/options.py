@@ -127,8 +127,8 @@ LockTimeoutOption = Annotated[
     Option(
         "--lock-timeout",
         metavar="TIME",
-        help="How long to wait for another edgectl.",
-        show_default="one cycle of a watch, else 0s",
+        help="Wait for another edgectl; else for a watch only.",
+        show_default=False,
     ),
 ]
 MaxParallelOption = Annotated[

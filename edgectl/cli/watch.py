@@ -24,7 +24,7 @@ _ApplyOption = Annotated[bool, Option("--apply", help="Apply the plans, without 
 _EveryOption = Annotated[str, Option("--every", metavar="TIME", help="Time from one cycle to the next.")]
 _CyclesOption = Annotated[int | None, Option("--cycles", metavar="N", min=1, help="End after N cycles.")]
 _TakeOverOption = Annotated[
-    bool, Option("--take-over", help="With --apply: replace another watch of this fleet, which ends.")
+    bool, Option("--take-over", help="With --apply: end another watch of this fleet.")
 ]
 CyclePrinter = Callable[[Cycle], None]
 
