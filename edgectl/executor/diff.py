@@ -154,13 +154,16 @@ def _list_changed_fields(decision: Decision, tasks: Tasks, found: SamplesByHost)
 
 
 def _list_surplus_hosts(decision: Decision, action: Action, found: SamplesByHost) -> tuple[str, ...]:
-    """Hosts with a surplus copy, besides the one that a move or a complete stops."""
+    """Hosts with a surplus copy, besides the one that a move or a complete stops.
+
+    A copy where a move goes to is surplus too: nothing starts beside it.
+    """
     if action is Action.COMPLETE:
         keep = {decision.previous_host or next(iter(found))}
     elif decision.host is None:
         keep = set(found)
     else:
-        keep = {decision.host, decision.previous_host or ""} if action is Action.MOVE else {decision.host}
+        keep = {decision.previous_host or "" if action is Action.MOVE else decision.host}
     return tuple(host for host in found if host not in keep)
 
 

@@ -150,6 +150,13 @@ def _check_no_task_runs(snapshot: Snapshot) -> None:
             f"{task} runs on {', '.join(hosts)}: an experiment needs an idle fleet",
             hint="edgectl stop --all",
         )
+    for name, host in snapshot.hosts.items():
+        for other in (*host.other_tasks, *host.foreign_tasks):
+            owner = f"of fleet {other.fleet}" if other.fleet else f"filed under {other.host}"
+            raise FleetBusyError(
+                f"{other.task} {owner} runs on {name}: an experiment needs an idle fleet",
+                hint="stop it with its own inventory",
+            )
 
 
 def _describe_busy_hosts(snapshot: Snapshot, idle: float) -> str:

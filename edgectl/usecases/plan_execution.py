@@ -142,7 +142,7 @@ def _look_for_doubled(fleet: Fleet, plan: Plan) -> dict[str, tuple[str, ...]]:
             [fleet.inventory.hosts[name] for name in names], tracked.transport, timeout=_LOOK_TIMEOUT_S
         )
     for task, hosts in doubled.items():
-        fleet.warn(f"DOUBLED: {task} runs on {' and '.join(hosts)}; edgectl apply keeps the newest instance")
+        fleet.warn(f"DOUBLED: {task} runs on {' and '.join(hosts)}; edgectl apply stops all but one")
     return doubled
 
 

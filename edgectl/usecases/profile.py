@@ -148,13 +148,15 @@ def _check_meaning(
 ) -> None:
     """Read all files with the edited one among them: only the demands may differ."""
     wanted = {
-        name: replace(task, demand=meant.get(name, task.demand)) for name, task in fleet.tasks.tasks.items()
+        name: replace(task, demand=meant.get(name, task.demand), file="")
+        for name, task in fleet.tasks.tasks.items()
     }
     with tempfile.TemporaryDirectory(prefix="edgectl-") as directory:
         edited = Path(directory) / file.name
         edited.write_text(after, encoding="utf-8", newline="")
         found = load_tasks([edited if each == file else each for each in files], fleet.inventory)
-    if found.tasks != wanted or found.policy != fleet.tasks.policy:
+    read = {name: replace(task, file="") for name, task in found.tasks.items()}
+    if read != wanted or found.policy != fleet.tasks.policy:
         raise FileError(
             f"{file} changed meanwhile, or would have another meaning",
             hint="run the command again; if it happens again, edit the demand by hand",

@@ -151,7 +151,7 @@ def list_unreachable_notes(value: Snapshot) -> list[str]:
 def list_doubled_notes(value: Snapshot) -> list[str]:
     """One line for each task that runs twice."""
     return [
-        f"DOUBLED: {task} runs on {join_words(hosts)}; edgectl apply keeps the newest instance"
+        f"DOUBLED: {task} runs on {join_words(hosts)}; edgectl apply stops all but one"
         for task, hosts in find_doubled_tasks(value).items()
     ]
 

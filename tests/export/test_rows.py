@@ -14,6 +14,7 @@ from edgectl.model.event import Event, EventKind
 from edgectl.model.point import HandoffPoint, HostPoint, LinkPoint, MetricPoint, TaskPoint
 from edgectl.model.result import Outcome
 from edgectl.model.snapshot import HostStatus, TaskState
+from edgectl.model.text import escape_unprintable
 from tests.builders import NOW
 
 AWKWARD = 'it said: "a,b"; and\nthen, =1+1\r\n  ümläut \u2028'
@@ -40,7 +41,7 @@ ROWS: dict[RowKind, dict[str, object]] = {
     RowKind.METRICS: {"at": "2025-11-21T01:53:20Z", "task": "slam", "host": "edge1", "name": "map/loss", "value": -1e-07, "instance": "i-1"},
     RowKind.HANDOFFS: {"at": "2025-11-21T01:53:20Z", "task": "slam", "host": "edge2", "previous_host": "edge1", "outcome": "done",
                     "downtime_s": 0.5, "duration_s": 2},
-    RowKind.EVENTS: {"at": "2025-11-21T01:53:20Z", "id": 7, "kind": "task-failed", "host": "edge1", "task": "slam", "message": AWKWARD},
+    RowKind.EVENTS: {"at": "2025-11-21T01:53:20Z", "id": 7, "kind": "task-failed", "host": "edge1", "task": "slam", "message": escape_unprintable(AWKWARD)},
 }  # fmt: skip
 
 
