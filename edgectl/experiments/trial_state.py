@@ -13,6 +13,7 @@ from edgectl.model.snapshot import Snapshot, TaskState
 from edgectl.state.journal import JOURNAL_FILE_NAME, Journal
 from edgectl.state.journal_reader import read_journal_cached
 from edgectl.state.json_files import STATE_FORMAT_VERSION, read_json, write_json
+from edgectl.state.manager_identity import copy_manager_id
 from edgectl.state.manager_state import (
     fingerprint_state_files,
     load_ignored_instances,
@@ -42,6 +43,7 @@ def create_trial_fleet(fleet: Fleet, name: str, before: Snapshot) -> Fleet:
     write_json(state / _FINGERPRINT_FILE_NAME, _encode_state_fingerprint(fleet), keep=False)
     save_manager_state(state, ManagerState(cordons=known.cordons, draining=known.draining))
     save_link_capacities(state, load_link_capacities(fleet.state, fleet.warn))
+    copy_manager_id(fleet.state, state)
     save_ignored_instances(state, tuple(dict.fromkeys(ignored)))
     _transfer_holds(fleet, fleet.state, state, release=False)
     return replace(

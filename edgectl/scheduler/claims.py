@@ -67,8 +67,11 @@ def judge_report(task: Task, host: Host, found: TaskSample, record: Record | Non
 
 
 def _is_end_of(task: Task, found: TaskSample, placement: Placement) -> bool:
-    """Whether an end is that of the placed instance, or of a newer one, with the specification of now."""
-    same = placement.instance in ("", found.instance) or found.generation > placement.generation
+    """Whether an end is that of the placed instance, or of a start as new, with the specification of now.
+
+    A failed move starts the old instance anew, under the generation of the move.
+    """
+    same = placement.instance in ("", found.instance) or found.generation >= placement.generation
     known = (task.spec_hash,) if found.state is TaskState.COMPLETED else ("", task.spec_hash)
     return same and found.spec_hash in known
 

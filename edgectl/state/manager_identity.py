@@ -34,6 +34,23 @@ def load_manager_id(fleet_dir: Path) -> str:
     return hashlib.sha256(token + _read_machine_id()).hexdigest()[:32]
 
 
+def copy_manager_id(fleet_dir: Path, target: Path) -> None:
+    """Give the state directory ``target`` the name of the manager of ``fleet_dir``: what one of them claimed,
+    the other may claim at once.
+
+    Raises:
+        StateError: a file cannot be opened.
+    """
+    load_manager_id(fleet_dir)
+    source, copy = (open_private_file(directory / _FILE_NAME, os.O_RDWR) for directory in (fleet_dir, target))
+    try:
+        with contextlib.suppress(OSError):  # a full disk: it has a name of its own
+            os.pwrite(copy, os.pread(source, _TOKEN_BYTES, 0), 0)
+    finally:
+        os.close(source)
+        os.close(copy)
+
+
 def _read_machine_id() -> bytes:
     try:
         return _MACHINE_ID.read_bytes().strip() or socket.gethostname().encode()

@@ -307,13 +307,9 @@ def test_an_interrupted_run_finishes_what_it_began(
     assert find_result(results, "slam").outcome is Outcome.DONE
     assert find_result(results, "navigation").outcome is Outcome.SKIPPED
     log = read_entries(tmp_path / "journal.jsonl")
-    assert [entry["event"] for entry in log if entry["event"] != "phase"] == [
-        "begin",
-        "intent",
-        "commit",
-        "skipped",
-        "end",
-    ]
+    events = [str(entry["event"]) for entry in log if entry["event"] != "phase"]
+    assert (events[:2], events[-1]) == (["begin", "intent"], "end")
+    assert sorted(events[2:-1]) == ["commit", "skipped"]
     assert log[-1]["interrupted"] is True
 
 

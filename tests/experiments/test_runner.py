@@ -105,7 +105,7 @@ def test_every_repetition_of_all_schemes_comes_before_the_next_and_nothing_is_le
     assert (lab.running(), lab.hosts.world.overlap) == ([], set())
     assert sorted(
         path.name for path in lab.fleet.state.iterdir() if not path.name.startswith("reopened")
-    ) == ["lock"]
+    ) == ["lock", "manager-id"]
     assert lab.said == []
 
 
