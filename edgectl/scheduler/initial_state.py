@@ -9,7 +9,7 @@ from edgectl.model.assignment import Decision, Reason, Verdict
 from edgectl.model.lost_places import LostPlace, find_lost_place
 from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.policy import Policy
-from edgectl.model.snapshot import TaskSample, TaskState
+from edgectl.model.snapshot import HostSample, TaskSample, TaskState
 from edgectl.model.task import Task, Tasks
 from edgectl.model.task_origin import is_left_alone
 from edgectl.scheduler.capacities import Capacities
@@ -63,9 +63,10 @@ class FoundInstance:
 
 @dataclass(slots=True, kw_only=True)
 class _InitialStateBuilder:
-    """Collects the initial state task by task."""
+    """Collects the initial state task by task. ``samples``: of the hosts that have one, by name."""
 
     fleet: Capacities
+    samples: Mapping[str, HostSample]
     ledger: Ledger
     manager: ManagerState
     now: float
@@ -84,6 +85,11 @@ def build_initial_state(
     seen = _collect_instances(fleet)
     builder = _InitialStateBuilder(
         fleet=fleet,
+        samples={
+            host.name: sample
+            for host, sample in zip(fleet.places, fleet.samples, strict=True)
+            if sample is not None
+        },
         ledger=build_measured_ledger(fleet),
         manager=manager,
         now=now,
@@ -187,12 +193,9 @@ def _add_task(builder: _InitialStateBuilder, task: Task, sightings: tuple[FoundI
 def _select_counted(
     builder: _InitialStateBuilder, task: Task, sightings: tuple[FoundInstance, ...]
 ) -> tuple[FoundInstance, ...]:
-    samples = {
-        host.name: sample
-        for host, sample in zip(builder.fleet.places, builder.fleet.samples, strict=True)
-        if sample is not None
-    }
-    record = find_record(task.name, builder.manager, builder.fleet.index, samples)
+    if not sightings:
+        return ()
+    record = find_record(task.name, builder.manager, builder.fleet.index, builder.samples)
     return tuple(
         s
         for s in sightings
@@ -265,15 +268,17 @@ def _find_given_up_run(
         if s.sample.managed and s.sample.given_up and s.sample.spec_hash in ("", task.spec_hash)
     ]
     last = _find_newest_instance(builder, task, ended)
+    if last is None:
+        return None
     placement = builder.manager.placements.get(task.name)
-    told = [sample.generations.get(task.name, 0) for sample in builder.fleet.samples if sample is not None]
+    told = [sample.generations.get(task.name, 0) for sample in builder.samples.values()]
     known = max(
         [s.sample.generation for s in sightings]
         + told
         + [placement.generation if placement is not None else 0],
         default=0,
     )
-    return last if last is not None and last.sample.generation >= known else None
+    return last if last.sample.generation >= known else None
 
 
 def _build_given_up_decision(task: Task, ended: FoundInstance, host: str | None) -> Decision:
@@ -311,14 +316,9 @@ def _find_lost_newest_place(
     placement = builder.manager.placements.get(task.name)
     if placement is None or not task.managed or not _is_older(current, ours, placement):
         return None
-    samples = {
-        host.name: sample
-        for host, sample in zip(builder.fleet.places, builder.fleet.samples, strict=True)
-        if sample is not None
-    }
-    if placement.host not in samples and placement.host in builder.fleet.index:
+    if placement.host not in builder.samples and placement.host in builder.fleet.index:
         return None
-    return find_lost_place(placement, samples, builder.manager)
+    return find_lost_place(placement, builder.samples, builder.manager)
 
 
 def _hold_at_lost_place(builder: _InitialStateBuilder, task: Task, lost: LostPlace) -> None:
