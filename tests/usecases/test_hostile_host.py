@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from edgectl.gateway.task_lookup import find_doubled_instances, find_task_host
 from edgectl.model.policy import Policy
 from edgectl.model.result import Outcome
 from edgectl.model.task import HostRules
@@ -180,3 +181,21 @@ def test_texts_of_failures_are_bounded_and_printable(site: Site, text: str) -> N
     assert len(action.error) < 2000
     assert action.error.isprintable()
     action.error.encode()
+
+
+@pytest.mark.parametrize("odd", [None, "ready", [], {"state": "happy"}, {"state": "running", "age_s": 1e12}])
+def test_an_odd_entry_of_a_status_reply_costs_that_entry(site: Site, odd: object) -> None:
+    """The task that is asked for is found, on this host and on others; nothing else ends with an error."""
+    site.hosts["evil"].tasks["job"] = {"state": "failed", "age_s": 5.0}
+    status = site.hosts["evil"]._status
+    site.hosts["evil"].faults["status"] = lambda request: {
+        "tasks": {**status({**request, "task": None})["tasks"], "x": odd, "t2": odd}  # type: ignore[dict-item]
+    }
+    inventory, transport = site.fleet.inventory, site.fleet.transport
+    found, alive, silent = find_task_host("job", inventory, transport, timeout=1.0)
+    assert (found, alive, silent) == (inventory.hosts["evil"], False, ())
+    found, alive, silent = find_task_host("t2", inventory, transport, timeout=1.0)
+    assert (found, alive, silent) == (inventory.hosts[site.hosts.placed["t2"]], True, ("evil",))
+    hosts = list(inventory.hosts.values())
+    doubled = find_doubled_instances(hosts, transport, timeout=1.0)
+    assert set(doubled) == {"t2"}  # what cannot be read may run
