@@ -318,7 +318,7 @@ def _find_lost_newest_place(
     }
     if placement.host not in samples and placement.host in builder.fleet.index:
         return None
-    return find_lost_place(placement, samples, builder.manager)
+    return find_lost_place(task.name, placement, samples, builder.manager)
 
 
 def _hold_at_lost_place(builder: _InitialStateBuilder, task: Task, lost: LostPlace) -> None:

@@ -139,17 +139,32 @@ def _inject_fault(each: Fault, fleet: FaultFleet, result: InjectionResult) -> No
         )
 
 
+def draw_seeds(each: Fault, kind: str, times: int, seed: int) -> list[int]:
+    """Draw the seeds of ``times`` injections."""
+    seeds = random.Random(f"{seed} {each.name} {kind}")
+    return [seeds.randrange(10**9) for _ in range(times)]
+
+
 def run_fault(
-    each: Fault, kind: str, times: int, seed: int, variant: EdgectlVariant | None = None
+    each: Fault,
+    kind: str,
+    times: int,
+    seed: int,
+    variant: EdgectlVariant | None = None,
+    *,
+    exactly: int | None = None,
+    report: Callable[[FaultRow], None] = lambda _row: None,
 ) -> FaultRow:
-    """Inject the fault ``times`` times; every injection has its own seed, printed with a failure."""
+    """Inject the fault ``times`` times; every injection has its own seed, printed with a failure.
+
+    ``exactly``: the seed of the one injection to repeat. ``report`` gets the row after each injection.
+    """
     row = FaultRow(fault=each.name, kind=kind)
     row.not_run = (find_missing_for_namespaces() if kind == "namespace" else "") or each.missing()
     if row.not_run:
         return row
-    begun, seeds = time.monotonic(), random.Random(f"{seed} {each.name} {kind}")
-    for _ in range(times):
-        one = seeds.randrange(10**9)
+    begun = time.monotonic()
+    for one in draw_seeds(each, kind, times, seed) if exactly is None else [exactly]:
         result = inject_once(each, kind, one, variant)
         row.injected += result.injected
         row.survived += result.injected - bool(result.wrong)
@@ -158,7 +173,8 @@ def run_fault(
             row.doubled += len(result.wrong.doubled)
         if result.wrong:
             row.failures.append(f"{each.name} ({kind}, seed {one}){result.points}: {result.wrong}")
-    row.seconds = time.monotonic() - begun
+        row.seconds = time.monotonic() - begun
+        report(row)
     return row
 
 
