@@ -19,7 +19,7 @@ def main() -> int:
     )
     parser.add_argument("--only", default="", metavar="TEXT", help="run faults whose name contains this text")
     parser.add_argument(
-        "--hosts", choices=["loopback", "namespace"], help="run faults on this kind of host only"
+        "--hosts", choices=["loopback", "namespace", "systemd"], help="run faults on this kind of host only"
     )
     parser.add_argument(
         "--times", type=int, default=0, help="injections per fault (default: set by each fault)"
