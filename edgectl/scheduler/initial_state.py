@@ -318,7 +318,7 @@ def _find_lost_newest_place(
         return None
     if placement.host not in builder.samples and placement.host in builder.fleet.index:
         return None
-    return find_lost_place(placement, builder.samples, builder.manager)
+    return find_lost_place(task.name, placement, builder.samples, builder.manager)
 
 
 def _hold_at_lost_place(builder: _InitialStateBuilder, task: Task, lost: LostPlace) -> None:

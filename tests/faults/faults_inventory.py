@@ -2,7 +2,7 @@
 
 from tests.faults.command_result import ExpectationError
 from tests.faults.fleet import FaultFleet
-from tests.faults.registry import fault
+from tests.faults.registry import ALL, fault
 
 EDGES = ("edge1", "edge2", "edge3")
 
@@ -25,7 +25,7 @@ def expect_held(fleet: FaultFleet) -> None:
         fleet.check_verdict()
 
 
-@fault("host renamed in the inventory while tasks run", full=3, hosts=EDGES)
+@fault("host renamed in the inventory while tasks run", full=3, hosts=EDGES, kinds=ALL)
 def rename_host(fleet: FaultFleet) -> None:
     """The machine tells under which name it keeps the task, so it runs on; at random it is renamed back."""
     start_on_edge1(fleet)
@@ -40,7 +40,7 @@ def rename_host(fleet: FaultFleet) -> None:
         raise ExpectationError("slam was started again")
 
 
-@fault("host removed from the inventory while tasks run", full=3, hosts=EDGES)
+@fault("host removed from the inventory while tasks run", full=3, hosts=EDGES, kinds=ALL)
 def remove_host(fleet: FaultFleet) -> None:
     start_on_edge1(fleet)
     removed = fleet.inventory.pop("edge1")
@@ -50,7 +50,7 @@ def remove_host(fleet: FaultFleet) -> None:
     fleet.write_files()
 
 
-@fault("host given another address while tasks run", full=3, hosts=EDGES)
+@fault("host given another address while tasks run", full=3, hosts=EDGES, kinds=ALL)
 def readdress_host(fleet: FaultFleet) -> None:
     start_on_edge1(fleet)
     spare = fleet.inventory.pop("edge3")
