@@ -8,14 +8,16 @@ from dataclasses import dataclass, field
 from edgectl.model.assignment import Decision, Reason, Verdict
 from edgectl.model.lost_places import LostPlace, find_lost_place
 from edgectl.model.manager_state import ManagerState, Placement
+from edgectl.model.measured_demand import WARM_UP_S
 from edgectl.model.policy import Policy
 from edgectl.model.snapshot import HostSample, TaskSample, TaskState
 from edgectl.model.task import Task, Tasks
 from edgectl.model.task_origin import is_left_alone
 from edgectl.scheduler.capacities import Capacities
 from edgectl.scheduler.claims import Standing, find_record, judge_report
-from edgectl.scheduler.ledger import Ledger, TaskUsage, build_measured_ledger, compute_measured_usage
+from edgectl.scheduler.ledger import Ledger, build_measured_ledger, compute_measured_usage
 from edgectl.scheduler.partition import seconds_until_replaced
+from edgectl.scheduler.task_usage import TaskUsage
 
 # With more than this share of the edges unreachable the manager's own link is the suspect, and nothing moves.
 MAX_UNREACHABLE_SHARE = 0.55
@@ -25,12 +27,14 @@ MAX_UNREACHABLE_SHARE = 0.55
 class RunningTask:
     """A task that occupies ``place`` with ``use``.
 
-    ``since``: when it came there; None: this very plan puts it there.
+    ``since``: when it came there; None: this very plan puts it there. ``counts``: it has run long enough for
+    its measured usage to be typical of it.
     """
 
     place: int
     use: TaskUsage
     since: float | None
+    counts: bool = True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,6 +42,7 @@ class InitialState:
     """The state that a pass starts from.
 
     ``ledger``: gamma, without what is about to be stopped. ``running``: tasks that the pass may keep or move.
+    ``held``: tasks that run and stay where they are, because their robot does not answer.
     ``located``: the place of every task that counts as a predecessor. ``completed``: predecessors that need
     no place. ``fixed``: decisions that no pass makes. ``replaced``: the silent host of every task that is
     placed anew although it was never seen to end.
@@ -48,6 +53,7 @@ class InitialState:
     located: Mapping[str, int]
     completed: frozenset[str]
     fixed: Mapping[str, Decision]
+    held: Mapping[str, RunningTask] = field(default_factory=dict)
     replaced: Mapping[str, str] = field(default_factory=dict)
     frozen: bool = False
     unseen: tuple[str, ...] = ()
@@ -72,6 +78,7 @@ class _InitialStateBuilder:
     now: float
     frozen: bool
     running: dict[str, RunningTask] = field(default_factory=dict)
+    held: dict[str, RunningTask] = field(default_factory=dict)
     located: dict[str, int] = field(default_factory=dict)
     completed: set[str] = field(default_factory=set)
     fixed: dict[str, Decision] = field(default_factory=dict)
@@ -111,6 +118,7 @@ def build_initial_state(
     return InitialState(
         ledger=builder.ledger,
         running=builder.running,
+        held=builder.held,
         located=builder.located,
         completed=frozenset(builder.completed),
         fixed=builder.fixed,
@@ -181,6 +189,8 @@ def _add_task(builder: _InitialStateBuilder, task: Task, sightings: tuple[FoundI
         _keep_unmanaged(builder, task, current)
     elif (robot := _find_unreachable_robot(builder, task)) is not None:
         _hold_task(builder, task, _get_instance_host(builder, current) or away, Reason.ROBOT_SILENT, robot)
+        if current is not None:
+            builder.held[task.name] = _build_running_task(builder, task, current)
     elif current is not None:
         _release_usage(builder, (s for s in ours if s is not current), task)
         _add_running_task(builder, task, current)
@@ -205,14 +215,19 @@ def _select_counted(
 
 
 def _add_running_task(builder: _InitialStateBuilder, task: Task, current: FoundInstance) -> None:
+    builder.running[task.name] = _build_running_task(builder, task, current)
+    builder.located[task.name] = current.place
+
+
+def _build_running_task(builder: _InitialStateBuilder, task: Task, current: FoundInstance) -> RunningTask:
     placement = builder.manager.placements.get(task.name)
     remembered = placement is not None and placement.host == builder.fleet.places[current.place].name
-    builder.running[task.name] = RunningTask(
+    return RunningTask(
         place=current.place,
         use=compute_measured_usage(builder.fleet, current.sample, task, current.place),
         since=placement.since if placement is not None and remembered else current.sample.started_at,
+        counts=builder.now - current.sample.started_at >= WARM_UP_S,
     )
-    builder.located[task.name] = current.place
 
 
 def _find_newest_instance(
