@@ -23,10 +23,14 @@ PAST_THE_LEASE_S = 33.0
 
 @dataclass(frozen=True, kw_only=True)
 class Manager:
-    """One manager: its task file, its state directory and the hosts that it reaches."""
+    """One manager: its task file, its state directory and the hosts that it reaches.
+
+    ``own_fleet``: it has an inventory of its own with the same hosts, and so another fleet.
+    """
 
     fleet: FaultFleet
     name: str
+    own_fleet: bool = False
 
     @property
     def tasks(self) -> Path:
@@ -49,10 +53,12 @@ class Manager:
 
     def start(self, *words: str) -> "subprocess.Popen[str]":
         fleet, own = self.fleet, self.fleet.directory / f"ssh_config-{self.name}"
-        command = [
-            str(self.tasks) if word == str(fleet.directory / "tasks.yaml") else word
-            for word in fleet.build_command(*words)
-        ]
+        files = {str(fleet.directory / "tasks.yaml"): str(self.tasks)}
+        if self.own_fleet:
+            inventory = fleet.directory / f"inventory-{self.name}.yaml"
+            inventory.write_text((fleet.directory / "inventory.yaml").read_text())
+            files[str(fleet.directory / "inventory.yaml")] = str(inventory)
+        command = [files.get(word, word) for word in fleet.build_command(*words)]
         env = fleet.build_env(
             EDGECTL_STATE_DIR=str(fleet.directory / f"state-{self.name}"),
             **({"EDGECTL_SSH_CONFIG": str(own)} if own.exists() else {}),

@@ -132,6 +132,8 @@ def make_user(root: Path, config: dict[str, Any]) -> None:
     for each in (home, home / "oracle"):
         os.chown(each, 4711, 4711)
     mount("--bind", config["oracle"], home / "oracle")
+    mount("-t", "tmpfs", "-o", "size=16m,mode=700", "hidden", root / "root")
+    (root / "root" / "oracle").symlink_to(f"/home/{user}/oracle")
     (root / "etc" / "ssh" / "edgectl-faults").mkdir()
     mount("--bind", config["ssh"], root / "etc" / "ssh" / "edgectl-faults")
 

@@ -90,7 +90,11 @@ def fault(
 def list_quick_cases() -> list[tuple[Fault, str]]:
     """Return the short form: each quick fault once, in a namespace where possible."""
     poor = bool(find_missing_for_namespaces())
-    return [(each, each.kinds[0 if poor else BOTH.index("namespace")]) for each in FAULTS if each.quick]
+    return [
+        (each, each.kinds[0] if poor or "namespace" not in each.kinds else "namespace")
+        for each in FAULTS
+        if each.quick
+    ]
 
 
 def repair_and_judge(fleet: FaultFleet) -> None:
