@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from edgectl.model.assignment import Decision, Reason, Verdict
-from edgectl.model.lost_places import LostPlace, find_lost_place
+from edgectl.model.lost_places import LostPlace, build_lost_place_decision, find_lost_place
 from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.measured_demand import WARM_UP_S
 from edgectl.model.policy import Policy
@@ -337,14 +337,7 @@ def _find_lost_newest_place(
 
 
 def _hold_at_lost_place(builder: _InitialStateBuilder, task: Task, lost: LostPlace) -> None:
-    reason = Reason.HOST_LEFT if lost.address is None else Reason.HOST_READDRESSED
-    builder.fixed[task.name] = Decision(
-        task=task.name,
-        verdict=Verdict.HELD,
-        reason=reason,
-        previous_host=lost.host,
-        subject=lost.host if lost.address is None else f"{lost.host} ({lost.address})",
-    )
+    builder.fixed[task.name] = build_lost_place_decision(task.name, lost, Verdict.HELD)
 
 
 def _find_unreachable_robot(builder: _InitialStateBuilder, task: Task) -> str | None:
