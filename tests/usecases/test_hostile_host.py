@@ -114,7 +114,7 @@ def test_what_a_liar_claims_is_told(site: Site) -> None:
     site.apply()
     placed = site.hosts.placed["t3"]
     assert (
-        f"evil reports t3 as completed, but it is placed on {placed}: the report is not believed" in site.said
+        f"evil reports t3 as completed, but it is placed on {placed}: the report is ignored" in site.said
     )
 
 
