@@ -29,6 +29,7 @@ from edgectl.executor.stop_budget import BudgetSpentError, StopBudget
 from edgectl.executor.worker_pool import WorkerPool
 from edgectl.model.assignment import Reason
 from edgectl.model.inventory import Inventory
+from edgectl.model.lost_places import describe_lost_place, get_lost_place
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.progress import ProgressListener, ignore_progress
 from edgectl.model.result import ActionResult, Outcome, Results
@@ -201,16 +202,22 @@ def _stop_step(act: StepRun, budget: StopBudget) -> ActionResult | None:
         return act.end(Outcome.FAILED, located=here, error=error)
     if act.step.action in STARTING_ACTIONS:
         return None
-    if act.step.action is Action.STOP and decision.reason is Reason.HOST_SILENT:
-        return act.end(
-            Outcome.UNREACHABLE, located=here, error=_build_silent_stop_error(act.name, here or "")
-        )
+    unseen = _find_unseen_stop_error(act) if act.step.action is Action.STOP else None
+    if unseen is not None:
+        return act.end(Outcome.UNREACHABLE, located=here, error=unseen)
     return act.end(Outcome.DONE, located=None if act.step.action in STOPPING_ACTIONS else here)
 
 
-def _build_silent_stop_error(task: str, host: str) -> HostError:
+def _find_unseen_stop_error(act: StepRun) -> HostError | None:
+    """Why a task that may run on was not stopped; None where every instance was seen."""
+    decision = act.step.decision
+    host, lost = decision.previous_host or "", get_lost_place(decision)
+    if lost is not None:
+        return HostError(f"not stopped: {act.name} {describe_lost_place(lost)}", host=host)
+    if decision.reason is not Reason.HOST_SILENT:
+        return None
     return HostError(
-        f"not stopped: {describe_unseen_task(task, host)}",
+        f"not stopped: {describe_unseen_task(act.name, host)}",
         hint=f"stop it again once {host} answers; if {host} is powered off: edgectl fence {host}",
         host=host,
     )

@@ -19,7 +19,7 @@ from edgectl.model.snapshot import HostSample, LinkSample, Snapshot, TaskSample,
 from edgectl.model.task import ZERO, Task, Tasks
 from edgectl.names import natural_key
 from edgectl.scheduler.assign import assign
-from edgectl.scheduler.ledger import TaskUsage
+from edgectl.scheduler.task_usage import TaskUsage
 
 
 @dataclass(slots=True, kw_only=True)

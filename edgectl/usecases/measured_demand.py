@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 from edgectl.model.inventory import Inventory
 from edgectl.model.manager_state import MeasuredDemand
-from edgectl.model.measured_demand import classify_host, follows_history, has_enough_samples
+from edgectl.model.measured_demand import WARM_UP_S, classify_host, follows_history, has_enough_samples
 from edgectl.model.point import HostPoint
 from edgectl.model.profile import ClassProfile, UsageProfile
 from edgectl.model.resource import CPU, MEMORY
@@ -17,9 +17,8 @@ from edgectl.usecases.fleet import Fleet
 if TYPE_CHECKING:
     from edgectl.state.store import Store
 
-# Start-up is not typical use and is left out; at most this many samples of a task on a class of hosts are
-# read.
-WARM_UP_S, MAX_SAMPLES = 10.0, 1000
+# At most this many samples of a task on a class of hosts are read.
+MAX_SAMPLES = 1000
 _HISTORY_FILE = "history.db"
 
 

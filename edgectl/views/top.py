@@ -15,7 +15,7 @@ from edgectl.views import metrics
 from edgectl.views.glossary import get_flat_used_key, head
 from edgectl.views.output import ListView
 from edgectl.views.output_format import WIDE_FORMATS
-from edgectl.views.plan_sections import list_unreachable_notes
+from edgectl.views.plan_sections import list_snapshot_notes
 from edgectl.views.rows import compute_task_age, encode_host_row, encode_run_row, find_task_demand
 from edgectl.views.state import TASK_STATE_STYLES, render_host_status, resolve_absent_task
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, render_columns
@@ -100,7 +100,7 @@ class TopHostsView(ListView):
         """Hosts above their limits, and hosts without a reply."""
         return [
             *_list_over_limit_notes(self._snapshot, self._inventory),
-            *list_unreachable_notes(self._snapshot),
+            *list_snapshot_notes(self._snapshot),
         ]
 
 
@@ -145,12 +145,13 @@ class TopTasksView(ListView):
         """How many tasks do not run, and those of which it is not known because their host is silent."""
         running = {name for name, _, _ in _list_running_tasks(self._snapshot)}
         missing = [task for name, task in self._tasks.tasks.items() if name not in running]
-        unseen = {
-            task.name: host
-            for task in missing
-            if (host := resolve_absent_task(task, self._snapshot).host) is not None
-        }
-        unknown = [f"not known: {describe_unseen_task(task, host)}" for task, host in unseen.items()]
+        absent = {task.name: resolve_absent_task(task, self._snapshot) for task in missing}
+        unseen = {task: known.host for task, known in absent.items() if known.host is not None}
+        unknown = [
+            f"not known: {describe_unseen_task(task, host)}"
+            for task, host in unseen.items()
+            if absent[task].lost is None
+        ]
         idle = len(missing) - len(unseen)
         count = f"{idle} of {len(self._tasks.tasks)} tasks do not run: edgectl status"
         return [
@@ -172,7 +173,7 @@ class TopTasksView(ListView):
 
     def warnings(self) -> Sequence[str]:
         """Tasks that do not run, and hosts without a reply."""
-        return [*self._list_idle_notes(), *list_unreachable_notes(self._snapshot)]
+        return [*self._list_idle_notes(), *list_snapshot_notes(self._snapshot)]
 
 
 def _render_top_host_row(
