@@ -10,8 +10,8 @@ from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.policy import Policy
 from edgectl.model.snapshot import Snapshot, TaskSample, TaskState
 from edgectl.model.task import Tasks
-from edgectl.model.task_origin import find_task_file, is_left_alone
 from edgectl.names import natural_key
+from edgectl.rules.task_origin import find_task_file, is_left_alone
 
 SamplesByHost = Mapping[str, TaskSample]  # the samples of one task, by host
 
