@@ -6,13 +6,13 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from edgectl.model.assignment import Decision, Reason, Verdict
-from edgectl.model.lost_places import LostPlace, build_lost_place_decision, find_lost_place
 from edgectl.model.manager_state import ManagerState, Placement
-from edgectl.model.measured_demand import WARM_UP_S
 from edgectl.model.policy import Policy
 from edgectl.model.snapshot import HostSample, TaskSample, TaskState
 from edgectl.model.task import Task, Tasks
-from edgectl.model.task_origin import is_left_alone
+from edgectl.rules.lost_places import LostPlace, build_lost_place_decision, find_lost_place
+from edgectl.rules.measured_demand import WARM_UP_S
+from edgectl.rules.task_origin import is_left_alone
 from edgectl.scheduler.capacities import Capacities
 from edgectl.scheduler.claims import Standing, find_record, judge_report
 from edgectl.scheduler.ledger import Ledger, build_measured_ledger, compute_measured_usage

@@ -4,9 +4,9 @@ from collections import Counter
 from collections.abc import Callable, Iterable
 
 from edgectl.model.assignment import Decision, RankedHost, Reason, Rejection, RejectionRule, Verdict
-from edgectl.model.lost_places import describe_lost_place, get_lost_place
 from edgectl.model.plan import Action, Step
 from edgectl.model.resource import Resource
+from edgectl.rules.lost_places import describe_lost_place, get_lost_place
 from edgectl.units import format_duration
 
 _RULE_TEXTS = {
