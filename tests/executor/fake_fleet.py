@@ -43,7 +43,7 @@ class SharedEvents:
 @dataclass
 class FakeHost:
     """One host. ``faults`` maps an operation (``start``, ``stop:slam``) to an error to raise or a function
-    that returns the reply.
+    that returns the reply. ``others``: living tasks of its machine that are not this host's.
     """
 
     name: str
@@ -55,6 +55,7 @@ class FakeHost:
     delay: float = 0.0
     checks: dict[str, int] = field(default_factory=dict)
     seen: dict[str, int] = field(default_factory=dict)
+    others: list[Request] = field(default_factory=list)
 
     def __call__(self, request: Request) -> Request:
         assert request["host"] == self.name
@@ -100,6 +101,13 @@ class FakeHost:
         }
         self.tasks[name] = entry
         return {**entry, "state": "started"}
+
+    def _takeover(self, request: Request) -> Request:
+        name = str(request["task"])
+        self._fence(request)
+        self.world.note(f"adopt {name} {self.name}")
+        self.tasks[name] |= {"orphaned": False, "adoptable": False, "detail": "adopted"}
+        return {"state": "taken-over", "instance": request["instance"]}
 
     def _wait(self, request: Request) -> Request:
         name = str(request["task"])
@@ -175,6 +183,7 @@ class FakeHost:
             },
             "tasks": entries,
             "generations": dict(self.seen),
+            "other_tasks": list(self.others),
             "checks": {},
             **({"lease": {"state": "granted", "epoch": 1}} if "lease" in request else {}),
         }

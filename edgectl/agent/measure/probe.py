@@ -40,7 +40,9 @@ def probe_host(request: Document) -> Document:
             "machine": _describe_place(),
             "wall": time.time(),
             "load_1m": device.read_load_1m(),
-            "generations": _list_generations(request["host"], measured["tasks"]),
+            "generations": _list_generations(
+                [request["host"], *request.get("former", [])], measured["tasks"]
+            ),
             "other_tasks": other_tasks.list_other_tasks(request["host"]),
             "unowned": adoption.list_unowned_tasks(request["host"]),
             "checks": checks.results(),
@@ -121,11 +123,14 @@ def _measure_window(request: Document) -> "tuple[Document, _RunningChecks]":
     }, checks
 
 
-def _list_generations(host: str, measured: "dict[str, Document]") -> "dict[str, int]":
-    """List task -> highest generation seen here where the task's entry has a lower one or none: a manager
-    needs it to start the task.
+def _list_generations(hosts: "list[str]", measured: "dict[str, Document]") -> "dict[str, int]":
+    """List task -> highest generation seen here under these host names where the task's entry has a lower one
+    or none: a manager needs it to start the task, and to know these directories again.
     """
-    seen = {name: status.read_generation(host, name) for name in state_dir.list_task_names(host)}
+    seen: "dict[str, int]" = {}
+    for host in hosts:
+        for name in state_dir.list_task_names(host):
+            seen[name] = max(seen.get(name, 0), status.read_generation(host, name))
     return {
         name: number for name, number in seen.items() if number > measured.get(name, {}).get("generation", 0)
     }
