@@ -146,6 +146,7 @@ class ProbeReply:
     generations: Mapping[Text, object] = field(default_factory=dict)
     other_tasks: tuple[OtherTaskReply, ...] = ()
     unowned: tuple[Text, ...] = ()
+    former: tuple[Text, ...] = ()
 
 
 # Usage of a task, and capacity and usage of each resource of a device, under the keys of the table.
