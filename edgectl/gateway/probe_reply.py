@@ -130,6 +130,15 @@ def decode_unowned_tasks(document: ReplyDocument) -> frozenset[str]:
     return frozenset(decode_reply(ProbeReply, document).unowned)
 
 
+def decode_former_names(document: ReplyDocument) -> frozenset[str]:
+    """The former names of this host that it has adopted (ADR 0058).
+
+    Raises:
+        ReplyError: the reply is no probe.
+    """
+    return frozenset(decode_reply(ProbeReply, document).former)
+
+
 def _list_done_tasks(reply: ProbeReply) -> frozenset[str]:
     return frozenset(name for name, check in reply.checks.items() if check.exit == 0)
 

@@ -156,6 +156,7 @@ class ProbeReply:
     generations: Annotated[Mapping[Text, object], ALONE] = field(default_factory=dict)
     other_tasks: Annotated[tuple[OtherTaskReply, ...], ALONE] = ()
     unowned: Annotated[tuple[Text, ...], ALONE] = ()
+    former: Annotated[tuple[Text, ...], ALONE] = ()
 
 
 # Usage of a task, and capacity and usage of each resource of a device, under the keys of the table.

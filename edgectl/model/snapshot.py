@@ -87,8 +87,7 @@ class TaskSample:
     ``started_at``: 0 where it is not known any more.
     ``metrics``: what the application says of itself, the last value by name, also after its end. ``file``:
     the task file that it was started from. ``orphaned``: it lives without a supervisor; ``adoptable``: a new
-    one can take it over as it is (ADR 0041). ``filed_as``: the host name under which its machine
-    keeps it, where that is a former one (ADR 0040); its usage is not measured then.
+    one can take it over as it is (ADR 0041).
     """
 
     state: TaskState
@@ -115,7 +114,6 @@ class TaskSample:
     file: str = ""
     orphaned: bool = False
     adoptable: bool = False
-    filed_as: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

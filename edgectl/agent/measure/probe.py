@@ -45,6 +45,7 @@ def probe_host(request: Document) -> Document:
             ),
             "other_tasks": other_tasks.list_other_tasks(request["host"]),
             "unowned": adoption.list_unowned_tasks(request["host"]),
+            "former": state_dir.list_host_names(request["host"])[1:],
             "checks": checks.results(),
         },
         **measured,
