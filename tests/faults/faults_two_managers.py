@@ -63,15 +63,7 @@ class Manager:
             EDGECTL_STATE_DIR=str(fleet.directory / f"state-{self.name}"),
             **({"EDGECTL_SSH_CONFIG": str(own)} if own.exists() else {}),
         )
-        return subprocess.Popen(
-            command,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            env=env,
-            start_new_session=True,
-        )
+        return fleet.start_command(command, env)
 
     def run(self, *words: str) -> CommandResult:
         return self.fleet.wait_for_edgectl(self.start(*words), words)
