@@ -124,6 +124,15 @@ class OtherTaskReply:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class GrantsReply:
+    """The holder and number of the last grant of a host, and the number of the last one to somebody else."""
+
+    holder: Text = ""
+    epoch: Count = 0
+    other_epoch: Count = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ProbeReply:
     """Reply to a probe.
 
@@ -143,6 +152,7 @@ class ProbeReply:
     links: Mapping[Text, LinkReply] = field(default_factory=dict)
     tasks: Mapping[Text, object] = field(default_factory=dict)
     checks: Mapping[Text, CheckReply] = field(default_factory=dict)
+    grants: GrantsReply = GrantsReply()
     generations: Mapping[Text, object] = field(default_factory=dict)
     other_tasks: tuple[OtherTaskReply, ...] = ()
     unowned: tuple[Text, ...] = ()

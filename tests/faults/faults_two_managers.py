@@ -61,6 +61,8 @@ class Manager:
         command = [files.get(word, word) for word in fleet.build_command(*words)]
         env = fleet.build_env(
             EDGECTL_STATE_DIR=str(fleet.directory / f"state-{self.name}"),
+            LOGNAME=self.name,
+            USER=self.name,
             **({"EDGECTL_SSH_CONFIG": str(own)} if own.exists() else {}),
         )
         return subprocess.Popen(
@@ -224,6 +226,29 @@ def split_the_fleet(fleet: FaultFleet) -> None:
             manager.want_at_random()
         fleet.injected += 1
         finish(fleet, ana.start(*APPLY), ben.start(*APPLY), codes=(4, 75))
+        check_nothing_doubled(fleet)
+
+
+@fault(
+    "two managers that disagree: one acts, the other loses sight of a host", full=6, hosts=EDGES, kinds=ALL
+)
+def act_behind_its_back(fleet: FaultFleet) -> None:
+    """What one manager remembers is no longer true, and where a task went it cannot see. New tasks come, too."""
+    ana, ben = open_managers(fleet)
+    ana.run(*APPLY).expect_exit(0)
+    for _ in range(1 if fleet.sample else 4):
+        ana, ben = fleet.random.sample([ana, ben], 2)
+        for manager in (ana, ben):
+            manager.hide()
+        if fleet.random.random() < 0.7:
+            ben.want_at_random()
+            ben.run(*APPLY).expect_exit(0)
+        ana.want_at_random()
+        ana.run(*APPLY).expect_exit(0)
+        ben.hide(fleet.random.choice(EDGES))
+        ben.want_at_random()
+        fleet.injected += 1
+        finish(fleet, ben.start(*APPLY), codes=(4,))
         check_nothing_doubled(fleet)
 
 
