@@ -10,7 +10,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from tests.faults import oracle
+from tests.faults import oracle, scan
 from tests.faults.command_result import CommandResult, ExpectationError
 from tests.faults.fleet import APPLY, FaultFleet, format_yaml
 from tests.faults.registry import ALL, fault
@@ -186,6 +186,8 @@ def _freeze_long(fleet: FaultFleet, ana: Manager, ben: Manager) -> None:
     signal_manager(frozen, signal.SIGSTOP)
     finish(fleet, ben.start(*APPLY))
     fleet.wait(PAST_THE_LEASE_S)
+    found = scan.read_process(frozen.pid)
+    assert found is None or found.state in "TZ", f"somebody else has thawed it: {found}"
     ben.want_at_random()
     finish(fleet, ben.start(*APPLY), codes=(0,))
     signal_manager(frozen, signal.SIGCONT)
