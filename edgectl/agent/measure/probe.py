@@ -112,8 +112,6 @@ def _measure_window(request: Document) -> "tuple[Document, _RunningChecks]":
     checks = _RunningChecks(request.get("checks", []), tasks.before)
     traffic, totals = network.TrafficMeter(addresses), network.read_interface_bytes()
     cpu, started = device.CpuMeter(), time.monotonic()
-    # The import costs more than the rest of a probe; within the window it delays nothing.
-    psutil = device.find_psutil()
     probes = network.ConnectProbes(addresses)
     probes.wait(max(started + window, time.monotonic() + _MIN_CONNECT_S))
     reading = cpu.measure()
@@ -123,11 +121,11 @@ def _measure_window(request: Document) -> "tuple[Document, _RunningChecks]":
     measured = tasks.measure(flows, addresses, seconds)
     probes.close(addresses)
     return {
-        "psutil": psutil is not None,
+        "psutil": device.find_psutil_folder() is not None,
         "window_s": round(seconds, 4),
         "cpu": reading,
-        "memory": device.read_memory(psutil),
-        "temperature_c": device.read_temperature_c(psutil),
+        "memory": device.read_memory(),
+        "temperature_c": device.read_temperature_c(),
         "gpu_share": device.read_gpu_share(),
         "interfaces": {
             name: network.build_interface_entry(rate, network.read_interface_speed(name))

@@ -5,6 +5,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from edgectl.model.assignment import Decision, Reason, Verdict
 from edgectl.model.inventory import Inventory
 from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.snapshot import HostSample, Snapshot
@@ -22,6 +23,36 @@ class LostPlace:
     host: str
     address: str | None = None
     fenced: bool = False
+
+
+def describe_lost_place(lost: LostPlace) -> str:
+    """Where a task ran that the inventory no longer reaches, and what to do about it."""
+    back = "put it back and drain it" if lost.address is None else "put that back and drain it"
+    where = (
+        f"{lost.host}, which is no longer in the inventory"
+        if lost.address is None
+        else f"{lost.host} at {lost.address}, which the inventory no longer states"
+    )
+    return f"ran on {where}: {back}, or edgectl fence {lost.host}"
+
+
+def build_lost_place_decision(task: str, lost: LostPlace, verdict: Verdict) -> Decision:
+    """The decision on ``task`` because its last place is lost."""
+    return Decision(
+        task=task,
+        verdict=verdict,
+        reason=Reason.HOST_LEFT if lost.address is None else Reason.HOST_READDRESSED,
+        previous_host=lost.host,
+        subject=lost.host if lost.address is None else f"{lost.host} ({lost.address})",
+    )
+
+
+def get_lost_place(decision: Decision) -> LostPlace | None:
+    """The lost place because of which it was decided; None for another reason."""
+    if decision.reason not in (Reason.HOST_LEFT, Reason.HOST_READDRESSED):
+        return None
+    host, _, address = (decision.subject or "its host").rstrip(")").partition(" (")
+    return LostPlace(host=host, address=address or None)
 
 
 def find_lost_place(
