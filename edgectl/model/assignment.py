@@ -157,6 +157,7 @@ class Reason(StrEnum):
     HOST_SILENT = "host-silent"
     HOST_LEFT = "host-left"
     HOST_READDRESSED = "host-readdressed"
+    HOST_UNSURE = "host-unsure"
     ROBOT_SILENT = "robot-silent"
     DONE = "done"
     GIVEN_UP = "given-up"

@@ -221,6 +221,10 @@ _REASON_DESCRIBERS: dict[Reason, Callable[[Step], str]] = {
         f"its predecessor {step.decision.subject} has not completed yet; plan again once it has"
     ),
     Reason.HOST_SILENT: _describe_silent_host,
+    Reason.HOST_UNSURE: lambda step: (
+        f"may run on {step.decision.subject}, which does not answer: another manager has acted since all "
+        f"hosts were last seen; edgectl fence {step.decision.subject} if it is off"
+    ),
     Reason.ROBOT_SILENT: _describe_silent_host,
     Reason.HOST_LEFT: _describe_left_host,
     Reason.HOST_READDRESSED: _describe_left_host,
