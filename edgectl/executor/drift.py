@@ -16,11 +16,11 @@ LOAD_TOLERANCE = 0.10
 CONTACT_TOLERANCE_S = 1.0
 
 
-def list_drift(plan: Plan, snapshot: Snapshot, memory: ManagerState) -> tuple[str, ...]:
+def list_drift(plan: Plan, snapshot: Snapshot, manager: ManagerState) -> tuple[str, ...]:
     """The changes of the fleet since ``plan`` was made, one line each; empty where it still holds."""
     changes = [
-        *_list_mark_drift(plan.snapshot.manager or ManagerState(), memory),
-        *_list_contact_drift(plan, memory),
+        *_list_mark_drift(plan.snapshot.manager or ManagerState(), manager),
+        *_list_contact_drift(plan, manager),
     ]
     for name, host in snapshot.hosts.items():
         before = plan.snapshot.hosts.get(name)

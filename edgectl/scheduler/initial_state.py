@@ -6,13 +6,13 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from edgectl.model.assignment import Decision, Reason, Verdict
-from edgectl.model.lost_places import LostPlace, find_lost_place
 from edgectl.model.manager_state import ManagerState, Placement
-from edgectl.model.measured_demand import WARM_UP_S
 from edgectl.model.policy import Policy
 from edgectl.model.snapshot import HostSample, TaskSample, TaskState
 from edgectl.model.task import Task, Tasks
-from edgectl.model.task_origin import is_left_alone
+from edgectl.rules.lost_places import LostPlace, build_lost_place_decision, find_lost_place
+from edgectl.rules.measured_demand import WARM_UP_S
+from edgectl.rules.task_origin import is_left_alone
 from edgectl.scheduler.capacities import Capacities
 from edgectl.scheduler.claims import Standing, find_record, judge_report
 from edgectl.scheduler.ledger import Ledger, build_measured_ledger, compute_measured_usage
@@ -333,18 +333,11 @@ def _find_lost_newest_place(
         return None
     if placement.host not in builder.samples and placement.host in builder.fleet.index:
         return None
-    return find_lost_place(placement, builder.samples, builder.manager)
+    return find_lost_place(task.name, placement, builder.samples, builder.manager)
 
 
 def _hold_at_lost_place(builder: _InitialStateBuilder, task: Task, lost: LostPlace) -> None:
-    reason = Reason.HOST_LEFT if lost.address is None else Reason.HOST_READDRESSED
-    builder.fixed[task.name] = Decision(
-        task=task.name,
-        verdict=Verdict.HELD,
-        reason=reason,
-        previous_host=lost.host,
-        subject=lost.host if lost.address is None else f"{lost.host} ({lost.address})",
-    )
+    builder.fixed[task.name] = build_lost_place_decision(task.name, lost, Verdict.HELD)
 
 
 def _find_unreachable_robot(builder: _InitialStateBuilder, task: Task) -> str | None:
