@@ -262,6 +262,24 @@ def test_forced_moves_bypass_margin_dwell_and_max_moves(
     )
 
 
+def test_a_host_that_is_left_out_counts_as_gone_for_what_may_run_nowhere_else() -> None:
+    runs = {name: a_run(used=Usage(cpu=0.5)) for name in ("pinned", "slam")}
+    snapshot = a_snapshot(edge1=a_sample(used=1.0, tasks=runs), edge2=a_sample())
+    tasks = some_tasks(
+        a_task("pinned", cpu=0.5, pin="edge1"), a_task("slam", cpu=0.5), a_task("z-new", needs=["pinned"])
+    )
+    policy = Policy(weights=parse_weights("cpu"), without=frozenset({"edge1"}))
+    found = run_assign(TWO, tasks, snapshot, policy=policy)
+    assert found.settled
+    assert hosts_by_task(found) == {"pinned": None, "slam": "edge2", "z-new": None}
+    by_task = decisions_by_task(found)
+    assert by_task["pinned"].verdict is Verdict.UNPLACED
+    assert (by_task["pinned"].reason, by_task["z-new"].reason) == (
+        Reason.NO_CANDIDATE,
+        Reason.PREDECESSOR_MISSING,
+    )
+
+
 @pytest.mark.parametrize("memory", [ManagerState(cordons=frozenset({"edge1"})), NO_MEMORY])
 def test_a_cordon_or_an_old_sample_only_closes_to_new_work(memory: ManagerState) -> None:
     age = 0.0 if memory.cordons else 600.0
