@@ -138,6 +138,7 @@ class Reason(StrEnum):
     GAIN_OVER_COST = "gain-above-cost"
     REPLACED = "replaced"
     FORCED_INFEASIBLE = "present-host-infeasible"
+    RELIEF = "relieves-overload"
     FORCED_DRAIN = "present-host-drained"
     FORCED_RULE = "present-host-excluded"
     STILL_BEST = "still-best"

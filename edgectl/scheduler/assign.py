@@ -111,7 +111,9 @@ def state_from_pass(state: InitialState, outcome: PassResult, initial: InitialSt
         for name, choice in outcome.choices.items()
         if choice.place is not None
     }
-    located = {**state.located, **{name: there.place for name, there in running.items()}}
+    unplaced = {name for name, choice in outcome.choices.items() if choice.place is None}
+    kept = {name: place for name, place in state.located.items() if name not in unplaced}
+    located = {**kept, **{name: there.place for name, there in running.items()}}
     return replace(state, ledger=outcome.ledger, running=running, located=located)
 
 
@@ -143,7 +145,7 @@ def _count_moves_left(how: PlacementPass, prior_moves: Mapping[str, Choice]) -> 
     policy = how.context.policy
     if policy.attended or policy.max_moves is None:
         return None
-    return policy.max_moves - sum(choice.voluntary for choice in prior_moves.values())
+    return policy.max_moves - sum(choice.counted for choice in prior_moves.values())
 
 
 def _decide_task(
@@ -169,7 +171,9 @@ def _decide_task(
     progress.choices[task.name] = choice
     if choice.place is not None:
         _charge_demand(progress, task, choice.place)
-    if progress.moves_left is not None and choice.voluntary and task.name not in prior_moves:
+    else:
+        progress.located.pop(task.name, None)  # it ran on a host that counts as gone
+    if progress.moves_left is not None and choice.counted and task.name not in prior_moves:
         progress.moves_left -= 1
 
 

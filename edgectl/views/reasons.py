@@ -205,6 +205,9 @@ _REASON_DESCRIBERS: dict[Reason, Callable[[Step], str]] = {
     Reason.WITH_PREDECESSOR: _describe_with_predecessor,
     Reason.GAIN: _describe_gain,
     Reason.FORCED_INFEASIBLE: _describe_infeasible,
+    Reason.RELIEF: lambda step: (
+        f"no host fits; the worst overload falls by {step.decision.amount or 0.0:.0%} of the capacity"
+    ),
     Reason.FORCED_DRAIN: lambda step: f"{step.decision.previous_host} is drained",
     Reason.FORCED_RULE: lambda step: f"{step.decision.previous_host} is excluded" + _describe_exclusion(step),
     Reason.BELOW_MARGIN: _describe_below_margin,
