@@ -351,6 +351,7 @@ TASK_KEYS: Mapping[str, NodeReader] = {
     "needs": list_reader_with_nodes(_read_need),
     "demand": _read_demand,
     "priority": _read_priority,
+    "preempt": read_bool,
     "deadline": _read_duration,
     "hosts": _read_host_rules,
     "onboard": enum_reader(OnboardRule),
