@@ -15,6 +15,7 @@ from edgectl.names import check_known_names
 from edgectl.views.output_format import OutputFormat
 
 if TYPE_CHECKING:
+    from edgectl.model.snapshot import Snapshot
     from edgectl.usecases.fleet import Fleet
     from edgectl.views.listing import Listing, ListingChangesView
 
@@ -29,26 +30,30 @@ def _complete_names(incomplete: str) -> list[str]:
     return [*complete_hosts(incomplete), *complete_tasks(incomplete)]
 
 
+_KindArgument = Annotated[
+    str,
+    Argument(
+        metavar="KIND",
+        autocompletion=_complete_kinds,
+        help="edges, robots, tasks or links.",
+        show_default=False,
+    ),
+]
+_NamesArgument = Annotated[
+    list[str] | None,
+    Argument(
+        metavar="[NAME...]",
+        autocompletion=_complete_names,
+        help="Only these names; of links, an end.",
+        show_default=False,
+    ),
+]
+
+
 def get_command(
     *,
-    kind: Annotated[
-        str,
-        Argument(
-            metavar="KIND",
-            autocompletion=_complete_kinds,
-            help="edges, robots, tasks or links.",
-            show_default=False,
-        ),
-    ],
-    names: Annotated[
-        list[str] | None,
-        Argument(
-            metavar="[NAME...]",
-            autocompletion=_complete_names,
-            help="Only these names; of links, an end.",
-            show_default=False,
-        ),
-    ] = None,
+    kind: _KindArgument,
+    names: _NamesArgument = None,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
     output: options.FleetOutput = OutputFormat.TABLE,
@@ -78,18 +83,18 @@ def get_command(
     wanted, period = ListingKind(_resolve_kind(kind)), parse_every_option(every)
     fleet = build_fleet(load_inputs(inventory, tasks, needs_tasks=wanted is ListingKind.TASKS))
     _check_names_and_selector(wanted, names or (), selector, fleet)
+
+    def build(look: "Snapshot") -> "Listing":
+        return _filter_listing(build_listing(wanted, look, fleet.inventory, fleet.tasks), names, selector)
+
     if watch:
         check_output_format(output, NAMED_STREAM_FORMATS)
         with catch_stop_signals(period) as end:
-            found = (
-                _filter_listing(build_listing(wanted, look, fleet.inventory, fleet.tasks), names, selector)
-                for look in probe_repeatedly(fleet, end)
-            )
+            found = map(build, probe_repeatedly(fleet, end))
             console.print_view_series(_stream_listing_changes(found), output)
         return
     snapshot = probe_fleet(fleet)
-    listing = build_listing(wanted, snapshot, fleet.inventory, fleet.tasks)
-    console.print_view(ListingView(_filter_listing(listing, names, selector)), output)
+    console.print_view(ListingView(build(snapshot)), output)
     raise Exit(exit_codes.of_snapshot(snapshot, fleet.inventory, allow_unreachable=allow_unreachable))
 
 

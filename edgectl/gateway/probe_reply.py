@@ -12,6 +12,7 @@ from edgectl.errors import ReplyError
 from edgectl.gateway.replies import (
     DEVICE_USAGE,
     TASK_USAGE,
+    InterfaceReply,
     LinkReply,
     OtherTaskReply,
     ProbeReply,
@@ -38,6 +39,8 @@ from edgectl.model.text import escape_unprintable
 PROTOCOL_VERSION = protocol.VERSION
 # Delta_thp where nothing else is known: 54 Mbit/s, the paper's wireless network.
 ASSUMED_BYTES_PER_S = 6.75e6
+# Kernels report 0 and less where they know no speed.
+_MIN_LINK_BYTES_PER_S = 1.0
 # Larger ones overflow in a mean or a deviation.
 _MAX_METRIC = 1e100
 # Of one host, those that it only remembers included.
@@ -288,7 +291,7 @@ def _build_link(
     robot: str,
     reply: LinkReply,
     context: ReplyContext,
-    interfaces: Mapping[str, InterfaceSample],
+    interfaces: Mapping[str, InterfaceReply],
     tasks: Mapping[str, TaskSample],
 ) -> LinkSample:
     used = reply.rx_bytes_per_s + reply.tx_bytes_per_s
@@ -320,7 +323,7 @@ def select_link_capacity(
         return context.declared[robot], CapacitySource.DECLARED
     if robot in context.measured:
         return context.measured[robot], CapacitySource.MEASURED
-    if speed:
+    if speed is not None and speed >= _MIN_LINK_BYTES_PER_S:
         return speed, CapacitySource.NIC
     return ASSUMED_BYTES_PER_S, CapacitySource.ASSUMED
 
@@ -333,7 +336,15 @@ def _build_device(reply: ProbeReply, answered_at: float) -> DeviceSample:
         gpu_share=None if reply.gpu_share is None else min(reply.gpu_share, 1.0),
         boot_id=reply.boot_id,
         clock_skew_s=None if reply.wall is None else reply.wall - answered_at,
-        interfaces=reply.interfaces,
+        interfaces={name: _build_interface(each) for name, each in reply.interfaces.items()},
+    )
+
+
+def _build_interface(reply: InterfaceReply) -> InterfaceSample:
+    return InterfaceSample(
+        rx_bytes_per_s=reply.rx_bytes_per_s,
+        tx_bytes_per_s=reply.tx_bytes_per_s,
+        speed_bytes_per_s=reply.speed_bytes_per_s,
     )
 
 

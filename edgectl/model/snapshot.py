@@ -53,6 +53,11 @@ class ResourceUsage:
     capacity: Positive
     used: float
 
+    @property
+    def share(self) -> float:
+        """Use as a share of the capacity; above 1: overload."""
+        return self.used / self.capacity
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LinkSample:

@@ -25,17 +25,19 @@ from edgectl.scheduler.decisions import (
 from edgectl.scheduler.demand import add_measured_demands
 from edgectl.scheduler.demand_spread import find_demand_spreads
 from edgectl.scheduler.initial_state import InitialState, RunningTask, build_initial_state
-from edgectl.scheduler.ledger import Ledger, TaskUsage, compute_demand_usage
+from edgectl.scheduler.ledger import Ledger, compute_demand_usage
 from edgectl.scheduler.move_cost import collect_handoff_history
 from edgectl.scheduler.policies import POLICIES, SchedulingPolicy
 from edgectl.scheduler.repair import UnrepairedPlan, repair_plan
+from edgectl.scheduler.reservation import reserve_running_tasks
 from edgectl.scheduler.scan import build_demand_shares
 from edgectl.scheduler.sequence import is_need_met, order_tasks
+from edgectl.scheduler.task_usage import TaskUsage
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PassResult:
-    """Result of one pass: the choice and place of each task that it decides, with its rho, and gamma
+    """Result of one pass: the choice and place of each task that it decides, with its load (d), and gamma
     afterwards.
     """
 
@@ -104,7 +106,7 @@ def run_pass(how: PlacementPass, state: InitialState, prior_moves: Mapping[str, 
 
 
 def state_from_pass(state: InitialState, outcome: PassResult, initial: InitialState) -> InitialState:
-    """The expected outcome as a state: each placed task runs where it was put, using its rho."""
+    """The expected outcome as a state: each placed task runs where it was put and uses its d."""
     running = {
         name: _build_running_task(name, outcome, initial)
         for name, choice in outcome.choices.items()
@@ -158,7 +160,7 @@ def _decide_task(
     progress: _PassState,
     task: Task,
 ) -> None:
-    """One task: its own use leaves gamma, every place is weighed, and its rho is charged where it is put."""
+    """One task: its reservation leaves gamma, every place is weighed, and d is charged where it is put."""
     running = state.running.get(task.name)
     if running is not None and not how.rules.strict_paper:
         progress.ledger.release(running.place, running.use)
@@ -263,6 +265,9 @@ def assign(
     used = replace(policy, weights=policy.weights.normalised())
     fleet = add_measured_demands(build_capacities(inventory, snapshot, manager, used.without), tasks, manager)
     state = build_initial_state(tasks, manager, fleet, now, used)
+    if not rules.strict_paper:
+        state = reserve_running_tasks(state, tasks)
+        fleet = state.ledger.fleet
     context = AssignmentContext(
         fleet=fleet,
         policy=used,

@@ -1,6 +1,6 @@
 """Repair of a plan that leaves tasks unplaced for lack of room: others make room for them (ADR 64)."""
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from math import inf
@@ -11,9 +11,10 @@ from edgectl.model.task import Task
 from edgectl.scheduler.candidates import AssignmentContext, list_allowed_places
 from edgectl.scheduler.choice import Choice
 from edgectl.scheduler.initial_state import InitialState
-from edgectl.scheduler.ledger import Ledger, TaskUsage, compute_demand_usage
+from edgectl.scheduler.ledger import Ledger, compute_demand_usage
 from edgectl.scheduler.packing import Item, Packing, Shares, place_item, preempt_for_item, restore_homes
 from edgectl.scheduler.sequence import is_need_met
+from edgectl.scheduler.task_usage import TaskUsage
 from edgectl.scheduler.utility import EPSILON
 
 # Looks at one task at one place: some 0.2 s for a whole plan, and at least this many for each task.
@@ -131,7 +132,7 @@ def _build_item(plan: UnrepairedPlan, task: Task, needed: Collection[str] = ()) 
     return Item(
         name=task.name,
         places=list_allowed_places(plan.context, task, place),
-        measure=partial(_measure_shares, plan, _list_link_columns(plan, task), task),
+        measure=partial(_measure_shares, plan, task),
         priority=task.priority,
         runs=runs,
         movable=task.hosts.pin is None and not held,
@@ -146,13 +147,12 @@ def _is_held_in_place(plan: UnrepairedPlan, task: Task) -> bool:
     return plan.initial.frozen or dwelling
 
 
-def _list_link_columns(plan: UnrepairedPlan, task: Task) -> tuple[tuple[str, int], ...]:
-    """Each robot of ``task``, and the column of its link; -1: no edge has one."""
-    columns = {robot: len(HOST_RESOURCES) + index for index, robot in enumerate(plan.ledger.free_links)}
-    return tuple((robot, columns.get(robot, -1)) for robot in task.robots)
+def _list_link_columns(plan: UnrepairedPlan) -> dict[str, int]:
+    """The column of the link to each robot."""
+    return {robot: len(HOST_RESOURCES) + index for index, robot in enumerate(plan.ledger.free_links)}
 
 
-def _measure_shares(plan: UnrepairedPlan, links: Iterable[tuple[str, int]], task: Task, place: int) -> Shares:
+def _measure_shares(plan: UnrepairedPlan, task: Task, place: int) -> Shares:
     """Rho / Delta of ``task`` at ``place``; infinite without capacity or link."""
     fleet = plan.context.fleet
     placed = plan.placed.get(task.name)
@@ -162,9 +162,10 @@ def _measure_shares(plan: UnrepairedPlan, links: Iterable[tuple[str, int]], task
         for column, (name, amount) in enumerate(use.used.items())
     }
     if place < fleet.edges:
-        for robot, column in links:
+        columns = _list_link_columns(plan)
+        for robot in (*task.robots, *use.links):
             capacity = fleet.links[robot][place] if robot in fleet.links else None
-            shares[column] = _compute_share(use.links.get(robot, 0.0), capacity or 0.0)
+            shares[columns.get(robot, -1)] = _compute_share(use.links.get(robot, 0.0), capacity or 0.0)
     return shares
 
 

@@ -19,7 +19,7 @@ from edgectl.views.glossary import head
 from edgectl.views.other_tasks import list_foreign_notes
 from edgectl.views.output import ListView, round_item
 from edgectl.views.output_format import FLEET_FORMATS
-from edgectl.views.plan_sections import list_unreachable_notes
+from edgectl.views.plan_sections import list_snapshot_notes
 from edgectl.views.rows import (
     compute_task_age,
     encode_absent_row,
@@ -132,7 +132,7 @@ class ListingView(ListView):
         return [item.document for item in self._listing.items]
 
     def warnings(self) -> Sequence[str]:
-        """Hosts without a reply."""
+        """Hosts without a reply, and tasks that run twice or at lost places."""
         return self._listing.notes
 
     def notes(self) -> Sequence[str]:
@@ -210,7 +210,7 @@ def build_listing(kind: ListingKind, value: Snapshot, inventory: Inventory, task
         at=value.taken_at,
         items=tuple(build[kind]()),
         notes=(
-            *list_unreachable_notes(value),
+            *list_snapshot_notes(value),
             *(list_foreign_notes(value) if kind is ListingKind.TASKS else ()),
         ),
     )

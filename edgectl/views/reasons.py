@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable
 
 from edgectl.model.assignment import Decision, RankedHost, Reason, Rejection, RejectionRule, Verdict
-from edgectl.model.lost_places import LostPlace
+from edgectl.model.lost_places import describe_lost_place, get_lost_place
 from edgectl.model.plan import Action, Step
 from edgectl.model.resource import Resource
 from edgectl.units import format_duration
@@ -36,7 +36,7 @@ _FIXED_REASON_TEXTS = {
     Reason.UNSETTLED: "no settled plan exists, so it stays",
     Reason.NEVER_MOVED: "placed once, never moved (policy static)",
     Reason.DONE: "completed",
-    Reason.OPERATOR: "requested by name",
+    Reason.OPERATOR: "requested",
     Reason.LEFT_FILE: "no longer in its task file",
     Reason.PRUNED: "in none of the given task files (--prune)",
     Reason.MOVES_FROZEN: "too many edges do not answer; no moves",
@@ -173,17 +173,6 @@ def _describe_silent_host(step: Step) -> str:
     )
 
 
-def describe_lost_place(lost: LostPlace) -> str:
-    """Where a task ran that the inventory no longer reaches, and what to do about it."""
-    back = "put it back and drain it" if lost.address is None else "put that back and drain it"
-    where = (
-        f"{lost.host}, which is no longer in the inventory"
-        if lost.address is None
-        else f"{lost.host} at {lost.address}, which the inventory no longer states"
-    )
-    return f"ran on {where}: {back}, or edgectl fence {lost.host}"
-
-
 def _get_silent_host(step: Step) -> str:
     return step.decision.subject or step.decision.host or "its host"
 
@@ -197,8 +186,8 @@ def _describe_given_up(step: Step) -> str:
 
 
 def _describe_left_host(step: Step) -> str:
-    host, _, address = (step.decision.subject or "its host").rstrip(")").partition(" (")
-    return describe_lost_place(LostPlace(host=host, address=address or None))
+    lost = get_lost_place(step.decision)
+    return describe_lost_place(lost) if lost is not None else ""
 
 
 def _describe_replaced(step: Step) -> str:

@@ -82,6 +82,7 @@ class FaultFleet:
                 "host": name,
                 "connection": self.connection,
                 "capacity": {"cpu": 4, "memory": "8Gi"},
+                **({"runtime": "systemd"} if self.hosts[name].kind == "systemd" else {}),
             }
         self.write_files()
 
@@ -380,8 +381,9 @@ def open_fleet(
     with ExitStack() as stack:
         prefix: list[str] = []
         netns = None
-        if kind == "namespace":
-            site, hosts = stack.enter_context(start_namespace_hosts(directory / "hosts", names))
+        if kind != "loopback":
+            made = start_namespace_hosts(directory / "hosts", names, systemd=kind == "systemd")
+            site, hosts = stack.enter_context(made)
             prefix, netns = site.prefix, site.netns
         else:
             hosts = stack.enter_context(start_loopback_hosts(directory / "hosts", names))

@@ -11,8 +11,8 @@ from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.plan import Action
 from edgectl.model.policy import Policy
 from edgectl.model.resource import Usage
-from edgectl.model.snapshot import Snapshot
-from edgectl.model.task import Task, Tasks
+from edgectl.model.snapshot import HostSample, Snapshot
+from edgectl.model.task import ZERO, Task, Tasks
 from tests.builders import NOW, a_run, a_sample, a_snapshot, a_task, an_edge, an_inventory, some_tasks
 from tests.scheduler.fleets import NO_MEMORY, decisions_by_task, hosts_by_task, run_assign, simulate_apply
 from tests.scheduler.tight_fleets import (
@@ -140,24 +140,26 @@ def test_against_every_placement_of_a_small_fleet(seed: int) -> None:
 def _has_full_placement(fleet: TightFleet) -> bool:
     edges = list(fleet.snapshot.hosts.values())
     tasks = list(fleet.tasks.tasks.values())
-    for places in product(range(len(edges)), repeat=len(tasks)):
-        for index, edge in enumerate(edges):
-            mine = [task for task, place in zip(tasks, places, strict=True) if place == index]
-            if any(
-                usage.used + sum(task.demand[name].value for task in mine) > usage.capacity * (1 + 1e-9)  # type: ignore[union-attr]
-                for name, usage in edge.usage.items()
-            ):
-                break
-            rates = {
-                robot: link.used_bytes_per_s
-                + sum(task.demand["network"].value for task in mine if task.robots == (robot,))  # type: ignore[union-attr]
-                for robot, link in edge.links.items()
-            }
-            if any(rate > edge.links[robot].capacity_bytes_per_s for robot, rate in rates.items()):
-                break
-        else:
-            return True
-    return False
+    return any(
+        all(
+            _has_room(edge, [task for task, place in zip(tasks, places, strict=True) if place == index])
+            for index, edge in enumerate(edges)
+        )
+        for places in product(range(len(edges)), repeat=len(tasks))
+    )
+
+
+def _has_room(edge: HostSample, tasks: list[Task]) -> bool:
+    used = {name: usage.used for name, usage in edge.usage.items()}
+    rates = {robot: link.used_bytes_per_s for robot, link in edge.links.items()}
+    for task in tasks:
+        for name in used:
+            used[name] += (task.demand[name] or ZERO).value
+        for robot in task.robots:
+            rates[robot] += (task.demand["network"] or ZERO).value
+    return all(used[name] <= usage.capacity * (1 + 1e-9) for name, usage in edge.usage.items()) and all(
+        rates[robot] <= link.capacity_bytes_per_s for robot, link in edge.links.items()
+    )
 
 
 @pytest.mark.parametrize(("edges", "tasks", "fleets"), [(5, 20, 12), (10, 50, 4)])
@@ -193,7 +195,7 @@ def test_names_do_not_decide_who_is_placed() -> None:
         fleet = build_full_fleet(4, 12, seed)
         renamed = {
             f"z{index}": replace(task, name=f"z{index}")
-            for index, task in enumerate(reversed(fleet.tasks.tasks.values()))
+            for index, task in enumerate(reversed(list(fleet.tasks.tasks.values())))
         }
         other = replace(fleet, tasks=replace(fleet.tasks, tasks=renamed))
         assert count_unplaced(fleet.assign()) == count_unplaced(other.assign()) == 0
