@@ -60,7 +60,7 @@ def update_manager_state(
     ended = {result.task: result for result in results.actions}
     placements, done = dict(manager.placements), dict(manager.done)
     for step in plan.steps:
-        if step.decision.reason in (Reason.HOST_LEFT, Reason.HOST_READDRESSED):
+        if step.decision.reason in (Reason.HOST_LEFT, Reason.HOST_READDRESSED, Reason.HOST_UNSURE):
             continue
         result, task = ended.get(step.task), tasks.tasks.get(step.task)
         located = result.located if result is not None else _find_running_host(plan.snapshot, step)
@@ -98,7 +98,26 @@ def update_manager_state(
         downtimes=_collect_downtimes(manager, results),
         stays=_collect_stays(manager, results, now),
         deferred=_collect_deferrals(manager, plan, results),
+        synced=_compute_synced_grants(manager, plan.snapshot, placements, tasks),
     )
+
+
+def _compute_synced_grants(
+    manager: ManagerState, snapshot: Snapshot, placements: Mapping[str, Placement], tasks: Tasks
+) -> Mapping[str, int]:
+    """The grants of all hosts, where all answered and ``placements`` has every task that lives there."""
+    hosts = snapshot.hosts.values()
+    alive = {
+        name: run for host in hosts for name, run in host.tasks.items() if run.managed and run.state.alive
+    }
+    noted = all(
+        name in placements and placements[name].generation >= run.generation
+        for name, run in alive.items()
+        if name in tasks.tasks or name in manager.placements
+    )
+    if not (noted and all(host.ok for host in hosts)):
+        return manager.synced
+    return {name: host.grant for name, host in snapshot.hosts.items() if host.grant}
 
 
 def _find_running_host(snapshot: Snapshot, step: Step) -> str | None:

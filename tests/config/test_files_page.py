@@ -96,7 +96,7 @@ def test_readers_cover_the_model() -> None:
 def test_keys_of_a_snapshot_are_complete() -> None:
     everything = TaskSample(
         state=TaskState.FAILED, links={}, instance="i", spec_hash="s", generation=1, managed=False, restarts=1, exit_code=1, detail="d",
-        fields={"command": "c"}, last_exit=1, log_tail=("l",), limits="l", given_up=True, metrics={"fps": 29.5}, ended_at=1.0, file="f", orphaned=True, adoptable=True, filed_as="edge9",
+        fields={"command": "c"}, last_exit=1, log_tail=("l",), limits="l", given_up=True, metrics={"fps": 29.5}, ended_at=1.0, file="f", orphaned=True, adoptable=True,
     )  # fmt: skip
     device = DeviceSample(
         load_1m=1.0,
