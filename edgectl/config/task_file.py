@@ -75,6 +75,7 @@ TASK_KEYS: Mapping[str, NodeReader] = {
     "needs": list_reader_with_nodes(read_need),
     "demand": read_demand,
     "priority": read_priority,
+    "preempt": read_bool,
     "deadline": read_duration,
     "hosts": read_host_rules,
     "onboard": enum_reader(OnboardRule),
