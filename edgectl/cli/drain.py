@@ -30,6 +30,7 @@ def drain_command(
     """
     from edgectl.cli.connect import build_fleet, parse_duration_option, parse_lock_timeout
     from edgectl.usecases.drain import drain_hosts
+    from edgectl.views.other_tasks import list_foreign_notes
     from edgectl.views.results import DrainView
 
     asked = apply_session.check_can_confirm(asked=not yes)
@@ -56,5 +57,6 @@ def drain_command(
         act.report(drained.applied)
     for task, host in drained.left:
         console.print_message(f"still on {host}: {task}")
+    console.print_notes(list_foreign_notes(drained.applied.plan.snapshot, hosts))
     code = exit_codes.of_applied(drained.applied, allow_unreachable=True)
     raise Exit(code or (ExitCode.DONE if drained.done else ExitCode.PARTLY))

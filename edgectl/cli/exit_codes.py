@@ -8,11 +8,11 @@ from edgectl.model.assignment import Reason
 from edgectl.model.cycle import Cycle
 from edgectl.model.diagnosis import Diagnosis, Severity
 from edgectl.model.inventory import Inventory
-from edgectl.model.lost_places import list_lost_tasks
 from edgectl.model.plan import Action, Plan
 from edgectl.model.profiler import Profiler, ProfilerState
 from edgectl.model.snapshot import Snapshot, find_doubled_tasks
 from edgectl.model.task import Tasks
+from edgectl.rules.lost_places import list_lost_tasks
 
 if TYPE_CHECKING:
     from edgectl.usecases.plan_execution import ApplyResult
@@ -60,6 +60,14 @@ def of_applied(
     """1 if declined, 130 if interrupted, 4 if an action failed or was deferred or a task runs twice;
     unreachable hosts and unplaced tasks as in a plan.
     """
+    code = _of_actions(applied) or of_plan(
+        applied.plan, detailed=detailed, allow_unreachable=allow_unreachable
+    )
+    return ExitCode.DONE if code is ExitCode.CHANGES else code
+
+
+def _of_actions(applied: "ApplyResult") -> ExitCode:
+    """1 if declined, 130 if interrupted, 4 if an action failed or was deferred or a task runs twice."""
     results = applied.results
     if applied.declined:
         return ExitCode.FAILED
@@ -67,17 +75,16 @@ def of_applied(
         return ExitCode.PARTLY
     if results is not None and not results.done:
         return ExitCode.INTERRUPTED if results.interrupted else ExitCode.PARTLY
-    code = of_plan(applied.plan, detailed=detailed, allow_unreachable=allow_unreachable)
-    return ExitCode.DONE if code is ExitCode.CHANGES else code
+    return ExitCode.DONE
 
 
-def of_stopped(applied: "ApplyResult", names: Collection[str] | None) -> ExitCode:
-    """As ``of_applied``, where silent hosts count only if the answer depends on them: all tasks (``names`` is
-    None) were to be stopped, or one that no host reports.
+def of_named(applied: "ApplyResult", names: Collection[str] | None) -> ExitCode:
+    """As ``of_applied`` for a stop or restart of ``names`` (None: all tasks). Silent hosts and lost places
+    count only if the answer depends on them: all tasks were meant, or one that no host reports.
     """
     planned = {step.task for step in applied.plan.steps}
     depends = names is None or not planned.issuperset(names)
-    return of_applied(applied, allow_unreachable=not depends)
+    return of_applied(applied) if depends else _of_actions(applied)
 
 
 def worsen_if_given_up(code: ExitCode, plan: Plan) -> ExitCode:

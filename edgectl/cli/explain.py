@@ -38,14 +38,13 @@ def explain_command(
     from edgectl.usecases.explain import compute_noise_by_host, explain_placement
     from edgectl.usecases.plan import make_plan
     from edgectl.views.explanation import ExplanationView
-    from edgectl.views.plan_sections import list_unreachable_notes
+    from edgectl.views.plan_sections import list_lost_task_notes, list_unreachable_notes
 
     loaded = load_inputs(inventory, tasks)
     check_known_names([task], loaded.tasks.tasks, "task")
     fleet = build_offline_fleet(loaded) if snapshot else build_fleet(loaded, accept_new=accept_new)
-    how = policy_from_options(
-        fleet, weights=weights, policy=policy, without=without, best_effort=False, full=False
-    )
+    overrides = options.PolicyOptions(weights=weights, policy=policy, without=without)
+    how = policy_from_options(fleet, overrides)
     made = make_plan(
         fleet,
         how,
@@ -55,4 +54,5 @@ def explain_command(
     found = explain_placement(fleet, made, task, None if snapshot else compute_noise_by_host(fleet))
     step = next(step for step in made.steps if step.task == task)
     console.print_view(ExplanationView(step, found, list_unreachable_notes(made.snapshot)), output)
+    console.print_notes(list_lost_task_notes(made.snapshot, {task}))
     raise Exit(exit_codes.of_plan(made, detailed=False, allow_unreachable=allow_unreachable))

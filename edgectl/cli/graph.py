@@ -31,13 +31,12 @@ def graph_command(
     from edgectl.config.documents import load_snapshot
     from edgectl.usecases.plan import make_plan
     from edgectl.views.graph import build_task_graph
-    from edgectl.views.plan_sections import list_unreachable_notes
+    from edgectl.views.plan_sections import list_snapshot_notes
 
     loaded = load_inputs(inventory, tasks)
     fleet = build_offline_fleet(loaded) if snapshot else build_fleet(loaded, accept_new=accept_new)
-    how = policy_from_options(
-        fleet, weights=weights, policy=policy, without=without, best_effort=False, full=False
-    )
+    overrides = options.PolicyOptions(weights=weights, policy=policy, without=without)
+    how = policy_from_options(fleet, overrides)
     made = make_plan(
         fleet,
         how,
@@ -46,5 +45,5 @@ def graph_command(
     )
     drawn = build_task_graph(made, loaded.tasks)
     console.print_text(drawn.mermaid() if output is OutputFormat.MERMAID else drawn.dot())
-    console.print_notes(list_unreachable_notes(made.snapshot))
+    console.print_notes(list_snapshot_notes(made.snapshot))
     raise Exit(exit_codes.of_plan(made, detailed=False, allow_unreachable=allow_unreachable))

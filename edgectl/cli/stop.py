@@ -1,7 +1,6 @@
 """stop and restart commands."""
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from typer import Argument, Exit, Option
 
@@ -10,9 +9,6 @@ from edgectl.cli.completion import complete_tasks as task_names
 from edgectl.cli.user_files import load_inputs
 from edgectl.errors import UsageError
 from edgectl.views.output_format import OutputFormat
-
-if TYPE_CHECKING:
-    from edgectl.usecases.plan_execution import ApplyResult
 
 
 def stop_command(
@@ -46,6 +42,7 @@ def stop_command(
     from edgectl.cli import apply_session
     from edgectl.cli.connect import build_fleet, parse_lock_timeout
     from edgectl.usecases.stop import stop_tasks
+    from edgectl.views.other_tasks import describe_absence
 
     if bool(names) == every:
         raise UsageError("name tasks, or pass --all", hint="list running tasks: edgectl status")
@@ -59,17 +56,11 @@ def stop_command(
         )
         applied = stop_tasks(fleet, names or None, act.confirm, chosen)
     act.report(applied)
-    _report_tasks_not_running(names or (), applied)
-    raise Exit(exit_codes.of_stopped(applied, names or None))
-
-
-def _report_tasks_not_running(names: Sequence[str], applied: "ApplyResult") -> None:
-    """Name the tasks that were not stopped because no host reports them, and the hosts that might."""
-    planned, silent = {step.task for step in applied.plan.steps}, applied.plan.snapshot.silent_hosts
-    for name in dict.fromkeys(names):
+    planned = {step.task for step in applied.plan.steps}
+    for name in dict.fromkeys(names or ()):
         if name not in planned:
-            unseen = f" that answers; no answer from {', '.join(silent)}" if silent else ""
-            console.print_message(f"{name} runs on no host{unseen}")
+            console.print_message(describe_absence(name, applied.plan.snapshot))
+    raise Exit(exit_codes.of_named(applied, names or None))
 
 
 def restart_command(
@@ -101,4 +92,4 @@ def restart_command(
             act.options(lock_timeout=parse_lock_timeout(lock_timeout)),
         )
     act.report(applied)
-    raise Exit(exit_codes.of_applied(applied, allow_unreachable=True))
+    raise Exit(exit_codes.of_named(applied, [task]))

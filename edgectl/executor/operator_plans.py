@@ -9,6 +9,7 @@ from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.snapshot import HostSample, Snapshot
 from edgectl.model.task import Tasks
+from edgectl.rules.lost_places import build_lost_place_decision, list_lost_tasks
 
 
 def list_running_instances(snapshot: Snapshot) -> dict[str, dict[str, str]]:
@@ -36,12 +37,16 @@ def list_unseen_placements(snapshot: Snapshot) -> dict[str, str]:
 def build_stop_plan(names: Iterable[str], inventory: Inventory, tasks: Tasks, snapshot: Snapshot) -> Plan:
     """Stop the named tasks wherever they run or may run; those that do not run need no step.
 
-    The step of a task whose last known host does not answer has the reason ``HOST_SILENT``.
+    The step of a task whose last known host does not answer has the reason ``HOST_SILENT``; that of one at a
+    lost place, the reason of that place.
     """
     places, unseen = list_running_instances(snapshot), list_unseen_placements(snapshot)
-    steps = []
+    lost, steps = list_lost_tasks(snapshot), list[Step]()
     for name in names:
-        if name in places or name in unseen:
+        if name in lost:
+            decision = build_lost_place_decision(name, lost[name], Verdict.UNPLACED)
+            steps.append(Step(decision=decision, action=Action.STOP))
+        elif name in places or name in unseen:
             decision = Decision(
                 task=name,
                 verdict=Verdict.UNPLACED,

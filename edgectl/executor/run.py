@@ -33,6 +33,7 @@ from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.progress import ProgressListener, ignore_progress
 from edgectl.model.result import ActionResult, Outcome, Results
 from edgectl.model.task import Task, Tasks
+from edgectl.rules.lost_places import describe_lost_place, get_lost_place
 from edgectl.state.journal import Journal
 from edgectl.transport.base import Transport
 from edgectl.transport.fleet_lease import FleetLease
@@ -78,33 +79,39 @@ def run_plan(
     acts = {
         step.task: StepRun(run=shared, step=step) for step in plan.steps if step.action.changes or step.stop
     }
-    counts = Counter(act.step.action.value for act in acts.values())
-    journal.append(
-        "begin",
+    _record_begin(shared, acts)
+    found = _run_steps(acts, workers, shared, cancellation)
+    results = Results(
         revision=identity.revision,
-        plan=identity.plan_id,
-        verb=identity.verb,
-        user=identity.user,
+        actions=tuple(found[name] for name in acts),
+        seconds=time.monotonic() - began,
+        interrupted=any(
+            result.outcome is Outcome.SKIPPED and result.error == INTERRUPTED for result in found.values()
+        ),
+    )
+    _record_end(shared, results)
+    return results
+
+
+def _record_begin(shared: RunContext, acts: Mapping[str, StepRun]) -> None:
+    shared.journal.append(
+        "begin",
+        revision=shared.identity.revision,
+        plan=shared.identity.plan_id,
+        verb=shared.identity.verb,
+        user=shared.identity.user,
         actions=len(acts),
-        counts=counts,
+        counts=Counter(act.step.action.value for act in acts.values()),
     )
-    results = _run_steps(acts, workers, shared, cancellation)
-    interrupted = any(
-        result.outcome is Outcome.SKIPPED and result.error == INTERRUPTED for result in results.values()
-    )
-    outcomes = Counter(result.outcome.value for result in results.values())
+
+
+def _record_end(shared: RunContext, results: Results) -> None:
     shared.record(
         "end",
-        revision=identity.revision,
-        interrupted=interrupted,
-        outcomes=outcomes,
-        seconds=round(time.monotonic() - began, 3),
-    )
-    return Results(
-        revision=identity.revision,
-        actions=tuple(results[name] for name in acts),
-        seconds=time.monotonic() - began,
-        interrupted=interrupted,
+        revision=results.revision,
+        interrupted=results.interrupted,
+        outcomes=Counter(result.outcome.value for result in results.actions),
+        seconds=round(results.seconds, 3),
     )
 
 
@@ -195,16 +202,22 @@ def _stop_step(act: StepRun, budget: StopBudget) -> ActionResult | None:
         return act.end(Outcome.FAILED, located=here, error=error)
     if act.step.action in STARTING_ACTIONS:
         return None
-    if act.step.action is Action.STOP and decision.reason is Reason.HOST_SILENT:
-        return act.end(
-            Outcome.UNREACHABLE, located=here, error=_build_silent_stop_error(act.name, here or "")
-        )
+    unseen = _find_unseen_stop_error(act) if act.step.action is Action.STOP else None
+    if unseen is not None:
+        return act.end(Outcome.UNREACHABLE, located=here, error=unseen)
     return act.end(Outcome.DONE, located=None if act.step.action in STOPPING_ACTIONS else here)
 
 
-def _build_silent_stop_error(task: str, host: str) -> HostError:
+def _find_unseen_stop_error(act: StepRun) -> HostError | None:
+    """Why a task that may run on was not stopped; None where every instance was seen."""
+    decision = act.step.decision
+    host, lost = decision.previous_host or "", get_lost_place(decision)
+    if lost is not None:
+        return HostError(f"not stopped: {act.name} {describe_lost_place(lost)}", host=host)
+    if decision.reason is not Reason.HOST_SILENT:
+        return None
     return HostError(
-        f"not stopped: {describe_unseen_task(task, host)}",
+        f"not stopped: {describe_unseen_task(act.name, host)}",
         hint=f"stop it again once {host} answers; if {host} is powered off: edgectl fence {host}",
         host=host,
     )

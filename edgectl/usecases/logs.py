@@ -9,6 +9,7 @@ from edgectl.errors import UnansweredError, UsageError, describe_unseen_task
 from edgectl.gateway.task_lookup import find_task_host
 from edgectl.model.inventory import Host
 from edgectl.names import check_known_names
+from edgectl.rules.lost_places import LostPlace, describe_lost_place
 from edgectl.state.manager_state import load_manager_state
 from edgectl.transport.agent_client import call_agent, stream_agent_log
 from edgectl.transport.base import Session
@@ -75,6 +76,10 @@ def _get_task_host(fleet: Fleet, task: str) -> Host:
         raise UnansweredError(
             f"{task} has not run on any host that answers; no answer from {', '.join(silent)}",
             hint="edgectl doctor",
+        )
+    if found is None and placed is not None and placed.host not in fleet.inventory.hosts:
+        raise UnansweredError(
+            f"no logs of {task}: it {describe_lost_place(LostPlace(host=placed.host))}", hint="edgectl status"
         )
     if found is None:
         check_known_names([task], fleet.tasks.tasks, "task")

@@ -14,6 +14,7 @@ from edgectl.executor.operator_plans import (
 from edgectl.model.plan import Action, Plan
 from edgectl.model.snapshot import Snapshot
 from edgectl.names import check_known_names
+from edgectl.rules.lost_places import describe_lost_place, list_lost_tasks
 from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.plan import make_plan
 from edgectl.usecases.plan_execution import (
@@ -36,7 +37,8 @@ def stop_tasks(
     """Stop the named tasks (None: all) on every host. The next apply starts them again unless they are marked
     done.
 
-    A task last known on a host that does not answer is an action with the outcome ``unreachable``.
+    A task last known on a host that does not answer, or at a lost place, is an action with the outcome
+    ``unreachable``.
 
     Raises:
         UsageError: a name is neither in the files nor running.
@@ -46,9 +48,7 @@ def stop_tasks(
     with lock_fleet(fleet, "stop", options) as held:
         snapshot = probe_fleet(held, options.probe)
         wanted = (
-            list({**list_running_instances(snapshot), **list_unseen_placements(snapshot)})
-            if names is None
-            else _check_task_names(fleet, names, snapshot)
+            list(_list_known_tasks(snapshot)) if names is None else _check_task_names(fleet, names, snapshot)
         )
         return confirm_and_execute(
             held,
@@ -67,7 +67,7 @@ def restart_task(
 
     Raises:
         UsageError: it is not in the files, neither runs nor failed for good, or has no placement.
-        UnansweredError: it may run on a host that does not answer.
+        UnansweredError: it may run on a host that does not answer or left the inventory.
         LockBusyError: another edgectl is changing this fleet.
     """
     options = options or ApplyOptions()
@@ -98,7 +98,7 @@ def _plan_restart(fleet: Fleet, name: str, snapshot: Snapshot) -> Plan:
 
 
 def _check_not_unseen(name: str, snapshot: Snapshot) -> None:
-    """Refuse to call a task stopped that may run on a host that does not answer.
+    """Refuse to call a task stopped that may run on a host that does not answer, or at a lost place.
 
     Raises:
         UnansweredError: it was last known there; or it is seen nowhere and is not given up anywhere.
@@ -109,6 +109,9 @@ def _check_not_unseen(name: str, snapshot: Snapshot) -> None:
             f"not restarted: {describe_unseen_task(name, host)}",
             hint=f"restart it once {host} answers; if {host} is powered off: edgectl fence {host}",
         )
+    lost = list_lost_tasks(snapshot).get(name)
+    if lost is not None:
+        raise UnansweredError(f"not restarted: {name} {describe_lost_place(lost)}", hint="edgectl plan")
     silent = snapshot.silent_hosts
     if silent and drop_given_up_runs(name, snapshot) == snapshot:
         raise UnansweredError(
@@ -118,6 +121,14 @@ def _check_not_unseen(name: str, snapshot: Snapshot) -> None:
 
 
 def _check_task_names(fleet: Fleet, names: Sequence[str], snapshot: Snapshot) -> list[str]:
-    known = {**list_running_instances(snapshot), **list_unseen_placements(snapshot)}
-    check_known_names(names, [*fleet.tasks.tasks, *known], "task")
+    check_known_names(names, [*fleet.tasks.tasks, *_list_known_tasks(snapshot)], "task")
     return list(dict.fromkeys(names))
+
+
+def _list_known_tasks(snapshot: Snapshot) -> dict[str, object]:
+    """The tasks that run, or may run on a silent host or at a lost place."""
+    return {
+        **list_running_instances(snapshot),
+        **list_unseen_placements(snapshot),
+        **list_lost_tasks(snapshot),
+    }

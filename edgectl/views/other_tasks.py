@@ -1,6 +1,6 @@
 """Tasks on a machine that are not those of its host: of another fleet, or filed under another host name."""
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 
 from edgectl.formats.document import Document, without_none
 from edgectl.model.snapshot import HostSample, OtherTask, Snapshot
@@ -14,23 +14,35 @@ _HEAD = head("fleet", "started_by", "host", "task", "state", "age_s")
 _MAX_NAMED = 5
 
 
-def list_foreign_notes(value: Snapshot) -> list[str]:
-    """One line for each other fleet with living tasks on these hosts.
+def list_foreign_notes(value: Snapshot, names: Collection[str] | None = None) -> list[str]:
+    """One line for each other fleet with living tasks on the hosts ``names`` (None: on any host).
 
     Several host names may be one machine, so a task is counted once.
     """
     found: dict[tuple[str, str], dict[OtherTask, None]] = {}
     hosts: dict[tuple[str, str], set[str]] = {}
     for name, host in value.hosts.items():
-        for task in host.foreign_tasks:
+        for task in host.foreign_tasks if names is None or name in names else ():
             owner = task.fleet, task.started_by
             found.setdefault(owner, {})[_without_age(task)] = None
             hosts.setdefault(owner, set()).add(name)
     return [
         f"{join_words(sorted(hosts[owner], key=natural_key))}: {_describe_owner(*owner)} runs "
-        f"{_name_tasks(found[owner])}; it counts as load and is left alone"
+        f"{_name_tasks(found[owner])}; it is left alone, and counts as load except on a slice"
         for owner in sorted(found)
     ]
+
+
+def describe_absence(task: str, value: Snapshot) -> str:
+    """That no host that answers runs ``task``, and who else has a task of this name."""
+    unseen = f" that answers; no answer from {', '.join(value.silent_hosts)}" if value.silent_hosts else ""
+    others = {
+        f"that of fleet {each.fleet} on {host} is left alone"
+        for host, sample in value.hosts.items()
+        for each in sample.foreign_tasks
+        if each.task == task and each.fleet
+    }
+    return "; ".join([f"{task} runs on no host{unseen}", *sorted(others)])
 
 
 def _without_age(task: OtherTask) -> OtherTask:

@@ -4,15 +4,15 @@ import dataclasses
 from collections.abc import Collection, Iterable
 
 from edgectl.model.assignment import ExpectedLoad
-from edgectl.model.lost_places import list_lost_tasks
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Action, Plan
 from edgectl.model.resource import HOST_RESOURCES
 from edgectl.model.snapshot import HostSample, LinkSample, Snapshot, find_doubled_tasks
 from edgectl.names import natural_key
+from edgectl.rules.lost_places import describe_lost_place, list_lost_tasks
 from edgectl.units import format_instant, format_rate
 from edgectl.views.demands import list_demand_notes
-from edgectl.views.reasons import describe_lost_place, describe_reason, is_left_out, is_not_found, join_words
+from edgectl.views.reasons import describe_reason, is_left_out, is_not_found, join_words
 from edgectl.views.state import format_silence
 from edgectl.views.text import (
     PLAIN,
@@ -146,6 +146,13 @@ def list_unreachable_notes(value: Snapshot) -> list[str]:
         for name, host in value.hosts.items()
         if not host.ok
     ]
+
+
+def list_snapshot_notes(value: Snapshot) -> list[str]:
+    """Why an answer is not complete or not well, which costs exit code 4: tasks that run twice, hosts without
+    a reply, tasks where the inventory no longer reaches them.
+    """
+    return list_doubled_notes(value) + list_unreachable_notes(value) + list_lost_task_notes(value)
 
 
 def list_doubled_notes(value: Snapshot) -> list[str]:

@@ -4,9 +4,9 @@ from collections import Counter
 from collections.abc import Callable, Iterable
 
 from edgectl.model.assignment import Decision, RankedHost, Reason, Rejection, RejectionRule, Verdict
-from edgectl.model.lost_places import LostPlace
 from edgectl.model.plan import Action, Step
 from edgectl.model.resource import Resource
+from edgectl.rules.lost_places import describe_lost_place, get_lost_place
 from edgectl.units import format_duration
 
 _RULE_TEXTS = {
@@ -28,6 +28,7 @@ _FIXED_REASON_TEXTS = {
     Reason.BEST: "highest utility",
     Reason.ONLY_FEASIBLE: "the only host that fits",
     Reason.BEST_EFFORT: "nothing fits; best effort",
+    Reason.ROOM_MADE: "fits since other tasks made room",
     Reason.PINNED: "pinned",
     Reason.FIRST_PLACEMENT: "first placement (policy static)",
     Reason.ONBOARD_LOCAL: "on its robot (policy local)",
@@ -35,7 +36,7 @@ _FIXED_REASON_TEXTS = {
     Reason.UNSETTLED: "no settled plan exists, so it stays",
     Reason.NEVER_MOVED: "placed once, never moved (policy static)",
     Reason.DONE: "completed",
-    Reason.OPERATOR: "requested by name",
+    Reason.OPERATOR: "requested",
     Reason.LEFT_FILE: "no longer in its task file",
     Reason.PRUNED: "in none of the given task files (--prune)",
     Reason.MOVES_FROZEN: "too many edges do not answer; no moves",
@@ -172,17 +173,6 @@ def _describe_silent_host(step: Step) -> str:
     )
 
 
-def describe_lost_place(lost: LostPlace) -> str:
-    """Where a task ran that the inventory no longer reaches, and what to do about it."""
-    back = "put it back and drain it" if lost.address is None else "put that back and drain it"
-    where = (
-        f"{lost.host}, which is no longer in the inventory"
-        if lost.address is None
-        else f"{lost.host} at {lost.address}, which the inventory no longer states"
-    )
-    return f"ran on {where}: {back}, or edgectl fence {lost.host}"
-
-
 def _get_silent_host(step: Step) -> str:
     return step.decision.subject or step.decision.host or "its host"
 
@@ -196,8 +186,8 @@ def _describe_given_up(step: Step) -> str:
 
 
 def _describe_left_host(step: Step) -> str:
-    host, _, address = (step.decision.subject or "its host").rstrip(")").partition(" (")
-    return describe_lost_place(LostPlace(host=host, address=address or None))
+    lost = get_lost_place(step.decision)
+    return describe_lost_place(lost) if lost is not None else ""
 
 
 def _describe_replaced(step: Step) -> str:
@@ -216,8 +206,13 @@ _REASON_DESCRIBERS: dict[Reason, Callable[[Step], str]] = {
     Reason.WITH_PREDECESSOR: _describe_with_predecessor,
     Reason.GAIN: _describe_gain,
     Reason.FORCED_INFEASIBLE: _describe_infeasible,
+    Reason.RELIEF: lambda step: (
+        f"no host fits; the worst overload falls by {step.decision.amount or 0.0:.0%} of the capacity"
+    ),
     Reason.FORCED_DRAIN: lambda step: f"{step.decision.previous_host} is drained",
     Reason.FORCED_RULE: lambda step: f"{step.decision.previous_host} is excluded" + _describe_exclusion(step),
+    Reason.MADE_ROOM: lambda step: f"made room for {step.decision.subject or 'another task'}",
+    Reason.PREEMPTED: lambda step: f"preempted by {step.decision.subject or 'a task'} of higher priority",
     Reason.BELOW_MARGIN: _describe_below_margin,
     Reason.GAIN_OVER_COST: _describe_gain_over_cost,
     Reason.COST_ABOVE_GAIN: _describe_cost_above_gain,
@@ -232,6 +227,10 @@ _REASON_DESCRIBERS: dict[Reason, Callable[[Step], str]] = {
         f"its predecessor {step.decision.subject} has not completed yet; plan again once it has"
     ),
     Reason.HOST_SILENT: _describe_silent_host,
+    Reason.HOST_UNSURE: lambda step: (
+        f"may run on {step.decision.subject}, which does not answer: another manager has acted since all "
+        f"hosts were last seen; edgectl fence {step.decision.subject} if it is off"
+    ),
     Reason.ROBOT_SILENT: _describe_silent_host,
     Reason.HOST_LEFT: _describe_left_host,
     Reason.HOST_READDRESSED: _describe_left_host,

@@ -18,7 +18,7 @@ from edgectl.views.glossary import head
 from edgectl.views.other_tasks import list_foreign_notes
 from edgectl.views.output import View
 from edgectl.views.output_format import FLEET_FORMATS
-from edgectl.views.plan_sections import list_unreachable_notes
+from edgectl.views.plan_sections import list_snapshot_notes
 from edgectl.views.rows import encode_host_row
 from edgectl.views.state import render_host_status
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, render_columns
@@ -44,8 +44,8 @@ class SnapshotView(View):
         )
 
     def notes(self) -> Sequence[str]:
-        """Hosts without a reply, and tasks of other fleets."""
-        return [*list_unreachable_notes(self._snapshot), *list_foreign_notes(self._snapshot)]
+        """Hosts without a reply, tasks that run twice or at lost places, and tasks of other fleets."""
+        return [*list_snapshot_notes(self._snapshot), *list_foreign_notes(self._snapshot)]
 
     def wide(self, look: RenderOptions = PLAIN) -> str:
         """The table, then load, temperature, GPU, sample age, links in full and interfaces of each host."""

@@ -6,9 +6,11 @@ from dataclasses import dataclass
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.snapshot import HostSample, Snapshot, TaskSample, TaskState
 from edgectl.model.task import Task, Tasks
+from edgectl.rules.lost_places import LostPlace, list_lost_tasks
 from edgectl.units import format_duration
 from edgectl.views.text import Cell
 
+_ORPHAN_REMARK = "its supervisor was lost: it is not restarted and has no self_fence until edgectl apply"
 _FAILED_STATES = (TaskState.FAILED, TaskState.CRASHLOOP)
 
 
@@ -17,12 +19,13 @@ class AbsentTask:
     """A task that no host reports.
 
     ``state``: completed, unknown, not running or (unmanaged) not found. Where unknown: the last ``host`` and
-    its ``contact`` (s since 1970).
+    its ``contact`` (s since 1970), or the ``lost`` place.
     """
 
     state: str
     host: str | None = None
     contact: float | None = None
+    lost: LostPlace | None = None
 
 
 def resolve_absent_task(task: Task, value: Snapshot) -> AbsentTask:
@@ -33,6 +36,9 @@ def resolve_absent_task(task: Task, value: Snapshot) -> AbsentTask:
         return AbsentTask(state="completed")
     if placement is not None and placement.host in value.hosts and not value.hosts[placement.host].ok:
         return AbsentTask(state="unknown", host=placement.host, contact=memory.contact.get(placement.host))
+    lost = list_lost_tasks(value).get(task.name)
+    if lost is not None:
+        return AbsentTask(state="unknown", host=lost.host, lost=lost)
     return AbsentTask(state="not running" if task.managed else "not found")
 
 
@@ -105,7 +111,7 @@ def render_host_status(name: str, sample: HostSample | None, memory: ManagerStat
 
 
 def list_task_remarks(value: Snapshot) -> list[str]:
-    """Last log lines and remedy of each failed task, and limits that are not enforced."""
+    """Last log lines and remedy of each failed task, orphans, and limits that are not enforced."""
     tasks = [
         (f"{name} on {host}", sample)
         for host, each in value.hosts.items()
@@ -117,7 +123,8 @@ def list_task_remarks(value: Snapshot) -> list[str]:
         for where, sample in tasks
         if sample.limits.startswith("not") and sample.state.alive
     ]
-    return said + _list_given_up_notes(value) + limits
+    orphans = [f"{where}: {_ORPHAN_REMARK}" for where, sample in tasks if sample.orphaned]
+    return said + _list_given_up_notes(value) + orphans + limits
 
 
 def _list_given_up_notes(value: Snapshot) -> list[str]:
@@ -136,4 +143,6 @@ def describe_attention(sample: TaskSample) -> str:
         return "given up; edgectl restart, or a changed spec, starts it again"
     if sample.state in (TaskState.FAILED, TaskState.CRASHLOOP):
         return format_task_state(sample) + (f": {sample.log_tail[-1]}" if sample.log_tail else "")
+    if sample.orphaned:
+        return _ORPHAN_REMARK
     return f"limits: {sample.limits}" if sample.limits.startswith("not") and sample.state.alive else ""

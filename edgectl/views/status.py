@@ -7,6 +7,7 @@ from edgectl.model.inventory import Inventory
 from edgectl.model.resource import RESOURCES
 from edgectl.model.snapshot import Snapshot, TaskSample, TaskState
 from edgectl.model.task import Task, Tasks
+from edgectl.rules.lost_places import describe_lost_place
 from edgectl.units import format_duration
 from edgectl.views.glossary import head
 from edgectl.views.other_tasks import list_foreign_notes
@@ -14,9 +15,8 @@ from edgectl.views.output import ListView
 from edgectl.views.output_format import NAMED_FORMATS
 from edgectl.views.plan_sections import (
     list_doubled_notes,
-    list_lost_task_notes,
     list_operator_mark_notes,
-    list_unreachable_notes,
+    list_snapshot_notes,
 )
 from edgectl.views.rows import (
     compute_task_age,
@@ -70,6 +70,8 @@ class StatusView(ListView):
         """First what runs twice and what failed; usage beside demand, or below on a narrow terminal."""
         rows: list[Row] = [_HEAD, *map(self._render_run_row, list_task_runs(self._snapshot))]
         rows += [_render_absent_row(task, self._snapshot) for task in self._absent_tasks()]
+        if len(rows) == 1:
+            return ""
         # A state may wrap, so the longest one does not count.
         widest: list[Row] = [(*row[:2], TaskState.COMPLETED, *row[3:]) for row in rows]
         if is_within_width(widest, look):
@@ -92,7 +94,8 @@ class StatusView(ListView):
 
     def notes(self) -> Sequence[str]:
         """The warnings, and remarks on tasks that stand in their rows in documents."""
-        return [*self.warnings(), *list_task_remarks(self._snapshot), *self._list_need_notes()]
+        none = [] if self._tasks.tasks or list_task_runs(self._snapshot) else ["no task"]
+        return [*none, *self.warnings(), *list_task_remarks(self._snapshot), *self._list_need_notes()]
 
     def _render_run_row(self, run: tuple[str, str, TaskSample]) -> Row:
         name, host, sample = run
@@ -144,9 +147,7 @@ class StatusView(ListView):
     def warnings(self) -> Sequence[str]:
         """Tasks that run twice, at lost places or of other fleets, hosts without a reply, and marks."""
         return [
-            *list_doubled_notes(self._snapshot),
-            *list_unreachable_notes(self._snapshot),
-            *list_lost_task_notes(self._snapshot),
+            *list_snapshot_notes(self._snapshot),
             *list_operator_mark_notes(self._snapshot),
             *list_foreign_notes(self._snapshot),
         ]
@@ -187,6 +188,8 @@ def _render_absent_row(task: Task, value: Snapshot) -> Row:
 
 def _describe_absence(task: Task, value: Snapshot) -> str | None:
     known = resolve_absent_task(task, value)
+    if known.lost is not None:
+        return describe_lost_place(known.lost)
     if known.host is None:
         return None if known.state == "completed" else known.state
     return f"{known.host} does not answer" + format_silence(known.contact, value.taken_at)

@@ -9,12 +9,15 @@ from edgectl.model.cycle import Cycle
 from edgectl.model.event import Event, EventKind
 from edgectl.model.plan import Action
 from edgectl.model.policy import WEIGHT_PRESETS, Weights
+from edgectl.model.resource import CPU
 from edgectl.model.result import ActionResult, Outcome
-from edgectl.model.snapshot import HostSample, Snapshot
+from edgectl.model.snapshot import HostSample, Snapshot, find_doubled_tasks
+from edgectl.rules.lost_places import describe_lost_place, list_lost_tasks
 from edgectl.units import format_instant
 from edgectl.views.events import encode_event
 from edgectl.views.output import ItemView
 from edgectl.views.output_format import CYCLE_FORMATS
+from edgectl.views.reasons import join_words
 from edgectl.views.results import format_action_result
 from edgectl.views.rows import encode_host_usage
 from edgectl.views.sparkline import SPARKLINE_SAMPLES
@@ -75,7 +78,10 @@ def _describe_health(cycle: Cycle) -> str | None:
         for step in (cycle.plan.steps if cycle.plan is not None else ())
         if step.decision.reason is Reason.GIVEN_UP
     ]
-    parts = [f"{name} does not answer" for name in cycle.snapshot.silent_hosts]
+    seen = cycle.snapshot
+    parts = [f"{name} does not answer" for name in seen.silent_hosts]
+    parts += [f"{task} runs on {join_words(hosts)}" for task, hosts in find_doubled_tasks(seen).items()]
+    parts += [f"{task} {describe_lost_place(place)}" for task, place in list_lost_tasks(seen).items()]
     return ", ".join([*parts, *(f"{task} is given up" for task in given_up)])
 
 
@@ -215,10 +221,10 @@ def _append_cpu_shares(
     if snapshot is None:
         return tally.shares
     return {
-        name: (*tally.shares.get(name, ()), _compute_cpu_share(host))[-SPARKLINE_SAMPLES:]
+        name: (*tally.shares.get(name, ()), _get_cpu_share(host))[-SPARKLINE_SAMPLES:]
         for name, host in snapshot.hosts.items()
     }
 
 
-def _compute_cpu_share(host: HostSample) -> float | None:
-    return None if "cpu" not in host.usage else host.usage["cpu"].used / host.usage["cpu"].capacity
+def _get_cpu_share(host: HostSample) -> float | None:
+    return host.usage[CPU.name].share if CPU.name in host.usage else None

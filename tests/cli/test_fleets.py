@@ -56,7 +56,7 @@ def test_a_second_fleet_sees_stops_and_restarts_nothing_of_the_first(
     assert set(second) == {"idle", "hall"}
     said = run("status")
     assert "edge1: fleet lab (" in said.out + said.err
-    assert "runs idle and lab; it counts as load and is left alone" in " ".join((said.out + said.err).split())
+    assert "runs idle and lab; it is left alone" in " ".join((said.out + said.err).split())
     assert "Other tasks on this machine:" in run("describe", "edge", "edge1").out
     assert run("restart", "idle", "--yes").code == 0
     assert run("stop", "--all", "--yes").code == 0

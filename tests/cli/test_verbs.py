@@ -61,6 +61,40 @@ def give_up(hosts: FakeFleet) -> None:
     }
 
 
+def orphan(hosts: FakeFleet) -> None:
+    """t0 runs on edge1, and its supervisor was killed."""
+    detail = "orphaned: the supervisor is gone, its processes still run"
+    hosts["edge1"].tasks["t0"] |= {"orphaned": True, "adoptable": True, "detail": detail}
+
+
+def replace_by_foreign_task(hosts: FakeFleet) -> None:
+    """t0 of the fleet arm runs on edge1, where t0 of this fleet has ended."""
+    hosts["edge1"].tasks.clear()
+    hosts["edge1"].others.append(
+        {
+            "fleet": "arm",
+            "host": "edge1",
+            "task": "t0",
+            "started_by": "ana@desk",
+            "state": "running",
+            "age_s": 60.0,
+            "instance": "f00",
+            "spec_hash": "theirs",
+            "generation": 4,
+        }
+    )
+
+
+def remove_host(hosts: FakeFleet) -> None:
+    """edge1, which runs t0, and the pin of t0 are removed from the files."""
+    del hosts.hosts["edge1"]
+    for name, text in (
+        ("fleet.yaml", "  edge1: {host: edge1.lab}\n"),
+        ("tasks.yaml", "hosts: {pin: edge1}, "),
+    ):
+        Path(name).write_text(Path(name).read_text().replace(text, ""))
+
+
 def end_everything(hosts: FakeFleet) -> None:
     """No task runs, and every host answers."""
     for host in hosts.hosts.values():
@@ -70,6 +104,9 @@ def end_everything(hosts: FakeFleet) -> None:
 SITUATIONS: dict[str, Callable[[FakeFleet], None]] = {
     "A host does not answer": lose_host,
     "A task is given up": give_up,
+    "A task is an orphan": orphan,
+    "A host has left the inventory": remove_host,
+    "A task of another fleet": replace_by_foreign_task,
     "Nothing matches": end_everything,
 }
 

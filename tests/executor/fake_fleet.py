@@ -1,10 +1,11 @@
 """Simulated hosts behind FakeTransport: they implement the agent protocol and record what ran where."""
 
+import copy
 import threading
 import time
 from collections import UserDict
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from edgectl.errors import ConnectError, HostError, RefusedError
 from edgectl.transport.fake import FakeTransport, Handler
@@ -42,7 +43,8 @@ class SharedEvents:
 @dataclass
 class FakeHost:
     """One host. ``faults`` maps an operation (``start``, ``stop:slam``) to an error to raise or a function
-    that returns the reply.
+    that returns the reply. ``others``: living tasks of its machine that are not this host's;
+    ``former``: the names of these that it has adopted, as the fleet "unnamed".
     """
 
     name: str
@@ -54,6 +56,8 @@ class FakeHost:
     delay: float = 0.0
     checks: dict[str, int] = field(default_factory=dict)
     seen: dict[str, int] = field(default_factory=dict)
+    others: list[Request] = field(default_factory=list)
+    former: list[str] = field(default_factory=list)
 
     def __call__(self, request: Request) -> Request:
         assert request["host"] == self.name
@@ -99,6 +103,20 @@ class FakeHost:
         }
         self.tasks[name] = entry
         return {**entry, "state": "started"}
+
+    def _adopt(self, request: Request) -> Request:
+        self.former = list(request["former"])  # type: ignore[call-overload]
+        for each in self.others:
+            if each["host"] in self.former and each["fleet"] == request["fleet"]:
+                self.runs(str(each["task"]), instance=str(each["instance"]))
+        return {"adopted": []}
+
+    def _takeover(self, request: Request) -> Request:
+        name = str(request["task"])
+        self._fence(request)
+        self.world.note(f"adopt {name} {self.name}")
+        self.tasks[name] |= {"orphaned": False, "adoptable": False, "detail": "adopted"}
+        return {"state": "taken-over", "instance": request["instance"]}
 
     def _wait(self, request: Request) -> Request:
         name = str(request["task"])
@@ -174,6 +192,8 @@ class FakeHost:
             },
             "tasks": entries,
             "generations": dict(self.seen),
+            "other_tasks": [each for each in self.others if each["host"] not in self.former],
+            "former": list(self.former),
             "checks": {},
             **({"lease": {"state": "granted", "epoch": 1}} if "lease" in request else {}),
         }
@@ -216,6 +236,23 @@ class FakeFleet:
 
     def __getitem__(self, name: str) -> FakeHost:
         return self.hosts[name]
+
+    def copy(self) -> "FakeFleet":
+        """Hosts of their own in the same state."""
+        old = self.world
+        world = SharedEvents(events=[*old.events], alive=copy.deepcopy(old.alive), overlap={*old.overlap})
+        hosts = {
+            name: replace(
+                host,
+                world=world,
+                tasks=copy.deepcopy(host.tasks),
+                faults={**host.faults},
+                checks={**host.checks},
+                seen={**host.seen},
+            )
+            for name, host in self.hosts.items()
+        }
+        return FakeFleet(hosts=hosts, world=world, down={*self.down})
 
     @property
     def transport(self) -> FakeTransport:

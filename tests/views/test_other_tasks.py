@@ -25,6 +25,6 @@ def test_each_fleet_is_named_once_with_its_tasks_and_hosts() -> None:
         }
     )
     assert list_foreign_notes(value) == [
-        "edge2: an edgectl before fleets runs t0, t1, t2, t3, t4 and 2 more; it counts as load and is left alone",
-        "edge1 and edge2: fleet hall (paula@laptop) runs slam and web; it counts as load and is left alone",
+        "edge2: an edgectl before fleets runs t0, t1, t2, t3, t4 and 2 more; it is left alone, and counts as load except on a slice",
+        "edge1 and edge2: fleet hall (paula@laptop) runs slam and web; it is left alone, and counts as load except on a slice",
     ]

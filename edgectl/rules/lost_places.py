@@ -5,6 +5,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from edgectl.model.assignment import Decision, Reason, Verdict
 from edgectl.model.inventory import Inventory
 from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.snapshot import HostSample, Snapshot
@@ -24,30 +25,67 @@ class LostPlace:
     fenced: bool = False
 
 
-def find_lost_place(
-    placement: Placement, hosts: Mapping[str, HostSample], manager: ManagerState
-) -> LostPlace | None:
-    """The place of ``placement`` where ``hosts`` (all that are in the inventory) do not reach it.
+def describe_lost_place(lost: LostPlace) -> str:
+    """Where a task ran that the inventory no longer reaches, and what to do about it."""
+    back = "put it back and drain it" if lost.address is None else "put that back and drain it"
+    where = (
+        f"{lost.host}, which is no longer in the inventory"
+        if lost.address is None
+        else f"{lost.host} at {lost.address}, which the inventory no longer states"
+    )
+    return f"ran on {where}: {back}, or edgectl fence {lost.host}"
 
-    An address that changed is the same place where the host answers from the same login of that machine.
+
+def build_lost_place_decision(task: str, lost: LostPlace, verdict: Verdict) -> Decision:
+    """The decision on ``task`` because its last place is lost."""
+    return Decision(
+        task=task,
+        verdict=verdict,
+        reason=Reason.HOST_LEFT if lost.address is None else Reason.HOST_READDRESSED,
+        previous_host=lost.host,
+        subject=lost.host if lost.address is None else f"{lost.host} ({lost.address})",
+    )
+
+
+def get_lost_place(decision: Decision) -> LostPlace | None:
+    """The lost place because of which it was decided; None for another reason."""
+    if decision.reason not in (Reason.HOST_LEFT, Reason.HOST_READDRESSED):
+        return None
+    host, _, address = (decision.subject or "its host").rstrip(")").partition(" (")
+    return LostPlace(host=host, address=address or None)
+
+
+def find_lost_place(
+    task: str, placement: Placement, hosts: Mapping[str, HostSample], manager: ManagerState
+) -> LostPlace | None:
+    """The place of ``task``, placed by ``placement``, where ``hosts`` (all of the inventory) do not reach it.
+
+    An address that changed is the same place where the host answers from the directories of the task.
     """
     host = hosts.get(placement.host)
-    if host is None and any(_is_same_place(placement, sample) for sample in hosts.values()):
+    if host is None and any(_is_same_place(task, placement, sample) for sample in hosts.values()):
         return None
     if host is None:
         return LostPlace(host=placement.host, fenced=placement.host in manager.fenced)
     if "" in (placement.address, host.address) or placement.address == host.address:
         return None
-    if _is_same_place(placement, host):
+    if _is_same_place(task, placement, host):
         return None
     return LostPlace(
         host=placement.host, address=placement.address, fenced=placement.address in manager.fenced
     )
 
 
-def _is_same_place(placement: Placement, host: HostSample) -> bool:
-    """Whether the host reads the directories of the placement, which it lists under every name."""
-    return host.ok and placement.machine != "" and placement.machine == host.machine
+def _is_same_place(task: str, placement: Placement, host: HostSample) -> bool:
+    """Whether the host reads the directories of the placement, which it lists under every name.
+
+    Copied images have one machine id, so it is not enough: only the place itself was given the generation.
+    """
+    if not host.ok or not placement.machine or placement.machine != host.machine:
+        return False
+    own = host.tasks.get(task)
+    known = max(host.generations.get(task, 0), own.generation if own is not None else 0)
+    return known >= max(1, placement.generation)
 
 
 def list_lost_tasks(snapshot: Snapshot) -> dict[str, LostPlace]:
@@ -55,7 +93,7 @@ def list_lost_tasks(snapshot: Snapshot) -> dict[str, LostPlace]:
     manager = snapshot.manager or ManagerState()
     seen = {name for host in snapshot.hosts.values() for name, run in host.tasks.items() if run.state.alive}
     lost = {
-        name: find_lost_place(manager.placements[name], snapshot.hosts, manager)
+        name: find_lost_place(name, manager.placements[name], snapshot.hosts, manager)
         for name in sorted(manager.placements.keys() - seen, key=natural_key)
     }
     return {name: place for name, place in lost.items() if place is not None and not place.fenced}
