@@ -44,6 +44,8 @@ RATE_PATTERN = rf"{_NUMBER}\s*(?:(?:{'|'.join((*filter(None, _BYTE_UNITS), *_BIT
 SHARE_PATTERN = rf"{_NUMBER}\s*%"
 DURATION_PATTERN = _DURATION.pattern
 _INSTANT = re.compile(r"\d{4}-\d{2}-\d{2}[Tt]\d{2}:\d{2}:\d{2}(?:\.\d{1,6})?(?:[Zz]|[+-]\d{2}:\d{2})")
+# Of years that have four digits in every time zone.
+_FIRST_INSTANT_S, _LAST_INSTANT_S = -62_135_500_000.0, 253_402_200_000.0
 
 
 class QuantityError(ValueError):
@@ -129,9 +131,14 @@ def parse_duration(raw: object) -> float:
 
 def parse_instant(raw: object) -> float:
     """Seconds since 1970 (UTC) from an RFC 3339 string."""
-    if not isinstance(raw, str) or _INSTANT.fullmatch(raw) is None:
-        raise QuantityError(f"cannot be read as an instant: {raw!r}", "write 2026-11-21T08:00:00Z")
-    return datetime.fromisoformat(raw.upper()).timestamp()
+    try:
+        if isinstance(raw, str) and _INSTANT.fullmatch(raw):
+            seconds = datetime.fromisoformat(raw.upper()).timestamp()
+            if _FIRST_INSTANT_S <= seconds <= _LAST_INSTANT_S:
+                return seconds
+    except ValueError:
+        pass
+    raise QuantityError(f"cannot be read as an instant: {raw!r}", "write 2026-11-21T08:00:00Z")
 
 
 def format_instant(epoch_s: float) -> str:

@@ -171,6 +171,8 @@ def build_app_with_commands(wanted: Sequence[str], *, completing: bool = False) 
         first, _, second = name.partition(" ")
         place = groups.get(first, app)
         if name in wanted:
+            from edgectl.cli.options import expand_option_groups
+
             function = getattr(import_module(f"edgectl.{entry.module}"), f"{name.replace(' ', '_')}_command")
             text, examples = split_docstring(function)
             place.command(
@@ -178,7 +180,7 @@ def build_app_with_commands(wanted: Sequence[str], *, completing: bool = False) 
                 help=text,
                 epilog=f"\b\nExamples:\n{examples}",
                 context_settings=CONTEXT_SETTINGS,
-            )(function)
+            )(expand_option_groups(function))
         else:
             place.command(second or name, help=entry.help)(_placeholder_command)
     return app

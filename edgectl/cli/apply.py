@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated
 
-from typer import Argument, Exit, Option
+from typer import Argument, Exit
 
 from edgectl.cli import console, exit_codes, options
 from edgectl.cli.user_files import load_inputs
@@ -19,20 +19,9 @@ def apply_command(
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
     output: options.NamedOutput = OutputFormat.TABLE,
-    yes: options.YesOption = False,
-    quiet: options.QuietOption = False,
-    dry_run: Annotated[bool, Option("--dry-run", help="Only print the exact remote commands.")] = False,
-    max_parallel: options.MaxParallelOption = 16,
-    fail_fast: options.FailFastOption = False,
-    lock_timeout: options.LockTimeoutOption = None,
-    weights: options.WeightsOption = None,
-    policy: options.PolicyOption = None,
-    best_effort: options.BestEffortOption = False,
-    prune: options.PruneOption = False,
-    full: options.FullOption = False,
-    without: options.WithoutOption = None,
-    target: options.TargetOption = None,
-    selector: options.SelectorOption = None,
+    change: options.ChangeOptions,
+    overrides: options.PlanPolicyOptions,
+    limits: options.PlanFilterOptions,
     detailed: options.DetailedExitcodeOption = False,
     allow_unreachable: options.AllowUnreachableOption = False,
     accept_new: options.AcceptNewOption = False,
@@ -46,35 +35,19 @@ def apply_command(
         edgectl apply next.plan
     """
     from edgectl.cli import apply_session, policy_options
-    from edgectl.cli.connect import build_fleet, parse_lock_timeout
+    from edgectl.cli.connect import build_fleet
     from edgectl.usecases.apply import apply_saved_plan, plan_and_apply
     from edgectl.usecases.given_up import take_given_up_reminders
 
-    asked = apply_session.check_can_confirm(asked=plan is None and not yes and not dry_run)
-    fleet = build_fleet(load_inputs(inventory, tasks, quiet=quiet), accept_new=accept_new)
-    choose = policy_options.build_plan_filter(fleet.tasks, target, selector, quiet=quiet)
-    how = policy_options.policy_from_options(
-        fleet,
-        weights=weights,
-        policy=policy,
-        without=without,
-        best_effort=best_effort,
-        full=full,
-        prune=prune,
-        attended=policy_options.is_interactive(),
-    )
-    saved = policy_options.load_saved_plan(
-        plan, weights, policy, without, target, selector, best_effort or full or prune
-    )
-    if dry_run:
+    asked = apply_session.check_can_confirm(asked=plan is None and not change.yes and not change.dry_run)
+    fleet = build_fleet(load_inputs(inventory, tasks, quiet=change.quiet), accept_new=accept_new)
+    choose = policy_options.build_plan_filter(fleet.tasks, limits, quiet=change.quiet)
+    how = policy_options.policy_from_options(fleet, overrides, attended=policy_options.is_interactive())
+    saved = policy_options.load_saved_plan(plan, overrides, limits)
+    if change.dry_run:
         raise Exit(apply_session.print_dry_run(fleet, how, saved, choose, output))
-    with apply_session.open_apply_session(quiet=quiet, output=output, asked=asked) as act:
-        chosen = act.options(
-            lock_timeout=parse_lock_timeout(lock_timeout),
-            max_parallel=max_parallel,
-            fail_fast=fail_fast,
-            choose=choose,
-        )
+    with apply_session.open_apply_session(quiet=change.quiet, output=output, asked=asked) as act:
+        chosen = act.options_from(change, choose)
         applied = (
             plan_and_apply(fleet, how, act.confirm, chosen)
             if saved is None
@@ -82,7 +55,7 @@ def apply_command(
         )
     code = exit_codes.of_applied(applied, detailed=detailed, allow_unreachable=allow_unreachable)
     act.report(applied, code)
-    if quiet:
+    if change.quiet:
         for reminder in take_given_up_reminders(fleet, applied.plan):
             console.print_message(reminder)
     raise Exit(exit_codes.worsen_if_given_up(code, applied.plan))

@@ -6,6 +6,8 @@ import threading
 from collections.abc import Callable, Iterator
 
 from edgectl.cli import console
+from edgectl.cli.connect import parse_lock_timeout
+from edgectl.cli.options import ChangeOptions
 from edgectl.cli.signals import request_stop_on_signal
 from edgectl.errors import ExitCode, UsageError
 from edgectl.model.plan import Plan
@@ -62,6 +64,21 @@ class ApplySession:
             choose=choose,
             progress=self._hear,
             stop_requested=self.stop_requested,
+        )
+
+    def options_from(
+        self, given: ChangeOptions, choose: Callable[[Plan], Plan] = keep_whole_plan
+    ) -> ApplyOptions:
+        """Options of the use case from those of the command line.
+
+        Raises:
+            UsageError: the time-out is no duration.
+        """
+        return self.options(
+            lock_timeout=parse_lock_timeout(given.lock_timeout),
+            max_parallel=given.max_parallel,
+            fail_fast=given.fail_fast,
+            choose=choose,
         )
 
     def confirm(self, plan: Plan) -> bool:

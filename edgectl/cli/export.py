@@ -12,7 +12,8 @@ from edgectl.cli import console, exit_codes, options
 from edgectl.cli.extras import require_extra
 from edgectl.cli.user_files import PUBLIC_FILE_MODE, load_inputs, resolve_inventory_path, save_file
 from edgectl.errors import UsageError
-from edgectl.export.history_rows import HistoryPoint, RowKind, format_csv_lines, format_json_lines
+from edgectl.export.history_rows import RowKind, format_csv_lines, format_json_lines
+from edgectl.model.point import HistoryPoint
 
 _KindArgument = Annotated[
     RowKind,

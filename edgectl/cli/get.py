@@ -15,8 +15,10 @@ from edgectl.names import check_known_names
 from edgectl.views.output_format import OutputFormat
 
 if TYPE_CHECKING:
+    from edgectl.model.snapshot import Snapshot
     from edgectl.usecases.fleet import Fleet
-    from edgectl.views.listing import Listing, ListingChangesView
+    from edgectl.views.listing import ListingChangesView
+    from edgectl.views.listing_items import Listing
 
 _KIND_NAMES = ("edges", "robots", "tasks", "links")
 
@@ -29,26 +31,30 @@ def _complete_names(incomplete: str) -> list[str]:
     return [*complete_hosts(incomplete), *complete_tasks(incomplete)]
 
 
+_KindArgument = Annotated[
+    str,
+    Argument(
+        metavar="KIND",
+        autocompletion=_complete_kinds,
+        help="edges, robots, tasks or links.",
+        show_default=False,
+    ),
+]
+_NamesArgument = Annotated[
+    list[str] | None,
+    Argument(
+        metavar="[NAME...]",
+        autocompletion=_complete_names,
+        help="Only these names; of links, an end.",
+        show_default=False,
+    ),
+]
+
+
 def get_command(
     *,
-    kind: Annotated[
-        str,
-        Argument(
-            metavar="KIND",
-            autocompletion=_complete_kinds,
-            help="edges, robots, tasks or links.",
-            show_default=False,
-        ),
-    ],
-    names: Annotated[
-        list[str] | None,
-        Argument(
-            metavar="[NAME...]",
-            autocompletion=_complete_names,
-            help="Only these names; of links, an end.",
-            show_default=False,
-        ),
-    ] = None,
+    kind: _KindArgument,
+    names: _NamesArgument = None,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
     output: options.FleetOutput = OutputFormat.TABLE,
@@ -72,24 +78,25 @@ def get_command(
     from edgectl.cli.connect import build_fleet
     from edgectl.usecases.probe import probe_fleet
     from edgectl.usecases.status import probe_repeatedly
-    from edgectl.views.listing import ListingKind, ListingView, build_listing
+    from edgectl.views.listing import ListingView
+    from edgectl.views.listing_items import ListingKind, build_listing
     from edgectl.views.output_format import NAMED_STREAM_FORMATS, check_output_format
 
     wanted, period = ListingKind(_resolve_kind(kind)), parse_every_option(every)
     fleet = build_fleet(load_inputs(inventory, tasks, needs_tasks=wanted is ListingKind.TASKS))
     _check_names_and_selector(wanted, names or (), selector, fleet)
+
+    def build(look: "Snapshot") -> "Listing":
+        return _filter_listing(build_listing(wanted, look, fleet.inventory, fleet.tasks), names, selector)
+
     if watch:
         check_output_format(output, NAMED_STREAM_FORMATS)
         with catch_stop_signals(period) as end:
-            found = (
-                _filter_listing(build_listing(wanted, look, fleet.inventory, fleet.tasks), names, selector)
-                for look in probe_repeatedly(fleet, end)
-            )
+            found = map(build, probe_repeatedly(fleet, end))
             console.print_view_series(_stream_listing_changes(found), output)
         return
     snapshot = probe_fleet(fleet)
-    listing = build_listing(wanted, snapshot, fleet.inventory, fleet.tasks)
-    console.print_view(ListingView(_filter_listing(listing, names, selector)), output)
+    console.print_view(ListingView(build(snapshot)), output)
     raise Exit(exit_codes.of_snapshot(snapshot, fleet.inventory, allow_unreachable=allow_unreachable))
 
 
@@ -140,7 +147,8 @@ def _filter_listing(value: "Listing", names: Sequence[str] | None, selector: str
 
 def _stream_listing_changes(found: "Iterator[Listing]") -> "Iterator[ListingChangesView]":
     """The changes of each probe that differs from the one before."""
-    from edgectl.views.listing import ListingChangesView, compare_listings
+    from edgectl.views.listing import ListingChangesView
+    from edgectl.views.listing_items import compare_listings
 
     first: Listing | None = None
     before: Listing | None = None

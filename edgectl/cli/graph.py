@@ -35,9 +35,8 @@ def graph_command(
 
     loaded = load_inputs(inventory, tasks)
     fleet = build_offline_fleet(loaded) if snapshot else build_fleet(loaded, accept_new=accept_new)
-    how = policy_from_options(
-        fleet, weights=weights, policy=policy, without=without, best_effort=False, full=False
-    )
+    overrides = options.PolicyOptions(weights=weights, policy=policy, without=without)
+    how = policy_from_options(fleet, overrides)
     made = make_plan(
         fleet,
         how,

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated
 
-from typer import Argument, Exit, Option
+from typer import Argument, Exit
 
 from edgectl.cli import console, exit_codes, options
 from edgectl.cli.user_files import load_inputs
@@ -81,12 +81,7 @@ def rollback_command(
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
     output: options.NamedOutput = OutputFormat.TABLE,
-    yes: options.YesOption = False,
-    quiet: options.QuietOption = False,
-    dry_run: Annotated[bool, Option("--dry-run", help="Only print the exact remote commands.")] = False,
-    max_parallel: options.MaxParallelOption = 16,
-    fail_fast: options.FailFastOption = False,
-    lock_timeout: options.LockTimeoutOption = None,
+    change: options.ChangeOptions,
     allow_unreachable: options.AllowUnreachableOption = False,
 ) -> None:
     """Restore the placement of an earlier revision: plan, ask, apply. Commands and demands are those of the
@@ -98,27 +93,22 @@ def rollback_command(
         edgectl rollback 1 --dry-run
     """
     from edgectl.cli import apply_session
-    from edgectl.cli.connect import build_fleet, parse_lock_timeout
+    from edgectl.cli.connect import build_fleet
     from edgectl.usecases.history import plan_rollback, roll_back_fleet
     from edgectl.usecases.plan import keep_whole_plan
     from edgectl.usecases.plan_execution import ApplyOptions
 
-    asked = apply_session.check_can_confirm(asked=not yes and not dry_run)
+    asked = apply_session.check_can_confirm(asked=not change.yes and not change.dry_run)
     fleet = build_fleet(load_inputs(inventory, tasks))
     policy = fleet.tasks.policy
-    if dry_run:
+    if change.dry_run:
         raise Exit(
             apply_session.print_dry_run(
                 fleet, policy, plan_rollback(fleet, policy, revision, ApplyOptions()), keep_whole_plan, output
             )
         )
-    with apply_session.open_apply_session(quiet=quiet, output=output, asked=asked) as act:
-        chosen = act.options(
-            lock_timeout=parse_lock_timeout(lock_timeout),
-            max_parallel=max_parallel,
-            fail_fast=fail_fast,
-        )
-        applied = roll_back_fleet(fleet, policy, revision, act.confirm, chosen)
+    with apply_session.open_apply_session(quiet=change.quiet, output=output, asked=asked) as act:
+        applied = roll_back_fleet(fleet, policy, revision, act.confirm, act.options_from(change))
     code = exit_codes.of_applied(applied, allow_unreachable=allow_unreachable)
     act.report(applied, code)
     raise Exit(code)

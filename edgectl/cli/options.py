@@ -1,7 +1,11 @@
-"""Options shared by commands, each defined once."""
+"""Options shared by commands, each defined once, and groups of options that commands take as one value."""
 
+import dataclasses
+import functools
+import inspect
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, get_origin
 
 from typer import Argument, Option
 
@@ -187,3 +191,78 @@ TasksArgument = Annotated[
     ),
 ]
 Shell = Literal["bash", "zsh", "fish"]
+DryRunOption = Annotated[bool, Option("--dry-run", help="Only print the exact remote commands.")]
+
+
+@dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
+class PolicyOptions:
+    """Overrides of the policy of the task files. ``full`` is an option of ``PlanPolicyOptions`` only."""
+
+    weights: WeightsOption = None
+    policy: PolicyOption = None
+    best_effort: BestEffortOption = False
+    prune: PruneOption = False
+    full: bool = False
+    without: WithoutOption = None
+
+
+@dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
+class PlanPolicyOptions(PolicyOptions):
+    """Overrides of the policy for one plan."""
+
+    full: FullOption = False
+
+
+@dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
+class PlanFilterOptions:
+    """Tasks to which a plan is limited; decisions still cover all tasks."""
+
+    target: TargetOption = None
+    selector: SelectorOption = None
+
+
+@dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
+class ChangeOptions:
+    """How a plan is confirmed and carried out."""
+
+    yes: YesOption = False
+    quiet: QuietOption = False
+    dry_run: DryRunOption = False
+    max_parallel: MaxParallelOption = 16
+    fail_fast: FailFastOption = False
+    lock_timeout: LockTimeoutOption = None
+
+
+def expand_option_groups(command: Callable[..., None]) -> Callable[..., None]:
+    """``command`` with the options of each group (a parameter whose type is a dataclass) as its own."""
+    signature = inspect.signature(command)
+    groups: dict[str, type[Any]] = {
+        name: parameter.annotation
+        for name, parameter in signature.parameters.items()
+        if isinstance(parameter.annotation, type) and dataclasses.is_dataclass(parameter.annotation)
+    }
+
+    @functools.wraps(command)
+    def call(**given: Any) -> None:  # noqa: ANN401
+        for name, group in groups.items():
+            given[name] = group(**{each.name: given.pop(each.name) for each in _list_group_options(group)})
+        command(**given)
+
+    parameters = [
+        each
+        for name, parameter in signature.parameters.items()
+        for each in (_list_group_options(groups[name]) if name in groups else [parameter])
+    ]
+    call.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+    return call
+
+
+def _list_group_options(group: type[Any]) -> list[inspect.Parameter]:
+    """The fields of a group that are options, as parameters."""
+    return [
+        inspect.Parameter(
+            each.name, inspect.Parameter.KEYWORD_ONLY, default=each.default, annotation=each.type
+        )
+        for each in dataclasses.fields(group)
+        if get_origin(each.type) is Annotated
+    ]

@@ -14,14 +14,8 @@ def plan_command(
     output: options.PlanOutput = OutputFormat.TABLE,
     snapshot: options.SnapshotOption = None,
     out: options.SavePlanOption = None,
-    weights: options.WeightsOption = None,
-    policy: options.PolicyOption = None,
-    best_effort: options.BestEffortOption = False,
-    prune: options.PruneOption = False,
-    full: options.FullOption = False,
-    without: options.WithoutOption = None,
-    target: options.TargetOption = None,
-    selector: options.SelectorOption = None,
+    overrides: options.PlanPolicyOptions,
+    limits: options.PlanFilterOptions,
     detailed: options.DetailedExitcodeOption = False,
     allow_unreachable: options.AllowUnreachableOption = False,
     accept_new: options.AcceptNewOption = False,
@@ -42,17 +36,9 @@ def plan_command(
     from edgectl.views.plan import PlanView
 
     loaded = load_inputs(inventory, tasks)
-    choose = build_plan_filter(loaded.tasks, target, selector)
+    choose = build_plan_filter(loaded.tasks, limits)
     fleet = build_offline_fleet(loaded) if snapshot else build_fleet(loaded, accept_new=accept_new)
-    how = policy_from_options(
-        fleet,
-        weights=weights,
-        policy=policy,
-        without=without,
-        best_effort=best_effort,
-        full=full,
-        prune=prune,
-    )
+    how = policy_from_options(fleet, overrides)
     result = choose(
         make_plan(
             fleet,

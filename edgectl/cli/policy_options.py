@@ -2,17 +2,18 @@
 
 import dataclasses
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
 from edgectl.cli import console
+from edgectl.cli.options import PlanFilterOptions, PolicyOptions
 from edgectl.cli.selector import matches_selector
 from edgectl.cli.user_files import refuse_exposed_files, select_exposed
 from edgectl.config.weights import parse_weights
 from edgectl.errors import UsageError
 from edgectl.model.plan import Plan
-from edgectl.model.policy import Policy, PolicyName, Weights
+from edgectl.model.policy import Policy, Weights
 from edgectl.model.task import Tasks
 from edgectl.names import check_known_names
 from edgectl.units import QuantityError
@@ -20,32 +21,22 @@ from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.plan import keep_whole_plan, limit_plan_to_tasks
 
 
-def policy_from_options(
-    fleet: Fleet,
-    *,
-    weights: str | None,
-    policy: PolicyName | None,
-    without: Sequence[str] | None,
-    best_effort: bool,
-    full: bool,
-    prune: bool = False,
-    attended: bool = True,
-) -> Policy:
+def policy_from_options(fleet: Fleet, given: PolicyOptions, *, attended: bool = True) -> Policy:
     """The policy of the task files with the overrides of the command line.
 
     Raises:
         UsageError: invalid weights, or an unknown host.
     """
-    check_known_names(without or (), fleet.inventory.hosts, "host")
+    check_known_names(given.without or (), fleet.inventory.hosts, "host")
     stated = fleet.tasks.policy
     return dataclasses.replace(
         stated,
-        name=policy or stated.name,
-        weights=_parse_weights_option(weights) if weights is not None else stated.weights,
-        without=frozenset(without or ()),
-        best_effort=best_effort,
-        full=full,
-        prune=prune,
+        name=given.policy or stated.name,
+        weights=_parse_weights_option(given.weights) if given.weights is not None else stated.weights,
+        without=frozenset(given.without or ()),
+        best_effort=given.best_effort,
+        full=given.full,
+        prune=given.prune,
         attended=attended,
     )
 
@@ -65,11 +56,11 @@ def _parse_weights_option(text: str) -> Weights:
         raise UsageError(f"--weights: {error.message}", hint=error.hint) from None
 
 
-def load_saved_plan(path: Path | None, *decisions: object) -> Plan | None:
+def load_saved_plan(path: Path | None, overrides: PolicyOptions, limits: PlanFilterOptions) -> Plan | None:
     """The saved plan if one is given; it is applied as it is.
 
     Raises:
-        UsageError: an option of ``decisions`` is given as well.
+        UsageError: an option that changes decisions is given as well.
         InputError: everything that is wrong with the file, or others may write it.
     """
     from edgectl.config.documents import read_plan
@@ -77,7 +68,7 @@ def load_saved_plan(path: Path | None, *decisions: object) -> Plan | None:
 
     if path is None:
         return None
-    if any(decisions):
+    if any(dataclasses.astuple(overrides)) or any(dataclasses.astuple(limits)):
         raise UsageError(
             f"{path} is a saved plan: options that change decisions do not apply to it",
             hint="pass them to: edgectl plan --out PLAN",
@@ -89,7 +80,7 @@ def load_saved_plan(path: Path | None, *decisions: object) -> Plan | None:
 
 
 def build_plan_filter(
-    tasks: Tasks, names: Sequence[str] | None, selector: str | None, *, quiet: bool = False
+    tasks: Tasks, limits: PlanFilterOptions, *, quiet: bool = False
 ) -> Callable[[Plan], Plan]:
     """Filter that limits a plan to ``--target`` and ``-l``; decisions still cover all tasks. ``quiet``:
     without a warning about that.
@@ -97,15 +88,15 @@ def build_plan_filter(
     Raises:
         UsageError: an unknown task, or an invalid selector.
     """
-    if not names and selector is None:
+    if not limits.target and limits.selector is None:
         return keep_whole_plan
-    check_known_names(names or (), tasks.tasks, "task")
-    wanted = set(names or ())
-    if selector is not None:
+    check_known_names(limits.target or (), tasks.tasks, "task")
+    wanted = set(limits.target or ())
+    if limits.selector is not None:
         wanted |= {
             task.name
             for task in tasks.tasks.values()
-            if matches_selector(selector, {**task.labels, "task": task.template})
+            if matches_selector(limits.selector, {**task.labels, "task": task.template})
         }
     return partial(_filter_plan, wanted=frozenset(wanted), quiet=quiet)
 

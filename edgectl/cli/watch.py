@@ -5,7 +5,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Iterator
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from typer import Exit, Option
 
@@ -18,6 +18,9 @@ from edgectl.units import format_duration
 from edgectl.usecases.control import Control
 from edgectl.usecases.fleet import Fleet
 from edgectl.views.output_format import OutputFormat
+
+if TYPE_CHECKING:
+    from edgectl.usecases.watch import WatchOptions
 
 _MIN_PERIOD_S = 1.0
 _ApplyOption = Annotated[bool, Option("--apply", help="Apply the plans, without asking.")]
@@ -39,11 +42,7 @@ def watch_command(
     cycles: _CyclesOption = None,
     take_over: _TakeOverOption = False,
     max_parallel: options.MaxParallelOption = 16,
-    weights: options.WeightsOption = None,
-    policy: options.PolicyOption = None,
-    best_effort: options.BestEffortOption = False,
-    prune: options.PruneOption = False,
-    without: options.WithoutOption = None,
+    overrides: options.PolicyOptions,
     accept_new: options.AcceptNewOption = False,
 ) -> None:
     """Re-plan periodically; with --apply, also apply.
@@ -57,52 +56,59 @@ def watch_command(
         edgectl watch -o jsonl --cycles 1
     """
     from edgectl.cli import policy_options
-    from edgectl.cli.connect import build_fleet, parse_duration_option
+    from edgectl.cli.connect import build_fleet
     from edgectl.cli.reload import build_fleet_reloader
-    from edgectl.cli.signals import stop_control_on_signal
     from edgectl.usecases.plan_execution import ApplyOptions
-    from edgectl.usecases.watch import WatchOptions, watch_fleet
-
-    pause = parse_duration_option(every, "--every")
-    if pause < _MIN_PERIOD_S:
-        raise UsageError(f"--every {every} is too short", hint="write 1s or more")
+    from edgectl.usecases.watch import WatchOptions
 
     def how(fleet: Fleet) -> Policy:
-        return policy_options.policy_from_options(
-            fleet,
-            weights=weights,
-            policy=policy,
-            without=without,
-            best_effort=best_effort,
-            full=False,
-            prune=prune,
-            attended=False,
-        )
+        return policy_options.policy_from_options(fleet, overrides, attended=False)
 
-    refresh = build_fleet_reloader(inventory, tasks, accept_new=accept_new)
-    loaded, control = load_inputs(inventory, tasks), Control()
-    fleet = build_fleet(loaded, accept_new=accept_new, asking=False)
     given = WatchOptions(
-        every=pause,
+        every=_parse_period(every),
         apply=apply,
         take_over=take_over,
         cycles=cycles,
         execution=ApplyOptions(max_parallel=max_parallel),
         debug=bool(os.environ.get("EDGECTL_DEBUG")),
         policy=how,
-        refresh=refresh,
-        control=control,
+        refresh=build_fleet_reloader(inventory, tasks, accept_new=accept_new),
+        control=Control(),
     )
+    loaded = load_inputs(inventory, tasks)
+    fleet = build_fleet(loaded, accept_new=accept_new, asking=False)
+    raise Exit(_show_cycles(fleet, given, output, loaded.path.stem))
+
+
+def _parse_period(text: str) -> float:
+    """The period in s.
+
+    Raises:
+        UsageError: no duration, or too short.
+    """
+    from edgectl.cli.connect import parse_duration_option
+
+    period = parse_duration_option(text, "--every")
+    if period < _MIN_PERIOD_S:
+        raise UsageError(f"--every {text} is too short", hint="write 1s or more")
+    return period
+
+
+def _show_cycles(fleet: Fleet, given: "WatchOptions", output: OutputFormat, name: str) -> ExitCode:
+    """Watch and show each cycle, until the last one or a signal."""
+    from edgectl.cli.signals import stop_control_on_signal
+    from edgectl.usecases.watch import watch_fleet
+
     last: Cycle | None = None
     with (
-        stop_control_on_signal(control) as signals,
-        _open_cycle_printer(output, loaded.path.stem, how(fleet), control, every=pause, apply=apply) as show,
+        stop_control_on_signal(given.control) as signals,
+        _open_cycle_printer(output, name, given.policy(fleet), given) as show,
     ):
         for last in _yield_and_close(watch_fleet(fleet, given)):
             show(last)
-    if control.stop_requested.is_set() or last is None:
-        raise Exit(ExitCode.INTERRUPTED if signal.SIGINT in signals[:1] else ExitCode.DONE)
-    raise Exit(exit_codes.of_cycle(last))
+    if given.control.stop_requested.is_set() or last is None:
+        return ExitCode.INTERRUPTED if signal.SIGINT in signals[:1] else ExitCode.DONE
+    return exit_codes.of_cycle(last)
 
 
 def _yield_and_close(cycles: Iterator[Cycle]) -> Iterator[Cycle]:
@@ -112,7 +118,7 @@ def _yield_and_close(cycles: Iterator[Cycle]) -> Iterator[Cycle]:
 
 @contextlib.contextmanager
 def _open_cycle_printer(
-    output: OutputFormat, name: str, policy: Policy, control: Control, *, every: float, apply: bool
+    output: OutputFormat, name: str, policy: Policy, given: "WatchOptions"
 ) -> Iterator[CyclePrinter]:
     """A function that shows each cycle: draws it, prints its line, or prints its object."""
     from edgectl.cli.terminal import is_foreground, listen_for_keys
@@ -123,14 +129,15 @@ def _open_cycle_printer(
         return
     if not (sys.stdout.isatty() and is_foreground() and os.environ.get("TERM") != "dumb"):
         console.print_message(
-            f"watching {name} every {format_duration(every)}; "
-            + ("plans are applied" if apply else "plans are not applied")
+            f"watching {name} every {format_duration(given.every)}; "
+            + ("plans are applied" if given.apply else "plans are not applied")
         )
         yield _build_line_printer(watch_cycle.render_cycle_line)
         return
     from edgectl.views.watch_screen import WatchScreen, WatchTitle, show_watch_screen
 
-    title = WatchTitle(fleet=name, variant=watch_cycle.format_weights(policy.weights), applies=apply)
+    title = WatchTitle(fleet=name, variant=watch_cycle.format_weights(policy.weights), applies=given.apply)
+    control = given.control
     screen = WatchScreen(title, lambda: control.paused)
     wanted = {"q": control.stop, "p": control.now, "a": control.pause}
     with show_watch_screen(screen), listen_for_keys(lambda key: wanted.get(key.lower(), _ignore_key)()):

@@ -71,6 +71,15 @@ def build_step_dependencies(steps: tuple[Step, ...], tasks: Tasks) -> dict[str, 
     }
 
 
+def add_dependent_starts(steps: Iterable[Step], tasks: Tasks, names: Iterable[str]) -> set[str]:
+    """``names``, and the tasks whose start in ``steps`` (in the order of ``needs``) waits for one of them."""
+    found, starting = set(names), {step.task: step for step in steps if step.action is Action.START}
+    for name in starting:
+        if any(need.task in found and need.task in starting for need in _get_needs(name, tasks)):
+            found.add(name)
+    return found
+
+
 def order_by_dependencies(after: Mapping[str, frozenset[str]]) -> list[str]:
     """The names so that each comes after those in ``after[name]``; otherwise in their own order."""
     waiting, ordered = dict(after), list[str]()

@@ -4,9 +4,9 @@ import hashlib
 from collections.abc import Mapping
 
 from edgectl.agent.link import protocol
-from edgectl.model.environment import drop_secrets, merge_environment
 from edgectl.model.inventory import Host
 from edgectl.model.task import Check, CheckLocation, StopRule, Task
+from edgectl.rules.environment import drop_secrets, merge_environment
 
 Request = dict[str, object]
 Hosts = Mapping[str, Host]

@@ -67,7 +67,7 @@ def _runs_elsewhere(act: StepRun, entry: Request | None) -> bool:
 
 def _get_generation(entry: Request) -> int:
     generation = entry.get("generation")
-    return generation if isinstance(generation, int) else 0
+    return generation if type(generation) is int and generation <= protocol.MAX_GENERATION else 0
 
 
 def _get_entry(answer: _Answer, task: str) -> Request | None:

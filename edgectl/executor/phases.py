@@ -166,6 +166,7 @@ def _wait_on_host(run: RunContext, planned: PlannedPhase, body: Request, deadlin
     checked = task.ready is not None and task.ready.on is CheckLocation.HOST
     hint = f"edgectl logs {task.name}"
     while True:
+        earliest = time.monotonic() + min(piece, run.options.poll_s)
         entry = run.ask(host, {**body, "timeout_s": piece}, timeout=piece + run.options.call_s)
         if _is_ready(task, entry, checked=checked):
             return
@@ -178,6 +179,8 @@ def _wait_on_host(run: RunContext, planned: PlannedPhase, body: Request, deadlin
                 hint=hint,
                 host=host.name,
             )
+        # A host waits as it was asked; one that replies at once shall not keep us busy.
+        time.sleep(max(0.0, earliest - time.monotonic()))
         piece = max(0.0, min(WAIT_PIECE_S, deadline - time.monotonic()))
 
 

@@ -29,11 +29,11 @@ from edgectl.executor.stop_budget import BudgetSpentError, StopBudget
 from edgectl.executor.worker_pool import WorkerPool
 from edgectl.model.assignment import Reason
 from edgectl.model.inventory import Inventory
-from edgectl.model.lost_places import describe_lost_place, get_lost_place
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.progress import ProgressListener, ignore_progress
 from edgectl.model.result import ActionResult, Outcome, Results
 from edgectl.model.task import Task, Tasks
+from edgectl.rules.lost_places import describe_lost_place, get_lost_place
 from edgectl.state.journal import Journal
 from edgectl.transport.base import Transport
 from edgectl.transport.fleet_lease import FleetLease
@@ -79,33 +79,39 @@ def run_plan(
     acts = {
         step.task: StepRun(run=shared, step=step) for step in plan.steps if step.action.changes or step.stop
     }
-    counts = Counter(act.step.action.value for act in acts.values())
-    journal.append(
-        "begin",
+    _record_begin(shared, acts)
+    found = _run_steps(acts, workers, shared, cancellation)
+    results = Results(
         revision=identity.revision,
-        plan=identity.plan_id,
-        verb=identity.verb,
-        user=identity.user,
+        actions=tuple(found[name] for name in acts),
+        seconds=time.monotonic() - began,
+        interrupted=any(
+            result.outcome is Outcome.SKIPPED and result.error == INTERRUPTED for result in found.values()
+        ),
+    )
+    _record_end(shared, results)
+    return results
+
+
+def _record_begin(shared: RunContext, acts: Mapping[str, StepRun]) -> None:
+    shared.journal.append(
+        "begin",
+        revision=shared.identity.revision,
+        plan=shared.identity.plan_id,
+        verb=shared.identity.verb,
+        user=shared.identity.user,
         actions=len(acts),
-        counts=counts,
+        counts=Counter(act.step.action.value for act in acts.values()),
     )
-    results = _run_steps(acts, workers, shared, cancellation)
-    interrupted = any(
-        result.outcome is Outcome.SKIPPED and result.error == INTERRUPTED for result in results.values()
-    )
-    outcomes = Counter(result.outcome.value for result in results.values())
+
+
+def _record_end(shared: RunContext, results: Results) -> None:
     shared.record(
         "end",
-        revision=identity.revision,
-        interrupted=interrupted,
-        outcomes=outcomes,
-        seconds=round(time.monotonic() - began, 3),
-    )
-    return Results(
-        revision=identity.revision,
-        actions=tuple(results[name] for name in acts),
-        seconds=time.monotonic() - began,
-        interrupted=interrupted,
+        revision=results.revision,
+        interrupted=results.interrupted,
+        outcomes=Counter(result.outcome.value for result in results.actions),
+        seconds=round(results.seconds, 3),
     )
 
 

@@ -9,12 +9,10 @@ from edgectl.experiments.model.schemes import Scheme
 from edgectl.experiments.replay import replay_snapshots
 from edgectl.model.inventory import Inventory
 from edgectl.model.point import HostPoint, LinkPoint, TaskPoint
-from edgectl.model.resource import CPU, MEMORY, Usage
 from edgectl.model.snapshot import (
     HostSample,
     HostStatus,
     LinkSample,
-    ResourceUsage,
     Snapshot,
     TaskSample,
 )
@@ -60,18 +58,16 @@ def _host_sample_from_point(
     inventory: Inventory, point: HostPoint, links: list[LinkPoint], tasks: list[TaskPoint]
 ) -> HostSample:
     role = inventory.hosts[point.host].role
-    if point.status is not HostStatus.OK or not point.cores or not point.total_bytes:
-        return HostSample(role=role, status=HostStatus.UNREACHABLE, error="did not answer")
-    return HostSample(
+    found = HostSample(
         role=role,
-        status=HostStatus.OK,
-        usage={
-            CPU.name: ResourceUsage(capacity=point.cores, used=point.used_cores or 0.0),
-            MEMORY.name: ResourceUsage(capacity=point.total_bytes, used=point.used_bytes or 0.0),
-        },
+        status=point.status,
+        usage=point.usage,
         links={link.robot: _link_sample_from_point(link) for link in links},
         tasks={task.task: _task_sample_from_point(task) for task in tasks},
     )
+    if found.ok and found.measured:
+        return found
+    return HostSample(role=role, status=HostStatus.UNREACHABLE, error="did not answer")
 
 
 def _link_sample_from_point(point: LinkPoint) -> LinkSample:
@@ -88,7 +84,7 @@ def _task_sample_from_point(point: TaskPoint) -> TaskSample:
         started_at=point.at - point.age_s,
         instance=point.instance,
         spec_hash=point.spec_hash,
-        used=Usage(cpu=point.used_cores, memory=point.used_bytes, network=point.used_bytes_per_s),
+        used=point.used,
     )
 
 

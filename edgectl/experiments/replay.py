@@ -14,24 +14,22 @@ from edgectl.experiments.model.schemes import Scheme
 from edgectl.model.assignment import Assignment, Verdict
 from edgectl.model.inventory import Inventory
 from edgectl.model.manager_state import ManagerState, Placement
-from edgectl.model.resource import NETWORK, Usage
+from edgectl.model.resource import NETWORK, RESOURCES_BY_NAME, Usage
 from edgectl.model.snapshot import HostSample, LinkSample, Snapshot, TaskSample, TaskState
 from edgectl.model.task import ZERO, Task, Tasks
 from edgectl.names import natural_key
 from edgectl.scheduler.assign import assign
-from edgectl.scheduler.ledger import TaskUsage
+from edgectl.scheduler.task_usage import TaskUsage
 
 
 @dataclass(slots=True, kw_only=True)
 class _ReplayCounts:
-    """Counters, and the utilisation of every edge or link in every cycle."""
+    """Counters, and by resource the utilisation of every edge or link in every cycle."""
 
     handoffs: int = 0
     unplaced: int = 0
     unsettled: int = 0
-    cpu: list[float] = field(default_factory=list)
-    memory: list[float] = field(default_factory=list)
-    network: list[float] = field(default_factory=list)
+    shares: dict[str, list[float]] = field(default_factory=lambda: {name: [] for name in RESOURCES_BY_NAME})
 
 
 def replay_snapshots(
@@ -65,9 +63,7 @@ def replay_snapshots(
         unplaced=counts.unplaced,
         unsettled=counts.unsettled,
         assumed=tuple(sorted(assumed, key=natural_key)),
-        cpu=_compute_utilisation(counts.cpu),
-        memory=_compute_utilisation(counts.memory),
-        network=_compute_utilisation(counts.network),
+        utilisation={name: _compute_utilisation(shares) for name, shares in counts.shares.items()},
     )
 
 
@@ -219,10 +215,12 @@ def _record_utilisation(snapshot: Snapshot, counts: _ReplayCounts) -> None:
     """Add the utilisation of each measured edge and link to ``counts``."""
     for host in snapshot.hosts.values():
         if host.ok and host.measured and host.role.value == "edge":
-            counts.cpu.append(host.usage["cpu"].used / host.usage["cpu"].capacity)
-            counts.memory.append(host.usage["memory"].used / host.usage["memory"].capacity)
+            for name, usage in host.usage.items():
+                counts.shares[name].append(usage.share)
             links = (link for link in host.links.values() if link.capacity_bytes_per_s > 0)
-            counts.network += [link.used_bytes_per_s / link.capacity_bytes_per_s for link in links]
+            counts.shares[NETWORK.name] += [
+                link.used_bytes_per_s / link.capacity_bytes_per_s for link in links
+            ]
 
 
 def _compute_utilisation(values: Sequence[float]) -> Utilisation:

@@ -24,6 +24,7 @@ from edgectl.experiments.trial_recorder import TrialRecorder
 from edgectl.gateway import host_probe
 from edgectl.gateway.host_probe import ProbeOptions
 from edgectl.model.cycle import Cycle
+from edgectl.model.resource import CPU, MEMORY
 from edgectl.model.snapshot import Snapshot
 from edgectl.state.lock import FleetLock
 from edgectl.state.manager_state import load_manager_state
@@ -112,7 +113,7 @@ def _warn_about_cordons(fleet: Fleet) -> None:
 def _capacities_from_snapshot(snapshot: Snapshot) -> dict[str, HostCapacity]:
     return {
         name: HostCapacity(
-            role=host.role, cores=host.usage["cpu"].capacity, memory=host.usage["memory"].capacity
+            role=host.role, cores=host.usage[CPU.name].capacity, memory=host.usage[MEMORY.name].capacity
         )
         for name, host in snapshot.hosts.items()
         if host.measured
@@ -162,9 +163,7 @@ def _check_no_task_runs(snapshot: Snapshot) -> None:
 def _describe_busy_hosts(snapshot: Snapshot, idle: float) -> str:
     """Hosts whose CPU utilisation (0..1) exceeds ``idle``; "" if none."""
     shares = {
-        name: host.usage["cpu"].used / host.usage["cpu"].capacity
-        for name, host in snapshot.hosts.items()
-        if "cpu" in host.usage
+        name: host.usage[CPU.name].share for name, host in snapshot.hosts.items() if CPU.name in host.usage
     }
     busy = [f"{name} uses {share:.0%} of its CPU" for name, share in shares.items() if share > idle]
     return f"{', '.join(busy)} (limit {idle:.0%})" if busy else ""

@@ -8,12 +8,15 @@ from collections.abc import Iterable, Iterator, Mapping
 from enum import StrEnum
 
 from edgectl.formats.document import dump_line, encode_number
-from edgectl.model.event import Event
-from edgectl.model.point import HandoffPoint, HostPoint, LinkPoint, MetricPoint, TaskPoint
+from edgectl.model.point import (
+    HOST_AMOUNT_COLUMNS,
+    TASK_AMOUNT_COLUMNS,
+    HistoryPoint,
+    get_columns,
+)
 from edgectl.model.text import escape_unprintable
 from edgectl.units import format_instant
 
-HistoryPoint = HostPoint | LinkPoint | TaskPoint | MetricPoint | HandoffPoint | Event
 RowValue = str | int | float | None
 
 
@@ -28,65 +31,34 @@ class RowKind(StrEnum):
     EVENTS = "events"
 
 
-# Columns by kind, each with its field. New ones are added at the end.
+# The columns of the first release, in its order; those of resources that came later follow.
+_FIRST_HOST_COLUMNS = (
+    "at", "host", "status", "cores", "used_cores", "total_bytes", "used_bytes", "rx_bytes_per_s",
+    "tx_bytes_per_s",
+)  # fmt: skip
+_FIRST_TASK_COLUMNS = (
+    "at", "task", "host", "state", "used_cores", "used_bytes", "used_bytes_per_s", "links", "age_s",
+    "instance", "spec_hash",
+)  # fmt: skip
+
+
+def _name_by_field(*fields: str) -> dict[str, str]:
+    return {name: name for name in fields}
+
+
+# Columns by kind, each with its field or amount. New ones are added at the end.
 COLUMNS: Mapping[RowKind, Mapping[str, str]] = {
-    RowKind.HOSTS: {
-        "at": "at",
-        "host": "host",
-        "status": "status",
-        "cores": "cores",
-        "used_cores": "used_cores",
-        "total_bytes": "total_bytes",
-        "used_bytes": "used_bytes",
-        "rx_bytes_per_s": "rx_bytes_per_s",
-        "tx_bytes_per_s": "tx_bytes_per_s",
-    },
-    RowKind.LINKS: {
-        "at": "at",
-        "edge": "edge",
-        "robot": "robot",
-        "capacity_bytes_per_s": "capacity_bytes_per_s",
-        "used_bytes_per_s": "used_bytes_per_s",
-        "rtt_ms": "rtt_ms",
-    },
-    RowKind.TASKS: {
-        "at": "at",
-        "task": "task",
-        "host": "host",
-        "state": "state",
-        "used_cores": "used_cores",
-        "used_bytes": "used_bytes",
-        "used_bytes_per_s": "used_bytes_per_s",
-        "links": "links",
-        "age_s": "age_s",
-        "instance": "instance",
-        "spec_hash": "spec_hash",
-    },
-    RowKind.METRICS: {
-        "at": "at",
-        "task": "task",
-        "host": "host",
-        "name": "name",
-        "value": "value",
-        "instance": "instance",
-    },
+    RowKind.HOSTS: _name_by_field(*_FIRST_HOST_COLUMNS, *HOST_AMOUNT_COLUMNS),
+    RowKind.LINKS: _name_by_field(
+        "at", "edge", "robot", "capacity_bytes_per_s", "used_bytes_per_s", "rtt_ms"
+    ),
+    RowKind.TASKS: _name_by_field(*_FIRST_TASK_COLUMNS, *TASK_AMOUNT_COLUMNS),
+    RowKind.METRICS: _name_by_field("at", "task", "host", "name", "value", "instance"),
     RowKind.HANDOFFS: {
-        "at": "at",
-        "task": "task",
-        "host": "host",
-        "previous_host": "previous_host",
-        "outcome": "outcome",
-        "downtime_s": "downtime_s",
+        **_name_by_field("at", "task", "host", "previous_host", "outcome", "downtime_s"),
         "duration_s": "seconds",
     },
-    RowKind.EVENTS: {
-        "at": "at",
-        "id": "id",
-        "kind": "kind",
-        "host": "host",
-        "task": "task",
-        "message": "message",
-    },
+    RowKind.EVENTS: _name_by_field("at", "id", "kind", "host", "task", "message"),
 }
 
 
@@ -111,14 +83,18 @@ def format_json_lines(kind: RowKind, points: Iterable[HistoryPoint]) -> Iterator
 
 
 def _build_row(kind: RowKind, point: HistoryPoint) -> dict[str, RowValue]:
-    return {column: _format_cell(name, getattr(point, name)) for column, name in COLUMNS[kind].items()}
+    columns = COLUMNS[kind]
+    values = get_columns(point, columns.values())
+    return {column: _format_cell(column, value) for column, value in zip(columns, values, strict=True)}
 
 
-def _format_cell(name: str, value: RowValue) -> RowValue:
+def _format_cell(name: str, value: object) -> RowValue:
     if name == "at" and isinstance(value, float):
         return format_instant(value)
     if isinstance(value, StrEnum):
         return value.value
     if isinstance(value, str):
         return escape_unprintable(value)
-    return encode_number(value) if isinstance(value, float) else value
+    if isinstance(value, float):
+        return encode_number(value)
+    return value if isinstance(value, int) else None

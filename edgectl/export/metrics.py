@@ -11,7 +11,7 @@ from enum import StrEnum
 from edgectl.export import metric_samples
 from edgectl.export.metric_samples import Histogram, MetricsInput, Sampler
 from edgectl.model.plan import Action
-from edgectl.model.resource import CPU, MEMORY
+from edgectl.model.resource import HOST_RESOURCES, TASK_RESOURCES, Resource
 
 
 class MetricType(StrEnum):
@@ -44,6 +44,41 @@ _HOST_LABELS, _LINK_LABELS, _TASK_LABELS, _RUN_LABELS = (
     ("task", "host"),
 )
 
+
+def _define_host_usage(resource: Resource) -> tuple[MetricDefinition, ...]:
+    name = f"edgectl_host_{resource.name}"
+    return (
+        MetricDefinition(
+            name=f"{name}_{_get_unit(resource)}",
+            help=f"Capacity of the host for {resource.name} (measured or declared, before limits).",
+            labels=_HOST_LABELS,
+            read=metric_samples.sample_host_usage(resource, lambda usage: usage.capacity),
+        ),
+        MetricDefinition(
+            name=f"{name}_used_{_get_unit(resource)}",
+            help=f"Usage of {resource.name} on the host.",
+            labels=_HOST_LABELS,
+            read=metric_samples.sample_host_usage(resource, lambda usage: usage.used),
+        ),
+    )
+
+
+def _define_task_usage(resource: Resource) -> MetricDefinition:
+    where = "on the links to its robots" if resource.per_link else "by all of its processes"
+    return MetricDefinition(
+        name=f"edgectl_task_{resource.name}_used_{_get_unit(resource)}",
+        help=f"Usage of {resource.name} of the task, {where}.",
+        labels=_RUN_LABELS,
+        read=metric_samples.sample_running_tasks(lambda task: task.used[resource.name]),
+    )
+
+
+def _get_unit(resource: Resource) -> str:
+    return resource.unit.name.replace("_per_s", "_per_second")
+
+
+_HOST_USAGE_METRICS = tuple(metric for resource in HOST_RESOURCES for metric in _define_host_usage(resource))
+_TASK_USAGE_METRICS = tuple(_define_task_usage(resource) for resource in TASK_RESOURCES)
 METRICS = (
     MetricDefinition(
         name="edgectl_build_info",
@@ -66,13 +101,13 @@ METRICS = (
         name="edgectl_host_cordoned",
         help="1 if the host is cordoned.",
         labels=_HOST_LABELS,
-        read=metric_samples.sample_operator_mark(lambda m: m.cordons),
+        read=metric_samples.sample_operator_mark(lambda manager: manager.cordons),
     ),
     MetricDefinition(
         name="edgectl_host_fenced",
         help="1 if the operator declared the host powered off.",
         labels=_HOST_LABELS,
-        read=metric_samples.sample_operator_mark(lambda memory: memory.fenced),
+        read=metric_samples.sample_operator_mark(lambda manager: manager.fenced),
     ),
     MetricDefinition(
         name="edgectl_host_last_contact_timestamp_seconds",
@@ -80,30 +115,7 @@ METRICS = (
         labels=_HOST_LABELS,
         read=metric_samples.sample_contacts,
     ),
-    MetricDefinition(
-        name="edgectl_host_cpu_cores",
-        help="Cores of the host (measured or declared, before limits).",
-        labels=_HOST_LABELS,
-        read=metric_samples.sample_host_usage(CPU, lambda usage: usage.capacity),
-    ),
-    MetricDefinition(
-        name="edgectl_host_cpu_used_cores",
-        help="Cores in use on the host.",
-        labels=_HOST_LABELS,
-        read=metric_samples.sample_host_usage(CPU, lambda usage: usage.used),
-    ),
-    MetricDefinition(
-        name="edgectl_host_memory_bytes",
-        help="Memory of the host (measured or declared, before limits).",
-        labels=_HOST_LABELS,
-        read=metric_samples.sample_host_usage(MEMORY, lambda usage: usage.capacity),
-    ),
-    MetricDefinition(
-        name="edgectl_host_memory_used_bytes",
-        help="Memory in use on the host.",
-        labels=_HOST_LABELS,
-        read=metric_samples.sample_host_usage(MEMORY, lambda usage: usage.used),
-    ),
+    *_HOST_USAGE_METRICS,
     MetricDefinition(
         name="edgectl_host_network_receive_bytes_per_second",
         help="Bytes received, over all interfaces but loopback.",
@@ -177,24 +189,7 @@ METRICS = (
         kind=MetricType.COUNTER,
         read=metric_samples.sample_running_tasks(lambda task: float(task.restarts)),
     ),
-    MetricDefinition(
-        name="edgectl_task_cpu_used_cores",
-        help="Cores in use by the task's processes.",
-        labels=_RUN_LABELS,
-        read=metric_samples.sample_running_tasks(lambda task: task.used["cpu"]),
-    ),
-    MetricDefinition(
-        name="edgectl_task_memory_used_bytes",
-        help="Memory in use by the task's processes.",
-        labels=_RUN_LABELS,
-        read=metric_samples.sample_running_tasks(lambda task: task.used["memory"]),
-    ),
-    MetricDefinition(
-        name="edgectl_task_network_used_bytes_per_second",
-        help="Traffic of the task with its robots.",
-        labels=_RUN_LABELS,
-        read=metric_samples.sample_running_tasks(lambda task: task.used["network"]),
-    ),
+    *_TASK_USAGE_METRICS,
     MetricDefinition(
         name="edgectl_task_app_metric",
         help="Last value of a metric that the application wrote.",

@@ -16,9 +16,11 @@ from typing import Annotated, Any, TypeVar, Union, get_args, get_origin, get_typ
 from edgectl.formats.container_codecs import (
     compile_entries,
     compile_mapping,
+    compile_mapping_alone,
     compile_resource_map,
     compile_set,
     compile_tuple,
+    compile_tuple_alone,
     compile_wrapped,
     decode_each,
 )
@@ -45,6 +47,7 @@ from edgectl.model.encoding import (
     ColumnFormat,
     Converted,
     DocumentKey,
+    EachAlone,
     InstantFormat,
     Rounded,
 )
@@ -131,6 +134,8 @@ def _compile_annotated(kind: Any, marks: tuple[object, ...]) -> Codec:  # noqa: 
             return compile_instant()
         if isinstance(mark, ColumnFormat):
             return _compile_columns(get_args(kind)[0])
+        if isinstance(mark, EachAlone):
+            return _compile_each_alone(get_origin(kind), get_args(kind))
         if isinstance(mark, Converted):
             return compile_converted(compile_type(kind), mark.convert)
         if isinstance(mark, Bounds):
@@ -138,6 +143,12 @@ def _compile_annotated(kind: Any, marks: tuple[object, ...]) -> Codec:  # noqa: 
         if isinstance(mark, Rounded):
             rounded = mark
     return compile_number(kind, bounds, rounded)
+
+
+def _compile_each_alone(origin: Any, arguments: tuple[Any, ...]) -> Codec:  # noqa: ANN401
+    if origin is tuple:
+        return compile_tuple_alone(compile_type(arguments[0]))
+    return compile_mapping_alone(compile_type(arguments[0]), compile_type(arguments[1]))
 
 
 def _compile_optional(arguments: tuple[Any, ...]) -> Codec:

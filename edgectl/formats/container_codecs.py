@@ -1,5 +1,6 @@
 """Codecs of lists, sets, mappings and tables by resource, made from the codecs of their items."""
 
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 from edgectl.formats.document import Fault, Faults, FieldPath
@@ -68,6 +69,41 @@ def compile_mapping(key: Codec, item: Codec) -> Codec:
         decode_mapping,
         lambda found: {"type": "object", "additionalProperties": item.schema(found)},
     )
+
+
+def _decode_alone(
+    codec: Codec, pairs: Iterable[tuple[Any, Any]], path: FieldPath
+) -> Iterator[tuple[Any, Any]]:
+    """(place, value) of each entry without faults."""
+    for place, inner in pairs:
+        faults: Faults = []
+        value = codec.decode(inner, (*path, place), faults)
+        if not faults:
+            yield place, value
+
+
+def compile_mapping_alone(key: Codec, item: Codec) -> Codec:
+    """As ``compile_mapping``; an entry that does not fit is left out."""
+
+    def decode_mapping(raw: Any, path: FieldPath, faults: Faults) -> Any:  # noqa: ANN401
+        if not is_type(raw, dict, path, faults):
+            return None
+        return {
+            key.decode(name, path, faults): value for name, value in _decode_alone(item, raw.items(), path)
+        }
+
+    return compile_mapping(key, item)._replace(decode=decode_mapping)
+
+
+def compile_tuple_alone(item: Codec) -> Codec:
+    """As ``compile_tuple``; an item that does not fit is left out."""
+
+    def decode_list(raw: Any, path: FieldPath, faults: Faults) -> Any:  # noqa: ANN401
+        if not is_type(raw, list, path, faults):
+            return None
+        return tuple(value for _, value in _decode_alone(item, enumerate(raw), path))
+
+    return compile_tuple(item, None)._replace(decode=decode_list)
 
 
 def compile_resource_map(kind: type[ResourceMap[Any]], item: Codec) -> Codec:

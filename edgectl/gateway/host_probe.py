@@ -44,6 +44,8 @@ class ProbeOptions:
     ``reopened``: instances whose end, completed or given up, no longer counts.
     ``known_tasks``: names of the tasks that this fleet has placed or is about to place; where the first
     release left them on a host without an owner, the fleet adopts them.
+    ``former_hosts``: names of hosts that left the inventory, and that hosts are asked to recall.
+    ``manager_id``: the name by which hosts know this manager.
     ``on_host`` is called as each host ends, in the caller's thread, with name, sample and seconds.
     """
 
@@ -53,6 +55,8 @@ class ProbeOptions:
     measured: Mapping[tuple[str, str], float] = field(default_factory=dict)
     reopened: frozenset[str] = frozenset()
     known_tasks: Callable[[], frozenset[str]] = frozenset
+    former_hosts: frozenset[str] = frozenset()
+    manager_id: str = ""
     on_host: HostCallback = _ignore_host
 
 
@@ -92,7 +96,13 @@ def probe_hosts(
 
     def build(host: Host, _left: float) -> dict[str, object]:
         request = build_probe_request(
-            host, inventory, tasks, addresses, window_s=options.window, timeout_s=options.timeout
+            host,
+            inventory,
+            tasks,
+            addresses,
+            window_s=options.window,
+            timeout_s=options.timeout,
+            former=options.former_hosts,
         )
         return request if lease is None else {**request, "lease": lease.build_claim(host.name)}
 
@@ -225,6 +235,7 @@ def _build_reply_context(
     return ReplyContext(
         host=host,
         answered_at=answered_at,
+        manager_id=options.manager_id,
         declared={robot: value for (edge, robot), value in inventory.links.items() if edge == host.name},
         measured={robot: value for (edge, robot), value in options.measured.items() if edge == host.name},
         robots=tuple(robot.name for robot in inventory.robots),

@@ -12,6 +12,8 @@ from edgectl.errors import ReplyError
 from edgectl.gateway.replies import (
     DEVICE_USAGE,
     TASK_USAGE,
+    GrantsReply,
+    InterfaceReply,
     LinkReply,
     OtherTaskReply,
     ProbeReply,
@@ -38,6 +40,8 @@ from edgectl.model.text import escape_unprintable
 PROTOCOL_VERSION = protocol.VERSION
 # Delta_thp where nothing else is known: 54 Mbit/s, the paper's wireless network.
 ASSUMED_BYTES_PER_S = 6.75e6
+# Kernels report 0 and less where they know no speed.
+_MIN_LINK_BYTES_PER_S = 1.0
 # Larger ones overflow in a mean or a deviation.
 _MAX_METRIC = 1e100
 # Of one host, those that it only remembers included.
@@ -50,6 +54,7 @@ class ReplyContext:
 
     ``answered_at`` (s since 1970, the manager's clock): when the document came.
     ``declared`` and ``measured``: bytes/s by robot of this host's links.
+    ``manager_id``: the name by which hosts know this manager; "" before it has changed anything.
     ``robots``: those asked for. ``blind``: robots that are never contacted and so never count as unreachable.
     ``reopened``: instances whose end, completed or given up, no longer counts.
     ``checked``: tasks whose ``done_when`` was to be checked there; ``detected``: tasks that were to be found
@@ -58,6 +63,7 @@ class ReplyContext:
 
     host: Host
     answered_at: float
+    manager_id: str = ""
     declared: Mapping[str, float] = field(default_factory=dict)
     measured: Mapping[str, float] = field(default_factory=dict)
     robots: tuple[str, ...] = ()
@@ -91,6 +97,8 @@ def decode_host_sample(document: ReplyDocument, context: ReplyContext) -> HostSa
         tasks=tasks,
         device=_build_device(reply, context.answered_at),
         generations=_build_generations(reply, tasks),
+        grant=reply.grants.epoch,
+        foreign_grant=_find_foreign_grant(reply.grants, context.manager_id),
         address=context.host.address,
         machine="" if reply.machine.startswith("/") else reply.machine,
         other_tasks=tuple(each for each in others if each.fleet == context.host.fleet),
@@ -173,6 +181,11 @@ def _decode_task_or_stub(name: str, entry: object, context: ReplyContext) -> Tas
             started_at=context.answered_at,
             detail=f"its entry cannot be read: {error.message}",
         )
+
+
+def _find_foreign_grant(grants: GrantsReply, manager_id: str) -> int:
+    last = grants.other_epoch if grants.holder == manager_id else grants.epoch
+    return min(last, grants.epoch)
 
 
 def _build_other_task(reply: OtherTaskReply) -> OtherTask:
@@ -297,7 +310,7 @@ def _build_link(
     robot: str,
     reply: LinkReply,
     context: ReplyContext,
-    interfaces: Mapping[str, InterfaceSample],
+    interfaces: Mapping[str, InterfaceReply],
     tasks: Mapping[str, TaskSample],
 ) -> LinkSample:
     used = reply.rx_bytes_per_s + reply.tx_bytes_per_s
@@ -329,7 +342,7 @@ def select_link_capacity(
         return context.declared[robot], CapacitySource.DECLARED
     if robot in context.measured:
         return context.measured[robot], CapacitySource.MEASURED
-    if speed:
+    if speed is not None and speed >= _MIN_LINK_BYTES_PER_S:
         return speed, CapacitySource.NIC
     return ASSUMED_BYTES_PER_S, CapacitySource.ASSUMED
 
@@ -342,7 +355,15 @@ def _build_device(reply: ProbeReply, answered_at: float) -> DeviceSample:
         gpu_share=None if reply.gpu_share is None else min(reply.gpu_share, 1.0),
         boot_id=reply.boot_id,
         clock_skew_s=None if reply.wall is None else reply.wall - answered_at,
-        interfaces=reply.interfaces,
+        interfaces={name: _build_interface(each) for name, each in reply.interfaces.items()},
+    )
+
+
+def _build_interface(reply: InterfaceReply) -> InterfaceSample:
+    return InterfaceSample(
+        rx_bytes_per_s=reply.rx_bytes_per_s,
+        tx_bytes_per_s=reply.tx_bytes_per_s,
+        speed_bytes_per_s=reply.speed_bytes_per_s,
     )
 
 

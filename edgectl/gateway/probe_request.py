@@ -3,9 +3,9 @@
 from collections.abc import Mapping
 
 from edgectl.agent.link import protocol
-from edgectl.model.environment import drop_secrets, merge_environment
 from edgectl.model.inventory import Host, Inventory, Role
 from edgectl.model.task import Check, CheckLocation, DetectRule, Task, Tasks
+from edgectl.rules.environment import drop_secrets, merge_environment
 
 # Time of a probe besides its window and its checks.
 _OVERHEAD_S = 4.0
@@ -19,9 +19,11 @@ def build_probe_request(
     *,
     window_s: float,
     timeout_s: float,
+    former: frozenset[str] = frozenset(),
 ) -> dict[str, object]:
     """The probe request of one host; ``addresses`` are the robots' as the network knows them.
 
+    ``former``: names of hosts that left the inventory, of which this host may be one.
     Checks are cut short, so that a slow one fails in time instead of the whole probe.
     """
     longest = max(1.0, timeout_s - window_s - _OVERHEAD_S)
@@ -36,6 +38,7 @@ def build_probe_request(
             for task in tasks.tasks.values()
             if task.done_when and _can_check_done(task, host)
         ],
+        "former": sorted(former),
     }
 
 

@@ -2,7 +2,7 @@
 run.
 
 Text of a host is bounded and printable, so that no host can drive a terminal. A key that is absent or null
-has its default.
+has its default. In collections of tasks, links and the like, an entry that does not fit is left out.
 """
 
 from collections.abc import Mapping
@@ -13,10 +13,10 @@ from edgectl.agent.link import protocol
 from edgectl.errors import ReplyError
 from edgectl.formats.codec import decode
 from edgectl.formats.document import Faults
-from edgectl.model.encoding import Bounds, Converted, in_document
+from edgectl.model.encoding import Bounds, Converted, EachAlone, in_document
 from edgectl.model.profiler import ProfilerState
 from edgectl.model.resource import HOST_RESOURCES
-from edgectl.model.snapshot import InterfaceSample, TaskState
+from edgectl.model.snapshot import TaskState
 from edgectl.model.text import clean_text, escape_unprintable
 
 ReplyDocument = Mapping[str, object]
@@ -37,6 +37,7 @@ def _clean_lines(lines: tuple[str, ...]) -> tuple[str, ...]:
 
 Text = Annotated[str, Converted(convert=clean_text)]
 Lines = Annotated[tuple[str, ...], Converted(convert=_clean_lines)]
+ALONE = EachAlone()
 Amount = Annotated[float, Bounds(maximum=_MAX_NUMBER)]
 Age = Annotated[float, Bounds(maximum=_MAX_AGE_S)]
 Capacity = Annotated[float, Bounds(minimum=_MIN_CAPACITY, maximum=_MAX_NUMBER)]
@@ -66,6 +67,15 @@ class CheckReply:
     """Result of a ``done_when`` check; ``exit``: its status, None where it did not end."""
 
     exit: ExitStatus | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class InterfaceReply:
+    """One network interface, as ``model.snapshot.InterfaceSample``."""
+
+    rx_bytes_per_s: Amount
+    tx_bytes_per_s: Amount
+    speed_bytes_per_s: Amount | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -124,11 +134,20 @@ class OtherTaskReply:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class GrantsReply:
+    """The holder and number of the last grant of a host, and the number of the last one to somebody else."""
+
+    holder: Text = ""
+    epoch: Count = 0
+    other_epoch: Count = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ProbeReply:
     """Reply to a probe.
 
-    Tasks, generations and devices are decoded one by one: a bad entry costs that entry, and which keys a
-    device has is a matter of the table of resources.
+    Tasks, generations and devices are decoded later: a bad task may still run, and which keys a device has is
+    a matter of the table of resources.
     """
 
     sample_age_s: Age = 0.0
@@ -139,14 +158,15 @@ class ProbeReply:
     load_1m: Amount | None = None
     temperature_c: Reading | None = None
     gpu_share: Amount | None = None
-    interfaces: Mapping[Text, InterfaceSample] = field(default_factory=dict)
-    links: Mapping[Text, LinkReply] = field(default_factory=dict)
-    tasks: Mapping[Text, object] = field(default_factory=dict)
-    checks: Mapping[Text, CheckReply] = field(default_factory=dict)
-    generations: Mapping[Text, object] = field(default_factory=dict)
-    other_tasks: tuple[OtherTaskReply, ...] = ()
-    unowned: tuple[Text, ...] = ()
-    former: tuple[Text, ...] = ()
+    interfaces: Annotated[Mapping[Text, InterfaceReply], ALONE] = field(default_factory=dict)
+    links: Annotated[Mapping[Text, LinkReply], ALONE] = field(default_factory=dict)
+    tasks: Annotated[Mapping[Text, object], ALONE] = field(default_factory=dict)
+    checks: Annotated[Mapping[Text, CheckReply], ALONE] = field(default_factory=dict)
+    grants: GrantsReply = GrantsReply()
+    generations: Annotated[Mapping[Text, object], ALONE] = field(default_factory=dict)
+    other_tasks: Annotated[tuple[OtherTaskReply, ...], ALONE] = ()
+    unowned: Annotated[tuple[Text, ...], ALONE] = ()
+    former: Annotated[tuple[Text, ...], ALONE] = ()
 
 
 # Usage of a task, and capacity and usage of each resource of a device, under the keys of the table.
@@ -171,9 +191,9 @@ DEVICE_USAGE: Mapping[str, type[Any]] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StatusReply:
-    """Reply to a request for the status of tasks."""
+    """Reply to a request for the status of tasks, each decoded later as a `TaskReply`."""
 
-    tasks: Mapping[Text, TaskReply] = field(default_factory=dict)
+    tasks: Annotated[Mapping[Text, object], ALONE] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -213,14 +233,14 @@ class DiskReply:
     files_left: Count | None = None
     obstacle: Text = ""
     in_shared_memory: bool = field(default=False, metadata=in_document("spare"))
-    skipped: tuple[Text, ...] = ()
+    skipped: Annotated[tuple[Text, ...], ALONE] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShellReply:
     """Environment of a command, as ``model.diagnosis.ShellEnvironment``."""
 
-    variables: Mapping[Text, Text] = field(default_factory=dict)
+    variables: Annotated[Mapping[Text, Text], ALONE] = field(default_factory=dict)
     status: Count | None = None
     timed_out: bool = False
     last_line: Text = field(default="", metadata=in_document("said"))
@@ -248,7 +268,7 @@ class DoctorReply:
     psutil: bool = False
     logind: LogindReply = LogindReply()
     surroundings: ShellReply = ShellReply()
-    links: Mapping[Text, RouteReply] = field(default_factory=dict)
+    links: Annotated[Mapping[Text, RouteReply], ALONE] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from edgectl.agent.link import protocol
-from edgectl.errors import HostError
+from edgectl.errors import HostError, ReplyError
 from edgectl.gateway.fanout import HostReply, ask_all
 from edgectl.gateway.replies import StatusReply, TaskReply, decode_reply
 from edgectl.model.inventory import Host, Inventory
@@ -59,7 +59,16 @@ def _build_status_request(host: Host, _left: float) -> dict[str, object]:
 
 def _decode_living_tasks(reply: HostReply) -> tuple[str, ...]:
     tasks = decode_reply(StatusReply, reply.document).tasks
-    return tuple(name for name, entry in tasks.items() if entry.managed and entry.state.alive)
+    return tuple(name for name in tasks if protocol.is_name(name) and _may_live(name, tasks[name]))
+
+
+def _may_live(task: str, entry: object) -> bool:
+    """Whether an entry is of a living task of edgectl; one that cannot be read may be."""
+    try:
+        found = decode_reply(TaskReply, entry, f"tasks.{task}")
+    except ReplyError:
+        return True
+    return found.managed and found.state.alive
 
 
 def _ask_task_status(
@@ -72,7 +81,8 @@ def _ask_task_status(
         return {"op": protocol.OP_STATUS, "fleet": host.fleet, "host": host.name, "task": task}
 
     def decode(reply: HostReply) -> TaskReply | None:
-        return decode_reply(StatusReply, reply.document).tasks.get(task)
+        tasks = decode_reply(StatusReply, reply.document).tasks
+        return decode_reply(TaskReply, tasks[task], f"tasks.{task}") if task in tasks else None
 
     answers = {
         answer.host.name: answer.value for answer in ask_all(hosts, transport, build, decode, timeout=timeout)

@@ -45,6 +45,14 @@ class ColumnFormat:
     """Dataclasses that a document holds as one list for each of their fields."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EachAlone:
+    """A mapping or a tuple that is decoded entry by entry: one that does not fit is left out.
+
+    Entries of type ``object`` may be null.
+    """
+
+
 Instant = Annotated[float, InstantFormat()]
 Positive = Annotated[float, Bounds(above=True)]
 Signed = Annotated[float, Bounds(minimum=None)]

@@ -1,28 +1,46 @@
-"""History: one row each of what was measured of a host, a link or a task, or of a handoff that was made.
+"""Rows of the history: measurements of a host, a link or a task, and completed handoffs.
 
-Quantities are cores, bytes and bytes per second; ``at`` is the instant of the snapshot in s since 1970 on the
+Amounts are in the units of their resources; ``at`` is the instant of the snapshot in s since 1970 on the
 manager's clock.
 """
 
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 
+from edgectl.model.event import Event
+from edgectl.model.resource import HOST_RESOURCES, TASK_RESOURCES, Usage
 from edgectl.model.result import Outcome
-from edgectl.model.snapshot import HostStatus, TaskState
+from edgectl.model.snapshot import HostStatus, ResourceUsage, TaskState
+
+# Columns of the amounts of a host and of a task, in the database and in exports.
+HOST_AMOUNT_COLUMNS = tuple(
+    key for resource in HOST_RESOURCES for key in (resource.capacity_key, resource.used_key)
+)
+TASK_AMOUNT_COLUMNS = tuple(resource.used_key for resource in TASK_RESOURCES)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HostPoint:
-    """One host at one instant; no numbers where it did not answer. Rates are summed over its interfaces."""
+    """One host at one instant; no numbers where it did not answer.
+
+    ``usage``: by resource. Rates are summed over its interfaces.
+    """
 
     at: float
     host: str
     status: HostStatus
-    cores: float | None = None
-    used_cores: float | None = None
-    total_bytes: float | None = None
-    used_bytes: float | None = None
+    usage: Mapping[str, ResourceUsage] = field(default_factory=dict)
     rx_bytes_per_s: float | None = None
     tx_bytes_per_s: float | None = None
+
+    @property
+    def amounts(self) -> dict[str, float | None]:
+        """Capacity and usage by column."""
+        found: dict[str, float | None] = dict.fromkeys(HOST_AMOUNT_COLUMNS)
+        for resource in HOST_RESOURCES:
+            if (usage := self.usage.get(resource.name)) is not None:
+                found |= {resource.capacity_key: usage.capacity, resource.used_key: usage.used}
+        return found
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,27 +59,30 @@ class LinkPoint:
 class TaskPoint:
     """One task on one host at one instant, with the use of its whole process tree.
 
-    ``age_s``: seconds since this very start. ``links``: how many links it used, 0 where that is not known;
-    its use of one link is ``used_bytes_per_s / max(1, links)``.
+    ``age_s``: seconds since this start. ``links``: number of links that it used, 0 if unknown;
+    its use of one link is that of the network divided by ``max(1, links)``.
     """
 
     at: float
     task: str
     host: str
     state: TaskState
-    used_cores: float
-    used_bytes: float
-    used_bytes_per_s: float
+    used: Usage
     instance: str = ""
     spec_hash: str = ""
     age_s: float = 0.0
     links: int = 0
 
+    @property
+    def amounts(self) -> dict[str, float]:
+        """Usage by column."""
+        return {resource.used_key: self.used[resource.name] for resource in TASK_RESOURCES}
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MetricPoint:
-    """Metric published by an application: the ``value`` of its metric ``name``, which stood until the next
-    one of this very start.
+    """Metric published by an application: the ``value`` of its metric ``name``, valid until the next one of
+    the same start.
     """
 
     at: float
@@ -74,7 +95,7 @@ class MetricPoint:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HandoffPoint:
-    """One move or restart that an apply carried out, or tried.
+    """One move or restart that an apply carried out or attempted.
 
     ``downtime_s``: stop to ready; ``seconds``: all of its phases.
     """
@@ -86,3 +107,12 @@ class HandoffPoint:
     outcome: Outcome
     downtime_s: float | None
     seconds: float
+
+
+HistoryPoint = HostPoint | LinkPoint | TaskPoint | MetricPoint | HandoffPoint | Event
+
+
+def get_columns(point: HistoryPoint, columns: Iterable[str]) -> list[object]:
+    """The values of ``columns`` of a row: its fields, and its amounts by their own columns."""
+    amounts: Mapping[str, object] = point.amounts if isinstance(point, HostPoint | TaskPoint) else {}
+    return [amounts[name] if name in amounts else getattr(point, name) for name in columns]

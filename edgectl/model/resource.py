@@ -64,7 +64,7 @@ NETWORK = Resource(
 )
 RESOURCES = (CPU, MEMORY, NETWORK)
 HOST_RESOURCES = tuple(resource for resource in RESOURCES if not resource.per_link)
-# What the use of one task can be told of, and so what history has: its columns are in this order.
+# Those whose use by one task can be measured.
 TASK_RESOURCES = tuple(resource for resource in RESOURCES if not resource.declared_only)
 RESOURCES_BY_NAME: Mapping[str, Resource] = MappingProxyType(
     {resource.name: resource for resource in RESOURCES}

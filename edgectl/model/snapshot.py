@@ -53,6 +53,11 @@ class ResourceUsage:
     capacity: Positive
     used: float
 
+    @property
+    def share(self) -> float:
+        """Use as a share of the capacity; above 1: overload."""
+        return self.used / self.capacity
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LinkSample:
@@ -163,7 +168,8 @@ class HostSample:
     has under another host name, unless that host reports them itself. ``foreign_tasks``: tasks of other
     fleets; they are load, and nothing else is done with them. ``address``: as the inventory states it.
     ``machine``: machine id, user and state directories of the login, as ``ID/UID/HASH``; "" where there is no
-    machine id.
+    machine id. ``grant``: how often the host has granted the fleet to a manager. ``foreign_grant``: number of
+    the last grant to another manager than the one that took the snapshot.
     """
 
     role: Role
@@ -187,6 +193,8 @@ class HostSample:
     foreign_tasks: tuple[OtherTask, ...] = ()
     address: str = ""
     machine: str = ""
+    grant: int = 0
+    foreign_grant: int = 0
 
     @property
     def ok(self) -> bool:

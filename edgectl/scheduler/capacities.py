@@ -11,6 +11,7 @@ from edgectl.model.resource import HOST_RESOURCES, Resource
 from edgectl.model.snapshot import HostSample, Snapshot
 from edgectl.model.task import Demand
 from edgectl.names import natural_key
+from edgectl.scheduler.task_usage import TaskUsage
 
 # Readings older than this are not trusted with new work.
 MAX_SAMPLE_AGE_S = 60.0
@@ -26,7 +27,8 @@ class Capacities:
     all names. ``closed`` says why a place takes no new work; in ``hard`` that also drives away what runs
     there (drained, or left out by a what-if question). ``classes`` names the class of each place (ADR 0025),
     ``demands`` holds rho by task and class, of tasks whose history decides it, "" for a class without enough;
-    ``history`` is what was measured.
+    ``history`` is what was measured. ``floors``: by running task, the measured usage below which its demand
+    does not count at any place (ADR 0060).
     """
 
     places: tuple[Host, ...]
@@ -42,6 +44,7 @@ class Capacities:
     classes: tuple[str, ...] = ()
     demands: Mapping[str, Mapping[str, Demand]] = field(default_factory=dict)
     history: Mapping[tuple[str, str], MeasuredDemand] = field(default_factory=dict)
+    floors: Mapping[str, TaskUsage] = field(default_factory=dict)
 
     def is_unreachable(self, place: int) -> bool:
         """True where the host of ``place`` should have answered and did not."""

@@ -3,13 +3,14 @@
 A rejection is a record, never a log line.
 """
 
+from collections.abc import Mapping
+
 from edgectl.model.assignment import Rejection, RejectionRule
 from edgectl.model.inventory import Host
 from edgectl.model.resource import NETWORK, RESOURCES, Resource
-from edgectl.model.task import ZERO, OnboardRule, Quantity, Task
+from edgectl.model.task import OnboardRule, Task
 from edgectl.scheduler.capacities import Capacities
-from edgectl.scheduler.demand import demand_at
-from edgectl.scheduler.ledger import Ledger
+from edgectl.scheduler.ledger import Ledger, compute_demand_usage
 from edgectl.scheduler.utility import EPSILON, resource_utility
 
 
@@ -50,18 +51,16 @@ def compute_resource_terms(
     ``scan`` computes the same for all edges at once.
     """
     fleet = ledger.fleet
-    demand = demand_at(fleet, task, place)
+    use = compute_demand_usage(fleet, task, place)
     terms: dict[str, float | None] = {}
     rejections: tuple[Rejection, ...] = ()
     for resource in RESOURCES:
         name = resource.name
-        quantity = demand[name] or ZERO
         if resource.per_link:
-            term, lacking = _compute_network_term(ledger, task, place, quantity)
+            term, lacking = _compute_network_term(ledger, task, place, use.links)
         else:
-            amount = quantity.of(fleet.raw[name][place])
             term, lacking = _compute_term(
-                resource, fleet.usable[name][place], ledger.used[name][place], amount
+                resource, fleet.usable[name][place], ledger.used[name][place], use.used[name]
             )
         terms[name] = term
         rejections += lacking
@@ -81,7 +80,7 @@ def _compute_term(
 
 
 def _compute_network_term(
-    ledger: Ledger, task: Task, place: int, throughput: Quantity
+    ledger: Ledger, task: Task, place: int, rates: Mapping[str, float]
 ) -> tuple[float | None, tuple[Rejection, ...]]:
     """UT_net, eq. (3): the worst of the task's links; 1 onboard or without a robot."""
     if place >= ledger.fleet.edges:
@@ -89,16 +88,16 @@ def _compute_network_term(
     worst: float | None = 1.0
     rejections: tuple[Rejection, ...] = ()
     for robot in task.robots:
-        term, lack = _compute_link_term(ledger, robot, place, throughput)
+        term, lack = _compute_link_term(ledger, robot, place, rates.get(robot, 0.0))
         worst = None if worst is None or term is None else min(worst, term)
         rejections += lack
     return worst, rejections
 
 
 def _compute_link_term(
-    ledger: Ledger, robot: str, place: int, throughput: Quantity
+    ledger: Ledger, robot: str, place: int, rate: float
 ) -> tuple[float | None, tuple[Rejection, ...]]:
     capacity = ledger.fleet.links[robot][place] if robot in ledger.fleet.links else None
     if capacity is None:
         return None, (Rejection(rule=RejectionRule.NO_LINK, resource=NETWORK, robot=robot),)
-    return _compute_term(NETWORK, capacity, ledger.links[robot][place], throughput.of(capacity), robot)
+    return _compute_term(NETWORK, capacity, ledger.links[robot][place], rate, robot)

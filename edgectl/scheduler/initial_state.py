@@ -6,16 +6,18 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from edgectl.model.assignment import Decision, Reason, Verdict
-from edgectl.model.lost_places import LostPlace, build_lost_place_decision, find_lost_place
 from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.policy import Policy
-from edgectl.model.snapshot import TaskSample, TaskState
+from edgectl.model.snapshot import HostSample, TaskSample, TaskState
 from edgectl.model.task import Task, Tasks
-from edgectl.model.task_origin import is_left_alone
+from edgectl.rules.lost_places import LostPlace, build_lost_place_decision, find_lost_place
+from edgectl.rules.measured_demand import WARM_UP_S
+from edgectl.rules.task_origin import is_left_alone
 from edgectl.scheduler.capacities import Capacities
 from edgectl.scheduler.claims import Standing, find_record, judge_report
-from edgectl.scheduler.ledger import Ledger, TaskUsage, build_measured_ledger, compute_measured_usage
+from edgectl.scheduler.ledger import Ledger, build_measured_ledger, compute_measured_usage
 from edgectl.scheduler.partition import seconds_until_replaced
+from edgectl.scheduler.task_usage import TaskUsage
 
 # With more than this share of the edges unreachable the manager's own link is the suspect, and nothing moves.
 MAX_UNREACHABLE_SHARE = 0.55
@@ -25,12 +27,14 @@ MAX_UNREACHABLE_SHARE = 0.55
 class RunningTask:
     """A task that occupies ``place`` with ``use``.
 
-    ``since``: when it came there; None: this very plan puts it there.
+    ``since``: when it came there; None: this very plan puts it there. ``counts``: it has run long enough for
+    its measured usage to be typical of it.
     """
 
     place: int
     use: TaskUsage
     since: float | None
+    counts: bool = True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,6 +42,7 @@ class InitialState:
     """The state that a pass starts from.
 
     ``ledger``: gamma, without what is about to be stopped. ``running``: tasks that the pass may keep or move.
+    ``held``: tasks that run and stay where they are, because their robot does not answer.
     ``located``: the place of every task that counts as a predecessor. ``completed``: predecessors that need
     no place. ``fixed``: decisions that no pass makes. ``replaced``: the silent host of every task that is
     placed anew although it was never seen to end.
@@ -48,6 +53,7 @@ class InitialState:
     located: Mapping[str, int]
     completed: frozenset[str]
     fixed: Mapping[str, Decision]
+    held: Mapping[str, RunningTask] = field(default_factory=dict)
     replaced: Mapping[str, str] = field(default_factory=dict)
     frozen: bool = False
     unseen: tuple[str, ...] = ()
@@ -63,14 +69,17 @@ class FoundInstance:
 
 @dataclass(slots=True, kw_only=True)
 class _InitialStateBuilder:
-    """Collects the initial state task by task."""
+    """Collects the initial state task by task. ``samples``: of the hosts that have one, by name."""
 
     fleet: Capacities
+    samples: Mapping[str, HostSample]
     ledger: Ledger
     manager: ManagerState
     now: float
     frozen: bool
+    unsure: str | None
     running: dict[str, RunningTask] = field(default_factory=dict)
+    held: dict[str, RunningTask] = field(default_factory=dict)
     located: dict[str, int] = field(default_factory=dict)
     completed: set[str] = field(default_factory=set)
     fixed: dict[str, Decision] = field(default_factory=dict)
@@ -84,10 +93,16 @@ def build_initial_state(
     seen = _collect_instances(fleet)
     builder = _InitialStateBuilder(
         fleet=fleet,
+        samples={
+            host.name: sample
+            for host, sample in zip(fleet.places, fleet.samples, strict=True)
+            if sample is not None
+        },
         ledger=build_measured_ledger(fleet),
         manager=manager,
         now=now,
         frozen=_is_partition_suspected(fleet, manager),
+        unsure=_find_unsure_host(fleet, manager),
     )
     # In the order of the names: sums of floats depend on their order, and the order of a file must not
     # matter.
@@ -105,6 +120,7 @@ def build_initial_state(
     return InitialState(
         ledger=builder.ledger,
         running=builder.running,
+        held=builder.held,
         located=builder.located,
         completed=frozenset(builder.completed),
         fixed=builder.fixed,
@@ -125,6 +141,25 @@ def _is_partition_suspected(fleet: Capacities, manager: ManagerState) -> bool:
         if not (fleet.is_unreachable(place) and fleet.places[place].name in manager.fenced)
     ]
     return sum(map(fleet.is_unreachable, asked)) > MAX_UNREACHABLE_SHARE * len(asked)
+
+
+def _find_unsure_host(fleet: Capacities, manager: ManagerState) -> str | None:
+    """A silent host on which another manager may have placed any task (ADR 0055); None: there is none.
+
+    Where others were granted the fleet after this manager last saw all hosts, its record may be out of date.
+    """
+    silent = [
+        host.name
+        for place, host in enumerate(fleet.places)
+        if (place < fleet.edges or host.onboard)
+        and fleet.is_unreachable(place)
+        and host.name not in manager.fenced
+    ]
+    outdated = any(
+        sample is not None and sample.ok and sample.foreign_grant > manager.synced.get(host.name, 0)
+        for host, sample in zip(fleet.places, fleet.samples, strict=True)
+    )
+    return silent[0] if silent and outdated else None
 
 
 def _collect_instances(fleet: Capacities) -> dict[str, tuple[FoundInstance, ...]]:
@@ -175,24 +210,33 @@ def _add_task(builder: _InitialStateBuilder, task: Task, sightings: tuple[FoundI
         _keep_unmanaged(builder, task, current)
     elif (robot := _find_unreachable_robot(builder, task)) is not None:
         _hold_task(builder, task, _get_instance_host(builder, current) or away, Reason.ROBOT_SILENT, robot)
+        if current is not None:
+            builder.held[task.name] = _build_running_task(builder, task, current)
     elif current is not None:
         _release_usage(builder, (s for s in ours if s is not current), task)
         _add_running_task(builder, task, current)
     elif away is not None or lost is not None:
         builder.replaced[task.name] = away or (lost.host if lost is not None else "")
-    elif (ended := _find_given_up_run(builder, task, sightings)) is not None:
+    else:
+        _add_absent_task(builder, task, sightings)
+
+
+def _add_absent_task(builder: _InitialStateBuilder, task: Task, sightings: tuple[FoundInstance, ...]) -> None:
+    """A task that no host shows alive: given up, held, or to be placed."""
+    if (ended := _find_given_up_run(builder, task, sightings)) is not None:
         builder.fixed[task.name] = _build_given_up_decision(task, ended, _get_instance_host(builder, ended))
+    elif builder.unsure is not None:
+        builder.fixed[task.name] = Decision(
+            task=task.name, verdict=Verdict.HELD, reason=Reason.HOST_UNSURE, subject=builder.unsure
+        )
 
 
 def _select_counted(
     builder: _InitialStateBuilder, task: Task, sightings: tuple[FoundInstance, ...]
 ) -> tuple[FoundInstance, ...]:
-    samples = {
-        host.name: sample
-        for host, sample in zip(builder.fleet.places, builder.fleet.samples, strict=True)
-        if sample is not None
-    }
-    record = find_record(task.name, builder.manager, builder.fleet.index, samples)
+    if not sightings:
+        return ()
+    record = find_record(task.name, builder.manager, builder.fleet.index, builder.samples)
     return tuple(
         s
         for s in sightings
@@ -202,14 +246,19 @@ def _select_counted(
 
 
 def _add_running_task(builder: _InitialStateBuilder, task: Task, current: FoundInstance) -> None:
+    builder.running[task.name] = _build_running_task(builder, task, current)
+    builder.located[task.name] = current.place
+
+
+def _build_running_task(builder: _InitialStateBuilder, task: Task, current: FoundInstance) -> RunningTask:
     placement = builder.manager.placements.get(task.name)
     remembered = placement is not None and placement.host == builder.fleet.places[current.place].name
-    builder.running[task.name] = RunningTask(
+    return RunningTask(
         place=current.place,
         use=compute_measured_usage(builder.fleet, current.sample, task, current.place),
         since=placement.since if placement is not None and remembered else current.sample.started_at,
+        counts=builder.now - current.sample.started_at >= WARM_UP_S,
     )
-    builder.located[task.name] = current.place
 
 
 def _find_newest_instance(
@@ -265,15 +314,17 @@ def _find_given_up_run(
         if s.sample.managed and s.sample.given_up and s.sample.spec_hash in ("", task.spec_hash)
     ]
     last = _find_newest_instance(builder, task, ended)
+    if last is None:
+        return None
     placement = builder.manager.placements.get(task.name)
-    told = [sample.generations.get(task.name, 0) for sample in builder.fleet.samples if sample is not None]
+    told = [sample.generations.get(task.name, 0) for sample in builder.samples.values()]
     known = max(
         [s.sample.generation for s in sightings]
         + told
         + [placement.generation if placement is not None else 0],
         default=0,
     )
-    return last if last is not None and last.sample.generation >= known else None
+    return last if last.sample.generation >= known else None
 
 
 def _build_given_up_decision(task: Task, ended: FoundInstance, host: str | None) -> Decision:
@@ -311,14 +362,9 @@ def _find_lost_newest_place(
     placement = builder.manager.placements.get(task.name)
     if placement is None or not task.managed or not _is_older(current, ours, placement):
         return None
-    samples = {
-        host.name: sample
-        for host, sample in zip(builder.fleet.places, builder.fleet.samples, strict=True)
-        if sample is not None
-    }
-    if placement.host not in samples and placement.host in builder.fleet.index:
+    if placement.host not in builder.samples and placement.host in builder.fleet.index:
         return None
-    return find_lost_place(placement, samples, builder.manager)
+    return find_lost_place(task.name, placement, builder.samples, builder.manager)
 
 
 def _hold_at_lost_place(builder: _InitialStateBuilder, task: Task, lost: LostPlace) -> None:

@@ -11,17 +11,10 @@ from edgectl.model.snapshot import TaskSample
 from edgectl.model.task import ZERO, Quantity, Task
 from edgectl.scheduler.capacities import Capacities
 from edgectl.scheduler.demand import demand_at
+from edgectl.scheduler.task_usage import TaskUsage, take_greater
 
 # Free share of a place without capacity: so far below any demand that nothing ever fits.
 NO_FREE_SHARE = -1e300
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TaskUsage:
-    """Load of one task on one place: amounts by resource of the host, and bytes/s by robot."""
-
-    used: Mapping[str, float] = field(default_factory=dict)
-    links: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -160,15 +153,32 @@ def _get_measured_link_rate(fleet: Capacities, edge: int, robot: str) -> float:
 
 
 def compute_demand_usage(fleet: Capacities, task: Task, place: int) -> TaskUsage:
-    """Demand (rho) of ``task`` at ``place``.
+    """Load (d) that ``task`` counts for at ``place``: its demand (rho), or what it was measured to use, if it
+    runs and that is more (ADR 0060).
 
     A share is of the capacity before limits; a robot's own computer needs no link.
     """
+    declared = compute_stated_usage(fleet, task, place)
+    floor = fleet.floors.get(task.name)
+    if floor is None:
+        return declared
+    found = take_greater(declared, floor)
+    return TaskUsage(used=found.used, links=_select_present_links(fleet, found.links, place))
+
+
+def compute_stated_usage(fleet: Capacities, task: Task, place: int) -> TaskUsage:
+    """Demand (rho) of ``task`` at ``place``, whatever it was measured to use."""
     demand = demand_at(fleet, task, place)
     return TaskUsage(
         used={name: (demand[name] or ZERO).of(row[place]) for name, row in fleet.raw.items()},
         links=_compute_link_rates(fleet, task.robots, place, demand[NETWORK.name] or ZERO),
     )
+
+
+def _select_present_links(fleet: Capacities, rates: Mapping[str, float], place: int) -> dict[str, float]:
+    if place >= fleet.edges:
+        return {}
+    return {robot: rate for robot, rate in rates.items() if fleet.links[robot][place] is not None}
 
 
 def _compute_link_rates(

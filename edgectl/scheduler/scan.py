@@ -32,10 +32,10 @@ def is_feasible_total(total: float) -> bool:
 class DemandShares:
     """Demands as shares of capacity, filled as they are first asked for.
 
-    ``rows`` is keyed by resource and quantity, of which a fleet has few; by the task's name where history
-    decides, for there the demand may differ from edge to edge. ``weighted`` is keyed by all of a task's
-    quantities. ``links`` and ``inverse_links`` are of the
-    links to one robot.
+    Rho is what is stated or learned from history; d is at least what a running task was measured to use (ADR
+    0060). ``rows`` is keyed by resource and quantity, of which a fleet has few; by the task's name where
+    history decides, for there the demand may differ from edge to edge. ``weighted`` is keyed by all of a
+    task's quantities. ``links`` and ``inverse_links`` are of the links to one robot.
     """
 
     fleet: Capacities
@@ -47,6 +47,14 @@ class DemandShares:
     links: dict[tuple[str, Quantity | str], list[float]] = field(default_factory=dict)
 
     def of_host(self, task: Task, resource: str) -> list[float]:
+        """D / Delta of a resource of hosts at every edge."""
+        row = self._get_stated_row(task, resource)
+        floor = self.fleet.floors.get(task.name)
+        if floor is None or resource not in floor.used:
+            return row
+        return _raise_shares(row, floor.used[resource], self.fleet.usable[resource])
+
+    def _get_stated_row(self, task: Task, resource: str) -> list[float]:
         """Rho / Delta of a resource of hosts at every edge."""
         quantity = task.demand[resource] or ZERO
         measured = task.name in self.fleet.demands
@@ -61,7 +69,9 @@ class DemandShares:
         return row
 
     def of_weighted(self, task: Task, weights: Weights) -> list[float]:
-        """Sum of weight x (rho / Delta) over the resources of hosts at every edge, under one policy."""
+        """Sum of weight x (d / Delta) over the resources of hosts at every edge, under one policy."""
+        if task.name in self.fleet.floors:
+            return self._add_weighted(task, weights)
         key = (
             task.name
             if task.name in self.fleet.demands
@@ -69,15 +79,26 @@ class DemandShares:
         )
         row = self.weighted.get(key)
         if row is None:
-            row = self.zeros
-            for resource in HOST_RESOURCES:
-                weight = weights[resource.name]
-                demanded = self.of_host(task, resource.name)
-                row = [total + weight * share for total, share in zip(row, demanded, strict=True)]
-            self.weighted[key] = row
+            row = self.weighted[key] = self._add_weighted(task, weights)
+        return row
+
+    def _add_weighted(self, task: Task, weights: Weights) -> list[float]:
+        row = self.zeros
+        for resource in HOST_RESOURCES:
+            weight = weights[resource.name]
+            demanded = self.of_host(task, resource.name)
+            row = [total + weight * share for total, share in zip(row, demanded, strict=True)]
         return row
 
     def of_link(self, task: Task, robot: str) -> list[float]:
+        """D / Delta of every edge's link to ``robot``."""
+        row = self._get_stated_link_row(task, robot)
+        floor = self.fleet.floors.get(task.name)
+        if floor is None or robot not in floor.links:
+            return row
+        return _raise_shares(row, floor.links[robot], self.fleet.links[robot])
+
+    def _get_stated_link_row(self, task: Task, robot: str) -> list[float]:
         """Rho / Delta of every edge's link to ``robot``."""
         quantity = task.demand[NETWORK.name] or ZERO
         measured = task.name in self.fleet.demands
@@ -124,6 +145,15 @@ def _build_share_row(quantities: Sequence[Quantity | None], raw: Row, usable: Ro
         (quantity or ZERO).of(whole) / capacity if capacity > 0 else 0.0
         for quantity, whole, capacity in found
     ]
+
+
+def _raise_shares(row: Row, amount: float, capacities: Sequence[float | None]) -> list[float]:
+    """The shares, none below that of ``amount``.
+
+    Not kept: one row for each task that uses more than it declares would fill the memory.
+    """
+    found = zip(row, capacities, strict=False)  # the capacities go on to the robots
+    return [max(share, amount / capacity) if capacity else 0.0 for share, capacity in found]
 
 
 class ResourceRows(NamedTuple):

@@ -27,7 +27,7 @@ from edgectl.state.store_file import (
     open_database,
     set_aside_database,
 )
-from edgectl.state.store_rows import DamagedRowError, RowMapper
+from edgectl.state.store_rows import DamagedRowError, Point, RowMapper
 
 Value = TypeVar("Value")
 _DAY_S = 86400.0
@@ -226,8 +226,8 @@ class Store:
         )[::-1]
 
     def stream(
-        self, form: RowMapper[Value], table: str, order: str, *, since: float | None = None
-    ) -> Iterator[Value]:
+        self, form: RowMapper[Point], table: str, order: str, *, since: float | None = None
+    ) -> Iterator[Point]:
         """Yield rows of ``table`` not older than ``since``, sorted by ``order``, in bounded memory.
 
         Raises:
@@ -267,20 +267,20 @@ class Store:
 
     def _newest(
         self,
-        form: RowMapper[Value],
+        form: RowMapper[Point],
         table: str,
         key: str,
         groups: str,
         wanted: Sequence[str | None],
         since: float | None,
         limit: int | None,
-    ) -> tuple[Value, ...]:
+    ) -> tuple[Point, ...]:
         """The newest rows of each group, oldest first. ``groups`` gives the keys in ``table`` with their
         group.
         """
         sql = form.select(table, f"WHERE {key} = ? AND at >= ? ORDER BY at DESC LIMIT ?")
 
-        def read(connection: sqlite3.Connection) -> tuple[Value, ...]:
+        def read(connection: sqlite3.Connection) -> tuple[Point, ...]:
             found: dict[object, list[rows.Row]] = {}
             for each, group in connection.execute(groups, wanted).fetchall():
                 found.setdefault(group, []).extend(
@@ -291,7 +291,7 @@ class Store:
 
         return self._guarded(read, ())
 
-    def _select(self, form: RowMapper[Value], sql: str, values: Sequence[object]) -> tuple[Value, ...]:
+    def _select(self, form: RowMapper[Point], sql: str, values: Sequence[object]) -> tuple[Point, ...]:
         return self._guarded(
             lambda connection: tuple(form.read(row) for row in connection.execute(sql, values)), ()
         )

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from edgectl.errors import StateError
+from edgectl.model.point import HOST_AMOUNT_COLUMNS, TASK_AMOUNT_COLUMNS
 from edgectl.state.json_files import set_aside
 from edgectl.state.paths import open_private_file
 
@@ -107,6 +108,18 @@ CREATE VIEW metric_samples AS
 # Migrations: the statements that each schema adds to the one before.
 _MIGRATIONS = (_BASE_SCHEMA, _METRICS_SCHEMA)
 SCHEMA_VERSION = len(_MIGRATIONS)
+# Columns of amounts by table. Those of a resource that is newer than the file are added to it; an edgectl
+# that does not know them reads and writes the others.
+_AMOUNT_COLUMNS = {
+    "host_samples": dict.fromkeys(HOST_AMOUNT_COLUMNS, "REAL"),
+    "uses": dict.fromkeys(TASK_AMOUNT_COLUMNS, "REAL NOT NULL DEFAULT 0"),
+}
+_TASK_SAMPLES_VIEW = f"""
+DROP VIEW task_samples;
+CREATE VIEW task_samples AS
+  SELECT at, task, host, state, {", ".join(TASK_AMOUNT_COLUMNS)}, instance, spec_hash, age_s, links, start
+  FROM starts JOIN uses USING (start)
+"""  # noqa: S608
 
 
 class NewerSchemaError(StateError):
@@ -152,6 +165,9 @@ def _configure_connection(connection: sqlite3.Connection, path: Path) -> None:
     if version < SCHEMA_VERSION:
         with lock_directory(path.parent):
             _create_tables(connection)
+    if _list_missing_columns(connection):
+        with lock_directory(path.parent):
+            _add_missing_columns(connection)
     connection.executescript("PRAGMA journal_size_limit = 4194304; PRAGMA synchronous = NORMAL;")
 
 
@@ -164,6 +180,28 @@ def _create_tables(connection: sqlite3.Connection) -> None:
     for statement in "".join(_MIGRATIONS[version:]).split(";\n"):
         connection.execute(statement)
     connection.execute(f"PRAGMA user_version = {max(version, SCHEMA_VERSION)}")
+    connection.execute("COMMIT")
+
+
+def _list_missing_columns(connection: sqlite3.Connection) -> list[str]:
+    """``table ADD COLUMN column type`` for each resource that is newer than the file."""
+    return [
+        f"{table} ADD COLUMN {column} {kind}"
+        for table, columns in _AMOUNT_COLUMNS.items()
+        for known in [{row[1] for row in connection.execute(f"PRAGMA table_info({table})")}]
+        for column, kind in columns.items()
+        if column not in known
+    ]
+
+
+def _add_missing_columns(connection: sqlite3.Connection) -> None:
+    """Add missing columns; another edgectl may have done so just now."""
+    connection.execute("BEGIN IMMEDIATE")
+    missing = _list_missing_columns(connection)
+    for column in missing:
+        connection.execute(f"ALTER TABLE {column}")
+    for statement in _TASK_SAMPLES_VIEW.split(";\n") if missing else ():
+        connection.execute(statement)
     connection.execute("COMMIT")
 
 

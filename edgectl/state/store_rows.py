@@ -6,12 +6,30 @@ from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 from edgectl.model.event import Event, EventKind
-from edgectl.model.point import HandoffPoint, HostPoint, LinkPoint, MetricPoint, TaskPoint
+from edgectl.model.point import (
+    HOST_AMOUNT_COLUMNS,
+    TASK_AMOUNT_COLUMNS,
+    HandoffPoint,
+    HistoryPoint,
+    HostPoint,
+    LinkPoint,
+    MetricPoint,
+    TaskPoint,
+    get_columns,
+)
 from edgectl.model.profile import UsageSample
+from edgectl.model.resource import HOST_RESOURCES, TASK_RESOURCES, Usage
 from edgectl.model.result import ActionResult, Outcome
-from edgectl.model.snapshot import HostSample, HostStatus, Snapshot, TaskSample, TaskState
+from edgectl.model.snapshot import (
+    HostSample,
+    HostStatus,
+    ResourceUsage,
+    Snapshot,
+    TaskSample,
+    TaskState,
+)
 
-Value = TypeVar("Value")
+Point = TypeVar("Point", bound=HistoryPoint)
 Row = Sequence[Any]
 ColumnDecoder = Callable[[Any], Any]
 
@@ -21,10 +39,10 @@ class DamagedRowError(ValueError):
 
 
 @dataclass(frozen=True, slots=True)
-class RowMapper(Generic[Value]):
-    """One kind of value and the columns that hold it, in the order of a SELECT."""
+class RowMapper(Generic[Point]):
+    """One kind of value, made by ``kind``, and the columns that hold it, in the order of a SELECT."""
 
-    kind: Callable[..., Value]
+    kind: Callable[..., Point]
     columns: Mapping[str, ColumnDecoder]
 
     @property
@@ -36,11 +54,11 @@ class RowMapper(Generic[Value]):
         """A query of these columns."""
         return f"SELECT {self.names} FROM {table} {rest}"  # noqa: S608
 
-    def read(self, row: Row) -> Value:
+    def read(self, row: Row) -> Point:
         """One row.
 
         Raises:
-            DamagedError: a column does not hold what it should.
+            DamagedRowError: a column does not hold what it should.
         """
         try:
             return self.kind(
@@ -49,9 +67,9 @@ class RowMapper(Generic[Value]):
         except ValueError as error:
             raise DamagedRowError(f"a row cannot be read: {error}") from error
 
-    def row(self, value: Value) -> tuple[object, ...]:
+    def row(self, value: Point) -> tuple[object, ...]:
         """The same as a row to write."""
-        return tuple(getattr(value, name) for name in self.columns)
+        return tuple(get_columns(value, self.columns))
 
 
 def decode_real(value: object) -> float:
@@ -80,16 +98,27 @@ def nullable(read: ColumnDecoder) -> ColumnDecoder:
     return lambda value: None if value is None else read(value)
 
 
+def _host_point_from_columns(**columns: Any) -> HostPoint:  # noqa: ANN401
+    usage = {}
+    for each in HOST_RESOURCES:
+        capacity, used = columns.pop(each.capacity_key), columns.pop(each.used_key)
+        if capacity is not None and capacity > 0:
+            usage[each.name] = ResourceUsage(capacity=capacity, used=used or 0.0)
+    return HostPoint(usage=usage, **columns)
+
+
+def _task_point_from_columns(**columns: Any) -> TaskPoint:  # noqa: ANN401
+    used = {each.name: columns.pop(each.used_key) for each in TASK_RESOURCES}
+    return TaskPoint(used=Usage(used), **columns)
+
+
 HOSTS = RowMapper(
-    HostPoint,
+    _host_point_from_columns,
     {
         "at": decode_real,
         "host": decode_text,
         "status": HostStatus,
-        "cores": nullable(decode_real),
-        "used_cores": nullable(decode_real),
-        "total_bytes": nullable(decode_real),
-        "used_bytes": nullable(decode_real),
+        **dict.fromkeys(HOST_AMOUNT_COLUMNS, nullable(decode_real)),
         "rx_bytes_per_s": nullable(decode_real),
         "tx_bytes_per_s": nullable(decode_real),
     },
@@ -106,15 +135,13 @@ LINKS = RowMapper(
     },
 )
 TASKS = RowMapper(
-    TaskPoint,
+    _task_point_from_columns,
     {
         "at": decode_real,
         "task": decode_text,
         "host": decode_text,
         "state": TaskState,
-        "used_cores": decode_real,
-        "used_bytes": decode_real,
-        "used_bytes_per_s": decode_real,
+        **dict.fromkeys(TASK_AMOUNT_COLUMNS, decode_real),
         "instance": decode_text,
         "spec_hash": decode_text,
         "age_s": decode_real,
@@ -132,28 +159,28 @@ METRICS = RowMapper(
         "instance": decode_text,
     },
 )
-# What a demand is measured by: one seek per start. Read without a form, because there are a thousand of them
-# per task.
+# The samples from which a demand is measured: one seek per start. Read without a mapper, because there are a
+# thousand of them per task.
 USAGE_QUERY = (
-    "SELECT at, used_cores, used_bytes, used_bytes_per_s, links FROM uses "
+    f"SELECT at, {', '.join(TASK_AMOUNT_COLUMNS)}, links FROM uses "  # noqa: S608
     "WHERE start = ? AND state IN ('running', 'ready') AND age_s >= ? ORDER BY at DESC LIMIT ?"
 )
 
 
 def decode_usage(row: Row) -> UsageSample:
-    """One row of ``USES``.
+    """One row of ``USAGE_QUERY``.
 
     Raises:
-        DamagedError: it holds what is no use.
+        DamagedRowError: it holds no usage.
     """
-    at, cores, memory, rate, links = row
+    at, *used, links = row
     try:
-        good = math.isfinite(at + cores + memory + rate) and min(cores, memory, rate, links) >= 0
+        good = math.isfinite(at + sum(used)) and min(*used, links) >= 0
     except TypeError:
         good = False
     if not good:
         raise DamagedRowError(f"a row cannot be read: {row!r}")
-    return UsageSample(at, (cores, memory, rate), links)
+    return UsageSample(at, tuple(used), links)
 
 
 HANDOFFS = RowMapper(
@@ -193,10 +220,7 @@ def _build_host_point(at: float, name: str, sample: HostSample) -> HostPoint:
         at=at,
         host=name,
         status=sample.status,
-        cores=sample.usage["cpu"].capacity if "cpu" in sample.usage else None,
-        used_cores=sample.usage["cpu"].used if "cpu" in sample.usage else None,
-        total_bytes=sample.usage["memory"].capacity if "memory" in sample.usage else None,
-        used_bytes=sample.usage["memory"].used if "memory" in sample.usage else None,
+        usage=sample.usage,
         rx_bytes_per_s=sum(each.rx_bytes_per_s for each in interfaces) if interfaces else None,
         tx_bytes_per_s=sum(each.tx_bytes_per_s for each in interfaces) if interfaces else None,
     )
@@ -229,9 +253,7 @@ def _build_task_point(at: float, host: str, name: str, task: TaskSample) -> Task
         task=name,
         host=host,
         state=task.state,
-        used_cores=task.used["cpu"],
-        used_bytes=task.used["memory"],
-        used_bytes_per_s=task.used["network"],
+        used=task.used,
         instance=task.instance,
         spec_hash=task.spec_hash,
         age_s=round(max(0.0, at - task.started_at), 3) if task.started_at else 0.0,

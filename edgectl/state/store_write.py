@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 
 from edgectl.model.event import Event, EventKind
 from edgectl.model.plan import Action, Plan
-from edgectl.model.point import LinkPoint, TaskPoint
+from edgectl.model.point import TASK_AMOUNT_COLUMNS, LinkPoint, TaskPoint, get_columns
 from edgectl.model.result import Results
 from edgectl.model.snapshot import HostStatus, Snapshot, TaskState
 from edgectl.state import store_rows as rows
@@ -60,23 +60,11 @@ def _write_task_samples(connection: sqlite3.Connection, points: Sequence[TaskPoi
     connection.executemany(
         "INSERT OR IGNORE INTO starts (task, host, instance, spec_hash) VALUES (?, ?, ?, ?)", names
     )
-    values = [
-        (
-            point.at,
-            point.state,
-            point.used_cores,
-            point.used_bytes,
-            point.used_bytes_per_s,
-            point.age_s,
-            point.links,
-            *name,
-        )
-        for name, point in zip(names, points, strict=True)
-    ]
+    columns = ("at", "state", *TASK_AMOUNT_COLUMNS, "age_s", "links")
+    values = [(*get_columns(point, columns), *name) for name, point in zip(names, points, strict=True)]
     connection.executemany(
-        "INSERT OR REPLACE INTO uses (start, at, state, used_cores, used_bytes, used_bytes_per_s, age_s, "
-        "links)"
-        " SELECT start, ?, ?, ?, ?, ?, ?, ? FROM starts WHERE task = ? AND host = ? AND instance = ? AND "
+        f"INSERT OR REPLACE INTO uses (start, {', '.join(columns)})"  # noqa: S608
+        f" SELECT start{', ?' * len(columns)} FROM starts WHERE task = ? AND host = ? AND instance = ? AND "
         "spec_hash = ?",
         values,
     )
@@ -173,7 +161,7 @@ def load_known_fleet(connection: sqlite3.Connection) -> KnownFleet:
     """The last known state of the fleet.
 
     Raises:
-        DamagedError: edgectl did not write it.
+        DamagedRowError: edgectl did not write it.
     """
     hosts = connection.execute("SELECT host, at, since, status, boot_id FROM known_hosts").fetchall()
     tasks = connection.execute("SELECT task, at, host, state, instance, restarts FROM known_tasks").fetchall()

@@ -60,7 +60,18 @@ class ResolvedHost:
 
 def get_home_dir() -> str:
     """The home that OpenSSH uses: the account's, not $HOME."""
-    return pwd.getpwuid(os.getuid()).pw_dir
+    try:
+        return pwd.getpwuid(os.getuid()).pw_dir
+    except KeyError:
+        return os.environ.get("HOME", "/")
+
+
+def get_user_name() -> str:
+    """The name of the caller; the uid where it has none, as in containers."""
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):
+        return str(os.getuid())
 
 
 def build_ssh_options(host: Host) -> list[str]:
@@ -194,7 +205,7 @@ def _merge_host_config(host: Host, values: Mapping[str, list[str]]) -> ResolvedH
         return "" if found == "none" else found
 
     hostname = one("hostname", host.host)
-    user = one("user", host.user or getpass.getuser())
+    user = one("user", host.user or get_user_name())
     port = int(one("port", str(host.port or 22)))
     alias = one("hostkeyalias")
     jump = one("proxyjump", host.proxy_jump or "")
@@ -264,5 +275,5 @@ def _build_tokens(given: str, hostname: str, port: int, user: str, alias: str, j
         "n": given,
         "p": str(port),
         "r": user,
-        "u": getpass.getuser(),
+        "u": get_user_name(),
     }

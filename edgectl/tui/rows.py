@@ -5,10 +5,11 @@ from dataclasses import dataclass, field
 
 from edgectl.model.inventory import Inventory
 from edgectl.model.point import HostPoint, TaskPoint
-from edgectl.model.snapshot import HostSample, Snapshot, TaskSample
+from edgectl.model.resource import CPU, HOST_RESOURCES, TASK_RESOURCES, Resource
+from edgectl.model.snapshot import HostSample, ResourceUsage, Snapshot, TaskSample
 from edgectl.model.task import Task, Tasks
 from edgectl.names import natural_key
-from edgectl.units import format_bytes, format_cores, format_duration, format_rate
+from edgectl.units import format_cores, format_duration
 from edgectl.views.describe_host import HostDetailsView
 from edgectl.views.describe_task import TaskDetailsView
 from edgectl.views.rows import compute_task_age, find_task_demand
@@ -52,10 +53,18 @@ class TopRow:
         return f"{self.task}@{self.host}" if self.task else str(self.host)
 
 
-HOST_ORDERS = ("name", "cpu", "memory", "tasks")
-TASK_ORDERS = ("name", "host", "cpu", "memory", "network", "age")
-HOST_TITLES = ("HOST", "STATUS", "CPU", "", "MEMORY%", "", "TASKS")
-TASK_TITLES = ("TASK", "HOST", "STATE", "AGE", "CPU/DEMAND", "", "MEMORY", "NETWORK")
+# Of the CPU a table shows amounts and, of a task, its last samples; of the others one figure.
+_OTHER_HOST_RESOURCES = tuple(each for each in HOST_RESOURCES if each is not CPU)
+_OTHER_TASK_RESOURCES = tuple(each for each in TASK_RESOURCES if each is not CPU)
+HOST_ORDERS = ("name", *(each.name for each in HOST_RESOURCES), "tasks")
+TASK_ORDERS = ("name", "host", *(each.name for each in TASK_RESOURCES), "age")
+HOST_TITLES = (
+    "HOST", "STATUS", "CPU", "",
+    *(title for each in _OTHER_HOST_RESOURCES for title in (f"{each.name.upper()}%", "")), "TASKS",
+)  # fmt: skip
+TASK_TITLES = (
+    "TASK", "HOST", "STATE", "AGE", "CPU/DEMAND", "", *(each.name.upper() for each in _OTHER_TASK_RESOURCES),
+)  # fmt: skip
 
 
 def select_rows(lines: Iterable[TopRow], wanted: str, order: str) -> list[TopRow]:
@@ -69,7 +78,7 @@ def select_rows(lines: Iterable[TopRow], wanted: str, order: str) -> list[TopRow
 
 
 def build_host_rows(frame: Frame, width: int, *, unicode: bool) -> list[TopRow]:
-    """One line per host; two sparklines share what a terminal of ``width`` columns has left."""
+    """One line per host; a sparkline per resource in what a terminal of ``width`` columns has left."""
 
     def lines(room: int) -> list[TopRow]:
         return [
@@ -77,7 +86,7 @@ def build_host_rows(frame: Frame, width: int, *, unicode: bool) -> list[TopRow]:
             for name, host in frame.snapshot.hosts.items()
         ]
 
-    return lines(_compute_spare_columns(lines(0), HOST_TITLES, width) // 2)
+    return lines(_compute_spare_columns(lines(0), HOST_TITLES, width) // len(HOST_RESOURCES))
 
 
 def _compute_spare_columns(lines: Sequence[TopRow], titles: Sequence[str], width: int) -> int:
@@ -94,8 +103,7 @@ def compute_table_widths(lines: Iterable[TopRow], titles: Sequence[str]) -> list
 def _build_host_row(name: str, host: HostSample, frame: Frame, room: int, *, unicode: bool) -> TopRow:
     points = frame.host_points.get(name, ())
     closed = format_operator_mark(name, frame.snapshot.manager)
-    cpu = host.usage["cpu"].used / host.usage["cpu"].capacity if "cpu" in host.usage else 0.0
-    memory = host.usage["memory"].used / host.usage["memory"].capacity if "memory" in host.usage else 0.0
+    shares = {each.name: _get_share(host.usage.get(each.name)) or 0.0 for each in HOST_RESOURCES}
     count = sum(task.state.alive for task in host.tasks.values())
     status = (
         Cell(closed or "ok", "warn" if closed else "good")
@@ -105,32 +113,40 @@ def _build_host_row(name: str, host: HostSample, frame: Frame, room: int, *, uni
     cells = (
         Cell(name, "name"),
         status,
-        Cell(
-            f"{format_cores(host.usage['cpu'].used)}/{format_cores(host.usage['cpu'].capacity)}"
-            if "cpu" in host.usage
-            else "-",
-            _get_heat_style(cpu),
-        ),
-        Cell(
-            _render_history(
-                [_compute_share(p.used_cores, p.cores) for p in points], 1.0, room, unicode=unicode
-            ),
-            "dim",
-        ),
-        Cell(f"{memory:.0%}" if "memory" in host.usage else "-", _get_heat_style(memory)),
-        Cell(
-            _render_history(
-                [_compute_share(p.used_bytes, p.total_bytes) for p in points], 1.0, room, unicode=unicode
-            ),
-            "dim",
+        *(
+            cell
+            for each in HOST_RESOURCES
+            for cell in (
+                _render_host_usage(each, host.usage.get(each.name)),
+                _render_share_history(each, points, room, unicode=unicode),
+            )
         ),
         Cell(str(count) if host.ok else "-"),
     )
     named = natural_key(name)
+    by_share = {each: (-share, named) for each, share in shares.items()}
     return TopRow(
-        host=name, task=None, cells=cells,
-        orders={"name": (named,), "cpu": (-cpu, named), "memory": (-memory, named), "tasks": (-count, named)},
-    )  # fmt: skip
+        host=name, task=None, cells=cells, orders={"name": (named,), **by_share, "tasks": (-count, named)}
+    )
+
+
+def _render_host_usage(resource: Resource, usage: ResourceUsage | None) -> Cell:
+    """Cores in use of all, of the other resources the share in use."""
+    if usage is None:
+        return Cell("-")
+    text = (
+        f"{format_cores(usage.used)}/{format_cores(usage.capacity)}"
+        if resource is CPU
+        else f"{usage.share:.0%}"
+    )
+    return Cell(text, _get_heat_style(usage.share))
+
+
+def _render_share_history(
+    resource: Resource, points: Sequence[HostPoint], room: int, *, unicode: bool
+) -> Cell:
+    shares = [_get_share(point.usage.get(resource.name)) for point in points]
+    return Cell(_render_history(shares, 1.0, room, unicode=unicode), "dim")
 
 
 def build_task_rows(frame: Frame, width: int, *, unicode: bool) -> list[TopRow]:
@@ -156,29 +172,20 @@ def build_task_rows(frame: Frame, width: int, *, unicode: bool) -> list[TopRow]:
 def _build_task_row(
     name: str, host: str, sample: TaskSample, frame: Frame, room: int, *, unicode: bool
 ) -> TopRow:
-    cores = [point.used_cores for point in frame.task_points.get(name, ()) if point.host == host]
+    cores = [point.used[CPU.name] for point in frame.task_points.get(name, ()) if point.host == host]
     age = compute_task_age(sample, frame.snapshot)
     alive = sample.state.alive
-    demand = find_task_demand(name, host, frame.snapshot, frame.inventory, frame.tasks).get("cpu")
+    demand = find_task_demand(name, host, frame.snapshot, frame.inventory, frame.tasks).get(CPU.name)
     cells = (
         Cell(name, "name"),
         Cell(host),
         Cell(sample.state.value, TASK_STATE_STYLES[sample.state]),
         Cell("-" if age is None else format_duration(age)),
-        _render_cores_and_demand(sample.used["cpu"], demand) if alive else Cell("-"),
+        _render_cores_and_demand(sample.used[CPU.name], demand) if alive else Cell("-"),
         Cell(_render_history(cores, max([demand or 0.01, *cores]), room, unicode=unicode), "dim"),
-        Cell(format_bytes(sample.used["memory"]) if alive else "-"),
-        Cell(format_rate(sample.used["network"]) if alive else "-"),
+        *(Cell(each.unit.format(sample.used[each.name]) if alive else "-") for each in _OTHER_TASK_RESOURCES),
     )
-    return _assemble_task_row(
-        name,
-        host,
-        cells,
-        cpu=sample.used["cpu"],
-        memory=sample.used["memory"],
-        network=sample.used["network"],
-        age=age or 0.0,
-    )
+    return _assemble_task_row(name, host, cells, age=age or 0.0, **sample.used)
 
 
 def _render_cores_and_demand(used: float, demand: float | None) -> Cell:
@@ -200,8 +207,7 @@ def _build_absent_task_row(task: Task, frame: Frame) -> TopRow:
         Cell("-"),
         Cell("-"),
         Cell(""),
-        Cell("-"),
-        Cell("-"),
+        *(Cell("-") for _ in _OTHER_TASK_RESOURCES),
     )
     return _assemble_task_row(task.name, known.host, cells)
 
@@ -214,8 +220,8 @@ def _assemble_task_row(task: str, host: str | None, cells: Sequence[Cell], **amo
     )
 
 
-def _compute_share(used: float | None, capacity: float | None) -> float | None:
-    return used / capacity if used is not None and capacity else None
+def _get_share(usage: ResourceUsage | None) -> float | None:
+    return None if usage is None else usage.share
 
 
 def _render_history(values: Sequence[float | None], top: float, room: int, *, unicode: bool) -> str:

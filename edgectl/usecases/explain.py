@@ -6,6 +6,7 @@ from statistics import pstdev
 from edgectl.model.explanation import Explanation
 from edgectl.model.plan import Plan
 from edgectl.model.point import HostPoint
+from edgectl.model.resource import HOST_RESOURCES
 from edgectl.scheduler.explain import TermNoise
 from edgectl.scheduler.explain import explain_decision as explained
 from edgectl.usecases.fleet import Fleet
@@ -33,10 +34,8 @@ def compute_noise_by_host(fleet: Fleet) -> dict[str, TermNoise]:
 
 
 def _compute_noise(points: Sequence[HostPoint]) -> TermNoise:
-    cpu = [point.used_cores / point.cores for point in points if point.used_cores is not None and point.cores]
-    memory = [
-        point.used_bytes / point.total_bytes
-        for point in points
-        if point.used_bytes is not None and point.total_bytes
-    ]
-    return TermNoise(cpu=pstdev(cpu) if cpu else 0.0, memory=pstdev(memory) if memory else 0.0)
+    shares = {
+        resource.name: [point.usage[resource.name].share for point in points if resource.name in point.usage]
+        for resource in HOST_RESOURCES
+    }
+    return TermNoise({name: pstdev(found) for name, found in shares.items() if found})

@@ -4,7 +4,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from edgectl.export.history_rows import HistoryPoint, RowKind
+from edgectl.export.history_rows import RowKind
+from edgectl.model.point import HistoryPoint
 from edgectl.state import store_rows as rows
 from edgectl.state.json_files import Warn, ignore_warning
 from edgectl.state.store_handle import StoreHandle

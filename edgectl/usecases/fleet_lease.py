@@ -25,6 +25,8 @@ from edgectl.usecases.heartbeat import send_heartbeats
 _RELEASE_TIMEOUT_S, _WORKERS, _PAUSE_S = 5.0, 32, 0.3
 # Besides its pause, a cycle of a watch takes at most about so long while a host hangs.
 _CYCLE_MARGIN_S = 15.0
+# What a host reports as the cycle of a watch; nobody waits for longer unless they say so.
+_MAX_CYCLE_S = 60.0
 
 
 @contextlib.contextmanager
@@ -38,7 +40,8 @@ def hold_fleet(
 ) -> Iterator[Fleet]:
     """The fleet with a lease: its first probe claims every host that answers; nobody else changes it then.
 
-    ``patience_s``: how long to wait for another manager; None: for one cycle of a watch, else not at all.
+    ``patience_s``: how long to wait for another manager; None: for one cycle of a watch, at most a minute,
+    else not at all.
     ``watch``: the note to leave on the hosts; ``take_over`` replaces that of another watch.
     """
     lease = FleetLease(
@@ -132,7 +135,7 @@ def _get_patience_s(lease: FleetLease) -> float:
     if lease.patience_s is not None:
         return lease.patience_s
     cycles = [refusal.every_s for refusal in lease.refusals.values() if refusal.verb == "watch"]
-    return max(cycles) + _CYCLE_MARGIN_S if len(cycles) == len(lease.refusals) else 0.0
+    return min(_MAX_CYCLE_S, max(cycles)) + _CYCLE_MARGIN_S if len(cycles) == len(lease.refusals) else 0.0
 
 
 def _build_busy_error(lease: FleetLease) -> LockBusyError:

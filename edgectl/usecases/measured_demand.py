@@ -5,20 +5,20 @@ from typing import TYPE_CHECKING
 
 from edgectl.model.inventory import Inventory
 from edgectl.model.manager_state import MeasuredDemand
-from edgectl.model.measured_demand import classify_host, follows_history, has_enough_samples
 from edgectl.model.point import HostPoint
 from edgectl.model.profile import ClassProfile, UsageProfile
+from edgectl.model.resource import CPU, MEMORY
 from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Task
+from edgectl.rules.measured_demand import WARM_UP_S, classify_host, follows_history, has_enough_samples
 from edgectl.scheduler.profile import build_usage_profile, measured_demand_from_profile
 from edgectl.usecases.fleet import Fleet
 
 if TYPE_CHECKING:
     from edgectl.state.store import Store
 
-# Start-up is not typical use and is left out; at most this many samples of a task on a class of hosts are
-# read.
-WARM_UP_S, MAX_SAMPLES = 10.0, 1000
+# At most this many samples of a task on a class of hosts are read.
+MAX_SAMPLES = 1000
 _HISTORY_FILE = "history.db"
 
 
@@ -84,7 +84,7 @@ def _classify_answering_hosts(inventory: Inventory, snapshot: Snapshot) -> dict[
     for name, sample in snapshot.hosts.items():
         if name in inventory.hosts and sample.measured:
             found[name] = classify_host(
-                inventory.hosts[name], sample.usage["cpu"].capacity, sample.usage["memory"].capacity
+                inventory.hosts[name], sample.usage[CPU.name].capacity, sample.usage[MEMORY.name].capacity
             )
     return found
 
@@ -98,8 +98,10 @@ def _classify_by_last_sample(
         if snapshot is not None and name in snapshot.hosts and snapshot.hosts[name].measured:
             continue
         point = _find_last_answer(store, name)
-        if point is not None and point.cores and point.total_bytes:
-            found[name] = classify_host(host, point.cores, point.total_bytes)
+        if point is not None and point.usage.keys() >= {CPU.name, MEMORY.name}:
+            found[name] = classify_host(
+                host, point.usage[CPU.name].capacity, point.usage[MEMORY.name].capacity
+            )
     return found
 
 
@@ -107,7 +109,7 @@ def _find_last_answer(store: "Store", host: str) -> HostPoint | None:
     """The last sample with values; a host that has been unreachable for very long has none."""
     for limit in (1, MAX_SAMPLES):
         for point in reversed(store.host_points(host, limit=limit)):
-            if point.cores is not None:
+            if point.usage:
                 return point
     return None
 

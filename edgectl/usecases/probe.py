@@ -9,6 +9,7 @@ from edgectl.model.snapshot import BandwidthMeasurement, HostSample, Snapshot
 from edgectl.state.heartbeats import load_heartbeats, record_orphans
 from edgectl.state.journal import JOURNAL_FILE_NAME
 from edgectl.state.journal_reader import read_journal_cached
+from edgectl.state.manager_identity import find_manager_id
 from edgectl.state.manager_state import (
     load_ignored_instances,
     load_link_capacities,
@@ -36,6 +37,8 @@ def probe_fleet(fleet: Fleet, options: ProbeOptions | None = None) -> Snapshot:
         measured=measured,
         reopened=reopened,
         known_tasks=lambda: _list_known_tasks(fleet),
+        former_hosts=_list_former_hosts(fleet),
+        manager_id=find_manager_id(fleet.state),
     )
     fenced = load_heartbeats(fleet.state, fleet.warn).fenced
     with track_heartbeats(fleet) as tracked:
@@ -65,6 +68,12 @@ def probe_fleet(fleet: Fleet, options: ProbeOptions | None = None) -> Snapshot:
 def _list_known_tasks(fleet: Fleet) -> frozenset[str]:
     """Tasks of the files, and tasks that this manager has placed."""
     return frozenset(fleet.tasks.tasks) | frozenset(load_manager_state(fleet.state, fleet.warn).placements)
+
+
+def _list_former_hosts(fleet: Fleet) -> frozenset[str]:
+    """Hosts on which this manager has placed tasks and that left the inventory."""
+    placements = load_manager_state(fleet.state, fleet.warn).placements.values()
+    return frozenset(placement.host for placement in placements) - fleet.inventory.hosts.keys()
 
 
 def _record_orphans(fleet: Fleet, snapshot: Snapshot) -> None:

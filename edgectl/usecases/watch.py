@@ -3,11 +3,12 @@
 import contextlib
 import dataclasses
 import math
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass, field
 from typing import Self
 
 from edgectl.errors import EdgectlError, LockBusyError, WatchedError
+from edgectl.executor.dependencies import add_dependent_starts
 from edgectl.gateway.host_probe import ProbeOptions
 from edgectl.gateway.smoothing import smooth_snapshot
 from edgectl.model.cycle import Cycle
@@ -15,7 +16,6 @@ from edgectl.model.plan import Action, Plan
 from edgectl.model.policy import Policy
 from edgectl.model.result import Outcome, Results
 from edgectl.model.snapshot import Snapshot
-from edgectl.model.task import Tasks
 from edgectl.state.lock import FleetLock
 from edgectl.transport.backoff import compute_backoff_s
 from edgectl.transport.connections import REFUSED_BACKOFF_S, BackoffTransport, SessionPool
@@ -262,7 +262,7 @@ class _WatchLoop:
         if signature != self._planned:
             self._planned = signature
             record_plan(self._fleet, plan)
-        alone = _expand_tasks_in_backoff(plan, self._fleet.tasks, self._at_rest())
+        alone = add_dependent_starts(plan.steps, self._fleet.tasks, self._at_rest())
         return limit_plan_to_tasks(plan, {step.task for step in plan.steps} - alone) if alone else plan
 
     def _at_rest(self) -> tuple[str, ...]:
@@ -285,17 +285,6 @@ class _WatchLoop:
                 failures = 1 + (self._resting[action.task].failures if action.task in self._resting else 0)
                 seconds = compute_backoff_s(failures, first_s=_MIN_BACKOFF_S, max_s=_MAX_BACKOFF_S)
                 self._resting[action.task] = _TaskBackoff(failures=failures, until=self._now() + seconds)
-
-
-def _expand_tasks_in_backoff(plan: Plan, tasks: Tasks, resting: Iterable[str]) -> set[str]:
-    """Tasks in back-off, and those that would start after one that is in back-off."""
-    alone = set(resting)
-    starting = {step.task for step in plan.steps if step.action is Action.START}
-    for step in plan.steps:
-        needs = {need.task for need in tasks.tasks[step.task].needs} if step.task in tasks.tasks else set()
-        if step.task in starting and needs & alone & starting:
-            alone.add(step.task)
-    return alone
 
 
 class _CycleBuilder:

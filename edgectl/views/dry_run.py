@@ -20,7 +20,11 @@ class RequestsView(ListView):
 
     def table(self, look: RenderOptions = PLAIN) -> str:
         """Of each request a heading, the command line and its standard input."""
-        return "\n".join(_render_request(each, look) for each in self._requests) or "nothing to send\n"
+        return "\n".join(_render_request(each, look) for each in self._requests)
+
+    def notes(self) -> Sequence[str]:
+        """That there are none."""
+        return [] if self._requests else ["nothing to send"]
 
     def items(self) -> Sequence[Document]:
         """The requests as JSON types."""

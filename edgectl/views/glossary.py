@@ -7,7 +7,7 @@ from here.
 from dataclasses import dataclass
 from enum import StrEnum
 
-from edgectl.model.resource import AFFINITY, RESOURCES, TERMS
+from edgectl.model.resource import AFFINITY, CPU, RESOURCES, TERMS, Resource
 from edgectl.views.text import Cell, Row
 
 
@@ -73,6 +73,12 @@ def _describe_amounts() -> dict[str, str]:
         for amount, text in _AMOUNTS.items()
         if not (resource.per_link and amount == "capacity")
     }
+
+
+def get_flat_used_key(resource: Resource) -> str:
+    """The key of the usage of ``resource`` where there is no object of the resource; cores are the CPU's."""
+    key = f"used_{resource.unit.name}"
+    return key if resource is CPU else f"{resource.name}_{key}"
 
 
 def _list_amount_headings() -> dict[str, str]:
@@ -160,6 +166,7 @@ _MEANINGS: dict[KeyType, dict[str, str]] = {
     },
     KeyType.NUMBER: {
         **_describe_amounts(),
+        **{get_flat_used_key(each): f"{each.name} usage" for each in RESOURCES if each is not CPU},
         "capacity_bytes_per_s": "capacity of a link",
         "adds": "contribution of a term to the lead",
         "age_s": "time since the start; of a task that has ended, since its end",
@@ -184,9 +191,7 @@ _MEANINGS: dict[KeyType, dict[str, str]] = {
         "load_1m": "load average over one minute",
         "max": "maximum",
         "mean": "mean",
-        "memory_used_bytes": "memory usage",
         "move_margin": "lead below which a task is not moved",
-        "network_used_bytes_per_s": "network usage",
         "next_in_s": "time until the next cycle",
         "noise": "variation of the utility from the measurements alone",
         "p50": "median",

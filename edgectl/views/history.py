@@ -26,7 +26,11 @@ class HistoryView(ListView):
 
     def table(self, look: RenderOptions = PLAIN) -> str:
         """One line per revision."""
-        return _render_revisions(self._revisions, look) if self._revisions else "Nothing was applied yet.\n"
+        return _render_revisions(self._revisions, look) if self._revisions else ""
+
+    def notes(self) -> Sequence[str]:
+        """That there are none."""
+        return [] if self._revisions else ["nothing was applied yet"]
 
     def items(self) -> Sequence[Document]:
         """The revisions as JSON types."""

@@ -51,14 +51,10 @@ class View:
         raise NotImplementedError
 
 
-class ItemView(View):
-    """One thing: ``{format_version, kind, item, warnings}``."""
+class EnvelopeView(View):
+    """A document with an envelope: version, kind, and the remarks that tables have as notes."""
 
     kind: str
-
-    def item(self) -> Document:
-        """The thing as JSON types."""
-        raise NotImplementedError
 
     def warnings(self) -> Sequence[str]:
         """Remarks on the whole; tables have them as notes."""
@@ -68,45 +64,44 @@ class ItemView(View):
         """The warnings; a class whose items carry a part of them adds that."""
         return self.warnings()
 
-    def document(self) -> Document:
-        """The item in its envelope."""
+    def _build_envelope(self, key: str, content: object) -> Document:
         return {
             "format_version": OUTPUT_VERSION,
             "kind": self.kind,
-            "item": round_item(self.item()),
+            key: content,
             "warnings": list(self.warnings()),
         }
+
+
+class ItemView(EnvelopeView):
+    """One thing: ``{format_version, kind, item, warnings}``."""
+
+    def item(self) -> Document:
+        """The thing as JSON types."""
+        raise NotImplementedError
+
+    def document(self) -> Document:
+        """The item in its envelope."""
+        return self._build_envelope("item", round_item(self.item()))
 
     def rows(self) -> Sequence[Document]:
         """The item alone."""
         return [round_item(self.item())]
 
 
-class ListView(View):
-    """Things of one kind: ``{format_version, kind, items, warnings}``."""
+class ListView(EnvelopeView):
+    """Things of one kind: ``{format_version, kind, items, warnings}``.
 
-    kind: str
+    An empty list has an empty table; its note says what there is none of.
+    """
 
     def items(self) -> Sequence[Document]:
         """The things as JSON types."""
         raise NotImplementedError
 
-    def warnings(self) -> Sequence[str]:
-        """Remarks on the whole; tables have them as notes."""
-        return ()
-
-    def notes(self) -> Sequence[str]:
-        """The warnings; a class whose items carry a part of them adds that."""
-        return self.warnings()
-
     def document(self) -> Document:
         """The items in their envelope."""
-        return {
-            "format_version": OUTPUT_VERSION,
-            "kind": self.kind,
-            "items": list(self.rows()),
-            "warnings": list(self.warnings()),
-        }
+        return self._build_envelope("items", list(self.rows()))
 
     def rows(self) -> Sequence[Document]:
         """The items alone."""

@@ -4,9 +4,9 @@ from collections import Counter
 from collections.abc import Callable, Iterable
 
 from edgectl.model.assignment import Decision, RankedHost, Reason, Rejection, RejectionRule, Verdict
-from edgectl.model.lost_places import describe_lost_place, get_lost_place
 from edgectl.model.plan import Action, Step
 from edgectl.model.resource import Resource
+from edgectl.rules.lost_places import describe_lost_place, get_lost_place
 from edgectl.units import format_duration
 
 _RULE_TEXTS = {
@@ -28,6 +28,7 @@ _FIXED_REASON_TEXTS = {
     Reason.BEST: "highest utility",
     Reason.ONLY_FEASIBLE: "the only host that fits",
     Reason.BEST_EFFORT: "nothing fits; best effort",
+    Reason.ROOM_MADE: "fits since other tasks made room",
     Reason.PINNED: "pinned",
     Reason.FIRST_PLACEMENT: "first placement (policy static)",
     Reason.ONBOARD_LOCAL: "on its robot (policy local)",
@@ -205,8 +206,13 @@ _REASON_DESCRIBERS: dict[Reason, Callable[[Step], str]] = {
     Reason.WITH_PREDECESSOR: _describe_with_predecessor,
     Reason.GAIN: _describe_gain,
     Reason.FORCED_INFEASIBLE: _describe_infeasible,
+    Reason.RELIEF: lambda step: (
+        f"no host fits; the worst overload falls by {step.decision.amount or 0.0:.0%} of the capacity"
+    ),
     Reason.FORCED_DRAIN: lambda step: f"{step.decision.previous_host} is drained",
     Reason.FORCED_RULE: lambda step: f"{step.decision.previous_host} is excluded" + _describe_exclusion(step),
+    Reason.MADE_ROOM: lambda step: f"made room for {step.decision.subject or 'another task'}",
+    Reason.PREEMPTED: lambda step: f"preempted by {step.decision.subject or 'a task'} of higher priority",
     Reason.BELOW_MARGIN: _describe_below_margin,
     Reason.GAIN_OVER_COST: _describe_gain_over_cost,
     Reason.COST_ABOVE_GAIN: _describe_cost_above_gain,
@@ -221,6 +227,10 @@ _REASON_DESCRIBERS: dict[Reason, Callable[[Step], str]] = {
         f"its predecessor {step.decision.subject} has not completed yet; plan again once it has"
     ),
     Reason.HOST_SILENT: _describe_silent_host,
+    Reason.HOST_UNSURE: lambda step: (
+        f"may run on {step.decision.subject}, which does not answer: another manager has acted since all "
+        f"hosts were last seen; edgectl fence {step.decision.subject} if it is off"
+    ),
     Reason.ROBOT_SILENT: _describe_silent_host,
     Reason.HOST_LEFT: _describe_left_host,
     Reason.HOST_READDRESSED: _describe_left_host,

@@ -2,7 +2,7 @@
 
 from edgectl.formats.document import Document, without_none
 from edgectl.model.inventory import Host, Inventory
-from edgectl.model.resource import HOST_RESOURCES, RESOURCES
+from edgectl.model.resource import HOST_RESOURCES, RESOURCES, TASK_RESOURCES
 from edgectl.model.snapshot import DeviceSample, HostSample, LinkSample, Snapshot, TaskSample
 from edgectl.model.task import Task, Tasks
 from edgectl.units import format_instant
@@ -117,7 +117,9 @@ def encode_run_row(name: str, host: str, sample: TaskSample, demand: Amounts, va
     usage = {
         resource.name: without_none(
             **{
-                f"used_{resource.unit.name}": sample.used[resource.name] if alive else None,
+                f"used_{resource.unit.name}": sample.used[resource.name]
+                if alive and resource in TASK_RESOURCES
+                else None,
                 f"demand_{resource.unit.name}": demand.get(resource.name),
                 f"excess_{resource.unit.name}": excess.get(resource.name),
             }

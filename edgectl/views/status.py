@@ -4,10 +4,10 @@ from collections.abc import Iterator, Sequence
 
 from edgectl.formats.document import Document
 from edgectl.model.inventory import Inventory
-from edgectl.model.lost_places import describe_lost_place
 from edgectl.model.resource import RESOURCES
 from edgectl.model.snapshot import Snapshot, TaskSample, TaskState
 from edgectl.model.task import Task, Tasks
+from edgectl.rules.lost_places import describe_lost_place
 from edgectl.units import format_duration
 from edgectl.views.glossary import head
 from edgectl.views.other_tasks import list_foreign_notes
@@ -70,6 +70,8 @@ class StatusView(ListView):
         """First what runs twice and what failed; usage beside demand, or below on a narrow terminal."""
         rows: list[Row] = [_HEAD, *map(self._render_run_row, list_task_runs(self._snapshot))]
         rows += [_render_absent_row(task, self._snapshot) for task in self._absent_tasks()]
+        if len(rows) == 1:
+            return ""
         # A state may wrap, so the longest one does not count.
         widest: list[Row] = [(*row[:2], TaskState.COMPLETED, *row[3:]) for row in rows]
         if is_within_width(widest, look):
@@ -92,7 +94,8 @@ class StatusView(ListView):
 
     def notes(self) -> Sequence[str]:
         """The warnings, and remarks on tasks that stand in their rows in documents."""
-        return [*self.warnings(), *list_task_remarks(self._snapshot), *self._list_need_notes()]
+        none = [] if self._tasks.tasks or list_task_runs(self._snapshot) else ["no task"]
+        return [*none, *self.warnings(), *list_task_remarks(self._snapshot), *self._list_need_notes()]
 
     def _render_run_row(self, run: tuple[str, str, TaskSample]) -> Row:
         name, host, sample = run

@@ -6,13 +6,13 @@ from edgectl.errors import describe_unseen_task
 from edgectl.formats.document import Document, without_none
 from edgectl.model.inventory import Host, Inventory, Limits
 from edgectl.model.point import HostPoint, TaskPoint
-from edgectl.model.resource import HOST_RESOURCES, Resource
+from edgectl.model.resource import CPU, HOST_RESOURCES, RESOURCES, TASK_RESOURCES, Resource
 from edgectl.model.snapshot import HostSample, Snapshot, TaskSample, TaskState
 from edgectl.model.task import Task, Tasks
 from edgectl.names import natural_key
-from edgectl.units import format_bytes, format_cores, format_duration, format_instant, format_rate
+from edgectl.units import format_duration, format_instant, format_rate
 from edgectl.views import metrics
-from edgectl.views.glossary import head
+from edgectl.views.glossary import get_flat_used_key, head
 from edgectl.views.output import ListView
 from edgectl.views.output_format import WIDE_FORMATS
 from edgectl.views.plan_sections import list_snapshot_notes
@@ -36,16 +36,25 @@ _WIDE_HOST_HEAD = head(
     "device.load_1m",
     "device.temperature_c",
 )
+# Of the CPU the demand is always shown, of the others in the wide form.
+_OTHER_TASK_RESOURCES = tuple(each for each in TASK_RESOURCES if each is not CPU)
+_UNMEASURED_RESOURCES = tuple(each for each in RESOURCES if each not in TASK_RESOURCES)
+
+
+def _list_columns(resource: Resource, *amounts: str) -> tuple[str, ...]:
+    return tuple(f"{resource.name}.{amount}_{resource.unit.name}" for amount in amounts)
+
+
 _TASK_HEAD = head(
-    "task", "host", "cpu.used_cores", "cpu.demand_cores", "cpu.excess_cores", "memory.used_bytes",
-    "network.used_bytes_per_s", "age_s", "ready",
+    "task", "host", *_list_columns(CPU, "used", "demand", "excess"),
+    *(column for each in _OTHER_TASK_RESOURCES for column in _list_columns(each, "used")), "age_s", "ready",
 )  # fmt: skip
 _WIDE_TASK_HEAD = head(
-    "memory.demand_bytes", "memory.excess_bytes", "network.demand_bytes_per_s",
-    "network.excess_bytes_per_s", "restarts",
+    *(column for each in _OTHER_TASK_RESOURCES for column in _list_columns(each, "demand", "excess")),
+    *(column for each in _UNMEASURED_RESOURCES for column in _list_columns(each, "demand")), "restarts",
 )  # fmt: skip
 _HOST_RIGHT_COLUMNS = frozenset(range(2, len(_HOST_HEAD) + len(_WIDE_HOST_HEAD))) - {2 + len(HOST_RESOURCES)}
-_RIGHT_COLUMNS = frozenset(range(2, 8))
+_RIGHT_COLUMNS = frozenset(range(2, len(_TASK_HEAD) - 1))
 _WIDE_RIGHT_COLUMNS = frozenset(range(len(_TASK_HEAD), len(_TASK_HEAD) + len(_WIDE_TASK_HEAD)))
 
 
@@ -74,8 +83,7 @@ class TopHostsView(ListView):
             for name, sample in value.hosts.items()
         ]
         histories = [
-            ([_compute_cpu_share_of_point(point) for point in self._points.get(name, ())], 1.0)
-            for name in value.hosts
+            ([_get_cpu_share(point) for point in self._points.get(name, ())], 1.0) for name in value.hosts
         ]
         first: Row = (*_HOST_HEAD, *_WIDE_HOST_HEAD) if wide else _HOST_HEAD
         return render_with_sparklines([first, *rows], histories, look, right=_HOST_RIGHT_COLUMNS)
@@ -126,8 +134,8 @@ class TopTasksView(ListView):
             demand = self._find_demand(name, host)
             task = self._tasks.tasks.get(name)
             rows.append(_render_top_task_row(name, host, sample, task, demand, self._snapshot, wide=wide))
-            used = [point.used_cores for point in self._points.get(name, ())]
-            histories.append((used, max([demand.get("cpu") or 0.0, *used])))
+            used = [point.used[CPU.name] for point in self._points.get(name, ())]
+            histories.append((used, max([demand.get(CPU.name) or 0.0, *used])))
         right = _RIGHT_COLUMNS | _WIDE_RIGHT_COLUMNS if wide else _RIGHT_COLUMNS
         body = render_with_sparklines(rows, histories, look, right=right)
         reported = render_columns(metrics.render_metrics_rows(runs), look)
@@ -229,9 +237,7 @@ def _list_over_limit_notes(value: Snapshot, inventory: Inventory) -> list[str]:
         host = inventory.hosts.get(name)
         if host is None or not sample.measured:
             continue
-        parts = {
-            name: (usage.used / usage.capacity, host.limits[name]) for name, usage in sample.usage.items()
-        }
+        parts = {name: (usage.share, host.limits[name]) for name, usage in sample.usage.items()}
         lines += [
             f"{name} uses {part:.0%} of its {what}; its limit is {limit:.0%}"
             for what, (part, limit) in parts.items()
@@ -240,8 +246,8 @@ def _list_over_limit_notes(value: Snapshot, inventory: Inventory) -> list[str]:
     return lines
 
 
-def _compute_cpu_share_of_point(point: HostPoint) -> float | None:
-    return point.used_cores / point.cores if point.used_cores is not None and point.cores else None
+def _get_cpu_share(point: HostPoint) -> float | None:
+    return point.usage[CPU.name].share if CPU.name in point.usage else None
 
 
 def group_points_by_host(points: Iterable[HostPoint]) -> dict[str, list[HostPoint]]:
@@ -298,29 +304,29 @@ def _render_top_task_row(
     *,
     wide: bool,
 ) -> Row:
-    difference = subtract_demand(sample, demand)
     row: Row = (
         Cell(name, "name"),
         host,
-        format_cores(sample.used["cpu"]),
-        format_or_dash(demand.get("cpu"), format_cores),
-        render_difference(difference.get("cpu"), demand.get("cpu"), format_cores),
-        format_bytes(sample.used["memory"]),
-        format_rate(sample.used["network"]),
+        CPU.unit.format(sample.used[CPU.name]),
+        *_render_demand_and_excess(CPU, sample, demand),
+        *(each.unit.format(sample.used[each.name]) for each in _OTHER_TASK_RESOURCES),
         format_or_dash(compute_task_age(sample, value), format_duration),
         _render_readiness(sample, task),
     )
     if not wide:
         return row
-    memory = (
-        format_or_dash(demand.get("memory"), format_bytes),
-        render_difference(difference.get("memory"), demand.get("memory"), format_bytes),
+    return (
+        *row,
+        *(cell for each in _OTHER_TASK_RESOURCES for cell in _render_demand_and_excess(each, sample, demand)),
+        *(format_or_dash(demand.get(each.name), each.unit.format) for each in _UNMEASURED_RESOURCES),
+        str(sample.restarts),
     )
-    network = (
-        format_or_dash(demand.get("network"), format_rate),
-        render_difference(difference.get("network"), demand.get("network"), format_rate),
-    )
-    return (*row, *memory, *network, str(sample.restarts))
+
+
+def _render_demand_and_excess(resource: Resource, sample: TaskSample, demand: Amounts) -> Row:
+    demanded, show = demand.get(resource.name), resource.unit.format
+    excess = subtract_demand(sample, demand).get(resource.name)
+    return format_or_dash(demanded, show), render_difference(excess, demanded, show)
 
 
 def _render_readiness(sample: TaskSample, task: Task | None) -> Cell:
@@ -333,8 +339,7 @@ def _render_readiness(sample: TaskSample, task: Task | None) -> Cell:
 def _encode_host_point(point: HostPoint) -> Document:
     return without_none(
         at=format_instant(point.at),
-        used_cores=point.used_cores,
-        memory_used_bytes=point.used_bytes,
+        **{get_flat_used_key(each): point.amounts[each.used_key] for each in HOST_RESOURCES},
     )
 
 
@@ -342,7 +347,5 @@ def _encode_task_point(point: TaskPoint) -> Document:
     return without_none(
         at=format_instant(point.at),
         host=point.host,
-        used_cores=point.used_cores,
-        memory_used_bytes=point.used_bytes,
-        network_used_bytes_per_s=point.used_bytes_per_s,
+        **{get_flat_used_key(each): point.used[each.name] for each in TASK_RESOURCES},
     )

@@ -4,15 +4,15 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 
 from edgectl.model.inventory import Host
 from edgectl.model.manager_state import ManagerState
-from edgectl.model.measured_demand import (
+from edgectl.model.resource import CPU, MEMORY, RESOURCES, TASK_RESOURCES
+from edgectl.model.snapshot import HostSample, ResourceUsage, TaskSample
+from edgectl.model.task import Demand, Task
+from edgectl.rules.measured_demand import (
     classify_host,
     has_enough_samples,
     is_of_current_spec,
     resolve_demand,
 )
-from edgectl.model.resource import RESOURCES
-from edgectl.model.snapshot import HostSample, ResourceUsage, TaskSample
-from edgectl.model.task import Demand, Task
 from edgectl.views.sparkline import SPARKLINE_SAMPLES, render_bar, render_sparkline
 from edgectl.views.text import Cell, RenderOptions, Row, compute_remaining_width, render_columns
 
@@ -29,7 +29,7 @@ Amounts = Mapping[str, float]
 
 def render_usage_share(usage: ResourceUsage, limit: float, look: RenderOptions) -> Cell:
     """``64%``, on a terminal behind a bar; above ``limit`` (a share of the capacity) it says so."""
-    part = usage.used / usage.capacity if usage.capacity > 0 else 0.0
+    part = usage.share if usage.capacity > 0 else 0.0
     text = f"{part:4.0%}" if look.width is not None else f"{part:.0%}"
     drawn = f"{render_bar(part, _BAR_WIDTH, unicode=look.unicode)} {text}" if look.width is not None else text
     return Cell(drawn + "!", "bad") if part > limit else Cell(drawn)
@@ -59,7 +59,10 @@ def _select_current_demand(
     if host is None or memory is None or not sample.measured:
         return task.demand
     found = memory.measured.get(
-        (task.name, classify_host(host, sample.usage["cpu"].capacity, sample.usage["memory"].capacity))
+        (
+            task.name,
+            classify_host(host, sample.usage[CPU.name].capacity, sample.usage[MEMORY.name].capacity),
+        )
     )
     return (
         resolve_demand(task.demand, found)
@@ -69,8 +72,12 @@ def _select_current_demand(
 
 
 def subtract_demand(sample: TaskSample, demand: Amounts) -> Amounts:
-    """Usage minus demand, where there is one."""
-    return {name: sample.used[name] - demanded for name, demanded in demand.items()}
+    """Usage minus demand, where there is one and the usage can be measured."""
+    return {
+        each.name: sample.used[each.name] - demand[each.name]
+        for each in TASK_RESOURCES
+        if each.name in demand
+    }
 
 
 def format_or_dash(value: float | None, show: Callable[[float], str]) -> str:

@@ -7,11 +7,12 @@ from edgectl.formats.document import Document, without_none
 from edgectl.model.assignment import Reason
 from edgectl.model.cycle import Cycle
 from edgectl.model.event import Event, EventKind
-from edgectl.model.lost_places import describe_lost_place, list_lost_tasks
 from edgectl.model.plan import Action
 from edgectl.model.policy import WEIGHT_PRESETS, Weights
+from edgectl.model.resource import CPU
 from edgectl.model.result import ActionResult, Outcome
 from edgectl.model.snapshot import HostSample, Snapshot, find_doubled_tasks
+from edgectl.rules.lost_places import describe_lost_place, list_lost_tasks
 from edgectl.units import format_instant
 from edgectl.views.events import encode_event
 from edgectl.views.output import ItemView
@@ -220,10 +221,10 @@ def _append_cpu_shares(
     if snapshot is None:
         return tally.shares
     return {
-        name: (*tally.shares.get(name, ()), _compute_cpu_share(host))[-SPARKLINE_SAMPLES:]
+        name: (*tally.shares.get(name, ()), _get_cpu_share(host))[-SPARKLINE_SAMPLES:]
         for name, host in snapshot.hosts.items()
     }
 
 
-def _compute_cpu_share(host: HostSample) -> float | None:
-    return None if "cpu" not in host.usage else host.usage["cpu"].used / host.usage["cpu"].capacity
+def _get_cpu_share(host: HostSample) -> float | None:
+    return host.usage[CPU.name].share if CPU.name in host.usage else None

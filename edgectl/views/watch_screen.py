@@ -9,8 +9,9 @@ from dataclasses import dataclass
 
 from edgectl.model.cycle import Cycle
 from edgectl.model.plan import Step
-from edgectl.model.snapshot import HostSample, TaskSample
-from edgectl.units import format_bytes, format_cores, format_duration, format_rate
+from edgectl.model.resource import CPU, HOST_RESOURCES, TASK_RESOURCES
+from edgectl.model.snapshot import HostSample, ResourceUsage, TaskSample
+from edgectl.units import format_duration
 from edgectl.views.reasons import describe_reason
 from edgectl.views.sparkline import render_bar, render_sparkline
 from edgectl.views.state import TASK_STATE_STYLES, format_task_state
@@ -26,6 +27,11 @@ from edgectl.views.text import (
 )
 from edgectl.views.watch_cycle import WatchTally, add_cycle_to_tally
 
+# Of the CPU the screen shows the last cycles, of the others a bar.
+_OTHER_HOST_RESOURCES = tuple(each for each in HOST_RESOURCES if each is not CPU)
+_HOST_HEAD = ("HOST", "STATUS", "CPU", "", *(each.name.upper() for each in _OTHER_HOST_RESOURCES), "TASKS")
+_TASK_HEAD = ("", "TASK", "HOST", "STATE", *(each.name.upper() for each in TASK_RESOURCES), "DECISION")
+_TASK_RIGHT_COLUMNS = frozenset(range(4, 4 + len(TASK_RESOURCES)))
 _KEY_HELP = "q quit   p plan now   a pause"
 _HIGH_SHARE = 0.9
 _HEAD_LINES, _FOOT_LINES, _MAX_PAST_LINES = 2, 2, 5
@@ -97,7 +103,7 @@ def _format_next_cycle(tally: WatchTally, now: float) -> str:
 
 
 def _render_watch_hosts(tally: WatchTally, look: RenderOptions) -> list[str]:
-    rows: list[Row] = [("HOST", "STATUS", "CPU", "", "MEMORY", "TASKS")]
+    rows: list[Row] = [_HOST_HEAD]
     for name, host in tally.snapshot.hosts.items() if tally.snapshot is not None else ():
         rows.append(_render_watch_host_row(name, host, tally, look))
     return render_columns(rows, RenderOptions(colour=look.colour), right={3}).splitlines()
@@ -108,27 +114,31 @@ def _render_watch_host_row(name: str, host: HostSample, tally: WatchTally, look:
         tally.shares.get(name, ()), 1.0, 12 if (look.width or 80) < 120 else 40, unicode=look.unicode
     )
     if not host.measured:
-        return (Cell(name, "name"), Cell(host.status.value, "bad"), strip, "-", "-", Cell(host.error, "bad"))
-    share, memory = (
-        host.usage["cpu"].used / host.usage["cpu"].capacity,
-        host.usage["memory"].used / host.usage["memory"].capacity,
-    )
+        unknown = ("-",) * len(HOST_RESOURCES)
+        return (
+            Cell(name, "name"), Cell(host.status.value, "bad"), strip, *unknown, Cell(host.error, "bad"),
+        )  # fmt: skip
+    share = host.usage[CPU.name].share
     running = [task for task, sample in host.tasks.items() if sample.state.alive]
     return (
         Cell(name, "name"),
         Cell(host.status.value, "good"),
         strip,
         Cell(f"{share:.0%}", "bad" if share > _HIGH_SHARE else ""),
-        Cell(
-            f"{render_bar(memory, 8, unicode=look.unicode)} {memory:4.0%}",
-            "bad" if memory > _HIGH_SHARE else "",
-        ),
+        *(_render_usage_bar(host.usage.get(each.name), look) for each in _OTHER_HOST_RESOURCES),
         " ".join(running) or "-",
     )
 
 
+def _render_usage_bar(usage: ResourceUsage | None, look: RenderOptions) -> Cell:
+    if usage is None:
+        return Cell("-")
+    bar = render_bar(usage.share, 8, unicode=look.unicode)
+    return Cell(f"{bar} {usage.share:4.0%}", "bad" if usage.share > _HIGH_SHARE else "")
+
+
 def _render_watch_tasks(tally: WatchTally, look: RenderOptions) -> list[str]:
-    rows: list[Row] = [("", "TASK", "HOST", "STATE", "CPU", "MEMORY", "NET", "DECISION")]
+    rows: list[Row] = [_TASK_HEAD]
     cycle = tally.last
     steps = cycle.plan.steps if cycle is not None and cycle.plan is not None else ()
     found = {
@@ -143,7 +153,7 @@ def _render_watch_tasks(tally: WatchTally, look: RenderOptions) -> list[str]:
         for name in dict.fromkeys((*decided, *found))
     ]
     return (
-        render_columns(rows, RenderOptions(colour=look.colour), right={4, 5, 6}).splitlines()
+        render_columns(rows, RenderOptions(colour=look.colour), right=_TASK_RIGHT_COLUMNS).splitlines()
         if len(rows) > 1
         else ["No tasks yet."]
     )
@@ -158,16 +168,14 @@ def _render_watch_task_row(
     symbol, why = (step.action.symbol, describe_reason(step)) if step is not None else ("", "-")
     why = f"left alone for a while, because its last action failed; {why}" if resting else why
     if found is None:
-        return (symbol, Cell(name, "name"), "-", "-", "-", "-", "-", why)
+        return (symbol, Cell(name, "name"), "-", "-", *("-",) * len(TASK_RESOURCES), why)
     host, sample = found
     return (
         symbol,
         Cell(name, "name"),
         host,
         Cell(format_task_state(sample), TASK_STATE_STYLES[sample.state]),
-        format_cores(sample.used["cpu"]),
-        format_bytes(sample.used["memory"]),
-        format_rate(sample.used["network"]),
+        *(each.unit.format(sample.used[each.name]) for each in TASK_RESOURCES),
         why,
     )
 

@@ -311,18 +311,30 @@ def test_every_python_gives_the_same_document_and_supervises(host: AgentHost, py
     assert host.stop("slam")["state"] == "stopped"
 
 
-def test_memory_with_and_without_psutil_is_close() -> None:
-    psutil = device.find_psutil()
+def test_memory_is_what_psutil_reads(tmp_path: Path) -> None:
+    psutil = device.import_psutil()
     assert psutil is not None
-    with_it, without = device.read_memory(psutil), device.read_memory(None)
-    assert with_it["total_bytes"] == without["total_bytes"]
-    assert abs(with_it["used_bytes"] - without["used_bytes"]) < 200e6
+    seen, (total, used) = psutil.virtual_memory(), device.read_machine_memory()
+    assert total == seen.total
+    assert abs(used - (seen.total - seen.available)) < 200e6
+    # Linux before 3.14 does not say what is available.
+    (tmp_path / "meminfo").write_text("MemTotal: 4 kB\nMemFree: 1 kB\nBuffers: 1 kB\nCached: 1 kB\n")
+    assert device.read_machine_memory(str(tmp_path / "meminfo"))[0] == seen.total
+
+
+def test_a_probe_says_that_there_is_psutil_without_its_import(host: AgentHost, tmp_path: Path) -> None:
+    folder = f"lib/python{sys.version_info[0]}.{sys.version_info[1]}/site-packages/psutil"
+    (tmp_path / folder).mkdir(parents=True)
+    (tmp_path / folder / "__init__.py").write_text("raise SystemExit('imported')\n")
+    (tmp_path / "bin").mkdir()
+    (tmp_path / "bin" / "python3").symlink_to(Path(sys.executable).resolve())
+    host.session.python = str(tmp_path / "bin" / "python3")
+    assert host.ask("probe", window_s=0.1, links=LINKS)["psutil"] is True
 
 
 def test_temperature_is_plausible_or_missing() -> None:
-    for psutil in (device.find_psutil(), None):
-        found = device.read_temperature_c(psutil)
-        assert found is None or 0 < found < 150
+    found = device.read_temperature_c()
+    assert found is None or 0 < found < 150
 
 
 def test_bandwidth_is_measured_by_sending(host: AgentHost) -> None:

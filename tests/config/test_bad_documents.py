@@ -123,6 +123,8 @@ CASES = {
     "unknown status": ("snapshot", '"status": "ok"', '"status": "okay"', '"okay"', "EC202", "unknown status: 'okay'", "write one of ok, unreachable"),
     "unknown source": ("snapshot", ': "measured"', ': "guessed"', '"guessed"', "EC202", "unknown capacity_source", "write one of declared, measured"),
     "instant": ("snapshot", '"taken_at": "2026', '"taken_at": "yesterday 2026', '"yesterday', "EC202", "taken_at: cannot be read as an instant", ""),
+    "no such month": ("snapshot", '"taken_at": "2026', '"taken_at": "2026-13-01T00:00:00Z", "x": "2026', '"2026-13-01T00:00:00Z"', "EC202", "cannot be read as an instant", ""),
+    "before year 1": ("snapshot", '"taken_at": "2026', '"taken_at": "0001-01-01T00:00:00+23:00", "x": "2026', '"0001-01-01T00:00:00+23:00"', "EC202", "cannot be read as an instant", ""),
     "null": ("snapshot", '"capacity_cores": 4', '"capacity_cores": null', "null", "EC202", "must not be null", ""),
     "no measurements": ("snapshot", '"cpu"', '"kpu"', None, "EC202", "hosts.edge1: cpu is missing", "add cpu"),
     "no hosts": ("snapshot", '"hosts"', '"host"', None, "EC202", "hosts is missing", "add hosts"),

@@ -1,10 +1,11 @@
 """Simulated hosts behind FakeTransport: they implement the agent protocol and record what ran where."""
 
+import copy
 import threading
 import time
 from collections import UserDict
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from edgectl.errors import ConnectError, HostError, RefusedError
 from edgectl.transport.fake import FakeTransport, Handler
@@ -235,6 +236,23 @@ class FakeFleet:
 
     def __getitem__(self, name: str) -> FakeHost:
         return self.hosts[name]
+
+    def copy(self) -> "FakeFleet":
+        """Hosts of their own in the same state."""
+        old = self.world
+        world = SharedEvents(events=[*old.events], alive=copy.deepcopy(old.alive), overlap={*old.overlap})
+        hosts = {
+            name: replace(
+                host,
+                world=world,
+                tasks=copy.deepcopy(host.tasks),
+                faults={**host.faults},
+                checks={**host.checks},
+                seen={**host.seen},
+            )
+            for name, host in self.hosts.items()
+        }
+        return FakeFleet(hosts=hosts, world=world, down={*self.down})
 
     @property
     def transport(self) -> FakeTransport:

@@ -75,9 +75,9 @@ def test_a_variant_that_moves_once_lives_on_the_other_host() -> None:
     )
     assert (mover.cycles, mover.handoffs, mover.unplaced) == (5, 1, 0)
     assert stayer.handoffs == 0
-    assert stayer.cpu.peak == pytest.approx(2.5 / 4)
-    assert mover.cpu.peak == pytest.approx(1.5 / 4)
-    assert mover.cpu.mean == stayer.cpu.mean == pytest.approx(2.5 / 8)
+    assert stayer.utilisation["cpu"].peak == pytest.approx(2.5 / 4)
+    assert mover.utilisation["cpu"].peak == pytest.approx(1.5 / 4)
+    assert mover.utilisation["cpu"].mean == stayer.utilisation["cpu"].mean == pytest.approx(2.5 / 8)
 
 
 def test_what_was_never_seen_running_is_named() -> None:
@@ -109,10 +109,7 @@ def test_snapshots_come_back_from_the_rows_of_the_history() -> None:
             at=at,
             host="edge1",
             status=HostStatus.OK,
-            cores=4.0,
-            used_cores=2.0,
-            total_bytes=4 * GI,
-            used_bytes=GI,
+            usage=a_sample(used=2.0, used_memory=GI).usage,
         )
         for at in (60.0, 0.0)
     ]
@@ -121,10 +118,7 @@ def test_snapshots_come_back_from_the_rows_of_the_history() -> None:
         at=60.0,
         host="edge9",
         status=HostStatus.OK,
-        cores=4.0,
-        used_cores=2.0,
-        total_bytes=4 * GI,
-        used_bytes=GI,
+        usage=a_sample(used=2.0, used_memory=GI).usage,
     )
     link = LinkPoint(at=60.0, edge="edge1", robot="robot1", capacity_bytes_per_s=1e7, used_bytes_per_s=1e6)
     task = TaskPoint(
@@ -132,9 +126,7 @@ def test_snapshots_come_back_from_the_rows_of_the_history() -> None:
         task="slam",
         host="edge1",
         state=TaskState.READY,
-        used_cores=1.0,
-        used_bytes=1e6,
-        used_bytes_per_s=1e3,
+        used=Usage(cpu=1.0, memory=1e6, network=1e3),
         age_s=30.0,
     )
     first, second = snapshots_from_points(INVENTORY, [*rows, lost, gone], [link], [task])

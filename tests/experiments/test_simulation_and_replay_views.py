@@ -14,6 +14,7 @@ from edgectl.experiments.model.schemes import Scheme
 from edgectl.experiments.views.replay import ReplayView
 from edgectl.experiments.views.simulation import SimulationView
 from edgectl.model.policy import Policy
+from edgectl.model.resource import RESOURCES_BY_NAME
 from edgectl.views.text import RenderOptions
 from tests.views.fixtures import show
 
@@ -95,9 +96,7 @@ REPLAYED = ReplayResult(
     unplaced=1,
     unsettled=2,
     assumed=("slam-robot10", "slam-robot2"),
-    cpu=SHARE,
-    memory=SHARE,
-    network=SHARE,
+    utilisation=dict.fromkeys(RESOURCES_BY_NAME, SHARE),
 )
 
 
@@ -122,8 +121,8 @@ def test_replayed_variants_stand_side_by_side() -> None:
 def test_where_nothing_was_recorded_no_number_is_shown() -> None:
     nothing = Utilisation(mean=0.0, peak=0.0)
     value = ReplayResult(
-        scheme=Scheme(name="paper all", policy=Policy()), cycles=0, handoffs=0, unplaced=0, unsettled=0, cpu=nothing, memory=nothing,
-        network=nothing,
+        scheme=Scheme(name="paper all", policy=Policy()), cycles=0, handoffs=0, unplaced=0, unsettled=0,
+        utilisation=dict.fromkeys(RESOURCES_BY_NAME, nothing),
     )  # fmt: skip
     assert ReplayView(results=[value]).table().splitlines()[1].split() == [
         "paper",

@@ -9,9 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from edgectl.export.history_rows import COLUMNS, HistoryPoint, RowKind, format_csv_lines, format_json_lines
+from edgectl.export.history_rows import COLUMNS, RowKind, format_csv_lines, format_json_lines
 from edgectl.model.event import Event, EventKind
-from edgectl.model.point import HandoffPoint, HostPoint, LinkPoint, MetricPoint, TaskPoint
+from edgectl.model.point import HandoffPoint, HistoryPoint, HostPoint, LinkPoint, MetricPoint, TaskPoint
+from edgectl.model.resource import Usage
 from edgectl.model.result import Outcome
 from edgectl.model.snapshot import HostStatus, TaskState
 from edgectl.model.text import escape_unprintable
@@ -22,7 +23,7 @@ POINTS: dict[RowKind, HistoryPoint] = {
     RowKind.HOSTS: HostPoint(at=NOW + 0.25, host="edge1", status=HostStatus.UNREACHABLE),
     RowKind.LINKS: LinkPoint(at=NOW, edge="edge1", robot="robot1", capacity_bytes_per_s=6.75e6, used_bytes_per_s=12.5),
     RowKind.TASKS: TaskPoint(
-        at=NOW, task="slam", host="edge1", state=TaskState.READY, used_cores=0.1, used_bytes=2e8, used_bytes_per_s=0.0, instance="i-1",
+        at=NOW, task="slam", host="edge1", state=TaskState.READY, used=Usage(cpu=0.1, memory=2e8), instance="i-1",
         spec_hash="h-1", age_s=12.0, links=2,
     ),
     RowKind.METRICS: MetricPoint(at=NOW, task="slam", host="edge1", name="map/loss", value=-1e-7, instance="i-1"),
@@ -71,7 +72,10 @@ def test_no_rows_are_a_header_alone() -> None:
 
 @pytest.mark.parametrize("kind", RowKind)
 def test_every_field_of_the_history_has_a_column(kind: RowKind) -> None:
-    assert sorted(COLUMNS[kind].values()) == sorted(field.name for field in dataclasses.fields(POINTS[kind]))
+    point = POINTS[kind]
+    fields = {field.name for field in dataclasses.fields(point)} - {"usage", "used"}
+    amounts = point.amounts if isinstance(point, HostPoint | TaskPoint) else {}
+    assert sorted(COLUMNS[kind].values()) == sorted([*fields, *amounts])
 
 
 def test_the_columns_are_documented() -> None:

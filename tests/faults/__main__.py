@@ -14,9 +14,12 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.faults", description=__doc__)
     parser.add_argument("--quick", action="store_true", help="the short form that is part of make test")
     parser.add_argument("--seed", type=int, default=1, help="random seed")
+    parser.add_argument(
+        "--injection", type=int, metavar="SEED", help="repeat the one injection whose failure names this seed"
+    )
     parser.add_argument("--only", default="", metavar="TEXT", help="run faults whose name contains this text")
     parser.add_argument(
-        "--hosts", choices=["loopback", "namespace"], help="run faults on this kind of host only"
+        "--hosts", choices=["loopback", "namespace", "systemd"], help="run faults on this kind of host only"
     )
     parser.add_argument(
         "--times", type=int, default=0, help="injections per fault (default: set by each fault)"
@@ -56,13 +59,16 @@ def run_case(each: Fault, kind: str, times: int, options: argparse.Namespace) ->
         times,
         options.seed,
         EdgectlVariant(code=options.code, connection=options.connection, sample=options.quick),
+        exactly=options.injection,
+        report=print_progress,
     )
-    print_progress(row)
+    if row.not_run:
+        print_progress(row)
     return row
 
 
 def print_progress(row: FaultRow) -> None:
-    """Print progress and failures to stderr."""
+    """Print the progress of a fault, and its failures so far, to stderr."""
     word = f"not run: {row.not_run}" if row.not_run else f"{row.survived}/{row.injected}"
     print(
         f"{row.fault} ({row.kind}): {word} in {row.seconds:.0f} s",

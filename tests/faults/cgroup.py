@@ -63,3 +63,35 @@ def create_cgroup(name: str, cores: float | None) -> CpuGroup:
     return CpuGroup(
         directories=(), limited=False, why=f"no writable cpu controller below {ROOT} for uid {os.geteuid()}"
     )
+
+
+def list_hierarchies() -> list[Path]:
+    """List the roots of the control groups of this machine that can be written: one for each v1 controller and
+    the v2 tree beside them, else that of v2; empty without one in which systemd could work.
+    """
+    if (ROOT / "cgroup.controllers").exists():
+        return [ROOT] if os.access(ROOT / "cgroup.procs", os.W_OK) else []
+    found = [path for path in sorted(ROOT.iterdir()) if os.access(path / "cgroup.procs", os.W_OK)]
+    return found if ROOT / "systemd" in found else []
+
+
+def create_everywhere(name: str) -> list[Path]:
+    """Create the group ``name`` in each hierarchy."""
+    groups = [hierarchy / name for hierarchy in list_hierarchies()]
+    for group in groups:
+        group.mkdir()
+        for setting in ("cpuset.cpus", "cpuset.mems"):
+            if (group / setting).exists():
+                (group / setting).write_text((group.parent / setting).read_text())
+    return groups
+
+
+def remove_tree(group: Path) -> None:
+    """Remove a group and those below it; their processes must end within 5 s."""
+    deadline = time.monotonic() + patience(5)
+    while group.exists():
+        for directory, _, _ in os.walk(group, topdown=False):
+            with suppress(OSError):
+                Path(directory).rmdir()
+        assert not group.exists() or time.monotonic() < deadline, f"{group} is still in use"
+        time.sleep(0.02)

@@ -1,8 +1,11 @@
-"""Faults of the inventory: a host is renamed, removed or given another address while tasks run on it."""
+"""Faults of the inventory: a host is renamed, removed, or given another address or user while tasks run on it."""
+
+from collections.abc import Callable
+from copy import deepcopy
 
 from tests.faults.command_result import ExpectationError
 from tests.faults.fleet import FaultFleet
-from tests.faults.registry import fault
+from tests.faults.registry import ALL, fault
 
 EDGES = ("edge1", "edge2", "edge3")
 
@@ -25,7 +28,7 @@ def expect_held(fleet: FaultFleet) -> None:
         fleet.check_verdict()
 
 
-@fault("host renamed in the inventory while tasks run", full=3, hosts=EDGES)
+@fault("host renamed in the inventory while tasks run", full=3, hosts=EDGES, kinds=ALL)
 def rename_host(fleet: FaultFleet) -> None:
     """The machine tells under which name it keeps the task, so it runs on; at random it is renamed back."""
     start_on_edge1(fleet)
@@ -40,7 +43,7 @@ def rename_host(fleet: FaultFleet) -> None:
         raise ExpectationError("slam was started again")
 
 
-@fault("host removed from the inventory while tasks run", full=3, hosts=EDGES)
+@fault("host removed from the inventory while tasks run", full=3, hosts=EDGES, kinds=ALL)
 def remove_host(fleet: FaultFleet) -> None:
     start_on_edge1(fleet)
     removed = fleet.inventory.pop("edge1")
@@ -50,7 +53,7 @@ def remove_host(fleet: FaultFleet) -> None:
     fleet.write_files()
 
 
-@fault("host given another address while tasks run", full=3, hosts=EDGES)
+@fault("host given another address while tasks run", full=3, hosts=EDGES, kinds=ALL)
 def readdress_host(fleet: FaultFleet) -> None:
     start_on_edge1(fleet)
     spare = fleet.inventory.pop("edge3")
@@ -60,3 +63,101 @@ def readdress_host(fleet: FaultFleet) -> None:
     fleet.inventory["edge1"]["host"] = "edge1"
     fleet.inventory["edge3"] = spare
     fleet.write_files()
+
+
+@fault("two hosts swap their addresses while tasks run", full=3, hosts=EDGES, kinds=ALL)
+def swap_addresses(fleet: FaultFleet) -> None:
+    start_on_edge1(fleet)
+    _swap(fleet, "edge1", "edge2")
+    expect_held(fleet)
+    _swap(fleet, "edge1", "edge2")
+    fleet.write_files()
+
+
+@fault("login user of a host changed while tasks run", full=3, hosts=EDGES, kinds=("namespace", "systemd"))
+def change_user(fleet: FaultFleet) -> None:
+    start_on_edge1(fleet)
+    fleet.inventory["edge1"]["user"] = "root"
+    fleet.write_files()
+    expect_held(fleet)
+    del fleet.inventory["edge1"]["user"]
+    fleet.write_files()
+
+
+@fault("eight random edits of the inventory, each applied", full=6, hosts=EDGES, kinds=ALL)
+def edit_at_random(fleet: FaultFleet) -> None:
+    """Whatever the inventory says, each task runs on as it was started."""
+    for task in ("slam", "nav", "map"):
+        fleet.add_task(task, on=fleet.random.choice(EDGES))
+    fleet.apply_and_check()
+    for task in fleet.expected:
+        fleet.pin_task(task, None)
+    before = deepcopy(fleet.inventory)
+    for _ in range(8):
+        _edit(fleet)
+        fleet.write_files()
+        fleet.injected += 1
+        fleet.apply().expect_exit(0, 4)
+        fleet.check_verdict()
+    fleet.inventory = before
+    fleet.write_files()
+    if any(fleet.count_launches(task) != 1 for task in fleet.expected):
+        raise ExpectationError("a task was started again")
+
+
+def _edit(fleet: FaultFleet) -> None:
+    edits: list[Callable[[FaultFleet], None]] = [
+        _rename_any,
+        _remove_any,
+        _restore_any,
+        _swap_any,
+        _readdress_any,
+    ]
+    if fleet.hosts["edge1"].kind != "loopback":
+        edits.append(_change_any_user)
+    fleet.random.choice(edits)(fleet)
+
+
+def _draw_name(fleet: FaultFleet) -> str:
+    return fleet.random.choice(sorted(fleet.inventory))
+
+
+def _rename_any(fleet: FaultFleet) -> None:
+    fleet.inventory[f"jetson-{fleet.injected}"] = fleet.inventory.pop(_draw_name(fleet))
+
+
+def _remove_any(fleet: FaultFleet) -> None:
+    if len(fleet.inventory) > 1:
+        del fleet.inventory[_draw_name(fleet)]
+
+
+def _restore_any(fleet: FaultFleet) -> None:
+    """Bring back a machine that no name reaches, under its first name or another one."""
+    reached = {host["host"] for host in fleet.inventory.values()}
+    for machine in sorted(fleet.hosts.keys() - reached):
+        name = machine if machine not in fleet.inventory else f"again-{fleet.injected}"
+        fleet.inventory[name] = {**next(iter(fleet.inventory.values())), "host": machine}
+
+
+def _swap_any(fleet: FaultFleet) -> None:
+    if len(fleet.inventory) > 1:
+        _swap(fleet, *fleet.random.sample(sorted(fleet.inventory), 2))
+
+
+def _swap(fleet: FaultFleet, one: str, other: str) -> None:
+    first, second = fleet.inventory[one], fleet.inventory[other]
+    first["host"], second["host"] = second["host"], first["host"]
+    fleet.write_files()
+
+
+def _readdress_any(fleet: FaultFleet) -> None:
+    """Give a name the address of a machine that no name reaches, if there is one."""
+    free = sorted(fleet.hosts.keys() - {host["host"] for host in fleet.inventory.values()})
+    if free:
+        fleet.inventory[_draw_name(fleet)]["host"] = fleet.random.choice(free)
+
+
+def _change_any_user(fleet: FaultFleet) -> None:
+    host = fleet.inventory[_draw_name(fleet)]
+    if host.pop("user", None) is None:
+        host["user"] = "root"

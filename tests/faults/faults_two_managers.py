@@ -5,14 +5,15 @@ import os
 import re
 import signal
 import subprocess
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from tests.faults import oracle
+from tests.faults import oracle, scan
 from tests.faults.command_result import CommandResult, ExpectationError
 from tests.faults.fleet import APPLY, FaultFleet, format_yaml
-from tests.faults.registry import fault
+from tests.faults.registry import ALL, fault
 
 EDGES = ("edge1", "edge2", "edge3")
 TASKS = ("t0", "t1", "t2", "t3", "t4")
@@ -22,10 +23,14 @@ PAST_THE_LEASE_S = 33.0
 
 @dataclass(frozen=True, kw_only=True)
 class Manager:
-    """One manager: its task file, its state directory and the hosts that it reaches."""
+    """One manager: its task file, its state directory and the hosts that it reaches.
+
+    ``own_fleet``: it has an inventory of its own with the same hosts, and so another fleet.
+    """
 
     fleet: FaultFleet
     name: str
+    own_fleet: bool = False
 
     @property
     def tasks(self) -> Path:
@@ -48,23 +53,19 @@ class Manager:
 
     def start(self, *words: str) -> "subprocess.Popen[str]":
         fleet, own = self.fleet, self.fleet.directory / f"ssh_config-{self.name}"
-        command = [
-            str(self.tasks) if word == str(fleet.directory / "tasks.yaml") else word
-            for word in fleet.build_command(*words)
-        ]
+        files = {str(fleet.directory / "tasks.yaml"): str(self.tasks)}
+        if self.own_fleet:
+            inventory = fleet.directory / f"inventory-{self.name}.yaml"
+            inventory.write_text((fleet.directory / "inventory.yaml").read_text())
+            files[str(fleet.directory / "inventory.yaml")] = str(inventory)
+        command = [files.get(word, word) for word in fleet.build_command(*words)]
         env = fleet.build_env(
             EDGECTL_STATE_DIR=str(fleet.directory / f"state-{self.name}"),
+            LOGNAME=self.name,
+            USER=self.name,
             **({"EDGECTL_SSH_CONFIG": str(own)} if own.exists() else {}),
         )
-        return subprocess.Popen(
-            command,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            env=env,
-            start_new_session=True,
-        )
+        return fleet.start_command(command, env)
 
     def run(self, *words: str) -> CommandResult:
         return self.fleet.wait_for_edgectl(self.start(*words), words)
@@ -80,15 +81,17 @@ def open_managers(fleet: FaultFleet) -> tuple[Manager, Manager]:
     return ana, ben
 
 
-def finish(fleet: FaultFleet, *running: "subprocess.Popen[str]") -> list[int]:
-    """The exit codes; the loser of a conflict says who leads."""
-    codes = []
+def finish(
+    fleet: FaultFleet, *running: "subprocess.Popen[str]", codes: tuple[int, ...] = (0, 75)
+) -> list[int]:
+    """The exit codes, each one of ``codes``; who is refused is told who leads, who is left with work why."""
+    found = []
     for each in running:
-        result = fleet.wait_for_edgectl(each).expect_exit(0, 4, 75)
+        result = fleet.wait_for_edgectl(each).expect_exit(*codes)
         if result.code == 75:
             result.expect_output("holds this fleet")
-        codes.append(result.code)
-    return codes
+        found.append(result.code)
+    return found
 
 
 def check_nothing_doubled(fleet: FaultFleet) -> None:
@@ -98,55 +101,149 @@ def check_nothing_doubled(fleet: FaultFleet) -> None:
         raise ExpectationError(f"doubled: {clashes}")
 
 
-@fault(
-    "two managers that disagree: at once or staggered, from nothing or not", quick=True, full=100, hosts=EDGES
-)
-def conflict_at_random(fleet: FaultFleet) -> None:
+def play_rounds(fleet: FaultFleet, count: int, play: Callable[[FaultFleet, Manager, Manager], None]) -> None:
+    """Interleave two managers ``count`` times on the same hosts; each time they want other places.
+
+    At random nothing runs before the first round, and both change roles.
+    """
     ana, ben = open_managers(fleet)
     if fleet.random.random() < 0.6:
         ana.run(*APPLY).expect_exit(0)
+    for _ in range(count):
+        ana, ben = fleet.random.sample([ana, ben], 2)
         ana.want_at_random()
-    for _ in range(2):
-        first = ana.start(*APPLY)
-        fleet.wait(fleet.random.choice([0.0, fleet.random.uniform(0.0, 3.0)]))
-        codes = finish(fleet, first, ben.start(*APPLY))
-        if codes == [75, 75] and len(fleet.hosts) == len(EDGES):
-            raise ExpectationError("both were refused")
-        check_nothing_doubled(fleet)
         ben.want_at_random()
+        fleet.injected += 1
+        play(fleet, ana, ben)
+        check_nothing_doubled(fleet)
 
 
-@fault("a manager freezes in an apply, another one acts, the first thaws", full=8, hosts=EDGES)
+def signal_manager(running: "subprocess.Popen[str]", number: signal.Signals) -> None:
+    with suppress(ProcessLookupError):
+        os.killpg(running.pid, number)
+
+
+@fault(
+    "two managers that disagree: at once or staggered, from nothing or not",
+    quick=True,
+    full=8,
+    hosts=EDGES,
+    kinds=ALL,
+)
+def conflict_at_random(fleet: FaultFleet) -> None:
+    play_rounds(fleet, 1 if fleet.sample else 6, _collide)
+
+
+def _collide(fleet: FaultFleet, ana: Manager, ben: Manager) -> None:
+    first = ana.start(*APPLY)
+    fleet.wait(fleet.random.choice([0.0, fleet.random.uniform(0.0, 3.0)]))
+    if finish(fleet, first, ben.start(*APPLY)) == [75, 75]:
+        raise ExpectationError("both were refused")
+
+
+@fault(
+    "two managers that disagree: one freezes in an apply and thaws while the other acts",
+    full=4,
+    hosts=EDGES,
+    kinds=ALL,
+)
+def freeze_within_the_lease(fleet: FaultFleet) -> None:
+    play_rounds(fleet, 5, _freeze_shortly)
+
+
+def _freeze_shortly(fleet: FaultFleet, ana: Manager, ben: Manager) -> None:
+    frozen = ana.start(*APPLY)
+    fleet.wait(fleet.random.uniform(0.3, 2.5))
+    signal_manager(frozen, signal.SIGSTOP)
+    acting = ben.start(*APPLY)
+    fleet.wait(fleet.random.uniform(0.0, 3.0))
+    signal_manager(frozen, signal.SIGCONT)
+    finish(fleet, acting, frozen)
+
+
+@fault(
+    "two managers that disagree: one freezes past its lease, the other acts, it thaws",
+    full=8,
+    hosts=EDGES,
+    kinds=ALL,
+)
 def freeze_past_the_lease(fleet: FaultFleet) -> None:
-    ana, ben = open_managers(fleet)
-    ben.run(*APPLY).expect_exit(0)
+    """Also for a start that was under way: it is not sent once the lease has run out."""
+    play_rounds(fleet, 2, _freeze_long)
+
+
+def _freeze_long(fleet: FaultFleet, ana: Manager, ben: Manager) -> None:
     frozen = ana.start(*APPLY)
     fleet.wait(fleet.random.uniform(0.6, 2.5))
-    with suppress(ProcessLookupError):
-        os.killpg(frozen.pid, signal.SIGSTOP)
-    ben.run(*APPLY).expect_exit(0, 4, 75)
+    signal_manager(frozen, signal.SIGSTOP)
+    finish(fleet, ben.start(*APPLY))
     fleet.wait(PAST_THE_LEASE_S)
+    found = scan.read_process(frozen.pid)
+    assert found is None or found.state in "TZ", f"somebody else has thawed it: {found}"
     ben.want_at_random()
-    ben.run(*APPLY).expect_exit(0, 4)
-    with suppress(ProcessLookupError):
-        os.killpg(frozen.pid, signal.SIGCONT)
-    finish(fleet, frozen)
-    check_nothing_doubled(fleet)
+    finish(fleet, ben.start(*APPLY), codes=(0,))
+    signal_manager(frozen, signal.SIGCONT)
+    finish(fleet, frozen, codes=(0, 4, 75))
 
 
-@fault("two managers that disagree, each of which reaches one half", quick=True, full=8, hosts=EDGES)
+@fault(
+    "two managers that disagree: one is killed in an apply, the other waits for the lease",
+    full=4,
+    hosts=EDGES,
+    kinds=ALL,
+)
+def kill_and_take_over(fleet: FaultFleet) -> None:
+    play_rounds(fleet, 2, _kill_and_wait)
+
+
+def _kill_and_wait(fleet: FaultFleet, ana: Manager, ben: Manager) -> None:
+    killed = ana.start(*APPLY)
+    fleet.wait(fleet.random.uniform(0.6, 2.5))
+    signal_manager(killed, signal.SIGKILL)
+    killed.communicate()
+    finish(fleet, ben.start(*APPLY, "--lock-timeout", "60s"), codes=(0,))
+
+
+@fault("two managers that disagree: each reaches one half", quick=True, full=6, hosts=EDGES, kinds=ALL)
 def split_the_fleet(fleet: FaultFleet) -> None:
     """Both know where the tasks run: what runs on a host that a manager does not reach is held."""
     ana, ben = open_managers(fleet)
+    for _ in range(1 if fleet.sample else 4):
+        ana.want_at_random()
+        ben.want(_read_pins(ana))
+        for manager in (ana, ben):
+            manager.hide()
+            manager.run(*APPLY).expect_exit(0)
+        ana.hide("edge3", *fleet.random.choice([(), ("edge2",)]))
+        ben.hide("edge1")
+        for manager in (ana, ben):
+            manager.want_at_random()
+        fleet.injected += 1
+        finish(fleet, ana.start(*APPLY), ben.start(*APPLY), codes=(4, 75))
+        check_nothing_doubled(fleet)
+
+
+@fault(
+    "two managers that disagree: one acts, the other loses sight of a host", full=6, hosts=EDGES, kinds=ALL
+)
+def act_behind_its_back(fleet: FaultFleet) -> None:
+    """What one manager remembers is no longer true, and where a task went it cannot see. New tasks come, too."""
+    ana, ben = open_managers(fleet)
     ana.run(*APPLY).expect_exit(0)
-    ben.want(_read_pins(ana))
-    ben.run(*APPLY).expect_exit(0)
-    ana.hide("edge3", *fleet.random.choice([(), ("edge2",)]))
-    ben.hide("edge1")
-    for manager in (ana, ben):
-        manager.want_at_random()
-    finish(fleet, ana.start(*APPLY), ben.start(*APPLY))
-    check_nothing_doubled(fleet)
+    for _ in range(1 if fleet.sample else 4):
+        ana, ben = fleet.random.sample([ana, ben], 2)
+        for manager in (ana, ben):
+            manager.hide()
+        if fleet.random.random() < 0.7:
+            ben.want_at_random()
+            ben.run(*APPLY).expect_exit(0)
+        ana.want_at_random()
+        ana.run(*APPLY).expect_exit(0)
+        ben.hide(fleet.random.choice(EDGES))
+        ben.want_at_random()
+        fleet.injected += 1
+        finish(fleet, ben.start(*APPLY), codes=(4,))
+        check_nothing_doubled(fleet)
 
 
 def _read_pins(manager: Manager) -> dict[str, str]:
@@ -154,7 +251,13 @@ def _read_pins(manager: Manager) -> dict[str, str]:
     return {task: entry["hosts"]["pin"] for task, entry in document["tasks"].items()}
 
 
-@fault("two watches that disagree, and a person's command between", quick=True, full=8, hosts=EDGES)
+@fault(
+    "two managers that disagree: two watches, and a person's command between",
+    quick=True,
+    full=4,
+    hosts=EDGES,
+    kinds=ALL,
+)
 def watch_twice(fleet: FaultFleet) -> None:
     ana, ben = open_managers(fleet)
     first = ana.start("watch", "--apply", "--every", "2s", "--cycles", "6")

@@ -18,11 +18,72 @@ import sys
 import time
 import uuid
 from pathlib import Path
+from typing import Any
 
 NEWNS, NEWUTS, NEWIPC, NEWPID, NEWNET = 0x20000, 0x4000000, 0x8000000, 0x20000000, 0x40000000
+NEWCGROUP = 0x2000000
 PR_SET_PDEATHSIG = 1
 LIBC = ctypes.CDLL(None, use_errno=True)
 DEVICES = ("null", "zero", "full", "random", "urandom", "tty")
+SYSTEMD = "/lib/systemd/systemd"
+# Units of the machine's own system that have no place on a computer without devices, clock and kernel.
+MASKED = [
+    "apparmor.service",
+    "console-getty.service",
+    "cryptsetup.target",
+    "dev-hugepages.mount",
+    "dev-mqueue.mount",
+    "e2scrub_reap.service",
+    "getty.target",
+    "kmod-static-nodes.service",
+    "proc-sys-fs-binfmt_misc.automount",
+    "ssh.service",
+    "ssh.socket",
+    "swap.target",
+    "sys-fs-fuse-connections.mount",
+    "sys-kernel-config.mount",
+    "sys-kernel-debug.mount",
+    "sys-kernel-tracing.mount",
+    "systemd-ask-password-console.path",
+    "systemd-ask-password-wall.path",
+    "systemd-binfmt.service",
+    "systemd-firstboot.service",
+    "systemd-hwdb-update.service",
+    "systemd-machine-id-commit.service",
+    "systemd-modules-load.service",
+    "systemd-networkd.service",
+    "systemd-networkd.socket",
+    "systemd-pcrphase.service",
+    "systemd-pcrphase-sysinit.service",
+    "systemd-pstore.service",
+    "systemd-random-seed.service",
+    "systemd-remount-fs.service",
+    "systemd-resolved.service",
+    "systemd-sysctl.service",
+    "systemd-sysusers.service",
+    "systemd-timesyncd.service",
+    "systemd-tmpfiles-setup-dev.service",
+    "systemd-udev-trigger.service",
+    "systemd-udevd-control.socket",
+    "systemd-udevd-kernel.socket",
+    "systemd-udevd.service",
+    "timers.target",
+]
+SSHD_UNIT = """[Unit]
+After=systemd-user-sessions.service
+[Service]
+ExecStart={sshd} -D -e -f /etc/ssh/edgectl-faults/sshd_config
+KillMode=process
+Restart=always
+RestartSec=50ms
+StartLimitBurst=1000
+"""
+TARGET_UNIT = """[Unit]
+Requires=basic.target
+Wants=edgectl-faults-sshd.service systemd-logind.service systemd-user-sessions.service dbus.socket
+After=basic.target
+AllowIsolate=yes
+"""
 
 
 def unshare(flags: int) -> None:
@@ -34,7 +95,7 @@ def mount(*words: str | Path) -> None:
     subprocess.run(["mount", *map(str, words)], check=True, stdin=subprocess.DEVNULL)
 
 
-def make_disk(config: dict[str, str]) -> Path:
+def make_disk(config: dict[str, Any]) -> Path:
     """Mount the disk; return the computer's root directory."""
     base, root = Path(config["directory"]), Path(config["directory"]) / "root"
     (base / "disk").mkdir()
@@ -56,7 +117,7 @@ def make_disk(config: dict[str, str]) -> Path:
     return root
 
 
-def make_user(root: Path, config: dict[str, str]) -> None:
+def make_user(root: Path, config: dict[str, Any]) -> None:
     """Create an ordinary user with a home, an authorized key and the directory of the oracle."""
     user, home = config["user"], root / "home" / config["user"]
     for name, line in (
@@ -71,15 +132,72 @@ def make_user(root: Path, config: dict[str, str]) -> None:
     for each in (home, home / "oracle"):
         os.chown(each, 4711, 4711)
     mount("--bind", config["oracle"], home / "oracle")
+    mount("-t", "tmpfs", "-o", "size=16m,mode=700", "hidden", root / "root")
+    (root / "root" / "oracle").symlink_to(f"/home/{user}/oracle")
     (root / "etc" / "ssh" / "edgectl-faults").mkdir()
     mount("--bind", config["ssh"], root / "etc" / "ssh" / "edgectl-faults")
 
 
-def populate_root(root: Path, name: str) -> None:
+def install_systemd(root: Path, config: dict[str, Any]) -> None:
+    """Install what systemd starts: sshd with PAM, logind, D-Bus, and the lingering user."""
+    units = root / "etc/systemd/system"
+    for name in MASKED:
+        (units / name).unlink(missing_ok=True)
+        (units / name).symlink_to("/dev/null")
+    (units / "edgectl-faults-sshd.service").write_text(SSHD_UNIT.format(sshd=config["sshd"]))
+    (units / "edgectl-faults.target").write_text(TARGET_UNIT)
+    (root / "etc/fstab").write_text("")
+    for link in ("etc/machine-id", "var/lib/dbus/machine-id"):
+        (root / link).unlink(missing_ok=True)
+    (root / "etc/machine-id").write_text(f"{uuid.uuid4().hex}\n")
+    (root / "etc/pam.d/sshd").write_text(
+        "account required pam_unix.so\nsession required pam_unix.so\nsession required pam_systemd.so\n"
+    )
+    (root / "var/lib/systemd/linger").mkdir(parents=True, exist_ok=True)
+    (root / "var/lib/systemd/linger" / config["user"]).touch()
+
+
+def mount_cgroups(root: Path, groups: list[str]) -> None:
+    """Move into the control groups of this computer, and mount them as if there were no others.
+
+    systemd mounts every further controller that /proc/cgroups lists, for the whole machine.
+    """
+    for group in groups:
+        Path(group, "cgroup.procs").write_text("0\n")
+    unshare(NEWCGROUP)
+    top = root / "sys/fs/cgroup"
+    if len(groups) == 1:
+        mount("-t", "cgroup2", "cgroup2", top)
+        return
+    mount("-t", "tmpfs", "-o", "mode=755,size=1m", "cgroup", top)
+    names = [Path(group).parent.name for group in groups]
+    for name in names:
+        (top / name).mkdir()
+        kind, option = ("cgroup2", "rw") if name == "unified" else ("cgroup", name)
+        mount("-t", kind, "-o", "none,name=systemd" if name == "systemd" else option, "cgroup", top / name)
+    lines = Path("/proc/cgroups").read_text().splitlines(keepends=True)
+    (root / "run" / "cgroups").write_text(
+        "".join(line for line in lines if line.split()[0] in ("#subsys_name", *names))
+    )
+    mount("--bind", root / "run" / "cgroups", root / "proc/cgroups")
+
+
+def run_systemd() -> None:
+    """Become systemd, without what would change the machine itself."""
+    environment = {
+        "PATH": "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin",
+        "container": "edgectl-faults",
+    }
+    kept = "--bounding-set=-mknod,-sys_module,-sys_rawio,-sys_time,-syslog,-sys_boot"
+    command = ["setpriv", kept, SYSTEMD, "--unit=edgectl-faults.target", "--show-status=no"]
+    os.dup2(os.open("/dev/null", os.O_RDONLY), 0)
+    os.execve("/usr/bin/setpriv", command, environment)
+
+
+def populate_root(root: Path, name: str, groups: list[str]) -> None:
     """Mount and create what a kernel and an init provide at boot."""
     mount("-t", "proc", "proc", root / "proc")
     mount("-t", "sysfs", "-o", "ro", "sysfs", root / "sys")
-    mount("--rbind", "-o", "ro", "/sys/fs/cgroup", root / "sys/fs/cgroup")
     mount("-t", "tmpfs", "-o", "mode=755,size=1m", "dev", root / "dev")
     for device in DEVICES:
         (root / "dev" / device).touch()
@@ -89,7 +207,18 @@ def populate_root(root: Path, name: str) -> None:
     (root / "dev" / "shm").mkdir()
     for place in ("dev/shm", "tmp"):
         mount("-t", "tmpfs", "-o", "mode=1777,size=32m", "tmpfs", root / place)
-    mount("-t", "tmpfs", "-o", "mode=755,size=4m", "run", root / "run")
+    if groups:
+        (root / "dev" / "console").touch()
+        mount("--bind", "/dev/null", root / "dev" / "console")
+    mount("-t", "tmpfs", "-o", f"mode=755,size={'32m' if groups else '4m'}", "run", root / "run")
+    if groups:
+        mount_cgroups(root, groups)
+        mount("--bind", root / "proc/sys", root / "proc/sys")
+        mount("-o", "remount,bind,ro", root / "proc/sys")
+        if (root / "proc/sysrq-trigger").exists():
+            mount("--bind", "/dev/null", root / "proc/sysrq-trigger")
+    else:
+        mount("--rbind", "-o", "ro", "/sys/fs/cgroup", root / "sys/fs/cgroup")
     (root / "run" / "sshd").mkdir(mode=0o755)
     boot_id = root / "run" / "boot_id"
     boot_id.write_text(f"{uuid.uuid4()}\n")
@@ -109,19 +238,21 @@ def run_sshd(sshd: str) -> None:
         time.sleep(0.05)
 
 
-def run_computer(root: Path, config: dict[str, str]) -> None:
+def run_computer(root: Path, config: dict[str, Any]) -> None:
     LIBC.prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     console = os.open(f"{config['directory']}/console.log", os.O_WRONLY | os.O_APPEND | os.O_CREAT)
     os.dup2(console, 1)
     os.dup2(console, 2)
-    populate_root(root, config["name"])
+    populate_root(root, config["name"], config["groups"])
     os.chroot(root)
     os.chdir("/")
+    if config["groups"]:
+        run_systemd()
     run_sshd(config["sshd"])
 
 
-def boot_computer(root: Path, config: dict[str, str]) -> tuple[int, int]:
+def boot_computer(root: Path, config: dict[str, Any]) -> tuple[int, int]:
     """Boot; return the pid of PID 1 as seen by this machine, and the pid of its parent."""
     reader, writer = os.pipe()
     keeper = os.fork()
@@ -148,6 +279,8 @@ def main(path: str) -> None:
     mount("--make-rprivate", "/")
     root = make_disk(config)
     make_user(root, config)
+    if config["groups"]:
+        install_systemd(root, config)
     print(json.dumps({"root": str(root)}), flush=True)
     first = keeper = 0
     for line in sys.stdin:

@@ -38,6 +38,7 @@ from tests.pace import patience
 
 REPOSITORY = HERE.parent.parent
 USER = "edge"
+SYSTEMD_PROGRAMS = ("/lib/systemd/systemd", "(sd-pam)", "dbus-daemon")
 AS_USER = [
     "setpriv",
     "--reuid=4711",
@@ -69,6 +70,20 @@ def find_missing_for_namespaces() -> str:
     return f"namespaces are refused: {probe.stderr.strip()}" if probe.returncode else ""
 
 
+def find_missing_for_systemd() -> str:
+    """Return why systemd cannot be PID 1 of a computer here; empty if it can."""
+    if why := find_missing_for_namespaces():
+        return why
+    needed = {
+        "systemd": Path("/lib/systemd/systemd"),
+        "libpam-systemd": Path("/lib/systemd/systemd-logind"),
+        "dbus": Path("/usr/bin/dbus-daemon"),
+    }
+    if lacking := [package for package, path in needed.items() if not path.exists()]:
+        return f"needs {', '.join(lacking)}"
+    return "" if cgroup.list_hierarchies() else "no writable control groups"
+
+
 def find_sshd() -> str:
     return f"{os.environ.get('PATH', '')}:/usr/sbin:/sbin"
 
@@ -83,6 +98,7 @@ class NamespaceHost:
     number: int
     user_key: str
     cores: float | None = None
+    systemd: bool = False
     env: dict[str, str] = field(default_factory=dict)
     kind: str = "namespace"
     can: frozenset[str] = frozenset({POWER, CABLE, REBOOT, DISK, MOUNTS, PYTHON})
@@ -94,6 +110,12 @@ class NamespaceHost:
         for place in ("ssh", "oracle"):
             (self.directory / place).mkdir(parents=True)
         install_programs(self.directory / "oracle")
+        self.kind = "systemd" if self.systemd else self.kind
+        self.own_groups = (
+            cgroup.create_everywhere(f"edgectl-faults-{os.getpid()}-{id(self)}-{self.name}")
+            if self.systemd
+            else []
+        )
         self.group = cgroup.create_cgroup(f"edgectl-faults-{os.getpid()}-{self.name}", self.cores)
         self.can |= {LIMIT} if self.group.limited else frozenset()
         self.key = sshd.make_key(self.directory / "ssh" / "host_key")
@@ -121,6 +143,7 @@ class NamespaceHost:
             "ssh": str(self.directory / "ssh"),
             "sshd": sshd.find_program("sshd"),
             "cgroups": self.group.procs_files,
+            "groups": [str(group) for group in self.own_groups],
         }
 
     def _write_sshd_config(self) -> None:
@@ -130,7 +153,7 @@ class NamespaceHost:
             "HostKey /etc/ssh/edgectl-faults/host_key",
             "AuthorizedKeysFile /etc/ssh/edgectl-faults/authorized_keys",
             "PidFile none",
-            "UsePAM no",
+            f"UsePAM {'yes' if self.systemd else 'no'}",
             "UseDNS no",
             "StrictModes no",
             "PasswordAuthentication no",
@@ -208,7 +231,10 @@ class NamespaceHost:
         self._wait_for_sshd()
 
     def _wait_for_sshd(self) -> None:
-        wait_for(self._listens, f"sshd on {self.name}: {self._console()}", 20)
+        try:
+            wait_for(self._listens, f"sshd on {self.name}", 60 if self.systemd else 20)
+        except AssertionError as error:
+            raise AssertionError(f"{error}: {self._console()}") from None
 
     def _listens(self) -> bool:
         """Return whether port 22 is in state LISTEN in this computer's /proc/net/tcp."""
@@ -243,7 +269,7 @@ class NamespaceHost:
         if not self.pid:
             return []
         inode = Path(f"/proc/{self.pid}/ns/pid").stat().st_ino
-        ours = ("bystander.py", "sshd")
+        ours = ("bystander.py", "sshd", *SYSTEMD_PROGRAMS) if self.systemd else ("bystander.py", "sshd")
         return [
             each
             for each in scan.list_processes_in_namespace("pid", inode)
@@ -359,13 +385,15 @@ class NamespaceHost:
         self.emulator.stdout.close()
         self.emulator.wait(60)
         self.group.remove()
+        for group in self.own_groups:
+            cgroup.remove_tree(group)
 
 
 @contextmanager
 def start_namespace_hosts(
-    directory: Path, names: list[str], *, cores: Mapping[str, float] | None = None
+    directory: Path, names: list[str], *, cores: Mapping[str, float] | None = None, systemd: bool = False
 ) -> Iterator[tuple[ManagerNetwork, dict[str, Host]]]:
-    """Start computers in namespaces and the manager's network; needs root."""
+    """Start computers in namespaces and the manager's network; needs root. ``systemd``: it is their PID 1."""
     directory.mkdir(parents=True, exist_ok=True)
     key = sshd.make_key(directory / "user_key")
     with ExitStack() as stack:
@@ -380,6 +408,7 @@ def start_namespace_hosts(
                 number=number,
                 user_key=key,
                 cores=(cores or {}).get(name),
+                systemd=systemd,
             )
             stack.callback(host.close)
             hosts[name] = host

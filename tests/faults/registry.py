@@ -18,7 +18,7 @@ from pathlib import Path
 from tests.faults.command_result import ExpectationError
 from tests.faults.failpoint_runner import read_failpoints
 from tests.faults.fleet import EdgectlVariant, FaultFleet, OracleError, open_fleet, repair_fleet
-from tests.faults.namespace_host import find_missing_for_namespaces
+from tests.faults.namespace_host import find_missing_for_namespaces, find_missing_for_systemd
 from tests.faults.oracle import OracleVerdict
 
 Inject = Callable[[FaultFleet], None]
@@ -62,6 +62,9 @@ class FaultRow:
 FAULTS: list[Fault] = []
 BOTH = ("loopback", "namespace")
 OWN = ("namespace",)
+# Also on computers whose PID 1 is systemd; not in the short form.
+ALL = (*BOTH, "systemd")
+MISSING = {"namespace": find_missing_for_namespaces, "systemd": find_missing_for_systemd}
 
 
 def fault(
@@ -87,7 +90,11 @@ def fault(
 def list_quick_cases() -> list[tuple[Fault, str]]:
     """Return the short form: each quick fault once, in a namespace where possible."""
     poor = bool(find_missing_for_namespaces())
-    return [(each, each.kinds[0] if poor else each.kinds[-1]) for each in FAULTS if each.quick]
+    return [
+        (each, each.kinds[0] if poor or "namespace" not in each.kinds else "namespace")
+        for each in FAULTS
+        if each.quick
+    ]
 
 
 def repair_and_judge(fleet: FaultFleet) -> None:
@@ -134,22 +141,36 @@ def _inject_fault(each: Fault, fleet: FaultFleet, result: InjectionResult) -> No
         repair_and_judge(fleet)
     finally:
         result.injected = max(1, fleet.injected)
-        result.points = (
-            f" after {', '.join(read_failpoints(fleet.failpoint_log)[-3:])}" if fleet.injected else ""
-        )
+        points = ", ".join(read_failpoints(fleet.failpoint_log)[-3:])
+        result.points = f" after {points}" if points else f" in round {fleet.injected}" * bool(fleet.injected)
+
+
+def draw_seeds(each: Fault, kind: str, times: int, seed: int) -> list[int]:
+    """Draw the seeds of ``times`` injections."""
+    seeds = random.Random(f"{seed} {each.name} {kind}")
+    return [seeds.randrange(10**9) for _ in range(times)]
 
 
 def run_fault(
-    each: Fault, kind: str, times: int, seed: int, variant: EdgectlVariant | None = None
+    each: Fault,
+    kind: str,
+    times: int,
+    seed: int,
+    variant: EdgectlVariant | None = None,
+    *,
+    exactly: int | None = None,
+    report: Callable[[FaultRow], None] = lambda _row: None,
 ) -> FaultRow:
-    """Inject the fault ``times`` times; every injection has its own seed, printed with a failure."""
+    """Inject the fault ``times`` times; every injection has its own seed, printed with a failure.
+
+    ``exactly``: the seed of the one injection to repeat. ``report`` gets the row after each injection.
+    """
     row = FaultRow(fault=each.name, kind=kind)
-    row.not_run = (find_missing_for_namespaces() if kind == "namespace" else "") or each.missing()
+    row.not_run = MISSING.get(kind, str)() or each.missing()
     if row.not_run:
         return row
-    begun, seeds = time.monotonic(), random.Random(f"{seed} {each.name} {kind}")
-    for _ in range(times):
-        one = seeds.randrange(10**9)
+    begun = time.monotonic()
+    for one in draw_seeds(each, kind, times, seed) if exactly is None else [exactly]:
         result = inject_once(each, kind, one, variant)
         row.injected += result.injected
         row.survived += result.injected - bool(result.wrong)
@@ -158,7 +179,8 @@ def run_fault(
             row.doubled += len(result.wrong.doubled)
         if result.wrong:
             row.failures.append(f"{each.name} ({kind}, seed {one}){result.points}: {result.wrong}")
-    row.seconds = time.monotonic() - begun
+        row.seconds = time.monotonic() - begun
+        report(row)
     return row
 
 

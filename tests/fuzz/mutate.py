@@ -2,6 +2,7 @@
 values.
 """
 
+import copy
 import json
 import random
 from typing import Any
@@ -15,6 +16,7 @@ WORDS = [
 VALUES: list[Any] = [
     None, True, False, 0, -1, 1.5, -0.0, 1e308, 10**30, "", "x", "NaN", "\0", "\u202e", "\x1b]0;x\x07", "a" * 5000, [], {}, [[]], {"": {}}, [None],
     {"value": 1}, "2025-11-21T01:53:25Z", "9999-99-99T99:99:99Z", "../..", 2**63, -(2**63),
+    1e12, 5e-324, 2**33, 2**53, "\ud800", "\x9b31m", "@team", "x | y", "::error::x", "${jndi:x}", ["x"] * 50, {"value": None},
 ]  # fmt: skip
 
 
@@ -89,18 +91,24 @@ def _change_json_value(chance: random.Random, data: bytes, _seeds: list[bytes]) 
         tree = json.loads(data)
     except (ValueError, RecursionError):
         return _insert_word(chance, data, _seeds)
-    places = list(_list_json_places(tree))
+    tree = change_json_value(chance, tree)
+    return json.dumps(tree, ensure_ascii=chance.random() < 0.5).encode("utf-8", "surrogatepass")
+
+
+def change_json_value(chance: random.Random, tree: Any) -> Any:
+    """Replace, remove or rename one value anywhere in a tree of JSON values, which is changed in place."""
+    places = _list_json_places(tree)
     if not places:
-        return json.dumps(chance.choice(VALUES)).encode()
+        return copy.deepcopy(chance.choice(VALUES))
     inside, key = chance.choice(places)
     act = chance.random()
     if act < 0.7:
-        inside[key] = chance.choice(VALUES)
+        inside[key] = copy.deepcopy(chance.choice(VALUES))
     elif act < 0.85:
         del inside[key]
     elif isinstance(inside, dict):
         inside[chance.choice(("", "x", "task", "\0", "a" * 300))] = inside.pop(key)
-    return json.dumps(tree, ensure_ascii=chance.random() < 0.5).encode("utf-8", "surrogatepass")
+    return tree
 
 
 def _list_json_places(tree: Any) -> list[tuple[Any, Any]]:

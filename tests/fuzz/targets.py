@@ -61,6 +61,7 @@ from tests.experiments.test_experiment_file import TASKS as SPEC_TASKS
 from tests.experiments.test_map_file import ROS1, ROS2
 from tests.experiments.test_run_codec import RUN, TRIAL
 from tests.formats.test_complete import MANAGER, PLAN
+from tests.fuzz.hostile_fleet import run_against_liar
 from tests.fuzz.mutate import damage_seed, mutate_seed
 from tests.gateway.test_decode import a_document, a_task
 from tests.gateway.test_facts import DOCUMENT as FACTS
@@ -152,6 +153,13 @@ def build_targets(directory: Path) -> Iterator[list[Target]]:
         ),
         Target(
             "image of a map", [encode_pgm(draw_room()), encode_png(a_grey_image(draw_room()))], _read_as_map
+        ),
+        Target(
+            "fleet with a liar",
+            [b"0"],
+            lambda data: run_against_liar(directory / "fleet", data),
+            cost=30,
+            damage=lambda chance, _seeds: str(chance.random()).encode(),
         ),
         Target(
             "tasks",

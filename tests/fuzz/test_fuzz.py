@@ -9,7 +9,7 @@ from tests.fuzz.run import count_cases, run_target
 from tests.fuzz.targets import Target, build_targets
 from tests.pace import patience
 
-CASES = 250
+CASES = 120
 
 
 def test_decoders_read_or_refuse_whatever_is_damaged(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from edgectl.gateway.probe_reply import (
     ReplyContext,
     decode_done_tasks,
     decode_host_sample,
+    decode_unowned_tasks,
 )
 from edgectl.model.inventory import BaseLoad, Capacity, Host
 from edgectl.model.snapshot import CapacitySource, HostSample, HostStatus, TaskState
@@ -204,11 +205,8 @@ BAD: list[tuple[str, Callable[[Document], object]]] = [
     ("text as a number", lambda d: d.update(cpu={"cores": "4", "used_cores": 0})),
     ("cpu as a list", lambda d: d.update(cpu=[4, 0])),
     ("tasks as a list", lambda d: d.update(tasks=[])),
-    ("a negative rtt", lambda d: d.update(links={"robot1": {"rtt_ms": -1.0}})),
-    ("a link as a number", lambda d: d.update(links={"robot1": 3})),
-    ("reachable as text", lambda d: d.update(links={"robot1": {"reachable": "yes"}})),
-    ("an interface rate missing", lambda d: d.update(interfaces={"eth0": {}})),
-    ("a check as text", lambda d: d.update(checks={"slam": "0"})),
+    ("links as a list", lambda d: d.update(links=[])),
+    ("other tasks as an object", lambda d: d.update(other_tasks={})),
     ("a clock of NaN", lambda d: d.update(wall=math.nan)),
     ("5,000 digits", lambda d: d.update(cpu={"cores": 10**400, "used_cores": 0})),
 ]
@@ -222,7 +220,56 @@ def test_odd_documents_are_refused(spoil: Callable[[Document], object]) -> None:
         decode_document(document)
 
 
+GOOD_OTHER = {"fleet": "f", "host": "h", "task": "t", "state": "running"}
+COLLECTIONS: dict[str, tuple[str, object]] = {
+    "an interface without rates": ("interfaces", {"eth9": {}}),
+    "an interface of 1e300": ("interfaces", {"eth9": {"rx_bytes_per_s": 1e300, "tx_bytes_per_s": 0}}),
+    "null as an interface": ("interfaces", {"eth9": None}),
+    "a negative rtt": ("links", {"robot9": {"rtt_ms": -1.0}}),
+    "a link as a number": ("links", {"robot9": 3}),
+    "null as a link": ("links", {"robot9": None}),
+    "reachable as text": ("links", {"robot9": {"reachable": "yes"}}),
+    "a check as text": ("checks", {"nav": "0"}),
+    "null as a check": ("checks", {"nav": None}),
+    "null as a generation": ("generations", {"nav": None}),
+    "another task as text": ("other_tasks", ["x"]),
+    "null as another task": ("other_tasks", [None]),
+    "another task of an unknown state": ("other_tasks", [{**GOOD_OTHER, "state": "happy"}]),
+    "a task without an owner as a list": ("unowned", [[]]),
+    "null as a task without an owner": ("unowned", [None]),
+}
+
+
+@pytest.mark.parametrize(("key", "bad"), COLLECTIONS.values(), ids=list(COLLECTIONS))
+def test_an_odd_entry_of_a_collection_is_left_out(key: str, bad: Any) -> None:
+    """The sample is the one of the reply without it, and what stands beside it counts."""
+    good: dict[str, Any] = {
+        "interfaces": {"eth0": {"rx_bytes_per_s": 1.0, "tx_bytes_per_s": 2.0}},
+        "links": {"robot1": {"rtt_ms": 1.2}},
+        "checks": {"slam": {"exit": 0}},
+        "generations": {"job": 3},
+        "other_tasks": [GOOD_OTHER],
+        "unowned": ["job"],
+    }
+    spoilt = good[key] + bad if isinstance(bad, list) else {**bad, **good[key]}
+    document, clean = a_document(**{key: spoilt}), a_document(**{key: good[key]})
+    context: dict[str, Any] = {"robots": ("robot1", "robot9"), "checked": frozenset({"slam", "nav"})}
+    assert decode_document(document, **context) == decode_document(clean, **context)
+    assert decode_unowned_tasks(document) == decode_unowned_tasks(clean)
+    assert decode_done_tasks(document, frozenset({"slam", "nav"})) == decode_done_tasks(
+        clean, frozenset({"slam", "nav"})
+    )
+
+
+def test_an_interface_without_a_speed_says_nothing_about_the_link() -> None:
+    interfaces = {"eth0": {"rx_bytes_per_s": 1.0, "tx_bytes_per_s": 2.0, "speed_bytes_per_s": 5e-324}}
+    link = decode_document(a_document(interfaces=interfaces)).links["robot1"]
+    assert (link.capacity_bytes_per_s, link.capacity_source) == (ASSUMED_BYTES_PER_S, CapacitySource.ASSUMED)
+
+
 BAD_ENTRIES: dict[str, object] = {
+    "null": None,
+    "a list": [],
     "a task as text": "ready",
     "an unknown state": a_task(state="happy"),
     "a negative pid": a_task(pid=-1),

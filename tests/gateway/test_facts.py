@@ -62,8 +62,8 @@ def test_capacity_comes_from_the_same_sources_as_in_a_probe() -> None:
     [
         (("v",), 2), (("op",), "probe"), (("host",), "edge2"), (("clock", "began"), "now"), (("clock", "ended"), None),
         (("memory", "total_bytes"), 0), (("memory", "used_bytes"), -1), (("disk", "free_bytes"), True), (("disk", "files_left"), 1.5),
-        (("logind", "lingers"), "no"), (("links",), []), (("links", "robot1"), 1), (("links", "robot1", "reachable"), "yes"),
-        (("surroundings", "variables"), "x"), (("surroundings", "variables", "ROS_DOMAIN_ID"), 7), (("surroundings", "status"), "1"),
+        (("logind", "lingers"), "no"), (("links",), []),
+        (("surroundings", "variables"), "x"), (("surroundings", "status"), "1"),
     ],
 )  # fmt: skip
 def test_what_is_odd_is_refused(path: tuple[str, ...], value: object) -> None:
@@ -74,3 +74,11 @@ def test_what_is_odd_is_refused(path: tuple[str, ...], value: object) -> None:
     place[path[-1]] = value
     with pytest.raises(ReplyError):
         read_facts(document)
+
+
+@pytest.mark.parametrize("odd", [1, None, {"reachable": "yes"}])
+def test_an_odd_route_counts_as_an_unknown_name_and_an_odd_variable_as_none(odd: object) -> None:
+    document = {**DOCUMENT, "links": {"robot1": odd, "x": odd}}
+    found = read_facts({**document, "surroundings": {"variables": {"A": odd, "B": "b"}}})
+    assert not found.links["robot1"].found
+    assert found.surroundings.variables == {"B": "b"}

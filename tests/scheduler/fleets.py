@@ -1,5 +1,6 @@
 """Shorthand for running the scheduler, and a simulated apply."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 from edgectl.model.assignment import Assignment, Decision, ExpectedLoad, RankedHost, Reason, Verdict
@@ -54,11 +55,16 @@ def simulate_apply(
     assignment: Assignment, tasks: Tasks, snapshot: Snapshot, memory: ManagerState
 ) -> tuple[Snapshot, ManagerState]:
     """Return the snapshot after a perfect apply: the load gamma is as expected, each placed task runs on its
-    host and uses its demand rho.
+    host and uses its demand rho, or what it used before if that is more.
     """
+    before = {
+        decision.task: snapshot.hosts[decision.previous_host].tasks.get(decision.task)
+        for decision in assignment.decisions
+        if decision.previous_host is not None and decision.previous_host in snapshot.hosts
+    }
     worn = add_demands(tasks, snapshot, memory)
     samples = {
-        name: _sample_after_apply(name, sample, assignment, worn[name])
+        name: _sample_after_apply(name, sample, assignment, worn[name], before)
         for name, sample in snapshot.hosts.items()
     }
     moved = [d for d in assignment.decisions if d.verdict is Verdict.PLACED and d.host is not None]
@@ -95,7 +101,13 @@ def add_demands(tasks: Tasks, snapshot: Snapshot, memory: ManagerState) -> dict[
     }
 
 
-def _sample_after_apply(name: str, sample: HostSample, assignment: Assignment, tasks: Tasks) -> HostSample:
+def _sample_after_apply(
+    name: str,
+    sample: HostSample,
+    assignment: Assignment,
+    tasks: Tasks,
+    before: Mapping[str, TaskSample | None],
+) -> HostSample:
     if not sample.measured:
         return sample
     unchanged = ExpectedLoad(used=Usage({name: usage.used for name, usage in sample.usage.items()}))
@@ -105,7 +117,7 @@ def _sample_after_apply(name: str, sample: HostSample, assignment: Assignment, t
             tasks.tasks[decision.task],
             name,
             sample,
-            snapshot_of=sample.tasks.get(decision.task),
+            before=before.get(decision.task),
             new=decision.previous_host != name,
         )
         for decision in assignment.decisions
@@ -136,25 +148,37 @@ def _is_ours(name: str, run: TaskSample, tasks: Tasks) -> bool:
 
 
 def _sample_of_run(
-    task: Task, host: str, sample: HostSample, *, snapshot_of: TaskSample | None, new: bool
+    task: Task, host: str, sample: HostSample, *, before: TaskSample | None, new: bool
 ) -> TaskSample:
     assert sample.measured
+    used = before.used if before is not None and before.state.alive else Usage()
     rate = task.demand["network"] or ZERO
     rates = {
-        robot: rate.of(sample.links[robot].capacity_bytes_per_s)
-        for robot in task.robots
-        if robot in sample.links
+        robot: max(
+            rate.of(sample.links[robot].capacity_bytes_per_s) if robot in task.robots else 0.0,
+            _find_link_rate(task, robot, before),
+        )
+        for robot in sample.links
     }
     return TaskSample(
         state=TaskState.READY,
         pid=1,
-        started_at=NOW if new or snapshot_of is None else snapshot_of.started_at,
+        started_at=NOW if new or before is None else before.started_at,
         used=Usage(
-            cpu=(task.demand["cpu"] or ZERO).of(sample.usage["cpu"].capacity),
-            memory=(task.demand["memory"] or ZERO).of(sample.usage["memory"].capacity),
+            cpu=max((task.demand["cpu"] or ZERO).of(sample.usage["cpu"].capacity), used["cpu"]),
+            memory=max((task.demand["memory"] or ZERO).of(sample.usage["memory"].capacity), used["memory"]),
             network=sum(rates.values()),
         ),
         links=rates,
         instance=f"{task.name}-on-{host}",
         spec_hash=task.spec_hash,
     )
+
+
+def _find_link_rate(task: Task, robot: str, before: TaskSample | None) -> float:
+    """Return what a task used of the link to ``robot``; evenly where its host did not tell."""
+    if before is None or not before.state.alive:
+        return 0.0
+    if before.links is not None:
+        return before.links.get(robot, 0.0)
+    return before.used["network"] / len(task.robots) if robot in task.robots else 0.0

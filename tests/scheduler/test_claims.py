@@ -46,6 +46,12 @@ PLACED, ADOPTED, REFUSED = Standing.PLACED, Standing.ADOPTED, Standing.REFUSED
         (a_run(spec_hash="older"), placed("evil"), PLACED),
         (DONE, placed("evil", instance="instance-1"), PLACED),
         (a_run(TaskState.COMPLETED, spec_hash=HASH), placed("evil", instance="another"), REFUSED),
+        # a failed move starts the old instance anew, under the generation of the move
+        (
+            a_run(TaskState.COMPLETED, spec_hash=HASH, generation=5),
+            placed("evil", instance="another"),
+            PLACED,
+        ),
         (NO_HASH, placed("evil"), REFUSED),
         (a_run(TaskState.COMPLETED, spec_hash="older"), placed("evil"), REFUSED),
         (GIVEN_UP, placed("evil"), PLACED),

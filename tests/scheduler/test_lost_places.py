@@ -11,11 +11,11 @@ from edgectl.errors import ExitCode
 from edgectl.executor.diff import plan_from_assignment
 from edgectl.executor.manager_state_update import update_manager_state
 from edgectl.model.inventory import Connection, Inventory
-from edgectl.model.lost_places import find_shared_machine, list_fence_marks
 from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.plan import Action, Plan
 from edgectl.model.result import Results
 from edgectl.model.snapshot import DeviceSample, HostSample, Snapshot
+from edgectl.rules.lost_places import find_shared_machine, list_fence_marks
 from edgectl.scheduler.assign import assign
 from edgectl.views.plan_sections import list_lost_task_notes
 from edgectl.views.reasons import describe_reason
@@ -27,9 +27,11 @@ TASKS = some_tasks(a_task("slam", cpu=1.0))
 PLACED = Placement(host="edge1", since=NOW, generation=5, address=OLD, machine="m1/1000/a")
 
 
-def seen(address: str = "", machine: str = "", generation: int | None = None) -> HostSample:
+def seen(address: str = "", machine: str = "", generation: int | None = None, given: int = 0) -> HostSample:
+    """A host that runs ``slam`` with ``generation``, or that was once given the generation ``given`` of it."""
     tasks = {} if generation is None else {"slam": a_run(generation=generation, spec_hash="hash-slam")}
-    return replace(a_sample(tasks=tasks), address=address, machine=machine)
+    recalled = {"slam": given} if given else {}
+    return replace(a_sample(tasks=tasks), address=address, machine=machine, generations=recalled)
 
 
 def plan_after(placement: Placement, fenced: frozenset[str] = frozenset(), **hosts: HostSample) -> Plan:
@@ -64,7 +66,12 @@ MOVED = (
         ({"edge1": seen(NEW, "m2/1000/a"), "edge2": seen()}, ("edge1",), Action.HOLD, MOVED),
         ({"edge1": seen(NEW, "m2/1000/a"), "edge2": seen()}, (OLD,), Action.START, ""),
         # The same login of the same machine under another address: what is not seen there is gone.
-        ({"edge1": seen(NEW, "m1/1000/a")}, (), Action.START, ""),
+        ({"edge1": seen(NEW, "m1/1000/a", given=5)}, (), Action.START, ""),
+        ({"edge9": seen(NEW, "m1/1000/a", given=6)}, (), Action.START, ""),
+        # Another machine from a copy of the same image: it was never given the placed generation.
+        ({"edge1": seen(NEW, "m1/1000/a")}, (), Action.HOLD, MOVED),
+        ({"edge1": seen(NEW, "m1/1000/a", given=4)}, (), Action.HOLD, MOVED),
+        ({"edge9": seen(NEW, "m1/1000/a", given=4)}, (), Action.HOLD, LEFT),
         ({"edge1": seen(NEW, "")}, (), Action.HOLD, MOVED),
         ({"edge1": replace(silent(), address=NEW), "edge2": seen()}, (), Action.HOLD, MOVED),
         # The same address, or one that nobody noted.

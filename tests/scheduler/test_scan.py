@@ -1,6 +1,7 @@
 """The optimized ranking loop compared with its reference, and rankings of many hosts."""
 
 import random
+from dataclasses import replace
 
 import pytest
 
@@ -16,6 +17,7 @@ from edgectl.scheduler.ledger import build_measured_ledger
 from edgectl.scheduler.move_cost import collect_handoff_history
 from edgectl.scheduler.policies import POLICIES
 from edgectl.scheduler.scan import EXCLUDED_TOTAL, build_demand_shares, is_feasible_total
+from edgectl.scheduler.task_usage import TaskUsage
 from tests.builders import (
     GI,
     a_link,
@@ -64,6 +66,9 @@ def a_view(seed: int) -> CandidateSet:
         some_tasks(task),
         memory,
     )
+    if dice.random() < 0.5:
+        floor = TaskUsage(used={"cpu": dice.uniform(0, 2)}, links={"robot1": dice.uniform(0, 4e6)})
+        fleet = replace(fleet, floors={task.name: floor})
     policy = Policy(weights=parse_weights(dice.choice(["all", "cpu", "network", "cpu=.1,task=.9"])))
     setting = AssignmentContext(
         fleet=fleet,

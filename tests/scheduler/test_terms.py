@@ -117,34 +117,35 @@ def test_every_placement_is_expected_load_for_the_next() -> None:
 
 
 @pytest.mark.parametrize(
-    ("used", "own", "left"),
+    ("used", "own", "left", "counts"),
     [
-        (2.0, 1.5, 0.5),  # gamma 2 - 1.5 = .5 of others
-        (1.0, 1.5, 0.0),  # smoothed load below the task's own: floor 0
+        (2.0, 0.5, 1.5, 1.0),  # gamma 2 - .5 = 1.5 of others; declared 1.0, uses less
+        (2.0, 1.5, 0.5, 1.5),  # gamma 2 - 1.5 = .5 of others; uses more than declared
+        (1.0, 1.5, 0.0, 1.5),  # smoothed load below the task's own: floor 0
     ],
 )
-def test_a_running_task_does_not_compete_with_itself(used: float, own: float, left: float) -> None:
+def test_a_running_task_does_not_compete_with_itself(
+    used: float, own: float, left: float, counts: float
+) -> None:
     inventory = an_inventory(an_edge())
     snapshot = a_snapshot(edge1=a_sample(used=used, tasks={"slam": a_run(used=Usage(cpu=own))}))
     assignment = run_assign(inventory, some_tasks(a_task(cpu=1.0)), snapshot)
-    assert assignment.decisions[0].ranking[0].terms["cpu"] == pytest.approx((4.0 - left - 1.0) / 4.0)
-    assert assignment.expected["edge1"].used["cpu"] == pytest.approx(left + 1.0)
+    assert assignment.decisions[0].ranking[0].terms["cpu"] == pytest.approx((4.0 - left - counts) / 4.0)
+    assert assignment.expected["edge1"].used["cpu"] == pytest.approx(left + counts)
 
 
 @pytest.mark.parametrize("state", [TaskState.STARTING, TaskState.RUNNING, TaskState.READY])
 def test_every_living_state_counts_as_running(state: TaskState) -> None:
     snapshot = a_snapshot(edge1=a_sample(used=1.0, tasks={"slam": a_run(state, used=Usage(cpu=1.0))}))
-    assert (
-        run_assign(an_inventory(an_edge()), some_tasks(a_task()), snapshot).expected["edge1"].used["cpu"]
-        == 0.0
-    )
+    found = run_assign(an_inventory(an_edge()), some_tasks(a_task(cpu=1.5)), snapshot)
+    assert found.expected["edge1"].used["cpu"] == 1.5
 
 
 @pytest.mark.parametrize(
     ("links", "left"),
     [
-        (None, {"robot1": 3e6, "robot2": 1e6}),  # 2 MB/s split evenly: 4 - 1, 2 - 1
-        ({"robot1": 2e6}, {"robot1": 2e6, "robot2": 2e6}),  # as measured by the kernel
+        (None, {"robot1": 4.5e6, "robot2": 2.5e6}),  # 2 MB/s split evenly: 4 - 1 + 1.5, 2 - 1 + 1.5
+        ({"robot1": 2e6}, {"robot1": 4e6, "robot2": 3.5e6}),  # as measured: 4 - 2 + 2, 2 + 1.5
     ],
 )
 def test_own_use_of_several_links(links: dict[str, float] | None, left: dict[str, float]) -> None:
@@ -153,14 +154,14 @@ def test_own_use_of_several_links(links: dict[str, float] | None, left: dict[str
     snapshot = a_snapshot(
         edge1=a_sample(links={"robot1": a_link(10e6, 4e6), "robot2": a_link(10e6, 2e6)}, tasks={"slam": run})
     )
-    assignment = run_assign(inventory, some_tasks(a_task(robots=["robot1", "robot2"])), snapshot)
-    assert assignment.expected["edge1"].links == left
+    tasks = some_tasks(a_task(throughput=1.5e6, robots=["robot1", "robot2"]))
+    assert run_assign(inventory, tasks, snapshot).expected["edge1"].links == left
 
 
 def test_use_leaves_the_old_host_when_a_task_moves() -> None:
     inventory = an_inventory(an_edge("edge1"), an_edge("edge2"))
     snapshot = a_snapshot(
-        edge1=a_sample(used=3.9, tasks={"slam": a_run(used=Usage(cpu=1.0))}), edge2=a_sample()
+        edge1=a_sample(used=3.7, tasks={"slam": a_run(used=Usage(cpu=0.8))}), edge2=a_sample()
     )
     assignment = run_assign(inventory, some_tasks(a_task(cpu=0.8)), snapshot)
     # edge1 (4 - 2.9 - .8) / 4 = .075, edge2 (4 - .8) / 4 = .8: gain .725 / 4 = .18125 > .10

@@ -1,14 +1,18 @@
 """The history in SQLite: records are read back, size is bounded, and no failure is fatal."""
 
+import contextlib
 import dataclasses
+import sqlite3
 import stat
 from pathlib import Path
+
+import pytest
 
 from edgectl.model.event import Event, EventKind
 from edgectl.model.resource import Usage
 from edgectl.model.snapshot import HostStatus, LinkSample, TaskSample, TaskState
 from edgectl.state.store import Retention, Store
-from tests.builders import NOW, a_sample, a_snapshot, silent
+from tests.builders import NOW, a_run, a_sample, a_snapshot, silent
 
 
 def a_task(**changes: object) -> TaskSample:
@@ -30,9 +34,9 @@ def test_what_is_recorded_is_read_back(tmp_path: Path) -> None:
             edge1 = a_sample(used=float(second), links={"robot1": link}, tasks={"slam": a_task()})
             store.record_snapshot(a_snapshot(taken_at=NOW + second, edge1=edge1, edge2=silent()))
     with Store.open(tmp_path) as store:
-        assert [point.used_cores for point in store.host_points("edge1")] == [0.0, 1.0, 2.0]
-        assert [point.used_cores for point in store.host_points("edge1", limit=2)] == [1.0, 2.0]
-        assert [point.used_cores for point in store.host_points("edge1", since=NOW + 2)] == [2.0]
+        assert [point.usage["cpu"].used for point in store.host_points("edge1")] == [0.0, 1.0, 2.0]
+        assert [point.usage["cpu"].used for point in store.host_points("edge1", limit=2)] == [1.0, 2.0]
+        assert [point.usage["cpu"].used for point in store.host_points("edge1", since=NOW + 2)] == [2.0]
         assert {point.status for point in store.host_points("edge2")} == {HostStatus.UNREACHABLE}
         assert len(store.host_points(limit=1)) == 2
         assert [(point.edge, point.robot, point.rtt_ms) for point in store.link_points(limit=1)] == [
@@ -42,6 +46,24 @@ def test_what_is_recorded_is_read_back(tmp_path: Path) -> None:
             (point.task, point.host, point.age_s, point.spec_hash)
             for point in store.task_points("slam", limit=1)
         ] == [("slam", "edge1", 102.0, "s1")]
+
+
+def test_a_file_without_the_columns_of_a_resource_gets_them(tmp_path: Path) -> None:
+    with Store.open(tmp_path) as store:
+        store.record_snapshot(a_snapshot(taken_at=NOW, edge1=a_sample(used=1.0, tasks={"slam": a_task()})))
+    with contextlib.closing(sqlite3.connect(tmp_path / "history.db")) as older:
+        older.executescript(
+            "ALTER TABLE host_samples DROP COLUMN used_bytes; ALTER TABLE host_samples DROP COLUMN total_bytes;"
+            "DROP VIEW task_samples; ALTER TABLE uses DROP COLUMN used_bytes;"
+            "CREATE VIEW task_samples AS SELECT at, task FROM starts JOIN uses USING (start)"
+        )
+    used = Usage(cpu=0.5, memory=2e8)
+    with Store.open(tmp_path, warn=pytest.fail) as store:
+        store.record_snapshot(
+            a_snapshot(taken_at=NOW + 1, edge1=a_sample(used_memory=3e8, tasks={"slam": a_run(used=used)}))
+        )
+        assert [point.amounts["used_bytes"] for point in store.host_points("edge1")] == [None, 3e8]
+        assert [point.used["memory"] for point in store.task_points("slam")] == [0.0, 2e8]
 
 
 def test_the_same_snapshot_again_changes_nothing(tmp_path: Path) -> None:

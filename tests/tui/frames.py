@@ -43,17 +43,18 @@ def a_frame(cordons: frozenset[str] = frozenset()) -> Frame:
         edge10=a_sample(used=3.4, used_memory=3 * GI, tasks={"camera": camera}),
     )
     hosts = [
-        HostPoint(at=NOW + at, host="edge1", status=HostStatus.OK, cores=4.0, used_cores=at, total_bytes=4 * GI, used_bytes=GI) for at in range(5)
-    ]  # fmt: skip
+        HostPoint(
+            at=NOW + at, host="edge1", status=HostStatus.OK, usage=a_sample(used=at, used_memory=GI).usage
+        )
+        for at in range(5)
+    ]
     tasks = [
         TaskPoint(
             at=NOW + at,
             task="slam",
             host="edge1",
             state=TaskState.READY,
-            used_cores=at / 4,
-            used_bytes=1.0,
-            used_bytes_per_s=0.0,
+            used=Usage(cpu=at / 4, memory=1.0),
         )
         for at in range(5)
     ]

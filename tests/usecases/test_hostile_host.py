@@ -7,12 +7,15 @@ from typing import Any
 
 import pytest
 
+from edgectl.gateway.task_lookup import find_doubled_instances, find_task_host
 from edgectl.model.policy import Policy
 from edgectl.model.result import Outcome
-from edgectl.model.task import HostRules
+from edgectl.model.task import Check, HostRules
 from edgectl.transport.fake import FakeTransport
+from edgectl.transport.fleet_lease import FleetLease
 from edgectl.usecases.apply import plan_and_apply
 from edgectl.usecases.fleet import Fleet
+from edgectl.usecases.fleet_lease import _get_patience_s
 from edgectl.usecases.stop import restart_task, stop_tasks
 from tests.builders import NOW, a_robot, a_task, an_edge, an_inventory, some_tasks
 from tests.executor.fake_fleet import FakeFleet, Request
@@ -113,9 +116,7 @@ def test_what_a_liar_claims_is_told(site: Site) -> None:
     site.lie = reports("completed", spec_hash="hash-t3")
     site.apply()
     placed = site.hosts.placed["t3"]
-    assert (
-        f"evil reports t3 as completed, but it is placed on {placed}: the report is not believed" in site.said
-    )
+    assert f"evil reports t3 as completed, but it is placed on {placed}: the report is ignored" in site.said
 
 
 def test_a_crashed_task_is_started_again_although_a_liar_claims_it(site: Site) -> None:
@@ -180,3 +181,49 @@ def test_texts_of_failures_are_bounded_and_printable(site: Site, text: str) -> N
     assert len(action.error) < 2000
     assert action.error.isprintable()
     action.error.encode()
+
+
+@pytest.mark.parametrize("odd", [None, "ready", [], {"state": "happy"}, {"state": "running", "age_s": 1e12}])
+def test_an_odd_entry_of_a_status_reply_costs_that_entry(site: Site, odd: object) -> None:
+    """The task that is asked for is found, on this host and on others; nothing else ends with an error."""
+    site.hosts["evil"].tasks["job"] = {"state": "failed", "age_s": 5.0}
+    status = site.hosts["evil"]._status
+    site.hosts["evil"].faults["status"] = lambda request: {
+        "tasks": {**status({**request, "task": None})["tasks"], "x": odd, "t2": odd}  # type: ignore[dict-item]
+    }
+    inventory, transport = site.fleet.inventory, site.fleet.transport
+    found, alive, silent = find_task_host("job", inventory, transport, timeout=1.0)
+    assert (found, alive, silent) == (inventory.hosts["evil"], False, ())
+    found, alive, silent = find_task_host("t2", inventory, transport, timeout=1.0)
+    assert (found, alive, silent) == (inventory.hosts[site.hosts.placed["t2"]], True, ("evil",))
+    hosts = list(inventory.hosts.values())
+    doubled = find_doubled_instances(hosts, transport, timeout=1.0)
+    assert set(doubled) == {"t2"}  # what cannot be read may run
+
+
+def test_a_liar_delays_by_a_cycle_of_a_watch_and_by_no_year() -> None:
+    """It says that a watch with a cycle of 30 years holds the fleet."""
+    lease = FleetLease(holder="h", session="s", who="me", verb="apply", clock=lambda: 0.0)
+    lease.build_claim("evil")
+    held = {"state": "held", "who": "x", "verb": "watch", "age_s": 1, "left_s": 1e9, "every_s": 1e9}
+    lease.take_reply("evil", held)
+    assert _get_patience_s(lease) == 75.0
+
+
+def test_a_host_that_replies_to_waits_at_once_is_asked_twice_a_second(site: Site) -> None:
+    """Until the wait is over, and not thousands of times."""
+    asked: list[Request] = []
+
+    def hurry(request: Request) -> Request:
+        asked.append(request)
+        return {"state": "starting", "detail": "soon"}
+
+    ready = Check(command="true", timeout=0.6)
+    site.fleet = dataclasses.replace(
+        site.fleet, tasks=some_tasks(a_task("t4", cpu=0.1, pin="evil", ready=ready))
+    )
+    site.hosts["evil"].faults["wait"] = hurry
+    applied = plan_and_apply(site.fleet, POLICY)
+    assert applied.results is not None
+    assert [action.outcome for action in applied.results.actions if action.task == "t4"] == [Outcome.FAILED]
+    assert 1 <= len(asked) <= 4

@@ -70,11 +70,12 @@ def run_until_failpoint(scene: RecoveryScene, verb: Verb, die_at: int | None) ->
     ids=["drain", "rollback"],
 )
 def test_death_at_every_point(make: Callable[[Path], RecoveryScene], verb: Verb, tmp_path: Path) -> None:
-    whole = make(tmp_path / "whole")
+    prepared = make(tmp_path / "prepared")
+    whole = prepared.copy(tmp_path / "whole")
     names = run_until_failpoint(whole, verb, None)
     assert len(names) > 20
     for number, name in enumerate(names):
-        scene = make(tmp_path / str(number))
+        scene = prepared.copy(tmp_path / str(number))
         run_until_failpoint(scene, verb, number)
         verb(scene)
         assert scene.hosts.placed == whole.hosts.placed, name

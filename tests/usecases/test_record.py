@@ -49,7 +49,7 @@ def test_every_probe_is_kept(bench: Bench) -> None:
     probe_fleet(bench.fleet)
     probe_fleet(bench.fleet)
     with Store.open(bench.fleet.state) as store:
-        assert [point.used_cores for point in store.host_points("edge1")] == [1.5, 1.5]
+        assert [point.usage["cpu"].used for point in store.host_points("edge1")] == [1.5, 1.5]
         assert len(store.host_points()) == 6
 
 

@@ -4,7 +4,9 @@ each task.
 
 import contextlib
 import dataclasses
+import itertools
 import random
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -49,6 +51,13 @@ class RecoveryScene:
     @property
     def ready(self) -> Fleet:
         return dataclasses.replace(self.fleet, tasks=self.tasks)
+
+    def copy(self, state: Path) -> "RecoveryScene":
+        """The same scene with hosts and a state of its own, in a third of the time that its preparation takes."""
+        shutil.copytree(self.fleet.state, state)
+        hosts = self.hosts.copy()
+        fleet = dataclasses.replace(self.fleet, transport=hosts.transport, state=state)
+        return RecoveryScene(hosts, fleet, self.tasks)
 
 
 def build_scene(state: Path, *tasks: Task) -> RecoveryScene:
@@ -164,11 +173,12 @@ def apply_and_check(scene: RecoveryScene, expected: dict[str, str]) -> None:
 def test_death_at_every_point_is_mended_by_one_apply(
     make: Callable[[Path], RecoveryScene], tmp_path: Path
 ) -> None:
-    whole = make(tmp_path / "whole")
+    prepared = make(tmp_path / "prepared")
+    whole = prepared.copy(tmp_path / "whole")
     names = list_failpoints(whole)
     assert len(names) > 15
     for number in range(len(names)):
-        scene = make(tmp_path / str(number))
+        scene = prepared.copy(tmp_path / str(number))
         interrupt_apply(scene, number)
         apply_and_check(scene, whole.hosts.placed)
         assert make is prepare_start_first or not scene.hosts.world.overlap, names[number]
@@ -176,15 +186,17 @@ def test_death_at_every_point_is_mended_by_one_apply(
 
 def test_death_during_recovery_is_mended_too(tmp_path: Path) -> None:
     chance = random.Random(7)
+    prepared = {make: make(tmp_path / make.__name__) for make in SCENES}
+    wholes = {make: scene.copy(tmp_path / f"whole {make.__name__}") for make, scene in prepared.items()}
+    lengths = {make: len(list_failpoints(whole)) for make, whole in wholes.items()}
     for number in range(60):
         make = chance.choice(SCENES)
-        whole = make(tmp_path / f"whole{number}")
-        length = len(list_failpoints(whole))
-        scene = make(tmp_path / str(number))
+        length = lengths[make]
+        scene = prepared[make].copy(tmp_path / str(number))
         interrupt_apply(scene, chance.randrange(length))
         with contextlib.suppress(pytest.fail.Exception):  # the recovery may have fewer failpoints
             interrupt_apply(scene, chance.randrange(length))
-        apply_and_check(scene, whole.hosts.placed)
+        apply_and_check(scene, wholes[make].hosts.placed)
 
 
 def _fail_starts(scene: RecoveryScene) -> None:
@@ -267,10 +279,11 @@ def test_a_link_cut_at_every_request_is_mended_by_one_apply(
     """From the k-th request on the target host is unreachable until the apply has ended; the request itself
     may have arrived.
     """
-    whole = make(tmp_path / "whole")
+    prepared = make(tmp_path / "prepared")
+    whole = prepared.copy(tmp_path / "whole")
     plan_and_apply(whole.ready, POLICY, options=ONE_BY_ONE)
-    for number in range(30):
-        scene = make(tmp_path / str(number))
+    for number in itertools.count():
+        scene = prepared.copy(tmp_path / str(number))
         counted = [0]
 
         def cutting(
@@ -291,6 +304,9 @@ def test_a_link_cut_at_every_request_is_mended_by_one_apply(
 
         cut = FakeTransport({name: cutting(name) for name in scene.hosts.hosts})
         plan_and_apply(dataclasses.replace(scene.ready, transport=cut), POLICY, options=ONE_BY_ONE)
+        if not scene.hosts.down:
+            assert number > 5, "every request was cut once"
+            return
         scene.hosts.down.clear()
         apply_and_check(scene, whole.hosts.placed)
         assert make is prepare_start_first or not scene.hosts.world.overlap

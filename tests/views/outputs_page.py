@@ -9,6 +9,7 @@ INTRODUCTION = """\
 
 - A list is `{format_version, kind, items, warnings}`, a single thing `{format_version, kind, item, warnings}`. `warnings` are the
   notes below the table. `plan` and `probe` print the plan and the snapshot file instead, which other commands read.
+- A list of nothing has no line on standard output; a note on standard error says so.
 - `-o jsonl` prints one item per line, `-o csv` one item per row. In CSV the keys of an object are joined by `_`
   (`memory_used_bytes`) and a list is JSON.
 - `edgectl schema KIND` prints the JSON Schema of a document, where KIND is its `kind`, as in `edgectl schema task-status`. The

@@ -52,7 +52,7 @@ def test_history_is_one_line_per_revision() -> None:
         ["9", "2025-11-21T01:53:20Z", "ada", "apply", "2.5s", "partly", "1", "move"],
         ["10", "2025-11-21T01:54:20Z", "-", "-", "-", "cut", "off", "-"],
     ]
-    assert HistoryView([]).table() == "Nothing was applied yet.\n"
+    assert (HistoryView([]).table(), HistoryView([]).notes()) == ("", ["nothing was applied yet"])
     assert render_view(HistoryView(PAST), OutputFormat.NAME) == "revision/9\nrevision/10\n"
 
 

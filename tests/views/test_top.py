@@ -70,8 +70,7 @@ def host_points() -> tuple[HostPoint, ...]:
             at=NOW + n,
             host="edge1",
             status=HostStatus.OK,
-            cores=None if cores is None else 4.0,
-            used_cores=cores,
+            usage={} if cores is None else a_sample(used=cores).usage,
         )
         for n, cores in enumerate(used)
     )
@@ -85,9 +84,7 @@ def task_points() -> tuple[TaskPoint, ...]:
             task="detection",
             host="edge1",
             state=TaskState.READY,
-            used_cores=cores,
-            used_bytes=GI,
-            used_bytes_per_s=0.0,
+            used=Usage(cpu=cores, memory=GI),
         )
         for n, cores in enumerate((1.0, 2.0, 4.0))
     )
@@ -152,7 +149,9 @@ def test_hosts_in_ascii() -> None:
 
 def test_sixty_samples_stand_below_where_there_is_no_room_beside() -> None:
     points = tuple(
-        HostPoint(at=NOW + n, host="edge1", status=HostStatus.OK, cores=4.0, used_cores=4.0 if n % 2 else 0.0)
+        HostPoint(
+            at=NOW + n, host="edge1", status=HostStatus.OK, usage=a_sample(used=4.0 if n % 2 else 0.0).usage
+        )
         for n in range(100)
     )
     lines = render_view(
@@ -282,7 +281,7 @@ def test_documents() -> None:
     assert [host["host"] for host in document["items"]] == ["edge1", "edge2", "robot1"]
     assert document["items"][0]["history"][-2:] == [
         {"at": "2025-11-21T01:53:28Z"},
-        {"at": "2025-11-21T01:53:29Z", "used_cores": 4},
+        {"at": "2025-11-21T01:53:29Z", "used_cores": 4, "memory_used_bytes": 0},
     ]
     assert [f"note: {line}" for line in document["warnings"]] == NOTES.splitlines()
     assert yaml.safe_load(hosts(OutputFormat.YAML)) == document

@@ -167,7 +167,7 @@ class ProfilerDaemon:
         self.slow: Document = {
             "routes": network.find_interfaces(addresses),
             "speeds": {name: network.read_interface_speed(name) for name in network.read_interface_bytes()},
-            "temperature_c": device.read_temperature_c(None),
+            "temperature_c": device.read_temperature_c(),
             "gpu_share": device.read_gpu_share(),
         }
         # Limits of the control group may have changed.

@@ -43,7 +43,7 @@ def _build_measurements(request: Document, sample: Document, age: float) -> Docu
         "psutil": False,
         "window_s": 0.0,
         "cpu": {"cores": levels["cores"], "used_cores": round(min(levels["cores"], used), 4)},
-        "memory": device.read_memory(None),
+        "memory": device.read_memory(),
         "temperature_c": levels["temperature_c"],
         "gpu_share": levels["gpu_share"],
         "interfaces": {

@@ -33,6 +33,8 @@ OP_WAIT = "wait"
 # (SIGNATURE_KEYS); a probe may carry a claim of it (CLAIM_KEYS).
 CHANGING_OPS = (OP_START, OP_STOP, OP_MARK, OP_CHECK, OP_TAKE_OVER)
 SIGNATURE_KEYS = ("holder", "session", "epoch")
+# Name of the record of the lease in the directory of the fleet.
+LEASE_FILE = "lease"
 CLAIM_KEYS = ("holder", "session", "who", "verb", "ttl_s", "watch", "take_over")
 
 # Keys of a request besides ``op``, ``fleet`` and ``host``; OP_PROFILER_RUN and OP_SUPERVISE are requests of
@@ -46,7 +48,7 @@ REQUEST_KEYS = {
     OP_LEASE: ("action", "lease", "end_watch"),
     OP_LOGS: ("task", "tail"),
     OP_MARK: ("task", "instance", "ready"),
-    OP_PROBE: ("window_s", "links", "detect", "checks"),
+    OP_PROBE: ("window_s", "links", "detect", "checks", "former"),
     OP_PROFILER_START: ("every_s", "ttl_s", "links", "detect"),
     OP_PROFILER_STATUS: ("links", "detect"),
     OP_PROFILER_STOP: (),
@@ -126,6 +128,7 @@ PROBE_KEYS = (
     "machine",
     "wall",
     "load_1m",
+    "grants",
     "generations",
     "other_tasks",
     "unowned",

@@ -32,20 +32,19 @@ def collect_facts(request: Document) -> Document:
     addresses = network.resolve_robots(request.get("links", []))
     probes = network.ConnectProbes(addresses)
     _wait_for_answers(probes, addresses)
-    psutil = device.find_psutil()
     answer = {
         "v": protocol.VERSION,
         "op": protocol.OP_DOCTOR,
         "host": request["host"],
         "python": "%d.%d.%d" % sys.version_info[:3],
-        "psutil": psutil is not None,
+        "psutil": device.find_psutil_folder() is not None,
         "logind": read_login_facts(),
         "disk": dict(
             read_disk_facts(state_dir.BASES[0]),
             spare=not read_disk_facts(state_dir.BASES[-1])["obstacle"],
             skipped=[base for base in state_dir.BASES if state_dir.is_foreign_base(base)],
         ),
-        "memory": device.read_memory(psutil),
+        "memory": device.read_memory(),
         "links": {robot: _build_link_facts(found, robot, probes) for robot, found in addresses.items()},
         "surroundings": parse_surroundings(seen.result()),
     }

@@ -7,7 +7,7 @@ import zlib
 
 from ..link import protocol
 from ..link.fast_json import Document
-from ..supervise import adoption, other_tasks, state_dir, status
+from ..supervise import adoption, other_tasks, records, state_dir, status
 from . import device, metrics, network, proc
 from .task import TaskMeter
 
@@ -40,7 +40,10 @@ def probe_host(request: Document) -> Document:
             "machine": _describe_place(),
             "wall": time.time(),
             "load_1m": device.read_load_1m(),
-            "generations": _list_generations(request["host"], measured["tasks"]),
+            "grants": _read_grants(),
+            "generations": _list_generations(
+                [request["host"], *request.get("former", [])], measured["tasks"]
+            ),
             "other_tasks": other_tasks.list_other_tasks(request["host"]),
             "unowned": adoption.list_unowned_tasks(request["host"]),
             "former": state_dir.list_host_names(request["host"])[1:],
@@ -64,6 +67,18 @@ def _claim_lease(request: Document) -> Document:
     from ..supervise.lease import claim_lease
 
     return {"lease": claim_lease(request["lease"])}
+
+
+def _read_grants() -> Document:
+    """Read to whom this host granted the fleet last: by it, a manager sees that others have acted."""
+    folders = [state_dir.list_fleet_levels(base)[-1] for base in state_dir.list_own_bases()]
+    found = [records.read_record(os.path.join(folder, protocol.LEASE_FILE)) for folder in folders]
+    newest = max(found, key=lambda each: each.get("epoch", 0), default={})
+    return {
+        "holder": newest.get("holder", ""),
+        "epoch": newest.get("epoch", 0),
+        "other_epoch": newest.get("other_epoch", 0),
+    }
 
 
 def _read_profiler(request: Document) -> "tuple[Document, _RunningChecks] | None":
@@ -98,8 +113,6 @@ def _measure_window(request: Document) -> "tuple[Document, _RunningChecks]":
     checks = _RunningChecks(request.get("checks", []), tasks.before)
     traffic, totals = network.TrafficMeter(addresses), network.read_interface_bytes()
     cpu, started = device.CpuMeter(), time.monotonic()
-    # The import costs more than the rest of a probe; within the window it delays nothing.
-    psutil = device.find_psutil()
     probes = network.ConnectProbes(addresses)
     probes.wait(max(started + window, time.monotonic() + _MIN_CONNECT_S))
     reading = cpu.measure()
@@ -109,11 +122,11 @@ def _measure_window(request: Document) -> "tuple[Document, _RunningChecks]":
     measured = tasks.measure(flows, addresses, seconds)
     probes.close(addresses)
     return {
-        "psutil": psutil is not None,
+        "psutil": device.find_psutil_folder() is not None,
         "window_s": round(seconds, 4),
         "cpu": reading,
-        "memory": device.read_memory(psutil),
-        "temperature_c": device.read_temperature_c(psutil),
+        "memory": device.read_memory(),
+        "temperature_c": device.read_temperature_c(),
         "gpu_share": device.read_gpu_share(),
         "interfaces": {
             name: network.build_interface_entry(rate, network.read_interface_speed(name))
@@ -124,11 +137,14 @@ def _measure_window(request: Document) -> "tuple[Document, _RunningChecks]":
     }, checks
 
 
-def _list_generations(host: str, measured: "dict[str, Document]") -> "dict[str, int]":
-    """List task -> highest generation seen here where the task's entry has a lower one or none: a manager
-    needs it to start the task.
+def _list_generations(hosts: "list[str]", measured: "dict[str, Document]") -> "dict[str, int]":
+    """List task -> highest generation seen here under these host names where the task's entry has a lower one
+    or none: a manager needs it to start the task, and to know these directories again.
     """
-    seen = {name: status.read_generation(host, name) for name in state_dir.list_task_names(host)}
+    seen: "dict[str, int]" = {}
+    for host in hosts:
+        for name in state_dir.list_task_names(host):
+            seen[name] = max(seen.get(name, 0), status.read_generation(host, name))
     return {
         name: number for name, number in seen.items() if number > measured.get(name, {}).get("generation", 0)
     }

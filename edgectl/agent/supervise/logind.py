@@ -6,6 +6,7 @@
 import os
 
 from ..link.errors import RefusalError
+from .scope import get_user_name, is_lingering
 
 _FOLDERS = ("/etc/systemd", "/run/systemd", "/usr/local/lib/systemd", "/usr/lib/systemd", "/lib/systemd")
 
@@ -14,10 +15,8 @@ def check_survives_logout(root: str = "") -> None:
     """Decline to start a task that the end of this login would kill. Raises RefusalError."""
     if os.geteuid() == 0 and not root:
         return
-    import pwd
-
-    user = pwd.getpwuid(os.geteuid()).pw_name
-    if kills_users_processes(root) and not os.path.exists("%s/var/lib/systemd/linger/%s" % (root, user)):
+    user = get_user_name()
+    if kills_users_processes(root) and not is_lingering(user, root):
         message = "this host kills the processes of %s at logout (KillUserProcesses=yes)" % user
         raise RefusalError(
             "killed-at-logout", message, "on the host, as root: loginctl enable-linger %s" % user

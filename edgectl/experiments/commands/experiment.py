@@ -19,6 +19,11 @@ RUNS_DIR = Path("runs")
 _INTERRUPT_NOTICE = "ending the trial and stopping its tasks; press Ctrl-C again to stop at once"
 ExperimentOutput = Annotated[OutputFormat, options.build_output_option(EXPERIMENT_FORMATS)]
 
+_RepetitionsOption = Annotated[
+    int | None,
+    Option("--repetitions", "-n", metavar="N", min=1, max=1000, help="Instead of the number in SPEC."),
+]
+
 
 def experiment_run_command(
     *,
@@ -29,17 +34,7 @@ def experiment_run_command(
     out: Annotated[
         Path | None, Option("--out", metavar="DIR", help="Directory of the run; default: runs/NAME.")
     ] = None,
-    repetitions: Annotated[
-        int | None,
-        Option(
-            "--repetitions",
-            "-n",
-            metavar="N",
-            min=1,
-            max=1000,
-            help="Instead of the number in SPEC.",
-        ),
-    ] = None,
+    repetitions: _RepetitionsOption = None,
     lock_timeout: options.LockTimeoutOption = None,
     accept_new: options.AcceptNewOption = False,
 ) -> None:

@@ -20,7 +20,7 @@ class ReplayResult:
 
     ``handoffs``: moves of tasks between hosts. ``unplaced``: tasks without a host, summed over the cycles.
     ``unsettled``: cycles in which the assignment did not converge. ``assumed``: placed tasks that were never
-    recorded as running; their usage is taken from their demand.
+    recorded as running; their usage is taken from their demand. ``utilisation``: by resource.
     """
 
     scheme: Scheme
@@ -29,9 +29,7 @@ class ReplayResult:
     unplaced: int
     unsettled: int
     assumed: tuple[str, ...] = ()
-    cpu: Utilisation
-    memory: Utilisation
-    network: Utilisation
+    utilisation: Mapping[str, Utilisation]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

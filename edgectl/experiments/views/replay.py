@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from edgectl.experiments.model.comparison import ReplayResult, Utilisation
 from edgectl.formats.document import Document, encode_number
+from edgectl.model.resource import RESOURCES
 from edgectl.names import format_name_list, natural_key
 from edgectl.views.output import ListView
 from edgectl.views.output_format import ITEM_FORMATS
@@ -14,6 +15,8 @@ _OPEN_LOOP_NOTE = (
     "Open loop: the usage and run time of tasks are as recorded, whatever a scheme decides; "
     "edgectl simulate closes the loop in a model."
 )
+
+_HEAD = ("SCHEME", "HANDOFFS", "PER CYCLE", "UNPLACED", *(each.name.upper() for each in RESOURCES))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,9 +30,9 @@ class ReplayView(ListView):
     def table(self, look: RenderOptions = PLAIN) -> str:
         """One row per scheme; utilisations as mean and peak over edges (or links) and cycles."""
         cycles = max((result.cycles for result in self.results), default=0)
-        rows: list[Row] = [("SCHEME", "HANDOFFS", "PER CYCLE", "UNPLACED", "CPU", "MEMORY", "NETWORK")]
+        rows: list[Row] = [_HEAD]
         rows += map(_build_replay_row, self.results)
-        return render_columns(rows, look, right={1, 2, 3, 4, 5, 6}) + wrap_text(
+        return render_columns(rows, look, right=set(range(1, len(_HEAD)))) + wrap_text(
             f"{cycles} cycles; utilisation as mean/peak. {_OPEN_LOOP_NOTE}", look
         )
 
@@ -52,10 +55,7 @@ def _build_replay_row(result: ReplayResult) -> Row:
         str(result.handoffs),
         f"{result.handoffs / result.cycles:.3f}" if result.cycles else "-",
         str(result.unplaced),
-        *(
-            _format_utilisation(share) if result.cycles else "-"
-            for share in _get_utilisations(result).values()
-        ),
+        *(_format_utilisation(share) if result.cycles else "-" for share in result.utilisation.values()),
     )
 
 
@@ -65,10 +65,6 @@ def _describe_assumed_tasks(results: Sequence[ReplayResult]) -> list[str]:
         return []
     names = f"{format_name_list(tasks)} ({len(tasks)})"
     return [f"never recorded as running, so their usage is taken from their demand: {names}"]
-
-
-def _get_utilisations(result: ReplayResult) -> dict[str, Utilisation]:
-    return {"cpu": result.cpu, "memory": result.memory, "network": result.network}
 
 
 def _format_utilisation(share: Utilisation) -> str:
@@ -88,6 +84,6 @@ def _encode_replay_result(result: ReplayResult) -> Document:
         "assumed": list(result.assumed),
         "utilisation": {
             name: {"mean": encode_number(share.mean), "peak": encode_number(share.peak)}
-            for name, share in _get_utilisations(result).items()
+            for name, share in result.utilisation.items()
         },
     }

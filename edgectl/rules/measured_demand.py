@@ -10,6 +10,8 @@ from edgectl.model.manager_state import MeasuredDemand
 from edgectl.model.resource import TASK_RESOURCES
 from edgectl.model.task import Demand, Quantity, Task
 
+# Start-up is not typical use: what a task used in these first seconds does not count.
+WARM_UP_S = 10.0
 # So many samples, over so many seconds, make a figure.
 MIN_SAMPLES, MIN_SPAN_S = 60, 300.0
 # The label that puts hosts into one class by the operator's word.

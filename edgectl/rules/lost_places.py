@@ -56,29 +56,36 @@ def get_lost_place(decision: Decision) -> LostPlace | None:
 
 
 def find_lost_place(
-    placement: Placement, hosts: Mapping[str, HostSample], manager: ManagerState
+    task: str, placement: Placement, hosts: Mapping[str, HostSample], manager: ManagerState
 ) -> LostPlace | None:
-    """The place of ``placement`` where ``hosts`` (all that are in the inventory) do not reach it.
+    """The place of ``task``, placed by ``placement``, where ``hosts`` (all of the inventory) do not reach it.
 
-    An address that changed is the same place where the host answers from the same login of that machine.
+    An address that changed is the same place where the host answers from the directories of the task.
     """
     host = hosts.get(placement.host)
-    if host is None and any(_is_same_place(placement, sample) for sample in hosts.values()):
+    if host is None and any(_is_same_place(task, placement, sample) for sample in hosts.values()):
         return None
     if host is None:
         return LostPlace(host=placement.host, fenced=placement.host in manager.fenced)
     if "" in (placement.address, host.address) or placement.address == host.address:
         return None
-    if _is_same_place(placement, host):
+    if _is_same_place(task, placement, host):
         return None
     return LostPlace(
         host=placement.host, address=placement.address, fenced=placement.address in manager.fenced
     )
 
 
-def _is_same_place(placement: Placement, host: HostSample) -> bool:
-    """Whether the host reads the directories of the placement, which it lists under every name."""
-    return host.ok and placement.machine != "" and placement.machine == host.machine
+def _is_same_place(task: str, placement: Placement, host: HostSample) -> bool:
+    """Whether the host reads the directories of the placement, which it lists under every name.
+
+    Copied images have one machine id, so it is not enough: only the place itself was given the generation.
+    """
+    if not host.ok or not placement.machine or placement.machine != host.machine:
+        return False
+    own = host.tasks.get(task)
+    known = max(host.generations.get(task, 0), own.generation if own is not None else 0)
+    return known >= max(1, placement.generation)
 
 
 def list_lost_tasks(snapshot: Snapshot) -> dict[str, LostPlace]:
@@ -86,7 +93,7 @@ def list_lost_tasks(snapshot: Snapshot) -> dict[str, LostPlace]:
     manager = snapshot.manager or ManagerState()
     seen = {name for host in snapshot.hosts.values() for name, run in host.tasks.items() if run.state.alive}
     lost = {
-        name: find_lost_place(manager.placements[name], snapshot.hosts, manager)
+        name: find_lost_place(name, manager.placements[name], snapshot.hosts, manager)
         for name in sorted(manager.placements.keys() - seen, key=natural_key)
     }
     return {name: place for name, place in lost.items() if place is not None and not place.fenced}
