@@ -8,11 +8,11 @@ from edgectl.model.assignment import Reason
 from edgectl.model.cycle import Cycle
 from edgectl.model.diagnosis import Diagnosis, Severity
 from edgectl.model.inventory import Inventory
-from edgectl.model.lost_places import list_lost_tasks
 from edgectl.model.plan import Action, Plan
 from edgectl.model.profiler import Profiler, ProfilerState
 from edgectl.model.snapshot import Snapshot, find_doubled_tasks
 from edgectl.model.task import Tasks
+from edgectl.rules.lost_places import list_lost_tasks
 
 if TYPE_CHECKING:
     from edgectl.usecases.plan_execution import ApplyResult

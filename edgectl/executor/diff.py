@@ -10,14 +10,14 @@ from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.policy import Policy
 from edgectl.model.snapshot import Snapshot, TaskSample, TaskState
 from edgectl.model.task import Tasks
-from edgectl.model.task_origin import find_task_file, is_left_alone
 from edgectl.names import natural_key
+from edgectl.rules.task_origin import find_task_file, is_left_alone
 
 SamplesByHost = Mapping[str, TaskSample]  # the samples of one task, by host
 
 
 def plan_from_assignment(
-    inventory: Inventory, tasks: Tasks, snapshot: Snapshot, memory: ManagerState, assignment: Assignment
+    inventory: Inventory, tasks: Tasks, snapshot: Snapshot, manager: ManagerState, assignment: Assignment
 ) -> Plan:
     """The plan of an assignment; it contains its snapshot and manager state, so it can be made again."""
     return Plan(
@@ -25,19 +25,19 @@ def plan_from_assignment(
         policy=assignment.policy,
         inventory_digest=inventory.digest,
         tasks_digest=tasks.digest,
-        snapshot=replace(snapshot, manager=memory),
+        snapshot=replace(snapshot, manager=manager),
         settled=assignment.settled,
-        steps=diff_assignment(assignment, tasks, snapshot, memory),
+        steps=diff_assignment(assignment, tasks, snapshot, manager),
         expected=assignment.expected,
         demand_spreads=assignment.demand_spreads,
         frozen=assignment.frozen,
         unseen=assignment.unseen,
-        tasks_left_alone=_list_tasks_left_alone(assignment.policy, tasks, snapshot, memory),
+        tasks_left_alone=_list_tasks_left_alone(assignment.policy, tasks, snapshot, manager),
     )
 
 
 def diff_assignment(
-    assignment: Assignment, tasks: Tasks, snapshot: Snapshot, memory: ManagerState
+    assignment: Assignment, tasks: Tasks, snapshot: Snapshot, manager: ManagerState
 ) -> tuple[Step, ...]:
     """One step per decision, in sequence order, then a stop for each managed task that left its file.
 
@@ -51,20 +51,20 @@ def diff_assignment(
         )
         for decision in assignment.decisions
     ]
-    others = _list_tasks_left_alone(assignment.policy, tasks, snapshot, memory)
+    others = _list_tasks_left_alone(assignment.policy, tasks, snapshot, manager)
     left = sorted(found.keys() - tasks.tasks.keys() - others.keys(), key=natural_key)
-    return (*steps, *(_build_removal_step(name, found[name], tasks, memory) for name in left))
+    return (*steps, *(_build_removal_step(name, found[name], tasks, manager) for name in left))
 
 
 def _list_tasks_left_alone(
-    policy: Policy, tasks: Tasks, snapshot: Snapshot, memory: ManagerState
+    policy: Policy, tasks: Tasks, snapshot: Snapshot, manager: ManagerState
 ) -> dict[str, str]:
     """The running tasks of task files that were not given, by name with their file."""
     found = _collect_managed_tasks(snapshot)
     return {
-        name: find_task_file(name, found[name].values(), memory)
+        name: find_task_file(name, found[name].values(), manager)
         for name in sorted(found.keys() - tasks.tasks.keys(), key=natural_key)
-        if is_left_alone(name, found[name].values(), tasks, memory, policy)
+        if is_left_alone(name, found[name].values(), tasks, manager, policy)
     }
 
 
@@ -167,11 +167,11 @@ def _list_surplus_hosts(decision: Decision, action: Action, found: SamplesByHost
     return tuple(host for host in found if host not in keep)
 
 
-def _build_removal_step(name: str, found: SamplesByHost, tasks: Tasks, memory: ManagerState) -> Step:
+def _build_removal_step(name: str, found: SamplesByHost, tasks: Tasks, manager: ManagerState) -> Step:
     """Stop a managed task that its file no longer lists, or that is pruned."""
-    given = tasks.is_given(find_task_file(name, found.values(), memory))
+    given = tasks.is_given(find_task_file(name, found.values(), manager))
     reason = Reason.LEFT_FILE if given else Reason.PRUNED
-    known = memory.placements.get(name)
+    known = manager.placements.get(name)
     host = known.host if known is not None and known.host in found else next(iter(found))
     decision = Decision(task=name, verdict=Verdict.UNPLACED, reason=reason, previous_host=host)
     return Step(

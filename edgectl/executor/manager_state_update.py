@@ -20,7 +20,7 @@ _MAX_MEASUREMENTS = 20
 
 
 def compute_next_generations(
-    memory: ManagerState,
+    manager: ManagerState,
     snapshot: Snapshot,
     steps: tuple[Step, ...],
     now: float,
@@ -28,12 +28,12 @@ def compute_next_generations(
 ) -> dict[str, int]:
     """The generation of each task's next start: above all known ones, and at least the clock's seconds.
 
-    A generation out of all proportion is not believed: its host alone refuses starts then. The clock as a
+    A generation out of all proportion is ignored: its host alone refuses starts then. The clock as a
     floor lets a manager that lost its state, or that another one overtook, start tasks again. Only hosts that
     the step concerns have a say in it, and at `protocol.MAX_GENERATION` it stays: hosts accept an equal one.
     """
     own = dict(journalled or {})
-    for name, placement in memory.placements.items():
+    for name, placement in manager.placements.items():
         own[name] = max(own.get(name, 0), placement.generation)
     return {step.task: _compute_next_generation(step, own.get(step.task, 0), snapshot, now) for step in steps}
 
@@ -54,18 +54,18 @@ def _limit_generation(reported: int, own: int, now: float) -> int:
 
 
 def update_manager_state(
-    memory: ManagerState, plan: Plan, tasks: Tasks, results: Results, used: Mapping[str, int], now: float
+    manager: ManagerState, plan: Plan, tasks: Tasks, results: Results, used: Mapping[str, int], now: float
 ) -> ManagerState:
-    """``memory`` after ``plan`` ended with ``results``; ``used``: the generations of its starts."""
+    """``manager`` after ``plan`` ended with ``results``; ``used``: the generations of its starts."""
     ended = {result.task: result for result in results.actions}
-    placements, done = dict(memory.placements), dict(memory.done)
+    placements, done = dict(manager.placements), dict(manager.done)
     for step in plan.steps:
-        if step.decision.reason in (Reason.HOST_LEFT, Reason.HOST_READDRESSED):
+        if step.decision.reason in (Reason.HOST_LEFT, Reason.HOST_READDRESSED, Reason.HOST_UNSURE):
             continue
         result, task = ended.get(step.task), tasks.tasks.get(step.task)
         located = result.located if result is not None else _find_running_host(plan.snapshot, step)
         if located is not None and task is not None and _is_newly_started(result):
-            since = _get_placed_since(memory.placements.get(step.task), step, now)
+            since = _get_placed_since(manager.placements.get(step.task), step, now)
             placements[step.task] = Placement(
                 host=located,
                 since=since,
@@ -78,7 +78,7 @@ def update_manager_state(
             )
         elif located is not None:
             least = used.get(step.task, 0) + 1 if _is_restored(result) else 0
-            kept = _keep_placement(memory, plan.snapshot, step.task, located, now, least)
+            kept = _keep_placement(manager, plan.snapshot, step.task, located, now, least)
             placements[step.task] = kept if task is None else dataclasses.replace(kept, file=task.file)
         elif _is_task_gone(plan.snapshot, step, result, placements.get(step.task)):
             placements.pop(step.task, None)
@@ -86,19 +86,38 @@ def update_manager_state(
             done[step.task] = task.spec_hash
     first = {
         **{name: placement.host for name, placement in placements.items()},
-        **memory.first,
+        **manager.first,
         **_collect_replacement_hosts(plan, results),
     }
     return dataclasses.replace(
-        memory,
+        manager,
         managed=True,
         placements=placements,
         first=first,
         done=done,
-        downtimes=_collect_downtimes(memory, results),
-        stays=_collect_stays(memory, results, now),
-        deferred=_collect_deferrals(memory, plan, results),
+        downtimes=_collect_downtimes(manager, results),
+        stays=_collect_stays(manager, results, now),
+        deferred=_collect_deferrals(manager, plan, results),
+        synced=_compute_synced_grants(manager, plan.snapshot, placements, tasks),
     )
+
+
+def _compute_synced_grants(
+    manager: ManagerState, snapshot: Snapshot, placements: Mapping[str, Placement], tasks: Tasks
+) -> Mapping[str, int]:
+    """The grants of all hosts, where all answered and ``placements`` has every task that lives there."""
+    hosts = snapshot.hosts.values()
+    alive = {
+        name: run for host in hosts for name, run in host.tasks.items() if run.managed and run.state.alive
+    }
+    noted = all(
+        name in placements and placements[name].generation >= run.generation
+        for name, run in alive.items()
+        if name in tasks.tasks or name in manager.placements
+    )
+    if not (noted and all(host.ok for host in hosts)):
+        return manager.synced
+    return {name: host.grant for name, host in snapshot.hosts.items() if host.grant}
 
 
 def _find_running_host(snapshot: Snapshot, step: Step) -> str | None:
@@ -164,7 +183,7 @@ def _is_restored(result: ActionResult | None) -> bool:
 
 
 def _keep_placement(
-    memory: ManagerState, snapshot: Snapshot, task: str, located: str, now: float, least: int
+    manager: ManagerState, snapshot: Snapshot, task: str, located: str, now: float, least: int
 ) -> Placement:
     """The placement of an untouched task: the remembered one, else as its host shows it.
 
@@ -173,7 +192,7 @@ def _keep_placement(
     """
     host = snapshot.hosts.get(located)
     sample = host.tasks.get(task) if host else None
-    old = memory.placements.get(task)
+    old = manager.placements.get(task)
     if old is not None and old.host != located and not least and _is_silent(snapshot, old.host):
         return old
     seen = sample is not None and sample.state.alive
@@ -207,9 +226,9 @@ def _is_silent(snapshot: Snapshot, host: str) -> bool:
     return sample is not None and not sample.ok
 
 
-def _collect_downtimes(memory: ManagerState, results: Results) -> dict[tuple[str, str], tuple[float, ...]]:
+def _collect_downtimes(manager: ManagerState, results: Results) -> dict[tuple[str, str], tuple[float, ...]]:
     """The measured downtimes, without those of restored tasks, which include a failed attempt."""
-    downtimes = dict(memory.downtimes)
+    downtimes = dict(manager.downtimes)
     for result in results.actions:
         if result.downtime_s is not None and result.located is not None and result.located == result.host:
             key = (result.task, result.located)
@@ -217,20 +236,20 @@ def _collect_downtimes(memory: ManagerState, results: Results) -> dict[tuple[str
     return downtimes
 
 
-def _collect_deferrals(memory: ManagerState, plan: Plan, results: Results) -> dict[str, str]:
+def _collect_deferrals(manager: ManagerState, plan: Plan, results: Results) -> dict[str, str]:
     """The reasons of deferred actions, kept until a later plan of the task is not deferred."""
     planned = {step.task for step in plan.steps}
-    others = {task: why for task, why in memory.deferred.items() if task not in planned}
+    others = {task: why for task, why in manager.deferred.items() if task not in planned}
     return others | {
         result.task: result.error for result in results.actions if result.outcome is Outcome.DEFERRED
     }
 
 
-def _collect_stays(memory: ManagerState, results: Results, now: float) -> dict[str, tuple[float, ...]]:
+def _collect_stays(manager: ManagerState, results: Results, now: float) -> dict[str, tuple[float, ...]]:
     """The time that each moved task had spent on the host it left."""
-    stays = dict(memory.stays)
+    stays = dict(manager.stays)
     for result in results.actions:
-        old = memory.placements.get(result.task)
+        old = manager.placements.get(result.task)
         moved = result.action is Action.MOVE and result.located == result.host
         if moved and old is not None and old.host == result.previous_host:
             stays[result.task] = (*stays.get(result.task, ()), max(0.0, now - old.since))[-_MAX_MEASUREMENTS:]

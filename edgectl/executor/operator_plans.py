@@ -5,11 +5,11 @@ from collections.abc import Iterable, Iterator, Mapping
 
 from edgectl.model.assignment import Decision, Reason, Verdict
 from edgectl.model.inventory import Inventory
-from edgectl.model.lost_places import build_lost_place_decision, list_lost_tasks
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.snapshot import HostSample, Snapshot
 from edgectl.model.task import Tasks
+from edgectl.rules.lost_places import build_lost_place_decision, list_lost_tasks
 
 
 def list_running_instances(snapshot: Snapshot) -> dict[str, dict[str, str]]:

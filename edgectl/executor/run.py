@@ -29,11 +29,11 @@ from edgectl.executor.stop_budget import BudgetSpentError, StopBudget
 from edgectl.executor.worker_pool import WorkerPool
 from edgectl.model.assignment import Reason
 from edgectl.model.inventory import Inventory
-from edgectl.model.lost_places import describe_lost_place, get_lost_place
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.progress import ProgressListener, ignore_progress
 from edgectl.model.result import ActionResult, Outcome, Results
 from edgectl.model.task import Task, Tasks
+from edgectl.rules.lost_places import describe_lost_place, get_lost_place
 from edgectl.state.journal import Journal
 from edgectl.transport.base import Transport
 from edgectl.transport.fleet_lease import FleetLease

@@ -5,9 +5,9 @@ import subprocess
 from collections.abc import Mapping
 
 from edgectl.errors import HostError
-from edgectl.model.environment import merge_environment, reveal_secrets
 from edgectl.model.inventory import Host
 from edgectl.model.task import Task
+from edgectl.rules.environment import merge_environment, reveal_secrets
 
 ENV_COMMAND_TIMEOUT_S = 10.0
 _VARIABLE_LINE = re.compile(r"([A-Za-z_][A-Za-z0-9_]*)=(.*)")

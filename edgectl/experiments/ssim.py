@@ -8,7 +8,6 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from PIL import Image
-from skimage.metrics import structural_similarity
 
 from edgectl.errors import FileError, UsageError
 from edgectl.experiments.files.map_file import MapMetadata
@@ -20,7 +19,6 @@ _WHITE = 255.0
 _WINDOW_PIXELS = 7
 _MAX_PIXELS = 2**24
 _STRIP_PIXELS = 2**20
-_ssim: Any = structural_similarity  # untyped
 _DECODE_ERRORS = (
     OSError,
     SyntaxError,
@@ -75,13 +73,17 @@ def compute_ssim(produced: MapImage, truth: MapImage) -> float:
 
 def _compute_mean_ssim(one: Pixels, other: Pixels) -> float:
     """The mean over all windows, computed in strips of rows: scikit-image takes some 130 bytes per pixel."""
+    # Its import takes half a second, most of which is scipy's.
+    from skimage.metrics import structural_similarity
+
+    untyped: Any = structural_similarity
     rows = one.shape[0] - _WINDOW_PIXELS + 1
     step, total = max(1, _STRIP_PIXELS // one.shape[1]), 0.0
     for top in range(0, rows, step):
         count = min(step, rows - top)
         part = slice(top, top + count + _WINDOW_PIXELS - 1)
         total += count * float(
-            _ssim(
+            untyped(
                 one[part].astype(float), other[part].astype(float), win_size=_WINDOW_PIXELS, data_range=_WHITE
             )
         )

@@ -101,13 +101,13 @@ METRICS = (
         name="edgectl_host_cordoned",
         help="1 if the host is cordoned.",
         labels=_HOST_LABELS,
-        read=metric_samples.sample_operator_mark(lambda m: m.cordons),
+        read=metric_samples.sample_operator_mark(lambda manager: manager.cordons),
     ),
     MetricDefinition(
         name="edgectl_host_fenced",
         help="1 if the operator declared the host powered off.",
         labels=_HOST_LABELS,
-        read=metric_samples.sample_operator_mark(lambda memory: memory.fenced),
+        read=metric_samples.sample_operator_mark(lambda manager: manager.fenced),
     ),
     MetricDefinition(
         name="edgectl_host_last_contact_timestamp_seconds",

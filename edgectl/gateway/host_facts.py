@@ -17,9 +17,9 @@ from edgectl.gateway.replies import (
     decode_reply,
 )
 from edgectl.model.diagnosis import Disk, HostFacts, LinkFacts, Logind, ShellEnvironment, UnreachableHost
-from edgectl.model.environment import drop_secrets
 from edgectl.model.inventory import Host, Inventory, Role
 from edgectl.model.text import escape_unprintable
+from edgectl.rules.environment import drop_secrets
 from edgectl.transport.base import Transport
 
 

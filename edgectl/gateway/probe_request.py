@@ -3,9 +3,9 @@
 from collections.abc import Mapping
 
 from edgectl.agent.link import protocol
-from edgectl.model.environment import drop_secrets, merge_environment
 from edgectl.model.inventory import Host, Inventory, Role
 from edgectl.model.task import Check, CheckLocation, DetectRule, Task, Tasks
+from edgectl.rules.environment import drop_secrets, merge_environment
 
 # Time of a probe besides its window and its checks.
 _OVERHEAD_S = 4.0

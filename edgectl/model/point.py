@@ -1,4 +1,4 @@
-"""History: one row each of what was measured of a host, a link or a task, or of a handoff that was made.
+"""Rows of the history: measurements of a host, a link or a task, and completed handoffs.
 
 Amounts are in the units of their resources; ``at`` is the instant of the snapshot in s since 1970 on the
 manager's clock.
@@ -59,7 +59,7 @@ class LinkPoint:
 class TaskPoint:
     """One task on one host at one instant, with the use of its whole process tree.
 
-    ``age_s``: seconds since this very start. ``links``: how many links it used, 0 where that is not known;
+    ``age_s``: seconds since this start. ``links``: number of links that it used, 0 if unknown;
     its use of one link is that of the network divided by ``max(1, links)``.
     """
 
@@ -81,8 +81,8 @@ class TaskPoint:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MetricPoint:
-    """Metric published by an application: the ``value`` of its metric ``name``, which stood until the next
-    one of this very start.
+    """Metric published by an application: the ``value`` of its metric ``name``, valid until the next one of
+    the same start.
     """
 
     at: float
@@ -95,7 +95,7 @@ class MetricPoint:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HandoffPoint:
-    """One move or restart that an apply carried out, or tried.
+    """One move or restart that an apply carried out or attempted.
 
     ``downtime_s``: stop to ready; ``seconds``: all of its phases.
     """

@@ -1,11 +1,11 @@
-"""The profiler that stays on a host, as the host tells of it."""
+"""The resident profiler of a host, as the host reports it."""
 
 from dataclasses import dataclass
 from enum import StrEnum
 
 
 class ProfilerState(StrEnum):
-    """``stalled``: it lives, but its last sample is old. ``unreachable``: the host did not say."""
+    """``stalled``: it lives, but its last sample is old. ``unreachable``: the host did not answer."""
 
     STARTED = "started"
     ALREADY_RUNNING = "already-running"
@@ -24,13 +24,13 @@ class ProfilerState(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Profiler:
-    """One host's profiler. Times are in seconds; what only a living one has is 0 or None without it.
+    """One host's profiler. Times are in seconds; figures of a living one are 0 or None without it.
 
-    ``every``: period that was asked for; ``period``: as it is, longer where a sample costs much. ``samples``:
+    ``every``: requested period; ``period``: the actual one, longer where a sample is expensive. ``samples``:
     taken since the start. ``sample_age``: of the last sample; None before the first. ``used_cores``,
-    ``used_bytes``: its own, on average and now. ``ttl``: it ends when no edgectl called for so long;
-    ``ttl_left``: until then. ``current``: whether it measures what the files want now. ``detail``: why it is
-    gone. ``error`` and ``hint``: why the host did not say, and what mends it.
+    ``used_bytes``: its own usage, on average and now. ``ttl``: it ends after so long without a request;
+    ``ttl_left``: until then. ``current``: whether it measures what the files ask for now. ``detail``: reason
+    of its end. ``error`` and ``hint``: reason for which the host did not answer, and the remedy.
     """
 
     host: str

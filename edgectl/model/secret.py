@@ -1,4 +1,4 @@
-"""A value that must not be seen: it reads as ``***`` unless somebody asks for it by name."""
+"""A value that must not be seen: it reads as ``***`` unless code asks for it by name."""
 
 MASK = "***"
 

@@ -150,7 +150,7 @@ def _count_moves_left(how: PlacementPass, prior_moves: Mapping[str, Choice]) -> 
     policy = how.context.policy
     if policy.attended or policy.max_moves is None:
         return None
-    return policy.max_moves - sum(choice.voluntary for choice in prior_moves.values())
+    return policy.max_moves - sum(choice.counted for choice in prior_moves.values())
 
 
 def _decide_task(
@@ -177,7 +177,9 @@ def _decide_task(
     progress.choices[task.name] = choice
     if choice.place is not None:
         _charge_demand(progress, task, choice.place)
-    if progress.moves_left is not None and choice.voluntary and task.name not in prior_moves:
+    else:
+        progress.located.pop(task.name, None)  # it ran on a host that counts as gone
+    if progress.moves_left is not None and choice.counted and task.name not in prior_moves:
         progress.moves_left -= 1
 
 

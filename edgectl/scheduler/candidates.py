@@ -1,18 +1,25 @@
 """Candidates of one task: the places that may take it, and the total of each."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from edgectl.model.assignment import Rejection, RejectionRule, UtilityTerms
 from edgectl.model.policy import Policy
-from edgectl.model.resource import AFFINITY
+from edgectl.model.resource import AFFINITY, RESOURCES, Resource
 from edgectl.model.task import OnboardRule, Task
 from edgectl.scheduler.capacities import Capacities
 from edgectl.scheduler.feasibility import compute_resource_terms, find_own_robot, find_rule_against
 from edgectl.scheduler.ledger import Ledger
 from edgectl.scheduler.move_cost import HandoffHistory
-from edgectl.scheduler.scan import EXCLUDED_TOTAL, INFEASIBLE_PENALTY, DemandShares, compute_resource_totals
-from edgectl.scheduler.utility import compute_affinity, total_utility
+from edgectl.scheduler.scan import (
+    EXCLUDED_TOTAL,
+    INFEASIBLE_PENALTY,
+    DemandShares,
+    compute_resource_totals,
+    is_feasible_total,
+)
+from edgectl.scheduler.slack import get_slack
+from edgectl.scheduler.utility import EPSILON, compute_affinity, total_utility
 
 # These close a host to new work only: what runs there may stay.
 _NEW_WORK_ONLY = (RejectionRule.CORDONED, RejectionRule.STALE)
@@ -24,13 +31,15 @@ class CandidateRules:
 
     ``edges``: whether edges may take tasks. ``robot_of`` gives the robot that a ranking lists besides a
     present host, ``reject_robot`` the rule against a robot; ``rate_affinity`` is UT_task by reward, from the
-    rewards and the count of located predecessors.
+    rewards and the count of located predecessors. ``tolerant``: a running task that exceeds its present host
+    by no more than the slack counts as feasible there (ADR 0061).
     """
 
     robot_of: Callable[[Capacities, Task], int | None]
     reject_robot: Callable[[Capacities, Task, int], Rejection | None]
     rate_affinity: Callable[[Iterable[int], int], dict[int, float]]
     edges: bool = True
+    tolerant: bool = False
 
 
 def find_onboard_robot(fleet: Capacities, task: Task) -> int | None:
@@ -93,7 +102,8 @@ class CandidateSet:
     its ranking shows, ``robots`` those of them that are no edges; ``denied`` says why a place is no
     candidate. ``predecessors`` are those with a place, ``located`` their places; ``utilities`` is UT_task by
     reward. ``placed`` counts the tasks that this pass has put on each place. ``waived`` is the rejection of
-    an incumbent that is weighed all the same, because nothing else is left.
+    an incumbent that is weighed all the same, because nothing else is left. ``tolerated``: the incumbent
+    counts as feasible although its load exceeds it, within the slack.
     """
 
     context: AssignmentContext
@@ -109,6 +119,7 @@ class CandidateSet:
     utilities: Mapping[int, float]
     totals: list[float]
     waived: Rejection | None = None
+    tolerated: bool = False
 
     def name(self, place: int) -> str:
         """The name of a place."""
@@ -155,7 +166,28 @@ def evaluate_candidates(
         waived=waived,
     )
     candidates.totals.extend(_compute_place_totals(candidates))
-    return candidates
+    if not context.rules.tolerant or not _is_tolerated(candidates):
+        return candidates
+    candidates.totals[incumbent or 0] += INFEASIBLE_PENALTY
+    return replace(candidates, tolerated=True)
+
+
+def _is_tolerated(candidates: CandidateSet) -> bool:
+    """Whether the task fits on its present host with the slack, but not without."""
+    here = candidates.incumbent
+    if here is None or here in candidates.denied or is_feasible_total(candidates.totals[here]):
+        return False
+    return not find_excess(candidates, here)
+
+
+def find_excess(candidates: CandidateSet, place: int) -> list[Resource]:
+    """The resources of which the task lacks more at ``place`` than the slack, or which are missing there."""
+    terms, _ = compute_resource_terms(candidates.ledger, candidates.task, place)
+    return [
+        resource
+        for resource in RESOURCES
+        if (term := terms[resource.name]) is None or term < -get_slack(resource) - EPSILON
+    ]
 
 
 def terms_at(

@@ -1,10 +1,10 @@
 """Choice of a host: eq. (5) with its ties, and handoff avoidance."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from edgectl.model.assignment import MoveCost, Reason, RejectionRule, Verdict
 from edgectl.model.resource import HOST_RESOURCES
-from edgectl.scheduler.candidates import CandidateSet
+from edgectl.scheduler.candidates import CandidateSet, find_excess
 from edgectl.scheduler.feasibility import compute_resource_terms
 from edgectl.scheduler.ledger import NO_FREE_SHARE
 from edgectl.scheduler.move_cost import estimate_move_cost
@@ -16,7 +16,8 @@ from edgectl.scheduler.utility import EPSILON
 class Choice:
     """Choice of one pass for one task.
 
-    ``place`` is None where it is unplaced; ``voluntary``: a move that nothing forced.
+    ``place`` is None where it is unplaced; ``voluntary``: a move that nothing forced. ``counted``: a move
+    that ``max_moves`` counts, because nothing forced it, or only a shortage of what a task can go without.
     """
 
     verdict: Verdict
@@ -27,6 +28,7 @@ class Choice:
     nearest: int | None = None
     subject: str | None = None
     voluntary: bool = False
+    counted: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,7 +86,7 @@ def choose_by_utility(candidates: CandidateSet, constraints: MoveConstraints) ->
             else choose_when_nothing_fits(candidates)
         )
     if best is None:
-        return Choice(verdict=Verdict.KEPT, reason=Reason.NOTHING_FITS, place=here)
+        return _choose_relief(candidates, here, constraints)
     if best == here:
         return Choice(verdict=Verdict.KEPT, reason=Reason.STILL_BEST, place=here)
     if not is_feasible_total(candidates.totals[here]):
@@ -95,14 +97,91 @@ def choose_by_utility(candidates: CandidateSet, constraints: MoveConstraints) ->
 def _choose_forced_move(
     candidates: CandidateSet, best: int, here: int, constraints: MoveConstraints
 ) -> Choice:
+    """The task may not stay, by a rule or because its host is overloaded beyond the slack."""
     if constraints.frozen:
         return Choice(verdict=Verdict.KEPT, reason=Reason.MOVES_FROZEN, place=here)
     rejection = candidates.denied.get(here)
     if rejection is None:
-        reason = Reason.FORCED_INFEASIBLE
-    else:
-        reason = Reason.FORCED_DRAIN if rejection.rule is RejectionRule.CORDONED else Reason.FORCED_RULE
+        return _move_by_load(candidates, best, here, constraints, Reason.FORCED_INFEASIBLE)
+    drained = rejection.rule is RejectionRule.CORDONED
+    reason = Reason.FORCED_DRAIN if drained else Reason.FORCED_RULE
     return Choice(verdict=Verdict.PLACED, reason=reason, place=best, subject=candidates.name(here))
+
+
+def _move_by_load(
+    candidates: CandidateSet,
+    to: int,
+    here: int,
+    constraints: MoveConstraints,
+    reason: Reason,
+    gain: float | None = None,
+) -> Choice:
+    """At once for want of memory or of a link; else once the dwell has passed, and within ``max_moves``."""
+    urgent = _is_excess_urgent(candidates, here)
+    held_back = None if urgent else _find_constraint(candidates, here, constraints)
+    return held_back or Choice(
+        verdict=Verdict.PLACED,
+        reason=reason,
+        place=to,
+        subject=candidates.name(here),
+        amount=gain,
+        counted=not urgent,
+    )
+
+
+def _is_excess_urgent(candidates: CandidateSet, here: int) -> bool:
+    """Whether a resource is short that a task cannot go without, or is not there at all."""
+    terms, _ = compute_resource_terms(candidates.ledger, candidates.task, here)
+    return any(
+        not resource.compressible or terms[resource.name] is None
+        for resource in find_excess(candidates, here)
+    )
+
+
+def _find_constraint(candidates: CandidateSet, here: int, constraints: MoveConstraints) -> Choice | None:
+    """The constraint on moves that keeps the task at ``here`` for now."""
+    min_dwell = candidates.context.policy.min_dwell
+    if constraints.dwell_s is not None and constraints.dwell_s < min_dwell:
+        left = min_dwell - constraints.dwell_s
+        return Choice(verdict=Verdict.KEPT, reason=Reason.DWELL, place=here, amount=left)
+    if constraints.moves_left is not None and constraints.moves_left <= 0:
+        return Choice(verdict=Verdict.KEPT, reason=Reason.MAX_MOVES, place=here)
+    return None
+
+
+def _choose_relief(candidates: CandidateSet, here: int, constraints: MoveConstraints) -> Choice:
+    """No place fits: the task stays, unless a move lowers the worse overload of both hosts by more than the
+    margin (ADR 0062).
+
+    On a host that --without treats as gone nothing can stay.
+    """
+    rejection = candidates.denied.get(here)
+    if rejection is not None and rejection.rule is RejectionRule.WITHOUT:
+        return replace(choose_when_nothing_fits(candidates), subject=candidates.name(here))
+    stay = Choice(verdict=Verdict.KEPT, reason=Reason.NOTHING_FITS, place=here)
+    if rejection is not None or constraints.frozen or not find_excess(candidates, here):
+        return stay
+    worst = _compute_shortfalls(candidates)
+    now, left = worst.pop(here, None), _compute_worst_share_left(candidates, here)
+    if now is None or not worst:
+        return stay
+    order = candidates.context.fleet.order
+    to = min(worst, key=lambda place: (-min(worst[place], left), -worst[place], order[place]))
+    gain = min(worst[to], left) - now
+    if gain <= candidates.context.policy.move_margin + EPSILON:
+        return stay
+    return _move_by_load(candidates, to, here, constraints, Reason.RELIEF, gain)
+
+
+def _compute_worst_share_left(candidates: CandidateSet, here: int) -> float:
+    """The least free share at ``here`` once the task has left."""
+    ledger = candidates.ledger
+    links = [
+        ledger.free_links[robot][here]
+        for robot in candidates.task.robots
+        if here < ledger.fleet.edges and robot in ledger.free_links
+    ]
+    return min([*(row[here] for row in ledger.free.values()), *links])
 
 
 def _weigh_voluntary_move(
@@ -124,17 +203,19 @@ def _weigh_voluntary_move(
         return Choice(verdict=Verdict.KEPT, reason=Reason.MOVES_FROZEN, place=here)
     if not constraints.voluntary:
         return Choice(verdict=Verdict.KEPT, reason=Reason.UNSETTLED, place=here)
-    if constraints.dwell_s is not None and constraints.dwell_s < policy.min_dwell:
-        return Choice(
-            verdict=Verdict.KEPT,
-            reason=Reason.DWELL,
-            place=here,
-            amount=policy.min_dwell - constraints.dwell_s,
-        )
-    if constraints.moves_left is not None and constraints.moves_left <= 0:
-        return Choice(verdict=Verdict.KEPT, reason=Reason.MAX_MOVES, place=here)
+    held_back = _find_constraint(candidates, here, constraints)
+    if held_back is not None:
+        return held_back
     reason = Reason.GAIN if cost is None else Reason.GAIN_OVER_COST
-    return Choice(verdict=Verdict.PLACED, reason=reason, place=best, amount=gain, cost=cost, voluntary=True)
+    return Choice(
+        verdict=Verdict.PLACED,
+        reason=reason,
+        place=best,
+        amount=gain,
+        cost=cost,
+        voluntary=True,
+        counted=True,
+    )
 
 
 def choose_when_nothing_fits(candidates: CandidateSet) -> Choice:

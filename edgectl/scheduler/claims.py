@@ -126,5 +126,5 @@ def _describe_claim(
     if ended and found.spec_hash not in ("", task.spec_hash):
         return ""
     where = f"is placed on {record.placement.host}" if record is not None else "may not run there"
-    what = "is not believed" if ended else "does not count, and the copy is stopped"
+    what = "is ignored" if ended else "does not count, and the copy is stopped"
     return f"{host} reports {task.name} as {found.state.value}, but it {where}: the report {what}"

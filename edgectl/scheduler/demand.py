@@ -4,15 +4,15 @@ from dataclasses import replace
 
 from edgectl.model.assignment import DemandSource, ResourceDemand
 from edgectl.model.manager_state import ManagerState, MeasuredDemand
-from edgectl.model.measured_demand import (
+from edgectl.model.resource import CPU, MEMORY, RESOURCES, Resource
+from edgectl.model.task import ZERO, Demand, Quantity, Task, Tasks
+from edgectl.rules.measured_demand import (
     classify_host,
     estimate_demand,
     has_enough_samples,
     is_of_current_spec,
     resolve_demand,
 )
-from edgectl.model.resource import CPU, MEMORY, RESOURCES, Resource
-from edgectl.model.task import ZERO, Demand, Quantity, Task, Tasks
 from edgectl.scheduler.capacities import Capacities
 
 # In place of a class without enough history.

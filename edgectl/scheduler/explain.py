@@ -19,10 +19,11 @@ from edgectl.model.resource import RESOURCES, RESOURCES_BY_NAME, TERMS, Resource
 from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Task
 from edgectl.scheduler.capacities import Capacities, build_capacities
-from edgectl.scheduler.ledger import Ledger, build_measured_ledger
+from edgectl.scheduler.ledger import Ledger, build_measured_ledger, compute_measured_usage
 from edgectl.scheduler.move_cost import HandoffHistory, collect_handoff_history, estimate_move_cost
 from edgectl.scheduler.policies import POLICIES
 from edgectl.scheduler.sensitivity import Contender, LinearFunction, find_first_change, find_winner
+from edgectl.scheduler.slack import get_slack
 from edgectl.scheduler.utility import EPSILON
 
 # A weight is changed within 0..1; where it is 1 already the others have no shares to grow by. At the very
@@ -40,6 +41,7 @@ _CONSTRAINED_REASONS = (
     Reason.MADE_ROOM,
     Reason.ROOM_MADE,
     Reason.PREEMPTED,
+    Reason.RELIEF,
 )
 _EXPLAINABLE_VERDICTS = (Verdict.PLACED, Verdict.KEPT, Verdict.UNPLACED)
 
@@ -86,7 +88,7 @@ def explain_decision(
         decision=decision,
         weights=policy.weights,
         fleet=fleet,
-        ledger=build_measured_ledger(fleet),
+        ledger=_build_ledger_of_others(fleet),
         ranked=ranked,
         needed=_compute_needed_gains(
             task,
@@ -113,6 +115,7 @@ def explain_decision(
         or decision.verdict not in _EXPLAINABLE_VERDICTS
         or decision.reason in _CONSTRAINED_REASONS
         or not _is_decided_by_totals(case)
+        or (decision.reason is Reason.NOTHING_FITS and here is not None)
     ):
         return plain
     lead_noise = _compute_lead_noise(policy.weights, noise or {}, here, there)
@@ -153,6 +156,16 @@ def _is_decided_by_totals(case: _Case) -> bool:
     """Whether eq. (5) with handoff avoidance gives the decision; else no change of a number explains it."""
     runners = [_build_contender(case, entry) for entry in case.ranked]
     return find_winner(runners, case.decision.previous_host, 0.0) == case.decision.host
+
+
+def _build_ledger_of_others(fleet: Capacities) -> Ledger:
+    """The measured load without that of tasks: a task counts for its reservation, whatever it uses less."""
+    ledger = build_measured_ledger(fleet)
+    for place, sample in enumerate(fleet.samples):
+        for run in sample.tasks.values() if sample is not None and sample.ok else ():
+            if run.state.alive:
+                ledger.release(place, compute_measured_usage(fleet, run, None, place))
+    return ledger
 
 
 def _is_only_short_of_resources(entry: RankedHost) -> bool:
@@ -247,6 +260,10 @@ def _build_contender(
         total=total or LinearFunction(entry.total or 0.0),
         terms=terms,
         needed=case.needed[entry.host],
+        slacks=tuple(
+            get_slack(resource) if entry.host == case.decision.previous_host else 0.0
+            for resource in RESOURCES
+        ),
     )
 
 
@@ -293,7 +310,7 @@ def _find_load_flips(case: _Case, entry: RankedHost, resource: Resource) -> Iter
 
 
 def _get_capacity_and_load(case: _Case, host: str, resource: Resource) -> tuple[float, float, str | None]:
-    """Delta and the measured gamma of ``resource`` at ``host``, and the robot of a link.
+    """Delta and what others than tasks use of ``resource`` at ``host``, and the robot of a link.
 
     Delta is 0 where no single load makes the term.
     """

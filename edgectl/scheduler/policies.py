@@ -1,7 +1,7 @@
 """Policies: the schemes of the paper's comparison, each with its own exceptions (ADR 0015)."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 from edgectl.model.assignment import Reason, Verdict
@@ -97,7 +97,10 @@ _BY_RULES = CandidateRules(
 POLICIES: Mapping[PolicyName, SchedulingPolicy] = MappingProxyType(
     {
         PolicyName.UTILITY: SchedulingPolicy(
-            candidates=_BY_RULES, choose=choose_by_utility, settles=True, weighs_moves=True
+            candidates=replace(_BY_RULES, tolerant=True),
+            choose=choose_by_utility,
+            settles=True,
+            weighs_moves=True,
         ),
         PolicyName.PAPER: SchedulingPolicy(
             candidates=CandidateRules(

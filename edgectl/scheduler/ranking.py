@@ -64,6 +64,8 @@ def _score_place(candidates: CandidateSet, place: int) -> ScoredPlace:
     if denied is not None:
         return ScoredPlace(place, None, _NO_TERMS, (denied,))
     terms, total, rejections = terms_at(candidates, place)
+    if candidates.tolerated and place == candidates.incumbent:
+        return ScoredPlace(place, total, terms, ())
     waived = (candidates.waived,) if candidates.waived is not None and place == candidates.incumbent else ()
     return ScoredPlace(place, total, terms, waived + rejections)
 

@@ -34,17 +34,18 @@ class LinearFunction:
 class Contender:
     """One candidate: its total, and its terms of eqs. (1)-(3), none below 0 where it fits.
 
-    ``needed``: the gain that a move to it takes.
+    ``needed``: the gain that a move to it takes. ``slacks``: by how much each term may fall below 0 there.
     """
 
     host: str
     total: LinearFunction
     terms: tuple[LinearFunction, ...]
     needed: float
+    slacks: tuple[float, ...]
 
     def fits(self, x: float) -> bool:
         """True where the task fits there."""
-        return all(term(x) >= -EPSILON for term in self.terms)
+        return all(term(x) >= -slack - EPSILON for term, slack in zip(self.terms, self.slacks, strict=True))
 
 
 def find_winner(runners: Sequence[Contender], incumbent: str | None, x: float) -> str | None:
@@ -67,11 +68,16 @@ def find_first_change(
 ) -> tuple[float, str | None] | None:
     """The smallest x in [0, ``end``) beyond which the choice is another one, and that choice.
 
-    None where it stays up to ``end``. ``unit``: how large an x is large (a capacity, or 1 for a weight).
+    None where it stays up to ``end``, or up to where nothing fits. ``unit``: how large an x is large (a
+    capacity, or 1 for a weight).
     """
     now = find_winner(runners, incumbent, 0.0)
+    runs_here = any(runner.host == incumbent for runner in runners)
     for x in sorted({point for point in _list_crossings(runners, incumbent) if 0.0 <= point < end}):
-        then = find_winner(runners, incumbent, x + _BEYOND_CROSSING * unit)
+        beyond = x + _BEYOND_CROSSING * unit
+        if runs_here and not any(runner.fits(beyond) for runner in runners):
+            return None  # the lesser overload decides there, which is not linear
+        then = find_winner(runners, incumbent, beyond)
         if then != now:
             return x, then
     return None
@@ -79,7 +85,9 @@ def find_first_change(
 
 def _list_crossings(runners: Sequence[Contender], incumbent: str | None) -> Iterator[float]:
     for runner in runners:
-        yield from _drop_missing_points(term.solve_for(-EPSILON) for term in runner.terms)
+        yield from _drop_missing_points(
+            term.solve_for(-slack - EPSILON) for term, slack in zip(runner.terms, runner.slacks, strict=True)
+        )
     for one, other in combinations(runners, 2):
         yield from _drop_missing_points([_subtract_totals(one, other).solve_for(0.0)])
     for here in (runner for runner in runners if runner.host == incumbent):

@@ -25,20 +25,20 @@ def load_manager_state(fleet_dir: Path, warn: Warn = ignore_warning) -> ManagerS
     )
 
 
-def select_saved_fields(memory: ManagerState) -> ManagerState:
+def select_saved_fields(manager: ManagerState) -> ManagerState:
     """The part that this file keeps: heartbeats and fences have a file of their own, measured demands stand
     in the history.
     """
-    return dataclasses.replace(memory, contact={}, fenced=frozenset(), measured={})
+    return dataclasses.replace(manager, contact={}, fenced=frozenset(), measured={})
 
 
-def save_manager_state(fleet_dir: Path, memory: ManagerState) -> None:
+def save_manager_state(fleet_dir: Path, manager: ManagerState) -> None:
     """Replace the stored state, whole or not at all.
 
     Raises:
         StateError: the disk does not take it.
     """
-    write_json(fleet_dir / MANAGER_STATE_FILE_NAME, MANAGER_STATE_KIND.encode(select_saved_fields(memory)))
+    write_json(fleet_dir / MANAGER_STATE_FILE_NAME, MANAGER_STATE_KIND.encode(select_saved_fields(manager)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

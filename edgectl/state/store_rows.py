@@ -58,7 +58,7 @@ class RowMapper(Generic[Point]):
         """One row.
 
         Raises:
-            DamagedError: a column does not hold what it should.
+            DamagedRowError: a column does not hold what it should.
         """
         try:
             return self.kind(
@@ -159,8 +159,8 @@ METRICS = RowMapper(
         "instance": decode_text,
     },
 )
-# What a demand is measured by: one seek per start. Read without a form, because there are a thousand of them
-# per task.
+# The samples from which a demand is measured: one seek per start. Read without a mapper, because there are a
+# thousand of them per task.
 USAGE_QUERY = (
     f"SELECT at, {', '.join(TASK_AMOUNT_COLUMNS)}, links FROM uses "  # noqa: S608
     "WHERE start = ? AND state IN ('running', 'ready') AND age_s >= ? ORDER BY at DESC LIMIT ?"
@@ -168,10 +168,10 @@ USAGE_QUERY = (
 
 
 def decode_usage(row: Row) -> UsageSample:
-    """One row of ``USES``.
+    """One row of ``USAGE_QUERY``.
 
     Raises:
-        DamagedError: it holds what is no use.
+        DamagedRowError: it holds no usage.
     """
     at, *used, links = row
     try:

@@ -161,7 +161,7 @@ def load_known_fleet(connection: sqlite3.Connection) -> KnownFleet:
     """The last known state of the fleet.
 
     Raises:
-        DamagedError: edgectl did not write it.
+        DamagedRowError: edgectl did not write it.
     """
     hosts = connection.execute("SELECT host, at, since, status, boot_id FROM known_hosts").fetchall()
     tasks = connection.execute("SELECT task, at, host, state, instance, restarts FROM known_tasks").fetchall()

@@ -26,7 +26,7 @@ class LeaseLostError(RefusedError):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WatchNote:
-    """The watch that looks after a fleet: a cycle each ``every_s``; ``digest`` of its files."""
+    """The watch of a fleet: a cycle each ``every_s``; ``digest`` of its files."""
 
     every_s: float
     digest: str = ""
@@ -36,10 +36,10 @@ class WatchNote:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LeaseRefusal:
-    """Why a host did not grant the fleet. ``watched``: another watch looks after it; else it is held.
+    """Reason for which a host did not grant the fleet. ``watched``: it has another watch; else it is held.
 
     ``age_s`` since the holder took it (or was seen), ``left_s`` until its lease ends unless it is renewed.
-    ``every_s``: the cycle of the watch that looks after the fleet, 0 without one.
+    ``every_s``: the cycle of the watch of the fleet, 0 without one.
     """
 
     who: str

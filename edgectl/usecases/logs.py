@@ -8,8 +8,8 @@ from edgectl.agent.link import protocol
 from edgectl.errors import UnansweredError, UsageError, describe_unseen_task
 from edgectl.gateway.task_lookup import find_task_host
 from edgectl.model.inventory import Host
-from edgectl.model.lost_places import LostPlace, describe_lost_place
 from edgectl.names import check_known_names
+from edgectl.rules.lost_places import LostPlace, describe_lost_place
 from edgectl.state.manager_state import load_manager_state
 from edgectl.transport.agent_client import call_agent, stream_agent_log
 from edgectl.transport.base import Session

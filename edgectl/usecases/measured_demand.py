@@ -5,12 +5,12 @@ from typing import TYPE_CHECKING
 
 from edgectl.model.inventory import Inventory
 from edgectl.model.manager_state import MeasuredDemand
-from edgectl.model.measured_demand import WARM_UP_S, classify_host, follows_history, has_enough_samples
 from edgectl.model.point import HostPoint
 from edgectl.model.profile import ClassProfile, UsageProfile
 from edgectl.model.resource import CPU, MEMORY
 from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Task
+from edgectl.rules.measured_demand import WARM_UP_S, classify_host, follows_history, has_enough_samples
 from edgectl.scheduler.profile import build_usage_profile, measured_demand_from_profile
 from edgectl.usecases.fleet import Fleet
 

@@ -4,9 +4,9 @@ import dataclasses
 from collections.abc import Sequence
 
 from edgectl.gateway.task_lookup import list_ended_instances
-from edgectl.model.lost_places import list_fence_marks
 from edgectl.model.manager_state import ManagerState
 from edgectl.names import check_known_names
+from edgectl.rules.lost_places import list_fence_marks
 from edgectl.state import heartbeats
 from edgectl.state.lock import FleetLock
 from edgectl.state.manager_state import (

@@ -9,11 +9,11 @@ from edgectl.executor.dry_run import list_dry_run_requests
 from edgectl.formats.document import dump_line
 from edgectl.formats.kinds import PLAN_KIND
 from edgectl.gateway.host_probe import ProbeOptions
-from edgectl.model.lost_places import find_shared_machine
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Plan
 from edgectl.model.policy import Policy
 from edgectl.model.snapshot import Snapshot
+from edgectl.rules.lost_places import find_shared_machine
 from edgectl.scheduler.assign import assign
 from edgectl.scheduler.claims import describe_claims
 from edgectl.usecases.fleet import Fleet

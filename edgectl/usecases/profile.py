@@ -11,10 +11,10 @@ from edgectl.config.problems import Problems, Source
 from edgectl.config.source import read_source
 from edgectl.config.task_file_edit import edit_demand
 from edgectl.errors import EdgectlError, FileError
-from edgectl.model.measured_demand import MIN_SAMPLES, MIN_SPAN_S
 from edgectl.model.profile import ClassProfile
 from edgectl.model.resource import RESOURCES, Resource
 from edgectl.model.task import Demand, Quantity, Task, Tasks
+from edgectl.rules.measured_demand import MIN_SAMPLES, MIN_SPAN_S
 from edgectl.units import format_duration
 from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.measured_demand import load_class_profiles

@@ -43,22 +43,28 @@ def list_file_conflicts(plan: Plan, inventory: Inventory, tasks: Tasks) -> tuple
 
 
 def list_unsafe_steps(plan: Plan, inventory: Inventory, tasks: Tasks, snapshot: Snapshot) -> tuple[str, ...]:
-    """Steps that edgectl would not have planned for ``snapshot``, newer than the plan, one line each.
+    """Steps that edgectl would not plan for ``snapshot``, newer than the plan, one line each.
 
-    Such a step starts a second copy, uses a host that the rules exclude, or stops a task that should run. The
-    names in the plan must be known (``list_file_conflicts``). A host that ranks lower now is no conflict: its
-    load may differ.
+    Such a step starts a second copy, uses a host that the rules exclude, stops a task that should run, or
+    puts a task elsewhere than a plan of now (ADR 0063). The names in the plan must be known
+    (``list_file_conflicts``). Steps that --target or -l left out are not compared.
     """
     manager = snapshot.manager or ManagerState()
     policy = replace(plan.policy, full=True)
     fresh = assign(inventory, tasks, snapshot, manager, policy, snapshot.taken_at)
     now = {decision.task: decision for decision in fresh.decisions}
     again = {step.task: step for step in _derive_steps(plan, fresh, tasks, snapshot, manager)}
-    acting = [step for step in plan.steps if step.action.changes or step.stop]
     return tuple(
         conflict
-        for step in acting
-        if (conflict := _find_conflict(step, again.get(step.task), now.get(step.task)))
+        for step in plan.steps
+        if (
+            conflict := (
+                _find_conflict(step, again.get(step.task), now.get(step.task))
+                if step.action.changes or step.stop
+                else None
+            )
+            or _find_difference(step, now.get(step.task))
+        )
     )
 
 
@@ -95,6 +101,14 @@ def _find_conflict(step: Step, again: Step | None, now: Decision | None) -> str 
     if step.action in (Action.START, Action.MOVE):
         return _find_rule_conflict(step, now)
     return None
+
+
+def _find_difference(step: Step, now: Decision | None) -> str | None:
+    """The host that a plan of now gives the task, where that is another one."""
+    if now is None or step.action is Action.NONE or now.host == step.decision.host:
+        return None
+    planned = step.decision.host or "no host"
+    return f"{step.task}: {planned} in the plan, {now.host or 'no host'} if planned now ({now.reason.value})"
 
 
 def _is_fixed(decision: Decision) -> bool:

@@ -11,10 +11,10 @@ from edgectl.executor.operator_plans import (
     list_running_instances,
     list_unseen_placements,
 )
-from edgectl.model.lost_places import describe_lost_place, list_lost_tasks
 from edgectl.model.plan import Action, Plan
 from edgectl.model.snapshot import Snapshot
 from edgectl.names import check_known_names
+from edgectl.rules.lost_places import describe_lost_place, list_lost_tasks
 from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.plan import make_plan
 from edgectl.usecases.plan_execution import (

@@ -4,10 +4,10 @@ from collections.abc import Iterable, Sequence
 
 from edgectl.formats.document import Document
 from edgectl.model.assignment import DemandSource, DemandSpread, ResourceDemand
-from edgectl.model.measured_demand import MIN_SAMPLES
 from edgectl.model.plan import Plan
 from edgectl.model.resource import RESOURCES
 from edgectl.model.task import Quantity
+from edgectl.rules.measured_demand import MIN_SAMPLES
 from edgectl.views.glossary import head
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, render_columns
 

@@ -4,12 +4,12 @@ import dataclasses
 from collections.abc import Collection, Iterable
 
 from edgectl.model.assignment import ExpectedLoad
-from edgectl.model.lost_places import describe_lost_place, list_lost_tasks
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Action, Plan
 from edgectl.model.resource import HOST_RESOURCES
 from edgectl.model.snapshot import HostSample, LinkSample, Snapshot, find_doubled_tasks
 from edgectl.names import natural_key
+from edgectl.rules.lost_places import describe_lost_place, list_lost_tasks
 from edgectl.units import format_instant, format_rate
 from edgectl.views.demands import list_demand_notes
 from edgectl.views.reasons import describe_reason, is_left_out, is_not_found, join_words

@@ -4,9 +4,9 @@ from collections import Counter
 from collections.abc import Callable, Iterable
 
 from edgectl.model.assignment import Decision, RankedHost, Reason, Rejection, RejectionRule, Verdict
-from edgectl.model.lost_places import describe_lost_place, get_lost_place
 from edgectl.model.plan import Action, Step
 from edgectl.model.resource import Resource
+from edgectl.rules.lost_places import describe_lost_place, get_lost_place
 from edgectl.units import format_duration
 
 _RULE_TEXTS = {
@@ -206,6 +206,9 @@ _REASON_DESCRIBERS: dict[Reason, Callable[[Step], str]] = {
     Reason.WITH_PREDECESSOR: _describe_with_predecessor,
     Reason.GAIN: _describe_gain,
     Reason.FORCED_INFEASIBLE: _describe_infeasible,
+    Reason.RELIEF: lambda step: (
+        f"no host fits; the worst overload falls by {step.decision.amount or 0.0:.0%} of the capacity"
+    ),
     Reason.FORCED_DRAIN: lambda step: f"{step.decision.previous_host} is drained",
     Reason.FORCED_RULE: lambda step: f"{step.decision.previous_host} is excluded" + _describe_exclusion(step),
     Reason.MADE_ROOM: lambda step: f"made room for {step.decision.subject or 'another task'}",
@@ -224,6 +227,10 @@ _REASON_DESCRIBERS: dict[Reason, Callable[[Step], str]] = {
         f"its predecessor {step.decision.subject} has not completed yet; plan again once it has"
     ),
     Reason.HOST_SILENT: _describe_silent_host,
+    Reason.HOST_UNSURE: lambda step: (
+        f"may run on {step.decision.subject}, which does not answer: another manager has acted since all "
+        f"hosts were last seen; edgectl fence {step.decision.subject} if it is off"
+    ),
     Reason.ROBOT_SILENT: _describe_silent_host,
     Reason.HOST_LEFT: _describe_left_host,
     Reason.HOST_READDRESSED: _describe_left_host,

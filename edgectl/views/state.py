@@ -3,10 +3,10 @@
 from collections.abc import Collection
 from dataclasses import dataclass
 
-from edgectl.model.lost_places import LostPlace, list_lost_tasks
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.snapshot import HostSample, Snapshot, TaskSample, TaskState
 from edgectl.model.task import Task, Tasks
+from edgectl.rules.lost_places import LostPlace, list_lost_tasks
 from edgectl.units import format_duration
 from edgectl.views.text import Cell
 

@@ -4,10 +4,10 @@ from collections.abc import Iterator, Sequence
 
 from edgectl.formats.document import Document
 from edgectl.model.inventory import Inventory
-from edgectl.model.lost_places import describe_lost_place
 from edgectl.model.resource import RESOURCES
 from edgectl.model.snapshot import Snapshot, TaskSample, TaskState
 from edgectl.model.task import Task, Tasks
+from edgectl.rules.lost_places import describe_lost_place
 from edgectl.units import format_duration
 from edgectl.views.glossary import head
 from edgectl.views.other_tasks import list_foreign_notes

@@ -4,15 +4,15 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 
 from edgectl.model.inventory import Host
 from edgectl.model.manager_state import ManagerState
-from edgectl.model.measured_demand import (
+from edgectl.model.resource import CPU, MEMORY, RESOURCES, TASK_RESOURCES
+from edgectl.model.snapshot import HostSample, ResourceUsage, TaskSample
+from edgectl.model.task import Demand, Task
+from edgectl.rules.measured_demand import (
     classify_host,
     has_enough_samples,
     is_of_current_spec,
     resolve_demand,
 )
-from edgectl.model.resource import CPU, MEMORY, RESOURCES, TASK_RESOURCES
-from edgectl.model.snapshot import HostSample, ResourceUsage, TaskSample
-from edgectl.model.task import Demand, Task
 from edgectl.views.sparkline import SPARKLINE_SAMPLES, render_bar, render_sparkline
 from edgectl.views.text import Cell, RenderOptions, Row, compute_remaining_width, render_columns
 

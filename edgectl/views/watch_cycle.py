@@ -7,12 +7,12 @@ from edgectl.formats.document import Document, without_none
 from edgectl.model.assignment import Reason
 from edgectl.model.cycle import Cycle
 from edgectl.model.event import Event, EventKind
-from edgectl.model.lost_places import describe_lost_place, list_lost_tasks
 from edgectl.model.plan import Action
 from edgectl.model.policy import WEIGHT_PRESETS, Weights
 from edgectl.model.resource import CPU
 from edgectl.model.result import ActionResult, Outcome
 from edgectl.model.snapshot import HostSample, Snapshot, find_doubled_tasks
+from edgectl.rules.lost_places import describe_lost_place, list_lost_tasks
 from edgectl.units import format_instant
 from edgectl.views.events import encode_event
 from edgectl.views.output import ItemView

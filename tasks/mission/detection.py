@@ -1,10 +1,10 @@
-"""Finds the bright balls in a robot's camera pictures: blur, threshold against the neighbourhood, connected
-pieces, round ones.
+"""Detect the bright balls in a robot's camera frames: blur, adaptive threshold, connected components,
+roundness.
 
     python3 detection.py [--rate 10]
 
-Metrics: ``fps`` pictures per second, ``frame_ms`` from a picture's arrival to its result, ``recall`` share of
-the balls in sight that were found. Ends with success when the robot says that its mission is over. Python >=
+Metrics: ``fps`` frames per second, ``frame_ms`` from a frame's arrival to its result, ``recall`` share of
+the visible balls that were found. Ends with success when the robot reports the end of its mission. Python >=
 3.8, standard library only.
 """
 

@@ -1,10 +1,9 @@
-"""Drives a robot along its tour, and lets it go on from each stop only once the sensors there were looked at
-often enough.
+"""Drive a robot along its tour; it leaves each stop only after its sensors there were read often enough.
 
     python3 follower.py [--speed 1.5] [--scans 12] [--frames 20] [--tour 9]
 
-The stops that are done stand on the robot's blackboard, so that a follower elsewhere goes on with the next.
-At the end it says that the mission is over. Metrics: ``stops`` that are done. Python >= 3.8, standard library
+Completed stops are kept on the robot's blackboard, so that a follower on another host continues with the
+next. At the end it declares the mission over. Metrics: ``stops`` completed. Python >= 3.8, standard library
 only.
 """
 

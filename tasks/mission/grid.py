@@ -1,4 +1,4 @@
-"""Occupancy grids: what a cell is, as log odds, learned from laser beams; and how grids become one.
+"""Occupancy grids: log odds of each cell, updated by laser beams; and the merging of grids.
 
 Python >= 3.8, standard library only.
 """

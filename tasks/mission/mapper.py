@@ -1,10 +1,10 @@
-"""Maps what a robot's laser sees: an occupancy grid, kept on the robot's blackboard so that a mapper
-elsewhere can go on with it.
+"""Map what a robot's laser sees: an occupancy grid, kept on the robot's blackboard so that a mapper on
+another host continues with it.
 
     python3 mapper.py [--rate 8]
 
 Metrics: ``scans`` per second, ``known`` share of the cells that are known. Ends with success when the robot
-says that its mission is over, and leaves the whole map there as ``final``. Python >= 3.8, standard library
+reports the end of its mission, and leaves the whole map there as ``final``. Python >= 3.8, standard library
 only.
 """
 

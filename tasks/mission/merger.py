@@ -1,9 +1,9 @@
-"""Waits for the maps of all robots and makes one of them: map.pgm and map.yaml, as map_server writes them.
+"""Wait for the maps of all robots and merge them: map.pgm and map.yaml, as map_server writes them.
 
     python3 merger.py [--out out]
 
-$EDGECTL_ROBOTS names the robots, $EDGECTL_ROBOT_HOSTS their addresses. The directory is taken from the home
-directory (or the task's workdir), wherever the command was started. Metrics: ``maps`` that are there. Python
+$EDGECTL_ROBOTS names the robots, $EDGECTL_ROBOT_HOSTS their addresses. The directory is relative to the home
+directory (or the task's workdir), wherever the command was started. Metrics: ``maps`` received. Python
 >= 3.8, standard library only.
 """
 

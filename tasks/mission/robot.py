@@ -1,13 +1,12 @@
-"""A simulated robot: it drives through the world as it is told, and serves what its sensors see.
-
-Maps of others it keeps on a blackboard.
+"""A simulated robot: it drives through the world on command, serves its sensor readings, and keeps data of
+other programs on a blackboard.
 
     python3 robot.py [--robots 2] [--check]
 
 Serves over TCP at its own address ($EDGECTL_ROBOT_HOST), port 27000 and the number in its name: ``frame`` (a
-camera's picture), ``scan`` (a laser's distances), ``pose``, ``drive`` (a velocity; it stops by itself half a
-second after the last one), ``put`` and ``get`` (the blackboard), ``over`` (the mission is). ``--check`` asks
-whether it serves. TERM ends it. Python >= 3.8, standard library only.
+camera image), ``scan`` (laser ranges), ``pose``, ``drive`` (a velocity; the robot stops half a second after
+the last one), ``put`` and ``get`` (the blackboard), ``over`` (end of the mission). ``--check`` exits with 0
+if it serves. TERM ends it. Python >= 3.8, standard library only.
 """
 
 from __future__ import annotations
@@ -141,7 +140,7 @@ def paint(pixels: bytearray, depths: list[float], ball: tuple[float, float, floa
 
 
 def answer(robot: Robot, request: dict[str, object], payload: bytes) -> tuple[dict[str, object], bytes]:
-    """What the robot says to one request."""
+    """The robot's reply to one request."""
     what, body = request.get("ask"), b""
     with robot.lock:
         robot.move(time.monotonic())

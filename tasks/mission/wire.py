@@ -1,4 +1,4 @@
-"""How the programs of the mission talk: a line of JSON, then as many bytes as it says.
+"""Messages between the programs of the mission: a line of JSON, then as many bytes as it states.
 
 Python >= 3.8, standard library only.
 """

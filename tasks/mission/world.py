@@ -1,5 +1,5 @@
-"""The world of the mission: a small floor plan, what stands in it, where the robots go, and what a laser sees
-of it.
+"""The world of the mission: a small floor plan, its obstacles, the tours of the robots, and ray casting for
+their lasers.
 
     python3 world.py DIRECTORY        writes world.pgm and world.yaml, as map_server does: the true map
 

@@ -161,3 +161,35 @@ def test_every_linked_decision_record_exists() -> None:
     links = [part.split(")")[0] for part in PAGE.read_text().split("](")[1:]]
     assert links
     assert [link for link in links if not link.startswith("#") and not (PAGE.parent / link).exists()] == []
+
+
+@pytest.mark.parametrize("row", table("Reservations worked by hand"), ids=lambda row: row["reserved"])
+def test_the_reservations(row: dict[str, str]) -> None:
+    others, uses = float(row["others use"]), float(row["uses"])
+    run = a_run(used=Usage(cpu=uses), started_at=NOW - float(row["runs for s"]))
+    snapshot = a_snapshot(edge1=a_sample(used=others + uses, tasks={"slam": run}))
+    tasks = some_tasks(a_task("a-new", cpu=0.5), a_task("slam", cpu=float(row["declared"])))
+    found = decisions_by_task(run_assign(an_inventory(an_edge()), tasks, snapshot))["a-new"]
+    assert found.ranking[0].terms["cpu"] == pytest.approx(float(row["term"]))
+    assert found.ranking[0].feasible == (row["fits"] == "yes")
+    assert 4.0 - others - 0.5 - 4.0 * float(row["term"]) == pytest.approx(float(row["reserved"]))
+
+
+@pytest.mark.parametrize(
+    "row", table("Overloads worked by hand"), ids=lambda row: f"{row['edge1 now']}: {row['outcome']}"
+)
+def test_the_overloads(row: dict[str, str]) -> None:
+    run = a_run(used=Usage(cpu=1.0))
+    snapshot = a_snapshot(
+        edge1=a_sample(used=float(row["others on edge1"]) + 1.0, tasks={"slam": run}),
+        edge2=a_sample(used=float(row["others on edge2"])),
+    )
+    policy = Policy(weights=parse_weights("cpu"))
+    tasks = some_tasks(a_task(cpu=1.0))
+    decision = run_assign(
+        an_inventory(an_edge("edge1"), an_edge("edge2")), tasks, snapshot, policy=policy
+    ).decisions[0]
+    assert decision.reason.value == row["outcome"]
+    terms = {host: entry.terms["cpu"] for host, entry in ranking_by_host(decision).items()}
+    assert terms == pytest.approx({"edge1": float(row["edge1 now"]), "edge2": float(row["edge2 then"])})
+    assert 1.0 - float(row["others on edge1"]) / 4.0 == pytest.approx(float(row["edge1 then"]))

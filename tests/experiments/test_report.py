@@ -3,21 +3,16 @@
 import re
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import cache
 from html.parser import HTMLParser
 from itertools import combinations
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree as ET
 
 import pytest
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.text import Text
-from matplotlib.transforms import Bbox
 
 from edgectl.experiments.model.experiment import ExperimentRun, HostCapacity, LoadSample, MetricReading, Trial
 from edgectl.experiments.model.schemes import Scheme
-from edgectl.experiments.report.figure_style import ReportFigure, render_inline_svg, render_pdf, render_svg
-from edgectl.experiments.report.page import EmbeddedFigure, ReportTable, render_report_page
-from edgectl.experiments.report.report import draw_figures
 from edgectl.experiments.report.trial_selection import (
     get_median_trial,
     list_missing_trials,
@@ -26,6 +21,13 @@ from edgectl.experiments.report.trial_selection import (
 from edgectl.model.inventory import Role
 from edgectl.model.policy import Policy
 from tests.experiments.sample_runs import SCHEMES, a_run
+
+# Each worker of the suite reads every test file; matplotlib, which these modules import, takes it a second.
+if TYPE_CHECKING:
+    from matplotlib.text import Text
+    from matplotlib.transforms import Bbox
+
+    from edgectl.experiments.report.figure_style import ReportFigure
 
 VOID = {"meta", "wbr"}
 MANY = tuple(
@@ -71,7 +73,16 @@ class Outline(HTMLParser):
         self.words += data if self.open[-1:] != ["style"] else ""
 
 
+def draw(run: ExperimentRun) -> "list[ReportFigure]":
+    from edgectl.experiments.report.report import draw_figures
+
+    return draw_figures(run)
+
+
 def a_page(run: ExperimentRun, *, drawn: bool = True) -> str:
+    from edgectl.experiments.report.figure_style import render_inline_svg
+    from edgectl.experiments.report.page import EmbeddedFigure, ReportTable, render_report_page
+
     table = ReportTable(
         rows=[["SCHEME", "LATENCY s"], *([variant.name, "1±2/3±4"] for variant in run.experiment.schemes)],
         notes=["A note."],
@@ -81,7 +92,7 @@ def a_page(run: ExperimentRun, *, drawn: bool = True) -> str:
         table,
         [
             EmbeddedFigure(name=d.name, title=d.title, caption=d.caption, svg=render_inline_svg(d))
-            for d in (draw_figures(run) if drawn else [])
+            for d in (draw(run) if drawn else [])
         ],
     )
 
@@ -199,8 +210,13 @@ def test_whatever_a_run_has_gives_a_whole_page(run: ExperimentRun) -> None:
         assert variant.name in found.words
 
 
+@cache
+def page_of_two_schemes() -> str:
+    return a_page(a_run(SCHEMES[1:3], 1))
+
+
 def test_the_page_needs_nothing_but_itself() -> None:
-    text = a_page(a_run(SCHEMES[1:3], 1))
+    text = page_of_two_schemes()
     found = Outline(text)
     assert "script" not in found.elements
     assert not found.elements & {"link", "img", "iframe", "object", "embed", "image", "base", "form"}
@@ -217,7 +233,7 @@ def test_the_page_needs_nothing_but_itself() -> None:
 
 def test_every_name_stands_in_the_page() -> None:
     run = a_run(SCHEMES[1:3], 1)
-    words = Outline(a_page(run)).words
+    words = Outline(page_of_two_schemes()).words
     names = (
         {trial.scheme for trial in run.trials}
         | set(run.machines)
@@ -230,8 +246,10 @@ def test_every_name_stands_in_the_page() -> None:
 
 
 def test_drawings_are_whole_and_never_vary() -> None:
+    from edgectl.experiments.report.figure_style import render_pdf, render_svg
+
     run = a_run(SCHEMES[2:3], 2)
-    first, second = draw_figures(run), draw_figures(run)
+    first, second = draw(run), draw(run)
     assert a_page(run, drawn=False) == a_page(run, drawn=False)
     assert [drawing.name for drawing in first] == [
         "latency",
@@ -259,6 +277,8 @@ def test_drawings_are_whole_and_never_vary() -> None:
 
 
 def test_what_a_file_says_is_words_and_never_markup() -> None:
+    from edgectl.experiments.report.figure_style import render_svg
+
     bad = "<script>alert(1)</script>&\"'$x^2$\x01"
     run = a_run(SCHEMES[:1], 1, name=bad)
     trial = replace(run.trials[0], readings={bad: run.trials[0].readings["fps"]})
@@ -266,14 +286,16 @@ def test_what_a_file_says_is_words_and_never_markup() -> None:
     found = Outline(text)
     assert "script" not in found.elements
     assert bad in found.words
-    for drawing in draw_figures(replace(run, trials=(trial,))):
+    for drawing in draw(replace(run, trials=(trial,))):
         ET.fromstring(render_svg(drawing))
 
 
 def test_a_name_in_a_script_that_the_font_lacks_is_drawn_all_the_same() -> None:
+    from edgectl.experiments.report.figure_style import render_pdf, render_svg
+
     run = a_run(SCHEMES[:1], 1)
     trial = replace(run.trials[0], readings={"速度": run.trials[0].readings["fps"]})
-    found = draw_figures(replace(run, trials=(trial,)))
+    found = draw(replace(run, trials=(trial,)))
     assert "速度" in render_svg(found[-1]).decode()
     assert render_pdf(found[-1]).startswith(b"%PDF-")
 
@@ -284,7 +306,7 @@ def test_a_name_in_a_script_that_the_font_lacks_is_drawn_all_the_same() -> None:
     ids=["as the paper has it", "many schemes with long names"],
 )
 def test_words_neither_overlap_nor_leave_the_figure(run: ExperimentRun) -> None:
-    for drawing in draw_figures(run):
+    for drawing in draw(run):
         if drawing.name in ("memory", "throughput", "metric-2"):
             continue  # as cpu and metric-1
         boxes = extents(drawing)
@@ -301,8 +323,11 @@ def test_words_neither_overlap_nor_leave_the_figure(run: ExperimentRun) -> None:
         ] == [], drawing.name
 
 
-def extents(drawing: ReportFigure) -> list[tuple[str, Bbox]]:
+def extents(drawing: "ReportFigure") -> "list[tuple[str, Bbox]]":
     """Where each word of a figure stands, in pixels."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.text import Text
+
     canvas: Any = FigureCanvasAgg(drawing.figure)
     drawing.figure.set_dpi(150)
     canvas.draw()
@@ -315,7 +340,7 @@ def extents(drawing: ReportFigure) -> list[tuple[str, Bbox]]:
     return [(text.get_text(), text.get_window_extent(canvas.get_renderer())) for text in texts]
 
 
-def _beyond(drawing: ReportFigure) -> Iterator[Text]:
+def _beyond(drawing: "ReportFigure") -> "Iterator[Text]":
     """Labels of ticks that are not drawn, because they lie outside of the axis."""
     for axis in (axis for axes in drawing.figure.axes for axis in (axes.xaxis, axes.yaxis)):
         low, high = sorted(axis.get_view_interval())

@@ -10,7 +10,18 @@ from edgectl.model.policy import Policy
 from edgectl.model.resource import Usage
 from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Task
-from tests.builders import NOW, a_run, a_sample, a_snapshot, a_task, an_edge, an_inventory, silent, some_tasks
+from tests.builders import (
+    GI,
+    NOW,
+    a_run,
+    a_sample,
+    a_snapshot,
+    a_task,
+    an_edge,
+    an_inventory,
+    silent,
+    some_tasks,
+)
 from tests.scheduler.fleets import NO_MEMORY, decisions_by_task, hosts_by_task, ranking_by_host, run_assign
 
 TWO = an_inventory(an_edge("edge1"), an_edge("edge2"))
@@ -186,8 +197,9 @@ def test_max_moves_acts_when_nobody_looks(attended: bool, max_moves: int | None,
     found = run_assign(
         inventory, some_tasks(*(a_task(name, cpu=1.0) for name in "abc")), snapshot, policy=policy
     )
-    forced = [d for d in found.decisions if d.reason is Reason.FORCED_INFEASIBLE]
-    assert len(forced) == 3  # nothing fits on edge1 any more: forced, despite max_moves
+    # nothing fits on edge1 any more, but slower is not dead: within max_moves
+    assert sum(d.reason is Reason.FORCED_INFEASIBLE for d in found.decisions) == moved
+    assert sum(d.reason is Reason.MAX_MOVES for d in found.decisions) == 3 - moved
     snapshot = a_snapshot(
         edge1=a_sample(used=2.0, tasks=runs), edge2=a_sample(), edge3=a_sample(), edge4=a_sample()
     )
@@ -231,14 +243,15 @@ ON_EDGE1 = ManagerState(placements={"slam": Placement(host="edge1", since=NOW)})
         ),
         (ON_EDGE1, Policy(), a_task(never=["edge1"]), Reason.FORCED_RULE),
         (ON_EDGE1, Policy(), a_task(pin="edge2"), Reason.FORCED_RULE),
-        (NO_MEMORY, Policy(max_moves=0, attended=False), a_task(cpu=3.0), Reason.FORCED_INFEASIBLE),
+        (NO_MEMORY, Policy(max_moves=0, attended=False), a_task(memory=3 * GI), Reason.FORCED_INFEASIBLE),
     ],
 )
 def test_forced_moves_bypass_margin_dwell_and_max_moves(
     memory: ManagerState, policy: Policy, task: Task, reason: Reason
 ) -> None:
     snapshot = a_snapshot(
-        edge1=a_sample(used=2.0, tasks={"slam": a_run(started_at=NOW)}), edge2=a_sample(used=1.0)
+        edge1=a_sample(used=2.0, used_memory=2 * GI, tasks={"slam": a_run(started_at=NOW)}),
+        edge2=a_sample(used=1.0),
     )
     decision = decide_one(TWO, task, snapshot, memory, policy)
     assert (decision.host, decision.previous_host, decision.reason, decision.subject) == (
@@ -246,6 +259,24 @@ def test_forced_moves_bypass_margin_dwell_and_max_moves(
         "edge1",
         reason,
         "edge1",
+    )
+
+
+def test_a_host_that_is_left_out_counts_as_gone_for_what_may_run_nowhere_else() -> None:
+    runs = {name: a_run(used=Usage(cpu=0.5)) for name in ("pinned", "slam")}
+    snapshot = a_snapshot(edge1=a_sample(used=1.0, tasks=runs), edge2=a_sample())
+    tasks = some_tasks(
+        a_task("pinned", cpu=0.5, pin="edge1"), a_task("slam", cpu=0.5), a_task("z-new", needs=["pinned"])
+    )
+    policy = Policy(weights=parse_weights("cpu"), without=frozenset({"edge1"}))
+    found = run_assign(TWO, tasks, snapshot, policy=policy)
+    assert found.settled
+    assert hosts_by_task(found) == {"pinned": None, "slam": "edge2", "z-new": None}
+    by_task = decisions_by_task(found)
+    assert by_task["pinned"].verdict is Verdict.UNPLACED
+    assert (by_task["pinned"].reason, by_task["z-new"].reason) == (
+        Reason.NO_CANDIDATE,
+        Reason.PREDECESSOR_MISSING,
     )
 
 

@@ -11,11 +11,11 @@ from edgectl.errors import ExitCode
 from edgectl.executor.diff import plan_from_assignment
 from edgectl.executor.manager_state_update import update_manager_state
 from edgectl.model.inventory import Connection, Inventory
-from edgectl.model.lost_places import find_shared_machine, list_fence_marks
 from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.plan import Action, Plan
 from edgectl.model.result import Results
 from edgectl.model.snapshot import DeviceSample, HostSample, Snapshot
+from edgectl.rules.lost_places import find_shared_machine, list_fence_marks
 from edgectl.scheduler.assign import assign
 from edgectl.views.plan_sections import list_lost_task_notes
 from edgectl.views.reasons import describe_reason

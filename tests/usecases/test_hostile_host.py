@@ -116,9 +116,7 @@ def test_what_a_liar_claims_is_told(site: Site) -> None:
     site.lie = reports("completed", spec_hash="hash-t3")
     site.apply()
     placed = site.hosts.placed["t3"]
-    assert (
-        f"evil reports t3 as completed, but it is placed on {placed}: the report is not believed" in site.said
-    )
+    assert f"evil reports t3 as completed, but it is placed on {placed}: the report is ignored" in site.said
 
 
 def test_a_crashed_task_is_started_again_although_a_liar_claims_it(site: Site) -> None:

@@ -20,30 +20,33 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Iterator
 
-_RECORD, _NOTE, _LOCK, _STARTS = "lease", "watch", "lease.lock", "lease.starts"
+_RECORD, _NOTE, _LOCK, _STARTS = protocol.LEASE_FILE, "watch", "lease.lock", "lease.starts"
 # Writers of the record hold its lock for milliseconds. A start lasts until its supervisor has reported.
 _WRITE_S, _START_S, _POLL_S = 5.0, 6.0, 0.02
 
 
 def claim_lease(claim: Document) -> Document:
-    """Grant the fleet on this host to a manager, or tell who has it."""
+    """Grant the fleet on this host to a manager, or name its holder."""
     base = _make_lease_dir()
     if not base:
         return {"state": "unwritable"}
-    with _locked(base, _LOCK, fcntl.LOCK_EX, _WRITE_S):
-        reply, new = _decide(base, claim)
+    with _hold_lock(base, _LOCK, fcntl.LOCK_EX, _WRITE_S):
+        reply, new = _answer_claim(base, claim)
     if new:
         # A start of the last holder that is under way ends first: this claim is followed by a measurement.
-        with _locked(base, _STARTS, fcntl.LOCK_EX, _START_S), _locked(base, _LOCK, fcntl.LOCK_EX, _WRITE_S):
-            reply, _ = _decide(base, claim, write=True)
+        with (
+            _hold_lock(base, _STARTS, fcntl.LOCK_EX, _START_S),
+            _hold_lock(base, _LOCK, fcntl.LOCK_EX, _WRITE_S),
+        ):
+            reply, _ = _answer_claim(base, claim, write=True)
     return reply
 
 
-def _decide(base: str, claim: Document, *, write: bool = False) -> "tuple[Document, bool]":
+def _answer_claim(base: str, claim: Document, *, write: bool = False) -> "tuple[Document, bool]":
     """Reply to a claim, and whether it is a grant of a new epoch, which is made only with ``write``."""
     record, note, now, boot = (
-        _read(_RECORD),
-        _read(_NOTE),
+        _read_newest(_RECORD),
+        _read_newest(_NOTE),
         proc.read_uptime_s(),
         proc.read_boot_id(),
     )
@@ -68,11 +71,11 @@ def serve_lease(request: Document) -> Document:
     base = _find_lease_dir()
     if not base:
         raise RefusalError("not-holder", "this host knows of no lease")
-    with _locked(base, _LOCK, fcntl.LOCK_EX, _WRITE_S):
+    with _hold_lock(base, _LOCK, fcntl.LOCK_EX, _WRITE_S):
         if request["action"] == "renew":
-            _renew(base, request["lease"])
+            _renew_lease(base, request["lease"])
             return {"state": "renewed"}
-        _release(base, request)
+        _release_lease(base, request)
     return {"state": "released"}
 
 
@@ -91,14 +94,14 @@ def hold_for_request(request: Document) -> "Iterator[None]":
     if not base:
         raise RefusalError("not-holder", "this host knows of no lease", "apply again")
     starting = request["op"] == protocol.OP_START
-    with _locked(base, _STARTS, fcntl.LOCK_SH, _START_S) if starting else _nothing():
-        with _locked(base, _LOCK, fcntl.LOCK_EX, _WRITE_S):
-            _renew(base, signature)
+    with _hold_lock(base, _STARTS, fcntl.LOCK_SH, _START_S) if starting else _hold_nothing():
+        with _hold_lock(base, _LOCK, fcntl.LOCK_EX, _WRITE_S):
+            _renew_lease(base, signature)
         yield
 
 
-def _renew(base: str, signature: "Document | None") -> None:
-    record, now = _read(_RECORD), proc.read_uptime_s()
+def _renew_lease(base: str, signature: "Document | None") -> None:
+    record, now = _read_newest(_RECORD), proc.read_uptime_s()
     fault = lease_rules.find_fault(record, signature, now, proc.read_boot_id())
     if fault:
         raise RefusalError("not-holder", fault + ": nothing was done", "apply again")
@@ -106,9 +109,9 @@ def _renew(base: str, signature: "Document | None") -> None:
         records.write_record(os.path.join(base, _RECORD), lease_rules.extend_record(record, now))
 
 
-def _release(base: str, request: Document) -> None:
+def _release_lease(base: str, request: Document) -> None:
     """End the lease of this session, if it still has it, and remove the note of its watch on request."""
-    record, signature, note = _read(_RECORD), request["lease"], _read(_NOTE)
+    record, signature, note = _read_newest(_RECORD), request["lease"], _read_newest(_NOTE)
     if all(record.get(key) == signature.get(key) for key in ("holder", "session", "epoch")):
         records.write_record(os.path.join(base, _RECORD), dict(record, until=0.0))
     if request.get("end_watch") and note.get("holder") == signature["holder"]:
@@ -116,12 +119,12 @@ def _release(base: str, request: Document) -> None:
 
 
 @contextlib.contextmanager
-def _nothing() -> "Iterator[None]":
+def _hold_nothing() -> "Iterator[None]":
     yield
 
 
 @contextlib.contextmanager
-def _locked(base: str, name: str, kind: int, patience_s: float) -> "Iterator[None]":
+def _hold_lock(base: str, name: str, kind: int, patience_s: float) -> "Iterator[None]":
     """Hold a lock of this process alone: neither a supervisor nor a task inherits it.
 
     Raises:
@@ -145,7 +148,7 @@ def _locked(base: str, name: str, kind: int, patience_s: float) -> "Iterator[Non
         os.close(fd)
 
 
-def _read(name: str) -> Document:
+def _read_newest(name: str) -> Document:
     """The record with the highest epoch, the note seen last, among all bases."""
     found = [records.read_record(os.path.join(base, name)) for base in _list_existing_dirs()]
     return max(found, key=lambda each: (each.get("epoch", 0), each.get("at", 0.0)), default={})

@@ -1,8 +1,9 @@
 """Rules of the lease of a fleet on one host, on documents and seconds of this host alone. Pure.
 
 Record: ``holder`` (a manager), ``session`` (one hold of it), ``epoch`` (counts the sessions, for ever),
+``other_epoch`` (the last one of a manager other than the holder),
 ``who`` and ``verb`` for messages, ``since`` and ``until`` (uptime, s), ``ttl_s`` and ``boot_id``. Note: the
-watch that looks after the fleet, with ``every_s`` and ``digest`` of its files, seen ``at`` an uptime.
+watch of the fleet, with ``every_s`` and ``digest`` of its files, last seen ``at`` an uptime.
 """
 
 from ..link.fast_json import Document
@@ -17,7 +18,7 @@ _TEXT_LENGTH = 80
 _NOTE_CYCLES, _NOTE_S = 3.0, 30.0
 
 
-def find_live(record: Document, now: float, boot: str) -> bool:
+def is_live(record: Document, now: float, boot: str) -> bool:
     """Whether the lease is in force: requests of its session are carried out."""
     return bool(record) and record.get("boot_id") == boot and now < float(record.get("until", 0.0))
 
@@ -35,7 +36,7 @@ def compute_left_s(record: Document, now: float, boot: str) -> float:
 
 
 def is_fresh(note: Document, now: float, boot: str) -> bool:
-    """Whether a watch has looked after the fleet lately."""
+    """Whether the watch of the note claimed the fleet lately."""
     every = float(note.get("every_s", 0.0))
     lasts = max(_NOTE_CYCLES * every, every + _NOTE_S)
     return bool(note) and note.get("boot_id") == boot and now - float(note["at"]) < lasts
@@ -64,7 +65,7 @@ def find_refusal(
 
 
 def describe_watch(note: Document, now: float, boot: str) -> Document:
-    """The fresh note as a manager is told; empty without one."""
+    """The fresh note as a manager receives it; empty without one."""
     if not is_fresh(note, now, boot):
         return {}
     return {
@@ -78,13 +79,14 @@ def describe_watch(note: Document, now: float, boot: str) -> Document:
 def build_grant(record: Document, claim: Document, now: float, boot: str) -> Document:
     """The record of a claim that is granted; the same session keeps its epoch."""
     ttl = min(MAX_TTL_S, max(MIN_TTL_S, float(claim["ttl_s"])))
-    again = find_live(record, now, boot) and _is_same(record, claim)
+    again = is_live(record, now, boot) and _is_same(record, claim)
     return {
-        "holder": _cut(claim["holder"]),
-        "session": _cut(claim["session"]),
+        "holder": _truncate_text(claim["holder"]),
+        "session": _truncate_text(claim["session"]),
         "epoch": int(record.get("epoch", 0)) + (0 if again else 1),
-        "who": _cut(claim.get("who", "")),
-        "verb": _cut(claim.get("verb", "")),
+        "other_epoch": find_other_epoch(record, claim["holder"]),
+        "who": _truncate_text(claim.get("who", "")),
+        "verb": _truncate_text(claim.get("verb", "")),
         "since": float(record["since"]) if again else round(now, 3),
         "until": round(now + ttl, 3),
         "ttl_s": ttl,
@@ -92,14 +94,20 @@ def build_grant(record: Document, claim: Document, now: float, boot: str) -> Doc
     }
 
 
+def find_other_epoch(record: Document, holder: object) -> int:
+    """The epoch of the last session of a manager other than ``holder``; 0 where there was none."""
+    same = record.get("holder") in (None, holder)
+    return int(record.get("other_epoch" if same else "epoch", 0))
+
+
 def build_note(claim: Document, now: float, boot: str) -> Document:
     """The note of the watch that claims the fleet."""
     watch = claim["watch"]
     return {
-        "holder": _cut(claim["holder"]),
-        "who": _cut(claim.get("who", "")),
+        "holder": _truncate_text(claim["holder"]),
+        "who": _truncate_text(claim.get("who", "")),
         "every_s": min(86400.0, max(0.0, float(watch["every_s"]))),
-        "digest": _cut(watch.get("digest", "")),
+        "digest": _truncate_text(watch.get("digest", "")),
         "at": round(now, 3),
         "boot_id": boot,
     }
@@ -110,7 +118,7 @@ def find_fault(record: Document, signature: "Document | None", now: float, boot:
 
     A request without a signature is carried out while nobody holds the fleet.
     """
-    live = find_live(record, now, boot)
+    live = is_live(record, now, boot)
     if signature is None:
         return "%s holds the fleet" % record.get("who", "another edgectl") if live else ""
     if not _is_same(record, signature) or int(signature["epoch"]) != record.get("epoch"):
@@ -127,5 +135,5 @@ def _is_same(record: Document, other: Document) -> bool:
     return record.get("holder") == other.get("holder") and record.get("session") == other.get("session")
 
 
-def _cut(text: "Any") -> str:
+def _truncate_text(text: "Any") -> str:
     return str(text)[:_TEXT_LENGTH]

@@ -33,10 +33,10 @@ def take_over_task(request: Document) -> Document:
         )
     guard = lockfile.take_lock(record.folder, _LOCK_NAME)
     if guard < 0 or liveness.find_supervisor(liveness.read_instance(record.folder)):
-        _close(guard)
+        _close_lock(guard)
         return {"state": protocol.ALREADY_RUNNING, "instance": request["instance"]}
     if not liveness.is_adoptable(record):
-        _close(guard)
+        _close_lock(guard)
         raise RefusalError(
             "not-adoptable",
             "%s runs in a systemd scope, which takes no new supervisor" % task,
@@ -47,13 +47,13 @@ def take_over_task(request: Document) -> Document:
     try:
         report = launch_takeover(record, lock, guard, request["spec"])
     finally:
-        _close(lock)
-        _close(guard)
+        _close_lock(lock)
+        _close_lock(guard)
     if "error" in report:
         raise RefusalError("start-failed", report["error"], "edgectl restart " + task)
     return {"state": protocol.TAKEN_OVER, "instance": request["instance"]}
 
 
-def _close(fd: int) -> None:
+def _close_lock(fd: int) -> None:
     if fd >= 0:
         os.close(fd)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from edgectl.model.measured_demand import classify_host
+from edgectl.rules.measured_demand import classify_host
 from tests.builders import GI, an_edge
 
 

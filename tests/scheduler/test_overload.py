@@ -1,0 +1,251 @@
+"""Moves forced by load: slack, dwell and max_moves (ADR 0061); fleets without room (ADR 0062)."""
+
+import random
+from dataclasses import dataclass, field
+
+import pytest
+
+from edgectl.config.weights import parse_weights
+from edgectl.gateway.smoothing import smooth_snapshot
+from edgectl.model.assignment import Decision, Reason, Verdict
+from edgectl.model.inventory import Inventory
+from edgectl.model.manager_state import ManagerState, Placement
+from edgectl.model.policy import Policy
+from edgectl.model.resource import Usage
+from edgectl.model.snapshot import Snapshot
+from edgectl.model.task import Tasks
+from tests.builders import (
+    GI,
+    NOW,
+    a_link,
+    a_robot,
+    a_run,
+    a_sample,
+    a_snapshot,
+    a_task,
+    an_edge,
+    an_inventory,
+    some_tasks,
+)
+from tests.scheduler.fleets import NO_MEMORY, decisions_by_task, run_assign
+
+TWO = an_inventory(an_edge("edge1"), an_edge("edge2"), a_robot())
+CPU = Policy(weights=parse_weights("cpu"))
+LONG_AGO, JUST_NOW = NOW - 3600.0, NOW - 30.0
+
+
+def decide_slam(
+    others: dict[str, float], demand: dict[str, float], since: float = LONG_AGO, policy: Policy = CPU
+) -> Decision:
+    """Return the decision on slam, which runs on edge1 beside ``others``; edge2 is idle.
+
+    Of 4 cores, 4 GiB and 10 MB/s.
+    """
+    links = {"robot1": a_link(used=others.get("network", 0.0))}
+    run = a_run(started_at=since)
+    snapshot = a_snapshot(
+        edge1=a_sample(
+            used=others.get("cpu", 0.0),
+            used_memory=others.get("memory", 0.0) * GI,
+            links=links,
+            tasks={"slam": run},
+        ),
+        edge2=a_sample(links={"robot1": a_link()}),
+    )
+    task = a_task(
+        cpu=demand.get("cpu", 0.0),
+        memory=demand.get("memory", 0.0) * GI,
+        throughput=demand.get("network", 0.0),
+        robots=["robot1"],
+    )
+    (decision,) = run_assign(TWO, some_tasks(task), snapshot, policy=policy).decisions
+    return decision
+
+
+TIGHT = Policy(move_margin=2.0)  # no gain is worth a move
+
+
+@pytest.mark.parametrize(
+    ("others", "demand", "since", "reason"),
+    [
+        # cpu (4 - 2.1 - 2) / 4 = -.025: within 5 %
+        ({"cpu": 2.1}, {"cpu": 2.0}, LONG_AGO, Reason.BELOW_MARGIN),
+        ({"cpu": 2.2}, {"cpu": 2.0}, LONG_AGO, Reason.BELOW_MARGIN),  # -.05: just within
+        ({"cpu": 2.21}, {"cpu": 2.0}, LONG_AGO, Reason.FORCED_INFEASIBLE),
+        ({"cpu": 2.21}, {"cpu": 2.0}, JUST_NOW, Reason.DWELL),
+        ({"network": 5.5e6}, {"network": 5e6}, LONG_AGO, Reason.BELOW_MARGIN),
+        ({"network": 5.6e6}, {"network": 5e6}, LONG_AGO, Reason.FORCED_INFEASIBLE),
+        ({"network": 5.6e6}, {"network": 5e6}, JUST_NOW, Reason.DWELL),
+        # memory (4 - 2.08 - 2) / 4 = -.02: just within; beyond it moves at once
+        ({"memory": 2.08}, {"memory": 2.0}, LONG_AGO, Reason.BELOW_MARGIN),
+        ({"memory": 2.09}, {"memory": 2.0}, JUST_NOW, Reason.FORCED_INFEASIBLE),
+        # both short: the memory does not wait for the dwell of the cpu
+        ({"cpu": 3.0, "memory": 2.09}, {"cpu": 2.0, "memory": 2.0}, JUST_NOW, Reason.FORCED_INFEASIBLE),
+    ],
+)
+def test_slack_and_dwell(
+    others: dict[str, float], demand: dict[str, float], since: float, reason: Reason
+) -> None:
+    decision = decide_slam(others, demand, since, TIGHT)
+    assert decision.reason is reason
+    assert decision.host == ("edge2" if reason is Reason.FORCED_INFEASIBLE else "edge1")
+    assert decision.overcommitted == (decision.host == "edge1")
+
+
+def test_within_the_slack_a_better_host_is_worth_a_move_as_always() -> None:
+    # edge1 (4 - 2.1 - 2) / 4 = -.025, edge2 .5
+    decision = decide_slam({"cpu": 2.1}, {"cpu": 2.0})
+    assert (decision.host, decision.reason) == ("edge2", Reason.GAIN)
+    assert decision.amount == pytest.approx(0.525)
+
+
+def test_the_slack_is_for_what_runs_and_not_for_what_is_placed() -> None:
+    snapshot = a_snapshot(edge1=a_sample(used=2.1), edge2=a_sample(used=4.0))
+    (decision,) = run_assign(TWO, some_tasks(a_task(cpu=2.0)), snapshot).decisions
+    assert decision.verdict is Verdict.UNPLACED
+
+
+@pytest.mark.parametrize(
+    ("used1", "used2", "demand", "margin", "reason"),
+    [
+        # edge1 stays at (4 - 4 - 1) / 4 = -.25; edge2 would be at (4 - 3.2 - 1) / 4 = -.05, edge1 then at 0
+        (5.0, 3.2, 1.0, 0.1, Reason.RELIEF),
+        (
+            5.0,
+            3.2,
+            1.0,
+            0.2,
+            Reason.NOTHING_FITS,
+        ),  # the worse of both improves by .2, no more than the margin
+        (5.0, 3.8, 1.0, 0.1, Reason.NOTHING_FITS),  # -.25 against -.2: .05
+        (9.0, 3.8, 1.0, 0.1, Reason.RELIEF),  # -1.25; then -1 there and -.2 here: .25
+        (5.0, 4.0, 1.0, 0.0, Reason.NOTHING_FITS),  # the same on both
+    ],
+)
+def test_without_room_a_move_must_lower_the_worst_overload(
+    used1: float, used2: float, demand: float, margin: float, reason: Reason
+) -> None:
+    run = a_run(used=Usage(cpu=1.0))
+    snapshot = a_snapshot(edge1=a_sample(used=used1, tasks={"slam": run}), edge2=a_sample(used=used2))
+    policy = Policy(weights=parse_weights("cpu"), move_margin=margin)
+    (decision,) = run_assign(TWO, some_tasks(a_task(cpu=demand)), snapshot, policy=policy).decisions
+    assert decision.reason is reason
+    assert decision.host == ("edge2" if reason is Reason.RELIEF else "edge1")
+
+
+def test_relief_waits_for_the_dwell_and_counts_as_a_move() -> None:
+    run = a_run(used=Usage(cpu=1.0), started_at=JUST_NOW)
+    snapshot = a_snapshot(edge1=a_sample(used=5.0, tasks={"slam": run}), edge2=a_sample(used=3.2))
+    tasks = some_tasks(a_task(cpu=1.0))
+    assert run_assign(TWO, tasks, snapshot, policy=CPU).decisions[0].reason is Reason.DWELL
+    rested = Policy(weights=parse_weights("cpu"), min_dwell=0.0, attended=False, max_moves=0)
+    assert run_assign(TWO, tasks, snapshot, policy=rested).decisions[0].reason is Reason.MAX_MOVES
+
+
+# --- a closed loop: two equal edges, readings with noise, cycles of 10 s
+
+
+@dataclass(slots=True)
+class ClosedLoop:
+    """Tasks that use 85 % of their demand in truth, on edges whose readings are off by a share of 4 cores."""
+
+    demands: dict[str, float]
+    base: dict[str, float]
+    where: dict[str, str]
+    noise: float
+    smooth: bool
+    seed: int = 1
+    use: float = 0.85
+    since: dict[str, float] = field(default_factory=dict)
+    moves: int = 0
+
+    def run(self, cycles: int = 360) -> int:
+        """Return the moves in ``cycles``: an hour."""
+        dice, before = random.Random(self.seed), None
+        inventory = an_inventory(*map(an_edge, self.base))
+        tasks = some_tasks(*(a_task(name, cpu=demand) for name, demand in self.demands.items()))
+        self.since = dict.fromkeys(self.where, -3600.0)
+        for cycle in range(cycles):
+            now = cycle * 10.0
+            snapshot = self._measure(dice, now)
+            before = smooth_snapshot(before, snapshot, period=10.0) if self.smooth else snapshot
+            self._decide(inventory, tasks, before, now)
+        return self.moves
+
+    def _measure(self, dice: random.Random, now: float) -> Snapshot:
+        samples = {}
+        for edge, base in self.base.items():
+            here = [name for name, host in self.where.items() if host == edge]
+            used = base + sum(self.use * self.demands[name] for name in here)
+            error = dice.uniform(-self.noise, self.noise) * 4.0
+            runs = {
+                name: a_run(
+                    used=Usage(cpu=self.use * self.demands[name]), started_at=self.since[name], instance=name
+                )
+                for name in here
+            }
+            samples[edge] = a_sample(used=max(0.0, used + error), tasks=runs)
+        return a_snapshot(samples, taken_at=now)
+
+    def _decide(self, inventory: Inventory, tasks: Tasks, snapshot: Snapshot, now: float) -> None:
+        placements = {n: Placement(host=h, since=self.since[n]) for n, h in self.where.items()}
+        memory = ManagerState(managed=True, placements=placements)
+        policy = Policy(attended=False)
+        for decision in run_assign(
+            inventory, tasks, snapshot, memory=memory, policy=policy, now=now
+        ).decisions:
+            if decision.host is not None and decision.host != self.where[decision.task]:
+                self.moves += 1
+                self.where[decision.task], self.since[decision.task] = decision.host, now
+
+
+@pytest.mark.parametrize(
+    ("spare", "noise", "smooth", "most"),
+    [
+        (0.005, 0.02, False, 1),
+        (0.005, 0.02, True, 0),
+        (0.005, 0.05, True, 0),
+        (0.025, 0.05, True, 0),
+    ],
+)
+def test_a_task_that_just_fits_is_not_moved_to_and_fro(
+    spare: float, noise: float, smooth: bool, most: int
+) -> None:
+    """Both edges are filled but for ``spare`` of their capacity; the reading of the load of others is noisy."""
+    base = 4.0 * (1.0 - spare) - 2.0
+    loop = ClosedLoop({"slam": 2.0}, {"edge1": base, "edge2": base}, {"slam": "edge1"}, noise, smooth)
+    assert loop.run() <= most
+
+
+@pytest.mark.parametrize("smooth", [True, False])
+def test_a_saturated_fleet_is_left_as_it_is(smooth: bool) -> None:
+    """All tasks use four times what they declare: every host is above its capacity, and no place is better."""
+    names = [f"task{n}" for n in range(6)]
+    edges = ("edge1", "edge2", "edge3")
+    loop = ClosedLoop(
+        dict.fromkeys(names, 0.4),
+        dict.fromkeys(edges, 1.2),
+        {name: edges[n % 3] for n, name in enumerate(names)},
+        noise=0.02,
+        smooth=smooth,
+        use=4.0,
+    )
+    assert loop.run(cycles=120) == 0
+
+
+def test_an_overload_that_a_move_relieves_is_relieved_once() -> None:
+    where = {"task1": "edge1", "task2": "edge1", "task3": "edge1", "task4": "edge2"}
+    base = dict.fromkeys(("edge1", "edge2"), 1.2)
+    loop = ClosedLoop(dict.fromkeys(where, 0.4), base, where, noise=0.02, smooth=True, use=4.0)
+    assert loop.run(cycles=60) == 1
+    assert sorted(loop.where.values()) == ["edge1", "edge1", "edge2", "edge2"]
+
+
+def test_decisions_of_a_saturated_fleet_name_what_is_short() -> None:
+    snapshot = a_snapshot(edge1=a_sample(used=5.0, tasks={"slam": a_run(used=Usage(cpu=2.0))}))
+    found = decisions_by_task(
+        run_assign(an_inventory(an_edge()), some_tasks(a_task(cpu=1.0)), snapshot, memory=NO_MEMORY)
+    )["slam"]
+    (rejection,) = found.ranking[0].rejections
+    assert (found.reason, found.host) == (Reason.NOTHING_FITS, "edge1")
+    assert (rejection.demand, rejection.used, rejection.capacity) == (2.0, 3.0, 4.0)
