@@ -51,7 +51,7 @@ def repair_plan(plan: UnrepairedPlan) -> dict[str, Choice]:
     work = MAX_WORK
     causes: dict[str, str] = {}
     bounded = _has_absolute_demands(plan)
-    located = plan.initial.located.keys() | plan.placed.keys()
+    located = _find_located(plan)
     for task in wanted:
         if work <= 0 or not all(is_need_met(need, located, plan.initial.completed) for need in task.needs):
             continue
@@ -69,7 +69,7 @@ def repair_plan(plan: UnrepairedPlan) -> dict[str, Choice]:
 
 def _list_wanted(plan: UnrepairedPlan) -> list[Task]:
     """Tasks without room, and those that only wait for them, in sequence order."""
-    reach = set(plan.initial.located) | plan.placed.keys()
+    reach = _find_located(plan)
     wanted = []
     for task in plan.order:
         choice = plan.choices.get(task.name)
@@ -82,6 +82,12 @@ def _list_wanted(plan: UnrepairedPlan) -> list[Task]:
             reach.add(task.name)
             wanted.append(task)
     return wanted
+
+
+def _find_located(plan: UnrepairedPlan) -> set[str]:
+    """Tasks that count as predecessors; one that ran and lost its place does not."""
+    homeless = {name for name, choice in plan.choices.items() if choice.place is None}
+    return (set(plan.initial.located) - homeless) | plan.placed.keys()
 
 
 def _has_absolute_demands(plan: UnrepairedPlan) -> bool:
