@@ -165,6 +165,8 @@ _MEANINGS: dict[KeyType, dict[str, str]] = {
         "until": "state that a need waits for",
         "user": "user",
         "verb": "command that made a revision",
+        "pinned_to": "host that the task file pins a task to",
+        "tie_rule": "what decides between hosts of equal utility",
         "winner": "host that would win after a change",
     },
     KeyType.NUMBER: {
@@ -257,6 +259,7 @@ _MEANINGS: dict[KeyType, dict[str, str]] = {
     KeyType.OBJECT: {
         **{resource.name: f"usage, demand and capacity of {resource.name}" for resource in RESOURCES},
         "decision": "decision of a plan made now",
+        "moves_first": "move of another task that a change brings about before the one it is about",
         "declared": "declaration of a demand in a task file",
         "device": "sensors and interfaces of a host",
         "handoff": "handoff contract of a task",
@@ -275,6 +278,7 @@ _MEANINGS: dict[KeyType, dict[str, str]] = {
         "flips": "changes that would alter a decision, smallest first",
         "foreign_tasks": "living tasks of other fleets on the machine of a host",
         "history": "last samples, oldest first",
+        "equal_hosts": "hosts with the same utility as the chosen one",
         "host_names": "names of hosts",
         "items": "the things of the document",
         "left": "tasks that are left on drained hosts",

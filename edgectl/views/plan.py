@@ -9,7 +9,7 @@ from edgectl.model.assignment import RankedHost
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.policy import Weights
 from edgectl.model.resource import TERMS
-from edgectl.views.demands import render_demands
+from edgectl.views.demands import render_demands, render_reservations
 from edgectl.views.glossary import head, list_shown_weights
 from edgectl.views.output import View
 from edgectl.views.output_format import PLAN_FORMATS
@@ -65,6 +65,7 @@ class PlanView(View):
             render_plan_header(self._plan, look),
             render_columns(rows, look, right=_TERM_COLUMNS, wrap={1, 2}) if steps else "",
             render_demands(self._plan, look),
+            render_reservations(self._plan, look),
             render_expected_load(self._plan, look),
             render_plan_summary(self._plan, look),
         )

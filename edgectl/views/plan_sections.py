@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Collection, Iterable
 
-from edgectl.model.assignment import ExpectedLoad
+from edgectl.model.assignment import ExpectedLoad, Overuse
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Action, Plan
 from edgectl.model.resource import HOST_RESOURCES
@@ -121,7 +121,17 @@ def list_plan_notes(value: Plan) -> list[str]:
             f"first plan of this fleet: tasks on {join_words(value.unseen)} are not known "
             "and count as not running"
         )
-    return lines + list_demand_notes(value) + list_left_alone_notes(value)
+    return lines + list_load_notes(value) + list_demand_notes(value) + list_left_alone_notes(value)
+
+
+def list_load_notes(value: Plan) -> list[str]:
+    """Tasks that use more than they declare, and what the fleet lacks."""
+    return [*(found.describe() for found in value.shortages), *map(describe_overuse, value.overuses)]
+
+
+def describe_overuse(found: Overuse) -> str:
+    """One line with task and host, both figures, and what mends it."""
+    return f"{found.task} on {found.host} {found.describe()}"
 
 
 def list_left_alone_notes(value: Plan) -> list[str]:
