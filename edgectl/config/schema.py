@@ -4,18 +4,8 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any, TypeVar
 from weakref import WeakKeyDictionary
 
-from edgectl.units import (
-    BYTES_PATTERN,
-    CORES_PATTERN,
-    DURATION_PATTERN,
-    RATE_PATTERN,
-    SHARE_PATTERN,
-    parse_bytes,
-    parse_cores,
-    parse_duration,
-    parse_rate,
-    parse_share,
-)
+from edgectl.model.resource import RESOURCES
+from edgectl.units import DURATION_PATTERN, SHARE_PATTERN, parse_duration, parse_share
 
 Schema = dict[str, Any]
 Reader = TypeVar("Reader", bound=Callable[..., Any])
@@ -97,9 +87,7 @@ def build_file_schema(title: str, schema: Schema) -> Schema:
 
 
 for _parse, _pattern in (
-    (parse_cores, CORES_PATTERN),
-    (parse_bytes, BYTES_PATTERN),
-    (parse_rate, RATE_PATTERN),
+    *((resource.unit.parse, resource.unit.pattern) for resource in RESOURCES),
     (parse_duration, DURATION_PATTERN),
 ):
     describe_reader(_parse, lambda _pattern=_pattern: build_quantity_schema(_pattern))  # type: ignore[misc]
