@@ -24,12 +24,14 @@ def status_command(
         edgectl status -o name
     """
     from edgectl.cli.connect import build_fleet
+    from edgectl.usecases.plan import find_fleet_shortages
     from edgectl.usecases.probe import probe_fleet
     from edgectl.views.status import StatusView
 
     fleet = build_fleet(load_inputs(inventory, tasks))
     snapshot = probe_fleet(fleet)
-    console.print_view(StatusView(snapshot, fleet.inventory, fleet.tasks), output)
+    shortages = find_fleet_shortages(fleet, snapshot)
+    console.print_view(StatusView(snapshot, fleet.inventory, fleet.tasks, shortages), output)
     raise Exit(
         exit_codes.of_status(snapshot, fleet.inventory, fleet.tasks, allow_unreachable=allow_unreachable)
     )

@@ -11,6 +11,7 @@ from edgectl.model.policy import Policy
 from edgectl.model.snapshot import Snapshot, TaskSample, TaskState
 from edgectl.model.task import Tasks
 from edgectl.names import natural_key
+from edgectl.rules.overuse import find_overuses
 from edgectl.rules.task_origin import find_task_file, is_left_alone
 
 SamplesByHost = Mapping[str, TaskSample]  # the samples of one task, by host
@@ -30,6 +31,8 @@ def plan_from_assignment(
         steps=diff_assignment(assignment, tasks, snapshot, manager),
         expected=assignment.expected,
         demand_spreads=assignment.demand_spreads,
+        overuses=find_overuses(inventory, tasks, snapshot),
+        shortages=assignment.shortages,
         frozen=assignment.frozen,
         unseen=assignment.unseen,
         tasks_left_alone=_list_tasks_left_alone(assignment.policy, tasks, snapshot, manager),

@@ -47,13 +47,14 @@ class ResourceDemand:
     """One demand of a task on one host, (network: on its largest link), as it was charged.
 
     ``samples``: how many there are of the task on that class of hosts; None where the demand does not follow
-    history.
+    history. ``demanded``: the demand, where the task was charged with its greater measured usage.
     """
 
     resource: Resource
     value: float
     source: DemandSource
     samples: int | None = None
+    demanded: float | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,6 +70,44 @@ class DemandSpread:
     least: float
     most: float
     hosts: tuple[str, str]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Overuse:
+    """What ``task`` uses of ``resource`` on ``host``, and what its file declares, in its unit.
+
+    ``entry``: its name in the file. Of the network, on the link where it is most above.
+    """
+
+    task: str
+    entry: str
+    host: str
+    resource: Resource
+    used: float
+    declared: float
+
+    def describe(self) -> str:
+        """Both figures, and what mends it."""
+        unit = self.resource.unit
+        used, declared = unit.format_small(self.used), unit.format_small(self.declared)
+        return (
+            f"uses {used}{unit.word} of {self.resource}, declares {declared}; "
+            f"edgectl profile {self.entry} --write"
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shortage:
+    """What all edges together lack of ``resource``, in its unit (> 0): the least that would help."""
+
+    resource: Resource
+    amount: Positive
+
+    def describe(self) -> str:
+        """``short of 1.3 cores of cpu; the least that would help``."""
+        unit = self.resource.unit
+        amount = f"{unit.format_small(self.amount)}{unit.word}"
+        return f"the edges are short of {amount} of {self.resource}: the least that would help"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -245,6 +284,7 @@ class Assignment:
 
     ``unseen`` are hosts that did not answer while nothing is remembered of them (a manager new to the fleet).
     ``demand_spreads`` are percent demands that mean different amounts on the hosts that may run the task.
+    ``shortages``: what the fleet lacks, whatever the placement.
     """
 
     policy: Policy
@@ -254,3 +294,4 @@ class Assignment:
     frozen: bool = False
     unseen: tuple[str, ...] = ()
     demand_spreads: tuple[DemandSpread, ...] = ()
+    shortages: tuple[Shortage, ...] = ()

@@ -22,6 +22,7 @@ class EventKind(StrEnum):
     TASK_LOST = "task-lost"
     TASK_DEFERRED = "task-deferred"
     TASK_UNPLACED = "task-unplaced"
+    TASK_OVERUSE = "task-overuse"
     ACTION_FAILED = "action-failed"
     PLANNED = "planned"
 

@@ -32,6 +32,7 @@ from edgectl.scheduler.repair import UnrepairedPlan, repair_plan
 from edgectl.scheduler.reservation import reserve_running_tasks
 from edgectl.scheduler.scan import build_demand_shares
 from edgectl.scheduler.sequence import is_need_met, order_tasks
+from edgectl.scheduler.shortage import compute_shortages
 from edgectl.scheduler.task_usage import TaskUsage
 
 
@@ -295,6 +296,7 @@ def assign(
         frozen=state.frozen,
         unseen=state.unseen,
         demand_spreads=find_demand_spreads(fleet, tasks),
+        shortages=compute_shortages(state, tasks),
     )
 
 

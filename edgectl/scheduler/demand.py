@@ -64,15 +64,32 @@ def list_edge_demands(fleet: Capacities, task: Task, resource: str) -> list[Quan
 
 
 def list_resource_demands(fleet: Capacities, task: Task, place: int) -> tuple[ResourceDemand, ...]:
-    """The demands of ``task`` at ``place`` in absolute numbers, and where they come from."""
+    """What ``task`` counts for at ``place`` in absolute numbers, and where its demands come from."""
     counted = demand_at(fleet, task, place)
     return tuple(
-        _build_resource_demand(
-            fleet, task, place, resource, (task.demand[resource.name], counted[resource.name]), capacity
+        _raise_to_usage(
+            fleet,
+            task,
+            _build_resource_demand(
+                fleet, task, place, resource, (task.demand[resource.name], counted[resource.name]), capacity
+            ),
         )
         for resource in RESOURCES
         if (capacity := _find_capacity(fleet, task, place, resource)) is not None
     )
+
+
+def _raise_to_usage(fleet: Capacities, task: Task, rho: ResourceDemand) -> ResourceDemand:
+    """The demand, or the measured usage that counts in its place because it is more (ADR 0060)."""
+    floor = fleet.floors.get(task.name)
+    if floor is None:
+        return rho
+    used = (
+        max((floor.links.get(robot, 0.0) for robot in task.robots), default=0.0)
+        if rho.resource.per_link
+        else floor.used.get(rho.resource.name, 0.0)
+    )
+    return replace(rho, value=used, demanded=rho.value) if used > rho.value else rho
 
 
 def _find_capacity(fleet: Capacities, task: Task, place: int, resource: Resource) -> float | None:

@@ -110,6 +110,7 @@ class Store:
                 store_write.write_events(connection, [event])
             store_write.write_plan(connection, plan)
             store_write.write_new_events(connection, store_events.build_unplaced_events(plan))
+            store_write.write_new_events(connection, store_events.build_overuse_events(plan))
 
         self._write(record)
 

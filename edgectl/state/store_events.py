@@ -357,6 +357,20 @@ def build_plan_event(plan: Plan) -> Event | None:
     return Event(at=plan.created_at, kind=EventKind.PLANNED, message=", ".join(counts)) if counts else None
 
 
+def build_overuse_events(plan: Plan) -> tuple[Event, ...]:
+    """Events of the tasks that use more than they declare."""
+    return tuple(
+        Event(
+            at=plan.created_at,
+            kind=EventKind.TASK_OVERUSE,
+            host=found.host,
+            task=found.task,
+            message=found.describe(),
+        )
+        for found in plan.overuses
+    )
+
+
 def build_unplaced_events(plan: Plan) -> tuple[Event, ...]:
     """Events of the unplaced tasks of ``plan``."""
     return tuple(

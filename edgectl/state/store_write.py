@@ -147,13 +147,15 @@ def write_events(connection: sqlite3.Connection, found: Iterable[Event]) -> None
 
 
 def write_new_events(connection: sqlite3.Connection, found: Iterable[Event]) -> None:
-    """Insert events, except those equal to the last event of their task."""
+    """Insert events, except those equal to the last event of their task: what lasts is told once."""
     write_events(connection, [event for event in found if not _is_event_repeated(connection, event)])
 
 
 def _is_event_repeated(connection: sqlite3.Connection, event: Event) -> bool:
     sql = "SELECT kind, host, message FROM events WHERE task = ? ORDER BY id DESC LIMIT 1"
     last = connection.execute(sql, (event.task,)).fetchone()
+    if event.kind is EventKind.TASK_OVERUSE and last is not None:
+        return bool(last[:2] == (event.kind.value, event.host))  # its figures differ from reading to reading
     return event.kind in _LASTING_KINDS and last == (event.kind.value, event.host, event.message)
 
 

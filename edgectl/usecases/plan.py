@@ -9,6 +9,7 @@ from edgectl.executor.dry_run import list_dry_run_requests
 from edgectl.formats.document import dump_line
 from edgectl.formats.kinds import PLAN_KIND
 from edgectl.gateway.host_probe import ProbeOptions
+from edgectl.model.assignment import Shortage
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Plan
 from edgectl.model.policy import Policy
@@ -16,6 +17,7 @@ from edgectl.model.snapshot import Snapshot
 from edgectl.rules.lost_places import find_shared_machine
 from edgectl.scheduler.assign import assign
 from edgectl.scheduler.claims import describe_claims
+from edgectl.scheduler.shortage import find_shortages
 from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.probe import probe_fleet
 from edgectl.usecases.record import record_plan
@@ -54,6 +56,11 @@ def make_plan(
     manager = snapshot.manager or ManagerState()
     assignment = assign(fleet.inventory, fleet.tasks, snapshot, manager, policy, snapshot.taken_at)
     return plan_from_assignment(fleet.inventory, fleet.tasks, snapshot, manager, assignment)
+
+
+def find_fleet_shortages(fleet: Fleet, snapshot: Snapshot) -> tuple[Shortage, ...]:
+    """What the edges lack for the tasks of the files, whatever the placement."""
+    return find_shortages(fleet.inventory, fleet.tasks, snapshot)
 
 
 def keep_whole_plan(plan: Plan) -> Plan:

@@ -14,6 +14,7 @@ from edgectl.gateway.smoothing import smooth_snapshot
 from edgectl.model.cycle import Cycle
 from edgectl.model.plan import Action, Plan
 from edgectl.model.policy import Policy
+from edgectl.model.resource import Resource
 from edgectl.model.result import Outcome, Results
 from edgectl.model.snapshot import Snapshot
 from edgectl.state.lock import FleetLock
@@ -41,7 +42,7 @@ _MIN_BACKOFF_S, _MAX_BACKOFF_S = 30.0, 600.0
 _PROBE_TIMEOUT_S = 10.0
 
 
-PlanSignature = tuple[tuple[str, Action, str | None], ...]
+PlanSignature = tuple[tuple[str, Action | None, str | None], ...]
 
 
 def policy_from_files(fleet: Fleet) -> Policy:
@@ -109,6 +110,7 @@ class _WatchLoop:
         self._resting: dict[str, _TaskBackoff] = {}
         self._smooth: Snapshot | None = None
         self._planned: PlanSignature = ()
+        self._short: tuple[Resource, ...] = ()
         self._answering: tuple[str, ...] = ()
         self._take_over = options.take_over
         self._last_hold: Fleet | None = None
@@ -258,12 +260,21 @@ class _WatchLoop:
         """Plan from the smoothed loads; tasks in back-off stay as they are."""
         policy = dataclasses.replace(self._options.policy(self._fleet), attended=False)
         plan = make_plan(self._fleet, policy, snapshot=self._smooth or snapshot)
-        signature = tuple((step.task, step.action, step.decision.host) for step in plan.steps)
+        signature: PlanSignature = (
+            *((step.task, step.action, step.decision.host) for step in plan.steps),
+            *((found.task, None, found.host) for found in plan.overuses),
+        )
         if signature != self._planned:
             self._planned = signature
             record_plan(self._fleet, plan)
+        self._warn_of_shortages(plan)
         alone = add_dependent_starts(plan.steps, self._fleet.tasks, self._at_rest())
         return limit_plan_to_tasks(plan, {step.task for step in plan.steps} - alone) if alone else plan
+
+    def _warn_of_shortages(self, plan: Plan) -> None:
+        """Once for each resource that becomes short; the amount differs from reading to reading."""
+        self._said += [found.describe() for found in plan.shortages if found.resource not in self._short]
+        self._short = tuple(found.resource for found in plan.shortages)
 
     def _at_rest(self) -> tuple[str, ...]:
         now = self._now()

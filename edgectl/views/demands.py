@@ -1,11 +1,12 @@
 """Demands of a plan and their sources: declared, or measured from a number of samples."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 from edgectl.formats.document import Document
 from edgectl.model.assignment import DemandSource, DemandSpread, ResourceDemand
 from edgectl.model.plan import Plan
-from edgectl.model.resource import RESOURCES
+from edgectl.model.resource import HOST_RESOURCES, RESOURCES, TASK_RESOURCES
+from edgectl.model.snapshot import TaskSample
 from edgectl.model.task import Quantity
 from edgectl.rules.measured_demand import MIN_SAMPLES
 from edgectl.views.glossary import head
@@ -19,16 +20,26 @@ _SOURCE_STYLES = {
 }
 _MEASURED_SOURCES = (DemandSource.MEASURED, DemandSource.MEASURED_ELSEWHERE)
 _MAX_LISTED = 4
+_AMOUNTS = ("NOW", "RESERVED", "DEMAND")
 
 
 def render_demands(value: Plan, look: RenderOptions = PLAIN) -> str:
-    """Every demand that was charged, with its source; a measured one also on the other hosts."""
+    """What every task reserves, the source of its demand and what it uses now; a measured demand also on the
+    other hosts.
+    """
     columns = (f"{resource.name}.demand_{resource.unit.name}" for resource in RESOURCES)
     rows = [head("task", "host", *columns)]
     for step in value.steps:
         decision = step.decision
         rows += (
-            [_render_demand_row(step.task, decision.host or decision.nearest or "-", decision.demand)]
+            [
+                _render_demand_row(
+                    step.task,
+                    decision.host or decision.nearest or "-",
+                    decision.demand,
+                    _find_run(value, step.task, decision.previous_host),
+                )
+            ]
             if decision.demand
             else []
         )
@@ -44,20 +55,70 @@ def render_demands(value: Plan, look: RenderOptions = PLAIN) -> str:
     )
 
 
-def _render_demand_row(task: str, host: str, demand: tuple[ResourceDemand, ...]) -> Row:
+def _find_run(value: Plan, task: str, host: str | None) -> TaskSample | None:
+    """The run of ``task`` on its present host, if it lives."""
+    sample = value.snapshot.hosts.get(host or "")
+    run = sample.tasks.get(task) if sample is not None else None
+    return run if run is not None and run.state.alive else None
+
+
+def _render_demand_row(
+    task: str, host: str, demand: tuple[ResourceDemand, ...], run: TaskSample | None = None
+) -> Row:
     found = {rho.resource: rho for rho in demand}
-    return (Cell(task, "name"), host, *(_render_demand_cell(found.get(resource)) for resource in RESOURCES))
-
-
-def _render_demand_cell(rho: ResourceDemand | None) -> Cell:
     return (
-        Cell("-")
-        if rho is None
-        else Cell(
-            f"{rho.resource.unit.format_small(rho.value)} {format_demand_source(rho)}",
-            _SOURCE_STYLES[rho.source],
-        )
+        Cell(task, "name"),
+        host,
+        *(_render_demand_cell(found.get(resource), run) for resource in RESOURCES),
     )
+
+
+def _render_demand_cell(rho: ResourceDemand | None, run: TaskSample | None) -> Cell:
+    if rho is None or (rho.resource.declared_only and not rho.value):
+        return Cell("-")
+    now = _format_usage_now(rho, run)
+    style = "bad" if rho.demanded is not None else _SOURCE_STYLES[rho.source]
+    return Cell(f"{_format_demand(rho)}{now}", style)
+
+
+def _format_demand(rho: ResourceDemand) -> str:
+    """``0.40 declared``; ``1.20 in use, 0.30 declared`` where a task uses more than its demand."""
+    show = rho.resource.unit.format_small
+    if rho.demanded is None:
+        return f"{show(rho.value)} {format_demand_source(rho)}"
+    return f"{show(rho.value)} in use, {show(rho.demanded)} {format_demand_source(rho)}"
+
+
+def _format_usage_now(rho: ResourceDemand, run: TaskSample | None) -> str:
+    """``, now 0.12``: what the task uses of its reservation; of the network over all its links."""
+    if run is None or rho.demanded is not None or rho.resource not in TASK_RESOURCES:
+        return ""
+    return f", now {rho.resource.unit.format_small(run.used[rho.resource.name])}"
+
+
+def render_reservations(value: Plan, look: RenderOptions = PLAIN) -> str:
+    """By host: its load now, and what its tasks reserve and demand after the plan."""
+    rows: list[Row] = [
+        ("HOST", *(f"{resource.name.upper()} {word}" for resource in HOST_RESOURCES for word in _AMOUNTS))
+    ]
+    for name in value.expected:
+        here = [step.decision.demand for step in value.steps if step.decision.host == name]
+        rows.append((Cell(name, "name"), *_list_reservation_cells(value, name, here)))
+    title = "Load now, and what the tasks of this plan reserve and demand:\n"
+    return title + render_columns(rows, look) if value.expected else ""
+
+
+def _list_reservation_cells(
+    value: Plan, host: str, demands: Sequence[Sequence[ResourceDemand]]
+) -> Iterator[str]:
+    sample = value.snapshot.hosts.get(host)
+    for resource in HOST_RESOURCES:
+        show = resource.unit.format
+        found = [rho for demand in demands for rho in demand if rho.resource == resource]
+        known = sample is not None and resource.name in sample.usage
+        yield show(sample.usage[resource.name].used) if sample is not None and known else "-"
+        yield show(sum(rho.value for rho in found))
+        yield show(sum(rho.value if rho.demanded is None else rho.demanded for rho in found))
 
 
 def format_demand_source(rho: ResourceDemand) -> str:

@@ -25,6 +25,7 @@ _EVENT_STYLES = {
     EventKind.TASK_LOST: "bad",
     EventKind.TASK_DEFERRED: "warn",
     EventKind.TASK_UNPLACED: "warn",
+    EventKind.TASK_OVERUSE: "warn",
     EventKind.ACTION_FAILED: "bad",
     EventKind.PLANNED: "dim",
 }

@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Collection, Iterable
 
-from edgectl.model.assignment import ExpectedLoad
+from edgectl.model.assignment import ExpectedLoad, Overuse
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Action, Plan
 from edgectl.model.resource import HOST_RESOURCES
@@ -12,6 +12,7 @@ from edgectl.names import natural_key
 from edgectl.rules.lost_places import describe_lost_place, list_lost_tasks
 from edgectl.units import format_instant, format_rate
 from edgectl.views.demands import list_demand_notes
+from edgectl.views.glossary import head_of_resource, list_shown_weights
 from edgectl.views.reasons import describe_reason, is_left_out, is_not_found, join_words
 from edgectl.views.state import format_silence
 from edgectl.views.text import (
@@ -42,7 +43,7 @@ ACTION_STYLES = {
 
 def render_plan_header(value: Plan, look: RenderOptions = PLAIN) -> str:
     """Policy, weights as used, and snapshot of the plan."""
-    weights = value.policy.weights
+    weights = list_shown_weights(value.policy.weights)
     shown = ", ".join(f"{name} {weight:.3g}" for name, weight in weights.items())
     return wrap_text(
         f"Policy {value.policy.name}; weights {shown}; snapshot of {format_instant(value.created_at)}", look
@@ -58,7 +59,7 @@ def format_utility(value: float | None, *, signed: bool = False) -> str:
 
 def render_expected_load(value: Plan, look: RenderOptions = PLAIN) -> str:
     """Load of each host after the plan, against its measured or declared capacity."""
-    rows: list[Row] = [("HOST", *(resource.name.upper() for resource in HOST_RESOURCES), "LINKS")]
+    rows: list[Row] = [("HOST", *map(head_of_resource, HOST_RESOURCES), "LINKS")]
     rows += [
         _render_expected_load_row(name, load, value.snapshot.hosts.get(name))
         for name, load in value.expected.items()
@@ -76,6 +77,8 @@ def _render_expected_load_row(name: str, load: ExpectedLoad, sample: HostSample 
                 usage[resource.name].capacity if resource.name in usage else None,
                 resource.unit.format(load.used[resource.name]),
             )
+            if resource.name in usage or load.used[resource.name] or not resource.declared_only
+            else Cell("-")
             for resource in HOST_RESOURCES
         ),
         ", ".join(
@@ -118,7 +121,17 @@ def list_plan_notes(value: Plan) -> list[str]:
             f"first plan of this fleet: tasks on {join_words(value.unseen)} are not known "
             "and count as not running"
         )
-    return lines + list_demand_notes(value) + list_left_alone_notes(value)
+    return lines + list_load_notes(value) + list_demand_notes(value) + list_left_alone_notes(value)
+
+
+def list_load_notes(value: Plan) -> list[str]:
+    """Tasks that use more than they declare, and what the fleet lacks."""
+    return [*(found.describe() for found in value.shortages), *map(describe_overuse, value.overuses)]
+
+
+def describe_overuse(found: Overuse) -> str:
+    """One line with task and host, both figures, and what mends it."""
+    return f"{found.task} on {found.host} {found.describe()}"
 
 
 def list_left_alone_notes(value: Plan) -> list[str]:

@@ -3,17 +3,20 @@
 from collections.abc import Iterator, Sequence
 
 from edgectl.formats.document import Document
+from edgectl.model.assignment import Shortage
 from edgectl.model.inventory import Inventory
 from edgectl.model.resource import RESOURCES
 from edgectl.model.snapshot import Snapshot, TaskSample, TaskState
 from edgectl.model.task import Task, Tasks
 from edgectl.rules.lost_places import describe_lost_place
+from edgectl.rules.overuse import find_overuses
 from edgectl.units import format_duration
 from edgectl.views.glossary import head
 from edgectl.views.other_tasks import list_foreign_notes
 from edgectl.views.output import ListView
 from edgectl.views.output_format import NAMED_FORMATS
 from edgectl.views.plan_sections import (
+    describe_overuse,
     list_doubled_notes,
     list_operator_mark_notes,
     list_snapshot_notes,
@@ -62,8 +65,11 @@ class StatusView(ListView):
     kind = "task-status"
     formats = NAMED_FORMATS
 
-    def __init__(self, snapshot: Snapshot, inventory: Inventory, tasks: Tasks) -> None:
+    def __init__(
+        self, snapshot: Snapshot, inventory: Inventory, tasks: Tasks, shortages: Sequence[Shortage] = ()
+    ) -> None:
         self._snapshot, self._inventory, self._tasks = snapshot, inventory, tasks
+        self._shortages = shortages
         self._failed = find_failed_tasks(tasks, snapshot)
 
     def table(self, look: RenderOptions = PLAIN) -> str:
@@ -145,11 +151,15 @@ class StatusView(ListView):
         return [*runs, *absent]
 
     def warnings(self) -> Sequence[str]:
-        """Tasks that run twice, at lost places or of other fleets, hosts without a reply, and marks."""
+        """Tasks that run twice, at lost places or of other fleets, hosts without a reply, marks, usage above
+        what is declared, and what the fleet lacks.
+        """
         return [
             *list_snapshot_notes(self._snapshot),
             *list_operator_mark_notes(self._snapshot),
             *list_foreign_notes(self._snapshot),
+            *(found.describe() for found in self._shortages),
+            *map(describe_overuse, find_overuses(self._inventory, self._tasks, self._snapshot)),
         ]
 
     def names(self) -> Sequence[str]:

@@ -196,6 +196,7 @@ demands = st.lists(
         value=amounts,
         source=st.sampled_from(DemandSource),
         samples=optional_of(counts),
+        demanded=optional_of(amounts),
     ),
     unique_by=lambda rho: rho.resource,
     max_size=3,

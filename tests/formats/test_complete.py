@@ -14,11 +14,13 @@ from edgectl.model.assignment import (
     DemandSpread,
     ExpectedLoad,
     MoveCost,
+    Overuse,
     RankedHost,
     Reason,
     Rejection,
     RejectionRule,
     ResourceDemand,
+    Shortage,
     UtilityTerms,
     Verdict,
 )
@@ -88,7 +90,9 @@ REJECTION = Rejection(
     rule=RejectionRule.INSUFFICIENT, resource=NETWORK, robot="r", demand=1.0, used=2.0, capacity=3.0
 )
 TERMS = UtilityTerms(cpu=0.1, memory=-0.2, network=0.3, task=0.4)
-RHO = ResourceDemand(resource=NETWORK, value=1.5, source=DemandSource.MEASURED, samples=412)
+RHO = ResourceDemand(resource=NETWORK, value=1.5, source=DemandSource.MEASURED, samples=412, demanded=0.5)
+OVERUSE = Overuse(task="t-1", entry="t", host="h", resource=NETWORK, used=2.0, declared=1.0)
+SHORTAGE = Shortage(resource=MEMORY, amount=1.5)
 UNEVEN = DemandSpread(task="t", resource=MEMORY, share=0.25, least=1.5, most=3.0, hosts=("a", "b"))
 RANKED = RankedHost(
     host="h",
@@ -109,11 +113,12 @@ STEP = Step(decision=DECISION, action=Action.MOVE, instances={"h": "i"}, stop=("
 EXPECTED = ExpectedLoad(used=Usage(cpu=1.0, memory=2.0), links={"r": 3.0})
 PLAN = Plan(
     created_at=1.5, policy=POLICY, inventory_digest="a", tasks_digest="b", snapshot=SNAPSHOT, settled=False, steps=(STEP,),
-    expected={"h": EXPECTED}, frozen=True, unseen=("u",), demand_spreads=(UNEVEN,), tasks_left_alone={"o": "f"},
+    expected={"h": EXPECTED}, frozen=True, unseen=("u",), demand_spreads=(UNEVEN,), tasks_left_alone={"o": "f"}, overuses=(OVERUSE,),
+    shortages=(SHORTAGE,),
 )  # fmt: skip
 VALUES = [
     LINK, TASK, INTERFACE, DEVICE, CPU_USE, MEMORY_USE, HOST, PLACEMENT, MANAGER, SNAPSHOT, WEIGHTS, POLICY, REJECTION, TERMS, RANKED, COST, DECISION,
-    STEP, EXPECTED, PLAN, MEASURED, RHO, UNEVEN, OTHER,
+    STEP, EXPECTED, PLAN, MEASURED, RHO, UNEVEN, OTHER, OVERUSE, SHORTAGE,
 ]  # fmt: skip
 
 

@@ -311,3 +311,20 @@ def test_a_bug_costs_a_cycle_and_says_that_it_is_one(site: WatchSite) -> None:
     answers.clear()
     with pytest.raises(TypeError):
         list(site.watch(1, policy=odd, debug=True))
+
+
+def test_usage_above_the_declaration_is_told_once_with_what_mends_it(tmp_path: Path) -> None:
+    """The simulated tasks use 0.1 cores."""
+    site = WatchSite(tmp_path, tasks=some_tasks(a_task("slam", cpu=0.01)))
+    events = [event for c in site.watch(6) for event in c.events if event.kind is EventKind.TASK_OVERUSE]
+    assert [(event.task, event.message) for event in events] == [
+        ("slam", "uses 0.10 cores of cpu, declares 10m; edgectl profile slam --write")
+    ]
+
+
+def test_a_fleet_that_is_too_small_says_once_what_it_lacks(tmp_path: Path) -> None:
+    site = WatchSite(tmp_path, tasks=some_tasks(a_task("slam", cpu=3.0), a_task("web", cpu=3.0)))
+    for name in ("edge1", "edge2"):
+        site.hosts[name].used = 2.0
+    told = [warning for c in site.watch(4) for warning in c.warnings]
+    assert told == ["the edges are short of 2.00 cores of cpu: the least that would help"]

@@ -1,5 +1,6 @@
 """One plan of each interesting kind, decided for real from the committed snapshot."""
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -29,9 +30,28 @@ def fleet() -> tuple[Inventory, Tasks, Snapshot]:
     return inventory, tasks, load_snapshot(SNAPSHOT)
 
 
+def age_tasks(snapshot: Snapshot, seconds: float) -> Snapshot:
+    """The snapshot with all tasks started, and placed, so much earlier: past start-up and dwell."""
+    manager = snapshot.manager or ManagerState()
+    placements = {
+        task: replace(each, since=each.since - seconds) for task, each in manager.placements.items()
+    }
+    hosts = {
+        name: replace(
+            host,
+            tasks={
+                task: replace(run, started_at=run.started_at - seconds) for task, run in host.tasks.items()
+            },
+        )
+        for name, host in snapshot.hosts.items()
+    }
+    return replace(snapshot, hosts=hosts, manager=replace(manager, placements=placements))
+
+
 @cache
 def plan() -> Plan:
-    inventory, tasks, snapshot = fleet()
+    inventory, tasks, found = fleet()
+    snapshot = age_tasks(found, 3600.0)
     memory = snapshot.manager or ManagerState()
     return plan_from_assignment(
         inventory,

@@ -1,0 +1,64 @@
+"""Shortage: what a fleet lacks, whatever the placement (ADR 0062). Pure."""
+
+from edgectl.model.assignment import Shortage
+from edgectl.model.inventory import Inventory
+from edgectl.model.manager_state import ManagerState
+from edgectl.model.policy import Policy
+from edgectl.model.resource import HOST_RESOURCES, Resource
+from edgectl.model.snapshot import Snapshot
+from edgectl.model.task import ZERO, OnboardRule, Task, Tasks
+from edgectl.scheduler.capacities import Capacities, build_capacities
+from edgectl.scheduler.demand import add_measured_demands
+from edgectl.scheduler.feasibility import find_own_robot
+from edgectl.scheduler.initial_state import InitialState, build_initial_state
+from edgectl.scheduler.reservation import reserve_running_tasks
+from edgectl.scheduler.slack import get_slack
+from edgectl.scheduler.utility import EPSILON
+
+
+def find_shortages(inventory: Inventory, tasks: Tasks, snapshot: Snapshot) -> tuple[Shortage, ...]:
+    """What the fleet of ``snapshot`` lacks for the tasks of the files."""
+    manager = snapshot.manager or ManagerState()
+    fleet = add_measured_demands(build_capacities(inventory, snapshot, manager, frozenset()), tasks, manager)
+    state = build_initial_state(tasks, manager, fleet, snapshot.taken_at, Policy())
+    return compute_shortages(reserve_running_tasks(state, tasks), tasks)
+
+
+def compute_shortages(state: InitialState, tasks: Tasks) -> tuple[Shortage, ...]:
+    """By resource: the expected load of the open edges, and the least demands of the tasks that wait, minus
+    the capacity of these edges.
+
+    The least that would help: tasks are not divisible, so it may take more. Without a waiting task a shortage
+    within the slack is noise.
+    """
+    fleet = state.ledger.fleet
+    edges = [edge for edge in range(fleet.edges) if edge not in fleet.closed]
+    waiting = [
+        task
+        for task in tasks.tasks.values()
+        if task.managed
+        and task.name not in state.fixed
+        and (task.name not in state.running or state.running[task.name].place in fleet.hard)
+        and not _may_run_onboard(fleet, task)
+    ]
+    found = []
+    for resource in HOST_RESOURCES if edges else ():
+        capacity = sum(fleet.usable[resource.name][edge] for edge in edges)
+        load = sum(state.ledger.used[resource.name][edge] for edge in edges)
+        smallest = min(fleet.raw[resource.name][edge] for edge in edges)
+        wanted = sum(_compute_least_demand(fleet, task, resource, smallest) for task in waiting)
+        amount = load + wanted - capacity
+        if amount > (EPSILON if wanted else get_slack(resource) * capacity):
+            found.append(Shortage(resource=resource, amount=amount))
+    return tuple(found)
+
+
+def _may_run_onboard(fleet: Capacities, task: Task) -> bool:
+    own = find_own_robot(fleet, task)
+    return own is not None and fleet.places[own].onboard and task.onboard is not OnboardRule.NEVER
+
+
+def _compute_least_demand(fleet: Capacities, task: Task, resource: Resource, smallest: float) -> float:
+    """The least that the demand can mean on any edge; a share: on one of the ``smallest`` capacity."""
+    demands = fleet.demands.get(task.name, {"": task.demand}).values()
+    return min((demand[resource.name] or ZERO).of(smallest) for demand in demands)
