@@ -34,11 +34,9 @@ def claim_lease(claim: Document) -> Document:
         reply, new = _answer_claim(base, claim)
     if new:
         # A start of the last holder that is under way ends first: this claim is followed by a measurement.
-        with (
-            _hold_lock(base, _STARTS, fcntl.LOCK_EX, _START_S),
-            _hold_lock(base, _LOCK, fcntl.LOCK_EX, _WRITE_S),
-        ):
-            reply, _ = _answer_claim(base, claim, write=True)
+        with _hold_lock(base, _STARTS, fcntl.LOCK_EX, _START_S):  # noqa: SIM117 - Python 3.6 has no brackets here
+            with _hold_lock(base, _LOCK, fcntl.LOCK_EX, _WRITE_S):
+                reply, _ = _answer_claim(base, claim, write=True)
     return reply
 
 
