@@ -51,7 +51,7 @@ def repair_plan(plan: UnrepairedPlan) -> dict[str, Choice]:
     work = MAX_WORK
     causes: dict[str, str] = {}
     bounded = _has_absolute_demands(plan)
-    located = plan.initial.located.keys() | plan.placed.keys()
+    located = _find_located(plan)
     for task in wanted:
         if work <= 0 or not all(is_need_met(need, located, plan.initial.completed) for need in task.needs):
             continue
@@ -69,7 +69,7 @@ def repair_plan(plan: UnrepairedPlan) -> dict[str, Choice]:
 
 def _list_wanted(plan: UnrepairedPlan) -> list[Task]:
     """Tasks without room, and those that only wait for them, in sequence order."""
-    reach = set(plan.initial.located) | plan.placed.keys()
+    reach = _find_located(plan)
     wanted = []
     for task in plan.order:
         choice = plan.choices.get(task.name)
@@ -82,6 +82,12 @@ def _list_wanted(plan: UnrepairedPlan) -> list[Task]:
             reach.add(task.name)
             wanted.append(task)
     return wanted
+
+
+def _find_located(plan: UnrepairedPlan) -> set[str]:
+    """Tasks that count as predecessors; one that ran and lost its place does not."""
+    homeless = {name for name, choice in plan.choices.items() if choice.place is None}
+    return (set(plan.initial.located) - homeless) | plan.placed.keys()
 
 
 def _has_absolute_demands(plan: UnrepairedPlan) -> bool:
@@ -153,26 +159,32 @@ def _list_link_columns(plan: UnrepairedPlan) -> dict[str, int]:
 
 
 def _measure_shares(plan: UnrepairedPlan, task: Task, place: int) -> Shares:
-    """Rho / Delta of ``task`` at ``place``; infinite without capacity or link."""
+    """Load / Delta of ``task`` at ``place``.
+
+    Without capacity or link infinite, but 0 where the task is: nothing is released by its leaving.
+    """
     fleet = plan.context.fleet
     placed = plan.placed.get(task.name)
-    use = placed[1] if placed is not None and placed[0] == place else compute_demand_usage(fleet, task, place)
+    is_there = placed is not None and placed[0] == place
+    use = placed[1] if placed is not None and is_there else compute_demand_usage(fleet, task, place)
+    none = 0.0 if is_there else inf
     shares = {
-        column: _compute_share(amount, fleet.usable[name][place])
+        column: _compute_share(amount, fleet.usable[name][place], none)
         for column, (name, amount) in enumerate(use.used.items())
     }
     if place < fleet.edges:
         columns = _list_link_columns(plan)
         for robot in (*task.robots, *use.links):
             capacity = fleet.links[robot][place] if robot in fleet.links else None
-            shares[columns.get(robot, -1)] = _compute_share(use.links.get(robot, 0.0), capacity or 0.0)
+            shares[columns.get(robot, -1)] = _compute_share(use.links.get(robot, 0.0), capacity or 0.0, none)
     return shares
 
 
-def _compute_share(amount: float, capacity: float) -> float:
+def _compute_share(amount: float, capacity: float, none: float) -> float:
+    """``none``: the share of no capacity."""
     if capacity == inf:
         return 0.0
-    return amount / capacity if capacity > 0 else inf
+    return amount / capacity if capacity > 0 else none
 
 
 def _build_choices(plan: UnrepairedPlan, packing: Packing, causes: Mapping[str, str]) -> dict[str, Choice]:

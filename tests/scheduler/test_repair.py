@@ -13,7 +13,18 @@ from edgectl.model.policy import Policy
 from edgectl.model.resource import Usage
 from edgectl.model.snapshot import HostSample, Snapshot
 from edgectl.model.task import ZERO, Task, Tasks
-from tests.builders import NOW, a_run, a_sample, a_snapshot, a_task, an_edge, an_inventory, some_tasks
+from tests.builders import (
+    NOW,
+    a_link,
+    a_robot,
+    a_run,
+    a_sample,
+    a_snapshot,
+    a_task,
+    an_edge,
+    an_inventory,
+    some_tasks,
+)
 from tests.scheduler.fleets import NO_MEMORY, decisions_by_task, hosts_by_task, run_assign, simulate_apply
 from tests.scheduler.tight_fleets import (
     TightFleet,
@@ -106,6 +117,18 @@ def test_a_task_that_this_plan_starts_gives_way_before_a_running_one() -> None:
     assert by_task["small"].verdict is Verdict.KEPT
     assert (by_task["a-new"].host, by_task["a-new"].reason) == ("edge2", Reason.MADE_ROOM)
     assert (by_task["a-new"].subject, by_task["big"].host) == ("big", "edge1")
+
+
+def test_a_task_on_a_dead_link_leaves_no_room_there() -> None:
+    one = an_inventory(an_edge("edge1"), an_edge("edge2"), a_robot("robot1", probe=False))
+    stuck = a_task("stuck", cpu=1.0, throughput=1e6, robots=["robot1"])
+    run = a_run(used=Usage(cpu=1.0), spec_hash="hash-stuck")
+    snapshot = a_snapshot(
+        edge1=a_sample(used=1.0, links={"robot1": a_link(0.0)}, tasks={"stuck": run}),
+        edge2=a_sample(used=4.0, links={"robot1": a_link()}),
+    )
+    tasks = some_tasks(stuck, replace(stuck, name="new", priority=1.0, preempt=True))
+    assert hosts_by_task(run_assign(one, tasks, snapshot)) == {"new": None, "stuck": "edge1"}
 
 
 LOW = a_task("low", cpu=3.0)
