@@ -20,15 +20,13 @@ from tests.e2e.bench import (
     Bench,
     a_mark,
     a_sleeper,
-    a_slice,
     list_sleepers,
     open_bench,
     wait_for_sleepers,
 )
+from tests.e2e.test_inventory_changes import list_edges
 from tests.e2e.test_unreachable import cut_off, restore_server, wait_until
 from tests.sshd import Lab
-
-NAMES = ("edge1", "edge2", "edge3")
 
 
 @pytest.fixture
@@ -38,7 +36,7 @@ def bench(lab: Lab, tmp_path: Path) -> Iterator[Bench]:
             if server.process is None:
                 server.restart()
 
-    inventory = an_inventory(*(a_slice(lab.host(name)) for name in NAMES))
+    inventory = an_inventory(*list_edges(lab))
     with open_bench(inventory, tmp_path / "manager", mend) as made:
         yield made
 
