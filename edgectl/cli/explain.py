@@ -24,8 +24,8 @@ def explain_command(
     """Explain a placement: the contribution of each term, and the smallest changes that would change the
     host.
 
-    All other tasks are assumed to stay where they are. A lead below the variation of the measurements is
-    called fragile.
+    Each change is planned again: a task that would move before is named. A lead below the variation of the
+    measurements is called fragile.
 
     Examples:
         edgectl explain slam-robot1

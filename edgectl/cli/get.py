@@ -17,7 +17,8 @@ from edgectl.views.output_format import OutputFormat
 if TYPE_CHECKING:
     from edgectl.model.snapshot import Snapshot
     from edgectl.usecases.fleet import Fleet
-    from edgectl.views.listing import Listing, ListingChangesView
+    from edgectl.views.listing import ListingChangesView
+    from edgectl.views.listing_items import Listing
 
 _KIND_NAMES = ("edges", "robots", "tasks", "links")
 
@@ -77,7 +78,8 @@ def get_command(
     from edgectl.cli.connect import build_fleet
     from edgectl.usecases.probe import probe_fleet
     from edgectl.usecases.status import probe_repeatedly
-    from edgectl.views.listing import ListingKind, ListingView, build_listing
+    from edgectl.views.listing import ListingView
+    from edgectl.views.listing_items import ListingKind, build_listing
     from edgectl.views.output_format import NAMED_STREAM_FORMATS, check_output_format
 
     wanted, period = ListingKind(_resolve_kind(kind)), parse_every_option(every)
@@ -145,7 +147,8 @@ def _filter_listing(value: "Listing", names: Sequence[str] | None, selector: str
 
 def _stream_listing_changes(found: "Iterator[Listing]") -> "Iterator[ListingChangesView]":
     """The changes of each probe that differs from the one before."""
-    from edgectl.views.listing import ListingChangesView, compare_listings
+    from edgectl.views.listing import ListingChangesView
+    from edgectl.views.listing_items import compare_listings
 
     first: Listing | None = None
     before: Listing | None = None

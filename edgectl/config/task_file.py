@@ -1,10 +1,7 @@
-"""Task file: tables of its keys and their readers."""
+"""Task file: the keys of tasks and policy, and the templates that it holds."""
 
-import re
-import shlex
-import warnings
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from edgectl.config.fields import (
@@ -17,16 +14,14 @@ from edgectl.config.fields import (
     read_labels,
     record_reader,
 )
-from edgectl.config.node import Node, value_from_node
+from edgectl.config.node import Node
 from edgectl.config.problems import Mark, ProblemCode, Problems
-from edgectl.config.quantities import demand_parser, parse_cost, parse_margin
+from edgectl.config.quantities import parse_cost, parse_margin
 from edgectl.config.scalars import (
-    INVALID,
     NAME_PATTERN,
     NodeReader,
     check_name,
     enum_reader,
-    integer_reader,
     quantity_reader,
     read_bool,
     read_name,
@@ -39,328 +34,58 @@ from edgectl.config.schema import (
     build_file_schema,
     build_mapping_schema,
     build_object_schema,
-    describe_as,
-    describe_reader,
-    get_reader_schema,
 )
-from edgectl.config.weights import parse_weights
-from edgectl.model.policy import WEIGHT_PRESETS, Policy, PolicyName, SequenceRule
-from edgectl.model.resource import RESOURCES, TASK_RESOURCES, TERMS
+from edgectl.config.task_readers import (
+    DETECT_KEYS,
+    HANDOFF_KEYS,
+    LOG_KEYS,
+    TASK_LIMITS_KEYS,
+    check_reader,
+    read_command,
+    read_demand,
+    read_duration,
+    read_for_each,
+    read_host_rules,
+    read_max_moves,
+    read_need,
+    read_on_unreachable,
+    read_priority,
+    read_robots,
+    read_stop,
+    read_weights,
+)
+from edgectl.model.policy import Policy, PolicyName, SequenceRule
 from edgectl.model.task import (
-    Check,
     CheckLocation,
-    Demand,
     DetectRule,
     HandoffContract,
-    HandoffOrder,
     LogLimits,
-    Need,
-    NeedCondition,
     OnboardRule,
-    Quantity,
     RestartPolicy,
-    StopRule,
     TaskKind,
     TaskLimits,
-    UnreachablePolicy,
 )
-from edgectl.units import QuantityError, parse_bytes, parse_cores, parse_duration
+from edgectl.units import parse_duration
 
-_NAME_LIST: Schema = {"type": "array", "items": {"type": "string", "pattern": r"\S"}}
-_SIGNALS = ("TERM", "INT", "HUP", "QUIT", "KILL", "USR1", "USR2")
-_read_duration = quantity_reader(parse_duration, above_zero=True)
-MEASURED_WORD, MEASURED = "measured", Quantity(value=0.0, measured=True)
-
-
-def _check_reader(where: CheckLocation) -> NodeReader:
-    """A check: its command alone, or a mapping. ``where`` it runs unless it says so."""
-    mapping = record_reader(CHECK_KEYS, Check, "a check", ("command",))
-
-    def read(node: Node, problems: Problems) -> Any:  # noqa: ANN401
-        if isinstance(node.value, str):
-            command = read_text(node, problems)
-            return command if command is INVALID else Check(command=command, on=where)
-        check = mapping(node, problems)
-        stated = isinstance(node.value, dict) and "on" in node.value
-        return check if check is INVALID or stated else replace(check, on=where)
-
-    return describe_reader(
-        read, lambda: {"anyOf": [get_reader_schema(read_text), get_reader_schema(mapping)]}
-    )
-
-
-@describe_as(lambda: {"anyOf": [get_reader_schema(read_name), build_object_schema(NEED_KEYS, ("task",))]})
-def _read_need(node: Node, problems: Problems) -> Any:  # noqa: ANN401
-    if isinstance(node.value, dict):
-        return record_reader(NEED_KEYS, Need, "a need", ("task",))(node, problems)
-    task = read_name(node, problems)
-    return task if task is INVALID else Need(task=task)
-
-
-@describe_as(lambda: {"enum": list(_SIGNALS)})
-def _read_signal(node: Node, problems: Problems) -> Any:  # noqa: ANN401
-    if node.value in _SIGNALS:
-        return node.value
-    problems.add(
-        node.mark,
-        ProblemCode.WORD,
-        f"unknown signal {node.text!r}",
-        problems.did_you_mean(node.text.upper().removeprefix("SIG"), _SIGNALS),
-    )
-    return INVALID
-
-
-@describe_as(lambda: {"anyOf": [{"const": "ros"}, build_object_schema(STOP_KEYS)]})
-def _read_stop(node: Node, problems: Problems) -> Any:  # noqa: ANN401
-    if node.value == "ros":
-        return StopRule(signal="INT", preset="ros")
-    if isinstance(node.value, dict):
-        stop = record_reader(STOP_KEYS, StopRule, "stop")(node, problems)
-        ros = stop is not INVALID and stop.preset == "ros" and "signal" not in node.value
-        return replace(stop, signal="INT") if ros else stop
-    problems.add(
-        node.mark,
-        ProblemCode.WORD,
-        f"unknown way to stop: {node.text or '?'}",
-        "write ros, or {signal: TERM, grace: 20s}",
-    )
-    return INVALID
-
-
-@describe_as(lambda: {"const": "ros"})
-def _read_stop_preset(node: Node, problems: Problems) -> Any:  # noqa: ANN401
-    if node.value == "ros":
-        return "ros"
-    problems.add(node.mark, ProblemCode.WORD, f"unknown preset {node.text!r}", "write ros, or remove preset")
-    return INVALID
-
-
-@describe_as(lambda: {"type": "string", "format": "regex", "pattern": r"\S"})
-def _read_regex(node: Node, problems: Problems) -> Any:  # noqa: ANN401
-    value = read_text(node, problems)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter(
-                "ignore", FutureWarning
-            )  # Python's own plans for "[[" are nothing to whoever runs edgectl
-            re.compile(value) if isinstance(value, str) else None
-    except (re.error, OverflowError, RecursionError) as error:
-        hint = f"escape it to mean the characters themselves: '{re.escape(str(value))}'"
-        problems.add(node.mark, ProblemCode.REGEX, f"not a regular expression: {error}", hint)
-        return INVALID
-    return value
-
-
-@describe_as(
-    lambda: {
-        "anyOf": [{"enum": list(UnreachablePolicy)}, build_object_schema(ON_UNREACHABLE_KEYS, ("policy",))]
-    }
-)
-def _read_on_unreachable(node: Node, problems: Problems) -> Any:  # noqa: ANN401
-    if isinstance(node.value, dict):
-        fields = read_fields(node, problems, ON_UNREACHABLE_KEYS, required=("policy",), what="on_unreachable")
-        policy = fields.values.get("policy", INVALID)
-        return INVALID if policy is INVALID else (policy, fields.values.get("after"))
-    policy = enum_reader(UnreachablePolicy)(node, problems)
-    return policy if policy is INVALID else (policy, None)
-
-
-@describe_as(lambda: {"anyOf": [{"const": "all"}, _NAME_LIST]})
-def _read_robots(node: Node, problems: Problems) -> Any:  # noqa: ANN401
-    return "all" if node.value == "all" else list_reader_with_nodes(read_name)(node, problems)
-
-
-@describe_as(lambda: {"anyOf": [{"const": "robot"}, _NAME_LIST | {"minItems": 1}]})
-def _read_for_each(node: Node, problems: Problems) -> Any:  # noqa: ANN401
-    if isinstance(node.value, list) and node.value:
-        return list_reader_with_nodes(read_name)(node, problems)
-    if node.value == "robot":
-        return "all"
-    return report_wrong_type(
-        node, problems, "must be the word robot, or a list of robots", "write for_each: robot"
-    )
-
-
-@describe_as(lambda: {"type": "number", "minimum": -1e9, "maximum": 1e9})
-def _read_priority(node: Node, problems: Problems) -> Any:  # noqa: ANN401
-    value = node.value
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return report_wrong_type(node, problems, "must be a number", "write 10, or -1; high goes first")
-    if not abs(value) <= 1e9:
-        problems.add(
-            node.mark,
-            ProblemCode.QUANTITY,
-            f"must be a finite number, not {node.text}",
-            "write a number between -1e9 and 1e9",
-        )
-        return INVALID
-    return float(value)
-
-
-@describe_as(lambda: build_object_schema(HOST_RULES_KEYS))
-def _read_host_rules(node: Node, problems: Problems) -> Any:  # noqa: ANN401
-    return read_fields(node, problems, HOST_RULES_KEYS, what="hosts")
-
-
-def _describe_weights() -> Schema:
-    weight: Schema = {"type": "number", "minimum": 0}
-    above_zero = [{"required": [term], "properties": {term: {"exclusiveMinimum": 0}}} for term in TERMS]
-    mapping = {
-        "type": "object",
-        "properties": dict.fromkeys(TERMS, weight),
-        "additionalProperties": False,
-        "anyOf": above_zero,
-    }
-    return {"anyOf": [{"enum": list(WEIGHT_PRESETS)}, {"type": "string", "pattern": "="}, mapping]}
-
-
-@describe_as(_describe_weights)
-def _read_weights(node: Node, problems: Problems) -> Any:  # noqa: ANN401
-    try:
-        return parse_weights(value_from_node(node))
-    except QuantityError as error:
-        mark = _find_weight_mark(node, error.message)
-        problems.add(mark, ProblemCode.QUANTITY, error.message, error.hint)
-        return INVALID
-
-
-def _find_weight_mark(node: Node, message: str) -> Mark:
-    """Where the weight stands that ``message`` names."""
-    for key, inner in node.value.items() if isinstance(node.value, dict) else ():
-        if message == f"unknown weight {key!r}":
-            return node.key_mark(key)
-        if message.startswith(f"weight {key} "):
-            return inner.mark
-    return node.mark
-
-
-@describe_as(lambda: {"anyOf": [{"const": MEASURED_WORD}, build_object_schema(DEMAND_KEYS)]})
-def _read_demand(node: Node, problems: Problems) -> Any:  # noqa: ANN401
-    if node.value == MEASURED_WORD:
-        return Demand({resource.name: MEASURED for resource in TASK_RESOURCES})
-    return record_reader(DEMAND_KEYS, _build_demand, "demand")(node, problems)
-
-
-def _build_demand(**quantities: Quantity) -> Demand:
-    """A demand out of its keys in the file."""
-    return Demand(
-        {
-            resource.name: quantities[resource.demand_key]
-            for resource in RESOURCES
-            if resource.demand_key in quantities
-        }
-    )
-
-
-def _demand_quantity_reader(parse: Callable[[object], Quantity]) -> NodeReader:
-    """One demand: a quantity, the word ``measured``, or a quantity that counts until then."""
-    quantity = quantity_reader(parse)
-
-    def describe() -> Schema:
-        stated = get_reader_schema(quantity)
-        until_measured = build_object_schema({"until_measured": quantity}, ("until_measured",))
-        return {"anyOf": [{"const": MEASURED_WORD}, *stated["anyOf"], until_measured]}
-
-    def read(node: Node, problems: Problems) -> Any:  # noqa: ANN401
-        if node.value == MEASURED_WORD:
-            return MEASURED
-        if isinstance(node.value, str) and node.value.isalpha():
-            hint = problems.did_you_mean(node.value, [MEASURED_WORD], "write a quantity, or")
-            problems.add(node.mark, ProblemCode.WORD, f"unknown word {node.value!r}", hint)
-            return INVALID
-        if not isinstance(node.value, dict):
-            return quantity(node, problems)
-        until = record_reader(
-            {"until_measured": quantity}, _mark_measured, "a measured demand", ("until_measured",)
-        )
-        return until(node, problems)
-
-    return describe_reader(read, describe)
-
-
-def _mark_measured(*, until_measured: Quantity) -> Quantity:
-    return replace(until_measured, measured=True)
-
-
-@describe_as(
-    lambda: {"anyOf": [{"const": "unlimited"}, {"type": "integer", "minimum": 0, "maximum": 1_000_000}]}
-)
-def _read_max_moves(node: Node, problems: Problems) -> Any:  # noqa: ANN401
-    return None if node.value == "unlimited" else integer_reader(0, 1_000_000)(node, problems)
-
-
-CHECK_KEYS: Mapping[str, NodeReader] = {
-    "command": read_text,
-    "on": enum_reader(CheckLocation),
-    "timeout": _read_duration,
-}
-NEED_KEYS: Mapping[str, NodeReader] = {"task": read_name, "until": enum_reader(NeedCondition)}
-DEMAND_KEYS: Mapping[str, NodeReader] = {
-    resource.demand_key: _demand_quantity_reader(demand_parser(resource.unit.parse, resource.unit.example))
-    for resource in RESOURCES
-}
-
-
-@describe_as(lambda: {"type": "string", "pattern": r"^[^\0]*[^\s\0][^\0]*$"})
-def _read_command(node: Node, problems: Problems) -> Any:  # noqa: ANN401
-    """One string for a shell; of a list of words the hint is the string."""
-    inner = [each.value for each in node.value] if isinstance(node.value, list) else []
-    words = [word for word in inner if isinstance(word, str)]
-    if words and words == inner:
-        hint = f"write command: {shlex.join(words)}"
-        return report_wrong_type(node, problems, "must be one string, which a shell runs", hint)
-    return read_text(node, problems)
-
-
-HOST_RULES_KEYS: Mapping[str, NodeReader] = {
-    "only": list_reader_with_nodes(read_name),
-    "never": list_reader_with_nodes(read_name),
-    "labels": read_labels,
-    "pin": read_name,
-}
-DETECT_KEYS: Mapping[str, NodeReader] = {"cmdline": _read_regex, "ros_node": read_text}
-STOP_KEYS: Mapping[str, NodeReader] = {
-    "signal": _read_signal,
-    "grace": quantity_reader(parse_duration),
-    "preset": _read_stop_preset,
-}
-HANDOFF_KEYS: Mapping[str, NodeReader] = {
-    "order": enum_reader(HandoffOrder),
-    "safe_when": _check_reader(CheckLocation.ROBOT),
-    "hold": _check_reader(CheckLocation.ROBOT),
-    "release": _check_reader(CheckLocation.ROBOT),
-    "timeout": _read_duration,
-}
-TASK_LIMITS_KEYS: Mapping[str, NodeReader] = {
-    "cpu": quantity_reader(parse_cores, above_zero=True),
-    "memory": quantity_reader(parse_bytes, above_zero=True),
-}
-LOG_KEYS: Mapping[str, NodeReader] = {
-    "max_size": quantity_reader(parse_bytes, above_zero=True),
-    "files": integer_reader(1, 100),
-}
-ON_UNREACHABLE_KEYS: Mapping[str, NodeReader] = {
-    "policy": enum_reader(UnreachablePolicy),
-    "after": _read_duration,
-}
 TASK_KEYS: Mapping[str, NodeReader] = {
-    "command": _read_command,
-    "for_each": _read_for_each,
+    "command": read_command,
+    "for_each": read_for_each,
     "robot": read_name,
-    "robots": _read_robots,
-    "needs": list_reader_with_nodes(_read_need),
-    "demand": _read_demand,
-    "priority": _read_priority,
-    "deadline": _read_duration,
-    "hosts": _read_host_rules,
+    "robots": read_robots,
+    "needs": list_reader_with_nodes(read_need),
+    "demand": read_demand,
+    "priority": read_priority,
+    "preempt": read_bool,
+    "deadline": read_duration,
+    "hosts": read_host_rules,
     "onboard": enum_reader(OnboardRule),
     "kind": enum_reader(TaskKind),
     "managed": read_bool,
     "detect": record_reader(DETECT_KEYS, DetectRule, "detect"),
-    "ready": _check_reader(CheckLocation.HOST),
+    "ready": check_reader(CheckLocation.HOST),
     "up": quantity_reader(parse_duration),
-    "done_when": _check_reader(CheckLocation.HOST),
-    "stop": _read_stop,
+    "done_when": check_reader(CheckLocation.HOST),
+    "stop": read_stop,
     "restart": enum_reader(RestartPolicy),
     "handoff": record_reader(HANDOFF_KEYS, HandoffContract, "handoff"),
     "env": read_environment,
@@ -368,18 +93,18 @@ TASK_KEYS: Mapping[str, NodeReader] = {
     "workdir": read_text,
     "limits": record_reader(TASK_LIMITS_KEYS, TaskLimits, "limits"),
     "log": record_reader(LOG_KEYS, LogLimits, "log"),
-    "on_unreachable": _read_on_unreachable,
-    "self_fence": _read_duration,
+    "on_unreachable": read_on_unreachable,
+    "self_fence": read_duration,
     "downtime_cost": quantity_reader(parse_cost),
     "labels": read_labels,
 }
 POLICY_KEYS: Mapping[str, NodeReader] = {
     "policy": enum_reader(PolicyName),
-    "weights": _read_weights,
+    "weights": read_weights,
     "sequence": enum_reader(SequenceRule),
     "move_margin": quantity_reader(parse_margin),
     "min_dwell": quantity_reader(parse_duration),
-    "max_moves": _read_max_moves,
+    "max_moves": read_max_moves,
 }
 # Keys of a task that exclude each other.
 EXCLUSIVE_KEYS = (("for_each", "robot"), ("for_each", "robots"), ("robot", "robots"))

@@ -134,7 +134,7 @@ def _choose_action(decision: Decision, found: SamplesByHost) -> Action:
         case Verdict.COMPLETED:
             return Action.COMPLETE if found else Action.NONE
         case Verdict.UNPLACED:
-            return Action.UNPLACED
+            return Action.STOP if found and decision.reason is Reason.PREEMPTED else Action.UNPLACED
 
 
 def _choose_start_action(decision: Decision, found: SamplesByHost) -> Action:

@@ -16,11 +16,9 @@ from edgectl.executor.dependencies import (
     build_step_dependencies,
     order_by_dependencies,
 )
-from edgectl.executor.host_requests import name_stop_host
 from edgectl.model.inventory import Connection, Inventory
 from edgectl.model.plan import Plan, Step
 from edgectl.model.result import Phase
-from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Tasks
 from edgectl.transport.agent_client import build_agent_command
 
@@ -32,7 +30,7 @@ def list_dry_run_requests(plan: Plan, inventory: Inventory, tasks: Tasks) -> lis
     Instance ids and generations are made when a plan is applied; here they stand as 0.
     """
     return [
-        _encode_request(step.task, planned.phase, request, plan.snapshot)
+        _encode_request(step.task, planned.phase, request)
         for step, phases in _list_step_phases(plan, inventory, tasks)
         for planned in phases
         for request in planned.requests
@@ -74,14 +72,12 @@ def _build_starts(
         return ()
 
 
-def _encode_request(
-    task: str, phase: Phase, request: PlannedRequest, snapshot: Snapshot
-) -> dict[str, object]:
+def _encode_request(task: str, phase: Phase, request: PlannedRequest) -> dict[str, object]:
     python = sys.executable if request.host.connection is Connection.LOCAL else "python3"
     return {
         "task": task,
         "phase": phase.value,
         "host": request.host.name,
         "command": build_agent_command(python),
-        "stdin": name_stop_host(request.body, snapshot) if phase is Phase.STOP else request.body,
+        "stdin": request.body,
     }

@@ -5,7 +5,6 @@ from collections.abc import Mapping
 
 from edgectl.agent.link import protocol
 from edgectl.model.inventory import Host
-from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Check, CheckLocation, StopRule, Task
 from edgectl.rules.environment import drop_secrets, merge_environment
 
@@ -89,17 +88,7 @@ def build_stop_request(name: str, host: Host, *, task: Task | None, instance: st
         "instance": instance or None,
         "generation": NO_GENERATION,
         "stop": rule,
-        "filed_as": None,
     }
-
-
-def name_stop_host(request: Request, snapshot: Snapshot) -> Request:
-    """A stop request with the name under which the host keeps the task, where it had another one when the
-    task was started (ADR 0040).
-    """
-    host = snapshot.hosts.get(str(request["host"]))
-    run = host.tasks.get(str(request["task"])) if host is not None else None
-    return {**request, "filed_as": run.filed_as} if run is not None and run.filed_as else request
 
 
 def encode_stop_rule(rule: StopRule) -> Request:

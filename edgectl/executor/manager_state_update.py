@@ -11,6 +11,7 @@ from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.result import ActionResult, Outcome, Phase, Results
 from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Tasks
+from edgectl.rules.other_managers import is_up_to_date
 
 # Generations follow a manager's clock. One that a host reports is believed up to ten years ahead of this
 # clock, or of 2050 where this clock is behind: no host makes the others unusable by its word.
@@ -60,7 +61,7 @@ def update_manager_state(
     ended = {result.task: result for result in results.actions}
     placements, done = dict(manager.placements), dict(manager.done)
     for step in plan.steps:
-        if step.decision.reason in (Reason.HOST_LEFT, Reason.HOST_READDRESSED):
+        if step.decision.reason in (Reason.HOST_LEFT, Reason.HOST_READDRESSED, Reason.HOST_UNSURE):
             continue
         result, task = ended.get(step.task), tasks.tasks.get(step.task)
         located = result.located if result is not None else _find_running_host(plan.snapshot, step)
@@ -98,7 +99,31 @@ def update_manager_state(
         downtimes=_collect_downtimes(manager, results),
         stays=_collect_stays(manager, results, now),
         deferred=_collect_deferrals(manager, plan, results),
+        synced=_compute_synced_grants(manager, plan.snapshot, placements, tasks),
     )
+
+
+def _compute_synced_grants(
+    manager: ManagerState, snapshot: Snapshot, placements: Mapping[str, Placement], tasks: Tasks
+) -> Mapping[str, int]:
+    """The grants of all hosts, where all answered and ``placements`` has every task that lives there.
+
+    They stay as they are until another manager has acted: a watch writes nothing while nothing changes.
+    """
+    if is_up_to_date(manager, snapshot.hosts):
+        return manager.synced
+    hosts = snapshot.hosts.values()
+    alive = {
+        name: run for host in hosts for name, run in host.tasks.items() if run.managed and run.state.alive
+    }
+    noted = all(
+        name in placements and placements[name].generation >= run.generation
+        for name, run in alive.items()
+        if name in tasks.tasks or name in manager.placements
+    )
+    if not (noted and all(host.ok for host in hosts)):
+        return manager.synced
+    return {name: host.grant for name, host in snapshot.hosts.items() if host.grant}
 
 
 def _find_running_host(snapshot: Snapshot, step: Step) -> str | None:

@@ -75,8 +75,7 @@ def _send(run: RunContext, request: PlannedRequest, **values: object) -> Request
 def _stop_task(act: StepRun, planned: PlannedPhase) -> None:
     """Stop the task. Where the plan had seen it alive and it is gone, the fleet has changed: look again."""
     request, host = planned.requests[0], planned.host
-    body = host_requests.name_stop_host(request.body, act.run.plan.snapshot)
-    body = {**body, "generation": act.generation}
+    body = {**request.body, "generation": act.generation}
     with act.phase(planned.phase, host.name):
         answer = act.run.ask(host, body, timeout=request.timeout_s + _STOP_MARGIN_S)
         if answer.get("state") not in (protocol.STOPPED, protocol.NOT_RUNNING):

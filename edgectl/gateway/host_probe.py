@@ -12,14 +12,16 @@ from edgectl.gateway.probe_reply import (
     ReplyContext,
     apply_done_tasks,
     decode_done_tasks,
+    decode_former_names,
     decode_host_sample,
     decode_unowned_tasks,
 )
 from edgectl.gateway.probe_request import build_probe_request, list_checked_tasks, list_detected_tasks
 from edgectl.model.inventory import Host, Inventory, Role
-from edgectl.model.snapshot import HostSample, HostStatus, OtherTask, Snapshot, TaskSample
+from edgectl.model.snapshot import HostSample, HostStatus, Snapshot
 from edgectl.model.task import Tasks
 from edgectl.model.text import escape_unprintable
+from edgectl.names import natural_key
 from edgectl.transport.base import Transport
 from edgectl.transport.fleet_lease import FleetLease
 
@@ -43,6 +45,7 @@ class ProbeOptions:
     ``known_tasks``: names of the tasks that this fleet has placed or is about to place; where the first
     release left them on a host without an owner, the fleet adopts them.
     ``former_hosts``: names of hosts that left the inventory, and that hosts are asked to recall.
+    ``manager_id``: the name by which hosts know this manager.
     ``on_host`` is called as each host ends, in the caller's thread, with name, sample and seconds.
     """
 
@@ -53,19 +56,23 @@ class ProbeOptions:
     reopened: frozenset[str] = frozenset()
     known_tasks: Callable[[], frozenset[str]] = frozenset
     former_hosts: frozenset[str] = frozenset()
+    manager_id: str = ""
     on_host: HostCallback = _ignore_host
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Decoded:
-    """The sample of a host, the tasks whose checks passed there, and those that have no owner there."""
+class DecodedProbe:
+    """The sample of a host, the tasks whose checks passed there, those that have no owner there, and the
+    former names that it has adopted.
+    """
 
     sample: HostSample
     done: frozenset[str]
     unowned: frozenset[str]
+    former: frozenset[str]
 
 
-_Answers = dict[str, HostAnswer[_Decoded]]
+_Answers = dict[str, HostAnswer[DecodedProbe]]
 
 
 def probe_hosts(
@@ -99,14 +106,15 @@ def probe_hosts(
         )
         return request if lease is None else {**request, "lease": lease.build_claim(host.name)}
 
-    def decode(reply: HostReply) -> _Decoded:
+    def decode(reply: HostReply) -> DecodedProbe:
         if lease is not None:
             lease.take_reply(reply.host.name, reply.document.get("lease"))
         context = _build_reply_context(reply.host, inventory, tasks, options, clock())
-        return _Decoded(
+        return DecodedProbe(
             sample=decode_host_sample(reply.document, context),
             done=decode_done_tasks(reply.document, list_checked_tasks(tasks, reply.host, elsewhere=True)),
             unowned=decode_unowned_tasks(reply.document),
+            former=decode_former_names(reply.document),
         )
 
     def ask(asked: Sequence[Host]) -> _Answers:
@@ -125,43 +133,72 @@ def probe_hosts(
         return answers
 
     answers = ask(hosts)
-    answers |= ask(_adopt_unowned_tasks(answers, transport, options))
-    taken_at = clock()
-    in_order = {host.name: answers[host.name] for host in hosts}
-    return Snapshot(taken_at=taken_at, hosts=_finalize_samples(in_order, taken_at))
-
-
-def _adopt_unowned_tasks(answers: _Answers, transport: Transport, options: ProbeOptions) -> list[Host]:
-    """Adopt the known tasks without an owner; the hosts that have such tasks."""
-    unowned = {
-        name: answer.value.unowned
-        for name, answer in answers.items()
-        if not isinstance(answer.value, HostError) and answer.value.unowned
+    seen = {host.name: value for host in hosts if isinstance(value := answers[host.name].value, DecodedProbe)}
+    refused = _adopt(seen, inventory, transport, options)
+    answers |= ask([answers[name].host for name, error in refused.items() if error is None])
+    answers |= {
+        name: dataclasses.replace(answers[name], value=error)
+        for name, error in refused.items()
+        if error is not None
     }
-    known = options.known_tasks() if unowned else frozenset()
-    adopted = {name: sorted(tasks & known) for name, tasks in unowned.items() if tasks & known}
-    hosts = [answers[name].host for name in adopted]
+    in_order = {host.name: answers[host.name] for host in hosts}
+    return Snapshot(taken_at=clock(), hosts=_finalize_samples(in_order))
+
+
+def _adopt(
+    seen: Mapping[str, DecodedProbe], inventory: Inventory, transport: Transport, options: ProbeOptions
+) -> dict[str, HostError | None]:
+    """Let the hosts adopt known tasks without an owner, and the former names of their machines.
+
+    The hosts that are to be measured again; with an error those of which it is not known what runs there.
+    """
+    tasks, former = _select_unowned_tasks(seen, options), select_former_names(seen, inventory)
+    hosts = [inventory.hosts[name] for name in seen if tasks[name] or former[name] != seen[name].former]
 
     def build(host: Host, _left: float) -> dict[str, object]:
         return {
             "op": protocol.OP_ADOPT,
             "fleet": host.fleet,
             "host": host.name,
-            "tasks": adopted[host.name],
+            "tasks": sorted(tasks[host.name]),
+            "former": sorted(former[host.name], key=natural_key),
         }
 
-    for _ in ask_all(hosts, transport, build, lambda _reply: None, timeout=options.timeout):
-        pass  # a host that fails here is asked again by the next probe
-    return hosts
+    answers = ask_all(hosts, transport, build, lambda _reply: None, timeout=options.timeout)
+    return {answer.host.name: answer.value for answer in answers}
 
 
-def _get_sample(answer: HostAnswer[_Decoded]) -> HostSample:
+def _select_unowned_tasks(
+    seen: Mapping[str, DecodedProbe], options: ProbeOptions
+) -> dict[str, frozenset[str]]:
+    """The known tasks of each host that the first release left there without an owner."""
+    known = options.known_tasks() if any(each.unowned for each in seen.values()) else frozenset()
+    return {name: each.unowned & known for name, each in seen.items()}
+
+
+def select_former_names(seen: Mapping[str, DecodedProbe], inventory: Inventory) -> dict[str, frozenset[str]]:
+    """The former names that each host should adopt: those it has, and those under which its machine runs
+    tasks of this fleet, without names of the inventory (ADR 0058).
+
+    Two hosts of one machine list the same tasks; the first of them adopts their name.
+    """
+    claimed = {"", *(task.instance for each in seen.values() for task in each.sample.tasks.values())}
+    found = {}
+    for name, each in seen.items():
+        others = [other for other in each.sample.other_tasks if other.instance not in claimed]
+        claimed |= {other.instance for other in others}
+        names = each.former | {other.host for other in others}
+        found[name] = frozenset(names - inventory.hosts.keys())
+    return found
+
+
+def _get_sample(answer: HostAnswer[DecodedProbe]) -> HostSample:
     if isinstance(answer.value, HostError):
         return _build_unreachable_sample(answer.host, answer.value)
     return answer.value.sample
 
 
-def _finalize_samples(answers: Mapping[str, HostAnswer[_Decoded]], taken_at: float) -> dict[str, HostSample]:
+def _finalize_samples(answers: Mapping[str, HostAnswer[DecodedProbe]]) -> dict[str, HostSample]:
     """The samples with their ages, completed by the checks that robots answered for tasks elsewhere."""
     now = time.monotonic()
     done = frozenset[str]().union(
@@ -172,52 +209,19 @@ def _finalize_samples(answers: Mapping[str, HostAnswer[_Decoded]], taken_at: flo
         )
     )
     samples = {name: _finalize_sample(answer, done, now) for name, answer in answers.items()}
-    left = {name: _drop_reported_tasks(sample, samples) for name, sample in samples.items()}
-    return claim_former_tasks(left, taken_at)
-
-
-def claim_former_tasks(samples: Mapping[str, HostSample], taken_at: float) -> dict[str, HostSample]:
-    """``samples`` in which each living task of this fleet that a machine keeps under a host name of the past
-    runs on the first host of that machine (ADR 0040).
-    """
-    claimed: set[str] = {""}
-    found = {}
-    for name, sample in samples.items():
-        former = [
-            each
-            for each in sample.other_tasks
-            if each.host not in samples and each.task not in sample.tasks and each.instance not in claimed
-        ]
-        claimed |= {each.instance for each in sample.other_tasks}
-        seen = {each.task: _build_former_sample(each, taken_at) for each in former}
-        others = tuple(each for each in sample.other_tasks if each not in former)
-        found[name] = dataclasses.replace(sample, tasks={**sample.tasks, **seen}, other_tasks=others)
-    return found
-
-
-def _build_former_sample(other: OtherTask, taken_at: float) -> TaskSample:
-    return TaskSample(
-        state=other.state,
-        started_at=taken_at - other.age_s,
-        instance=other.instance,
-        spec_hash=other.spec_hash,
-        generation=other.generation,
-        filed_as=other.host,
+    reported = frozenset(
+        task.instance for each in samples.values() for task in each.tasks.values() if task.instance
     )
+    return {name: _drop_reported_tasks(sample, reported) for name, sample in samples.items()}
 
 
-def _drop_reported_tasks(sample: HostSample, samples: Mapping[str, HostSample]) -> HostSample:
-    """``sample`` without other tasks that the host of their name reports itself: two names of one machine."""
-    left = tuple(each for each in sample.other_tasks if not _is_reported(each, samples.get(each.host)))
-    return sample if len(left) == len(sample.other_tasks) else dataclasses.replace(sample, other_tasks=left)
+def _drop_reported_tasks(sample: HostSample, reported: frozenset[str]) -> HostSample:
+    """``sample`` without other tasks whose instances a host reports itself: two names of one machine."""
+    left = tuple(each for each in sample.other_tasks if each.instance not in reported)
+    return dataclasses.replace(sample, other_tasks=left)
 
 
-def _is_reported(other: OtherTask, sample: HostSample | None) -> bool:
-    known = sample.tasks.get(other.task) if sample is not None else None
-    return known is not None and known.instance == other.instance
-
-
-def _finalize_sample(answer: HostAnswer[_Decoded], done: frozenset[str], now: float) -> HostSample:
+def _finalize_sample(answer: HostAnswer[DecodedProbe], done: frozenset[str], now: float) -> HostSample:
     sample = _get_sample(answer)
     if not sample.ok:
         return sample
@@ -231,6 +235,7 @@ def _build_reply_context(
     return ReplyContext(
         host=host,
         answered_at=answered_at,
+        manager_id=options.manager_id,
         declared={robot: value for (edge, robot), value in inventory.links.items() if edge == host.name},
         measured={robot: value for (edge, robot), value in options.measured.items() if edge == host.name},
         robots=tuple(robot.name for robot in inventory.robots),

@@ -12,6 +12,7 @@ from edgectl.errors import ReplyError
 from edgectl.gateway.replies import (
     DEVICE_USAGE,
     TASK_USAGE,
+    GrantsReply,
     InterfaceReply,
     LinkReply,
     OtherTaskReply,
@@ -53,6 +54,7 @@ class ReplyContext:
 
     ``answered_at`` (s since 1970, the manager's clock): when the document came.
     ``declared`` and ``measured``: bytes/s by robot of this host's links.
+    ``manager_id``: the name by which hosts know this manager; "" before it has changed anything.
     ``robots``: those asked for. ``blind``: robots that are never contacted and so never count as unreachable.
     ``reopened``: instances whose end, completed or given up, no longer counts.
     ``checked``: tasks whose ``done_when`` was to be checked there; ``detected``: tasks that were to be found
@@ -61,6 +63,7 @@ class ReplyContext:
 
     host: Host
     answered_at: float
+    manager_id: str = ""
     declared: Mapping[str, float] = field(default_factory=dict)
     measured: Mapping[str, float] = field(default_factory=dict)
     robots: tuple[str, ...] = ()
@@ -94,6 +97,8 @@ def decode_host_sample(document: ReplyDocument, context: ReplyContext) -> HostSa
         tasks=tasks,
         device=_build_device(reply, context.answered_at),
         generations=_build_generations(reply, tasks),
+        grant=reply.grants.epoch,
+        foreign_grant=_find_foreign_grant(reply.grants, context.manager_id),
         address=context.host.address,
         machine="" if reply.machine.startswith("/") else reply.machine,
         other_tasks=tuple(each for each in others if each.fleet == context.host.fleet),
@@ -128,6 +133,15 @@ def decode_unowned_tasks(document: ReplyDocument) -> frozenset[str]:
         ReplyError: the reply is no probe.
     """
     return frozenset(decode_reply(ProbeReply, document).unowned)
+
+
+def decode_former_names(document: ReplyDocument) -> frozenset[str]:
+    """The former names of this host that it has adopted (ADR 0058).
+
+    Raises:
+        ReplyError: the reply is no probe.
+    """
+    return frozenset(decode_reply(ProbeReply, document).former)
 
 
 def _list_done_tasks(reply: ProbeReply) -> frozenset[str]:
@@ -167,6 +181,11 @@ def _decode_task_or_stub(name: str, entry: object, context: ReplyContext) -> Tas
             started_at=context.answered_at,
             detail=f"its entry cannot be read: {error.message}",
         )
+
+
+def _find_foreign_grant(grants: GrantsReply, manager_id: str) -> int:
+    last = grants.other_epoch if grants.holder == manager_id else grants.epoch
+    return min(last, grants.epoch)
 
 
 def _build_other_task(reply: OtherTaskReply) -> OtherTask:

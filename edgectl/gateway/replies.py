@@ -134,6 +134,15 @@ class OtherTaskReply:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class GrantsReply:
+    """The holder and number of the last grant of a host, and the number of the last one to somebody else."""
+
+    holder: Text = ""
+    epoch: Count = 0
+    other_epoch: Count = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ProbeReply:
     """Reply to a probe.
 
@@ -153,9 +162,11 @@ class ProbeReply:
     links: Annotated[Mapping[Text, LinkReply], ALONE] = field(default_factory=dict)
     tasks: Annotated[Mapping[Text, object], ALONE] = field(default_factory=dict)
     checks: Annotated[Mapping[Text, CheckReply], ALONE] = field(default_factory=dict)
+    grants: GrantsReply = GrantsReply()
     generations: Annotated[Mapping[Text, object], ALONE] = field(default_factory=dict)
     other_tasks: Annotated[tuple[OtherTaskReply, ...], ALONE] = ()
     unowned: Annotated[tuple[Text, ...], ALONE] = ()
+    former: Annotated[tuple[Text, ...], ALONE] = ()
 
 
 # Usage of a task, and capacity and usage of each resource of a device, under the keys of the table.

@@ -35,12 +35,39 @@ class Contribution:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class FirstMove:
+    """Another task that a change moves first: to ``host`` (None: nowhere), beyond ``amount``."""
+
+    task: str
+    host: str | None
+    amount: float
+
+
+class TieRule(StrEnum):
+    """What decides between hosts of equal utility."""
+
+    RUNS_THERE = "runs-there"
+    FEWEST_TASKS = "fewest-tasks"
+    NAMES = "order-of-names"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tie:
+    """Other hosts with the same utility as the chosen one, and what decided."""
+
+    hosts: tuple[str, ...]
+    rule: TieRule
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Flip:
-    """One change after which the task would go to ``winner`` (None: nowhere).
+    """One change after which the task would go to ``winner`` (None: nowhere; its own host: it stays, because
+    ``first`` makes way).
 
     Of a load: ``host``, and ``amount`` of its resource to be exceeded. Of a weight: ``amount`` is the weight
     to be crossed, the others sharing the rest as they share it now. ``size`` compares changes: share of the
-    capacity, or of the whole weight (0..).
+    capacity, or of the whole weight (0..). ``unit``: the capacity, 1 for a weight. ``first``: the move of
+    another task that comes before, in the whole plan.
     """
 
     change: ChangeKind
@@ -50,6 +77,8 @@ class Flip:
     winner: str | None
     host: str | None = None
     robot: str | None = None
+    unit: float = 1.0
+    first: FirstMove | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,7 +89,8 @@ class Explanation:
     before the choice changes, None where no fall changes it. ``noise``: standard deviation of the difference
     of the two totals over the last samples, None where too few are known. ``flips``: smallest first, at most
     one per change, term and host. ``linear``: whether eq. (4) is linear in the load of each link, which it is
-    not for a task of several robots.
+    not for a task of several robots. ``tie``: hosts that are equal. ``pin``: the host that the task file
+    pins it to.
     """
 
     decision: Decision
@@ -71,6 +101,8 @@ class Explanation:
     noise: float | None = None
     flips: tuple[Flip, ...] = ()
     linear: bool = True
+    tie: Tie | None = None
+    pin: str | None = None
 
     @property
     def fragile(self) -> bool:

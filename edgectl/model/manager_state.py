@@ -53,7 +53,8 @@ class ManagerState:
     that may have reached it. ``fenced``: hosts that the operator declared switched off; a host that answers
     is not. ``deferred``: tasks whose last action was put off with nothing touched, and why. ``measured``: by
     task and class of host, of the tasks whose demand is not all declared. ``orphans``: by host, the tasks
-    that had no supervisor there when it last answered.
+    that had no supervisor there when it last answered. ``synced``: by host, the number of its grant when this
+    manager last saw all hosts and noted what runs where.
     """
 
     managed: bool = field(default=False, metadata=_WRITTEN)
@@ -74,3 +75,4 @@ class ManagerState:
         default_factory=dict, metadata=in_document(always=True, entries=("task", "class"))
     )
     orphans: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    synced: Mapping[str, int] = field(default_factory=dict)

@@ -87,8 +87,7 @@ class TaskSample:
     ``started_at``: 0 where it is not known any more.
     ``metrics``: what the application says of itself, the last value by name, also after its end. ``file``:
     the task file that it was started from. ``orphaned``: it lives without a supervisor; ``adoptable``: a new
-    one can take it over as it is (ADR 0041). ``filed_as``: the host name under which its machine
-    keeps it, where that is a former one (ADR 0040); its usage is not measured then.
+    one can take it over as it is (ADR 0041).
     """
 
     state: TaskState
@@ -115,7 +114,6 @@ class TaskSample:
     file: str = ""
     orphaned: bool = False
     adoptable: bool = False
-    filed_as: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -170,7 +168,8 @@ class HostSample:
     has under another host name, unless that host reports them itself. ``foreign_tasks``: tasks of other
     fleets; they are load, and nothing else is done with them. ``address``: as the inventory states it.
     ``machine``: machine id, user and state directories of the login, as ``ID/UID/HASH``; "" where there is no
-    machine id.
+    machine id. ``grant``: how often the host has granted the fleet to a manager. ``foreign_grant``: number of
+    the last grant to another manager than the one that took the snapshot.
     """
 
     role: Role
@@ -194,6 +193,8 @@ class HostSample:
     foreign_tasks: tuple[OtherTask, ...] = ()
     address: str = ""
     machine: str = ""
+    grant: int = 0
+    foreign_grant: int = 0
 
     @property
     def ok(self) -> bool:

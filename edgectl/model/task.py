@@ -184,9 +184,10 @@ class Task:
     ``env`` may be ``Secret``; ``env_command`` is an argument vector that prints more of them as lines
     NAME=value. ``spec_fields``: short hash of each field that ``spec_hash`` covers. ``self_fence``: its
     supervisor stops it when no request of a manager has reached the host for so many seconds; None: never.
-    ``up``: without ``ready``, how long (s) the command must have run until it counts as ready; None: the
-    default. ``downtime_cost``: utility lost per second of downtime, 0 or more; weighed once downtimes are
-    measured. ``file``: the task file that lists it (ADR 0039); it is no part of any digest.
+    ``preempt``: it may take the room of tasks of lower priority, which are then stopped. ``up``: without
+    ``ready``, how long (s) the command must have run until it counts as ready; None: the default.
+    ``downtime_cost``: utility lost per second of downtime, 0 or more; weighed once downtimes are measured.
+    ``file``: the task file that lists it (ADR 0039); it is no part of any digest.
     """
 
     name: str
@@ -197,6 +198,7 @@ class Task:
     robots: tuple[str, ...] = ()
     needs: tuple[Need, ...] = ()
     priority: float = 0.0
+    preempt: bool = False
     deadline: float | None = None
     hosts: HostRules = HostRules()
     onboard: OnboardRule = OnboardRule.ALLOW

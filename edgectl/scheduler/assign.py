@@ -12,7 +12,7 @@ from edgectl.model.inventory import Inventory
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.policy import Policy
 from edgectl.model.snapshot import Snapshot
-from edgectl.model.task import Need, NeedCondition, Task, Tasks
+from edgectl.model.task import Task, Tasks
 from edgectl.scheduler.candidates import AssignmentContext, evaluate_candidates
 from edgectl.scheduler.capacities import build_capacities
 from edgectl.scheduler.choice import Choice, MoveConstraints
@@ -28,9 +28,10 @@ from edgectl.scheduler.initial_state import InitialState, RunningTask, build_ini
 from edgectl.scheduler.ledger import Ledger, compute_demand_usage
 from edgectl.scheduler.move_cost import collect_handoff_history
 from edgectl.scheduler.policies import POLICIES, SchedulingPolicy
+from edgectl.scheduler.repair import UnrepairedPlan, repair_plan
 from edgectl.scheduler.reservation import reserve_running_tasks
 from edgectl.scheduler.scan import build_demand_shares
-from edgectl.scheduler.sequence import order_tasks
+from edgectl.scheduler.sequence import is_need_met, order_tasks
 from edgectl.scheduler.shortage import compute_shortages
 from edgectl.scheduler.task_usage import TaskUsage
 
@@ -113,8 +114,8 @@ def state_from_pass(state: InitialState, outcome: PassResult, initial: InitialSt
         if choice.place is not None
     }
     unplaced = {name for name, choice in outcome.choices.items() if choice.place is None}
-    kept = {name: place for name, place in state.located.items() if name not in unplaced}
-    located = {**kept, **{name: there.place for name, there in running.items()}}
+    located = {name: place for name, place in state.located.items() if name not in unplaced}
+    located |= {name: there.place for name, there in running.items()}
     return replace(state, ledger=outcome.ledger, running=running, located=located)
 
 
@@ -132,7 +133,11 @@ def collect_prior_moves(
     """The choices that moved tasks away from their initial places, by task."""
     moves = {
         **prior_moves,
-        **{name: choice for name, choice in outcome.choices.items() if choice.verdict is Verdict.PLACED},
+        **{
+            name: choice
+            for name, choice in outcome.choices.items()
+            if choice.verdict is Verdict.PLACED or choice.reason is Reason.PREEMPTED
+        },
     }
     return {name: choice for name, choice in moves.items() if choice.place != _find_place(initial, name)}
 
@@ -164,8 +169,9 @@ def _decide_task(
     if missing is not None:
         reason = Reason.PREDECESSOR_INCOMPLETE if missing in progress.located else Reason.PREDECESSOR_MISSING
         choice = Choice(verdict=Verdict.UNPLACED, reason=reason, subject=missing)
+        told = rebase_on_initial(choice, _find_place(how.initial, task.name), prior_moves.get(task.name))
         progress.decisions.append(
-            explain_replacement(unplaced_decision(task, choice), how.initial.replaced.get(task.name))
+            explain_replacement(unplaced_decision(task, told), how.initial.replaced.get(task.name))
         )
     else:
         choice = _choose_place(how, state, prior_moves, progress, task)
@@ -240,14 +246,7 @@ def _find_missing_predecessor(
     task: Task, located: Mapping[str, int], completed: frozenset[str]
 ) -> str | None:
     """The first predecessor that is not as far as ``task`` needs it."""
-    return next((need.task for need in task.needs if not _is_need_met(need, located, completed)), None)
-
-
-def _is_need_met(need: Need, located: Mapping[str, int], completed: frozenset[str]) -> bool:
-    """Placed in this plan or running is enough (the executor waits for ready), unless it must have completed
-    (ADR 0013).
-    """
-    return need.task in completed or (need.until is not NeedCondition.COMPLETED and need.task in located)
+    return next((need.task for need in task.needs if not is_need_met(need, located, completed)), None)
 
 
 # Passes that are tried before a plan counts as one that does not settle (ADR 0010).
@@ -307,23 +306,67 @@ def _select_first_placements(manager: ManagerState, state: InitialState) -> dict
 
 
 def _run_until_settled(how: PlacementPass, initial: InitialState) -> tuple[PassResult, bool]:
+    """A plan that its repetition does not change, with room made for tasks that found none (ADR 64)."""
+    outcome, settled, prior_moves = _settle(how, initial, {})
+    changed = _repair(how, outcome, prior_moves)
+    if not changed:
+        return outcome, settled
+    repaired = _change_choices(how, outcome, changed)
+    moves = collect_prior_moves(repaired, prior_moves, initial)
+    outcome, settled, _ = _settle(how, state_from_pass(initial, repaired, initial), moves)
+    return outcome, settled
+
+
+def _settle(
+    how: PlacementPass, start: InitialState, prior_moves: Mapping[str, Choice]
+) -> tuple[PassResult, bool, Mapping[str, Choice]]:
     """The first of five passes that its repetition does not change; else one without voluntary moves.
 
-    The first pass is recorded at once, because most plans stand at once; a later one only when it is known to
-    be the one.
+    With it, whether it settled, and the moves before it. The first pass is recorded at once, because most
+    plans stand at once; a later one only when it is known to be the one.
     """
     recorded = replace(how, record=True)
-    state = initial
-    prior_moves: dict[str, Choice] = {}
-    outcome = run_pass(recorded, state, prior_moves)
+    state, moves = start, prior_moves
+    outcome = run_pass(recorded, state, moves)
     for _ in range(MAX_PASSES):
-        put = collect_prior_moves(outcome, prior_moves, initial)
-        next_world = state_from_pass(state, outcome, initial)
-        repeated = run_pass(how, next_world, put)
+        put = collect_prior_moves(outcome, moves, how.initial)
+        next_state = state_from_pass(state, outcome, how.initial)
+        repeated = run_pass(how, next_state, put)
         if repeated.places == outcome.places:
-            return outcome if state is initial else run_pass(recorded, state, prior_moves), True
-        state, prior_moves, outcome = next_world, put, repeated
-    return run_pass(replace(recorded, voluntary=False), initial, {}), False
+            return outcome if state is start else run_pass(recorded, state, moves), True, moves
+        state, moves, outcome = next_state, put, repeated
+    return run_pass(replace(recorded, voluntary=False), start, prior_moves), False, prior_moves
+
+
+def _repair(how: PlacementPass, outcome: PassResult, prior_moves: Mapping[str, Choice]) -> dict[str, Choice]:
+    moves = collect_prior_moves(outcome, prior_moves, how.initial)
+    left = _count_moves_left(how, moves)
+    return repair_plan(
+        UnrepairedPlan(
+            context=how.context,
+            order=how.order,
+            initial=how.initial,
+            choices=outcome.choices,
+            placed=outcome.placed,
+            ledger=outcome.ledger,
+            moves_left=None if left is None else max(0, left),
+        )
+    )
+
+
+def _change_choices(how: PlacementPass, outcome: PassResult, changed: Mapping[str, Choice]) -> PassResult:
+    """``outcome`` with other choices for some tasks, and gamma in step with them."""
+    ledger, placed = outcome.ledger.copy(), dict(outcome.placed)
+    for name in changed:
+        if name in placed:
+            ledger.release(*placed.pop(name))
+    for task in how.order:
+        choice = changed.get(task.name)
+        if choice is not None and choice.place is not None:
+            use = compute_demand_usage(ledger.fleet, task, choice.place)
+            ledger.charge(choice.place, use)
+            placed[task.name] = choice.place, use
+    return replace(outcome, choices={**outcome.choices, **changed}, placed=placed, ledger=ledger)
 
 
 def _run_once(how: PlacementPass, initial: InitialState) -> tuple[PassResult, bool]:

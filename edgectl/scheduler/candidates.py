@@ -200,6 +200,13 @@ def terms_at(
     return terms, total_utility(candidates.context.policy.weights, terms), rejections
 
 
+def list_allowed_places(context: AssignmentContext, task: Task, incumbent: int | None) -> Sequence[int]:
+    """The places that may take ``task``, by all rules but the room that is left there, edges first."""
+    robots = _list_robot_places(context, task, incumbent)
+    listed, denied = _list_candidates(context, task, incumbent, robots)
+    return [place for place in listed if place not in denied] if denied else listed
+
+
 def _list_robot_places(context: AssignmentContext, task: Task, incumbent: int | None) -> list[int]:
     """The robots that a ranking lists: the one that may host the task, and the one that the task runs on."""
     own = context.rules.robot_of(context.fleet, task)

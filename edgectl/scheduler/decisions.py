@@ -20,6 +20,11 @@ def rebase_on_initial(choice: Choice, initial_place: int | None, prior_move: Cho
 
     ``prior_move`` first moved it.
     """
+    if prior_move is not None and prior_move.reason in (Reason.MADE_ROOM, Reason.PREEMPTED):
+        if choice.place is None:
+            return replace(choice, reason=Reason.PREEMPTED, subject=prior_move.subject)
+        if choice.place != initial_place:
+            return replace(prior_move, verdict=Verdict.PLACED, reason=Reason.MADE_ROOM, place=choice.place)
     if choice.verdict is Verdict.PLACED and choice.place == initial_place:
         return Choice(verdict=Verdict.KEPT, reason=Reason.STILL_BEST, place=initial_place)
     if choice.verdict is Verdict.KEPT and choice.place != initial_place and prior_move is not None:
@@ -60,7 +65,9 @@ def build_decision(candidates: CandidateSet, choice: Choice, initial_place: int 
         lead=None if total is None or other is None or other.total is None else total - other.total,
         challenger=other.host if other and host is not None else None,
         subject=subject,
-        amount=_compute_gain(candidates, choice, initial_place) if choice.voluntary else choice.amount,
+        amount=_compute_gain(candidates, choice, initial_place)
+        if choice.voluntary and choice.reason is not Reason.MADE_ROOM
+        else choice.amount,
         cost=choice.cost,
         nearest=_get_place_name(candidates.context.fleet, choice.nearest),
         overcommitted=entry is not None and _is_overcommitted(entry),

@@ -5,12 +5,13 @@ tasks stay where they are and use what they use. Eq. (4) is linear in each of th
 in closed form (``sensitivity``).
 """
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import inf, sqrt
 
 from edgectl.model.assignment import Decision, RankedHost, Reason, RejectionRule, UtilityTerms, Verdict
-from edgectl.model.explanation import ChangeKind, Contribution, Explanation, Flip
+from edgectl.model.explanation import ChangeKind, Contribution, Explanation, Flip, Tie, TieRule
 from edgectl.model.inventory import Inventory
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.policy import Policy, Weights
@@ -21,8 +22,9 @@ from edgectl.scheduler.capacities import Capacities, build_capacities
 from edgectl.scheduler.ledger import Ledger, build_measured_ledger, compute_measured_usage
 from edgectl.scheduler.move_cost import HandoffHistory, collect_handoff_history, estimate_move_cost
 from edgectl.scheduler.policies import POLICIES
-from edgectl.scheduler.sensitivity import Contender, LinearFunction, find_first_change
+from edgectl.scheduler.sensitivity import Contender, LinearFunction, find_first_change, find_winner
 from edgectl.scheduler.slack import get_slack
+from edgectl.scheduler.utility import EPSILON
 
 # A weight is changed within 0..1; where it is 1 already the others have no shares to grow by. At the very
 # ends a crossing is rounding.
@@ -36,6 +38,9 @@ _CONSTRAINED_REASONS = (
     Reason.UNSETTLED,
     Reason.BEST_EFFORT,
     Reason.REPLACED,
+    Reason.MADE_ROOM,
+    Reason.ROOM_MADE,
+    Reason.PREEMPTED,
     Reason.RELIEF,
 )
 _EXPLAINABLE_VERDICTS = (Verdict.PLACED, Verdict.KEPT, Verdict.UNPLACED)
@@ -94,7 +99,9 @@ def explain_decision(
             _compute_dwell_s(manager, task, snapshot.taken_at),
         ),
     )
-    plain = Explanation(decision=decision, weights=policy.weights, linear=len(task.robots) <= 1)
+    plain = Explanation(
+        decision=decision, weights=policy.weights, linear=len(task.robots) <= 1, pin=task.hosts.pin
+    )
     here = _find_ranked_host(ranked, decision.host)
     there = _find_ranked_host(ranked, decision.challenger)
     if here is not None and there is not None:
@@ -107,6 +114,7 @@ def explain_decision(
         not POLICIES[policy.name].weighs_moves
         or decision.verdict not in _EXPLAINABLE_VERDICTS
         or decision.reason in _CONSTRAINED_REASONS
+        or not _is_decided_by_totals(case)
         or (decision.reason is Reason.NOTHING_FITS and here is not None)
     ):
         return plain
@@ -117,6 +125,37 @@ def explain_decision(
         noise=lead_noise,
         flips=tuple(sorted(_find_flips(case), key=lambda flip: flip.size)),
     )
+
+
+def find_tie(decision: Decision, earlier: Sequence[Decision]) -> Tie | None:
+    """The hosts that are equal to the chosen one, and what decided between them.
+
+    ``earlier``: the decisions before it, in sequence order.
+    """
+    equal = tuple(
+        entry.host
+        for entry in decision.ranking
+        if entry.feasible
+        and entry.host != decision.host
+        and None not in (entry.total, decision.total)
+        and abs((entry.total or 0.0) - (decision.total or 0.0)) <= EPSILON
+    )
+    if not equal or decision.host is None:
+        return None
+    counts = Counter(other.host for other in earlier)
+    if decision.previous_host == decision.host:
+        rule = TieRule.RUNS_THERE
+    elif all(counts[host] > counts[decision.host] for host in equal):
+        rule = TieRule.FEWEST_TASKS
+    else:
+        rule = TieRule.NAMES
+    return Tie(hosts=equal, rule=rule)
+
+
+def _is_decided_by_totals(case: _Case) -> bool:
+    """Whether eq. (5) with handoff avoidance gives the decision; else no change of a number explains it."""
+    runners = [_build_contender(case, entry) for entry in case.ranked]
+    return find_winner(runners, case.decision.previous_host, 0.0) == case.decision.host
 
 
 def _build_ledger_of_others(fleet: Capacities) -> Ledger:
@@ -259,7 +298,14 @@ def _find_load_flips(case: _Case, entry: RankedHost, resource: Resource) -> Iter
             amount, then = found
             size = amount / capacity
             yield Flip(
-                change=change, term=term, amount=amount, size=size, winner=then, host=entry.host, robot=robot
+                change=change,
+                term=term,
+                amount=amount,
+                size=size,
+                winner=then,
+                host=entry.host,
+                robot=robot,
+                unit=capacity,
             )
 
 

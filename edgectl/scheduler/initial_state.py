@@ -12,6 +12,7 @@ from edgectl.model.snapshot import HostSample, TaskSample, TaskState
 from edgectl.model.task import Task, Tasks
 from edgectl.rules.lost_places import LostPlace, build_lost_place_decision, find_lost_place
 from edgectl.rules.measured_demand import WARM_UP_S
+from edgectl.rules.other_managers import is_up_to_date
 from edgectl.rules.task_origin import is_left_alone
 from edgectl.scheduler.capacities import Capacities
 from edgectl.scheduler.claims import Standing, find_record, judge_report
@@ -77,6 +78,7 @@ class _InitialStateBuilder:
     manager: ManagerState
     now: float
     frozen: bool
+    unsure: str | None
     running: dict[str, RunningTask] = field(default_factory=dict)
     held: dict[str, RunningTask] = field(default_factory=dict)
     located: dict[str, int] = field(default_factory=dict)
@@ -101,6 +103,7 @@ def build_initial_state(
         manager=manager,
         now=now,
         frozen=_is_partition_suspected(fleet, manager),
+        unsure=_find_unsure_host(fleet, manager),
     )
     # In the order of the names: sums of floats depend on their order, and the order of a file must not
     # matter.
@@ -139,6 +142,26 @@ def _is_partition_suspected(fleet: Capacities, manager: ManagerState) -> bool:
         if not (fleet.is_unreachable(place) and fleet.places[place].name in manager.fenced)
     ]
     return sum(map(fleet.is_unreachable, asked)) > MAX_UNREACHABLE_SHARE * len(asked)
+
+
+def _find_unsure_host(fleet: Capacities, manager: ManagerState) -> str | None:
+    """A silent host on which another manager may have placed any task (ADR 0055); None: there is none.
+
+    Where others were granted the fleet after this manager last saw all hosts, its record may be out of date.
+    """
+    silent = [
+        host.name
+        for place, host in enumerate(fleet.places)
+        if (place < fleet.edges or host.onboard)
+        and fleet.is_unreachable(place)
+        and host.name not in manager.fenced
+    ]
+    samples = {
+        host.name: sample
+        for host, sample in zip(fleet.places, fleet.samples, strict=True)
+        if sample is not None
+    }
+    return silent[0] if silent and not is_up_to_date(manager, samples) else None
 
 
 def _collect_instances(fleet: Capacities) -> dict[str, tuple[FoundInstance, ...]]:
@@ -196,8 +219,18 @@ def _add_task(builder: _InitialStateBuilder, task: Task, sightings: tuple[FoundI
         _add_running_task(builder, task, current)
     elif away is not None or lost is not None:
         builder.replaced[task.name] = away or (lost.host if lost is not None else "")
-    elif (ended := _find_given_up_run(builder, task, sightings)) is not None:
+    else:
+        _add_absent_task(builder, task, sightings)
+
+
+def _add_absent_task(builder: _InitialStateBuilder, task: Task, sightings: tuple[FoundInstance, ...]) -> None:
+    """A task that no host shows alive: given up, held, or to be placed."""
+    if (ended := _find_given_up_run(builder, task, sightings)) is not None:
         builder.fixed[task.name] = _build_given_up_decision(task, ended, _get_instance_host(builder, ended))
+    elif builder.unsure is not None:
+        builder.fixed[task.name] = Decision(
+            task=task.name, verdict=Verdict.HELD, reason=Reason.HOST_UNSURE, subject=builder.unsure
+        )
 
 
 def _select_counted(

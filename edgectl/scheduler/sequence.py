@@ -2,10 +2,10 @@
 
 import heapq
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 
 from edgectl.model.policy import SequenceRule
-from edgectl.model.task import Task
+from edgectl.model.task import Need, NeedCondition, Task
 from edgectl.names import natural_key
 
 
@@ -41,6 +41,13 @@ def order_tasks(tasks: Iterable[Task], rule: SequenceRule) -> tuple[Task, ...]:
         stuck = sorted((name for name, needs in waiting.items() if needs), key=natural_key)
         raise ValueError(f"needs form a cycle among {', '.join(stuck)}")
     return tuple(ordered)
+
+
+def is_need_met(need: Need, located: Collection[str], completed: Collection[str]) -> bool:
+    """Placed in this plan or running is enough (the executor waits for ready), unless it must have completed
+    (ADR 0013).
+    """
+    return need.task in completed or (need.until is not NeedCondition.COMPLETED and need.task in located)
 
 
 def _connectivity_key(task: Task) -> tuple[float, tuple[tuple[str | int, ...], str]]:

@@ -31,6 +31,19 @@ def load_manager_id(fleet_dir: Path) -> str:
                 os.fsync(descriptor)
     finally:
         os.close(descriptor)
+    return _compute_name(token)
+
+
+def find_manager_id(fleet_dir: Path) -> str:
+    """The name of this manager; "" where it has none yet, or none that can be read."""
+    try:
+        token = (fleet_dir / _FILE_NAME).read_bytes()[:_TOKEN_BYTES]
+    except OSError:
+        return ""
+    return _compute_name(token) if len(token) == _TOKEN_BYTES else ""
+
+
+def _compute_name(token: bytes) -> str:
     return hashlib.sha256(token + _read_machine_id()).hexdigest()[:32]
 
 

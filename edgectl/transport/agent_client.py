@@ -39,6 +39,9 @@ _TOO_OLD_PATTERN = re.compile(rb"unknown option:? -[IS]", re.IGNORECASE)
 _MAX_MESSAGE = 1000
 # Of the length of a chunk of a log, digits.
 _MAX_HEAD_BYTES = 7
+# By fleet; without one the compiled agent is used by this process alone.
+_CACHE_KEYS: dict[str, str] = {}
+_PROCESS_KEY = secrets.token_hex(16)
 _PYTHON_HINT = "install python3 (3.6 or later) on the host"
 
 
@@ -71,6 +74,11 @@ def compute_agent_hash() -> str:
     return hashlib.sha256(build_agent_zipapp()).hexdigest()
 
 
+def use_cache_key(fleet: str, key: str) -> None:
+    """Seal the compiled agent on the hosts of ``fleet`` with ``key``, letters and digits (ADR 57)."""
+    _CACHE_KEYS[fleet] = key
+
+
 @cache
 def _read_boot_program() -> bytes:
     text = (_AGENT_DIR / "link" / "boot.py").read_bytes()
@@ -79,7 +87,8 @@ def _read_boot_program() -> bytes:
 
 def _build_packet(request: Mapping[str, object], marker: str, timeout: float, agent: bytes) -> bytes:
     body = json.dumps(request, allow_nan=False).encode()
-    head = f"{marker} {compute_agent_hash()} {len(body)} {len(agent)} {timeout:.3f}\n"
+    key = _CACHE_KEYS.get(str(request.get("fleet")), _PROCESS_KEY)
+    head = f"{marker} {compute_agent_hash()} {len(body)} {len(agent)} {timeout:.3f} {key}\n"
     return _read_boot_program() + head.encode() + body + agent
 
 

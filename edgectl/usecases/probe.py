@@ -9,6 +9,7 @@ from edgectl.model.snapshot import BandwidthMeasurement, HostSample, Snapshot
 from edgectl.state.heartbeats import load_heartbeats, record_orphans
 from edgectl.state.journal import JOURNAL_FILE_NAME
 from edgectl.state.journal_reader import read_journal_cached
+from edgectl.state.manager_identity import find_manager_id
 from edgectl.state.manager_state import (
     load_ignored_instances,
     load_link_capacities,
@@ -37,6 +38,7 @@ def probe_fleet(fleet: Fleet, options: ProbeOptions | None = None) -> Snapshot:
         reopened=reopened,
         known_tasks=lambda: _list_known_tasks(fleet),
         former_hosts=_list_former_hosts(fleet),
+        manager_id=find_manager_id(fleet.state),
     )
     fenced = load_heartbeats(fleet.state, fleet.warn).fenced
     with track_heartbeats(fleet) as tracked:

@@ -3,16 +3,22 @@
 from collections.abc import Iterable, Sequence
 
 from edgectl.formats.document import Document
-from edgectl.model.explanation import ChangeKind, Explanation, Flip
+from edgectl.model.assignment import Decision
+from edgectl.model.explanation import ChangeKind, Explanation, FirstMove, Flip, Tie, TieRule
 from edgectl.model.plan import Action, Step
 from edgectl.model.resource import RESOURCES_BY_NAME
-from edgectl.views.glossary import head
+from edgectl.views.glossary import head, list_shown_weights
 from edgectl.views.output import ItemView
 from edgectl.views.output_format import WIDE_FORMATS
 from edgectl.views.plan_sections import format_utility
-from edgectl.views.reasons import describe_reason
+from edgectl.views.reasons import describe_reason, join_words
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, render_columns, style_text, wrap_text
 
+_TIE_RULES = {
+    TieRule.RUNS_THERE: "it does not leave the host where it runs",
+    TieRule.FEWEST_TASKS: "fewer tasks were placed on the chosen host",
+    TieRule.NAMES: "the order of names decides",
+}
 _WEIGHT_CHANGES = (ChangeKind.WEIGHT_RISES, ChangeKind.WEIGHT_FALLS)
 
 
@@ -72,6 +78,9 @@ class ExplanationView(ItemView):
             "slack": value.slack,
             "noise": value.noise,
             "fragile": value.fragile,
+            "pinned_to": value.pin,
+            "equal_hosts": [] if value.tie is None else list(value.tie.hosts),
+            "tie_rule": None if value.tie is None else value.tie.rule.value,
             "contributions": [
                 {
                     "term": each.term,
@@ -90,7 +99,8 @@ def _render_contributions(value: Explanation, look: RenderOptions) -> str:
     here, there = value.decision.host or "", value.runner_up or ""
     hosts = (Cell(here, "head"), Cell(there, "head"))
     rows: list[Row] = [(*head("term", "weight"), *hosts, Cell("ADDS TO LEAD", "head"))]
-    for each in value.contributions:
+    shown = list_shown_weights({each.term: each.weight for each in value.contributions})
+    for each in (each for each in value.contributions if each.term in shown):
         style = "good" if each.lead > 0 else "bad" if each.lead < 0 else "dim"
         rows.append(
             (
@@ -117,12 +127,19 @@ def _render_contributions(value: Explanation, look: RenderOptions) -> str:
 
 def _list_sentences(value: Explanation, *, every: bool, complete: bool) -> Iterable[str]:
     flips = value.flips if every else _select_smallest_flips(value.flips)
+    if value.tie is not None:
+        yield _describe_tie(value.tie)
+    if value.pin is not None:
+        yield f"Its task file pins it to {value.pin}: no load and no weight sends it anywhere else."
     for flip in flips:
-        yield f"{_describe_flip_outcome(flip)} if {_describe_flip_condition(flip)}."
+        outcome = _describe_flip_outcome(flip, value.decision)
+        yield f"{outcome} if {_describe_flip_condition(flip, flip.amount)}."
+        if flip.first is not None:
+            yield _describe_first_move(flip, flip.first)
     if value.decision.host is not None and not value.contributions:
         among = "" if complete else " of those that answer"
         yield f"No other host{among} fits (edgectl plan -o wide shows what each lacks)."
-    if not value.flips:
+    if not value.flips and value.pin is None:
         yield "No single change of a load or a weight would change this."
     if not value.linear:
         yield (
@@ -143,21 +160,34 @@ def _select_smallest_flips(flips: Iterable[Flip]) -> list[Flip]:
     return loads[:1] + weights[:1]
 
 
-def _describe_flip_outcome(flip: Flip) -> str:
+def _describe_tie(tie: Tie) -> str:
+    are = "is" if len(tie.hosts) == 1 else "are"
+    return f"{join_words(tie.hosts)} {are} equal; {_TIE_RULES[tie.rule]}."
+
+
+def _describe_first_move(flip: Flip, first: FirstMove) -> str:
+    """The move of another task before that change."""
+    goes = f"moves to {first.host}" if first.host else "finds no host"
+    return f"Before that, {first.task} {goes} if {_describe_flip_condition(flip, first.amount)}."
+
+
+def _describe_flip_outcome(flip: Flip, decision: Decision) -> str:
+    if flip.winner is not None and flip.winner == decision.host:
+        return f"{decision.task} stays even"
     return f"{flip.winner} would win" if flip.winner else "It would fit nowhere"
 
 
-def _describe_flip_condition(flip: Flip) -> str:
+def _describe_flip_condition(flip: Flip, amount: float) -> str:
     if flip.change in _WEIGHT_CHANGES:
         word = "above" if flip.change is ChangeKind.WEIGHT_RISES else "below"
-        return f"the weight of {flip.term} were {word} {flip.amount:.3f}, the others sharing the rest"
+        return f"the weight of {flip.term} were {word} {amount:.3f}, the others sharing the rest"
     what = (
         f"the load of the link {flip.host} to {flip.robot}"
         if flip.robot
         else f"the {flip.term} load of {flip.host}"
     )
     verb = "rose" if flip.change is ChangeKind.LOAD_RISES else "fell"
-    return f"{what} {verb} by more than {RESOURCES_BY_NAME[flip.term].unit.format_exact(flip.amount)}"
+    return f"{what} {verb} by more than {RESOURCES_BY_NAME[flip.term].unit.format_exact(amount)}"
 
 
 def _encode_flip(flip: Flip) -> Document:
@@ -170,4 +200,7 @@ def _encode_flip(flip: Flip) -> Document:
         "unit": "weight" if flip.change in _WEIGHT_CHANGES else RESOURCES_BY_NAME[flip.term].unit.name,
         "size": flip.size,
         "winner": flip.winner,
+        "moves_first": None
+        if flip.first is None
+        else {"task": flip.first.task, "host": flip.first.host, "amount": flip.first.amount},
     }

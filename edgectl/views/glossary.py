@@ -4,6 +4,7 @@ One quantity has one key, one unit and one type wherever it stands. docs/referen
 from here.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -54,7 +55,8 @@ def list_keys() -> tuple[KeyEntry, ...]:
 
 
 def _find_unit(key: str) -> str:
-    return next((unit for suffix, unit in _UNITS.items() if key.endswith(suffix)), "")
+    units = {f"_{resource.unit.name}": resource.unit.name for resource in RESOURCES} | _UNITS
+    return next((unit for suffix, unit in units.items() if key.endswith(suffix)), "")
 
 
 # An amount of a resource is keyed by what it is and its unit, inside the object of the resource.
@@ -72,6 +74,7 @@ def _describe_amounts() -> dict[str, str]:
         for resource in RESOURCES
         for amount, text in _AMOUNTS.items()
         if not (resource.per_link and amount == "capacity")
+        and not (resource.declared_only and amount == "excess")
     }
 
 
@@ -162,6 +165,8 @@ _MEANINGS: dict[KeyType, dict[str, str]] = {
         "until": "state that a need waits for",
         "user": "user",
         "verb": "command that made a revision",
+        "pinned_to": "host that the task file pins a task to",
+        "tie_rule": "what decides between hosts of equal utility",
         "winner": "host that would win after a change",
     },
     KeyType.NUMBER: {
@@ -254,6 +259,7 @@ _MEANINGS: dict[KeyType, dict[str, str]] = {
     KeyType.OBJECT: {
         **{resource.name: f"usage, demand and capacity of {resource.name}" for resource in RESOURCES},
         "decision": "decision of a plan made now",
+        "moves_first": "move of another task that a change brings about before the one it is about",
         "declared": "declaration of a demand in a task file",
         "device": "sensors and interfaces of a host",
         "handoff": "handoff contract of a task",
@@ -272,6 +278,7 @@ _MEANINGS: dict[KeyType, dict[str, str]] = {
         "flips": "changes that would alter a decision, smallest first",
         "foreign_tasks": "living tasks of other fleets on the machine of a host",
         "history": "last samples, oldest first",
+        "equal_hosts": "hosts with the same utility as the chosen one",
         "host_names": "names of hosts",
         "items": "the things of the document",
         "left": "tasks that are left on drained hosts",
@@ -390,6 +397,24 @@ HEADINGS = _list_amount_headings() | {
 }
 
 
+# A budget that no host declares has no column, no weight and no limit in a table.
+_DECLARED_ONLY = {resource.name for resource in RESOURCES if resource.declared_only}
+
+
 def head(*columns: str) -> Row:
     """The headings of ``columns``; an empty name is a column without one."""
-    return tuple(Cell(HEADINGS[column] if column else "", "head") for column in columns)
+    return tuple(Cell(HEADINGS[column] if column else "", _get_heading_style(column)) for column in columns)
+
+
+def _get_heading_style(column: str) -> str:
+    return "spare" if _DECLARED_ONLY & set(column.split(".")) else "head"
+
+
+def head_of_resource(resource: Resource) -> Cell:
+    """The heading of a column with the usage of ``resource``."""
+    return Cell(resource.name.upper(), _get_heading_style(resource.name))
+
+
+def list_shown_weights(weights: Mapping[str, float]) -> dict[str, float]:
+    """The weights without those of budgets that are not weighed."""
+    return {name: weight for name, weight in weights.items() if weight or name not in _DECLARED_ONLY}

@@ -64,7 +64,7 @@ class EnvelopeView(View):
         """The warnings; a class whose items carry a part of them adds that."""
         return self.warnings()
 
-    def _wrap(self, key: str, content: object) -> Document:
+    def _build_envelope(self, key: str, content: object) -> Document:
         return {
             "format_version": OUTPUT_VERSION,
             "kind": self.kind,
@@ -82,7 +82,7 @@ class ItemView(EnvelopeView):
 
     def document(self) -> Document:
         """The item in its envelope."""
-        return self._wrap("item", *self.rows())
+        return self._build_envelope("item", round_item(self.item()))
 
     def rows(self) -> Sequence[Document]:
         """The item alone."""
@@ -101,7 +101,7 @@ class ListView(EnvelopeView):
 
     def document(self) -> Document:
         """The items in their envelope."""
-        return self._wrap("items", list(self.rows()))
+        return self._build_envelope("items", list(self.rows()))
 
     def rows(self) -> Sequence[Document]:
         """The items alone."""

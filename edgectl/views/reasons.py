@@ -28,6 +28,7 @@ _FIXED_REASON_TEXTS = {
     Reason.BEST: "highest utility",
     Reason.ONLY_FEASIBLE: "the only host that fits",
     Reason.BEST_EFFORT: "nothing fits; best effort",
+    Reason.ROOM_MADE: "fits since other tasks made room",
     Reason.PINNED: "pinned",
     Reason.FIRST_PLACEMENT: "first placement (policy static)",
     Reason.ONBOARD_LOCAL: "on its robot (policy local)",
@@ -210,6 +211,8 @@ _REASON_DESCRIBERS: dict[Reason, Callable[[Step], str]] = {
     ),
     Reason.FORCED_DRAIN: lambda step: f"{step.decision.previous_host} is drained",
     Reason.FORCED_RULE: lambda step: f"{step.decision.previous_host} is excluded" + _describe_exclusion(step),
+    Reason.MADE_ROOM: lambda step: f"made room for {step.decision.subject or 'another task'}",
+    Reason.PREEMPTED: lambda step: f"preempted by {step.decision.subject or 'a task'} of higher priority",
     Reason.BELOW_MARGIN: _describe_below_margin,
     Reason.GAIN_OVER_COST: _describe_gain_over_cost,
     Reason.COST_ABOVE_GAIN: _describe_cost_above_gain,
@@ -224,6 +227,10 @@ _REASON_DESCRIBERS: dict[Reason, Callable[[Step], str]] = {
         f"its predecessor {step.decision.subject} has not completed yet; plan again once it has"
     ),
     Reason.HOST_SILENT: _describe_silent_host,
+    Reason.HOST_UNSURE: lambda step: (
+        f"may run on {step.decision.subject}, which does not answer: another manager has acted since all "
+        f"hosts were last seen; edgectl fence {step.decision.subject} if it is off"
+    ),
     Reason.ROBOT_SILENT: _describe_silent_host,
     Reason.HOST_LEFT: _describe_left_host,
     Reason.HOST_READDRESSED: _describe_left_host,

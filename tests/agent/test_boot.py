@@ -2,15 +2,18 @@
 
 import ast
 import hashlib
+import marshal
 import os
 import shutil
 import stat
+import struct
 import subprocess
 import sys
 import time
 import zipfile
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from importlib.util import MAGIC_NUMBER
 from io import BytesIO
 from pathlib import Path
 
@@ -140,6 +143,37 @@ def test_compiled_code_is_kept_privately(host: AgentHost) -> None:
         "an operation loads only what it needs"
     )
     assert {stat.S_IMODE(path.stat().st_mode) for path in compiled} == {0o600}
+
+
+@pytest.mark.parametrize("forged", [b"", b"0" * 64])
+def test_compiled_code_of_a_task_does_not_run(host: AgentHost, forged: bytes) -> None:
+    """A task of the same login writes its own code where the compiled agent is kept."""
+    host.ask("status", task=None)
+    (planted,) = (host.state / "agent").rglob("status.*.pyc")
+    proof = host.state / "proof"
+    code = compile(f"open({str(proof)!r}, 'w').write('ran')", "status.py", "exec")
+    head = MAGIC_NUMBER + struct.pack("<III", 0, 1, _read_source_size(planted))
+    planted.write_bytes(forged + head + marshal.dumps(code))
+    assert host.ask("status", task=None)["tasks"] == {}
+    assert not proof.exists()
+    assert planted.read_bytes()[64:68] == MAGIC_NUMBER, "compiled and sealed again"
+
+
+def test_another_manager_does_not_trust_what_this_one_compiled(host: AgentHost) -> None:
+    host.ask("status", task=None)
+    (mine,) = (host.state / "agent").rglob("status.*.pyc")
+    seal = mine.read_bytes()[:64]
+    protocol.use_cache_key(host.fleet, "0" * 32)
+    try:
+        host.ask("status", task=None)
+    finally:
+        protocol._CACHE_KEYS.clear()
+    (theirs,) = {*(host.state / "agent").rglob("status.*.pyc")} - {mine}
+    assert theirs.read_bytes()[:64] != seal == mine.read_bytes()[:64]
+
+
+def _read_source_size(compiled: Path) -> int:
+    return int.from_bytes(compiled.read_bytes()[64 + 12 : 64 + 16], "little")
 
 
 def test_agents_of_old_versions_are_removed(host: AgentHost) -> None:

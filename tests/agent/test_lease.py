@@ -140,3 +140,17 @@ def test_a_watch_is_gone_after_three_cycles(every: float, gone_after: float) -> 
     assert lease_rules.is_fresh(note, 100.0 + gone_after - 0.1, BOOT)
     assert not lease_rules.is_fresh(note, 100.0 + gone_after, BOOT)
     assert not lease_rules.is_fresh(note, 100.0, LATER_BOOT)
+
+
+def test_a_host_tells_whether_another_manager_was_granted_the_fleet_since(host: AgentHost) -> None:
+    def grants() -> tuple[object, ...]:
+        told = host.ask("probe", window_s=0.05)["grants"]
+        return told["holder"], told["epoch"], told["other_epoch"]
+
+    assert grants() == ("", 0, 0)
+    for number, (holder, other) in enumerate([("ana", 0), ("ana", 0), ("ben", 2), ("ben", 2), ("ana", 4)], 1):
+        claim(host, holder, f"s{number}")
+        assert grants() == (holder, number, other)
+        signed = signature(number, holder, f"s{number}")
+        host.ask("lease", action="release", lease=signed, end_watch=False)
+    assert lease_rules.find_other_epoch({"holder": "ana", "epoch": 5, "other_epoch": 4}, "ben") == 5

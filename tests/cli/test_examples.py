@@ -16,7 +16,7 @@ from edgectl.cli.app import COMMANDS, split_docstring
 from edgectl.scaffold.write import write_scaffold
 from tests.cli.conftest import Run
 from tests.cli.terminal import Terminal
-from tests.docs.blocks import stopped
+from tests.docs.blocks import make_tasks_idle, stopped
 from tests.pace import patience
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -140,6 +140,7 @@ def test_every_example_of_a_running_fleet_runs(
         monkeypatch.chdir(where)
         assert in_this_process(line, run) == 0
     (site / "docs").symlink_to(DOCS)
+    make_tasks_idle(site)
     codes = {}
     with stopped(site, env):
         for line in examples():

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from edgectl.config import fields as config_fields
-from edgectl.config import inventory_file, task_file
+from edgectl.config import inventory_file, task_file, task_readers
 from edgectl.config.load import load_inventory_and_tasks
 from edgectl.config.problems import ProblemCode
 from edgectl.experiments.files import experiment_file, run_codec
@@ -35,17 +35,17 @@ TABLES: Mapping[str, tuple[Mapping[str, object], ...]] = {
     "### Links": (inventory_file.LINK_KEYS,),
     "## Tasks": (task_file.TASK_FILE_KEYS,),
     "### A task": (task_file.TASK_KEYS,),
-    "### Demand": (task_file.DEMAND_KEYS,),
-    "### Needs": (task_file.NEED_KEYS,),
-    "### Hosts of a task": (task_file.HOST_RULES_KEYS,),
-    "### Checks": (task_file.CHECK_KEYS,),
-    "### Detect": (task_file.DETECT_KEYS,),
-    "### Stop": (task_file.STOP_KEYS,),
+    "### Demand": (task_readers.DEMAND_KEYS,),
+    "### Needs": (task_readers.NEED_KEYS,),
+    "### Hosts of a task": (task_readers.HOST_RULES_KEYS,),
+    "### Checks": (task_readers.CHECK_KEYS,),
+    "### Detect": (task_readers.DETECT_KEYS,),
+    "### Stop": (task_readers.STOP_KEYS,),
     "### Secrets": (config_fields.SECRET_KEYS,),
-    "### Handoff": (task_file.HANDOFF_KEYS,),
-    "### Limits of a task": (task_file.TASK_LIMITS_KEYS,),
-    "### Log": (task_file.LOG_KEYS,),
-    "### Unreachable hosts": (task_file.ON_UNREACHABLE_KEYS,),
+    "### Handoff": (task_readers.HANDOFF_KEYS,),
+    "### Limits of a task": (task_readers.TASK_LIMITS_KEYS,),
+    "### Log": (task_readers.LOG_KEYS,),
+    "### Unreachable hosts": (task_readers.ON_UNREACHABLE_KEYS,),
     "## Experiment": (experiment_file.EXPERIMENT_KEYS,),
     "### Schemes": (experiment_file.SCHEMES_KEYS,),
     "### Maps": (experiment_file.MAP_PAIR_KEYS,),
@@ -96,7 +96,7 @@ def test_readers_cover_the_model() -> None:
 def test_keys_of_a_snapshot_are_complete() -> None:
     everything = TaskSample(
         state=TaskState.FAILED, links={}, instance="i", spec_hash="s", generation=1, managed=False, restarts=1, exit_code=1, detail="d",
-        fields={"command": "c"}, last_exit=1, log_tail=("l",), limits="l", given_up=True, metrics={"fps": 29.5}, ended_at=1.0, file="f", orphaned=True, adoptable=True, filed_as="edge9",
+        fields={"command": "c"}, last_exit=1, log_tail=("l",), limits="l", given_up=True, metrics={"fps": 29.5}, ended_at=1.0, file="f", orphaned=True, adoptable=True,
     )  # fmt: skip
     device = DeviceSample(
         load_1m=1.0,

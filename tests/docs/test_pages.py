@@ -16,7 +16,7 @@ import yaml
 from edgectl.config.load import load_inventory_and_tasks
 from edgectl.scaffold.write import write_scaffold
 from tests.cli.inprocess import edgectl
-from tests.docs.blocks import Block, blocks, environment, stopped
+from tests.docs.blocks import Block, blocks, environment, make_tasks_idle, stopped
 from tests.pace import patience
 from tests.views.fixtures import ROOT, SNAPSHOT
 
@@ -44,6 +44,7 @@ def test_pages_are_found() -> None:
 def test_every_block_runs(page: Path, tmp_path: Path) -> None:
     site, env = tmp_path / "site", environment(tmp_path / "state")
     write_scaffold(site)
+    make_tasks_idle(site)
     (site / "docs").symlink_to(ROOT / "docs")
     here = site
     with stopped(site, env):
@@ -115,7 +116,11 @@ def test_the_commands_of_each_job_run(name: str, lines: list[str], tmp_path: Pat
             ["bash", "-ec", line], cwd=tmp_path / "repo", env=env, capture_output=True, text=True, check=False
         )
         assert done.returncode == 0, done.stderr
-    assert (tmp_path / "repo" / "plan.md").read_text().startswith("<!-- edgectl-plan -->\n**Plan: ")
+    assert (
+        (tmp_path / "repo" / "plan.md")
+        .read_text()
+        .startswith("<!-- edgectl-plan -->\n**No changes. 10 tasks ")
+    )
     assert not (tmp_path / "state").exists(), "a plan from a snapshot leaves nothing behind"
 
 

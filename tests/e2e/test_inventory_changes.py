@@ -6,13 +6,15 @@ from pathlib import Path
 
 import pytest
 
+from edgectl.agent.supervise import records
 from edgectl.errors import UsageError
 from edgectl.model.inventory import Host, Inventory
 from edgectl.model.plan import Action
 from edgectl.usecases import operator_marks
+from edgectl.usecases.logs import read_log
 from edgectl.usecases.plan import make_plan
 from edgectl.views.reasons import describe_reason
-from tests.builders import an_inventory
+from tests.builders import a_task, an_inventory
 from tests.e2e.bench import (
     EAGER,
     Bench,
@@ -84,11 +86,35 @@ def test_a_renamed_host_keeps_its_tasks_and_stops_them_by_their_former_name(lab:
     (step,) = edited.apply().plan.steps
     assert (step.action, step.decision.host) == (Action.KEEP, "jetson-a")
     assert bench.apply().plan.steps[0].action is Action.KEEP
+    assert edited.actions() == {"slam": Action.KEEP}
     edited.stop("slam")
     assert list_sleepers(mark) == []
     # The directories of its place were seen without it.
     (step,) = edited.plan().steps
     assert step.action is Action.START
+
+
+def test_a_renamed_host_measures_its_tasks_shows_their_logs_and_keeps_them_from_fencing(
+    lab: Lab, bench: Bench
+) -> None:
+    mark, (edge1, *others) = a_mark(), list_edges(lab)
+    slam = replace(a_task("slam", command=f"sleep {mark} & echo up; while :; do :; done"), self_fence=600.0)
+    bench = bench.using(replace(slam, hosts=replace(slam.hosts, pin="edge1")))
+    bench.apply()
+    edited = with_hosts(bench.using(slam), replace(edge1, name="jetson-a"), *others)
+    sample = edited.sample("slam")
+    assert sample.used["cpu"] > 0.01
+    assert sample.used["memory"] > 0
+    usage = edited.probe().hosts["jetson-a"].usage
+    assert usage["memory"].used >= sample.used["memory"] / 2
+    assert read_log(edited.fleet, "slam", tail=1) == "up\n"
+    # What the supervisor of the task reads is written by every request to the host under its new name.
+    (record,) = lab["edge1"].home.rglob("hosts/edge1/contact")
+    before = records.read_record(str(record))["at"]
+    edited.probe()
+    assert records.read_record(str(record))["at"] > before
+    edited.stop()
+    assert list_sleepers(mark) == []
 
 
 def test_a_fence_frees_the_tasks_of_a_host_that_left(lab: Lab, bench: Bench) -> None:

@@ -43,7 +43,8 @@ class SharedEvents:
 @dataclass
 class FakeHost:
     """One host. ``faults`` maps an operation (``start``, ``stop:slam``) to an error to raise or a function
-    that returns the reply. ``others``: living tasks of its machine that are not this host's.
+    that returns the reply. ``others``: living tasks of its machine that are not this host's;
+    ``former``: the names of these that it has adopted, as the fleet "unnamed".
     """
 
     name: str
@@ -56,6 +57,7 @@ class FakeHost:
     checks: dict[str, int] = field(default_factory=dict)
     seen: dict[str, int] = field(default_factory=dict)
     others: list[Request] = field(default_factory=list)
+    former: list[str] = field(default_factory=list)
 
     def __call__(self, request: Request) -> Request:
         assert request["host"] == self.name
@@ -101,6 +103,13 @@ class FakeHost:
         }
         self.tasks[name] = entry
         return {**entry, "state": "started"}
+
+    def _adopt(self, request: Request) -> Request:
+        self.former = list(request["former"])  # type: ignore[call-overload]
+        for each in self.others:
+            if each["host"] in self.former and each["fleet"] == request["fleet"]:
+                self.runs(str(each["task"]), instance=str(each["instance"]))
+        return {"adopted": []}
 
     def _takeover(self, request: Request) -> Request:
         name = str(request["task"])
@@ -183,7 +192,8 @@ class FakeHost:
             },
             "tasks": entries,
             "generations": dict(self.seen),
-            "other_tasks": list(self.others),
+            "other_tasks": [each for each in self.others if each["host"] not in self.former],
+            "former": list(self.former),
             "checks": {},
             **({"lease": {"state": "granted", "epoch": 1}} if "lease" in request else {}),
         }

@@ -10,7 +10,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from tests.faults import oracle
+from tests.faults import oracle, scan
 from tests.faults.command_result import CommandResult, ExpectationError
 from tests.faults.fleet import APPLY, FaultFleet, format_yaml
 from tests.faults.registry import ALL, fault
@@ -61,17 +61,11 @@ class Manager:
         command = [files.get(word, word) for word in fleet.build_command(*words)]
         env = fleet.build_env(
             EDGECTL_STATE_DIR=str(fleet.directory / f"state-{self.name}"),
+            LOGNAME=self.name,
+            USER=self.name,
             **({"EDGECTL_SSH_CONFIG": str(own)} if own.exists() else {}),
         )
-        return subprocess.Popen(
-            command,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            env=env,
-            start_new_session=True,
-        )
+        return fleet.start_command(command, env)
 
     def run(self, *words: str) -> CommandResult:
         return self.fleet.wait_for_edgectl(self.start(*words), words)
@@ -184,8 +178,11 @@ def _freeze_long(fleet: FaultFleet, ana: Manager, ben: Manager) -> None:
     signal_manager(frozen, signal.SIGSTOP)
     finish(fleet, ben.start(*APPLY))
     fleet.wait(PAST_THE_LEASE_S)
+    found = scan.read_process(frozen.pid)
+    assert found is None or found.state in "TZ", f"somebody else has thawed it: {found}"
     ben.want_at_random()
-    finish(fleet, ben.start(*APPLY), codes=(0,))
+    # A starved host may have granted the fleet to the frozen manager later than it was asked.
+    finish(fleet, ben.start(*APPLY, "--lock-timeout", "60s"), codes=(0,))
     signal_manager(frozen, signal.SIGCONT)
     finish(fleet, frozen, codes=(0, 4, 75))
 
@@ -224,6 +221,29 @@ def split_the_fleet(fleet: FaultFleet) -> None:
             manager.want_at_random()
         fleet.injected += 1
         finish(fleet, ana.start(*APPLY), ben.start(*APPLY), codes=(4, 75))
+        check_nothing_doubled(fleet)
+
+
+@fault(
+    "two managers that disagree: one acts, the other loses sight of a host", full=6, hosts=EDGES, kinds=ALL
+)
+def act_behind_its_back(fleet: FaultFleet) -> None:
+    """What one manager remembers is no longer true, and where a task went it cannot see. New tasks come, too."""
+    ana, ben = open_managers(fleet)
+    ana.run(*APPLY).expect_exit(0)
+    for _ in range(1 if fleet.sample else 4):
+        ana, ben = fleet.random.sample([ana, ben], 2)
+        for manager in (ana, ben):
+            manager.hide()
+        if fleet.random.random() < 0.7:
+            ben.want_at_random()
+            ben.run(*APPLY).expect_exit(0)
+        ana.want_at_random()
+        ana.run(*APPLY).expect_exit(0)
+        ben.hide(fleet.random.choice(EDGES))
+        ben.want_at_random()
+        fleet.injected += 1
+        finish(fleet, ben.start(*APPLY), codes=(4,))
         check_nothing_doubled(fleet)
 
 

@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from tests import forkserver
 from tests.faults import failpoint_runner, oracle, scan
 from tests.faults.command_result import WORST_S, CommandResult, ExpectationError
 from tests.faults.hosts import Host, start_loopback_hosts
@@ -213,13 +214,23 @@ class FaultFleet:
 
     def start_edgectl(self, *words: str, **env: str) -> "subprocess.Popen[str]":
         """Start edgectl without waiting for it."""
+        return self.start_command(self.build_command(*words), self.build_env(**env))
+
+    def start_command(self, command: list[str], env: dict[str, str]) -> "subprocess.Popen[str]":
+        """Start a command of `build_command`, forked unless the environment has other code or libraries for it."""
+        if not env.keys() & {"PYTHONPATH", "LD_PRELOAD"}:
+            own = command[len(self.prefix) :]
+            program, argv = (own[3], ["-c", *own[4:]]) if "-c" in own[:3] else (forkserver.EDGECTL, own)
+            forked = forkserver.ForkedProcess(argv, program=program, env=env, netns=str(self.netns or ""))
+            self.stack.callback(forked.end)
+            return forked
         return subprocess.Popen(
-            self.build_command(*words),
+            command,
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
-            env=self.build_env(**env),
+            env=env,
             start_new_session=True,
         )
 

@@ -127,6 +127,8 @@ hosts = st.builds(
     generations=dictionaries_of(counts),
     other_tasks=st.lists(other_tasks, max_size=2).map(tuple),
     foreign_tasks=st.lists(other_tasks, max_size=2).map(tuple),
+    grant=counts,
+    foreign_grant=counts,
 ) | st.builds(
     HostSample,
     role=st.sampled_from(Role),
@@ -172,6 +174,7 @@ memories = st.builds(
         ),
         max_size=2,
     ),
+    synced=dictionaries_of(counts),
 )
 snapshots = st.builds(
     Snapshot, taken_at=instants, hosts=dictionaries_of(hosts), manager=optional_of(memories)

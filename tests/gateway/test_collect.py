@@ -3,7 +3,6 @@
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -15,16 +14,17 @@ from edgectl.errors import (
     HostError,
     HostKeyError,
     NoPythonError,
+    RefusedError,
     ReplyError,
 )
 from edgectl.gateway.fanout import fan_out
-from edgectl.gateway.host_probe import ProbeOptions, claim_former_tasks, probe_hosts
+from edgectl.gateway.host_probe import ProbeOptions, probe_hosts
 from edgectl.model.inventory import Host, Inventory
-from edgectl.model.snapshot import HostSample, HostStatus, OtherTask, TaskState
+from edgectl.model.snapshot import HostSample, HostStatus, TaskState
 from edgectl.model.task import Check, CheckLocation, DetectRule, Tasks
 from edgectl.transport.base import Reply, Session
 from edgectl.transport.fake import FakeTransport
-from tests.builders import NOW, a_robot, a_sample, a_task, an_edge, an_inventory, some_tasks
+from tests.builders import NOW, a_robot, a_task, an_edge, an_inventory, some_tasks
 from tests.executor.fake_fleet import FakeFleet
 
 NONE = Tasks(tasks={})
@@ -255,17 +255,12 @@ def test_other_tasks_of_a_machine_are_split_by_fleet_and_told_once() -> None:
     """A task that the host of its name reports itself is no other one, as on a machine with two names."""
     hosts = FakeFleet.of(["edge1", "edge2", "edge10", "robot1"])
     hosts["edge2"].runs("slam", instance="edge2-slam")
-    listed = [
+    hosts["edge1"].others = [
         other_task("unnamed", "edge2", "slam"),
-        other_task("unnamed", "old1", "slam"),
         other_task("hall", "edge2", "slam", started_by="eve\x1b[2J@x", age_s=60),
     ]
-    transport = FakeTransport(
-        {**dict(hosts.hosts), "edge1": lambda request: hosts["edge1"](request) | {"other_tasks": listed}}
-    )
-    sample = probe_hosts(build_inventory(), NONE, transport).hosts["edge1"]
+    sample = probe_hosts(build_inventory(), NONE, hosts.transport).hosts["edge1"]
     assert sample.other_tasks == ()
-    assert sample.tasks["slam"].filed_as == "old1"
     (foreign,) = sample.foreign_tasks
     assert (foreign.fleet, foreign.started_by, foreign.age_s) == ("hall", "eve\\x1b[2J@x", 60.0)
 
@@ -291,13 +286,29 @@ def test_known_tasks_without_an_owner_are_adopted_and_probed_again() -> None:
     assert adopted == adopted_before
 
 
-def test_a_task_under_a_former_name_runs_on_one_host_of_its_machine() -> None:
-    """Two names of one machine list it; counted twice, one of the two would be stopped as a duplicate."""
-    other = OtherTask(fleet="f", host="old", task="slam", state=TaskState.READY, age_s=5.0, instance="i")
-    present = replace(other, host="b", instance="j")
-    samples = {name: replace(a_sample(), other_tasks=(other, present)) for name in ("a", "b")}
-    found = claim_former_tasks(samples, 100.0)
-    assert {name: list(sample.tasks) for name, sample in found.items()} == {"a": ["slam"], "b": []}
-    slam = found["a"].tasks["slam"]
-    assert (slam.filed_as, slam.instance, slam.started_at) == ("old", "i", 95.0)
-    assert found["a"].other_tasks == (present,)
+def test_a_former_name_is_adopted_by_one_host_of_its_machine_and_given_back() -> None:
+    """Two names of one machine list its task; counted twice, one of the two would be stopped as a duplicate."""
+    hosts = FakeFleet.of(["edge1", "edge2", "edge10", "robot1"])
+    for name in ("edge1", "edge2"):
+        hosts[name].others = [other_task("unnamed", "old", "slam"), other_task("unnamed", "older", "nav")]
+    snapshot = probe_hosts(build_inventory(), NONE, hosts.transport)
+    assert {name: sorted(host.tasks) for name, host in snapshot.hosts.items()} == {
+        "edge1": ["nav", "slam"],
+        "edge2": [],
+        "edge10": [],
+        "robot1": [],
+    }
+    assert snapshot.hosts["edge2"].other_tasks == ()
+    assert (hosts["edge1"].former, hosts["edge2"].former) == (["old", "older"], [])
+    hosts["edge10"].former = ["edge1", "gone"]
+    probe_hosts(build_inventory(), NONE, hosts.transport)
+    assert hosts["edge10"].former == ["gone"]
+
+
+def test_a_host_that_cannot_adopt_a_name_holds_what_runs_there() -> None:
+    hosts = FakeFleet.of(["edge1", "edge2", "edge10", "robot1"])
+    hosts["edge1"].others = [other_task("unnamed", "old", "slam")]
+    hosts["edge1"].faults["adopt"] = RefusedError("no place to keep the former names of the host")
+    snapshot = probe_hosts(build_inventory(), NONE, hosts.transport)
+    assert snapshot.silent_hosts == ("edge1",)
+    assert snapshot.hosts["edge1"].error == "no place to keep the former names of the host"

@@ -6,7 +6,8 @@ from edgectl.model.manager_state import ManagerState
 from edgectl.views.dry_run import RequestsView
 from edgectl.views.events import EventsView
 from edgectl.views.history import HistoryView
-from edgectl.views.listing import Listing, ListingKind, ListingView
+from edgectl.views.listing import ListingView
+from edgectl.views.listing_items import Listing, ListingKind
 from edgectl.views.output import ListView, render_view
 from edgectl.views.output_format import OutputFormat
 from edgectl.views.profile import ProfileView

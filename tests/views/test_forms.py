@@ -20,7 +20,8 @@ from edgectl.model.snapshot import BandwidthMeasurement, HostSample, HostStatus,
 from edgectl.views import encoder
 from edgectl.views.describe_host import HostDetailsView
 from edgectl.views.describe_task import TaskDetailsView
-from edgectl.views.listing import ListingKind, ListingView, build_listing
+from edgectl.views.listing import ListingView
+from edgectl.views.listing_items import ListingKind, build_listing
 from edgectl.views.output import ItemView, ListView, View, render_view
 from edgectl.views.output_format import OutputFormat
 from edgectl.views.plan import PlanView, escape_markdown

@@ -10,12 +10,11 @@ import yaml
 from edgectl.model.inventory import Connection
 from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.snapshot import CapacitySource, LinkSample, Snapshot, TaskState
-from edgectl.views.listing import (
+from edgectl.views.listing import ListingChangesView, ListingView
+from edgectl.views.listing_items import (
     ItemChange,
     Listing,
-    ListingChangesView,
     ListingKind,
-    ListingView,
     build_listing,
     compare_listings,
 )

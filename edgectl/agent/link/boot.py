@@ -2,8 +2,8 @@
 
 The text of this file is sent on standard input after the constant command line, so it may import the standard
 library only. Input: ``length newline boot-text``, then one line ``marker sha256 request-length agent-length
-timeout``, the request, the agent. Output: one frame with the request's random marker, a length and a digest;
-anything else that a login shell prints is noise.
+timeout key``, the request, the agent. Output: one frame with the request's random marker, a length and a
+digest; anything else that a login shell prints is noise.
 """
 
 import os
@@ -33,6 +33,8 @@ if TYPE_CHECKING:
 PACKAGE = "edgectl_agent"
 OLDEST_PYTHON = (3, 6)
 AGENT_KEPT_S = 30 * 86400
+# Hexadecimal digits of a seal.
+SEAL_LENGTH = 64
 # Root of the agent's modules where no directory can keep the agent: a path that cannot exist.
 NO_FOLDER = "/dev/null/edgectl"
 
@@ -183,18 +185,36 @@ def read_archive(agent: bytes) -> "dict[str, bytes]":
     return found
 
 
+def compute_seal(key: str, path: str, code: bytes) -> bytes:
+    """Compute the proof that whoever knows ``key`` wrote ``code`` to ``path``."""
+    content = compute_sha256(path.encode() + b"\0" + code)
+    return compute_sha256(("%s %s" % (key, content)).encode()).encode()
+
+
 class ArchiveLoader(SourceFileLoader):
     """Import of source from the verified bytes in memory.
 
-    Compiled code is cached in the private directory.
+    Compiled code is cached in the private directory. Each file begins with a seal by the manager's key, which
+    is on no disk of this host: a task of the same login can write there, and no code of its own runs.
     """
 
     root = ""
+    key = ""
     files: "dict[str, bytes]" = {}
 
     def get_data(self, path: str) -> bytes:
-        """Source from memory; anything else (compiled code) from disk."""
-        return self.files[path] if path in self.files else SourceFileLoader.get_data(self, path)
+        """Source from memory; anything else (compiled code) from disk, OSError where its seal is not ours."""
+        if path in self.files:
+            return self.files[path]
+        data = SourceFileLoader.get_data(self, path)
+        seal, code = data[:SEAL_LENGTH], data[SEAL_LENGTH:]
+        if seal != compute_seal(self.key, path, code):
+            raise OSError("not written by this manager")
+        return code
+
+    def set_data(self, path: str, data: bytes, *, _mode: int = 0o600) -> None:  # type: ignore[override]
+        """Keep compiled code with its seal; where it cannot be written, it is compiled again."""
+        SourceFileLoader.set_data(self, path, compute_seal(self.key, path, data) + data, _mode=_mode)
 
     def path_stats(self, path: str) -> "dict[str, int]":
         """A constant time: the directory is named by the hash, so compiled code is never stale."""
@@ -220,10 +240,11 @@ class ArchiveFinder:
         return spec
 
 
-def install_agent(folder: "str | None", sha: str, agent: bytes) -> None:
-    """Make package ``edgectl_agent`` importable."""
+def install_agent(folder: "str | None", sha: str, agent: bytes, key: str) -> None:
+    """Make package ``edgectl_agent`` importable. Each ``key`` has a directory of its own."""
     sys.dont_write_bytecode = folder is None
-    ArchiveLoader.root = os.path.join(folder or NO_FOLDER, sha)
+    ArchiveLoader.key = key
+    ArchiveLoader.root = os.path.join(folder or NO_FOLDER, sha, compute_sha256(key.encode())[:8])
     ArchiveLoader.files = {
         os.path.join(ArchiveLoader.root, name): data for name, data in read_archive(agent).items()
     }
@@ -232,7 +253,7 @@ def install_agent(folder: "str | None", sha: str, agent: bytes) -> None:
 
 def boot_agent(stdin: "BinaryIO") -> None:
     """Serve the one request on ``stdin``."""
-    marker, sha, request_length, agent_length, timeout = stdin.readline().decode("ascii").split()
+    marker, sha, request_length, agent_length, timeout, key = stdin.readline().decode("ascii").split()
     os.umask(0o077)
     channel = Channel(marker)
     version = '"python": "%d.%d.%d"' % sys.version_info[:3]
@@ -247,7 +268,7 @@ def boot_agent(stdin: "BinaryIO") -> None:
         folder, agent = read_cached_agent(sha)
     if compute_sha256(agent) != sha:
         return channel.reply(('{%s, "missing": true}' % version).encode())
-    install_agent(folder, sha, agent)
+    install_agent(folder, sha, agent, key)
     main = import_module(PACKAGE + ".link.main")
     main.serve_request(request, channel, list_state_bases())
     return None

@@ -16,7 +16,15 @@ _FILE_NAME = "contact"
 
 
 def record_heartbeat(host: str) -> None:
-    """Record a request of a manager to ``host``. Creates nothing on a host that never ran a task."""
+    """Record a request of a manager to ``host``, under each of its names.
+
+    Creates nothing on a host that never ran a task.
+    """
+    for name in state_dir.list_host_names(host):
+        _record_under_name(name)
+
+
+def _record_under_name(host: str) -> None:
     places = state_dir.list_host_dirs(host)
     if not any(os.path.isdir(levels[-1]) for levels in places):
         return

@@ -33,12 +33,14 @@ OP_WAIT = "wait"
 # (SIGNATURE_KEYS); a probe may carry a claim of it (CLAIM_KEYS).
 CHANGING_OPS = (OP_START, OP_STOP, OP_MARK, OP_CHECK, OP_TAKE_OVER)
 SIGNATURE_KEYS = ("holder", "session", "epoch")
+# Name of the record of the lease in the directory of the fleet.
+LEASE_FILE = "lease"
 CLAIM_KEYS = ("holder", "session", "who", "verb", "ttl_s", "watch", "take_over")
 
 # Keys of a request besides ``op``, ``fleet`` and ``host``; OP_PROFILER_RUN and OP_SUPERVISE are requests of
 # the agent to itself.
 REQUEST_KEYS = {
-    OP_ADOPT: ("tasks",),
+    OP_ADOPT: ("tasks", "former"),
     OP_CHECK: ("command", "prelude", "env", "timeout_s"),
     OP_DOCTOR: ("links", "prelude", "env", "timeout_s"),
     OP_FETCH: ("task", "workdir", "file", "most", "offset"),
@@ -55,7 +57,7 @@ REQUEST_KEYS = {
     OP_START: ("task", "instance", "generation", "manager", "spec"),
     OP_TAKE_OVER: ("task", "instance", "generation", "manager", "spec"),
     OP_STATUS: ("task",),
-    OP_STOP: ("task", "instance", "generation", "stop", "filed_as"),
+    OP_STOP: ("task", "instance", "generation", "stop"),
     OP_WAIT: ("task", "instance", "timeout_s", "up_s"),
 }
 # Keys of ``spec`` in OP_START.
@@ -126,9 +128,11 @@ PROBE_KEYS = (
     "machine",
     "wall",
     "load_1m",
+    "grants",
     "generations",
     "other_tasks",
     "unowned",
+    "former",
     "checks",
     "resident",
     "sample_age_s",

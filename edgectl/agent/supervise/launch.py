@@ -206,7 +206,8 @@ def _build_packet(request: Document) -> bytes:
     loader: "Any" = sys.modules[__name__].__loader__
     boot = loader.files[os.path.join(loader.root, "edgectl_agent", "link", "boot.py")]
     body = fast_json.dumps(request).encode("ascii")
-    head = "%032x %s %d 0 0\n" % (0, os.path.basename(loader.root), len(body))
+    sha = os.path.basename(os.path.dirname(loader.root))
+    head = "%032x %s %d 0 0 %s\n" % (0, sha, len(body), loader.key)
     return b"%d\n%s%s%s" % (len(boot), boot, head.encode("ascii"), body)
 
 

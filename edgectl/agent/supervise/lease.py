@@ -20,7 +20,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Iterator
 
-_RECORD, _NOTE, _LOCK, _STARTS = "lease", "watch", "lease.lock", "lease.starts"
+_RECORD, _NOTE, _LOCK, _STARTS = protocol.LEASE_FILE, "watch", "lease.lock", "lease.starts"
 # Writers of the record hold its lock for milliseconds. A start lasts until its supervisor has reported.
 _WRITE_S, _START_S, _POLL_S = 5.0, 6.0, 0.02
 

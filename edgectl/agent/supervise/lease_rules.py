@@ -1,6 +1,7 @@
 """Rules of the lease of a fleet on one host, on documents and seconds of this host alone. Pure.
 
 Record: ``holder`` (a manager), ``session`` (one hold of it), ``epoch`` (counts the sessions, for ever),
+``other_epoch`` (the last one of a manager other than the holder),
 ``who`` and ``verb`` for messages, ``since`` and ``until`` (uptime, s), ``ttl_s`` and ``boot_id``. Note: the
 watch of the fleet, with ``every_s`` and ``digest`` of its files, last seen ``at`` an uptime.
 """
@@ -83,6 +84,7 @@ def build_grant(record: Document, claim: Document, now: float, boot: str) -> Doc
         "holder": _truncate_text(claim["holder"]),
         "session": _truncate_text(claim["session"]),
         "epoch": int(record.get("epoch", 0)) + (0 if again else 1),
+        "other_epoch": find_other_epoch(record, claim["holder"]),
         "who": _truncate_text(claim.get("who", "")),
         "verb": _truncate_text(claim.get("verb", "")),
         "since": float(record["since"]) if again else round(now, 3),
@@ -90,6 +92,12 @@ def build_grant(record: Document, claim: Document, now: float, boot: str) -> Doc
         "ttl_s": ttl,
         "boot_id": boot,
     }
+
+
+def find_other_epoch(record: Document, holder: object) -> int:
+    """The epoch of the last session of a manager other than ``holder``; 0 where there was none."""
+    same = record.get("holder") in (None, holder)
+    return int(record.get("other_epoch" if same else "epoch", 0))
 
 
 def build_note(claim: Document, now: float, boot: str) -> Document:

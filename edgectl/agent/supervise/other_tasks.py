@@ -7,7 +7,7 @@ import os
 from ..link import protocol
 from ..link.fast_json import Document
 from ..measure import proc
-from . import liveness, records, state_dir
+from . import liveness, records, state_dir, status
 
 # Room in a reply; those of this fleet come first.
 _MAX_ENTRIES = 1000
@@ -17,9 +17,14 @@ def list_other_tasks(host: str, table: "dict[int, proc.Process] | None" = None) 
     """List an entry of each: fleet (empty for one of the first release that none has adopted), host, task,
     state, age, instance, spec, generation, and the manager that started it.
     """
-    own, found = state_dir.get_fleet(), []
+    own, names, found = state_dir.get_fleet(), state_dir.list_host_names(host), []
     for fleet, filed_under, folder in _list_task_dirs():
-        if (fleet, filed_under) != (own, host) and _may_live(folder):
+        known = fleet == own and filed_under in names
+        if (
+            (filed_under != host or not known)
+            and _may_live(folder)
+            and not (known and _is_shown(host, folder))
+        ):
             record = liveness.read_instance(folder)
             if not record.locked and table is None:
                 table = proc.read_process_table()
@@ -29,10 +34,16 @@ def list_other_tasks(host: str, table: "dict[int, proc.Process] | None" = None) 
     return found[:_MAX_ENTRIES]
 
 
+def _is_shown(host: str, folder: str) -> bool:
+    """Whether the entry of the host for this task is that of ``folder``."""
+    record = status.find_current(host, os.path.basename(folder))[0]
+    return record is not None and record.folder == folder
+
+
 def _may_live(folder: str) -> bool:
     """Whether the record leaves it open that the task lives: cheap, for most have ended."""
-    status = records.read_record(os.path.join(folder, "status"))
-    return status.get("state") not in protocol.FINAL_STATES or bool(status.get("left"))
+    known = records.read_record(os.path.join(folder, "status"))
+    return known.get("state") not in protocol.FINAL_STATES or bool(known.get("left"))
 
 
 def _build_other_entry(fleet: str, host: str, record: liveness.InstanceRecord) -> Document:

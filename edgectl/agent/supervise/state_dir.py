@@ -18,6 +18,7 @@ from .records import RECORD_BYTES, open_private_file, read_record
 
 BASES: "list[str]" = []
 ROOT_NAME, OWNER_FILE_NAME, ADOPTION_FILE_NAME = "agent-state", "fleet", "adopted"
+FORMER_NAMES_FILE_NAME = "former"
 _FLEET: "list[str]" = ["unnamed"]
 
 
@@ -64,6 +65,19 @@ def list_legacy_levels(base: str, host: str) -> "list[str]":
     return [base, hosts, home, os.path.join(home, "tasks")]
 
 
+def list_host_names(host: str) -> "list[str]":
+    """List ``host``, then the former names of this machine whose tasks are its tasks (``adoption.py``).
+
+    Shared memory counts first: it has a record only where the usual directory could not be written.
+    """
+    for levels in reversed(list_host_dirs(host)):
+        if not is_foreign_base(levels[0]):
+            names = read_record(os.path.join(levels[-1], FORMER_NAMES_FILE_NAME)).get("names", [])
+            if names:
+                return [host, *(name for name in names if protocol.is_name(name) and name != host)]
+    return [check_name(host)]
+
+
 def list_adopted_dirs(host: str) -> "list[str]":
     """List the directories in the layout without fleets whose tasks this fleet has adopted."""
     if not any(
@@ -105,7 +119,11 @@ def is_foreign_base(base: str) -> bool:
 
 
 def find_task_dirs(host: str, task: str) -> "list[str]":
-    """Find the existing directories of ``task``, best first."""
+    """Find the existing directories of ``task``, best first; those of former names of the host last."""
+    return [folder for name in list_host_names(host) for folder in _find_task_dirs_of_name(name, task)]
+
+
+def _find_task_dirs_of_name(host: str, task: str) -> "list[str]":
     found = []
     for base in list_own_bases():
         levels = _list_levels(base, host, task)
@@ -122,12 +140,14 @@ def list_host_dirs(host: str) -> "list[list[str]]":
 
 
 def list_task_names(host: str) -> "list[str]":
-    """List every task of this fleet with a directory on this host, sorted."""
-    names = {os.path.basename(folder) for folder in list_adopted_dirs(host)}
-    for base in list_own_bases():
-        folder = os.path.join(_list_host_levels(base, host)[-1], "tasks")
-        if os.path.isdir(folder):
-            names.update(name for name in os.listdir(folder) if protocol.is_name(name))
+    """List every task of this fleet with a directory on this host, under any of its names, sorted."""
+    names: "set[str]" = set()
+    for known in list_host_names(host):
+        names.update(os.path.basename(folder) for folder in list_adopted_dirs(known))
+        for base in list_own_bases():
+            folder = os.path.join(_list_host_levels(base, known)[-1], "tasks")
+            if os.path.isdir(folder):
+                names.update(name for name in os.listdir(folder) if protocol.is_name(name))
     return sorted(names)
 
 

@@ -23,9 +23,7 @@ def stop_task(request: Document) -> Document:
     ``stopped`` is replied only with proof.
     """
     began = time.monotonic()
-    # A host that was renamed keeps its tasks under its former name.
-    host = state_dir.check_name(request.get("filed_as") or request["host"])
-    task = state_dir.check_name(request["task"])
+    host, task = state_dir.check_name(request["host"]), state_dir.check_name(request["task"])
     if request.get("generation") is not None:
         status.check_generation(host, task, int(request["generation"]))
     alive = [record for record in liveness.read_instances(host, task) if liveness.is_alive(record)]
