@@ -185,10 +185,12 @@ def isolated(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.Monke
     return home
 
 
-@pytest.fixture(autouse=True)
-def short_up_time(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture(autouse=True, scope="session")
+def short_up_time() -> Iterator[None]:
     """Tasks without a ready check count as ready after 0.3 s, so that an apply in this process returns soon."""
-    monkeypatch.setattr("edgectl.executor.action_phases.DEFAULT_UP_S", 0.3)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("edgectl.executor.action_phases.DEFAULT_UP_S", 0.3)
+        yield
 
 
 @pytest.fixture(scope="module")

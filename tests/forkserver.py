@@ -152,20 +152,21 @@ def serve(connection: socket.socket) -> None:
 
 
 def _run_and_report(request: dict[str, Any], files: list[int]) -> None:
-    """Run the program in a child process, and write its pid and its wait status."""
+    """Run the program in a child process, and write its wait status."""
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     pid = os.fork()
     if pid == 0:
         _run_program(request, files)
     for file in files[:3]:
         os.close(file)
-    os.write(files[3], b"%d\n" % pid)
     os.write(files[3], b"%d\n" % os.waitpid(pid, 0)[1])
     os._exit(0)
 
 
 def _run_program(request: dict[str, Any], files: list[int]) -> None:
+    """Write the pid as soon as it can be killed with its group, and run the program."""
     os.setsid()
+    os.write(files[3], b"%d\n" % os.getpid())
     for number, file in enumerate(files[:3]):
         os.dup2(file, number)
     os.closerange(3, 1024)

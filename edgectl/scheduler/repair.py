@@ -51,7 +51,7 @@ def repair_plan(plan: UnrepairedPlan) -> dict[str, Choice]:
     work = MAX_WORK
     causes: dict[str, str] = {}
     bounded = _has_absolute_demands(plan)
-    located = _list_located(plan)
+    located = _find_located(plan)
     for task in wanted:
         if work <= 0 or not all(is_need_met(need, located, plan.initial.completed) for need in task.needs):
             continue
@@ -67,15 +67,9 @@ def repair_plan(plan: UnrepairedPlan) -> dict[str, Choice]:
     return _build_choices(plan, packing, causes)
 
 
-def _list_located(plan: UnrepairedPlan) -> set[str]:
-    """Tasks that have a place; not those that ran on a host that counts as gone."""
-    gone = {name for name, choice in plan.choices.items() if choice.place is None}
-    return (plan.initial.located.keys() - gone) | plan.placed.keys()
-
-
 def _list_wanted(plan: UnrepairedPlan) -> list[Task]:
     """Tasks without room, and those that only wait for them, in sequence order."""
-    reach = _list_located(plan)
+    reach = _find_located(plan)
     wanted = []
     for task in plan.order:
         choice = plan.choices.get(task.name)
@@ -88,6 +82,12 @@ def _list_wanted(plan: UnrepairedPlan) -> list[Task]:
             reach.add(task.name)
             wanted.append(task)
     return wanted
+
+
+def _find_located(plan: UnrepairedPlan) -> set[str]:
+    """Tasks that count as predecessors; one that ran and lost its place does not."""
+    homeless = {name for name, choice in plan.choices.items() if choice.place is None}
+    return (set(plan.initial.located) - homeless) | plan.placed.keys()
 
 
 def _has_absolute_demands(plan: UnrepairedPlan) -> bool:
