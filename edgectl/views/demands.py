@@ -20,6 +20,7 @@ _SOURCE_STYLES = {
 }
 _MEASURED_SOURCES = (DemandSource.MEASURED, DemandSource.MEASURED_ELSEWHERE)
 _MAX_LISTED = 4
+_MEASURED_RESOURCES = tuple(resource for resource in HOST_RESOURCES if not resource.declared_only)
 _AMOUNTS = ("NOW", "RESERVED", "DEMAND")
 
 
@@ -99,7 +100,10 @@ def _format_usage_now(rho: ResourceDemand, run: TaskSample | None) -> str:
 def render_reservations(value: Plan, look: RenderOptions = PLAIN) -> str:
     """By host: its load now, and what its tasks reserve and demand after the plan."""
     rows: list[Row] = [
-        ("HOST", *(f"{resource.name.upper()} {word}" for resource in HOST_RESOURCES for word in _AMOUNTS))
+        (
+            "HOST",
+            *(f"{resource.name.upper()} {word}" for resource in _MEASURED_RESOURCES for word in _AMOUNTS),
+        )
     ]
     for name in value.expected:
         here = [step.decision.demand for step in value.steps if step.decision.host == name]
@@ -112,7 +116,7 @@ def _list_reservation_cells(
     value: Plan, host: str, demands: Sequence[Sequence[ResourceDemand]]
 ) -> Iterator[str]:
     sample = value.snapshot.hosts.get(host)
-    for resource in HOST_RESOURCES:
+    for resource in _MEASURED_RESOURCES:
         show = resource.unit.format
         found = [rho for demand in demands for rho in demand if rho.resource == resource]
         known = sample is not None and resource.name in sample.usage
