@@ -33,6 +33,7 @@ _ROOMS = (
     "executor",
     "formats",
     "gateway",
+    "rules",
     "scheduler",
     "state",
     "transport",

@@ -1,8 +1,9 @@
 """Problems in input files: stable codes, positions, and their collection."""
 
 import re
+from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 from edgectl.errors import InputError, Problem
@@ -11,6 +12,8 @@ from edgectl.names import format_name_list, suggest_name
 _MAX_LINE_LENGTH = 400
 _MAX_MESSAGE_LENGTH = 300
 _MAX_SUGGESTIONS = 50
+# Of errors, and of warnings: a file of 1 MiB can have a hundred thousand.
+_MAX_PROBLEMS = 100
 _SECRET_MARGIN_LINES = 3
 _SECRET_PATTERN = re.compile(r"\b(secret|value)\W*:")
 
@@ -111,9 +114,11 @@ def mark_from_span(source: Source, start: int, end: int) -> Mark:
 
 @dataclass(slots=True)
 class Problems:
-    """The problems found so far, each once."""
+    """The problems found so far, each once: the first errors and warnings, and the number of the others."""
 
     found: list[Problem] = field(default_factory=list)
+    _omitted: Counter[bool] = field(default_factory=Counter)
+    _count: Counter[bool] = field(default_factory=Counter)
     _seen: set[tuple[str, int, int, str, str]] = field(default_factory=set)
     _suggested: int = 0
 
@@ -131,6 +136,11 @@ class Problems:
         if key in self._seen:
             return
         self._seen.add(key)
+        # Who may write a file decides what is done with it, so that is never left out.
+        if self._count[warning] >= _MAX_PROBLEMS and code is not ProblemCode.EXPOSED:
+            self._omitted[warning] += 1
+            return
+        self._count[warning] += 1
         unseen = code in _QUOTING_CODES and mark.source.is_near_secret(mark.line)
         if unseen:
             message, hint = (
@@ -166,12 +176,19 @@ class Problems:
     @property
     def errors(self) -> tuple[Problem, ...]:
         """Problems that make the files unusable, by file, line and column."""
-        return tuple(sorted((p for p in self.found if not p.warning), key=_build_sort_key))
+        return self._list_problems(warning=False)
 
     @property
     def warnings(self) -> tuple[Problem, ...]:
         """Warnings: legal but suspicious."""
-        return tuple(sorted((p for p in self.found if p.warning), key=_build_sort_key))
+        return self._list_problems(warning=True)
+
+    def _list_problems(self, *, warning: bool) -> tuple[Problem, ...]:
+        listed = sorted((each for each in self.found if each.warning is warning), key=_build_sort_key)
+        if not self._omitted[warning]:
+            return tuple(listed)
+        others = replace(listed[-1], message=f"and {self._omitted[warning]} more", hint="mend the first ones")
+        return (*listed, others)
 
     def check(self) -> None:
         """End of reading.

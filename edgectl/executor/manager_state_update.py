@@ -11,6 +11,7 @@ from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.result import ActionResult, Outcome, Phase, Results
 from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Tasks
+from edgectl.rules.other_managers import is_up_to_date
 
 # Generations follow a manager's clock. One that a host reports is believed up to ten years ahead of this
 # clock, or of 2050 where this clock is behind: no host makes the others unusable by its word.
@@ -105,7 +106,12 @@ def update_manager_state(
 def _compute_synced_grants(
     manager: ManagerState, snapshot: Snapshot, placements: Mapping[str, Placement], tasks: Tasks
 ) -> Mapping[str, int]:
-    """The grants of all hosts, where all answered and ``placements`` has every task that lives there."""
+    """The grants of all hosts, where all answered and ``placements`` has every task that lives there.
+
+    They stay as they are until another manager has acted: a watch writes nothing while nothing changes.
+    """
+    if is_up_to_date(manager, snapshot.hosts):
+        return manager.synced
     hosts = snapshot.hosts.values()
     alive = {
         name: run for host in hosts for name, run in host.tasks.items() if run.managed and run.state.alive

@@ -12,6 +12,7 @@ from edgectl.model.snapshot import HostSample, TaskSample, TaskState
 from edgectl.model.task import Task, Tasks
 from edgectl.rules.lost_places import LostPlace, build_lost_place_decision, find_lost_place
 from edgectl.rules.measured_demand import WARM_UP_S
+from edgectl.rules.other_managers import is_up_to_date
 from edgectl.rules.task_origin import is_left_alone
 from edgectl.scheduler.capacities import Capacities
 from edgectl.scheduler.claims import Standing, find_record, judge_report
@@ -155,11 +156,12 @@ def _find_unsure_host(fleet: Capacities, manager: ManagerState) -> str | None:
         and fleet.is_unreachable(place)
         and host.name not in manager.fenced
     ]
-    outdated = any(
-        sample is not None and sample.ok and sample.foreign_grant > manager.synced.get(host.name, 0)
+    samples = {
+        host.name: sample
         for host, sample in zip(fleet.places, fleet.samples, strict=True)
-    )
-    return silent[0] if silent and outdated else None
+        if sample is not None
+    }
+    return silent[0] if silent and not is_up_to_date(manager, samples) else None
 
 
 def _collect_instances(fleet: Capacities) -> dict[str, tuple[FoundInstance, ...]]:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from edgectl.errors import ConnectError, HostError
-from edgectl.transport.sockets import CONNECT_TIMEOUT_S, TunnelLine
+from edgectl.transport.sockets import CONNECT_TIMEOUT_S, MAX_TUNNEL_BYTES, TunnelLine
 from edgectl.transport.ssh_session import SshSession
 
 # A failed jump host is not tried again for so many seconds: its hosts fail at once instead of one after the
@@ -33,7 +33,7 @@ class JumpHosts:
 
     def channel(
         self, jump: str, target: tuple[str, int], deadline: float
-    ) -> tuple[object, Callable[[], None]]:
+    ) -> tuple[TunnelLine, Callable[[], None]]:
         """A channel to ``target`` through ``jump``, and a function to call once it is closed.
 
         Raises:
@@ -41,10 +41,11 @@ class JumpHosts:
             paramiko.SSHException: it cannot reach the target.
         """
         session, release = self._lease(jump, deadline)
+        session.allowance.renew(MAX_TUNNEL_BYTES)
         seconds = max(0.01, min(CONNECT_TIMEOUT_S, deadline - time.monotonic()))
         try:
             opened = session.transport.open_channel("direct-tcpip", target, ("127.0.0.1", 0), timeout=seconds)
-            return TunnelLine(opened), release
+            return TunnelLine(opened, session.allowance), release
         except BaseException:
             release()
             raise

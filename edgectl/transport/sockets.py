@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 # Bounds of connecting, seconds.
@@ -19,8 +20,12 @@ CONNECT_TIMEOUT_S = 5.0
 TCP_USER_TIMEOUT_MS = 20_000
 # paramiko asks for 0.1 s on each of its sockets: ten wake-ups per second and connection that see nothing.
 MIN_POLL_S = 2.0
-# More than any login needs, bytes.
+# More than any login needs, and than comes while nothing is asked, bytes.
 MAX_LOGIN_BYTES = 1 << 18
+# What a new key exchange counts besides its bytes: it takes as long as so many.
+REKEY_BYTES = 1 << 17
+# What hosts behind a jump host may have sent and nobody has read yet, bytes.
+MAX_TUNNEL_BYTES = 1 << 26
 # paramiko asks for as much as a packet announces, and OpenSSH sends none above 256 KiB.
 MAX_PACKET_BYTES = 1 << 19
 _CHUNK_BYTES = 1 << 16
@@ -28,23 +33,66 @@ _QUICKACK = getattr(socket, "TCP_QUICKACK", None)
 _USER_TIMEOUT = getattr(socket, "TCP_USER_TIMEOUT", None)
 
 
+class Allowance:
+    """How many bytes may still come over a connection, which is cut beyond.
+
+    So many for the login, then so many for each call: a server cannot keep us busy with what nobody reads,
+    such as packets to be ignored. One thread receives, others grant.
+    """
+
+    def __init__(self) -> None:
+        self._received, self._limit, self._calls = 0, MAX_LOGIN_BYTES, 0
+        self._lock = threading.Lock()
+
+    def is_spent(self) -> bool:
+        """Whether more came than was granted."""
+        return self._received > self._limit
+
+    def charge(self, size: int) -> None:
+        """Count ``size`` bytes that came; only the thread that receives."""
+        self._received += size
+
+    def renew(self, size: int) -> None:
+        """Grant at least ``size`` bytes from now on."""
+        with self._lock:
+            if not self.is_spent():
+                self._limit = max(self._limit, self._received + size)
+
+    @contextlib.contextmanager
+    def grant(self, size: int) -> Iterator[None]:
+        """Grant a call ``size`` bytes; what calls at the same time were granted is added up."""
+        with self._lock:
+            if not self.is_spent():
+                self._limit = (self._limit if self._calls else self._received) + size
+            self._calls += 1
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._calls -= 1
+                if not self._calls and not self.is_spent():
+                    self._limit = self._received + MAX_LOGIN_BYTES
+
+
 class TunedSocket(socket.socket):
     """A socket without the two 40 ms stalls of an SSH login (Nagle, delayed acknowledgement).
 
-    ``allowance`` is how many bytes may still come; then it reads as closed. It keeps a server that talks
-    without end from filling our memory before the login; afterwards every command has a cap of its own, and
-    a packet that announces more than ``MAX_PACKET_BYTES`` ends the connection.
+    Beyond its ``allowance`` it reads as closed, as it does where a packet announces more than
+    ``MAX_PACKET_BYTES``.
     """
 
-    allowance: float = MAX_LOGIN_BYTES
+    @cached_property
+    def allowance(self) -> Allowance:
+        """What may still come."""
+        return Allowance()
 
     def recv(self, size: int, flags: int = 0, /) -> bytes:
         """Receive, and acknowledge at once; the kernel resets that option, so it is set each time."""
         if size > MAX_PACKET_BYTES:
             return b""
         data = super().recv(min(size, _CHUNK_BYTES), flags)
-        self.allowance -= len(data)
-        if self.allowance < 0:
+        self.allowance.charge(len(data))
+        if self.allowance.is_spent():
             return b""
         if _QUICKACK is not None and data:
             with contextlib.suppress(OSError):
@@ -59,20 +107,27 @@ class TunedSocket(socket.socket):
 class TunnelLine:
     """A channel of a jump host under an SSH connection, with the bounds of `TunedSocket`."""
 
-    def __init__(self, channel: Any) -> None:  # noqa: ANN401 - one of paramiko's
+    def __init__(self, channel: Any, outer: Allowance | None = None) -> None:  # noqa: ANN401 - one of paramiko's
+        """``outer``: the allowance of the jump host's own connection, which is renewed by what is read."""
         self._channel = channel
-        self.allowance: float = MAX_LOGIN_BYTES
+        self._outer = outer
+        self.allowance = Allowance()
 
     def recv(self, size: int) -> bytes:
         """Receive; nothing once more came than is allowed, or a packet is too large."""
         if size > MAX_PACKET_BYTES:
             return b""
         data: bytes = self._channel.recv(min(size, _CHUNK_BYTES))
-        self.allowance -= len(data)
-        return data if self.allowance >= 0 else b""
+        if self._outer is not None:
+            self._outer.renew(MAX_TUNNEL_BYTES)
+        self.allowance.charge(len(data))
+        return b"" if self.allowance.is_spent() else data
 
     def __getattr__(self, name: str) -> Any:  # noqa: ANN401 - whatever else a channel has
         return getattr(self._channel, name)
+
+
+Line = TunedSocket | TunnelLine
 
 
 def connect_tcp(address: str, port: int, *, timeout: float) -> TunedSocket:

@@ -1,7 +1,6 @@
 """SSH over Fabric: its client with our socket, host key policy and deadline (``docs/concepts/ssh.md``)."""
 
 import logging
-import math
 import secrets
 import time
 from collections.abc import Callable, Iterator
@@ -22,8 +21,9 @@ from edgectl.transport.known_hosts import HostKey
 from edgectl.transport.passwords import PasswordStore
 from edgectl.transport.sockets import (
     CONNECT_TIMEOUT_S,
-    TunedSocket,
-    TunnelLine,
+    MAX_LOGIN_BYTES,
+    REKEY_BYTES,
+    Line,
     connect_tcp,
     hang_up,
     start_proxy_command,
@@ -127,8 +127,7 @@ class SshTransport:
             try:
                 connection.open()
                 connection.transport.set_keepalive(KEEPALIVE_S)
-                if isinstance(line, TunedSocket | TunnelLine):
-                    line.allowance = math.inf
+                line.allowance.renew(MAX_LOGIN_BYTES)
                 return SshSession(resolved.name, connection.client, line, after=done)
             except BaseException as error:
                 hang_up(line)
@@ -138,7 +137,7 @@ class SshTransport:
                 if not connection.is_connected:
                     connection.client.close()
 
-    def _fabric(self, resolved: ResolvedHost, line: object, login: LoginStrategy) -> "fabric.Connection":
+    def _fabric(self, resolved: ResolvedHost, line: Line, login: LoginStrategy) -> "fabric.Connection":
         # Lazy: no file of Fabric (~/.fabric.py) is read or executed. Not shared: its merge is not
         # thread-safe.
         config = fabric.Config(lazy=True, ssh_config=paramiko.SSHConfig())
@@ -157,12 +156,12 @@ class SshTransport:
         return connection
 
     @contextmanager
-    def _line(self, resolved: ResolvedHost, deadline: float) -> Iterator[tuple[object, Callable[[], None]]]:
+    def _line(self, resolved: ResolvedHost, deadline: float) -> Iterator[tuple[Line, Callable[[], None]]]:
         """A connected line for SSH, and a function to call after it; closed where the block raises."""
         seconds = min(
             CONNECT_TIMEOUT_S, resolved.connect_timeout or CONNECT_TIMEOUT_S, deadline - time.monotonic()
         )
-        line: object
+        line: Line
         done: Callable[[], None] = _release_nothing
         try:
             if resolved.proxy_jump:
@@ -187,7 +186,7 @@ class SshTransport:
             yield line, done
         except BaseException:
             with suppress(Exception):
-                line.close()  # type: ignore[attr-defined]
+                line.close()
             done()
             raise
 
@@ -237,12 +236,24 @@ class _HostKeyPolicy(paramiko.MissingHostKeyPolicy):
         self._host_keys.verify(self._resolved, HostKey(key.get_name(), key.asbytes()))
 
 
+class _BoundedTransport(paramiko.Transport):
+    """A transport that counts each key exchange against the allowance of its line."""
+
+    def __init__(self, line: Line) -> None:
+        super().__init__(line)  # type: ignore[arg-type]
+        self._allowance = line.allowance
+
+    def _parse_kex_init(self, m: paramiko.Message) -> None:
+        self._allowance.charge(REKEY_BYTES)
+        super()._parse_kex_init(m)  # type: ignore[misc]
+
+
 def _build_paramiko_transport(
-    preferred: list[str], sock: object, disabled_algorithms: object = None
+    preferred: list[str], sock: Line, disabled_algorithms: object = None
 ) -> paramiko.Transport:
     """A paramiko transport that prefers the host key types that known_hosts has, as OpenSSH does."""
     del disabled_algorithms
-    transport = paramiko.Transport(sock)  # type: ignore[arg-type]
+    transport = _BoundedTransport(sock)
     offered = transport.get_security_options()
     types = list(offered.key_types)
     wanted = [

@@ -13,20 +13,22 @@ import paramiko
 
 from edgectl.errors import ConnectError, DeadlineError, HostError, ReplyError
 from edgectl.transport.base import Reply
-from edgectl.transport.sockets import hang_up, watchdog
+from edgectl.transport.sockets import MAX_LOGIN_BYTES, Line, hang_up, watchdog
 from edgectl.transport.ssh_errors import translate_ssh_error
 
 # A connection that does not even let a channel be closed is cut this long after the deadline, seconds.
 GRACE_S = 0.5
 CHANNEL_PAUSES_S = (0.02, 0.05, 0.1, 0.3, 1.0)
 _CHUNK_BYTES = 65536
+# Of a log, between two reads: the window of a channel and as much again, bytes.
+MAX_STREAM_BYTES = 1 << 22
 
 
 class SshSession:
     """An open connection to one host (see `Session`)."""
 
     def __init__(
-        self, name: str, client: paramiko.SSHClient, line: object, *, after: Callable[[], None] | None = None
+        self, name: str, client: paramiko.SSHClient, line: Line, *, after: Callable[[], None] | None = None
     ) -> None:
         """``line``: the socket or channel underneath; ``after`` is called once when the session is closed."""
         transport = client.get_transport()
@@ -34,6 +36,7 @@ class SshSession:
             raise ConnectError("the connection was closed at once", host=name)
         self.name = name
         self.transport = transport
+        self.allowance = line.allowance
         self._client = client
         self._line = line
         self._after = after
@@ -47,12 +50,14 @@ class SshSession:
     def run(self, command: str, stdin: bytes, *, timeout: float, limit: int = 1 << 20) -> Reply:
         """Run ``command`` (see `Session.run`)."""
         deadline = time.monotonic() + timeout
-        with self._channel(command, stdin, deadline) as channel:
+        most = 2 * limit + MAX_LOGIN_BYTES
+        with self.allowance.grant(most), self._channel(command, stdin, deadline) as channel:
             return _collect_reply(channel, deadline, limit, timeout)
 
     def stream(self, command: str, stdin: bytes, *, idle_timeout: float) -> Iterator[bytes]:
         """Run ``command`` and yield its output as it comes (see `Session.stream`)."""
         with (
+            self.allowance.grant(MAX_STREAM_BYTES),
             self._errors(idle_timeout),
             contextlib.closing(self._open(time.monotonic() + idle_timeout)) as channel,
         ):
@@ -61,6 +66,7 @@ class SshSession:
             arrived = _watch_arrivals(channel)
             while True:
                 yield from _read_available(channel)
+                self.allowance.renew(MAX_STREAM_BYTES)
                 if _has_output_ended(channel):
                     break
                 if not arrived.wait(idle_timeout):
@@ -75,7 +81,7 @@ class SshSession:
             self._cut()
             self._client.close()
             self.transport.join(1)
-            self._line.close()  # type: ignore[attr-defined]
+            self._line.close()
         if after is not None:
             after()
 
@@ -99,6 +105,11 @@ class SshSession:
                     yield channel
                     self._check(channel)
             except Exception as error:
+                if self.allowance.is_spent():
+                    raise ConnectError(
+                        "more came than any reply has, and the connection was cut",
+                        hint="something floods it: check the SSH server of the host",
+                    ) from error
                 if watch.expired or (time.monotonic() >= deadline and not isinstance(error, HostError)):
                     raise DeadlineError(f"no answer within {seconds:.3g} s") from error
                 raise

@@ -22,6 +22,7 @@ from edgectl.state.lock import FleetLock, get_user_name
 from edgectl.state.manager_state import load_manager_state, save_manager_state, select_saved_fields
 from edgectl.transport.connections import SessionPool
 from edgectl.transport.fleet_lease import WatchNote
+from edgectl.transport.silence import SilenceTransport
 from edgectl.units import format_duration
 from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.fleet_lease import compute_files_digest, hold_fleet
@@ -112,7 +113,8 @@ def confirm_and_execute(
             verb=verb,
             user=get_user_name(),
         )
-        with track_heartbeats(fleet) as tracked:
+        near = dataclasses.replace(fleet, transport=SilenceTransport(fleet.transport))
+        with track_heartbeats(near) as tracked:
             results = run_plan(
                 plan,
                 fleet.inventory,
@@ -131,7 +133,7 @@ def confirm_and_execute(
     _recover_interrupted_apply(fleet, cut_off)
     if fleet.lease is not None and fleet.lease.watched_by is not None and verb != "watch":
         fleet.warn(_describe_watch(fleet, fleet.lease.watched_by))
-    return ApplyResult(plan=plan, results=results, doubled=_look_for_doubled(fleet, plan))
+    return ApplyResult(plan=plan, results=results, doubled=_look_for_doubled(near, plan))
 
 
 def _look_for_doubled(fleet: Fleet, plan: Plan) -> dict[str, tuple[str, ...]]:

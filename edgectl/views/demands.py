@@ -52,7 +52,7 @@ def _render_demand_row(task: str, host: str, demand: tuple[ResourceDemand, ...])
 def _render_demand_cell(rho: ResourceDemand | None) -> Cell:
     return (
         Cell("-")
-        if rho is None
+        if rho is None or (rho.resource.declared_only and not rho.value)
         else Cell(
             f"{rho.resource.unit.format_small(rho.value)} {format_demand_source(rho)}",
             _SOURCE_STYLES[rho.source],

@@ -98,7 +98,7 @@ def _list_host_fields(stated: Host, sample: HostSample | None, value: Snapshot) 
         ),
         ("Labels", format_pairs(stated.labels)),
         ("Capacity", _format_host_capacity(stated, sample)),
-        ("Limits", ", ".join(f"{each.name} {stated.limits[each.name]:.0%}" for each in HOST_RESOURCES)),
+        ("Limits", _format_limits(stated)),
         ("Onboard", "candidate for its own tasks" if stated.onboard else ""),
         ("Runtime", stated.runtime.value),
         ("Prelude", stated.prelude),
@@ -117,6 +117,15 @@ def _list_connection_fields(stated: Host) -> list[Field]:
     }
     parts = [f"{what} {text}" for what, text in named.items() if text]
     return [("Connection", ", ".join([stated.connection.value, *parts]))]
+
+
+def _format_limits(stated: Host) -> str:
+    known: Mapping[str, float] = stated.capacity or {}
+    return ", ".join(
+        f"{each.name} {stated.limits[each.name]:.0%}"
+        for each in HOST_RESOURCES
+        if known.get(each.name) or not each.declared_only
+    )
 
 
 def _format_host_capacity(stated: Host, sample: HostSample | None) -> str:

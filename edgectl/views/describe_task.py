@@ -239,8 +239,11 @@ def _render_usage_rows(sample: TaskSample, demand: Amounts) -> list[Row]:
     rows: list[Row] = []
     for resource in RESOURCES:
         name, show = resource.name, resource.unit.format
+        if resource.declared_only and name not in demand:
+            continue
+        used = "-" if resource.declared_only else show(sample.used[name])
         difference = render_difference(excess.get(name), demand.get(name), show)
-        rows.append((name, show(sample.used[name]), format_or_dash(demand.get(name), show), difference))
+        rows.append((name, used, format_or_dash(demand.get(name), show), difference))
     return [head("resource", "used", "demand", "excess"), *rows] if sample.state.alive else []
 
 

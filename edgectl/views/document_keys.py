@@ -6,6 +6,7 @@ The glossary has the type, the unit and the meaning of each key.
 from collections.abc import Mapping
 
 from edgectl.model.resource import HOST_RESOURCES, RESOURCES
+from edgectl.views.glossary import get_flat_used_key
 
 Keys = tuple[str, ...]
 KeysByName = Mapping[str, Keys]
@@ -91,7 +92,9 @@ INNER_KEYS: KeysByName = {
     **{
         resource.name: tuple(
             f"{amount}_{resource.unit.name}"
-            for amount in ("used", "demand", "excess", *(() if resource.per_link else ("capacity",)))
+            for amount in ("used", "demand", "excess", "capacity")
+            if not (resource.per_link and amount == "capacity")
+            and not (resource.declared_only and amount == "excess")
         )
         for resource in RESOURCES
     },
@@ -105,8 +108,8 @@ INNER_KEYS: KeysByName = {
     "events": _EVENT,
     "flips": ("change", "term", "host", "robot", "amount", "unit", "size", "winner"),
     "handoff": ("order", "safe_when", "hold", "release"),
-    "history": ("at", "host", "used_cores", "memory_used_bytes", "network_used_bytes_per_s"),
-    "hosts": ("status", "error", "cpu", "memory"),
+    "history": ("at", "host", *map(get_flat_used_key, RESOURCES)),
+    "hosts": ("status", "error", *(resource.name for resource in HOST_RESOURCES)),
     "interfaces": ("rx_bytes_per_s", "tx_bytes_per_s", "speed_bytes_per_s"),
     "left": ("task", "host"),
     "links": _LINK_SAMPLE,

@@ -7,7 +7,7 @@ from edgectl.model.assignment import Decision
 from edgectl.model.explanation import ChangeKind, Explanation, FirstMove, Flip, Tie, TieRule
 from edgectl.model.plan import Action, Step
 from edgectl.model.resource import RESOURCES_BY_NAME
-from edgectl.views.glossary import head
+from edgectl.views.glossary import head, list_shown_weights
 from edgectl.views.output import ItemView
 from edgectl.views.output_format import WIDE_FORMATS
 from edgectl.views.plan_sections import format_utility
@@ -99,7 +99,8 @@ def _render_contributions(value: Explanation, look: RenderOptions) -> str:
     here, there = value.decision.host or "", value.runner_up or ""
     hosts = (Cell(here, "head"), Cell(there, "head"))
     rows: list[Row] = [(*head("term", "weight"), *hosts, Cell("ADDS TO LEAD", "head"))]
-    for each in value.contributions:
+    shown = list_shown_weights({each.term: each.weight for each in value.contributions})
+    for each in (each for each in value.contributions if each.term in shown):
         style = "good" if each.lead > 0 else "bad" if each.lead < 0 else "dim"
         rows.append(
             (

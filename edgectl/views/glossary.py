@@ -4,6 +4,7 @@ One quantity has one key, one unit and one type wherever it stands. docs/referen
 from here.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -54,7 +55,8 @@ def list_keys() -> tuple[KeyEntry, ...]:
 
 
 def _find_unit(key: str) -> str:
-    return next((unit for suffix, unit in _UNITS.items() if key.endswith(suffix)), "")
+    units = {f"_{resource.unit.name}": resource.unit.name for resource in RESOURCES} | _UNITS
+    return next((unit for suffix, unit in units.items() if key.endswith(suffix)), "")
 
 
 # An amount of a resource is keyed by what it is and its unit, inside the object of the resource.
@@ -72,6 +74,7 @@ def _describe_amounts() -> dict[str, str]:
         for resource in RESOURCES
         for amount, text in _AMOUNTS.items()
         if not (resource.per_link and amount == "capacity")
+        and not (resource.declared_only and amount == "excess")
     }
 
 
@@ -394,6 +397,24 @@ HEADINGS = _list_amount_headings() | {
 }
 
 
+# A budget that no host declares has no column, no weight and no limit in a table.
+_DECLARED_ONLY = {resource.name for resource in RESOURCES if resource.declared_only}
+
+
 def head(*columns: str) -> Row:
     """The headings of ``columns``; an empty name is a column without one."""
-    return tuple(Cell(HEADINGS[column] if column else "", "head") for column in columns)
+    return tuple(Cell(HEADINGS[column] if column else "", _get_heading_style(column)) for column in columns)
+
+
+def _get_heading_style(column: str) -> str:
+    return "spare" if _DECLARED_ONLY & set(column.split(".")) else "head"
+
+
+def head_of_resource(resource: Resource) -> Cell:
+    """The heading of a column with the usage of ``resource``."""
+    return Cell(resource.name.upper(), _get_heading_style(resource.name))
+
+
+def list_shown_weights(weights: Mapping[str, float]) -> dict[str, float]:
+    """The weights without those of budgets that are not weighed."""
+    return {name: weight for name, weight in weights.items() if weight or name not in _DECLARED_ONLY}

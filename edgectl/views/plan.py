@@ -7,9 +7,10 @@ from edgectl.formats.document import Document
 from edgectl.formats.kinds import PLAN_KIND
 from edgectl.model.assignment import RankedHost
 from edgectl.model.plan import Action, Plan, Step
+from edgectl.model.policy import Weights
 from edgectl.model.resource import TERMS
 from edgectl.views.demands import render_demands
-from edgectl.views.glossary import head
+from edgectl.views.glossary import head, list_shown_weights
 from edgectl.views.output import View
 from edgectl.views.output_format import PLAN_FORMATS
 from edgectl.views.plan_sections import (
@@ -55,7 +56,11 @@ class PlanView(View):
     def wide(self, look: RenderOptions = PLAIN) -> str:
         """The table with every candidate of every task, and the demands."""
         steps = self._plan.steps
-        rows = [_CANDIDATE_HEAD, *(row for step in steps for row in _render_candidate_rows(step))]
+        weights = self._plan.policy.weights
+        rows = [
+            _CANDIDATE_HEAD,
+            *(row for step in steps for row in _render_candidate_rows(step, weights)),
+        ]
         return _join_parts(
             render_plan_header(self._plan, look),
             render_columns(rows, look, right=_TERM_COLUMNS, wrap={1, 2}) if steps else "",
@@ -125,7 +130,7 @@ def _find_next_host(step: Step) -> str | None:
     return None if step.action in (Action.STOP, Action.COMPLETE, Action.NONE) else step.decision.host
 
 
-def _render_candidate_rows(step: Step) -> list[Row]:
+def _render_candidate_rows(step: Step, weights: Weights) -> list[Row]:
     decision, style = step.decision, ACTION_STYLES[step.action]
     chosen = next((ranked for ranked in decision.ranking if ranked.host == decision.host), None)
     others = sorted(
@@ -136,10 +141,10 @@ def _render_candidate_rows(step: Step) -> list[Row]:
         Cell(step.action.symbol, style),
         Cell(step.task, "name"),
         Cell(_format_route(step), "bold"),
-        *_format_terms(chosen),
+        *_format_terms(chosen, weights),
         Cell(describe_reason(step), style),
     )
-    rows = [first, *map(_render_losing_host_row, others)]
+    rows = [first, *(_render_losing_host_row(ranked, weights) for ranked in others)]
     left_out = ", ".join(f"{count} {rule}" for rule, count in decision.rejection_counts.items())
     if not left_out:
         return rows
@@ -147,12 +152,12 @@ def _render_candidate_rows(step: Step) -> list[Row]:
     return [*rows, ("", "", Cell("..", "dim"), *blank, Cell(f"not shown: {left_out}", "dim"))]
 
 
-def _render_losing_host_row(ranked: RankedHost) -> Row:
+def _render_losing_host_row(ranked: RankedHost, weights: Weights) -> Row:
     return (
         "",
         "",
         Cell(ranked.host, "dim"),
-        *_format_terms(ranked),
+        *_format_terms(ranked, weights),
         Cell(_describe_losing_host(ranked), "dim"),
     )
 
@@ -164,10 +169,12 @@ def _format_route(step: Step) -> str:
     return decision.host or (f"{decision.previous_host} ->" if decision.previous_host else "-")
 
 
-def _format_terms(ranked: RankedHost | None) -> tuple[str, ...]:
+def _format_terms(ranked: RankedHost | None, weights: Weights) -> tuple[str, ...]:
     if ranked is None:
         return ("-",) * (len(TERMS) + 1)
-    return tuple(format_utility(value) for value in (*ranked.terms.values(), ranked.total))
+    shown = list_shown_weights(weights)
+    terms = (format_utility(value if name in shown else None) for name, value in ranked.terms.items())
+    return (*terms, format_utility(ranked.total))
 
 
 def _describe_losing_host(ranked: RankedHost) -> str:

@@ -12,6 +12,7 @@ from edgectl.names import natural_key
 from edgectl.rules.lost_places import describe_lost_place, list_lost_tasks
 from edgectl.units import format_instant, format_rate
 from edgectl.views.demands import list_demand_notes
+from edgectl.views.glossary import head_of_resource, list_shown_weights
 from edgectl.views.reasons import describe_reason, is_left_out, is_not_found, join_words
 from edgectl.views.state import format_silence
 from edgectl.views.text import (
@@ -42,7 +43,7 @@ ACTION_STYLES = {
 
 def render_plan_header(value: Plan, look: RenderOptions = PLAIN) -> str:
     """Policy, weights as used, and snapshot of the plan."""
-    weights = value.policy.weights
+    weights = list_shown_weights(value.policy.weights)
     shown = ", ".join(f"{name} {weight:.3g}" for name, weight in weights.items())
     return wrap_text(
         f"Policy {value.policy.name}; weights {shown}; snapshot of {format_instant(value.created_at)}", look
@@ -58,7 +59,7 @@ def format_utility(value: float | None, *, signed: bool = False) -> str:
 
 def render_expected_load(value: Plan, look: RenderOptions = PLAIN) -> str:
     """Load of each host after the plan, against its measured or declared capacity."""
-    rows: list[Row] = [("HOST", *(resource.name.upper() for resource in HOST_RESOURCES), "LINKS")]
+    rows: list[Row] = [("HOST", *map(head_of_resource, HOST_RESOURCES), "LINKS")]
     rows += [
         _render_expected_load_row(name, load, value.snapshot.hosts.get(name))
         for name, load in value.expected.items()
@@ -76,6 +77,8 @@ def _render_expected_load_row(name: str, load: ExpectedLoad, sample: HostSample 
                 usage[resource.name].capacity if resource.name in usage else None,
                 resource.unit.format(load.used[resource.name]),
             )
+            if resource.name in usage or load.used[resource.name] or not resource.declared_only
+            else Cell("-")
             for resource in HOST_RESOURCES
         ),
         ", ".join(

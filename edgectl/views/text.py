@@ -8,7 +8,10 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, TextIO
 
-_ANSI_STYLES = {"good": "32", "bad": "31", "warn": "33", "dim": "2", "bold": "1", "name": "36", "head": "1"}
+# "head" is a heading, "spare" that of a column which is left out where it has no value.
+_ANSI_STYLES = {
+    "good": "32", "bad": "31", "warn": "33", "dim": "2", "bold": "1", "name": "36", "head": "1", "spare": "1",
+}  # fmt: skip
 _NARROWEST_LAST_COLUMN = 24
 _BELOW_INDENT = 4
 _FIELD_BREAKS = re.compile(r"(?<=[,\s])")
@@ -102,6 +105,10 @@ def render_columns(
     cells = [[_to_safe_cell(field) for field in row] for row in rows]
     if not cells:
         return ""
+    kept = _list_kept_columns(cells)
+    cells = [_select_cells(row, kept) for row in cells]
+    right, wrap = ({n for n, column in enumerate(kept) if column in chosen} for chosen in (right, wrap))
+    least = [least[column] for column in kept if column < len(least)]
     natural = _measure_cell_widths(cells, least)
     floors = {
         i: _measure_narrowest(_select_column(cells, i), may_wrap=i in wrap) for i in range(len(natural) - 1)
@@ -112,7 +119,24 @@ def render_columns(
 
 def measure_column_widths(rows: Iterable[Row]) -> list[int]:
     """Width of each column where nothing is wrapped."""
-    return _measure_cell_widths([[_to_safe_cell(field) for field in row] for row in rows], ())
+    cells = [[_to_safe_cell(field) for field in row] for row in rows]
+    kept = _list_kept_columns(cells)
+    return _measure_cell_widths([_select_cells(row, kept) for row in cells], ())
+
+
+def _list_kept_columns(cells: list[list[Cell]]) -> list[int]:
+    """The columns without those whose heading is spare and which have no value."""
+    spare = [column for column, cell in enumerate(cells[0]) if cell.style == "spare"] if cells else []
+    empty = {
+        column
+        for column in spare
+        if all(row[column].text in ("", "-") for row in cells[1:] if column < len(row))
+    }
+    return [column for column in range(max(map(len, cells), default=0)) if column not in empty]
+
+
+def _select_cells(row: list[Cell], columns: Sequence[int]) -> list[Cell]:
+    return [row[column] for column in columns if column < len(row)]
 
 
 def compute_remaining_width(rows: Iterable[Row], look: RenderOptions, gap: str = "  ") -> int:
@@ -225,7 +249,9 @@ def _measure_narrowest(column: Iterable[Cell], *, may_wrap: bool) -> int:
     """Width of a column where its headings, and its fields if they may wrap, stand on several lines."""
     return max(
         (
-            _measure_longest_word(cell.text) if may_wrap or cell.style == "head" else len(cell.text)
+            _measure_longest_word(cell.text)
+            if may_wrap or cell.style in ("head", "spare")
+            else len(cell.text)
             for cell in column
         ),
         default=0,

@@ -15,6 +15,7 @@ from edgectl.model.snapshot import HostSample, Snapshot, find_doubled_tasks
 from edgectl.rules.lost_places import describe_lost_place, list_lost_tasks
 from edgectl.units import format_instant
 from edgectl.views.events import encode_event
+from edgectl.views.glossary import list_shown_weights
 from edgectl.views.output import ItemView
 from edgectl.views.output_format import CYCLE_FORMATS
 from edgectl.views.reasons import join_words
@@ -168,7 +169,7 @@ def format_weights(weights: Weights) -> str:
     """The name of a preset, else the weights themselves."""
     used = weights.normalised()
     known = next((name for name, preset in WEIGHT_PRESETS.items() if preset.normalised() == used), None)
-    return known or " ".join(f"{name}={weight:.3g}" for name, weight in used.items())
+    return known or " ".join(f"{name}={weight:.3g}" for name, weight in list_shown_weights(used).items())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -12,6 +12,7 @@ from edgectl.model.plan import Step
 from edgectl.model.resource import CPU, HOST_RESOURCES, TASK_RESOURCES
 from edgectl.model.snapshot import HostSample, ResourceUsage, TaskSample
 from edgectl.units import format_duration
+from edgectl.views.glossary import head_of_resource
 from edgectl.views.reasons import describe_reason
 from edgectl.views.sparkline import render_bar, render_sparkline
 from edgectl.views.state import TASK_STATE_STYLES, format_task_state
@@ -29,7 +30,7 @@ from edgectl.views.watch_cycle import WatchTally, add_cycle_to_tally
 
 # Of the CPU the screen shows the last cycles, of the others a bar.
 _OTHER_HOST_RESOURCES = tuple(each for each in HOST_RESOURCES if each is not CPU)
-_HOST_HEAD = ("HOST", "STATUS", "CPU", "", *(each.name.upper() for each in _OTHER_HOST_RESOURCES), "TASKS")
+_HOST_HEAD: Row = ("HOST", "STATUS", "CPU", "", *map(head_of_resource, _OTHER_HOST_RESOURCES), "TASKS")
 _TASK_HEAD = ("", "TASK", "HOST", "STATE", *(each.name.upper() for each in TASK_RESOURCES), "DECISION")
 _TASK_RIGHT_COLUMNS = frozenset(range(4, 4 + len(TASK_RESOURCES)))
 _KEY_HELP = "q quit   p plan now   a pause"

@@ -2,6 +2,7 @@
 
 import getpass
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -15,7 +16,7 @@ from edgectl.agent.link.errors import RefusalError
 from edgectl.agent.measure import proc
 from edgectl.agent.supervise import scope
 from edgectl.errors import RefusedError
-from tests.agent.conftest import AgentHost, eventually, is_running
+from tests.agent.conftest import AgentHost, a_spec, eventually, is_running
 from tests.agent.test_cgroup import V1, V2, tree
 from tests.agent.test_probe import interpreters
 from tests.agent.user_systemd import V1 as V1_GROUPS
@@ -196,6 +197,27 @@ def test_supervisor_that_nobody_awaits_starts_nothing(
     assert host.entry("slam") is None
     host.start("slam", "exec sleep 600", instance="i2", runtime="process")
     host.stop("slam")
+
+
+@real_only
+def test_an_orphan_in_a_scope_is_not_adopted_but_stopped_and_started_in_a_new_one(
+    host: AgentHost, systemd: UserSystemd
+) -> None:
+    """A new supervisor would start the command outside of the scope and its limits."""
+    pid = at(host, systemd).start("slam", "exec sleep 600", limits=LIMITS)["pid"]
+    host.until("slam", "running")
+    os.kill(host.supervisor("slam"), signal.SIGKILL)
+    entry = eventually(lambda: e if (e := host.entry("slam")) and e.get("orphaned") else None)
+    assert (entry["pid"], entry["adoptable"]) == (pid, False)
+    with pytest.raises(RefusedError, match="runs in a systemd scope, which takes no new supervisor"):
+        host.ask("takeover", task="slam", instance="i1", generation=2, spec=a_spec("exec sleep 600"))
+    assert is_running(pid)
+    # What apply does instead (tests/executor/test_diff.py): the stop and the start of a restart.
+    assert host.stop("slam")["state"] == "stopped"
+    assert not is_running(pid)
+    again = host.start("slam", "exec sleep 600", limits=LIMITS, instance="i2", generation=3)["pid"]
+    assert "/edgectl-edge1-slam-" in groups_of(again)
+    assert host.entry("slam")["limits"] == "enforced"  # type: ignore[index]
 
 
 def test_runtime_process_reports_that_limits_are_not_enforced(host: AgentHost) -> None:

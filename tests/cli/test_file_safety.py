@@ -1,6 +1,7 @@
 """Files of users: what others planted is neither followed nor believed, and nothing is written for all to read."""
 
 import os
+import re
 import stat
 from pathlib import Path
 
@@ -128,3 +129,35 @@ def _own_group() -> int:
     import pwd
 
     return pwd.getpwuid(os.geteuid()).pw_gid
+
+
+@pytest.mark.parametrize("name", ["tasks.yaml", "snap.json"])
+def test_a_hundred_thousand_faults_are_told_in_a_page(run: Run, site: Path, name: str) -> None:
+    """And the exposure of a file is told nevertheless, because it decides what is done with it."""
+    many = range(40_000)
+    text = {
+        "tasks.yaml": "version: 1\nversion: 1\n" + "a: 1\n" * len(many),
+        "snap.json": "{" + ", ".join('"a": 1' for _ in many) + "}",
+    }[name]
+    (site / name).write_text(text)
+    (site / name).chmod(0o666)
+    words = ("validate", "-t", name) if name == "tasks.yaml" else ("plan", "--snapshot", name)
+    told = run(*words)
+    assert told.code == 64
+    assert len(told.out + told.err) < 60_000
+    assert re.search(r"and [0-9]+ more", told.out + told.err)
+    if name == "tasks.yaml":
+        assert "every user may change it" in told.out + told.err
+
+
+def test_an_experiment_that_others_may_write_is_not_run(run: Run, site: Path) -> None:
+    """It names the files of the fleet, and what is done on the hosts."""
+    spec = site / "tasks" / "spec.yaml"
+    text = "version: 1\nname: x\nschemes: {policies: [local]}\nuntil: []\nlimit: 1s\n"
+    spec.write_text(text)
+    spec.chmod(0o666)
+    told = run(
+        "experiment", "run", "tasks/spec.yaml", "-i", "inventories/local.yaml", "-t", "tasks/demo.yaml"
+    )
+    assert told.code == 64
+    assert "every user may change it" in told.err, told

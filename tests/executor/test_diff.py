@@ -73,6 +73,14 @@ def test_actions(
     )
 
 
+@pytest.mark.parametrize(("adoptable", "action"), [(True, Action.ADOPT), (False, Action.RESTART)])
+def test_an_orphan_is_adopted_where_it_can_be_and_else_restarted(adoptable: bool, action: Action) -> None:
+    kept = a_decision(Verdict.KEPT, Reason.STILL_BEST, "edge1", "edge1")
+    step = diff_step(kept, a_fleet_snapshot(edge1=a_run(orphaned=True, adoptable=adoptable)))
+    assert (step.action, step.decision.reason) == (action, Reason.ORPHANED)
+    assert step.instances == {"edge1": "instance-1"}
+
+
 @pytest.mark.parametrize(
     ("spec_hash", "action"), [("hash-slam", Action.KEEP), ("older", Action.RESTART), ("", Action.KEEP)]
 )

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from edgectl.config.problems import Problems
 from edgectl.errors import InputError
 from edgectl.experiments.files.experiment_file import load_experiment, load_experiment_paths
 from edgectl.experiments.model.experiment import Experiment, MapPair, MetricAggregation
@@ -146,3 +147,12 @@ def test_each_mistake_has_its_place_and_is_mended(
     ]
     assert hint
     assert read(tmp_path, GOOD.replace(old, mended or old, 1)).name
+
+
+def test_that_others_may_write_the_file_is_noticed(tmp_path: Path) -> None:
+    """It names the inventory and the tasks that are run on real hosts."""
+    read(tmp_path, GOOD)
+    (tmp_path / "spec.yaml").chmod(0o666)
+    problems = Problems()
+    load_experiment(tmp_path / "spec.yaml", TASKS, problems)
+    assert [problem.code for problem in problems.warnings] == ["EC104"]

@@ -16,6 +16,7 @@ from edgectl.export.metric_samples import BUCKETS_S, TASK_STATES, MetricsInput
 from edgectl.export.metrics import METRICS, MetricType
 from edgectl.export.prometheus import render_metrics_page
 from edgectl.model.plan import Action
+from edgectl.model.resource import HOST_RESOURCES
 from edgectl.model.result import ActionResult, Outcome
 from edgectl.model.snapshot import TaskState
 from tests.builders import NOW
@@ -202,7 +203,9 @@ def test_promtool_would_say_what_is_wrong() -> None:
 
 def test_every_metric_is_on_the_page() -> None:
     seen = a_metrics_input(a_revision(1, a_move()))
-    assert [metric.name for metric in METRICS if not metric.samples(seen)] == []
+    budgets = {f"edgectl_host_{resource.name}" for resource in HOST_RESOURCES if resource.declared_only}
+    empty = [metric.name for metric in METRICS if not metric.samples(seen)]
+    assert [name for name in empty if not name.startswith(tuple(budgets))] == []
     kinds = dict(re.findall(r"^# TYPE (\S+) (\S+)$", render_metrics_page(seen), re.MULTILINE))
     assert kinds == {metric.name: metric.kind.value for metric in METRICS}
 

@@ -11,7 +11,15 @@ import pytest
 
 from edgectl.export.history_rows import COLUMNS, RowKind, format_csv_lines, format_json_lines
 from edgectl.model.event import Event, EventKind
-from edgectl.model.point import HandoffPoint, HistoryPoint, HostPoint, LinkPoint, MetricPoint, TaskPoint
+from edgectl.model.point import (
+    HOST_AMOUNT_COLUMNS,
+    HandoffPoint,
+    HistoryPoint,
+    HostPoint,
+    LinkPoint,
+    MetricPoint,
+    TaskPoint,
+)
 from edgectl.model.resource import Usage
 from edgectl.model.result import Outcome
 from edgectl.model.snapshot import HostStatus, TaskState
@@ -34,7 +42,7 @@ POINTS: dict[RowKind, HistoryPoint] = {
 }  # fmt: skip
 ROWS: dict[RowKind, dict[str, object]] = {
     RowKind.HOSTS: {"at": "2025-11-21T01:53:20.250Z", "host": "edge1", "status": "unreachable", "cores": None, "used_cores": None,
-                 "total_bytes": None, "used_bytes": None, "rx_bytes_per_s": None, "tx_bytes_per_s": None},
+                 "total_bytes": None, "used_bytes": None, "rx_bytes_per_s": None, "tx_bytes_per_s": None, **dict.fromkeys(HOST_AMOUNT_COLUMNS)},
     RowKind.LINKS: {"at": "2025-11-21T01:53:20Z", "edge": "edge1", "robot": "robot1", "capacity_bytes_per_s": 6750000,
                  "used_bytes_per_s": 12.5, "rtt_ms": None},
     RowKind.TASKS: {"at": "2025-11-21T01:53:20Z", "task": "slam", "host": "edge1", "state": "ready", "used_cores": 0.1,

@@ -181,7 +181,8 @@ def _freeze_long(fleet: FaultFleet, ana: Manager, ben: Manager) -> None:
     found = scan.read_process(frozen.pid)
     assert found is None or found.state in "TZ", f"somebody else has thawed it: {found}"
     ben.want_at_random()
-    finish(fleet, ben.start(*APPLY), codes=(0,))
+    # A starved host may have granted the fleet to the frozen manager later than it was asked.
+    finish(fleet, ben.start(*APPLY, "--lock-timeout", "60s"), codes=(0,))
     signal_manager(frozen, signal.SIGCONT)
     finish(fleet, frozen, codes=(0, 4, 75))
 

@@ -197,6 +197,9 @@ def format_table(rows: Iterable[FaultRow]) -> str:
             )
     sums = [sum(getattr(row, name) for row in rows) for name in ("injected", "survived", "lost", "doubled")]
     lines.append(f"| **all** | | {' | '.join(map(str, sums))} | {sum(row.seconds for row in rows):.0f} |")
+    if left := [row for row in rows if row.not_run]:
+        whys = ", ".join(sorted({row.not_run for row in left}))
+        lines.append(f"\nNOT RUN: {len(left)} of {len(rows)} faults ({whys}).")
     if sums[0] == sums[1] > 0 == sums[2] + sums[3]:
         lines.append(
             f"\nNone lost, none doubled in {sums[0]} injections: with 95 % confidence fewer than {min(100, 300 / sums[0]):.1f} % are."

@@ -11,7 +11,12 @@ import pytest
 from tests import sshd
 from tests.faults import cgroup, scan
 from tests.faults.hosts import LIMIT, start_loopback_hosts, wait_for
-from tests.faults.namespace_host import NamespaceHost, find_missing_for_namespaces, start_namespace_hosts
+from tests.faults.namespace_host import (
+    NamespaceHost,
+    find_missing_for_namespaces,
+    find_missing_for_systemd,
+    start_namespace_hosts,
+)
 from tests.faults.network import ManagerNetwork
 from tests.pace import patience
 
@@ -166,6 +171,25 @@ def test_nothing_remains(tmp_path: Path) -> None:
     assert scan.list_processes_in_namespace("net", netns) == []
     assert scan.list_marked_processes(str(tmp_path)) == []
     assert str(tmp_path) not in Path("/proc/self/mounts").read_text()
+    assert not any(group.exists() for group in groups)
+
+
+@pytest.mark.slow
+def test_systemd_is_pid_1_and_leaves_nothing(tmp_path: Path) -> None:
+    """The system has no failed unit, and the user's manager lingers."""
+    if why := find_missing_for_systemd():
+        pytest.skip(f"computers with systemd: not run: {why}")
+    with start_namespace_hosts(tmp_path / "c", ["edge1"], systemd=True) as (site, hosts):
+        host = hosts["edge1"]
+        assert isinstance(host, NamespaceHost)
+        words = (
+            "systemctl is-system-running --wait; systemctl --user is-system-running --wait; cat /proc/1/comm"
+        )
+        answer = run_ssh((tmp_path / "c", site, host), words, within=10)
+        assert answer.stdout.split() == ["running", "running", "systemd"], answer
+        assert host.processes() == []
+        groups = host.own_groups
+    assert groups
     assert not any(group.exists() for group in groups)
 
 

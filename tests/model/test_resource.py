@@ -8,12 +8,12 @@ import pytest
 from edgectl.model.assignment import UtilityTerms
 from edgectl.model.inventory import Limits
 from edgectl.model.policy import WEIGHT_PRESETS, Weights
-from edgectl.model.resource import AFFINITY, RESOURCES, RESOURCES_BY_NAME, TERMS, Usage
+from edgectl.model.resource import AFFINITY, HOST_RESOURCES, RESOURCES, RESOURCES_BY_NAME, TERMS, Usage
 from edgectl.model.task import Demand, Quantity
 
 
 def test_what_is_not_given_has_its_default() -> None:
-    assert Limits(cpu=0.8) == {"cpu": 0.8, "memory": 1.0}
+    assert Limits(cpu=0.8) == {resource.name: 1.0 for resource in HOST_RESOURCES} | {"cpu": 0.8}
     assert Limits(cpu=0.8).stated == {"cpu": 0.8}
     assert tuple(Usage(network=1.0)) == tuple(RESOURCES_BY_NAME)
 

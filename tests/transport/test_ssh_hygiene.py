@@ -14,7 +14,7 @@ import pytest
 
 from edgectl.errors import ConnectError, HostError
 from edgectl.transport import ssh
-from edgectl.transport.sockets import connect_tcp, watchdog
+from edgectl.transport.sockets import TunnelLine, connect_tcp, watchdog
 from edgectl.transport.ssh import SshTransport
 from edgectl.transport.ssh_auth import LoginStrategy
 from edgectl.transport.ssh_config import SshConfigResolver
@@ -198,7 +198,9 @@ def test_connections_are_made_in_many_threads(lab: Lab) -> None:
     sys.setswitchinterval(1e-6)
     try:
         with ThreadPoolExecutor(8) as pool:
-            made = list(pool.map(lambda _: transport._fabric(resolved, object(), login).user, range(400)))
+            made = list(
+                pool.map(lambda _: transport._fabric(resolved, TunnelLine(None), login).user, range(400))
+            )
     finally:
         sys.setswitchinterval(interval)
     assert set(made) == {resolved.user}

@@ -11,6 +11,7 @@ from edgectl.views.text import (
     compute_remaining_width,
     detect_render_options,
     is_within_width,
+    measure_column_widths,
     render_columns,
     wrap_text,
 )
@@ -152,3 +153,15 @@ def test_what_a_terminal_can_show(
 
 def test_a_pipe_is_plain() -> None:
     assert detect_render_options(io.StringIO()) == RenderOptions()
+
+
+def test_a_spare_column_without_values_is_left_out() -> None:
+    rows: list[Row] = [
+        (Cell("HOST", "head"), Cell("POWER", "spare"), Cell("TASKS", "head"), Cell("REASON", "head")),
+        ("edge1", "-", "3", "x"),
+        ("edge2",),
+    ]
+    assert render_columns(rows, right={2}) == "HOST   TASKS  REASON\nedge1      3  x\nedge2\n"
+    assert measure_column_widths(rows) == [5, 5, 6]
+    rows[1] = ("edge1", "12.0W", "3", "x")
+    assert "POWER" in render_columns(rows, right={2})

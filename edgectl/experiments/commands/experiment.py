@@ -50,6 +50,8 @@ def experiment_run_command(
     """
     from edgectl.cli.connect import build_fleet, parse_lock_timeout
     from edgectl.cli.signals import stop_control_on_signal
+    from edgectl.cli.user_files import select_exposed
+    from edgectl.config.problems import Problems
     from edgectl.experiments.files.experiment_file import load_experiment, load_experiment_paths
     from edgectl.experiments.runner import ExperimentOptions, run_experiment
     from edgectl.experiments.views.progress import show_trial_progress
@@ -57,7 +59,9 @@ def experiment_run_command(
 
     named_inventory, named_tasks = load_experiment_paths(spec)
     loaded = load_inputs(inventory or named_inventory, tasks or ([named_tasks] if named_tasks else None))
-    experiment = load_experiment(spec, loaded.tasks)
+    problems = Problems()
+    experiment = load_experiment(spec, loaded.tasks, problems)
+    loaded = replace(loaded, exposed=(*loaded.exposed, *select_exposed(problems.warnings)))
     experiment = replace(experiment, repetitions=repetitions or experiment.repetitions)
     _check_truth_maps(experiment, spec.parent)
     control = Control()

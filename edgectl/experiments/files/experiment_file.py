@@ -143,23 +143,23 @@ def load_experiment_paths(path: Path) -> tuple[Path | None, Path | None]:
     return inventory, tasks
 
 
-def load_experiment(path: Path, tasks: Tasks) -> Experiment:
-    """The experiment in a file, for the tasks of a fleet.
+def load_experiment(path: Path, tasks: Tasks, problems: Problems | None = None) -> Experiment:
+    """The experiment in a file, for the tasks of a fleet; ``problems`` collects the warnings.
 
     Paths of ground truth maps stay relative to the file.
 
     Raises:
         InputError: all faults of the file.
     """
-    fields, problems = _read_experiment_fields(path)
+    fields, problems = _read_experiment_fields(path, problems)
     experiment = _build_experiment(fields, path.parent, tasks, problems) if fields else None
     problems.check()
     assert experiment is not None  # noqa: S101 - no problems: it was read
     return experiment
 
 
-def _read_experiment_fields(path: Path) -> tuple[Fields | None, Problems]:
-    problems = Problems()
+def _read_experiment_fields(path: Path, problems: Problems | None = None) -> tuple[Fields | None, Problems]:
+    problems = problems or Problems()
     source = read_source(path, problems)
     node = parse_yaml(source, problems) if source is not None else None
     return (

@@ -1,0 +1,62 @@
+"""Memory of one run for hosts that let a deadline pass: the rest of the run does not wait for them again."""
+
+import contextlib
+import time
+from collections.abc import Callable, Iterator
+from functools import partial
+
+from edgectl.errors import ConnectError, DeadlineError, HostError
+from edgectl.model.inventory import Host
+from edgectl.transport.base import Session, Transport
+from edgectl.transport.connections import guard_session
+
+# A connection that fails after this part of its deadline was not refused, but not answered.
+_UNANSWERED_SHARE = 0.9
+
+
+class SilenceTransport:
+    """A Transport that asks a host nothing more once it has let a deadline pass. Use one for each run.
+
+    A connection that is refused or cut is no silence: the host may answer the next one.
+    """
+
+    def __init__(self, transport: Transport, *, clock: Callable[[], float] = time.monotonic) -> None:
+        self._transport = transport
+        self._clock = clock
+        self._silent: dict[str, HostError] = {}
+
+    def connect(self, host: Host, *, timeout: float) -> Session:
+        """As the transport within.
+
+        Raises:
+            HostError: as the transport's own ``connect``; DeadlineError at once for a silent host.
+        """
+        self._raise_if_silent(host.name)
+        began = self._clock()
+        try:
+            session = self._transport.connect(host, timeout=timeout)
+        except (ConnectError, DeadlineError) as error:
+            if isinstance(error, DeadlineError) or self._clock() - began >= _UNANSWERED_SHARE * timeout:
+                self._silent[host.name] = error
+            raise
+        return guard_session(session, partial(self._watch_request, host.name))
+
+    def address(self, host: Host) -> str:
+        """As the transport's own."""
+        return self._transport.address(host)
+
+    def _raise_if_silent(self, name: str) -> None:
+        error = self._silent.get(name)
+        if error is not None:
+            raise DeadlineError(
+                f"{error.message}; not asked again in this run", hint=error.hint, host=error.host
+            )
+
+    @contextlib.contextmanager
+    def _watch_request(self, name: str) -> Iterator[None]:
+        self._raise_if_silent(name)
+        try:
+            yield
+        except DeadlineError as error:
+            self._silent[name] = error
+            raise
