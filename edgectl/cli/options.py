@@ -92,6 +92,9 @@ PolicyOption = Annotated[
 ]
 BestEffortOption = Annotated[bool, Option("--best-effort", help="Place a task even where it does not fit.")]
 PruneOption = Annotated[bool, Option("--prune", help="Also stop the tasks of other task files.")]
+RebalanceOption = Annotated[
+    bool, Option("--rebalance", help="Relocate and swap tasks for a greater sum of utilities.")
+]
 FullOption = Annotated[bool, Option("--full", help="Rank every host, however many there are.")]
 WithoutOption = Annotated[
     list[str] | None,
@@ -196,12 +199,15 @@ DryRunOption = Annotated[bool, Option("--dry-run", help="Only print the exact re
 
 @dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
 class PolicyOptions:
-    """Overrides of the policy of the task files. ``full`` is an option of ``PlanPolicyOptions`` only."""
+    """Overrides of the policy of the task files. ``full`` and ``rebalance`` are options of
+    ``PlanPolicyOptions`` only.
+    """
 
     weights: WeightsOption = None
     policy: PolicyOption = None
     best_effort: BestEffortOption = False
     prune: PruneOption = False
+    rebalance: bool = False
     full: bool = False
     without: WithoutOption = None
 
@@ -210,6 +216,7 @@ class PolicyOptions:
 class PlanPolicyOptions(PolicyOptions):
     """Overrides of the policy for one plan."""
 
+    rebalance: RebalanceOption = False
     full: FullOption = False
 
 

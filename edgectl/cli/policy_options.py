@@ -37,6 +37,7 @@ def policy_from_options(fleet: Fleet, given: PolicyOptions, *, attended: bool = 
         best_effort=given.best_effort,
         full=given.full,
         prune=given.prune,
+        rebalance=given.rebalance,
         attended=attended,
     )
 

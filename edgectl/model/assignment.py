@@ -178,6 +178,7 @@ class Reason(StrEnum):
     MADE_ROOM = "made-room-for"
     ROOM_MADE = "room-made"
     PREEMPTED = "preempted"
+    REBALANCED = "rebalanced"
     REPLACED = "replaced"
     FORCED_INFEASIBLE = "present-host-infeasible"
     RELIEF = "relieves-overload"

@@ -73,6 +73,7 @@ class Policy:
     person looks at the plan, so ``max_moves`` does not act. ``best_effort``: place on the highest total even
     where it does not fit. ``full``: keep every host's ranking above 64 hosts. ``without``: hosts left out as
     candidates (what if). ``prune``: also stop the running tasks of files that were not given (ADR 0039).
+    ``rebalance``: relocate and swap tasks for a greater sum of utilities (ADR 66).
     """
 
     name: PolicyName = field(default=PolicyName.UTILITY, metadata=in_document("policy", required=True))
@@ -88,3 +89,4 @@ class Policy:
     full: bool = field(default=False, metadata=in_document("options.full", required=True))
     without: frozenset[str] = field(default=frozenset(), metadata=in_document("options.without", always=True))
     prune: bool = field(default=False, metadata=in_document("options.prune"))
+    rebalance: bool = field(default=False, metadata=in_document("options.rebalance"))

@@ -28,7 +28,7 @@ from edgectl.scheduler.initial_state import InitialState, RunningTask, build_ini
 from edgectl.scheduler.ledger import Ledger, compute_demand_usage
 from edgectl.scheduler.move_cost import collect_handoff_history
 from edgectl.scheduler.policies import POLICIES, SchedulingPolicy
-from edgectl.scheduler.repair import UnrepairedPlan, repair_plan
+from edgectl.scheduler.repair import UnrepairedPlan, rate_plan, rebalance_plan, repair_plan
 from edgectl.scheduler.reservation import reserve_running_tasks
 from edgectl.scheduler.scan import build_demand_shares
 from edgectl.scheduler.sequence import is_need_met, order_tasks
@@ -308,13 +308,31 @@ def _select_first_placements(manager: ManagerState, state: InitialState) -> dict
 def _run_until_settled(how: PlacementPass, initial: InitialState) -> tuple[PassResult, bool]:
     """A plan that its repetition does not change, with room made for tasks that found none (ADR 64)."""
     outcome, settled, prior_moves = _settle(how, initial, {})
-    changed = _repair(how, outcome, prior_moves)
-    if not changed:
-        return outcome, settled
-    repaired = _change_choices(how, outcome, changed)
-    moves = collect_prior_moves(repaired, prior_moves, initial)
-    outcome, settled, _ = _settle(how, state_from_pass(initial, repaired, initial), moves)
+    changed = repair_plan(_build_unrepaired(how, outcome, prior_moves))
+    if changed:
+        outcome, settled, prior_moves = _settle_changed(how, outcome, prior_moves, changed)
+    if settled and how.context.policy.rebalance:
+        outcome = _rebalance(how, outcome, prior_moves)
     return outcome, settled
+
+
+def _rebalance(how: PlacementPass, outcome: PassResult, prior_moves: Mapping[str, Choice]) -> PassResult:
+    """A settled plan with a greater sum of utilities and as many tasks placed, else the same one (ADR 66)."""
+    found = _build_unrepaired(how, outcome, prior_moves)
+    changed = rebalance_plan(found)
+    if not changed:
+        return outcome
+    other, stands, moves = _settle_changed(how, outcome, prior_moves, changed)
+    gains = rate_plan(_build_unrepaired(how, other, moves)) > rate_plan(found)
+    return other if stands and gains and other.placed.keys() >= outcome.placed.keys() else outcome
+
+
+def _settle_changed(
+    how: PlacementPass, outcome: PassResult, prior_moves: Mapping[str, Choice], changed: Mapping[str, Choice]
+) -> tuple[PassResult, bool, Mapping[str, Choice]]:
+    other = _change_choices(how, outcome, changed)
+    moves = collect_prior_moves(other, prior_moves, how.initial)
+    return _settle(how, state_from_pass(how.initial, other, how.initial), moves)
 
 
 def _settle(
@@ -338,19 +356,18 @@ def _settle(
     return run_pass(replace(recorded, voluntary=False), start, prior_moves), False, prior_moves
 
 
-def _repair(how: PlacementPass, outcome: PassResult, prior_moves: Mapping[str, Choice]) -> dict[str, Choice]:
-    moves = collect_prior_moves(outcome, prior_moves, how.initial)
-    left = _count_moves_left(how, moves)
-    return repair_plan(
-        UnrepairedPlan(
-            context=how.context,
-            order=how.order,
-            initial=how.initial,
-            choices=outcome.choices,
-            placed=outcome.placed,
-            ledger=outcome.ledger,
-            moves_left=None if left is None else max(0, left),
-        )
+def _build_unrepaired(
+    how: PlacementPass, outcome: PassResult, prior_moves: Mapping[str, Choice]
+) -> UnrepairedPlan:
+    left = _count_moves_left(how, collect_prior_moves(outcome, prior_moves, how.initial))
+    return UnrepairedPlan(
+        context=how.context,
+        order=how.order,
+        initial=how.initial,
+        choices=outcome.choices,
+        placed=outcome.placed,
+        ledger=outcome.ledger,
+        moves_left=None if left is None else max(0, left),
     )
 
 

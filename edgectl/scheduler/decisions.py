@@ -20,6 +20,8 @@ def rebase_on_initial(choice: Choice, initial_place: int | None, prior_move: Cho
 
     ``prior_move`` first moved it.
     """
+    if prior_move is not None and prior_move.reason is Reason.REBALANCED and choice.place != initial_place:
+        return replace(prior_move, place=choice.place)
     if prior_move is not None and prior_move.reason in (Reason.MADE_ROOM, Reason.PREEMPTED):
         if choice.place is None:
             return replace(choice, reason=Reason.PREEMPTED, subject=prior_move.subject)
@@ -66,7 +68,7 @@ def build_decision(candidates: CandidateSet, choice: Choice, initial_place: int 
         challenger=other.host if other and host is not None else None,
         subject=subject,
         amount=_compute_gain(candidates, choice, initial_place)
-        if choice.voluntary and choice.reason is not Reason.MADE_ROOM
+        if choice.voluntary and choice.reason not in (Reason.MADE_ROOM, Reason.REBALANCED)
         else choice.amount,
         cost=choice.cost,
         nearest=_get_place_name(candidates.context.fleet, choice.nearest),

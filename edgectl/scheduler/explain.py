@@ -41,6 +41,7 @@ _CONSTRAINED_REASONS = (
     Reason.MADE_ROOM,
     Reason.ROOM_MADE,
     Reason.PREEMPTED,
+    Reason.REBALANCED,
     Reason.RELIEF,
 )
 _EXPLAINABLE_VERDICTS = (Verdict.PLACED, Verdict.KEPT, Verdict.UNPLACED)

@@ -180,10 +180,11 @@ def restore_homes(packing: Packing) -> None:
     for name in sorted(away, key=lambda name: not packing.items[name].runs):
         item, home = packing.items[name], packing.home[name]
         place = packing.take(item)
-        packing.put(item, home if _fits(packing, item, home) else place)
+        packing.put(item, home if fits(packing, item, home) else place)
 
 
-def _fits(packing: Packing, item: Item, place: int) -> bool:
+def fits(packing: Packing, item: Item, place: int) -> bool:
+    """Whether ``item`` has room at ``place``, and may be beside what is there."""
     packing.work -= 1
     row = packing.free[place]
     for column, share in packing.measure(item, place).items():
@@ -212,7 +213,7 @@ def _find_place(packing: Packing, item: Item, *, besides: int | None = None) -> 
     """Where the most is left (``tight``: the least), of what will be scarcest there; None: nowhere."""
     best, most = None, -inf
     for place in item.places:
-        if place != besides and _fits(packing, item, place):
+        if place != besides and fits(packing, item, place):
             row = packing.free[place]
             left = [row[column] - share for column, share in packing.measure(item, place).items()]
             value = -sum(left) if packing.tight else min(left, default=0.0)
@@ -327,14 +328,14 @@ def _find_large_ejection(
         others = _list_ejectable(packing, place, level)
         others.sort(key=lambda other: penalties.get(other.name, 1))
         ejected: list[Item] = []
-        while others and not _fits(packing, item, place):
+        while others and not fits(packing, item, place):
             ejected.append(others.pop(0))
             packing.take(ejected[-1])
-        fits = _fits(packing, item, place)
+        has_room = fits(packing, item, place)
         for other in ejected:
             packing.put(other, place)
         cost = sum(penalties.get(other.name, 1) for other in ejected)
-        if fits and (best is None or cost < best[0]) and _has_budget(packing, ejected):
+        if has_room and (best is None or cost < best[0]) and _has_budget(packing, ejected):
             best = cost, place, ejected
     return None if best is None else best[1:]
 
@@ -378,7 +379,7 @@ def _shake(packing: Packing, level: Permission) -> None:
         if len(item.places) < 2:
             continue
         place = item.places[packing.draw(len(item.places))]
-        if place == packing.at[item.name] or not _fits(packing, item, place):
+        if place == packing.at[item.name] or not fits(packing, item, place):
             continue
         packing.take(item)
         packing.put(item, place)

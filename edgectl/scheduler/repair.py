@@ -1,7 +1,10 @@
-"""Repair of a plan that leaves tasks unplaced for lack of room: others make room for them (ADR 64)."""
+"""Repair of a plan that leaves tasks unplaced for lack of room: others make room for them (ADR 64).
+
+The same view of a plan serves its rebalancing (ADR 66).
+"""
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from math import inf
 
@@ -13,6 +16,7 @@ from edgectl.scheduler.choice import Choice
 from edgectl.scheduler.initial_state import InitialState
 from edgectl.scheduler.ledger import Ledger, compute_demand_usage
 from edgectl.scheduler.packing import Item, Packing, Shares, place_item, preempt_for_item, restore_homes
+from edgectl.scheduler.rebalance import Objective, rebalance_packing
 from edgectl.scheduler.sequence import is_need_met
 from edgectl.scheduler.task_usage import TaskUsage
 from edgectl.scheduler.utility import EPSILON
@@ -65,6 +69,41 @@ def repair_plan(plan: UnrepairedPlan) -> dict[str, Choice]:
         work -= share - packing.work
     restore_homes(packing)
     return _build_choices(plan, packing, causes)
+
+
+def rebalance_plan(plan: UnrepairedPlan) -> dict[str, Choice]:
+    """The choices with which the sum of all utilities is higher (ADR 66), where they differ from those of
+    ``plan``.
+    """
+    packing = _build_packing(plan)
+    rebalance_packing(packing, _build_objective(plan), plan.context.policy.move_margin)
+    return {
+        name: replace(choice, reason=Reason.REBALANCED, subject=None)
+        for name, choice in _build_choices(plan, packing, {}).items()
+    }
+
+
+def rate_plan(plan: UnrepairedPlan) -> float:
+    """The sum of the utilities of all placed tasks at the loads after the plan."""
+    packing = _build_packing(plan)
+    return _build_objective(plan).rate(packing, packing.at)
+
+
+def _build_objective(plan: UnrepairedPlan) -> Objective:
+    columns = _list_link_columns(plan)
+    placed = [task for task in plan.order if task.name in plan.placed]
+    successors: dict[str, list[str]] = {task.name: [] for task in placed}
+    for task in placed:
+        for need in task.needs:
+            successors.setdefault(need.task, []).append(task.name)
+    return Objective(
+        weights=plan.context.policy.weights,
+        edges=plan.context.fleet.edges,
+        links={task.name: [columns[robot] for robot in task.robots if robot in columns] for task in placed},
+        needs={task.name: [need.task for need in task.needs] for task in placed},
+        successors=successors,
+        elsewhere=plan.initial.located,
+    )
 
 
 def _list_wanted(plan: UnrepairedPlan) -> list[Task]:

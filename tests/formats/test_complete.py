@@ -84,7 +84,7 @@ SNAPSHOT = Snapshot(taken_at=1.5, hosts={"h": HOST}, manager=MANAGER)
 WEIGHTS = Weights(cpu=0.1, memory=0.2, network=0.3, task=0.4)
 POLICY = Policy(
     name=PolicyName.PAPER, weights=WEIGHTS, sequence=SequenceRule.SENSITIVITY, move_margin=0.2, min_dwell=3.0, max_moves=None, attended=False,
-    best_effort=True, full=True, without=frozenset({"h"}), prune=True,
+    best_effort=True, full=True, without=frozenset({"h"}), prune=True, rebalance=True,
 )  # fmt: skip
 REJECTION = Rejection(
     rule=RejectionRule.INSUFFICIENT, resource=NETWORK, robot="r", demand=1.0, used=2.0, capacity=3.0
