@@ -75,7 +75,7 @@ ITEM_KEYS: KeysByName = {
     "experiment": ("experiment", "digest", "planned", "trials", "schemes"),
     "explanation": (
         "task", "action", "reason", "host", "previous_host", "runner_up", "total", "lead", "slack", "noise",
-        "fragile", "contributions", "flips",
+        "fragile", "pinned_to", "equal_hosts", "tie_rule", "contributions", "flips",
     ),
     "map-score": ("ssim",),
     "result": _RESULT,
@@ -106,7 +106,8 @@ INNER_KEYS: KeysByName = {
     "declared": ("amount", "relative", "until_measured"),
     "device": ("load_1m", "temperature_c", "gpu_share", "boot_id", "clock_skew_s", "interfaces"),
     "events": _EVENT,
-    "flips": ("change", "term", "host", "robot", "amount", "unit", "size", "winner"),
+    "flips": ("change", "term", "host", "robot", "amount", "unit", "size", "winner", "moves_first"),
+    "moves_first": ("task", "host", "amount"),
     "handoff": ("order", "safe_when", "hold", "release"),
     "history": ("at", "host", *map(get_flat_used_key, RESOURCES)),
     "hosts": ("status", "error", *(resource.name for resource in HOST_RESOURCES)),

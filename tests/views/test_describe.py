@@ -188,7 +188,7 @@ Unreachable:  hold; stops itself after 1m00s
 Environment:  API_KEY=***, MODE=fast
 Placed:       edge1 since 2025-11-21T01:49:00Z
 Downtimes:    edge1: 0.8s, 1.2s; edge2: 2.0s
-Decision:     keep: 0/3 hosts fit: 1 short of cpu (need 0.418 cores, free 0.295 cores), 2 not the pinned host; it stays where it runs
+Decision:     keep: still the best host
 On edge1:
   State:       ready
   Since:       2025-11-21T01:49:08Z (4m12s)
