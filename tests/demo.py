@@ -14,6 +14,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+from tests.forkserver import ForkedProcess
 from tests.pace import patience
 
 LIMIT_S = round(patience(280))
@@ -42,20 +43,15 @@ class Demo:
         if shown:
             print_line(f"\n$ edgectl {' '.join(words)}")
         directory = self.fleet if self.fleet.exists() else self.fleet.parent
-        done = subprocess.run(
-            [sys.executable, "-m", "edgectl", *words],
-            env=self.env,
-            cwd=directory,
-            stdout=subprocess.PIPE,
-            text=True,
-            check=False,
-        )
+        with ForkedProcess(words, env=self.env, cwd=directory, stdout=subprocess.PIPE) as process:
+            out, _ = process.communicate()
         if shown:
-            print_line(done.stdout.rstrip())
+            print_line(out.rstrip())
         require(
-            done.returncode == code, f"edgectl {' '.join(words)} ended with {done.returncode}, not {code}"
+            process.returncode == code,
+            f"edgectl {' '.join(words)} ended with {process.returncode}, not {code}",
         )
-        return done.stdout
+        return out
 
     def places(self) -> dict[str, tuple[str, int]]:
         """Return host and pid of every live task."""

@@ -41,23 +41,6 @@ _ROOMS = (
     "usecases",
     "views",
 )
-# The command that asks the server for an edgectl with its own streams, and starts one where no server is at hand.
-_COMMAND = """
-import json, os, socket, sys
-
-env = dict(os.environ)
-server = env.pop("FORK_SERVER", "")
-if not server:
-    os.execve(sys.executable, [sys.executable, "-m", "edgectl", *sys.argv[1:]], env)
-request = {"argv": sys.argv, "env": env, "cwd": os.getcwd()}
-status, theirs = os.pipe()
-with socket.socket(fileno=int(server)) as connection:
-    socket.send_fds(connection, [json.dumps(request).encode()], [0, 1, 2, theirs])
-os.close(theirs)
-with open(status) as lines:
-    code = os.waitstatus_to_exitcode(int(lines.readlines()[1]))
-sys.exit(code if code >= 0 else 128 - code)
-"""
 _Stream = int | IO[Any] | None
 _MAX_REQUEST_BYTES = 1 << 17
 _CLONE_NEWNET = 0x40000000
@@ -155,16 +138,6 @@ def run_edgectl(
     return subprocess.CompletedProcess(process.args, process.returncode, out, err)
 
 
-def put_on_path(directory: Path, env: Mapping[str, str]) -> tuple[dict[str, str], int]:
-    """Let shells run a forked edgectl: the environment with a command of that name, and the file to pass to them."""
-    command = directory / "edgectl"
-    command.write_text(f"#!{sys.executable} -IS\n{_COMMAND}")
-    command.chmod(0o755)
-    file = start_server().fileno()
-    path = f"{directory}{os.pathsep}{env.get('PATH', os.defpath)}"
-    return {**env, "PATH": path, "FORK_SERVER": str(file)}, file
-
-
 @cache
 def start_server() -> socket.socket:
     """Start the server of this test process; it ends with this process."""
@@ -231,7 +204,7 @@ def _run_program(request: dict[str, Any], files: list[int]) -> None:
     for number, file in enumerate(files[:3]):
         os.dup2(file, number)
     os.closerange(3, 1024)
-    if request.get("netns"):
+    if request["netns"]:
         with Path(request["netns"]).open() as namespace:
             assert ctypes.CDLL(None).setns(namespace.fileno(), _CLONE_NEWNET) == 0
     os.chdir(request["cwd"])
@@ -242,7 +215,7 @@ def _run_program(request: dict[str, Any], files: list[int]) -> None:
     sys.stdout = open(1, "w", closefd=False)  # noqa: SIM115
     sys.stderr = open(2, "w", buffering=1, errors="backslashreplace", closefd=False)  # noqa: SIM115
     sys.argv = request["argv"]
-    exec(request.get("program", EDGECTL), {"__name__": "__main__"})
+    exec(request["program"], {"__name__": "__main__"})
     sys.exit(0)
 
 

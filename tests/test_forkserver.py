@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.cli.terminal import Terminal
-from tests.forkserver import EDGECTL, ForkedProcess, put_on_path
+from tests.forkserver import EDGECTL, ForkedProcess
 from tests.pace import patience
 
 ENV = {"PATH": os.defpath, "MARK": "ours"}
@@ -86,31 +86,3 @@ def test_a_reader_that_is_gone_and_a_terminal(tmp_path: Path) -> None:
         assert process.returncode == 120
     with Terminal([], tmp_path, program="import time; print('shown'); time.sleep(600)") as terminal:
         terminal.until("shown")
-
-
-def test_shells_run_it_with_their_own_streams_and_directory(tmp_path: Path) -> None:
-    env, file = put_on_path(tmp_path, ENV)
-    (tmp_path / "here").mkdir()
-    script = "cd here; MORE=1 edgectl init . | head -n 1; edgectl --version >said; edgectl nonsense; echo $? >>said"
-    done = subprocess.run(
-        ["bash", "-c", script],
-        cwd=tmp_path,
-        env=env,
-        pass_fds=[file],
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert done.stdout.startswith("wrote ")
-    assert "\nerror: No such command" in done.stderr
-    said = (tmp_path / "here" / "said").read_text().splitlines()
-    assert (said[0].split()[0], said[1]) == ("edgectl", "64")
-
-
-def test_without_a_server_it_is_started(tmp_path: Path) -> None:
-    env, _ = put_on_path(tmp_path, ENV)
-    poor = {name: value for name, value in env.items() if name != "FORK_SERVER"}
-    done = subprocess.run(
-        [tmp_path / "edgectl", "--version"], env=poor, capture_output=True, text=True, check=True
-    )
-    assert done.stdout.startswith("edgectl ")
