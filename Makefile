@@ -38,10 +38,12 @@ bench: setup
 	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.benchmarks
 
 # The whole fault matrix on real hosts; make faults SEED=7 draws other moments and bytes.
+# Then a death of the manager at each failpoint, and a hundred random lives, over simulated hosts.
 faults: setup
 	@.ci/need-faults
 	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.faults --seed $(or $(SEED),1)
 	@$(PY) -m tests.simulation.two_managers --seed $(or $(SEED),1)
+	@$(PY) -m tests.suite --whole tests/usecases/test_recovery.py tests/usecases/test_interrupted_commands.py tests/usecases/test_random_events.py -n 2 --dist load
 
 # At least 100,000 damaged inputs to every decoder together; make fuzz SEED=7 damages them otherwise.
 # Then the properties that make test checks with the same examples in every run, with others.

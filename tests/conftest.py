@@ -49,6 +49,18 @@ INHERITED = (
 FAILED = pytest.StashKey[bool]()
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--whole", action="store_true", help="all of what some tests take a part of (make faults)"
+    )
+
+
+@pytest.fixture(scope="session")
+def whole(pytestconfig: pytest.Config) -> bool:
+    """Whether a test does all that it can, as in ``make faults``, or a telling part of it."""
+    return bool(pytestconfig.getoption("--whole"))
+
+
 def pytest_configure() -> None:
     """Restore SIGINT and measure the slowdown before workers start.
 

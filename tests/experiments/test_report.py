@@ -101,6 +101,20 @@ def bare(run: ExperimentRun, *trials: Trial) -> ExperimentRun:
     return replace(run, trials=trials)
 
 
+def keep_loads(run: ExperimentRun, *hosts: str) -> ExperimentRun:
+    """The loads of these hosts alone: a panel of a figure takes 30 ms, and each host has one for each scheme."""
+    return bare(
+        run, *(replace(trial, loads={host: trial.loads[host] for host in hosts}) for trial in run.trials)
+    )
+
+
+def keep_readings(run: ExperimentRun, *names: str) -> ExperimentRun:
+    return bare(
+        run,
+        *(replace(trial, readings={name: trial.readings[name] for name in names}) for trial in run.trials),
+    )
+
+
 def nothing(run: ExperimentRun) -> ExperimentRun:
     """Trials of which only the latency is known."""
     return bare(
@@ -113,8 +127,9 @@ def nothing(run: ExperimentRun) -> ExperimentRun:
 
 
 def degenerate() -> Iterator[tuple[str, ExperimentRun]]:
-    run = a_run(SCHEMES[2:3], 2)
-    yield "one trial", a_run(trials=1)
+    run = keep_loads(a_run(SCHEMES[2:3], 2), "edge1", "robot1")
+    loads, readings = keep_readings(run), keep_loads(run)
+    yield "one trial", keep_loads(a_run(trials=1), "edge1")
     yield "one scheme, one trial", a_run(SCHEMES[2:3], 1)
     yield (
         "none finished",
@@ -128,23 +143,32 @@ def degenerate() -> Iterator[tuple[str, ExperimentRun]]:
             run,
             *(
                 replace(trial, loads={name: rows[:1] for name, rows in trial.loads.items()})
-                for trial in run.trials
+                for trial in loads.trials
             ),
         ),
     )
-    yield "idle", bare(run, *(replace(trial, loads={"edge1": _still()}) for trial in run.trials))
+    yield "idle", bare(loads, *(replace(trial, loads={"edge1": _still()}) for trial in loads.trials))
     yield (
         "unmeasured downtime",
         bare(
-            run,
-            *(replace(t, handoffs=tuple(replace(h, downtime=None) for h in t.handoffs)) for t in run.trials),
+            loads,
+            *(
+                replace(t, handoffs=tuple(replace(h, downtime=None) for h in t.handoffs))
+                for t in loads.trials
+            ),
         ),
     )
-    yield "negative metric", bare(run, *(replace(trial, readings=_negative(trial)) for trial in run.trials))
-    yield "absurd metric", bare(run, *(replace(trial, readings=_absurd(trial)) for trial in run.trials))
+    yield (
+        "negative metric",
+        bare(readings, *(replace(trial, readings=_negative(trial)) for trial in readings.trials)),
+    )
+    yield (
+        "absurd metric",
+        bare(readings, *(replace(trial, readings=_absurd(trial)) for trial in readings.trials)),
+    )
     yield (
         "hosts that nobody knows",
-        replace(run, machines={"edge9": HostCapacity(role=Role.EDGE, cores=2.0, memory=2.0**31)}),
+        replace(loads, machines={"edge9": HostCapacity(role=Role.EDGE, cores=2.0, memory=2.0**31)}),
     )
     yield "hours", bare(run, *(_slower(trial, 120.0) for trial in run.trials))
     many = a_run(MANY, 2)
@@ -155,7 +179,7 @@ def degenerate() -> Iterator[tuple[str, ExperimentRun]]:
             *(replace(trial, loads={"edge1": trial.loads["edge1"]}, readings={}) for trial in many.trials),
         ),
     )
-    yield "large fleet", _larger(a_run(SCHEMES[2:3], 1))
+    yield "large fleet", _larger(keep_readings(a_run(SCHEMES[2:3], 1)))
 
 
 def _larger(run: ExperimentRun) -> ExperimentRun:
@@ -212,7 +236,7 @@ def test_whatever_a_run_has_gives_a_whole_page(run: ExperimentRun) -> None:
 
 @cache
 def page_of_two_schemes() -> str:
-    return a_page(a_run(SCHEMES[1:3], 1))
+    return a_page(keep_readings(a_run(SCHEMES[1:3], 1), "fps"))
 
 
 def test_the_page_needs_nothing_but_itself() -> None:
@@ -248,7 +272,7 @@ def test_every_name_stands_in_the_page() -> None:
 def test_drawings_are_whole_and_never_vary() -> None:
     from edgectl.experiments.report.figure_style import render_pdf, render_svg
 
-    run = a_run(SCHEMES[2:3], 2)
+    run = keep_loads(a_run(SCHEMES[2:3], 2), "edge1", "robot1")
     first, second = draw(run), draw(run)
     assert a_page(run, drawn=False) == a_page(run, drawn=False)
     assert [drawing.name for drawing in first] == [
@@ -269,18 +293,19 @@ def test_drawings_are_whole_and_never_vary() -> None:
         assert text == render_svg(other)
         assert one.caption.endswith(".")
         assert len(one.caption) > 40
-    for one, other in zip(first[:1] + first[5:7], second[:1] + second[5:7], strict=True):
-        document = render_pdf(one)
-        assert document.startswith(b"%PDF-")
-        assert document == render_pdf(other)
-        assert b"CreationDate" not in document
+    document = render_pdf(
+        first[5]
+    )  # the fonts of a PDF take a second; what is drawn in it is that of the SVG
+    assert document.startswith(b"%PDF-")
+    assert document == render_pdf(second[5])
+    assert b"CreationDate" not in document
 
 
 def test_what_a_file_says_is_words_and_never_markup() -> None:
     from edgectl.experiments.report.figure_style import render_svg
 
     bad = "<script>alert(1)</script>&\"'$x^2$\x01"
-    run = a_run(SCHEMES[:1], 1, name=bad)
+    run = keep_loads(a_run(SCHEMES[:1], 1, name=bad))
     trial = replace(run.trials[0], readings={bad: run.trials[0].readings["fps"]})
     text = a_page(replace(run, digest=bad, trials=(trial,)))
     found = Outline(text)
@@ -294,7 +319,7 @@ def test_a_name_in_a_script_that_the_font_lacks_is_drawn_all_the_same() -> None:
     from edgectl.experiments.report.figure_style import render_pdf, render_svg
 
     run = a_run(SCHEMES[:1], 1)
-    trial = replace(run.trials[0], readings={"速度": run.trials[0].readings["fps"]})
+    trial = replace(run.trials[0], loads={}, readings={"速度": run.trials[0].readings["fps"]})
     found = draw(replace(run, trials=(trial,)))
     assert "速度" in render_svg(found[-1]).decode()
     assert render_pdf(found[-1]).startswith(b"%PDF-")
@@ -302,13 +327,16 @@ def test_a_name_in_a_script_that_the_font_lacks_is_drawn_all_the_same() -> None:
 
 @pytest.mark.parametrize(
     "run",
-    [a_run(repetitions=1), a_run(MANY[:7], 1)],
-    ids=["as the paper has it", "many schemes with long names"],
+    [
+        keep_readings(a_run(SCHEMES[:3], 1), "loss"),
+        keep_loads(keep_readings(a_run(MANY[:7], 1), "fps"), "edge1", "edge2"),
+    ],
+    ids=["every host", "many schemes with long names"],
 )
 def test_words_neither_overlap_nor_leave_the_figure(run: ExperimentRun) -> None:
     for drawing in draw(run):
-        if drawing.name in ("memory", "throughput", "metric-2"):
-            continue  # as cpu and metric-1
+        if drawing.name in ("memory", "throughput"):
+            continue  # as cpu
         boxes = extents(drawing)
         assert len(boxes) > 5
         inside = drawing.figure.bbox.padded(1.0)
@@ -330,7 +358,7 @@ def extents(drawing: "ReportFigure") -> "list[tuple[str, Bbox]]":
 
     canvas: Any = FigureCanvasAgg(drawing.figure)
     drawing.figure.set_dpi(150)
-    canvas.draw()
+    drawing.figure.draw_without_rendering()
     beyond = set(_beyond(drawing))
     texts = [
         text
