@@ -1,8 +1,8 @@
 """edgectl in processes that are forked from one that has imported it: real processes that need no start of Python.
 
 The start and the imports are two thirds of the CPU time of a short command. A forked edgectl has its own pid, session,
-environment and files, like a started one; only its modules are loaded already. What a start itself does is tested in
-`tests/cli` with started processes.
+environment and files, like a started one; only its modules are loaded already, and ``/proc/PID/environ`` is that of the
+server. What a start itself does is tested in `tests/cli` with started processes.
 
 ``python -m tests.forkserver FD`` is the server: it serves requests on the socket FD until that is closed, and has no
 threads. A request is one JSON document with four files: the three standard streams, and a pipe for pid and wait status.
@@ -22,9 +22,10 @@ import subprocess
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 EDGECTL = "import sys; from edgectl.cli.main import main; sys.exit(main(sys.argv[1:]))"
 _ROOMS = (
@@ -40,62 +41,96 @@ _ROOMS = (
     "usecases",
     "views",
 )
+# The command that asks the server for an edgectl with its own streams, and starts one where no server is at hand.
+_COMMAND = """
+import json, os, socket, sys
+
+env = dict(os.environ)
+server = env.pop("FORK_SERVER", "")
+if not server:
+    os.execve(sys.executable, [sys.executable, "-m", "edgectl", *sys.argv[1:]], env)
+request = {"argv": sys.argv, "env": env, "cwd": os.getcwd()}
+status, theirs = os.pipe()
+with socket.socket(fileno=int(server)) as connection:
+    socket.send_fds(connection, [json.dumps(request).encode()], [0, 1, 2, theirs])
+os.close(theirs)
+with open(status) as lines:
+    code = os.waitstatus_to_exitcode(int(lines.readlines()[1]))
+sys.exit(code if code >= 0 else 128 - code)
+"""
+_Stream = int | IO[Any] | None
 _MAX_REQUEST_BYTES = 1 << 17
 _CLONE_NEWNET = 0x40000000
 
 
 class ForkedProcess(subprocess.Popen[str]):
-    """A forked process with the methods of Popen that the tests use. Its output goes to files, read at its end."""
+    """A forked process, used like ``Popen`` in text mode. It leads a session of its own."""
 
-    def __init__(self, argv: Sequence[str], *, program: str, env: Mapping[str, str], netns: str = "") -> None:
-        """Run the Python source ``program`` with ``sys.argv`` = ``argv``, in the network namespace at ``netns``."""
-        self._child_created = False  # nothing for Popen to reap
-        self.args, self.returncode = list(argv), None
-        self._output = [os.memfd_create(name) for name in ("stdout", "stderr")]
-        self._status, status = os.pipe()
-        request = {
-            "argv": list(argv),
+    def __init__(
+        self,
+        words: Sequence[str],
+        *,
+        program: str = EDGECTL,
+        netns: str = "",
+        cwd: Path | None = None,
+        env: Mapping[str, str] | None = None,
+        stdin: _Stream = subprocess.DEVNULL,
+        stdout: _Stream = None,
+        stderr: _Stream = None,
+    ) -> None:
+        """Run the Python source ``program`` with the arguments ``words``, in the network namespace at ``netns``."""
+        self._said = b""
+        self._request = {
+            "argv": ["edgectl", *words],
             "program": program,
-            "env": dict(env),
-            "cwd": str(Path.cwd()),
+            "env": dict(os.environ if env is None else env),
+            "cwd": str(cwd or Path.cwd()),
             "netns": netns,
         }
-        with Path(os.devnull).open() as nothing:
-            files = [nothing.fileno(), *self._output, status]
-            socket.send_fds(start_server(), [json.dumps(request).encode()], files)
-        os.close(status)
-        self._said = b""
-        self.pid = int(self._read_line(None))
+        super().__init__(
+            list(words),
+            stdin=stdin,
+            stdout=stdout,
+            stderr=stderr,
+            encoding="utf-8",
+            errors="replace",
+        )
 
-    def _read_line(self, timeout: float | None) -> bytes:
-        """Raises TimeoutExpired; the status of a process that was killed with its server is that of SIGKILL."""
-        until = None if timeout is None else time.monotonic() + timeout
+    def _execute_child(self, *args: Any) -> None:
+        """Let the server fork instead of this process. The streams are three pairs of pipe ends, -1 if inherited."""
+        ends = args[10:16]
+        status, theirs = os.pipe()
+        self._status = open(status, "rb", buffering=0)  # noqa: SIM115, PTH123 - closed with the status
+        streams = [end if end >= 0 else number for number, end in enumerate((ends[0], ends[3], ends[5]))]
+        try:
+            socket.send_fds(start_server(), [json.dumps(self._request).encode()], [*streams, theirs])
+        finally:
+            os.close(theirs)
+            self._close_pipe_fds(*ends)  # type: ignore[attr-defined]
+        self.pid = int(self._read_line() or 0)
+        self._child_created = True
+
+    def _read_line(self, *, blocking: bool = True) -> bytes:
+        """Empty if there is none yet; the status of a process that was killed with its server is that of SIGKILL."""
         while b"\n" not in self._said:
-            left = None if until is None else max(0.0, until - time.monotonic())
-            if not select.select([self._status], [], [], left)[0]:
-                raise subprocess.TimeoutExpired(self.args, timeout or 0.0)
-            self._said += os.read(self._status, 64) or b"%d\n" % signal.SIGKILL
+            if not select.select([self._status], [], [], None if blocking else 0.0)[0]:
+                return b""
+            self._said += self._status.read(64) or b"%d\n" % signal.SIGKILL
         line, _, self._said = self._said.partition(b"\n")
         return line
 
-    def wait(self, timeout: float | None = None) -> int:
+    def _try_wait(self, wait_flags: int) -> tuple[int, int]:
+        line = self._read_line(blocking=not wait_flags)
+        if line:
+            self._status.close()
+        return (self.pid, int(line)) if line else (0, 0)
+
+    def _internal_poll(self, _deadstate: int | None = None) -> int | None:
         if self.returncode is None:
-            self.returncode = os.waitstatus_to_exitcode(int(self._read_line(timeout)))
-            os.close(self._status)
-            self._texts = [_read_and_close(file) for file in self._output]
-        return int(self.returncode)
-
-    def poll(self) -> int | None:
-        try:
-            return self.wait(0.0)
-        except subprocess.TimeoutExpired:
-            return None
-
-    def communicate(self, input: str | None = None, timeout: float | None = None) -> tuple[str, str]:  # noqa: A002 - as Popen
-        assert input is None
-        self.wait(timeout)
-        out, err = self._texts
-        return out, err
+            pid, status = self._try_wait(os.WNOHANG)
+            if pid:
+                self.returncode = os.waitstatus_to_exitcode(status)
+        return self.returncode
 
     def end(self) -> None:
         """Kill it with its process group, if it still runs."""
@@ -104,10 +139,30 @@ class ForkedProcess(subprocess.Popen[str]):
             self.wait()
 
 
-def _read_and_close(file: int) -> str:
-    os.lseek(file, 0, os.SEEK_SET)
-    with os.fdopen(file, encoding="utf-8", errors="replace") as text:
-        return text.read()
+def run_edgectl(
+    *words: str,
+    cwd: Path | None = None,
+    env: Mapping[str, str] | None = None,
+    stdout: _Stream = subprocess.PIPE,
+    timeout: float = 60.0,
+) -> subprocess.CompletedProcess[str]:
+    """Run a forked edgectl to its end. Raises TimeoutExpired after killing it."""
+    with ForkedProcess(words, cwd=cwd, env=env, stdout=stdout, stderr=subprocess.PIPE) as process:
+        try:
+            out, err = process.communicate(timeout=timeout)
+        finally:
+            process.end()
+    return subprocess.CompletedProcess(process.args, process.returncode, out, err)
+
+
+def put_on_path(directory: Path, env: Mapping[str, str]) -> tuple[dict[str, str], int]:
+    """Let shells run a forked edgectl: the environment with a command of that name, and the file to pass to them."""
+    command = directory / "edgectl"
+    command.write_text(f"#!{sys.executable} -IS\n{_COMMAND}")
+    command.chmod(0o755)
+    file = start_server().fileno()
+    path = f"{directory}{os.pathsep}{env.get('PATH', os.defpath)}"
+    return {**env, "PATH": path, "FORK_SERVER": str(file)}, file
 
 
 @cache
@@ -140,9 +195,9 @@ def serve(connection: socket.socket) -> None:
         for module in pkgutil.iter_modules(package.__path__, f"edgectl.{room}."):
             importlib.import_module(module.name)
     gc.freeze()
-    signal.signal(signal.SIGCHLD, signal.SIG_IGN)
     while True:
         data, files, _, _ = socket.recv_fds(connection, _MAX_REQUEST_BYTES, 4)
+        _reap_children()
         if not data:
             return
         if os.fork() == 0:
@@ -151,9 +206,15 @@ def serve(connection: socket.socket) -> None:
             os.close(file)
 
 
+def _reap_children() -> None:
+    """Their CPU time counts as that of the test process when the server has ended."""
+    with suppress(ChildProcessError):
+        while os.waitpid(-1, os.WNOHANG)[0]:
+            pass
+
+
 def _run_and_report(request: dict[str, Any], files: list[int]) -> None:
     """Run the program in a child process, and write its wait status."""
-    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     pid = os.fork()
     if pid == 0:
         _run_program(request, files)
@@ -170,14 +231,18 @@ def _run_program(request: dict[str, Any], files: list[int]) -> None:
     for number, file in enumerate(files[:3]):
         os.dup2(file, number)
     os.closerange(3, 1024)
-    if request["netns"]:
+    if request.get("netns"):
         with Path(request["netns"]).open() as namespace:
             assert ctypes.CDLL(None).setns(namespace.fileno(), _CLONE_NEWNET) == 0
     os.chdir(request["cwd"])
     os.environ.clear()
     os.environ.update(request["env"])
+    time.tzset()
+    sys.stdin = open(0, closefd=False)  # noqa: SIM115 - as at a start, buffered like the file at hand
+    sys.stdout = open(1, "w", closefd=False)  # noqa: SIM115
+    sys.stderr = open(2, "w", buffering=1, errors="backslashreplace", closefd=False)  # noqa: SIM115
     sys.argv = request["argv"]
-    exec(request["program"], {"__name__": "__main__"})
+    exec(request.get("program", EDGECTL), {"__name__": "__main__"})
     sys.exit(0)
 
 

@@ -2,20 +2,22 @@
 
 import json
 import os
+import select
 import signal
 import subprocess
 from pathlib import Path
 
 import pytest
 
-from tests.forkserver import EDGECTL, ForkedProcess
+from tests.cli.terminal import Terminal
+from tests.forkserver import EDGECTL, ForkedProcess, put_on_path
 from tests.pace import patience
 
 ENV = {"PATH": os.defpath, "MARK": "ours"}
 
 
 def run(program: str, *words: str) -> tuple[int, str, str]:
-    process = ForkedProcess(["edgectl", *words], program=program, env=ENV)
+    process = ForkedProcess(words, program=program, env=ENV, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     out, err = process.communicate(timeout=patience(60))
     return process.returncode, out, err
 
@@ -42,7 +44,7 @@ os.system("echo $MARK >&2")
 
 
 def test_it_is_killed_and_waited_for_like_any_process() -> None:
-    process = ForkedProcess(["edgectl"], program="import time; time.sleep(600)", env=ENV)
+    process = ForkedProcess([], program="import time; time.sleep(600)", env=ENV)
     assert process.poll() is None
     with pytest.raises(subprocess.TimeoutExpired):
         process.wait(0.01)
@@ -56,3 +58,59 @@ def test_what_it_raises_is_told_and_its_exit_code_is_1() -> None:
     code, _, err = run("1 / 0")
     assert code == 1
     assert "ZeroDivisionError" in err
+
+
+def test_its_streams_are_buffered_and_read_like_those_of_a_started_one() -> None:
+    program = "import sys; print(sys.stdin.readline().upper(), end=''); sys.stderr.write('said\\n'); sys.stdin.read()"
+    with ForkedProcess(
+        [], program=program, env=ENV, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdin.write("word\n")
+        process.stdin.flush()
+        assert process.stderr.readline() == "said\n"
+        assert not select.select([process.stdout], [], [], 0.1)[0], "a pipe is written at the end"
+        process.stdin.close()
+        assert process.stdout.read() == "WORD\n"
+        assert process.wait(patience(30)) == 0
+
+
+def test_a_reader_that_is_gone_and_a_terminal(tmp_path: Path) -> None:
+    reading, writing = os.pipe()
+    os.close(reading)
+    with ForkedProcess([], program="print('x')", env=ENV, stdout=writing, stderr=subprocess.PIPE) as process:
+        os.close(writing)
+        assert "BrokenPipeError" in process.communicate(timeout=patience(30))[1]
+        assert process.returncode == 120
+    with Terminal([], tmp_path, program="import time; print('shown'); time.sleep(600)") as terminal:
+        terminal.until("shown")
+
+
+def test_shells_run_it_with_their_own_streams_and_directory(tmp_path: Path) -> None:
+    env, file = put_on_path(tmp_path, ENV)
+    (tmp_path / "here").mkdir()
+    script = "cd here; MORE=1 edgectl init . | head -n 1; edgectl --version >said; edgectl nonsense; echo $? >>said"
+    done = subprocess.run(
+        ["bash", "-c", script],
+        cwd=tmp_path,
+        env=env,
+        pass_fds=[file],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.startswith("wrote ")
+    assert "\nerror: No such command" in done.stderr
+    said = (tmp_path / "here" / "said").read_text().splitlines()
+    assert (said[0].split()[0], said[1]) == ("edgectl", "64")
+
+
+def test_without_a_server_it_is_started(tmp_path: Path) -> None:
+    env, _ = put_on_path(tmp_path, ENV)
+    poor = {name: value for name, value in env.items() if name != "FORK_SERVER"}
+    done = subprocess.run(
+        [tmp_path / "edgectl", "--version"], env=poor, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.startswith("edgectl ")

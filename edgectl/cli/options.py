@@ -92,9 +92,7 @@ PolicyOption = Annotated[
 ]
 BestEffortOption = Annotated[bool, Option("--best-effort", help="Place a task even where it does not fit.")]
 PruneOption = Annotated[bool, Option("--prune", help="Also stop the tasks of other task files.")]
-RebalanceOption = Annotated[
-    bool, Option("--rebalance", help="Relocate and swap tasks for a greater sum of utilities.")
-]
+RebalanceOption = Annotated[bool, Option("--rebalance", help="Swap and move tasks for a greater total.")]
 FullOption = Annotated[bool, Option("--full", help="Rank every host, however many there are.")]
 WithoutOption = Annotated[
     list[str] | None,

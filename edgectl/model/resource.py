@@ -22,7 +22,8 @@ class Resource:
     ``demand`` of a task file. ``capacity_key`` and ``used_key``: the amounts in documents. ``compressible``:
     a task that gets less of it is slower, not dead. ``per_link``: it belongs to the link of an edge and a
     robot, not to a host. ``in_presets``: weighed by the presets ``all`` and ``resources``. ``declared_only``:
-    its capacity is a budget in the inventory; a host that states none is not limited by it.
+    its capacity is a budget in the inventory; a host that states none is not limited by it. ``noise``: what
+    readings of one task vary by, in its unit, however large the host.
     """
 
     name: str
@@ -34,6 +35,7 @@ class Resource:
     per_link: bool = False
     in_presets: bool = True
     declared_only: bool = False
+    noise: float = 0.0
 
     def __str__(self) -> str:
         return self.name
@@ -43,7 +45,13 @@ class Resource:
 
 
 CPU = Resource(
-    name="cpu", unit=CORES, capacity_key="cores", used_key="used_cores", demand_key="cpu", compressible=True
+    name="cpu",
+    unit=CORES,
+    capacity_key="cores",
+    used_key="used_cores",
+    demand_key="cpu",
+    compressible=True,
+    noise=0.05,  # the kernel counts in ticks of 10 ms, and a window is half a second
 )
 MEMORY = Resource(
     name="memory",

@@ -9,7 +9,8 @@ from edgectl.model.snapshot import HostSample, Snapshot, TaskSample
 from edgectl.model.task import Quantity, Task, Tasks
 from edgectl.rules.measured_demand import WARM_UP_S
 
-# Usage is more than declared above this factor, and above what readings vary by, as a share of the capacity.
+# Usage is more than declared above this factor, and above what readings vary by: this share of the capacity,
+# or the noise of the resource.
 OVERUSE_FACTOR, NOISE_SHARE = 1.2, 0.02
 
 
@@ -46,7 +47,9 @@ def _list_task_overuses(
             else _list_host_pairs(host, sample, run, resource)
         )
         above = [
-            (used, quantity.of(capacity)) for used, capacity in pairs if _is_above(used, quantity, capacity)
+            (used, quantity.of(capacity))
+            for used, capacity in pairs
+            if _is_above(used, quantity, max(NOISE_SHARE * capacity, resource.noise), capacity)
         ]
         if above:
             used, declared = max(above, key=lambda pair: pair[0] - pair[1])
@@ -60,9 +63,9 @@ def _list_task_overuses(
             )
 
 
-def _is_above(used: float, quantity: Quantity, capacity: float) -> bool:
+def _is_above(used: float, quantity: Quantity, noise: float, capacity: float) -> bool:
     declared = quantity.of(capacity)
-    return used > OVERUSE_FACTOR * declared and used - declared > NOISE_SHARE * capacity
+    return used > OVERUSE_FACTOR * declared and used - declared > noise
 
 
 def _list_host_pairs(

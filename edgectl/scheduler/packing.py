@@ -27,8 +27,7 @@ class Item:
 
     ``places``: those that may take it, in order. ``measure`` gives its shares at one of them. ``runs``: its
     move would be a handoff. ``movable``: it may make room. ``evictable``: it may be left without a place for
-    one of higher priority that preempts. ``apart``: items that must not share its domain;
-    ``domains``: the domain of each place (empty: each place is its own).
+    one of higher priority that preempts.
     """
 
     name: str
@@ -38,12 +37,6 @@ class Item:
     runs: bool = False
     movable: bool = True
     evictable: bool = True
-    apart: frozenset[str] = frozenset()
-    domains: Sequence[object] = ()
-
-    def domain(self, place: int) -> object:
-        """What ``place`` is part of, as far as ``apart`` is concerned."""
-        return self.domains[place] if self.domains else place
 
 
 @dataclass(slots=True, kw_only=True)
@@ -184,22 +177,10 @@ def restore_homes(packing: Packing) -> None:
 
 
 def fits(packing: Packing, item: Item, place: int) -> bool:
-    """Whether ``item`` has room at ``place``, and may be beside what is there."""
+    """Whether ``item`` has room at ``place``."""
     packing.work -= 1
     row = packing.free[place]
-    for column, share in packing.measure(item, place).items():
-        if row[column] - share < -EPSILON:
-            return False
-    return not item.apart or not any(_find_conflicts(packing, item, place))
-
-
-def _find_conflicts(packing: Packing, item: Item, place: int) -> Iterator[str]:
-    """The items that may not be beside ``item`` at ``place``."""
-    domain = item.domain(place)
-    for other in item.apart:
-        there = packing.at.get(other)
-        if there is not None and item.domain(there) == domain:
-            yield other
+    return all(row[column] - share >= -EPSILON for column, share in packing.measure(item, place).items())
 
 
 def _insert(packing: Packing, item: Item) -> bool:
@@ -228,11 +209,9 @@ def _displace_one(packing: Packing, item: Item, level: Permission) -> bool:
         if packing.work <= 0:
             return False
         lacking = _find_lacking(packing, item, place)
-        conflicts = set(_find_conflicts(packing, item, place)) if item.apart else set()
         for other in _list_ejectable(packing, place, level):
             if (
                 _covers(packing.measure(other, place), lacking)
-                and conflicts <= {other.name}
                 and _has_budget(packing, [other])
                 and (goal := _find_place(packing, other, besides=place)) is not None
             ):
@@ -343,15 +322,12 @@ def _find_large_ejection(
 def _list_ejections(packing: Packing, item: Item, place: int, others: Sequence[Item]) -> Iterator[list[Item]]:
     """The smallest sets of the items ``others`` at ``place`` without which ``item`` fits there."""
     lacking = _find_lacking(packing, item, place)
-    must = set(_find_conflicts(packing, item, place)) if item.apart else set()
-    if must - {other.name for other in others}:
-        return
     gains = [(other, packing.measure(other, place)) for other in others]
-    for count in range(max(1, len(must)), MAX_EJECTED + 1):
+    for count in range(1, MAX_EJECTED + 1):
         some = False
         for chosen in combinations(gains, count):
             packing.work -= 1
-            if _cover_together(chosen, lacking) and must <= {other.name for other, _ in chosen}:
+            if _cover_together(chosen, lacking):
                 some = True
                 yield [other for other, _ in chosen]
         if some:

@@ -1,33 +1,34 @@
-"""Pseudo-terminal for one command: its output, and typed input."""
+"""Pseudo-terminal for one edgectl: its output, and typed input."""
 
 import os
 import pty
 import select
-import subprocess
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Self
 
+from tests.forkserver import EDGECTL, ForkedProcess
 from tests.pace import patience
 
 
 class Terminal:
-    """Runs ``words`` with all three streams on a pseudo-terminal."""
+    """Runs ``edgectl WORDS``, or another program, with all three streams on a pseudo-terminal."""
 
     def __init__(
         self,
-        words: list[str],
+        words: Sequence[str],
         directory: Path,
         *,
+        program: str = EDGECTL,
         env: Mapping[str, str] | None = None,
         limit_s: float = 120.0,
     ) -> None:
         self._ours, theirs = pty.openpty()
         self._end = time.monotonic() + patience(limit_s)
         self.seen = ""
-        self.process = subprocess.Popen(
-            words, cwd=directory, env=env, stdin=theirs, stdout=theirs, stderr=theirs
+        self.process = ForkedProcess(
+            words, program=program, cwd=directory, env=env, stdin=theirs, stdout=theirs, stderr=theirs
         )
         os.close(theirs)
 

@@ -15,6 +15,7 @@ import pytest
 from tests.cli.conftest import Run
 from tests.cli.terminal import Terminal
 from tests.docs.blocks import stopped
+from tests.forkserver import ForkedProcess
 from tests.pace import patience
 
 INVENTORY = """version: 1
@@ -25,7 +26,6 @@ TASKS = """version: 1
 tasks:
   idle: {command: "echo started; exec sleep 600", demand: {cpu: 0.1, memory: 10Mi}, stop: {grace: 2s}}
 """
-EDGECTL = [sys.executable, "-m", "edgectl"]
 
 
 @pytest.fixture
@@ -165,13 +165,7 @@ def ready_check(small: Path) -> str:
 @contextlib.contextmanager
 def start_edgectl(*words: str) -> Iterator["subprocess.Popen[str]"]:
     """Run one edgectl in the background and end it afterwards."""
-    with subprocess.Popen(
-        [*EDGECTL, *words],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    ) as process:
+    with ForkedProcess(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         try:
             yield process
         finally:
@@ -195,12 +189,12 @@ def test_bad_times_are_usage_errors(run: Run, small: Path) -> None:
 
 def test_only_yes_is_a_yes(small: Path) -> None:
     for answer in ("no", "y", "YES", ""):
-        with Terminal([*EDGECTL, "apply"], small) as terminal:
+        with Terminal(["apply"], small) as terminal:
             terminal.until('Only "yes" is accepted: ')
             terminal.type(answer + "\n")
             assert terminal.wait() == 1
             assert "nothing was done" in terminal.seen
-    with Terminal([*EDGECTL, "apply"], small) as terminal:
+    with Terminal(["apply"], small) as terminal:
         terminal.until('Only "yes" is accepted: ')
         terminal.type("yes\n")
         assert terminal.wait() == 0

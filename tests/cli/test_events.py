@@ -6,7 +6,6 @@ import re
 import signal
 import sqlite3
 import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -16,9 +15,8 @@ from edgectl.model.event import Event, EventKind
 from edgectl.state.store import Store
 from tests.cli.conftest import Run
 from tests.cli.fleet_dir import open_fleet_dir
+from tests.forkserver import ForkedProcess
 from tests.views.fixtures import ROOT
-
-EDGECTL = [sys.executable, "-m", "edgectl"]
 
 
 @pytest.fixture
@@ -78,7 +76,7 @@ def test_events_as_a_table_and_as_documents(run: Run, state: Path) -> None:
         "slam-robot1",
     )
     assert "kind: planned" in run("events", "-o", "yaml").out
-    assert list(state.iterdir()) == [state / "history.db"]
+    assert {path.name for path in state.iterdir()} == {"agent-key", "history.db"}
 
 
 def test_a_name_that_nobody_knows_is_refused_with_the_closest(run: Run, state: Path) -> None:
@@ -93,9 +91,7 @@ def test_a_name_that_nobody_knows_is_refused_with_the_closest(run: Run, state: P
 @pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM])
 def test_events_are_followed_until_a_signal(state: Path, ending: signal.Signals) -> None:
     record_events(state, Event(at=time.time(), kind=EventKind.HOST_LOST, host="edge1"))
-    process = subprocess.Popen(
-        [*EDGECTL, "events", "-w", "-o", "json"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
+    process = ForkedProcess(["events", "-w", "-o", "json"], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     assert process.stdout is not None
     assert process.stderr is not None
     with process, process.stdout as out, process.stderr as err:
@@ -111,9 +107,7 @@ def test_events_are_followed_until_a_signal(state: Path, ending: signal.Signals)
 
 def test_followed_rows_stand_below_each_other_and_end_when_nobody_reads(state: Path) -> None:
     record_events(state, Event(at=time.time(), kind=EventKind.HOST_LOST, host="edge1", message="no route"))
-    process = subprocess.Popen(
-        [*EDGECTL, "events", "-w"], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
-    )
+    process = ForkedProcess(["events", "-w"], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
     assert process.stdout is not None
     with process:
         rows = [process.stdout.readline() for _ in range(2)]

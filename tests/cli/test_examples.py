@@ -7,7 +7,6 @@ processes of their own.
 import os
 import signal
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -17,6 +16,7 @@ from edgectl.scaffold.write import write_scaffold
 from tests.cli.conftest import Run
 from tests.cli.terminal import Terminal
 from tests.docs.blocks import make_tasks_idle, stopped
+from tests.forkserver import ForkedProcess
 from tests.pace import patience
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -27,7 +27,7 @@ ASKING = ("edgectl apply", "edgectl drain edge1", "edgectl rollback")
 BUSY = 75  # the demo's tasks run
 FULL = 4  # the other edges of the demo have no room for all that runs on edge1
 CODES = {
-    "edgectl plan --without edge2 --detailed-exitcode": 2,
+    "edgectl plan --without edge2 --detailed-exitcode": 3,  # slam-robot2 is pinned there
     "edgectl profile slam-robot1 --write --yes": 1,  # too few samples after these few commands
     "edgectl drain edge1": FULL,
     "edgectl experiment run tasks/mission/experiment.yaml": BUSY,
@@ -59,7 +59,7 @@ def starts_a_process(line: str) -> bool:
 
 
 def run_process(line: str, site: Path, env: dict[str, str]) -> int:
-    words = [sys.executable, "-m", *line.split()]
+    words = line.split()[1:]
     if line in ASKING:
         with Terminal(words, site, env=env) as terminal:
             terminal.type("yes\n")
@@ -78,10 +78,10 @@ def run_process(line: str, site: Path, env: dict[str, str]) -> int:
 
 def follow(words: list[str], site: Path, env: dict[str, str]) -> int:
     """Follow the log until it shows a line of the task."""
-    process = subprocess.Popen(words, cwd=site, env=env, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+    process = ForkedProcess(words, cwd=site, env=env, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
     assert process.stdout is not None
     with process.stdout as lines:
-        assert any(b"alive" in lines.readline() for _ in range(3))
+        assert any("alive" in lines.readline() for _ in range(3))
         process.send_signal(signal.SIGINT)
         assert process.wait(patience(30)) == 130
     return 0
@@ -89,7 +89,7 @@ def follow(words: list[str], site: Path, env: dict[str, str]) -> int:
 
 def watch(words: list[str], site: Path, env: dict[str, str]) -> int:
     """Until it has shown something."""
-    process = subprocess.Popen(words, cwd=site, env=env, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+    process = ForkedProcess(words, cwd=site, env=env, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
     assert process.stdout is not None
     with process.stdout as lines:
         assert lines.readline()
@@ -99,10 +99,10 @@ def watch(words: list[str], site: Path, env: dict[str, str]) -> int:
 
 def serve(words: list[str], site: Path, env: dict[str, str]) -> int:
     """On a free port, until it serves."""
-    process = subprocess.Popen(words, cwd=site, env=env, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    process = ForkedProcess(words, cwd=site, env=env, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
     assert process.stderr is not None
     with process.stderr as said:
-        assert b"serving http" in said.readline()
+        assert "serving http" in said.readline()
         process.send_signal(signal.SIGINT)
         return process.wait(patience(30))
 

@@ -35,6 +35,7 @@ from edgectl.state.store import Store
 from edgectl.units import parse_instant
 from tests.cli.conftest import Run
 from tests.cli.fleet_dir import open_fleet_dir
+from tests.forkserver import ForkedProcess
 from tests.views import fixtures
 
 
@@ -47,8 +48,8 @@ def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @contextlib.contextmanager
 def serve_metrics(site: Path, *words: str) -> Iterator[tuple[str, "subprocess.Popen[str]"]]:
     """Run ``export prometheus --listen`` on a free port of this machine; yields its URL."""
-    command = [sys.executable, "-m", "edgectl", "export", "prometheus", "--listen", "127.0.0.1:0", *words]
-    process = subprocess.Popen(command, cwd=site, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    command = ["export", "prometheus", "--listen", "127.0.0.1:0", *words]
+    process = ForkedProcess(command, cwd=site, stderr=subprocess.PIPE, stdout=subprocess.PIPE)
     assert process.stderr is not None
     try:
         said = process.stderr.readline()

@@ -13,6 +13,7 @@ from edgectl.cli.schema import EDITED_KINDS
 from edgectl.config.load import load_inventory_and_tasks
 from edgectl.scaffold.write import SCAFFOLD_FILES
 from tests.cli.conftest import Run
+from tests.forkserver import run_edgectl
 from tests.views.fixtures import ROOT
 
 
@@ -119,8 +120,7 @@ def test_tab_offers_names_from_the_files(site: Path, line: str) -> None:
         "COMP_WORDS": line,
         "COMP_CWORD": str(len(words) - 1),
     }
-    done = subprocess.run([sys.executable, "-c", "import sys; sys.argv=['edgectl']; from edgectl.cli.main import main; sys.exit(main([]))"],
-                          env=env, capture_output=True, text=True, check=False)  # fmt: skip
+    done = run_edgectl(env=env)
     assert sorted(done.stdout.split()) == COMPLETIONS[line], done.stderr
 
 
@@ -131,10 +131,7 @@ def test_tab_is_quiet_where_there_are_no_files(tmp_path: Path) -> None:
         "COMP_WORDS": "edgectl cordon e",
         "COMP_CWORD": "2",
     }
-    code = "import sys; sys.argv=['edgectl']; from edgectl.cli.main import main; sys.exit(main([]))"
-    done = subprocess.run(
-        [sys.executable, "-c", code], env=env, cwd=tmp_path, capture_output=True, text=True, check=False
-    )
+    done = run_edgectl(env=env, cwd=tmp_path)
     assert (done.stdout.strip(), done.stderr) == ("", "")
 
 

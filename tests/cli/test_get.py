@@ -5,16 +5,15 @@ import os
 import re
 import signal
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from tests.cli.conftest import Run
 from tests.cli.terminal import Terminal
+from tests.forkserver import ForkedProcess, run_edgectl
 
 HOSTS = ["edge1", "edge2", "edge3", "robot1", "robot2", "robot3"]
-EDGECTL = [sys.executable, "-m", "edgectl"]
 
 
 def test_get_lists_what_the_files_state(run: Run, site: Path) -> None:
@@ -80,16 +79,14 @@ def test_what_to_write_where_only_the_tasks_are_missing(run: Run, site: Path) ->
 
 
 def test_get_w_tells_changes_one_object_per_line_and_ends_well(site: Path) -> None:
-    words = [*EDGECTL, "get", "edges", "-w", "--every", "0.2s", "-o", "json"]
-    with subprocess.Popen(words, cwd=site, stdout=subprocess.PIPE, text=True) as process:
+    words = ["get", "edges", "-w", "--every", "0.2s", "-o", "json"]
+    with ForkedProcess(words, cwd=site, stdout=subprocess.PIPE) as process:
         assert process.stdout is not None
         first = [json.loads(process.stdout.readline()) for _ in range(3)]
         assert [(line["type"], line["object"]["host"]) for line in first] == [
             ("ADDED", f"edge{number}") for number in (1, 2, 3)
         ]
-        subprocess.run(
-            [*EDGECTL, "cordon", "edge2"], cwd=site, check=True, stdout=subprocess.DEVNULL, timeout=60
-        )
+        run_edgectl("cordon", "edge2", cwd=site).check_returncode()
         changed = next(line for line in map(json.loads, process.stdout) if line["object"]["host"] == "edge2")
         assert (changed["type"], changed["object"]["mark"]) == ("MODIFIED", "cordoned")
         process.send_signal(signal.SIGINT)
@@ -99,10 +96,10 @@ def test_get_w_tells_changes_one_object_per_line_and_ends_well(site: Path) -> No
 def test_a_reader_that_goes_away_ends_it(site: Path) -> None:
     reading, writing = os.pipe()
     os.close(reading)
-    words = [*EDGECTL, "get", "edges", "-w", "--every", "0.1s"]
+    words = ["get", "edges", "-w", "--every", "0.1s"]
     with os.fdopen(writing, "wb") as nobody:
-        done = subprocess.run(words, cwd=site, stdout=nobody, stderr=subprocess.PIPE, check=False, timeout=60)
-    assert (done.returncode, done.stderr) == (0, b"")
+        done = run_edgectl(*words, cwd=site, stdout=nobody)
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_top_shows_every_host_and_no_task(run: Run, site: Path) -> None:
@@ -116,8 +113,8 @@ def test_top_shows_every_host_and_no_task(run: Run, site: Path) -> None:
 
 
 def test_top_w_gives_programs_one_object_per_host_and_probe(site: Path) -> None:
-    words = [*EDGECTL, "top", "hosts", "-w", "--every", "0.1s", "-o", "json"]
-    with subprocess.Popen(words, cwd=site, stdout=subprocess.PIPE, text=True) as process:
+    words = ["top", "hosts", "-w", "--every", "0.1s", "-o", "json"]
+    with ForkedProcess(words, cwd=site, stdout=subprocess.PIPE) as process:
         assert process.stdout is not None
         lines = [json.loads(process.stdout.readline()) for _ in range(3 * len(HOSTS))]
         process.send_signal(signal.SIGTERM)
@@ -129,7 +126,7 @@ def test_top_w_gives_programs_one_object_per_host_and_probe(site: Path) -> None:
 @pytest.mark.parametrize("end", ["q", "SIGINT", "SIGTERM"])
 def test_top_w_draws_in_place_and_leaves_the_terminal_as_it_was(site: Path, end: str) -> None:
     env = {**os.environ, "TERM": "xterm", "LC_ALL": "C.UTF-8"}
-    with Terminal([*EDGECTL, "top", "hosts", "-w", "--every", "0.2s"], site, env=env) as terminal:
+    with Terminal(["top", "hosts", "-w", "--every", "0.2s"], site, env=env) as terminal:
         terminal.until("\x1b[?1049h")
         for _ in range(2):
             terminal.seen = terminal.seen.replace("\x1b[H", "", 1)

@@ -18,7 +18,6 @@ edges:
   edge2: {host: 127.0.0.2, connection: local, capacity: {cpu: 1, memory: 1Gi}}
 """
 SMALL = "127.0.0.2, connection: local, capacity: {cpu: 0.05,"
-EDGECTL = [sys.executable, "-m", "edgectl"]
 TASKS = """version: 1
 tasks:
   idle: {command: "exec sleep 600", demand: {cpu: 0.1, memory: 10Mi}, stop: {grace: 2s}}
@@ -98,11 +97,11 @@ def test_a_drain_that_leaves_something_behind_exits_4(run: Run, small: Path) -> 
 def test_fence_takes_the_name_of_the_host_for_a_yes(run: Run, small: Path) -> None:
     assert run("fence", "edge1").code == 64
     assert run("fence", "edge9", "--yes").code == 64
-    with Terminal([*EDGECTL, "fence", "edge1"], small) as terminal:
+    with Terminal(["fence", "edge1"], small) as terminal:
         terminal.until("Type its name if it is powered off: ")
         terminal.type("yes\n")
         assert terminal.wait() == 1
-    with Terminal([*EDGECTL, "fence", "edge1"], small) as terminal:
+    with Terminal(["fence", "edge1"], small) as terminal:
         terminal.until("Type its name if it is powered off: ")
         terminal.type("edge1\n")
         assert terminal.wait() == 0

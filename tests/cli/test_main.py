@@ -13,6 +13,7 @@ import pytest
 
 from edgectl.cli import offline_commands
 from tests.cli.conftest import Run
+from tests.forkserver import ForkedProcess
 from tests.pace import patience
 
 EDGECTL = [sys.executable, "-m", "edgectl"]
@@ -143,11 +144,8 @@ def has_children(pid: int) -> bool:
 
 
 def test_a_real_ctrl_c_during_a_probe(site: Path) -> None:
-    process = subprocess.Popen(
-        [*EDGECTL, "probe", "--window", "20s", "--timeout", "25s"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
+    process = ForkedProcess(
+        ["probe", "--window", "20s", "--timeout", "25s"], stdout=subprocess.PIPE, stderr=subprocess.PIPE
     )
     begun = time.monotonic()
     while not has_children(process.pid):

@@ -2,7 +2,6 @@
 
 import json
 import os
-import sys
 from pathlib import Path
 
 import pytest
@@ -97,7 +96,7 @@ def test_the_greatest_of_the_group_is_written_and_nothing_else(site: Path, run: 
 
 def test_only_yes_is_a_yes(site: Path) -> None:
     record_samples(site)
-    words = [sys.executable, "-m", "edgectl", "profile", "slam", "--write"]
+    words = ["profile", "slam", "--write"]
     for answer, text in (
         ("no\n", TASKS),
         ("yes\n", TASKS.replace('{cpu: 35.2%, memory: "1Gi"}', '{cpu: 1.9, memory: "256Mi"}')),

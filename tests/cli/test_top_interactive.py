@@ -14,7 +14,7 @@ from tests.cli.terminal import Terminal
 
 # The alternate screen of the terminal, used by the view, is left at the end.
 ENTERED, LEFT = "\x1b[?1049h", "\x1b[?1049l"
-TOP = [sys.executable, "-m", "edgectl", "top", "-i"]
+TOP = ["top", "-i"]
 
 
 @pytest.fixture
@@ -67,7 +67,7 @@ def test_not_without_a_terminal_nor_without_the_extra(site: Path, env: dict[str,
     assert ended.code == 64
     assert "not a terminal" in ended.err
     code = "import sys; sys.modules['textual'] = None; from edgectl.cli.main import main; sys.exit(main(['top', '-i']))"
-    with Terminal([sys.executable, "-c", code], site, env=env) as terminal:
+    with Terminal([], site, program=code, env=env) as terminal:
         assert terminal.wait() == 64
         assert "[tui]" in terminal.seen
         assert "Traceback" not in terminal.seen

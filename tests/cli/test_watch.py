@@ -4,7 +4,6 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import termios
 import time
 from collections.abc import Iterator
@@ -15,6 +14,7 @@ import pytest
 from edgectl.cli.main import main
 from tests.cli.conftest import Run
 from tests.cli.terminal import Terminal
+from tests.forkserver import ForkedProcess
 from tests.pace import patience
 
 INVENTORY = """\
@@ -58,7 +58,7 @@ def one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 
 def watch_command(*more: str) -> list[str]:
-    return [sys.executable, "-m", "edgectl", "watch", *more]
+    return ["watch", *more]
 
 
 def read_terminal_modes(terminal: Terminal) -> tuple[int, int]:
@@ -100,8 +100,8 @@ def test_a_signal_ends_it_and_the_terminal_is_as_before(one: Path, number: signa
 
 def test_sigterm_lets_the_running_action_finish(one: Path) -> None:
     (one / "tasks" / "one.yaml").write_text(SLOW)
-    with subprocess.Popen(
-        watch_command("--apply", "--every", "1h"), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    with ForkedProcess(
+        watch_command("--apply", "--every", "1h"), stdout=subprocess.PIPE, stderr=subprocess.PIPE
     ) as process:
         deadline = time.monotonic() + LIMIT_S
         while not any(entry["event"] == "phase" for entry in read_entries(one / "state")):
@@ -128,8 +128,8 @@ def test_off_a_terminal_a_line_where_something_happened_and_nothing_else(one: Pa
 
 
 def test_files_that_change_are_read_anew_and_broken_ones_said(one: Path) -> None:
-    with subprocess.Popen(
-        watch_command("-o", "jsonl", "--every", "1s", "--cycles", "60"), stdout=subprocess.PIPE, text=True
+    with ForkedProcess(
+        watch_command("-o", "jsonl", "--every", "1s", "--cycles", "60"), stdout=subprocess.PIPE
     ) as process:
         assert process.stdout is not None
         rounds = (json.loads(line) for line in process.stdout)

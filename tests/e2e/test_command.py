@@ -3,7 +3,6 @@
 import os
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.e2e.bench import a_mark, list_sleepers, wait_for_sleepers
+from tests.forkserver import ForkedProcess, run_edgectl
 from tests.pace import patience
 
 INVENTORY = """
@@ -39,28 +39,15 @@ class Shell:
         )
 
     def command(self, *words: str) -> list[str]:
-        return [sys.executable, "-m", "edgectl", *words, "-i", "inventory.yaml", "-t", "tasks.yaml"]
+        return [*words, "-i", "inventory.yaml", "-t", "tasks.yaml"]
 
     def run(self, *words: str) -> subprocess.CompletedProcess[str]:
-        return subprocess.run(
-            self.command(*words),
-            cwd=self.directory,
-            capture_output=True,
-            text=True,
-            check=False,
-            timeout=patience(60),
-            stdin=subprocess.DEVNULL,
-        )
+        return run_edgectl(*self.command(*words), cwd=self.directory, timeout=patience(60))
 
     def begin(self, *words: str) -> subprocess.Popen[str]:
         """Start a command and wait until the first task runs, not ready yet."""
-        process = subprocess.Popen(
-            self.command(*words),
-            cwd=self.directory,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            stdin=subprocess.DEVNULL,
-            text=True,
+        process = ForkedProcess(
+            self.command(*words), cwd=self.directory, stdout=subprocess.PIPE, stderr=subprocess.PIPE
         )
         deadline = time.monotonic() + patience(40)
         while not list_sleepers(self.mark):
@@ -81,8 +68,7 @@ class Shell:
 
 
 @pytest.fixture
-def shell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Shell]:
-    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[2]))
+def shell(tmp_path: Path) -> Iterator[Shell]:
     made = Shell(tmp_path)
     yield made
     made.run("stop", "--all", "--yes")
@@ -104,11 +90,10 @@ def test_the_second_of_two_applies_exits_75(shell: Shell) -> None:
 
 def test_a_lock_timeout_waits_for_the_first(shell: Shell) -> None:
     first = shell.begin("apply", "--yes")
-    second = subprocess.Popen(
+    second = ForkedProcess(
         shell.command("apply", "--yes", "--lock-timeout", "60s"),
         cwd=shell.directory,
         stdout=subprocess.DEVNULL,
-        stdin=subprocess.DEVNULL,
     )
     time.sleep(0.5)
     shell.go()

@@ -4,7 +4,6 @@ import dataclasses
 import os
 import shutil
 import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,6 +12,7 @@ import pytest
 from edgectl.errors import UsageError
 from edgectl.export.cron import format_cron_command, format_cron_schedule, format_crontab, quote_for_cron
 from edgectl.export.job import ScheduledJob, format_interval
+from tests import forkserver
 from tests.e2e.bench import a_mark, list_sleepers, wait_for_sleepers
 
 JOB = ScheduledJob(
@@ -114,10 +114,7 @@ def site(tmp_path: Path) -> Iterator[tuple[Path, str]]:
 
 def run_edgectl(here: Path, *words: str) -> subprocess.CompletedProcess[str]:
     env = {**os.environ, "EDGECTL_STATE_DIR": str(here / "state")}
-    return subprocess.run(
-        [sys.executable, "-m", "edgectl", *words, "-i", "lab.yaml", "-t", "tasks.yaml"],
-        cwd=here, env=env, capture_output=True, text=True, check=False, timeout=60, stdin=subprocess.DEVNULL,
-    )  # fmt: skip
+    return forkserver.run_edgectl(*words, "-i", "lab.yaml", "-t", "tasks.yaml", cwd=here, env=env)
 
 
 def test_the_line_runs_as_cron_runs_it(site: tuple[Path, str], isolated: Path) -> None:

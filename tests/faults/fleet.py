@@ -220,8 +220,15 @@ class FaultFleet:
         """Start a command of `build_command`, forked unless the environment has other code or libraries for it."""
         if not env.keys() & {"PYTHONPATH", "LD_PRELOAD"}:
             own = command[len(self.prefix) :]
-            program, argv = (own[3], ["-c", *own[4:]]) if "-c" in own[:3] else (forkserver.EDGECTL, own)
-            forked = forkserver.ForkedProcess(argv, program=program, env=env, netns=str(self.netns or ""))
+            program, words = (own[3], own[4:]) if "-c" in own[:3] else (forkserver.EDGECTL, own[1:])
+            forked = forkserver.ForkedProcess(
+                words,
+                program=program,
+                env=env,
+                netns=str(self.netns or ""),
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+            )
             self.stack.callback(forked.end)
             return forked
         return subprocess.Popen(

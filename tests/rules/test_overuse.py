@@ -51,3 +51,10 @@ def test_a_link_is_told_with_its_figures_and_the_remedy() -> None:
     task = a_task("slam-robot1", throughput=1e6, robots=["robot1"], template="slam")
     (found,) = find_overuses(FLEET, some_tasks(task), snapshot)
     assert found.describe() == "uses 5.0MB/s of network, declares 1.0MB/s; edgectl profile slam --write"
+
+
+@pytest.mark.parametrize(("used", "count"), [(0.05, 0), (0.06, 1)])
+def test_a_few_clock_ticks_on_a_small_host_are_noise(used: float, count: int) -> None:
+    sample = a_sample(cores=0.3, tasks={"slam": a_run(used=Usage(cpu=used))})
+    found = find_overuses(FLEET, some_tasks(a_task(cpu=0.003)), a_snapshot(edge1=sample))
+    assert len(found) == count
