@@ -28,8 +28,8 @@ _UNHURRIED = settings(
     ],
 )
 settings.register_profile("repeatable", _UNHURRIED, derandomize=True, database=None)
-# Others in every run, or those of --hypothesis-seed; what was found is kept in .hypothesis and tried first.
-settings.register_profile("search", _UNHURRIED, print_blob=True)
+# Three times as many in make fuzz, others in every run, or those of --hypothesis-seed; what was found is kept in .hypothesis and tried first.
+settings.register_profile("search", _UNHURRIED, print_blob=True, max_examples=300)
 settings.load_profile("repeatable")
 
 INHERITED = (

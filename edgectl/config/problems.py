@@ -1,10 +1,12 @@
 """Problems in input files: stable codes, positions, and their collection."""
 
 import re
+from bisect import bisect_right
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from functools import lru_cache
 
 from edgectl.errors import InputError, Problem
 from edgectl.names import format_name_list, suggest_name
@@ -108,8 +110,15 @@ class Mark:
 
 def mark_from_span(source: Source, start: int, end: int) -> Mark:
     """The position of a span of the text (offsets in characters)."""
-    line_start = source.text.rfind("\n", 0, start) + 1
-    return Mark(source, source.text.count("\n", 0, start) + 1, start - line_start + 1, end - start)
+    starts = _list_line_starts(source.text)
+    line = bisect_right(starts, start)
+    return Mark(source, line, start - starts[line - 1] + 1, end - start)
+
+
+@lru_cache(maxsize=1)
+def _list_line_starts(text: str) -> tuple[int, ...]:
+    """The offset of each line; kept, because a file of one fault may have a hundred thousand of it."""
+    return (0, *(found.end() for found in re.finditer("\n", text)))
 
 
 @dataclass(slots=True)

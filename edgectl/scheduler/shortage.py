@@ -1,5 +1,7 @@
 """Shortage: what a fleet lacks, whatever the placement (ADR 0062). Pure."""
 
+from math import fsum
+
 from edgectl.model.assignment import Shortage
 from edgectl.model.inventory import Inventory
 from edgectl.model.manager_state import ManagerState
@@ -43,10 +45,11 @@ def compute_shortages(state: InitialState, tasks: Tasks) -> tuple[Shortage, ...]
     ]
     found = []
     for resource in HOST_RESOURCES if edges else ():
-        capacity = sum(fleet.usable[resource.name][edge] for edge in edges)
-        load = sum(state.ledger.used[resource.name][edge] for edge in edges)
+        # fsum: a sum that is rounded once does not depend on the order of the files.
+        capacity = fsum(fleet.usable[resource.name][edge] for edge in edges)
+        load = fsum(state.ledger.used[resource.name][edge] for edge in edges)
         smallest = min(fleet.raw[resource.name][edge] for edge in edges)
-        wanted = sum(_compute_least_demand(fleet, task, resource, smallest) for task in waiting)
+        wanted = fsum(_compute_least_demand(fleet, task, resource, smallest) for task in waiting)
         amount = load + wanted - capacity
         if amount > (EPSILON if wanted else get_slack(resource) * capacity):
             found.append(Shortage(resource=resource, amount=amount))

@@ -6,7 +6,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from edgectl.config.documents import load_plan, load_snapshot
@@ -15,7 +15,6 @@ from edgectl.errors import InputError, Problem
 from tests.config.broken_files import INVENTORY, TASKS
 from tests.config.test_bad_documents import TEXTS
 
-bounded = settings(max_examples=300)
 PIECES = [
     "{", "}", "[", "]", ":", ": ", ",", "- ", "\n", "\n  ", "\t", "&a", "*a", "<<", "!!str ", "|", ">", "'", '"', "#", "%", "@", "\\", "\0", "~",
     "null", "true", "no", "22:22", ".nan", "1e999", "-1", "9" * 30, "robot", "all", "edge1", "robot1", "slam", "{robot}", "é", "\u2028", "\ud7ff",
@@ -54,14 +53,12 @@ def check_only_input_errors(action: Callable[[], Any]) -> None:
         assert problem.length >= 1
 
 
-@bounded
 @given(draw_damaged(INVENTORY), draw_damaged(TASKS))
 def test_damaged_yaml(tmp_path: Path, inventory: str, tasks: str) -> None:
     paths = write_text(tmp_path / "i.yaml", inventory), write_text(tmp_path / "t.yaml", tasks)
     check_only_input_errors(lambda: load_inventory_and_tasks(*paths))
 
 
-@bounded
 @given(st.lists(pieces, max_size=30).map("".join))
 def test_any_text(tmp_path: Path, text: str) -> None:
     path = write_text(tmp_path / "f", text)
@@ -73,7 +70,6 @@ def test_any_text(tmp_path: Path, text: str) -> None:
         check_only_input_errors(action)
 
 
-@settings(bounded, max_examples=100)
 @given(st.binary(max_size=60))
 def test_any_bytes(tmp_path: Path, data: bytes) -> None:
     path = tmp_path / "f"
@@ -103,7 +99,6 @@ trees = st.recursive(
 )
 
 
-@bounded
 @given(st.dictionaries(words, trees, max_size=5), st.dictionaries(words, trees, max_size=5), trees)
 def test_any_tree_of_known_words(
     tmp_path: Path, inventory: dict[str, Any], tasks: dict[str, Any], task: Any
@@ -118,7 +113,6 @@ def test_any_tree_of_known_words(
         check_only_input_errors(lambda: load_inventory_and_tasks(*paths))
 
 
-@bounded
 @given(draw_damaged(TEXTS["snapshot"]), draw_damaged(TEXTS["plan"]))
 def test_damaged_documents(tmp_path: Path, snapshot: str, plan: str) -> None:
     check_only_input_errors(lambda: load_snapshot(write_text(tmp_path / "s", snapshot)))

@@ -13,7 +13,7 @@ from edgectl.model.plan import Plan
 from edgectl.model.snapshot import Snapshot
 from tests.formats.strategies import memories, plans, snapshots
 
-bounded = settings(max_examples=60)
+bounded = settings(max_examples=settings().max_examples * 2 // 5)
 
 
 @bounded

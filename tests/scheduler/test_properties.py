@@ -38,7 +38,7 @@ from tests.scheduler.fleets import decisions_by_task, hosts_by_task, simulate_ap
 Value = TypeVar("Value")
 
 ROBOTS = ("robot1", "robot2")
-quick = settings(max_examples=60)
+quick = settings(max_examples=settings().max_examples * 3 // 5)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
@@ -163,7 +163,6 @@ def cases(draw: st.DrawFn) -> Case:
 
 
 # Nine tenths of the time of an example are its fleet: one is drawn for all of these.
-@settings(max_examples=120)
 @given(cases())
 def test_what_holds_for_every_assignment(case: Case) -> None:
     found = case.assign()

@@ -1,5 +1,7 @@
 """What a fleet lacks, whatever the placement."""
 
+from dataclasses import replace
+
 import pytest
 
 from edgectl.model.manager_state import ManagerState
@@ -48,6 +50,15 @@ def test_the_least_that_would_help(snapshot: Snapshot, tasks: Tasks, short: floa
     found = {each.resource.name: each.amount for each in find_shortages(FLEET, tasks, snapshot)}
     assert found == ({} if short is None else {"cpu": pytest.approx(short)})
     assert run_assign(FLEET, tasks, snapshot).shortages == find_shortages(FLEET, tasks, snapshot)
+
+
+def test_the_amount_does_not_depend_on_the_order_of_the_files() -> None:
+    """The sums differ in their last bit."""
+    full = a_snapshot(edge1=a_sample(used=4.0), edge2=a_sample(used=4.0))
+    one = some_tasks(a_task("a", cpu=0.2), a_task("b", cpu=1.1), a_task("c", cpu=1.3))
+    other = replace(one, tasks=dict(reversed([*one.tasks.items()])))
+    assert 0.2 + 1.1 + 1.3 != 1.3 + 1.1 + 0.2
+    assert find_shortages(FLEET, one, full) == find_shortages(FLEET, other, full)
 
 
 def test_a_closed_edge_is_neither_load_nor_capacity() -> None:
