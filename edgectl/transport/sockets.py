@@ -70,8 +70,9 @@ class Allowance:
         finally:
             with self._lock:
                 self._calls -= 1
+                # What is left is kept: the rest of a reply that was too long may still be on its way.
                 if not self._calls and not self.is_spent():
-                    self._limit = self._received + MAX_LOGIN_BYTES
+                    self._limit = max(self._limit, self._received + MAX_LOGIN_BYTES)
 
 
 class TunedSocket(socket.socket):

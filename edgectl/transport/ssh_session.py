@@ -50,8 +50,9 @@ class SshSession:
     def run(self, command: str, stdin: bytes, *, timeout: float, limit: int = 1 << 20) -> Reply:
         """Run ``command`` (see `Session.run`)."""
         deadline = time.monotonic() + timeout
+        # What is read until the limit is seen, and what the window lets come meanwhile.
         most = 2 * limit + MAX_LOGIN_BYTES
-        with self.allowance.grant(most), self._channel(command, stdin, deadline) as channel:
+        with self.allowance.grant(most), self._channel(command, stdin, deadline, window=limit) as channel:
             return _collect_reply(channel, deadline, limit, timeout)
 
     def stream(self, command: str, stdin: bytes, *, idle_timeout: float) -> Iterator[bytes]:
@@ -95,12 +96,14 @@ class SshSession:
         hang_up(self._line)
 
     @contextlib.contextmanager
-    def _channel(self, command: str, stdin: bytes, deadline: float) -> Iterator[paramiko.Channel]:
+    def _channel(
+        self, command: str, stdin: bytes, deadline: float, *, window: int
+    ) -> Iterator[paramiko.Channel]:
         """A channel on which ``command`` runs and has its input; errors within are translated."""
         seconds = deadline - time.monotonic()
         with self._errors(seconds), watchdog(seconds + GRACE_S, self._cut) as watch:
             try:
-                with contextlib.closing(self._open(deadline)) as channel:
+                with contextlib.closing(self._open(deadline, window)) as channel:
                     _start_command(channel, command, stdin, seconds)
                     yield channel
                     self._check(channel)
@@ -114,22 +117,26 @@ class SshSession:
                     raise DeadlineError(f"no answer within {seconds:.3g} s") from error
                 raise
 
-    def _open(self, deadline: float) -> paramiko.Channel:
-        """A new channel. sshd allows ten (MaxSessions); a closed one counts until sshd has noticed."""
+    def _open(self, deadline: float, window: int | None = None) -> paramiko.Channel:
+        """A new channel. sshd allows ten (MaxSessions); a closed one counts until sshd has noticed.
+
+        ``window``: how many bytes may come that nobody has read; None: 2 MiB.
+        """
         for pause in CHANNEL_PAUSES_S:
             try:
-                return self._open_once(deadline)
+                return self._open_once(deadline, window)
             except paramiko.SSHException:
                 # Not only ChannelException: of two threads refused at once, paramiko gives the reason to one.
                 if not self.transport.is_active() or time.monotonic() + pause >= deadline:
                     raise
                 time.sleep(pause)
-        return self._open_once(deadline)
+        return self._open_once(deadline, window)
 
-    def _open_once(self, deadline: float) -> paramiko.Channel:
+    def _open_once(self, deadline: float, window: int | None) -> paramiko.Channel:
         if not self.transport.is_active():
             raise ConnectError("the connection was lost")
-        return self.transport.open_session(timeout=max(0.01, deadline - time.monotonic()))
+        left = max(0.01, deadline - time.monotonic())
+        return self.transport.open_session(window_size=window, timeout=left)
 
     def _check(self, channel: paramiko.Channel) -> None:
         """A channel that ended without an exit status because the whole connection did."""
