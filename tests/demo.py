@@ -14,6 +14,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+from edgectl.rules.measured_demand import WARM_UP_S
 from tests.forkserver import ForkedProcess
 from tests.pace import patience
 
@@ -61,6 +62,12 @@ class Demo:
             for row in document["items"]
             if row["state"] in ("starting", "running", "ready")
         }
+
+    def run_time(self, task: str) -> float:
+        """Return how long a task has run, in seconds."""
+        document: dict[str, Any] = json.loads(self.run("status", "-o", "json", shown=False))
+        (age_s,) = [row["age_s"] for row in document["items"] if row["task"] == task]
+        return float(age_s)
 
     def processes(self) -> list[int]:
         """List every process started for this fleet: its environment names our state directory."""
@@ -124,6 +131,9 @@ def grow_map(demo: Demo) -> str:
     deadline = time.monotonic() + GROWS_S
     while read_resident_bytes(places[slam][1]) < GROWN_BYTES and time.monotonic() < deadline:
         time.sleep(0.1)
+    print_line(f"# What a task uses counts when it has run {WARM_UP_S:g} s.")
+    while demo.run_time(slam) < WARM_UP_S and time.monotonic() < deadline:
+        time.sleep(0.5)
     return task
 
 
