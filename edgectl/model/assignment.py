@@ -179,6 +179,7 @@ class Reason(StrEnum):
     ROOM_MADE = "room-made"
     PREEMPTED = "preempted"
     REBALANCED = "rebalanced"
+    OPTIMAL = "optimal"
     REPLACED = "replaced"
     FORCED_INFEASIBLE = "present-host-infeasible"
     RELIEF = "relieves-overload"
@@ -279,13 +280,33 @@ class ExpectedLoad:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Certificate:
+    """How far a plan may be from the best one: each figure with a bound that no plan exceeds.
+
+    ``wanted``: tasks that some host may take. ``placed``: those with a place; ``placed_bound``: at most so
+    many can have one, the higher priority first. ``moves``: running tasks that make room;
+    ``moves_bound``: so many must. ``utility``: sum of all totals at the loads after the plan;
+    ``utility_bound``: its maximum with so many tasks placed and so many moves, None where it is not known.
+    """
+
+    wanted: int
+    placed: int
+    placed_bound: int
+    moves: int
+    moves_bound: int
+    utility: Signed
+    utility_bound: Signed | None = field(default=None, metadata=_WRITTEN)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Assignment:
     """All decisions, in sequence order, the policy as used (weights normalised) and the expected load per
     host.
 
     ``unseen`` are hosts that did not answer while nothing is remembered of them (a manager new to the fleet).
     ``demand_spreads`` are percent demands that mean different amounts on the hosts that may run the task.
-    ``shortages``: what the fleet lacks, whatever the placement.
+    ``shortages``: what the fleet lacks, whatever the placement. ``certificate``: of a plan that was made
+    as good as possible (ADR 71).
     """
 
     policy: Policy
@@ -296,3 +317,4 @@ class Assignment:
     unseen: tuple[str, ...] = ()
     demand_spreads: tuple[DemandSpread, ...] = ()
     shortages: tuple[Shortage, ...] = ()
+    certificate: Certificate | None = None

@@ -74,6 +74,7 @@ class Policy:
     where it does not fit. ``full``: keep every host's ranking above 64 hosts. ``without``: hosts left out as
     candidates (what if). ``prune``: also stop the running tasks of files that were not given (ADR 0039).
     ``rebalance``: relocate and swap tasks for a greater sum of utilities (ADR 66).
+    ``optimal``: find the best plan with a solver, and prove how good it is (ADR 71).
     """
 
     name: PolicyName = field(default=PolicyName.UTILITY, metadata=in_document("policy", required=True))
@@ -90,3 +91,4 @@ class Policy:
     without: frozenset[str] = field(default=frozenset(), metadata=in_document("options.without", always=True))
     prune: bool = field(default=False, metadata=in_document("options.prune"))
     rebalance: bool = field(default=False, metadata=in_document("options.rebalance"))
+    optimal: bool = field(default=False, metadata=in_document("options.optimal"))
