@@ -279,14 +279,18 @@ class ExpectedLoad:
     )
 
 
+# Relative gap of a sum of utilities below which it counts as the highest.
+NEGLIGIBLE_GAP = 1e-5
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Certificate:
     """How far a plan may be from the best one: each figure with a bound that no plan exceeds.
 
     ``wanted``: tasks that some host may take. ``placed``: those with a place; ``placed_bound``: at most so
     many can have one, the higher priority first. ``moves``: running tasks that make room;
-    ``moves_bound``: so many must. ``utility``: sum of all totals at the loads after the plan;
-    ``utility_bound``: its maximum with so many tasks placed and so many moves, None where it is not known.
+    ``moves_bound``: so many must. ``utility_sum``: sum of all totals at the loads after the plan;
+    ``utility_sum_bound``: its maximum with so many tasks placed and moves, None where it is not known.
     """
 
     wanted: int
@@ -294,8 +298,40 @@ class Certificate:
     placed_bound: int
     moves: int
     moves_bound: int
-    utility: Signed
-    utility_bound: Signed | None = field(default=None, metadata=_WRITTEN)
+    utility_sum: Signed
+    utility_sum_bound: Signed | None = field(default=None, metadata=_WRITTEN)
+
+    def describe(self) -> str:
+        """What was reached, and what is proven, in one line."""
+        parts = self._describe_placed(), self._describe_moves(), self._describe_sum()
+        return "; ".join(part for part in parts if part)
+
+    def _describe_placed(self) -> str:
+        if self.placed == self.wanted:
+            return f"all {self.wanted} tasks are placed"
+        if self.placed_bound == self.wanted:
+            return f"{self.placed} of {self.wanted} tasks are placed; whether all fit was not found in time"
+        none = f"no placement of all {self.wanted} tasks exists (proven)"
+        if self.placed == self.placed_bound:
+            return f"{none}: {self.placed} are placed, by priority as many as can be"
+        return f"{none}: {self.placed} are placed, at most {self.placed_bound} can be"
+
+    def _describe_moves(self) -> str:
+        if not self.moves:
+            return ""
+        tasks = "1 running task makes room" if self.moves == 1 else f"{self.moves} running tasks make room"
+        if self.moves == self.moves_bound:
+            return f"{tasks}, the fewest that can (proven)"
+        return f"{tasks}, at least {self.moves_bound} must"
+
+    def _describe_sum(self) -> str:
+        text = f"sum of utilities {self.utility_sum:.3f}"
+        if self.utility_sum_bound is None:
+            return text
+        gap = self.utility_sum_bound - self.utility_sum
+        if gap <= NEGLIGIBLE_GAP * abs(self.utility_sum_bound):
+            return f"{text}, the highest (proven)"
+        return f"{text}, at most {gap:.3f} below the highest"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

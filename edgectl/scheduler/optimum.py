@@ -90,9 +90,10 @@ def find_optimum(plain: UnrepairedPlan, known: UnrepairedPlan, solve: Solver) ->
     """
     places = {name: place for name, (place, _) in known.placed.items()}
     problem = build_problem(plain, places)
-    places, placed = _place_by_priority(problem, places, solve)
-    places, moves, least = _reduce_moves(problem, places, placed, solve)
-    required = Requirements(placed={each: low for each, (low, _) in placed.items()}, most_moves=moves)
+    places, placed = _place_by_priority(problem, places, plain.moves_left, solve)
+    reached = {priority: low for priority, (low, _) in placed.items()}
+    places, moves, least = _reduce_moves(problem, places, Requirements(placed=reached), solve)
+    required = Requirements(placed=reached, most_moves=moves)
     places, utility = _raise_utility(problem, places, required, solve)
     most = sum(high for _, high in placed.values())
     return Optimum(places=places, bounds=Bounds(placed=most, moves=least, utility=utility, most_moves=moves))
@@ -108,8 +109,8 @@ def certify(found: PlanValue, wanted: int, optimum: Optimum) -> Certificate:
         placed_bound=max(bounds.placed, sum(found.placed)),
         moves=found.moves,
         moves_bound=min(bounds.moves, found.moves),
-        utility=found.utility,
-        utility_bound=None if bound is None else max(bound, found.utility),
+        utility_sum=found.utility,
+        utility_sum_bound=None if bound is None else max(bound, found.utility),
     )
 
 
@@ -190,7 +191,7 @@ def _estimate_downtime(handoffs: HandoffHistory, task: Task) -> float:
 
 
 def _place_by_priority(
-    problem: PlacementProblem, places: Mapping[str, int], solve: Solver
+    problem: PlacementProblem, places: Mapping[str, int], most_moves: int | None, solve: Solver
 ) -> tuple[dict[str, int], dict[float, tuple[int, int]]]:
     """Level 1: the places, and by priority how many tasks have one and how many can at most."""
     counts: dict[float, tuple[int, int]] = {}
@@ -199,7 +200,9 @@ def _place_by_priority(
         names = [item.name for item in problem.items if item.priority == priority]
         low, high = sum(name in found for name in names), len(names)
         if low < high:
-            required = Requirements(placed={each: count for each, (count, _) in counts.items()})
+            required = Requirements(
+                placed={each: count for each, (count, _) in counts.items()}, most_moves=most_moves
+            )
             model = build_model(problem, required)
             count_placed_tasks(model, priority)
             model.start_from(found)
@@ -215,13 +218,13 @@ def _place_by_priority(
 
 
 def _reduce_moves(
-    problem: PlacementProblem, places: dict[str, int], placed: Mapping[float, tuple[int, int]], solve: Solver
+    problem: PlacementProblem, places: dict[str, int], required: Requirements, solve: Solver
 ) -> tuple[dict[str, int], int, int]:
     """Level 2: the places, their moves, and how many moves are needed at least."""
     moves = _count_moves(problem, places)
     if moves == 0:
         return places, 0, 0
-    model = build_model(problem, Requirements(placed={each: low for each, (low, _) in placed.items()}))
+    model = build_model(problem, required)
     count_moves(model)
     model.start_from(places)
     solution = solve(model.program, _FIRST_SHARE)

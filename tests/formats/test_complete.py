@@ -9,6 +9,7 @@ import pytest
 
 from edgectl.formats.kinds import MANAGER_STATE_KIND, PLAN_KIND, SNAPSHOT_KIND
 from edgectl.model.assignment import (
+    Certificate,
     Decision,
     DemandSource,
     DemandSpread,
@@ -84,7 +85,7 @@ SNAPSHOT = Snapshot(taken_at=1.5, hosts={"h": HOST}, manager=MANAGER)
 WEIGHTS = Weights(cpu=0.1, memory=0.2, network=0.3, task=0.4)
 POLICY = Policy(
     name=PolicyName.PAPER, weights=WEIGHTS, sequence=SequenceRule.SENSITIVITY, move_margin=0.2, min_dwell=3.0, max_moves=None, attended=False,
-    best_effort=True, full=True, without=frozenset({"h"}), prune=True, rebalance=True,
+    best_effort=True, full=True, without=frozenset({"h"}), prune=True, rebalance=True, optimal=True,
 )  # fmt: skip
 REJECTION = Rejection(
     rule=RejectionRule.INSUFFICIENT, resource=NETWORK, robot="r", demand=1.0, used=2.0, capacity=3.0
@@ -93,6 +94,9 @@ TERMS = UtilityTerms(cpu=0.1, memory=-0.2, network=0.3, task=0.4)
 RHO = ResourceDemand(resource=NETWORK, value=1.5, source=DemandSource.MEASURED, samples=412, demanded=0.5)
 OVERUSE = Overuse(task="t-1", entry="t", host="h", resource=NETWORK, used=2.0, declared=1.0)
 SHORTAGE = Shortage(resource=MEMORY, amount=1.5)
+CERTIFICATE = Certificate(
+    wanted=4, placed=3, placed_bound=3, moves=2, moves_bound=1, utility_sum=1.5, utility_sum_bound=1.75
+)
 UNEVEN = DemandSpread(task="t", resource=MEMORY, share=0.25, least=1.5, most=3.0, hosts=("a", "b"))
 RANKED = RankedHost(
     host="h",
@@ -114,11 +118,11 @@ EXPECTED = ExpectedLoad(used=Usage(cpu=1.0, memory=2.0), links={"r": 3.0})
 PLAN = Plan(
     created_at=1.5, policy=POLICY, inventory_digest="a", tasks_digest="b", snapshot=SNAPSHOT, settled=False, steps=(STEP,),
     expected={"h": EXPECTED}, frozen=True, unseen=("u",), demand_spreads=(UNEVEN,), tasks_left_alone={"o": "f"}, overuses=(OVERUSE,),
-    shortages=(SHORTAGE,),
+    shortages=(SHORTAGE,), certificate=CERTIFICATE,
 )  # fmt: skip
 VALUES = [
     LINK, TASK, INTERFACE, DEVICE, CPU_USE, MEMORY_USE, HOST, PLACEMENT, MANAGER, SNAPSHOT, WEIGHTS, POLICY, REJECTION, TERMS, RANKED, COST, DECISION,
-    STEP, EXPECTED, PLAN, MEASURED, RHO, UNEVEN, OTHER, OVERUSE, SHORTAGE,
+    STEP, EXPECTED, PLAN, MEASURED, RHO, UNEVEN, OTHER, OVERUSE, SHORTAGE, CERTIFICATE,
 ]  # fmt: skip
 
 
