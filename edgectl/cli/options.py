@@ -93,9 +93,7 @@ PolicyOption = Annotated[
 BestEffortOption = Annotated[bool, Option("--best-effort", help="Place a task even where it does not fit.")]
 PruneOption = Annotated[bool, Option("--prune", help="Also stop the tasks of other task files.")]
 RebalanceOption = Annotated[bool, Option("--rebalance", help="Swap and move tasks for a greater total.")]
-OptimalOption = Annotated[
-    bool, Option("--optimal", help="Find the best plan with a solver, and prove how good it is (extra opt).")
-]
+OptimalOption = Annotated[bool, Option("--optimal", help="Find the best plan, and prove it (extra opt).")]
 FullOption = Annotated[bool, Option("--full", help="Rank every host, however many there are.")]
 WithoutOption = Annotated[
     list[str] | None,
