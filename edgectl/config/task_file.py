@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from edgectl.config.demand_readers import read_demand
 from edgectl.config.fields import (
     Fields,
     keep_node,
@@ -42,7 +43,6 @@ from edgectl.config.task_readers import (
     TASK_LIMITS_KEYS,
     check_reader,
     read_command,
-    read_demand,
     read_duration,
     read_for_each,
     read_host_rules,

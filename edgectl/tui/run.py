@@ -12,7 +12,8 @@ from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.logs import read_log
 from edgectl.views.sparkline import SPARKLINE_SAMPLES
 from edgectl.views.text import detect_render_options
-from edgectl.views.top import group_points_by_host, group_points_by_task
+from edgectl.views.top_hosts import group_points_by_host
+from edgectl.views.top_tasks import group_points_by_task
 
 _LOG_TAIL_LINES = 200
 

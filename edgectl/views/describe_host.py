@@ -18,7 +18,7 @@ from edgectl.views.output_format import ITEM_FORMATS
 from edgectl.views.rows import encode_host_row
 from edgectl.views.state import render_host_status
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row
-from edgectl.views.top import render_task_rows_of_host
+from edgectl.views.top_tasks import render_task_rows_of_host
 from edgectl.views.usage import render_usage_share
 
 _LINK_HEAD = head("robot", "capacity_bytes_per_s", "capacity_source", "network.used_bytes_per_s", "rtt_ms")
