@@ -11,7 +11,8 @@ from edgectl.agent.link import protocol
 from edgectl.model.encoding import Instant, Positive, Signed, SignedInt, in_document
 from edgectl.model.inventory import Role
 from edgectl.model.manager_state import ManagerState
-from edgectl.model.resource import HOST_RESOURCES, Usage
+from edgectl.model.reported import Age, Generation, Text
+from edgectl.model.resource import MEASURED_HOST_RESOURCES, Usage
 
 
 class HostStatus(StrEnum):
@@ -125,15 +126,15 @@ class OtherTask:
     answered.
     """
 
-    fleet: str = field(metadata=in_document(always=True))
-    host: str
-    task: str
+    fleet: Text = field(metadata=in_document(always=True))
+    host: Text
+    task: Text
     state: TaskState
-    started_by: str = ""
-    age_s: float = 0.0
-    instance: str = ""
-    spec_hash: str = ""
-    generation: int = 0
+    started_by: Text = ""
+    age_s: Age = 0.0
+    instance: Text = ""
+    spec_hash: Text = ""
+    generation: Generation = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -204,7 +205,7 @@ class HostSample:
     @property
     def measured(self) -> bool:
         """Whether every resource that a host measures is known."""
-        return all(resource.name in self.usage for resource in HOST_RESOURCES if not resource.declared_only)
+        return all(resource.name in self.usage for resource in MEASURED_HOST_RESOURCES)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
