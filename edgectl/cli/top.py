@@ -62,8 +62,8 @@ def top_tasks_command(
     readonly: options.ReadonlyOption = False,
     allow_unreachable: options.AllowUnreachableOption = False,
 ) -> None:
-    """Show usage of each task against its demand (OFF: usage minus demand), now and over its last 60 recorded
-    samples.
+    """Show usage of each task against its demand (CPU EXCESS: usage minus demand), now and over its last 60
+    recorded samples.
 
     Without a terminal the output is numbers only; -w -o json is one object per line.
 

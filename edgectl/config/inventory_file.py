@@ -238,7 +238,7 @@ def _read_host_entries(
             problems.add(
                 node.key_mark(key),
                 ProblemCode.TAKEN,
-                f"{key} is an edge already; edges and robots share their names",
+                f"{key} is already an edge; edges and robots share one namespace",
                 "rename one of the two",
             )
             continue

@@ -85,7 +85,7 @@ def _check_self_fence(fields: Fields, problems: Problems) -> None:
     fence = fields.values.get("self_fence")
     if fence is not None and fence < MIN_SELF_FENCE_S:
         message = (
-            f"self_fence {format_duration(fence)} is too short: heartbeats leave every quarter of it "
+            f"self_fence {format_duration(fence)} is too short: heartbeats are sent every quarter of it "
             f"({format_duration(fence / 4)}) and at most one a second, so it needs 4 x 1 s at least"
         )
         problems.add(

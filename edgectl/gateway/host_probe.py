@@ -44,7 +44,7 @@ class ProbeOptions:
     ``reopened``: instances whose end, completed or given up, no longer counts.
     ``known_tasks``: names of the tasks that this fleet has placed or is about to place; where the first
     release left them on a host without an owner, the fleet adopts them.
-    ``former_hosts``: names of hosts that left the inventory, and that hosts are asked to recall.
+    ``former_hosts``: names of hosts that left the inventory, whose generations each host reports too.
     ``manager_id``: the name by which hosts know this manager.
     ``on_host`` is called as each host ends, in the caller's thread, with name, sample and seconds.
     """
@@ -179,7 +179,7 @@ def _adopt(
 ) -> dict[str, HostError | None]:
     """Let the hosts adopt known tasks without an owner, and the former names of their machines.
 
-    The hosts that are to be measured again; with an error those of which it is not known what runs there.
+    Returns the hosts to measure again; with an error those of which it is not known what runs there.
     """
     tasks, former = _select_unowned_tasks(seen, options), select_former_names(seen, inventory)
     hosts = [inventory.hosts[name] for name in seen if tasks[name] or former[name] != seen[name].former]

@@ -45,13 +45,12 @@ _MIN_LINK_BYTES_PER_S = 1.0
 class ReplyContext:
     """What the manager knows beside the document.
 
-    ``answered_at`` (s since 1970, the manager's clock): when the document came.
-    ``declared`` and ``measured``: bytes/s by robot of this host's links.
-    ``manager_id``: the name by which hosts know this manager; "" before it has changed anything.
-    ``robots``: those asked for. ``blind``: robots that are never contacted and so never count as unreachable.
-    ``reopened``: instances whose end, completed or given up, no longer counts.
-    ``checked``: tasks whose ``done_when`` was to be checked there; ``detected``: tasks that were to be found
-    by their rule. Other checks and finds were not asked for, and do not count.
+    ``answered_at`` (s since 1970, the manager's clock): when the document came. ``declared`` and
+    ``measured``: bytes/s by robot of this host's links. ``manager_id``: the name by which hosts know this
+    manager; "" before it has changed anything. ``robots``: those asked for. ``blind``: robots that are never
+    contacted and so never count as unreachable. ``reopened``: instances whose end, completed or given up, no
+    longer counts. ``checked``: tasks whose ``done_when`` was to be checked there; ``detected``: tasks that
+    were to be found by their rule. Other checks and detections were not requested, and do not count.
     """
 
     host: Host
@@ -70,7 +69,7 @@ def decode_host_sample(document: ReplyDocument, context: ReplyContext) -> HostSa
     """The sample of one host.
 
     A slice (declared capacity) has Delta = its capacity and gamma = its base load plus its own task trees;
-    any other host's gamma is that of the whole device. Tasks whose ``done_when`` said yes are taken out of
+    any other host's gamma is that of the whole device. Tasks whose ``done_when`` succeeded are taken out of
     gamma: they are about to be stopped.
 
     Raises:

@@ -115,7 +115,7 @@ class TaskReply:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GrantsReply:
-    """The holder and number of the last grant of a host, and the number of the last one to somebody else."""
+    """Holder and number of the last grant of a host, and the number of the last one to another manager."""
 
     holder: Text = ""
     epoch: Count = 0

@@ -87,7 +87,7 @@ class Overuse:
     declared: float
 
     def describe(self) -> str:
-        """Both figures, and what mends it."""
+        """Both figures, and the remedy."""
         unit = self.resource.unit
         used, declared = unit.format_in_text(self.used), unit.format_in_text(self.declared)
         return f"uses {used} of {self.resource}, declares {declared}; edgectl profile {self.entry} --write"
@@ -135,7 +135,7 @@ class UtilityTerms(ResourceMap[Signed | None]):
 class RankedHost:
     """One candidate of one task. ``rank`` counts from 1 over feasible hosts by total, 0 where not feasible.
 
-    ``affinity`` is a(h): predecessors here minus predecessors elsewhere. ``demand`` is told where history
+    ``affinity`` is a(h): predecessors here minus predecessors elsewhere. ``demand`` is stated where history
     decides it: there it may differ from host to host.
     """
 

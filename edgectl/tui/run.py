@@ -30,7 +30,7 @@ def run_top_view(
 
     ``readonly``: hosts cannot be cordoned.
 
-    ``first``: the table that has the keys at the beginning. Standard output must be a terminal.
+    ``first``: the table that has the focus at the beginning. Standard output must be a terminal.
     """
     app: TopApp
 
@@ -47,8 +47,8 @@ def build_fleet_backend(
 ) -> FleetBackend:
     """Operations of the view on a fleet."""
 
-    def frames(told_to_end: Callable[[], bool]) -> Iterator[Frame]:
-        for snapshot in status.probe_repeatedly(fleet, told_to_end, options):
+    def frames(should_stop: Callable[[], bool]) -> Iterator[Frame]:
+        for snapshot in status.probe_repeatedly(fleet, should_stop, options):
             yield Frame(
                 snapshot=snapshot,
                 inventory=fleet.inventory,

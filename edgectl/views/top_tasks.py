@@ -101,7 +101,7 @@ class TopTasksView(ListView):
         return [
             *unknown,
             *([count] if idle else []),
-            *([] if running or idle else ["no task is seen to run"]),
+            *([] if running or idle else ["no task runs on a host that answers"]),
         ]
 
     def _find_demand(self, name: str, host: str) -> Amounts:
