@@ -130,7 +130,7 @@ def list_load_notes(value: Plan) -> list[str]:
 
 
 def describe_overuse(found: Overuse) -> str:
-    """One line with task and host, both figures, and what mends it."""
+    """One line with task and host, both figures, and the remedy."""
     return f"{found.task} on {found.host} {found.describe()}"
 
 

@@ -185,7 +185,7 @@ def read_archive(agent: bytes) -> "dict[str, bytes]":
 
 
 def compute_seal(key: str, path: str, code: bytes) -> bytes:
-    """Compute the proof that whoever knows ``key`` wrote ``code`` to ``path``."""
+    """Compute the proof that a holder of ``key`` wrote ``code`` to ``path``."""
     content = compute_sha256(path.encode() + b"\0" + code)
     return compute_sha256(("%s %s" % (key, content)).encode()).encode()
 
