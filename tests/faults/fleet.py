@@ -39,13 +39,14 @@ def format_yaml(document: object) -> str:
 class EdgectlVariant:
     """Variant of edgectl under test.
 
-    ``code``: directory of another edgectl package; ``connection``: how it reaches the hosts; ``sample``: kill
-    at a few random failpoints instead of all.
+    ``code``: directory of another edgectl package; ``connection``: how it reaches the hosts; ``sample``: one round
+    of a fault that has several; ``points``: kill at so many random failpoints of a command (None: at all of them).
     """
 
     code: Path | None = None
     connection: str = "ssh"
     sample: bool = False
+    points: int | None = None
 
 
 @dataclass(kw_only=True)
@@ -69,6 +70,7 @@ class FaultFleet:
     code: Path | None = None
     connection: str = "ssh"
     sample: bool = False
+    points: int | None = None
     kill_at: int | None = None
     injected: int = 0
     stack: ExitStack = field(default_factory=ExitStack)
@@ -86,6 +88,24 @@ class FaultFleet:
                 **({"runtime": "systemd"} if self.hosts[name].kind == "systemd" else {}),
             }
         self.write_files()
+
+    # Hosts, by the order of their start
+
+    @property
+    def edges(self) -> list[str]:
+        return list(self.hosts)
+
+    @property
+    def first(self) -> str:
+        return self.edges[0]
+
+    @property
+    def second(self) -> str:
+        return self.edges[1]
+
+    @property
+    def third(self) -> str:
+        return self.edges[2]
 
     # Expected tasks
 
@@ -416,6 +436,7 @@ def open_fleet(
             code=variant.code,
             connection=variant.connection,
             sample=variant.sample,
+            points=variant.points,
         )
         stack.callback(lambda: scan.kill_processes(scan.list_marked_processes(fleet.mark)))
         yield fleet
