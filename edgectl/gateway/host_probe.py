@@ -2,7 +2,7 @@
 
 import dataclasses
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass, field
 
 from edgectl.agent.link import protocol
@@ -14,6 +14,7 @@ from edgectl.gateway.probe_reply import (
     decode_done_tasks,
     decode_former_names,
     decode_host_sample,
+    decode_names_elsewhere,
     decode_unowned_tasks,
 )
 from edgectl.gateway.probe_request import build_probe_request, list_checked_tasks, list_detected_tasks
@@ -62,14 +63,15 @@ class ProbeOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DecodedProbe:
-    """The sample of a host, the tasks whose checks passed there, those that have no owner there, and the
-    former names that it has adopted.
+    """The sample of a host, the tasks whose checks passed there, those that have no owner there, the former
+    names that it has adopted, and its names in the inventories of other managers.
     """
 
     sample: HostSample
     done: frozenset[str]
     unowned: frozenset[str]
     former: frozenset[str]
+    elsewhere: frozenset[str] = frozenset()
 
 
 _Answers = dict[str, HostAnswer[DecodedProbe]]
@@ -103,6 +105,7 @@ def probe_hosts(
             window_s=options.window,
             timeout_s=options.timeout,
             former=options.former_hosts,
+            manager_id=options.manager_id,
         )
         return request if lease is None else {**request, "lease": lease.build_claim(host.name)}
 
@@ -115,6 +118,7 @@ def probe_hosts(
             done=decode_done_tasks(reply.document, list_checked_tasks(tasks, reply.host, elsewhere=True)),
             unowned=decode_unowned_tasks(reply.document),
             former=decode_former_names(reply.document),
+            elsewhere=decode_names_elsewhere(reply.document),
         )
 
     def ask(asked: Sequence[Host]) -> _Answers:
@@ -142,7 +146,7 @@ def probe_hosts(
         if error is not None
     }
     in_order = {host.name: answers[host.name] for host in hosts}
-    return Snapshot(taken_at=clock(), hosts=_finalize_samples(in_order))
+    return Snapshot(taken_at=clock(), hosts=_finalize_samples(in_order, inventory))
 
 
 def _adopt(
@@ -198,8 +202,13 @@ def _get_sample(answer: HostAnswer[DecodedProbe]) -> HostSample:
     return answer.value.sample
 
 
-def _finalize_samples(answers: Mapping[str, HostAnswer[DecodedProbe]]) -> dict[str, HostSample]:
-    """The samples with their ages, completed by the checks that robots answered for tasks elsewhere."""
+def _finalize_samples(
+    answers: Mapping[str, HostAnswer[DecodedProbe]], inventory: Inventory
+) -> dict[str, HostSample]:
+    """The samples with their ages, completed by the checks that robots answered for tasks elsewhere.
+
+    Of the hosts of other managers those stay that the inventory lacks, by whatever name.
+    """
     now = time.monotonic()
     done = frozenset[str]().union(
         *(
@@ -212,7 +221,23 @@ def _finalize_samples(answers: Mapping[str, HostAnswer[DecodedProbe]]) -> dict[s
     reported = frozenset(
         task.instance for each in samples.values() for task in each.tasks.values() if task.instance
     )
-    return {name: _drop_reported_tasks(sample, reported) for name, sample in samples.items()}
+    known = set(inventory.hosts).union(
+        *(
+            answer.value.former | answer.value.elsewhere
+            for answer in answers.values()
+            if not isinstance(answer.value, HostError)
+        )
+    )
+    return {
+        name: drop_known_hosts(_drop_reported_tasks(sample, reported), known)
+        for name, sample in samples.items()
+    }
+
+
+def drop_known_hosts(sample: HostSample, known: Set[str]) -> HostSample:
+    """``sample`` with those hosts of other managers that are not in ``known`` (ADR 0068)."""
+    left = tuple(name for name in sample.foreign_hosts if name not in known)
+    return dataclasses.replace(sample, foreign_hosts=left)
 
 
 def _drop_reported_tasks(sample: HostSample, reported: frozenset[str]) -> HostSample:

@@ -135,11 +135,15 @@ class OtherTaskReply:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GrantsReply:
-    """The holder and number of the last grant of a host, and the number of the last one to somebody else."""
+    """The holder and number of the last grant of a host, and the number of the last one to somebody else;
+    ``hosts``: those of other managers; ``names``: those of this host there.
+    """
 
     holder: Text = ""
     epoch: Count = 0
     other_epoch: Count = 0
+    hosts: Annotated[tuple[Text, ...], ALONE] = ()
+    names: Annotated[tuple[Text, ...], ALONE] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

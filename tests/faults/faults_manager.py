@@ -2,6 +2,7 @@
 
 import datetime as dt
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -258,6 +259,10 @@ def follow_hint(fleet: FaultFleet, victim: Path) -> None:
     victim.rename(fleet.directory / "tmp" / victim.name)
 
 
+def set_future_version(document: bytes) -> bytes:
+    return re.sub(rb'"format_version": ?\d+', b'"format_version": 99', document)
+
+
 @fault("state files of a future format_version", full=3)
 def write_future_state(fleet: FaultFleet) -> None:
     start_tasks(fleet)
@@ -265,14 +270,9 @@ def write_future_state(fleet: FaultFleet) -> None:
     changed = []
     for path in sorted(fleet.state.rglob("*")):
         if path.is_file() and b'"format_version":' in (data := path.read_bytes()):
-            path.write_bytes(
-                data.replace(b'"format_version":1', b'"format_version":9').replace(
-                    b'"format_version": 1', b'"format_version": 9'
-                )
-            )
+            path.write_bytes(set_future_version(data))
             changed.append(path)
-    if not changed:
-        return
+    assert changed, "no state file has a format_version"
     fleet.apply().expect_exit(1, 64).expect_output("newer edgectl")
     fleet.check_verdict()
     for path in changed:
@@ -291,11 +291,7 @@ def damage_saved_files(fleet: FaultFleet) -> None:
         for _ in range(3):
             path.write_bytes(good[: fleet.random.randrange(len(good) - 2)])
             fleet.run_edgectl(*words, str(path)).expect_exit(64, 1, 75)
-        path.write_bytes(
-            good.replace(b'"format_version": 1', b'"format_version": 9').replace(
-                b'"format_version":1', b'"format_version":9'
-            )
-        )
+        path.write_bytes(set_future_version(good))
         fleet.run_edgectl(*words, str(path)).expect_exit(64, 1, 75).expect_output("version")
     fleet.check_verdict({**fleet.expected, "slam": fleet.first})
 

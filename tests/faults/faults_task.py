@@ -115,7 +115,7 @@ def run_failed_job(fleet: FaultFleet) -> None:
     fleet.apply().expect_exit(0, 4)
     wait_for(lambda: fleet.has_stopped("job"), "the job's end", 45)
     for _ in range(2):
-        fleet.apply().expect_exit(0).expect_output("given up", "edgectl restart job")
+        fleet.apply().expect_exit(4).expect_output("given up", "edgectl restart job")
     if fleet.count_launches("job") != 1:
         raise ExpectationError("the job ran again")
     fleet.run_edgectl("restart", "job", "--yes").expect_exit(0, 4)

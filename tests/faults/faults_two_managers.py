@@ -181,6 +181,28 @@ def act_behind_its_back(fleet: FaultFleet) -> None:
         check_nothing_doubled(fleet)
 
 
+@fault("two managers that disagree: one has a host that the other lacks", full=6, kinds=ALL)
+def lack_a_host(fleet: FaultFleet) -> None:
+    """What runs there is held by the manager that lacks the host, whether it knows of it by itself or not."""
+    ana, _ = open_managers(fleet)
+    missing = fleet.random.choice(fleet.edges)
+    ben = Manager(fleet=fleet, name="ben", lacks=(missing,))
+    if fleet.random.random() < 0.5:
+        ben.want_at_random()
+        ben.run(*APPLY).expect_exit(0)
+    for _ in range(1 if fleet.sample else 4):
+        ana.want_at_random()
+        ana.run(*APPLY).expect_exit(0)
+        ben.want_at_random()
+        fleet.injected += 1
+        # A copy elsewhere that the record or a pin of this manager contradicts is stopped, and its task held, too.
+        codes = (4,) if missing in _read_pins(ana).values() else (0, 4)
+        result = ben.run(*APPLY).expect_exit(*codes)
+        if result.code == 4:
+            result.expect_output(f"may run on {missing}")
+        check_nothing_doubled(fleet)
+
+
 def _read_pins(manager: Manager) -> dict[str, str]:
     document = json.loads(manager.tasks.read_text())
     return {task: entry["hosts"]["pin"] for task, entry in document["tasks"].items()}

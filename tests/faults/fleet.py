@@ -28,6 +28,7 @@ from tests.pace import patience
 
 EDGECTL = Path(sys.executable).with_name("edgectl")
 APPLY = ("apply", "--yes")
+FLEET = "faults"
 
 
 def format_yaml(document: object) -> str:
@@ -146,7 +147,8 @@ class FaultFleet:
 
     def write_files(self) -> None:
         """Write the files of edgectl and ssh."""
-        (self.directory / "inventory.yaml").write_text(format_yaml({"version": 1, "edges": self.inventory}))
+        inventory = {"version": 1, "fleet": FLEET, "edges": self.inventory}
+        (self.directory / "inventory.yaml").write_text(format_yaml(inventory))
         # The default of ``up`` would cost each start 3 s.
         tasks = {name: {"up": "300ms", **task} for name, task in self.tasks.items()}
         (self.directory / "tasks.yaml").write_text(format_yaml({"version": 1, "tasks": tasks}))

@@ -9,19 +9,21 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tests.faults.command_result import CommandResult
-from tests.faults.fleet import FaultFleet, format_yaml
+from tests.faults.fleet import FLEET, FaultFleet, format_yaml
 
 
 @dataclass(frozen=True, kw_only=True)
 class Manager:
     """One manager: its task file, its state directory and the hosts that it reaches.
 
-    ``own_fleet``: it has an inventory of its own with the same hosts, and so another fleet.
+    ``own_fleet``: it has an inventory of its own with the same hosts, and so another fleet. ``lacks``: hosts that are
+    missing in its inventory.
     """
 
     fleet: FaultFleet
     name: str
     own_fleet: bool = False
+    lacks: tuple[str, ...] = ()
 
     @property
     def tasks(self) -> Path:
@@ -33,7 +35,8 @@ class Manager:
         self.tasks.write_text(format_yaml({"version": 1, "tasks": tasks}))
 
     def want_at_random(self) -> None:
-        self.want({task: self.fleet.random.choice(self.fleet.edges) for task in self.fleet.tasks})
+        edges = [edge for edge in self.fleet.edges if edge not in self.lacks]
+        self.want({task: self.fleet.random.choice(edges) for task in self.fleet.tasks})
 
     def hide(self, *hosts: str) -> None:
         """From now on these hosts refuse the connections of this manager."""
@@ -45,10 +48,8 @@ class Manager:
     def start(self, *words: str) -> "subprocess.Popen[str]":
         fleet, own = self.fleet, self.fleet.directory / f"ssh_config-{self.name}"
         files = {str(fleet.directory / "tasks.yaml"): str(self.tasks)}
-        if self.own_fleet:
-            inventory = fleet.directory / f"inventory-{self.name}.yaml"
-            inventory.write_text((fleet.directory / "inventory.yaml").read_text())
-            files[str(fleet.directory / "inventory.yaml")] = str(inventory)
+        if self.own_fleet or self.lacks:
+            files[str(fleet.directory / "inventory.yaml")] = str(self._write_inventory())
         command = [files.get(word, word) for word in fleet.build_command(*words)]
         env = fleet.build_env(
             EDGECTL_STATE_DIR=str(fleet.directory / f"state-{self.name}"),
@@ -57,6 +58,13 @@ class Manager:
             **({"EDGECTL_SSH_CONFIG": str(own)} if own.exists() else {}),
         )
         return fleet.start_command(command, env)
+
+    def _write_inventory(self) -> Path:
+        fleet, path = self.fleet, self.fleet.directory / f"inventory-{self.name}.yaml"
+        edges = {name: host for name, host in fleet.inventory.items() if name not in self.lacks}
+        name = self.name if self.own_fleet else FLEET
+        path.write_text(format_yaml({"version": 1, "fleet": name, "edges": edges}))
+        return path
 
     def run(self, *words: str) -> CommandResult:
         return self.fleet.wait_for_edgectl(self.start(*words), words)
