@@ -198,6 +198,7 @@ class Reason(StrEnum):
     HOST_LEFT = "host-left"
     HOST_READDRESSED = "host-readdressed"
     HOST_UNSURE = "host-unsure"
+    HOST_UNLISTED = "host-unlisted"
     ROBOT_SILENT = "robot-silent"
     DONE = "done"
     GIVEN_UP = "given-up"
