@@ -281,11 +281,12 @@ def test_stop_during_the_pause_cancels_the_restart(host: AgentHost) -> None:
     assert host.entry("slam") is None
 
 
-def test_leftovers_of_an_ended_run_are_cleared(host: AgentHost) -> None:
-    host.start("slam", "setsid sleep 611 & sleep 0.2; exit 1")
+def test_leftovers_of_an_ended_run_are_cleared(host: AgentHost, tmp_path: Path) -> None:
+    host.start("slam", f"setsid sleep 611 & until test -e {tmp_path}/seen; do sleep 0.05; done; exit 1")
     left = eventually(
         lambda: [pid for pid in host.members("slam") if proc.read_cmdline(pid) == ["sleep", "611"]]
     )
+    (tmp_path / "seen").touch()
     host.until("slam", "failed")
     assert not is_running(left[0])
 
