@@ -4,6 +4,9 @@ stop-first: safe? -> hold -> stop old, verified gone -> start new -> ready -> re
 start-first: safe? -> hold -> start new -> ready -> stop old -> release.
 replacement of an instance that is gone with its unreachable host: hold -> start new -> ready -> release.
 
+What ends a handoff (taking the new instance away, putting the old one back, release) asks a host that was
+silent in this run once more: a request that let its deadline pass may have been carried out.
+
 A robot on hold is released only when an instance is ready again, new or old. Where none is, it stays on hold,
 the result reports it, and the next apply that gets an instance ready releases it (``hold_release``).
 """
@@ -90,6 +93,7 @@ def _run_hold_hook(act: StepRun, planned: StartPhases, old: str) -> None:
 
 def _release_and_end(act: StepRun, planned: StartPhases, host: str, downtime: float | None) -> ActionResult:
     """Run the release hook once the new instance is ready."""
+    act.begin_recovery()
     try:
         perform_phases(act, planned.release)
     except HostError as error:
@@ -111,6 +115,7 @@ def _swap_instances(
             perform_phase(act, phase, variables)
             started = time.monotonic() if phase.phase is Phase.START else started
         except HostError as error:
+            act.begin_recovery()
             if stop_first:
                 raise _recover_stop_first(act, task, phase, old, new, error, began) from error
             raise _recover_start_first(act, task, phase, old, new, error) from error
@@ -142,6 +147,7 @@ def _recover_start_first(
 
 def _end_failed_handoff(act: StepRun, task: Task, failed: _HandoffError) -> ActionResult:
     """Report the first cause; release the robot if an instance steers it, else report that it still holds."""
+    act.begin_recovery()
     error = failed.error
     try:
         if failed.steers:

@@ -37,6 +37,7 @@ from edgectl.rules.lost_places import describe_lost_place, get_lost_place
 from edgectl.state.journal import Journal
 from edgectl.transport.base import Transport
 from edgectl.transport.fleet_lease import FleetLease
+from edgectl.transport.silence import SilenceTransport, SilentHosts
 
 __all__ = ["RunIdentity", "RunOptions", "run_plan"]
 
@@ -52,8 +53,10 @@ def run_plan(
     progress: ProgressListener = ignore_progress,
     *,
     lease: FleetLease | None = None,
+    silent: SilentHosts | None = None,
 ) -> Results:
     """Carry out the changes of ``plan`` within ``lease``; the result of each, in the order of the plan.
+    ``silent`` receives the hosts that let a deadline pass: only what ends a handoff asks them once more.
 
     Independent actions run in parallel. The successors of a failed action are skipped, the others go on.
     When ``options.stop_requested`` is set, actions under way are finished and the rest is skipped.
@@ -63,13 +66,15 @@ def run_plan(
         StateError: the journal cannot be written, so nothing was begun.
     """
     began = time.monotonic()
+    silent = SilentHosts() if silent is None else silent
     cancellation = Cancellation(options)
     workers = WorkerPool(options.max_parallel, cancellation.reason, progress)
     shared = RunContext(
         plan=plan,
         inventory=inventory,
         tasks=tasks,
-        transport=transport,
+        transport=SilenceTransport(transport, silent),
+        recovery=SilenceTransport(transport, silent, recovers=True),
         journal=journal,
         identity=identity,
         options=options,

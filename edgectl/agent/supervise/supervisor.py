@@ -5,9 +5,9 @@ Forked from the agent, it leaves the manager's session for good and lives as lon
 restart.
 """
 
+import _signal as signal
 import os
 import select
-import signal
 import time
 
 from ..link import fast_json, heartbeat, protocol
