@@ -21,7 +21,7 @@ from edgectl.executor.action_phases import (
     build_run_phases,
     build_stop_phase,
 )
-from edgectl.executor.moved_world import MovedWorldError
+from edgectl.executor.concurrent_change import ConcurrentChangeError
 from edgectl.executor.phases import perform_phase, perform_phases, resolve_variables
 from edgectl.executor.step_run import StepRun
 from edgectl.model.result import ActionResult, Outcome, Phase
@@ -127,7 +127,7 @@ def _recover_stop_first(
     act: StepRun, task: Task, failed: PlannedPhase, old: str, new: str, error: HostError, began: float
 ) -> _HandoffError:
     """Where the old instance is gone and the new one failed, put the old one back."""
-    if isinstance(error, MovedWorldError):
+    if isinstance(error, ConcurrentChangeError):
         return _HandoffError(error, error.located, steers=False)
     if failed.phase is Phase.STOP:
         return _HandoffError(error, old, steers=isinstance(error, RefusedError))
@@ -156,7 +156,7 @@ def _end_failed_handoff(act: StepRun, task: Task, failed: _HandoffError) -> Acti
             error = _build_still_holding_error(act, task, error)
     except HostError as another:
         error = HostError(f"{error.message}; {another.message}", hint=error.hint)
-    outcome = Outcome.DEFERRED if isinstance(failed.error, MovedWorldError) else Outcome.FAILED
+    outcome = Outcome.DEFERRED if isinstance(failed.error, ConcurrentChangeError) else Outcome.FAILED
     return act.end(outcome, located=failed.located, downtime_s=failed.downtime_s, error=error)
 
 

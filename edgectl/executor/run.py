@@ -12,6 +12,7 @@ from edgectl.executor.action_phases import (
     build_stop_phases,
 )
 from edgectl.executor.cancellation import INTERRUPTED, Cancellation
+from edgectl.executor.concurrent_change import ConcurrentChangeError
 from edgectl.executor.dependencies import (
     STARTING_ACTIONS,
     STOPPING_ACTIONS,
@@ -22,7 +23,6 @@ from edgectl.executor.dependencies import (
     list_stop_hosts,
 )
 from edgectl.executor.handoff import move_task, replace_task
-from edgectl.executor.moved_world import MovedWorldError
 from edgectl.executor.phases import perform_phases, resolve_variables
 from edgectl.executor.step_run import RunContext, RunIdentity, RunOptions, StepRun
 from edgectl.executor.stop_budget import BudgetSpentError, StopBudget
@@ -199,7 +199,7 @@ def _stop_step(act: StepRun, budget: StopBudget) -> ActionResult | None:
             perform_phases(act, adoption, resolve_variables(act, act.task, decision.host or ""))
     except StateError as error:
         return _end_unrecorded(act, error)
-    except MovedWorldError as error:
+    except ConcurrentChangeError as error:
         return act.end(Outcome.DEFERRED, located=error.located, error=error)
     except BudgetSpentError as error:
         return act.end(Outcome.DEFERRED, located=here, error=error)
@@ -256,8 +256,8 @@ def _start_step(act: StepRun, waits: StepDependencies, results: Mapping[str, Act
 def _start_new_task(act: StepRun, task: Task, planned: StartPhases, host: str) -> ActionResult:
     """Start and wait until ready. A task that is not ready in time is left running: it may only be slow.
 
-    Once a start was sent its reply may be lost, so the task counts as there until its host denies it:
-    it must never be doubled.
+    Once a start was sent its reply may be lost, so the task counts as there until its host reports otherwise:
+    it must never run twice.
     """
     located = None
     try:

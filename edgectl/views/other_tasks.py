@@ -33,7 +33,7 @@ def list_foreign_notes(value: Snapshot, names: Collection[str] | None = None) ->
 
 
 def describe_absence(task: str, value: Snapshot) -> str:
-    """That no host that answers runs ``task``, and who else has a task of this name."""
+    """Note that no host that answers runs ``task``, with the other fleets that run one of this name."""
     unseen = f" that answers; no answer from {', '.join(value.silent_hosts)}" if value.silent_hosts else ""
     others = {
         f"that of fleet {each.fleet} on {host} is left alone"
