@@ -88,14 +88,17 @@ def find_optimum(plain: UnrepairedPlan, known: UnrepairedPlan, solve: Solver) ->
 
     ``plain``: the settled plan without repair, from which moves are counted. ``known``: the best plan so far.
     """
-    places = {name: place for name, (place, _) in known.placed.items()}
-    problem = build_problem(plain, places)
+    everything = {name: place for name, (place, _) in known.placed.items()}
+    problem = build_problem(plain, everything)
+    names = {item.name for item in problem.items}
+    places = {name: place for name, place in everything.items() if name in names}
     places, placed = _place_by_priority(problem, places, plain.moves_left, solve)
     reached = {priority: low for priority, (low, _) in placed.items()}
     places, moves, least = _reduce_moves(problem, places, Requirements(placed=reached), solve)
     required = Requirements(placed=reached, most_moves=moves)
     places, utility = _raise_utility(problem, places, required, solve)
     most = sum(high for _, high in placed.values())
+    places |= {name: place for name, place in everything.items() if name not in names}
     return Optimum(places=places, bounds=Bounds(placed=most, moves=least, utility=utility, most_moves=moves))
 
 
@@ -130,6 +133,8 @@ def build_problem(plain: UnrepairedPlan, places: Mapping[str, int]) -> Placement
     for known in (packing.at, places):
         left = [row.copy() for row in free]
         for name, place in known.items():
+            if name not in packing.items:
+                continue
             _add_shares(left[place], packing.measure(packing.items[name], place), -1.0)
         for row, mine, others in zip(limits, left, free, strict=True):
             row[:] = [max(a, whole - rest) for a, rest, whole in zip(row, mine, others, strict=True)]
