@@ -27,7 +27,6 @@ def plan_command(
         edgectl plan -o wide --weights network
         edgectl plan --out next.plan
         edgectl plan --without edge2 --detailed-exitcode
-        edgectl plan --optimal
     """
     from edgectl.cli.connect import build_fleet, build_offline_fleet
     from edgectl.cli.policy_options import build_plan_filter, is_what_if, policy_from_options, require_solver
