@@ -7,6 +7,7 @@ their names. Every row is one that each admissible plan satisfies, so that the b
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from math import inf
 
 from edgectl.model.policy import Weights
 from edgectl.model.resource import AFFINITY, HOST_RESOURCES, NETWORK
@@ -184,7 +185,7 @@ def bound_alone(problem: PlacementProblem) -> float:
     weights = problem.weights
     total = 0.0
     for item in problem.items:
-        best = 0.0
+        best = 0.0 if item.home is None else -inf
         for place, shares in item.shares.items():
             row = problem.free[place]
             value = weights[AFFINITY] * (1.0 if item.near else 0.5)
