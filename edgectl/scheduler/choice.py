@@ -9,6 +9,7 @@ from edgectl.scheduler.feasibility import compute_resource_terms
 from edgectl.scheduler.ledger import NO_FREE_SHARE
 from edgectl.scheduler.move_cost import estimate_move_cost
 from edgectl.scheduler.scan import compute_worst_terms, is_feasible_total
+from edgectl.scheduler.ties import order_tied_places
 from edgectl.scheduler.utility import EPSILON
 
 
@@ -48,7 +49,7 @@ class MoveConstraints:
 def find_best_place(candidates: CandidateSet) -> int | None:
     """Argmax of the total over feasible places, eq. (5).
 
-    Ties: incumbent, fewest tasks placed in this pass, natural order.
+    Ties: ``ties.order_tied_places``.
     """
     totals = candidates.totals
     top = max(totals, default=NO_FREE_SHARE)
@@ -61,15 +62,8 @@ def find_best_place(candidates: CandidateSet) -> int | None:
         > max(totals[first + 1 :], default=NO_FREE_SHARE)
     ):
         return first  # no tie, the common case: three scans in C instead of one in Python
-    return _break_tie(candidates, [place for place, total in enumerate(totals) if total >= top - EPSILON])
-
-
-def _break_tie(candidates: CandidateSet, places: list[int]) -> int:
-    order = candidates.context.fleet.order
-    return min(
-        places,
-        key=lambda place: (place != candidates.incumbent, candidates.placed.get(place, 0), order[place]),
-    )
+    tied = [place for place, total in enumerate(totals) if total >= top - EPSILON]
+    return order_tied_places(candidates, tied)[0]
 
 
 def choose_by_utility(candidates: CandidateSet, constraints: MoveConstraints) -> Choice:
@@ -228,7 +222,8 @@ def choose_when_nothing_fits(candidates: CandidateSet) -> Choice:
     if candidates.context.policy.best_effort:
         top = max(candidates.totals[place] for place in lacking)
         tied = [place for place in lacking if candidates.totals[place] >= top - EPSILON]
-        return Choice(verdict=Verdict.PLACED, reason=Reason.BEST_EFFORT, place=_break_tie(candidates, tied))
+        place = order_tied_places(candidates, tied)[0]
+        return Choice(verdict=Verdict.PLACED, reason=Reason.BEST_EFFORT, place=place)
     nearest = min(lacking, key=lambda place: (-lacking[place], candidates.context.fleet.order[place]))
     return Choice(verdict=Verdict.UNPLACED, reason=Reason.NO_FEASIBLE_HOST, nearest=nearest)
 

@@ -143,14 +143,22 @@ def find_tie(decision: Decision, earlier: Sequence[Decision]) -> Tie | None:
     )
     if not equal or decision.host is None:
         return None
-    counts = Counter(other.host for other in earlier)
+    return Tie(hosts=equal, rule=_find_tie_rule(decision, equal, earlier))
+
+
+def _find_tie_rule(decision: Decision, equal: Sequence[str], earlier: Sequence[Decision]) -> TieRule:
     if decision.previous_host == decision.host:
-        rule = TieRule.RUNS_THERE
-    elif all(counts[host] > counts[decision.host] for host in equal):
-        rule = TieRule.FEWEST_TASKS
-    else:
-        rule = TieRule.NAMES
-    return Tie(hosts=equal, rule=rule)
+        return TieRule.RUNS_THERE
+    free = {
+        entry.host: sum(entry.terms[resource.name] or 0.0 for resource in RESOURCES)
+        for entry in decision.ranking
+    }
+    chosen = decision.host or ""
+    rivals = [host for host in equal if abs(free[host] - free[chosen]) <= EPSILON]
+    if not rivals:
+        return TieRule.FREE_SHARE
+    counts = Counter(other.host for other in earlier)
+    return TieRule.FEWEST_TASKS if all(counts[host] > counts[chosen] for host in rivals) else TieRule.NAMES
 
 
 def _is_decided_by_totals(case: _Case) -> bool:

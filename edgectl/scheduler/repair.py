@@ -3,9 +3,9 @@
 The same view of a plan serves its rebalancing (ADR 66).
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from math import inf
 
 from edgectl.model.assignment import Reason, Verdict
@@ -23,6 +23,8 @@ from edgectl.scheduler.utility import EPSILON
 
 # Looks at one task at one place: some 0.2 s for a whole plan, and at least this many for each task.
 MAX_WORK, MIN_WORK = 300_000, 4_000
+
+PlaceSorter = Callable[[tuple[int, ...]], tuple[int, ...]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,7 +53,8 @@ def repair_plan(plan: UnrepairedPlan) -> dict[str, Choice]:
     wanted = _list_wanted(plan)
     if not wanted:
         return {}
-    packing = _build_packing(plan)
+    sort_places = _build_place_sorter(plan)
+    packing = _build_packing(plan, sort_places)
     work = MAX_WORK
     causes: dict[str, str] = {}
     bounded = _has_absolute_demands(plan)
@@ -61,7 +64,7 @@ def repair_plan(plan: UnrepairedPlan) -> dict[str, Choice]:
             continue
         packing.work = share = min(work, max(MIN_WORK, MAX_WORK // len(wanted)))
         before = dict(packing.at)
-        item = _build_item(plan, task)
+        item = _build_item(plan, task, sort_places)
         possible = not bounded or _has_room_in_sum(plan, packing, task)
         if (possible and place_item(packing, item)) or (task.preempt and preempt_for_item(packing, item)):
             located.add(task.name)
@@ -75,7 +78,7 @@ def rebalance_plan(plan: UnrepairedPlan) -> dict[str, Choice]:
     """The choices with which the sum of all utilities is higher (ADR 66), where they differ from those of
     ``plan``.
     """
-    packing = _build_packing(plan)
+    packing = _build_packing(plan, _build_place_sorter(plan))
     rebalance_packing(packing, _build_objective(plan), plan.context.policy.move_margin)
     return {
         name: replace(choice, reason=Reason.REBALANCED, subject=None)
@@ -85,7 +88,7 @@ def rebalance_plan(plan: UnrepairedPlan) -> dict[str, Choice]:
 
 def rate_plan(plan: UnrepairedPlan) -> float:
     """The sum of the utilities of all placed tasks at the loads after the plan."""
-    packing = _build_packing(plan)
+    packing = _build_packing(plan, _build_place_sorter(plan))
     return _build_objective(plan).rate(packing, packing.at)
 
 
@@ -147,7 +150,7 @@ def _has_room_in_sum(plan: UnrepairedPlan, packing: Packing, task: Task) -> bool
     return True
 
 
-def _build_packing(plan: UnrepairedPlan) -> Packing:
+def _build_packing(plan: UnrepairedPlan, sort_places: PlaceSorter) -> Packing:
     fleet, ledger = plan.context.fleet, plan.ledger
     rows = [
         list(row) for row in zip(*(ledger.free[resource.name] for resource in HOST_RESOURCES), strict=True)
@@ -161,14 +164,34 @@ def _build_packing(plan: UnrepairedPlan) -> Packing:
         if task.name in plan.placed and task.name not in plan.initial.running
         for need in task.needs
     }
-    items = {task.name: _build_item(plan, task, needed) for task in plan.order if task.name in plan.placed}
+    items = {
+        task.name: _build_item(plan, task, sort_places, needed)
+        for task in plan.order
+        if task.name in plan.placed
+    }
     at = {name: plan.placed[name][0] for name in items}
     for name, place in at.items():
         on[place].append(name)
     return Packing(free=rows, items=items, at=at, home=dict(at), on=on, work=0, moves_left=plan.moves_left)
 
 
-def _build_item(plan: UnrepairedPlan, task: Task, needed: Collection[str] = ()) -> Item:
+def _build_place_sorter(plan: UnrepairedPlan) -> PlaceSorter:
+    """Sorts places so that names are irrelevant as far as hosts differ: the emptiest first."""
+    order = plan.context.fleet.order
+    free = [plan.ledger.free[resource.name] for resource in HOST_RESOURCES]
+    ranked = sorted(range(len(order)), key=lambda place: (*[-row[place] for row in free], order[place]))
+    ranks = {place: rank for rank, place in enumerate(ranked)}
+
+    @cache
+    def sort_places(places: tuple[int, ...]) -> tuple[int, ...]:
+        return tuple(sorted(places, key=ranks.__getitem__))
+
+    return sort_places
+
+
+def _build_item(
+    plan: UnrepairedPlan, task: Task, sort_places: PlaceSorter, needed: Collection[str] = ()
+) -> Item:
     """``needed``: tasks that others need which this plan starts."""
     running = plan.initial.running.get(task.name)
     place = plan.placed[task.name][0] if task.name in plan.placed else None
@@ -176,7 +199,7 @@ def _build_item(plan: UnrepairedPlan, task: Task, needed: Collection[str] = ()) 
     held = runs and _is_held_in_place(plan, task)
     return Item(
         name=task.name,
-        places=list_allowed_places(plan.context, task, place),
+        places=sort_places(tuple(list_allowed_places(plan.context, task, place))),
         measure=partial(_measure_shares, plan, task),
         priority=task.priority,
         runs=runs,

@@ -16,6 +16,7 @@ from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, render_columns, 
 
 _TIE_RULES = {
     TieRule.RUNS_THERE: "it does not leave the host where it runs",
+    TieRule.FREE_SHARE: "more is free on the chosen host, over all resources",
     TieRule.FEWEST_TASKS: "fewer tasks were placed on the chosen host",
     TieRule.NAMES: "the order of names decides",
 }
