@@ -37,13 +37,19 @@ class MoveConstraints:
     """Constraints that keep a running task in place.
 
     ``dwell_s``: seconds it has been there, None where this plan put it there. ``moves_left``: voluntary moves
-    still allowed, None = any. ``voluntary``: whether such moves are allowed at all in this pass.
+    still allowed, None = any. ``voluntary``: whether such moves are allowed at all in this pass. ``follows``:
+    the tasks that share its host have left it in this plan.
     """
 
     frozen: bool = False
     voluntary: bool = True
     dwell_s: float | None = None
     moves_left: int | None = None
+    follows: bool = False
+
+
+# Rules between tasks: who breaks one has a place all the same, and is in no hurry to leave it.
+_RULES_BETWEEN_TASKS = (RejectionRule.APART, RejectionRule.TOGETHER, RejectionRule.SPREAD)
 
 
 def find_best_place(candidates: CandidateSet) -> int | None:
@@ -91,7 +97,10 @@ def choose_by_utility(candidates: CandidateSet, constraints: MoveConstraints) ->
 def _choose_forced_move(
     candidates: CandidateSet, best: int, here: int, constraints: MoveConstraints
 ) -> Choice:
-    """The task may not stay, by a rule or because its host is overloaded beyond the slack."""
+    """The task may not stay, by a rule or because its host is overloaded beyond the slack.
+
+    For a rule between tasks it moves once its dwell has passed, and within ``max_moves``.
+    """
     if constraints.frozen:
         return Choice(verdict=Verdict.KEPT, reason=Reason.MOVES_FROZEN, place=here)
     rejection = candidates.denied.get(here)
@@ -99,7 +108,15 @@ def _choose_forced_move(
         return _move_by_load(candidates, best, here, constraints, Reason.FORCED_INFEASIBLE)
     drained = rejection.rule is RejectionRule.CORDONED
     reason = Reason.FORCED_DRAIN if drained else Reason.FORCED_RULE
-    return Choice(verdict=Verdict.PLACED, reason=reason, place=best, subject=candidates.name(here))
+    patient = rejection.rule in _RULES_BETWEEN_TASKS and not constraints.follows
+    held_back = _find_constraint(candidates, here, constraints) if patient else None
+    return held_back or Choice(
+        verdict=Verdict.PLACED,
+        reason=reason,
+        place=best,
+        subject=candidates.name(here),
+        counted=patient,
+    )
 
 
 def _move_by_load(
@@ -215,7 +232,9 @@ def _weigh_voluntary_move(
 def choose_when_nothing_fits(candidates: CandidateSet) -> Choice:
     """No feasible place: the nearest miss, or under ``best_effort`` the highest total all the same."""
     if len(candidates.denied) == len(candidates.listed):
-        return Choice(verdict=Verdict.UNPLACED, reason=Reason.NO_CANDIDATE)
+        between = any(entry.rule in _RULES_BETWEEN_TASKS for entry in candidates.denied.values())
+        reason = Reason.NO_FEASIBLE_HOST if between else Reason.NO_CANDIDATE
+        return Choice(verdict=Verdict.UNPLACED, reason=reason)
     lacking = _compute_shortfalls(candidates)
     if not lacking:
         return Choice(verdict=Verdict.UNPLACED, reason=Reason.NO_FEASIBLE_HOST)

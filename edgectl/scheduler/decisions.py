@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from edgectl.model.assignment import Decision, RankedHost, Reason, Verdict
+from edgectl.model.assignment import Decision, RankedHost, Reason, RejectionRule, Verdict
 from edgectl.model.policy import Weights
 from edgectl.model.resource import AFFINITY, RESOURCES
 from edgectl.model.task import Task
@@ -109,6 +109,11 @@ def _refine_reason(
 ) -> tuple[Reason, str | None]:
     """The reason that the best place won: it was pinned, alone, or nearer to a predecessor."""
     feasible = [entry.host for entry in ranked if entry.feasible]
+    mate = next(
+        (entry.task for entry in candidates.denied.values() if entry.rule is RejectionRule.TOGETHER), None
+    )
+    if mate is not None and len(feasible) == 1 and choice.reason in (Reason.BEST, Reason.STILL_BEST):
+        return Reason.TOGETHER, mate
     if choice.reason is not Reason.BEST or choice.place is None:
         return choice.reason, choice.subject
     if candidates.task.hosts.pin is not None:

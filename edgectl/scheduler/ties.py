@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from edgectl.model.policy import Preference
 from edgectl.model.resource import AFFINITY, RESOURCES
 from edgectl.scheduler.candidates import CandidateSet
 from edgectl.scheduler.feasibility import compute_resource_terms
@@ -9,8 +10,8 @@ from edgectl.scheduler.utility import EPSILON
 
 
 def order_tied_places(candidates: CandidateSet, places: Sequence[int]) -> list[int]:
-    """Places of equal total, the one to choose first: incumbent, greatest sum of the resource terms, fewest
-    tasks placed in this pass, natural order.
+    """Places of equal total, the one to choose first: incumbent, greatest sum of the resource terms (least
+    where full hosts are preferred), fewest tasks placed in this pass, natural order.
     """
     order, levels = candidates.context.fleet.order, _rank_free_shares(candidates, places)
     return sorted(
@@ -33,8 +34,9 @@ def _rank_free_shares(candidates: CandidateSet, places: Sequence[int]) -> dict[i
     sums = {place: _sum_resource_terms(candidates, place) for place in places}
     levels: dict[int, int] = {}
     level, last = 0, None
-    for place in sorted(places, key=lambda place: -sums[place]):
-        if last is not None and last - sums[place] > EPSILON:
+    packs = candidates.context.policy.prefer is Preference.PACK
+    for place in sorted(places, key=sums.__getitem__, reverse=not packs):
+        if last is not None and abs(last - sums[place]) > EPSILON:
             level += 1
         levels[place], last = level, sums[place]
     return levels
