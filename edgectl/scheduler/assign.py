@@ -262,6 +262,7 @@ def _build_move_constraints(
         dwell_s=how.context.now - since if since is not None else None,
         moves_left=progress.moves_left if task.name in how.initial.running else None,
         follows=company is not None and follows_unit(company, task.name),
+        in_unit=company is not None and bool(company.list_mates(task.name)),
     )
 
 

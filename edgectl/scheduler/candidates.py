@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from edgectl.model.assignment import Rejection, RejectionRule, UtilityTerms
-from edgectl.model.policy import Policy
+from edgectl.model.policy import Policy, Preference
 from edgectl.model.resource import AFFINITY, RESOURCES, Resource
 from edgectl.model.task import OnboardRule, Task
 from edgectl.scheduler.capacities import Capacities
@@ -277,6 +277,9 @@ def _compute_place_totals(candidates: CandidateSet) -> list[float]:
     far = candidates.utilities.get(-len(candidates.located), 0.0)
     weight = weights[AFFINITY]
     row = compute_resource_totals(candidates.ledger, context.shares, task, weights, offset=weight * far)
+    if context.policy.prefer is Preference.PACK:
+        # A negative weight makes a huge gain of the huge shortage that stands for no capacity.
+        row = [EXCLUDED_TOTAL if total > INFEASIBLE_PENALTY else total for total in row]
     row.extend([EXCLUDED_TOTAL] * (len(fleet.places) - fleet.edges))
     for place in set(candidates.located):
         if place < fleet.edges and place not in candidates.denied:

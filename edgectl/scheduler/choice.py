@@ -38,7 +38,7 @@ class MoveConstraints:
 
     ``dwell_s``: seconds it has been there, None where this plan put it there. ``moves_left``: voluntary moves
     still allowed, None = any. ``voluntary``: whether such moves are allowed at all in this pass. ``follows``:
-    the tasks that share its host have left it in this plan.
+    the tasks that share its host have left it in this plan; ``in_unit``: there are such tasks.
     """
 
     frozen: bool = False
@@ -46,6 +46,7 @@ class MoveConstraints:
     dwell_s: float | None = None
     moves_left: int | None = None
     follows: bool = False
+    in_unit: bool = False
 
 
 # Rules between tasks: who breaks one has a place all the same, and is in no hurry to leave it.
@@ -170,7 +171,9 @@ def _choose_relief(candidates: CandidateSet, here: int, constraints: MoveConstra
     if rejection is not None and rejection.rule is RejectionRule.WITHOUT:
         return replace(choose_when_nothing_fits(candidates), subject=candidates.name(here))
     stay = Choice(verdict=Verdict.KEPT, reason=Reason.NOTHING_FITS, place=here)
-    if rejection is not None or constraints.frozen or not find_excess(candidates, here):
+    if rejection is not None or constraints.frozen or constraints.in_unit:
+        return stay
+    if not find_excess(candidates, here):
         return stay
     worst = _compute_shortfalls(candidates)
     now, left = worst.pop(here, None), _compute_worst_share_left(candidates, here)

@@ -228,7 +228,8 @@ def extend_item(packing: Packing, item: Item) -> bool:
     may_go = may_leave(packing, old)
     packing.take(old)
     packing.forget(item)
-    if place_item(packing, replace(item, places=(place,))) or (may_go and place_item(packing, item)):
+    stays = place in item.places and place_item(packing, replace(item, places=(place,)))
+    if stays or (may_go and place_item(packing, item)):
         packing.items[item.name] = item
         return True
     packing.forget(item)
