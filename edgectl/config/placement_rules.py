@@ -2,11 +2,11 @@
 
 from collections.abc import Mapping
 
+from edgectl.config.host_rules import FleetIndex
 from edgectl.config.needs import TaskNames, resolve_task_name
 from edgectl.config.node import Node
 from edgectl.config.problems import ProblemCode, Problems
 from edgectl.config.task_file import TaskDraft
-from edgectl.config.task_rules import FleetIndex
 from edgectl.model.inventory import Host, Role
 from edgectl.model.task import OnboardRule, Task, join_units
 from edgectl.names import natural_key
