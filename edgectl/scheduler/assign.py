@@ -7,13 +7,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
-from edgectl.model.assignment import Assignment, Decision, Reason, Verdict
+from edgectl.model.assignment import Assignment, Decision, Reason, Rejection, Verdict
 from edgectl.model.inventory import Inventory
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.policy import Policy
 from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Task, Tasks
-from edgectl.scheduler.candidates import AssignmentContext, evaluate_candidates
+from edgectl.scheduler.candidates import (
+    AssignmentContext,
+    gather_candidates,
+    weigh_candidates,
+)
 from edgectl.scheduler.capacities import build_capacities
 from edgectl.scheduler.choice import Choice, MoveConstraints
 from edgectl.scheduler.company import Company, follows_unit, list_reservations, weigh_in_company
@@ -27,8 +31,10 @@ from edgectl.scheduler.demand import add_measured_demands
 from edgectl.scheduler.demand_spread import find_demand_spreads
 from edgectl.scheduler.groups import MAX_ROUNDS, withhold_incomplete_groups
 from edgectl.scheduler.initial_state import InitialState, RunningTask, build_initial_state
+from edgectl.scheduler.lazy_ranking import LoadChange, LoadHistory, RankingRequest
 from edgectl.scheduler.ledger import Ledger, compute_demand_usage
 from edgectl.scheduler.move_cost import collect_handoff_history
+from edgectl.scheduler.peaks import LoadPeaks, stays_in_place
 from edgectl.scheduler.placement_rules import NO_RULES, build_placement_rules
 from edgectl.scheduler.policies import POLICIES, SchedulingPolicy
 from edgectl.scheduler.preference import sign_weights
@@ -59,13 +65,15 @@ class PassResult:
 
 @dataclass(slots=True, kw_only=True)
 class _PassState:
-    """State of a pass under way.
+    """State of a pass under way. ``history``: its changes of gamma, where rankings are asked for.
 
     ``open``: the tasks that it decides, where rules between tasks need them. ``reserved``: room kept for
     tasks that will share the host of another.
     """
 
     ledger: Ledger
+    history: LoadHistory | None
+    peaks: LoadPeaks = field(default_factory=LoadPeaks)
     located: dict[str, int]
     open: Mapping[str, Task]
     placed: dict[int, int] = field(default_factory=dict)
@@ -99,6 +107,7 @@ def run_pass(how: PlacementPass, state: InitialState, prior_moves: Mapping[str, 
     """
     progress = _PassState(
         ledger=state.ledger.copy(),
+        history=LoadHistory(start=state.ledger) if how.record else None,
         located=dict(state.located),
         open={task.name: task for task in how.order if task.name not in state.fixed}
         if how.context.placement_rules is not NO_RULES
@@ -177,9 +186,11 @@ def _decide_task(
     """One task: its reservation leaves gamma, every place is weighed, and d is charged where it is put."""
     running = state.running.get(task.name)
     if task.name in progress.reserved:
-        progress.ledger.release(*progress.reserved.pop(task.name))
+        _change_reservation(progress, *progress.reserved.pop(task.name), is_charge=False)
     if running is not None and not how.rules.strict_paper:
         progress.ledger.release(running.place, running.use)
+        if progress.history is not None:
+            progress.history.changes.append(LoadChange(running.place, running.use, is_charge=False))
     missing = _find_missing_predecessor(task, progress.located, state.completed) if running is None else None
     if missing is not None:
         reason = Reason.PREDECESSOR_INCOMPLETE if missing in progress.located else Reason.PREDECESSOR_MISSING
@@ -211,8 +222,8 @@ def _choose_place(
     incumbent = running.place if running is not None else None
     known = state.located if how.rules.strict_paper else progress.located
     predecessors = {need.task: known[need.task] for need in task.needs if need.task in known}
-    weigh = partial(
-        evaluate_candidates,
+    gather = partial(
+        gather_candidates,
         how.context,
         progress.ledger,
         task,
@@ -221,22 +232,39 @@ def _choose_place(
         placed=progress.placed,
     )
     company = _build_company(how, state, progress, task)
-    if company is None:
-        candidates = weigh()
+    barred: Mapping[int, Rejection] = {}
+    if company is not None:
+        candidates, barred = weigh_in_company(
+            company, task, incumbent, lambda barred=None: weigh_candidates(gather(barred=barred))
+        )
     else:
-        candidates, barred = weigh_in_company(company, task, incumbent, weigh)
-        weigh = partial(weigh, barred=barred)
+        candidates = gather()
+        if how.rules.settles and not how.record and stays_in_place(candidates, progress.peaks):
+            return Choice(verdict=Verdict.KEPT, reason=Reason.STILL_BEST, place=incumbent)
+        candidates = weigh_candidates(candidates)
     choice = how.rules.choose(candidates, _build_move_constraints(how, progress, task, running, company))
     initial_place = _find_place(how.initial, task.name)
     if initial_place is None and incumbent is not None and choice.verdict is Verdict.PLACED:
         # Another place than that of an earlier pass: the task runs nowhere yet, so nothing moves.
         choice = Choice(verdict=Verdict.PLACED, reason=Reason.BEST, place=choice.place)
-    if how.record:
-        if choice.place in candidates.denied and choice.place == incumbent:
-            candidates = weigh(stays=True)
-        decision = build_decision(
-            candidates, rebase_on_initial(choice, initial_place, prior_moves.get(task.name)), initial_place
+    progress.peaks.valid = progress.peaks.valid and incumbent in (None, choice.place)
+    if progress.history is not None:
+        waived = choice.place in candidates.denied and choice.place == incumbent
+        if waived:
+            candidates = weigh_candidates(gather(stays=True, barred=barred))
+        told = rebase_on_initial(choice, initial_place, prior_moves.get(task.name))
+        ranking = RankingRequest(
+            context=how.context,
+            history=progress.history,
+            step=len(progress.history.changes),
+            task=task,
+            incumbent=incumbent,
+            predecessors=predecessors,
+            stays=waived,
+            chosen=told.place,
+            barred=barred,
         )
+        decision = build_decision(candidates, told, initial_place, ranking)
         progress.decisions.append(explain_replacement(decision, how.initial.replaced.get(task.name)))
     return choice
 
@@ -289,13 +317,22 @@ def _reserve_for_unit(
     company = _build_company(how, state, progress, task)
     for mate, use in list_reservations(company, task.name, place) if company is not None else ():
         if mate not in progress.reserved:
-            progress.ledger.charge(place, use)
+            _change_reservation(progress, place, use, is_charge=True)
             progress.reserved[mate] = place, use
+
+
+def _change_reservation(progress: _PassState, place: int, use: TaskUsage, *, is_charge: bool) -> None:
+    (progress.ledger.charge if is_charge else progress.ledger.release)(place, use)
+    progress.peaks.valid = False
+    if progress.history is not None:
+        progress.history.changes.append(LoadChange(place, use, is_charge=is_charge, counts=False))
 
 
 def _charge_demand(progress: _PassState, task: Task, place: int) -> None:
     use = compute_demand_usage(progress.ledger.fleet, task, place)
     progress.ledger.charge(place, use)
+    if progress.history is not None:
+        progress.history.changes.append(LoadChange(place, use, is_charge=True))
     progress.uses[task.name] = (place, use)
     progress.located[task.name] = place
     progress.placed[place] = progress.placed.get(place, 0) + 1

@@ -63,8 +63,7 @@ def repair_plan(plan: UnrepairedPlan) -> dict[str, Choice]:
     wanted = _list_wanted(plan)
     if not wanted:
         return {}
-    leaders = _choose_leaders(plan)
-    sort_places = _build_place_sorter(plan)
+    leaders, sort_places = _choose_leaders(plan), _build_place_sorter(plan)
     packing = _build_packing(plan, sort_places, leaders)
     work = MAX_WORK
     causes: dict[str, str] = {}
@@ -134,7 +133,8 @@ def _build_joint_item(
     packing: Packing,
 ) -> Item:
     """One item of tasks that get a place together, and of what is in place of their unit."""
-    items = [_build_item(plan, task, sort_places, leaders) for task in joining]
+    columns = _list_link_columns(plan)
+    items = [_build_item(plan, columns, task, sort_places, leaders) for task in joining]
     name = leaders.get(joining[0].name, joining[0].name)
     if name in packing.at:
         items.insert(0, packing.items[name])
@@ -232,12 +232,13 @@ def _build_packing(plan: UnrepairedPlan, sort_places: PlaceSorter, leaders: Mapp
         if task.name in plan.placed and task.name not in plan.initial.running
         for need in task.needs
     }
+    columns = _list_link_columns(plan)
     parts: dict[str, list[Item]] = {}
     at: dict[str, int] = {}
     for task in plan.order:
         if task.name in plan.placed:
             name = leaders.get(task.name, task.name)
-            parts.setdefault(name, []).append(_build_item(plan, task, sort_places, leaders, needed))
+            parts.setdefault(name, []).append(_build_item(plan, columns, task, sort_places, leaders, needed))
             at[name] = plan.placed[task.name][0]
     items = {name: combine_items(name, part) for name, part in parts.items()}
     for name, place in at.items():
@@ -272,12 +273,13 @@ def _build_place_sorter(plan: UnrepairedPlan) -> PlaceSorter:
 
 def _build_item(
     plan: UnrepairedPlan,
+    columns: Mapping[str, int],
     task: Task,
     sort_places: PlaceSorter,
     leaders: Mapping[str, str],
     needed: Collection[str] = (),
 ) -> Item:
-    """``needed``: tasks that others need which this plan starts."""
+    """``columns``: of the link to each robot; ``needed``: tasks that others need which this plan starts."""
     running = plan.initial.running.get(task.name)
     place = plan.placed[task.name][0] if task.name in plan.placed else None
     runs = running is not None and running.place == place
@@ -288,7 +290,7 @@ def _build_item(
         name=task.name,
         tasks=(task.name,),
         places=places if not mates or place is not None else [each for each in places if each == mates[0]],
-        measure=partial(_measure_shares, plan, task),
+        measure=partial(_measure_shares, plan, columns, task),
         priority=task.priority,
         runs=runs,
         movable=task.hosts.pin is None and not held and not mates,
@@ -328,7 +330,7 @@ def _list_link_columns(plan: UnrepairedPlan) -> dict[str, int]:
     return {robot: len(HOST_RESOURCES) + index for index, robot in enumerate(plan.ledger.free_links)}
 
 
-def _measure_shares(plan: UnrepairedPlan, task: Task, place: int) -> Shares:
+def _measure_shares(plan: UnrepairedPlan, columns: Mapping[str, int], task: Task, place: int) -> Shares:
     """Load / Delta of ``task`` at ``place``.
 
     Without capacity or link infinite, but 0 where the task is: nothing is released by its leaving.
@@ -343,7 +345,6 @@ def _measure_shares(plan: UnrepairedPlan, task: Task, place: int) -> Shares:
         for column, (name, amount) in enumerate(use.used.items())
     }
     if place < fleet.edges:
-        columns = _list_link_columns(plan)
         for robot in (*task.robots, *use.links):
             capacity = fleet.links[robot][place] if robot in fleet.links else None
             shares[columns.get(robot, -1)] = _compute_share(use.links.get(robot, 0.0), capacity or 0.0, none)
