@@ -91,7 +91,10 @@ def _bar_all_but(company: Company, place: int, mate: str) -> dict[int, Rejection
 def _bar_without_room(
     company: Company, task: Task, incumbent: int | None, mates: list[str]
 ) -> Iterator[tuple[int, Rejection]]:
-    """Places that cannot take ``task`` with all its ``mates``; the one where it runs is none of them."""
+    """Places that cannot take ``task`` with all its ``mates``; the one where it runs is none of them.
+
+    Under best effort a unit that starts needs no room; one that runs still does not move to where it has none.
+    """
     context = company.context
     joining = [company.open[mate] for mate in mates]
     allowed = [
@@ -106,7 +109,7 @@ def _bar_without_room(
         if place == incumbent:
             continue
         lacking = next((name for name, places in allowed if place not in places), None)
-        if lacking is None and not context.policy.best_effort:
+        if lacking is None and not (context.policy.best_effort and incumbent is None):
             use = compute_demand_usage(context.fleet, task, place)
             for mate in joining:
                 if company.located.get(mate.name) != place:
