@@ -124,7 +124,7 @@ def delete_state(fleet: FaultFleet) -> None:
     fleet.check_verdict()
 
 
-@fault("two applies at once", quick=True, full=8)
+@fault("two applies at once", full=8)
 def run_two_applies(fleet: FaultFleet) -> None:
     prepare_changes(fleet)
     both = []
@@ -223,7 +223,7 @@ def set_clock_back(fleet: FaultFleet) -> None:
     fleet.check_verdict()
 
 
-@fault("state files truncated", quick=True, full=12)
+@fault("state files truncated", full=12)
 def truncate_state(fleet: FaultFleet) -> None:
     damage_state_file(fleet, lambda data: data[: fleet.random.randrange(len(data))])
 

@@ -25,7 +25,7 @@ def add_shell_noise(host: Host, script: str) -> None:
     path.chmod(0o644)
 
 
-@fault("garbage before and after the document", quick=True, full=6)
+@fault("garbage before and after the document", full=6)
 def surround_replies_with_garbage(fleet: FaultFleet) -> None:
     for name, host in fleet.hosts.items():
         add_shell_noise(

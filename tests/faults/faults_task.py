@@ -23,7 +23,7 @@ def ignore_sigterm(fleet: FaultFleet) -> None:
         raise ExpectationError("the task was killed without being asked to end first")
 
 
-@fault("task double-forks daemons", quick=True, full=3)
+@fault("task double-forks daemons", full=3)
 def start_daemons(fleet: FaultFleet) -> None:
     """Child, daemon and daemon in its own session are stopped with the task, with and without the task's
     environment.
