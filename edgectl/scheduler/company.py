@@ -93,7 +93,7 @@ def _bar_without_room(
 ) -> Iterator[tuple[int, Rejection]]:
     """Places that cannot take ``task`` with all its ``mates``; the one where it runs is none of them.
 
-    Under best effort a unit that starts needs no room; one that runs still does not move to where it has none.
+    Under best effort a unit that starts needs no room; one that runs does not move to where it has none.
     """
     context = company.context
     joining = [company.open[mate] for mate in mates]
