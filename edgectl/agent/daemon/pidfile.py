@@ -153,7 +153,7 @@ def build_probe_spec(request: Document) -> Document:
     agent.
     """
     return {
-        "agent": os.path.basename(getattr(sys.modules[__name__].__loader__, "root", "")),
+        "agent": getattr(sys.modules[__name__].__loader__, "sha", ""),
         "links": {str(link["robot"]): str(link["address"]) for link in request.get("links") or []},
         "detect": {
             str(rule["task"]): {name: str(text) for name, text in rule.items()}
