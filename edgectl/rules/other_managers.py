@@ -1,5 +1,5 @@
-"""Whether another manager has acted since this one last saw all hosts (ADR 0055), or has
-hosts that this one lacks (ADR 0068).
+"""Detection of changes by another manager since this one last saw all hosts (ADR 0055), and of hosts that
+another manager has and this one lacks (ADR 0068).
 """
 
 from collections.abc import Mapping
