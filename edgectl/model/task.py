@@ -159,6 +159,13 @@ class DetectRule:
     ros_node: str | None = None
 
 
+class NothingFits(StrEnum):
+    """What a task does for which no host has room: wait for it, or run on the best host all the same."""
+
+    WAIT = "wait"
+    BEST_EFFORT = "best-effort"
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TaskLimits:
     """Caps that the runtime enforces where it can: cores and bytes. None: no cap."""
@@ -186,6 +193,7 @@ class Task:
     supervisor stops it when no request of a manager has reached the host for so many seconds; None: never.
     ``preempt``: it may take the room of tasks of lower priority, which are then stopped. ``up``: without
     ``ready``, how long (s) the command must have run until it counts as ready; None: the default.
+    ``if_nothing_fits``: what it does where no host has room, as ``Policy.best_effort`` for all tasks.
     ``downtime_cost``: utility lost per second of downtime, 0 or more; weighed once downtimes are measured.
     ``file``: the task file that lists it (ADR 0039); it is no part of any digest.
     """
@@ -199,6 +207,7 @@ class Task:
     needs: tuple[Need, ...] = ()
     priority: float = 0.0
     preempt: bool = False
+    if_nothing_fits: NothingFits = NothingFits.WAIT
     deadline: float | None = None
     hosts: HostRules = HostRules()
     onboard: OnboardRule = OnboardRule.ALLOW

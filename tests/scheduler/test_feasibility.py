@@ -8,7 +8,7 @@ from edgectl.model.manager_state import ManagerState
 from edgectl.model.policy import Policy
 from edgectl.model.resource import CPU, MEMORY, NETWORK, Usage
 from edgectl.model.snapshot import HostSample
-from edgectl.model.task import Need, NeedCondition, OnboardRule, Task
+from edgectl.model.task import Need, NeedCondition, NothingFits, OnboardRule, Task
 from tests.builders import (
     GI,
     a_link,
@@ -153,13 +153,20 @@ def test_demand_larger_than_any_host_names_the_nearest_miss() -> None:
     assert (decision.verdict, decision.nearest, decision.host) == (Verdict.UNPLACED, "edge2", None)
 
 
-def test_best_effort_takes_the_highest_total_all_the_same() -> None:
+@pytest.mark.parametrize("of_task", [False, True], ids=["policy", "task"])
+def test_best_effort_takes_the_highest_total_all_the_same(of_task: bool) -> None:
     inventory = an_inventory(an_edge("edge1"), an_edge("edge2"), an_edge("edge3"), a_robot())
     snapshot = a_snapshot(
         edge1=a_sample(links=LINKS), edge2=a_sample(cores=8.0, links=LINKS), edge3=a_sample(cores=64.0)
     )
-    task = a_task(cpu=10.0, robots=["robot1"])
-    assignment = run_assign(inventory, some_tasks(task), snapshot, policy=Policy(best_effort=True))
+    task = a_task(
+        cpu=10.0,
+        robots=["robot1"],
+        if_nothing_fits=NothingFits.BEST_EFFORT if of_task else NothingFits.WAIT,
+    )
+    others = [a_task("waits", cpu=20.0, robots=["robot1"])] if of_task else []
+    policy = Policy(best_effort=not of_task)
+    assignment = run_assign(inventory, some_tasks(task, *others), snapshot, policy=policy)
     decision = assignment.decisions[0]
     assert (decision.verdict, decision.reason, decision.host, decision.overcommitted) == (
         Verdict.PLACED,
@@ -168,6 +175,7 @@ def test_best_effort_takes_the_highest_total_all_the_same() -> None:
         True,
     )
     assert assignment.expected["edge2"].used["cpu"] == 10.0
+    assert [waits.verdict for waits in assignment.decisions[1:]] == [Verdict.UNPLACED] * of_task
 
 
 def test_a_running_task_that_fits_nowhere_stays_and_is_charged() -> None:
