@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from edgectl.agent.link import protocol
 from edgectl.errors import HostError
 from edgectl.gateway.fanout import MAX_PARALLEL_HOSTS, HostAnswer, HostReply, ask_all, fan_out
+from edgectl.gateway.link_observations import LinkEnds, decode_link_ends, join_link_ends
 from edgectl.gateway.probe_reply import (
     ReplyContext,
     apply_done_tasks,
@@ -18,6 +19,7 @@ from edgectl.gateway.probe_reply import (
 )
 from edgectl.gateway.probe_request import build_probe_request, list_checked_tasks, list_detected_tasks
 from edgectl.model.inventory import Host, Inventory, Role
+from edgectl.model.link_reading import LinkObservation
 from edgectl.model.snapshot import HostSample, HostStatus, Snapshot
 from edgectl.model.task import Tasks
 from edgectl.model.text import escape_unprintable
@@ -28,9 +30,14 @@ from edgectl.transport.fleet_lease import FleetLease
 # A login costs CPU here, a sample window only time: more hosts may measure than log in at once.
 _PROBES_PER_LOGIN = 4
 HostCallback = Callable[[str, HostSample, float], None]
+LinksCallback = Callable[[Mapping[tuple[str, str], LinkObservation]], None]
 
 
 def _ignore_host(_name: str, _sample: HostSample, _seconds: float) -> None:
+    """Report nothing."""
+
+
+def _ignore_links(_links: Mapping[tuple[str, str], LinkObservation]) -> None:
     """Report nothing."""
 
 
@@ -46,7 +53,9 @@ class ProbeOptions:
     release left them on a host without an owner, the fleet adopts them.
     ``former_hosts``: names of hosts that left the inventory, and that hosts are asked to recall.
     ``manager_id``: the name by which hosts know this manager.
-    ``on_host`` is called as each host ends, in the caller's thread, with name, sample and seconds.
+    ``probe_idle_links``: also probe the idle links whose turn it is, for at most 0.1 s each (ADR 0077).
+    ``on_host`` is called as each host ends, in the caller's thread, with name, sample and seconds;
+    ``on_links`` once, with the links by (edge, robot).
     """
 
     timeout: float = 15.0
@@ -57,16 +66,19 @@ class ProbeOptions:
     known_tasks: Callable[[], frozenset[str]] = frozenset
     former_hosts: frozenset[str] = frozenset()
     manager_id: str = ""
+    probe_idle_links: bool = False
     on_host: HostCallback = _ignore_host
+    on_links: LinksCallback = _ignore_links
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DecodedProbe:
-    """The sample of a host, the tasks whose checks passed there, those that have no owner there, and the
-    former names that it has adopted.
+    """The sample of a host, its ends of the links, the tasks whose checks passed there, those that have no
+    owner there, and the former names that it has adopted.
     """
 
     sample: HostSample
+    links: LinkEnds
     done: frozenset[str]
     unowned: frozenset[str]
     former: frozenset[str]
@@ -92,7 +104,7 @@ def probe_hosts(
     """
     options = options or ProbeOptions()
     hosts = [host for host in inventory.hosts.values() if host.probe]
-    addresses = resolve_robot_addresses(inventory, transport, options.workers)
+    addresses, edges = resolve_link_addresses(inventory, transport, options.workers)
 
     def build(host: Host, _left: float) -> dict[str, object]:
         request = build_probe_request(
@@ -103,6 +115,7 @@ def probe_hosts(
             window_s=options.window,
             timeout_s=options.timeout,
             former=options.former_hosts,
+            edges=edges,
         )
         return request if lease is None else {**request, "lease": lease.build_claim(host.name)}
 
@@ -112,6 +125,7 @@ def probe_hosts(
         context = _build_reply_context(reply.host, inventory, tasks, options, clock())
         return DecodedProbe(
             sample=decode_host_sample(reply.document, context),
+            links=decode_link_ends(reply.document),
             done=decode_done_tasks(reply.document, list_checked_tasks(tasks, reply.host, elsewhere=True)),
             unowned=decode_unowned_tasks(reply.document),
             former=decode_former_names(reply.document),
@@ -142,6 +156,15 @@ def probe_hosts(
         if error is not None
     }
     in_order = {host.name: answers[host.name] for host in hosts}
+    options.on_links(
+        join_link_ends(
+            {
+                name: answer.value.links
+                for name, answer in in_order.items()
+                if isinstance(answer.value, DecodedProbe)
+            }
+        )
+    )
     return Snapshot(taken_at=clock(), hosts=_finalize_samples(in_order))
 
 
@@ -246,18 +269,32 @@ def _build_reply_context(
     )
 
 
-def resolve_robot_addresses(inventory: Inventory, transport: Transport, workers: int) -> dict[str, str]:
-    """The network address of each robot; ssh_config costs a process for each, so all are resolved at once."""
-    robots = inventory.robots
-    found = dict(fan_out(lambda robot: _resolve_address(robot, transport), robots, workers=workers))
-    return {robot.name: found[position] for position, robot in enumerate(robots)}
+def resolve_link_addresses(
+    inventory: Inventory, transport: Transport, workers: int
+) -> tuple[dict[str, str], dict[str, str]]:
+    """The network addresses of the robots, and of the edges where a robot can be asked for them.
+
+    ssh_config costs a process for each host, so all are resolved at once.
+    """
+    edges = inventory.edges if any(robot.probe for robot in inventory.robots) else ()
+    found = resolve_addresses((*inventory.robots, *edges), transport, workers)
+    return (
+        {robot.name: found[robot.name] for robot in inventory.robots},
+        {edge.name: found[edge.name] for edge in edges},
+    )
 
 
-def _resolve_address(robot: Host, transport: Transport) -> str:
+def resolve_addresses(hosts: Sequence[Host], transport: Transport, workers: int) -> dict[str, str]:
+    """The network address of each of ``hosts``."""
+    found = dict(fan_out(lambda host: _resolve_address(host, transport), hosts, workers=workers))
+    return {host.name: found[position] for position, host in enumerate(hosts)}
+
+
+def _resolve_address(host: Host, transport: Transport) -> str:
     try:
-        return transport.address(robot)
+        return transport.address(host)
     except HostError:
-        return robot.host
+        return host.host
 
 
 def _build_unreachable_sample(host: Host, error: HostError) -> HostSample:

@@ -4,6 +4,7 @@ import dataclasses
 
 from edgectl.errors import StalePlanError
 from edgectl.executor.drift import list_drift
+from edgectl.gateway.host_probe import ProbeOptions
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Plan
 from edgectl.model.policy import Policy
@@ -35,7 +36,8 @@ def plan_and_apply(
     """
     options = options or ApplyOptions()
     with lock_fleet(fleet, "apply", options) as held:
-        plan = options.choose(make_plan(held, policy, options=options.probe))
+        probe = dataclasses.replace(options.probe or ProbeOptions(), probe_idle_links=True)
+        plan = options.choose(make_plan(held, policy, options=probe))
         return confirm_and_execute(held, plan, confirm, options)
 
 

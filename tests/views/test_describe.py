@@ -155,8 +155,8 @@ Usage:
   memory  25%   1.0Gi of 4.0Gi
   robot1  40%   4.0MB/s of 10.0MB/s
 Links:
-  ROBOT   CAPACITY  SOURCE    NETWORK    RTT
-  robot1  10.0MB/s  measured  4.0MB/s  2.2ms
+  ROBOT   CAPACITY  SOURCE    AGE   NOMINAL  NETWORK    RTT
+  robot1  10.0MB/s  measured    -  10.0MB/s  4.0MB/s  2.2ms
 Tasks:
   TASK          CPU  CPU DEMAND  CPU EXCESS   MEMORY  NETWORK    AGE  READY
   slam-robot1  2.50        2.00       +0.50  512.0Mi  2.0MB/s  4m12s  yes

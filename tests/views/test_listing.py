@@ -122,9 +122,9 @@ def test_nothing_is_said_to_be_nothing() -> None:
 
 def test_links() -> None:
     rows = [line.split() for line in shown(ListingKind.LINKS, OutputFormat.WIDE).splitlines()]
-    assert rows[0] == ["EDGE", "ROBOT", "CAPACITY", "NETWORK", "RTT", "SOURCE"]
-    assert rows[3] == ["edge1", "robot1", "10.0MB/s", "1.0MB/s", "2.2ms", "assumed"]
-    assert rows[4] == ["edge1", "robot2", "-", "-", "-", "unknown"]
+    assert rows[0] == ["EDGE", "ROBOT", "CAPACITY", "SOURCE", "NOMINAL", "NETWORK", "RTT", "AGE"]
+    assert rows[3] == ["edge1", "robot1", "10.0MB/s", "assumed", "10.0MB/s", "1.0MB/s", "2.2ms", "-"]
+    assert rows[4] == ["edge1", "robot2", "-", "unknown", "-", "-", "-", "-"]
 
 
 def test_wide_of_edges_and_tasks() -> None:
