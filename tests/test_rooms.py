@@ -26,7 +26,7 @@ ALLOWED = {
     "executor": PURE | {"rules", "transport", "state"},
     "export": PURE | {"state", "formats"},
     "experiments": PURE
-    | {"cli", "config", "executor", "formats", "gateway", "scheduler", "state", "usecases", "views"},
+    | {"cli", "config", "executor", "formats", "gateway", "rules", "scheduler", "state", "usecases", "views"},
     "usecases": PURE
     | {
         "config",
