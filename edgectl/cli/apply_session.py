@@ -24,7 +24,7 @@ _HUMAN_FORMATS = (OutputFormat.TABLE, OutputFormat.WIDE)
 
 
 def check_can_confirm(*, asked: bool, first: str = "check first: edgectl plan") -> bool:
-    """Whether to ask for confirmation; refused before anything is done where nobody can answer.
+    """Whether to ask for confirmation; refused before anything is done where no answer is possible.
 
     ``first`` is what to check before passing --yes.
 

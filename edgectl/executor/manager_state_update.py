@@ -29,9 +29,9 @@ def compute_next_generations(
 ) -> dict[str, int]:
     """The generation of each task's next start: above all known ones, and at least the clock's seconds.
 
-    A generation out of all proportion is ignored: its host alone refuses starts then. The clock as a
-    floor lets a manager that lost its state, or that another one overtook, start tasks again. Only hosts that
-    the step concerns have a say in it, and at `protocol.MAX_GENERATION` it stays: hosts accept an equal one.
+    A generation out of all proportion is ignored: its host alone refuses starts then. The clock as a floor
+    lets a manager that lost its state, or that another one overtook, start tasks again. Only hosts that the
+    step concerns count, and at `protocol.MAX_GENERATION` it stays: hosts accept an equal one.
     """
     own = dict(journalled or {})
     for name, placement in manager.placements.items():

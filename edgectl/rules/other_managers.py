@@ -1,4 +1,4 @@
-"""Whether another manager has acted since this one last saw all hosts (ADR 0055)."""
+"""Detection of changes by another manager since this one last saw all hosts (ADR 0055)."""
 
 from collections.abc import Mapping
 

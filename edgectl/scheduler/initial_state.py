@@ -286,9 +286,8 @@ def _find_newest_instance(
 def _is_completed(
     manager: ManagerState, task: Task, sightings: Iterable[FoundInstance], current: FoundInstance | None
 ) -> bool:
-    """Marked done, or reported completed by a host whose word counts, with the specification of now.
-
-    A newer instance that is alive says otherwise.
+    """Marked done, or reported completed by a host whose report counts, with the present specification. A
+    newer instance that is alive overrules it.
     """
     if manager.done.get(task.name) == task.spec_hash:
         return True
@@ -307,8 +306,8 @@ def _find_given_up_run(
     """The last run of ``task``, if it ended by itself and must not be started again unasked (ADR 0022): the
     same would only happen again.
 
-    A changed specification may do better; so may a run whose host was told of a newer one since, be it only
-    to stop it.
+    A changed specification may do better; so may a run whose host has received a newer generation since, if
+    only to stop it.
     """
     ended = [
         s

@@ -17,7 +17,7 @@ from edgectl.model.point import HandoffPoint, HostPoint, LinkPoint, TaskPoint
 from edgectl.model.profile import UsageSample
 from edgectl.model.result import Results
 from edgectl.model.snapshot import Snapshot
-from edgectl.state import store_events, store_prune, store_write
+from edgectl.state import store_action_events, store_events, store_prune, store_write
 from edgectl.state import store_rows as rows
 from edgectl.state.json_files import Warn, ignore_warning
 from edgectl.state.store_file import (
@@ -105,12 +105,12 @@ class Store:
         """Record a plan, with an event unless the plan before it had the same actions."""
 
         def record(connection: sqlite3.Connection) -> None:
-            event = store_events.build_plan_event(plan)
+            event = store_action_events.build_plan_event(plan)
             if event is not None and not store_write.is_plan_repeated(connection, plan):
                 store_write.write_events(connection, [event])
             store_write.write_plan(connection, plan)
-            store_write.write_new_events(connection, store_events.build_unplaced_events(plan))
-            store_write.write_new_events(connection, store_events.build_overuse_events(plan))
+            store_write.write_new_events(connection, store_action_events.build_unplaced_events(plan))
+            store_write.write_new_events(connection, store_action_events.build_overuse_events(plan))
 
         self._write(record)
 
@@ -120,7 +120,7 @@ class Store:
         def record(connection: sqlite3.Connection) -> None:
             store_write.write_actions(connection, results, at)
             known = store_write.load_known_fleet(connection)
-            events, after = store_events.detect_result_events(known, results, at)
+            events, after = store_action_events.detect_result_events(known, results, at)
             store_write.write_new_events(connection, events)
             store_write.write_known_fleet(connection, known, after)
 

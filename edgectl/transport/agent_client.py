@@ -256,7 +256,7 @@ def stream_agent_log(
 
     Raises:
         RefusedError, NoPythonError, ReplyError: as `call_agent`.
-        DeadlineError: nothing came for ``idle_timeout`` seconds.
+        DeadlineError: no output for ``idle_timeout`` seconds.
         ConnectError: the connection was lost.
     """
     # A stream cannot upload the agent: this call does, where the host does not have it yet.

@@ -1,4 +1,4 @@
-"""One manager's hold of a fleet: what each host granted, and the signature of every changing request.
+"""Lease of a fleet by one manager: the grants of the hosts, and the signature of every changing request.
 
 A host grants the fleet to one manager at a time, for a lease on the host's own clock (docs/adr/0042). Here
 the lease is counted from before the request left, so it ends earlier than on the host.

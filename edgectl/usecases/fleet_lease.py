@@ -38,7 +38,8 @@ def hold_fleet(
     watch: WatchNote | None = None,
     take_over: bool = False,
 ) -> Iterator[Fleet]:
-    """The fleet with a lease: its first probe claims every host that answers; nobody else changes it then.
+    """The fleet with a lease: its first probe claims every host that answers; no other manager changes it
+    then.
 
     ``patience_s``: how long to wait for another manager; None: for one cycle of a watch, at most a minute,
     else not at all.
@@ -93,7 +94,7 @@ def probe_within_lease(fleet: Fleet, probe: Callable[[], Snapshot]) -> Snapshot:
 
 
 def compute_files_digest(fleet: Fleet) -> str:
-    """What a watch leaves on the hosts of its files: the beginnings of their digests."""
+    """The digests of its files, shortened, that a watch leaves on the hosts."""
     return f"{fleet.inventory.digest[:16]} {fleet.tasks.digest[:16]}"
 
 

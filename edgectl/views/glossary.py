@@ -148,7 +148,7 @@ _MEANINGS: dict[KeyType, dict[str, str]] = {
         "robot": "name of a robot",
         "role": "edge or robot",
         "runner_up": "host with the second highest utility",
-        "runtime": "container runtime of a host",
+        "runtime": "runtime of the supervisors on a host: auto, systemd or process",
         "safe_when": "command that tells when a handoff is safe",
         "scenario": "name of a scenario",
         "scheme": "name of a scheme",

@@ -30,22 +30,22 @@ _MAX_KEPT_LINES = 50
 
 def list_cycle_news(before: Cycle | None, cycle: Cycle) -> list[str]:
     """What is new in ``cycle``, one text each; empty in a steady one. Lasting trouble is new once."""
-    told = [
+    news = [
         format_event(event)
         for event in cycle.events
         if event.kind is not EventKind.PLANNED or cycle.results is None
     ]
-    if not told and cycle.results is not None:
-        told = [_format_cycle_action(action) for action in cycle.results.actions]
+    if not news and cycle.results is not None:
+        news = [_format_cycle_action(action) for action in cycle.results.actions]
     known = set(before.warnings) if before is not None else set()
-    told += [f"warning: {warning}" for warning in cycle.warnings if warning not in known]
+    news += [f"warning: {warning}" for warning in cycle.warnings if warning not in known]
     if cycle.busy and (before is None or not before.busy):
-        told.append(f"waiting: {cycle.busy}")
+        news.append(f"waiting: {cycle.busy}")
     if cycle.error and (before is None or cycle.error != before.error):
-        told.append(f"error: {cycle.error}")
+        news.append(f"error: {cycle.error}")
     elif before is not None and before.error and not cycle.error:
-        told.append("recovered")
-    return [escape_unprintable(text) for text in told]
+        news.append("recovered")
+    return [escape_unprintable(text) for text in news]
 
 
 def format_event(event: Event) -> str:
@@ -63,11 +63,11 @@ def _format_cycle_action(action: ActionResult) -> str:
 
 def render_cycle_line(before: Cycle | None, cycle: Cycle) -> str:
     """The line of a cycle with news or another health than the one before, else empty."""
-    told = list_cycle_news(before, cycle)
+    news = list_cycle_news(before, cycle)
     health, known = _describe_health(cycle), _describe_health(before) if before is not None else ""
     if health is not None and known is not None and health != known:
-        told.append(f"health: {health or 'ok'}")
-    return f"{format_instant(float(int(cycle.at)))} {'; '.join(told)}\n" if told else ""
+        news.append(f"health: {health or 'ok'}")
+    return f"{format_instant(float(int(cycle.at)))} {'; '.join(news)}\n" if news else ""
 
 
 def _describe_health(cycle: Cycle) -> str | None:

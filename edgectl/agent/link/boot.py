@@ -6,17 +6,16 @@ timeout key``, the request, the agent. Output: one frame with the request's rand
 digest; anything else that a login shell prints is noise.
 """
 
+# Module signal imports enum: 4 ms of CPU.
+import _signal as signal
 import os
 import stat
 import sys
-from importlib import import_module
-from importlib.machinery import ModuleSpec, SourceFileLoader
 
-try:
-    # Module signal imports enum: 4 ms of CPU.
-    from _signal import ITIMER_REAL, setitimer
-except ImportError:
-    from signal import ITIMER_REAL, setitimer
+# What importlib.machinery gives, without the packages importlib and warnings: 1 ms of CPU.
+from _frozen_importlib import ModuleSpec
+from _frozen_importlib_external import SourceFileLoader
+
 try:
     # Module hashlib loads OpenSSL: another 4 ms. The bare module is _sha2 since Python 3.12, _sha256 before.
     from _sha2 import sha256 as _new_sha256
@@ -186,7 +185,7 @@ def read_archive(agent: bytes) -> "dict[str, bytes]":
 
 
 def compute_seal(key: str, path: str, code: bytes) -> bytes:
-    """Compute the proof that whoever knows ``key`` wrote ``code`` to ``path``."""
+    """Compute the proof that a holder of ``key`` wrote ``code`` to ``path``."""
     content = compute_sha256(path.encode() + b"\0" + code)
     return compute_sha256(("%s %s" % (key, content)).encode()).encode()
 
@@ -249,6 +248,8 @@ def install_agent(folder: "str | None", sha: str, agent: bytes, key: str) -> Non
         os.path.join(ArchiveLoader.root, name): data for name, data in read_archive(agent).items()
     }
     sys.meta_path.insert(0, ArchiveFinder)
+    # The agent's modules use this one, instead of loading its text a second time.
+    sys.modules[PACKAGE + ".link.boot"] = sys.modules[__name__]
 
 
 def boot_agent(stdin: "BinaryIO") -> None:
@@ -260,19 +261,23 @@ def boot_agent(stdin: "BinaryIO") -> None:
     if sys.version_info < OLDEST_PYTHON:
         return channel.reply(('{%s, "too_old": true}' % version).encode())
     # The manager's deadline ends this side too: nothing lingers after it has given up.
-    setitimer(ITIMER_REAL, float(timeout))
+    signal.setitimer(signal.ITIMER_REAL, float(timeout))
     request, agent = stdin.read(int(request_length)), stdin.read(int(agent_length))
-    if agent:
+    if not agent:
+        folder, agent = read_cached_agent(sha)
+    elif compute_sha256(agent) == sha:
         folder = cache_agent(sha, agent)
     else:
-        folder, agent = read_cached_agent(sha)
-    if compute_sha256(agent) != sha:
+        folder, agent = None, b""
+    if not agent:
         return channel.reply(('{%s, "missing": true}' % version).encode())
     install_agent(folder, sha, agent, key)
-    main = import_module(PACKAGE + ".link.main")
-    main.serve_request(request, channel, list_state_bases())
+    __import__(PACKAGE + ".link.main")
+    sys.modules[PACKAGE + ".link.main"].serve_request(request, channel, list_state_bases())
     return None
 
 
 if __name__ == "__main__":
     boot_agent(sys.stdin.buffer)
+    # Nothing is left to write or to clean up: without Python's own end a request takes a tenth less CPU.
+    os._exit(0)

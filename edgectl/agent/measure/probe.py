@@ -70,7 +70,7 @@ def _claim_lease(request: Document) -> Document:
 
 
 def _read_grants() -> Document:
-    """Read to whom this host granted the fleet last: by it, a manager sees that others have acted."""
+    """Read the last grants of this host: they show a manager whether another one has acted."""
     folders = [state_dir.list_fleet_levels(base)[-1] for base in state_dir.list_own_bases()]
     found = [records.read_record(os.path.join(folder, protocol.LEASE_FILE)) for folder in folders]
     newest = max(found, key=lambda each: each.get("epoch", 0), default={})

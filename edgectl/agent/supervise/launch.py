@@ -151,7 +151,7 @@ def _start_agent(argv: "list[str]", env: "dict[str, str]", request: Document, lo
 
 
 def _launch_in_scope(task_scope: Scope, order: Document) -> "tuple[Document | None, str]":
-    """Launch through systemd-run: (report or None, its complaints).
+    """Launch through systemd-run: (report or None, its error output).
 
     Raises:
         RefusalError: no report came, and it is unknown whether it may still come.
@@ -190,7 +190,7 @@ def _end_systemd_run(data: bytes, read_end: int, folder: str) -> bool:
 def _exec_agent(argv: "list[str]", env: "dict[str, str]", source: int, report: int, lock: int) -> None:
     """Become ``argv`` (systemd-run), which becomes Python.
 
-    Its identity and its complaints are written to ``report``.
+    Its identity and its error output are written to ``report``.
     """
     os.write(report, b"%d %d\n" % (os.getpid(), proc.read_own_process().ticks))
     os.dup2(source, 0)

@@ -24,9 +24,8 @@ def is_live(record: Document, now: float, boot: str) -> bool:
 
 
 def compute_left_s(record: Document, now: float, boot: str) -> float:
-    """Seconds for which nobody but the holder may take the fleet; 0 where it is free.
-
-    After a boot nobody knows how much of a lease is left, so the whole of it passes once more.
+    """Seconds for which only the holder may take the fleet; 0 where it is free. After a boot it is not known
+    how much of a lease is left, so the whole of it passes once more.
     """
     if not record or not record.get("until"):
         return 0.0
