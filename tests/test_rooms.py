@@ -118,6 +118,7 @@ WING_DOORS = {
     "model": set(),
     "files": {"config", "formats", "state"},
     "simulator": {"scheduler", "executor"},
+    "simulator_state": {"rules"},
     "replay": {"scheduler"},
     "recorded_snapshots": {"usecases"},
     "runner": {"executor", "gateway", "state", "usecases"},
