@@ -125,7 +125,7 @@ def _explain_exit_code(plan: Plan, code: ExitCode) -> None:
     if code is ExitCode.PARTLY:
         console.print_stderr(
             plan_sections.render_unreachable_hosts(plan.snapshot, plan.snapshot.silent_hosts)
-            + plan_sections.render_lost_tasks(plan.snapshot)
+            + plan_sections.render_lost_tasks(plan)
         )
     elif code is ExitCode.UNPLACED:
         console.print_stderr(plan_sections.render_unplaced_tasks(plan))

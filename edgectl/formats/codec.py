@@ -7,7 +7,7 @@ that decoding goes on.
 """
 
 import types
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, fields, is_dataclass
 from enum import StrEnum
 from functools import cache
@@ -98,8 +98,8 @@ def compile_type(kind: Any) -> Codec:  # noqa: ANN401 - a type, also a generic o
         return _compile_annotated(arguments[0], arguments[1:])
     if origin in (Union, types.UnionType):
         return _compile_optional(arguments)
-    if origin is tuple:
-        size = None if arguments[-1] is Ellipsis else len(arguments)
+    if origin in (tuple, Sequence):
+        size = None if origin is Sequence or arguments[-1] is Ellipsis else len(arguments)
         return compile_tuple(compile_type(arguments[0]), size)
     if origin is frozenset:
         return compile_set(compile_type(arguments[0]))

@@ -2,7 +2,7 @@
 
 import dataclasses
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass, field
 
 from edgectl.agent.link import protocol
@@ -15,6 +15,7 @@ from edgectl.gateway.probe_reply import (
     decode_done_tasks,
     decode_former_names,
     decode_host_sample,
+    decode_names_elsewhere,
     decode_unowned_tasks,
 )
 from edgectl.gateway.probe_request import build_probe_request, list_checked_tasks, list_detected_tasks
@@ -74,7 +75,7 @@ class ProbeOptions:
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DecodedProbe:
     """The sample of a host, its ends of the links, the tasks whose checks passed there, those that have no
-    owner there, and the former names that it has adopted.
+    owner there, the former names that it has adopted, and its names in the inventories of other managers.
     """
 
     sample: HostSample
@@ -82,6 +83,7 @@ class DecodedProbe:
     done: frozenset[str]
     unowned: frozenset[str]
     former: frozenset[str]
+    elsewhere: frozenset[str] = frozenset()
 
 
 _Answers = dict[str, HostAnswer[DecodedProbe]]
@@ -131,7 +133,7 @@ def probe_hosts(
     answers = _ask_hosts([host for host in inventory.hosts.values() if host.probe], context)
     answers |= _adopt_and_ask_again(answers, context)
     options.on_links(join_link_ends(_list_link_ends(answers)))
-    return Snapshot(taken_at=clock(), hosts=_finalize_samples(answers))
+    return Snapshot(taken_at=clock(), hosts=_finalize_samples(answers, inventory))
 
 
 def _list_link_ends(answers: _Answers) -> dict[str, LinkEnds]:
@@ -165,6 +167,7 @@ def _build_request(host: Host, context: _ProbeContext) -> dict[str, object]:
         timeout_s=context.options.timeout,
         former=context.options.former_hosts,
         edges=context.edges,
+        manager_id=context.options.manager_id,
     )
     return request if context.lease is None else {**request, "lease": context.lease.build_claim(host.name)}
 
@@ -179,6 +182,7 @@ def _decode_reply(reply: HostReply, context: _ProbeContext) -> DecodedProbe:
         done=decode_done_tasks(document, list_checked_tasks(context.tasks, host, elsewhere=True)),
         unowned=decode_unowned_tasks(document),
         former=decode_former_names(document),
+        elsewhere=decode_names_elsewhere(document),
     )
 
 
@@ -249,8 +253,13 @@ def _get_sample(answer: HostAnswer[DecodedProbe]) -> HostSample:
     return answer.value.sample
 
 
-def _finalize_samples(answers: Mapping[str, HostAnswer[DecodedProbe]]) -> dict[str, HostSample]:
-    """The samples with their ages, completed by the checks that robots answered for tasks elsewhere."""
+def _finalize_samples(
+    answers: Mapping[str, HostAnswer[DecodedProbe]], inventory: Inventory
+) -> dict[str, HostSample]:
+    """The samples with their ages, completed by the checks that robots answered for tasks elsewhere.
+
+    Of the hosts of other managers those stay that the inventory lacks, by whatever name.
+    """
     now = time.monotonic()
     done = frozenset[str]().union(
         *(
@@ -263,7 +272,23 @@ def _finalize_samples(answers: Mapping[str, HostAnswer[DecodedProbe]]) -> dict[s
     reported = frozenset(
         task.instance for each in samples.values() for task in each.tasks.values() if task.instance
     )
-    return {name: _drop_reported_tasks(sample, reported) for name, sample in samples.items()}
+    known = set(inventory.hosts).union(
+        *(
+            answer.value.former | answer.value.elsewhere
+            for answer in answers.values()
+            if not isinstance(answer.value, HostError)
+        )
+    )
+    return {
+        name: drop_known_hosts(_drop_reported_tasks(sample, reported), known)
+        for name, sample in samples.items()
+    }
+
+
+def drop_known_hosts(sample: HostSample, known: Set[str]) -> HostSample:
+    """``sample`` with those hosts of other managers that are not in ``known`` (ADR 0068)."""
+    left = tuple(name for name in sample.foreign_hosts if name not in known)
+    return dataclasses.replace(sample, foreign_hosts=left)
 
 
 def _drop_reported_tasks(sample: HostSample, reported: frozenset[str]) -> HostSample:

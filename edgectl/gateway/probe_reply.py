@@ -92,6 +92,7 @@ def decode_host_sample(document: ReplyDocument, context: ReplyContext) -> HostSa
         generations=build_generations(reply, tasks),
         grant=reply.grants.epoch,
         foreign_grant=_find_foreign_grant(reply.grants, context.manager_id),
+        foreign_hosts=reply.grants.hosts,
         address=context.host.address,
         machine="" if reply.machine.startswith("/") else reply.machine,
         other_tasks=tuple(each for each in reply.other_tasks if each.fleet == context.host.fleet),
@@ -135,6 +136,15 @@ def decode_former_names(document: ReplyDocument) -> frozenset[str]:
         ReplyError: the reply is no probe.
     """
     return frozenset(decode_reply(ProbeReply, document).former)
+
+
+def decode_names_elsewhere(document: ReplyDocument) -> frozenset[str]:
+    """The names that this host has in the inventories of other managers.
+
+    Raises:
+        ReplyError: the reply is no probe.
+    """
+    return frozenset(decode_reply(ProbeReply, document).grants.names)
 
 
 def _list_done_tasks(reply: ProbeReply) -> frozenset[str]:

@@ -127,11 +127,15 @@ class TaskReply:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GrantsReply:
-    """Holder and number of the last grant of a host, and the number of the last one to another manager."""
+    """Holder and number of the last grant of a host, and the number of the last one to another manager;
+    ``hosts``: those of other managers; ``names``: those of this host there.
+    """
 
     holder: Text = ""
     epoch: Count = 0
     other_epoch: Count = 0
+    hosts: Annotated[tuple[Text, ...], ALONE] = ()
+    names: Annotated[tuple[Text, ...], ALONE] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

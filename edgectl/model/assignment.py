@@ -3,7 +3,7 @@
 Nothing is recomputed for display.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Annotated
@@ -198,6 +198,7 @@ class Reason(StrEnum):
     HOST_LEFT = "host-left"
     HOST_READDRESSED = "host-readdressed"
     HOST_UNSURE = "host-unsure"
+    HOST_UNLISTED = "host-unlisted"
     ROBOT_SILENT = "robot-silent"
     DONE = "done"
     GIVEN_UP = "given-up"
@@ -257,7 +258,7 @@ class Decision:
     cost: MoveCost | None = None
     nearest: str | None = None
     overcommitted: bool = False
-    ranking: tuple[RankedHost, ...] = field(default=(), metadata=in_document(required=True))
+    ranking: Sequence[RankedHost] = field(default=(), metadata=in_document(required=True))
     rejection_counts: Mapping[str, int] = field(default_factory=dict)
     demand: tuple[ResourceDemand, ...] = field(default=(), metadata=in_document(keyed_by="resource"))
 

@@ -183,7 +183,8 @@ class HostSample:
     fleets; they are load, and nothing else is done with them. ``address``: as the inventory states it.
     ``machine``: machine id, user and state directories of the login, as ``ID/UID/HASH``; "" where there is no
     machine id. ``grant``: how often the host has granted the fleet to a manager. ``foreign_grant``: number of
-    the last grant to another manager than the one that took the snapshot.
+    the last grant to another manager than the one that took the snapshot. ``foreign_hosts``: hosts that the
+    inventory lacks and on which other managers of the fleet may place tasks.
     """
 
     role: Role
@@ -209,6 +210,7 @@ class HostSample:
     machine: str = ""
     grant: int = 0
     foreign_grant: int = 0
+    foreign_hosts: tuple[str, ...] = ()
 
     @property
     def ok(self) -> bool:

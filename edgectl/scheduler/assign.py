@@ -13,7 +13,11 @@ from edgectl.model.manager_state import ManagerState
 from edgectl.model.policy import Policy
 from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Task, Tasks
-from edgectl.scheduler.candidates import AssignmentContext, evaluate_candidates
+from edgectl.scheduler.candidates import (
+    AssignmentContext,
+    gather_candidates,
+    weigh_candidates,
+)
 from edgectl.scheduler.capacities import build_capacities
 from edgectl.scheduler.choice import Choice, MoveConstraints
 from edgectl.scheduler.decisions import (
@@ -25,8 +29,10 @@ from edgectl.scheduler.decisions import (
 from edgectl.scheduler.demand import add_measured_demands
 from edgectl.scheduler.demand_spread import find_demand_spreads
 from edgectl.scheduler.initial_state import InitialState, RunningTask, build_initial_state
+from edgectl.scheduler.lazy_ranking import LoadChange, LoadHistory, RankingRequest
 from edgectl.scheduler.ledger import Ledger, compute_demand_usage
 from edgectl.scheduler.move_cost import collect_handoff_history
+from edgectl.scheduler.peaks import LoadPeaks, stays_in_place
 from edgectl.scheduler.policies import POLICIES, SchedulingPolicy
 from edgectl.scheduler.repair import UnrepairedPlan, rate_plan, rebalance_plan, repair_plan
 from edgectl.scheduler.reservation import reserve_running_tasks
@@ -55,9 +61,11 @@ class PassResult:
 
 @dataclass(slots=True, kw_only=True)
 class _PassState:
-    """State of a pass under way."""
+    """State of a pass under way. ``history``: its changes of gamma, where rankings are asked for."""
 
     ledger: Ledger
+    history: LoadHistory | None
+    peaks: LoadPeaks = field(default_factory=LoadPeaks)
     located: dict[str, int]
     placed: dict[int, int] = field(default_factory=dict)
     uses: dict[str, tuple[int, TaskUsage]] = field(default_factory=dict)
@@ -89,6 +97,7 @@ def run_pass(how: PlacementPass, state: InitialState, prior_moves: Mapping[str, 
     """
     progress = _PassState(
         ledger=state.ledger.copy(),
+        history=LoadHistory(start=state.ledger) if how.record else None,
         located=dict(state.located),
         moves_left=_count_moves_left(how, prior_moves),
     )
@@ -165,6 +174,8 @@ def _decide_task(
     running = state.running.get(task.name)
     if running is not None and not how.rules.strict_paper:
         progress.ledger.release(running.place, running.use)
+        if progress.history is not None:
+            progress.history.changes.append(LoadChange(running.place, running.use, is_charge=False))
     missing = _find_missing_predecessor(task, progress.located, state.completed) if running is None else None
     if missing is not None:
         reason = Reason.PREDECESSOR_INCOMPLETE if missing in progress.located else Reason.PREDECESSOR_MISSING
@@ -195,8 +206,8 @@ def _choose_place(
     incumbent = running.place if running is not None else None
     known = state.located if how.rules.strict_paper else progress.located
     predecessors = {need.task: known[need.task] for need in task.needs if need.task in known}
-    weigh = partial(
-        evaluate_candidates,
+    gather = partial(
+        gather_candidates,
         how.context,
         progress.ledger,
         task,
@@ -204,18 +215,32 @@ def _choose_place(
         predecessors=predecessors,
         placed=progress.placed,
     )
-    candidates = weigh()
+    candidates = gather()
+    if how.rules.settles and not how.record and stays_in_place(candidates, progress.peaks):
+        return Choice(verdict=Verdict.KEPT, reason=Reason.STILL_BEST, place=incumbent)
+    candidates = weigh_candidates(candidates)
     choice = how.rules.choose(candidates, _build_move_constraints(how, progress, task, running))
     initial_place = _find_place(how.initial, task.name)
     if initial_place is None and incumbent is not None and choice.verdict is Verdict.PLACED:
         # Another place than that of an earlier pass: the task runs nowhere yet, so nothing moves.
         choice = Choice(verdict=Verdict.PLACED, reason=Reason.BEST, place=choice.place)
-    if how.record:
-        if choice.place in candidates.denied and choice.place == incumbent:
-            candidates = weigh(stays=True)
-        decision = build_decision(
-            candidates, rebase_on_initial(choice, initial_place, prior_moves.get(task.name)), initial_place
+    progress.peaks.valid = progress.peaks.valid and incumbent in (None, choice.place)
+    if progress.history is not None:
+        waived = choice.place in candidates.denied and choice.place == incumbent
+        if waived:
+            candidates = weigh_candidates(gather(stays=True))
+        told = rebase_on_initial(choice, initial_place, prior_moves.get(task.name))
+        ranking = RankingRequest(
+            context=how.context,
+            history=progress.history,
+            step=len(progress.history.changes),
+            task=task,
+            incumbent=incumbent,
+            predecessors=predecessors,
+            stays=waived,
+            chosen=told.place,
         )
+        decision = build_decision(candidates, told, initial_place, ranking)
         progress.decisions.append(explain_replacement(decision, how.initial.replaced.get(task.name)))
     return choice
 
@@ -237,6 +262,8 @@ def _build_move_constraints(
 def _charge_demand(progress: _PassState, task: Task, place: int) -> None:
     use = compute_demand_usage(progress.ledger.fleet, task, place)
     progress.ledger.charge(place, use)
+    if progress.history is not None:
+        progress.history.changes.append(LoadChange(place, use, is_charge=True))
     progress.uses[task.name] = (place, use)
     progress.located[task.name] = place
     progress.placed[place] = progress.placed.get(place, 0) + 1

@@ -140,6 +140,30 @@ def evaluate_candidates(
 
     ``stays``: weigh the incumbent even if it is denied.
     """
+    return weigh_candidates(
+        gather_candidates(
+            context,
+            ledger,
+            task,
+            incumbent=incumbent,
+            predecessors=predecessors,
+            placed=placed,
+            stays=stays,
+        )
+    )
+
+
+def gather_candidates(
+    context: AssignmentContext,
+    ledger: Ledger,
+    task: Task,
+    *,
+    incumbent: int | None,
+    predecessors: Mapping[str, int],
+    placed: Mapping[int, int],
+    stays: bool = False,
+) -> CandidateSet:
+    """As ``evaluate_candidates``, without the totals."""
     located = tuple(predecessors.values())
     robots = _list_robot_places(context, task, incumbent)
     listed, denied = _list_candidates(context, task, incumbent, robots)
@@ -150,7 +174,7 @@ def evaluate_candidates(
     far = any(place not in denied and place not in near for place in listed)
     rewards = _collect_affinities(located, near, far=far)
     utilities = context.rules.rate_affinity(rewards, len(located))
-    candidates = CandidateSet(
+    return CandidateSet(
         context=context,
         ledger=ledger,
         task=task,
@@ -165,10 +189,14 @@ def evaluate_candidates(
         totals=[],
         waived=waived,
     )
+
+
+def weigh_candidates(candidates: CandidateSet) -> CandidateSet:
+    """``candidates`` with their totals."""
     candidates.totals.extend(_compute_place_totals(candidates))
-    if not context.rules.tolerant or not _is_tolerated(candidates):
+    if not candidates.context.rules.tolerant or not _is_tolerated(candidates):
         return candidates
-    candidates.totals[incumbent or 0] += INFEASIBLE_PENALTY
+    candidates.totals[candidates.incumbent or 0] += INFEASIBLE_PENALTY
     return replace(candidates, tolerated=True)
 
 

@@ -2,16 +2,16 @@
 
 from dataclasses import replace
 
-from edgectl.model.assignment import Decision, RankedHost, Reason, Verdict
-from edgectl.model.policy import Weights
+from edgectl.model.assignment import Decision, Reason, Verdict
 from edgectl.model.resource import AFFINITY, RESOURCES
 from edgectl.model.task import Task
 from edgectl.scheduler.candidates import CandidateSet
 from edgectl.scheduler.capacities import Capacities
 from edgectl.scheduler.choice import Choice
 from edgectl.scheduler.demand import list_resource_demands
-from edgectl.scheduler.ranking import rank_hosts
-from edgectl.scheduler.scan import is_feasible_total
+from edgectl.scheduler.lazy_ranking import LazyCounts, LazyRanking, RankingRequest
+from edgectl.scheduler.ranking import ScoredPlace, find_best_besides, find_challenger, score_place
+from edgectl.scheduler.scan import EXCLUDED_TOTAL, is_feasible_total
 from edgectl.scheduler.utility import EPSILON
 
 
@@ -48,36 +48,37 @@ def explain_replacement(decision: Decision, silent: str | None) -> Decision:
     return replace(decision, previous_host=silent)
 
 
-def build_decision(candidates: CandidateSet, choice: Choice, initial_place: int | None) -> Decision:
-    """The decision on one task with its ranking. ``initial_place``: the place where it really runs."""
-    ranked, left_out = rank_hosts(candidates, choice.place)
-    host = _get_place_name(candidates.context.fleet, choice.place)
-    entry = next((entry for entry in ranked if entry.host == host), None)
-    other = next((entry for entry in ranked if entry.feasible and entry.host != host), None)
+def build_decision(
+    candidates: CandidateSet, choice: Choice, initial_place: int | None, ranking: RankingRequest
+) -> Decision:
+    """The decision on one task. ``initial_place``: the place where it really runs; ``ranking`` is made when
+    it is read.
+    """
+    fleet = candidates.context.fleet
+    entry = None if choice.place is None else score_place(candidates, choice.place)
+    other = find_challenger(candidates, choice.place)
     total = entry.total if entry else None
-    reason, subject = _refine_reason(candidates, choice, ranked)
+    reason, subject = _refine_reason(candidates, choice, entry, other)
     place = choice.place if choice.place is not None else choice.nearest
     return Decision(
         task=candidates.task.name,
         verdict=choice.verdict,
         reason=reason,
-        host=host,
-        previous_host=_get_place_name(candidates.context.fleet, initial_place),
+        host=_get_place_name(fleet, choice.place),
+        previous_host=_get_place_name(fleet, initial_place),
         total=total,
         lead=None if total is None or other is None or other.total is None else total - other.total,
-        challenger=other.host if other and host is not None else None,
+        challenger=candidates.name(other.place) if other and choice.place is not None else None,
         subject=subject,
         amount=_compute_gain(candidates, choice, initial_place)
         if choice.voluntary and choice.reason not in (Reason.MADE_ROOM, Reason.REBALANCED)
         else choice.amount,
         cost=choice.cost,
-        nearest=_get_place_name(candidates.context.fleet, choice.nearest),
+        nearest=_get_place_name(fleet, choice.nearest),
         overcommitted=entry is not None and _is_overcommitted(entry),
-        ranking=ranked,
-        rejection_counts=left_out,
-        demand=list_resource_demands(candidates.context.fleet, candidates.task, place)
-        if place is not None
-        else (),
+        ranking=LazyRanking(ranking),
+        rejection_counts=LazyCounts(ranking),
+        demand=list_resource_demands(fleet, candidates.task, place) if place is not None else (),
     )
 
 
@@ -99,39 +100,45 @@ def _compute_gain(candidates: CandidateSet, choice: Choice, initial_place: int |
     return candidates.totals[choice.place] - candidates.totals[initial_place]
 
 
-def _is_overcommitted(entry: RankedHost) -> bool:
+def _is_overcommitted(entry: ScoredPlace) -> bool:
     terms = (entry.terms[resource.name] for resource in RESOURCES)
     return any(term is not None and term < -EPSILON for term in terms)
 
 
 def _refine_reason(
-    candidates: CandidateSet, choice: Choice, ranked: tuple[RankedHost, ...]
+    candidates: CandidateSet, choice: Choice, entry: ScoredPlace | None, other: ScoredPlace | None
 ) -> tuple[Reason, str | None]:
     """The reason that the best place won: it was pinned, alone, or nearer to a predecessor."""
-    feasible = [entry.host for entry in ranked if entry.feasible]
-    if choice.reason is not Reason.BEST or choice.place is None:
+    if choice.reason is not Reason.BEST or entry is None:
         return choice.reason, choice.subject
     if candidates.task.hosts.pin is not None:
         return Reason.PINNED, choice.subject
-    host = candidates.name(choice.place)
-    if feasible == [host]:
-        return Reason.ONLY_FEASIBLE, choice.subject
     # Policy paper places where nothing fits, so the chosen host need not be among the feasible.
-    weighed = [entry for entry in ranked if entry.feasible or entry.host == host]
-    if choice.place in candidates.located and _is_decided_by_affinity(
-        weighed, candidates.context.policy.weights, host
-    ):
-        return Reason.WITH_PREDECESSOR, _find_predecessor_at(candidates, choice.place)
+    if other is None and not entry.rejections:
+        return Reason.ONLY_FEASIBLE, choice.subject
+    if entry.place in candidates.located and _is_decided_by_affinity(candidates, entry):
+        return Reason.WITH_PREDECESSOR, _find_predecessor_at(candidates, entry.place)
     return choice.reason, choice.subject
 
 
-def _is_decided_by_affinity(weighed: list[RankedHost], weights: Weights, host: str) -> bool:
-    """True where another host would have won on resources alone."""
-    weight = weights[AFFINITY]
-    without = {
-        entry.host: (entry.total or 0.0) - weight * (entry.terms[AFFINITY] or 0.0) for entry in weighed
-    }
-    return without[host] < max(without.values()) - EPSILON
+def _is_decided_by_affinity(candidates: CandidateSet, entry: ScoredPlace) -> bool:
+    """True where another host would have won on resources alone.
+
+    Of all places without a predecessor only the best needs a look: their affinity is the same.
+    """
+    weight = candidates.context.policy.weights[AFFINITY]
+    far = find_best_besides(candidates, candidates.located)
+    near = {place for place in candidates.located if is_feasible_total(candidates.totals[place])}
+    rivals = [score_place(candidates, place) for place in (*near, far) if place is not None]
+    best = max(
+        (_subtract_affinity(rival, weight) for rival in rivals if not rival.rejections),
+        default=EXCLUDED_TOTAL,
+    )
+    return _subtract_affinity(entry, weight) < best - EPSILON
+
+
+def _subtract_affinity(entry: ScoredPlace, weight: float) -> float:
+    return (entry.total or 0.0) - weight * (entry.terms[AFFINITY] or 0.0)
 
 
 def _find_predecessor_at(candidates: CandidateSet, place: int) -> str | None:

@@ -180,7 +180,10 @@ def fits(packing: Packing, item: Item, place: int) -> bool:
     """Whether ``item`` has room at ``place``."""
     packing.work -= 1
     row = packing.free[place]
-    return all(row[column] - share >= -EPSILON for column, share in packing.measure(item, place).items())
+    for column, share in (packing.shares.get((item.name, place)) or packing.measure(item, place)).items():
+        if row[column] - share < -EPSILON:
+            return False
+    return True
 
 
 def _insert(packing: Packing, item: Item) -> bool:
@@ -227,15 +230,18 @@ def _find_lacking(packing: Packing, item: Item, place: int) -> Shares:
     packing.work -= 1
     row = packing.free[place]
     return {
-        column: share - row[column]
+        column: lack
         for column, share in packing.measure(item, place).items()
-        if share - row[column] > EPSILON
+        if (lack := share - row[column]) > EPSILON
     }
 
 
 def _covers(released: Shares, lacking: Shares) -> bool:
     """Whether what one item releases is enough."""
-    return all(released.get(column, 0.0) >= need - EPSILON for column, need in lacking.items())
+    for column, need in lacking.items():  # noqa: SIM110 - a loop: this is half of the search
+        if released.get(column, 0.0) < need - EPSILON:
+            return False
+    return True
 
 
 def _list_ejectable(packing: Packing, place: int, level: Permission) -> list[Item]:
@@ -322,22 +328,29 @@ def _find_large_ejection(
 def _list_ejections(packing: Packing, item: Item, place: int, others: Sequence[Item]) -> Iterator[list[Item]]:
     """The smallest sets of the items ``others`` at ``place`` without which ``item`` fits there."""
     lacking = _find_lacking(packing, item, place)
-    gains = [(other, packing.measure(other, place)) for other in others]
+    needs = [need - EPSILON for need in lacking.values()]
+    gains = []
+    for other in others:
+        released = packing.measure(other, place)
+        gains.append((other, [released.get(column, 0.0) for column in lacking]))
     for count in range(1, MAX_EJECTED + 1):
         some = False
         for chosen in combinations(gains, count):
             packing.work -= 1
-            if _cover_together(chosen, lacking):
+            if _cover_together([gain for _, gain in chosen], needs):
                 some = True
                 yield [other for other, _ in chosen]
         if some:
             return
 
 
-def _cover_together(chosen: Sequence[tuple[Item, Shares]], lacking: Shares) -> bool:
-    """Whether what the items ``chosen`` release is enough."""
-    for column, need in lacking.items():
-        if sum([released.get(column, 0.0) for _, released in chosen]) < need - EPSILON:
+def _cover_together(released: Sequence[Sequence[float]], needs: Sequence[float]) -> bool:
+    """Whether what several items release is enough, by lacking column."""
+    for column, need in enumerate(needs):
+        total = 0.0
+        for gain in released:
+            total += gain[column]
+        if total < need:
             return False
     return True
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 from edgectl.model.assignment import RankedHost, Rejection, RejectionRule, UtilityTerms
 from edgectl.scheduler.candidates import CandidateSet, terms_at
 from edgectl.scheduler.demand import list_resource_demands
-from edgectl.scheduler.scan import INFEASIBLE_PENALTY
+from edgectl.scheduler.scan import EXCLUDED_TOTAL, INFEASIBLE_PENALTY, is_feasible_total
 from edgectl.scheduler.utility import EPSILON, compute_affinity
 
 # Above this many hosts a ranking keeps the winner, the incumbent and the best SHORT.
@@ -30,7 +30,7 @@ def rank_hosts(candidates: CandidateSet, chosen: int | None) -> tuple[tuple[Rank
     them.
     """
     kept, left_out = _select_shown_places(candidates, chosen)
-    weighed = [_score_place(candidates, place) for place in kept]
+    weighed = [score_place(candidates, place) for place in kept]
     feasible = _sort_by_total(candidates, [host for host in weighed if not host.rejections])
     order = candidates.context.fleet.order
     rest = sorted(
@@ -45,11 +45,49 @@ def rank_hosts(candidates: CandidateSet, chosen: int | None) -> tuple[tuple[Rank
     return tuple(entries), left_out
 
 
+def find_challenger(candidates: CandidateSet, chosen: int | None) -> ScoredPlace | None:
+    """The feasible host that the ranking lists first besides ``chosen``; None: there is none."""
+    second = find_best_besides(candidates, () if chosen is None else (chosen,))
+    if second is None:
+        return None
+    # The ranking orders equal totals by the tie rule: those that may be equal to the second are looked at.
+    level = candidates.totals[second] - 2 * EPSILON
+    near = [place for place in candidates.listed if candidates.totals[place] >= level]
+    if chosen is not None and chosen not in near and is_feasible_total(candidates.totals[chosen]):
+        near.append(chosen)
+    if len(near) <= 2 and (len(near) == 1 or chosen in near):
+        return score_place(candidates, second)
+    shown = near if _is_full(candidates) else _keep_best(candidates, near, chosen)
+    weighed = [score_place(candidates, place) for place in sorted(shown)]
+    feasible = _sort_by_total(candidates, [host for host in weighed if not host.rejections])
+    return next((host for host in feasible if host.place != chosen), None)
+
+
+def find_best_besides(candidates: CandidateSet, others: Sequence[int]) -> int | None:
+    """The first feasible place with the greatest total that is not among ``others``; None: there is none."""
+    totals = candidates.totals.copy()
+    for place in others:
+        totals[place] = EXCLUDED_TOTAL
+    top = max(totals, default=EXCLUDED_TOTAL)
+    return totals.index(top) if is_feasible_total(top) else None
+
+
+def _is_full(candidates: CandidateSet) -> bool:
+    """Whether the ranking holds every host."""
+    return len(candidates.listed) <= MAX_FULL_RANKING or candidates.context.policy.full
+
+
+def _keep_best(candidates: CandidateSet, places: Sequence[int], chosen: int | None) -> set[int]:
+    """Those of ``places``, which hold the best, that a short ranking shows."""
+    best = sorted(places, key=candidates.totals.__getitem__, reverse=True)
+    return {*best[:SHORT_RANKING], *(place for place in best if place in (chosen, candidates.incumbent))}
+
+
 def _select_shown_places(
     candidates: CandidateSet, chosen: int | None
 ) -> tuple[Sequence[int], dict[str, int]]:
     """The places that the ranking holds, and how many rejected ones it leaves out, by rule."""
-    if len(candidates.listed) <= MAX_FULL_RANKING or candidates.context.policy.full:
+    if _is_full(candidates):
         return candidates.listed, {}
     totals = candidates.totals
     best = sorted(candidates.listed, key=totals.__getitem__, reverse=True)
@@ -59,7 +97,8 @@ def _select_shown_places(
     return sorted(kept), dict(sorted(rules.items()))
 
 
-def _score_place(candidates: CandidateSet, place: int) -> ScoredPlace:
+def score_place(candidates: CandidateSet, place: int) -> ScoredPlace:
+    """The reference terms, total and rejections of one place that a ranking lists."""
     denied = candidates.denied.get(place)
     if denied is not None:
         return ScoredPlace(place, None, _NO_TERMS, (denied,))
@@ -97,11 +136,7 @@ def _sort_by_total(candidates: CandidateSet, hosts: list[ScoredPlace]) -> list[S
 
 def _compute_rank(candidates: CandidateSet, host: ScoredPlace, position: int) -> int:
     """The position; an incumbent kept below a shortened ranking gets the position that it has among all."""
-    if (
-        position <= SHORT_RANKING
-        or len(candidates.listed) <= MAX_FULL_RANKING
-        or candidates.context.policy.full
-    ):
+    if position <= SHORT_RANKING or _is_full(candidates):
         return position
     return max(
         position, 1 + sum(total > candidates.totals[host.place] + EPSILON for total in candidates.totals)

@@ -51,7 +51,7 @@ def repair_plan(plan: UnrepairedPlan) -> dict[str, Choice]:
     wanted = _list_wanted(plan)
     if not wanted:
         return {}
-    packing = _build_packing(plan)
+    packing, columns = _build_packing(plan), _list_link_columns(plan)
     work = MAX_WORK
     causes: dict[str, str] = {}
     bounded = _has_absolute_demands(plan)
@@ -61,7 +61,7 @@ def repair_plan(plan: UnrepairedPlan) -> dict[str, Choice]:
             continue
         packing.work = share = min(work, max(MIN_WORK, MAX_WORK // len(wanted)))
         before = dict(packing.at)
-        item = _build_item(plan, task)
+        item = _build_item(plan, columns, task)
         possible = not bounded or _has_room_in_sum(plan, packing, task)
         if (possible and place_item(packing, item)) or (task.preempt and preempt_for_item(packing, item)):
             located.add(task.name)
@@ -161,15 +161,20 @@ def _build_packing(plan: UnrepairedPlan) -> Packing:
         if task.name in plan.placed and task.name not in plan.initial.running
         for need in task.needs
     }
-    items = {task.name: _build_item(plan, task, needed) for task in plan.order if task.name in plan.placed}
+    columns = _list_link_columns(plan)
+    items = {
+        task.name: _build_item(plan, columns, task, needed) for task in plan.order if task.name in plan.placed
+    }
     at = {name: plan.placed[name][0] for name in items}
     for name, place in at.items():
         on[place].append(name)
     return Packing(free=rows, items=items, at=at, home=dict(at), on=on, work=0, moves_left=plan.moves_left)
 
 
-def _build_item(plan: UnrepairedPlan, task: Task, needed: Collection[str] = ()) -> Item:
-    """``needed``: tasks that others need which this plan starts."""
+def _build_item(
+    plan: UnrepairedPlan, columns: Mapping[str, int], task: Task, needed: Collection[str] = ()
+) -> Item:
+    """``columns``: of the link to each robot; ``needed``: tasks that others need which this plan starts."""
     running = plan.initial.running.get(task.name)
     place = plan.placed[task.name][0] if task.name in plan.placed else None
     runs = running is not None and running.place == place
@@ -177,7 +182,7 @@ def _build_item(plan: UnrepairedPlan, task: Task, needed: Collection[str] = ()) 
     return Item(
         name=task.name,
         places=list_allowed_places(plan.context, task, place),
-        measure=partial(_measure_shares, plan, task),
+        measure=partial(_measure_shares, plan, columns, task),
         priority=task.priority,
         runs=runs,
         movable=task.hosts.pin is None and not held,
@@ -197,7 +202,7 @@ def _list_link_columns(plan: UnrepairedPlan) -> dict[str, int]:
     return {robot: len(HOST_RESOURCES) + index for index, robot in enumerate(plan.ledger.free_links)}
 
 
-def _measure_shares(plan: UnrepairedPlan, task: Task, place: int) -> Shares:
+def _measure_shares(plan: UnrepairedPlan, columns: Mapping[str, int], task: Task, place: int) -> Shares:
     """Load / Delta of ``task`` at ``place``.
 
     Without capacity or link infinite, but 0 where the task is: nothing is released by its leaving.
@@ -212,7 +217,6 @@ def _measure_shares(plan: UnrepairedPlan, task: Task, place: int) -> Shares:
         for column, (name, amount) in enumerate(use.used.items())
     }
     if place < fleet.edges:
-        columns = _list_link_columns(plan)
         for robot in (*task.robots, *use.links):
             capacity = fleet.links[robot][place] if robot in fleet.links else None
             shares[columns.get(robot, -1)] = _compute_share(use.links.get(robot, 0.0), capacity or 0.0, none)

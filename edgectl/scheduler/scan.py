@@ -13,7 +13,7 @@ from edgectl.model.policy import Weights
 from edgectl.model.resource import HOST_RESOURCES, NETWORK
 from edgectl.model.task import ZERO, Quantity, Task
 from edgectl.scheduler.capacities import Capacities
-from edgectl.scheduler.demand import list_edge_demands
+from edgectl.scheduler.demand import list_edge_amounts
 from edgectl.scheduler.ledger import NO_FREE_SHARE, Ledger
 from edgectl.scheduler.utility import EPSILON
 
@@ -21,6 +21,9 @@ Row = Sequence[float]
 # Taken off the total of a place where the task does not fit, so that one row says both.
 INFEASIBLE_PENALTY = 1e6
 EXCLUDED_TOTAL = float("-inf")
+# Shares that one cache of `DemandShares` holds: some 20 MiB.
+MAX_CACHED_SHARES = 500_000
+_HOST_NAMES = tuple(resource.name for resource in HOST_RESOURCES)
 
 
 def is_feasible_total(total: float) -> bool:
@@ -33,18 +36,19 @@ class DemandShares:
     """Demands as shares of capacity, filled as they are first asked for.
 
     Rho is what is stated or learned from history; d is at least what a running task was measured to use (ADR
-    0060). ``rows`` is keyed by resource and quantity, of which a fleet has few; by the task's name where
-    history decides, for there the demand may differ from edge to edge. ``weighted`` is keyed by all of a
-    task's quantities. ``links`` and ``inverse_links`` are of the links to one robot.
+    0060). ``rows`` is keyed by resource and quantity, of which a fleet has few; by the quantities of each
+    class of hosts where history decides. ``weighted`` is keyed by all of a task's quantities. ``links`` and
+    ``inverse_links`` are of the links to one robot. All but the last forget what they hold when they are full
+    (`MAX_CACHED_SHARES`): with a history of its own every task has other quantities.
     """
 
     fleet: Capacities
     ones: list[float]
     zeros: list[float]
-    rows: dict[tuple[str, Quantity | str], list[float]] = field(default_factory=dict)
-    weighted: dict[tuple[Quantity | None, ...] | str, list[float]] = field(default_factory=dict)
+    rows: dict[object, list[float]] = field(default_factory=dict)
+    weighted: dict[object, list[float]] = field(default_factory=dict)
     inverse_links: dict[str, list[float]] = field(default_factory=dict)
-    links: dict[tuple[str, Quantity | str], list[float]] = field(default_factory=dict)
+    links: dict[object, list[float]] = field(default_factory=dict)
 
     def of_host(self, task: Task, resource: str) -> list[float]:
         """D / Delta of a resource of hosts at every edge."""
@@ -56,30 +60,37 @@ class DemandShares:
 
     def _get_stated_row(self, task: Task, resource: str) -> list[float]:
         """Rho / Delta of a resource of hosts at every edge."""
-        quantity = task.demand[resource] or ZERO
-        measured = task.name in self.fleet.demands
-        key = resource, task.name if measured else quantity
+        key = resource, self._find_key(task, resource)
         row = self.rows.get(key)
         if row is None:
-            quantities = (
-                list_edge_demands(self.fleet, task, resource) if measured else [quantity] * self.fleet.edges
-            )
-            row = _build_share_row(quantities, self.fleet.raw[resource], self.fleet.usable[resource])
-            self.rows[key] = row
+            amounts = list_edge_amounts(self.fleet, task, resource, self.fleet.raw[resource])
+            row = _build_share_row(amounts, self.fleet.usable[resource])
+            self._keep(self.rows, key, row)
         return row
+
+    def _find_key(self, task: Task, *resources: str) -> object:
+        """Equal where rho of ``resources`` is the same at every edge."""
+        by_class = self.fleet.demands.get(task.name)
+        if by_class is None:
+            return tuple(task.demand[name] for name in resources)
+        return tuple(
+            (kind, *(demand[name] for name in resources)) for kind, demand in sorted(by_class.items())
+        )
+
+    def _keep(self, cache: dict[object, list[float]], key: object, row: list[float]) -> None:
+        if len(cache) * self.fleet.edges > MAX_CACHED_SHARES:
+            cache.clear()
+        cache[key] = row
 
     def of_weighted(self, task: Task, weights: Weights) -> list[float]:
         """Sum of weight x (d / Delta) over the resources of hosts at every edge, under one policy."""
         if task.name in self.fleet.floors:
             return self._add_weighted(task, weights)
-        key = (
-            task.name
-            if task.name in self.fleet.demands
-            else tuple(task.demand[resource.name] for resource in HOST_RESOURCES)
-        )
+        key = self._find_key(task, *_HOST_NAMES)
         row = self.weighted.get(key)
         if row is None:
-            row = self.weighted[key] = self._add_weighted(task, weights)
+            row = self._add_weighted(task, weights)
+            self._keep(self.weighted, key, row)
         return row
 
     def _add_weighted(self, task: Task, weights: Weights) -> list[float]:
@@ -100,23 +111,21 @@ class DemandShares:
 
     def _get_stated_link_row(self, task: Task, robot: str) -> list[float]:
         """Rho / Delta of every edge's link to ``robot``."""
-        quantity = task.demand[NETWORK.name] or ZERO
-        measured = task.name in self.fleet.demands
-        key = robot, task.name if measured else quantity
+        key = robot, self._find_key(task, NETWORK.name)
         row = self.links.get(key)
         if row is None:
             row = (
                 self._build_measured_link_row(task, robot)
-                if measured
-                else self._build_link_row(quantity, robot)
+                if task.name in self.fleet.demands
+                else self._build_link_row(task.demand[NETWORK.name] or ZERO, robot)
             )
-            self.links[key] = row
+            self._keep(self.links, key, row)
         return row
 
     def _build_measured_link_row(self, task: Task, robot: str) -> list[float]:
         nominal = [capacity or 0.0 for capacity in self.fleet.nominal_links[robot]]
         capacities = [capacity or 0.0 for capacity in self.fleet.links[robot]]
-        return _build_share_row(list_edge_demands(self.fleet, task, NETWORK.name), nominal, capacities)
+        return _build_share_row(list_edge_amounts(self.fleet, task, NETWORK.name, nominal), capacities)
 
     def _build_link_row(self, quantity: Quantity, robot: str) -> list[float]:
         units = self._per_nominal(robot) if quantity.relative else self._per_byte(robot)
@@ -143,16 +152,10 @@ def build_demand_shares(fleet: Capacities) -> DemandShares:
     return DemandShares(fleet=fleet, ones=[1.0] * fleet.edges, zeros=[0.0] * fleet.edges)
 
 
-def _build_share_row(quantities: Sequence[Quantity | None], raw: Row, usable: Row) -> list[float]:
-    """Each edge's quantity as a share of what is usable there.
-
-    ``raw`` is the capacity that percentages are of.
-    """
-    found = zip(quantities, raw, usable, strict=False)  # the capacities go on to the robots
-    return [
-        (quantity or ZERO).of(whole) / capacity if capacity > 0 else 0.0
-        for quantity, whole, capacity in found
-    ]
+def _build_share_row(amounts: Row, usable: Row) -> list[float]:
+    """Each edge's amount as a share of what is usable there."""
+    found = zip(amounts, usable, strict=False)  # the capacities go on to the robots
+    return [amount / capacity if capacity > 0 else 0.0 for amount, capacity in found]
 
 
 def _raise_shares(row: Row, amount: float, capacities: Sequence[float | None]) -> list[float]:

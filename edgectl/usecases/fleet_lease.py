@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from edgectl.agent.link import protocol
 from edgectl.errors import HostError, LockBusyError, WatchedError
 from edgectl.gateway.fanout import fan_out
-from edgectl.model.inventory import Host
+from edgectl.model.inventory import Host, Role
 from edgectl.model.snapshot import Snapshot
 from edgectl.names import natural_key
 from edgectl.state.failpoints import hit_failpoint
@@ -54,6 +54,9 @@ def hold_fleet(
         watch=watch,
         take_over=take_over,
         patience_s=patience_s,
+        hosts=tuple(
+            host.name for host in fleet.inventory.hosts.values() if host.role is Role.EDGE or host.onboard
+        ),
     )
     held = dataclasses.replace(fleet, lease=lease)
     try:

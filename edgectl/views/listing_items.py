@@ -54,7 +54,7 @@ class ListingItem:
     """One thing. ``path`` is unique among its kind (a task that runs twice is listed twice).
 
     ``aliases``: the words that select it on the command line. ``row`` is its line, ``wide_cells`` what
-    ``wide`` adds before the last column, ``compared`` what counts as a change.
+    ``wide`` adds before the last column, ``told`` what counts as a change.
     """
 
     path: str
@@ -62,7 +62,7 @@ class ListingItem:
     aliases: tuple[str, ...]
     row: Row
     wide_cells: Row
-    compared: tuple[object, ...]
+    told: tuple[object, ...]
     document: Document
     labels: Mapping[str, str]
 
@@ -112,7 +112,7 @@ def compare_listings(before: Listing | None, after: Listing) -> list[Change]:
     return [
         (change, item)
         for change, item in found
-        if change is ItemChange.ADDED or known[item.path].compared != item.compared
+        if change is ItemChange.ADDED or known[item.path].told != item.told
     ] + [(ItemChange.DELETED, item) for path, item in known.items() if path in left]
 
 
@@ -140,7 +140,7 @@ def _build_host_item(host: Host, value: Snapshot, extra: Row) -> ListingItem:
                 for resource in HOST_RESOURCES
             ),
         ),
-        compared=(status.text, *capacity, *extra, labels),
+        told=(status.text, *capacity, *extra, labels),
         document=encode_host_row(host.name, value, host),
         labels=host.labels,
     )
@@ -176,7 +176,7 @@ def _build_running_task_item(
             str(sample.pid or "-"),
             metrics.format_metrics(sample.metrics),
         ),
-        compared=(host, state.text, restarts, sample.instance, *_format_spec_columns(task)),
+        told=(host, state.text, restarts, sample.instance, *_format_spec_columns(task)),
         document=encode_run_row(name, host, sample, demand, value) | _encode_spec_columns(task),
         labels=_collect_task_labels(task),
     )
@@ -191,7 +191,7 @@ def _build_absent_task_item(task: Task, value: Snapshot) -> ListingItem:
         aliases=(task.name,),
         row=(Cell(task.name, "name"), known.host or "-", state, "-", "-"),
         wide_cells=(*_format_spec_columns(task), "-", "-"),
-        compared=(known.host, known.state, *_format_spec_columns(task)),
+        told=(known.host, known.state, *_format_spec_columns(task)),
         document=encode_absent_row(task, value) | _encode_spec_columns(task),
         labels=_collect_task_labels(task),
     )
@@ -247,7 +247,7 @@ def _build_link_item(edge: str, robot: str, link: LinkSample | None, value: Snap
         row=(Cell(edge, "name"), Cell(robot, "name"), capacity, source, render_capacity_age(link)),
         wide_cells=(nominal, format_rate(link.used_bytes_per_s) if link else "-", rtt),
         # A live capacity is a measurement: its changes are none of the link.
-        compared=(nominal, "live" if is_live else source.text),
+        told=(nominal, "live" if is_live else source.text),
         document={
             "edge": edge,
             "robot": robot,

@@ -10,6 +10,7 @@ from edgectl.model.resource import HOST_RESOURCES
 from edgectl.model.snapshot import HostSample, LinkSample, Snapshot, find_doubled_tasks
 from edgectl.names import natural_key
 from edgectl.rules.lost_places import describe_lost_place, list_lost_tasks
+from edgectl.rules.other_managers import describe_unlisted_host, list_tasks_on_unlisted_hosts
 from edgectl.units import format_instant, format_rate
 from edgectl.views.demands import list_demand_notes
 from edgectl.views.glossary import head_of_resource, list_shown_weights
@@ -293,9 +294,12 @@ def render_unreachable_hosts(value: Snapshot, names: Collection[str]) -> str:
     )
 
 
-def render_lost_tasks(value: Snapshot) -> str:
-    """The tasks whose place the inventory no longer reaches, each with the remedy."""
-    return "".join(f"{escape_unprintable(line)}\n" for line in list_lost_task_notes(value))
+def render_lost_tasks(value: Plan) -> str:
+    """The tasks whose place the inventory no longer reaches, or may not know, each with the remedy."""
+    unlisted = list_tasks_on_unlisted_hosts(value)
+    lines = [f"{task} {describe_unlisted_host(host)}" for task, host in unlisted.items()]
+    lines = [*list_lost_task_notes(value.snapshot), *lines]
+    return "".join(f"{escape_unprintable(line)}\n" for line in lines)
 
 
 def render_unplaced_tasks(value: Plan) -> str:

@@ -7,6 +7,7 @@ from edgectl.model.assignment import Decision, RankedHost, Reason, Rejection, Re
 from edgectl.model.plan import Action, Step
 from edgectl.model.resource import Resource
 from edgectl.rules.lost_places import describe_lost_place, get_lost_place
+from edgectl.rules.other_managers import describe_unlisted_host
 from edgectl.units import format_duration
 
 # Names in a sentence.
@@ -234,6 +235,7 @@ _REASON_DESCRIBERS: dict[Reason, Callable[[Step], str]] = {
         f"may run on {step.decision.subject}, which does not answer: another manager has acted since all "
         f"hosts were last seen; edgectl fence {step.decision.subject} if it is off"
     ),
+    Reason.HOST_UNLISTED: lambda step: describe_unlisted_host(step.decision.subject or "a host"),
     Reason.ROBOT_SILENT: _describe_silent_host,
     Reason.HOST_LEFT: _describe_left_host,
     Reason.HOST_READDRESSED: _describe_left_host,

@@ -13,6 +13,7 @@ from edgectl.model.resource import CPU
 from edgectl.model.result import ActionResult, Outcome
 from edgectl.model.snapshot import HostSample, Snapshot, find_doubled_tasks
 from edgectl.rules.lost_places import describe_lost_place, list_lost_tasks
+from edgectl.rules.other_managers import describe_unlisted_host, list_tasks_on_unlisted_hosts
 from edgectl.units import format_instant
 from edgectl.views.events import encode_event
 from edgectl.views.glossary import list_shown_weights
@@ -83,6 +84,8 @@ def _describe_health(cycle: Cycle) -> str | None:
     parts = [f"{name} does not answer" for name in seen.silent_hosts]
     parts += [f"{task} runs on {join_words(hosts)}" for task, hosts in find_doubled_tasks(seen).items()]
     parts += [f"{task} {describe_lost_place(place)}" for task, place in list_lost_tasks(seen).items()]
+    unlisted = list_tasks_on_unlisted_hosts(cycle.plan)
+    parts += [f"{task} {describe_unlisted_host(host)}" for task, host in unlisted.items()]
     return ", ".join([*parts, *(f"{task} is given up" for task in given_up)])
 
 

@@ -69,12 +69,12 @@ def build_fleet(hosts: int, tasks: int) -> tuple[Inventory, Tasks, Snapshot]:
 
 
 def add_measured_demand(work: Tasks) -> tuple[Tasks, ManagerState]:
-    """Replace declared demands by measured ones, on all three classes of hosts."""
+    """Replace declared demands by measured ones, on all three classes of hosts; no two tasks are alike."""
     measured = {
         (task.name, kind): MeasuredDemand(
-            samples=412, span_s=900.0, used={"cpu": (task.demand["cpu"] or ZERO).value, "memory": (task.demand["memory"] or ZERO).value, "network": (task.demand["network"] or ZERO).value},
+            samples=412, span_s=900.0, used={name: (quantity or ZERO).value * (1.0 + 1e-6 * number) for name, quantity in task.demand.items()},
         )
-        for task in work.tasks.values()
+        for number, task in enumerate(work.tasks.values())
         for kind in ("4c-4Gi", "8c-8Gi", "12c-12Gi")
     }  # fmt: skip
     silent = {name: replace(task, demand=Demand()) for name, task in work.tasks.items()}

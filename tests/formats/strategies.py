@@ -134,6 +134,7 @@ hosts = st.builds(
     foreign_tasks=st.lists(other_tasks, max_size=2).map(tuple),
     grant=counts,
     foreign_grant=counts,
+    foreign_hosts=st.lists(texts, max_size=2).map(tuple),
 ) | st.builds(
     HostSample,
     role=st.sampled_from(Role),

@@ -16,7 +16,7 @@ from edgectl.scheduler.demand import add_measured_demands
 from edgectl.scheduler.ledger import build_measured_ledger
 from edgectl.scheduler.move_cost import collect_handoff_history
 from edgectl.scheduler.policies import POLICIES
-from edgectl.scheduler.scan import EXCLUDED_TOTAL, build_demand_shares, is_feasible_total
+from edgectl.scheduler.scan import EXCLUDED_TOTAL, MAX_CACHED_SHARES, build_demand_shares, is_feasible_total
 from edgectl.scheduler.task_usage import TaskUsage
 from tests.builders import (
     GI,
@@ -96,6 +96,25 @@ def test_the_scan_agrees_with_the_reference(seed: int) -> None:
         assert is_feasible_total(view.totals[place]) == (not rejections)
         if not rejections:
             assert view.totals[place] == pytest.approx(total, abs=1e-12)
+
+
+def test_histories_that_all_differ_do_not_fill_the_memory() -> None:
+    edges = [f"edge{number}" for number in range(1000)]
+    tasks = some_tasks(*(a_task(f"task{number}", cpu=None) for number in range(600)))
+    memory = ManagerState(
+        measured={
+            (name, "4c-4Gi"): MeasuredDemand(samples=60, span_s=300.0, used={"cpu": 1.0 + number / 1000})
+            for number, name in enumerate(tasks.tasks)
+        }
+    )
+    snapshot = a_snapshot(dict.fromkeys(edges, a_sample()))
+    fleet = add_measured_demands(
+        build_capacities(an_inventory(*map(an_edge, edges)), snapshot, memory, frozenset()), tasks, memory
+    )
+    shares = build_demand_shares(fleet)
+    for number, task in enumerate(tasks.tasks.values()):
+        assert shares.of_host(task, "cpu")[0] == (1.0 + number / 1000) / 4.0
+        assert len(shares.rows) * len(edges) <= MAX_CACHED_SHARES + len(edges)
 
 
 HUNDRED = [f"edge{n}" for n in range(1, 101)]

@@ -153,7 +153,7 @@ def build_probe_spec(request: Document) -> Document:
     the agent.
     """
     return {
-        "agent": os.path.basename(getattr(sys.modules[__name__].__loader__, "root", "")),
+        "agent": getattr(sys.modules[__name__].__loader__, "sha", ""),
         "links": _list_addresses(request.get("links")),
         "peers": _list_addresses(request.get("peers")),
         "detect": {

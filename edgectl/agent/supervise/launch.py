@@ -204,11 +204,14 @@ def _exec_agent(argv: "list[str]", env: "dict[str, str]", source: int, report: i
 def _build_packet(request: Document) -> bytes:
     """Build a request to this very agent, which the host caches under its hash."""
     loader: "Any" = sys.modules[__name__].__loader__
-    boot = loader.files[os.path.join(loader.root, "edgectl_agent", "link", "boot.py")]
+    sources = loader.read_sources()
+    programs = b"".join(
+        b"%d\n%s" % (len(text), text)
+        for text in (sources["edgectl_agent/link/" + name] for name in ("stub.py", "boot.py"))
+    )
     body = fast_json.dumps(request).encode("ascii")
-    sha = os.path.basename(os.path.dirname(loader.root))
-    head = "%032x %s %d 0 0 %s\n" % (0, sha, len(body), loader.key)
-    return b"%d\n%s%s%s" % (len(boot), boot, head.encode("ascii"), body)
+    head = "%032x %s %d 0 0 %s %s\n" % (0, loader.sha, len(body), loader.key, request["op"])
+    return programs + head.encode("ascii") + body
 
 
 def _feed_pipe(fd: int, data: bytes) -> None:

@@ -7,6 +7,7 @@ another manager is answered, and the epoch in it only grows.
 import fcntl
 import os
 import time
+import zlib
 
 from ..link import protocol
 from ..link.boot import check_private_dir, make_private_dir
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
     from typing import Callable
 
 _RECORD, _NOTE, _LOCK, _STARTS = protocol.LEASE_FILE, "watch", "lease.lock", "lease.starts"
+# One file for each manager that was granted the fleet; of more than these the host keeps the last ones.
+_LISTINGS, _MAX_LISTINGS = "manager-", 8
 # Writers of the record hold its lock for milliseconds. A start lasts until its supervisor has reported.
 _WRITE_S, _START_S, _POLL_S = 5.0, 6.0, 0.02
 
@@ -57,8 +60,53 @@ def _answer_claim(base: str, claim: Document, *, write: bool = False) -> "tuple[
         records.write_record(os.path.join(base, _RECORD), granted, durable=durable)
         if claim.get("watch"):
             records.write_record(os.path.join(base, _NOTE), lease_rules.build_note(claim, now, boot))
+        _keep_listing(base, claim)
     watch = lease_rules.describe_watch(note, now, boot)
     return {"state": "granted", "epoch": granted["epoch"], "watch": watch or None}, new
+
+
+def _keep_listing(base: str, claim: Document) -> None:
+    """Keep which hosts the manager has. A full disk or a list that is too long is no reason to refuse."""
+    path = os.path.join(base, "%s%08x" % (_LISTINGS, zlib.crc32(str(claim["holder"]).encode())))
+    old = records.read_record(path)
+    new = lease_rules.build_listing(old, claim)
+    if new == old:
+        return
+    others = sorted(
+        (each for each in _list_listings([base]) if each != path), key=os.path.getmtime, reverse=True
+    )
+    try:
+        for each in others[_MAX_LISTINGS - 1 :]:
+            os.unlink(each)
+        records.write_record(path, new, durable=True)
+    except (OSError, ValueError):
+        pass
+
+
+def _list_listings(folders: "list[str]") -> "list[str]":
+    return [
+        os.path.join(folder, name)
+        for folder in folders
+        for name in (os.listdir(folder) if os.path.isdir(folder) else ())
+        if name.startswith(_LISTINGS)
+    ]
+
+
+def read_grants(holder: str) -> Document:
+    """To whom this host granted the fleet last, and the hosts of other managers than ``holder``.
+
+    By it, a manager sees that others have acted, and where.
+    """
+    folders = [levels[-1] for levels in _list_fleet_dirs()]
+    found = [records.read_record(os.path.join(folder, _RECORD)) for folder in folders]
+    newest = max(found, key=lambda each: each.get("epoch", 0), default={})
+    listings = [records.read_record(path) for path in _list_listings(folders)]
+    grants = {
+        "holder": newest.get("holder", ""),
+        "epoch": newest.get("epoch", 0),
+        "other_epoch": newest.get("other_epoch", 0),
+    }
+    return dict(grants, **lease_rules.merge_listings(listings, holder))
 
 
 def serve_lease(request: Document) -> Document:

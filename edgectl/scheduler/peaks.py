@@ -1,0 +1,75 @@
+"""Bounds that show at a glance that a running task stays: no host can beat its own by the margin (ADR 0075).
+
+A pass that repeats a plan asks this for every task, and nearly always the answer is yes.
+"""
+
+from dataclasses import dataclass, field
+
+from edgectl.model.resource import AFFINITY, NETWORK, RESOURCES
+from edgectl.scheduler.candidates import CandidateSet, terms_at
+from edgectl.scheduler.ledger import NO_FREE_SHARE
+from edgectl.scheduler.utility import compute_affinity
+
+
+@dataclass(slots=True, kw_only=True)
+class LoadPeaks:
+    """The most that is free on any edge, valid while no task has left its place in the pass.
+
+    ``weighted``: the greatest ``Ledger.weigh_free``; ``links``: the greatest free share of a link, by robot.
+    Each is found when first asked for. ``valid``: False once a task has left.
+    """
+
+    weighted: float | None = None
+    links: dict[str, float] = field(default_factory=dict)
+    valid: bool = True
+
+
+def stays_in_place(candidates: CandidateSet, peaks: LoadPeaks) -> bool:
+    """Whether the task is certain to stay by policy utility: its host is feasible, and no other total can be
+    greater by more than ``move_margin``.
+
+    ``candidates`` need no totals. False says nothing.
+    """
+    here, context = candidates.incumbent, candidates.context
+    if (
+        not peaks.valid
+        or here is None
+        or here in candidates.denied
+        or candidates.task.name in context.handoffs.downtimes
+    ):
+        return False
+    terms, total, rejections = terms_at(candidates, here)
+    if total is None or rejections or min(terms[resource.name] or 0.0 for resource in RESOURCES) < 0.0:
+        return False
+    return _bound_best_total(candidates, peaks, here) - total <= context.policy.move_margin
+
+
+def _bound_best_total(candidates: CandidateSet, peaks: LoadPeaks, here: int) -> float:
+    """No total of a place besides ``here`` is greater: the demand is left out, which only lowers it."""
+    context, ledger = candidates.context, candidates.ledger
+    weights, edges = context.policy.weights, context.fleet.edges
+    free = ledger.weigh_free(weights)
+    if peaks.weighted is None:
+        peaks.weighted = max(free[:edges], default=NO_FREE_SHARE)
+    far = candidates.utilities.get(-len(candidates.located), 0.0)
+    links = min((_find_link_peak(candidates, peaks, robot) for robot in candidates.task.robots), default=1.0)
+    bounds = [peaks.weighted + weights[NETWORK.name] * links + weights[AFFINITY] * far]
+    for place in {*candidates.located} - {here}:
+        if place < edges and place not in candidates.denied:
+            utility = candidates.utilities[compute_affinity(candidates.located, place)]
+            link = min(
+                (ledger.free_links[robot][place] for robot in candidates.task.robots if robot in peaks.links),
+                default=1.0,
+            )
+            bounds.append(free[place] + weights[NETWORK.name] * link + weights[AFFINITY] * utility)
+    robots = (place for place in candidates.robots if place != here and place not in candidates.denied)
+    bounds.extend(terms_at(candidates, place)[1] or 0.0 for place in robots)
+    return max(bounds)
+
+
+def _find_link_peak(candidates: CandidateSet, peaks: LoadPeaks, robot: str) -> float:
+    peak = peaks.links.get(robot)
+    if peak is None:
+        peak = max(candidates.ledger.free_links.get(robot, ()), default=NO_FREE_SHARE)
+        peaks.links[robot] = peak
+    return peak
