@@ -159,6 +159,13 @@ class DetectRule:
     ros_node: str | None = None
 
 
+class NothingFits(StrEnum):
+    """What a task does for which no host has room: wait for it, or run on the best host all the same."""
+
+    WAIT = "wait"
+    BEST_EFFORT = "best-effort"
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TaskLimits:
     """Caps that the runtime enforces where it can: cores and bytes. None: no cap."""
@@ -189,6 +196,7 @@ class Task:
     of a label over whose values the tasks of its entry are shared out evenly. ``group``: tasks that are only
     started all together. ``up``: without
     ``ready``, how long (s) the command must have run until it counts as ready; None: the default.
+    ``if_nothing_fits``: what it does where no host has room, as ``Policy.best_effort`` for all tasks.
     ``downtime_cost``: utility lost per second of downtime, 0 or more; weighed once downtimes are measured.
     ``file``: the task file that lists it (ADR 0039); it is no part of any digest.
     """
@@ -206,6 +214,7 @@ class Task:
     together: tuple[str, ...] = ()
     spread: str | None = None
     group: str | None = None
+    if_nothing_fits: NothingFits = NothingFits.WAIT
     deadline: float | None = None
     hosts: HostRules = HostRules()
     onboard: OnboardRule = OnboardRule.ALLOW

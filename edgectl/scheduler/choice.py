@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 from edgectl.model.assignment import MoveCost, Reason, RejectionRule, Verdict
 from edgectl.model.resource import HOST_RESOURCES
+from edgectl.model.task import NothingFits
 from edgectl.scheduler.candidates import CandidateSet, find_excess
 from edgectl.scheduler.feasibility import compute_resource_terms
 from edgectl.scheduler.ledger import NO_FREE_SHARE
@@ -233,7 +234,9 @@ def _weigh_voluntary_move(
 
 
 def choose_when_nothing_fits(candidates: CandidateSet) -> Choice:
-    """No feasible place: the nearest miss, or under ``best_effort`` the highest total all the same."""
+    """No feasible place: the nearest miss; under ``best_effort``, of the policy or of the task, the highest
+    total all the same.
+    """
     if len(candidates.denied) == len(candidates.listed):
         between = any(entry.rule in _RULES_BETWEEN_TASKS for entry in candidates.denied.values())
         reason = Reason.NO_FEASIBLE_HOST if between else Reason.NO_CANDIDATE
@@ -241,7 +244,7 @@ def choose_when_nothing_fits(candidates: CandidateSet) -> Choice:
     lacking = _compute_shortfalls(candidates)
     if not lacking:
         return Choice(verdict=Verdict.UNPLACED, reason=Reason.NO_FEASIBLE_HOST)
-    if candidates.context.policy.best_effort:
+    if candidates.context.policy.best_effort or candidates.task.if_nothing_fits is NothingFits.BEST_EFFORT:
         top = max(candidates.totals[place] for place in lacking)
         tied = [place for place in lacking if candidates.totals[place] >= top - EPSILON]
         place = order_tied_places(candidates, tied)[0]

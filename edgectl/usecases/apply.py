@@ -43,7 +43,8 @@ def plan_and_apply(
     """
     options = options or ApplyOptions()
     with lock_fleet(fleet, "apply", options) as held:
-        plan = options.choose(_plan_with_recheck(held, policy, options))
+        probe = dataclasses.replace(options.probe or ProbeOptions(), probe_idle_links=True)
+        plan = options.choose(_plan_with_recheck(held, policy, dataclasses.replace(options, probe=probe)))
         return confirm_and_execute(held, plan, confirm, options)
 
 

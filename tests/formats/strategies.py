@@ -63,6 +63,8 @@ links = st.builds(
     used_bytes_per_s=amounts,
     rtt_ms=optional_of(amounts),
     capacity_source=st.sampled_from(CapacitySource),
+    capacity_age_s=optional_of(amounts),
+    nominal=optional_of(amounts),
 )
 task_samples = st.builds(
     TaskSample,

@@ -45,7 +45,12 @@ from edgectl.model.snapshot import (
 )
 
 LINK = LinkSample(
-    capacity_bytes_per_s=1.0, used_bytes_per_s=2.0, rtt_ms=3.0, capacity_source=CapacitySource.NIC
+    capacity_bytes_per_s=1.0,
+    used_bytes_per_s=2.0,
+    rtt_ms=3.0,
+    capacity_source=CapacitySource.NIC,
+    capacity_age_s=4.0,
+    nominal=5.0,
 )
 TASK = TaskSample(
     state=TaskState.FAILED, pid=1, started_at=2.0, used=Usage(cpu=3.0, memory=4.0, network=5.0), links={"r": 6.0}, instance="i",
