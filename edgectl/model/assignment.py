@@ -28,6 +28,9 @@ class RejectionRule(StrEnum):
     NO_LINK = "no-link"
     NO_CAPACITY = "no-capacity"
     INSUFFICIENT = "insufficient"
+    APART = "apart"
+    TOGETHER = "together"
+    SPREAD = "spread"
 
 
 class DemandSource(StrEnum):
@@ -110,12 +113,14 @@ class Shortage:
 class Rejection:
     """One reason against one host.
 
-    The last three fields are rho, gamma and Delta in the resource's own unit.
+    ``task``: the other task that the rule is about. The last three fields are rho, gamma and Delta in the
+    resource's own unit.
     """
 
     rule: RejectionRule
     resource: Resource | None = None
     robot: str | None = None
+    task: str | None = None
     demand: Signed | None = None
     used: Signed | None = None
     capacity: Signed | None = None
@@ -174,6 +179,8 @@ class Reason(StrEnum):
     MADE_ROOM = "made-room-for"
     ROOM_MADE = "room-made"
     PREEMPTED = "preempted"
+    TOGETHER = "together-with"
+    GROUP = "group-incomplete"
     REBALANCED = "rebalanced"
     OPTIMAL = "optimal"
     REPLACED = "replaced"
@@ -288,6 +295,8 @@ class Certificate:
     many can have one, the higher priority first. ``moves``: running tasks that make room;
     ``moves_bound``: so many must. ``utility_sum``: sum of all totals at the loads after the plan;
     ``utility_sum_bound``: its maximum with so many tasks placed and moves, None where it is not known.
+    ``relaxed``: there are rules between tasks, and the bounds are those without them. ``withheld``: tasks of
+    incomplete groups, which all figures leave out.
     """
 
     wanted: int
@@ -297,10 +306,16 @@ class Certificate:
     moves_bound: int
     utility_sum: Signed
     utility_sum_bound: Signed | None = field(default=None, metadata=_WRITTEN)
+    relaxed: bool = False
+    withheld: int = 0
 
     def describe(self) -> str:
         """What was reached, and what is proven, in one line."""
-        parts = self._describe_placed(), self._describe_moves(), self._describe_sum()
+        parts = [self._describe_placed(), self._describe_moves(), self._describe_sum()]
+        if self.withheld:
+            parts.append(f"without {self.withheld} tasks of incomplete groups")
+        if self.relaxed:
+            parts.append("all bounds are without the rules between tasks")
         return "; ".join(part for part in parts if part)
 
     def _describe_placed(self) -> str:

@@ -105,13 +105,14 @@ def find_optimum(plain: UnrepairedPlan, known: UnrepairedPlan, solve: Solver) ->
 def certify(found: PlanValue, wanted: int, optimum: Optimum) -> Certificate:
     """The certificate of a plan."""
     bounds = optimum.bounds
-    bound = bounds.utility if found.moves <= bounds.most_moves else None
+    as_many = sum(found.placed) >= len(optimum.places)  # else no bound is of plans that place so few
+    bound = bounds.utility if as_many and found.moves <= bounds.most_moves else None
     return Certificate(
         wanted=wanted,
         placed=sum(found.placed),
         placed_bound=max(bounds.placed, sum(found.placed)),
         moves=found.moves,
-        moves_bound=min(bounds.moves, found.moves),
+        moves_bound=min(bounds.moves, found.moves) if as_many else 0,
         utility_sum=found.utility,
         utility_sum_bound=None if bound is None else max(bound, found.utility),
     )
@@ -212,7 +213,7 @@ def _place_by_priority(
             count_placed_tasks(model, priority)
             model.start_from(found)
             solution = solve(model.program, _FIRST_SHARE)
-            high = min(high, int(solution.bound + TOLERANCE)) if solution.bound < inf else high
+            high = min(high, int(solution.bound + TOLERANCE)) if abs(solution.bound) < inf else high
             if solution.values is not None:
                 other = model.read_places(solution.values)
                 if sum(name in other for name in names) > low:
@@ -256,12 +257,19 @@ def _raise_utility(
     )
     if any(problem.free[place][column] < NO_FREE_SHARE / 2 for place, column in charged):
         return places, None  # a host or link without capacity: its share is no number to add up
-    bound = bound_alone(problem)
+    spreading = all(weight >= 0.0 for weight in problem.weights.values())
+    if not spreading and any(len(item.links) > 1 for item in problem.items):
+        return places, None  # the program counts the first link; the worst may be the better one here
+    bound = bound_alone(problem) if spreading else inf  # else other tasks make a host better
     model = build_model(problem, required)
     if not sum_utilities(model):
-        return places, bound
+        return places, _keep_finite(bound)
     model.start_from(places)
     solution = solve(model.program, _LAST_SHARE)
     if solution.values is not None:
         places = model.read_places(solution.values)
-    return places, min(bound, solution.bound)
+    return places, _keep_finite(min(bound, solution.bound))
+
+
+def _keep_finite(bound: float) -> float | None:
+    return bound if abs(bound) < inf else None

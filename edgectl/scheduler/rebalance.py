@@ -6,7 +6,7 @@ from math import inf
 
 from edgectl.model.policy import Weights
 from edgectl.model.resource import AFFINITY, HOST_RESOURCES, NETWORK
-from edgectl.scheduler.packing import Item, Packing, Shares
+from edgectl.scheduler.packing import Item, Packing, Shares, keeps_limits
 from edgectl.scheduler.utility import EPSILON, compute_affinity, task_utilities
 
 # Relocations and swaps that are weighed: some 0.1 s.
@@ -193,7 +193,8 @@ def _relocate(search: _Search, name: str) -> bool:
         if place == here:
             continue
         gain = leaving + free[place] - (len(on[place]) + 1) * rates[place]
-        if gain + search.objective.weights[NETWORK.name] > EPSILON:  # a link adds no more than its weight
+        weight = search.objective.weights[NETWORK.name]
+        if weight < 0.0 or gain + weight > EPSILON:  # a link adds no more than its weight
             gain += _value_link(search, part, place)
             if gain > EPSILON and _take_gain(search, {name: place}, gain):
                 return True
@@ -374,7 +375,7 @@ def _weigh_links_at(search: _Search, place: int, comes: Sequence[str], leaves: S
 
 
 def _fits_all(packing: Packing, goals: Mapping[str, int]) -> bool:
-    """Whether each of ``goals`` has room for its item once the others have left."""
+    """Whether each of ``goals`` has room for its item once the others have left, and may take it."""
     leaving: dict[int, Shares] = {
         packing.at[name]: packing.measure(packing.items[name], packing.at[name]) for name in goals
     }
@@ -383,7 +384,7 @@ def _fits_all(packing: Packing, goals: Mapping[str, int]) -> bool:
         for column, share in packing.measure(packing.items[name], goal).items():
             if row[column] + freed.get(column, 0.0) - share < -EPSILON:
                 return False
-    return True
+    return keeps_limits(packing, goals)
 
 
 def _move(search: _Search, goals: Mapping[str, int]) -> None:
