@@ -40,7 +40,9 @@ def a_robot(name: str = "robot1", **fields: object) -> Host:
     return replace(Host(name=name, role=Role.ROBOT, host=f"{name}.lab"), **fields)  # type: ignore[arg-type]
 
 
-def an_inventory(*hosts: Host, links: Mapping[tuple[str, str], float] | None = None) -> Inventory:
+def an_inventory(
+    *hosts: Host, links: Mapping[tuple[str, str], float] | None = None, probe_links: bool = True
+) -> Inventory:
     """The fleet, in natural order of names."""
     ordered = sorted(hosts, key=lambda host: natural_key(host.name))
     return Inventory(
@@ -48,6 +50,7 @@ def an_inventory(*hosts: Host, links: Mapping[tuple[str, str], float] | None = N
         links=links or {},
         digest="inventory-digest",
         is_fleet_named=True,
+        probe_links=probe_links,
     )
 
 

@@ -26,7 +26,7 @@ ALLOWED = {
     "executor": PURE | {"rules", "transport", "state"},
     "export": PURE | {"state", "formats"},
     "experiments": PURE
-    | {"cli", "config", "executor", "formats", "gateway", "scheduler", "state", "usecases", "views"},
+    | {"cli", "config", "executor", "formats", "gateway", "rules", "scheduler", "state", "usecases", "views"},
     "usecases": PURE
     | {
         "config",
@@ -118,6 +118,7 @@ WING_DOORS = {
     "model": set(),
     "files": {"config", "formats", "state"},
     "simulator": {"scheduler", "executor"},
+    "simulator_state": {"rules"},
     "replay": {"scheduler"},
     "recorded_snapshots": {"usecases"},
     "runner": {"executor", "gateway", "state", "usecases"},

@@ -143,6 +143,7 @@ LINK_KEYS: Mapping[str, NodeReader] = {
 INVENTORY_KEYS: Mapping[str, NodeReader] = {
     "version": read_version,
     "fleet": read_name,
+    "probe_links": read_bool,
     "defaults": keep_node,
     "edges": keep_node,
     "robots": keep_node,
@@ -186,7 +187,13 @@ def read_inventory(node: Node, problems: Problems) -> Inventory:
     ordered = {key: hosts[key] for key in sorted(hosts, key=natural_key)}
     links = _read_link_entries(top.at("links"), ordered, problems) if "links" in top else {}
     fleet = top.values.get("fleet") or derive_fleet_name(Path(node.mark.source.file))
-    stated = Inventory(hosts=ordered, links=links, fleet=fleet, is_fleet_named="fleet" in top.values)
+    stated = Inventory(
+        hosts=ordered,
+        links=links,
+        fleet=fleet,
+        is_fleet_named="fleet" in top.values,
+        probe_links=top.values.get("probe_links", True),
+    )
     # The digest is of the file alone: no path and no home of a user may change it.
     return replace(
         stated,

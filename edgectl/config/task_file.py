@@ -54,12 +54,13 @@ from edgectl.config.task_readers import (
     read_stop,
     read_weights,
 )
-from edgectl.model.policy import Policy, PolicyName, SequenceRule
+from edgectl.model.policy import Policy, PolicyName, Preference, SequenceRule
 from edgectl.model.task import (
     CheckLocation,
     DetectRule,
     HandoffContract,
     LogLimits,
+    NothingFits,
     OnboardRule,
     RestartPolicy,
     TaskKind,
@@ -76,6 +77,11 @@ TASK_KEYS: Mapping[str, NodeReader] = {
     "demand": read_demand,
     "priority": read_priority,
     "preempt": read_bool,
+    "apart": list_reader_with_nodes(read_name),
+    "together": list_reader_with_nodes(read_name),
+    "spread": read_text,
+    "group": read_name,
+    "if_nothing_fits": enum_reader(NothingFits),
     "deadline": read_duration,
     "hosts": read_host_rules,
     "onboard": enum_reader(OnboardRule),
@@ -105,6 +111,7 @@ POLICY_KEYS: Mapping[str, NodeReader] = {
     "move_margin": quantity_reader(parse_margin),
     "min_dwell": quantity_reader(parse_duration),
     "max_moves": read_max_moves,
+    "prefer": enum_reader(Preference),
 }
 # Keys of a task that exclude each other.
 EXCLUSIVE_KEYS = (("for_each", "robot"), ("for_each", "robots"), ("robot", "robots"))

@@ -162,7 +162,7 @@ def _usage_from_demand(task: Task, host: HostSample) -> TaskUsage:
     return TaskUsage(
         used={name: (demand[name] or ZERO).of(usage.capacity) for name, usage in host.usage.items()},
         links={
-            robot: rate.of(host.links[robot].capacity_bytes_per_s)
+            robot: rate.of(host.links[robot].nominal_bytes_per_s)
             for robot in task.robots
             if robot in host.links
         },

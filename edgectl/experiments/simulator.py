@@ -103,6 +103,10 @@ def _run_job(
         work -= speed * (state.env.now - began)
     ends[job.name] = state.env.now
     state.left[job.task] -= 1
+    if state.scenario.links:
+        integrate_loads(state)
+        state.done.add(job.name)
+        update_speeds(state)
 
 
 def _run_manager(state: SimState) -> Generator[Any, Any, None]:

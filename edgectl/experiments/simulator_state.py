@@ -1,5 +1,6 @@
 """State of a simulation: fair shares of processors and links, task speeds, usage meters, simulated probes."""
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
@@ -7,6 +8,7 @@ import simpy
 
 from edgectl.experiments.model.scenario import Scenario, SimHostUsage
 from edgectl.model.inventory import Inventory, Role
+from edgectl.model.link_reading import LinkHistory, LinkObservation, LinkSampleResult
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.policy import Policy
 from edgectl.model.resource import CPU, MEMORY, Usage
@@ -20,6 +22,7 @@ from edgectl.model.snapshot import (
     TaskState,
 )
 from edgectl.model.task import ZERO, Task, Tasks
+from edgectl.rules.live_links import add_sample, apply_live_capacities, choose_links_to_probe, observe_link
 
 
 def compute_fair_shares(capacity: float, demands: Mapping[str, float]) -> dict[str, float]:
@@ -46,6 +49,8 @@ NormalDraw = Callable[[], float]
 # Capacity of a link without one in the inventory: 54 Mbit/s, the default of the gateway.
 _DEFAULT_LINK_BYTES_PER_S = 6.75e6
 _BASE_LOAD_NAME = ""
+# Standard deviation of the logarithm of what a probe of an idle link reads.
+_PROBE_SPREAD = 0.05
 
 
 @dataclass(slots=True, kw_only=True)
@@ -75,8 +80,9 @@ class SimState:
     """The mutable state of one run.
 
     By task: ``cores`` and ``rates`` (bytes/s by robot) are its current shares, ``speeds`` its current speed,
-    0..1; ``left`` counts its unfinished jobs. ``reference``: the first edge, whose capacity scales relative
-    demands.
+    0..1; ``left`` counts its unfinished jobs. ``done``: jobs that are over, where links depend on them.
+    ``histories``: readings of links by (edge, robot). ``reference``: the first edge, whose capacity scales
+    relative demands.
     """
 
     env: simpy.Environment
@@ -94,6 +100,8 @@ class SimState:
     meters: dict[str, HostMeter] = field(default_factory=dict)
     left: dict[str, int] = field(default_factory=dict)
     manager: ManagerState = field(default_factory=lambda: ManagerState(managed=True))
+    done: set[str] = field(default_factory=set)
+    histories: dict[tuple[str, str], LinkHistory] = field(default_factory=dict)
     metered_at: float = 0.0
     handoffs: int = 0
     unplaced: int = 0
@@ -142,8 +150,17 @@ def _list_remote_robots(state: SimState, service: SimTask) -> tuple[str, ...]:
     return () if state.inventory.hosts[service.host].role is Role.ROBOT else service.task.robots
 
 
-def _get_link_bytes_per_s(state: SimState, host: str, robot: str) -> float:
+def _get_nominal_bytes_per_s(state: SimState, host: str, robot: str) -> float:
     return state.inventory.links.get((host, robot), _DEFAULT_LINK_BYTES_PER_S)
+
+
+def _get_link_bytes_per_s(state: SimState, host: str, robot: str) -> float:
+    """What the link carries now."""
+    found = _get_nominal_bytes_per_s(state, host, robot)
+    for change in state.scenario.links:
+        if (change.edge, change.robot) == (host, robot) and state.done.issuperset(change.after):
+            found = change.throughput
+    return found
 
 
 def _compute_demand_cores(state: SimState, service: SimTask) -> float:
@@ -159,7 +176,9 @@ def _compute_demand_bytes(state: SimState, service: SimTask) -> float:
 
 
 def _compute_demand_bytes_per_s(state: SimState, service: SimTask, robot: str) -> float:
-    return (service.task.demand["network"] or ZERO).of(_get_link_bytes_per_s(state, state.reference, robot))
+    return (service.task.demand["network"] or ZERO).of(
+        _get_nominal_bytes_per_s(state, state.reference, robot)
+    )
 
 
 def integrate_loads(state: SimState) -> None:
@@ -204,12 +223,47 @@ def compute_host_usage(state: SimState, host: str) -> SimHostUsage:
 
 
 def simulate_probe(state: SimState) -> Snapshot:
-    """The snapshot of a probe now, with noise on its CPU readings."""
-    return Snapshot(
+    """The snapshot of a probe now, with noise on its CPU readings and on probes of idle links."""
+    snapshot = Snapshot(
         taken_at=state.env.now,
         hosts={host: _simulate_host_sample(state, host) for host in state.scenario.hosts},
         manager=state.manager,
     )
+    return (
+        _read_live_links(state, snapshot) if state.scenario.links and state.scenario.live_links else snapshot
+    )
+
+
+def _read_live_links(state: SimState, snapshot: Snapshot) -> Snapshot:
+    """The snapshot with live capacities, by the rules of ``watch``: read from traffic, probed where idle."""
+    now = snapshot.taken_at
+    seen = {
+        (edge, robot): _observe_link(state, edge, robot, link.used_bytes_per_s)
+        for edge, sample in snapshot.hosts.items()
+        for robot, link in sample.links.items()
+    }
+    known = {
+        pair: observe_link(state.histories.get(pair, LinkHistory()), link, now) for pair, link in seen.items()
+    }
+    live = apply_live_capacities(snapshot, known, seen, now)
+    for edge, robot in choose_links_to_probe(state.inventory, live, known, seen, now):
+        known[edge, robot] = add_sample(known[edge, robot], _probe_link(state, edge, robot), None, now)
+    state.histories = known
+    return apply_live_capacities(snapshot, known, seen, now)
+
+
+def _observe_link(state: SimState, edge: str, robot: str, used: float) -> LinkObservation:
+    full = used >= _get_link_bytes_per_s(state, edge, robot) * (1 - 1e-9)
+    return LinkObservation(
+        used_bytes_per_s=used, carries_bytes_per_s=used if full else None, interface="wlan0"
+    )
+
+
+def _probe_link(state: SimState, edge: str, robot: str) -> LinkSampleResult:
+    nominal, carries = _get_nominal_bytes_per_s(state, edge, robot), _get_link_bytes_per_s(state, edge, robot)
+    if carries >= nominal:
+        return LinkSampleResult(bytes_per_s=nominal)
+    return LinkSampleResult(bytes_per_s=carries * math.exp(_PROBE_SPREAD * state.draw_normal()), full=True)
 
 
 def _simulate_host_sample(state: SimState, host: str) -> HostSample:
@@ -227,7 +281,7 @@ def _simulate_host_sample(state: SimState, host: str) -> HostSample:
         },
         links={
             robot: LinkSample(
-                capacity_bytes_per_s=_get_link_bytes_per_s(state, host, robot),
+                capacity_bytes_per_s=_get_nominal_bytes_per_s(state, host, robot),
                 used_bytes_per_s=sum(state.rates.get(name, {}).get(robot, 0.0) for name in services),
             )
             for robot in robots

@@ -8,7 +8,7 @@ from typing import Any
 from edgectl.agent.link import protocol
 from edgectl.errors import HostError, ReplyError
 from edgectl.gateway.fanout import MAX_PARALLEL_HOSTS, HostReply, ask_all
-from edgectl.gateway.host_probe import resolve_robot_addresses
+from edgectl.gateway.host_probe import resolve_addresses
 from edgectl.gateway.probe_reply import PROTOCOL_VERSION, ReplyContext, select_link_capacity
 from edgectl.gateway.replies import (
     DoctorReply,
@@ -108,7 +108,7 @@ def collect_host_facts(
     clock: Callable[[], float] = time.time,
 ) -> dict[str, HostFacts | UnreachableHost]:
     """The facts of each of ``hosts``, or the error."""
-    addresses = resolve_robot_addresses(inventory, transport, MAX_PARALLEL_HOSTS)
+    addresses = resolve_addresses(inventory.robots, transport, MAX_PARALLEL_HOSTS)
 
     def links_of(host: Host) -> Mapping[str, str]:
         return addresses if host.role is Role.EDGE else {}

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from edgectl.agent.link import protocol
 from edgectl.errors import HostError
 from edgectl.gateway.fanout import MAX_PARALLEL_HOSTS, HostAnswer, HostReply, ask_all, fan_out
+from edgectl.gateway.link_observations import LinkEnds, decode_link_ends, join_link_ends
 from edgectl.gateway.probe_reply import (
     ReplyContext,
     apply_done_tasks,
@@ -19,6 +20,7 @@ from edgectl.gateway.probe_reply import (
 )
 from edgectl.gateway.probe_request import build_probe_request, list_checked_tasks, list_detected_tasks
 from edgectl.model.inventory import Host, Inventory, Role
+from edgectl.model.link_reading import LinkObservation
 from edgectl.model.snapshot import HostSample, HostStatus, Snapshot
 from edgectl.model.task import Tasks
 from edgectl.model.text import escape_unprintable
@@ -29,9 +31,14 @@ from edgectl.transport.fleet_lease import FleetLease
 # A login costs CPU here, a sample window only time: more hosts may measure than log in at once.
 _PROBES_PER_LOGIN = 4
 HostCallback = Callable[[str, HostSample, float], None]
+LinksCallback = Callable[[Mapping[tuple[str, str], LinkObservation]], None]
 
 
 def _ignore_host(_name: str, _sample: HostSample, _seconds: float) -> None:
+    """Report nothing."""
+
+
+def _ignore_links(_links: Mapping[tuple[str, str], LinkObservation]) -> None:
     """Report nothing."""
 
 
@@ -47,7 +54,9 @@ class ProbeOptions:
     release left them on a host without an owner, the fleet adopts them.
     ``former_hosts``: names of hosts that left the inventory, whose generations each host reports too.
     ``manager_id``: the name by which hosts know this manager.
-    ``on_host`` is called as each host ends, in the caller's thread, with name, sample and seconds.
+    ``probe_idle_links``: also probe the idle links whose turn it is, for at most 0.1 s each (ADR 0077).
+    ``on_host`` is called as each host ends, in the caller's thread, with name, sample and seconds;
+    ``on_links`` once, with the links by (edge, robot).
     """
 
     timeout: float = 15.0
@@ -58,16 +67,19 @@ class ProbeOptions:
     known_tasks: Callable[[], frozenset[str]] = frozenset
     former_hosts: frozenset[str] = frozenset()
     manager_id: str = ""
+    probe_idle_links: bool = False
     on_host: HostCallback = _ignore_host
+    on_links: LinksCallback = _ignore_links
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DecodedProbe:
-    """The sample of a host, the tasks whose checks passed there, those that have no owner there, the former
-    names that it has adopted, and its names in the inventories of other managers.
+    """The sample of a host, its ends of the links, the tasks whose checks passed there, those that have no
+    owner there, the former names that it has adopted, and its names in the inventories of other managers.
     """
 
     sample: HostSample
+    links: LinkEnds
     done: frozenset[str]
     unowned: frozenset[str]
     former: frozenset[str]
@@ -79,12 +91,13 @@ _Answers = dict[str, HostAnswer[DecodedProbe]]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _ProbeContext:
-    """What every request of one probe shares. ``addresses``: of the robots, by name."""
+    """What every request of one probe shares. ``addresses``: of robots, ``edges``: of edges, by name."""
 
     inventory: Inventory
     tasks: Tasks
     transport: Transport
     addresses: Mapping[str, str]
+    edges: Mapping[str, str]
     options: ProbeOptions
     clock: Callable[[], float]
     lease: FleetLease | None
@@ -106,18 +119,25 @@ def probe_hosts(
     Hosts are in the order of the inventory; robots with ``probe: false`` are neither contacted nor included.
     """
     options = options or ProbeOptions()
+    addresses, edges = resolve_link_addresses(inventory, transport, options.workers)
     context = _ProbeContext(
         inventory=inventory,
         tasks=tasks,
         transport=transport,
-        addresses=resolve_robot_addresses(inventory, transport, options.workers),
+        addresses=addresses,
+        edges=edges,
         options=options,
         clock=clock,
         lease=lease,
     )
     answers = _ask_hosts([host for host in inventory.hosts.values() if host.probe], context)
     answers |= _adopt_and_ask_again(answers, context)
+    options.on_links(join_link_ends(_list_link_ends(answers)))
     return Snapshot(taken_at=clock(), hosts=_finalize_samples(answers, inventory))
+
+
+def _list_link_ends(answers: _Answers) -> dict[str, LinkEnds]:
+    return {name: each.value.links for name, each in answers.items() if isinstance(each.value, DecodedProbe)}
 
 
 def _ask_hosts(hosts: Sequence[Host], context: _ProbeContext) -> _Answers:
@@ -146,6 +166,7 @@ def _build_request(host: Host, context: _ProbeContext) -> dict[str, object]:
         window_s=context.options.window,
         timeout_s=context.options.timeout,
         former=context.options.former_hosts,
+        edges=context.edges,
         manager_id=context.options.manager_id,
     )
     return request if context.lease is None else {**request, "lease": context.lease.build_claim(host.name)}
@@ -157,6 +178,7 @@ def _decode_reply(reply: HostReply, context: _ProbeContext) -> DecodedProbe:
         context.lease.take_reply(host.name, document.get("lease"))
     return DecodedProbe(
         sample=decode_host_sample(document, _build_reply_context(host, context)),
+        links=decode_link_ends(document),
         done=decode_done_tasks(document, list_checked_tasks(context.tasks, host, elsewhere=True)),
         unowned=decode_unowned_tasks(document),
         former=decode_former_names(document),
@@ -299,18 +321,32 @@ def _build_reply_context(host: Host, context: _ProbeContext) -> ReplyContext:
     )
 
 
-def resolve_robot_addresses(inventory: Inventory, transport: Transport, workers: int) -> dict[str, str]:
-    """The network address of each robot; ssh_config costs a process for each, so all are resolved at once."""
-    robots = inventory.robots
-    found = dict(fan_out(lambda robot: _resolve_address(robot, transport), robots, workers=workers))
-    return {robot.name: found[position] for position, robot in enumerate(robots)}
+def resolve_link_addresses(
+    inventory: Inventory, transport: Transport, workers: int
+) -> tuple[dict[str, str], dict[str, str]]:
+    """The network addresses of the robots, and of the edges where a robot can be asked for them.
+
+    ssh_config costs a process for each host, so all are resolved at once.
+    """
+    edges = inventory.edges if any(robot.probe for robot in inventory.robots) else ()
+    found = resolve_addresses((*inventory.robots, *edges), transport, workers)
+    return (
+        {robot.name: found[robot.name] for robot in inventory.robots},
+        {edge.name: found[edge.name] for edge in edges},
+    )
 
 
-def _resolve_address(robot: Host, transport: Transport) -> str:
+def resolve_addresses(hosts: Sequence[Host], transport: Transport, workers: int) -> dict[str, str]:
+    """The network address of each of ``hosts``."""
+    found = dict(fan_out(lambda host: _resolve_address(host, transport), hosts, workers=workers))
+    return {host.name: found[position] for position, host in enumerate(hosts)}
+
+
+def _resolve_address(host: Host, transport: Transport) -> str:
     try:
-        return transport.address(robot)
+        return transport.address(host)
     except HostError:
-        return robot.host
+        return host.host
 
 
 def _build_unreachable_sample(host: Host, error: HostError) -> HostSample:

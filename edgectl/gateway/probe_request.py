@@ -20,9 +20,11 @@ def build_probe_request(
     window_s: float,
     timeout_s: float,
     former: frozenset[str] = frozenset(),
+    edges: Mapping[str, str] | None = None,
     manager_id: str = "",
 ) -> dict[str, object]:
-    """The probe request of one host; ``addresses`` are the robots' as the network knows them.
+    """The probe request of one host; ``addresses`` are the robots' and ``edges`` the edges' as the network
+    knows them.
 
     ``former``: names of hosts that left the inventory, of which this host may be one.
     ``manager_id``: the name by which hosts know this manager.
@@ -34,7 +36,7 @@ def build_probe_request(
         "fleet": host.fleet,
         "host": host.name,
         "window_s": window_s,
-        **build_probe_spec(host, tasks, addresses),
+        **build_probe_spec(host, tasks, addresses, edges),
         "checks": [
             _encode_done_check(task, task.done_when, host, inventory, longest)
             for task in tasks.tasks.values()
@@ -45,17 +47,22 @@ def build_probe_request(
     }
 
 
-def build_probe_spec(host: Host, tasks: Tasks, addresses: Mapping[str, str]) -> dict[str, object]:
-    """The links to measure on one host, and the unmanaged tasks to detect."""
-    links = (
-        [{"robot": robot, "address": address} for robot, address in addresses.items()]
-        if host.role is Role.EDGE
-        else []
-    )
+def build_probe_spec(
+    host: Host, tasks: Tasks, addresses: Mapping[str, str], edges: Mapping[str, str] | None = None
+) -> dict[str, object]:
+    """The links to measure on an edge, the edges whose connections a robot watches (``peers``), and the
+    unmanaged tasks to detect.
+    """
+    is_edge = host.role is Role.EDGE
     return {
-        "links": links,
+        "links": _encode_addresses(addresses) if is_edge else [],
+        "peers": [] if is_edge else _encode_addresses(edges or {}),
         "detect": [_encode_detect(task.name, task.detect) for task in tasks.tasks.values() if task.detect],
     }
+
+
+def _encode_addresses(addresses: Mapping[str, str]) -> list[dict[str, str]]:
+    return [{"robot": name, "address": address} for name, address in addresses.items()]
 
 
 def list_checked_tasks(tasks: Tasks, host: Host, *, elsewhere: bool = False) -> frozenset[str]:

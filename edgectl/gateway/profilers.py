@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from edgectl.agent.link import protocol
 from edgectl.errors import HostError, ReplyError
 from edgectl.gateway.fanout import MAX_PARALLEL_HOSTS, HostReply, ask_all
-from edgectl.gateway.host_probe import resolve_robot_addresses
+from edgectl.gateway.host_probe import resolve_link_addresses
 from edgectl.gateway.probe_request import build_probe_spec
 from edgectl.gateway.replies import (
     PROFILER_USAGE,
@@ -67,8 +67,8 @@ def list_profilers(
 def _make_probe_spec_builder(
     inventory: Inventory, tasks: Tasks, transport: Transport
 ) -> Callable[[Host], ProfilerRequest]:
-    addresses = resolve_robot_addresses(inventory, transport, MAX_PARALLEL_HOSTS)
-    return lambda host: build_probe_spec(host, tasks, addresses)
+    robots, edges = resolve_link_addresses(inventory, transport, MAX_PARALLEL_HOSTS)
+    return lambda host: build_probe_spec(host, tasks, robots, edges)
 
 
 def _ask_profilers(

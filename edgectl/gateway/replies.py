@@ -75,13 +75,25 @@ class InterfaceReply:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LinkReply:
-    """One link of a probe: traffic in bytes/s, round-trip time in ms."""
+    """One link of a probe: traffic in bytes/s, round-trip time in ms; the others as
+    ``model.link_reading.LinkObservation``.
+    """
 
     rx_bytes_per_s: Amount = 0.0
     tx_bytes_per_s: Amount = 0.0
     rtt_ms: Amount | None = None
     interface: Text = ""
     reachable: bool = True
+    carries_bytes_per_s: Amount | None = None
+    radio_bytes_per_s: Amount | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PeerReply:
+    """What a robot knows of its link to an edge, in bytes/s: as ``model.link_reading.LinkObservation``."""
+
+    carries_bytes_per_s: Amount | None = None
+    radio_bytes_per_s: Amount | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -144,6 +156,7 @@ class ProbeReply:
     gpu_share: Amount | None = None
     interfaces: Annotated[Mapping[Text, InterfaceReply], ALONE] = field(default_factory=dict)
     links: Annotated[Mapping[Text, LinkReply], ALONE] = field(default_factory=dict)
+    peers: Annotated[Mapping[Text, PeerReply], ALONE] = field(default_factory=dict)
     tasks: Annotated[Mapping[Text, object], ALONE] = field(default_factory=dict)
     checks: Annotated[Mapping[Text, CheckReply], ALONE] = field(default_factory=dict)
     grants: GrantsReply = GrantsReply()
@@ -300,6 +313,14 @@ class SinkReply:
 
     port: Annotated[int, Bounds(minimum=1, maximum=65535)]
     token: Text = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SampleReply:
+    """Rate of an idle link, as ``model.link_reading.LinkSampleResult``."""
+
+    bytes_per_s: Amount | None = None
+    full: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -119,6 +119,7 @@ class Inventory:
 
     ``hosts`` in natural order of names; ``links`` holds declared throughput in bytes/s by (edge, robot).
     ``fleet`` is the stated name, else one derived from the path of the file (``is_fleet_named`` tells which).
+    ``probe_links``: idle links may be probed by sending for a moment (ADR 0077).
     """
 
     hosts: Mapping[str, Host]
@@ -126,6 +127,7 @@ class Inventory:
     digest: str = ""
     fleet: str = UNNAMED_FLEET
     is_fleet_named: bool = False
+    probe_links: bool = True
 
     @property
     def edges(self) -> tuple[Host, ...]:

@@ -39,12 +39,15 @@ class TaskState(StrEnum):
 
 
 class CapacitySource(StrEnum):
-    """Source of a link's capacity, best first."""
+    """Source of a link's capacity: the nominal ones, best first, then the live ones that lower them."""
 
     DECLARED = "declared"
     MEASURED = "measured"
     NIC = "nic"
     ASSUMED = "assumed"
+    TCP = "tcp"
+    PROBE = "probe"
+    RADIO = "radio"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,6 +67,9 @@ class ResourceUsage:
 class LinkSample:
     """One edge-robot link: Delta_thp and gamma_thp in bytes/s (in plus out), round-trip time in ms where
     known.
+
+    ``capacity_age_s``: age of a live reading when the snapshot was taken. ``nominal``: the declared, measured
+    or assumed capacity in bytes/s, where the capacity is a live one.
     """
 
     capacity_bytes_per_s: float
@@ -72,6 +78,13 @@ class LinkSample:
     capacity_source: CapacitySource = field(
         default=CapacitySource.ASSUMED, metadata=in_document(required=True)
     )
+    capacity_age_s: float | None = None
+    nominal: float | None = field(default=None, metadata=in_document("nominal_bytes_per_s"))
+
+    @property
+    def nominal_bytes_per_s(self) -> float:
+        """The capacity that a share of the throughput is of, whatever the link carries now."""
+        return self.capacity_bytes_per_s if self.nominal is None else self.nominal
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

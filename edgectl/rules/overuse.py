@@ -86,7 +86,7 @@ def _list_link_pairs(
     return [
         (
             even if run.links is None else run.links.get(robot, 0.0),
-            inventory.links.get((host.name, robot), sample.links[robot].capacity_bytes_per_s),
+            inventory.links.get((host.name, robot), sample.links[robot].nominal_bytes_per_s),
         )
         for robot in task.robots
         if robot in sample.links

@@ -23,8 +23,9 @@ class Capacities:
 
     ``raw`` holds capacities by resource before limits, ``usable`` after them, one row per resource (0 without
     a sample, infinite where the host has no such limit). ``links`` holds Delta_thp by robot and edge, None
-    where the edge has no link to the robot. ``order`` is the position of each place in the natural order of
-    all names. ``closed`` says why a place takes no new work; in ``hard`` that also drives away what runs
+    where the edge has no link to the robot; ``nominal_links`` what they carry at best, of which shares of the
+    throughput are (ADR 0077). ``order`` is the position of each place in the natural order of all names.
+    ``closed`` says why a place takes no new work; in ``hard`` that also drives away what runs
     there (drained, or left out by a what-if question). ``classes`` names the class of each place (ADR 0025),
     ``demands`` holds rho by task and class, of tasks whose history decides it, "" for a class without enough;
     ``history`` is what was measured. ``floors``: by running task, the measured usage below which its demand
@@ -39,6 +40,7 @@ class Capacities:
     raw: Mapping[str, tuple[float, ...]]
     usable: Mapping[str, tuple[float, ...]]
     links: Mapping[str, tuple[float | None, ...]]
+    nominal_links: Mapping[str, tuple[float | None, ...]]
     closed: Mapping[int, Rejection]
     hard: frozenset[int]
     classes: tuple[str, ...] = ()
@@ -92,6 +94,12 @@ def build_capacities(
             robot.name: tuple(_resolve_link_capacity(inventory, edge, snapshot, robot.name) for edge in edges)
             for robot in robots
         },
+        nominal_links={
+            robot.name: tuple(
+                _resolve_nominal_capacity(inventory, edge, snapshot, robot.name) for edge in edges
+            )
+            for robot in robots
+        },
         closed=closed,
         hard=frozenset(
             place
@@ -113,12 +121,29 @@ def _resolve_capacity(host: Host, sample: HostSample | None, resource: Resource)
 
 
 def _resolve_link_capacity(inventory: Inventory, edge: Host, snapshot: Snapshot, robot: str) -> float | None:
-    """Delta_thp of one link: a declared link wins, but only an edge that reports the link has it."""
+    """Delta_thp of one link: a declared link wins unless it carries less now, but only an edge that reports
+    the link has it.
+    """
     sample = snapshot.hosts.get(edge.name)
     if sample is None or robot not in sample.links:
         return None
-    found = sample.links[robot].capacity_bytes_per_s
-    return inventory.links.get((edge.name, robot), found) if found > 0 else 0.0
+    link = sample.links[robot]
+    declared = inventory.links.get((edge.name, robot))
+    if declared is None or not link.capacity_bytes_per_s:
+        return link.capacity_bytes_per_s
+    return declared if link.nominal is None else min(declared, link.capacity_bytes_per_s)
+
+
+def _resolve_nominal_capacity(
+    inventory: Inventory, edge: Host, snapshot: Snapshot, robot: str
+) -> float | None:
+    sample = snapshot.hosts.get(edge.name)
+    if sample is None or robot not in sample.links:
+        return None
+    link = sample.links[robot]
+    if not link.capacity_bytes_per_s:
+        return 0.0
+    return inventory.links.get((edge.name, robot), link.nominal_bytes_per_s)
 
 
 def _find_closing_rule(

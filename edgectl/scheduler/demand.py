@@ -112,7 +112,7 @@ def _find_capacity(fleet: Capacities, task: Task, place: int, resource: Resource
         return fleet.raw[resource.name][place]
     if place >= fleet.edges:
         return None
-    links = (fleet.links[robot][place] for robot in task.robots if robot in fleet.links)
+    links = (fleet.nominal_links[robot][place] for robot in task.robots if robot in fleet.links)
     return max((link for link in links if link is not None), default=None)
 
 

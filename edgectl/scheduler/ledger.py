@@ -186,7 +186,7 @@ def _compute_link_rates(
 ) -> dict[str, float]:
     if place >= fleet.edges:
         return {}
-    capacities = ((robot, fleet.links[robot][place]) for robot in robots if robot in fleet.links)
+    capacities = ((robot, fleet.nominal_links[robot][place]) for robot in robots if robot in fleet.links)
     return {robot: throughput.of(capacity) for robot, capacity in capacities if capacity is not None}
 
 

@@ -123,12 +123,20 @@ class DemandShares:
         return row
 
     def _build_measured_link_row(self, task: Task, robot: str) -> list[float]:
+        nominal = [capacity or 0.0 for capacity in self.fleet.nominal_links[robot]]
         capacities = [capacity or 0.0 for capacity in self.fleet.links[robot]]
-        return _build_share_row(list_edge_amounts(self.fleet, task, NETWORK.name, capacities), capacities)
+        return _build_share_row(list_edge_amounts(self.fleet, task, NETWORK.name, nominal), capacities)
 
     def _build_link_row(self, quantity: Quantity, robot: str) -> list[float]:
-        units = self.ones if quantity.relative else self._per_byte(robot)
+        units = self._per_nominal(robot) if quantity.relative else self._per_byte(robot)
         return [quantity.value * unit for unit in units]
+
+    def _per_nominal(self, robot: str) -> list[float]:
+        """The nominal capacity of every edge's link to ``robot`` as a share of what it carries now."""
+        if self.fleet.nominal_links[robot] == self.fleet.links[robot]:
+            return self.ones
+        pairs = zip(self.fleet.nominal_links[robot], self._per_byte(robot), strict=True)
+        return [(nominal or 0.0) * unit for nominal, unit in pairs]
 
     def _per_byte(self, robot: str) -> list[float]:
         """1 / Delta of every edge's link to ``robot``; 0 where there is none."""

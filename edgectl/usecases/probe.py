@@ -4,6 +4,7 @@ import dataclasses
 
 from edgectl.gateway import bandwidth, host_probe
 from edgectl.gateway.host_probe import ProbeOptions
+from edgectl.model.link_reading import LinkObservation
 from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.snapshot import BandwidthMeasurement, HostSample, Snapshot
 from edgectl.state.heartbeats import load_heartbeats, record_orphans
@@ -19,6 +20,7 @@ from edgectl.state.manager_state import (
 from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.fleet_lease import probe_within_lease
 from edgectl.usecases.heartbeat import load_state_with_heartbeats, track_heartbeats
+from edgectl.usecases.live_links import measure_live_links
 from edgectl.usecases.measured_demand import load_measured_demands
 from edgectl.usecases.record import pin_task_starts, record_snapshot
 
@@ -32,8 +34,11 @@ def probe_fleet(fleet: Fleet, options: ProbeOptions | None = None) -> Snapshot:
     """
     measured = load_link_capacities(fleet.state, fleet.warn)
     reopened = frozenset(load_ignored_instances(fleet.state, fleet.warn))
+    options = options or ProbeOptions()
+    links: dict[tuple[str, str], LinkObservation] = {}
     options = dataclasses.replace(
-        options or ProbeOptions(),
+        options,
+        on_links=links.update,
         measured=measured,
         reopened=reopened,
         known_tasks=lambda: _list_known_tasks(fleet),
@@ -53,6 +58,7 @@ def probe_fleet(fleet: Fleet, options: ProbeOptions | None = None) -> Snapshot:
                 lease=fleet.lease,
             ),
         )
+        snapshot = measure_live_links(tracked, snapshot, links, probe_idle=options.probe_idle_links)
     _record_orphans(fleet, snapshot)
     manager = load_state_with_heartbeats(fleet)
     for host in sorted(fenced - manager.fenced):

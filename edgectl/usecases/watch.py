@@ -249,7 +249,8 @@ class _WatchLoop:
 
     def _sample(self, fleet: Fleet) -> Snapshot:
         """Probe the fleet; unreachable hosts are retried with back-off."""
-        snapshot = probe_fleet(dataclasses.replace(fleet, transport=self._patient), self._options.probe)
+        options = dataclasses.replace(self._options.probe, probe_idle_links=True)
+        snapshot = probe_fleet(dataclasses.replace(fleet, transport=self._patient), options)
         self._answering = tuple(name for name, host in snapshot.hosts.items() if host.ok)
         if fleet.lease is not None:
             self._take_over, self._last_hold = False, fleet

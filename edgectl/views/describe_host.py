@@ -19,9 +19,12 @@ from edgectl.views.rows import encode_host_row
 from edgectl.views.state import render_host_status
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row
 from edgectl.views.top_tasks import render_task_rows_of_host
-from edgectl.views.usage import render_usage_share
+from edgectl.views.usage import render_capacity_age, render_usage_share
 
-_LINK_HEAD = head("robot", "capacity_bytes_per_s", "capacity_source", "network.used_bytes_per_s", "rtt_ms")
+_LINK_HEAD = head(
+    "robot", "capacity_bytes_per_s", "capacity_source", "capacity_age_s", "nominal_bytes_per_s",
+    "network.used_bytes_per_s", "rtt_ms",
+)  # fmt: skip
 _INTERFACE_HEAD = head("interface", "rx_bytes_per_s", "tx_bytes_per_s", "speed_bytes_per_s")
 
 
@@ -52,7 +55,7 @@ class HostDetailsView(ItemView):
             interfaces = _render_interface_rows(sample.device.interfaces)
             parts += [
                 render_section("Usage", _render_host_usage_rows(stated, sample, look), look),
-                render_section("Links", _render_host_link_rows(sample), look, right={1, 3, 4}),
+                render_section("Links", _render_host_link_rows(sample), look, right={1, 3, 4, 5, 6}),
                 render_section("Tasks", tasks, look, right=set(range(1, 7))),
                 render_section(
                     "Other tasks on this machine", render_other_task_rows(sample), look, right={5}
@@ -193,6 +196,8 @@ def _render_host_link_rows(sample: HostSample) -> list[Row]:
             Cell(robot, "name"),
             format_rate(link.capacity_bytes_per_s),
             link.capacity_source.value,
+            render_capacity_age(link),
+            format_rate(link.nominal_bytes_per_s),
             format_rate(link.used_bytes_per_s),
             "-" if link.rtt_ms is None else f"{link.rtt_ms:.1f}ms",
         )

@@ -12,7 +12,10 @@ Keys = tuple[str, ...]
 KeysByName = Mapping[str, Keys]
 
 _RESOURCES = tuple(resource.name for resource in RESOURCES)
-_LINK_SAMPLE = ("capacity_bytes_per_s", "used_bytes_per_s", "rtt_ms", "capacity_source")
+_LINK_SAMPLE = (
+    "capacity_bytes_per_s", "used_bytes_per_s", "rtt_ms", "capacity_source", "capacity_age_s",
+    "nominal_bytes_per_s",
+)  # fmt: skip
 _HOST = (
     "host", "role", "address", "connection", "labels", "limits", "onboard", "taken_at", "status", "error",
     "hint", "sample_age_s", "resident", *(resource.name for resource in HOST_RESOURCES), "links",

@@ -28,13 +28,14 @@ _COLUMNS: Mapping[ListingKind, tuple[tuple[str, ...], tuple[str, ...]]] = {
         ("kind", "robots", "needs", "pid", "metrics"),
     ),
     ListingKind.LINKS: (
-        ("edge", "robot", "capacity_bytes_per_s", "capacity_source"),
-        ("network.used_bytes_per_s", "rtt_ms"),
+        ("edge", "robot", "capacity_bytes_per_s", "capacity_source", "capacity_age_s"),
+        ("nominal_bytes_per_s", "network.used_bytes_per_s", "rtt_ms"),
     ),
 }
 _NUMBERS = {
     *_CAPACITY_COLUMNS, *_SHARE_COLUMNS, "task_count", "restarts",
-    "age_s", "pid", "capacity_bytes_per_s", "network.used_bytes_per_s", "rtt_ms",
+    "age_s", "pid", "capacity_bytes_per_s", "capacity_age_s", "nominal_bytes_per_s",
+    "network.used_bytes_per_s", "rtt_ms",
 }  # fmt: skip
 _WRAPPED_COLUMNS = frozenset(range(12))
 

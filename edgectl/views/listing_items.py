@@ -29,6 +29,7 @@ from edgectl.views.state import (
     resolve_absent_task,
 )
 from edgectl.views.text import Cell, Row
+from edgectl.views.usage import render_capacity_age
 
 
 class ListingKind(StrEnum):
@@ -237,13 +238,16 @@ def _build_link_item(edge: str, robot: str, link: LinkSample | None, value: Snap
         else _UNKNOWN_SOURCE
     )
     rtt = f"{link.rtt_ms:.1f}ms" if link and link.rtt_ms is not None else "-"
+    nominal = format_rate(link.nominal_bytes_per_s) if link else "-"
+    is_live = link is not None and link.nominal is not None
     return ListingItem(
         path=path,
         name=f"link/{path}",
         aliases=(path, edge, robot),
-        row=(Cell(edge, "name"), Cell(robot, "name"), capacity, source),
-        wide_cells=(format_rate(link.used_bytes_per_s) if link else "-", rtt),
-        told=(capacity, source.text),
+        row=(Cell(edge, "name"), Cell(robot, "name"), capacity, source, render_capacity_age(link)),
+        wide_cells=(nominal, format_rate(link.used_bytes_per_s) if link else "-", rtt),
+        # A live capacity is a measurement: its changes are none of the link.
+        told=(nominal, "live" if is_live else source.text),
         document={
             "edge": edge,
             "robot": robot,

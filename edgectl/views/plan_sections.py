@@ -26,7 +26,10 @@ from edgectl.views.text import (
     style_text,
     wrap_text,
 )
+from edgectl.views.usage import describe_capacity
 
+# A link below this share of its nominal capacity is noted, up to so many of them.
+_SLOW_LINK_SHARE, _MAX_LINKS = 0.9, 3
 ACTION_STYLES = {
     Action.START: "good",
     Action.STOP: "bad",
@@ -122,7 +125,29 @@ def list_plan_notes(value: Plan) -> list[str]:
             f"first plan of this fleet: tasks on {join_words(value.unseen)} are not known "
             "and count as not running"
         )
-    return lines + list_load_notes(value) + list_demand_notes(value) + list_left_alone_notes(value)
+    return (
+        lines
+        + list_load_notes(value)
+        + list_link_notes(value.snapshot)
+        + list_demand_notes(value)
+        + list_left_alone_notes(value)
+    )
+
+
+def list_link_notes(snapshot: Snapshot) -> list[str]:
+    """Links that carry clearly less than their nominal capacity, the worst first."""
+    slow = sorted(
+        (link.capacity_bytes_per_s / link.nominal, edge, robot)
+        for edge, sample in snapshot.hosts.items()
+        for robot, link in sample.links.items()
+        if link.nominal and link.capacity_bytes_per_s < _SLOW_LINK_SHARE * link.nominal
+    )
+    lines = [
+        f"link {edge} - {robot} carries {describe_capacity(snapshot.hosts[edge].links[robot])}"
+        for _, edge, robot in slow[:_MAX_LINKS]
+    ]
+    more = len(slow) - len(lines)
+    return lines + ([f"{more} more links carry less than nominal: edgectl get links"] if more else [])
 
 
 def list_load_notes(value: Plan) -> list[str]:

@@ -68,6 +68,8 @@ def encode_link_sample(link: LinkSample) -> Document:
         used_bytes_per_s=link.used_bytes_per_s,
         rtt_ms=link.rtt_ms,
         capacity_source=link.capacity_source.value,
+        capacity_age_s=link.capacity_age_s,
+        nominal_bytes_per_s=link.nominal,
     )
 
 

@@ -22,6 +22,7 @@ from edgectl.views.plan_sections import list_snapshot_notes
 from edgectl.views.rows import encode_host_row
 from edgectl.views.state import render_host_status
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, render_columns
+from edgectl.views.usage import describe_capacity
 
 _USED_COLUMNS = tuple(f"{each.name}.used_{each.unit.name}" for each in HOST_RESOURCES)
 
@@ -127,8 +128,7 @@ def _render_device_row(name: str, host: HostSample) -> Row:
 
 
 def _format_link_details(robot: str, link: LinkSample) -> str:
-    used, capacity = format_rate(link.used_bytes_per_s), format_rate(link.capacity_bytes_per_s)
-    return f"{robot} {used} of {capacity} ({link.capacity_source})"
+    return f"{robot} {format_rate(link.used_bytes_per_s)} of {describe_capacity(link)}"
 
 
 def _format_interface(name: str, sample: InterfaceSample) -> str:

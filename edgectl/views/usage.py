@@ -5,7 +5,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from edgectl.model.inventory import Host
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.resource import CPU, MEMORY, RESOURCES, TASK_RESOURCES
-from edgectl.model.snapshot import HostSample, ResourceUsage, TaskSample
+from edgectl.model.snapshot import HostSample, LinkSample, ResourceUsage, TaskSample
 from edgectl.model.task import Demand, Task
 from edgectl.rules.measured_demand import (
     classify_host,
@@ -13,6 +13,7 @@ from edgectl.rules.measured_demand import (
     is_of_current_spec,
     resolve_demand,
 )
+from edgectl.units import format_duration, format_rate
 from edgectl.views.sparkline import SPARKLINE_SAMPLES, render_bar, render_sparkline
 from edgectl.views.text import Cell, RenderOptions, Row, compute_remaining_width, render_columns
 
@@ -35,13 +36,27 @@ def render_usage_share(usage: ResourceUsage, limit: float, look: RenderOptions) 
     return Cell(drawn + "!", "bad") if part > limit else Cell(drawn)
 
 
+def describe_capacity(link: LinkSample) -> str:
+    """The capacity of a link with its source; of a live one also its age and what it lowers."""
+    capacity = format_rate(link.capacity_bytes_per_s)
+    if link.nominal is None:
+        return f"{capacity} ({link.capacity_source})"
+    age = render_capacity_age(link)
+    return f"{capacity} ({link.capacity_source}, {age} ago, nominal {format_rate(link.nominal)})"
+
+
+def render_capacity_age(link: LinkSample | None) -> str:
+    """The age of a live capacity; ``-`` of any other."""
+    return "-" if link is None or link.capacity_age_s is None else format_duration(link.capacity_age_s)
+
+
 def compute_task_demand(
     task: Task, host: Host | None, sample: HostSample, memory: ManagerState | None
 ) -> Amounts:
     """The demand of ``task`` on its host: measured where asked for and known, else declared."""
     demand = _select_current_demand(task, host, sample, memory)
     links = [
-        sample.links[robot].capacity_bytes_per_s if robot in sample.links else 0.0 for robot in task.robots
+        sample.links[robot].nominal_bytes_per_s if robot in sample.links else 0.0 for robot in task.robots
     ]
     amounts = {}
     for resource in RESOURCES:

@@ -54,6 +54,8 @@ def test_hosts(tmp_path: Path) -> None:
     assert inventory.hosts["edge3"].capacity == Capacity(cpu=2.0, memory=4.0 * 2**30)
     assert inventory.hosts["edge3"].base == BaseLoad(cpu=0.5)
     assert inventory.links == {("edge1", "robot1"): 6.75e6}
+    assert inventory.probe_links
+    assert not load_files(tmp_path, TASKS, "probe_links: false\n" + INVENTORY)[0].probe_links
     assert [host.onboard for host in inventory.robots] == [True, False]
 
 

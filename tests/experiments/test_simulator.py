@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from edgectl.experiments.model.comparison import Estimate
-from edgectl.experiments.model.scenario import Scenario, SimHost, SimJob, SimRun, SimTiming
+from edgectl.experiments.model.scenario import Scenario, SimHost, SimJob, SimLink, SimRun, SimTiming
 from edgectl.experiments.model.schemes import Scheme
 from edgectl.experiments.scheme_results import compute_estimate, summarize_sim_runs
 from edgectl.experiments.simulator import simulate_mission
@@ -223,3 +223,32 @@ def test_a_column_is_of_the_edges_and_under_local_execution_of_the_robots() -> N
     assert mean_of(column["local"]["latency"]) == pytest.approx(2.0)
     assert mean_of(column["local"]["rate"]) == pytest.approx(5.0)
     assert mean_of(column["local"]["cpu"]) == pytest.approx(100.0)
+
+
+def test_a_task_leaves_a_link_that_became_slow_only_where_links_are_seen_live() -> None:
+    """Two jobs of 100 s at 800 kB/s; after the first the link to edge1 carries 100 kB/s, that to edge2 8 times that.
+    Whoever stays needs 800 s for the second job.
+    """
+    inventory = an_inventory(
+        an_edge("edge1"),
+        an_edge("edge2"),
+        a_robot("robot1"),
+        links={("edge1", "robot1"): 1e6, ("edge2", "robot1"): 1e6},
+    )
+    jobs = (
+        SimJob(name="near", task="slam", work=100.0),
+        SimJob(name="far", task="slam", work=100.0, after=("near",)),
+    )
+    changes = (SimLink(edge="edge1", robot="robot1", throughput=1e5, after=("near",)),)
+    task = a_task(cpu=1.0, throughput=8e5, robots=["robot1"])
+    found = [
+        one(
+            replace(world(*jobs, inventory=inventory), links=changes, live_links=live),
+            task,
+            inventory=inventory,
+        )
+        for live in (True, False)
+    ]
+    assert [run.handoffs for run in found] == [1, 0]
+    assert found[1].latency == pytest.approx(900.0)
+    assert found[0].latency < 260.0

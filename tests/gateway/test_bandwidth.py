@@ -1,7 +1,8 @@
 """Measuring a link: receive on the robot, send from the edge, one link at a time."""
 
 from edgectl.errors import ConnectError
-from edgectl.gateway.bandwidth import measure_bandwidth
+from edgectl.gateway.bandwidth import measure_bandwidth, probe_idle_links
+from edgectl.model.link_reading import LinkSampleResult
 from edgectl.transport.fake import FakeTransport
 from tests.builders import a_robot, an_edge, an_inventory
 
@@ -44,3 +45,31 @@ def test_a_sender_that_talks_nonsense_measures_nothing() -> None:
     )
     (found,) = measure_bandwidth(an_inventory(an_edge("edge1"), a_robot("robot1")), transport, seconds=1.0)
     assert found.bytes_per_s is None
+
+
+def test_an_idle_link_is_probed_by_token_and_within_its_bounds() -> None:
+    transport = FakeTransport(
+        {
+            "edge1": lambda _request: {"bytes_per_s": 2e6, "full": True},
+            "edge2": lambda _request: {"error": {"kind": "no-path", "message": "refused", "hint": ""}},
+            "robot1": lambda _request: {"port": 4000, "token": "secret"},
+            "robot2": lambda _request: {"port": 4001, "token": "other"},
+        }
+    )
+    inventory = an_inventory(an_edge("edge1"), an_edge("edge2"), a_robot("robot1"), a_robot("robot2"))
+    found = probe_idle_links(inventory, transport, {("edge1", "robot1"): 125e6, ("edge2", "robot2"): 6.75e6})
+    assert found == {
+        ("edge1", "robot1"): LinkSampleResult(bytes_per_s=2e6, full=True),
+        ("edge2", "robot2"): LinkSampleResult(refused=True),
+    }
+    (sent,) = [request for name, request in transport.requests if name == "edge1"]
+    assert sent == {
+        "op": "sample-link",
+        "fleet": "unnamed",
+        "host": "edge1",
+        "address": "robot1.lab",
+        "port": 4000,
+        "token": "secret",
+        "seconds": 0.09,
+        "rate_bytes_per_s": 25e6,
+    }

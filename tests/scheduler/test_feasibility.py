@@ -1,5 +1,7 @@
 """Feasibility: candidate hosts, capacity checks, and the reasons given where a task does not fit."""
 
+from dataclasses import replace
+
 import pytest
 
 from edgectl.model.assignment import Reason, Rejection, RejectionRule, Verdict
@@ -7,8 +9,8 @@ from edgectl.model.inventory import Host
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.policy import Policy
 from edgectl.model.resource import CPU, MEMORY, NETWORK, Usage
-from edgectl.model.snapshot import HostSample
-from edgectl.model.task import Need, NeedCondition, OnboardRule, Task
+from edgectl.model.snapshot import CapacitySource, HostSample
+from edgectl.model.task import Need, NeedCondition, NothingFits, OnboardRule, Task
 from tests.builders import (
     GI,
     a_link,
@@ -153,13 +155,20 @@ def test_demand_larger_than_any_host_names_the_nearest_miss() -> None:
     assert (decision.verdict, decision.nearest, decision.host) == (Verdict.UNPLACED, "edge2", None)
 
 
-def test_best_effort_takes_the_highest_total_all_the_same() -> None:
+@pytest.mark.parametrize("of_task", [False, True], ids=["policy", "task"])
+def test_best_effort_takes_the_highest_total_all_the_same(of_task: bool) -> None:
     inventory = an_inventory(an_edge("edge1"), an_edge("edge2"), an_edge("edge3"), a_robot())
     snapshot = a_snapshot(
         edge1=a_sample(links=LINKS), edge2=a_sample(cores=8.0, links=LINKS), edge3=a_sample(cores=64.0)
     )
-    task = a_task(cpu=10.0, robots=["robot1"])
-    assignment = run_assign(inventory, some_tasks(task), snapshot, policy=Policy(best_effort=True))
+    task = a_task(
+        cpu=10.0,
+        robots=["robot1"],
+        if_nothing_fits=NothingFits.BEST_EFFORT if of_task else NothingFits.WAIT,
+    )
+    others = [a_task("waits", cpu=20.0, robots=["robot1"])] if of_task else []
+    policy = Policy(best_effort=not of_task)
+    assignment = run_assign(inventory, some_tasks(task, *others), snapshot, policy=policy)
     decision = assignment.decisions[0]
     assert (decision.verdict, decision.reason, decision.host, decision.overcommitted) == (
         Verdict.PLACED,
@@ -168,6 +177,7 @@ def test_best_effort_takes_the_highest_total_all_the_same() -> None:
         True,
     )
     assert assignment.expected["edge2"].used["cpu"] == 10.0
+    assert [waits.verdict for waits in assignment.decisions[1:]] == [Verdict.UNPLACED] * of_task
 
 
 def test_a_running_task_that_fits_nowhere_stays_and_is_charged() -> None:
@@ -229,3 +239,22 @@ def test_a_running_task_does_not_lose_its_host_to_a_missing_predecessor() -> Non
         run_assign(an_inventory(an_edge()), tasks, a_snapshot(edge1=a_sample(tasks={"nav": a_run()})))
     )["nav"]
     assert (decision.verdict, decision.host) == (Verdict.KEPT, "edge1")
+
+
+@pytest.mark.parametrize("throughput", [3e6, "30%"], ids=["amount", "share of the nominal capacity"])
+@pytest.mark.parametrize("declared", [None, 10e6])
+def test_a_link_that_carries_less_now_than_at_best_is_too_slow(
+    throughput: float | str, declared: float | None
+) -> None:
+    """edge1: (2 - 0 - 3) / 2 MB/s < 0. edge2: (10 - 0 - 3) / 10 = .7. A share of 30 % is 3 MB/s at both."""
+    live = replace(a_link(2e6), nominal=10e6, capacity_source=CapacitySource.TCP, capacity_age_s=1.0)
+    links = {} if declared is None else {(edge, "robot1"): declared for edge in ("edge1", "edge2")}
+    inventory = an_inventory(an_edge("edge1"), an_edge("edge2"), a_robot(), links=links)
+    snapshot = a_snapshot(
+        edge1=a_sample(cores=64.0, links={"robot1": live}), edge2=a_sample(links={"robot1": a_link(10e6)})
+    )
+    task = a_task(throughput=throughput, robots=["robot1"])
+    decision = run_assign(inventory, some_tasks(task), snapshot).decisions[0]
+    assert (decision.reason, decision.host) == (Reason.ONLY_FEASIBLE, "edge2")
+    terms = {each.host: each.terms["network"] for each in decision.ranking}
+    assert terms == {"edge1": pytest.approx(-0.5), "edge2": pytest.approx(0.7)}

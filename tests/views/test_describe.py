@@ -57,7 +57,12 @@ SLAM = a_task(
 )  # fmt: skip
 TASKS = some_tasks(SLAM, a_task("idle"))
 LINK = LinkSample(
-    capacity_bytes_per_s=10e6, used_bytes_per_s=4e6, rtt_ms=2.25, capacity_source=CapacitySource.MEASURED
+    capacity_bytes_per_s=10e6,
+    used_bytes_per_s=4e6,
+    rtt_ms=2.25,
+    capacity_source=CapacitySource.TCP,
+    capacity_age_s=3.0,
+    nominal=20e6,
 )
 RUN = a_run(
     started_at=NOW - 252,
@@ -155,8 +160,8 @@ Usage:
   memory  25%   1.0Gi of 4.0Gi
   robot1  40%   4.0MB/s of 10.0MB/s
 Links:
-  ROBOT   CAPACITY  SOURCE    NETWORK    RTT
-  robot1  10.0MB/s  measured  4.0MB/s  2.2ms
+  ROBOT   CAPACITY  SOURCE   AGE   NOMINAL  NETWORK    RTT
+  robot1  10.0MB/s  tcp     3.0s  20.0MB/s  4.0MB/s  2.2ms
 Tasks:
   TASK          CPU  CPU DEMAND  CPU EXCESS   MEMORY  NETWORK    AGE  READY
   slam-robot1  2.50        2.00       +0.50  512.0Mi  2.0MB/s  4m12s  yes

@@ -122,9 +122,9 @@ def test_nothing_is_said_to_be_nothing() -> None:
 
 def test_links() -> None:
     rows = [line.split() for line in shown(ListingKind.LINKS, OutputFormat.WIDE).splitlines()]
-    assert rows[0] == ["EDGE", "ROBOT", "CAPACITY", "NETWORK", "RTT", "SOURCE"]
-    assert rows[3] == ["edge1", "robot1", "10.0MB/s", "1.0MB/s", "2.2ms", "assumed"]
-    assert rows[4] == ["edge1", "robot2", "-", "-", "-", "unknown"]
+    assert rows[0] == ["EDGE", "ROBOT", "CAPACITY", "SOURCE", "NOMINAL", "NETWORK", "RTT", "AGE"]
+    assert rows[3] == ["edge1", "robot1", "10.0MB/s", "assumed", "10.0MB/s", "1.0MB/s", "2.2ms", "-"]
+    assert rows[4] == ["edge1", "robot2", "-", "unknown", "-", "-", "-", "-"]
 
 
 def test_wide_of_edges_and_tasks() -> None:
@@ -194,13 +194,11 @@ def test_what_is_only_measured_is_no_change() -> None:
         )
         == []
     )
-    link = replace(LINK, used_bytes_per_s=5e6, rtt_ms=9.0)
-    assert (
-        compare_listings(
-            listed(ListingKind.LINKS), listed(ListingKind.LINKS, snapshot(links={"robot1": link}))
-        )
-        == []
-    )
+    live = replace(LINK, nominal=20e6, capacity_source=CapacitySource.TCP, capacity_age_s=1.0)
+    later = replace(live, capacity_bytes_per_s=3e6, capacity_source=CapacitySource.PROBE, capacity_age_s=0.0)
+    for link, then in ((replace(LINK, used_bytes_per_s=5e6, rtt_ms=9.0), LINK), (later, live)):
+        listings = (listed(ListingKind.LINKS, snapshot(links={"robot1": each})) for each in (then, link))
+        assert compare_listings(*listings) == []
 
 
 def test_the_first_look_adds_everything() -> None:

@@ -73,9 +73,11 @@ class ProfilerDaemon:
         self.host, self.folder, self.lock, self.ring = request["host"], request["folder"], lock, fd
         self.every, self.ttl = float(request["every_s"]), float(request["ttl_s"])
         self.period, self.links = self.every, request.get("links") or []
+        self.peer_links = request.get("peers") or []
         self.tasks = ProcessTracker(self.host, request.get("detect") or [])
         self.addresses = network.resolve_robots(self.links)
-        self.traffic = network.TrafficMeter(self.addresses)
+        self.peers = network.resolve_robots(self.peer_links)
+        self.traffic = network.TrafficMeter(dict(self.addresses, **self.peers))
         self.rates: "Document | None" = None
         self.number = 0
         self.cost, self.spent, self.begun, self.next_look = (
@@ -84,7 +86,7 @@ class ProfilerDaemon:
             proc.read_uptime_s(),
             0.0,
         )
-        self._refresh_slow_values(self.addresses)
+        self._refresh_slow_values(self.addresses, self.peers)
         self.totals, self.since = network.read_interface_bytes(), time.monotonic()
 
     def run(self) -> str:
@@ -127,7 +129,7 @@ class ProfilerDaemon:
         before, self.totals = self.totals, network.read_interface_bytes()
         probes.close(self.addresses)
         tasks, used = self.tasks.measure(flows, self.addresses, seconds)
-        links = network.build_links(self.addresses, flows, probes, seconds, self.slow["routes"])
+        links = network.build_links(self.addresses, flows, probes, self.traffic.seconds, self.slow["routes"])
         raw = {
             "cpu": cpu["used_cores"] - sum(each["used_cores"] for each in tasks.values()),
             "interfaces": network.compute_rates(before, self.totals, seconds),
@@ -140,6 +142,9 @@ class ProfilerDaemon:
             cores=cpu["cores"],
             bytes=used,
             reachable={robot: link["reachable"] for robot, link in links.items()},
+            carries={robot: link["carries_bytes_per_s"] for robot, link in links.items()},
+            radios={robot: link["radio_bytes_per_s"] for robot, link in links.items()},
+            peers=network.build_peers(self.peers, flows, self.traffic.seconds),
         )
         return {
             "at": proc.read_uptime_s(),
@@ -154,12 +159,15 @@ class ProfilerDaemon:
         sample_ring.write_sample(self.ring, self.number + 1, sample)
         self.number += 1
         if time.monotonic() >= self.next_slow:
-            self._refresh_slow_values(network.resolve_robots(self.links))
+            self._refresh_slow_values(
+                network.resolve_robots(self.links), network.resolve_robots(self.peer_links)
+            )
 
-    def _refresh_slow_values(self, addresses: "dict[str, list[str]]") -> None:
-        if addresses != self.addresses:
+    def _refresh_slow_values(self, addresses: "network.Addresses", peers: "network.Addresses") -> None:
+        if (addresses, peers) != (self.addresses, self.peers):
             self.traffic.close()
-            self.addresses, self.traffic = addresses, network.TrafficMeter(addresses)
+            self.addresses, self.peers = addresses, peers
+            self.traffic = network.TrafficMeter(dict(addresses, **peers))
         self.slow: Document = {
             "routes": network.find_interfaces(addresses),
             "speeds": {name: network.read_interface_speed(name) for name in network.read_interface_bytes()},

@@ -149,14 +149,19 @@ def find_holders(folder: str) -> "list[tuple[int, int]]":
 
 
 def build_probe_spec(request: Document) -> Document:
-    """Build the probe spec of a request in canonical order: links, tasks to detect, and the hash of the
-    agent.
+    """Build the probe spec of a request in canonical order: links, peers, tasks to detect, and the hash of
+    the agent.
     """
     return {
         "agent": getattr(sys.modules[__name__].__loader__, "sha", ""),
-        "links": {str(link["robot"]): str(link["address"]) for link in request.get("links") or []},
+        "links": _list_addresses(request.get("links")),
+        "peers": _list_addresses(request.get("peers")),
         "detect": {
             str(rule["task"]): {name: str(text) for name, text in rule.items()}
             for rule in request.get("detect") or []
         },
     }
+
+
+def _list_addresses(links: "list[Document] | None") -> "dict[str, str]":
+    return {str(link["robot"]): str(link["address"]) for link in links or []}

@@ -53,6 +53,7 @@ def _build_measurements(request: Document, sample: Document, age: float) -> Docu
         "links": {
             robot: _build_link_entry(robot, rate, levels, alive) for robot, rate in rates["links"].items()
         },
+        "peers": levels["peers"],
         "tasks": {name: dict(entry, **_build_task_rates(rate)) for name, (entry, rate) in now.items()},
     }
 
@@ -66,6 +67,8 @@ def _build_link_entry(robot: str, rate: Document, levels: Document, alive: "list
         "rtt_ms": None if rate["rtt_ms"] is None else round(rate["rtt_ms"], 3),
         "interface": levels["routes"][robot],
         "reachable": levels["reachable"][robot],
+        "carries_bytes_per_s": levels["carries"][robot],
+        "radio_bytes_per_s": levels["radios"][robot],
     }
 
 

@@ -122,6 +122,8 @@ def _find_operation(name: str) -> "Callable[[Document], Document]":  # noqa: C90
         from ..measure.bandwidth import start_sink as operation
     elif name == protocol.OP_SEND:
         from ..measure.bandwidth import send_to_sink as operation
+    elif name == protocol.OP_SAMPLE_LINK:
+        from ..measure.link_sample import sample_link as operation
     elif name == protocol.OP_SUPERVISE:
         from ..supervise.launch import run_supervisor as operation
     elif name == protocol.OP_PROFILER_START:

@@ -20,6 +20,7 @@ OP_PROFILER_RUN = "profiler-run"
 OP_PROFILER_START = "profiler-start"
 OP_PROFILER_STATUS = "profiler-status"
 OP_PROFILER_STOP = "profiler-stop"
+OP_SAMPLE_LINK = "sample-link"
 OP_SEND = "send"
 OP_SINK = "sink"
 OP_START = "start"
@@ -48,10 +49,11 @@ REQUEST_KEYS = {
     OP_LEASE: ("action", "lease", "end_watch"),
     OP_LOGS: ("task", "tail"),
     OP_MARK: ("task", "instance", "ready"),
-    OP_PROBE: ("window_s", "links", "detect", "checks", "former", "manager"),
-    OP_PROFILER_START: ("every_s", "ttl_s", "links", "detect"),
-    OP_PROFILER_STATUS: ("links", "detect"),
+    OP_PROBE: ("window_s", "links", "peers", "detect", "checks", "former", "manager"),
+    OP_PROFILER_START: ("every_s", "ttl_s", "links", "peers", "detect"),
+    OP_PROFILER_STATUS: ("links", "peers", "detect"),
     OP_PROFILER_STOP: (),
+    OP_SAMPLE_LINK: ("address", "port", "token", "seconds", "rate_bytes_per_s"),
     OP_SEND: ("address", "port", "token", "seconds"),
     OP_SINK: ("seconds",),
     OP_START: ("task", "instance", "generation", "manager", "spec"),
@@ -131,6 +133,7 @@ PROBE_KEYS = (
     "grants",
     "generations",
     "other_tasks",
+    "peers",
     "unowned",
     "former",
     "checks",

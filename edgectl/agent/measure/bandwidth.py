@@ -69,10 +69,14 @@ def _serve_sender(server: socket.socket, greeting: bytes, deadline: float) -> No
             try:
                 if _receive_exactly(peer, len(greeting)) != greeting:
                     continue
+            except OSError:
+                continue
+            try:
                 peer.settimeout(max(0.01, deadline - time.monotonic()))
                 peer.sendall(b"%d\n" % _count_received(peer))
             except OSError:
-                continue
+                # A sender of a short sample resets the connection when it has seen enough.
+                pass
             return
 
 

@@ -12,7 +12,7 @@ import select
 import time
 
 from ..link.fast_json import Document
-from . import proc, sockets
+from . import link_rate, proc, radio, sockets
 from .sockets import socket
 
 # Port "discard": nothing listens, and the refusal gives the round-trip time. Not sshd: it penalises
@@ -20,6 +20,8 @@ from .sockets import socket
 _DISCARD_PORT = 9
 _ANSWERED = (0, errno.ECONNREFUSED)
 _RESOLVE_S = 2.0
+# A listing that takes longer is repeated, at most so many in all: its moment decides over the rates.
+_PROMPT_S, _LISTINGS = 0.01, 3
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -30,29 +32,38 @@ if TYPE_CHECKING:
 
 
 class Flow:
-    """Bytes in (``rx``) and out during the window on one connection; ``inode`` identifies its socket."""
+    """Bytes in (``rx``) and out during the window on one connection; ``inode`` identifies its socket.
 
-    __slots__ = ("inode", "local", "remote", "rtt_ms", "rx", "tx")
+    ``sender``: how its sending end was limited in the window.
+    """
 
-    def __init__(self, local: str, remote: str, inode: int, rx: int, tx: int, rtt_ms: float) -> None:
-        self.local, self.remote, self.inode, self.rx, self.tx, self.rtt_ms = (
-            local,
-            remote,
-            inode,
-            rx,
-            tx,
-            rtt_ms,
-        )
+    __slots__ = ("inode", "local", "remote", "rtt_ms", "rx", "sender", "tx")
+
+    def __init__(
+        self,
+        ends: "tuple[str, str]",
+        inode: int,
+        rx: int,
+        tx: int,
+        rtt_ms: float,
+        sender: "link_rate.Sender",
+    ) -> None:
+        self.local, self.remote = ends
+        self.inode, self.rx, self.tx, self.rtt_ms, self.sender = inode, rx, tx, rtt_ms, sender
 
 
 class TrafficMeter:
-    """Meter of the bytes on each connection since its creation or its last measurement."""
+    """Meter of the bytes on each connection since its creation or its last measurement.
+
+    ``seconds``: between the two listings of the last measurement, which on a loaded host are late.
+    """
 
     def __init__(self, addresses: "Addresses") -> None:
         """``addresses``: addresses by robot; other connections inside this host do not count."""
         self._wanted = _pack_addresses(addresses)
         self._closed = sockets.CloseListener(self._wanted)
-        self._before = {each.key: each for each in sockets.list_connections(self._wanted)}
+        self._listed, self._before = self._list_connections()
+        self.seconds = 0.0
         # Connections closed during that listing were closed before the window.
         self._closed.collect()
 
@@ -62,9 +73,23 @@ class TrafficMeter:
         One that was closed counts up to its end.
         """
         found = {each.key: each for each in self._closed.collect()}
-        then, self._before = self._before, {each.key: each for each in sockets.list_connections(self._wanted)}
+        then, since = self._before, self._listed
+        self._listed, self._before = self._list_connections()
+        self.seconds = max(1e-3, self._listed - since)
         found.update(self._before)
         return [_build_flow(each, then.get(key)) for key, each in found.items()]
+
+    def _list_connections(self) -> "tuple[float, dict[bytes, sockets.TcpConnection]]":
+        """List (when, connection by key); again where this process had to wait for the CPU meanwhile."""
+        began = ended = 0.0
+        found: "list[sockets.TcpConnection]" = []
+        for _ in range(_LISTINGS):
+            began = time.monotonic()
+            found = sockets.list_connections(self._wanted)
+            ended = time.monotonic()
+            if ended - began < _PROMPT_S:
+                break
+        return (began + ended) / 2, {each.key: each for each in found}
 
     def close(self) -> None:
         """Stop listening for closed connections."""
@@ -86,7 +111,9 @@ def _pack_addresses(addresses: "Addresses") -> "set[bytes]":
 def _build_flow(now: sockets.TcpConnection, then: "sockets.TcpConnection | None") -> Flow:
     rx, tx = (then.rx, then.tx) if then is not None else (0, 0)
     inode = now.inode or (then.inode if then is not None else 0)
-    return Flow(now.local[0], now.remote[0], inode, max(0, now.rx - rx), max(0, now.tx - tx), now.rtt_ms)
+    sent = max(0, now.tx - tx)
+    sender = link_rate.compare_senders(then.info if then is not None else b"", now.info, sent)
+    return Flow((now.local[0], now.remote[0]), inode, max(0, now.rx - rx), sent, now.rtt_ms, sender)
 
 
 def resolve_robots(links: "list[Document]") -> "Addresses":
@@ -200,10 +227,33 @@ def build_links(
     seconds: float,
     interfaces: "dict[str, str | None]",
 ) -> "dict[str, Document]":
-    """Build robot -> rates, round-trip time, interface and reachability."""
+    """Build robot -> rates, round-trip time, interface, reachability, and what the link carries now."""
+    radios = radio.read_rates(interfaces.values())
     return {
-        robot: dict(_build_link(robot, found, flows, probes, seconds), interface=interfaces[robot])
+        robot: dict(
+            _build_link(robot, found, flows, probes, seconds),
+            interface=interfaces[robot],
+            radio_bytes_per_s=radios.get(interfaces[robot]),
+        )
         for robot, found in addresses.items()
+    }
+
+
+def build_peers(peers: "Addresses", flows: "list[Flow]", seconds: float) -> "dict[str, Document]":
+    """Build edge -> what its link to this robot carries now, as the robot's own sending end sees it.
+
+    Only edges of which something is known.
+    """
+    found = {
+        edge: link_rate.estimate_rate([flow for flow in flows if flow.remote in addresses], seconds)
+        for edge, addresses in peers.items()
+    }
+    interfaces = find_interfaces(peers) if radio.list_radios() else {}
+    radios = radio.read_rates(interfaces.values())
+    return {
+        edge: {"carries_bytes_per_s": rate, "radio_bytes_per_s": radios.get(interfaces.get(edge))}
+        for edge, rate in found.items()
+        if rate is not None or interfaces.get(edge) in radios
     }
 
 
@@ -224,6 +274,7 @@ def _build_link(
         "tx_bytes_per_s": round(sum(flow.tx for flow in own) / seconds, 1),
         "rtt_ms": None if rtt is None else round(rtt, 3),
         "reachable": True if moving else probes.reachable.get(robot),
+        "carries_bytes_per_s": link_rate.estimate_rate(own, seconds),
     }
 
 

@@ -103,9 +103,10 @@ def _measure_window(request: Document) -> "tuple[Document, _RunningChecks]":
     """Measure over a window: (measured part of the reply, running checks)."""
     window = min(_MAX_WINDOW_S, max(0.05, float(request.get("window_s", 0.5))))
     addresses = network.resolve_robots(request.get("links", []))
+    peers = network.resolve_robots(request.get("peers", []))
     tasks = TaskMeter(request["host"], request.get("detect", []))
     checks = _RunningChecks(request.get("checks", []), tasks.before)
-    traffic, totals = network.TrafficMeter(addresses), network.read_interface_bytes()
+    traffic, totals = network.TrafficMeter(dict(addresses, **peers)), network.read_interface_bytes()
     cpu, started = device.CpuMeter(), time.monotonic()
     probes = network.ConnectProbes(addresses)
     probes.wait(max(started + window, time.monotonic() + _MIN_CONNECT_S))
@@ -126,7 +127,10 @@ def _measure_window(request: Document) -> "tuple[Document, _RunningChecks]":
             name: network.build_interface_entry(rate, network.read_interface_speed(name))
             for name, rate in rates.items()
         },
-        "links": network.build_links(addresses, flows, probes, seconds, network.find_interfaces(addresses)),
+        "links": network.build_links(
+            addresses, flows, probes, traffic.seconds, network.find_interfaces(addresses)
+        ),
+        "peers": network.build_peers(peers, flows, traffic.seconds),
         "tasks": measured,
     }, checks
 

@@ -46,10 +46,11 @@ class TcpConnection:
     """One TCP connection.
 
     ``key`` identifies it for its whole life, ``inode`` its socket; ``local`` and ``remote`` are (address,
-    port). ``rx`` and ``tx``: bytes since it was opened; ``rtt_ms``: 0 where unmeasured.
+    port). ``rx`` and ``tx``: bytes since it was opened; ``rtt_ms``: 0 where unmeasured. ``info``: its struct
+    tcp_info.
     """
 
-    __slots__ = ("inode", "key", "local", "remote", "rtt_ms", "rx", "tx")
+    __slots__ = ("info", "inode", "key", "local", "remote", "rtt_ms", "rx", "tx")
 
     def __init__(self, message: bytes) -> None:
         """``message``: a struct inet_diag_msg with its attributes."""
@@ -57,7 +58,7 @@ class TcpConnection:
         local_port, remote_port = struct.unpack_from(">HH", message, 4)
         self.local = (_format_address(family, message[8:24]), local_port)
         self.remote = (_format_address(family, message[24:40]), remote_port)
-        self.key, self.inode = message[44:52], struct.unpack_from("=I", message, 68)[0]
+        self.key, self.inode, self.info = message[44:52], struct.unpack_from("=I", message, 68)[0], info
         self.rtt_ms = struct.unpack_from("=I", info, _RTT_AT)[0] / 1000.0 if len(info) >= _RTT_AT + 4 else 0.0
         self.tx, self.rx = struct.unpack_from("=QQ", info, _BYTES_AT) if len(info) >= _BYTES_END else (0, 0)
 

@@ -20,6 +20,7 @@ from edgectl.config.problems import ProblemCode, Problems
 from edgectl.config.scalars import (
     NodeReader,
     quantity_reader,
+    read_bool,
     read_name,
     read_safe_argument,
     read_text,
@@ -30,10 +31,10 @@ from edgectl.config.schema import Schema, build_file_schema, build_object_schema
 from edgectl.config.source import read_source
 from edgectl.config.yaml_parser import parse_yaml
 from edgectl.experiments.files.fleet_files import resolve_fleet_files
-from edgectl.experiments.model.scenario import Scenario, SimHost, SimJob, SimTiming
+from edgectl.experiments.model.scenario import Scenario, SimHost, SimJob, SimLink, SimTiming
 from edgectl.model.inventory import Inventory, Role
 from edgectl.model.task import Tasks
-from edgectl.units import QuantityError, parse_bytes, parse_cores, parse_duration, parse_share
+from edgectl.units import QuantityError, parse_bytes, parse_cores, parse_duration, parse_rate, parse_share
 
 _TASK_NAME_PATTERN = re.compile(protocol.NAME_PATTERN)
 _PUBLISHED_NAME_PATTERN = re.compile(r"[A-Za-z][A-Za-z0-9 ._-]{0,62}")
@@ -68,6 +69,12 @@ TIMING_KEYS: Mapping[str, NodeReader] = {
     "noise": quantity_reader(parse_share),
     "limit": quantity_reader(parse_duration, above_zero=True),
 }
+LINK_KEYS: Mapping[str, NodeReader] = {
+    "edge": read_name,
+    "robot": read_name,
+    "throughput": quantity_reader(parse_rate),
+    "after": list_reader(read_name),
+}
 SCENARIO_KEYS: Mapping[str, NodeReader] = {
     "version": read_version,
     "name": read_name,
@@ -79,6 +86,10 @@ SCENARIO_KEYS: Mapping[str, NodeReader] = {
     "placed": mapping_reader(_TASK_NAME_PATTERN, "a task", read_name),
     "rate": mapping_reader(_TASK_NAME_PATTERN, "a task", _read_number),
     "timing": record_reader(TIMING_KEYS, SimTiming, "timing"),
+    "links": list_reader_with_nodes(
+        record_reader(LINK_KEYS, SimLink, "a link", ("edge", "robot", "throughput"))
+    ),
+    "live_links": read_bool,
     "published": mapping_reader(
         _PUBLISHED_NAME_PATTERN,
         "a scheme",
@@ -143,16 +154,34 @@ def _build_scenario(fields: Fields, inventory: Inventory, tasks: Tasks, problems
             _check_name_exists(fields.at(key), task, tasks.tasks, "task", problems)
     for task, host in values.get("placed", {}).items():
         _check_name_exists(fields.at("placed").inner(task), host, inventory.hosts, "host", problems)
+    jobs = tuple(_read_jobs(fields.at("jobs"), inventory, tasks, problems)) if "jobs" in fields else ()
     return Scenario(
         name=values.get("name", ""),
         assumptions=values.get("assumptions", ()),
         hosts=_read_sim_hosts(fields.at("hosts"), inventory, problems) if "hosts" in fields else {},
-        jobs=tuple(_read_jobs(fields.at("jobs"), inventory, tasks, problems)) if "jobs" in fields else (),
+        jobs=jobs,
         timing=values.get("timing", SimTiming()),
         placed=values.get("placed", {}),
         rate=values.get("rate", {}),
         published=values.get("published", {}),
+        links=tuple(_check_links(values.get("links", ()), inventory, jobs, problems)),
+        live_links=values.get("live_links", True),
     )
+
+
+def _check_links(
+    links: Iterable[tuple[SimLink, Node]], inventory: Inventory, jobs: Iterable[SimJob], problems: Problems
+) -> Iterator[SimLink]:
+    """The links of which edge, robot and jobs exist."""
+    names = [job.name for job in jobs]
+    for link, node in links:
+        known = [
+            _check_name_exists(node, link.edge, [host.name for host in inventory.edges], "edge", problems),
+            _check_name_exists(node, link.robot, [host.name for host in inventory.robots], "robot", problems),
+            *(_check_name_exists(node, job, names, "job", problems) for job in link.after),
+        ]
+        if all(known):
+            yield link
 
 
 def _check_name_exists(node: Node, word: str, known: Iterable[str], what: str, problems: Problems) -> bool:

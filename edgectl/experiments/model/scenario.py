@@ -29,6 +29,16 @@ class SimJob:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class SimLink:
+    """What a link carries (bytes/s) once all jobs in ``after`` are done; the last entry that holds counts."""
+
+    edge: str
+    robot: str
+    throughput: float
+    after: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SimTiming:
     """Durations in s.
 
@@ -51,7 +61,8 @@ class Scenario:
 
     ``hosts``: by name in the inventory. ``placed``: task -> host of tasks that edgectl does not manage.
     ``rate``: by task, frames/s at full speed. ``published``: by scheme and metric, values reported for the
-    real experiment, one per edge or a single one.
+    real experiment, one per edge or a single one. ``links``: changes of what links carry; the inventory has
+    their nominal capacity. ``live_links``: the scheduler sees them, as by the probes of ``watch``.
     """
 
     name: str
@@ -62,6 +73,8 @@ class Scenario:
     placed: Mapping[str, str] = field(default_factory=dict)
     rate: Mapping[str, float] = field(default_factory=dict)
     published: Mapping[str, Mapping[str, tuple[float, ...]]] = field(default_factory=dict)
+    links: tuple[SimLink, ...] = ()
+    live_links: bool = True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

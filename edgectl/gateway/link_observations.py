@@ -1,0 +1,48 @@
+"""Links as both ends report them: each end knows what limits its own sending."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from edgectl.gateway.replies import LinkReply, PeerReply, ProbeReply, ReplyDocument, decode_reply
+from edgectl.model.link_reading import LinkObservation
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LinkEnds:
+    """Of an edge its ``links`` by robot, of a robot its ``peers`` by edge."""
+
+    links: Mapping[str, LinkReply] = field(default_factory=dict)
+    peers: Mapping[str, PeerReply] = field(default_factory=dict)
+
+
+def decode_link_ends(document: ReplyDocument) -> LinkEnds:
+    """What one host reports of its links.
+
+    Raises:
+        ReplyError: the reply is no probe.
+    """
+    reply = decode_reply(ProbeReply, document)
+    return LinkEnds(links=reply.links, peers=reply.peers)
+
+
+def join_link_ends(ends: Mapping[str, LinkEnds]) -> dict[tuple[str, str], LinkObservation]:
+    """The links by (edge, robot), from the reports of the hosts by name."""
+    return {
+        (edge, robot): _join_link(link, ends[robot].peers.get(edge) if robot in ends else None)
+        for edge, found in ends.items()
+        for robot, link in found.links.items()
+    }
+
+
+def _join_link(link: LinkReply, peer: PeerReply | None) -> LinkObservation:
+    """The limit that either end met counts, and the slower of two radios."""
+    far = peer or PeerReply()
+    carries = [rate for rate in (link.carries_bytes_per_s, far.carries_bytes_per_s) if rate]
+    radios = [rate for rate in (link.radio_bytes_per_s, far.radio_bytes_per_s) if rate]
+    return LinkObservation(
+        used_bytes_per_s=link.rx_bytes_per_s + link.tx_bytes_per_s,
+        carries_bytes_per_s=max(carries, default=None),
+        radio_bytes_per_s=min(radios, default=None),
+        interface=link.interface,
+        rtt_ms=link.rtt_ms,
+    )

@@ -1,0 +1,58 @@
+"""What was seen of a link, and the readings of its live capacity (ADR 0077)."""
+
+from dataclasses import dataclass, field
+
+from edgectl.model.encoding import Instant, in_document
+from edgectl.model.snapshot import CapacitySource
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LinkObservation:
+    """One link as a probe saw it.
+
+    ``used_bytes_per_s``: in plus out. ``carries_bytes_per_s``: what it carries now, where a connection is
+    limited by it. ``radio_bytes_per_s``: bit rate of the slower radio at its ends. ``interface``: that of the
+    edge, "" where unknown. ``rtt_ms``: round-trip time where known.
+    """
+
+    used_bytes_per_s: float = 0.0
+    carries_bytes_per_s: float | None = None
+    radio_bytes_per_s: float | None = None
+    interface: str = ""
+    rtt_ms: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LinkReading:
+    """Bytes/s (> 0) at which a link was the limit, on the manager's clock."""
+
+    bytes_per_s: float = field(metadata=in_document(required=True))
+    at: Instant = field(metadata=in_document(required=True))
+    source: CapacitySource = field(metadata=in_document(required=True))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LinkHistory:
+    """The last readings of a link, oldest first.
+
+    ``sampled_at``: when it was last probed, 0 for never. ``refused``: that probe found no way. ``rtt_ms``:
+    the round-trip time at that probe.
+    """
+
+    readings: tuple[LinkReading, ...] = ()
+    sampled_at: Instant = 0.0
+    refused: bool = False
+    rtt_ms: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LinkSampleResult:
+    """Result of the probe of an idle link.
+
+    ``bytes_per_s``: what arrived, None where too little did. ``full``: the link was the limit, else it
+    carries at least that. ``refused``: there was no way from the edge to the robot.
+    """
+
+    bytes_per_s: float | None = None
+    full: bool = False
+    refused: bool = False

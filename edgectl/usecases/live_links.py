@@ -1,0 +1,66 @@
+"""Live capacity of the links of a fleet: read at every probe, and by probes of idle links on request."""
+
+from collections.abc import Mapping
+
+from edgectl.errors import StateError
+from edgectl.gateway.bandwidth import probe_idle_links
+from edgectl.model.link_reading import LinkHistory, LinkObservation
+from edgectl.model.snapshot import Snapshot
+from edgectl.rules.live_links import (
+    add_sample,
+    apply_live_capacities,
+    choose_links_to_probe,
+    observe_link,
+)
+from edgectl.state.link_readings import load_link_histories, save_link_histories
+from edgectl.usecases.fleet import Fleet
+
+_NOTHING = LinkHistory()
+
+
+def measure_live_links(
+    fleet: Fleet,
+    snapshot: Snapshot,
+    observations: Mapping[tuple[str, str], LinkObservation],
+    *,
+    probe_idle: bool,
+) -> Snapshot:
+    """``snapshot`` with the live capacity of its links, from ``observations`` and the readings of earlier
+    calls.
+
+    ``probe_idle``: also probe the idle links whose turn it is, unless the inventory says ``probe_links:
+    false``. The readings are kept; a disk that does not take them costs a warning.
+    """
+    stored = load_link_histories(fleet.state, fleet.warn)
+    known = {
+        pair: observe_link(stored.get(pair, _NOTHING), link, snapshot.taken_at)
+        for pair, link in observations.items()
+    }
+    seen = apply_live_capacities(snapshot, known, observations, snapshot.taken_at)
+    if probe_idle and fleet.inventory.probe_links:
+        chosen = choose_links_to_probe(fleet.inventory, seen, known, observations, snapshot.taken_at)
+        rates = {(edge, robot): seen.hosts[edge].links[robot].nominal_bytes_per_s for edge, robot in chosen}
+        for pair, result in probe_idle_links(fleet.inventory, fleet.transport, rates).items():
+            known[pair] = add_sample(known[pair], result, observations[pair].rtt_ms, snapshot.taken_at)
+        seen = apply_live_capacities(snapshot, known, observations, snapshot.taken_at)
+    # Links of hosts that did not answer now are kept.
+    others = {
+        pair: history
+        for pair, history in stored.items()
+        if pair not in known and all(name in fleet.inventory.hosts for name in pair)
+    }
+    _save(fleet, stored, {pair: each for pair, each in {**others, **known}.items() if each != _NOTHING})
+    return seen
+
+
+def _save(
+    fleet: Fleet,
+    stored: Mapping[tuple[str, str], LinkHistory],
+    known: Mapping[tuple[str, str], LinkHistory],
+) -> None:
+    if known == stored:
+        return
+    try:
+        save_link_histories(fleet.state, known)
+    except StateError as error:
+        fleet.warn(f"readings of links are not kept: {error.message}")

@@ -1,0 +1,134 @@
+"""An edge and a robot in network namespaces of their own, with a cable between them that tbf shapes. Needs root."""
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import ClassVar
+
+from edgectl.model.inventory import Host
+from edgectl.transport.local import LocalSession, LocalTransport
+from tests.faults.network import run_ip, run_tc
+
+_SEND = """
+import socket
+peer = socket.create_connection(({address!r}, 5001))
+while True:
+    peer.sendall(bytes(65536))
+"""
+_RECEIVE = """
+import socket
+server = socket.create_server(("0.0.0.0", 5001))
+print("listening", flush=True)
+peer, _ = server.accept()
+while peer.recv(65536):
+    pass
+"""
+
+
+def find_missing() -> str:
+    """Why there can be no such network here; empty if there can."""
+    lacking = [name for name in ("unshare", "nsenter", "ip", "tc") if not shutil.which(name, path=_path())]
+    if os.geteuid() != 0 or lacking:
+        return f"needs root, {', '.join(lacking)}"
+    return ""
+
+
+def _path() -> str:
+    return f"{os.environ.get('PATH', '')}:/usr/sbin:/sbin"
+
+
+class ShapedNetwork(LocalTransport):
+    """Transport to two hosts, edge1 and robot1, whose agents run in their namespaces."""
+
+    addresses: ClassVar = {"edge1": "10.77.7.1", "robot1": "10.77.7.2"}
+
+    def __init__(self, folder: Path, spaces: dict[str, int]) -> None:
+        self.spaces = spaces
+        self._pythons = {name: folder / f"python-{name}" for name in spaces}
+        for name, pid in spaces.items():
+            self._pythons[name].write_text(
+                f'#!/bin/sh\nexec nsenter --net=/proc/{pid}/ns/net {sys.executable} "$@"\n'
+            )
+            self._pythons[name].chmod(0o755)
+
+    def connect(self, host: Host, *, timeout: float) -> LocalSession:
+        """A session whose interpreter runs in the namespace of ``host``."""
+        session = super().connect(host, timeout=timeout)
+        session.python = str(self._pythons[host.name])
+        return session
+
+    def address(self, host: Host) -> str:
+        """The address on the cable."""
+        return self.addresses[host.name]
+
+    def shape(self, mbit: float) -> None:
+        """Let the cable carry so many Mbit/s in each direction."""
+        for name, pid in self.spaces.items():
+            words = f"qdisc replace dev {name} root tbf rate {mbit}mbit burst 16kb latency 100ms"
+            assert not run_tc(*words.split(), netns=pid)
+
+    def count_received(self, name: str) -> int:
+        """Bytes that the host has received over the cable."""
+        lines = Path(f"/proc/{self.spaces[name]}/net/dev").read_text().splitlines()
+        return int(next(line for line in lines if name in line).split()[1])
+
+    def count_listeners(self, name: str) -> int:
+        """TCP ports that listen on the host."""
+        folder = Path(f"/proc/{self.spaces[name]}/net")
+        rows = [
+            row.split() for family in ("tcp", "tcp6") for row in (folder / family).read_text().splitlines()
+        ]
+        return sum(row[3] == "0A" for row in rows)
+
+    @contextmanager
+    def traffic(self, sender: str, receiver: str) -> Iterator[None]:
+        """A connection over which ``sender`` sends as much as it can."""
+        with self._run(receiver, _RECEIVE) as server:
+            assert server.stdout is not None
+            server.stdout.readline()
+            with self._run(sender, _SEND.format(address=self.addresses[receiver])):
+                yield
+
+    @contextmanager
+    def _run(self, name: str, program: str) -> "Iterator[subprocess.Popen[bytes]]":
+        words = [str(self._pythons[name]), "-I", "-S", "-c", program]
+        process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+        try:
+            yield process
+        finally:
+            process.kill()
+            process.communicate()
+
+
+@contextmanager
+def make_shaped_network(folder: Path) -> Iterator[ShapedNetwork]:
+    """Two namespaces that live as long as the context."""
+    keepers = {
+        name: subprocess.Popen(
+            ["unshare", "--net", "sh", "-c", "echo made; exec cat"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+        )
+        for name in ShapedNetwork.addresses
+    }
+    try:
+        for keeper in keepers.values():
+            assert keeper.stdout is not None
+            assert keeper.stdout.readline() == b"made\n"
+        spaces = {name: keeper.pid for name, keeper in keepers.items()}
+        edge, robot = spaces.values()
+        cable = f"link add name edge1 netns {edge} type veth peer name robot1 netns {robot}"
+        run_ip(*cable.split())
+        for name, pid in spaces.items():
+            address = f"addr add {ShapedNetwork.addresses[name]}/24 dev {name}"
+            for words in ("link set lo up", address, f"link set {name} up"):
+                run_ip(*words.split(), netns=pid)
+        yield ShapedNetwork(folder, spaces)
+    finally:
+        for keeper in keepers.values():
+            keeper.kill()
+            keeper.communicate()

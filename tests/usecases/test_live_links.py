@@ -1,0 +1,124 @@
+"""Live capacity of links over real sockets on a shaped cable: passive readings, probes of idle links, and their bounds."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from edgectl.gateway.host_probe import ProbeOptions
+from edgectl.model.snapshot import CapacitySource, LinkSample
+from edgectl.state.link_readings import load_link_histories
+from edgectl.usecases.fleet import Fleet
+from edgectl.usecases.probe import probe_fleet
+from tests.agent.conftest import eventually
+from tests.builders import a_robot, an_edge, an_inventory, some_tasks
+from tests.usecases.shaped_network import ShapedNetwork, find_missing, make_shaped_network
+
+pytestmark = pytest.mark.skipif(bool(find_missing()), reason=find_missing() or "here")
+MBIT = 125000.0
+DECLARED = 50 * MBIT
+
+
+@pytest.fixture(scope="module")
+def network(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ShapedNetwork]:
+    with make_shaped_network(tmp_path_factory.mktemp("shaped")) as made:
+        yield made
+
+
+class Site:
+    """A fleet on the cable; each probe is ten seconds after the one before."""
+
+    def __init__(self, network: ShapedNetwork, folder: Path, *, probe_links: bool = True) -> None:
+        self.now = 1000.0
+        folder.mkdir()
+        inventory = an_inventory(
+            an_edge("edge1"),
+            a_robot("robot1"),
+            links={("edge1", "robot1"): DECLARED},
+            probe_links=probe_links,
+        )
+        self.fleet = Fleet(
+            inventory=inventory,
+            tasks=some_tasks(),
+            transport=network,
+            state=folder,
+            clock=lambda: self.now,
+        )
+
+    def probe(self, window: float = 0.1) -> LinkSample:
+        self.now += 10.0
+        snapshot = probe_fleet(self.fleet, ProbeOptions(window=window, probe_idle_links=True))
+        return snapshot.hosts["edge1"].links["robot1"]
+
+    @property
+    def sampled_at(self) -> float:
+        return max((each.sampled_at for each in load_link_histories(self.fleet.state).values()), default=0.0)
+
+
+@pytest.fixture
+def site(network: ShapedNetwork, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Site:
+    monkeypatch.setenv("EDGECTL_STATE_DIR", str(tmp_path / "hosts"))
+    return Site(network, tmp_path / "state")
+
+
+def is_near(link: LinkSample, mbit: float) -> bool:
+    """Within 15 % of what tbf lets pass, of which headers take 4.4 %."""
+    return abs(link.capacity_bytes_per_s / (0.956 * mbit * MBIT) - 1) <= 0.15
+
+
+def test_an_idle_link_is_probed_and_a_change_is_followed_within_three_probes(
+    network: ShapedNetwork, site: Site
+) -> None:
+    for mbit in (20, 4, 12):
+        network.shape(mbit)
+        before = network.count_received("robot1")
+        found = [site.probe()]
+        while not is_near(found[-1], mbit):
+            assert len(found) < 3, [link.capacity_bytes_per_s / MBIT for link in found]
+            found.append(site.probe())
+        assert found[-1].capacity_source is CapacitySource.PROBE
+        assert (found[-1].capacity_age_s, found[-1].nominal) == (0.0, DECLARED)
+        # 0.09 s at the declared rate at most, with headers and requests.
+        assert network.count_received("robot1") - before < len(found) * 0.1 * DECLARED
+    eventually(lambda: not network.count_listeners("robot1"), seconds=2.0)
+
+
+def test_a_link_that_carries_what_is_declared_stays_as_declared(network: ShapedNetwork, site: Site) -> None:
+    network.shape(400)
+    link = site.probe()
+    assert (link.capacity_bytes_per_s, link.capacity_source) == (DECLARED, CapacitySource.DECLARED)
+    assert link.nominal is None
+
+
+@pytest.mark.parametrize("sender", ["edge1", "robot1"])
+def test_a_busy_link_is_read_from_tcp_by_the_end_that_sends_and_is_never_probed(
+    network: ShapedNetwork, site: Site, sender: str
+) -> None:
+    network.shape(10)
+    receiver = "robot1" if sender == "edge1" else "edge1"
+    with network.traffic(sender, receiver):
+        # A machine that is busy itself carries in jerks.
+        found = [site.probe(0.5)]
+        while not is_near(found[-1], 10):
+            assert len(found) < 6, [link.capacity_bytes_per_s / MBIT for link in found]
+            found.append(site.probe(0.5))
+    assert found[-1].capacity_source is CapacitySource.TCP
+    assert site.sampled_at == 0.0
+
+
+def test_probes_are_ten_seconds_apart_and_off_where_the_inventory_says_so(
+    network: ShapedNetwork, site: Site, tmp_path: Path
+) -> None:
+    network.shape(10)
+    for _ in range(3):
+        # What the last test had sent may still be under way.
+        if not site.sampled_at:
+            site.probe()
+    first = site.sampled_at
+    assert first == site.now
+    site.now -= 5.0
+    site.probe()
+    assert site.sampled_at == first
+    silent = Site(network, tmp_path / "silent", probe_links=False)
+    assert silent.probe().capacity_source is CapacitySource.DECLARED
+    assert silent.sampled_at == 0.0
