@@ -1,5 +1,6 @@
 """apply command."""
 
+import dataclasses
 from pathlib import Path
 from typing import Annotated
 
@@ -36,7 +37,7 @@ def apply_command(
     """
     from edgectl.cli import apply_session, policy_options
     from edgectl.cli.connect import build_fleet
-    from edgectl.usecases.apply import apply_saved_plan, plan_and_apply
+    from edgectl.usecases.apply import RECHECK_WINDOW_S, apply_saved_plan, plan_and_apply
     from edgectl.usecases.given_up import take_given_up_reminders
 
     asked = apply_session.check_can_confirm(asked=plan is None and not change.yes and not change.dry_run)
@@ -48,6 +49,8 @@ def apply_command(
         raise Exit(apply_session.print_dry_run(fleet, how, saved, choose, output))
     with apply_session.open_apply_session(quiet=change.quiet, output=output, asked=asked) as act:
         chosen = act.options_from(change, choose)
+        if change.quiet and not how.attended:
+            chosen = dataclasses.replace(chosen, recheck_window=RECHECK_WINDOW_S)
         applied = (
             plan_and_apply(fleet, how, act.confirm, chosen)
             if saved is None

@@ -7,9 +7,10 @@ from dataclasses import replace
 from typing import Any
 
 from edgectl.config.host_rules import FleetIndex, index_fleet, resolve_host_rules
-from edgectl.config.needs import resolve_needs
+from edgectl.config.needs import index_task_names, resolve_needs
 from edgectl.config.node import Node
 from edgectl.config.placeholders import fill_placeholders
+from edgectl.config.placement_rules import COMPANION_KEYS, check_placement_rules, resolve_companions
 from edgectl.config.problems import ProblemCode, Problems
 from edgectl.config.scalars import MAX_NAME_LENGTH
 from edgectl.config.task_file import MAX_TASKS, TaskDraft, TaskTemplate
@@ -19,7 +20,7 @@ from edgectl.model.inventory import Inventory
 from edgectl.model.task import HostRules, Need, Task
 from edgectl.names import natural_key
 
-_KEYS_READ_ELSEWHERE = ("for_each", "robot", "robots", "needs", "hosts", "on_unreachable")
+_KEYS_READ_ELSEWHERE = ("for_each", "robot", "robots", "needs", "hosts", "on_unreachable", *COMPANION_KEYS)
 
 
 def expand_templates(
@@ -40,13 +41,15 @@ def expand_templates(
                 )
                 return {}
             _add_draft(draft, drafts, problems)
-    needs = resolve_needs(drafts, templates, problems)
+    names = index_task_names(drafts, templates)
+    needs = resolve_needs(drafts, names, problems)
+    companions = resolve_companions(drafts, names, problems)
     tasks = {}
     for name in sorted(drafts, key=natural_key):
         check_draft(drafts[name], fleet, problems)
-        tasks[name] = _build_task(
-            drafts[name], needs[name], resolve_host_rules(drafts[name], fleet, problems), fleet
-        )
+        hosts = resolve_host_rules(drafts[name], fleet, problems)
+        tasks[name] = _build_task(drafts[name], needs[name], hosts, companions.get(name, {}), fleet)
+    check_placement_rules(tasks, drafts, fleet, problems)
     return tasks
 
 
@@ -110,7 +113,13 @@ def _resolve_robots(
     return tuple(dict.fromkeys(name for name, _ in wanted if name in every))
 
 
-def _build_task(draft: TaskDraft, needs: tuple[Need, ...], hosts: HostRules, fleet: FleetIndex) -> Task:
+def _build_task(
+    draft: TaskDraft,
+    needs: tuple[Need, ...],
+    hosts: HostRules,
+    companions: Mapping[str, tuple[str, ...]],
+    fleet: FleetIndex,
+) -> Task:
     values: dict[str, Any] = {
         key: value for key, value in draft.template.fields.values.items() if key not in _KEYS_READ_ELSEWHERE
     }
@@ -119,6 +128,7 @@ def _build_task(draft: TaskDraft, needs: tuple[Need, ...], hosts: HostRules, fle
     policy, after = draft.template.fields.values.get("on_unreachable", (None, None))
     values |= {"on_unreachable": policy} if policy is not None else {}
     values |= {"replace_after": after} if after is not None else {}
+    values |= companions
     values.setdefault("command", "")
     task = Task(
         name=draft.name,

@@ -14,32 +14,36 @@ _MAX_CYCLES = 20
 
 
 @dataclass(frozen=True, slots=True)
-class _NeedTargets:
-    """Names that a need may use: expanded tasks, templates, and the tasks of each template."""
+class TaskNames:
+    """Names that a key may refer to: expanded tasks, templates, and the tasks of each template."""
 
     drafts: Mapping[str, TaskDraft]
     expansions: Mapping[str, list[str]]
     known: tuple[str, ...]
 
 
+def index_task_names(drafts: Mapping[str, TaskDraft], templates: Mapping[str, TaskTemplate]) -> TaskNames:
+    """The names of all tasks."""
+    expansions: dict[str, list[str]] = {name: [] for name in templates}
+    for name, draft in drafts.items():
+        expansions[draft.template.name].append(name)
+    return TaskNames(drafts, expansions, tuple(sorted({*templates, *drafts}, key=natural_key)))
+
+
 def resolve_needs(
-    drafts: Mapping[str, TaskDraft], templates: Mapping[str, TaskTemplate], problems: Problems
+    drafts: Mapping[str, TaskDraft], names: TaskNames, problems: Problems
 ) -> dict[str, tuple[Need, ...]]:
     """The needs of every task; unknown names and cycles are collected as problems.
 
     Between two tasks made per robot, the same robot's task is needed; a task that is not made per robot needs
     all of them.
     """
-    expansions: dict[str, list[str]] = {name: [] for name in templates}
-    for name, draft in drafts.items():
-        expansions[draft.template.name].append(name)
-    names = _NeedTargets(drafts, expansions, tuple(sorted({*templates, *drafts}, key=natural_key)))
     needs: dict[str, tuple[Need, ...]] = {}
     places: dict[tuple[str, str], Node] = {}
     for name, draft in drafts.items():
         found: dict[str, Need] = {}
         for need, node in draft.template.fields.values.get("needs", ()):
-            for target in _resolve_targets(draft, need.task, node, names, problems):
+            for target in resolve_task_name(draft, need.task, node, names, problems):
                 if target in found:
                     problems.add(node.mark, ProblemCode.TAKEN, f"{target} is needed twice", "name it once")
                 found[target] = Need(task=target, until=need.until)
@@ -49,9 +53,10 @@ def resolve_needs(
     return needs
 
 
-def _resolve_targets(
-    draft: TaskDraft, wanted: str, node: Node, names: _NeedTargets, problems: Problems
+def resolve_task_name(
+    draft: TaskDraft, wanted: str, node: Node, names: TaskNames, problems: Problems
 ) -> Sequence[str]:
+    """The tasks that ``draft`` means by ``wanted``: that one, that of the same robot, or all of an entry."""
     if wanted in names.drafts:
         return (wanted,)
     if wanted not in names.expansions:

@@ -54,7 +54,7 @@ from edgectl.config.task_readers import (
     read_stop,
     read_weights,
 )
-from edgectl.model.policy import Policy, PolicyName, SequenceRule
+from edgectl.model.policy import Policy, PolicyName, Preference, SequenceRule
 from edgectl.model.task import (
     CheckLocation,
     DetectRule,
@@ -78,6 +78,10 @@ TASK_KEYS: Mapping[str, NodeReader] = {
     "priority": read_priority,
     "preempt": read_bool,
     "if_nothing_fits": enum_reader(NothingFits),
+    "apart": list_reader_with_nodes(read_name),
+    "together": list_reader_with_nodes(read_name),
+    "spread": read_text,
+    "group": read_name,
     "deadline": read_duration,
     "hosts": read_host_rules,
     "onboard": enum_reader(OnboardRule),
@@ -107,6 +111,7 @@ POLICY_KEYS: Mapping[str, NodeReader] = {
     "move_margin": quantity_reader(parse_margin),
     "min_dwell": quantity_reader(parse_duration),
     "max_moves": read_max_moves,
+    "prefer": enum_reader(Preference),
 }
 # Keys of a task that exclude each other.
 EXCLUSIVE_KEYS = (("for_each", "robot"), ("for_each", "robots"), ("robot", "robots"))

@@ -28,6 +28,9 @@ class RejectionRule(StrEnum):
     NO_LINK = "no-link"
     NO_CAPACITY = "no-capacity"
     INSUFFICIENT = "insufficient"
+    APART = "apart"
+    TOGETHER = "together"
+    SPREAD = "spread"
 
 
 class DemandSource(StrEnum):
@@ -110,12 +113,14 @@ class Shortage:
 class Rejection:
     """One reason against one host.
 
-    The last three fields are rho, gamma and Delta in the resource's own unit.
+    ``task``: the other task that the rule is about. The last three fields are rho, gamma and Delta in the
+    resource's own unit.
     """
 
     rule: RejectionRule
     resource: Resource | None = None
     robot: str | None = None
+    task: str | None = None
     demand: Signed | None = None
     used: Signed | None = None
     capacity: Signed | None = None
@@ -174,6 +179,8 @@ class Reason(StrEnum):
     MADE_ROOM = "made-room-for"
     ROOM_MADE = "room-made"
     PREEMPTED = "preempted"
+    TOGETHER = "together-with"
+    GROUP = "group-incomplete"
     REBALANCED = "rebalanced"
     REPLACED = "replaced"
     FORCED_INFEASIBLE = "present-host-infeasible"

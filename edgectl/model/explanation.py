@@ -47,6 +47,7 @@ class TieRule(StrEnum):
     """What decides between hosts of equal utility."""
 
     RUNS_THERE = "runs-there"
+    FREE_SHARE = "free-share"
     FEWEST_TASKS = "fewest-tasks"
     NAMES = "order-of-names"
 

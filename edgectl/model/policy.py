@@ -19,6 +19,13 @@ class PolicyName(StrEnum):
     LOCAL = "local"
 
 
+class Preference(StrEnum):
+    """Which hosts are better: those with more free resources, or those that are fuller."""
+
+    SPREAD = "spread"
+    PACK = "pack"
+
+
 class SequenceRule(StrEnum):
     """Key by which eligible tasks are ordered."""
 
@@ -73,6 +80,7 @@ class Policy:
     person looks at the plan, so ``max_moves`` does not act. ``best_effort``: place on the highest total even
     where it does not fit. ``full``: keep every host's ranking above 64 hosts. ``without``: hosts left out as
     candidates (what if). ``prune``: also stop the running tasks of files that were not given (ADR 0039).
+    ``prefer``: pack makes the fuller host the better one (ADR 73).
     ``rebalance``: relocate and swap tasks for a greater sum of utilities (ADR 66).
     """
 
@@ -90,3 +98,4 @@ class Policy:
     without: frozenset[str] = field(default=frozenset(), metadata=in_document("options.without", always=True))
     prune: bool = field(default=False, metadata=in_document("options.prune"))
     rebalance: bool = field(default=False, metadata=in_document("options.rebalance"))
+    prefer: Preference = field(default=Preference.SPREAD, metadata=in_document("options.prefer"))

@@ -191,7 +191,10 @@ class Task:
     ``env`` may be ``Secret``; ``env_command`` is an argument vector that prints more of them as lines
     NAME=value. ``spec_fields``: short hash of each field that ``spec_hash`` covers. ``self_fence``: its
     supervisor stops it when no request of a manager has reached the host for so many seconds; None: never.
-    ``preempt``: it may take the room of tasks of lower priority, which are then stopped. ``up``: without
+    ``preempt``: it may take the room of tasks of lower priority, which are then stopped. ``apart`` and
+    ``together``: tasks (expanded names) that must not, or must, share its host. ``spread``: "host" or the key
+    of a label over whose values the tasks of its entry are shared out evenly. ``group``: tasks that are only
+    started all together. ``up``: without
     ``ready``, how long (s) the command must have run until it counts as ready; None: the default.
     ``if_nothing_fits``: what it does where no host has room, as ``Policy.best_effort`` for all tasks.
     ``downtime_cost``: utility lost per second of downtime, 0 or more; weighed once downtimes are measured.
@@ -208,6 +211,10 @@ class Task:
     priority: float = 0.0
     preempt: bool = False
     if_nothing_fits: NothingFits = NothingFits.WAIT
+    apart: tuple[str, ...] = ()
+    together: tuple[str, ...] = ()
+    spread: str | None = None
+    group: str | None = None
     deadline: float | None = None
     hosts: HostRules = HostRules()
     onboard: OnboardRule = OnboardRule.ALLOW
@@ -250,3 +257,19 @@ class Tasks:
     def is_given(self, file: str) -> bool:
         """Whether the task file ``file`` was given, by itself or by its directory; "" is not known."""
         return file in self.files or (file != "" and (posixpath.dirname(file) or ".") in self.folders)
+
+
+def join_units(tasks: Mapping[str, Task]) -> dict[str, tuple[str, ...]]:
+    """The tasks that share a host by ``together``, directly or through others, by each of them.
+
+    In the order of ``tasks``; names that are not in it are ignored.
+    """
+    units: dict[str, list[str]] = {}
+    for name, task in tasks.items():
+        for other in task.together:
+            if other in tasks and units.get(name, [name]) is not units.get(other):
+                joined = [*units.get(name, [name]), *units.get(other, [other])]
+                units |= dict.fromkeys(joined, joined)
+    rank = {name: index for index, name in enumerate(tasks)}
+    ordered = {id(unit): tuple(sorted(unit, key=rank.__getitem__)) for unit in units.values()}
+    return {name: ordered[id(unit)] for name, unit in units.items()}

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
-from edgectl.model.assignment import Assignment, Decision, Reason, Verdict
+from edgectl.model.assignment import Assignment, Decision, Reason, Rejection, Verdict
 from edgectl.model.inventory import Inventory
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.policy import Policy
@@ -20,6 +20,7 @@ from edgectl.scheduler.candidates import (
 )
 from edgectl.scheduler.capacities import build_capacities
 from edgectl.scheduler.choice import Choice, MoveConstraints
+from edgectl.scheduler.company import Company, follows_unit, list_reservations, weigh_in_company
 from edgectl.scheduler.decisions import (
     build_decision,
     explain_replacement,
@@ -28,12 +29,15 @@ from edgectl.scheduler.decisions import (
 )
 from edgectl.scheduler.demand import add_measured_demands
 from edgectl.scheduler.demand_spread import find_demand_spreads
+from edgectl.scheduler.groups import MAX_ROUNDS, withhold_incomplete_groups
 from edgectl.scheduler.initial_state import InitialState, RunningTask, build_initial_state
 from edgectl.scheduler.lazy_ranking import LoadChange, LoadHistory, RankingRequest
 from edgectl.scheduler.ledger import Ledger, compute_demand_usage
 from edgectl.scheduler.move_cost import collect_handoff_history
 from edgectl.scheduler.peaks import LoadPeaks, stays_in_place
+from edgectl.scheduler.placement_rules import NO_RULES, build_placement_rules
 from edgectl.scheduler.policies import POLICIES, SchedulingPolicy
+from edgectl.scheduler.preference import sign_weights
 from edgectl.scheduler.repair import UnrepairedPlan, rate_plan, rebalance_plan, repair_plan
 from edgectl.scheduler.reservation import reserve_running_tasks
 from edgectl.scheduler.scan import build_demand_shares
@@ -61,14 +65,20 @@ class PassResult:
 
 @dataclass(slots=True, kw_only=True)
 class _PassState:
-    """State of a pass under way. ``history``: its changes of gamma, where rankings are asked for."""
+    """State of a pass under way. ``history``: its changes of gamma, where rankings are asked for.
+
+    ``open``: the tasks that it decides, where rules between tasks need them. ``reserved``: room kept for
+    tasks that will share the host of another.
+    """
 
     ledger: Ledger
     history: LoadHistory | None
     peaks: LoadPeaks = field(default_factory=LoadPeaks)
     located: dict[str, int]
+    open: Mapping[str, Task]
     placed: dict[int, int] = field(default_factory=dict)
     uses: dict[str, tuple[int, TaskUsage]] = field(default_factory=dict)
+    reserved: dict[str, tuple[int, TaskUsage]] = field(default_factory=dict)
     choices: dict[str, Choice] = field(default_factory=dict)
     decisions: list[Decision] = field(default_factory=list)
     moves_left: int | None = None
@@ -99,6 +109,9 @@ def run_pass(how: PlacementPass, state: InitialState, prior_moves: Mapping[str, 
         ledger=state.ledger.copy(),
         history=LoadHistory(start=state.ledger) if how.record else None,
         located=dict(state.located),
+        open={task.name: task for task in how.order if task.name not in state.fixed}
+        if how.context.placement_rules is not NO_RULES
+        else {},
         moves_left=_count_moves_left(how, prior_moves),
     )
     for task in how.order:
@@ -172,6 +185,8 @@ def _decide_task(
 ) -> None:
     """One task: its reservation leaves gamma, every place is weighed, and d is charged where it is put."""
     running = state.running.get(task.name)
+    if task.name in progress.reserved:
+        _change_reservation(progress, *progress.reserved.pop(task.name), is_charge=False)
     if running is not None and not how.rules.strict_paper:
         progress.ledger.release(running.place, running.use)
         if progress.history is not None:
@@ -189,6 +204,7 @@ def _decide_task(
     progress.choices[task.name] = choice
     if choice.place is not None:
         _charge_demand(progress, task, choice.place)
+        _reserve_for_unit(how, state, progress, task, choice.place)
     else:
         progress.located.pop(task.name, None)  # it ran on a host that counts as gone
     if progress.moves_left is not None and choice.counted and task.name not in prior_moves:
@@ -215,11 +231,18 @@ def _choose_place(
         predecessors=predecessors,
         placed=progress.placed,
     )
-    candidates = gather()
-    if how.rules.settles and not how.record and stays_in_place(candidates, progress.peaks):
-        return Choice(verdict=Verdict.KEPT, reason=Reason.STILL_BEST, place=incumbent)
-    candidates = weigh_candidates(candidates)
-    choice = how.rules.choose(candidates, _build_move_constraints(how, progress, task, running))
+    company = _build_company(how, state, progress, task)
+    barred: Mapping[int, Rejection] = {}
+    if company is not None:
+        candidates, barred = weigh_in_company(
+            company, task, incumbent, lambda barred=None: weigh_candidates(gather(barred=barred))
+        )
+    else:
+        candidates = gather()
+        if how.rules.settles and not how.record and stays_in_place(candidates, progress.peaks):
+            return Choice(verdict=Verdict.KEPT, reason=Reason.STILL_BEST, place=incumbent)
+        candidates = weigh_candidates(candidates)
+    choice = how.rules.choose(candidates, _build_move_constraints(how, progress, task, running, company))
     initial_place = _find_place(how.initial, task.name)
     if initial_place is None and incumbent is not None and choice.verdict is Verdict.PLACED:
         # Another place than that of an earlier pass: the task runs nowhere yet, so nothing moves.
@@ -228,7 +251,7 @@ def _choose_place(
     if progress.history is not None:
         waived = choice.place in candidates.denied and choice.place == incumbent
         if waived:
-            candidates = weigh_candidates(gather(stays=True))
+            candidates = weigh_candidates(gather(stays=True, barred=barred))
         told = rebase_on_initial(choice, initial_place, prior_moves.get(task.name))
         ranking = RankingRequest(
             context=how.context,
@@ -239,6 +262,7 @@ def _choose_place(
             predecessors=predecessors,
             stays=waived,
             chosen=told.place,
+            barred=barred,
         )
         decision = build_decision(candidates, told, initial_place, ranking)
         progress.decisions.append(explain_replacement(decision, how.initial.replaced.get(task.name)))
@@ -246,17 +270,62 @@ def _choose_place(
 
 
 def _build_move_constraints(
-    how: PlacementPass, progress: _PassState, task: Task, running: RunningTask | None
+    how: PlacementPass,
+    progress: _PassState,
+    task: Task,
+    running: RunningTask | None,
+    company: Company | None,
 ) -> MoveConstraints:
-    """The constraints of this pass. ``max_moves`` is about tasks that run before the plan."""
+    """The constraints of this pass. ``max_moves`` is about tasks that run before the plan.
+
+    Tasks that share a host have been there as long as the last of them.
+    """
+    since = running.since if running is not None else None
+    if company is not None:
+        runs = [company.running[mate] for mate in company.list_mates(task.name) if mate in company.running]
+        since = max([since, *(run.since for run in runs if run.since is not None)]) if since else since
     return MoveConstraints(
         frozen=how.initial.frozen,
         voluntary=how.voluntary,
-        dwell_s=how.context.now - running.since
-        if running is not None and running.since is not None
-        else None,
+        dwell_s=how.context.now - since if since is not None else None,
         moves_left=progress.moves_left if task.name in how.initial.running else None,
+        follows=company is not None and follows_unit(company, task.name),
+        in_unit=company is not None and bool(company.list_mates(task.name)),
     )
+
+
+def _build_company(
+    how: PlacementPass, state: InitialState, progress: _PassState, task: Task
+) -> Company | None:
+    """The tasks that rules between tasks join ``task`` with; None: no rule concerns it."""
+    if not how.context.placement_rules.concern(task.name):
+        return None
+    return Company(
+        context=how.context,
+        ledger=progress.ledger,
+        open=progress.open,
+        running=state.running,
+        decided=progress.choices,
+        located=progress.located,
+    )
+
+
+def _reserve_for_unit(
+    how: PlacementPass, state: InitialState, progress: _PassState, task: Task, place: int
+) -> None:
+    """Keep the room that the tasks need which share this host and come later."""
+    company = _build_company(how, state, progress, task)
+    for mate, use in list_reservations(company, task.name, place) if company is not None else ():
+        if mate not in progress.reserved:
+            _change_reservation(progress, place, use, is_charge=True)
+            progress.reserved[mate] = place, use
+
+
+def _change_reservation(progress: _PassState, place: int, use: TaskUsage, *, is_charge: bool) -> None:
+    (progress.ledger.charge if is_charge else progress.ledger.release)(place, use)
+    progress.peaks.valid = False
+    if progress.history is not None:
+        progress.history.changes.append(LoadChange(place, use, is_charge=is_charge, counts=False))
 
 
 def _charge_demand(progress: _PassState, task: Task, place: int) -> None:
@@ -298,23 +367,24 @@ def assign(
     if not rules.strict_paper:
         state = reserve_running_tasks(state, tasks)
         fleet = state.ledger.fleet
+    order = order_tasks(tasks.tasks.values(), used.sequence)
     context = AssignmentContext(
         fleet=fleet,
-        policy=used,
+        policy=sign_weights(used) if rules.settles else used,
         rules=rules.candidates,
         shares=build_demand_shares(fleet),
         now=now,
         first=_select_first_placements(manager, state),
         handoffs=collect_handoff_history(manager),
+        placement_rules=build_placement_rules(order, fleet, state) if rules.settles else NO_RULES,
     )
-    order = order_tasks(tasks.tasks.values(), used.sequence)
     how = PlacementPass(
         context=context,
         order=order,
         rules=rules,
         initial=state,
     )
-    outcome, settled = _run_until_settled(how, state) if rules.settles else _run_once(how, state)
+    outcome, settled = _run_with_groups(how, state) if rules.settles else _run_once(how, state)
     return Assignment(
         policy=used,
         decisions=outcome.decisions,
@@ -330,6 +400,23 @@ def assign(
 def _select_first_placements(manager: ManagerState, state: InitialState) -> dict[str, str]:
     """First placements, without those of tasks that leave theirs because it is silent (ADR 0023)."""
     return {task: host for task, host in manager.first.items() if task not in state.replaced}
+
+
+def _run_with_groups(how: PlacementPass, initial: InitialState) -> tuple[PassResult, bool]:
+    """A plan in which no group is started in part (ADR 73): made again without each that is incomplete."""
+    outcome, settled = _run_until_settled(how, initial)
+    groups, tasks = how.context.placement_rules.groups, {task.name: task for task in how.order}
+    for round_ in range(MAX_ROUNDS + len(groups) if groups else 0):
+        withheld = withhold_incomplete_groups(
+            groups, tasks, outcome.decisions, initial.running, every=round_ >= MAX_ROUNDS
+        )
+        if not withheld:
+            break
+        initial = replace(initial, fixed={**initial.fixed, **withheld})
+        rules = build_placement_rules(how.order, how.context.fleet, initial)
+        how = replace(how, initial=initial, context=replace(how.context, placement_rules=rules))
+        outcome, settled = _run_until_settled(how, initial)
+    return outcome, settled
 
 
 def _run_until_settled(how: PlacementPass, initial: InitialState) -> tuple[PassResult, bool]:

@@ -4,13 +4,14 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from edgectl.model.assignment import Rejection, RejectionRule, UtilityTerms
-from edgectl.model.policy import Policy
+from edgectl.model.policy import Policy, Preference
 from edgectl.model.resource import AFFINITY, RESOURCES, Resource
 from edgectl.model.task import OnboardRule, Task
 from edgectl.scheduler.capacities import Capacities
 from edgectl.scheduler.feasibility import compute_resource_terms, find_own_robot, find_rule_against
 from edgectl.scheduler.ledger import Ledger
 from edgectl.scheduler.move_cost import HandoffHistory
+from edgectl.scheduler.placement_rules import NO_RULES, PlacementRules
 from edgectl.scheduler.scan import (
     EXCLUDED_TOTAL,
     INFEASIBLE_PENALTY,
@@ -81,7 +82,7 @@ def reject_every_robot(_fleet: Capacities, _task: Task, _place: int) -> Rejectio
 class AssignmentContext:
     """Whatever stays the same over all passes of one assignment.
 
-    ``edge_rejections`` caches the edges closed to a task, by its rules.
+    ``placement_rules``: between tasks. ``edge_rejections`` caches the edges closed to a task, by its rules.
     """
 
     fleet: Capacities
@@ -91,6 +92,7 @@ class AssignmentContext:
     now: float
     first: Mapping[str, str]
     handoffs: HandoffHistory
+    placement_rules: PlacementRules = NO_RULES
     edge_rejections: dict[object, dict[int, Rejection]] = field(default_factory=dict)
 
 
@@ -135,10 +137,11 @@ def evaluate_candidates(
     predecessors: Mapping[str, int],
     placed: Mapping[int, int],
     stays: bool = False,
+    barred: Mapping[int, Rejection] | None = None,
 ) -> CandidateSet:
     """``task`` against the present ledger; its own use must already be taken out.
 
-    ``stays``: weigh the incumbent even if it is denied.
+    ``stays``: weigh the incumbent even if it is denied. ``barred``: places that rules between tasks exclude.
     """
     return weigh_candidates(
         gather_candidates(
@@ -149,6 +152,7 @@ def evaluate_candidates(
             predecessors=predecessors,
             placed=placed,
             stays=stays,
+            barred=barred,
         )
     )
 
@@ -162,11 +166,14 @@ def gather_candidates(
     predecessors: Mapping[str, int],
     placed: Mapping[int, int],
     stays: bool = False,
+    barred: Mapping[int, Rejection] | None = None,
 ) -> CandidateSet:
     """As ``evaluate_candidates``, without the totals."""
     located = tuple(predecessors.values())
     robots = _list_robot_places(context, task, incumbent)
     listed, denied = _list_candidates(context, task, incumbent, robots)
+    if barred:
+        denied = {**{place: barred[place] for place in listed if place in barred}, **denied}
     waived = denied.get(incumbent) if stays and incumbent is not None else None
     if waived is not None:
         denied = {place: rejection for place, rejection in denied.items() if place != incumbent}
@@ -300,6 +307,9 @@ def _compute_place_totals(candidates: CandidateSet) -> list[float]:
     far = candidates.utilities.get(-len(candidates.located), 0.0)
     weight = weights[AFFINITY]
     row = compute_resource_totals(candidates.ledger, context.shares, task, weights, offset=weight * far)
+    if context.policy.prefer is Preference.PACK:
+        # A negative weight makes a huge gain of the huge shortage that stands for no capacity.
+        row = [EXCLUDED_TOTAL if total > INFEASIBLE_PENALTY else total for total in row]
     row.extend([EXCLUDED_TOTAL] * (len(fleet.places) - fleet.edges))
     for place in set(candidates.located):
         if place < fleet.edges and place not in candidates.denied:

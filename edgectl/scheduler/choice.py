@@ -10,6 +10,7 @@ from edgectl.scheduler.feasibility import compute_resource_terms
 from edgectl.scheduler.ledger import NO_FREE_SHARE
 from edgectl.scheduler.move_cost import estimate_move_cost
 from edgectl.scheduler.scan import compute_worst_terms, is_feasible_total
+from edgectl.scheduler.ties import order_tied_places
 from edgectl.scheduler.utility import EPSILON
 
 
@@ -37,19 +38,26 @@ class MoveConstraints:
     """Constraints that keep a running task in place.
 
     ``dwell_s``: seconds it has been there, None where this plan put it there. ``moves_left``: voluntary moves
-    still allowed, None = any. ``voluntary``: whether such moves are allowed at all in this pass.
+    still allowed, None = any. ``voluntary``: whether such moves are allowed at all in this pass. ``follows``:
+    the tasks that share its host have left it in this plan; ``in_unit``: there are such tasks.
     """
 
     frozen: bool = False
     voluntary: bool = True
     dwell_s: float | None = None
     moves_left: int | None = None
+    follows: bool = False
+    in_unit: bool = False
+
+
+# Rules between tasks: who breaks one has a place all the same, and is in no hurry to leave it.
+_RULES_BETWEEN_TASKS = (RejectionRule.APART, RejectionRule.TOGETHER, RejectionRule.SPREAD)
 
 
 def find_best_place(candidates: CandidateSet) -> int | None:
     """Argmax of the total over feasible places, eq. (5).
 
-    Ties: incumbent, fewest tasks placed in this pass, natural order.
+    Ties: ``ties.order_tied_places``.
     """
     totals = candidates.totals
     top = max(totals, default=NO_FREE_SHARE)
@@ -62,15 +70,8 @@ def find_best_place(candidates: CandidateSet) -> int | None:
         > max(totals[first + 1 :], default=NO_FREE_SHARE)
     ):
         return first  # no tie, the common case: three scans in C instead of one in Python
-    return _break_tie(candidates, [place for place, total in enumerate(totals) if total >= top - EPSILON])
-
-
-def _break_tie(candidates: CandidateSet, places: list[int]) -> int:
-    order = candidates.context.fleet.order
-    return min(
-        places,
-        key=lambda place: (place != candidates.incumbent, candidates.placed.get(place, 0), order[place]),
-    )
+    tied = [place for place, total in enumerate(totals) if total >= top - EPSILON]
+    return order_tied_places(candidates, tied)[0]
 
 
 def choose_by_utility(candidates: CandidateSet, constraints: MoveConstraints) -> Choice:
@@ -98,7 +99,10 @@ def choose_by_utility(candidates: CandidateSet, constraints: MoveConstraints) ->
 def _choose_forced_move(
     candidates: CandidateSet, best: int, here: int, constraints: MoveConstraints
 ) -> Choice:
-    """The task may not stay, by a rule or because its host is overloaded beyond the slack."""
+    """The task may not stay, by a rule or because its host is overloaded beyond the slack.
+
+    For a rule between tasks it moves once its dwell has passed, and within ``max_moves``.
+    """
     if constraints.frozen:
         return Choice(verdict=Verdict.KEPT, reason=Reason.MOVES_FROZEN, place=here)
     rejection = candidates.denied.get(here)
@@ -106,7 +110,15 @@ def _choose_forced_move(
         return _move_by_load(candidates, best, here, constraints, Reason.FORCED_INFEASIBLE)
     drained = rejection.rule is RejectionRule.CORDONED
     reason = Reason.FORCED_DRAIN if drained else Reason.FORCED_RULE
-    return Choice(verdict=Verdict.PLACED, reason=reason, place=best, subject=candidates.name(here))
+    patient = rejection.rule in _RULES_BETWEEN_TASKS and not constraints.follows
+    held_back = _find_constraint(candidates, here, constraints) if patient else None
+    return held_back or Choice(
+        verdict=Verdict.PLACED,
+        reason=reason,
+        place=best,
+        subject=candidates.name(here),
+        counted=patient,
+    )
 
 
 def _move_by_load(
@@ -160,7 +172,9 @@ def _choose_relief(candidates: CandidateSet, here: int, constraints: MoveConstra
     if rejection is not None and rejection.rule is RejectionRule.WITHOUT:
         return replace(choose_when_nothing_fits(candidates), subject=candidates.name(here))
     stay = Choice(verdict=Verdict.KEPT, reason=Reason.NOTHING_FITS, place=here)
-    if rejection is not None or constraints.frozen or not find_excess(candidates, here):
+    if rejection is not None or constraints.frozen or constraints.in_unit:
+        return stay
+    if not find_excess(candidates, here):
         return stay
     worst = _compute_shortfalls(candidates)
     now, left = worst.pop(here, None), _compute_worst_share_left(candidates, here)
@@ -224,14 +238,17 @@ def choose_when_nothing_fits(candidates: CandidateSet) -> Choice:
     total all the same.
     """
     if len(candidates.denied) == len(candidates.listed):
-        return Choice(verdict=Verdict.UNPLACED, reason=Reason.NO_CANDIDATE)
+        between = any(entry.rule in _RULES_BETWEEN_TASKS for entry in candidates.denied.values())
+        reason = Reason.NO_FEASIBLE_HOST if between else Reason.NO_CANDIDATE
+        return Choice(verdict=Verdict.UNPLACED, reason=reason)
     lacking = _compute_shortfalls(candidates)
     if not lacking:
         return Choice(verdict=Verdict.UNPLACED, reason=Reason.NO_FEASIBLE_HOST)
     if candidates.context.policy.best_effort or candidates.task.if_nothing_fits is NothingFits.BEST_EFFORT:
         top = max(candidates.totals[place] for place in lacking)
         tied = [place for place in lacking if candidates.totals[place] >= top - EPSILON]
-        return Choice(verdict=Verdict.PLACED, reason=Reason.BEST_EFFORT, place=_break_tie(candidates, tied))
+        place = order_tied_places(candidates, tied)[0]
+        return Choice(verdict=Verdict.PLACED, reason=Reason.BEST_EFFORT, place=place)
     nearest = min(lacking, key=lambda place: (-lacking[place], candidates.context.fleet.order[place]))
     return Choice(verdict=Verdict.UNPLACED, reason=Reason.NO_FEASIBLE_HOST, nearest=nearest)
 

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from edgectl.model.assignment import Decision, Reason, Verdict
+from edgectl.model.assignment import Decision, Reason, RejectionRule, Verdict
 from edgectl.model.resource import AFFINITY, RESOURCES
 from edgectl.model.task import Task
 from edgectl.scheduler.candidates import CandidateSet
@@ -109,6 +109,12 @@ def _refine_reason(
     candidates: CandidateSet, choice: Choice, entry: ScoredPlace | None, other: ScoredPlace | None
 ) -> tuple[Reason, str | None]:
     """The reason that the best place won: it was pinned, alone, or nearer to a predecessor."""
+    mate = next(
+        (denied.task for denied in candidates.denied.values() if denied.rule is RejectionRule.TOGETHER), None
+    )
+    alone = other is None and entry is not None and not entry.rejections
+    if mate is not None and alone and choice.reason in (Reason.BEST, Reason.STILL_BEST):
+        return Reason.TOGETHER, mate
     if choice.reason is not Reason.BEST or entry is None:
         return choice.reason, choice.subject
     if candidates.task.hosts.pin is not None:

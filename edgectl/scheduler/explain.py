@@ -22,6 +22,7 @@ from edgectl.scheduler.capacities import Capacities, build_capacities
 from edgectl.scheduler.ledger import Ledger, build_measured_ledger, compute_measured_usage
 from edgectl.scheduler.move_cost import HandoffHistory, collect_handoff_history, estimate_move_cost
 from edgectl.scheduler.policies import POLICIES
+from edgectl.scheduler.preference import sign_weights
 from edgectl.scheduler.sensitivity import Contender, LinearFunction, find_first_change, find_winner
 from edgectl.scheduler.slack import get_slack
 from edgectl.scheduler.utility import EPSILON
@@ -43,6 +44,8 @@ _CONSTRAINED_REASONS = (
     Reason.PREEMPTED,
     Reason.REBALANCED,
     Reason.RELIEF,
+    Reason.TOGETHER,
+    Reason.GROUP,
 )
 _EXPLAINABLE_VERDICTS = (Verdict.PLACED, Verdict.KEPT, Verdict.UNPLACED)
 
@@ -79,6 +82,7 @@ def explain_decision(
 
     ``policy`` with the weights as used; ``noise`` by host, where it is known.
     """
+    policy = sign_weights(policy)
     manager = snapshot.manager or ManagerState()
     ranked = tuple(
         entry for entry in decision.ranking if entry.total is not None and _is_only_short_of_resources(entry)
@@ -143,14 +147,22 @@ def find_tie(decision: Decision, earlier: Sequence[Decision]) -> Tie | None:
     )
     if not equal or decision.host is None:
         return None
-    counts = Counter(other.host for other in earlier)
+    return Tie(hosts=equal, rule=_find_tie_rule(decision, equal, earlier))
+
+
+def _find_tie_rule(decision: Decision, equal: Sequence[str], earlier: Sequence[Decision]) -> TieRule:
     if decision.previous_host == decision.host:
-        rule = TieRule.RUNS_THERE
-    elif all(counts[host] > counts[decision.host] for host in equal):
-        rule = TieRule.FEWEST_TASKS
-    else:
-        rule = TieRule.NAMES
-    return Tie(hosts=equal, rule=rule)
+        return TieRule.RUNS_THERE
+    free = {
+        entry.host: sum(entry.terms[resource.name] or 0.0 for resource in RESOURCES)
+        for entry in decision.ranking
+    }
+    chosen = decision.host or ""
+    rivals = [host for host in equal if abs(free[host] - free[chosen]) <= EPSILON]
+    if not rivals:
+        return TieRule.FREE_SHARE
+    counts = Counter(other.host for other in earlier)
+    return TieRule.FEWEST_TASKS if all(counts[host] > counts[chosen] for host in rivals) else TieRule.NAMES
 
 
 def _is_decided_by_totals(case: _Case) -> bool:
@@ -328,8 +340,8 @@ def _get_capacity_and_load(case: _Case, host: str, resource: Resource) -> tuple[
 def _find_weight_flips(case: _Case, term: str) -> Iterator[Flip]:
     """One weight rises or falls, the others sharing the rest as they do now."""
     weight = case.weights[term]
-    if weight >= _WHOLE_WEIGHT:
-        return
+    if weight >= _WHOLE_WEIGHT or min(case.weights.values()) < 0:
+        return  # weights of full hosts that are preferred: their signs are no shares
     for change, sign, end in (
         (ChangeKind.WEIGHT_RISES, 1.0, _WHOLE_WEIGHT - weight),
         (ChangeKind.WEIGHT_FALLS, -1.0, weight),

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple, overload
 
-from edgectl.model.assignment import RankedHost
+from edgectl.model.assignment import RankedHost, Rejection
 from edgectl.model.task import Task
 from edgectl.scheduler.candidates import AssignmentContext, evaluate_candidates
 from edgectl.scheduler.ledger import Ledger
@@ -13,11 +13,15 @@ from edgectl.scheduler.task_usage import TaskUsage
 
 
 class LoadChange(NamedTuple):
-    """A task that left ``place`` with its load, or was put there."""
+    """A task that left ``place`` with its load, or was put there.
+
+    ``counts``: False where room is only kept for it.
+    """
 
     place: int
     use: TaskUsage
     is_charge: bool
+    counts: bool = True
 
 
 @dataclass(slots=True, kw_only=True)
@@ -48,10 +52,10 @@ class LoadHistory:
             moment = PassMoment(ledger=self.start.copy())
         if moment.step > step:
             moment = PassMoment(ledger=self.start.copy())
-        for place, use, is_charge in self.changes[moment.step : step]:
+        for place, use, is_charge, counts in self.changes[moment.step : step]:
             if is_charge:
                 moment.ledger.charge(place, use)
-                moment.placed[place] = moment.placed.get(place, 0) + 1
+                moment.placed[place] = moment.placed.get(place, 0) + counts
             else:
                 moment.ledger.release(place, use)
         moment.step = step
@@ -62,7 +66,7 @@ class LoadHistory:
 class RankingRequest:
     """Whatever the ranking of one task is made of. ``step``: the changes of gamma before it.
 
-    ``chosen``, ``stays``: as for ``rank_hosts`` and ``evaluate_candidates``.
+    ``chosen``, ``stays``, ``barred``: as for ``rank_hosts`` and ``evaluate_candidates``.
     """
 
     context: AssignmentContext
@@ -73,6 +77,7 @@ class RankingRequest:
     predecessors: Mapping[str, int]
     stays: bool
     chosen: int | None
+    barred: Mapping[int, Rejection] = field(default_factory=dict)
     made: tuple[tuple[RankedHost, ...], dict[str, int]] | None = None
 
     def make(self) -> tuple[tuple[RankedHost, ...], dict[str, int]]:
@@ -87,6 +92,7 @@ class RankingRequest:
                 predecessors=self.predecessors,
                 placed=moment.placed,
                 stays=self.stays,
+                barred=self.barred,
             )
             self.made = rank_hosts(candidates, self.chosen)
             self.history.moments.append(moment)

@@ -5,12 +5,13 @@ An item fits where no column that it touches falls below 0. All columns of the h
 demand of 0: nothing is added to a host that is overcommitted already.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from math import inf
 from operator import itemgetter
 
+from edgectl.scheduler.placement_rules import OccupancyLimit
 from edgectl.scheduler.utility import EPSILON
 
 # Share of the capacity by column.
@@ -23,20 +24,47 @@ SHAKES = 8
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Item:
-    """One task of the search.
+    """One task of the search, or several that share a place (``tasks``).
 
     ``places``: those that may take it, in order. ``measure`` gives its shares at one of them. ``runs``: its
     move would be a handoff. ``movable``: it may make room. ``evictable``: it may be left without a place for
-    one of higher priority that preempts.
+    one of higher priority that preempts. ``limits``: of the items that may be beside it.
     """
 
     name: str
+    tasks: tuple[str, ...]
     places: Sequence[int]
     measure: Callable[[int], Shares]
     priority: float = 0.0
     runs: bool = False
     movable: bool = True
     evictable: bool = True
+    limits: tuple[OccupancyLimit, ...] = ()
+
+
+def combine_items(name: str, items: Sequence[Item]) -> Item:
+    """One item of tasks that share a place."""
+    if len(items) == 1:
+        return replace(items[0], name=name)
+    first, *rest = items
+    return Item(
+        name=name,
+        tasks=tuple(task for item in items for task in item.tasks),
+        places=[place for place in first.places if all(place in item.places for item in rest)],
+        measure=lambda place: _add_shares([item.measure(place) for item in items]),
+        priority=max(item.priority for item in items),
+        runs=any(item.runs for item in items),
+        movable=all(item.movable for item in items),
+        evictable=all(item.evictable for item in items),
+        limits=tuple(limit for item in items for limit in item.limits),
+    )
+
+
+def _add_shares(parts: Sequence[Shares]) -> Shares:
+    return {
+        column: sum(part.get(column, 0.0) for part in parts)
+        for column in dict.fromkeys(column for part in parts for column in part)
+    }
 
 
 @dataclass(slots=True, kw_only=True)
@@ -44,8 +72,8 @@ class Packing:
     """Items at their places, and what is free beside them.
 
     ``work``: looks at one item at one place that are left; the search ends when they are used up. ``tight``:
-    fill places up instead of sharing out what is free.
-    ``moves_left``: running items that may leave their ``home``; None: any number.
+    fill places up instead of sharing out what is free. ``moves_left``: running items that may leave their
+    ``home``; None: any number. ``fixed``: places of what is no item, but counts for limits.
     """
 
     free: list[list[float]]
@@ -56,6 +84,7 @@ class Packing:
     work: int
     moves_left: int | None = None
     tight: bool = False
+    fixed: Mapping[str, int] = field(default_factory=dict)
     shares: dict[tuple[str, int], Shares] = field(default_factory=dict)
     chance: int = 1
 
@@ -84,6 +113,11 @@ class Packing:
             row[column] += share
         self.on[place].remove(item.name)
         return place
+
+    def forget(self, item: Item) -> None:
+        """Compute the shares of the items of this name anew."""
+        for place in range(len(self.free)):
+            self.shares.pop((item.name, place), None)
 
     def draw(self, below: int) -> int:
         """A number in 0..``below`` - 1: the same series in every run."""
@@ -177,13 +211,49 @@ def restore_homes(packing: Packing) -> None:
 
 
 def fits(packing: Packing, item: Item, place: int) -> bool:
-    """Whether ``item`` has room at ``place``."""
+    """Whether ``item`` has room at ``place``, and may be beside what is there."""
     packing.work -= 1
     row = packing.free[place]
     for column, share in (packing.shares.get((item.name, place)) or packing.measure(item, place)).items():
         if row[column] - share < -EPSILON:
             return False
-    return True
+    return not item.limits or not _list_conflicts(packing, item, place)
+
+
+def extend_item(packing: Packing, item: Item) -> bool:
+    """Replace the item of the same name by the larger ``item``: at its place if others can make room there,
+    else elsewhere if it may leave.
+    """
+    old, place = packing.items[item.name], packing.at[item.name]
+    may_go = may_leave(packing, old)
+    packing.take(old)
+    packing.forget(item)
+    stays = place in item.places and place_item(packing, replace(item, places=(place,)))
+    if stays or (may_go and place_item(packing, item)):
+        packing.items[item.name] = item
+        return True
+    packing.forget(item)
+    packing.put(old, place)
+    return False
+
+
+def may_leave(packing: Packing, item: Item) -> bool:
+    """Whether ``item`` may be put elsewhere than it is."""
+    return item.movable and _has_budget(packing, [item])
+
+
+def _list_conflicts(packing: Packing, item: Item, place: int) -> list[tuple[int, frozenset[str]]]:
+    """How many must leave the domain of ``place`` for ``item``, and of which, for each limit."""
+    if not item.limits:
+        return []
+    located = {**packing.fixed, **packing.at} if packing.fixed else packing.at
+    found = (limit.find_excess(item.name, place, located) for limit in item.limits)
+    return [(excess, frozenset(there)) for excess, there in found if excess > 0]
+
+
+def _solves(names: Collection[str], conflicts: Sequence[tuple[int, frozenset[str]]]) -> bool:
+    """Whether the items ``names`` are enough to leave."""
+    return all(len(there.intersection(names)) >= excess for excess, there in conflicts)
 
 
 def _insert(packing: Packing, item: Item) -> bool:
@@ -212,9 +282,11 @@ def _displace_one(packing: Packing, item: Item, level: Permission) -> bool:
         if packing.work <= 0:
             return False
         lacking = _find_lacking(packing, item, place)
+        conflicts = _list_conflicts(packing, item, place)
         for other in _list_ejectable(packing, place, level):
             if (
                 _covers(packing.measure(other, place), lacking)
+                and _solves([other.name], conflicts)
                 and _has_budget(packing, [other])
                 and (goal := _find_place(packing, other, besides=place)) is not None
             ):
@@ -311,7 +383,8 @@ def _find_large_ejection(
     best: tuple[int, int, list[Item]] | None = None
     for place in item.places:
         others = _list_ejectable(packing, place, level)
-        others.sort(key=lambda other: penalties.get(other.name, 1))
+        conflicting = set().union(*(there for _, there in _list_conflicts(packing, item, place)))
+        others.sort(key=lambda other: (other.name not in conflicting, penalties.get(other.name, 1)))
         ejected: list[Item] = []
         while others and not fits(packing, item, place):
             ejected.append(others.pop(0))
@@ -328,6 +401,7 @@ def _find_large_ejection(
 def _list_ejections(packing: Packing, item: Item, place: int, others: Sequence[Item]) -> Iterator[list[Item]]:
     """The smallest sets of the items ``others`` at ``place`` without which ``item`` fits there."""
     lacking = _find_lacking(packing, item, place)
+    conflicts = _list_conflicts(packing, item, place)
     needs = [need - EPSILON for need in lacking.values()]
     gains = []
     for other in others:
@@ -337,7 +411,9 @@ def _list_ejections(packing: Packing, item: Item, place: int, others: Sequence[I
         some = False
         for chosen in combinations(gains, count):
             packing.work -= 1
-            if _cover_together([gain for _, gain in chosen], needs):
+            if _cover_together([gain for _, gain in chosen], needs) and (
+                not conflicts or _solves([other.name for other, _ in chosen], conflicts)
+            ):
                 some = True
                 yield [other for other, _ in chosen]
         if some:

@@ -5,6 +5,7 @@ A pass that repeats a plan asks this for every task, and nearly always the answe
 
 from dataclasses import dataclass, field
 
+from edgectl.model.policy import Preference
 from edgectl.model.resource import AFFINITY, NETWORK, RESOURCES
 from edgectl.scheduler.candidates import CandidateSet, terms_at
 from edgectl.scheduler.ledger import NO_FREE_SHARE
@@ -33,6 +34,7 @@ def stays_in_place(candidates: CandidateSet, peaks: LoadPeaks) -> bool:
     here, context = candidates.incumbent, candidates.context
     if (
         not peaks.valid
+        or context.policy.prefer is Preference.PACK  # there a demand raises the total
         or here is None
         or here in candidates.denied
         or candidates.task.name in context.handoffs.downtimes

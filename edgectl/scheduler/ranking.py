@@ -9,6 +9,7 @@ from edgectl.model.assignment import RankedHost, Rejection, RejectionRule, Utili
 from edgectl.scheduler.candidates import CandidateSet, terms_at
 from edgectl.scheduler.demand import list_resource_demands
 from edgectl.scheduler.scan import EXCLUDED_TOTAL, INFEASIBLE_PENALTY, is_feasible_total
+from edgectl.scheduler.ties import order_tied_places
 from edgectl.scheduler.utility import EPSILON, compute_affinity
 
 # Above this many hosts a ranking keeps the winner, the incumbent and the best SHORT.
@@ -124,13 +125,11 @@ def _sort_by_total(candidates: CandidateSet, hosts: list[ScoredPlace]) -> list[S
             groups.append([host])
     for group in groups:
         if len(group) > 1:
-            group.sort(
-                key=lambda host: (
-                    host.place != candidates.incumbent,
-                    candidates.placed.get(host.place, 0),
-                    order[host.place],
-                )
-            )
+            position = {
+                place: at
+                for at, place in enumerate(order_tied_places(candidates, [host.place for host in group]))
+            }
+            group.sort(key=lambda host: position[host.place])
     return [host for group in groups for host in group]
 
 

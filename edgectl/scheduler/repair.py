@@ -3,9 +3,9 @@
 The same view of a plan serves its rebalancing (ADR 66).
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from math import inf
 
 from edgectl.model.assignment import Reason, Verdict
@@ -15,7 +15,17 @@ from edgectl.scheduler.candidates import AssignmentContext, list_allowed_places
 from edgectl.scheduler.choice import Choice
 from edgectl.scheduler.initial_state import InitialState
 from edgectl.scheduler.ledger import Ledger, compute_demand_usage
-from edgectl.scheduler.packing import Item, Packing, Shares, place_item, preempt_for_item, restore_homes
+from edgectl.scheduler.packing import (
+    Item,
+    Packing,
+    Shares,
+    combine_items,
+    extend_item,
+    place_item,
+    preempt_for_item,
+    restore_homes,
+)
+from edgectl.scheduler.placement_rules import OccupancyLimit
 from edgectl.scheduler.rebalance import Objective, rebalance_packing
 from edgectl.scheduler.sequence import is_need_met
 from edgectl.scheduler.task_usage import TaskUsage
@@ -23,6 +33,8 @@ from edgectl.scheduler.utility import EPSILON
 
 # Looks at one task at one place: some 0.2 s for a whole plan, and at least this many for each task.
 MAX_WORK, MIN_WORK = 300_000, 4_000
+
+PlaceSorter = Callable[[tuple[int, ...]], tuple[int, ...]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,31 +63,89 @@ def repair_plan(plan: UnrepairedPlan) -> dict[str, Choice]:
     wanted = _list_wanted(plan)
     if not wanted:
         return {}
-    packing, columns = _build_packing(plan), _list_link_columns(plan)
+    leaders, sort_places = _choose_leaders(plan), _build_place_sorter(plan)
+    packing = _build_packing(plan, sort_places, leaders)
     work = MAX_WORK
     causes: dict[str, str] = {}
     bounded = _has_absolute_demands(plan)
     located = _find_located(plan)
     for task in wanted:
-        if work <= 0 or not all(is_need_met(need, located, plan.initial.completed) for need in task.needs):
+        joining = _list_joining(plan, task, wanted, located, leaders)
+        if work <= 0 or not joining:
             continue
         packing.work = share = min(work, max(MIN_WORK, MAX_WORK // len(wanted)))
         before = dict(packing.at)
-        item = _build_item(plan, columns, task)
-        possible = not bounded or _has_room_in_sum(plan, packing, task)
-        if (possible and place_item(packing, item)) or (task.preempt and preempt_for_item(packing, item)):
-            located.add(task.name)
+        possible = not bounded or all(_has_room_in_sum(plan, packing, each) for each in joining)
+        item = _build_joint_item(plan, joining, sort_places, leaders, packing)
+        if _place_joint_item(packing, item, possible=possible, preempt=any(each.preempt for each in joining)):
+            located.update(each.name for each in joining)
             causes |= {name: task.name for name, place in before.items() if packing.at.get(name) != place}
         work -= share - packing.work
     restore_homes(packing)
     return _build_choices(plan, packing, causes)
 
 
+def _place_joint_item(packing: Packing, item: Item, *, possible: bool, preempt: bool) -> bool:
+    if item.name in packing.at:
+        return possible and extend_item(packing, item)
+    return (possible and place_item(packing, item)) or (preempt and preempt_for_item(packing, item))
+
+
+def _choose_leaders(plan: UnrepairedPlan) -> dict[str, str]:
+    """By task of each unit that the search puts as one item, the name of that item.
+
+    Not of a unit that is divided, or of which a task has a place that the plan does not decide.
+    """
+    leaders: dict[str, str] = {}
+    for unit in set(plan.context.placement_rules.units.values()):
+        places = {plan.placed[name][0] for name in unit if name in plan.placed}
+        if len(places) <= 1 and all(name in plan.choices for name in unit if name in plan.initial.located):
+            leaders |= dict.fromkeys(unit, unit[0])
+    return leaders
+
+
+def _list_joining(
+    plan: UnrepairedPlan,
+    task: Task,
+    wanted: Sequence[Task],
+    located: Collection[str],
+    leaders: Mapping[str, str],
+) -> list[Task]:
+    """``task`` and the wanted tasks of its unit, where all that they need has a place; empty if it has not,
+    or if ``task`` has got a place by now.
+    """
+    if task.name in located:
+        return []
+    leader = leaders.get(task.name)
+    unit = [task] if leader is None else [each for each in wanted if leaders.get(each.name) == leader]
+    reach = {*located, *(each.name for each in unit)}
+    joining = [
+        each for each in unit if all(is_need_met(need, reach, plan.initial.completed) for need in each.needs)
+    ]
+    return joining if task in joining and len(joining) == len(unit) else []
+
+
+def _build_joint_item(
+    plan: UnrepairedPlan,
+    joining: Sequence[Task],
+    sort_places: PlaceSorter,
+    leaders: Mapping[str, str],
+    packing: Packing,
+) -> Item:
+    """One item of tasks that get a place together, and of what is in place of their unit."""
+    columns = _list_link_columns(plan)
+    items = [_build_item(plan, columns, task, sort_places, leaders) for task in joining]
+    name = leaders.get(joining[0].name, joining[0].name)
+    if name in packing.at:
+        items.insert(0, packing.items[name])
+    return combine_items(name, items)
+
+
 def rebalance_plan(plan: UnrepairedPlan) -> dict[str, Choice]:
     """The choices with which the sum of all utilities is higher (ADR 66), where they differ from those of
     ``plan``.
     """
-    packing = _build_packing(plan)
+    packing = _build_packing(plan, _build_place_sorter(plan), {})
     rebalance_packing(packing, _build_objective(plan), plan.context.policy.move_margin)
     return {
         name: replace(choice, reason=Reason.REBALANCED, subject=None)
@@ -85,7 +155,7 @@ def rebalance_plan(plan: UnrepairedPlan) -> dict[str, Choice]:
 
 def rate_plan(plan: UnrepairedPlan) -> float:
     """The sum of the utilities of all placed tasks at the loads after the plan."""
-    packing = _build_packing(plan)
+    packing = _build_packing(plan, _build_place_sorter(plan), {})
     return _build_objective(plan).rate(packing, packing.at)
 
 
@@ -147,7 +217,8 @@ def _has_room_in_sum(plan: UnrepairedPlan, packing: Packing, task: Task) -> bool
     return True
 
 
-def _build_packing(plan: UnrepairedPlan) -> Packing:
+def _build_packing(plan: UnrepairedPlan, sort_places: PlaceSorter, leaders: Mapping[str, str]) -> Packing:
+    """``leaders``: the names of the items of tasks that are put as one."""
     fleet, ledger = plan.context.fleet, plan.ledger
     rows = [
         list(row) for row in zip(*(ledger.free[resource.name] for resource in HOST_RESOURCES), strict=True)
@@ -162,32 +233,89 @@ def _build_packing(plan: UnrepairedPlan) -> Packing:
         for need in task.needs
     }
     columns = _list_link_columns(plan)
-    items = {
-        task.name: _build_item(plan, columns, task, needed) for task in plan.order if task.name in plan.placed
-    }
-    at = {name: plan.placed[name][0] for name in items}
+    parts: dict[str, list[Item]] = {}
+    at: dict[str, int] = {}
+    for task in plan.order:
+        if task.name in plan.placed:
+            name = leaders.get(task.name, task.name)
+            parts.setdefault(name, []).append(_build_item(plan, columns, task, sort_places, leaders, needed))
+            at[name] = plan.placed[task.name][0]
+    items = {name: combine_items(name, part) for name, part in parts.items()}
     for name, place in at.items():
         on[place].append(name)
-    return Packing(free=rows, items=items, at=at, home=dict(at), on=on, work=0, moves_left=plan.moves_left)
+    return Packing(
+        free=rows,
+        items=items,
+        at=at,
+        home=dict(at),
+        on=on,
+        work=0,
+        moves_left=plan.moves_left,
+        fixed={name: place for name, place in plan.initial.located.items() if name not in plan.choices}
+        if plan.context.placement_rules.limits
+        else {},
+    )
+
+
+def _build_place_sorter(plan: UnrepairedPlan) -> PlaceSorter:
+    """Sorts places so that names are irrelevant as far as hosts differ: the emptiest first."""
+    order = plan.context.fleet.order
+    free = [plan.ledger.free[resource.name] for resource in HOST_RESOURCES]
+    ranked = sorted(range(len(order)), key=lambda place: (*[-row[place] for row in free], order[place]))
+    ranks = {place: rank for rank, place in enumerate(ranked)}
+
+    @cache
+    def sort_places(places: tuple[int, ...]) -> tuple[int, ...]:
+        return tuple(sorted(places, key=ranks.__getitem__))
+
+    return sort_places
 
 
 def _build_item(
-    plan: UnrepairedPlan, columns: Mapping[str, int], task: Task, needed: Collection[str] = ()
+    plan: UnrepairedPlan,
+    columns: Mapping[str, int],
+    task: Task,
+    sort_places: PlaceSorter,
+    leaders: Mapping[str, str],
+    needed: Collection[str] = (),
 ) -> Item:
     """``columns``: of the link to each robot; ``needed``: tasks that others need which this plan starts."""
     running = plan.initial.running.get(task.name)
     place = plan.placed[task.name][0] if task.name in plan.placed else None
     runs = running is not None and running.place == place
     held = runs and _is_held_in_place(plan, task)
+    mates = _list_located_mates(plan, task) if task.name not in leaders else []
+    places = sort_places(tuple(list_allowed_places(plan.context, task, place)))
     return Item(
         name=task.name,
-        places=list_allowed_places(plan.context, task, place),
+        tasks=(task.name,),
+        places=places if not mates or place is not None else [each for each in places if each == mates[0]],
         measure=partial(_measure_shares, plan, columns, task),
         priority=task.priority,
         runs=runs,
-        movable=task.hosts.pin is None and not held,
+        movable=task.hosts.pin is None and not held and not mates,
         evictable=not held and task.name not in needed,
+        limits=tuple(
+            _rename_others(limit, leaders) for limit in plan.context.placement_rules.limits.get(task.name, ())
+        ),
     )
+
+
+def _list_located_mates(plan: UnrepairedPlan, task: Task) -> list[int]:
+    """The places of other tasks of the unit of ``task``."""
+    return [
+        plan.placed[mate][0] if mate in plan.placed else plan.initial.located[mate]
+        for mate in plan.context.placement_rules.units.get(task.name, ())
+        if mate != task.name
+        and (mate in plan.placed or (mate in plan.initial.located and mate not in plan.choices))
+    ]
+
+
+def _rename_others(limit: OccupancyLimit, leaders: Mapping[str, str]) -> OccupancyLimit:
+    """``limit`` with the names of items instead of those of tasks."""
+    if not leaders:
+        return limit
+    return replace(limit, others=frozenset(leaders.get(name, name) for name in limit.others))
 
 
 def _is_held_in_place(plan: UnrepairedPlan, task: Task) -> bool:
@@ -231,20 +359,30 @@ def _compute_share(amount: float, capacity: float, none: float) -> float:
 
 
 def _build_choices(plan: UnrepairedPlan, packing: Packing, causes: Mapping[str, str]) -> dict[str, Choice]:
+    items = {task: item.name for item in packing.items.values() for task in item.tasks}
     changed = {
-        name: Choice(verdict=Verdict.UNPLACED, reason=Reason.PREEMPTED, subject=causes.get(name))
+        name: Choice(verdict=Verdict.UNPLACED, reason=Reason.PREEMPTED, subject=causes.get(items[name]))
         for name in plan.placed
-        if name not in packing.at
+        if items[name] not in packing.at
     }
-    for name, place in packing.at.items():
-        if name not in plan.placed:
-            changed[name] = Choice(verdict=Verdict.PLACED, reason=Reason.ROOM_MADE, place=place)
-        elif plan.placed[name][0] != place:
-            changed[name] = Choice(
-                verdict=Verdict.PLACED,
-                reason=Reason.MADE_ROOM,
-                place=place,
-                subject=causes.get(name),
-                voluntary=name in plan.initial.running,
-            )
+    for item, place in packing.at.items():
+        for name in packing.items[item].tasks:
+            choice = _build_choice(plan, name, place, causes.get(item))
+            if choice is not None:
+                changed[name] = choice
     return changed
+
+
+def _build_choice(plan: UnrepairedPlan, name: str, place: int, cause: str | None) -> Choice | None:
+    """The choice of ``place`` for task ``name``; None where it has it already."""
+    if name not in plan.placed:
+        return Choice(verdict=Verdict.PLACED, reason=Reason.ROOM_MADE, place=place)
+    if plan.placed[name][0] == place:
+        return None
+    return Choice(
+        verdict=Verdict.PLACED,
+        reason=Reason.MADE_ROOM,
+        place=place,
+        subject=cause,
+        voluntary=name in plan.initial.running,
+    )

@@ -17,5 +17,14 @@ def take_greater(one: TaskUsage, other: TaskUsage) -> TaskUsage:
     return TaskUsage(used=_take_greater(one.used, other.used), links=_take_greater(one.links, other.links))
 
 
+def add_usage(one: TaskUsage, other: TaskUsage) -> TaskUsage:
+    """The sum of both."""
+    return TaskUsage(used=_add(one.used, other.used), links=_add(one.links, other.links))
+
+
+def _add(one: Mapping[str, float], other: Mapping[str, float]) -> dict[str, float]:
+    return {**other, **{name: amount + other.get(name, 0.0) for name, amount in one.items()}}
+
+
 def _take_greater(one: Mapping[str, float], other: Mapping[str, float]) -> dict[str, float]:
     return {**other, **{name: max(amount, other.get(name, amount)) for name, amount in one.items()}}

@@ -5,8 +5,9 @@ import dataclasses
 from edgectl.errors import StalePlanError
 from edgectl.executor.drift import list_drift
 from edgectl.gateway.host_probe import ProbeOptions
+from edgectl.model.assignment import Reason
 from edgectl.model.manager_state import ManagerState
-from edgectl.model.plan import Plan
+from edgectl.model.plan import Action, Plan
 from edgectl.model.policy import Policy
 from edgectl.state.failpoints import hit_failpoint
 from edgectl.state.journal import Journal
@@ -21,7 +22,13 @@ from edgectl.usecases.plan_execution import (
     lock_fleet,
 )
 from edgectl.usecases.probe import probe_fleet
+from edgectl.usecases.record import record_plan
 from edgectl.usecases.saved_plan import list_file_conflicts, list_unsafe_steps
+
+# Window (s) of the second measurement of unattended runs: readings that vary by 10 % of a host move nothing.
+RECHECK_WINDOW_S = 5.0
+# Moves that a reading which is off may cause.
+_MOVES_BY_LOAD = (Reason.GAIN, Reason.GAIN_OVER_COST, Reason.FORCED_INFEASIBLE, Reason.RELIEF)
 
 __all__ = ["ApplyOptions", "ApplyResult", "Confirm", "apply_saved_plan", "check_saved_plan", "plan_and_apply"]
 
@@ -36,9 +43,22 @@ def plan_and_apply(
     """
     options = options or ApplyOptions()
     with lock_fleet(fleet, "apply", options) as held:
-        probe = dataclasses.replace(options.probe or ProbeOptions(), probe_idle_links=True)
-        plan = options.choose(make_plan(held, policy, options=probe))
+        plan = options.choose(_plan_with_recheck(held, policy, options))
         return confirm_and_execute(held, plan, confirm, options)
+
+
+def _plan_with_recheck(fleet: Fleet, policy: Policy, options: ApplyOptions) -> Plan:
+    """A plan from a fresh probe; where it moves tasks because of load, from a longer one."""
+    window = options.recheck_window
+    probe = dataclasses.replace(options.probe or ProbeOptions(), probe_idle_links=True)
+    plan = make_plan(fleet, policy, options=probe, recorded=window is None)
+    if window is None:
+        return plan
+    if any(step.action is Action.MOVE and step.decision.reason in _MOVES_BY_LOAD for step in plan.steps):
+        longer = dataclasses.replace(probe, window=window, timeout=probe.timeout + window)
+        plan = make_plan(fleet, policy, snapshot=probe_fleet(fleet, longer))
+    record_plan(fleet, plan)
+    return plan
 
 
 def check_saved_plan(fleet: Fleet, plan: Plan) -> None:

@@ -45,12 +45,14 @@ class ApplyOptions(RunOptions):
     """The options of a change, from the command line to the executor (`RunOptions`).
 
     ``lock_timeout`` (s): how long to wait for another edgectl; None: for one cycle of a watch, else not at
-    all. ``choose`` narrows a plan (``--target``).
+    all. ``choose`` narrows a plan (``--target``). ``recheck_window`` (s): before tasks move because of
+    load, measure once more for so long and plan again (ADR 74); None: act on the first plan.
     """
 
     lock_timeout: float | None = None
     probe: ProbeOptions | None = None
     choose: Callable[[Plan], Plan] = keep_whole_plan
+    recheck_window: float | None = None
     progress: ProgressListener = ignore_progress
 
 

@@ -34,6 +34,7 @@ _UNPLACED_TEXTS: Mapping[str, str] = {
     Reason.NO_CANDIDATE: "no host may run it now",
     Reason.NO_FEASIBLE_HOST: "no host has room for it",
     Reason.PREDECESSOR_MISSING: "a task that it needs is not placed",
+    Reason.GROUP: "a task of its group has no place",
     Reason.PREDECESSOR_INCOMPLETE: "a task that it needs has not completed",
 }
 _EVENT_HEAD = head("at", "kind", "subject", "message")

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 
 from edgectl.formats.document import Document
-from edgectl.model.assignment import Decision
+from edgectl.model.assignment import Decision, RejectionRule
 from edgectl.model.explanation import ChangeKind, Explanation, FirstMove, Flip, Tie, TieRule
 from edgectl.model.plan import Action, Step
 from edgectl.model.resource import RESOURCES_BY_NAME
@@ -16,8 +16,14 @@ from edgectl.views.text import PLAIN, Cell, RenderOptions, Row, render_columns, 
 
 _TIE_RULES = {
     TieRule.RUNS_THERE: "it does not leave the host where it runs",
+    TieRule.FREE_SHARE: "more is free on the chosen host, over all resources",
     TieRule.FEWEST_TASKS: "fewer tasks were placed on the chosen host",
     TieRule.NAMES: "the order of names decides",
+}
+_RULES_BETWEEN_TASKS = {
+    RejectionRule.APART: "Its files keep it off {hosts}, where {other} is (apart).",
+    RejectionRule.TOGETHER: "Its files keep it with {other} (together), which leaves out {hosts}.",
+    RejectionRule.SPREAD: "Its files spread its entry evenly: {hosts} has its part, such as {other}.",
 }
 _WEIGHT_CHANGES = (ChangeKind.WEIGHT_RISES, ChangeKind.WEIGHT_FALLS)
 
@@ -131,6 +137,7 @@ def _list_sentences(value: Explanation, *, every: bool, complete: bool) -> Itera
         yield _describe_tie(value.tie)
     if value.pin is not None:
         yield f"Its task file pins it to {value.pin}: no load and no weight sends it anywhere else."
+    yield from _describe_rules_between_tasks(value.decision)
     for flip in flips:
         outcome = _describe_flip_outcome(flip, value.decision)
         yield f"{outcome} if {_describe_flip_condition(flip, flip.amount)}."
@@ -158,6 +165,17 @@ def _select_smallest_flips(flips: Iterable[Flip]) -> list[Flip]:
     loads = [flip for flip in flips if flip.change not in _WEIGHT_CHANGES]
     weights = [flip for flip in flips if flip.change in _WEIGHT_CHANGES]
     return loads[:1] + weights[:1]
+
+
+def _describe_rules_between_tasks(decision: Decision) -> Iterable[str]:
+    """The hosts that rules between tasks exclude, by rule and the other task."""
+    found: dict[tuple[RejectionRule, str], list[str]] = {}
+    for entry in decision.ranking:
+        for rejection in entry.rejections:
+            if rejection.rule in _RULES_BETWEEN_TASKS and rejection.task is not None:
+                found.setdefault((rejection.rule, rejection.task), []).append(entry.host)
+    for (rule, other), hosts in found.items():
+        yield _RULES_BETWEEN_TASKS[rule].format(task=decision.task, hosts=join_words(hosts), other=other)
 
 
 def _describe_tie(tie: Tie) -> str:

@@ -25,6 +25,9 @@ _RULE_TEXTS = {
     RejectionRule.NO_LINK: "without a link",
     RejectionRule.NO_CAPACITY: "without capacity",
     RejectionRule.INSUFFICIENT: "short of",
+    RejectionRule.APART: "with a task that it is apart from",
+    RejectionRule.TOGETHER: "without room for all that go together",
+    RejectionRule.SPREAD: "with their part of the spread",
 }
 LEFT_OUT_TEXT = "left out by --target or -l"
 _FIXED_REASON_TEXTS = {
@@ -215,6 +218,8 @@ _REASON_DESCRIBERS: dict[Reason, Callable[[Step], str]] = {
     ),
     Reason.FORCED_DRAIN: lambda step: f"{step.decision.previous_host} is drained",
     Reason.FORCED_RULE: lambda step: f"{step.decision.previous_host} is excluded" + _describe_exclusion(step),
+    Reason.TOGETHER: lambda step: f"together with {step.decision.subject or 'others'}",
+    Reason.GROUP: lambda step: f"{step.decision.subject or 'another task'} of its group has no host",
     Reason.MADE_ROOM: lambda step: f"made room for {step.decision.subject or 'another task'}",
     Reason.PREEMPTED: lambda step: f"preempted by {step.decision.subject or 'a task'} of higher priority",
     Reason.BELOW_MARGIN: _describe_below_margin,
@@ -281,6 +286,8 @@ def describe_rejection(entry: Rejection) -> str:
 def _format_rejection_detail(entry: Rejection) -> str:
     if entry.robot:
         return f" to {entry.robot}"
+    if entry.task:
+        return f" ({entry.task})"
     return f" of {entry.resource}" if entry.resource and entry.rule is RejectionRule.NO_CAPACITY else ""
 
 

@@ -142,13 +142,36 @@ def is_running(pid: int) -> bool:
     return seen is not None and seen.state not in "ZX"
 
 
+@pytest.fixture(scope="session")
+def cached_agent(tmp_path_factory: pytest.TempPathFactory) -> Path | None:
+    """The directory of an agent that has compiled the code of the common operations."""
+    state = tmp_path_factory.mktemp("cached") / "state"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("EDGECTL_STATE_DIR", str(state))
+        agent = AgentHost("edge1", state)
+        agent.ask("probe", window_s=0.0)
+        agent.start("once", "exec sleep 600")
+        agent.stop("once")
+        agent.end()
+    return state / "agent"
+
+
 @pytest.fixture
 def host(
-    request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    request: pytest.FixtureRequest,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    cached_agent: Path | None,
 ) -> Iterator[AgentHost]:
-    """One host with an empty state directory; with parameter ``systemd`` its tasks run in scopes of a systemd --user."""
+    """One host that has the agent, else with an empty state directory.
+
+    With parameter ``systemd`` its tasks run in scopes of a systemd --user.
+    """
     monkeypatch.setenv("EDGECTL_STATE_DIR", str(tmp_path / "state"))
     agent = AgentHost("edge1", tmp_path / "state")
+    if cached_agent is not None:
+        agent.state.mkdir(mode=0o700)
+        shutil.copytree(cached_agent, agent.state / "agent")
     if getattr(request, "param", "process") == "systemd":
         agent.runtime, agent.session.python = "systemd", str(request.getfixturevalue("systemd").python)
     yield agent

@@ -30,6 +30,11 @@ AGENT = Path(edgectl.__file__).parent / "agent"
 SHARED = b'"/dev/shm/edgectl-%d" % os.geteuid()'
 
 
+@pytest.fixture(scope="session")
+def cached_agent() -> None:
+    """None: the hosts of these tests begin without the agent."""
+
+
 @pytest.fixture(autouse=True)
 def memory(host: AgentHost) -> Iterator[Path]:
     """Shared memory of this test's own. In the common one a real edgectl of this user, or another test, may have

@@ -57,11 +57,12 @@ def ask_with_bases(host: AgentHost, bases: list[str], op: str, **fields: object)
     """A request to the agent, whose second base is not in the shared memory of this machine."""
     program = (
         f"import sys; sys.path.insert(0, {str(Path(boot.__file__).parent)!r})\n"
-        f"import boot\nboot.list_state_bases = lambda: {bases!r}\nboot.boot_agent(sys.stdin.buffer)\n"
+        "import boot\nwords = sys.stdin.buffer.readline().decode().split()\n"
+        f"boot.boot_agent(sys.stdin.buffer, words, {bases!r}, {{}})\n"
     )
     request = {"op": op, "fleet": host.fleet, "host": host.name, **fields}
     packet = agent_client._build_packet(request, "m" * 32, 30.0, agent_client.build_agent_zipapp())
-    packet = packet.split(b"\n", 1)[1][len(Path(boot.__file__).read_bytes()) :]
+    packet = packet.removeprefix(agent_client._read_boot_programs())
     words = [sys.executable, "-I", "-c", program]
     return subprocess.run(words, input=packet, capture_output=True, check=True, timeout=60).stdout
 

@@ -8,7 +8,7 @@ import edgectl
 from edgectl.config.weights import parse_weights
 from edgectl.model.assignment import Assignment
 from edgectl.model.manager_state import ManagerState, Placement
-from edgectl.model.policy import Policy
+from edgectl.model.policy import Policy, Preference
 from edgectl.model.resource import Usage
 from edgectl.model.snapshot import HostSample
 from edgectl.model.task import Task
@@ -160,7 +160,9 @@ def numbers(cell: str) -> tuple[float, ...]:
 def test_every_linked_decision_record_exists() -> None:
     links = [part.split(")")[0] for part in PAGE.read_text().split("](")[1:]]
     assert links
-    assert [link for link in links if not link.startswith("#") and not (PAGE.parent / link).exists()] == []
+    assert [
+        link for link in links if not link.startswith("#") and not (PAGE.parent / link.split("#")[0]).exists()
+    ] == []
 
 
 @pytest.mark.parametrize("row", table("Reservations worked by hand"), ids=lambda row: row["reserved"])
@@ -193,3 +195,28 @@ def test_the_overloads(row: dict[str, str]) -> None:
     terms = {host: entry.terms["cpu"] for host, entry in ranking_by_host(decision).items()}
     assert terms == pytest.approx({"edge1": float(row["edge1 now"]), "edge2": float(row["edge2 then"])})
     assert 1.0 - float(row["others on edge1"]) / 4.0 == pytest.approx(float(row["edge1 then"]))
+
+
+@pytest.mark.parametrize(
+    "row", table("Rules worked by hand"), ids=lambda row: f"{row['rule of t1 to t3']}, {row['cores']}"
+)
+def test_the_rules_between_tasks(row: dict[str, str]) -> None:
+    key, _, value = row["rule of t1 to t3"].partition(": ")
+    rule: dict[str, object] = {}
+    if key in ("apart", "together"):
+        rule = {key: (value.strip("[]"),)}
+    elif key in ("spread", "group"):
+        rule = {key: value}
+    prefer = Preference(value) if key == "prefer" else Preference.SPREAD
+    racks = {"edge1": "a", "edge2": "a", "edge3": "b"}
+    found = run_assign(
+        an_inventory(*(an_edge(edge, labels={"rack": rack}) for edge, rack in racks.items())),
+        some_tasks(
+            a_task("other", cpu=1.0),
+            *(a_task(name, template="t", cpu=float(row["cores"]), **rule) for name in ("t1", "t2", "t3")),  # type: ignore[arg-type]
+        ),
+        a_snapshot(edge1=a_sample(), edge2=a_sample(), edge3=a_sample(cores=8.0)),
+        policy=Policy(weights=parse_weights("cpu"), prefer=prefer),
+    )
+    hosts = {decision.task: decision.host or "-" for decision in found.decisions}
+    assert hosts == {name: row[name] for name in ("other", "t1", "t2", "t3")}

@@ -100,7 +100,7 @@ def unplug_during_apply(fleet: FaultFleet) -> None:
     fleet.wait_for_edgectl(running).expect_exit(0, 4, within=100)
 
 
-@fault("link cut in the middle of an apply (FIN)", quick=True, full=12)
+@fault("link cut in the middle of an apply (FIN)", full=12)
 def cut_link_with_fin(fleet: FaultFleet) -> None:
     apply_with_link_fault(fleet, LinkFaultKind.CUT_FIN, lasting=fleet.random.random() < 0.5)
 

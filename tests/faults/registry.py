@@ -137,7 +137,7 @@ def _inject_fault(each: Fault, fleet: FaultFleet, result: InjectionResult) -> No
 
 
 def draw_names(seed: int, variant: EdgectlVariant | None = None) -> list[str]:
-    """Draw the names of the hosts in the order of their start, which is not that of their names: three hosts, and
+    """Draw the names of the hosts in a random order: three hosts, and
     five for one seed in six of the whole matrix.
     """
     drawn = random.Random(f"names {seed}")

@@ -22,7 +22,7 @@ from edgectl.model.inventory import Role
 from edgectl.model.manager_state import ManagerState, MeasuredDemand, Placement
 from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.policy import Policy, PolicyName, SequenceRule, Weights
-from edgectl.model.resource import HOST_RESOURCES, RESOURCES, Usage
+from edgectl.model.resource import HOST_RESOURCES, MEASURED_HOST_RESOURCES, RESOURCES, Usage
 from edgectl.model.snapshot import (
     CapacitySource,
     DeviceSample,
@@ -174,7 +174,8 @@ memories = st.builds(
             samples=counts,
             span_s=amounts,
             used=st.fixed_dictionaries(
-                {resource.name: amounts for resource in HOST_RESOURCES}, optional={"network": amounts}
+                {resource.name: amounts for resource in MEASURED_HOST_RESOURCES},
+                optional={"network": amounts},
             ),
             spec_hash=texts,
         ),

@@ -27,8 +27,9 @@ from edgectl.model.assignment import (
 from edgectl.model.inventory import Role
 from edgectl.model.manager_state import ManagerState, MeasuredDemand, Placement
 from edgectl.model.plan import Action, Plan, Step
-from edgectl.model.policy import Policy, PolicyName, SequenceRule, Weights
+from edgectl.model.policy import Policy, PolicyName, Preference, SequenceRule, Weights
 from edgectl.model.resource import MEMORY, NETWORK, ResourceMap, Usage
+from edgectl.model.resource import TERMS as TERM_NAMES
 from edgectl.model.snapshot import (
     CapacitySource,
     DeviceSample,
@@ -86,15 +87,21 @@ MANAGER = ManagerState(
     deferred={"t": "d"}, measured={("t", "4c-8Gi"): MEASURED}, orphans={"h": ("t",)}, synced={"h": 4},
 )  # fmt: skip
 SNAPSHOT = Snapshot(taken_at=1.5, hosts={"h": HOST}, manager=MANAGER)
-WEIGHTS = Weights(cpu=0.1, memory=0.2, network=0.3, task=0.4)
+WEIGHTS = Weights({name: 0.1 * place for place, name in enumerate(TERM_NAMES, 1)})
 POLICY = Policy(
     name=PolicyName.PAPER, weights=WEIGHTS, sequence=SequenceRule.SENSITIVITY, move_margin=0.2, min_dwell=3.0, max_moves=None, attended=False,
-    best_effort=True, full=True, without=frozenset({"h"}), prune=True, rebalance=True,
+    best_effort=True, full=True, without=frozenset({"h"}), prune=True, rebalance=True, prefer=Preference.PACK,
 )  # fmt: skip
 REJECTION = Rejection(
-    rule=RejectionRule.INSUFFICIENT, resource=NETWORK, robot="r", demand=1.0, used=2.0, capacity=3.0
+    rule=RejectionRule.INSUFFICIENT,
+    resource=NETWORK,
+    robot="r",
+    task="o",
+    demand=1.0,
+    used=2.0,
+    capacity=3.0,
 )
-TERMS = UtilityTerms(cpu=0.1, memory=-0.2, network=0.3, task=0.4)
+TERMS = UtilityTerms({name: -0.1 * place for place, name in enumerate(TERM_NAMES, 1)})
 RHO = ResourceDemand(resource=NETWORK, value=1.5, source=DemandSource.MEASURED, samples=412, demanded=0.5)
 OVERUSE = Overuse(task="t-1", entry="t", host="h", resource=NETWORK, used=2.0, declared=1.0)
 SHORTAGE = Shortage(resource=MEMORY, amount=1.5)

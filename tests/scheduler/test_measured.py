@@ -6,7 +6,7 @@ import pytest
 
 from edgectl.model.assignment import DemandSource, ResourceDemand
 from edgectl.model.manager_state import ManagerState, MeasuredDemand
-from edgectl.model.resource import CPU, MEMORY, NETWORK
+from edgectl.model.resource import CPU, MEMORY, NETWORK, TASK_RESOURCES
 from edgectl.model.task import Demand, Quantity, Tasks
 from tests.builders import (
     GI,
@@ -61,6 +61,11 @@ def cpu_terms(tasks: Tasks, memory: ManagerState) -> dict[str, float | None]:
     }
 
 
+def select_measurable(demand: tuple[ResourceDemand, ...]) -> tuple[ResourceDemand, ...]:
+    """The demands that can be measured: not those of a declared budget."""
+    return tuple(rho for rho in demand if rho.resource in TASK_RESOURCES)
+
+
 def test_the_demand_of_the_class_that_is_looked_at_counts_and_is_charged() -> None:
     memory = a_measured_state(
         small=a_history(cpu=2.0), large=a_history(cpu=5.0, throughput=2e6, samples=60, span=300.0)
@@ -75,7 +80,7 @@ def test_the_demand_of_the_class_that_is_looked_at_counts_and_is_charged() -> No
     assert decisions_by_task(found)["slam"].host == "edge1"
     assert found.expected["edge1"].used["cpu"] == 2.0
     assert found.expected["edge1"].links == {"robot1": 1e6}
-    assert entries["edge2"].demand == (
+    assert select_measurable(entries["edge2"].demand) == (
         ResourceDemand(resource=CPU, value=5.0, source=DemandSource.MEASURED, samples=60),
         ResourceDemand(resource=MEMORY, value=GI, source=DemandSource.MEASURED, samples=60),
         ResourceDemand(resource=NETWORK, value=2e6, source=DemandSource.MEASURED, samples=60),
@@ -88,15 +93,21 @@ def test_too_few_samples_count_as_nothing(samples: int, span: float) -> None:
     memory = a_measured_state(small=a_history(cpu=2.0, samples=samples, span=span))
     found = decisions_by_task(run_assign(INVENTORY, some_tasks(LEFT_OUT), SNAPSHOT, memory=memory))["slam"]
     assert {entry.terms["cpu"] for entry in found.ranking} == {1.0}
-    assert [(rho.value, rho.source) for rho in found.demand] == [(0.0, DemandSource.NONE)] * 3
-    assert {rho.samples for rho in found.demand} == {samples if found.host == "edge1" else 0}
+    assert [(rho.value, rho.source) for rho in select_measurable(found.demand)] == [
+        (0.0, DemandSource.NONE)
+    ] * 3
+    assert {rho.samples for rho in select_measurable(found.demand)} == {
+        samples if found.host == "edge1" else 0
+    }
 
 
 def test_the_history_of_another_command_counts_not() -> None:
     """As when yesterday's snapshot meets today's files."""
     memory = a_measured_state(small=replace(a_history(cpu=2.0), spec_hash="another"))
     found = decisions_by_task(run_assign(INVENTORY, some_tasks(LEFT_OUT), SNAPSHOT, memory=memory))["slam"]
-    assert [(rho.value, rho.source, rho.samples) for rho in found.demand] == [(0.0, DemandSource.NONE, 0)] * 3
+    assert [(rho.value, rho.source, rho.samples) for rho in select_measurable(found.demand)] == [
+        (0.0, DemandSource.NONE, 0)
+    ] * 3
     same = a_measured_state(small=replace(a_history(cpu=2.0), spec_hash=LEFT_OUT.spec_hash))
     assert cpu_terms(some_tasks(LEFT_OUT), same)["edge1"] == 0.5
 
@@ -105,7 +116,7 @@ def test_what_is_declared_is_never_replaced() -> None:
     memory = a_measured_state(small=a_history(cpu=2.0), large=a_history(cpu=5.0))
     assert cpu_terms(some_tasks(DECLARED), memory) == {"edge1": (4 - 3) / 4, "edge2": (8 - 3) / 8}
     found = decisions_by_task(run_assign(INVENTORY, some_tasks(DECLARED), SNAPSHOT, memory=memory))["slam"]
-    assert [(rho.value, rho.source, rho.samples) for rho in found.demand] == [
+    assert [(rho.value, rho.source, rho.samples) for rho in select_measurable(found.demand)] == [
         (3.0, DemandSource.DECLARED, None), (GI, DemandSource.DECLARED, None), (1e6, DemandSource.DECLARED, None),
     ]  # fmt: skip
 

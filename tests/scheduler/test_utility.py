@@ -4,6 +4,7 @@ import pytest
 
 from edgectl.model.assignment import UtilityTerms
 from edgectl.model.policy import Weights
+from edgectl.model.resource import TERMS
 from edgectl.scheduler.utility import (
     compute_affinity,
     paper_task_utilities,
@@ -29,10 +30,9 @@ def test_resource_utility(capacity: float, expected: float, demand: float, utili
 def test_total_is_the_weighted_sum() -> None:
     weights = Weights(cpu=0.4, memory=0.2, network=0.3, task=0.1)
     # .4 x .5 + .2 x .25 + .3 x .8 + .1 x 1 = .2 + .05 + .24 + .1
-    assert total_utility(weights, UtilityTerms(cpu=0.5, memory=0.25, network=0.8, task=1.0)) == pytest.approx(
-        0.59
-    )
-    assert total_utility(weights, UtilityTerms(cpu=0.5, memory=None, network=0.8, task=1.0)) is None
+    terms = dict.fromkeys(TERMS, 0.0) | {"cpu": 0.5, "memory": 0.25, "network": 0.8, "task": 1.0}
+    assert total_utility(weights, UtilityTerms(terms)) == pytest.approx(0.59)
+    assert total_utility(weights, UtilityTerms(terms | {"memory": None})) is None
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 
 import json
 
-from edgectl.executor.diff import plan_from_assignment
+from edgectl.executor.diff import diff_assignment, plan_from_assignment
 from edgectl.model.assignment import Assignment
 from edgectl.model.explanation import Explanation
 from edgectl.model.inventory import Inventory
@@ -70,3 +70,22 @@ def test_the_document_holds_every_number() -> None:
         "cores",
         "edge2",
     )
+
+
+def test_rules_between_tasks_are_said_in_words() -> None:
+    tasks = some_tasks(
+        a_task("a", cpu=1.0), a_task("b", cpu=1.0, apart=("a",)), a_task("c", cpu=1.0, together=("a",))
+    )
+    three = an_inventory(*map(an_edge, ["edge1", "edge2", "edge3"]))
+    snapshot = a_snapshot({edge: a_sample() for edge in three.hosts}, memory=ManagerState(managed=True))
+    found = assign(three, tasks, snapshot, ManagerState(managed=True), Policy(), NOW)
+    steps = {step.task: step for step in diff_assignment(found, tasks, snapshot, ManagerState(managed=True))}
+
+    def show(name: str) -> str:
+        step = steps[name]
+        explanation = explain_decision(three, tasks.tasks[name], snapshot, step.decision, found.policy)
+        return ExplanationView(step, explanation).table()
+
+    assert "Its files keep it off edge1, where a is (apart)." in show("b")
+    assert "start: together with a" in show("c")
+    assert "keep it with a (together), which leaves out edge2 and edge3." in show("c")
