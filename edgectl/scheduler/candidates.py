@@ -1,7 +1,8 @@
 """Candidates of one task: the places that may take it, and the total of each."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, TypeAlias
 
 from edgectl.model.assignment import Rejection, RejectionRule, UtilityTerms
 from edgectl.model.policy import Policy
@@ -15,11 +16,17 @@ from edgectl.scheduler.scan import (
     EXCLUDED_TOTAL,
     INFEASIBLE_PENALTY,
     DemandShares,
+    ListTotals,
     compute_resource_totals,
     is_feasible_total,
 )
 from edgectl.scheduler.slack import get_slack
 from edgectl.scheduler.utility import EPSILON, compute_affinity, total_utility
+
+if TYPE_CHECKING:  # NumPy is imported only where it pays
+    from edgectl.scheduler.array_scan import ArrayScan, ArrayTotals
+
+Totals: TypeAlias = "ListTotals | ArrayTotals"
 
 # These close a host to new work only: what runs there may stay.
 _NEW_WORK_ONLY = (RejectionRule.CORDONED, RejectionRule.STALE)
@@ -81,7 +88,8 @@ def reject_every_robot(_fleet: Capacities, _task: Task, _place: int) -> Rejectio
 class AssignmentContext:
     """Whatever stays the same over all passes of one assignment.
 
-    ``edge_rejections`` caches the edges closed to a task, by its rules.
+    ``arrays``: weigh large fleets with NumPy (ADR 0076). ``edge_rejections`` caches the edges closed to a
+    task, by its rules.
     """
 
     fleet: Capacities
@@ -91,10 +99,11 @@ class AssignmentContext:
     now: float
     first: Mapping[str, str]
     handoffs: HandoffHistory
+    arrays: "ArrayScan | None" = None
     edge_rejections: dict[object, dict[int, Rejection]] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(slots=True, kw_only=True)
 class CandidateSet:
     """One task against the ledger of the moment.
 
@@ -117,7 +126,7 @@ class CandidateSet:
     listed: Sequence[int]
     robots: Sequence[int]
     utilities: Mapping[int, float]
-    totals: list[float]
+    totals: Totals = field(default_factory=ListTotals)
     waived: Rejection | None = None
     tolerated: bool = False
 
@@ -186,18 +195,18 @@ def gather_candidates(
         listed=listed,
         robots=robots,
         utilities=utilities,
-        totals=[],
         waived=waived,
     )
 
 
 def weigh_candidates(candidates: CandidateSet) -> CandidateSet:
     """``candidates`` with their totals."""
-    candidates.totals.extend(_compute_place_totals(candidates))
+    candidates.totals = _compute_place_totals(candidates)
     if not candidates.context.rules.tolerant or not _is_tolerated(candidates):
         return candidates
     candidates.totals[candidates.incumbent or 0] += INFEASIBLE_PENALTY
-    return replace(candidates, tolerated=True)
+    candidates.tolerated = True
+    return candidates
 
 
 def _is_tolerated(candidates: CandidateSet) -> bool:
@@ -293,14 +302,20 @@ def _collect_affinities(located: Sequence[int], near: set[int], *, far: bool) ->
     return rewards | {-len(located)} if far else rewards
 
 
-def _compute_place_totals(candidates: CandidateSet) -> list[float]:
+def _compute_place_totals(candidates: CandidateSet) -> Totals:
     """Eq. (4) at every place: the scan for the edges, the affinity on top, the reference for a robot."""
     context, task, fleet = candidates.context, candidates.task, candidates.context.fleet
     weights = context.policy.weights
     far = candidates.utilities.get(-len(candidates.located), 0.0)
     weight = weights[AFFINITY]
-    row = compute_resource_totals(candidates.ledger, context.shares, task, weights, offset=weight * far)
-    row.extend([EXCLUDED_TOTAL] * (len(fleet.places) - fleet.edges))
+    row: Totals
+    if context.arrays is not None and candidates.ledger.mirror is not None:
+        row = context.arrays.compute_totals(candidates.ledger.mirror, task, offset=weight * far)
+    else:
+        row = ListTotals(
+            compute_resource_totals(candidates.ledger, context.shares, task, weights, offset=weight * far)
+        )
+        row.extend([EXCLUDED_TOTAL] * (len(fleet.places) - fleet.edges))
     for place in set(candidates.located):
         if place < fleet.edges and place not in candidates.denied:
             row[place] += weight * (candidates.utilities[compute_affinity(candidates.located, place)] - far)
