@@ -1,13 +1,13 @@
 """Every exception that edgectl raises on purpose.
 
-    EdgectlError                    anything a user may be told; carries a hint and an exit code
+    EdgectlError                    anything reported to a user; carries a hint and an exit code
     ├── InputError                 one or more mistakes in a file, each with its position (exit 64)
     ├── UsageError                  a call that cannot be carried out as given (exit 64)
     ├── FileError                   a file that cannot be read or written (exit 1)
     ├── StateError                  the manager's own state is damaged or of a newer version (exit 1)
     ├── LockBusyError               another edgectl holds the lock or the fleet (exit 75)
     │   └── WatchedError            another watch looks after the fleet (exit 75)
-    ├── StalePlanError              the world moved since the plan was made (exit 75)
+    ├── StalePlanError              the fleet changed since the plan was made (exit 75)
     ├── UnansweredError             the answer depends on a host that did not answer (exit 4)
     ├── FleetBusyError              the fleet is not free for an experiment (exit 75)
     └── HostError                   one host did not do what was asked; costs that host, never the run
@@ -61,7 +61,7 @@ class Problem:
 
 
 class EdgectlError(Exception):
-    """Root of the exception tree: a one-line message, a hint that mends it, and the exit code."""
+    """Root of the exception tree: a one-line message, a hint with the remedy, and the exit code."""
 
     exit_code = ExitCode.FAILED
 

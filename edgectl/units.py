@@ -222,10 +222,8 @@ class Unit:
     """A unit of measurement: parser and formats of its amounts.
 
     ``name``: the unit in documents. ``example``: an amount as a task file states it; ``pattern``: all such
-    texts, for JSON Schemas. ``format``: for columns;
-    ``format_small`` tells small amounts from none; ``format_exact``: for comparisons in sentences;
-    ``format_for_file``: rounded up, as ``parse`` reads it. ``word`` follows what ``format`` gives where no
-    unit is in it.
+    texts, for JSON Schemas. ``format``: for columns; ``format_in_text``: for sentences, with the unit;
+    ``format_exact``: for comparisons in sentences; ``format_for_file``: rounded up, as ``parse`` reads it.
     """
 
     name: str
@@ -233,10 +231,13 @@ class Unit:
     pattern: str
     parse: Callable[[object], float]
     format: Callable[[float], str]
-    format_small: Callable[[float], str]
+    format_in_text: Callable[[float], str]
     format_exact: Callable[[float], str]
     format_for_file: Callable[[float], str]
-    word: str = ""
+
+
+def _format_cores_in_text(value: float) -> str:
+    return f"{value:.{2 if abs(value) >= 0.1 else 3}f} cores"
 
 
 def _format_exact_cores(value: float) -> str:
@@ -245,16 +246,16 @@ def _format_exact_cores(value: float) -> str:
 
 CORES = Unit(
     name="cores", example="1.5", pattern=CORES_PATTERN, parse=parse_cores,
-    format=format_cores, format_small=format_cores,
-    format_exact=_format_exact_cores, format_for_file=format_cores_for_file, word=" cores",
+    format=format_cores, format_in_text=_format_cores_in_text,
+    format_exact=_format_exact_cores, format_for_file=format_cores_for_file,
 )  # fmt: skip
 BYTES = Unit(
     name="bytes", example="900Mi", pattern=BYTES_PATTERN, parse=parse_bytes,
-    format=format_bytes, format_small=format_bytes,
+    format=format_bytes, format_in_text=format_bytes,
     format_exact=format_bytes, format_for_file=format_bytes_for_file,
 )  # fmt: skip
 BYTES_PER_S = Unit(
     name="bytes_per_s", example="12MB/s", pattern=RATE_PATTERN, parse=parse_rate,
-    format=format_rate, format_small=format_rate,
+    format=format_rate, format_in_text=format_rate,
     format_exact=format_rate, format_for_file=format_rate_for_file,
 )  # fmt: skip

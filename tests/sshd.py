@@ -226,6 +226,12 @@ class Lab:
     def __getitem__(self, name: str) -> Server:
         return self.servers[name]
 
+    def restart_stopped_servers(self) -> None:
+        """Start the servers that a test has stopped."""
+        for server in self.servers.values():
+            if server.process is None:
+                server.restart()
+
     def add(self, name: str, *, address: str = "", extra: Sequence[str] = ()) -> Server:
         """Create the files of one more server; it is not started yet."""
         directory = self.directory / name

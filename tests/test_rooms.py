@@ -294,19 +294,24 @@ def test_pure_rooms_do_no_io() -> None:
 
 
 def test_no_dangerous_calls() -> None:
-    """No eval, exec, pickle, yaml.load, shell=True or os.system, and no way to switch host key checks off."""
+    """No eval, exec, pickle, yaml.load, shell=True or os.system, and no way to switch host key checks off.
+
+    The agent runs code that it compiled before, where the seal of the manager is on it (ADR 57).
+    """
+    loaders = {ROOT / "agent" / "link" / name for name in ("stub.py", "boot.py", "cache.py")}
     for path in ROOT.rglob("*.py"):
         text = path.read_text()
         assert "AutoAddPolicy" not in text, path
         assert "StrictHostKeyChecking=no" not in text, path
         tree = ast.parse(text)
-        assert not {n.split(".")[0] for n in list_imports(path)} & {"pickle", "shelve", "marshal"}, path
+        barred = {"pickle", "shelve"} if path in loaders else {"pickle", "shelve", "marshal"}
+        assert not {n.split(".")[0] for n in list_imports(path)} & barred, path
         for node in ast.walk(tree):
             if isinstance(node, ast.Call):
                 called = ast.unparse(node.func)
                 assert called not in {
                     "eval",
-                    "exec",
+                    *(() if path in loaders else ("exec",)),
                     "yaml.load",
                     "os.system",
                     "os.popen",

@@ -24,7 +24,7 @@ _HUMAN_FORMATS = (OutputFormat.TABLE, OutputFormat.WIDE)
 
 
 def check_can_confirm(*, asked: bool, first: str = "check first: edgectl plan") -> bool:
-    """Whether to ask for confirmation; refused before anything is done where nobody can answer.
+    """Whether to ask for confirmation; refused before anything is done where no answer is possible.
 
     ``first`` is what to check before passing --yes.
 
@@ -125,7 +125,7 @@ def _explain_exit_code(plan: Plan, code: ExitCode) -> None:
     if code is ExitCode.PARTLY:
         console.print_stderr(
             plan_sections.render_unreachable_hosts(plan.snapshot, plan.snapshot.silent_hosts)
-            + plan_sections.render_lost_tasks(plan.snapshot)
+            + plan_sections.render_lost_tasks(plan)
         )
     elif code is ExitCode.UNPLACED:
         console.print_stderr(plan_sections.render_unplaced_tasks(plan))

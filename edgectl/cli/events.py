@@ -34,7 +34,7 @@ def events_command(
     watch: Annotated[bool, Option("--watch", "-w", help="Keep watching until Ctrl-C.")] = False,
 ) -> None:
     """List recent events: hosts lost and back, tasks started, moved, failed, and the actions of apply. No
-    host is asked.
+    host is contacted.
 
     Events are recorded by probe, plan, apply and watch. With -w, -o json prints one object per line.
 

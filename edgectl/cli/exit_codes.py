@@ -13,6 +13,7 @@ from edgectl.model.profiler import Profiler, ProfilerState
 from edgectl.model.snapshot import Snapshot, find_doubled_tasks
 from edgectl.model.task import Tasks
 from edgectl.rules.lost_places import list_lost_tasks
+from edgectl.rules.other_managers import list_tasks_on_unlisted_hosts
 
 if TYPE_CHECKING:
     from edgectl.usecases.plan_execution import ApplyResult
@@ -45,7 +46,7 @@ def of_profilers(profilers: Iterable[Profiler]) -> ExitCode:
 
 def of_plan(plan: Plan, *, detailed: bool, allow_unreachable: bool) -> ExitCode:
     """4 beats 3 beats 2; 2 and 3 only with --detailed-exitcode."""
-    if list_lost_tasks(plan.snapshot):
+    if list_lost_tasks(plan.snapshot) or list_tasks_on_unlisted_hosts(plan):
         return ExitCode.PARTLY
     if not allow_unreachable and plan.snapshot.silent_hosts:
         return ExitCode.PARTLY
@@ -106,13 +107,14 @@ def of_status(
 
 def of_cycle(cycle: Cycle) -> ExitCode:
     """1 if the cycle failed, 75 if the lock was busy, 4 if an action failed, a host did not answer, a task
-    runs twice, or a wanted task is given up.
+    runs twice or may run on a host that the inventory lacks, or a wanted task is given up.
     """
     if cycle.error:
         return ExitCode.FAILED
     if cycle.busy:
         return ExitCode.TRY_AGAIN
     failed = cycle.results is not None and not cycle.results.done
+    failed = failed or bool(list_tasks_on_unlisted_hosts(cycle.plan))
     seen = cycle.snapshot
     wrong = failed or (seen is not None and bool(seen.silent_hosts or _has_misplaced_tasks(seen)))
     code = ExitCode.PARTLY if wrong else ExitCode.DONE

@@ -91,7 +91,7 @@ def export_csv_command(
     """Export the history as CSV: measurements of hosts, links and tasks, application metrics, handoffs, or
     events.
 
-    No host is asked.
+    No host is contacted.
 
     Examples:
         edgectl export csv tasks --since 1h
@@ -110,7 +110,7 @@ def export_jsonl_command(
     """Export the history as JSON Lines: measurements of hosts, links and tasks, application metrics,
     handoffs, or events.
 
-    No host is asked.
+    No host is contacted.
 
     Examples:
         edgectl export jsonl links --since 1h

@@ -1,7 +1,7 @@
 """Optional packages: imported on demand, with an install hint if missing.
 
 The distribution is ``edgectl-robotics``: what package indexes call ``edgectl`` is another program. So a hint
-names the place from which this edgectl was installed.
+names the source from which this edgectl was installed.
 """
 
 import contextlib

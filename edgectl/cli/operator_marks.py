@@ -51,7 +51,7 @@ def trust_command(
 def cordon_command(
     *,
     hosts: options.HostsArgument,
-    drain: Annotated[bool, Option("--drain", help="Tasks move away, too, at the next apply.")] = False,
+    drain: Annotated[bool, Option("--drain", help="Also move their tasks away at the next apply.")] = False,
     inventory: options.InventoryOption = None,
     tasks: options.TasksOption = None,
 ) -> None:
@@ -151,8 +151,8 @@ def done_command(
 def reopen_command(
     names: options.TasksArgument, inventory: options.InventoryOption = None, tasks: options.TasksOption = None
 ) -> None:
-    """Make completed or failed tasks schedulable again. Exit 4 if a host did not answer: one that ended there
-    is not forgotten.
+    """Make completed or failed tasks schedulable again. Exit 4 if a host did not answer: a task that
+    ended there stays as it is.
 
     Examples:
         edgectl reopen navigation-robot1

@@ -23,7 +23,7 @@ def profile_command(
     """Show measured usage of a task by class of hosts (median, p95, maximum) beside its declared demand. No
     host is contacted.
 
-    TASK may be an entry with for_each. --write shows the change and asks.
+    TASK may be an entry with for_each. --write shows the change and asks for confirmation.
 
     Examples:
         edgectl profile slam-robot1

@@ -62,8 +62,8 @@ def top_tasks_command(
     readonly: options.ReadonlyOption = False,
     allow_unreachable: options.AllowUnreachableOption = False,
 ) -> None:
-    """Show usage of each task against its demand (OFF: usage minus demand), now and over its last 60 recorded
-    samples.
+    """Show usage of each task against its demand (CPU EXCESS: usage minus demand), now and over its last 60
+    recorded samples.
 
     Without a terminal the output is numbers only; -w -o json is one object per line.
 
@@ -101,7 +101,8 @@ def _print_top(
 def _build_view(fleet: "Fleet", what: str, snapshot: "Snapshot") -> "View":
     from edgectl.usecases.status import load_host_points, load_task_points
     from edgectl.views.sparkline import SPARKLINE_SAMPLES
-    from edgectl.views.top import TopHostsView, TopTasksView
+    from edgectl.views.top_hosts import TopHostsView
+    from edgectl.views.top_tasks import TopTasksView
 
     if what == "hosts":
         return TopHostsView(snapshot, fleet.inventory, load_host_points(fleet, SPARKLINE_SAMPLES))

@@ -82,9 +82,7 @@ def _load_document(path: Path, decode: Callable[[object], Model], again: str, pr
 
 
 def _parse_json(text: str) -> Any:  # noqa: ANN401 - JSON is anything
-    """The value, or an error for what JSON readers disagree about: NaN, keys that stand twice, endless
-    nesting.
-    """
+    """The value, or an error for what JSON readers disagree about: NaN, duplicate keys, endless nesting."""
     value = json.loads(text, parse_constant=_reject_constant, object_pairs_hook=_reject_duplicate_keys)
     if "\\ud" in text or "\\uD" in text:
         json.dumps(value, ensure_ascii=False).encode()  # half a surrogate pair is no text: a ValueError

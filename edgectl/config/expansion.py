@@ -6,13 +6,14 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
+from edgectl.config.host_rules import FleetIndex, index_fleet, resolve_host_rules
 from edgectl.config.needs import resolve_needs
 from edgectl.config.node import Node
 from edgectl.config.placeholders import fill_placeholders
 from edgectl.config.problems import ProblemCode, Problems
 from edgectl.config.scalars import MAX_NAME_LENGTH
 from edgectl.config.task_file import MAX_TASKS, TaskDraft, TaskTemplate
-from edgectl.config.task_rules import FleetIndex, check_draft, check_template, index_fleet, resolve_host_rules
+from edgectl.config.task_rules import check_draft, check_template
 from edgectl.formats.digest import hash_spec, hash_spec_fields
 from edgectl.model.inventory import Inventory
 from edgectl.model.task import HostRules, Need, Task

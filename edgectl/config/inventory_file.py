@@ -43,7 +43,7 @@ from edgectl.config.schema import (
 )
 from edgectl.formats.digest import digest_inventory
 from edgectl.model.inventory import BaseLoad, Capacity, Connection, Host, Inventory, Limits, Role, Runtime
-from edgectl.model.resource import HOST_RESOURCES
+from edgectl.model.resource import HOST_RESOURCES, MEASURED_HOST_RESOURCES
 from edgectl.names import natural_key
 from edgectl.units import parse_rate, parse_share
 
@@ -60,7 +60,7 @@ BASE_KEYS: Mapping[str, NodeReader] = {
     resource.name: quantity_reader(resource.unit.parse) for resource in HOST_RESOURCES
 }
 # A slice declares all of these, or none.
-_SLICE_KEYS = tuple(resource.name for resource in HOST_RESOURCES if not resource.declared_only)
+_SLICE_KEYS = tuple(resource.name for resource in MEASURED_HOST_RESOURCES)
 
 
 def _describe_capacity() -> Schema:
@@ -238,7 +238,7 @@ def _read_host_entries(
             problems.add(
                 node.key_mark(key),
                 ProblemCode.TAKEN,
-                f"{key} is an edge already; edges and robots share their names",
+                f"{key} is already an edge; edges and robots share one namespace",
                 "rename one of the two",
             )
             continue

@@ -196,7 +196,9 @@ class Problems:
         listed = sorted((each for each in self.found if each.warning is warning), key=_build_sort_key)
         if not self._omitted[warning]:
             return tuple(listed)
-        others = replace(listed[-1], message=f"and {self._omitted[warning]} more", hint="mend the first ones")
+        others = replace(
+            listed[-1], message=f"and {self._omitted[warning]} more", hint="correct the first ones"
+        )
         return (*listed, others)
 
     def check(self) -> None:

@@ -110,7 +110,8 @@ def demand_parser(parse: Callable[[object], float], example: str) -> Callable[[o
         share = parse_share(raw)
         if share > 1:
             raise QuantityError(
-                f"a demand is at most 100% of a host, not {raw}", f"write it absolutely, such as {example}"
+                f"a demand is at most 100% of a host, not {raw}",
+                f"write an absolute amount, such as {example}",
             )
         return Quantity(value=share, relative=True)
 

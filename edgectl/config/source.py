@@ -49,7 +49,9 @@ def _warn_if_exposed(path: Path, status: os.stat_result, problems: Problems) -> 
 
 
 def describe_exposure(path: Path, status: os.stat_result) -> tuple[str, str] | None:
-    """Who besides the caller and root may write the file, and the mend; None if nobody (ADR 50)."""
+    """The users besides the caller and root who may write the file, and the remedy; None without any (ADR
+    50).
+    """
     if status.st_uid not in _list_trusted_users():
         message, mend = f"user {status.st_uid} owns it and may change it", f"chown it: {path}"
     elif status.st_mode & S_IWOTH:

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from edgectl.config.demand_readers import read_demand
 from edgectl.config.fields import (
     Fields,
     keep_node,
@@ -42,7 +43,6 @@ from edgectl.config.task_readers import (
     TASK_LIMITS_KEYS,
     check_reader,
     read_command,
-    read_demand,
     read_duration,
     read_for_each,
     read_host_rules,
@@ -170,7 +170,7 @@ def read_templates(
         check_name(key, entries, problems, "a task")
         if key in templates:
             first = templates[key].named_at
-            message = f"a task {key} stands in {first.source.file} already, on line {first.line}"
+            message = f"task {key} is already defined in {first.source.file}, line {first.line}"
             problems.add(entries.key_mark(key), ProblemCode.TAKEN, message, "rename or remove one of the two")
             continue
         fields = read_fields(inner, problems, TASK_KEYS, what=f"task {key}")

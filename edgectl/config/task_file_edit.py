@@ -6,8 +6,8 @@ from typing import Any, NamedTuple, NoReturn, TypeAlias
 
 import yaml
 
+from edgectl.config.demand_readers import MEASURED_WORD
 from edgectl.config.problems import ProblemCode, Problems, Source, mark_from_span
-from edgectl.config.task_readers import MEASURED_WORD
 from edgectl.config.yaml_parser import LOADER
 from edgectl.errors import InputError
 from edgectl.model.resource import TASK_RESOURCES

@@ -3,7 +3,7 @@
 import re
 import shlex
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -15,7 +15,6 @@ from edgectl.config.fields import (
 )
 from edgectl.config.node import Node, value_from_node
 from edgectl.config.problems import Mark, ProblemCode, Problems
-from edgectl.config.quantities import demand_parser
 from edgectl.config.scalars import (
     INVALID,
     NodeReader,
@@ -35,15 +34,13 @@ from edgectl.config.schema import (
 )
 from edgectl.config.weights import parse_weights
 from edgectl.model.policy import WEIGHT_PRESETS
-from edgectl.model.resource import RESOURCES, TASK_RESOURCES, TERMS
+from edgectl.model.resource import TERMS
 from edgectl.model.task import (
     Check,
     CheckLocation,
-    Demand,
     HandoffOrder,
     Need,
     NeedCondition,
-    Quantity,
     StopRule,
     UnreachablePolicy,
 )
@@ -56,12 +53,6 @@ _SIGNALS = ("TERM", "INT", "HUP", "QUIT", "KILL", "USR1", "USR2")
 
 
 read_duration = quantity_reader(parse_duration, above_zero=True)
-
-
-MEASURED_WORD = "measured"
-
-
-MEASURED = Quantity(value=0.0, measured=True)
 
 
 def check_reader(where: CheckLocation) -> NodeReader:
@@ -234,55 +225,6 @@ def _find_weight_mark(node: Node, message: str) -> Mark:
     return node.mark
 
 
-@describe_as(lambda: {"anyOf": [{"const": MEASURED_WORD}, build_object_schema(DEMAND_KEYS)]})
-def read_demand(node: Node, problems: Problems) -> Any:  # noqa: ANN401
-    """The word ``measured``, or a mapping by resource."""
-    if node.value == MEASURED_WORD:
-        return Demand({resource.name: MEASURED for resource in TASK_RESOURCES})
-    return record_reader(DEMAND_KEYS, _build_demand, "demand")(node, problems)
-
-
-def _build_demand(**quantities: Quantity) -> Demand:
-    """A demand out of its keys in the file."""
-    return Demand(
-        {
-            resource.name: quantities[resource.demand_key]
-            for resource in RESOURCES
-            if resource.demand_key in quantities
-        }
-    )
-
-
-def _demand_quantity_reader(parse: Callable[[object], Quantity]) -> NodeReader:
-    """One demand: a quantity, the word ``measured``, or a quantity that counts until then."""
-    quantity = quantity_reader(parse)
-
-    def describe() -> Schema:
-        stated = get_reader_schema(quantity)
-        until_measured = build_object_schema({"until_measured": quantity}, ("until_measured",))
-        return {"anyOf": [{"const": MEASURED_WORD}, *stated["anyOf"], until_measured]}
-
-    def read(node: Node, problems: Problems) -> Any:  # noqa: ANN401
-        if node.value == MEASURED_WORD:
-            return MEASURED
-        if isinstance(node.value, str) and node.value.isalpha():
-            hint = problems.did_you_mean(node.value, [MEASURED_WORD], "write a quantity, or")
-            problems.add(node.mark, ProblemCode.WORD, f"unknown word {node.value!r}", hint)
-            return INVALID
-        if not isinstance(node.value, dict):
-            return quantity(node, problems)
-        until = record_reader(
-            {"until_measured": quantity}, _mark_measured, "a measured demand", ("until_measured",)
-        )
-        return until(node, problems)
-
-    return describe_reader(read, describe)
-
-
-def _mark_measured(*, until_measured: Quantity) -> Quantity:
-    return replace(until_measured, measured=True)
-
-
 @describe_as(
     lambda: {"anyOf": [{"const": "unlimited"}, {"type": "integer", "minimum": 0, "maximum": 1_000_000}]}
 )
@@ -299,12 +241,6 @@ CHECK_KEYS: Mapping[str, NodeReader] = {
 
 
 NEED_KEYS: Mapping[str, NodeReader] = {"task": read_name, "until": enum_reader(NeedCondition)}
-
-
-DEMAND_KEYS: Mapping[str, NodeReader] = {
-    resource.demand_key: _demand_quantity_reader(demand_parser(resource.unit.parse, resource.unit.example))
-    for resource in RESOURCES
-}
 
 
 @describe_as(lambda: {"type": "string", "pattern": r"^[^\0]*[^\s\0][^\0]*$"})

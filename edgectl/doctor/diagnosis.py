@@ -52,6 +52,8 @@ def _suggest_fix(host: Host, answer: UnreachableHost) -> str:
     }
     if answer.kind == "host-key":
         return answer.hint or f"compare the fingerprint, then: edgectl trust {name}"
+    if answer.error.startswith("jump host "):
+        return f"see which login fails: {format_ssh_command(host, '-v')} true"
     return (
         by_kind.get(answer.kind, "")
         or answer.hint

@@ -39,7 +39,7 @@ def _build_finding(
 def _diagnose_login(host: Host, facts: HostFacts) -> Finding:
     took = f"{facts.login_s:.2f}s"
     if host.connection is Connection.LOCAL:
-        return _build_finding(host, "login", f"is this machine, asked in {took}")
+        return _build_finding(host, "login", f"is this machine, answered in {took}")
     if facts.login_s <= _SLOW_LOGIN_S:
         return _build_finding(host, "login", f"{took}, host key known")
     mend = (

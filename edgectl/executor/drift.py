@@ -39,7 +39,7 @@ def _list_contact_drift(plan: Plan, now: ManagerState) -> Iterator[str]:
     for host in sorted(replaced, key=natural_key):
         later = now.contact.get(host, 0.0) > before.contact.get(host, 0.0) + CONTACT_TOLERANCE_S
         if later or (host in before.fenced and host not in now.fenced):
-            yield f"{host} was in touch since, or is no longer fenced"
+            yield f"{host} answered since, or is no longer fenced"
 
 
 def _list_host_drift(name: str, before: HostSample, now: HostSample) -> Iterator[str]:

@@ -4,6 +4,9 @@ stop-first: safe? -> hold -> stop old, verified gone -> start new -> ready -> re
 start-first: safe? -> hold -> start new -> ready -> stop old -> release.
 replacement of an instance that is gone with its unreachable host: hold -> start new -> ready -> release.
 
+What ends a handoff (taking the new instance away, putting the old one back, release) asks a host that was
+silent in this run once more: a request that let its deadline pass may have been carried out.
+
 A robot on hold is released only when an instance is ready again, new or old. Where none is, it stays on hold,
 the result reports it, and the next apply that gets an instance ready releases it (``hold_release``).
 """
@@ -18,7 +21,7 @@ from edgectl.executor.action_phases import (
     build_run_phases,
     build_stop_phase,
 )
-from edgectl.executor.moved_world import MovedWorldError
+from edgectl.executor.concurrent_change import ConcurrentChangeError
 from edgectl.executor.phases import perform_phase, perform_phases, resolve_variables
 from edgectl.executor.step_run import StepRun
 from edgectl.model.result import ActionResult, Outcome, Phase
@@ -90,6 +93,7 @@ def _run_hold_hook(act: StepRun, planned: StartPhases, old: str) -> None:
 
 def _release_and_end(act: StepRun, planned: StartPhases, host: str, downtime: float | None) -> ActionResult:
     """Run the release hook once the new instance is ready."""
+    act.begin_recovery()
     try:
         perform_phases(act, planned.release)
     except HostError as error:
@@ -111,6 +115,7 @@ def _swap_instances(
             perform_phase(act, phase, variables)
             started = time.monotonic() if phase.phase is Phase.START else started
         except HostError as error:
+            act.begin_recovery()
             if stop_first:
                 raise _recover_stop_first(act, task, phase, old, new, error, began) from error
             raise _recover_start_first(act, task, phase, old, new, error) from error
@@ -122,7 +127,7 @@ def _recover_stop_first(
     act: StepRun, task: Task, failed: PlannedPhase, old: str, new: str, error: HostError, began: float
 ) -> _HandoffError:
     """Where the old instance is gone and the new one failed, put the old one back."""
-    if isinstance(error, MovedWorldError):
+    if isinstance(error, ConcurrentChangeError):
         return _HandoffError(error, error.located, steers=False)
     if failed.phase is Phase.STOP:
         return _HandoffError(error, old, steers=isinstance(error, RefusedError))
@@ -142,6 +147,7 @@ def _recover_start_first(
 
 def _end_failed_handoff(act: StepRun, task: Task, failed: _HandoffError) -> ActionResult:
     """Report the first cause; release the robot if an instance steers it, else report that it still holds."""
+    act.begin_recovery()
     error = failed.error
     try:
         if failed.steers:
@@ -150,7 +156,7 @@ def _end_failed_handoff(act: StepRun, task: Task, failed: _HandoffError) -> Acti
             error = _build_still_holding_error(act, task, error)
     except HostError as another:
         error = HostError(f"{error.message}; {another.message}", hint=error.hint)
-    outcome = Outcome.DEFERRED if isinstance(failed.error, MovedWorldError) else Outcome.FAILED
+    outcome = Outcome.DEFERRED if isinstance(failed.error, ConcurrentChangeError) else Outcome.FAILED
     return act.end(outcome, located=failed.located, downtime_s=failed.downtime_s, error=error)
 
 

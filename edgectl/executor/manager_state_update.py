@@ -11,13 +11,17 @@ from edgectl.model.plan import Action, Plan, Step
 from edgectl.model.result import ActionResult, Outcome, Phase, Results
 from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Tasks
-from edgectl.rules.other_managers import is_up_to_date
+from edgectl.rules.other_managers import is_up_to_date, list_unlisted_hosts
 
 # Generations follow a manager's clock. One that a host reports is believed up to ten years ahead of this
 # clock, or of 2050 where this clock is behind: no host makes the others unusable by its word.
 _MAX_LEAD_S, _YEAR_2050 = 10 * 366 * 86_400, 2_524_608_000
 # Measurements kept of each kind: enough for a median and a mean that follow a change of the task.
 _MAX_MEASUREMENTS = 20
+# Reasons for a decision on a task of which no instance was seen: the record stays as it is.
+_UNSEEN_REASONS = frozenset(
+    {Reason.HOST_LEFT, Reason.HOST_READDRESSED, Reason.HOST_UNSURE, Reason.HOST_UNLISTED}
+)
 
 
 def compute_next_generations(
@@ -29,9 +33,9 @@ def compute_next_generations(
 ) -> dict[str, int]:
     """The generation of each task's next start: above all known ones, and at least the clock's seconds.
 
-    A generation out of all proportion is ignored: its host alone refuses starts then. The clock as a
-    floor lets a manager that lost its state, or that another one overtook, start tasks again. Only hosts that
-    the step concerns have a say in it, and at `protocol.MAX_GENERATION` it stays: hosts accept an equal one.
+    A generation out of all proportion is ignored: its host alone refuses starts then. The clock as a floor
+    lets a manager that lost its state, or that another one overtook, start tasks again. Only hosts that the
+    step concerns count, and at `protocol.MAX_GENERATION` it stays: hosts accept an equal one.
     """
     own = dict(journalled or {})
     for name, placement in manager.placements.items():
@@ -61,7 +65,7 @@ def update_manager_state(
     ended = {result.task: result for result in results.actions}
     placements, done = dict(manager.placements), dict(manager.done)
     for step in plan.steps:
-        if step.decision.reason in (Reason.HOST_LEFT, Reason.HOST_READDRESSED, Reason.HOST_UNSURE):
+        if step.decision.reason in _UNSEEN_REASONS:
             continue
         result, task = ended.get(step.task), tasks.tasks.get(step.task)
         located = result.located if result is not None else _find_running_host(plan.snapshot, step)
@@ -106,7 +110,8 @@ def update_manager_state(
 def _compute_synced_grants(
     manager: ManagerState, snapshot: Snapshot, placements: Mapping[str, Placement], tasks: Tasks
 ) -> Mapping[str, int]:
-    """The grants of all hosts, where all answered and ``placements`` has every task that lives there.
+    """The grants of all hosts, where all answered, no other manager has more of them, and ``placements`` has
+    every task that lives there.
 
     They stay as they are until another manager has acted: a watch writes nothing while nothing changes.
     """
@@ -121,7 +126,7 @@ def _compute_synced_grants(
         for name, run in alive.items()
         if name in tasks.tasks or name in manager.placements
     )
-    if not (noted and all(host.ok for host in hosts)):
+    if list_unlisted_hosts(snapshot.hosts) or not (noted and all(host.ok for host in hosts)):
         return manager.synced
     return {name: host.grant for name, host in snapshot.hosts.items() if host.grant}
 

@@ -8,8 +8,8 @@ from edgectl.agent.link import protocol
 from edgectl.errors import HostError
 from edgectl.executor import host_requests
 from edgectl.executor.action_phases import WAIT_PIECE_S, PlannedPhase, PlannedPhases, PlannedRequest
+from edgectl.executor.concurrent_change import check_gone_everywhere
 from edgectl.executor.host_requests import Request
-from edgectl.executor.moved_world import check_gone_everywhere
 from edgectl.executor.secrets import resolve_environment
 from edgectl.executor.step_run import RunContext, StepRun
 from edgectl.model.result import Phase
@@ -92,7 +92,7 @@ def _stop_task(act: StepRun, planned: PlannedPhase) -> None:
 def _was_alive(act: StepRun, request: PlannedRequest) -> bool:
     """Whether the plan had seen the very instance alive that was to be stopped.
 
-    A copy on another host than the one that is recorded and answers was reported, and not believed.
+    A copy on another host than the recorded one, if that answers, is only reported.
     """
     snapshot = act.run.plan.snapshot
     sample = snapshot.hosts.get(request.host.name)
@@ -126,7 +126,7 @@ def _start_task(act: StepRun, planned: PlannedPhase, variables: Mapping[str, str
 
 
 def _adopt_task(act: StepRun, planned: PlannedPhase, variables: Mapping[str, str]) -> None:
-    """Have a new supervisor take over the running instance; the same request twice is one takeover."""
+    """Let a new supervisor take over the running instance; the same request twice is one takeover."""
     request, host = planned.requests[0], planned.host
     body = host_requests.fill_start_request(
         request.body,
@@ -195,7 +195,7 @@ def _is_ready(task: Task, entry: Request, *, checked: bool) -> bool:
 
 
 def _describe_end(entry: Request) -> str:
-    """Why a task does not run, in words."""
+    """The reason why a task does not run."""
     words = {
         protocol.FAILED: "failed",
         protocol.CRASHLOOP: "crashed again and again",

@@ -12,6 +12,7 @@ from edgectl.executor.action_phases import (
     build_stop_phases,
 )
 from edgectl.executor.cancellation import INTERRUPTED, Cancellation
+from edgectl.executor.concurrent_change import ConcurrentChangeError
 from edgectl.executor.dependencies import (
     STARTING_ACTIONS,
     STOPPING_ACTIONS,
@@ -22,7 +23,6 @@ from edgectl.executor.dependencies import (
     list_stop_hosts,
 )
 from edgectl.executor.handoff import move_task, replace_task
-from edgectl.executor.moved_world import MovedWorldError
 from edgectl.executor.phases import perform_phases, resolve_variables
 from edgectl.executor.step_run import RunContext, RunIdentity, RunOptions, StepRun
 from edgectl.executor.stop_budget import BudgetSpentError, StopBudget
@@ -37,6 +37,7 @@ from edgectl.rules.lost_places import describe_lost_place, get_lost_place
 from edgectl.state.journal import Journal
 from edgectl.transport.base import Transport
 from edgectl.transport.fleet_lease import FleetLease
+from edgectl.transport.silence import SilenceTransport, SilentHosts
 
 __all__ = ["RunIdentity", "RunOptions", "run_plan"]
 
@@ -52,8 +53,10 @@ def run_plan(
     progress: ProgressListener = ignore_progress,
     *,
     lease: FleetLease | None = None,
+    silent: SilentHosts | None = None,
 ) -> Results:
     """Carry out the changes of ``plan`` within ``lease``; the result of each, in the order of the plan.
+    ``silent`` receives the hosts that let a deadline pass: only what ends a handoff asks them once more.
 
     Independent actions run in parallel. The successors of a failed action are skipped, the others go on.
     When ``options.stop_requested`` is set, actions under way are finished and the rest is skipped.
@@ -63,13 +66,15 @@ def run_plan(
         StateError: the journal cannot be written, so nothing was begun.
     """
     began = time.monotonic()
+    silent = SilentHosts() if silent is None else silent
     cancellation = Cancellation(options)
     workers = WorkerPool(options.max_parallel, cancellation.reason, progress)
     shared = RunContext(
         plan=plan,
         inventory=inventory,
         tasks=tasks,
-        transport=transport,
+        transport=SilenceTransport(transport, silent),
+        recovery=SilenceTransport(transport, silent, recovers=True),
         journal=journal,
         identity=identity,
         options=options,
@@ -194,7 +199,7 @@ def _stop_step(act: StepRun, budget: StopBudget) -> ActionResult | None:
             perform_phases(act, adoption, resolve_variables(act, act.task, decision.host or ""))
     except StateError as error:
         return _end_unrecorded(act, error)
-    except MovedWorldError as error:
+    except ConcurrentChangeError as error:
         return act.end(Outcome.DEFERRED, located=error.located, error=error)
     except BudgetSpentError as error:
         return act.end(Outcome.DEFERRED, located=here, error=error)
@@ -251,8 +256,8 @@ def _start_step(act: StepRun, waits: StepDependencies, results: Mapping[str, Act
 def _start_new_task(act: StepRun, task: Task, planned: StartPhases, host: str) -> ActionResult:
     """Start and wait until ready. A task that is not ready in time is left running: it may only be slow.
 
-    Once a start was sent its reply may be lost, so the task counts as there until its host denies it:
-    it must never be doubled.
+    Once a start was sent its reply may be lost, so the task counts as there until its host reports otherwise:
+    it must never run twice.
     """
     located = None
     try:

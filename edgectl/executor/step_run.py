@@ -1,6 +1,7 @@
 """The run of one action: its phases timed, reported and journalled, and the context that actions share."""
 
 import contextlib
+import dataclasses
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -58,6 +59,7 @@ class RunIdentity:
 class RunContext:
     """Everything that the actions of one apply share. ``report_progress`` may be called from any thread.
 
+    ``recovery``: the transport of what ends a handoff, which asks a silent host once more.
     ``lease`` signs every changing request.
     """
 
@@ -65,6 +67,7 @@ class RunContext:
     inventory: Inventory
     tasks: Tasks
     transport: Transport
+    recovery: Transport
     journal: Journal
     identity: RunIdentity
     options: RunOptions
@@ -188,6 +191,10 @@ class StepRun:
         self.run.report_progress(
             ProgressEvent(stage=ProgressStage.ACTION_BEGIN, task=self.name, action=self.step.action)
         )
+
+    def begin_recovery(self) -> None:
+        """From now on ask a host that was silent in this run once more: a robot may be left on hold there."""
+        self.run = dataclasses.replace(self.run, transport=self.run.recovery)
 
     @contextlib.contextmanager
     def phase(self, phase: Phase, host: str, *, side_effect: bool = True) -> Iterator[None]:

@@ -47,15 +47,15 @@ def build_arguments(job: ScheduledJob, *command: str) -> tuple[str, ...]:
 
 
 def check_self_fence(job: ScheduledJob, every_s: float) -> None:
-    """Refuse an interval in which tasks that fence themselves would hear from no edgectl for too long.
+    """Refuse an interval in which tasks that fence themselves would be without a heartbeat for too long.
 
     Raises:
         UsageError: ``self_fence`` is shorter than two intervals.
     """
     if job.self_fence_s is not None and job.self_fence_s < 2 * every_s:
         raise UsageError(
-            f"every {format_interval(every_s)} is too seldom: between two runs no heartbeat leaves, so tasks "
-            f"with self_fence {format_interval(job.self_fence_s)} would stop themselves (needed: 2 x "
+            f"every {format_interval(every_s)} is too seldom: no heartbeat is sent between two runs, so "
+            f"tasks with self_fence {format_interval(job.self_fence_s)} would stop themselves (needed: 2 x "
             f"{format_interval(every_s)})",
             hint="edgectl export systemd --watch, a shorter --every, or a longer self_fence",
         )

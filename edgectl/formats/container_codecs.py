@@ -14,7 +14,7 @@ def decode_each(codec: Codec, raw: list[Any], path: FieldPath, faults: Faults) -
 
 
 def _decode_inner(codec: Codec, raw: Any, path: FieldPath, faults: Faults) -> Any:  # noqa: ANN401
-    """A value of a list or of an object, where null says nothing."""
+    """A value of a list or of an object, where null means absent."""
     if raw is None:
         faults.append(Fault(path=path, message="must not be null"))
         return None

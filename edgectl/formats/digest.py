@@ -17,22 +17,21 @@ OPTIONAL_RUN_FIELDS = ("self_fence", "env_command")
 
 
 def digest_inventory(inventory: Inventory) -> str:
-    """Of everything that an inventory says.
-
-    A fleet name that is derived from the path of the file does not count.
+    """Digest of the content of an inventory. A fleet name that is derived from the path of the file does not
+    count.
     """
     stated = {"fleet": inventory.fleet} if inventory.is_fleet_named else {}
     return "sha256:" + hash_value({"hosts": inventory.hosts, "links": inventory.links} | stated)
 
 
 def digest_tasks(tasks: Tasks) -> str:
-    """Of all tasks and the stated policy, in whatever files they stand."""
+    """Digest of all tasks and the stated policy, however they are split into files."""
     placeless = {name: replace(task, file="") for name, task in tasks.tasks.items()}
     return "sha256:" + hash_value({"tasks": placeless, "policy": tasks.policy})
 
 
 def hash_spec(task: Task) -> str:
-    """Of what runs: 16 hex digits.
+    """Digest of what runs: 16 hex digits.
 
     Demand, priority and host rules steer the placement and leave it unchanged.
     """
@@ -40,7 +39,7 @@ def hash_spec(task: Task) -> str:
 
 
 def hash_spec_fields(task: Task) -> dict[str, str]:
-    """Of each field of what runs: 8 hex digits, enough to say which of them changed."""
+    """Digest of each field of what runs: 8 hex digits, enough to tell which of them changed."""
     return {name: hash_value(value)[:8] for name, value in _select_run_fields(task).items()}
 
 

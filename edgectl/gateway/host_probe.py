@@ -2,7 +2,7 @@
 
 import dataclasses
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass, field
 
 from edgectl.agent.link import protocol
@@ -14,6 +14,7 @@ from edgectl.gateway.probe_reply import (
     decode_done_tasks,
     decode_former_names,
     decode_host_sample,
+    decode_names_elsewhere,
     decode_unowned_tasks,
 )
 from edgectl.gateway.probe_request import build_probe_request, list_checked_tasks, list_detected_tasks
@@ -44,7 +45,7 @@ class ProbeOptions:
     ``reopened``: instances whose end, completed or given up, no longer counts.
     ``known_tasks``: names of the tasks that this fleet has placed or is about to place; where the first
     release left them on a host without an owner, the fleet adopts them.
-    ``former_hosts``: names of hosts that left the inventory, and that hosts are asked to recall.
+    ``former_hosts``: names of hosts that left the inventory, whose generations each host reports too.
     ``manager_id``: the name by which hosts know this manager.
     ``on_host`` is called as each host ends, in the caller's thread, with name, sample and seconds.
     """
@@ -62,17 +63,31 @@ class ProbeOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DecodedProbe:
-    """The sample of a host, the tasks whose checks passed there, those that have no owner there, and the
-    former names that it has adopted.
+    """The sample of a host, the tasks whose checks passed there, those that have no owner there, the former
+    names that it has adopted, and its names in the inventories of other managers.
     """
 
     sample: HostSample
     done: frozenset[str]
     unowned: frozenset[str]
     former: frozenset[str]
+    elsewhere: frozenset[str] = frozenset()
 
 
 _Answers = dict[str, HostAnswer[DecodedProbe]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _ProbeContext:
+    """What every request of one probe shares. ``addresses``: of the robots, by name."""
+
+    inventory: Inventory
+    tasks: Tasks
+    transport: Transport
+    addresses: Mapping[str, str]
+    options: ProbeOptions
+    clock: Callable[[], float]
+    lease: FleetLease | None
 
 
 def probe_hosts(
@@ -91,58 +106,76 @@ def probe_hosts(
     Hosts are in the order of the inventory; robots with ``probe: false`` are neither contacted nor included.
     """
     options = options or ProbeOptions()
-    hosts = [host for host in inventory.hosts.values() if host.probe]
-    addresses = resolve_robot_addresses(inventory, transport, options.workers)
+    context = _ProbeContext(
+        inventory=inventory,
+        tasks=tasks,
+        transport=transport,
+        addresses=resolve_robot_addresses(inventory, transport, options.workers),
+        options=options,
+        clock=clock,
+        lease=lease,
+    )
+    answers = _ask_hosts([host for host in inventory.hosts.values() if host.probe], context)
+    answers |= _adopt_and_ask_again(answers, context)
+    return Snapshot(taken_at=clock(), hosts=_finalize_samples(answers, inventory))
 
-    def build(host: Host, _left: float) -> dict[str, object]:
-        request = build_probe_request(
-            host,
-            inventory,
-            tasks,
-            addresses,
-            window_s=options.window,
-            timeout_s=options.timeout,
-            former=options.former_hosts,
-        )
-        return request if lease is None else {**request, "lease": lease.build_claim(host.name)}
 
-    def decode(reply: HostReply) -> DecodedProbe:
-        if lease is not None:
-            lease.take_reply(reply.host.name, reply.document.get("lease"))
-        context = _build_reply_context(reply.host, inventory, tasks, options, clock())
-        return DecodedProbe(
-            sample=decode_host_sample(reply.document, context),
-            done=decode_done_tasks(reply.document, list_checked_tasks(tasks, reply.host, elsewhere=True)),
-            unowned=decode_unowned_tasks(reply.document),
-            former=decode_former_names(reply.document),
-        )
+def _ask_hosts(hosts: Sequence[Host], context: _ProbeContext) -> _Answers:
+    """The answers of ``hosts`` in their order; each is reported as it ends."""
+    options, answers = context.options, {}
+    for answer in ask_all(
+        hosts,
+        context.transport,
+        lambda host, _left: _build_request(host, context),
+        lambda reply: _decode_reply(reply, context),
+        timeout=options.timeout,
+        max_logins=options.workers,
+        max_hosts=_PROBES_PER_LOGIN * options.workers,
+    ):
+        answers[answer.host.name] = answer
+        options.on_host(answer.host.name, _get_sample(answer), answer.seconds)
+    return {host.name: answers[host.name] for host in hosts}
 
-    def ask(asked: Sequence[Host]) -> _Answers:
-        answers: _Answers = {}
-        for answer in ask_all(
-            asked,
-            transport,
-            build,
-            decode,
-            timeout=options.timeout,
-            max_logins=options.workers,
-            max_hosts=_PROBES_PER_LOGIN * options.workers,
-        ):
-            answers[answer.host.name] = answer
-            options.on_host(answer.host.name, _get_sample(answer), answer.seconds)
-        return answers
 
-    answers = ask(hosts)
-    seen = {host.name: value for host in hosts if isinstance(value := answers[host.name].value, DecodedProbe)}
-    refused = _adopt(seen, inventory, transport, options)
-    answers |= ask([answers[name].host for name, error in refused.items() if error is None])
-    answers |= {
+def _build_request(host: Host, context: _ProbeContext) -> dict[str, object]:
+    request = build_probe_request(
+        host,
+        context.inventory,
+        context.tasks,
+        context.addresses,
+        window_s=context.options.window,
+        timeout_s=context.options.timeout,
+        former=context.options.former_hosts,
+        manager_id=context.options.manager_id,
+    )
+    return request if context.lease is None else {**request, "lease": context.lease.build_claim(host.name)}
+
+
+def _decode_reply(reply: HostReply, context: _ProbeContext) -> DecodedProbe:
+    host, document = reply.host, reply.document
+    if context.lease is not None:
+        context.lease.take_reply(host.name, document.get("lease"))
+    return DecodedProbe(
+        sample=decode_host_sample(document, _build_reply_context(host, context)),
+        done=decode_done_tasks(document, list_checked_tasks(context.tasks, host, elsewhere=True)),
+        unowned=decode_unowned_tasks(document),
+        former=decode_former_names(document),
+        elsewhere=decode_names_elsewhere(document),
+    )
+
+
+def _adopt_and_ask_again(answers: _Answers, context: _ProbeContext) -> _Answers:
+    """Adopt what hosts run without an owner, and measure these hosts again; a host that refuses has its
+    error as its answer, since it is not known what runs there.
+    """
+    seen = {name: each.value for name, each in answers.items() if isinstance(each.value, DecodedProbe)}
+    adopted = _adopt(seen, context.inventory, context.transport, context.options)
+    refused = {
         name: dataclasses.replace(answers[name], value=error)
-        for name, error in refused.items()
+        for name, error in adopted.items()
         if error is not None
     }
-    in_order = {host.name: answers[host.name] for host in hosts}
-    return Snapshot(taken_at=clock(), hosts=_finalize_samples(in_order))
+    return refused | _ask_hosts([answers[name].host for name in adopted if name not in refused], context)
 
 
 def _adopt(
@@ -150,7 +183,7 @@ def _adopt(
 ) -> dict[str, HostError | None]:
     """Let the hosts adopt known tasks without an owner, and the former names of their machines.
 
-    The hosts that are to be measured again; with an error those of which it is not known what runs there.
+    Returns the hosts to measure again; with an error those of which it is not known what runs there.
     """
     tasks, former = _select_unowned_tasks(seen, options), select_former_names(seen, inventory)
     hosts = [inventory.hosts[name] for name in seen if tasks[name] or former[name] != seen[name].former]
@@ -198,8 +231,13 @@ def _get_sample(answer: HostAnswer[DecodedProbe]) -> HostSample:
     return answer.value.sample
 
 
-def _finalize_samples(answers: Mapping[str, HostAnswer[DecodedProbe]]) -> dict[str, HostSample]:
-    """The samples with their ages, completed by the checks that robots answered for tasks elsewhere."""
+def _finalize_samples(
+    answers: Mapping[str, HostAnswer[DecodedProbe]], inventory: Inventory
+) -> dict[str, HostSample]:
+    """The samples with their ages, completed by the checks that robots answered for tasks elsewhere.
+
+    Of the hosts of other managers those stay that the inventory lacks, by whatever name.
+    """
     now = time.monotonic()
     done = frozenset[str]().union(
         *(
@@ -212,7 +250,23 @@ def _finalize_samples(answers: Mapping[str, HostAnswer[DecodedProbe]]) -> dict[s
     reported = frozenset(
         task.instance for each in samples.values() for task in each.tasks.values() if task.instance
     )
-    return {name: _drop_reported_tasks(sample, reported) for name, sample in samples.items()}
+    known = set(inventory.hosts).union(
+        *(
+            answer.value.former | answer.value.elsewhere
+            for answer in answers.values()
+            if not isinstance(answer.value, HostError)
+        )
+    )
+    return {
+        name: drop_known_hosts(_drop_reported_tasks(sample, reported), known)
+        for name, sample in samples.items()
+    }
+
+
+def drop_known_hosts(sample: HostSample, known: Set[str]) -> HostSample:
+    """``sample`` with those hosts of other managers that are not in ``known`` (ADR 0068)."""
+    left = tuple(name for name in sample.foreign_hosts if name not in known)
+    return dataclasses.replace(sample, foreign_hosts=left)
 
 
 def _drop_reported_tasks(sample: HostSample, reported: frozenset[str]) -> HostSample:
@@ -229,20 +283,19 @@ def _finalize_sample(answer: HostAnswer[DecodedProbe], done: frozenset[str], now
     return apply_done_tasks(dataclasses.replace(sample, sample_age_s=age), done)
 
 
-def _build_reply_context(
-    host: Host, inventory: Inventory, tasks: Tasks, options: ProbeOptions, answered_at: float
-) -> ReplyContext:
+def _build_reply_context(host: Host, context: _ProbeContext) -> ReplyContext:
+    inventory, options = context.inventory, context.options
     return ReplyContext(
         host=host,
-        answered_at=answered_at,
+        answered_at=context.clock(),
         manager_id=options.manager_id,
         declared={robot: value for (edge, robot), value in inventory.links.items() if edge == host.name},
         measured={robot: value for (edge, robot), value in options.measured.items() if edge == host.name},
         robots=tuple(robot.name for robot in inventory.robots),
         reopened=options.reopened,
         blind=frozenset(robot.name for robot in inventory.robots if not robot.probe),
-        checked=list_checked_tasks(tasks, host),
-        detected=list_detected_tasks(tasks),
+        checked=list_checked_tasks(context.tasks, host),
+        detected=list_detected_tasks(context.tasks),
     )
 
 

@@ -11,18 +11,16 @@ from edgectl.agent.link import protocol
 from edgectl.errors import ReplyError
 from edgectl.gateway.replies import (
     DEVICE_USAGE,
-    TASK_USAGE,
     GrantsReply,
     InterfaceReply,
     LinkReply,
-    OtherTaskReply,
     ProbeReply,
     ReplyDocument,
-    TaskReply,
     decode_reply,
 )
+from edgectl.gateway.task_reply import build_generations, build_task_samples
 from edgectl.model.inventory import Host, Role
-from edgectl.model.resource import HOST_RESOURCES, RESOURCES, Resource, Usage
+from edgectl.model.resource import HOST_RESOURCES, Resource
 from edgectl.model.snapshot import (
     CapacitySource,
     DeviceSample,
@@ -30,7 +28,6 @@ from edgectl.model.snapshot import (
     HostStatus,
     InterfaceSample,
     LinkSample,
-    OtherTask,
     ResourceUsage,
     TaskSample,
     TaskState,
@@ -42,23 +39,18 @@ PROTOCOL_VERSION = protocol.VERSION
 ASSUMED_BYTES_PER_S = 6.75e6
 # Kernels report 0 and less where they know no speed.
 _MIN_LINK_BYTES_PER_S = 1.0
-# Larger ones overflow in a mean or a deviation.
-_MAX_METRIC = 1e100
-# Of one host, those that it only remembers included.
-_MAX_TASKS = 2000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReplyContext:
     """What the manager knows beside the document.
 
-    ``answered_at`` (s since 1970, the manager's clock): when the document came.
-    ``declared`` and ``measured``: bytes/s by robot of this host's links.
-    ``manager_id``: the name by which hosts know this manager; "" before it has changed anything.
-    ``robots``: those asked for. ``blind``: robots that are never contacted and so never count as unreachable.
-    ``reopened``: instances whose end, completed or given up, no longer counts.
-    ``checked``: tasks whose ``done_when`` was to be checked there; ``detected``: tasks that were to be found
-    by their rule. Other checks and finds were not asked for, and do not count.
+    ``answered_at`` (s since 1970, the manager's clock): when the document came. ``declared`` and
+    ``measured``: bytes/s by robot of this host's links. ``manager_id``: the name by which hosts know this
+    manager; "" before it has changed anything. ``robots``: those asked for. ``blind``: robots that are never
+    contacted and so never count as unreachable. ``reopened``: instances whose end, completed or given up, no
+    longer counts. ``checked``: tasks whose ``done_when`` was to be checked there; ``detected``: tasks that
+    were to be found by their rule. Other checks and detections were not requested, and do not count.
     """
 
     host: Host
@@ -77,7 +69,7 @@ def decode_host_sample(document: ReplyDocument, context: ReplyContext) -> HostSa
     """The sample of one host.
 
     A slice (declared capacity) has Delta = its capacity and gamma = its base load plus its own task trees;
-    any other host's gamma is that of the whole device. Tasks whose ``done_when`` said yes are taken out of
+    any other host's gamma is that of the whole device. Tasks whose ``done_when`` succeeded are taken out of
     gamma: they are about to be stopped.
 
     Raises:
@@ -85,8 +77,9 @@ def decode_host_sample(document: ReplyDocument, context: ReplyContext) -> HostSa
     """
     _check_origin(document, context.host)
     reply = decode_reply(ProbeReply, document)
-    tasks = _build_tasks(reply, context)
-    others = [_build_other_task(each) for each in reply.other_tasks]
+    tasks = build_task_samples(
+        reply, context.answered_at, detected=context.detected, reopened=context.reopened
+    )
     sample = HostSample(
         role=context.host.role,
         status=HostStatus.OK,
@@ -96,13 +89,14 @@ def decode_host_sample(document: ReplyDocument, context: ReplyContext) -> HostSa
         links=_build_links(reply, context, tasks) if context.host.role is Role.EDGE else {},
         tasks=tasks,
         device=_build_device(reply, context.answered_at),
-        generations=_build_generations(reply, tasks),
+        generations=build_generations(reply, tasks),
         grant=reply.grants.epoch,
         foreign_grant=_find_foreign_grant(reply.grants, context.manager_id),
+        foreign_hosts=reply.grants.hosts,
         address=context.host.address,
         machine="" if reply.machine.startswith("/") else reply.machine,
-        other_tasks=tuple(each for each in others if each.fleet == context.host.fleet),
-        foreign_tasks=tuple(each for each in others if each.fleet != context.host.fleet),
+        other_tasks=tuple(each for each in reply.other_tasks if each.fleet == context.host.fleet),
+        foreign_tasks=tuple(each for each in reply.other_tasks if each.fleet != context.host.fleet),
     )
     return apply_done_tasks(sample, _list_done_tasks(reply) & context.checked)
 
@@ -144,120 +138,22 @@ def decode_former_names(document: ReplyDocument) -> frozenset[str]:
     return frozenset(decode_reply(ProbeReply, document).former)
 
 
+def decode_names_elsewhere(document: ReplyDocument) -> frozenset[str]:
+    """The names that this host has in the inventories of other managers.
+
+    Raises:
+        ReplyError: the reply is no probe.
+    """
+    return frozenset(decode_reply(ProbeReply, document).grants.names)
+
+
 def _list_done_tasks(reply: ProbeReply) -> frozenset[str]:
     return frozenset(name for name, check in reply.checks.items() if check.exit == 0)
-
-
-def _build_tasks(reply: ProbeReply, context: ReplyContext) -> dict[str, TaskSample]:
-    """The tasks of the host, without runs that are over and were reopened, and without what was not asked
-    for: no agent sends names that are none.
-    """
-    if len(reply.tasks) + len(reply.generations) > _MAX_TASKS:
-        raise ReplyError(f"more than {_MAX_TASKS} tasks in one reply")
-    tasks = {
-        name: _decode_task_or_stub(name, entry, context)
-        for name, entry in reply.tasks.items()
-        if protocol.is_name(name)
-    }
-    return {
-        name: task
-        for name, task in tasks.items()
-        if not (_has_ended(task) and task.instance in context.reopened)
-        and (task.managed or name in context.detected)
-    }
-
-
-def _decode_task_or_stub(name: str, entry: object, context: ReplyContext) -> TaskSample:
-    """The task of one entry. Of an entry that cannot be read its state, at least that it may run: what may
-    run there must not be started elsewhere.
-    """
-    try:
-        return _decode_task(name, entry, context)
-    except ReplyError as error:
-        word = entry.get("state") if isinstance(entry, dict) else None
-        state = TaskState(word) if word in tuple(TaskState) else TaskState.RUNNING
-        return TaskSample(
-            state=TaskState.FAILED if state is TaskState.COMPLETED else state,
-            started_at=context.answered_at,
-            detail=f"its entry cannot be read: {error.message}",
-        )
 
 
 def _find_foreign_grant(grants: GrantsReply, manager_id: str) -> int:
     last = grants.other_epoch if grants.holder == manager_id else grants.epoch
     return min(last, grants.epoch)
-
-
-def _build_other_task(reply: OtherTaskReply) -> OtherTask:
-    return OtherTask(**{member.name: getattr(reply, member.name) for member in dataclasses.fields(OtherTask)})
-
-
-def _build_generations(reply: ProbeReply, tasks: Mapping[str, TaskSample]) -> dict[str, int]:
-    """Generations that the tasks do not show: an instance that no longer counts has used its generation."""
-    found = {name: number for name, raw in reply.generations.items() if (number := _read_generation(raw))}
-    for name, entry in reply.tasks.items():
-        if name not in tasks and isinstance(entry, dict):
-            found[name] = max(found.get(name, 0), _read_generation(entry.get("generation")))
-    return {name: number for name, number in found.items() if number and protocol.is_name(name)}
-
-
-def _read_generation(raw: object) -> int:
-    """A generation, or 0 where it is none."""
-    return raw if type(raw) is int and 0 < raw <= protocol.MAX_GENERATION else 0
-
-
-def _has_ended(task: TaskSample) -> bool:
-    return task.state is TaskState.COMPLETED or task.given_up
-
-
-def _decode_task(name: str, entry: object, context: ReplyContext) -> TaskSample:
-    where = f"tasks.{name}"
-    reply = decode_reply(TaskReply, entry, where)
-    usage = decode_reply(TASK_USAGE, entry, where)
-    traffic = reply.rx_bytes_per_s + reply.tx_bytes_per_s
-    return TaskSample(
-        state=reply.state,
-        pid=reply.pid,
-        # The age of a run that has ended is unknown, and sent as 0.
-        started_at=context.answered_at - reply.age_s if reply.state.alive or reply.pid else 0.0,
-        used=Usage(
-            {
-                resource.name: traffic if resource.per_link else getattr(usage, resource.used_key)
-                for resource in RESOURCES
-            }
-        ),
-        links=reply.links or None,
-        instance=reply.instance,
-        spec_hash=reply.spec_hash,
-        generation=reply.generation,
-        managed=reply.managed,
-        restarts=reply.restarts,
-        exit_code=reply.exit_code,
-        detail=reply.detail,
-        fields={key: value for key, value in reply.fields.items() if key.isidentifier()},
-        last_exit=reply.last_exit,
-        log_tail=reply.log_tail,
-        limits=reply.limits,
-        given_up=reply.given_up,
-        ended_at=None if reply.ended_s is None else context.answered_at - reply.ended_s,
-        metrics=_select_metrics(reply.metrics),
-        file=reply.file,
-        orphaned=reply.orphaned,
-        adoptable=reply.adoptable,
-    )
-
-
-def _select_metrics(values: Mapping[str, object]) -> dict[str, float]:
-    """The metrics that an agent may send: so many, with such names, and of a size to compute with."""
-    found = {
-        name: float(value)
-        for name, value in values.items()
-        if protocol.is_metric_name(name)
-        and type(value) in (int, float)
-        and isinstance(value, int | float)
-        and abs(value) <= _MAX_METRIC
-    }
-    return dict(list(found.items())[: protocol.MAX_TASK_METRICS])
 
 
 def _select_alive(tasks: Mapping[str, TaskSample]) -> list[TaskSample]:

@@ -20,10 +20,12 @@ def build_probe_request(
     window_s: float,
     timeout_s: float,
     former: frozenset[str] = frozenset(),
+    manager_id: str = "",
 ) -> dict[str, object]:
     """The probe request of one host; ``addresses`` are the robots' as the network knows them.
 
     ``former``: names of hosts that left the inventory, of which this host may be one.
+    ``manager_id``: the name by which hosts know this manager.
     Checks are cut short, so that a slow one fails in time instead of the whole probe.
     """
     longest = max(1.0, timeout_s - window_s - _OVERHEAD_S)
@@ -39,6 +41,7 @@ def build_probe_request(
             if task.done_when and _can_check_done(task, host)
         ],
         "former": sorted(former),
+        "manager": manager_id,
     }
 
 

@@ -9,6 +9,7 @@ from edgectl.gateway.fanout import MAX_PARALLEL_HOSTS, HostReply, ask_all
 from edgectl.gateway.host_probe import resolve_robot_addresses
 from edgectl.gateway.probe_request import build_probe_spec
 from edgectl.gateway.replies import (
+    PROFILER_USAGE,
     LiveProfilerReply,
     ProfilerReply,
     ReplyDocument,
@@ -16,6 +17,7 @@ from edgectl.gateway.replies import (
 )
 from edgectl.model.inventory import Host, Inventory
 from edgectl.model.profiler import Profiler, ProfilerState
+from edgectl.model.resource import MEASURED_HOST_RESOURCES, Usage
 from edgectl.model.task import Tasks
 from edgectl.model.text import escape_unprintable
 from edgectl.transport.base import Transport
@@ -111,5 +113,7 @@ def decode_profiler(host: str, document: ReplyDocument) -> Profiler:
     if not reply.state.alive:
         return known
     live = decode_reply(LiveProfilerReply, document)
+    own = decode_reply(PROFILER_USAGE, document)
+    used = Usage({each.name: getattr(own, each.used_key) for each in MEASURED_HOST_RESOURCES})
     figures = {each.name: getattr(live, each.name) for each in dataclasses.fields(live)}
-    return dataclasses.replace(known, **figures | {"ttl_left": max(0.0, live.ttl_left)})
+    return dataclasses.replace(known, used=used, **figures | {"ttl_left": max(0.0, live.ttl_left)})

@@ -9,22 +9,20 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, make_dataclass
 from typing import Annotated, Any, TypeVar
 
-from edgectl.agent.link import protocol
 from edgectl.errors import ReplyError
 from edgectl.formats.codec import decode
 from edgectl.formats.document import Faults
 from edgectl.model.encoding import Bounds, Converted, EachAlone, in_document
 from edgectl.model.profiler import ProfilerState
-from edgectl.model.resource import HOST_RESOURCES
-from edgectl.model.snapshot import TaskState
-from edgectl.model.text import clean_text, escape_unprintable
+from edgectl.model.reported import Age, Generation, Text
+from edgectl.model.resource import HOST_RESOURCES, MEASURED_HOST_RESOURCES
+from edgectl.model.snapshot import OtherTask, TaskState
+from edgectl.model.text import escape_unprintable
 
 ReplyDocument = Mapping[str, object]
 Reply = TypeVar("Reply")
 # Amounts that stay finite, and integers that stay exact, in whatever is computed and stored of them.
 _MAX_NUMBER, _MAX_COUNT, _MAX_INT32 = 2.0**63, 2.0**53, 2.0**32
-# An instant further back than ten years is no start of a task, and may lie before the first year.
-_MAX_AGE_S = 10 * 366 * 86400.0
 # Below a thousandth of a core, or of a byte, quotients overflow.
 _MIN_CAPACITY = 1e-3
 _MAX_CLOCK_S = 2.0**36
@@ -35,16 +33,13 @@ def _clean_lines(lines: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(escape_unprintable(line[:_MAX_LINE]) for line in lines[-_MAX_LINES:])
 
 
-Text = Annotated[str, Converted(convert=clean_text)]
 Lines = Annotated[tuple[str, ...], Converted(convert=_clean_lines)]
 ALONE = EachAlone()
 Amount = Annotated[float, Bounds(maximum=_MAX_NUMBER)]
-Age = Annotated[float, Bounds(maximum=_MAX_AGE_S)]
 Capacity = Annotated[float, Bounds(minimum=_MIN_CAPACITY, maximum=_MAX_NUMBER)]
 Reading = Annotated[float, Bounds(minimum=-_MAX_NUMBER, maximum=_MAX_NUMBER)]
 Clock = Annotated[float, Bounds(minimum=-_MAX_CLOCK_S, maximum=_MAX_CLOCK_S)]
 Count = Annotated[int, Bounds(maximum=_MAX_COUNT)]
-Generation = Annotated[int, Bounds(maximum=float(protocol.MAX_GENERATION))]
 ExitStatus = Annotated[int, Bounds(minimum=-_MAX_INT32, maximum=_MAX_INT32)]
 
 
@@ -119,27 +114,16 @@ class TaskReply:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class OtherTaskReply:
-    """A living task of another host name or fleet on the same machine; age in s before the reply."""
-
-    fleet: Text
-    host: Text
-    task: Text
-    state: TaskState
-    started_by: Text = ""
-    age_s: Age = 0.0
-    instance: Text = ""
-    spec_hash: Text = ""
-    generation: Generation = 0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class GrantsReply:
-    """The holder and number of the last grant of a host, and the number of the last one to somebody else."""
+    """Holder and number of the last grant of a host, and the number of the last one to another manager;
+    ``hosts``: those of other managers; ``names``: those of this host there.
+    """
 
     holder: Text = ""
     epoch: Count = 0
     other_epoch: Count = 0
+    hosts: Annotated[tuple[Text, ...], ALONE] = ()
+    names: Annotated[tuple[Text, ...], ALONE] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -164,15 +148,22 @@ class ProbeReply:
     checks: Annotated[Mapping[Text, CheckReply], ALONE] = field(default_factory=dict)
     grants: GrantsReply = GrantsReply()
     generations: Annotated[Mapping[Text, object], ALONE] = field(default_factory=dict)
-    other_tasks: Annotated[tuple[OtherTaskReply, ...], ALONE] = ()
+    other_tasks: Annotated[tuple[OtherTask, ...], ALONE] = ()
     unowned: Annotated[tuple[Text, ...], ALONE] = ()
     former: Annotated[tuple[Text, ...], ALONE] = ()
 
 
-# Usage of a task, and capacity and usage of each resource of a device, under the keys of the table.
+# Usage of a task and of a profiler, capacity and usage of each resource of a device, under the keys of the
+# table.
 TASK_USAGE: type[Any] = make_dataclass(
     "TaskUsage",
     [(resource.used_key, Amount, field(default=0.0)) for resource in HOST_RESOURCES],
+    frozen=True,
+    kw_only=True,
+)
+PROFILER_USAGE: type[Any] = make_dataclass(
+    "ProfilerUsage",
+    [(resource.used_key, Amount) for resource in MEASURED_HOST_RESOURCES],
     frozen=True,
     kw_only=True,
 )
@@ -282,15 +273,13 @@ class ProfilerReply:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LiveProfilerReply:
-    """Figures of a profiler that lives, as ``model.profiler.Profiler``."""
+    """Figures of a profiler that lives, as ``model.profiler.Profiler``. Its usage is a ``PROFILER_USAGE``."""
 
     age: Age = field(metadata=in_document("age_s"))
     every: Age = field(metadata=in_document("every_s"))
     period: Age = field(metadata=in_document("period_s"))
     samples: Count
     sample_age: Age | None = field(default=None, metadata=in_document("sample_age_s"))
-    used_cores: Amount
-    used_bytes: Amount
     ttl: Age = field(metadata=in_document("ttl_s"))
     ttl_left: Clock = field(metadata=in_document("ttl_left_s"))
     current: bool = True

@@ -87,13 +87,10 @@ class Overuse:
     declared: float
 
     def describe(self) -> str:
-        """Both figures, and what mends it."""
+        """Both figures, and the remedy."""
         unit = self.resource.unit
-        used, declared = unit.format_small(self.used), unit.format_small(self.declared)
-        return (
-            f"uses {used}{unit.word} of {self.resource}, declares {declared}; "
-            f"edgectl profile {self.entry} --write"
-        )
+        used, declared = unit.format_in_text(self.used), unit.format_in_text(self.declared)
+        return f"uses {used} of {self.resource}, declares {declared}; edgectl profile {self.entry} --write"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,8 +102,7 @@ class Shortage:
 
     def describe(self) -> str:
         """``short of 1.3 cores of cpu; the least that would help``."""
-        unit = self.resource.unit
-        amount = f"{unit.format_small(self.amount)}{unit.word}"
+        amount = self.resource.unit.format_in_text(self.amount)
         return f"the edges are short of {amount} of {self.resource}: the least that would help"
 
 
@@ -139,7 +135,7 @@ class UtilityTerms(ResourceMap[Signed | None]):
 class RankedHost:
     """One candidate of one task. ``rank`` counts from 1 over feasible hosts by total, 0 where not feasible.
 
-    ``affinity`` is a(h): predecessors here minus predecessors elsewhere. ``demand`` is told where history
+    ``affinity`` is a(h): predecessors here minus predecessors elsewhere. ``demand`` is stated where history
     decides it: there it may differ from host to host.
     """
 
@@ -202,6 +198,7 @@ class Reason(StrEnum):
     HOST_LEFT = "host-left"
     HOST_READDRESSED = "host-readdressed"
     HOST_UNSURE = "host-unsure"
+    HOST_UNLISTED = "host-unlisted"
     ROBOT_SILENT = "robot-silent"
     DONE = "done"
     GIVEN_UP = "given-up"

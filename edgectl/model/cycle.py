@@ -1,4 +1,4 @@
-"""One round of a watch: what was measured, decided and done."""
+"""One cycle of a watch: measurements, decision and results."""
 
 from dataclasses import dataclass
 

@@ -21,7 +21,7 @@ class Severity(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
-    """One check: on ``host`` (None: this machine), what was found, and the command or edit that mends it
+    """One check: on ``host`` (None: this machine), what was found, and the command or edit that corrects it
     (empty where all is well).
     """
 
@@ -124,8 +124,8 @@ class HostFacts:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UnreachableHost:
-    """Error of a host that could not be asked: ``kind`` as ``HostError.kind``, and what mends it where the
-    error knows.
+    """Error of a host that could not be asked: ``kind`` as ``HostError.kind``, and the remedy where one is
+    known.
     """
 
     kind: str

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from edgectl.model.resource import HOST_RESOURCES, ResourceMap
+from edgectl.model.resource import HOST_RESOURCES, MEASURED_HOST_RESOURCES, ResourceMap
 
 # Fleet of hosts that no inventory file states.
 UNNAMED_FLEET = "unnamed"
@@ -109,7 +109,7 @@ class Host:
     def is_slice(self) -> bool:
         """Whether capacity and load are the declared ones instead of those of the whole machine."""
         return self.capacity is not None and all(
-            self.capacity[resource.name] > 0 for resource in HOST_RESOURCES if not resource.declared_only
+            self.capacity[resource.name] > 0 for resource in MEASURED_HOST_RESOURCES
         )
 
 

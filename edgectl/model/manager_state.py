@@ -1,4 +1,4 @@
-"""State of the manager between runs: a cache and a history, never the truth about what runs."""
+"""State of the manager between runs: a cache and a history, not the record of what runs."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from enum import StrEnum
 
+from edgectl.model.resource import Usage
+
 
 class ProfilerState(StrEnum):
     """``stalled``: it lives, but its last sample is old. ``unreachable``: the host did not answer."""
@@ -27,8 +29,8 @@ class Profiler:
     """One host's profiler. Times are in seconds; figures of a living one are 0 or None without it.
 
     ``every``: requested period; ``period``: the actual one, longer where a sample is expensive. ``samples``:
-    taken since the start. ``sample_age``: of the last sample; None before the first. ``used_cores``,
-    ``used_bytes``: its own usage, on average and now. ``ttl``: it ends after so long without a request;
+    taken since the start. ``sample_age``: of the last sample; None before the first. ``used``: its
+    own usage, of the CPU on average. ``ttl``: it ends after so long without a request;
     ``ttl_left``: until then. ``current``: whether it measures what the files ask for now. ``detail``: reason
     of its end. ``error`` and ``hint``: reason for which the host did not answer, and the remedy.
     """
@@ -41,8 +43,7 @@ class Profiler:
     period: float = 0.0
     samples: int = 0
     sample_age: float | None = None
-    used_cores: float = 0.0
-    used_bytes: float = 0.0
+    used: Usage = Usage()
     ttl: float = 0.0
     ttl_left: float = 0.0
     current: bool = True

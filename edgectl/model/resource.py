@@ -74,6 +74,8 @@ RESOURCES = (CPU, MEMORY, NETWORK)
 HOST_RESOURCES = tuple(resource for resource in RESOURCES if not resource.per_link)
 # Those whose use by one task can be measured.
 TASK_RESOURCES = tuple(resource for resource in RESOURCES if not resource.declared_only)
+# Those of which a host measures its own use and that of its tasks.
+MEASURED_HOST_RESOURCES = tuple(resource for resource in HOST_RESOURCES if not resource.declared_only)
 RESOURCES_BY_NAME: Mapping[str, Resource] = MappingProxyType(
     {resource.name: resource for resource in RESOURCES}
 )

@@ -11,7 +11,8 @@ from edgectl.agent.link import protocol
 from edgectl.model.encoding import Instant, Positive, Signed, SignedInt, in_document
 from edgectl.model.inventory import Role
 from edgectl.model.manager_state import ManagerState
-from edgectl.model.resource import HOST_RESOURCES, Usage
+from edgectl.model.reported import Age, Generation, Text
+from edgectl.model.resource import MEASURED_HOST_RESOURCES, Usage
 
 
 class HostStatus(StrEnum):
@@ -77,17 +78,17 @@ class LinkSample:
 class TaskSample:
     """One task found on a host, with the measured use of its whole process tree.
 
-    ``links``: bytes/s by robot where the kernel tells; otherwise the use of the network is split evenly over
-    the task's links. ``instance`` identifies this very start; ``spec_hash`` what was started; ``managed`` is
-    false for tasks found by ``detect``. ``fields``: short hash of each field of the spec that was started, so
-    that a restart can say what changed. ``last_exit``: exit code before the last restart. ``log_tail``: last
-    lines of a task that failed or was given up. ``limits``: "enforced", or "not enforced: why"; empty where
-    none are stated. ``given_up``: it ended by itself and is not to be started again by itself: a crash loop,
-    or a failure under ``restart: never``. ``ended_at``: when it ended for good, where its host knows.
-    ``started_at``: 0 where it is not known any more.
-    ``metrics``: what the application says of itself, the last value by name, also after its end. ``file``:
-    the task file that it was started from. ``orphaned``: it lives without a supervisor; ``adoptable``: a new
-    one can take it over as it is (ADR 0041).
+    ``links``: bytes/s by robot where the kernel reports it; otherwise the use of the network is split evenly
+    over the task's links. ``instance`` identifies this very start; ``spec_hash`` what was started;
+    ``managed`` is false for tasks found by ``detect``. ``fields``: short hash of each field of the spec that
+    was started, so that a restart can say what changed. ``last_exit``: exit code before the last restart.
+    ``log_tail``: last lines of a task that failed or was given up. ``limits``: "enforced", or "not enforced:
+    why"; empty where none are stated. ``given_up``: it ended by itself and is not to be started again by
+    itself: a crash loop, or a failure under ``restart: never``. ``ended_at``: when it ended for good, where
+    its host knows. ``started_at``: 0 where it is not known any more. ``metrics``: the last value of each
+    application metric by name, also after its end. ``file``: the task file that it was started from.
+    ``orphaned``: it lives without a supervisor; ``adoptable``: a new one can take it over as it is (ADR
+    0041).
     """
 
     state: TaskState
@@ -125,15 +126,15 @@ class OtherTask:
     answered.
     """
 
-    fleet: str = field(metadata=in_document(always=True))
-    host: str
-    task: str
+    fleet: Text = field(metadata=in_document(always=True))
+    host: Text
+    task: Text
     state: TaskState
-    started_by: str = ""
-    age_s: float = 0.0
-    instance: str = ""
-    spec_hash: str = ""
-    generation: int = 0
+    started_by: Text = ""
+    age_s: Age = 0.0
+    instance: Text = ""
+    spec_hash: Text = ""
+    generation: Generation = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -161,15 +162,16 @@ class DeviceSample:
 class HostSample:
     """One host's part of the snapshot. An unreachable host has only its role, status and error.
 
-    ``error`` is the cause in words, ``error_kind`` its stable word (``HostError.kind``), ``hint`` what mends
-    it. ``sample_age_s``: age of the readings when the snapshot was taken. ``resident``: a profiler that stays
-    on the host took them, so rates are smoothed already. ``generations``: by task, the highest generation the
+    ``error`` is the cause, ``error_kind`` its stable name (``HostError.kind``), ``hint`` the remedy.
+    ``sample_age_s``: age of the readings when the snapshot was taken. ``resident``: a profiler that stays on
+    the host took them, so rates are smoothed already. ``generations``: by task, the highest generation the
     host was ever given, where ``tasks`` does not tell. ``other_tasks``: tasks of this fleet that the machine
     has under another host name, unless that host reports them itself. ``foreign_tasks``: tasks of other
     fleets; they are load, and nothing else is done with them. ``address``: as the inventory states it.
     ``machine``: machine id, user and state directories of the login, as ``ID/UID/HASH``; "" where there is no
     machine id. ``grant``: how often the host has granted the fleet to a manager. ``foreign_grant``: number of
-    the last grant to another manager than the one that took the snapshot.
+    the last grant to another manager than the one that took the snapshot. ``foreign_hosts``: hosts that the
+    inventory lacks and on which other managers of the fleet may place tasks.
     """
 
     role: Role
@@ -195,6 +197,7 @@ class HostSample:
     machine: str = ""
     grant: int = 0
     foreign_grant: int = 0
+    foreign_hosts: tuple[str, ...] = ()
 
     @property
     def ok(self) -> bool:
@@ -204,7 +207,7 @@ class HostSample:
     @property
     def measured(self) -> bool:
         """Whether every resource that a host measures is known."""
-        return all(resource.name in self.usage for resource in HOST_RESOURCES if not resource.declared_only)
+        return all(resource.name in self.usage for resource in MEASURED_HOST_RESOURCES)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

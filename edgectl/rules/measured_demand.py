@@ -1,6 +1,4 @@
-"""Measured demand (ADR 0025): which hosts are alike, when there is enough history, and what counts until
-then.
-"""
+"""Measured demand (ADR 0025): classes of hosts, sufficiency of the history, and the demand until then."""
 
 from collections.abc import Iterable
 from math import log2
@@ -37,13 +35,13 @@ def _round_to_nominal_bytes(total: float) -> float:
 
 
 def has_enough_samples(found: MeasuredDemand) -> bool:
-    """Whether there are samples enough to trust."""
+    """Whether there are enough samples."""
     return found.samples >= MIN_SAMPLES and found.span_s >= MIN_SPAN_S
 
 
 def is_of_current_spec(task: Task, found: MeasuredDemand) -> bool:
-    """Whether it was measured of the task as it is specified now: the history of another command says
-    nothing.
+    """Whether it was measured of the task as it is specified now: the history of another command does not
+    count.
     """
     return found.spec_hash in ("", task.spec_hash)
 

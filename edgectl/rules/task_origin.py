@@ -1,4 +1,4 @@
-"""Running tasks that no given file lists: which of them a run stops, and which it leaves alone (ADR 0039)."""
+"""Running tasks that no given file lists: those that a run stops, and the others (ADR 0039)."""
 
 from collections.abc import Iterable
 

@@ -121,7 +121,7 @@ def _describe_claim(
         return ""  # an earlier run, whose host still remembers it
     if standing is Standing.ADOPTED:
         return (
-            "" if ended else f"{host} runs {task.name}, which no record here places there: it is taken over"
+            "" if ended else f"{host} runs {task.name}, but no record here places it there: it is taken over"
         )
     if ended and found.spec_hash not in ("", task.spec_hash):
         return ""

@@ -12,7 +12,7 @@ from edgectl.model.snapshot import HostSample, TaskSample, TaskState
 from edgectl.model.task import Task, Tasks
 from edgectl.rules.lost_places import LostPlace, build_lost_place_decision, find_lost_place
 from edgectl.rules.measured_demand import WARM_UP_S
-from edgectl.rules.other_managers import is_up_to_date
+from edgectl.rules.other_managers import is_up_to_date, list_unlisted_hosts
 from edgectl.rules.task_origin import is_left_alone
 from edgectl.scheduler.capacities import Capacities
 from edgectl.scheduler.claims import Standing, find_record, judge_report
@@ -78,7 +78,7 @@ class _InitialStateBuilder:
     manager: ManagerState
     now: float
     frozen: bool
-    unsure: str | None
+    unsure: tuple[Reason, str] | None
     running: dict[str, RunningTask] = field(default_factory=dict)
     held: dict[str, RunningTask] = field(default_factory=dict)
     located: dict[str, int] = field(default_factory=dict)
@@ -144,8 +144,9 @@ def _is_partition_suspected(fleet: Capacities, manager: ManagerState) -> bool:
     return sum(map(fleet.is_unreachable, asked)) > MAX_UNREACHABLE_SHARE * len(asked)
 
 
-def _find_unsure_host(fleet: Capacities, manager: ManagerState) -> str | None:
-    """A silent host on which another manager may have placed any task (ADR 0055); None: there is none.
+def _find_unsure_host(fleet: Capacities, manager: ManagerState) -> tuple[Reason, str] | None:
+    """A host on which another manager may have placed any task: a silent one (ADR 0055), or one that the
+    inventory lacks (ADR 0068); None: there is none.
 
     Where others were granted the fleet after this manager last saw all hosts, its record may be out of date.
     """
@@ -161,7 +162,16 @@ def _find_unsure_host(fleet: Capacities, manager: ManagerState) -> str | None:
         for host, sample in zip(fleet.places, fleet.samples, strict=True)
         if sample is not None
     }
-    return silent[0] if silent and not is_up_to_date(manager, samples) else None
+    if is_up_to_date(manager, samples):
+        return None
+    unlisted = list_unlisted_hosts(samples)
+    return (
+        (Reason.HOST_UNSURE, silent[0])
+        if silent
+        else (Reason.HOST_UNLISTED, unlisted[0])
+        if unlisted
+        else None
+    )
 
 
 def _collect_instances(fleet: Capacities) -> dict[str, tuple[FoundInstance, ...]]:
@@ -228,9 +238,8 @@ def _add_absent_task(builder: _InitialStateBuilder, task: Task, sightings: tuple
     if (ended := _find_given_up_run(builder, task, sightings)) is not None:
         builder.fixed[task.name] = _build_given_up_decision(task, ended, _get_instance_host(builder, ended))
     elif builder.unsure is not None:
-        builder.fixed[task.name] = Decision(
-            task=task.name, verdict=Verdict.HELD, reason=Reason.HOST_UNSURE, subject=builder.unsure
-        )
+        reason, host = builder.unsure
+        builder.fixed[task.name] = Decision(task=task.name, verdict=Verdict.HELD, reason=reason, subject=host)
 
 
 def _select_counted(
@@ -286,9 +295,8 @@ def _find_newest_instance(
 def _is_completed(
     manager: ManagerState, task: Task, sightings: Iterable[FoundInstance], current: FoundInstance | None
 ) -> bool:
-    """Marked done, or reported completed by a host whose word counts, with the specification of now.
-
-    A newer instance that is alive says otherwise.
+    """Marked done, or reported completed by a host whose report counts, with the present specification. A
+    newer instance that is alive overrules it.
     """
     if manager.done.get(task.name) == task.spec_hash:
         return True
@@ -307,8 +315,8 @@ def _find_given_up_run(
     """The last run of ``task``, if it ended by itself and must not be started again unasked (ADR 0022): the
     same would only happen again.
 
-    A changed specification may do better; so may a run whose host was told of a newer one since, be it only
-    to stop it.
+    A changed specification may do better; so may a run whose host has received a newer generation since, if
+    only to stop it.
     """
     ended = [
         s

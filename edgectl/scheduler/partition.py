@@ -14,7 +14,7 @@ def seconds_until_replaced(task: Task, host: str, manager: ManagerState, now: fl
     """Seconds for which ``task`` of the unreachable ``host`` is still held: 0 = it may be replaced now, None
     = until ``host`` answers or is fenced.
 
-    The operator's word counts for every task; the mere passing of time only where the task's supervisor stops
+    A fence of the operator counts for every task; the passing of time only where the task's supervisor stops
     it by then: not for one whose supervisor was lost (ADR 0041).
     """
     if host in manager.fenced:

@@ -124,7 +124,7 @@ def load_or_set_aside(
 ) -> Value:
     """The decoded content of ``path``.
 
-    A broken file is set aside, said through ``warn``, and the previous one used.
+    A broken file is set aside, reported through ``warn``, and the previous one used.
     """
     for candidate in (path, path.with_name(path.name + ".previous")):
         try:

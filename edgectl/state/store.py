@@ -5,10 +5,10 @@ journal.
 """
 
 import sqlite3
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Self, TypeVar
+from typing import Self
 
 from edgectl.errors import StateError
 from edgectl.model.event import Event
@@ -17,19 +17,13 @@ from edgectl.model.point import HandoffPoint, HostPoint, LinkPoint, TaskPoint
 from edgectl.model.profile import UsageSample
 from edgectl.model.result import Results
 from edgectl.model.snapshot import Snapshot
-from edgectl.state import store_events, store_prune, store_write
+from edgectl.state import store_action_events, store_events, store_prune, store_write
 from edgectl.state import store_rows as rows
 from edgectl.state.json_files import Warn, ignore_warning
-from edgectl.state.store_file import (
-    HISTORY_FILE_NAME,
-    get_file_identity,
-    is_transient_error,
-    open_database,
-    set_aside_database,
-)
-from edgectl.state.store_rows import DamagedRowError, Point, RowMapper
+from edgectl.state.store_connection import StoreConnection
+from edgectl.state.store_file import HISTORY_FILE_NAME
+from edgectl.state.store_rows import Point, RowMapper
 
-Value = TypeVar("Value")
 _DAY_S = 86400.0
 _PRUNE_EVERY_S = 3600.0
 
@@ -49,12 +43,8 @@ class Store:
     """
 
     def __init__(self, path: Path, warn: Warn, retention: Retention) -> None:
-        self._path = path
-        self._warn = warn
+        self._file = StoreConnection(path, warn)
         self._retention = retention
-        self._connection: sqlite3.Connection | None = None
-        self._opened: tuple[int, int] | None = None
-        self._warned = False
 
     @classmethod
     def open(
@@ -64,7 +54,7 @@ class Store:
         aside.
         """
         store = cls(fleet_dir / HISTORY_FILE_NAME, warn, retention or Retention())
-        store._guarded(lambda _connection: None, None)
+        store._file.run(lambda _connection: None, None)
         return store
 
     def __enter__(self) -> Self:
@@ -75,9 +65,7 @@ class Store:
 
     def close(self) -> None:
         """Close the file."""
-        if self._connection is not None:
-            self._connection.close()
-            self._connection = None
+        self._file.close()
 
     # -- writing -----------------------------------------------------------------------------------
 
@@ -99,20 +87,20 @@ class Store:
             store_write.write_events(connection, events)
             store_write.write_known_fleet(connection, known, after)
 
-        self._write(record)
+        self._file.write(record)
 
     def record_plan(self, plan: Plan) -> None:
         """Record a plan, with an event unless the plan before it had the same actions."""
 
         def record(connection: sqlite3.Connection) -> None:
-            event = store_events.build_plan_event(plan)
+            event = store_action_events.build_plan_event(plan)
             if event is not None and not store_write.is_plan_repeated(connection, plan):
                 store_write.write_events(connection, [event])
             store_write.write_plan(connection, plan)
-            store_write.write_new_events(connection, store_events.build_unplaced_events(plan))
-            store_write.write_new_events(connection, store_events.build_overuse_events(plan))
+            store_write.write_new_events(connection, store_action_events.build_unplaced_events(plan))
+            store_write.write_new_events(connection, store_action_events.build_overuse_events(plan))
 
-        self._write(record)
+        self._file.write(record)
 
     def record_results(self, plan: Plan, results: Results, at: float) -> None:  # noqa: ARG002
         """Record the results of an apply that ended at ``at`` (s since 1970), and its events."""
@@ -120,16 +108,16 @@ class Store:
         def record(connection: sqlite3.Connection) -> None:
             store_write.write_actions(connection, results, at)
             known = store_write.load_known_fleet(connection)
-            events, after = store_events.detect_result_events(known, results, at)
+            events, after = store_action_events.detect_result_events(known, results, at)
             store_write.write_new_events(connection, events)
             store_write.write_known_fleet(connection, known, after)
 
-        self._write(record)
+        self._file.write(record)
 
     def record_events(self, events: Iterable[Event]) -> None:
         """Record given events."""
         found = list(events)
-        self._write(lambda connection: store_write.write_events(connection, found))
+        self._file.write(lambda connection: store_write.write_events(connection, found))
 
     # -- reading -----------------------------------------------------------------------------------
 
@@ -181,7 +169,7 @@ class Store:
             found = {run: connection.execute(sql, run).fetchone() for run in runs}
             return {run: float(row[0]) for run, row in found.items() if row is not None}
 
-        return self._guarded(read, {})
+        return self._file.run(read, {})
 
     def steady_usages(
         self, task: str, hosts: Collection[str], spec_hash: str, *, min_age_s: float, limit: int
@@ -201,7 +189,7 @@ class Store:
                     )
             return tuple(found)
 
-        return self._guarded(read, ())
+        return self._file.run(read, ())
 
     def handoffs(self, *, since: float | None = None, limit: int | None = None) -> tuple[HandoffPoint, ...]:
         """Completed or failed moves and restarts, oldest first; the newest ``limit``."""
@@ -235,12 +223,12 @@ class Store:
             StateError: the history cannot be read to its end.
         """
         try:
-            for row in self._use().execute(
+            for row in self._file.use().execute(
                 form.select(table, f"WHERE at >= ? ORDER BY {order}"), (_since_or_earliest(since),)
             ):
                 yield form.read(row)
         except (sqlite3.Error, ValueError, OverflowError, OSError) as error:
-            raise StateError(f"the history cannot be read to its end: {self._path}: {error}") from error
+            raise StateError(f"the history cannot be read to its end: {self._file.path}: {error}") from error
 
     # -- keeping it small --------------------------------------------------------------------------
 
@@ -249,22 +237,22 @@ class Store:
         large.
         """
         keep = self._retention
-        self._write(
+        self._file.write(
             lambda connection: store_prune.delete_expired(
                 connection, samples=now - keep.samples_s, records=now - keep.records_s
             )
         )
-        self._guarded(lambda connection: store_prune.shrink_database(connection, keep.max_bytes), None)
-        self._write(lambda connection: store_prune.write_prune_time(connection, now))
+        self._file.run(lambda connection: store_prune.shrink_database(connection, keep.max_bytes), None)
+        self._file.write(lambda connection: store_prune.write_prune_time(connection, now))
 
     def is_prune_due(self, now: float) -> bool:
         """Whether an hour has passed since the last prune by any edgectl, or since the first call."""
-        at = self._guarded(store_prune.read_prune_time, now)
+        at = self._file.run(store_prune.read_prune_time, now)
         if at == 0.0:
-            self._write(lambda connection: store_prune.write_prune_time(connection, now))
+            self._file.write(lambda connection: store_prune.write_prune_time(connection, now))
         return at != 0.0 and abs(now - at) >= _PRUNE_EVERY_S
 
-    # -- the file ----------------------------------------------------------------------------------
+    # -- rows of a table ---------------------------------------------------------------------------
 
     def _newest(
         self,
@@ -290,71 +278,12 @@ class Store:
             kept = [row for group in found.values() for row in _select_newest(group, limit)]
             return tuple(form.read(row) for row in sorted(kept, key=_get_row_instant))
 
-        return self._guarded(read, ())
+        return self._file.run(read, ())
 
     def _select(self, form: RowMapper[Point], sql: str, values: Sequence[object]) -> tuple[Point, ...]:
-        return self._guarded(
+        return self._file.run(
             lambda connection: tuple(form.read(row) for row in connection.execute(sql, values)), ()
         )
-
-    def _write(self, act: Callable[[sqlite3.Connection], None]) -> None:
-        def within(connection: sqlite3.Connection) -> None:
-            connection.execute("BEGIN IMMEDIATE")
-            try:
-                act(connection)
-                connection.execute("COMMIT")
-            except BaseException:
-                if connection.in_transaction:
-                    connection.execute("ROLLBACK")
-                raise
-
-        self._guarded(within, None)
-
-    def _guarded(self, act: Callable[[sqlite3.Connection], Value], default: Value) -> Value:
-        """The result of ``act``, retried with a new file if this one is broken; else ``default``, with a
-        warning.
-        """
-        for _ in range(2):
-            try:
-                return act(self._use())
-            except (sqlite3.Error, DamagedRowError) as error:
-                if (isinstance(error, sqlite3.Error) and is_transient_error(error)) or not self._set_aside(
-                    error
-                ):
-                    self._say(f"history is not recorded: {self._path}: {error}")
-                    return default
-            except (OSError, StateError, ValueError, OverflowError) as error:
-                self._say(f"history is not recorded: {error}")
-                return default
-        return default
-
-    def _use(self) -> sqlite3.Connection:
-        if self._connection is not None and get_file_identity(self._path) != self._opened:
-            # Another edgectl set it aside, or it was removed.
-            self.close()
-        if self._connection is None:
-            self._opened = get_file_identity(self._path)
-            self._connection = open_database(self._path)
-            self._opened = get_file_identity(self._path)
-        return self._connection
-
-    def _set_aside(self, error: Exception) -> bool:
-        """Whether the broken file was set aside."""
-        self.close()
-        try:
-            aside = set_aside_database(self._path, self._opened)
-        except OSError:
-            return False
-        if aside is not None:
-            self._warn(
-                f"{self._path} is broken ({error}); set aside as {aside.name}, a new history is started"
-            )
-        return True
-
-    def _say(self, text: str) -> None:
-        if not self._warned:
-            self._warned = True
-            self._warn(text)
 
 
 def _since_or_earliest(since: float | None) -> float:

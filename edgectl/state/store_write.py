@@ -147,7 +147,9 @@ def write_events(connection: sqlite3.Connection, found: Iterable[Event]) -> None
 
 
 def write_new_events(connection: sqlite3.Connection, found: Iterable[Event]) -> None:
-    """Insert events, except those equal to the last event of their task: what lasts is told once."""
+    """Insert events, except those equal to the last event of their task: a lasting condition is recorded
+    once.
+    """
     write_events(connection, [event for event in found if not _is_event_repeated(connection, event)])
 
 

@@ -1,4 +1,4 @@
-"""Uptime of this machine: a clock that nobody sets."""
+"""Uptime of this machine: a clock that cannot be set."""
 
 import time
 from dataclasses import dataclass, field

@@ -80,16 +80,18 @@ def use_cache_key(fleet: str, key: str) -> None:
 
 
 @cache
-def _read_boot_program() -> bytes:
-    text = (_AGENT_DIR / "link" / "boot.py").read_bytes()
-    return b"%d\n%s" % (len(text), text)
+def _read_boot_programs() -> bytes:
+    """The stub and the boot program, each after its length."""
+    texts = [(_AGENT_DIR / "link" / name).read_bytes() for name in ("stub.py", "boot.py")]
+    return b"".join(b"%d\n%s" % (len(text), text) for text in texts)
 
 
 def _build_packet(request: Mapping[str, object], marker: str, timeout: float, agent: bytes) -> bytes:
     body = json.dumps(request, allow_nan=False).encode()
     key = _CACHE_KEYS.get(str(request.get("fleet")), _PROCESS_KEY)
-    head = f"{marker} {compute_agent_hash()} {len(body)} {len(agent)} {timeout:.3f} {key}\n"
-    return _read_boot_program() + head.encode() + body + agent
+    operation = request["op"] if request.get("op") in protocol.REQUEST_KEYS else "unknown"
+    head = f"{marker} {compute_agent_hash()} {len(body)} {len(agent)} {timeout:.3f} {key} {operation}\n"
+    return _read_boot_programs() + head.encode() + body + agent
 
 
 def call_agent(session: Session, request: Mapping[str, object], *, timeout: float) -> dict[str, object]:
@@ -256,7 +258,7 @@ def stream_agent_log(
 
     Raises:
         RefusedError, NoPythonError, ReplyError: as `call_agent`.
-        DeadlineError: nothing came for ``idle_timeout`` seconds.
+        DeadlineError: no output for ``idle_timeout`` seconds.
         ConnectError: the connection was lost.
     """
     # A stream cannot upload the agent: this call does, where the host does not have it yet.

@@ -44,7 +44,7 @@ class Session(Protocol):
         """Run ``command`` and yield its standard output as it comes, until it ends or the iterator is closed.
 
         Raises:
-            DeadlineError: nothing came for ``idle_timeout`` seconds.
+            DeadlineError: no output for ``idle_timeout`` seconds.
             ConnectError: the connection was lost.
         """
         ...

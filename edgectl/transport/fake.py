@@ -96,9 +96,11 @@ class FakeSession:
 
 
 def unpack_request(packet: bytes) -> tuple[str, dict[str, object]]:
-    """Marker and request of a packet: boot program, head line, request, agent (`transport.agent_client`)."""
-    size, _, rest = packet.partition(b"\n")
-    head, _, body = rest[int(size) :].partition(b"\n")
+    """Marker and request of a packet: two programs, head line, request, agent (`transport.agent_client`)."""
+    for _ in range(2):
+        size, _, rest = packet.partition(b"\n")
+        packet = rest[int(size) :]
+    head, _, body = packet.partition(b"\n")
     marker, _, length, *_ = head.decode().split()
     return marker, dict(json.loads(body[: int(length)]))
 

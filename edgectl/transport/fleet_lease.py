@@ -1,4 +1,4 @@
-"""One manager's hold of a fleet: what each host granted, and the signature of every changing request.
+"""Lease of a fleet by one manager: the grants of the hosts, and the signature of every changing request.
 
 A host grants the fleet to one manager at a time, for a lease on the host's own clock (docs/adr/0042). Here
 the lease is counted from before the request left, so it ends earlier than on the host.
@@ -60,7 +60,8 @@ class FleetLease:
     """The hold of a fleet by one run of edgectl; safe from any thread.
 
     ``holder`` names the manager, ``session`` this hold. ``clock``: s, monotonic, time asleep included.
-    ``patience_s``: how long to wait for another manager; None: for one cycle of a watch.
+    ``patience_s``: how long to wait for another manager; None: for one cycle of a watch. ``hosts``: those
+    on which this manager may place tasks, which others are told (docs/adr/0068).
     """
 
     def __init__(
@@ -75,6 +76,7 @@ class FleetLease:
         take_over: bool = False,
         patience_s: float | None = None,
         ttl_s: float = LEASE_S,
+        hosts: tuple[str, ...] = (),
     ) -> None:
         self._identity: Document = {"holder": holder, "session": session}
         self._claim: Document = {
@@ -84,6 +86,7 @@ class FleetLease:
             "ttl_s": ttl_s,
             "watch": None if watch is None else {"every_s": watch.every_s, "digest": watch.digest},
             "take_over": take_over,
+            "hosts": list(hosts),
         }
         self._clock, self.ttl_s, self.patience_s = clock, ttl_s, patience_s
         self._lock = threading.Lock()
@@ -97,7 +100,7 @@ class FleetLease:
         """The claim to send to ``host`` now."""
         with self._lock:
             self._sent[host] = self._clock()
-        return self._claim
+        return {**self._claim, "name": host}
 
     def take_reply(self, host: str, reply: object) -> None:
         """Take the reply of ``host`` to the last claim.

@@ -1,4 +1,4 @@
-"""Verification of host keys: known, or refused with a hint. It cannot be switched off."""
+"""Verification of host keys: known, or refused with a hint. It cannot be disabled."""
 
 import subprocess
 import tempfile

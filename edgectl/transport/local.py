@@ -62,7 +62,7 @@ class LocalSession:
                     pipe.write(stdin)
             while True:
                 if not select.select([stdout], [], [], idle_timeout)[0]:
-                    raise DeadlineError(f"nothing came for {idle_timeout:g} s", host=self._name)
+                    raise DeadlineError(f"no output for {idle_timeout:g} s", host=self._name)
                 data = os.read(stdout, _BLOCK_BYTES)
                 if not data:
                     return

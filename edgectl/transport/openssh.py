@@ -227,7 +227,7 @@ def _read_pieces(process: subprocess.Popen[bytes], idle_timeout: float, name: st
             if not data:
                 return
             yield data
-    raise DeadlineError(f"nothing came for {idle_timeout:g} s", host=name)
+    raise DeadlineError(f"no output for {idle_timeout:g} s", host=name)
 
 
 def translate_openssh_error(stderr: bytes, name: str) -> HostError:
@@ -240,8 +240,9 @@ def translate_openssh_error(stderr: bytes, name: str) -> HostError:
                 hint=hint.format(host=name),
                 host=name,
             )
-    said = [line.strip() for line in text.splitlines() if line.strip()]
-    detail = "".join(char for char in (said[-1] if said else "ssh said nothing") if char.isprintable())[:200]
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    last = lines[-1] if lines else "ssh printed nothing"
+    detail = "".join(char for char in last if char.isprintable())[:200]
     return ConnectError(f"connection lost ({detail})", hint="try: ssh " + name, host=name)
 
 

@@ -3,6 +3,7 @@
 import contextlib
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 from functools import partial
 
 from edgectl.errors import ConnectError, DeadlineError, HostError
@@ -14,16 +15,33 @@ from edgectl.transport.connections import guard_session
 _UNANSWERED_SHARE = 0.9
 
 
-class SilenceTransport:
-    """A Transport that asks a host nothing more once it has let a deadline pass. Use one for each run.
+@dataclass(slots=True, eq=False)
+class SilentHosts:
+    """The hosts that let a deadline pass in one run: of any request, and of one that recovers."""
 
+    ever: dict[str, HostError] = field(default_factory=dict)
+    in_recovery: dict[str, HostError] = field(default_factory=dict)
+
+
+class SilenceTransport:
+    """A Transport that asks a host nothing more once it has let a deadline pass in the run of ``silent``.
+
+    With ``recovers`` it asks such a host once more: until a request that recovers is not answered either.
     A connection that is refused or cut is no silence: the host may answer the next one.
     """
 
-    def __init__(self, transport: Transport, *, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self,
+        transport: Transport,
+        silent: SilentHosts,
+        *,
+        recovers: bool = False,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
         self._transport = transport
         self._clock = clock
-        self._silent: dict[str, HostError] = {}
+        self._silent = silent
+        self._refused = silent.in_recovery if recovers else silent.ever
 
     def connect(self, host: Host, *, timeout: float) -> Session:
         """As the transport within.
@@ -37,7 +55,7 @@ class SilenceTransport:
             session = self._transport.connect(host, timeout=timeout)
         except (ConnectError, DeadlineError) as error:
             if isinstance(error, DeadlineError) or self._clock() - began >= _UNANSWERED_SHARE * timeout:
-                self._silent[host.name] = error
+                self._note_silence(host.name, error)
             raise
         return guard_session(session, partial(self._watch_request, host.name))
 
@@ -45,8 +63,12 @@ class SilenceTransport:
         """As the transport's own."""
         return self._transport.address(host)
 
+    def _note_silence(self, name: str, error: HostError) -> None:
+        self._refused[name] = error
+        self._silent.ever.setdefault(name, error)
+
     def _raise_if_silent(self, name: str) -> None:
-        error = self._silent.get(name)
+        error = self._refused.get(name)
         if error is not None:
             raise DeadlineError(
                 f"{error.message}; not asked again in this run", hint=error.hint, host=error.host
@@ -58,5 +80,5 @@ class SilenceTransport:
         try:
             yield
         except DeadlineError as error:
-            self._silent[name] = error
+            self._note_silence(name, error)
             raise

@@ -54,7 +54,7 @@ class SshAgentClient:
             agent.sendall(len(body).to_bytes(4, "big") + body)
             size = int.from_bytes(_receive_exactly(agent, 4), "big")
             if not 0 < size <= _MAX_ANSWER_BYTES:
-                raise paramiko.SSHException("the ssh-agent speaks another protocol")
+                raise paramiko.SSHException("the ssh-agent uses an unknown protocol")
             answer = paramiko.Message(_receive_exactly(agent, size))
         return answer.get_byte()[0], answer
 
@@ -173,7 +173,7 @@ class LoginStrategy(AuthStrategy):
         """Try the sources until one is accepted.
 
         Raises:
-            RefusedLoginError: none was, or the host had enough of our attempts.
+            RefusedLoginError: none was, or the host allows no further attempt.
             EOFError: the line was lost at the first attempt.
         """
         for source in self.get_sources():
@@ -182,16 +182,16 @@ class LoginStrategy(AuthStrategy):
                 more = source.authenticate(transport)
             except BadAuthenticationType as error:
                 raise RefusedLoginError(
-                    "the host takes " + " or ".join(error.allowed_types), error.allowed_types
+                    "the host accepts " + " or ".join(error.allowed_types), error.allowed_types
                 ) from error
             except paramiko.AuthenticationException:
                 if transport.is_active():
                     continue
                 if self.offered == 1:
                     raise EOFError from None
-                raise RefusedLoginError(f"the host hung up after {self.offered} keys") from None
+                raise RefusedLoginError(f"the host closed the connection after {self.offered} keys") from None
             if not transport.is_authenticated():
-                raise RefusedLoginError("the host wants more: " + ", ".join(more), more)
+                raise RefusedLoginError("the host also requires: " + ", ".join(more), more)
             result = AuthResult(self)
             result.append(SourceResult(source, more))
             return result

@@ -71,7 +71,7 @@ class SshSession:
                 if _has_output_ended(channel):
                     break
                 if not arrived.wait(idle_timeout):
-                    raise DeadlineError(f"nothing came for {idle_timeout:g} s")
+                    raise DeadlineError(f"no output for {idle_timeout:g} s")
             self._check(channel)
 
     def close(self) -> None:
@@ -110,7 +110,7 @@ class SshSession:
             except Exception as error:
                 if self.allowance.is_spent():
                     raise ConnectError(
-                        "more came than any reply has, and the connection was cut",
+                        "the host sent more than any reply has; the connection was closed",
                         hint="something floods it: check the SSH server of the host",
                     ) from error
                 if watch.expired or (time.monotonic() >= deadline and not isinstance(error, HostError)):

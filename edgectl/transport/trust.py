@@ -28,7 +28,7 @@ def fetch_host_keys(host: Host, *, timeout: float = 15.0) -> list[tuple[str, str
 
 
 def get_public_key_path(kind: str) -> str:
-    """Where sshd keeps a public key of ``kind`` ("ssh-ed25519") unless it is told otherwise."""
+    """The default path of sshd's public key of ``kind`` ("ssh-ed25519")."""
     name = next((word for word in ("ed25519", "ecdsa", "rsa", "dss") if word in kind), "*")
     return f"/etc/ssh/ssh_host_{name.replace('dss', 'dsa')}_key.pub"
 
@@ -46,6 +46,6 @@ def trust_host_key(host: Host, line: str) -> Path:
         key = HostKey(kind, base64.b64decode(encoded, validate=True))
     except ValueError:
         raise HostKeyError(
-            "not a line of known_hosts", hint="use what fetch_host_keys gave", host=host.name
+            "not a line of known_hosts", hint="use a line that fetch_host_keys returned", host=host.name
         ) from None
     return SshTransport().trust(host, key)

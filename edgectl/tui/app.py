@@ -32,11 +32,11 @@ _TEXTUAL_STYLES = {
 _HELP = """\
 tab      the other table
 arrows   another line
-/        only lines with a text; Enter keeps it, Esc takes it away
+/        only lines with a text; Enter keeps it, Esc clears it
 s        sort by the next column
 d        describe the line
 l        log of the task, its last lines
-c        cordon the host of the line, or open it again; asks first
+c        cordon or uncordon the host of the line; asks first
 q        quit
 
 Everything is measured again every few seconds. Sparklines show
@@ -126,7 +126,7 @@ class TopApp(App[None]):
 
     def compose(self) -> ComposeResult:
         """Summary, two tables, note, filter and keys."""
-        yield Static("first look ..", id="head")
+        yield Static("measuring ..", id="head")
         yield DataTable(id="hosts", cursor_type="row")
         yield DataTable(id="tasks", cursor_type="row")
         yield Static(id="note")
@@ -289,7 +289,7 @@ class TopApp(App[None]):
         if line is None or line.task is None:
             self.post_message(NoteChanged("a host has no log; choose a task (Tab)"))
             return
-        reader, task = TextScreen(f"log of {line.task}", "asking ..", at_end=True), line.task
+        reader, task = TextScreen(f"log of {line.task}", "loading ..", at_end=True), line.task
         self.push_screen(reader)
         self._run_in_thread(
             lambda: self.post_message(TextLoaded(reader, self._work.logs(task) or "nothing was printed"))
@@ -308,9 +308,9 @@ class TopApp(App[None]):
         if cordon is None:
             self.post_message(NoteChanged("--readonly: nothing is changed"))
             return
-        host, memory = line.host, self._frame.snapshot.manager
-        close = memory is None or host not in memory.cordons
-        question = f"Close {host} to new tasks?" if close else f"Open {host} again?"
+        host, manager = line.host, self._frame.snapshot.manager
+        close = manager is None or host not in manager.cordons
+        question = f"{'Cordon' if close else 'Uncordon'} {host}?"
 
         def answered(yes: bool | None) -> None:  # noqa: FBT001, textual calls it so
             if yes:
@@ -320,7 +320,7 @@ class TopApp(App[None]):
 
     def _set_cordon(self, cordon: Callable[[str, bool], None], host: str, *, close: bool) -> None:
         cordon(host, close)
-        self.post_message(NoteChanged(f"{host} is closed to new tasks" if close else f"{host} is open again"))
+        self.post_message(NoteChanged(f"{host} {'cordoned' if close else 'uncordoned'}"))
         self._again.set()
 
     # -- threads --

@@ -12,7 +12,8 @@ from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.logs import read_log
 from edgectl.views.sparkline import SPARKLINE_SAMPLES
 from edgectl.views.text import detect_render_options
-from edgectl.views.top import group_points_by_host, group_points_by_task
+from edgectl.views.top_hosts import group_points_by_host
+from edgectl.views.top_tasks import group_points_by_task
 
 _LOG_TAIL_LINES = 200
 
@@ -29,7 +30,7 @@ def run_top_view(
 
     ``readonly``: hosts cannot be cordoned.
 
-    ``first``: the table that has the keys at the beginning. Standard output must be a terminal.
+    ``first``: the table that has the focus at the beginning. Standard output must be a terminal.
     """
     app: TopApp
 
@@ -46,8 +47,8 @@ def build_fleet_backend(
 ) -> FleetBackend:
     """Operations of the view on a fleet."""
 
-    def frames(told_to_end: Callable[[], bool]) -> Iterator[Frame]:
-        for snapshot in status.probe_repeatedly(fleet, told_to_end, options):
+    def frames(should_stop: Callable[[], bool]) -> Iterator[Frame]:
+        for snapshot in status.probe_repeatedly(fleet, should_stop, options):
             yield Frame(
                 snapshot=snapshot,
                 inventory=fleet.inventory,

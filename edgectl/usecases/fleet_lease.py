@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from edgectl.agent.link import protocol
 from edgectl.errors import HostError, LockBusyError, WatchedError
 from edgectl.gateway.fanout import fan_out
-from edgectl.model.inventory import Host
+from edgectl.model.inventory import Host, Role
 from edgectl.model.snapshot import Snapshot
 from edgectl.names import natural_key
 from edgectl.state.failpoints import hit_failpoint
@@ -38,7 +38,8 @@ def hold_fleet(
     watch: WatchNote | None = None,
     take_over: bool = False,
 ) -> Iterator[Fleet]:
-    """The fleet with a lease: its first probe claims every host that answers; nobody else changes it then.
+    """The fleet with a lease: its first probe claims every host that answers; no other manager changes it
+    then.
 
     ``patience_s``: how long to wait for another manager; None: for one cycle of a watch, at most a minute,
     else not at all.
@@ -53,6 +54,9 @@ def hold_fleet(
         watch=watch,
         take_over=take_over,
         patience_s=patience_s,
+        hosts=tuple(
+            host.name for host in fleet.inventory.hosts.values() if host.role is Role.EDGE or host.onboard
+        ),
     )
     held = dataclasses.replace(fleet, lease=lease)
     try:
@@ -93,7 +97,7 @@ def probe_within_lease(fleet: Fleet, probe: Callable[[], Snapshot]) -> Snapshot:
 
 
 def compute_files_digest(fleet: Fleet) -> str:
-    """What a watch leaves on the hosts of its files: the beginnings of their digests."""
+    """The digests of its files, shortened, that a watch leaves on the hosts."""
     return f"{fleet.inventory.digest[:16]} {fleet.tasks.digest[:16]}"
 
 

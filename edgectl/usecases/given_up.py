@@ -1,4 +1,4 @@
-"""Reminders of wanted tasks that were given up: when it begins, then once a day."""
+"""Reminders of wanted tasks that were given up: at once, then once a day."""
 
 from edgectl.errors import StateError
 from edgectl.model.assignment import Reason

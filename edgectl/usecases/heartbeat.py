@@ -28,7 +28,7 @@ def track_heartbeats(fleet: Fleet) -> Iterator[Fleet]:
     """The fleet over a transport that records heartbeats; they are saved at the end.
 
     Where a task stops itself after a silence (``self_fence``), the heartbeat is on disk before the request is
-    sent, so that after a crash no host has heard from this manager later than the manager's record says.
+    sent, so that after a crash no host has had a later contact than the manager's record shows.
 
     A heartbeat that cannot be written then is a HostError: the request was not sent.
     """

@@ -22,7 +22,7 @@ from edgectl.state.lock import FleetLock, get_user_name
 from edgectl.state.manager_state import load_manager_state, save_manager_state, select_saved_fields
 from edgectl.transport.connections import SessionPool
 from edgectl.transport.fleet_lease import WatchNote
-from edgectl.transport.silence import SilenceTransport
+from edgectl.transport.silence import SilenceTransport, SilentHosts
 from edgectl.units import format_duration
 from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.fleet_lease import compute_files_digest, hold_fleet
@@ -99,10 +99,10 @@ def confirm_and_execute(
     manager = plan.snapshot.manager or ManagerState()
     if plan.changes and not confirm(plan):
         return ApplyResult(plan=plan, declined=True)
-    cut_off = _warn_of_unfinished_apply(fleet)
+    cut_off, silent = _warn_of_unfinished_apply(fleet), SilentHosts()
     if not plan.changes:
         _save_manager_state(fleet, plan, manager, _NO_RESULTS, {})
-        _recover_interrupted_apply(fleet, cut_off)
+        _recover_interrupted_apply(fleet, cut_off, silent)
         return ApplyResult(plan=plan)
     used = compute_next_generations(manager, plan.snapshot, plan.steps, fleet.clock(), cut_off.generations)
     with Journal.open(fleet.state, clock=fleet.clock, warn=fleet.warn) as journal:
@@ -113,8 +113,7 @@ def confirm_and_execute(
             verb=verb,
             user=get_user_name(),
         )
-        near = dataclasses.replace(fleet, transport=SilenceTransport(fleet.transport))
-        with track_heartbeats(near) as tracked:
+        with track_heartbeats(fleet) as tracked:
             results = run_plan(
                 plan,
                 fleet.inventory,
@@ -125,23 +124,26 @@ def confirm_and_execute(
                 options,
                 options.progress,
                 lease=fleet.lease,
+                silent=silent,
             )
         after = _save_manager_state(fleet, plan, manager, results, used)
         _record_placements(fleet, journal, results.revision, after)
     _forget_adopted_orphans(fleet, manager, results)
     record_results(fleet, plan, results)
-    _recover_interrupted_apply(fleet, cut_off)
+    _recover_interrupted_apply(fleet, cut_off, silent)
     if fleet.lease is not None and fleet.lease.watched_by is not None and verb != "watch":
         fleet.warn(_describe_watch(fleet, fleet.lease.watched_by))
-    return ApplyResult(plan=plan, results=results, doubled=_look_for_doubled(near, plan))
+    return ApplyResult(plan=plan, results=results, doubled=_look_for_doubled(fleet, plan, silent))
 
 
-def _look_for_doubled(fleet: Fleet, plan: Plan) -> dict[str, tuple[str, ...]]:
+def _look_for_doubled(fleet: Fleet, plan: Plan, silent: SilentHosts) -> dict[str, tuple[str, ...]]:
     """One more look at all hosts that answered: the tasks of which more than one instance is alive."""
     names = [name for name, host in plan.snapshot.hosts.items() if host.ok and name in fleet.inventory.hosts]
     with track_heartbeats(fleet) as tracked:
         doubled = find_doubled_instances(
-            [fleet.inventory.hosts[name] for name in names], tracked.transport, timeout=_LOOK_TIMEOUT_S
+            [fleet.inventory.hosts[name] for name in names],
+            SilenceTransport(tracked.transport, silent),
+            timeout=_LOOK_TIMEOUT_S,
         )
     for task, hosts in doubled.items():
         fleet.warn(f"DOUBLED: {task} runs on {' and '.join(hosts)}; edgectl apply stops all but one")
@@ -206,7 +208,7 @@ def _warn_of_unfinished_apply(fleet: Fleet) -> JournalSummary:
     return log
 
 
-def _recover_interrupted_apply(fleet: Fleet, log: JournalSummary) -> None:
+def _recover_interrupted_apply(fleet: Fleet, log: JournalSummary, silent: SilentHosts) -> None:
     """Release held robots once a ready instance controls them; close the record of the interrupted apply."""
     if not log.unfinished and not log.held:
         return
@@ -216,7 +218,13 @@ def _recover_interrupted_apply(fleet: Fleet, log: JournalSummary) -> None:
             located = places[task].host if task in places else None
             with track_heartbeats(fleet) as tracked:
                 released = release_hold(
-                    task, located, fleet.inventory, fleet.tasks, tracked.transport, fleet.warn, fleet.lease
+                    task,
+                    located,
+                    fleet.inventory,
+                    fleet.tasks,
+                    SilenceTransport(tracked.transport, silent, recovers=True),
+                    fleet.warn,
+                    fleet.lease,
                 )
             if released:
                 journal.append("released", task=task)

@@ -1,4 +1,4 @@
-"""Check of a saved plan, whoever wrote it, against the files and the tasks that run now. Pure."""
+"""Check of a saved plan of any author against the files and the tasks that run now. Pure."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -119,7 +119,7 @@ def _find_rule_conflict(step: Step, now: Decision) -> str | None:
     """The rule that excludes the planned host; a lack of room is none, because load may differ."""
     ranked = next((each for each in now.ranking if each.host == step.decision.host), None)
     if ranked is None:
-        return f"{step.decision.host} is no candidate for {step.task}"
+        return f"{step.decision.host} is not a candidate for {step.task}"
     rules = [each.rule.value for each in ranked.rejections if each.resource is None]
     return f"{step.decision.host} may not take {step.task} ({', '.join(rules)})" if rules else None
 

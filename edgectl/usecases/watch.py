@@ -240,7 +240,7 @@ class _WatchLoop:
         if fleet is not None and fleet.inventory.fleet != self._fleet.inventory.fleet:
             old, new = self._fleet.inventory.fleet, fleet.inventory.fleet
             self._said.append(
-                f"the inventory names fleet {new} now; fleet {old} stays in use until a new start"
+                f"the inventory names fleet {new} now; fleet {old} stays in use until the watch is restarted"
             )
         elif fleet is not None:
             self._pool.close()

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from edgectl.formats.document import Document
 from edgectl.model.assignment import DemandSource, DemandSpread, ResourceDemand
 from edgectl.model.plan import Plan
-from edgectl.model.resource import HOST_RESOURCES, RESOURCES, TASK_RESOURCES
+from edgectl.model.resource import MEASURED_HOST_RESOURCES, RESOURCES, TASK_RESOURCES
 from edgectl.model.snapshot import TaskSample
 from edgectl.model.task import Quantity
 from edgectl.rules.measured_demand import MIN_SAMPLES
@@ -20,7 +20,6 @@ _SOURCE_STYLES = {
 }
 _MEASURED_SOURCES = (DemandSource.MEASURED, DemandSource.MEASURED_ELSEWHERE)
 _MAX_LISTED = 4
-_MEASURED_RESOURCES = tuple(resource for resource in HOST_RESOURCES if not resource.declared_only)
 _AMOUNTS = ("NOW", "RESERVED", "DEMAND")
 
 
@@ -84,7 +83,7 @@ def _render_demand_cell(rho: ResourceDemand | None, run: TaskSample | None) -> C
 
 def _format_demand(rho: ResourceDemand) -> str:
     """``0.40 declared``; ``1.20 in use, 0.30 declared`` where a task uses more than its demand."""
-    show = rho.resource.unit.format_small
+    show = rho.resource.unit.format
     if rho.demanded is None:
         return f"{show(rho.value)} {format_demand_source(rho)}"
     return f"{show(rho.value)} in use, {show(rho.demanded)} {format_demand_source(rho)}"
@@ -94,7 +93,7 @@ def _format_usage_now(rho: ResourceDemand, run: TaskSample | None) -> str:
     """``, now 0.12``: what the task uses of its reservation; of the network over all its links."""
     if run is None or rho.demanded is not None or rho.resource not in TASK_RESOURCES:
         return ""
-    return f", now {rho.resource.unit.format_small(run.used[rho.resource.name])}"
+    return f", now {rho.resource.unit.format(run.used[rho.resource.name])}"
 
 
 def render_reservations(value: Plan, look: RenderOptions = PLAIN) -> str:
@@ -102,7 +101,7 @@ def render_reservations(value: Plan, look: RenderOptions = PLAIN) -> str:
     rows: list[Row] = [
         (
             "HOST",
-            *(f"{resource.name.upper()} {word}" for resource in _MEASURED_RESOURCES for word in _AMOUNTS),
+            *(f"{resource.name.upper()} {word}" for resource in MEASURED_HOST_RESOURCES for word in _AMOUNTS),
         )
     ]
     for name in value.expected:
@@ -116,7 +115,7 @@ def _list_reservation_cells(
     value: Plan, host: str, demands: Sequence[Sequence[ResourceDemand]]
 ) -> Iterator[str]:
     sample = value.snapshot.hosts.get(host)
-    for resource in _MEASURED_RESOURCES:
+    for resource in MEASURED_HOST_RESOURCES:
         show = resource.unit.format
         found = [rho for demand in demands for rho in demand if rho.resource == resource]
         known = sample is not None and resource.name in sample.usage
@@ -184,10 +183,9 @@ def _format_tasks_by_source(
 
 
 def _describe_demand_spread(found: DemandSpread) -> str:
-    unit = found.resource.unit
-    show = unit.format_small
+    show = found.resource.unit.format_in_text
     small, large = found.hosts
-    amounts = f"{show(found.least)}{unit.word} on {small}, {show(found.most)} on {large}"
+    amounts = f"{show(found.least)} on {small}, {show(found.most)} on {large}"
     return f"{found.task} {found.resource.demand_key} {found.share * 100:.4g}% is {amounts}"
 
 

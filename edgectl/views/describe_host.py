@@ -18,7 +18,7 @@ from edgectl.views.output_format import ITEM_FORMATS
 from edgectl.views.rows import encode_host_row
 from edgectl.views.state import render_host_status
 from edgectl.views.text import PLAIN, Cell, RenderOptions, Row
-from edgectl.views.top import render_task_rows_of_host
+from edgectl.views.top_tasks import render_task_rows_of_host
 from edgectl.views.usage import render_usage_share
 
 _LINK_HEAD = head("robot", "capacity_bytes_per_s", "capacity_source", "network.used_bytes_per_s", "rtt_ms")
@@ -139,7 +139,7 @@ def _format_host_capacity(stated: Host, sample: HostSample | None) -> str:
 
 def _format_amounts(amounts: Mapping[str, float]) -> str:
     return ", ".join(
-        f"{resource.unit.format(amounts[resource.name])}{resource.unit.word}"
+        resource.unit.format_in_text(amounts[resource.name])
         for resource in HOST_RESOURCES
         if amounts.get(resource.name) or (resource.name in amounts and not resource.declared_only)
     )
@@ -169,7 +169,7 @@ def _render_host_usage_rows(stated: Host, sample: HostSample, look: RenderOption
             (
                 each.name,
                 render_usage_share(usage, stated.limits[each.name], look),
-                f"{each.unit.format(usage.used)} of {each.unit.format(usage.capacity)}{each.unit.word}",
+                f"{each.unit.format(usage.used)} of {each.unit.format_in_text(usage.capacity)}",
             )
             for each in HOST_RESOURCES
             if (usage := sample.usage.get(each.name)) is not None

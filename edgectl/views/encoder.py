@@ -48,8 +48,8 @@ def encode_json_lines(rows: Iterable[Mapping[str, object]]) -> str:
 
 
 def escape_json_controls(text: str) -> str:
-    """JSON whose strings hold control and direction-changing characters as escapes: the same document, which
-    no terminal obeys.
+    """JSON whose strings hold control and direction-changing characters as escapes: the same document,
+    harmless on a terminal.
     """
     return _UNPRINTABLE.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
 

@@ -7,11 +7,10 @@ from edgectl.model.snapshot import HostSample, OtherTask, Snapshot
 from edgectl.names import natural_key
 from edgectl.units import format_duration
 from edgectl.views.glossary import head
-from edgectl.views.reasons import join_words
+from edgectl.views.reasons import join_first_words, join_words
 from edgectl.views.text import Cell, Row
 
 _HEAD = head("fleet", "started_by", "host", "task", "state", "age_s")
-_MAX_NAMED = 5
 
 
 def list_foreign_notes(value: Snapshot, names: Collection[str] | None = None) -> list[str]:
@@ -34,7 +33,7 @@ def list_foreign_notes(value: Snapshot, names: Collection[str] | None = None) ->
 
 
 def describe_absence(task: str, value: Snapshot) -> str:
-    """That no host that answers runs ``task``, and who else has a task of this name."""
+    """Note that no host that answers runs ``task``, with the other fleets that run one of this name."""
     unseen = f" that answers; no answer from {', '.join(value.silent_hosts)}" if value.silent_hosts else ""
     others = {
         f"that of fleet {each.fleet} on {host} is left alone"
@@ -59,9 +58,7 @@ def _describe_owner(fleet: str, started_by: str) -> str:
 
 
 def _name_tasks(tasks: Iterable[OtherTask]) -> str:
-    names = sorted({task.task for task in tasks}, key=natural_key)
-    more = f" and {len(names) - _MAX_NAMED} more" if len(names) > _MAX_NAMED else ""
-    return (join_words(names) if not more else ", ".join(names[:_MAX_NAMED])) + more
+    return join_first_words(sorted({task.task for task in tasks}, key=natural_key))
 
 
 def render_other_task_rows(host: HostSample) -> list[Row]:

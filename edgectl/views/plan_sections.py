@@ -10,10 +10,11 @@ from edgectl.model.resource import HOST_RESOURCES
 from edgectl.model.snapshot import HostSample, LinkSample, Snapshot, find_doubled_tasks
 from edgectl.names import natural_key
 from edgectl.rules.lost_places import describe_lost_place, list_lost_tasks
+from edgectl.rules.other_managers import describe_unlisted_host, list_tasks_on_unlisted_hosts
 from edgectl.units import format_instant, format_rate
 from edgectl.views.demands import list_demand_notes
 from edgectl.views.glossary import head_of_resource, list_shown_weights
-from edgectl.views.reasons import describe_reason, is_left_out, is_not_found, join_words
+from edgectl.views.reasons import describe_reason, is_left_out, is_not_found, join_first_words, join_words
 from edgectl.views.state import format_silence
 from edgectl.views.text import (
     PLAIN,
@@ -130,7 +131,7 @@ def list_load_notes(value: Plan) -> list[str]:
 
 
 def describe_overuse(found: Overuse) -> str:
-    """One line with task and host, both figures, and what mends it."""
+    """One line with task and host, both figures, and the remedy."""
     return f"{found.task} on {found.host} {found.describe()}"
 
 
@@ -140,12 +141,12 @@ def list_left_alone_notes(value: Plan) -> list[str]:
     if not count:
         return []
     files = sorted({file for file in value.tasks_left_alone.values() if file}, key=natural_key)
-    where = f" ({join_words(files)})" if files else ""
+    where = f" ({join_first_words(files)})" if files else ""
     return [
         f"1 task of another file{where} runs on; --prune stops it: {next(iter(value.tasks_left_alone))}"
         if count == 1
         else f"{count} tasks of other files{where} run on; --prune stops them: "
-        + join_words(value.tasks_left_alone)
+        + join_first_words(value.tasks_left_alone)
     ]
 
 
@@ -268,9 +269,12 @@ def render_unreachable_hosts(value: Snapshot, names: Collection[str]) -> str:
     )
 
 
-def render_lost_tasks(value: Snapshot) -> str:
-    """The tasks whose place the inventory no longer reaches, each with the remedy."""
-    return "".join(f"{escape_unprintable(line)}\n" for line in list_lost_task_notes(value))
+def render_lost_tasks(value: Plan) -> str:
+    """The tasks whose place the inventory no longer reaches, or may not know, each with the remedy."""
+    unlisted = list_tasks_on_unlisted_hosts(value)
+    lines = [f"{task} {describe_unlisted_host(host)}" for task, host in unlisted.items()]
+    lines = [*list_lost_task_notes(value.snapshot), *lines]
+    return "".join(f"{escape_unprintable(line)}\n" for line in lines)
 
 
 def render_unplaced_tasks(value: Plan) -> str:

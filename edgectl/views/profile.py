@@ -50,7 +50,7 @@ def _render_profile_rows(value: ClassProfile) -> Iterator[Row]:
     head: tuple[Cell, ...] = (Cell(value.task.name, "name"), Cell(value.kind))
     tail = (samples, format_duration(found.span_s), ", ".join(value.hosts))
     for resource, spread in _list_resource_spreads(value):
-        show = resource.unit.format_small
+        show = resource.unit.format
         figures = (show(spread.p50), Cell(show(spread.p95), "bold"), show(spread.most))
         yield (
             *head,

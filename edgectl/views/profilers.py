@@ -4,7 +4,8 @@ from collections.abc import Iterable, Sequence
 
 from edgectl.formats.document import Document, without_none
 from edgectl.model.profiler import Profiler, ProfilerState
-from edgectl.units import format_bytes, format_cores, format_duration
+from edgectl.model.resource import MEASURED_HOST_RESOURCES
+from edgectl.units import format_duration
 from edgectl.views.glossary import head
 from edgectl.views.output import ListView
 from edgectl.views.output_format import NAMED_FORMATS
@@ -17,8 +18,8 @@ _PROFILER_STATE_STYLES = {
     ProfilerState.NOT_RUNNING: "dim",
 }
 _HEAD = head(
-    "host", "state", "pid", "age_s", "every_s", "sample_age_s", "cpu.used_cores", "memory.used_bytes",
-    "ttl_left_s",
+    "host", "state", "pid", "age_s", "every_s", "sample_age_s",
+    *(f"{each.name}.{each.used_key}" for each in MEASURED_HOST_RESOURCES), "ttl_left_s",
 )  # fmt: skip
 
 
@@ -34,7 +35,7 @@ class ProfilersView(ListView):
     def table(self, look: RenderOptions = PLAIN) -> str:
         """One line per host."""
         rows = [_HEAD, *map(_render_profiler_row, self._profilers)]
-        return render_columns(rows, look, right=set(range(2, 9)))
+        return render_columns(rows, look, right=range(2, len(_HEAD)))
 
     def items(self) -> Sequence[Document]:
         """The profilers as JSON types."""
@@ -52,7 +53,7 @@ class ProfilersView(ListView):
 def _render_profiler_row(value: Profiler) -> Row:
     state = Cell(value.state.value, _PROFILER_STATE_STYLES.get(value.state, "good"))
     if not value.state.alive:
-        return (Cell(value.host, "name"), state, *("-",) * 7)
+        return (Cell(value.host, "name"), state, *("-",) * (len(_HEAD) - 2))
     return (
         Cell(value.host, "name"),
         state,
@@ -60,8 +61,7 @@ def _render_profiler_row(value: Profiler) -> Row:
         format_duration(value.age),
         format_duration(value.period),
         "-" if value.sample_age is None else format_duration(value.sample_age),
-        format_cores(value.used_cores),
-        format_bytes(value.used_bytes),
+        *(each.unit.format(value.used[each.name]) for each in MEASURED_HOST_RESOURCES),
         format_duration(value.ttl_left),
     )
 
@@ -97,8 +97,7 @@ def _encode_profiler(value: Profiler) -> Document:
             "period_s": value.period,
             "samples": value.samples,
             "sample_age_s": value.sample_age,
-            "cpu": {"used_cores": value.used_cores},
-            "memory": {"used_bytes": value.used_bytes},
+            **{each.name: {each.used_key: value.used[each.name]} for each in MEASURED_HOST_RESOURCES},
             "ttl_s": value.ttl,
             "ttl_left_s": value.ttl_left,
             "current": value.current,

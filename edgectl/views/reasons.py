@@ -7,8 +7,11 @@ from edgectl.model.assignment import Decision, RankedHost, Reason, Rejection, Re
 from edgectl.model.plan import Action, Step
 from edgectl.model.resource import Resource
 from edgectl.rules.lost_places import describe_lost_place, get_lost_place
+from edgectl.rules.other_managers import describe_unlisted_host
 from edgectl.units import format_duration
 
+# Names in a sentence.
+_MAX_NAMED = 5
 _RULE_TEXTS = {
     RejectionRule.UNREACHABLE: "unreachable",
     RejectionRule.CORDONED: "cordoned",
@@ -232,6 +235,7 @@ _REASON_DESCRIBERS: dict[Reason, Callable[[Step], str]] = {
         f"may run on {step.decision.subject}, which does not answer: another manager has acted since all "
         f"hosts were last seen; edgectl fence {step.decision.subject} if it is off"
     ),
+    Reason.HOST_UNLISTED: lambda step: describe_unlisted_host(step.decision.subject or "a host"),
     Reason.ROBOT_SILENT: _describe_silent_host,
     Reason.HOST_LEFT: _describe_left_host,
     Reason.HOST_READDRESSED: _describe_left_host,
@@ -335,6 +339,13 @@ def _describe_other_rejections(decision: Decision) -> list[str]:
     rules.update(decision.rejection_counts)
     texts = {**_RULE_TEXTS, RejectionRule.INSUFFICIENT: "others too small"}
     return [f"{count} {texts[RejectionRule(rule)]}" for rule, count in rules.items()]
+
+
+def join_first_words(words: Iterable[str]) -> str:
+    """A list in words that names at most five: ``a, b, c, d, e and 7 more``. A host may report thousands."""
+    listed = list(words)
+    left = len(listed) - _MAX_NAMED
+    return join_words([*listed[:_MAX_NAMED], *([f"{left} more"] if left > 0 else [])])
 
 
 def join_words(words: Iterable[str]) -> str:

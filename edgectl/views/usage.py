@@ -28,7 +28,7 @@ Amounts = Mapping[str, float]
 
 
 def render_usage_share(usage: ResourceUsage, limit: float, look: RenderOptions) -> Cell:
-    """``64%``, on a terminal behind a bar; above ``limit`` (a share of the capacity) it says so."""
+    """``64%``, on a terminal behind a bar; marked with ``!`` above ``limit`` (a share of the capacity)."""
     part = usage.share if usage.capacity > 0 else 0.0
     text = f"{part:4.0%}" if look.width is not None else f"{part:.0%}"
     drawn = f"{render_bar(part, _BAR_WIDTH, unicode=look.unicode)} {text}" if look.width is not None else text

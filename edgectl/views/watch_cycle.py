@@ -13,6 +13,7 @@ from edgectl.model.resource import CPU
 from edgectl.model.result import ActionResult, Outcome
 from edgectl.model.snapshot import HostSample, Snapshot, find_doubled_tasks
 from edgectl.rules.lost_places import describe_lost_place, list_lost_tasks
+from edgectl.rules.other_managers import describe_unlisted_host, list_tasks_on_unlisted_hosts
 from edgectl.units import format_instant
 from edgectl.views.events import encode_event
 from edgectl.views.glossary import list_shown_weights
@@ -30,22 +31,22 @@ _MAX_KEPT_LINES = 50
 
 def list_cycle_news(before: Cycle | None, cycle: Cycle) -> list[str]:
     """What is new in ``cycle``, one text each; empty in a steady one. Lasting trouble is new once."""
-    told = [
+    news = [
         format_event(event)
         for event in cycle.events
         if event.kind is not EventKind.PLANNED or cycle.results is None
     ]
-    if not told and cycle.results is not None:
-        told = [_format_cycle_action(action) for action in cycle.results.actions]
+    if not news and cycle.results is not None:
+        news = [_format_cycle_action(action) for action in cycle.results.actions]
     known = set(before.warnings) if before is not None else set()
-    told += [f"warning: {warning}" for warning in cycle.warnings if warning not in known]
+    news += [f"warning: {warning}" for warning in cycle.warnings if warning not in known]
     if cycle.busy and (before is None or not before.busy):
-        told.append(f"waiting: {cycle.busy}")
+        news.append(f"waiting: {cycle.busy}")
     if cycle.error and (before is None or cycle.error != before.error):
-        told.append(f"error: {cycle.error}")
+        news.append(f"error: {cycle.error}")
     elif before is not None and before.error and not cycle.error:
-        told.append("recovered")
-    return [escape_unprintable(text) for text in told]
+        news.append("recovered")
+    return [escape_unprintable(text) for text in news]
 
 
 def format_event(event: Event) -> str:
@@ -63,11 +64,11 @@ def _format_cycle_action(action: ActionResult) -> str:
 
 def render_cycle_line(before: Cycle | None, cycle: Cycle) -> str:
     """The line of a cycle with news or another health than the one before, else empty."""
-    told = list_cycle_news(before, cycle)
+    news = list_cycle_news(before, cycle)
     health, known = _describe_health(cycle), _describe_health(before) if before is not None else ""
     if health is not None and known is not None and health != known:
-        told.append(f"health: {health or 'ok'}")
-    return f"{format_instant(float(int(cycle.at)))} {'; '.join(told)}\n" if told else ""
+        news.append(f"health: {health or 'ok'}")
+    return f"{format_instant(float(int(cycle.at)))} {'; '.join(news)}\n" if news else ""
 
 
 def _describe_health(cycle: Cycle) -> str | None:
@@ -83,6 +84,8 @@ def _describe_health(cycle: Cycle) -> str | None:
     parts = [f"{name} does not answer" for name in seen.silent_hosts]
     parts += [f"{task} runs on {join_words(hosts)}" for task, hosts in find_doubled_tasks(seen).items()]
     parts += [f"{task} {describe_lost_place(place)}" for task, place in list_lost_tasks(seen).items()]
+    unlisted = list_tasks_on_unlisted_hosts(cycle.plan)
+    parts += [f"{task} {describe_unlisted_host(host)}" for task, host in unlisted.items()]
     return ", ".join([*parts, *(f"{task} is given up" for task in given_up)])
 
 

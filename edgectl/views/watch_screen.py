@@ -186,7 +186,7 @@ def _render_past_lines(tally: WatchTally, count: int, look: RenderOptions) -> li
         f"{style_text(time.strftime('%H:%M:%S', time.localtime(at)), 'dim', look)} {text}"
         for at, text in tally.past[-count:]
     ]
-    return lines or [style_text("Nothing happened yet.", "dim", look)]
+    return lines or [style_text("No events yet.", "dim", look)]
 
 
 def _truncate_lines(lines: list[str], room: int) -> list[str]:

@@ -6,14 +6,12 @@ import marshal
 import os
 import shutil
 import stat
-import struct
 import subprocess
 import sys
 import time
 import zipfile
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from importlib.util import MAGIC_NUMBER
 from io import BytesIO
 from pathlib import Path
 
@@ -45,7 +43,7 @@ def memory(host: AgentHost) -> Iterator[Path]:
         # the first one: the agent behind the boot program keeps its hash
         return run(command, stdin.replace(SHARED, expression, 1), timeout=timeout, limit=limit)
 
-    assert SHARED in protocol._read_boot_program()
+    assert SHARED in protocol._read_boot_programs()
     assert len(expression) == len(SHARED)
     host.session.run = run_there  # type: ignore[method-assign]
     yield own
@@ -113,8 +111,8 @@ def test_runs_from_memory_where_nothing_can_be_kept(host: AgentHost, tmp_path: P
     program = (
         f"import sys; sys.path.insert(0, {str(AGENT / 'link')!r})\n"
         "import boot\n"
-        "boot.list_state_bases = lambda: ['/proc/nowhere', '/proc/nowhere-else']\n"
-        "boot.boot_agent(sys.stdin.buffer)\n"
+        "words = sys.stdin.buffer.readline().decode().split()\n"
+        "boot.boot_agent(sys.stdin.buffer, words, ['/proc/nowhere', '/proc/nowhere-else'], {})\n"
     )
     packet = protocol._build_packet(
         {"op": "probe", "fleet": "lab", "host": "edge1", "window_s": 0.05},
@@ -122,7 +120,7 @@ def test_runs_from_memory_where_nothing_can_be_kept(host: AgentHost, tmp_path: P
         10.0,
         protocol.build_agent_zipapp(),
     )
-    packet = packet.split(b"\n", 1)[1][len((AGENT / "link" / "boot.py").read_bytes()) :]
+    packet = packet.removeprefix(protocol._read_boot_programs())
     done = subprocess.run(
         [sys.executable, "-I", "-c", program],
         input=packet,
@@ -135,45 +133,87 @@ def test_runs_from_memory_where_nothing_can_be_kept(host: AgentHost, tmp_path: P
     assert list(tmp_path.iterdir()) == []
 
 
+def find_code(host: AgentHost, operation: str = "status") -> Path:
+    """The compiled code of an operation, on a host with one manager."""
+    (found,) = (host.state / "agent").rglob(f"{operation}.*.code")
+    return found
+
+
 def test_compiled_code_is_kept_privately(host: AgentHost) -> None:
     host.ask("status", task=None)
-    compiled = list((host.state / "agent" / protocol.compute_agent_hash()).rglob("*.pyc"))
-    assert any(path.name.startswith("status.") for path in compiled)
-    assert not any(path.name.startswith("supervisor.") for path in compiled), (
-        "an operation loads only what it needs"
-    )
-    assert {stat.S_IMODE(path.stat().st_mode) for path in compiled} == {0o600}
+    host.ask("probe", window_s=0.0)
+    kept_code = list((host.state / "agent" / protocol.compute_agent_hash()).rglob("*.*"))
+    assert {path.name.split(".")[0] for path in kept_code} == {"status", "probe"}
+    assert {stat.S_IMODE(path.stat().st_mode) for path in kept_code} == {0o600}
+    modules = marshal.loads(find_code(host).read_bytes()[64:])
+    assert "edgectl_agent.supervise.status" in modules
+    assert "edgectl_agent.supervise.supervisor" not in modules, "an operation loads only what it needs"
+
+
+def test_nothing_is_compiled_twice(host: AgentHost) -> None:
+    """Damaged programs of a request do no harm where the code of the operation is there; nothing is written."""
+    host.ask("status", task=None)
+    before = find_code(host).stat()
+    run = host.session.run
+
+    def run_damaged(command: str, stdin: bytes, *, timeout: float, limit: int = 1 << 20) -> Reply:
+        return run(
+            command, stdin.replace(b"class Channel", b"class  hannel", 1), timeout=timeout, limit=limit
+        )
+
+    host.session.run = run_damaged  # type: ignore[method-assign]
+    assert host.ask("status", task=None)["tasks"] == {}
+    after = find_code(host).stat()
+    assert (after.st_ino, after.st_mtime_ns) == (before.st_ino, before.st_mtime_ns)
 
 
 @pytest.mark.parametrize("forged", [b"", b"0" * 64])
 def test_compiled_code_of_a_task_does_not_run(host: AgentHost, forged: bytes) -> None:
     """A task of the same login writes its own code where the compiled agent is kept."""
     host.ask("status", task=None)
-    (planted,) = (host.state / "agent").rglob("status.*.pyc")
+    planted = find_code(host)
     proof = host.state / "proof"
-    code = compile(f"open({str(proof)!r}, 'w').write('ran')", "status.py", "exec")
-    head = MAGIC_NUMBER + struct.pack("<III", 0, 1, _read_source_size(planted))
-    planted.write_bytes(forged + head + marshal.dumps(code))
+    code = compile(f"open({str(proof)!r}, 'w').write('ran')", "boot.py", "exec")
+    modules = marshal.loads(planted.read_bytes()[64:])
+    planted.write_bytes(forged + marshal.dumps({**modules, "edgectl_agent.link.boot": code}))
     assert host.ask("status", task=None)["tasks"] == {}
     assert not proof.exists()
-    assert planted.read_bytes()[64:68] == MAGIC_NUMBER, "compiled and sealed again"
+    assert marshal.loads(planted.read_bytes()[64:]).keys() == modules.keys(), "compiled and sealed again"
+
+
+def test_code_of_one_operation_is_not_that_of_another(host: AgentHost) -> None:
+    """A seal holds for the name of its file."""
+    host.ask("status", task=None)
+    host.ask("probe", window_s=0.0)
+    stolen = find_code(host, "probe")
+    stolen.write_bytes(find_code(host).read_bytes())
+    host.ask("probe", window_s=0.0)
+    assert "edgectl_agent.measure.probe" in marshal.loads(stolen.read_bytes()[64:])
+
+
+def test_code_grows_by_what_later_requests_load(host: AgentHost) -> None:
+    host.ask("check", command="true", prelude="", env={}, timeout_s=5.0)
+    modules = marshal.loads(find_code(host, "check").read_bytes()[64:])
+    modules.pop("edgectl_agent.supervise.shell")
+    code = marshal.dumps(modules)
+    content = hashlib.sha256(find_code(host, "check").name.encode() + b"\0" + code).hexdigest()
+    seal = hashlib.sha256(f"{protocol._PROCESS_KEY} {content}".encode()).hexdigest()
+    find_code(host, "check").write_bytes(seal.encode() + code)
+    host.ask("check", command="true", prelude="", env={}, timeout_s=5.0)
+    assert "edgectl_agent.supervise.shell" in marshal.loads(find_code(host, "check").read_bytes()[64:])
 
 
 def test_another_manager_does_not_trust_what_this_one_compiled(host: AgentHost) -> None:
     host.ask("status", task=None)
-    (mine,) = (host.state / "agent").rglob("status.*.pyc")
+    mine = find_code(host)
     seal = mine.read_bytes()[:64]
     protocol.use_cache_key(host.fleet, "0" * 32)
     try:
         host.ask("status", task=None)
     finally:
         protocol._CACHE_KEYS.clear()
-    (theirs,) = {*(host.state / "agent").rglob("status.*.pyc")} - {mine}
+    (theirs,) = {*(host.state / "agent").rglob("status.*.code")} - {mine}
     assert theirs.read_bytes()[:64] != seal == mine.read_bytes()[:64]
-
-
-def _read_source_size(compiled: Path) -> int:
-    return int.from_bytes(compiled.read_bytes()[64 + 12 : 64 + 16], "little")
 
 
 def test_agents_of_old_versions_are_removed(host: AgentHost) -> None:

@@ -154,3 +154,29 @@ def test_a_host_tells_whether_another_manager_was_granted_the_fleet_since(host: 
         signed = signature(number, holder, f"s{number}")
         host.ask("lease", action="release", lease=signed, end_watch=False)
     assert lease_rules.find_other_epoch({"holder": "ana", "epoch": 5, "other_epoch": 4}, "ben") == 5
+
+
+def test_a_host_tells_which_hosts_other_managers_have_and_its_names_there(host: AgentHost) -> None:
+    def told_to(manager: str) -> tuple[object, object]:
+        told = host.ask("probe", window_s=0.05, manager=manager)["grants"]
+        return told["hosts"], told["names"]
+
+    def claim_and_release(holder: str, name: str, *hosts: str) -> None:
+        epoch = claim(host, holder, "s", name=name, hosts=list(hosts))["epoch"]
+        host.ask("lease", action="release", lease=signature(epoch, holder, "s"), end_watch=False)
+
+    claim_and_release("ana", "edge1", "edge1", "edge3")
+    assert told_to("ana") == ([], [])
+    assert told_to("ben") == (["edge1", "edge3"], ["edge1"])
+    claim_and_release("ben", "jetson-a", "jetson-a")
+    assert told_to("ana") == (["jetson-a"], ["jetson-a"])
+    assert told_to("eva") == (["edge1", "edge3", "jetson-a"], ["edge1", "jetson-a"])
+    claim_and_release("ana", "edge1", "edge1")  # she has removed edge3
+    assert told_to("ben") == (["edge1"], ["edge1"])
+    for number in range(10):  # the file of ana, who was here last, is among the eight that stay
+        claim_and_release("ana" if number == 9 else f"m{number}", "edge1", "edge1", f"e{number}")
+    assert len(told_to("ana")[0]) == 8  # type: ignore[arg-type]
+
+
+def test_a_list_of_hosts_that_is_too_long_does_not_keep_a_manager_from_the_fleet(host: AgentHost) -> None:
+    assert claim(host, name="e0", hosts=[f"edge{number}" for number in range(500)])["state"] == "granted"

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from edgectl.agent.link import fast_json, protocol
 from edgectl.agent.measure import metrics
 from edgectl.agent.supervise import state_dir
-from edgectl.gateway import probe_reply
+from edgectl.gateway import task_reply
 from tests.agent.conftest import AgentHost, both_runtimes, eventually, is_running
 
 # -- lines --
@@ -73,7 +73,7 @@ def test_the_manager_accepts_the_metrics_of_any_text(text: bytes) -> None:
     found = metrics.parse_metrics(text)
     sent = json.loads(fast_json.dumps(found))
     assert sent == found
-    kept = probe_reply._select_metrics(sent)
+    kept = task_reply._select_metrics(sent)
     assert kept == {name: value for name, value in sent.items() if abs(value) <= 1e100}
     assert metrics.parse_metrics(text + b"more") == metrics.parse_metrics(text) or not text.endswith(b"\n")
     for name in found:

@@ -229,6 +229,24 @@ def test_end_is_recorded(
     assert not lockfile.is_lock_held(str(host.folder("work")))
 
 
+def test_a_command_that_dies_early_never_counts_as_up(host: AgentHost) -> None:
+    """And one that lives does so when its time has passed, not before."""
+    for task, command in (("dies", "sleep 0.4; exit 3"), ("lives", "exec sleep 600")):
+        host.start(task, command)
+
+    def wait(task: str, timeout_s: float, up_s: float) -> dict[str, Any]:
+        return host.ask("wait", task=task, instance="i1", timeout_s=timeout_s, up_s=up_s)
+
+    dead = wait("dies", 30.0, 60.0)
+    assert (dead["state"], dead["exit_code"], dead["settled"]) == ("failed", 3, False)
+    early = wait("lives", 0.0, 600.0)
+    assert (early["state"], early["settled"]) == ("running", False)
+    up_s = early["age_s"] + 0.3
+    late = wait("lives", 30.0, up_s)
+    assert (late["state"], late["settled"], late["age_s"] >= up_s) == ("running", True, True)
+    host.stop("lives")
+
+
 def test_an_end_in_the_future_is_reported_as_now(host: AgentHost) -> None:
     """The manager rejects a negative age, and with it the whole reply."""
     host.start("work", "exit 0", kind="job")
@@ -281,11 +299,12 @@ def test_stop_during_the_pause_cancels_the_restart(host: AgentHost) -> None:
     assert host.entry("slam") is None
 
 
-def test_leftovers_of_an_ended_run_are_cleared(host: AgentHost) -> None:
-    host.start("slam", "setsid sleep 611 & sleep 0.2; exit 1")
+def test_leftovers_of_an_ended_run_are_cleared(host: AgentHost, tmp_path: Path) -> None:
+    host.start("slam", f"setsid sleep 611 & until test -e {tmp_path}/seen; do sleep 0.05; done; exit 1")
     left = eventually(
         lambda: [pid for pid in host.members("slam") if proc.read_cmdline(pid) == ["sleep", "611"]]
     )
+    (tmp_path / "seen").touch()
     host.until("slam", "failed")
     assert not is_running(left[0])
 

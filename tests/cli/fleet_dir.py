@@ -1,10 +1,30 @@
-"""The state directory of the fleet of an inventory file."""
+"""Files and the state directory of a small fleet."""
 
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+
+import pytest
 
 from edgectl.config.load import load_inventory
 from edgectl.state.fleet_dir import ensure_fleet_dir
+from tests.docs.blocks import stopped
 
 
 def open_fleet_dir(inventory: Path) -> Path:
     return ensure_fleet_dir(load_inventory(inventory).fleet, inventory)
+
+
+@contextmanager
+def enter_fleet(folder: Path, inventory: str, tasks: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A directory with both files as the working directory, without a terminal; what was started is stopped."""
+    for name, text in (("inventories/lab.yaml", inventory), ("tasks/lab.yaml", tasks)):
+        (folder / name).parent.mkdir()
+        (folder / name).write_text(text)
+    monkeypatch.chdir(folder)
+    monkeypatch.setenv("EDGECTL_STATE_DIR", str(folder / "state"))
+    monkeypatch.setattr("sys.stdin", open(os.devnull))  # noqa: SIM115, PTH123 - closed below
+    with sys.stdin, stopped(folder, dict(os.environ)):
+        yield folder

@@ -2,10 +2,8 @@
 
 import contextlib
 import json
-import os
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from tests.cli.conftest import Run
+from tests.cli.fleet_dir import enter_fleet
 from tests.cli.terminal import Terminal
-from tests.docs.blocks import stopped
 from tests.forkserver import ForkedProcess
 from tests.pace import patience
 
@@ -31,14 +29,8 @@ tasks:
 @pytest.fixture
 def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """One edge, one task; whatever was started is stopped."""
-    for name, text in (("inventories/lab.yaml", INVENTORY), ("tasks/lab.yaml", TASKS)):
-        (tmp_path / name).parent.mkdir()
-        (tmp_path / name).write_text(text)
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("EDGECTL_STATE_DIR", str(tmp_path / "state"))
-    monkeypatch.setattr("sys.stdin", open(os.devnull))  # noqa: SIM115, PTH123 - closed below
-    with sys.stdin, stopped(tmp_path, dict(os.environ)):
-        yield tmp_path
+    with enter_fleet(tmp_path, INVENTORY, TASKS, monkeypatch) as folder:
+        yield folder
 
 
 @pytest.mark.parametrize("words", [("apply",), ("stop", "--all"), ("restart", "idle"), ("apply", "--quiet")])

@@ -15,7 +15,7 @@ from edgectl.cli.app import COMMANDS, split_docstring
 from edgectl.scaffold.write import write_scaffold
 from tests.cli.conftest import Run
 from tests.cli.terminal import Terminal
-from tests.docs.blocks import make_tasks_idle, stopped
+from tests.docs.blocks import blocks, make_tasks_idle, stopped
 from tests.forkserver import ForkedProcess
 from tests.pace import patience
 
@@ -120,7 +120,20 @@ def in_this_process(line: str, run: Run) -> int:
     return run(*line.split()[1:]).code
 
 
-@pytest.mark.parametrize("line", [line for line in examples() if line.startswith(OF_FILES)])
+def examples_of_files() -> list[str]:
+    """Without those that a page of the docs has word for word: tests/docs/test_pages.py runs them."""
+    pages = (page for page in DOCS.rglob("*.md") if not {"adr", "contributing"} & {*page.parts})
+    on_pages = {
+        command
+        for page in pages
+        for block in blocks(page)
+        if not block.skipped
+        for command, _ in block.commands
+    }
+    return [line for line in examples() if line.startswith(OF_FILES) and line not in on_pages]
+
+
+@pytest.mark.parametrize("line", examples_of_files())
 def test_every_example_of_files_runs(
     line: str, tmp_path: Path, env: dict[str, str], run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:

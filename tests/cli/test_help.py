@@ -30,5 +30,14 @@ def test_every_function_of_a_command_is_listed_once() -> None:
     assert all(entry.help.endswith(".") and len(entry.help) <= 70 for entry in COMMANDS.values())
 
 
+def test_one_letter_has_one_meaning_in_all_commands() -> None:
+    meanings: dict[str, set[str]] = {}
+    for letter, name in re.findall(r"^  -(\w), --([\w-]+)", PAGE.read_text(), re.MULTILINE):
+        meanings.setdefault(letter, set()).add(name)
+    assert (meanings["w"], meanings["W"]) == ({"watch"}, {"weights"})
+    del meanings["n"]  # how many: lines, runs, repetitions
+    assert [names for names in meanings.values() if len(names) > 1] == []
+
+
 def test_the_reference_page_is_current() -> None:
     assert PAGE.read_text() == page(), "run: python -m tests.docs.reference"

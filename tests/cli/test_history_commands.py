@@ -1,16 +1,14 @@
 """history, show REV, rollback, drain, fence: the commands, on two local edges with one small real process."""
 
 import json
-import os
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from tests.cli.conftest import Run
+from tests.cli.fleet_dir import enter_fleet
 from tests.cli.terminal import Terminal
-from tests.docs.blocks import stopped
 
 INVENTORY = """version: 1
 edges:
@@ -27,14 +25,8 @@ tasks:
 @pytest.fixture
 def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """Two edges, one task; whatever was started is stopped."""
-    for name, text in (("inventories/lab.yaml", INVENTORY), ("tasks/lab.yaml", TASKS)):
-        (tmp_path / name).parent.mkdir()
-        (tmp_path / name).write_text(text)
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("EDGECTL_STATE_DIR", str(tmp_path / "state"))
-    monkeypatch.setattr("sys.stdin", open(os.devnull))  # noqa: SIM115, PTH123 - closed below
-    with sys.stdin, stopped(tmp_path, dict(os.environ)):
-        yield tmp_path
+    with enter_fleet(tmp_path, INVENTORY, TASKS, monkeypatch) as folder:
+        yield folder
 
 
 def list_running_hosts(run: Run) -> list[str]:

@@ -154,7 +154,7 @@ def test_validate_tells_percent_demands_of_unlike_slices(site: Path, run: Run) -
         "{host: b}", "{host: b, capacity: {cpu: 4, memory: 4Gi}}"))  # fmt: skip
     said = run("validate")
     assert said.err.splitlines()[-1] == (
-        "note: percent demands mean different amounts on unlike hosts: slam cpu 35.2% is 0.70 cores on edge1, 1.41 on edge2"
+        "note: percent demands mean different amounts on unlike hosts: slam cpu 35.2% is 0.70 cores on edge1, 1.41 cores on edge2"
     )
     inventory.write_text(inventory.read_text().replace("cpu: 4", "cpu: 2.5"))
     assert "percent" not in run("validate").err

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from edgectl.config import demand_readers, inventory_file, task_file, task_readers
 from edgectl.config import fields as config_fields
-from edgectl.config import inventory_file, task_file, task_readers
 from edgectl.config.load import load_inventory_and_tasks
 from edgectl.config.problems import ProblemCode
 from edgectl.experiments.files import experiment_file, run_codec
@@ -35,7 +35,7 @@ TABLES: Mapping[str, tuple[Mapping[str, object], ...]] = {
     "### Links": (inventory_file.LINK_KEYS,),
     "## Tasks": (task_file.TASK_FILE_KEYS,),
     "### A task": (task_file.TASK_KEYS,),
-    "### Demand": (task_readers.DEMAND_KEYS,),
+    "### Demand": (demand_readers.DEMAND_KEYS,),
     "### Needs": (task_readers.NEED_KEYS,),
     "### Hosts of a task": (task_readers.HOST_RULES_KEYS,),
     "### Checks": (task_readers.CHECK_KEYS,),

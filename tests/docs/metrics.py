@@ -13,7 +13,7 @@ _LIST = re.compile(
 
 def page() -> str:
     """The page as it should stand."""
-    rows = ["| metric | labels | kind | what it says |", "|---|---|---|---|"]
+    rows = ["| metric | labels | kind | meaning |", "|---|---|---|---|"]
     rows += [
         f"| `{metric.name}` | {', '.join(f'`{label}`' for label in metric.labels)} | {metric.kind} | {metric.help} |"
         for metric in METRICS

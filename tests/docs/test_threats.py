@@ -5,7 +5,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "concepts" / "threats.md"
-HEAD = "| attack | what becomes of it | test |\n|---|---|---|\n"
+HEAD = "| attack | result | test |\n|---|---|---|\n"
 
 
 def test_each_attack_names_a_test() -> None:

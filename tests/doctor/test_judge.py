@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from edgectl.doctor.diagnosis import diagnose_fleet
+from edgectl.doctor.diagnosis import diagnose_fleet, diagnose_no_answer
 from edgectl.doctor.ssh_command import format_ssh_command
 from edgectl.model.diagnosis import (
     NOT_A_DIRECTORY,
@@ -302,6 +302,13 @@ def test_a_fleet_without_a_name_is_told_with_the_line_to_add() -> None:
     inventory = replace(an_inventory(EDGE, ROBOT), fleet="lab-1a2b3c4d", is_fleet_named=False)
     (found,) = [each for each in diagnose_fleet(inventory, MANAGER, {}).findings if each.check == "fleet"]
     assert (found.level, found.remedy) == (WARNING, "add to the inventory: fleet: lab-1a2b3c4d")
+
+
+@pytest.mark.parametrize("kind", ["connect", "auth", "deadline"])
+def test_a_jump_host_that_fails_is_not_mended_on_the_host_behind_it(kind: str) -> None:
+    host = an_edge(port=22911, proxy_jump="gate")
+    found = diagnose_no_answer(host, UnreachableHost(kind=kind, error="jump host gate: name unknown"))
+    assert found.remedy == "see which login fails: ssh -v -p 22911 -J gate edge1.lab true"
 
 
 def test_lines_to_paste_have_port_key_and_jump() -> None:

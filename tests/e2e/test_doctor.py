@@ -38,9 +38,7 @@ def inventory(lab: Lab) -> Iterator[Inventory]:
         lab.host("robot1", role=Role.ROBOT, host=lab["robot1"].address, port=lab["robot1"].port),
         links=LINKS,
     )
-    for server in lab.servers.values():
-        if server.process is None:
-            server.restart()
+    lab.restart_stopped_servers()
 
 
 @pytest.fixture

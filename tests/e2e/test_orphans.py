@@ -31,13 +31,8 @@ from tests.sshd import Lab
 
 @pytest.fixture
 def bench(lab: Lab, tmp_path: Path) -> Iterator[Bench]:
-    def mend() -> None:
-        for server in lab.servers.values():
-            if server.process is None:
-                server.restart()
-
     inventory = an_inventory(*list_edges(lab))
-    with open_bench(inventory, tmp_path / "manager", mend) as made:
+    with open_bench(inventory, tmp_path / "manager", lab.restart_stopped_servers) as made:
         yield made
 
 

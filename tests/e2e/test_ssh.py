@@ -49,9 +49,7 @@ def manager(lab: Lab, tmp_path: Path) -> Iterator[Callable[[Inventory], Bench]]:
 
     def mended() -> None:
         lab.write_files()
-        for server in lab.servers.values():
-            if server.process is None:
-                server.restart()
+        lab.restart_stopped_servers()
 
     def manage(inventory: Inventory) -> Bench:
         context = open_bench(inventory, tmp_path / f"manager{len(made)}", mended)

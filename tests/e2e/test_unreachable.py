@@ -29,12 +29,7 @@ def build_inventory(lab: Lab) -> Inventory:
 
 @pytest.fixture
 def bench(lab: Lab, tmp_path: Path) -> Iterator[Bench]:
-    def mended() -> None:
-        for server in lab.servers.values():
-            if server.process is None:
-                server.restart()
-
-    with open_bench(build_inventory(lab), tmp_path / "manager", mended) as made:
+    with open_bench(build_inventory(lab), tmp_path / "manager", lab.restart_stopped_servers) as made:
         yield made
 
 

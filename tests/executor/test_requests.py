@@ -2,7 +2,10 @@
 
 from typing import Any
 
-from edgectl.executor import host_requests
+import pytest
+
+from edgectl.executor import action_phases, host_requests
+from edgectl.executor.action_phases import DEFAULT_UP_S
 from edgectl.executor.dependencies import build_step_dependencies, list_stop_hosts
 from edgectl.executor.dry_run import list_dry_run_requests
 from edgectl.model.assignment import Decision, Reason, Verdict
@@ -83,6 +86,20 @@ def test_an_instance_is_named_by_run_task_host_and_attempt() -> None:
         ("plan:1", "slam", "edge1", 2),
     ]
     assert len({name, *(host_requests.build_instance_id(*other) for other in others)}) == 5
+
+
+@pytest.mark.parametrize(
+    ("stated", "up_s"),
+    [({}, DEFAULT_UP_S), ({"up": 7.0}, 7.0), ({"up": 7.0, "ready": Check(command="true", timeout=9.0)}, 0.0)],
+)
+def test_a_start_waits_for_its_check_or_until_the_command_is_up(
+    stated: dict[str, Any], up_s: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(action_phases, "DEFAULT_UP_S", DEFAULT_UP_S)
+    _, ready = action_phases.build_run_phases(a_task("slam", **stated), "edge1", FLEET)
+    assert ready.requests[0].body["up_s"] == up_s
+    assert ready.timeout_s == (9.0 if "ready" in stated else up_s + 10.0)
+    assert DEFAULT_UP_S == 3.0
 
 
 def a_plan(*steps: Step) -> Plan:

@@ -20,7 +20,7 @@ from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Check, CheckLocation, HandoffContract, HandoffOrder, Need, NeedCondition, Task
 from edgectl.state.journal import Journal
 from tests.builders import a_robot, a_run, a_sample, a_snapshot, a_task, an_edge, an_inventory, some_tasks
-from tests.executor.fake_fleet import FakeFleet
+from tests.executor.fake_fleet import FakeFleet, FakeHost
 from tests.state.journal_files import read_entries
 
 EDGES = ("edge1", "edge2", "edge3")
@@ -79,7 +79,7 @@ def find_result(results: Results, task: str) -> ActionResult:
     return next(result for result in results.actions if result.task == task)
 
 
-def test_stops_come_before_starts_and_starts_follow_needs(fleet: FakeFleet, journal: Journal) -> None:
+def test_a_start_follows_the_stops_on_its_host_and_its_needs(fleet: FakeFleet, journal: Journal) -> None:
     fleet["edge1"].runs("old")
     fleet["edge2"].runs("finished")
     made = a_plan(
@@ -98,8 +98,9 @@ def test_stops_come_before_starts_and_starts_follow_needs(fleet: FakeFleet, jour
         a_task("finished"),
     )
     assert results.done
-    assert {*fleet.changes[:2]} == {"stop old edge1", "stop finished edge2"}
     order = fleet.world.events
+    assert order.index("stop finished edge2") < order.index("start slam edge2")
+    assert order.index("stop old edge1") < order.index("start navigation edge1")
     assert (
         order.index("start slam edge2")
         < order.index("ready slam edge2")
@@ -584,6 +585,94 @@ def test_each_phase_and_the_downtime_stand_in_the_journal(
     assert isinstance(phases, list)
     assert [entry["phase"] for entry in phases] == ["safe", "hold", "stop", "start", "ready", "release"]
     assert commit["downtime_s"] == result.downtime_s
+
+
+def be_silent(host: FakeHost, op: str, times: int = 1) -> list[str]:
+    """The host carries out requests ``op``, but the first ``times`` replies miss their deadline."""
+    asked: list[str] = []
+    carry_out = getattr(host, f"_{op}")
+
+    def answer(request: dict[str, object]) -> dict[str, object]:
+        asked.append(str(request.get("command", op)))
+        reply: dict[str, object] = carry_out(request)
+        if len(asked) <= times:
+            raise DeadlineError("no answer within 15 s")
+        return reply
+
+    host.faults[op] = answer
+    return asked
+
+
+def test_a_robot_that_got_the_hold_and_answered_too_late_is_released(
+    fleet: FakeFleet, journal: Journal
+) -> None:
+    be_silent(fleet["robot1"], "check")
+    result = run_move(fleet, journal, a_contract(safe_when=None))
+    assert (result.outcome, result.located, fleet.changes) == (Outcome.FAILED, "edge1", [])
+    assert result.error == "no answer within 15 s"
+    assert fleet.world.events == ["check hold robot1", "check release robot1"]
+
+
+@pytest.mark.parametrize("order", list(HandoffOrder))
+def test_a_new_instance_whose_start_was_answered_too_late_is_taken_away(
+    fleet: FakeFleet, journal: Journal, order: HandoffOrder
+) -> None:
+    """And the old one steers: put back where it was stopped first."""
+    be_silent(fleet["edge2"], "start")
+    result = run_move(fleet, journal, a_contract(order))
+    assert (result.outcome, result.located, fleet.placed) == (Outcome.FAILED, "edge1", {"slam": "edge1"})
+    assert fleet.world.events[-1] == "check release robot1"
+    assert order is HandoffOrder.START_FIRST or not fleet.world.overlap
+
+
+def test_the_old_instance_is_put_back_on_a_host_that_was_silent_to_another_task(
+    fleet: FakeFleet, journal: Journal
+) -> None:
+    """Between the stop of slam on edge1 and its failure on edge2, edge1 lets the deadline of a stop pass."""
+    moved = threading.Event()
+
+    def fail(_request: dict[str, object]) -> dict[str, object]:
+        moved.set()
+        deadline = time.monotonic() + 10.0
+        while not any(entry["event"] == "commit" for entry in read_entries(journal.path)):
+            assert time.monotonic() < deadline
+            time.sleep(0.005)
+        return {"state": "failed", "exit_code": 3}
+
+    def be_late(_request: dict[str, object]) -> dict[str, object]:
+        assert moved.wait(10.0)
+        raise DeadlineError("no answer within 15 s")
+
+    fleet["edge2"].faults["wait:slam"], fleet["edge1"].faults["stop:nav"] = fail, be_late
+    for name in ("slam", "nav"):
+        fleet["edge1"].runs(name)
+    steps = (
+        a_step("slam", Action.MOVE, host="edge2", previous="edge1"),
+        a_step("nav", Action.STOP, previous="edge1"),
+    )
+    slam = a_task("slam", robots=["robot1"], handoff=a_contract())
+    results = run_steps(fleet, journal, a_plan(*steps), slam)
+    assert find_result(results, "nav").outcome is Outcome.FAILED
+    assert find_result(results, "slam").error == "slam failed (exit code 3) on edge2; restored on edge1"
+    assert fleet.placed["slam"] == "edge1"
+
+
+def test_a_robot_that_stays_silent_is_asked_once_more_in_a_run_however_many_tasks_it_has(
+    fleet: FakeFleet, journal: Journal
+) -> None:
+    asked = be_silent(fleet["robot1"], "check", times=99)
+    names = ("slam", "nav", "map")
+    for name in names:
+        fleet["edge1"].runs(name)
+    results = run_steps(
+        fleet,
+        journal,
+        a_plan(*(a_step(name, Action.MOVE, host="edge2", previous="edge1") for name in names)),
+        *(a_task(name, robots=["robot1"], handoff=a_contract(safe_when=None)) for name in names),
+        max_parallel=1,
+    )
+    assert {result.outcome for result in results.actions} == {Outcome.FAILED}
+    assert asked == ["hold", "release"]
 
 
 def test_start_first_that_fails_leaves_the_old_one_untouched(fleet: FakeFleet, journal: Journal) -> None:

@@ -39,4 +39,4 @@ def test_a_replacing_plan_holds_only_while_its_host_stays_silent(
     )
     assert plan.steps[0].decision.reason is Reason.REPLACED
     changes = list_drift(plan, SNAPSHOT, after)
-    assert changes == (("edge1 was in touch since, or is no longer fenced",) if refused else ())
+    assert changes == (("edge1 answered since, or is no longer fenced",) if refused else ())

@@ -77,3 +77,10 @@ def test_the_plan_says_what_it_leaves_alone() -> None:
     assert list_plan_notes(three) == [
         "3 tasks of other files (x.yaml) run on; --prune stops them: a, b and c"
     ]
+    # A host of the fleet may report as many as fit into a reply, each of a file of its own.
+    many = replace(plan, tasks_left_alone={f"t{number}": f"x{number}.yaml" for number in range(2000)})
+    (note,) = list_plan_notes(many)
+    assert note == (
+        "2000 tasks of other files (x0.yaml, x1.yaml, x2.yaml, x3.yaml, x4.yaml and 1995 more) run on; "
+        "--prune stops them: t0, t1, t2, t3, t4 and 1995 more"
+    )

@@ -80,7 +80,7 @@ def draw(run: ExperimentRun) -> "list[ReportFigure]":
 
 
 def a_page(run: ExperimentRun, *, drawn: bool = True) -> str:
-    from edgectl.experiments.report.figure_style import render_inline_svg
+    from edgectl.experiments.report.figure_style import inline_svg_from_document, render_svg
     from edgectl.experiments.report.page import EmbeddedFigure, ReportTable, render_report_page
 
     table = ReportTable(
@@ -91,7 +91,12 @@ def a_page(run: ExperimentRun, *, drawn: bool = True) -> str:
         run,
         table,
         [
-            EmbeddedFigure(name=d.name, title=d.title, caption=d.caption, svg=render_inline_svg(d))
+            EmbeddedFigure(
+                name=d.name,
+                title=d.title,
+                caption=d.caption,
+                svg=inline_svg_from_document(render_svg(d), d.title),
+            )
             for d in (draw(run) if drawn else [])
         ],
     )

@@ -25,6 +25,12 @@ def main() -> int:
         "--times", type=int, default=0, help="injections per fault (default: set by each fault)"
     )
     parser.add_argument(
+        "--points",
+        type=int,
+        default=None,
+        help="kills of the manager per kind of command (default: at every point)",
+    )
+    parser.add_argument(
         "--jobs", type=int, default=2, help="faults injected in parallel, each on its own hosts"
     )
     parser.add_argument(
@@ -58,7 +64,12 @@ def run_case(each: Fault, kind: str, times: int, options: argparse.Namespace) ->
         kind,
         times,
         options.seed,
-        EdgectlVariant(code=options.code, connection=options.connection, sample=options.quick),
+        EdgectlVariant(
+            code=options.code,
+            connection=options.connection,
+            sample=options.quick,
+            points=1 if options.quick else options.points,
+        ),
         exactly=options.injection,
         report=print_progress,
     )

@@ -10,11 +10,10 @@ from collections.abc import Callable
 
 from tests.faults import failpoint_runner
 from tests.faults.command_result import ExpectationError
-from tests.faults.faults_host import start_pair
+from tests.faults.faults_host import start_tasks
 from tests.faults.fleet import APPLY, FaultFleet
 from tests.faults.registry import fault
 
-SAMPLE = 1
 ONE_BY_ONE = ("--max-parallel", "1")
 APPLY_ONE = (*APPLY, *ONE_BY_ONE)
 Change = Callable[[FaultFleet, int], tuple[str, ...]]
@@ -22,8 +21,8 @@ Change = Callable[[FaultFleet, int], tuple[str, ...]]
 
 
 def kill_at_every_failpoint(fleet: FaultFleet, turn: Change, kinds: int = 2) -> None:
-    """Kill at each failpoint of every variant of the command (in a sample: at a few of each, drawn at
-    random).
+    """Kill at each failpoint of every variant of the command (or at a few of each, drawn at random:
+    `EdgectlVariant.points`).
     """
     deaths = [choose_failpoints(fleet, count_failpoints(fleet, turn, kind)) for kind in range(kinds)]
     for number in range(kinds, kinds + kinds * max(map(len, deaths))):
@@ -48,7 +47,9 @@ def count_failpoints(fleet: FaultFleet, turn: Change, number: int) -> int:
 def choose_failpoints(fleet: FaultFleet, count: int) -> list[int]:
     """Choose the failpoints at which to kill."""
     every = range(1, count + 1)
-    return sorted(fleet.random.sample(every, SAMPLE)) if fleet.sample else list(every)
+    return (
+        list(every) if fleet.points is None else sorted(fleet.random.sample(every, min(fleet.points, count)))
+    )
 
 
 def kill_at_failpoint(fleet: FaultFleet, words: tuple[str, ...], at: int) -> None:
@@ -77,28 +78,28 @@ def change_all_tasks(fleet: FaultFleet, number: int) -> tuple[str, ...]:
     """slam moves, nav restarts with another specification; map is started in even rounds and stopped in odd
     ones.
     """
-    fleet.pin_task("slam", "edge1" if number % 2 else "edge2")
+    fleet.pin_task("slam", fleet.first if number % 2 else fleet.second)
     fleet.tasks["nav"]["env"] = {"TURN": str(number)}
-    fleet.remove_task("map") if number % 2 else fleet.add_task("map", on="edge1")
+    fleet.remove_task("map") if number % 2 else fleet.add_task("map", on=fleet.first)
     fleet.write_files()
     return APPLY_ONE
 
 
 def move_slam(fleet: FaultFleet, number: int) -> tuple[str, ...]:
     """Start-first move of slam."""
-    fleet.pin_task("slam", "edge1" if number % 2 else "edge2")
+    fleet.pin_task("slam", fleet.first if number % 2 else fleet.second)
     return APPLY_ONE
 
 
 @fault("manager killed at every point of an apply: start, stop, restart, move", quick=True)
 def kill_apply(fleet: FaultFleet) -> None:
-    start_pair(fleet)
+    start_tasks(fleet)
     kill_at_every_failpoint(fleet, change_all_tasks)
 
 
 @fault("manager killed at every point of a start-first move")
 def kill_start_first_move(fleet: FaultFleet) -> None:
-    fleet.add_task("slam", on="edge1", handoff={"order": "start-first"})
+    fleet.add_task("slam", on=fleet.first, handoff={"order": "start-first"})
     fleet.apply_and_check()
     fleet.overlap_allowed.add("slam")
     kill_at_every_failpoint(fleet, move_slam)
@@ -106,24 +107,24 @@ def kill_start_first_move(fleet: FaultFleet) -> None:
 
 @fault("manager killed at every point of a drain", kinds=("loopback",))
 def kill_drain(fleet: FaultFleet) -> None:
-    """Even rounds drain slam's host; odd rounds uncordon both hosts and bring slam back."""
-    start_pair(fleet)
+    """Even rounds drain slam's host; odd rounds uncordon it and bring slam back."""
+    start_tasks(fleet)
 
     def turn(fleet: FaultFleet, number: int) -> tuple[str, ...]:
         if number % 2:
-            fleet.run_edgectl("uncordon", "edge1").expect_exit(0)
-            fleet.pin_task("slam", "edge1")
+            fleet.run_edgectl("uncordon", fleet.first).expect_exit(0)
+            fleet.pin_task("slam", fleet.first)
             return APPLY_ONE
         fleet.pin_task("slam", None)
-        fleet.run_edgectl("uncordon", "edge1").expect_exit(0)
-        return ("drain", "edge1", "--yes", *ONE_BY_ONE)
+        fleet.run_edgectl("uncordon", fleet.first).expect_exit(0)
+        return ("drain", fleet.first, "--yes", *ONE_BY_ONE)
 
     kill_at_every_failpoint(fleet, turn)
 
 
-@fault("manager killed at every point of a stop", quick=True)
+@fault("manager killed at every point of a stop")
 def kill_stop(fleet: FaultFleet) -> None:
-    start_pair(fleet)
+    start_tasks(fleet)
 
     def turn(fleet: FaultFleet, _number: int) -> tuple[str, ...]:
         fleet.apply().expect_exit(0)
@@ -134,12 +135,12 @@ def kill_stop(fleet: FaultFleet) -> None:
     fleet.expected["slam"] = None
 
 
-@fault("manager killed at every point of a done, and of the apply that follows", quick=True)
+@fault("manager killed at every point of a done, and of the apply that follows")
 def kill_done(fleet: FaultFleet) -> None:
     """Even rounds mark slam as done, which contacts no host; odd rounds stop it and start it again for the
     next round.
     """
-    start_pair(fleet)
+    start_tasks(fleet)
 
     def turn(fleet: FaultFleet, number: int) -> tuple[str, ...]:
         if number % 2:
@@ -153,22 +154,22 @@ def kill_done(fleet: FaultFleet) -> None:
     kill_at_every_failpoint(fleet, turn)
 
 
-@fault("manager killed at every point of a rollback", quick=True)
+@fault("manager killed at every point of a rollback")
 def kill_rollback(fleet: FaultFleet) -> None:
-    """Roll back to revision 1, where slam ran on edge1 alone, then to revision 2, where it ran on edge2
-    beside nav.
+    """Roll back to revision 1, where slam ran on the first host alone, then to revision 2, where it ran on the
+    second and nav on the third.
     """
-    fleet.add_task("slam", on="edge1")
+    fleet.add_task("slam", on=fleet.first)
     fleet.apply_and_check()
-    fleet.add_task("nav", on="edge2")
-    fleet.pin_task("slam", "edge2")
+    fleet.add_task("nav", on=fleet.third)
+    fleet.pin_task("slam", fleet.second)
     fleet.apply_and_check()
     for task in ("slam", "nav"):
         fleet.pin_task(task, None)
 
     def turn(fleet: FaultFleet, number: int) -> tuple[str, ...]:
         second = number % 2 == 1
-        fleet.expected = {"slam": "edge2", "nav": "edge2"} if second else {"slam": "edge1"}
+        fleet.expected = {"slam": fleet.second, "nav": fleet.third} if second else {"slam": fleet.first}
         return ("rollback", "2" if second else "1", "--yes", *ONE_BY_ONE)
 
     kill_at_every_failpoint(fleet, turn)

@@ -3,7 +3,7 @@
 import time
 
 from tests.faults.command_result import ExpectationError
-from tests.faults.faults_host import check_held, start_pair
+from tests.faults.faults_host import check_held, start_tasks
 from tests.faults.fleet import FaultFleet
 from tests.faults.hosts import Host
 from tests.faults.link_fault import LinkFault, LinkFaultKind
@@ -16,16 +16,19 @@ EXCHANGE = 40_000
 
 
 def prepare_changes(fleet: FaultFleet) -> None:
-    """Prepare changes on both hosts: slam moves from edge1 to edge2, map starts on edge1."""
-    start_pair(fleet)
-    fleet.pin_task("slam", "edge2")
-    fleet.add_task("map", on="edge1")
+    """Prepare changes on three hosts: slam moves from the first to the second, nav from there to the third, and
+    map starts on the first.
+    """
+    start_tasks(fleet)
+    fleet.pin_task("slam", fleet.second)
+    fleet.pin_task("nav", fleet.third)
+    fleet.add_task("map", on=fleet.first)
 
 
 def apply_with_link_fault(fleet: FaultFleet, kind: LinkFaultKind, *, lasting: bool) -> None:
     """Apply with a link fault after a random byte."""
     prepare_changes(fleet)
-    relay = fleet.get_relay(fleet.random.choice(["edge1", "edge2"]))
+    relay = fleet.get_relay(fleet.random.choice(fleet.edges[:3]))
     # Half of the bytes are drawn from the logins, where most of the protocol's steps are.
     after = fleet.random.randrange(fleet.random.choice([6_000, EXCHANGE]))
     relay.set(LinkFault(kind=kind, after=after, lasting=lasting))
@@ -34,11 +37,11 @@ def apply_with_link_fault(fleet: FaultFleet, kind: LinkFaultKind, *, lasting: bo
 
 @fault("SSH black-holed", full=4)
 def drop_ssh_bytes(fleet: FaultFleet) -> None:
-    start_pair(fleet)
+    start_tasks(fleet)
     after = fleet.random.choice([0, 30, 1_000, 2_500, 4_000])
-    fleet.get_relay("edge1").set(LinkFault(kind=LinkFaultKind.BLACK_HOLE, after=after))
-    check_held(fleet, "edge1", within=60)
-    fleet.check_verdict({"slam": "edge1", "nav": "edge2"})
+    fleet.get_relay(fleet.first).set(LinkFault(kind=LinkFaultKind.BLACK_HOLE, after=after))
+    check_held(fleet, fleet.first, within=60)
+    fleet.check_verdict({**fleet.expected, "slam": fleet.first})
 
 
 @fault("connections left half open", full=2)
@@ -46,8 +49,8 @@ def leave_half_open(fleet: FaultFleet) -> None:
     """The link dies after the command and before its input. Repaired or not: nothing waits on the host
     forever.
     """
-    start_pair(fleet)
-    relay = fleet.get_relay("edge1")
+    start_tasks(fleet)
+    relay = fleet.get_relay(fleet.first)
     relay.set(LinkFault())
     fleet.run_edgectl("probe").expect_exit(0)
     whole = relay.passed
@@ -55,10 +58,10 @@ def leave_half_open(fleet: FaultFleet) -> None:
         relay.set(LinkFault(kind=LinkFaultKind.BLACK_HOLE, after=int(whole * share), half_open=True))
         fleet.run_edgectl("probe").expect_exit(4, within=60)
         relay.heal()
-        if list_waiting_processes(fleet.hosts["edge1"]):
+        if list_waiting_processes(fleet.hosts[fleet.first]):
             break
     deadline = time.monotonic() + patience(45)
-    while left := list_waiting_processes(fleet.hosts["edge1"]):
+    while left := list_waiting_processes(fleet.hosts[fleet.first]):
         if time.monotonic() > deadline:
             raise ExpectationError(f"still waits on the host: {left}")
         fleet.wait(0.5)
@@ -74,23 +77,23 @@ def list_waiting_processes(host: Host) -> list[Process]:
 
 @fault("host accepts and never answers", full=2)
 def mute_host(fleet: FaultFleet) -> None:
-    start_pair(fleet)
-    fleet.get_relay("edge1").set(LinkFault(kind=LinkFaultKind.MUTE))
-    check_held(fleet, "edge1", within=25)
+    start_tasks(fleet)
+    fleet.get_relay(fleet.first).set(LinkFault(kind=LinkFaultKind.MUTE))
+    check_held(fleet, fleet.first, within=25)
 
 
 @fault("packets dropped, cable plugged in", kinds=OWN, full=2)
 def drop_packets(fleet: FaultFleet) -> None:
-    start_pair(fleet)
-    fleet.get_computer("edge1").drop_packets()
-    check_held(fleet, "edge1", within=25)
-    fleet.check_verdict({"slam": "edge1", "nav": "edge2"})
+    start_tasks(fleet)
+    fleet.get_computer(fleet.first).drop_packets()
+    check_held(fleet, fleet.first, within=25)
+    fleet.check_verdict({**fleet.expected, "slam": fleet.first})
 
 
 @fault("cable unplugged in the middle of an apply", kinds=OWN, full=8)
 def unplug_during_apply(fleet: FaultFleet) -> None:
     prepare_changes(fleet)
-    computer = fleet.get_computer(fleet.random.choice(["edge1", "edge2"]))
+    computer = fleet.get_computer(fleet.random.choice(fleet.edges[:3]))
     running = fleet.start_edgectl("apply", "--yes")
     fleet.wait(fleet.random.uniform(0.3, 2.5))
     computer.unplug_cable()

@@ -2,6 +2,7 @@
 
 import datetime as dt
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -10,9 +11,8 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
-from tests.faults import oracle
 from tests.faults.command_result import ExpectationError
-from tests.faults.faults_host import start_pair
+from tests.faults.faults_host import start_tasks
 from tests.faults.faults_link import prepare_changes
 from tests.faults.fleet import APPLY, FaultFleet
 from tests.faults.hosts import wait_for
@@ -36,7 +36,7 @@ def interrupt_at_random(fleet: FaultFleet, strike: Callable[["subprocess.Popen[s
     strike(running)
 
 
-@fault("manager killed (kill -9) at a random moment", quick=True, full=25)
+@fault("manager killed (kill -9) at a random moment", full=25)
 def kill_at_random(fleet: FaultFleet) -> None:
     prepare_changes(fleet)
     interrupt_at_random(fleet, kill_manager)
@@ -54,10 +54,10 @@ def kill_during_start_first(fleet: FaultFleet) -> None:
     """A start-first move may run two copies at once, so an overlap is allowed here; one copy is left after
     the recovery.
     """
-    fleet.add_task("slam", on="edge1", handoff={"order": "start-first"})
+    fleet.add_task("slam", on=fleet.first, handoff={"order": "start-first"})
     fleet.apply_and_check()
     fleet.overlap_allowed.add("slam")
-    fleet.pin_task("slam", "edge2")
+    fleet.pin_task("slam", fleet.second)
     interrupt_at_random(fleet, kill_manager)
 
 
@@ -77,8 +77,8 @@ def build_synced_disk_env(fleet: FaultFleet) -> dict[str, str]:
 @fault("manager loses power after done", full=3)
 def cut_power_after_done(fleet: FaultFleet) -> None:
     """The effect of a command that exited with 0 is on the disk: a task marked done is not started again."""
-    fleet.add_task("slam", on="edge1")
-    fleet.add_task("nav", on="edge2")
+    fleet.add_task("slam", on=fleet.first)
+    fleet.add_task("nav", on=fleet.second)
     fleet.apply(**build_synced_disk_env(fleet)).expect_exit(0)
     fleet.check_verdict()
     fleet.run_edgectl("done", "slam", **build_synced_disk_env(fleet)).expect_exit(0)
@@ -114,9 +114,9 @@ def send_sigint(fleet: FaultFleet) -> None:
 @fault("state directory lost", full=3)
 def delete_state(fleet: FaultFleet) -> None:
     """The hosts hold the state: nothing is restarted and nothing runs twice."""
-    start_pair(fleet)
+    start_tasks(fleet)
     before = {task: fleet.count_launches(task) for task in fleet.expected}
-    fleet.pin_task("slam", "edge1")
+    fleet.pin_task("slam", fleet.first)
     fleet.state.rename(fleet.state.with_name("old-state"))
     fleet.apply().expect_exit(0)
     if before != {task: fleet.count_launches(task) for task in fleet.expected}:
@@ -124,7 +124,7 @@ def delete_state(fleet: FaultFleet) -> None:
     fleet.check_verdict()
 
 
-@fault("two applies at once", quick=True, full=8)
+@fault("two applies at once", full=8)
 def run_two_applies(fleet: FaultFleet) -> None:
     prepare_changes(fleet)
     both = []
@@ -136,50 +136,20 @@ def run_two_applies(fleet: FaultFleet) -> None:
         raise ExpectationError("both refused to work")
 
 
-@fault("two managers at once, each with its own state", full=8)
-def run_two_managers(fleet: FaultFleet) -> None:
-    prepare_changes(fleet)
-    other = {"EDGECTL_STATE_DIR": str(fleet.directory / "other-state")}
-    first = fleet.start_edgectl(*APPLY)
-    fleet.wait(fleet.random.uniform(0, 1.0))
-    second = fleet.start_edgectl(*APPLY, **other)
-    for running in (first, second):
-        fleet.wait_for_edgectl(running).expect_exit(0, 1, 4, 75)
-    moment = oracle.read_boottime_ns()
-    most = max(
-        (
-            count
-            for count in oracle.count_alive_at(oracle.list_lifetimes(fleet.records), moment - 10**8).values()
-        ),
-        default=0,
-    )
-    if most > 1:
-        raise ExpectationError(f"{most} at once")
-
-
-@fault("lock holder killed", full=5)
-def kill_lock_holder(fleet: FaultFleet) -> None:
-    """The lock is released with its process: the next apply works at once."""
-    prepare_changes(fleet)
-    interrupt_at_random(fleet, kill_manager)
-    fleet.apply().expect_exit(0, 4)
-    fleet.check_verdict()
-
-
 @fault("a saved plan applied twice, and after a change", full=3)
 def apply_stale_plan(fleet: FaultFleet) -> None:
-    start_pair(fleet)
+    start_tasks(fleet)
     plan = str(fleet.directory / "saved.plan")
-    fleet.pin_task("slam", "edge2")
+    fleet.pin_task("slam", fleet.second)
     fleet.run_edgectl("plan", "--out", plan).expect_exit(0, 2)
     fleet.run_edgectl("apply", plan).expect_exit(0)
     fleet.check_verdict()
     fleet.run_edgectl("apply", plan).expect_exit(75)
-    fleet.pin_task("slam", "edge1")
+    fleet.pin_task("slam", fleet.first)
     fleet.run_edgectl("plan", "--out", plan).expect_exit(0, 2)
-    fleet.add_task("late", on="edge1")
+    fleet.add_task("late", on=fleet.first)
     fleet.run_edgectl("apply", plan).expect_exit(75)
-    fleet.check_verdict({"slam": "edge2", "nav": "edge2"})
+    fleet.check_verdict({"slam": fleet.second, "nav": fleet.second, "grip": fleet.third})
 
 
 HOUR, DAY = 3600, 86400
@@ -211,16 +181,16 @@ def skew_host(fleet: FaultFleet, name: str, seconds: int) -> None:
 @fault("clocks an hour apart", full=4, missing=find_missing_compiler)
 def skew_all_clocks(fleet: FaultFleet) -> None:
     """One host an hour ahead, one ten years behind, the manager a day ahead: clocks are never compared."""
-    start_pair(fleet)
-    skew_host(fleet, "edge1", fleet.random.choice([HOUR, -HOUR]))
-    skew_host(fleet, "edge2", fleet.random.choice([-3650 * DAY, 3650 * DAY]))
-    fleet.pin_task("slam", "edge2")
-    fleet.add_task("map", on="edge1")
+    start_tasks(fleet)
+    skew_host(fleet, fleet.first, fleet.random.choice([HOUR, -HOUR]))
+    skew_host(fleet, fleet.second, fleet.random.choice([-3650 * DAY, 3650 * DAY]))
+    fleet.pin_task("slam", fleet.second)
+    fleet.add_task("map", on=fleet.first)
     fleet.tasks["map"]["command"] = f'date +%s > "$HOME/oracle/records/date"; {fleet.tasks["map"]["command"]}'
     fleet.write_files()
     fleet.apply(**build_skewed_env(fleet, DAY)).expect_exit(0)
     fleet.check_verdict()
-    assert abs(int((fleet.hosts["edge1"].records / "date").read_text()) - time.time()) > HOUR / 2, (
+    assert abs(int((fleet.hosts[fleet.first].records / "date").read_text()) - time.time()) > HOUR / 2, (
         "the host's clock was not skewed"
     )
     fleet.run_edgectl("status").expect_exit(0)
@@ -241,19 +211,19 @@ def check_ages(fleet: FaultFleet) -> None:
 
 @fault("manager's clock goes backwards between applies", full=3, missing=find_missing_compiler)
 def set_clock_back(fleet: FaultFleet) -> None:
-    start_pair(fleet)
+    start_tasks(fleet)
     launches = fleet.count_launches("slam")
-    fleet.pin_task("slam", "edge1")
+    fleet.pin_task("slam", fleet.first)
     for seconds in (2 * HOUR, -2 * HOUR, -30 * DAY):
         fleet.apply(**build_skewed_env(fleet, seconds)).expect_exit(0)
     if fleet.count_launches("slam") != launches:
         raise ExpectationError("slam was started again")
-    fleet.pin_task("slam", "edge2")
+    fleet.pin_task("slam", fleet.second)
     fleet.apply(**build_skewed_env(fleet, -HOUR)).expect_exit(0)
     fleet.check_verdict()
 
 
-@fault("state files truncated", quick=True, full=12)
+@fault("state files truncated", full=12)
 def truncate_state(fleet: FaultFleet) -> None:
     damage_state_file(fleet, lambda data: data[: fleet.random.randrange(len(data))])
 
@@ -271,8 +241,8 @@ def damage_state_file(fleet: FaultFleet, harm: Callable[[bytes], bytes]) -> None
     """Damage one of the manager's files. Apply must exit with a documented code, and no task is lost or
     doubled.
     """
-    start_pair(fleet)
-    fleet.pin_task("slam", "edge1")
+    start_tasks(fleet)
+    fleet.pin_task("slam", fleet.first)
     files = sorted(path for path in fleet.state.rglob("*") if path.is_file() and path.stat().st_size)
     victim = fleet.random.choice(files)
     good = victim.read_bytes()
@@ -289,21 +259,20 @@ def follow_hint(fleet: FaultFleet, victim: Path) -> None:
     victim.rename(fleet.directory / "tmp" / victim.name)
 
 
+def set_future_version(document: bytes) -> bytes:
+    return re.sub(rb'"format_version": ?\d+', b'"format_version": 99', document)
+
+
 @fault("state files of a future format_version", full=3)
 def write_future_state(fleet: FaultFleet) -> None:
-    start_pair(fleet)
-    fleet.pin_task("slam", "edge1")
+    start_tasks(fleet)
+    fleet.pin_task("slam", fleet.first)
     changed = []
     for path in sorted(fleet.state.rglob("*")):
         if path.is_file() and b'"format_version":' in (data := path.read_bytes()):
-            path.write_bytes(
-                data.replace(b'"format_version":1', b'"format_version":9').replace(
-                    b'"format_version": 1', b'"format_version": 9'
-                )
-            )
+            path.write_bytes(set_future_version(data))
             changed.append(path)
-    if not changed:
-        return
+    assert changed, "no state file has a format_version"
     fleet.apply().expect_exit(1, 64).expect_output("newer edgectl")
     fleet.check_verdict()
     for path in changed:
@@ -312,8 +281,8 @@ def write_future_state(fleet: FaultFleet) -> None:
 
 @fault("saved snapshot and plan damaged", full=3)
 def damage_saved_files(fleet: FaultFleet) -> None:
-    start_pair(fleet)
-    fleet.pin_task("slam", "edge2")
+    start_tasks(fleet)
+    fleet.pin_task("slam", fleet.second)
     snapshot, plan = fleet.directory / "saved.json", fleet.directory / "saved.plan"
     fleet.run_edgectl("probe", "--out", str(snapshot)).expect_exit(0)
     fleet.run_edgectl("plan", "--out", str(plan)).expect_exit(0, 2)
@@ -322,19 +291,15 @@ def damage_saved_files(fleet: FaultFleet) -> None:
         for _ in range(3):
             path.write_bytes(good[: fleet.random.randrange(len(good) - 2)])
             fleet.run_edgectl(*words, str(path)).expect_exit(64, 1, 75)
-        path.write_bytes(
-            good.replace(b'"format_version": 1', b'"format_version": 9').replace(
-                b'"format_version":1', b'"format_version":9'
-            )
-        )
+        path.write_bytes(set_future_version(good))
         fleet.run_edgectl(*words, str(path)).expect_exit(64, 1, 75).expect_output("version")
-    fleet.check_verdict({"slam": "edge1", "nav": "edge2"})
+    fleet.check_verdict({**fleet.expected, "slam": fleet.first})
 
 
 @fault("state directory not writable", full=2)
 def block_state_dir(fleet: FaultFleet) -> None:
     """A file stands in place of the state directory: the command is refused before any host is contacted."""
-    fleet.add_task("slam", on="edge1")
+    fleet.add_task("slam", on=fleet.first)
     fleet.state.rmdir()
     fleet.state.write_text("in the way")
     fleet.apply().expect_exit(1, 64)

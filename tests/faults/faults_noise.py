@@ -25,27 +25,28 @@ def add_shell_noise(host: Host, script: str) -> None:
     path.chmod(0o644)
 
 
-@fault("garbage before and after the document", quick=True, full=6)
+@fault("garbage before and after the document", full=6)
 def surround_replies_with_garbage(fleet: FaultFleet) -> None:
     for name, host in fleet.hosts.items():
         add_shell_noise(
-            host, NOISE[fleet.random.choice(sorted(NOISE))] if name == "edge2" else NOISE["JSON look-alikes"]
+            host,
+            NOISE[fleet.random.choice(sorted(NOISE))] if name == fleet.second else NOISE["JSON look-alikes"],
         )
-    fleet.add_task("slam", on="edge1")
-    fleet.add_task("nav", on="edge2")
+    fleet.add_task("slam", on=fleet.first)
+    fleet.add_task("nav", on=fleet.second)
     fleet.apply_and_check()
-    fleet.pin_task("slam", "edge2")
+    fleet.pin_task("slam", fleet.second)
     fleet.apply_and_check()
 
 
 @fault("endless output from a login shell", full=1)
 def flood_manager(fleet: FaultFleet) -> None:
     """One host floods the manager with output: it is abandoned in time, the other works."""
-    fleet.add_task("nav", on="edge2")
-    add_shell_noise(fleet.hosts["edge1"], "cat /dev/zero")
-    fleet.apply().expect_exit(4, within=60).expect_output("edge1")
+    fleet.add_task("nav", on=fleet.second)
+    add_shell_noise(fleet.hosts[fleet.first], "cat /dev/zero")
+    fleet.apply().expect_exit(4, within=60).expect_output(fleet.first)
     fleet.check_verdict()
-    add_shell_noise(fleet.hosts["edge1"], "")
+    add_shell_noise(fleet.hosts[fleet.first], "")
 
 
 MARKER_FILE = "edgectl-was-here"
@@ -71,20 +72,20 @@ HOSTILE = (
 def send_hostile_fields(fleet: FaultFleet) -> None:
     """Every value arrives byte by byte as written, and no shell evaluates it."""
     env = {f"HOSTILE_{number}": text for number, text in enumerate(HOSTILE)}
-    workdir = fleet.hosts["edge1"].records / f"dir '$(touch {MARKER_FILE})' \"x\""
+    workdir = fleet.hosts[fleet.first].records / f"dir '$(touch {MARKER_FILE})' \"x\""
     workdir.mkdir()
     workdir.chmod(0o777)
     inside = (
         workdir
-        if fleet.hosts["edge1"].kind == "loopback"
+        if fleet.hosts[fleet.first].kind == "loopback"
         else Path("/home/edge/oracle/records") / workdir.name
     )
     dump = 'python3 -c \'import json, os; json.dump([os.getcwd(), dict(os.environ)], open(os.path.expanduser("~/oracle/records/dump"), "w"))\'; '
-    fleet.add_task("slam", on="edge1", env=env, workdir=str(inside))
+    fleet.add_task("slam", on=fleet.first, env=env, workdir=str(inside))
     fleet.tasks["slam"]["command"] = dump + str(fleet.tasks["slam"]["command"])
     fleet.write_files()
     fleet.apply_and_check()
-    cwd, seen = json.loads((fleet.hosts["edge1"].records / "dump").read_text())
+    cwd, seen = json.loads((fleet.hosts[fleet.first].records / "dump").read_text())
     if wrong := [text for name, text in env.items() if seen.get(name) != text]:
         raise ExpectationError(f"did not arrive as written: {wrong!r}")
     if cwd != str(inside):
@@ -104,7 +105,7 @@ def check_nothing_evaluated(fleet: FaultFleet) -> None:
 @fault("hostile strings as names and addresses", full=1)
 def use_hostile_names(fleet: FaultFleet) -> None:
     """Refused with file and line before any host is contacted."""
-    fleet.add_task("nav", on="edge2")
+    fleet.add_task("nav", on=fleet.second)
     fleet.apply_and_check()
     before = oracle.read_boottime_ns()
     for text in HOSTILE[1:]:
@@ -112,10 +113,10 @@ def use_hostile_names(fleet: FaultFleet) -> None:
         fleet.write_files()
         fleet.apply().expect_exit(64)
         del fleet.tasks[text]
-        fleet.inventory["edge1"]["host"] = text
+        fleet.inventory[fleet.first]["host"] = text
         fleet.write_files()
         fleet.apply().expect_exit(0, 4, 64)
-        fleet.inventory["edge1"]["host"] = "edge1"
+        fleet.inventory[fleet.first]["host"] = fleet.first
     fleet.write_files()
     check_nothing_evaluated(fleet)
     if oracle.read_boottime_ns() < before:
@@ -125,14 +126,14 @@ def use_hostile_names(fleet: FaultFleet) -> None:
 @fault("hostile values of the host's environment", full=1)
 def set_hostile_env(fleet: FaultFleet) -> None:
     """sshd sets odd paths and Python's own variables in the session: they must not affect the agent."""
-    trap = fleet.hosts["edge1"].records / "trap"
+    trap = fleet.hosts[fleet.first].records / "trap"
     trap.mkdir()
     (trap / "json.py").write_text("raise SystemExit('poisoned')\n")
     (trap / "sitecustomize.py").write_text(f"open('/tmp/{MARKER_FILE}', 'w')\n")
-    inside = trap if fleet.hosts["edge1"].kind == "loopback" else Path("/home/edge/oracle/records/trap")
-    fleet.hosts["edge1"].set_env(
+    inside = trap if fleet.hosts[fleet.first].kind == "loopback" else Path("/home/edge/oracle/records/trap")
+    fleet.hosts[fleet.first].set_env(
         PYTHONPATH=str(inside), PYTHONSTARTUP="/nonexistent", LANG="xx_YY.no", LC_ALL="tr_TR.UTF-8", IFS="/"
     )
-    fleet.add_task("slam", on="edge1", env={"PYTHONPATH": ""})
+    fleet.add_task("slam", on=fleet.first, env={"PYTHONPATH": ""})
     fleet.apply_and_check()
-    fleet.hosts["edge1"].set_env()
+    fleet.hosts[fleet.first].set_env()

@@ -4,18 +4,18 @@ import signal
 
 from tests.faults import oracle, scan
 from tests.faults.command_result import ExpectationError
-from tests.faults.faults_two_managers import Manager, check_nothing_doubled, finish, signal_manager
+from tests.faults.faults_two_managers import check_nothing_doubled, finish
 from tests.faults.fleet import APPLY, FaultFleet, format_yaml
 from tests.faults.hosts import wait_for
 from tests.faults.link_fault import LinkFault, LinkFaultKind
+from tests.faults.manager import Manager, signal_manager
 from tests.faults.registry import ALL, fault
 
-EDGES = ("edge1", "edge2", "edge3")
 # Later than self_fence + grace + 10 s, from which a fenced task may be started elsewhere.
 REPLACED_S = 30.0
 
 
-@fault("two fleets on one login, with equal names of hosts and tasks", full=4, hosts=EDGES, kinds=ALL)
+@fault("two fleets on one login, with equal names of hosts and tasks", full=4, kinds=ALL)
 def share_a_login(fleet: FaultFleet) -> None:
     """Both change at the same time, three times; then one stops everything. No fleet touches a task of the other."""
     for task in ("slam", "nav"):
@@ -24,7 +24,7 @@ def share_a_login(fleet: FaultFleet) -> None:
     both = {**fleet.expected, "other-slam": None, "other-nav": None}
     for _ in range(3):
         for task in ("slam", "nav"):
-            fleet.pin_task(task, fleet.random.choice(EDGES))
+            fleet.pin_task(task, fleet.random.choice(fleet.edges))
         _want_elsewhere(fleet, other)
         own = fleet.start_edgectl(*APPLY)
         fleet.wait(fleet.random.uniform(0.0, 1.0))
@@ -45,7 +45,7 @@ def _want_elsewhere(fleet: FaultFleet, other: Manager) -> None:
         task: {
             **fleet.tasks[task],
             "command": str(fleet.tasks[task]["command"]).replace(f"--task {task}", f"--task other-{task}"),
-            "hosts": {"pin": fleet.random.choice(EDGES)},
+            "hosts": {"pin": fleet.random.choice(fleet.edges)},
         }
         for task in fleet.tasks
     }
@@ -55,20 +55,19 @@ def _want_elsewhere(fleet: FaultFleet, other: Manager) -> None:
 @fault(
     "supervisor killed, then the host falls silent under self_fence and replace",
     full=3,
-    hosts=EDGES,
     kinds=ALL,
 )
 def lose_an_orphan(fleet: FaultFleet) -> None:
     """An orphan does not fence itself, so it is held; its neighbour does, and is started elsewhere."""
     fenced = {"self_fence": "10s", "on_unreachable": {"policy": "replace", "after": "10s"}}
-    fleet.add_task("slam", on="edge1", **fenced)
-    fleet.add_task("nav", on="edge1", **fenced)
+    fleet.add_task("slam", on=fleet.first, **fenced)
+    fleet.add_task("nav", on=fleet.first, **fenced)
     fleet.apply_and_check()
     fleet.pin_task("slam", None)
     fleet.pin_task("nav", None)
     _kill_supervisor(fleet, "slam")
     fleet.run_edgectl("status").expect_output("orphaned")
-    relay = fleet.get_relay("edge1")
+    relay = fleet.get_relay(fleet.first)
     relay.set(LinkFault(kind=LinkFaultKind.REFUSE))
     for _ in range(6):
         fleet.wait(REPLACED_S / 6)
@@ -78,7 +77,7 @@ def lose_an_orphan(fleet: FaultFleet) -> None:
         task: [life.host for life in lives]
         for task, lives in oracle.group_by_task(oracle.list_lifetimes(fleet.records)).items()
     }
-    if hosts["slam"] != ["edge1"] or set(hosts["nav"]) == {"edge1"}:
+    if hosts["slam"] != [fleet.first] or set(hosts["nav"]) == {fleet.first}:
         raise ExpectationError(f"the orphan was replaced, or its neighbour was not: {hosts}")
     relay.heal()
 
@@ -86,7 +85,7 @@ def lose_an_orphan(fleet: FaultFleet) -> None:
 def _kill_supervisor(fleet: FaultFleet, task: str) -> None:
     (main,) = [
         each
-        for each in fleet.hosts["edge1"].processes()
+        for each in fleet.hosts[fleet.first].processes()
         if fleet.mark in each.command and f"--task {task} " in each.command
     ]
     supervisor = scan.read_process(main.parent)
@@ -95,13 +94,11 @@ def _kill_supervisor(fleet: FaultFleet, task: str) -> None:
     wait_for(lambda: not supervisor.alive, "the end of the supervisor")
 
 
-@fault(
-    "a host hangs while a watch samples it, tasks elsewhere fence themselves", full=2, hosts=EDGES, kinds=ALL
-)
+@fault("a host hangs while a watch samples it, tasks elsewhere fence themselves", full=2, kinds=ALL)
 def hang_while_sampling(fleet: FaultFleet) -> None:
-    for number, edge in enumerate(EDGES):
-        fleet.add_task(f"t{number}", on=edge, self_fence="12s")
-    relay = fleet.get_relay("edge1")
+    for number, edge in enumerate(fleet.edges):
+        fleet.add_task(f"t{number}", on=edge, self_fence="10s")
+    relay = fleet.get_relay(fleet.first)
     fleet.apply().expect_exit(0)
     watch = fleet.start_edgectl("watch", "--apply", "--every", "2s")
     for _ in range(2):

@@ -8,6 +8,7 @@ from contextlib import suppress
 from tests.faults.faults_manager import kill_manager
 from tests.faults.fleet import APPLY, FaultFleet, OracleError, repair_fleet
 from tests.faults.link_fault import LinkFault, LinkFaultKind
+from tests.faults.manager import Manager
 from tests.faults.oracle import OracleVerdict
 from tests.faults.registry import fault
 
@@ -21,12 +22,12 @@ def edit_tasks(fleet: FaultFleet) -> None:
     if name in fleet.tasks and fleet.random.random() < 0.3:
         fleet.remove_task(name)
     elif name in fleet.tasks:
-        fleet.pin_task(name, fleet.random.choice(["edge1", "edge2"]))
+        fleet.pin_task(name, fleet.random.choice(fleet.edges))
     else:
         fleet.add_task(
             name,
             *fleet.random.choice([(), ("--with", "daemon"), ("--deaf",)]),
-            on=fleet.random.choice(["edge1", "edge2"]),
+            on=fleet.random.choice(fleet.edges),
             stop={"grace": "1s"},
         )
 
@@ -48,7 +49,7 @@ def kill_random_process(fleet: FaultFleet) -> None:
 
 def lose_random_host(fleet: FaultFleet) -> None:
     """Cut the power or the link of a host during an apply."""
-    name = fleet.random.choice(["edge1", "edge2"])
+    name = fleet.random.choice(fleet.edges)
     running = fleet.start_edgectl(*APPLY)
     fleet.wait(fleet.random.uniform(0.0, 2.0))
     harmed = [word for bystander in fleet.bystanders for word in bystander.list_harm()]
@@ -65,8 +66,16 @@ def lose_random_host(fleet: FaultFleet) -> None:
     ]
 
 
+def let_other_manager_act(fleet: FaultFleet) -> None:
+    """Another manager, with a state and wishes of its own, moves the tasks."""
+    converge(fleet)
+    other = Manager(fleet=fleet, name="ben")
+    other.want_at_random()
+    other.run(*APPLY).expect_exit(0)
+
+
 def cut_random_link(fleet: FaultFleet) -> None:
-    relay = fleet.get_relay(fleet.random.choice(["edge1", "edge2"]))
+    relay = fleet.get_relay(fleet.random.choice(fleet.edges))
     relay.set(
         LinkFault(
             kind=fleet.random.choice([LinkFaultKind.CUT_RST, LinkFaultKind.CUT_FIN]),
@@ -83,6 +92,7 @@ EVENTS: tuple[Callable[[FaultFleet], None], ...] = (
     kill_random_process,
     lose_random_host,
     cut_random_link,
+    let_other_manager_act,
 )
 
 

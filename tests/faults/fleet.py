@@ -28,6 +28,7 @@ from tests.pace import patience
 
 EDGECTL = Path(sys.executable).with_name("edgectl")
 APPLY = ("apply", "--yes")
+FLEET = "faults"
 
 
 def format_yaml(document: object) -> str:
@@ -39,13 +40,14 @@ def format_yaml(document: object) -> str:
 class EdgectlVariant:
     """Variant of edgectl under test.
 
-    ``code``: directory of another edgectl package; ``connection``: how it reaches the hosts; ``sample``: kill
-    at a few random failpoints instead of all.
+    ``code``: directory of another edgectl package; ``connection``: how it reaches the hosts; ``sample``: one round
+    of a fault that has several; ``points``: kill at so many random failpoints of a command (None: at all of them).
     """
 
     code: Path | None = None
     connection: str = "ssh"
     sample: bool = False
+    points: int | None = None
 
 
 @dataclass(kw_only=True)
@@ -69,6 +71,7 @@ class FaultFleet:
     code: Path | None = None
     connection: str = "ssh"
     sample: bool = False
+    points: int | None = None
     kill_at: int | None = None
     injected: int = 0
     stack: ExitStack = field(default_factory=ExitStack)
@@ -86,6 +89,24 @@ class FaultFleet:
                 **({"runtime": "systemd"} if self.hosts[name].kind == "systemd" else {}),
             }
         self.write_files()
+
+    # Hosts, by the order of their start
+
+    @property
+    def edges(self) -> list[str]:
+        return list(self.hosts)
+
+    @property
+    def first(self) -> str:
+        return self.edges[0]
+
+    @property
+    def second(self) -> str:
+        return self.edges[1]
+
+    @property
+    def third(self) -> str:
+        return self.edges[2]
 
     # Expected tasks
 
@@ -126,7 +147,8 @@ class FaultFleet:
 
     def write_files(self) -> None:
         """Write the files of edgectl and ssh."""
-        (self.directory / "inventory.yaml").write_text(format_yaml({"version": 1, "edges": self.inventory}))
+        inventory = {"version": 1, "fleet": FLEET, "edges": self.inventory}
+        (self.directory / "inventory.yaml").write_text(format_yaml(inventory))
         # The default of ``up`` would cost each start 3 s.
         tasks = {name: {"up": "300ms", **task} for name, task in self.tasks.items()}
         (self.directory / "tasks.yaml").write_text(format_yaml({"version": 1, "tasks": tasks}))
@@ -416,6 +438,7 @@ def open_fleet(
             code=variant.code,
             connection=variant.connection,
             sample=variant.sample,
+            points=variant.points,
         )
         stack.callback(lambda: scan.kill_processes(scan.list_marked_processes(fleet.mark)))
         yield fleet

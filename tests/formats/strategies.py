@@ -36,6 +36,7 @@ from edgectl.model.snapshot import (
     TaskSample,
     TaskState,
 )
+from edgectl.model.text import clean_text
 
 T = TypeVar("T")
 
@@ -88,17 +89,19 @@ task_samples = st.builds(
 interfaces = st.builds(
     InterfaceSample, rx_bytes_per_s=amounts, tx_bytes_per_s=amounts, speed_bytes_per_s=optional_of(amounts)
 )
+# What a host reports of others is made printable when it is read.
+reported_texts = texts.map(clean_text)
 other_tasks = st.builds(
     OtherTask,
-    fleet=texts,
+    fleet=reported_texts,
     host=names,
     task=names,
     state=st.sampled_from(TaskState),
-    started_by=texts,
-    age_s=amounts,
-    instance=texts,
-    spec_hash=texts,
-    generation=counts,
+    started_by=reported_texts,
+    age_s=st.floats(min_value=0, max_value=1e8),
+    instance=reported_texts,
+    spec_hash=reported_texts,
+    generation=st.integers(0, 2**31),
 )
 devices = st.builds(
     DeviceSample,
@@ -129,6 +132,7 @@ hosts = st.builds(
     foreign_tasks=st.lists(other_tasks, max_size=2).map(tuple),
     grant=counts,
     foreign_grant=counts,
+    foreign_hosts=st.lists(texts, max_size=2).map(tuple),
 ) | st.builds(
     HostSample,
     role=st.sampled_from(Role),

@@ -67,7 +67,7 @@ OTHER = OtherTask(
 HOST = HostSample(
     role=Role.ROBOT, status=HostStatus.UNREACHABLE, error="e", error_kind="k", hint="h", sample_age_s=1.5, resident=True, usage={"cpu": CPU_USE, "memory": MEMORY_USE},
     links={"r": LINK}, tasks={"t": TASK}, device=DEVICE, generations={"t": 9},
-    other_tasks=(OTHER,), foreign_tasks=(OTHER,), address="a", machine="m", grant=4, foreign_grant=3,
+    other_tasks=(OTHER,), foreign_tasks=(OTHER,), address="a", machine="m", grant=4, foreign_grant=3, foreign_hosts=("x",),
 )  # fmt: skip
 PLACEMENT = Placement(
     host="h", since=1.0, spec_hash="s", generation=2, file="f", address="a", machine="m", instance="i"

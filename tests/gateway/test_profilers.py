@@ -22,7 +22,7 @@ def test_every_field_is_taken_over() -> None:
     found = profilers.decode_profiler("edge1", a_reply())
     assert (found.host, found.state, found.pid, found.age) == ("edge1", ProfilerState.RUNNING, 71, 60.5)
     assert (found.every, found.period, found.samples, found.sample_age) == (1.0, 2.0, 30, 0.4)
-    assert (found.used_cores, found.used_bytes, found.ttl, found.ttl_left, found.current) == (
+    assert (found.used["cpu"], found.used["memory"], found.ttl, found.ttl_left, found.current) == (
         0.002,
         11e6,
         3600.0,

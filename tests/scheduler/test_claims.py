@@ -102,7 +102,7 @@ def test_what_does_not_count_and_what_is_taken_over_is_told() -> None:
     ]
     lost = a_snapshot(a=RUNS, evil=GONE)
     assert list(describe_claims(inventory, tasks, lost, ManagerState())) == [
-        "a runs slam, which no record here places there: it is taken over"
+        "a runs slam, but no record here places it there: it is taken over"
     ]
     earlier = a_sample(tasks={"slam": a_run(TaskState.COMPLETED, generation=4, spec_hash=HASH)})
     assert list(describe_claims(inventory, tasks, a_snapshot(a=RUNS, evil=earlier), known)) == []

@@ -1,4 +1,6 @@
-"""Silent hosts on which another manager may have placed a task since this one last saw all hosts (ADR 0055)."""
+"""Hosts on which another manager may have placed a task since this one last saw all hosts: silent ones (ADR 0055), and
+those that the inventory lacks (ADR 0068).
+"""
 
 from dataclasses import replace
 from typing import Any
@@ -92,3 +94,23 @@ def test_a_manager_that_has_noted_what_runs_on_all_hosts_is_up_to_date(
     after = update_manager_state(plan.snapshot.manager or ManagerState(), plan, TASKS, NOTHING, {}, NOW)
     assert after.synced == synced
     assert after.placements["slam"].host == "edge2"
+
+
+@pytest.mark.parametrize(
+    ("foreign", "run", "action"),
+    [(5, {}, Action.HOLD), (4, {}, Action.START), (5, {"generation": 5}, Action.KEEP)],
+)
+def test_a_task_that_may_run_on_a_host_that_only_another_manager_has_is_held(
+    foreign: int, run: dict[str, Any], action: Action
+) -> None:
+    hosts = {"edge1": replace(answering(foreign, **run), foreign_hosts=("edge3",)), "edge2": a_sample()}
+    plan = plan_with(None, hosts)
+    (step,) = plan.steps
+    assert step.action is action
+    memory = plan.snapshot.manager or ManagerState()
+    assert update_manager_state(memory, plan, TASKS, NOTHING, {}, NOW).synced == SYNCED
+    if action is Action.HOLD:
+        assert describe_reason(step) == (
+            "hold: may run on edge3, which another manager of this fleet has and this inventory lacks: add edge3, "
+            "then edgectl fence edge3 if it is off"
+        )

@@ -2,9 +2,10 @@
 
 The hosts decide by the agent's own rules of the lease (``lease_rules``), each on its own clock; the managers sign by
 their own lease (``FleetLease``). Everything else is a model of few lines: a manager claims all hosts that it
-reaches, looks, moves every task to where it wants it, and gives the fleet back. Between any two requests the other
-manager may act, a host may reboot, a manager may freeze past its lease, die, or lose sight of a host. The judge
-counts the living instances of each task after every step.
+has, looks, moves every task to where it wants it, and gives the fleet back. In half of the fleets one manager has a
+host that the other lacks; then the agent's and the manager's own rules of ADR 68 say what is held. Between any two
+requests the other manager may act, a host may reboot, a manager may freeze past its lease or die. The judge counts
+the living instances of each task after every step.
 """
 
 import argparse
@@ -12,9 +13,15 @@ import random
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import cast
 
 from edgectl.agent.supervise import lease_rules
 from edgectl.errors import RefusedError
+from edgectl.gateway.host_probe import drop_known_hosts
+from edgectl.model.inventory import Role
+from edgectl.model.manager_state import ManagerState
+from edgectl.model.snapshot import HostSample, HostStatus
+from edgectl.rules.other_managers import is_up_to_date, list_unlisted_hosts
 from edgectl.transport.fleet_lease import FleetLease
 
 HOSTS, TASKS, LEASE_S = ("edge1", "edge2", "edge3"), ("t0", "t1"), 30.0
@@ -33,6 +40,7 @@ class SimulatedHost:
     boots: int = 1
     record: _Document = field(default_factory=dict)
     tasks: set[str] = field(default_factory=set)
+    listings: dict[str, _Document] = field(default_factory=dict)
 
     def reboot(self, now: float) -> None:
         """Begin a new uptime; nothing lives any more."""
@@ -44,7 +52,20 @@ class SimulatedHost:
         if refusal is not None:
             return refusal
         self.record = lease_rules.build_grant(self.record, claim, now + self.offset, f"boot{self.boots}")
+        holder = str(claim["holder"])
+        self.listings[holder] = lease_rules.build_listing(self.listings.get(holder, {}), claim)
         return {"state": "granted", "epoch": self.record["epoch"]}
+
+    def measure(self, holder: str) -> HostSample:
+        """What this manager is told of the grants, as a probe tells it."""
+        told = lease_rules.merge_listings(list(self.listings.values()), holder)
+        return HostSample(
+            role=Role.EDGE,
+            status=HostStatus.OK,
+            grant=cast("int", self.record["epoch"]),
+            foreign_grant=lease_rules.find_other_epoch(self.record, holder),
+            foreign_hosts=tuple(told["hosts"]),
+        )
 
     def change(self, signature: _Document, now: float) -> None:
         """Accept a changing request, which renews the lease."""
@@ -66,6 +87,8 @@ class Simulation:
         self.now = 1000.0
         self.hosts = {name: SimulatedHost(offset=self.random.uniform(0, 1e5)) for name in HOSTS}
         self.changes = 0
+        lacks = self.random.choice(("", *HOSTS)) if self.random.random() < 0.5 else ""
+        self.inventories = {"ana": HOSTS, "ben": tuple(host for host in HOSTS if host != lacks)}
 
     def run(self) -> int:
         """Interleave two managers, each with some runs; the number of changes on hosts."""
@@ -98,25 +121,37 @@ class Simulation:
         for number in range(4):
             session = f"{name}-{number}"
             lease = FleetLease(
-                holder=name, session=session, who=name, verb="apply", clock=lambda: self.now, ttl_s=LEASE_S
+                holder=name,
+                session=session,
+                who=name,
+                verb="apply",
+                clock=lambda: self.now,
+                ttl_s=LEASE_S,
+                hosts=self.inventories[name],
             )
             try:
-                yield from self.apply(lease)
+                yield from self.apply(name, lease)
             except RefusedError:
                 yield "refused"
 
-    def apply(self, lease: FleetLease) -> Iterator[str]:
+    def apply(self, name: str, lease: FleetLease) -> Iterator[str]:
         """Claim, look, move what is not where this manager wants it, release."""
         seen: dict[str, set[str]] = {}
-        for host in HOSTS:
+        samples: dict[str, HostSample] = {}
+        hosts = self.inventories[name]
+        for host in hosts:
             claim = lease.build_claim(host)
             yield "claim sent"
             lease.take_reply(host, self.hosts[host].claim(claim, self.now))
             seen[host] = set(self.hosts[host].tasks)
+            if not lease.refusals:
+                samples[host] = drop_known_hosts(self.hosts[host].measure(name), set(hosts))
             yield "claimed"
         if not lease.refusals and self.random.random() > 0.05:  # else it dies with its lease
+            held = list_unlisted_hosts(samples) and not is_up_to_date(ManagerState(), samples)
             for task in TASKS:
-                yield from self.move(lease, task, seen)
+                if any(task in tasks for tasks in seen.values()) or not held:
+                    yield from self.move(lease, task, seen)
         elif not lease.refusals:
             return
         for host in lease.list_granted():
@@ -124,8 +159,8 @@ class Simulation:
             yield "released"
 
     def move(self, lease: FleetLease, task: str, seen: dict[str, set[str]]) -> Iterator[str]:
-        wanted = self.random.choice(HOSTS)
-        places = [host for host in HOSTS if task in seen[host]]
+        wanted = self.random.choice(sorted(seen))
+        places = [host for host in seen if task in seen[host]]
         if places == [wanted]:
             return
         for host in places:

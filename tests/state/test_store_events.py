@@ -8,7 +8,8 @@ from edgectl.model.plan import Action
 from edgectl.model.resource import Usage
 from edgectl.model.result import ActionResult, Outcome, Phase, PhaseResult, Results
 from edgectl.model.snapshot import DeviceSample, HostSample, HostStatus, Snapshot, TaskSample, TaskState
-from edgectl.state.store_events import KnownFleet, KnownHost, KnownTask, detect_events, detect_result_events
+from edgectl.state.store_action_events import detect_result_events
+from edgectl.state.store_events import KnownFleet, KnownHost, KnownTask, detect_events
 from tests.builders import NOW, a_sample, silent
 
 NOTHING = KnownFleet()

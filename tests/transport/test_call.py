@@ -32,8 +32,10 @@ class ScriptedSession:
         self._answer = answer
 
     def run(self, command: str, stdin: bytes, *, timeout: float, limit: int = 1 << 20) -> Reply:
-        length, _, rest = stdin.partition(b"\n")
-        marker = rest[int(length) :].split(b" ", 1)[0].decode()
+        for _ in range(2):  # programs
+            length, _, rest = stdin.partition(b"\n")
+            stdin = rest[int(length) :]
+        marker = stdin.split(b" ", 1)[0].decode()
         answer = self._answer(marker)
         return answer if isinstance(answer, Reply) else Reply(stdout=answer, stderr=b"", status=0)
 

@@ -54,7 +54,7 @@ def test_stream_yields_as_it_comes_and_ends_with_the_command() -> None:
 
 
 def test_silent_stream_meets_its_deadline() -> None:
-    with pytest.raises(DeadlineError, match=r"nothing came for 0.2 s"):
+    with pytest.raises(DeadlineError, match=r"no output for 0.2 s"):
         list(LocalSession("edge1").stream("sleep 600", b"", idle_timeout=0.2))
 
 

@@ -16,7 +16,8 @@ from edgectl.model.resource import Usage
 from edgectl.model.snapshot import HostSample, HostStatus, TaskState
 from edgectl.tui.app import FleetBackend, TopApp
 from edgectl.tui.rows import Frame
-from edgectl.views.top import group_points_by_host, group_points_by_task
+from edgectl.views.top_hosts import group_points_by_host
+from edgectl.views.top_tasks import group_points_by_task
 from tests.builders import GI, NOW, a_run, a_sample, a_snapshot, a_task, an_edge, an_inventory, some_tasks
 from tests.pace import patience
 

@@ -158,18 +158,18 @@ def test_cordon_asks_first() -> None:
     async def act(pilot: Pilot[None], view: TopApp) -> None:
         for answer in ("n", "escape", "enter", "y"):
             await pilot.press("c")
-            await until(pilot, view, "Close edge1 to new tasks?")
+            await until(pilot, view, "Cordon edge1?")
             assert bench.asked == []
             await pilot.press(answer)
-            await until(pilot, view, "Close edge1 to new tasks?", gone=True)
-        await until(pilot, view, "edge1 is closed to new tasks")
+            await until(pilot, view, "Cordon edge1?", gone=True)
+        await until(pilot, view, "edge1 cordoned")
         assert bench.asked == ["cordon edge1"]
         bench.next(view, a_frame(frozenset({"edge1"})))
         await until(pilot, view, "cordoned")
         await pilot.press("c")
-        await until(pilot, view, "Open edge1 again?")
+        await until(pilot, view, "Uncordon edge1?")
         await pilot.press("y")
-        await until(pilot, view, "edge1 is open again")
+        await until(pilot, view, "edge1 uncordoned")
 
     session(bench, act)
     assert bench.asked == ["cordon edge1", "uncordon edge1"]
@@ -211,7 +211,7 @@ def test_quit_waits_for_no_host() -> None:
     bench = Bench(hang=threading.Event())
 
     async def act(pilot: Pilot[None], view: TopApp) -> None:
-        assert "first look" in shown(view)
+        assert "measuring" in shown(view)
         await pilot.press("q")
         assert not view.is_running
 

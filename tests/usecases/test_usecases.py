@@ -106,6 +106,32 @@ def test_one_apply_at_a_time(bench: Bench) -> None:
         plan_and_apply(bench.fleet, POLICY)
 
 
+def test_another_manager_on_a_host_is_named_with_the_time_until_it_is_free(bench: Bench) -> None:
+    """Also where that manager froze and the host counts its lease longer: apply waits only if it is told to."""
+    answer, left = bench.hosts["edge1"]._probe, [5.0, 5.0, 0.0]
+
+    def probe(request: dict[str, object]) -> dict[str, object]:
+        left_s = left.pop(0)
+        held = {
+            "state": "held",
+            "who": "ana@lab",
+            "verb": "apply",
+            "age_s": 33.0,
+            "left_s": left_s,
+            "every_s": 0.0,
+        }
+        return {**answer(request), **({"lease": held} if left_s else {})}
+
+    bench.hosts["edge1"].faults["probe"] = probe
+    expected = r"ana@lab \(apply, for 33s, free in 5.0s unless renewed\) holds this fleet on edge1"
+    with pytest.raises(LockBusyError, match=expected):
+        plan_and_apply(bench.fleet, POLICY)
+    applied = plan_and_apply(bench.fleet, POLICY, options=ApplyOptions(lock_timeout=60.0))
+    assert applied.results is not None
+    assert applied.results.done
+    assert left == []
+
+
 def test_load_elsewhere_moves_a_task_after_its_dwell(bench: Bench) -> None:
     plan_and_apply(bench.fleet, POLICY)
     first = bench.hosts.placed["slam"]

@@ -318,7 +318,7 @@ def test_usage_above_the_declaration_is_told_once_with_what_mends_it(tmp_path: P
     site = WatchSite(tmp_path, tasks=some_tasks(a_task("slam", cpu=0.01)))
     events = [event for c in site.watch(6) for event in c.events if event.kind is EventKind.TASK_OVERUSE]
     assert [(event.task, event.message) for event in events] == [
-        ("slam", "uses 0.10 cores of cpu, declares 10m; edgectl profile slam --write")
+        ("slam", "uses 0.10 cores of cpu, declares 0.010 cores; edgectl profile slam --write")
     ]
 
 

@@ -86,7 +86,7 @@ def test_the_table_has_a_note_for_each_thing_to_know() -> None:
     assert notes == [
         "note: demand measured (p95): slam cpu and memory (n=412)",
         "note: demand unknown, 0 until it is measured: map cpu (n=12)",
-        "note: percent demands mean different amounts on unlike hosts: old cpu 35.2% is 1.41 cores on edge1, 2.82 on edge2",
+        "note: percent demands mean different amounts on unlike hosts: old cpu 35.2% is 1.41 cores on edge1, 2.82 cores on edge2",
     ]
     assert "<details><summary>Demands</summary>" in render_view(PlanView(a_plan()), OutputFormat.MARKDOWN)
 
@@ -103,7 +103,7 @@ def test_long_lists_are_cut_and_fit_the_terminal() -> None:
     plan = a_plan()
     many = replace(plan, demand_spreads=plan.demand_spreads * 9)
     text = show(PlanView(many), look=RenderOptions(width=80))
-    assert "and 5 more" in text
+    assert "and 5 more" in " ".join(text.split())
     assert max(map(len, text.splitlines())) <= 80
 
 

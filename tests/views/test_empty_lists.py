@@ -12,7 +12,7 @@ from edgectl.views.output import ListView, render_view
 from edgectl.views.output_format import OutputFormat
 from edgectl.views.profile import ProfileView
 from edgectl.views.status import StatusView
-from edgectl.views.top import TopTasksView
+from edgectl.views.top_tasks import TopTasksView
 from tests.builders import a_snapshot, an_edge, an_inventory, some_tasks
 
 SNAPSHOT = a_snapshot(memory=ManagerState())

@@ -29,7 +29,8 @@ from edgectl.views.results import DrainView, ResultsView
 from edgectl.views.snapshot import SnapshotView
 from edgectl.views.status import StatusView
 from edgectl.views.text import RenderOptions
-from edgectl.views.top import TopHostsView, TopTasksView
+from edgectl.views.top_hosts import TopHostsView
+from edgectl.views.top_tasks import TopTasksView
 from edgectl.views.validation import ValidationView, VersionView
 from tests.views.fixtures import fleet, plan, show
 

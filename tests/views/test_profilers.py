@@ -6,6 +6,7 @@ from dataclasses import replace
 import yaml
 
 from edgectl.model.profiler import Profiler, ProfilerState
+from edgectl.model.resource import Usage
 from edgectl.views.output import render_view
 from edgectl.views.output_format import OutputFormat
 from edgectl.views.profilers import ProfilersView
@@ -14,7 +15,7 @@ from tests.views.fixtures import show
 
 RUNNING = Profiler(
     host="edge1", state=ProfilerState.RUNNING, pid=32101, age=3725.0, every=1.0, period=1.0, samples=3725, sample_age=0.41,
-    used_cores=0.0023, used_bytes=11 << 20, ttl=3600.0, ttl_left=3599.2,
+    used=Usage(cpu=0.0023, memory=11 << 20), ttl=3600.0, ttl_left=3599.2,
 )  # fmt: skip
 FOUND = (
     RUNNING,

@@ -13,7 +13,8 @@ from edgectl.model.task import Check, Demand, Quantity
 from edgectl.views.output import render_view
 from edgectl.views.output_format import OutputFormat
 from edgectl.views.text import RenderOptions
-from edgectl.views.top import TopHostsView, TopTasksView
+from edgectl.views.top_hosts import TopHostsView
+from edgectl.views.top_tasks import TopTasksView
 from tests.builders import (
     GI,
     NOW,

@@ -6,13 +6,9 @@ costs more than that share of its period, the period grows. It ends when no requ
 its directory is removed or taken by another profiler, and by SIGTERM; nothing of it is left then.
 """
 
+import _signal as signal
 import os
 import time
-
-try:
-    import _signal as signal
-except ImportError:
-    import signal
 
 from ..link import fast_json, heartbeat
 from ..link.fast_json import Document

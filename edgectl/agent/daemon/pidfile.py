@@ -67,7 +67,7 @@ def write_pidfile(folder: str, known: Document) -> None:
 
 
 def write_end(folder: str, why: str) -> None:
-    """Record the reason of the end; empty: it was asked to end."""
+    """Record the reason of the end; empty: it ended on request."""
     try:
         records.write_record(os.path.join(folder, _RECORD), {"ended": why[:500]})
     except (OSError, ValueError):
@@ -75,7 +75,7 @@ def write_end(folder: str, why: str) -> None:
 
 
 def read_end_reason(host: str) -> str:
-    """Read the reason of the last profiler's end; empty where it was asked to end, or there was none."""
+    """Read the reason of the last profiler's end; empty where it ended on request, or there was none."""
     for folder in list_folders(host):
         known = records.read_record(os.path.join(folder, _RECORD))
         if known:
@@ -153,7 +153,7 @@ def build_probe_spec(request: Document) -> Document:
     agent.
     """
     return {
-        "agent": os.path.basename(getattr(sys.modules[__name__].__loader__, "root", "")),
+        "agent": getattr(sys.modules[__name__].__loader__, "sha", ""),
         "links": {str(link["robot"]): str(link["address"]) for link in request.get("links") or []},
         "detect": {
             str(rule["task"]): {name: str(text) for name, text in rule.items()}

@@ -1,22 +1,23 @@
 """Boot program: load the agent from its cache or from standard input, check its hash, run one request.
 
-The text of this file is sent on standard input after the constant command line, so it may import the standard
-library only. Input: ``length newline boot-text``, then one line ``marker sha256 request-length agent-length
-timeout key``, the request, the agent. Output: one frame with the request's random marker, a length and a
-digest; anything else that a login shell prints is noise.
+The text of this file is sent on standard input after that of ``stub.py``, which runs it in its own namespace,
+so it may import the standard library only. Input: ``length newline stub-text length newline boot-text``, then
+one line ``marker sha256 request-length agent-length timeout key operation``, the request, the agent. Output:
+one frame with the request's random marker, a length and a digest; anything else that a login shell prints is
+noise.
 """
 
+# Module signal imports enum: 4 ms of CPU.
+import _signal as signal
 import os
 import stat
 import sys
-from importlib import import_module
-from importlib.machinery import ModuleSpec, SourceFileLoader
 
 try:
-    # Module signal imports enum: 4 ms of CPU.
-    from _signal import ITIMER_REAL, setitimer
+    # Packages importlib and importlib.machinery: 1 ms.
+    from _frozen_importlib import ModuleSpec
 except ImportError:
-    from signal import ITIMER_REAL, setitimer
+    from importlib.machinery import ModuleSpec
 try:
     # Module hashlib loads OpenSSL: another 4 ms. The bare module is _sha2 since Python 3.12, _sha256 before.
     from _sha2 import sha256 as _new_sha256
@@ -28,15 +29,18 @@ except ImportError:
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from typing import BinaryIO
+    from typing import Any, BinaryIO, Dict, List, Optional, Tuple
+
+    # Inode, size, and times of modification and of change of a file, in ns.
+    Fingerprint = Tuple[int, ...]
+    # Code by the name of its module, None for a package; and the fingerprint that the agent's file had when
+    # its hash was checked.
+    Bundle = Dict[str, Any]
 
 PACKAGE = "edgectl_agent"
+# The key of a bundle that is no module.
+FINGERPRINT = ""
 OLDEST_PYTHON = (3, 6)
-AGENT_KEPT_S = 30 * 86400
-# Hexadecimal digits of a seal.
-SEAL_LENGTH = 64
-# Root of the agent's modules where no directory can keep the agent: a path that cannot exist.
-NO_FOLDER = "/dev/null/edgectl"
 
 
 def compute_sha256(data: bytes) -> str:
@@ -69,15 +73,6 @@ class Channel:
         self.write(head.encode() + payload + b"\n")
 
 
-def list_state_bases() -> "list[str]":
-    """List the state directories of this host, best first; the second is for homes that cannot be written."""
-    base = os.environ.get("EDGECTL_STATE_DIR")
-    if not base:
-        root = os.environ.get("XDG_STATE_HOME") or os.path.join(os.path.expanduser("~"), ".local", "state")
-        base = os.path.join(root, "edgectl")
-    return [os.path.abspath(base), "/dev/shm/edgectl-%d" % os.geteuid()]  # noqa: S108 - its owner and mode are checked before use
-
-
 def make_private_dir(path: str) -> None:
     """Create ``path`` as a directory of this user alone.
 
@@ -99,78 +94,90 @@ def check_private_dir(path: str) -> None:
         os.chmod(path, 0o700)
 
 
-def make_agent_dir(base: str) -> str:
-    """Create the directory of cached agents under ``base``."""
-    make_private_dir(base)
-    path = os.path.join(base, "agent")
-    make_private_dir(path)
-    return path
-
-
-def read_cached_agent(sha: str) -> "tuple[str | None, bytes]":
+def read_cached_agent(bases: "List[str]", sha: str, bundle: "Bundle") -> "Tuple[Optional[str], bytes]":
     """Read (directory, bytes) of the agent cached under its hash.
 
-    (None, b"") where it is missing or was changed.
+    (None, b"") where it is missing or was changed. The hash is not computed where ``bundle`` knows the
+    present fingerprint of the file: a change of the file changes a time in its inode, which no user can set.
+    An old fingerprint is removed.
     """
-    for base in list_state_bases():
+    for base in bases:
+        folder = os.path.join(base, "agent")
         try:
-            if not os.path.isdir(os.path.join(base, "agent")):
-                continue
-            folder = make_agent_dir(base)
-            fd = os.open(os.path.join(folder, sha + ".pyz"), os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
-            with open(fd, "rb") as file:
-                agent = file.read()
+            check_private_dir(base)
+            check_private_dir(folder)
+            agent, fingerprint = read_file(os.path.join(folder, sha + ".pyz"))
         except OSError:
             continue
+        if fingerprint == bundle.get(FINGERPRINT):
+            return folder, agent
+        bundle.pop(FINGERPRINT, None)
         if compute_sha256(agent) == sha:
             return folder, agent
     return None, b""
 
 
-def cache_agent(sha: str, agent: bytes) -> "str | None":
-    """Write the agent for the next request; returns its directory, or None where nothing can be written."""
-    for base in list_state_bases():
-        try:
-            folder = make_agent_dir(base)
-            final = os.path.join(folder, sha + ".pyz")
-            partial = "%s.%d" % (final, os.getpid())
-            fd = os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
-        except OSError:
-            continue
-        try:
-            with open(fd, "wb") as file:
-                file.write(agent)
-            os.rename(partial, final)
-        except OSError:
-            remove_file(partial)
-        else:
-            remove_old_agents(folder)
-            return folder
-    return None
+def read_file(path: str) -> "Tuple[bytes, Fingerprint]":
+    """Read a file that is no link. Raises OSError."""
+    fd = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
+    with open(fd, "rb") as file:
+        info = os.fstat(fd)
+        return file.read(), (info.st_ino, info.st_size, info.st_mtime_ns, info.st_ctime_ns)
 
 
-def remove_old_agents(folder: str) -> None:
-    """Remove agents that were not sent for 30 days: a new version leaves its predecessor behind."""
-    import shutil
-    import time
+class AgentImporter:
+    """Finder and loader of the agent's modules for ``sys.meta_path``.
 
-    for name in os.listdir(folder):
-        path = os.path.join(folder, name)
-        try:
-            old = os.lstat(path).st_mtime < time.time() - AGENT_KEPT_S
-        except OSError:
-            # Another agent has just renamed or removed it.
-            continue
-        if old:
-            shutil.rmtree(path, ignore_errors=True) if os.path.isdir(path) else remove_file(path)
+    ``bundle`` grows by what is compiled from ``agent``, whose hash was or will be checked.
+    """
 
+    def __init__(self, sha: str, key: str, agent: bytes, bundle: "Bundle") -> None:
+        self.sha, self.key, self.agent, self.bundle = sha, key, agent, bundle
+        # Code that other operations have compiled.
+        self.spare: "Bundle" = {}
+        self.sources: "Dict[str, bytes]" = {}
 
-def remove_file(path: str) -> None:
-    """Remove a file where it exists."""
-    try:
-        os.unlink(path)
-    except OSError:
-        pass
+    def find_spec(self, name: str, _path: object = None, _target: object = None) -> "Optional[ModuleSpec]":
+        """Find the spec of a module of the agent; None for any other module."""
+        if name.split(".")[0] != PACKAGE:
+            return None
+        if name not in self.bundle and not self.compile_module(name):
+            return None
+        # Packages of the agent have no code, so nothing is loaded: 0.1 to 0.2 ms of CPU each.
+        package = self.bundle[name] is None
+        return ModuleSpec(name, None if package else self, is_package=package)  # type: ignore[arg-type]
+
+    def create_module(self, _spec: ModuleSpec) -> None:
+        """Leave the creation to Python."""
+
+    def exec_module(self, module: "Any") -> None:
+        """Run the code of a module."""
+        exec(self.bundle[module.__name__], module.__dict__)  # noqa: S102 - its seal or hash was checked
+
+    def load(self, name: str) -> "Any":
+        """Import a module by its name in the agent."""
+        __import__(PACKAGE + "." + name)
+        return sys.modules[PACKAGE + "." + name]
+
+    def read_sources(self) -> "Dict[str, bytes]":
+        """Read file name -> source of the agent. ImportError where its hash is another."""
+        if not self.sources:
+            if compute_sha256(self.agent) != self.sha:
+                raise ImportError("the agent is damaged on this host")
+            self.sources = read_archive(self.agent)
+        return self.sources
+
+    def compile_module(self, name: str) -> bool:
+        """Add a module to the bundle; False where the agent has none of this name."""
+        path = name.replace(".", "/")
+        if path + "/__init__.py" in self.read_sources():
+            self.bundle[name] = None
+        elif name in self.spare:
+            self.bundle[name] = self.spare[name]
+        elif path + ".py" in self.sources:
+            # Without docstrings and asserts, which half of the size would be.
+            self.bundle[name] = compile(self.sources[path + ".py"], path + ".py", "exec", 0, True, 2)
+        return name in self.bundle
 
 
 def read_archive(agent: bytes) -> "dict[str, bytes]":
@@ -185,94 +192,34 @@ def read_archive(agent: bytes) -> "dict[str, bytes]":
     return found
 
 
-def compute_seal(key: str, path: str, code: bytes) -> bytes:
-    """Compute the proof that whoever knows ``key`` wrote ``code`` to ``path``."""
-    content = compute_sha256(path.encode() + b"\0" + code)
-    return compute_sha256(("%s %s" % (key, content)).encode()).encode()
+def boot_agent(stdin: "BinaryIO", words: "List[str]", bases: "List[str]", bundle: "Bundle") -> None:
+    """Serve the one request on ``stdin``, after its line of ``words``.
 
-
-class ArchiveLoader(SourceFileLoader):
-    """Import of source from the verified bytes in memory.
-
-    Compiled code is cached in the private directory. Each file begins with a seal by the manager's key, which
-    is on no disk of this host: a task of the same login can write there, and no code of its own runs.
+    ``bases``: the state directories of this host. ``bundle``: compiled code of this manager, {} for none.
     """
-
-    root = ""
-    key = ""
-    files: "dict[str, bytes]" = {}
-
-    def get_data(self, path: str) -> bytes:
-        """Source from memory; anything else (compiled code) from disk, OSError where its seal is not ours."""
-        if path in self.files:
-            return self.files[path]
-        data = SourceFileLoader.get_data(self, path)
-        seal, code = data[:SEAL_LENGTH], data[SEAL_LENGTH:]
-        if seal != compute_seal(self.key, path, code):
-            raise OSError("not written by this manager")
-        return code
-
-    def set_data(self, path: str, data: bytes, *, _mode: int = 0o600) -> None:  # type: ignore[override]
-        """Keep compiled code with its seal; where it cannot be written, it is compiled again."""
-        SourceFileLoader.set_data(self, path, compute_seal(self.key, path, data) + data, _mode=_mode)
-
-    def path_stats(self, path: str) -> "dict[str, int]":
-        """A constant time: the directory is named by the hash, so compiled code is never stale."""
-        return {"mtime": 1, "size": len(self.files[path])}
-
-
-class ArchiveFinder:
-    """Finder of the agent's modules for ``sys.meta_path``."""
-
-    @staticmethod
-    def find_spec(name: str, _path: object = None, _target: object = None) -> "ModuleSpec | None":
-        """Find the spec of a module of the agent; None for any other module."""
-        stem = os.path.join(ArchiveLoader.root, *name.split("."))
-        if name.split(".")[0] != PACKAGE:
-            return None
-        if os.path.join(stem, "__init__.py") in ArchiveLoader.files:
-            # Packages of the agent have no code, so nothing is loaded: 0.1 to 0.2 ms of CPU each.
-            return ModuleSpec(name, None, is_package=True)
-        if stem + ".py" not in ArchiveLoader.files:
-            return None
-        spec = ModuleSpec(name, ArchiveLoader(name, stem + ".py"), origin=stem + ".py")
-        spec.has_location = True
-        return spec
-
-
-def install_agent(folder: "str | None", sha: str, agent: bytes, key: str) -> None:
-    """Make package ``edgectl_agent`` importable. Each ``key`` has a directory of its own."""
-    sys.dont_write_bytecode = folder is None
-    ArchiveLoader.key = key
-    ArchiveLoader.root = os.path.join(folder or NO_FOLDER, sha, compute_sha256(key.encode())[:8])
-    ArchiveLoader.files = {
-        os.path.join(ArchiveLoader.root, name): data for name, data in read_archive(agent).items()
-    }
-    sys.meta_path.insert(0, ArchiveFinder)
-
-
-def boot_agent(stdin: "BinaryIO") -> None:
-    """Serve the one request on ``stdin``."""
-    marker, sha, request_length, agent_length, timeout, key = stdin.readline().decode("ascii").split()
+    marker, sha, request_length, agent_length, timeout, key, operation = words
     os.umask(0o077)
     channel = Channel(marker)
     version = '"python": "%d.%d.%d"' % sys.version_info[:3]
     if sys.version_info < OLDEST_PYTHON:
         return channel.reply(('{%s, "too_old": true}' % version).encode())
     # The manager's deadline ends this side too: nothing lingers after it has given up.
-    setitimer(ITIMER_REAL, float(timeout))
+    signal.setitimer(signal.ITIMER_REAL, float(timeout))
     request, agent = stdin.read(int(request_length)), stdin.read(int(agent_length))
     if agent:
-        folder = cache_agent(sha, agent)
+        folder, sent, valid = None, True, compute_sha256(agent) == sha
     else:
-        folder, agent = read_cached_agent(sha)
-    if compute_sha256(agent) != sha:
+        folder, agent = read_cached_agent(bases, sha, bundle)
+        sent, valid = False, bool(agent)
+    if not valid:
         return channel.reply(('{%s, "missing": true}' % version).encode())
-    install_agent(folder, sha, agent, key)
-    main = import_module(PACKAGE + ".link.main")
-    main.serve_request(request, channel, list_state_bases())
+    importer = AgentImporter(sha, key, agent, bundle)
+    sys.meta_path.insert(0, importer)
+    sys.modules[PACKAGE + ".link.boot"] = sys.modules[__name__]
+    known = len(bundle) if FINGERPRINT in bundle else 0
+    if sent or not bundle:
+        folder = importer.load("link.cache").prepare_cache(importer, bases, folder, sent=sent)
+    importer.load("link.main").serve_request(request, channel, bases)
+    if folder and len(bundle) != known:
+        importer.load("link.cache").write_bundle(importer, folder, operation)
     return None
-
-
-if __name__ == "__main__":
-    boot_agent(sys.stdin.buffer)

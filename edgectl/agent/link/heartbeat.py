@@ -2,7 +2,7 @@
 
 Measured in seconds since boot, suspended time included, so that no change of the wall clock matters. Where
 the usual state directory cannot be written, shared memory takes the record: a full or broken disk must not
-end tasks that a manager looks after.
+end tasks that a manager still contacts.
 """
 
 import os

@@ -46,10 +46,9 @@ def serve_request(request: bytes, channel: "Channel", bases: "list[str]") -> Non
             return follow_log(document, channel)
         operation = _find_operation(document["op"])
         if _needs_lease(document):
-            from ..supervise.lease import hold_for_request
+            from ..supervise.lease import perform_within_lease
 
-            with hold_for_request(document):
-                reply = operation(document)
+            reply = perform_within_lease(document, operation)
         else:
             reply = operation(document)
     except RefusalError as refusal:

@@ -48,7 +48,7 @@ REQUEST_KEYS = {
     OP_LEASE: ("action", "lease", "end_watch"),
     OP_LOGS: ("task", "tail"),
     OP_MARK: ("task", "instance", "ready"),
-    OP_PROBE: ("window_s", "links", "detect", "checks", "former"),
+    OP_PROBE: ("window_s", "links", "detect", "checks", "former", "manager"),
     OP_PROFILER_START: ("every_s", "ttl_s", "links", "detect"),
     OP_PROFILER_STATUS: ("links", "detect"),
     OP_PROFILER_STOP: (),

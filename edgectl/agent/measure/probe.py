@@ -7,7 +7,7 @@ import zlib
 
 from ..link import protocol
 from ..link.fast_json import Document
-from ..supervise import adoption, other_tasks, records, state_dir, status
+from ..supervise import adoption, other_tasks, state_dir, status
 from . import device, metrics, network, proc
 from .task import TaskMeter
 
@@ -40,7 +40,7 @@ def probe_host(request: Document) -> Document:
             "machine": _describe_place(),
             "wall": time.time(),
             "load_1m": device.read_load_1m(),
-            "grants": _read_grants(),
+            "grants": _read_grants(request),
             "generations": _list_generations(
                 [request["host"], *request.get("former", [])], measured["tasks"]
             ),
@@ -69,16 +69,10 @@ def _claim_lease(request: Document) -> Document:
     return {"lease": claim_lease(request["lease"])}
 
 
-def _read_grants() -> Document:
-    """Read to whom this host granted the fleet last: by it, a manager sees that others have acted."""
-    folders = [state_dir.list_fleet_levels(base)[-1] for base in state_dir.list_own_bases()]
-    found = [records.read_record(os.path.join(folder, protocol.LEASE_FILE)) for folder in folders]
-    newest = max(found, key=lambda each: each.get("epoch", 0), default={})
-    return {
-        "holder": newest.get("holder", ""),
-        "epoch": newest.get("epoch", 0),
-        "other_epoch": newest.get("other_epoch", 0),
-    }
+def _read_grants(request: Document) -> Document:
+    from ..supervise.lease import read_grants
+
+    return read_grants(request.get("manager", ""))
 
 
 def _read_profiler(request: Document) -> "tuple[Document, _RunningChecks] | None":

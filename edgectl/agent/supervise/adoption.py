@@ -2,11 +2,11 @@
 this host.
 
 The fleet whose manager names a task of this host becomes its owner, once and for good; until then the task
-belongs to nobody and is not touched. Its directory stays where it is: the task's cookie and its supervisor
-name it.
+has no owner and is not touched. Its directory stays where it is: the task's cookie and its supervisor name
+it.
 
 A host that was renamed keeps its tasks in the directory of its former name, for the same reason. The manager
-knows which names its inventory no longer has, and says so here (ADR 0058).
+sends the names that its inventory no longer has (ADR 0058).
 """
 
 import os

@@ -151,7 +151,7 @@ def _start_agent(argv: "list[str]", env: "dict[str, str]", request: Document, lo
 
 
 def _launch_in_scope(task_scope: Scope, order: Document) -> "tuple[Document | None, str]":
-    """Launch through systemd-run: (report or None, its complaints).
+    """Launch through systemd-run: (report or None, its error output).
 
     Raises:
         RefusalError: no report came, and it is unknown whether it may still come.
@@ -190,7 +190,7 @@ def _end_systemd_run(data: bytes, read_end: int, folder: str) -> bool:
 def _exec_agent(argv: "list[str]", env: "dict[str, str]", source: int, report: int, lock: int) -> None:
     """Become ``argv`` (systemd-run), which becomes Python.
 
-    Its identity and its complaints are written to ``report``.
+    Its identity and its error output are written to ``report``.
     """
     os.write(report, b"%d %d\n" % (os.getpid(), proc.read_own_process().ticks))
     os.dup2(source, 0)
@@ -204,11 +204,14 @@ def _exec_agent(argv: "list[str]", env: "dict[str, str]", source: int, report: i
 def _build_packet(request: Document) -> bytes:
     """Build a request to this very agent, which the host caches under its hash."""
     loader: "Any" = sys.modules[__name__].__loader__
-    boot = loader.files[os.path.join(loader.root, "edgectl_agent", "link", "boot.py")]
+    sources = loader.read_sources()
+    programs = b"".join(
+        b"%d\n%s" % (len(text), text)
+        for text in (sources["edgectl_agent/link/" + name] for name in ("stub.py", "boot.py"))
+    )
     body = fast_json.dumps(request).encode("ascii")
-    sha = os.path.basename(os.path.dirname(loader.root))
-    head = "%032x %s %d 0 0 %s\n" % (0, sha, len(body), loader.key)
-    return b"%d\n%s%s%s" % (len(boot), boot, head.encode("ascii"), body)
+    head = "%032x %s %d 0 0 %s %s\n" % (0, loader.sha, len(body), loader.key, request["op"])
+    return programs + head.encode("ascii") + body
 
 
 def _feed_pipe(fd: int, data: bytes) -> None:

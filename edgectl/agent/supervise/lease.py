@@ -4,10 +4,10 @@ Everything is measured in seconds since boot on this host's own clock. The recor
 another manager is answered, and the epoch in it only grows.
 """
 
-import contextlib
 import fcntl
 import os
 import time
+import zlib
 
 from ..link import protocol
 from ..link.boot import check_private_dir, make_private_dir
@@ -18,9 +18,11 @@ from . import lease_rules, records, state_dir
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from typing import Iterator
+    from typing import Callable
 
 _RECORD, _NOTE, _LOCK, _STARTS = protocol.LEASE_FILE, "watch", "lease.lock", "lease.starts"
+# One file for each manager that was granted the fleet; of more than these the host keeps the last ones.
+_LISTINGS, _MAX_LISTINGS = "manager-", 8
 # Writers of the record hold its lock for milliseconds. A start lasts until its supervisor has reported.
 _WRITE_S, _START_S, _POLL_S = 5.0, 6.0, 0.02
 
@@ -30,12 +32,12 @@ def claim_lease(claim: Document) -> Document:
     base = _make_lease_dir()
     if not base:
         return {"state": "unwritable"}
-    with _hold_lock(base, _LOCK, fcntl.LOCK_EX, _WRITE_S):
+    with _Lock(base, _LOCK, fcntl.LOCK_EX, _WRITE_S):
         reply, new = _answer_claim(base, claim)
     if new:
         # A start of the last holder that is under way ends first: this claim is followed by a measurement.
-        with _hold_lock(base, _STARTS, fcntl.LOCK_EX, _START_S):  # noqa: SIM117 - Python 3.6 has no brackets here
-            with _hold_lock(base, _LOCK, fcntl.LOCK_EX, _WRITE_S):
+        with _Lock(base, _STARTS, fcntl.LOCK_EX, _START_S):  # noqa: SIM117 - Python 3.6 has no brackets here
+            with _Lock(base, _LOCK, fcntl.LOCK_EX, _WRITE_S):
                 reply, _ = _answer_claim(base, claim, write=True)
     return reply
 
@@ -58,8 +60,53 @@ def _answer_claim(base: str, claim: Document, *, write: bool = False) -> "tuple[
         records.write_record(os.path.join(base, _RECORD), granted, durable=durable)
         if claim.get("watch"):
             records.write_record(os.path.join(base, _NOTE), lease_rules.build_note(claim, now, boot))
+        _keep_listing(base, claim)
     watch = lease_rules.describe_watch(note, now, boot)
     return {"state": "granted", "epoch": granted["epoch"], "watch": watch or None}, new
+
+
+def _keep_listing(base: str, claim: Document) -> None:
+    """Keep which hosts the manager has. A full disk or a list that is too long is no reason to refuse."""
+    path = os.path.join(base, "%s%08x" % (_LISTINGS, zlib.crc32(str(claim["holder"]).encode())))
+    old = records.read_record(path)
+    new = lease_rules.build_listing(old, claim)
+    if new == old:
+        return
+    others = sorted(
+        (each for each in _list_listings([base]) if each != path), key=os.path.getmtime, reverse=True
+    )
+    try:
+        for each in others[_MAX_LISTINGS - 1 :]:
+            os.unlink(each)
+        records.write_record(path, new, durable=True)
+    except (OSError, ValueError):
+        pass
+
+
+def _list_listings(folders: "list[str]") -> "list[str]":
+    return [
+        os.path.join(folder, name)
+        for folder in folders
+        for name in (os.listdir(folder) if os.path.isdir(folder) else ())
+        if name.startswith(_LISTINGS)
+    ]
+
+
+def read_grants(holder: str) -> Document:
+    """To whom this host granted the fleet last, and the hosts of other managers than ``holder``.
+
+    By it, a manager sees that others have acted, and where.
+    """
+    folders = [levels[-1] for levels in _list_fleet_dirs()]
+    found = [records.read_record(os.path.join(folder, _RECORD)) for folder in folders]
+    newest = max(found, key=lambda each: each.get("epoch", 0), default={})
+    listings = [records.read_record(path) for path in _list_listings(folders)]
+    grants = {
+        "holder": newest.get("holder", ""),
+        "epoch": newest.get("epoch", 0),
+        "other_epoch": newest.get("other_epoch", 0),
+    }
+    return dict(grants, **lease_rules.merge_listings(listings, holder))
 
 
 def serve_lease(request: Document) -> Document:
@@ -69,7 +116,7 @@ def serve_lease(request: Document) -> Document:
     base = _find_lease_dir()
     if not base:
         raise RefusalError("not-holder", "this host knows of no lease")
-    with _hold_lock(base, _LOCK, fcntl.LOCK_EX, _WRITE_S):
+    with _Lock(base, _LOCK, fcntl.LOCK_EX, _WRITE_S):
         if request["action"] == "renew":
             _renew_lease(base, request["lease"])
             return {"state": "renewed"}
@@ -77,8 +124,7 @@ def serve_lease(request: Document) -> Document:
     return {"state": "released"}
 
 
-@contextlib.contextmanager
-def hold_for_request(request: Document) -> "Iterator[None]":
+def perform_within_lease(request: Document, operation: "Callable[[Document], Document]") -> Document:
     """Carry out a changing request within the lease that it is signed with, which it renews.
 
     Raises:
@@ -87,15 +133,19 @@ def hold_for_request(request: Document) -> "Iterator[None]":
     signature = request.get("lease")
     base = _find_lease_dir()
     if not base and signature is None:
-        yield
-        return
+        return operation(request)
     if not base:
         raise RefusalError("not-holder", "this host knows of no lease", "apply again")
-    starting = request["op"] == protocol.OP_START
-    with _hold_lock(base, _STARTS, fcntl.LOCK_SH, _START_S) if starting else _hold_nothing():
-        with _hold_lock(base, _LOCK, fcntl.LOCK_EX, _WRITE_S):
-            _renew_lease(base, signature)
-        yield
+    if request["op"] == protocol.OP_START:
+        with _Lock(base, _STARTS, fcntl.LOCK_SH, _START_S):
+            return _renew_and_perform(base, request, operation)
+    return _renew_and_perform(base, request, operation)
+
+
+def _renew_and_perform(base: str, request: Document, operation: "Callable[[Document], Document]") -> Document:
+    with _Lock(base, _LOCK, fcntl.LOCK_EX, _WRITE_S):
+        _renew_lease(base, request.get("lease"))
+    return operation(request)
 
 
 def _renew_lease(base: str, signature: "Document | None") -> None:
@@ -116,34 +166,47 @@ def _release_lease(base: str, request: Document) -> None:
         records.write_record(os.path.join(base, _NOTE), {})
 
 
-@contextlib.contextmanager
-def _hold_nothing() -> "Iterator[None]":
-    yield
+class _Lock:
+    """A lock of this process alone: neither a supervisor nor a task inherits it.
 
-
-@contextlib.contextmanager
-def _hold_lock(base: str, name: str, kind: int, patience_s: float) -> "Iterator[None]":
-    """Hold a lock of this process alone: neither a supervisor nor a task inherits it.
-
-    Raises:
-        RefusalError: another request has it for longer than ``patience_s``.
+    No ``contextlib``: it imports collections and functools, a tenth of the CPU of a request.
     """
-    fd = records.open_private_file(os.path.join(base, name), os.O_RDWR | os.O_CREAT)
-    try:
-        deadline = time.monotonic() + patience_s
+
+    def __init__(self, base: str, name: str, kind: int, patience_s: float) -> None:
+        self._path = os.path.join(base, name)
+        self._kind = kind
+        self._patience_s = patience_s
+        self._fd = -1
+
+    def __enter__(self) -> None:
+        """Take the lock.
+
+        Raises:
+            RefusalError: another request has it for longer than the patience.
+        """
+        self._fd = records.open_private_file(self._path, os.O_RDWR | os.O_CREAT)
+        try:
+            self._wait()
+        except BaseException:
+            os.close(self._fd)
+            raise
+
+    def __exit__(self, *_: object) -> None:
+        os.close(self._fd)
+
+    def _wait(self) -> None:
+        deadline = time.monotonic() + self._patience_s
         while True:
             try:
-                fcntl.lockf(fd, kind | fcntl.LOCK_NB)
-                break
+                fcntl.lockf(self._fd, self._kind | fcntl.LOCK_NB)
             except OSError:
                 if time.monotonic() >= deadline:
                     raise RefusalError(
                         "busy", "another change is under way on this host", "apply again"
                     ) from None
+            else:
+                return
             time.sleep(_POLL_S)
-        yield
-    finally:
-        os.close(fd)
 
 
 def _read_newest(name: str) -> Document:

@@ -4,6 +4,7 @@ Record: ``holder`` (a manager), ``session`` (one hold of it), ``epoch`` (counts 
 ``other_epoch`` (the last one of a manager other than the holder),
 ``who`` and ``verb`` for messages, ``since`` and ``until`` (uptime, s), ``ttl_s`` and ``boot_id``. Note: the
 watch of the fleet, with ``every_s`` and ``digest`` of its files, last seen ``at`` an uptime.
+Listing: the ``hosts`` in the inventory of one ``holder``, and the ``names`` that this machine has there.
 """
 
 from ..link.fast_json import Document
@@ -24,9 +25,8 @@ def is_live(record: Document, now: float, boot: str) -> bool:
 
 
 def compute_left_s(record: Document, now: float, boot: str) -> float:
-    """Seconds for which nobody but the holder may take the fleet; 0 where it is free.
-
-    After a boot nobody knows how much of a lease is left, so the whole of it passes once more.
+    """Seconds for which only the holder may take the fleet; 0 where it is free. After a boot it is not known
+    how much of a lease is left, so the whole of it passes once more.
     """
     if not record or not record.get("until"):
         return 0.0
@@ -92,6 +92,20 @@ def build_grant(record: Document, claim: Document, now: float, boot: str) -> Doc
         "ttl_s": ttl,
         "boot_id": boot,
     }
+
+
+def build_listing(listing: Document, claim: Document) -> Document:
+    """The listing of the manager that claims the fleet, whose last one was ``listing``."""
+    hosts = [_truncate_text(host) for host in claim.get("hosts", ())]
+    names = {name for name in listing.get("names", ()) if name in hosts}
+    names.add(_truncate_text(claim.get("name", "")))
+    return {"holder": _truncate_text(claim["holder"]), "hosts": hosts, "names": sorted(names)}
+
+
+def merge_listings(listings: "list[Document]", holder: object) -> Document:
+    """The hosts that other managers than ``holder`` have, and the names of this machine among them."""
+    others = [each for each in listings if each.get("holder") not in (None, holder)]
+    return {key: sorted({name for each in others for name in each[key]}) for key in ("hosts", "names")}
 
 
 def find_other_epoch(record: Document, holder: object) -> int:

@@ -3,8 +3,8 @@
 Bounded in time and output.
 """
 
+import _signal as signal
 import os
-import signal
 import time
 
 from ..link.fast_json import Document

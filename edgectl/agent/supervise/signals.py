@@ -2,8 +2,8 @@
 signals of a stop.
 """
 
+import _signal as signal
 import os
-import signal
 
 from ..link.fast_json import Document
 from ..measure import proc

@@ -1,8 +1,8 @@
 """Start of a command in a clean process: signals, descriptors and session of supervisor and task."""
 
+import _signal as signal
 import ctypes
 import os
-import signal
 
 from ..link.fast_json import Document
 from . import shell
@@ -116,8 +116,10 @@ def describe_exit(code: int) -> Document:
     if not os.WIFSIGNALED(code):
         return {"exit_code": os.WEXITSTATUS(code), "detail": "exited with %d" % os.WEXITSTATUS(code)}
     number = os.WTERMSIG(code)
+    from signal import Signals
+
     try:
-        name = signal.Signals(number).name
+        name = Signals(number).name
     except ValueError:
         name = "signal %d" % number
     hint = " (out of memory, or by hand)" if number == signal.SIGKILL else ""

@@ -5,9 +5,9 @@ Forked from the agent, it leaves the manager's session for good and lives as lon
 restart.
 """
 
+import _signal as signal
 import os
 import select
-import signal
 import time
 
 from ..link import fast_json, heartbeat, protocol
@@ -15,13 +15,13 @@ from ..link.fast_json import Document
 from ..measure import metrics, proc
 from . import backoff, liveness, lockfile, records, scope, shell, signals, spawn
 from .logfile import LogWriter
+from .ready import ReadyCheck
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Sequence
 
 _BLOCK_BYTES = 65536
-_READY_FIRST_S, _READY_MAX_S, _READY_TRY_S = 0.3, 5.0, 10.0
 # (signal, ``main`` or ``tree``, seconds) for the leftovers of an ended command.
 _LEFTOVERS = (("TERM", "tree", 5.0),)
 _KILL = ("KILL", "tree", 10.0)
@@ -74,9 +74,7 @@ class Supervisor:
             proc.read_uptime_s(),
             0.0,
         )
-        self.check: "shell.ShellCommand | None" = None
-        self.next_check: "float | None" = None
-        self.check_every = _READY_FIRST_S
+        self.ready = ReadyCheck(spec, self.env)
         self.next_metrics = 0.0
         self.wake, self._wake_end = os.pipe()
         if orphan is not None:
@@ -108,8 +106,8 @@ class Supervisor:
         self.pid, self.ticks = int(status.get("pid", 0)), int(status.get("ticks", -1))
         # Without a main process there is an end to handle: only leftovers live.
         self.pid, self.started = self.pid or -1, time.monotonic() - proc.age_s_from_ticks(self.ticks)
-        if status.get("state") == protocol.STARTING and self.spec.get("ready"):
-            self.next_check, self.check_every = time.monotonic(), _READY_FIRST_S
+        if status.get("state") == protocol.STARTING:
+            self.ready.begin()
 
     def _install_handlers(self) -> None:
         for fd in (self.wake, self._wake_end):
@@ -143,10 +141,9 @@ class Supervisor:
         self.pid, self.pipe = spawn.spawn_command(argv, self.env, self.spec.get("workdir"), self.lock)
         process = proc.read_process(self.pid)
         self.ticks, self.started = process.ticks if process is not None else -1, time.monotonic()
-        ready = self.spec.get("ready")
-        self.next_check, self.check_every = (self.started, _READY_FIRST_S) if ready else (None, 0.0)
+        self.ready.begin()
         self._record_status(
-            state=protocol.STARTING if ready else protocol.RUNNING,
+            state=protocol.STARTING if self.spec.get("ready") else protocol.RUNNING,
             pid=self.pid,
             ticks=self.ticks,
             exit_code=None,
@@ -164,7 +161,8 @@ class Supervisor:
                 self._copy_output()
             else:
                 _drain_fd(fd)
-        self._run_ready_check()
+        if self.ready.poll():
+            self._record_status(state=protocol.READY, detail="")
         ended = self._reap_children()
         if ended is not None:
             self._handle_end(ended)
@@ -188,10 +186,9 @@ class Supervisor:
             times.append(self.next_look - now)
         if self.next_start is not None:
             times.append(self.next_start - now)
-        if self.check is not None:
-            times.append(min(0.5, self.check.deadline - now))
-        elif self.next_check is not None:
-            times.append(self.next_check - now)
+        check_in_s = self.ready.compute_wait_s(now)
+        if check_in_s is not None:
+            times.append(check_in_s)
         return max(0.0, min(times)) * 1000.0 + 1.0
 
     def _limit_metrics(self) -> None:
@@ -206,27 +203,6 @@ class Supervisor:
         self.pipe = -1
         return None
 
-    def _run_ready_check(self) -> None:
-        """Poll the ready check until it succeeds once."""
-        if self.check is not None:
-            result = self.check.poll()
-            if result is None:
-                return
-            self.check = None
-            if result["exit"] == 0 and self.pid:
-                self.next_check = None
-                self._record_status(state=protocol.READY, detail="")
-        elif self.next_check is not None and self.pid and time.monotonic() >= self.next_check:
-            ready = self.spec["ready"]
-            limit = min(_READY_TRY_S, float(ready.get("timeout_s") or _READY_TRY_S))
-            self.next_check = time.monotonic() + self.check_every
-            self.check_every = min(_READY_MAX_S, self.check_every * 1.5)
-            prelude, folder = (
-                self.spec.get("prelude") or "",
-                shell.resolve_workdir(self.spec.get("workdir"), self.env),
-            )
-            self.check = shell.ShellCommand(ready["command"], prelude, self.env, limit, folder)
-
     def _reap_children(self) -> "int | None":
         """Reap every child that ended; the wait status of the main process where it is among them, or is
         adopted and gone.
@@ -239,7 +215,7 @@ class Supervisor:
                 seen = os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)
             except ChildProcessError:
                 return ended
-            if seen is None or (self.check is not None and seen.si_pid == self.check.process.pid):
+            if seen is None or self.ready.owns_process(seen.si_pid):
                 return ended
             pid, code = os.waitpid(seen.si_pid, 0)
             if pid == self.pid:
@@ -248,7 +224,7 @@ class Supervisor:
     def _handle_end(self, code: int) -> None:
         """Handle the end of the main process: clear its leftovers, then restart it or record the end."""
         ran_s, self.pid = time.monotonic() - self.started, 0
-        self._cancel_check()
+        self.ready.cancel()
         left = self._end_tree(_LEFTOVERS)
         outcome = spawn.describe_exit(code)
         self.status["last_exit"] = outcome["exit_code"]
@@ -269,12 +245,6 @@ class Supervisor:
         if policy == "never" or (policy == "on-failure" and clean):
             return self._record_status(state=protocol.FAILED, pid=0, given_up=policy == "never", **outcome)
         return self._schedule_restart(ran_s, outcome)
-
-    def _cancel_check(self) -> None:
-        self.next_check = None
-        if self.check is not None:
-            self.check.end()
-            self.check = None
 
     def _schedule_restart(self, ran_s: float, outcome: Document) -> None:
         now = time.monotonic()
@@ -311,7 +281,7 @@ class Supervisor:
         self.next_look = time.monotonic() + min(_HEARTBEAT_CHECK_S, left_s)
         if left_s > 0 or not (self.pid or self.next_start is not None):
             return
-        self._cancel_check()
+        self.ready.cancel()
         left = self._end_tree(signals.list_stop_steps(self.spec.get("stop") or {}), forced=True)
         outcome = spawn.describe_exit(self.code) if self.pid else {"exit_code": self.status["exit_code"]}
         self.pid, self.next_start = 0, None

@@ -33,6 +33,7 @@ from edgectl.config.schema import (
 from edgectl.config.source import read_source
 from edgectl.config.weights import parse_weights
 from edgectl.config.yaml_parser import parse_yaml
+from edgectl.experiments.files.fleet_files import resolve_fleet_files
 from edgectl.experiments.model.experiment import Experiment, MapPair, MetricAggregation
 from edgectl.experiments.model.schemes import Scheme, build_schemes
 from edgectl.model.policy import WEIGHT_PRESETS, Policy, PolicyName, Weights
@@ -136,11 +137,7 @@ def load_experiment_paths(path: Path) -> tuple[Path | None, Path | None]:
     Raises:
         InputError: all faults of the file's structure.
     """
-    fields, problems = _read_experiment_fields(path)
-    problems.check()
-    named = [fields.values.get(key) if fields else None for key in ("inventory", "tasks")]
-    inventory, tasks = (None if name is None else path.parent / name for name in named)
-    return inventory, tasks
+    return resolve_fleet_files(path, *_read_experiment_fields(path))
 
 
 def load_experiment(path: Path, tasks: Tasks, problems: Problems | None = None) -> Experiment:

@@ -29,6 +29,7 @@ from edgectl.config.scalars import (
 from edgectl.config.schema import Schema, build_file_schema, build_object_schema, describe_as
 from edgectl.config.source import read_source
 from edgectl.config.yaml_parser import parse_yaml
+from edgectl.experiments.files.fleet_files import resolve_fleet_files
 from edgectl.experiments.model.scenario import Scenario, SimHost, SimJob, SimTiming
 from edgectl.model.inventory import Inventory, Role
 from edgectl.model.task import Tasks
@@ -108,11 +109,7 @@ def load_scenario_paths(path: Path) -> tuple[Path | None, Path | None]:
     Raises:
         InputError: all faults of the file's structure.
     """
-    fields, problems = _read_scenario_fields(path)
-    problems.check()
-    named = [fields.values.get(key) if fields else None for key in ("inventory", "tasks")]
-    inventory, tasks = (None if name is None else path.parent / name for name in named)
-    return inventory, tasks
+    return resolve_fleet_files(path, *_read_scenario_fields(path))
 
 
 def load_scenario(path: Path, inventory: Inventory, tasks: Tasks) -> Scenario:

@@ -10,7 +10,7 @@ from edgectl.experiments.model.experiment import ExperimentRun
 from edgectl.experiments.report.distribution_plots import draw_completions, draw_handoffs, draw_latency
 from edgectl.experiments.report.figure_style import (
     ReportFigure,
-    render_inline_svg,
+    inline_svg_from_document,
     render_pdf,
     render_svg,
     use_figure_style,
@@ -37,13 +37,18 @@ def build_report_files(
     run: ExperimentRun, table: ReportTable, out: Path, figures: Path | None
 ) -> Iterator[tuple[Path, bytes]]:
     """Paths and contents of the page and of each figure as SVG and PDF; the run needs a trial."""
-    drawn = draw_figures(run)
+    drawn = [(figure, render_svg(figure)) for figure in draw_figures(run)]
     embedded = [
-        EmbeddedFigure(name=each.name, title=each.title, caption=each.caption, svg=render_inline_svg(each))
-        for each in drawn
+        EmbeddedFigure(
+            name=figure.name,
+            title=figure.title,
+            caption=figure.caption,
+            svg=inline_svg_from_document(document, figure.title),
+        )
+        for figure, document in drawn
     ]
     yield out, render_report_page(run, table, embedded).encode()
     if figures is not None:
-        for figure in drawn:
-            yield figures / f"{figure.name}.svg", render_svg(figure)
+        for figure, document in drawn:
+            yield figures / f"{figure.name}.svg", document
             yield figures / f"{figure.name}.pdf", render_pdf(figure)

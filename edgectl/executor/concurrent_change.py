@@ -16,7 +16,7 @@ _HINT = "edgectl apply, which plans from what runs then"
 _Answer = Request | HostError
 
 
-class MovedWorldError(HostError):
+class ConcurrentChangeError(HostError):
     """Another manager changed the task since the plan was made; ``located``: the host that runs it now."""
 
     def __init__(self, message: str, *, located: str | None, host: str) -> None:
@@ -28,33 +28,33 @@ def check_gone_everywhere(act: StepRun, host: Host) -> None:
     """Ask all hosts of the plan for a task that was alive on ``host`` in the snapshot and is not any more.
 
     Raises:
-        MovedWorldError: it runs on another host, has completed, was started with a newer generation, or a
-            host does not answer, so nobody knows.
+        ConcurrentChangeError: it runs on another host, has completed or was started with a newer
+            generation; or it may, because a host does not answer.
     """
     entries = {
         name: _get_entry(answer, act.name) for name, answer in _ask_hosts(act.run, act.name, host).items()
     }
     for name, entry in entries.items():
         if _runs_elsewhere(act, entry):
-            raise MovedWorldError(
+            raise ConcurrentChangeError(
                 f"{act.name} no longer runs on {host.name} and runs on {name}: another manager moved it",
                 located=name,
                 host=name,
             )
     there = entries.get(host.name)
     if there is not None and there.get("state") == protocol.COMPLETED:
-        raise MovedWorldError(
+        raise ConcurrentChangeError(
             f"{act.name} completed on {host.name} meanwhile", located=host.name, host=host.name
         )
     for name, entry in entries.items():
         if entry is None:
-            raise MovedWorldError(
+            raise ConcurrentChangeError(
                 f"{act.name} no longer runs on {host.name}, and {name} does not answer: it may run there",
                 located=host.name,
                 host=name,
             )
         if _get_generation(entry) > act.generation:
-            raise MovedWorldError(
+            raise ConcurrentChangeError(
                 f"another manager started {act.name} on {name} meanwhile", located=host.name, host=name
             )
 

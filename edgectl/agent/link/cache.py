@@ -1,0 +1,146 @@
+"""Cache of the agent on its host: the archive, and the code compiled from it, sealed."""
+
+import marshal
+import os
+import sys
+
+from .boot import FINGERPRINT, PACKAGE, AgentImporter, compute_sha256, make_private_dir, read_file
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import List, Optional
+
+    from .boot import Bundle
+
+BOOT = PACKAGE + ".link.boot"
+# Hexadecimal digits of a seal.
+_SEAL_LENGTH = 64
+_AGENT_KEPT_S = 30 * 86400
+
+
+def prepare_cache(
+    importer: AgentImporter, bases: "List[str]", folder: "Optional[str]", *, sent: bool
+) -> "Optional[str]":
+    """Keep an agent that was ``sent``, and find the code that other operations have compiled.
+
+    Returns the directory of the agent, or None where nothing can be written.
+    """
+    if sent:
+        folder = _cache_agent(bases, importer.sha, importer.agent)
+    if folder is not None:
+        codes, suffix = os.path.split(_find_code_path(importer, folder, ""))
+        try:
+            names = os.listdir(codes)
+        except OSError:
+            names = []
+        for name in names:
+            if name.endswith(suffix):
+                importer.spare.update(_read_bundle(importer, os.path.join(codes, name)))
+    return folder
+
+
+def write_bundle(importer: AgentImporter, folder: str, operation: str) -> None:
+    """Keep the code of this request for the next one of its operation, where it can be written.
+
+    Each file begins with a seal by the manager's key, which is on no disk of this host: a task of the same
+    login can write there, and no code of its own runs.
+    """
+    path = _find_code_path(importer, folder, operation)
+    partial = "%s.%d" % (path, os.getpid())
+    try:
+        agent, fingerprint = read_file(os.path.join(folder, importer.sha + ".pyz"))
+        if agent != importer.agent:
+            return
+        os.makedirs(os.path.dirname(path), 0o700, exist_ok=True)
+        fd = _create_file(partial)
+    except OSError:
+        return
+    importer.compile_module(BOOT)
+    importer.bundle[FINGERPRINT] = fingerprint
+    code = marshal.dumps(importer.bundle)
+    _write_and_rename(fd, partial, path, _compute_seal(importer.key, path, code) + code)
+
+
+def _find_code_path(importer: AgentImporter, folder: str, operation: str) -> str:
+    """Find the file of an operation's code for this version of Python: ``stub.py`` reads it.
+
+    Each key has a directory of its own.
+    """
+    name = "%s.%x.code" % (operation, sys.hexversion)
+    return os.path.join(folder, importer.sha, compute_sha256(importer.key.encode())[:8], name)
+
+
+def _compute_seal(key: str, path: str, code: bytes) -> bytes:
+    """Compute the proof that whoever knows ``key`` wrote ``code`` to a file of this name."""
+    content = compute_sha256(os.path.basename(path).encode() + b"\0" + code)
+    return compute_sha256(("%s %s" % (key, content)).encode()).encode()
+
+
+def _read_bundle(importer: AgentImporter, path: str) -> "Bundle":
+    """Read compiled code; {} where there is none, or its seal is not ours."""
+    try:
+        data, _ = read_file(path)
+    except OSError:
+        return {}
+    if data[:_SEAL_LENGTH] != _compute_seal(importer.key, path, data[_SEAL_LENGTH:]):
+        return {}
+    return dict(marshal.loads(data[_SEAL_LENGTH:]))  # noqa: S302 - of this manager, as the seal proves
+
+
+def _create_file(path: str) -> int:
+    """Open a new file of this user alone."""
+    return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
+
+
+def _write_and_rename(fd: int, partial: str, final: str, data: bytes) -> bool:
+    """Write ``data`` to a new file and give it its name; False where the file system refuses."""
+    try:
+        with open(fd, "wb") as file:
+            file.write(data)
+        os.rename(partial, final)
+    except OSError:
+        _remove_file(partial)
+        return False
+    return True
+
+
+def _cache_agent(bases: "List[str]", sha: str, agent: bytes) -> "str | None":
+    """Write the agent for the next request; returns its directory, or None where nothing can be written."""
+    for base in bases:
+        try:
+            make_private_dir(base)
+            folder = os.path.join(base, "agent")
+            make_private_dir(folder)
+            final = os.path.join(folder, sha + ".pyz")
+            partial = "%s.%d" % (final, os.getpid())
+            fd = _create_file(partial)
+        except OSError:
+            continue
+        if _write_and_rename(fd, partial, final, agent):
+            _remove_old_agents(folder)
+            return folder
+    return None
+
+
+def _remove_old_agents(folder: str) -> None:
+    """Remove agents that were not sent for 30 days: a new version leaves its predecessor behind."""
+    import shutil
+    import time
+
+    for name in os.listdir(folder):
+        path = os.path.join(folder, name)
+        try:
+            old = os.lstat(path).st_mtime < time.time() - _AGENT_KEPT_S
+        except OSError:
+            # Another agent has just renamed or removed it.
+            continue
+        if old:
+            shutil.rmtree(path, ignore_errors=True) if os.path.isdir(path) else _remove_file(path)
+
+
+def _remove_file(path: str) -> None:
+    """Remove a file where it exists."""
+    try:
+        os.unlink(path)
+    except OSError:
+        pass

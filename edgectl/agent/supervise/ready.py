@@ -1,0 +1,67 @@
+"""Readiness check of one task: repeated with growing pauses until it succeeds once."""
+
+import time
+
+from ..link.fast_json import Document
+from . import shell
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import Mapping
+
+_FIRST_PAUSE_S, _MAX_PAUSE_S, _MAX_TRY_S = 0.3, 5.0, 10.0
+# Nothing tells the end of the check's process; so often it is looked for.
+_POLL_S = 0.5
+
+
+class ReadyCheck:
+    """The check of one task; without ``ready`` in its spec there is never anything to run."""
+
+    def __init__(self, spec: Document, env: "Mapping[str, str]") -> None:
+        self._spec, self._env = spec, env
+        self._running: "shell.ShellCommand | None" = None
+        self._next: "float | None" = None
+        self._pause_s = _FIRST_PAUSE_S
+
+    def begin(self) -> None:
+        """Check from now on, anew for each start of the command."""
+        self._next, self._pause_s = time.monotonic() if self._spec.get("ready") else None, _FIRST_PAUSE_S
+
+    def poll(self) -> bool:
+        """Whether the check has just succeeded. Starts it where it is due."""
+        if self._running is not None:
+            result = self._running.poll()
+            if result is None:
+                return False
+            self._running = None
+            if result["exit"] == 0:
+                self._next = None
+                return True
+        elif self._next is not None and time.monotonic() >= self._next:
+            self._next = time.monotonic() + self._pause_s
+            self._pause_s = min(_MAX_PAUSE_S, self._pause_s * 1.5)
+            self._running = self._start()
+        return False
+
+    def _start(self) -> shell.ShellCommand:
+        spec, ready = self._spec, self._spec["ready"]
+        limit = min(_MAX_TRY_S, float(ready.get("timeout_s") or _MAX_TRY_S))
+        folder = shell.resolve_workdir(spec.get("workdir"), self._env)
+        return shell.ShellCommand(ready["command"], spec.get("prelude") or "", self._env, limit, folder)
+
+    def compute_wait_s(self, now: float) -> "float | None":
+        """Seconds until `poll` has something to do; None: never."""
+        if self._running is not None:
+            return min(_POLL_S, self._running.deadline - now)
+        return None if self._next is None else self._next - now
+
+    def owns_process(self, pid: int) -> bool:
+        """Whether ``pid`` is the process of the running check, which reaps it itself."""
+        return self._running is not None and pid == self._running.process.pid
+
+    def cancel(self) -> None:
+        """Kill a running check and start no other."""
+        self._next = None
+        if self._running is not None:
+            self._running.end()
+            self._running = None
