@@ -73,6 +73,7 @@ OWNERS: dict[str, str | tuple[str, ...]] = {
     "platformdirs": "state",
     "simpy": "experiments/simulator",
     "skimage": "experiments/ssim",
+    "numpy": ("scheduler/array_scan", "experiments/ssim"),
     "PIL": "experiments/ssim",
     "matplotlib": "experiments/report/",
     "jinja2": "experiments/report/page",
