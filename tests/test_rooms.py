@@ -76,13 +76,13 @@ OWNERS: dict[str, str | tuple[str, ...]] = {
     "platformdirs": "state",
     "simpy": "experiments/simulator",
     "skimage": "experiments/ssim",
+    "numpy": ("scheduler/array_scan", "solver/highs", "experiments/ssim"),
     "PIL": "experiments/ssim",
     "matplotlib": "experiments/report/",
     "jinja2": "experiments/report/page",
     "prometheus_client": "export/prometheus",
     "textual": "tui/",
     "highspy": "solver/highs",
-    "numpy": ("solver/highs", "experiments/ssim"),
 }
 PURE_ROOMS = (
     "model/",

@@ -210,11 +210,11 @@ class Task:
     needs: tuple[Need, ...] = ()
     priority: float = 0.0
     preempt: bool = False
+    if_nothing_fits: NothingFits = NothingFits.WAIT
     apart: tuple[str, ...] = ()
     together: tuple[str, ...] = ()
     spread: str | None = None
     group: str | None = None
-    if_nothing_fits: NothingFits = NothingFits.WAIT
     deadline: float | None = None
     hosts: HostRules = HostRules()
     onboard: OnboardRule = OnboardRule.ALLOW

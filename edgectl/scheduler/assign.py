@@ -6,7 +6,7 @@ Pure; the same inputs give the same bytes.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from edgectl.model.assignment import Assignment, Certificate, Decision, Reason, Rejection, Verdict
 from edgectl.model.inventory import Inventory
@@ -19,7 +19,7 @@ from edgectl.scheduler.candidates import (
     gather_candidates,
     weigh_candidates,
 )
-from edgectl.scheduler.capacities import build_capacities
+from edgectl.scheduler.capacities import Capacities, build_capacities
 from edgectl.scheduler.choice import Choice, MoveConstraints
 from edgectl.scheduler.company import Company, follows_unit, list_reservations, weigh_in_company
 from edgectl.scheduler.decisions import (
@@ -54,6 +54,9 @@ from edgectl.scheduler.scan import build_demand_shares
 from edgectl.scheduler.sequence import is_need_met, order_tasks
 from edgectl.scheduler.shortage import compute_shortages
 from edgectl.scheduler.task_usage import TaskUsage
+
+if TYPE_CHECKING:
+    from edgectl.scheduler.array_scan import ArrayScan
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -124,6 +127,8 @@ def run_pass(how: PlacementPass, state: InitialState, prior_moves: Mapping[str, 
         else {},
         moves_left=_count_moves_left(how, prior_moves),
     )
+    if how.context.arrays is not None:
+        how.context.arrays.mirror(progress.ledger)
     for task in how.order:
         fixed = state.fixed.get(task.name)
         if fixed is None:
@@ -355,6 +360,8 @@ def _find_missing_predecessor(
     return next((need.task for need in task.needs if not is_need_met(need, located, completed)), None)
 
 
+# From so many pairs of an edge and a task on NumPy pays for its import.
+MIN_ARRAY_PAIRS = 300_000
 # Passes that are tried before a plan counts as one that does not settle (ADR 0010).
 MAX_PASSES = 5
 
@@ -386,6 +393,7 @@ def assign(
         fleet = state.ledger.fleet
     order = order_tasks(tasks.tasks.values(), used.sequence)
     context = AssignmentContext(
+        arrays=_load_array_scan(fleet, tasks, used),
         fleet=fleet,
         policy=sign_weights(used) if rules.settles else used,
         rules=rules.candidates,
@@ -418,6 +426,17 @@ def assign(
         shortages=compute_shortages(state, tasks),
         certificate=certificate,
     )
+
+
+def _load_array_scan(fleet: Capacities, tasks: Tasks, policy: Policy) -> "ArrayScan | None":
+    """The scan in NumPy where that pays, and where NumPy is installed (extra ``scale``)."""
+    if fleet.edges * len(tasks.tasks) < MIN_ARRAY_PAIRS:
+        return None
+    try:
+        from edgectl.scheduler.array_scan import build_array_scan
+    except ImportError:
+        return None
+    return build_array_scan(fleet, policy.weights)
 
 
 def _select_first_placements(manager: ManagerState, state: InitialState) -> dict[str, str]:

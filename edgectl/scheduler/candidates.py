@@ -1,7 +1,8 @@
 """Candidates of one task: the places that may take it, and the total of each."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, TypeAlias
 
 from edgectl.model.assignment import Rejection, RejectionRule, UtilityTerms
 from edgectl.model.policy import Policy, Preference
@@ -16,11 +17,17 @@ from edgectl.scheduler.scan import (
     EXCLUDED_TOTAL,
     INFEASIBLE_PENALTY,
     DemandShares,
+    ListTotals,
     compute_resource_totals,
     is_feasible_total,
 )
 from edgectl.scheduler.slack import get_slack
 from edgectl.scheduler.utility import EPSILON, compute_affinity, total_utility
+
+if TYPE_CHECKING:  # NumPy is imported only where it pays
+    from edgectl.scheduler.array_scan import ArrayScan, ArrayTotals
+
+Totals: TypeAlias = "ListTotals | ArrayTotals"
 
 # These close a host to new work only: what runs there may stay.
 _NEW_WORK_ONLY = (RejectionRule.CORDONED, RejectionRule.STALE)
@@ -82,7 +89,8 @@ def reject_every_robot(_fleet: Capacities, _task: Task, _place: int) -> Rejectio
 class AssignmentContext:
     """Whatever stays the same over all passes of one assignment.
 
-    ``placement_rules``: between tasks. ``edge_rejections`` caches the edges closed to a task, by its rules.
+    ``placement_rules``: between tasks. ``arrays``: weigh large fleets with NumPy (ADR 0076).
+    ``edge_rejections`` caches the edges closed to a task, by its rules.
     """
 
     fleet: Capacities
@@ -93,10 +101,11 @@ class AssignmentContext:
     first: Mapping[str, str]
     handoffs: HandoffHistory
     placement_rules: PlacementRules = NO_RULES
+    arrays: "ArrayScan | None" = None
     edge_rejections: dict[object, dict[int, Rejection]] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(slots=True, kw_only=True)
 class CandidateSet:
     """One task against the ledger of the moment.
 
@@ -119,7 +128,7 @@ class CandidateSet:
     listed: Sequence[int]
     robots: Sequence[int]
     utilities: Mapping[int, float]
-    totals: list[float]
+    totals: Totals = field(default_factory=ListTotals)
     waived: Rejection | None = None
     tolerated: bool = False
 
@@ -193,18 +202,18 @@ def gather_candidates(
         listed=listed,
         robots=robots,
         utilities=utilities,
-        totals=[],
         waived=waived,
     )
 
 
 def weigh_candidates(candidates: CandidateSet) -> CandidateSet:
     """``candidates`` with their totals."""
-    candidates.totals.extend(_compute_place_totals(candidates))
+    candidates.totals = _compute_place_totals(candidates)
     if not candidates.context.rules.tolerant or not _is_tolerated(candidates):
         return candidates
     candidates.totals[candidates.incumbent or 0] += INFEASIBLE_PENALTY
-    return replace(candidates, tolerated=True)
+    candidates.tolerated = True
+    return candidates
 
 
 def _is_tolerated(candidates: CandidateSet) -> bool:
@@ -300,17 +309,25 @@ def _collect_affinities(located: Sequence[int], near: set[int], *, far: bool) ->
     return rewards | {-len(located)} if far else rewards
 
 
-def _compute_place_totals(candidates: CandidateSet) -> list[float]:
+def _compute_place_totals(candidates: CandidateSet) -> Totals:
     """Eq. (4) at every place: the scan for the edges, the affinity on top, the reference for a robot."""
     context, task, fleet = candidates.context, candidates.task, candidates.context.fleet
     weights = context.policy.weights
     far = candidates.utilities.get(-len(candidates.located), 0.0)
     weight = weights[AFFINITY]
-    row = compute_resource_totals(candidates.ledger, context.shares, task, weights, offset=weight * far)
-    if context.policy.prefer is Preference.PACK:
-        # A negative weight makes a huge gain of the huge shortage that stands for no capacity.
-        row = [EXCLUDED_TOTAL if total > INFEASIBLE_PENALTY else total for total in row]
-    row.extend([EXCLUDED_TOTAL] * (len(fleet.places) - fleet.edges))
+    row: Totals
+    # A negative weight makes a huge gain of the huge shortage that stands for no capacity.
+    packs = context.policy.prefer is Preference.PACK
+    if context.arrays is not None and candidates.ledger.mirror is not None and not packs:
+        row = context.arrays.compute_totals(candidates.ledger.mirror, task, offset=weight * far)
+    else:
+        totals = compute_resource_totals(
+            candidates.ledger, context.shares, task, weights, offset=weight * far
+        )
+        if packs:
+            totals = [EXCLUDED_TOTAL if total > INFEASIBLE_PENALTY else total for total in totals]
+        row = ListTotals(totals)
+        row.extend([EXCLUDED_TOTAL] * (len(fleet.places) - fleet.edges))
     for place in set(candidates.located):
         if place < fleet.edges and place not in candidates.denied:
             row[place] += weight * (candidates.utilities[compute_affinity(candidates.located, place)] - far)

@@ -59,19 +59,11 @@ def find_best_place(candidates: CandidateSet) -> int | None:
 
     Ties: ``ties.order_tied_places``.
     """
-    totals = candidates.totals
-    top = max(totals, default=NO_FREE_SHARE)
-    if not is_feasible_total(top):
+    first = candidates.totals.find_top()
+    if first is None:
         return None
-    first = totals.index(top)
-    if (
-        max(totals[:first], default=NO_FREE_SHARE)
-        < top - EPSILON
-        > max(totals[first + 1 :], default=NO_FREE_SHARE)
-    ):
-        return first  # no tie, the common case: three scans in C instead of one in Python
-    tied = [place for place, total in enumerate(totals) if total >= top - EPSILON]
-    return order_tied_places(candidates, tied)[0]
+    tied = candidates.totals.list_at_least(candidates.totals[first] - EPSILON)
+    return first if len(tied) == 1 else order_tied_places(candidates, tied)[0]
 
 
 def choose_by_utility(candidates: CandidateSet, constraints: MoveConstraints) -> Choice:

@@ -10,7 +10,7 @@ from edgectl.scheduler.capacities import Capacities
 from edgectl.scheduler.choice import Choice
 from edgectl.scheduler.demand import list_resource_demands
 from edgectl.scheduler.lazy_ranking import LazyCounts, LazyRanking, RankingRequest
-from edgectl.scheduler.ranking import ScoredPlace, find_best_besides, find_challenger, score_place
+from edgectl.scheduler.ranking import ScoredPlace, exclude_places, find_challenger, score_place
 from edgectl.scheduler.scan import EXCLUDED_TOTAL, is_feasible_total
 from edgectl.scheduler.utility import EPSILON
 
@@ -136,7 +136,7 @@ def _is_decided_by_affinity(candidates: CandidateSet, entry: ScoredPlace) -> boo
     Of all places without a predecessor only the best needs a look: their affinity is the same.
     """
     weight = candidates.context.policy.weights[AFFINITY]
-    far = find_best_besides(candidates, candidates.located)
+    far = exclude_places(candidates, candidates.located).find_top()
     near = {place for place in candidates.located if is_feasible_total(candidates.totals[place])}
     rivals = [score_place(candidates, place) for place in (*near, far) if place is not None]
     best = max(

@@ -3,6 +3,7 @@
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from math import inf
+from typing import TYPE_CHECKING
 
 from edgectl.model.assignment import ExpectedLoad
 from edgectl.model.policy import Weights
@@ -12,6 +13,9 @@ from edgectl.model.task import ZERO, Quantity, Task
 from edgectl.scheduler.capacities import Capacities
 from edgectl.scheduler.demand import demand_at
 from edgectl.scheduler.task_usage import TaskUsage, take_greater
+
+if TYPE_CHECKING:  # NumPy is imported only where it pays
+    from edgectl.scheduler.array_scan import FreeArrays
 
 # Free share of a place without capacity: so far below any demand that nothing ever fits.
 NO_FREE_SHARE = -1e300
@@ -23,6 +27,7 @@ class Ledger:
 
     ``free`` and ``free_links`` hold (Delta - gamma) / Delta of the same, kept in step; so does ``weighted``,
     the sum of weight x free share over the resources of each place, once ``weigh_free`` has named weights.
+    ``mirror`` holds the free shares as arrays, for fleets of very many pairs (ADR 0076); a copy has none.
     """
 
     fleet: Capacities
@@ -32,6 +37,7 @@ class Ledger:
     free_links: dict[str, list[float]]
     weights: Weights | None = None
     weighted: list[float] = field(default_factory=list)
+    mirror: "FreeArrays | None" = None
 
     def copy(self) -> "Ledger":
         """An independent ledger with the same numbers."""
@@ -88,6 +94,8 @@ class Ledger:
             for name, row in self.free.items():
                 total += self.weights[name] * row[place]
             self.weighted[place] = total
+            if self.mirror is not None:
+                self.mirror.set_weighted(place, total)
 
     def _load(self, place: int) -> ExpectedLoad:
         linked = place < self.fleet.edges
@@ -100,11 +108,15 @@ class Ledger:
 
     def _set(self, place: int, name: str, amount: float) -> None:
         self.used[name][place] = amount
-        self.free[name][place] = compute_free_share(self.fleet.usable[name][place], amount)
+        share = self.free[name][place] = compute_free_share(self.fleet.usable[name][place], amount)
+        if self.mirror is not None:
+            self.mirror.set_free(place, name, share)
 
     def _set_link(self, place: int, robot: str, rate: float) -> None:
         self.links[robot][place] = rate
-        self.free_links[robot][place] = compute_free_share(self.fleet.links[robot][place], rate)
+        share = self.free_links[robot][place] = compute_free_share(self.fleet.links[robot][place], rate)
+        if self.mirror is not None:
+            self.mirror.set_link(place, robot, share)
 
 
 def compute_free_share(capacity: float | None, used: float) -> float:

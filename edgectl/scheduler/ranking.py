@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from edgectl.model.assignment import RankedHost, Rejection, RejectionRule, UtilityTerms
-from edgectl.scheduler.candidates import CandidateSet, terms_at
+from edgectl.scheduler.candidates import CandidateSet, Totals, terms_at
 from edgectl.scheduler.demand import list_resource_demands
 from edgectl.scheduler.scan import EXCLUDED_TOTAL, INFEASIBLE_PENALTY, is_feasible_total
 from edgectl.scheduler.ties import order_tied_places
@@ -48,29 +48,29 @@ def rank_hosts(candidates: CandidateSet, chosen: int | None) -> tuple[tuple[Rank
 
 def find_challenger(candidates: CandidateSet, chosen: int | None) -> ScoredPlace | None:
     """The feasible host that the ranking lists first besides ``chosen``; None: there is none."""
-    second = find_best_besides(candidates, () if chosen is None else (chosen,))
+    others = exclude_places(candidates, () if chosen is None else (chosen,))
+    second = others.find_top()
     if second is None:
         return None
     # The ranking orders equal totals by the tie rule: those that may be equal to the second are looked at.
-    level = candidates.totals[second] - 2 * EPSILON
-    near = [place for place in candidates.listed if candidates.totals[place] >= level]
-    if chosen is not None and chosen not in near and is_feasible_total(candidates.totals[chosen]):
-        near.append(chosen)
-    if len(near) <= 2 and (len(near) == 1 or chosen in near):
+    near = others.list_at_least(others[second] - 2 * EPSILON)
+    if len(near) == 1:
         return score_place(candidates, second)
+    if chosen is not None and is_feasible_total(candidates.totals[chosen]):
+        near.append(chosen)
+    near.sort()
     shown = near if _is_full(candidates) else _keep_best(candidates, near, chosen)
     weighed = [score_place(candidates, place) for place in sorted(shown)]
     feasible = _sort_by_total(candidates, [host for host in weighed if not host.rejections])
     return next((host for host in feasible if host.place != chosen), None)
 
 
-def find_best_besides(candidates: CandidateSet, others: Sequence[int]) -> int | None:
-    """The first feasible place with the greatest total that is not among ``others``; None: there is none."""
+def exclude_places(candidates: CandidateSet, places: Sequence[int]) -> Totals:
+    """The totals without those of ``places``."""
     totals = candidates.totals.copy()
-    for place in others:
+    for place in places:
         totals[place] = EXCLUDED_TOTAL
-    top = max(totals, default=EXCLUDED_TOTAL)
-    return totals.index(top) if is_feasible_total(top) else None
+    return totals
 
 
 def _is_full(candidates: CandidateSet) -> bool:

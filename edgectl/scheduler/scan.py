@@ -26,6 +26,29 @@ MAX_CACHED_SHARES = 500_000
 _HOST_NAMES = tuple(resource.name for resource in HOST_RESOURCES)
 
 
+class ListTotals(list[float]):
+    """Eq. (4) by place. ``array_scan.ArrayTotals`` is the same on an array."""
+
+    __slots__ = ()
+
+    def find_top(self) -> int | None:
+        """The first feasible place with the greatest total."""
+        top = max(self, default=EXCLUDED_TOTAL)
+        return self.index(top) if is_feasible_total(top) else None
+
+    def list_at_least(self, level: float) -> list[int]:
+        """The places whose total is ``level`` or more, which the greatest is, in order."""
+        first = self.index(max(self))
+        others = max(self[:first], default=EXCLUDED_TOTAL), max(self[first + 1 :], default=EXCLUDED_TOTAL)
+        if max(others) < level:
+            return [first]  # the common case: three scans in C instead of one in Python
+        return [place for place, total in enumerate(self) if total >= level]
+
+    def copy(self) -> "ListTotals":
+        """An independent row with the same totals."""
+        return ListTotals(self)
+
+
 def is_feasible_total(total: float) -> bool:
     """Whether a scanned total is that of a feasible place (which is never below -1)."""
     return total > -INFEASIBLE_PENALTY / 2
@@ -72,7 +95,7 @@ class DemandShares:
         """Equal where rho of ``resources`` is the same at every edge."""
         by_class = self.fleet.demands.get(task.name)
         if by_class is None:
-            return tuple(task.demand[name] for name in resources)
+            return tuple([task.demand[name] for name in resources])
         return tuple(
             (kind, *(demand[name] for name in resources)) for kind, demand in sorted(by_class.items())
         )

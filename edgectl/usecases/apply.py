@@ -43,19 +43,18 @@ def plan_and_apply(
     """
     options = options or ApplyOptions()
     with lock_fleet(fleet, "apply", options) as held:
-        probe = dataclasses.replace(options.probe or ProbeOptions(), probe_idle_links=True)
-        plan = options.choose(_plan_with_recheck(held, policy, dataclasses.replace(options, probe=probe)))
+        plan = options.choose(_plan_with_recheck(held, policy, options))
         return confirm_and_execute(held, plan, confirm, options)
 
 
 def _plan_with_recheck(fleet: Fleet, policy: Policy, options: ApplyOptions) -> Plan:
     """A plan from a fresh probe; where it moves tasks because of load, from a longer one."""
     window = options.recheck_window
-    plan = make_plan(fleet, policy, options=options.probe, recorded=window is None)
+    probe = dataclasses.replace(options.probe or ProbeOptions(), probe_idle_links=True)
+    plan = make_plan(fleet, policy, options=probe, recorded=window is None)
     if window is None:
         return plan
     if any(step.action is Action.MOVE and step.decision.reason in _MOVES_BY_LOAD for step in plan.steps):
-        probe = options.probe or ProbeOptions()
         longer = dataclasses.replace(probe, window=window, timeout=probe.timeout + window)
         plan = make_plan(fleet, policy, snapshot=probe_fleet(fleet, longer))
     record_plan(fleet, plan)

@@ -139,7 +139,7 @@ def test_follow_goes_on_over_rotations(host: AgentHost) -> None:
     )
     follower = stream_agent_log(
         host.session,
-        {"op": "follow", "fleet": "lab", "host": "edge1", "task": "work", "tail": 0},
+        {"op": "follow", "fleet": "lab", "host": "edge1", "task": "work", "tail": 300},
         idle_timeout=20,
     )
     assert b"".join(follower).decode().splitlines() == [f"line {number}" for number in range(1, 301)]

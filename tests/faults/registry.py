@@ -137,9 +137,7 @@ def _inject_fault(each: Fault, fleet: FaultFleet, result: InjectionResult) -> No
 
 
 def draw_names(seed: int, variant: EdgectlVariant | None = None) -> list[str]:
-    """Draw the names of the hosts in a random order: three hosts, and
-    five for one seed in six of the whole matrix.
-    """
+    """Draw the names of the hosts in a random order: three, or five for one seed in six of the whole matrix."""
     drawn = random.Random(f"names {seed}")
     more = drawn.random() < 1 / 6 and not (variant and variant.sample)
     names = [f"edge{number}" for number in range(1, 6 if more else 4)]

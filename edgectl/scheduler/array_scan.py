@@ -1,0 +1,237 @@
+"""Equation (4) for one task at every edge at once, in NumPy: for fleets of very many pairs (ADR 0076).
+
+Every operation is that of ``scan``, element by element and in the same order, so that all numbers are the
+same to the last bit. Imported only where it pays and where NumPy is installed.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from math import inf
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edgectl.model.policy import Weights
+from edgectl.model.resource import HOST_RESOURCES, NETWORK
+from edgectl.model.task import ZERO, Task
+from edgectl.scheduler.capacities import Capacities
+from edgectl.scheduler.demand import OTHER_CLASS
+from edgectl.scheduler.ledger import NO_FREE_SHARE, Ledger
+from edgectl.scheduler.scan import EXCLUDED_TOTAL, INFEASIBLE_PENALTY, MAX_CACHED_SHARES, is_feasible_total
+from edgectl.scheduler.utility import EPSILON
+
+Array = NDArray[np.float64]
+_HOST_NAMES = tuple(resource.name for resource in HOST_RESOURCES)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ArrayShares:
+    """Demands as shares of capacity at every edge, as ``scan.DemandShares`` has them.
+
+    ``kinds`` are the classes of hosts, ``kind_of`` the index of each edge's class.
+    """
+
+    fleet: Capacities
+    raw: dict[str, Array]
+    usable: dict[str, Array]
+    links: dict[str, Array]
+    kinds: tuple[str, ...]
+    kind_of: NDArray[np.intp]
+    rows: dict[object, Array] = field(default_factory=dict)
+
+    def of_host(self, task: Task, resource: str) -> Array:
+        """D / Delta of a resource of hosts at every edge."""
+        usable = self.usable[resource]
+        key, quantities = self._find_quantities(task, resource)
+        row = self.rows.get(key)
+        if row is None:
+            row = self._keep(key, _divide(self._list_amounts(quantities, self.raw[resource]), usable))
+        floor = self.fleet.floors.get(task.name)
+        if floor is None or resource not in floor.used:
+            return row
+        return _raise(row, floor.used[resource], usable)
+
+    def of_weighted(self, task: Task, weights: Weights) -> Array:
+        """Sum of weight x (d / Delta) over the resources of hosts at every edge."""
+        total: Array = np.zeros(self.fleet.edges)
+        for name in _HOST_NAMES:
+            total = total + weights[name] * self.of_host(task, name)
+        return total
+
+    def of_link(self, task: Task, robot: str) -> Array:
+        """D / Delta of every edge's link to ``robot``."""
+        capacity = self.links[robot]
+        key, quantities = self._find_quantities(task, NETWORK.name)
+        key = (robot, key)
+        row = self.rows.get(key)
+        if row is None:
+            row = self._keep(key, self._build_link_row(task, quantities, capacity))
+        floor = self.fleet.floors.get(task.name)
+        if floor is None or robot not in floor.links:
+            return row
+        return _raise(row, floor.links[robot], capacity)
+
+    def _build_link_row(self, task: Task, quantities: Sequence[tuple[float, bool]], capacity: Array) -> Array:
+        if task.name in self.fleet.demands:
+            return _divide(self._list_amounts(quantities, capacity), capacity)
+        value, relative = quantities[0]
+        return value * (np.ones(len(capacity)) if relative else _divide(np.ones(len(capacity)), capacity))
+
+    def _find_quantities(self, task: Task, resource: str) -> tuple[object, list[tuple[float, bool]]]:
+        """Value of rho, and whether it is a share, by class of hosts; the same everywhere if there is one."""
+        by_class = self.fleet.demands.get(task.name)
+        if by_class is None:
+            stated = task.demand[resource] or ZERO
+            return (resource, stated.value, stated.relative), [(stated.value, stated.relative)]
+        other = by_class[OTHER_CLASS]
+        found = [by_class.get(kind, other)[resource] or ZERO for kind in self.kinds]
+        quantities = [(quantity.value, quantity.relative) for quantity in found]
+        return (resource, tuple(quantities), True), quantities
+
+    def _list_amounts(self, quantities: Sequence[tuple[float, bool]], whole: Array) -> Array:
+        index = self.kind_of if len(quantities) > 1 else np.zeros(len(whole), dtype=np.intp)
+        values: Array = np.array([value for value, _ in quantities])[index]
+        if not any(relative for _, relative in quantities):
+            return values
+        relative = np.array([each for _, each in quantities])[index]
+        with np.errstate(invalid="ignore"):
+            shared: Array = np.where(whole != inf, values * whole, 0.0)
+        return np.where(relative, shared, values)
+
+    def _keep(self, key: object, row: Array) -> Array:
+        if len(self.rows) * self.fleet.edges > MAX_CACHED_SHARES:
+            self.rows.clear()
+        self.rows[key] = row
+        return row
+
+
+def _divide(amounts: Array, capacity: Array) -> Array:
+    """The amounts as shares; 0 where there is no capacity."""
+    return np.divide(amounts, capacity, out=np.zeros(len(capacity)), where=capacity > 0)
+
+
+def _raise(row: Array, amount: float, capacity: Array) -> Array:
+    """The shares, none below that of ``amount``."""
+    least = np.divide(amount, capacity, out=np.zeros(len(capacity)), where=capacity != 0.0)
+    return np.where(capacity != 0.0, np.maximum(row, least), 0.0)
+
+
+def build_array_shares(fleet: Capacities) -> ArrayShares:
+    """Empty shares of ``fleet``."""
+    edges = fleet.edges
+    kinds = tuple(dict.fromkeys(fleet.classes[:edges])) or (OTHER_CLASS,)
+    places = {kind: index for index, kind in enumerate(kinds)}
+    return ArrayShares(
+        fleet=fleet,
+        raw={name: np.array(row[:edges]) for name, row in fleet.raw.items()},
+        usable={name: np.array(row[:edges]) for name, row in fleet.usable.items()},
+        links={robot: np.array([each or 0.0 for each in row]) for robot, row in fleet.links.items()},
+        kinds=kinds,
+        kind_of=np.array([places[kind] for kind in fleet.classes[:edges]] or [0] * edges, dtype=np.intp),
+    )
+
+
+@dataclass(slots=True, kw_only=True)
+class FreeArrays:
+    """The free shares of a ledger by edge, kept in step with it. ``weighted``: under ``weights``."""
+
+    free: dict[str, Array]
+    free_links: dict[str, Array]
+    weighted: Array
+
+    def set_free(self, place: int, name: str, share: float) -> None:
+        """Follow a change of one resource."""
+        row = self.free[name]
+        if place < len(row):
+            row[place] = share
+
+    def set_link(self, place: int, robot: str, share: float) -> None:
+        """Follow a change of one link."""
+        self.free_links[robot][place] = share
+
+    def set_weighted(self, place: int, total: float) -> None:
+        """Follow a change of the weighted sum."""
+        if place < len(self.weighted):
+            self.weighted[place] = total
+
+
+class ArrayTotals:
+    """Eq. (4) by place, as ``scan.ListTotals`` has it."""
+
+    __slots__ = ("row",)
+
+    def __init__(self, row: Array) -> None:
+        self.row = row
+
+    def __getitem__(self, place: int) -> float:
+        return float(self.row[place])
+
+    def __setitem__(self, place: int, total: float) -> None:
+        self.row[place] = total
+
+    def __iter__(self) -> Iterator[float]:
+        return iter(self.row.tolist())
+
+    def find_top(self) -> int | None:
+        """The first feasible place with the greatest total."""
+        top = int(self.row.argmax())
+        return top if is_feasible_total(self[top]) else None
+
+    def list_at_least(self, level: float) -> list[int]:
+        """The places whose total is ``level`` or more, in order."""
+        places: list[int] = np.flatnonzero(self.row >= level).tolist()
+        return places
+
+    def copy(self) -> "ArrayTotals":
+        """An independent row with the same totals."""
+        return ArrayTotals(self.row.copy())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ArrayScan:
+    """The scan of one assignment: shares of its fleet, and its weights."""
+
+    shares: ArrayShares
+    weights: Weights
+
+    def mirror(self, ledger: Ledger) -> None:
+        """Let arrays follow ``ledger`` from now on."""
+        edges = ledger.fleet.edges
+        ledger.mirror = FreeArrays(
+            free={name: np.array(row[:edges]) for name, row in ledger.free.items()},
+            free_links={robot: np.array(row) for robot, row in ledger.free_links.items()},
+            weighted=np.array(ledger.weigh_free(self.weights)[:edges]),
+        )
+
+    def compute_totals(self, free: FreeArrays, task: Task, *, offset: float) -> ArrayTotals:
+        """As ``scan.compute_resource_totals``, with ``EXCLUDED_TOTAL`` for the robots after the edges."""
+        shares, weights = self.shares, self.weights
+        terms = [free.free[name] - shares.of_host(task, name) for name in _HOST_NAMES]
+        terms.append(_find_link_terms(free, shares, task))
+        totals = (
+            offset + free.weighted - shares.of_weighted(task, weights) + weights[NETWORK.name] * terms[-1]
+        )
+        if any(term.min() < -EPSILON for term in terms):
+            totals[np.logical_or.reduce([term < -EPSILON for term in terms])] -= INFEASIBLE_PENALTY
+        row: Array = np.full(len(shares.fleet.places), EXCLUDED_TOTAL)
+        row[: shares.fleet.edges] = totals
+        return ArrayTotals(row)
+
+
+def build_array_scan(fleet: Capacities, weights: Weights) -> ArrayScan:
+    """The scan of ``fleet``, nothing computed yet."""
+    return ArrayScan(shares=build_array_shares(fleet), weights=weights)
+
+
+def _find_link_terms(mirror: FreeArrays, shares: ArrayShares, task: Task) -> Array:
+    """UT_net at every edge: the worst of the task's links; 1 without a robot."""
+    edges = shares.fleet.edges
+    if not task.robots:
+        return np.ones(edges)
+    if any(robot not in mirror.free_links for robot in task.robots):
+        return np.full(edges, NO_FREE_SHARE)
+    found = [mirror.free_links[robot] - shares.of_link(task, robot) for robot in task.robots]
+    worst: Array = found[0]
+    for other in found[1:]:
+        worst = np.minimum(worst, other)
+    return worst

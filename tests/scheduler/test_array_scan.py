@@ -1,0 +1,43 @@
+"""The scan in NumPy against the one in Python: the same decisions and rankings, bit by bit."""
+
+import pytest
+from hypothesis import given, settings
+
+from edgectl.model.assignment import Assignment
+from tests.scheduler.test_properties import Case, cases
+from tests.scheduler.test_scan import a_view
+from tests.scheduler.tight_fleets import TightFleet, build_full_fleet, build_random_fleet
+
+build_array_scan = pytest.importorskip("edgectl.scheduler.array_scan").build_array_scan
+
+
+def assign_with_arrays(case: Case | TightFleet) -> Assignment:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("edgectl.scheduler.assign.MIN_ARRAY_PAIRS", 0)
+        return case.assign()
+
+
+@given(case=cases())
+@settings(max_examples=40, deadline=None)
+def test_both_scans_decide_the_same(case: Case) -> None:
+    assert assign_with_arrays(case) == case.assign()
+
+
+@pytest.mark.parametrize(
+    "fleet",
+    [build_full_fleet(5, 20, seed=1), build_random_fleet(10, 40, 2, fill=0.9), build_random_fleet(70, 70, 3, fill=0.4)],
+)  # fmt: skip
+def test_both_scans_fill_a_fleet_in_the_same_way(fleet: TightFleet) -> None:
+    assert assign_with_arrays(fleet) == fleet.assign()
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_both_scans_find_the_same_totals(seed: int) -> None:
+    view = a_view(seed)
+    context, ledger = view.context, view.ledger.copy()
+    scan = build_array_scan(context.fleet, context.policy.weights)
+    scan.mirror(ledger)
+    far = context.policy.weights["task"] * view.utilities.get(-len(view.located), 0.0)
+    totals = list(scan.compute_totals(ledger.mirror, view.task, offset=far))
+    alone = [place for place in view.listed if place not in view.denied and place not in view.located]
+    assert [totals[place] for place in alone] == [view.totals[place] for place in alone]
