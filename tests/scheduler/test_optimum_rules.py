@@ -41,7 +41,7 @@ def _keep(others: tuple[str, ...], names: list[str]) -> tuple[str, ...]:
 
 
 def improve(fleet: TightFleet, way: str) -> Assignment:
-    policy = replace(fleet.policy, rebalance=way == "rebalance", optimal=way == "optimal", move_margin=0.0)
+    policy = replace(fleet.policy, rebalance=way == "rebalance", optimal=way == "optimal")
     solve = make_solver(0.1) if policy.optimal else None
     return assign(fleet.inventory, fleet.tasks, fleet.snapshot, fleet.memory, policy, NOW, solve)
 
@@ -59,7 +59,7 @@ def test_no_rule_is_broken_and_no_task_loses_its_place(
 ) -> None:
     fleet = add_random_rules(build_random_fleet(4, 12, seed, fill), seed)
     assume(is_consistent(fleet.tasks.tasks))
-    fleet = replace(fleet, policy=Policy(min_dwell=0.0, prefer=prefer))
+    fleet = replace(fleet, policy=Policy(min_dwell=0.0, move_margin=0.0, prefer=prefer))
     if newcomers:
         fleet = run_some(fleet, newcomers)
     plain, found = fleet.assign(), improve(fleet, way)
