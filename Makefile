@@ -1,5 +1,5 @@
 # Every target works in a fresh clone; .ci/setup makes .venv where it is missing.
-.PHONY: demo experiment test test-fast check setup audit bench faults fuzz soak clean
+.PHONY: quality demo experiment test test-fast check setup audit bench faults fuzz soak clean
 PY := .venv/bin/python
 export PYTHON
 
@@ -36,6 +36,10 @@ test-fast: setup
 bench: setup
 	@.ci/need-sshd
 	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.benchmarks
+
+# The figures of docs/concepts/quality.md: how far plans are from the best ones. Some minutes.
+quality: setup
+	@$(PY) -m tests.quality
 
 # The whole fault matrix on real hosts; make faults SEED=7 draws other moments and bytes.
 # Then a death of the manager at each failpoint, and a hundred random lives, over simulated hosts.

@@ -23,6 +23,7 @@ ALLOWED = {
     "gateway": PURE | {"formats", "rules", "transport"},
     "state": PURE | {"formats"},
     "doctor": PURE,
+    "solver": PURE | {"scheduler"},
     "executor": PURE | {"rules", "transport", "state"},
     "export": PURE | {"state", "formats"},
     "experiments": PURE
@@ -34,6 +35,7 @@ ALLOWED = {
         "formats",
         "rules",
         "scheduler",
+        "solver",
         "executor",
         "doctor",
         "transport",
@@ -45,6 +47,7 @@ ALLOWED = {
     "cli": PURE
     | {
         "rules",
+        "solver",
         "usecases",
         "views",
         "config",
@@ -73,12 +76,13 @@ OWNERS: dict[str, str | tuple[str, ...]] = {
     "platformdirs": "state",
     "simpy": "experiments/simulator",
     "skimage": "experiments/ssim",
-    "numpy": ("scheduler/array_scan", "experiments/ssim"),
+    "numpy": ("scheduler/array_scan", "solver/highs", "experiments/ssim"),
     "PIL": "experiments/ssim",
     "matplotlib": "experiments/report/",
     "jinja2": "experiments/report/page",
     "prometheus_client": "export/prometheus",
     "textual": "tui/",
+    "highspy": "solver/highs",
 }
 PURE_ROOMS = (
     "model/",

@@ -45,6 +45,7 @@ def apply_command(
     choose = policy_options.build_plan_filter(fleet.tasks, limits, quiet=change.quiet)
     how = policy_options.policy_from_options(fleet, overrides, attended=policy_options.is_interactive())
     saved = policy_options.load_saved_plan(plan, overrides, limits)
+    policy_options.require_solver(how if saved is None else saved.policy)
     if change.dry_run:
         raise Exit(apply_session.print_dry_run(fleet, how, saved, choose, output))
     with apply_session.open_apply_session(quiet=change.quiet, output=output, asked=asked) as act:

@@ -93,6 +93,7 @@ PolicyOption = Annotated[
 BestEffortOption = Annotated[bool, Option("--best-effort", help="Place a task even where it does not fit.")]
 PruneOption = Annotated[bool, Option("--prune", help="Also stop the tasks of other task files.")]
 RebalanceOption = Annotated[bool, Option("--rebalance", help="Swap and move tasks for a greater total.")]
+OptimalOption = Annotated[bool, Option("--optimal", help="Find the best plan, and prove it (extra opt).")]
 FullOption = Annotated[bool, Option("--full", help="Rank every host, however many there are.")]
 WithoutOption = Annotated[
     list[str] | None,
@@ -197,8 +198,8 @@ DryRunOption = Annotated[bool, Option("--dry-run", help="Only print the exact re
 
 @dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
 class PolicyOptions:
-    """Overrides of the policy of the task files. ``full`` and ``rebalance`` are options of
-    ``PlanPolicyOptions`` only.
+    """Overrides of the policy of the task files. ``full``, ``rebalance`` and ``optimal`` are
+    options of ``PlanPolicyOptions`` only.
     """
 
     weights: WeightsOption = None
@@ -206,6 +207,7 @@ class PolicyOptions:
     best_effort: BestEffortOption = False
     prune: PruneOption = False
     rebalance: bool = False
+    optimal: bool = False
     full: bool = False
     without: WithoutOption = None
 
@@ -215,6 +217,7 @@ class PlanPolicyOptions(PolicyOptions):
     """Overrides of the policy for one plan."""
 
     rebalance: RebalanceOption = False
+    optimal: OptimalOption = False
     full: FullOption = False
 
 

@@ -29,7 +29,7 @@ def plan_command(
         edgectl plan --without edge2 --detailed-exitcode
     """
     from edgectl.cli.connect import build_fleet, build_offline_fleet
-    from edgectl.cli.policy_options import build_plan_filter, is_what_if, policy_from_options
+    from edgectl.cli.policy_options import build_plan_filter, is_what_if, policy_from_options, require_solver
     from edgectl.config.documents import load_snapshot
     from edgectl.usecases.plan import make_plan
     from edgectl.views.output import render_view
@@ -39,6 +39,7 @@ def plan_command(
     choose = build_plan_filter(loaded.tasks, limits)
     fleet = build_offline_fleet(loaded) if snapshot else build_fleet(loaded, accept_new=accept_new)
     how = policy_from_options(fleet, overrides)
+    require_solver(how)
     result = choose(
         make_plan(
             fleet,

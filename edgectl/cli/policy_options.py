@@ -7,13 +7,14 @@ from functools import partial
 from pathlib import Path
 
 from edgectl.cli import console
+from edgectl.cli.extras import require_extra
 from edgectl.cli.options import PlanFilterOptions, PolicyOptions
 from edgectl.cli.selector import matches_selector
 from edgectl.cli.user_files import refuse_exposed_files, select_exposed
 from edgectl.config.weights import parse_weights
 from edgectl.errors import UsageError
 from edgectl.model.plan import Plan
-from edgectl.model.policy import Policy, Weights
+from edgectl.model.policy import Policy, PolicyName, Weights
 from edgectl.model.task import Tasks
 from edgectl.names import check_known_names
 from edgectl.units import QuantityError
@@ -38,8 +39,25 @@ def policy_from_options(fleet: Fleet, given: PolicyOptions, *, attended: bool = 
         full=given.full,
         prune=given.prune,
         rebalance=given.rebalance,
+        optimal=given.optimal,
         attended=attended,
     )
+
+
+def require_solver(policy: Policy) -> None:
+    """Check that a plan under ``policy`` can be made.
+
+    Raises:
+        UsageError: it needs a solver that is not installed, or that has nothing to solve.
+    """
+    if not policy.optimal:
+        return
+    if policy.rebalance:
+        raise UsageError("--optimal finds the best plan without --rebalance", hint="pass one of the two")
+    if policy.name is not PolicyName.UTILITY:
+        raise UsageError(f"--optimal is for policy utility, not {policy.name}", hint="omit one of the two")
+    with require_extra("opt"):
+        import edgectl.solver.highs  # noqa: F401
 
 
 def is_what_if(fleet: Fleet, policy: Policy) -> bool:

@@ -33,6 +33,7 @@ def plan_from_assignment(
         demand_spreads=assignment.demand_spreads,
         overuses=find_overuses(inventory, tasks, snapshot),
         shortages=assignment.shortages,
+        certificate=assignment.certificate,
         frozen=assignment.frozen,
         unseen=assignment.unseen,
         tasks_left_alone=_list_tasks_left_alone(assignment.policy, tasks, snapshot, manager),

@@ -182,6 +182,7 @@ class Reason(StrEnum):
     TOGETHER = "together-with"
     GROUP = "group-incomplete"
     REBALANCED = "rebalanced"
+    OPTIMAL = "optimal"
     REPLACED = "replaced"
     FORCED_INFEASIBLE = "present-host-infeasible"
     RELIEF = "relieves-overload"
@@ -282,6 +283,69 @@ class ExpectedLoad:
     )
 
 
+# Relative gap of a sum of utilities below which it counts as the highest.
+NEGLIGIBLE_GAP = 1e-5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Certificate:
+    """How far a plan may be from the best one: each figure with a bound that no plan exceeds.
+
+    ``wanted``: tasks that some host may take. ``placed``: those with a place; ``placed_bound``: at most so
+    many can have one, the higher priority first. ``moves``: running tasks that make room;
+    ``moves_bound``: so many must. ``utility_sum``: sum of all totals at the loads after the plan;
+    ``utility_sum_bound``: its maximum with so many tasks placed and moves, None where it is not known.
+    ``relaxed``: there are rules between tasks, and the bounds are those without them. ``withheld``: tasks of
+    incomplete groups, which all figures leave out.
+    """
+
+    wanted: int
+    placed: int
+    placed_bound: int
+    moves: int
+    moves_bound: int
+    utility_sum: Signed
+    utility_sum_bound: Signed | None = field(default=None, metadata=_WRITTEN)
+    relaxed: bool = False
+    withheld: int = 0
+
+    def describe(self) -> str:
+        """What was reached, and what is proven, in one line."""
+        parts = [self._describe_placed(), self._describe_moves(), self._describe_sum()]
+        if self.withheld:
+            parts.append(f"without {self.withheld} tasks of incomplete groups")
+        if self.relaxed:
+            parts.append("all bounds are without the rules between tasks")
+        return "; ".join(part for part in parts if part)
+
+    def _describe_placed(self) -> str:
+        if self.placed == self.wanted:
+            return f"all {self.wanted} tasks are placed"
+        if self.placed_bound == self.wanted:
+            return f"{self.placed} of {self.wanted} tasks are placed; whether all fit was not found in time"
+        none = f"no placement of all {self.wanted} tasks exists (proven)"
+        if self.placed == self.placed_bound:
+            return f"{none}: {self.placed} are placed, by priority as many as can be"
+        return f"{none}: {self.placed} are placed, at most {self.placed_bound} can be"
+
+    def _describe_moves(self) -> str:
+        if not self.moves:
+            return ""
+        tasks = "1 running task makes room" if self.moves == 1 else f"{self.moves} running tasks make room"
+        if self.moves == self.moves_bound:
+            return f"{tasks}, the fewest that can (proven)"
+        return f"{tasks}, at least {self.moves_bound} must"
+
+    def _describe_sum(self) -> str:
+        text = f"sum of utilities {self.utility_sum:.3f}"
+        if self.utility_sum_bound is None:
+            return text
+        gap = self.utility_sum_bound - self.utility_sum
+        if gap <= NEGLIGIBLE_GAP * abs(self.utility_sum_bound):
+            return f"{text}, the highest (proven)"
+        return f"{text}, at most {gap:.3f} below the highest"
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Assignment:
     """All decisions, in sequence order, the policy as used (weights normalised) and the expected load per
@@ -289,7 +353,8 @@ class Assignment:
 
     ``unseen`` are hosts that did not answer while nothing is remembered of them (a manager new to the fleet).
     ``demand_spreads`` are percent demands that mean different amounts on the hosts that may run the task.
-    ``shortages``: what the fleet lacks, whatever the placement.
+    ``shortages``: what the fleet lacks, whatever the placement. ``certificate``: of a plan that was made
+    as good as possible (ADR 71).
     """
 
     policy: Policy
@@ -300,3 +365,4 @@ class Assignment:
     unseen: tuple[str, ...] = ()
     demand_spreads: tuple[DemandSpread, ...] = ()
     shortages: tuple[Shortage, ...] = ()
+    certificate: Certificate | None = None

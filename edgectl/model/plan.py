@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from edgectl.model.assignment import Decision, DemandSpread, ExpectedLoad, Overuse, Shortage
+from edgectl.model.assignment import Certificate, Decision, DemandSpread, ExpectedLoad, Overuse, Shortage
 from edgectl.model.encoding import Instant, in_document
 from edgectl.model.policy import Policy
 from edgectl.model.snapshot import Snapshot
@@ -71,7 +71,8 @@ class Plan:
     ``created_at`` (s since 1970) is the snapshot's ``taken_at``. ``summary`` counts steps by action.
     ``tasks_left_alone``: running tasks of task files that were not given, by name with their file ("" where
     it is not known). ``overuses``: tasks that use more than they declare. ``shortages``: what the fleet
-    lacks, whatever the placement.
+    lacks, whatever the placement. ``certificate``: how far the plan may be from the best one, where that was
+    asked for.
     """
 
     created_at: Instant
@@ -86,6 +87,7 @@ class Plan:
     demand_spreads: tuple[DemandSpread, ...] = field(default=(), metadata=in_document(always=True))
     overuses: tuple[Overuse, ...] = field(default=(), metadata=in_document(always=True))
     shortages: tuple[Shortage, ...] = field(default=(), metadata=in_document(always=True))
+    certificate: Certificate | None = None
     tasks_left_alone: Mapping[str, str] = field(default_factory=dict, metadata=in_document(always=True))
     snapshot: Snapshot
 

@@ -82,6 +82,7 @@ class Policy:
     candidates (what if). ``prune``: also stop the running tasks of files that were not given (ADR 0039).
     ``prefer``: pack makes the fuller host the better one (ADR 73).
     ``rebalance``: relocate and swap tasks for a greater sum of utilities (ADR 66).
+    ``optimal``: find the best plan with a solver, and prove how good it is (ADR 71).
     """
 
     name: PolicyName = field(default=PolicyName.UTILITY, metadata=in_document("policy", required=True))
@@ -98,4 +99,5 @@ class Policy:
     without: frozenset[str] = field(default=frozenset(), metadata=in_document("options.without", always=True))
     prune: bool = field(default=False, metadata=in_document("options.prune"))
     rebalance: bool = field(default=False, metadata=in_document("options.rebalance"))
+    optimal: bool = field(default=False, metadata=in_document("options.optimal"))
     prefer: Preference = field(default=Preference.SPREAD, metadata=in_document("options.prefer"))

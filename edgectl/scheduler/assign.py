@@ -6,9 +6,9 @@ Pure; the same inputs give the same bytes.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
-from edgectl.model.assignment import Assignment, Decision, Reason, Rejection, Verdict
+from edgectl.model.assignment import Assignment, Certificate, Decision, Reason, Rejection, Verdict
 from edgectl.model.inventory import Inventory
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.policy import Policy
@@ -32,14 +32,23 @@ from edgectl.scheduler.demand import add_measured_demands
 from edgectl.scheduler.demand_spread import find_demand_spreads
 from edgectl.scheduler.groups import MAX_ROUNDS, withhold_incomplete_groups
 from edgectl.scheduler.initial_state import InitialState, RunningTask, build_initial_state
+from edgectl.scheduler.integer_program import Solver, keep_bounds
 from edgectl.scheduler.lazy_ranking import LoadChange, LoadHistory, RankingRequest
 from edgectl.scheduler.ledger import Ledger, compute_demand_usage
 from edgectl.scheduler.move_cost import collect_handoff_history
+from edgectl.scheduler.optimum import certify, find_optimum, is_overload_kept, value_plan
 from edgectl.scheduler.peaks import LoadPeaks, stays_in_place
 from edgectl.scheduler.placement_rules import NO_RULES, build_placement_rules
 from edgectl.scheduler.policies import POLICIES, SchedulingPolicy
 from edgectl.scheduler.preference import sign_weights
-from edgectl.scheduler.repair import UnrepairedPlan, rate_plan, rebalance_plan, repair_plan
+from edgectl.scheduler.repair import (
+    UnrepairedPlan,
+    choose_places,
+    list_wanted,
+    rate_plan,
+    rebalance_plan,
+    repair_plan,
+)
 from edgectl.scheduler.reservation import reserve_running_tasks
 from edgectl.scheduler.scan import build_demand_shares
 from edgectl.scheduler.sequence import is_need_met, order_tasks
@@ -358,11 +367,18 @@ MAX_PASSES = 5
 
 
 def assign(
-    inventory: Inventory, tasks: Tasks, snapshot: Snapshot, manager: ManagerState, policy: Policy, now: float
+    inventory: Inventory,
+    tasks: Tasks,
+    snapshot: Snapshot,
+    manager: ManagerState,
+    policy: Policy,
+    now: float,
+    solve: Solver | None = None,
 ) -> Assignment:
     """A host, numbers and a reason for each task, in sequence order (Section IV of the paper).
 
-    ``now``: seconds since 1970, on the clock of ``snapshot.taken_at``.
+    ``now``: seconds since 1970, on the clock of ``snapshot.taken_at``. ``solve``: look for the best plan with
+    it, if the policy settles plans, and certify how good it is (ADR 71).
 
     Raises:
         ValueError: the tasks' needs form a cycle, or the weights are not usable (validation of the files
@@ -393,7 +409,12 @@ def assign(
         rules=rules,
         initial=state,
     )
-    outcome, settled = _run_with_groups(how, state) if rules.settles else _run_once(how, state)
+    certificate = None
+    if not rules.settles:
+        outcome, settled = _run_once(how, state)
+    else:
+        found, certificate = _run_with_groups(how, state, solve)
+        outcome, settled = found.outcome, found.settled
     return Assignment(
         policy=used,
         decisions=outcome.decisions,
@@ -403,6 +424,7 @@ def assign(
         unseen=state.unseen,
         demand_spreads=find_demand_spreads(fleet, tasks),
         shortages=compute_shortages(state, tasks),
+        certificate=certificate,
     )
 
 
@@ -422,60 +444,108 @@ def _select_first_placements(manager: ManagerState, state: InitialState) -> dict
     return {task: host for task, host in manager.first.items() if task not in state.replaced}
 
 
-def _run_with_groups(how: PlacementPass, initial: InitialState) -> tuple[PassResult, bool]:
+class SettledPlan(NamedTuple):
+    """A plan, whether its repetition leaves it as it is, and the moves of the passes before it."""
+
+    outcome: PassResult
+    settled: bool
+    prior_moves: Mapping[str, Choice]
+
+
+def _run_with_groups(
+    how: PlacementPass, initial: InitialState, solve: Solver | None
+) -> tuple[SettledPlan, Certificate | None]:
     """A plan in which no group is started in part (ADR 73): made again without each that is incomplete."""
-    outcome, settled = _run_until_settled(how, initial)
+    plain, found = _run_until_settled(how, optimal=solve is not None)
     groups, tasks = how.context.placement_rules.groups, {task.name: task for task in how.order}
     for round_ in range(MAX_ROUNDS + len(groups) if groups else 0):
         withheld = withhold_incomplete_groups(
-            groups, tasks, outcome.decisions, initial.running, every=round_ >= MAX_ROUNDS
+            groups, tasks, found.outcome.decisions, how.initial.running, every=round_ >= MAX_ROUNDS
         )
         if not withheld:
             break
-        initial = replace(initial, fixed={**initial.fixed, **withheld})
-        rules = build_placement_rules(how.order, how.context.fleet, initial)
-        how = replace(how, initial=initial, context=replace(how.context, placement_rules=rules))
-        outcome, settled = _run_until_settled(how, initial)
-    return outcome, settled
+        state = replace(how.initial, fixed={**how.initial.fixed, **withheld})
+        rules = build_placement_rules(how.order, how.context.fleet, state)
+        how = replace(how, initial=state, context=replace(how.context, placement_rules=rules))
+        plain, found = _run_until_settled(how, optimal=solve is not None)
+    if solve is None:
+        return found, None
+    return _optimise(how, plain, found, solve, withheld=len(how.initial.fixed.keys() - initial.fixed.keys()))
 
 
-def _run_until_settled(how: PlacementPass, initial: InitialState) -> tuple[PassResult, bool]:
-    """A plan that its repetition does not change, with room made for tasks that found none (ADR 64)."""
-    outcome, settled, prior_moves = _settle(how, initial, {})
-    changed = repair_plan(_build_unrepaired(how, outcome, prior_moves))
-    if changed:
-        outcome, settled, prior_moves = _settle_changed(how, outcome, prior_moves, changed)
-    if settled and how.context.policy.rebalance:
-        outcome = _rebalance(how, outcome, prior_moves)
-    return outcome, settled
+def _run_until_settled(how: PlacementPass, *, optimal: bool) -> tuple[SettledPlan, SettledPlan]:
+    """A plan that its repetition does not change; and it with room made for tasks that found none (ADR 64),
+    and with a greater sum of utilities where that is asked for.
+    """
+    plain = _settle(how, how.initial, {})
+    found = _make_room(how, plain)
+    if optimal:
+        known = _build_unrepaired(how, found)
+        changed = rebalance_plan(known, started_only=True)
+        return plain, _take_better(how, _build_unrepaired(how, plain), found, changed)
+    if found.settled and how.context.policy.rebalance:
+        found = _rebalance(how, found)
+    return plain, found
 
 
-def _rebalance(how: PlacementPass, outcome: PassResult, prior_moves: Mapping[str, Choice]) -> PassResult:
+def _make_room(how: PlacementPass, plain: SettledPlan) -> SettledPlan:
+    """The plan with room made for tasks that found none (ADR 64)."""
+    changed = repair_plan(_build_unrepaired(how, plain))
+    return _settle_changed(how, plain, changed) if changed else plain
+
+
+def _rebalance(how: PlacementPass, found: SettledPlan) -> SettledPlan:
     """A settled plan with a greater sum of utilities and as many tasks placed, else the same one (ADR 66)."""
-    found = _build_unrepaired(how, outcome, prior_moves)
-    changed = rebalance_plan(found)
+    before = _build_unrepaired(how, found)
+    changed = rebalance_plan(before)
     if not changed:
-        return outcome
-    other, stands, moves = _settle_changed(how, outcome, prior_moves, changed)
-    gains = rate_plan(_build_unrepaired(how, other, moves)) > rate_plan(found)
-    return other if stands and gains and other.placed.keys() >= outcome.placed.keys() else outcome
+        return found
+    other = _settle_changed(how, found, changed)
+    gains = rate_plan(_build_unrepaired(how, other)) > rate_plan(before)
+    placed_before = found.outcome.placed.keys()
+    return other if other.settled and gains and other.outcome.placed.keys() >= placed_before else found
 
 
-def _settle_changed(
-    how: PlacementPass, outcome: PassResult, prior_moves: Mapping[str, Choice], changed: Mapping[str, Choice]
-) -> tuple[PassResult, bool, Mapping[str, Choice]]:
-    other = _change_choices(how, outcome, changed)
-    moves = collect_prior_moves(other, prior_moves, how.initial)
+def _optimise(
+    how: PlacementPass, plain: SettledPlan, known: SettledPlan, solve: Solver, withheld: int
+) -> tuple[SettledPlan, Certificate]:
+    """The better one of the known plan and of what the solver finds; both are settled and valued by the same
+    rules.
+
+    With rules between tasks the solver only bounds: it does not know them, and its places may break them.
+    """
+    relaxed = how.context.placement_rules is not NO_RULES
+    origin, before = _build_unrepaired(how, plain), _build_unrepaired(how, known)
+    optimum = find_optimum(origin, before, keep_bounds(solve) if relaxed else solve)
+    best = _take_better(how, origin, known, choose_places(before, optimum.places))
+    value = value_plan(_build_unrepaired(how, best), origin)
+    wanted = len({*origin.placed, *(task.name for task in list_wanted(origin))})
+    return best, replace(certify(value, wanted, optimum), relaxed=relaxed, withheld=withheld)
+
+
+def _take_better(
+    how: PlacementPass, origin: UnrepairedPlan, best: SettledPlan, changed: Mapping[str, Choice]
+) -> SettledPlan:
+    """The plan with ``changed``, settled again, if that makes it better and overloads no host anew."""
+    if not changed:
+        return best
+    other = _settle_changed(how, best, changed)
+    plan, known = _build_unrepaired(how, other), _build_unrepaired(how, best)
+    better = value_plan(plan, origin).is_better_than(value_plan(known, origin))
+    return other if other.settled and better and is_overload_kept(plan, known) else best
+
+
+def _settle_changed(how: PlacementPass, plan: SettledPlan, changed: Mapping[str, Choice]) -> SettledPlan:
+    other = _change_choices(how, plan.outcome, changed)
+    moves = collect_prior_moves(other, plan.prior_moves, how.initial)
     return _settle(how, state_from_pass(how.initial, other, how.initial), moves)
 
 
-def _settle(
-    how: PlacementPass, start: InitialState, prior_moves: Mapping[str, Choice]
-) -> tuple[PassResult, bool, Mapping[str, Choice]]:
+def _settle(how: PlacementPass, start: InitialState, prior_moves: Mapping[str, Choice]) -> SettledPlan:
     """The first of five passes that its repetition does not change; else one without voluntary moves.
 
-    With it, whether it settled, and the moves before it. The first pass is recorded at once, because most
-    plans stand at once; a later one only when it is known to be the one.
+    The first pass is recorded at once, because most plans stand at once; a later one only when it is known to
+    be the one.
     """
     recorded = replace(how, record=True)
     state, moves = start, prior_moves
@@ -485,15 +555,16 @@ def _settle(
         next_state = state_from_pass(state, outcome, how.initial)
         repeated = run_pass(how, next_state, put)
         if repeated.places == outcome.places:
-            return outcome if state is start else run_pass(recorded, state, moves), True, moves
+            last = outcome if state is start else run_pass(recorded, state, moves)
+            return SettledPlan(last, settled=True, prior_moves=moves)
         state, moves, outcome = next_state, put, repeated
-    return run_pass(replace(recorded, voluntary=False), start, prior_moves), False, prior_moves
+    last = run_pass(replace(recorded, voluntary=False), start, prior_moves)
+    return SettledPlan(last, settled=False, prior_moves=prior_moves)
 
 
-def _build_unrepaired(
-    how: PlacementPass, outcome: PassResult, prior_moves: Mapping[str, Choice]
-) -> UnrepairedPlan:
-    left = _count_moves_left(how, collect_prior_moves(outcome, prior_moves, how.initial))
+def _build_unrepaired(how: PlacementPass, plan: SettledPlan) -> UnrepairedPlan:
+    outcome = plan.outcome
+    left = _count_moves_left(how, collect_prior_moves(outcome, plan.prior_moves, how.initial))
     return UnrepairedPlan(
         context=how.context,
         order=how.order,

@@ -14,13 +14,16 @@ from edgectl.scheduler.ranking import ScoredPlace, exclude_places, find_challeng
 from edgectl.scheduler.scan import EXCLUDED_TOTAL, is_feasible_total
 from edgectl.scheduler.utility import EPSILON
 
+# The whole plan is the reason of such a place.
+_IMPROVED = (Reason.REBALANCED, Reason.OPTIMAL)
+
 
 def rebase_on_initial(choice: Choice, initial_place: int | None, prior_move: Choice | None) -> Choice:
     """The choice of a later pass relative to the place where the task really runs.
 
     ``prior_move`` first moved it.
     """
-    if prior_move is not None and prior_move.reason is Reason.REBALANCED and choice.place != initial_place:
+    if prior_move is not None and prior_move.reason in _IMPROVED and choice.place != initial_place:
         return replace(prior_move, place=choice.place)
     if prior_move is not None and prior_move.reason in (Reason.MADE_ROOM, Reason.PREEMPTED):
         if choice.place is None:
@@ -71,7 +74,7 @@ def build_decision(
         challenger=candidates.name(other.place) if other and choice.place is not None else None,
         subject=subject,
         amount=_compute_gain(candidates, choice, initial_place)
-        if choice.voluntary and choice.reason not in (Reason.MADE_ROOM, Reason.REBALANCED)
+        if choice.voluntary and choice.reason not in (Reason.MADE_ROOM, *_IMPROVED)
         else choice.amount,
         cost=choice.cost,
         nearest=_get_place_name(fleet, choice.nearest),

@@ -242,6 +242,18 @@ def may_leave(packing: Packing, item: Item) -> bool:
     return item.movable and _has_budget(packing, [item])
 
 
+def keeps_limits(packing: Packing, goals: Mapping[str, int]) -> bool:
+    """Whether the items of ``goals`` may be beside those that are with them once all are at their goals."""
+    if not any(packing.items[name].limits for name in goals):
+        return True
+    located = {**packing.fixed, **packing.at, **goals}
+    return not any(
+        limit.find_excess(name, goal, located)[0] > 0
+        for name, goal in goals.items()
+        for limit in packing.items[name].limits
+    )
+
+
 def _list_conflicts(packing: Packing, item: Item, place: int) -> list[tuple[int, frozenset[str]]]:
     """How many must leave the domain of ``place`` for ``item``, and of which, for each limit."""
     if not item.limits:

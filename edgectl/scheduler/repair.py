@@ -60,7 +60,7 @@ def repair_plan(plan: UnrepairedPlan) -> dict[str, Choice]:
     Every task that has a place keeps one. Empty where nothing is unplaced for lack of room, or no way is
     found.
     """
-    wanted = _list_wanted(plan)
+    wanted = list_wanted(plan)
     if not wanted:
         return {}
     leaders, sort_places = _choose_leaders(plan), _build_place_sorter(plan)
@@ -141,11 +141,16 @@ def _build_joint_item(
     return combine_items(name, items)
 
 
-def rebalance_plan(plan: UnrepairedPlan) -> dict[str, Choice]:
+def rebalance_plan(plan: UnrepairedPlan, *, started_only: bool = False) -> dict[str, Choice]:
     """The choices with which the sum of all utilities is higher (ADR 66), where they differ from those of
     ``plan``.
+
+    ``started_only``: no running task moves.
     """
     packing = _build_packing(plan, _build_place_sorter(plan), {})
+    if started_only:
+        for name in packing.items.keys() & plan.initial.running.keys():
+            packing.items[name] = replace(packing.items[name], movable=False)
     rebalance_packing(packing, _build_objective(plan), plan.context.policy.move_margin)
     return {
         name: replace(choice, reason=Reason.REBALANCED, subject=None)
@@ -153,10 +158,44 @@ def rebalance_plan(plan: UnrepairedPlan) -> dict[str, Choice]:
     }
 
 
+def choose_places(plan: UnrepairedPlan, places: Mapping[str, int]) -> dict[str, Choice]:
+    """The choices that give each task its place of ``places``, or none, where they differ from ``plan``."""
+    changed = {
+        name: Choice(
+            verdict=Verdict.PLACED, reason=Reason.OPTIMAL, place=place, voluntary=name in plan.initial.running
+        )
+        for name, place in places.items()
+        if name not in plan.placed or plan.placed[name][0] != place
+    }
+    gone = plan.placed.keys() - places.keys()
+    return changed | {
+        name: Choice(verdict=Verdict.UNPLACED, reason=Reason.NO_FEASIBLE_HOST) for name in sorted(gone)
+    }
+
+
 def rate_plan(plan: UnrepairedPlan) -> float:
     """The sum of the utilities of all placed tasks at the loads after the plan."""
     packing = _build_packing(plan, _build_place_sorter(plan), {})
     return _build_objective(plan).rate(packing, packing.at)
+
+
+def build_search(plan: UnrepairedPlan) -> tuple[Packing, dict[str, list[int]]]:
+    """The packing of ``plan``, with items also for tasks without room; and the columns of each task's
+    links.
+
+    No item is held by another: all are free to go where their own rules allow.
+    """
+    columns, sort_places = _list_link_columns(plan), _build_place_sorter(plan)
+    alone = {name: name for name in plan.context.placement_rules.units}
+    packing = _build_packing(plan, sort_places, alone)
+    for task in list_wanted(plan):
+        packing.items[task.name] = _build_item(plan, columns, task, sort_places, alone)
+    links = {
+        task.name: [columns[robot] for robot in task.robots if robot in columns]
+        for task in plan.order
+        if task.name in packing.items
+    }
+    return packing, links
 
 
 def _build_objective(plan: UnrepairedPlan) -> Objective:
@@ -176,7 +215,7 @@ def _build_objective(plan: UnrepairedPlan) -> Objective:
     )
 
 
-def _list_wanted(plan: UnrepairedPlan) -> list[Task]:
+def list_wanted(plan: UnrepairedPlan) -> list[Task]:
     """Tasks without room, and those that only wait for them, in sequence order."""
     reach = _find_located(plan)
     wanted = []

@@ -12,7 +12,7 @@ from edgectl.model.policy import Policy
 from edgectl.state.failpoints import hit_failpoint
 from edgectl.state.journal import Journal
 from edgectl.usecases.fleet import Fleet
-from edgectl.usecases.plan import compute_plan_id, make_plan
+from edgectl.usecases.plan import compute_plan_id, get_solver, make_plan
 from edgectl.usecases.plan_execution import (
     ApplyOptions,
     ApplyResult,
@@ -90,7 +90,7 @@ def apply_saved_plan(fleet: Fleet, plan: Plan, options: ApplyOptions | None = No
         changes = (
             *list_file_conflicts(plan, fleet.inventory, fleet.tasks),
             *list_drift(plan, snapshot, snapshot.manager or ManagerState()),
-        ) or list_unsafe_steps(plan, fleet.inventory, fleet.tasks, snapshot)
+        ) or list_unsafe_steps(plan, fleet.inventory, fleet.tasks, snapshot, get_solver(plan.policy))
         hit_failpoint("staleness checked")
         if changes:
             raise StalePlanError(changes)

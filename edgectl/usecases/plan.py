@@ -17,6 +17,7 @@ from edgectl.model.snapshot import Snapshot
 from edgectl.rules.lost_places import find_shared_machine
 from edgectl.scheduler.assign import assign
 from edgectl.scheduler.claims import describe_claims
+from edgectl.scheduler.integer_program import Solver
 from edgectl.scheduler.shortage import find_shortages
 from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.probe import probe_fleet
@@ -54,8 +55,18 @@ def make_plan(
             hint="remove one, or declare both as slices with capacity: {cpu: .., memory: ..}",
         )
     manager = snapshot.manager or ManagerState()
-    assignment = assign(fleet.inventory, fleet.tasks, snapshot, manager, policy, snapshot.taken_at)
+    solve = get_solver(policy)
+    assignment = assign(fleet.inventory, fleet.tasks, snapshot, manager, policy, snapshot.taken_at, solve)
     return plan_from_assignment(fleet.inventory, fleet.tasks, snapshot, manager, assignment)
+
+
+def get_solver(policy: Policy) -> Solver | None:
+    """The solver for a plan under ``policy``, which has its deadline from now; None: it needs none."""
+    if not policy.optimal:
+        return None
+    from edgectl.solver.highs import make_solver
+
+    return make_solver()
 
 
 def find_fleet_shortages(fleet: Fleet, snapshot: Snapshot) -> tuple[Shortage, ...]:

@@ -13,6 +13,7 @@ from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Tasks
 from edgectl.names import natural_key
 from edgectl.scheduler.assign import assign
+from edgectl.scheduler.integer_program import Solver
 
 # Decisions that no load changes: held, completed, given up or unmanaged now must be so in the plan, too.
 _FIXED_VERDICTS = (Verdict.HELD, Verdict.COMPLETED)
@@ -42,16 +43,19 @@ def list_file_conflicts(plan: Plan, inventory: Inventory, tasks: Tasks) -> tuple
     return tuple(found)
 
 
-def list_unsafe_steps(plan: Plan, inventory: Inventory, tasks: Tasks, snapshot: Snapshot) -> tuple[str, ...]:
+def list_unsafe_steps(
+    plan: Plan, inventory: Inventory, tasks: Tasks, snapshot: Snapshot, solve: Solver | None = None
+) -> tuple[str, ...]:
     """Steps that edgectl would not plan for ``snapshot``, newer than the plan, one line each.
 
     Such a step starts a second copy, uses a host that the rules exclude, stops a task that should run, or
     puts a task elsewhere than a plan of now (ADR 0063). The names in the plan must be known
-    (``list_file_conflicts``). Steps that --target or -l left out are not compared.
+    (``list_file_conflicts``). Steps that --target or -l left out are not compared. ``solve``: for a plan that
+    was made with a solver.
     """
     manager = snapshot.manager or ManagerState()
     policy = replace(plan.policy, full=True)
-    fresh = assign(inventory, tasks, snapshot, manager, policy, snapshot.taken_at)
+    fresh = assign(inventory, tasks, snapshot, manager, policy, snapshot.taken_at, solve)
     now = {decision.task: decision for decision in fresh.decisions}
     again = {step.task: step for step in _derive_steps(plan, fresh, tasks, snapshot, manager)}
     return tuple(

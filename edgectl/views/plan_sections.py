@@ -125,6 +125,8 @@ def list_plan_notes(value: Plan) -> list[str]:
             f"first plan of this fleet: tasks on {join_words(value.unseen)} are not known "
             "and count as not running"
         )
+    if value.certificate is not None:
+        lines.append(value.certificate.describe())
     return (
         lines
         + list_load_notes(value)

@@ -35,6 +35,7 @@ _FIXED_REASON_TEXTS = {
     Reason.ONLY_FEASIBLE: "the only host that fits",
     Reason.BEST_EFFORT: "nothing fits; best effort",
     Reason.REBALANCED: "the sum of all utilities is higher (--rebalance)",
+    Reason.OPTIMAL: "so in the best plan found (--optimal)",
     Reason.ROOM_MADE: "fits since other tasks made room",
     Reason.PINNED: "pinned",
     Reason.FIRST_PLACEMENT: "first placement (policy static)",

@@ -2,6 +2,7 @@
 
 import json
 import os
+import sys
 from pathlib import Path
 
 import pytest
@@ -192,3 +193,33 @@ def test_an_unmanaged_task_that_runs_nowhere_is_not_called_left_out_or_completed
     ]
     assert said[-1].endswith("1 not managed and found nowhere.")
     assert "completed before" not in said[-1]
+
+
+def test_the_best_plan_says_what_is_proven(run: Run, site: Path) -> None:
+    ended = run(*PLAN, "--optimal", "--out", "best.plan")
+    assert ended.code == 0, ended.err
+    assert "tasks are placed" in ended.err
+    assert "the highest (proven)" in ended.err
+    certificate = json.loads((site / "best.plan").read_text())["certificate"]
+    assert certificate["placed"] == certificate["placed_bound"] == certificate["wanted"]
+    assert "the highest (proven)" in run("show", "best.plan").err
+
+
+@pytest.mark.parametrize("words", [("--rebalance",), ("--policy", "paper")])
+def test_the_best_plan_is_of_one_policy(run: Run, site: Path, words: tuple[str, ...]) -> None:
+    ended = run(*PLAN, "--optimal", *words)
+    assert ended.code == 64
+    assert "--optimal" in ended.err
+
+
+def test_without_the_extra_the_hint_installs_it(
+    run: Run, site: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("edgectl.solver.highs", "highspy"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    monkeypatch.setitem(sys.modules, "highspy", None)
+    ended = run(*PLAN, "--optimal")
+    assert ended.code == 64
+    assert "this needs highspy, which is not installed" in ended.err
+    assert "[opt]" in ended.err
+    assert "Traceback" not in ended.err

@@ -7,6 +7,8 @@ from pathlib import Path
 import pytest
 
 HEAVY = {
+    "highspy",
+    "numpy",
     "fabric",
     "paramiko",
     "invoke",

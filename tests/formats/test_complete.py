@@ -9,6 +9,7 @@ import pytest
 
 from edgectl.formats.kinds import MANAGER_STATE_KIND, PLAN_KIND, SNAPSHOT_KIND
 from edgectl.model.assignment import (
+    Certificate,
     Decision,
     DemandSource,
     DemandSpread,
@@ -90,7 +91,8 @@ SNAPSHOT = Snapshot(taken_at=1.5, hosts={"h": HOST}, manager=MANAGER)
 WEIGHTS = Weights({name: 0.1 * place for place, name in enumerate(TERM_NAMES, 1)})
 POLICY = Policy(
     name=PolicyName.PAPER, weights=WEIGHTS, sequence=SequenceRule.SENSITIVITY, move_margin=0.2, min_dwell=3.0, max_moves=None, attended=False,
-    best_effort=True, full=True, without=frozenset({"h"}), prune=True, rebalance=True, prefer=Preference.PACK,
+    best_effort=True, full=True, without=frozenset({"h"}), prune=True, rebalance=True, optimal=True,
+    prefer=Preference.PACK,
 )  # fmt: skip
 REJECTION = Rejection(
     rule=RejectionRule.INSUFFICIENT,
@@ -105,6 +107,17 @@ TERMS = UtilityTerms({name: -0.1 * place for place, name in enumerate(TERM_NAMES
 RHO = ResourceDemand(resource=NETWORK, value=1.5, source=DemandSource.MEASURED, samples=412, demanded=0.5)
 OVERUSE = Overuse(task="t-1", entry="t", host="h", resource=NETWORK, used=2.0, declared=1.0)
 SHORTAGE = Shortage(resource=MEMORY, amount=1.5)
+CERTIFICATE = Certificate(
+    wanted=4,
+    placed=3,
+    placed_bound=3,
+    moves=2,
+    moves_bound=1,
+    utility_sum=1.5,
+    utility_sum_bound=1.75,
+    relaxed=True,
+    withheld=2,
+)
 UNEVEN = DemandSpread(task="t", resource=MEMORY, share=0.25, least=1.5, most=3.0, hosts=("a", "b"))
 RANKED = RankedHost(
     host="h",
@@ -126,11 +139,11 @@ EXPECTED = ExpectedLoad(used=Usage(cpu=1.0, memory=2.0), links={"r": 3.0})
 PLAN = Plan(
     created_at=1.5, policy=POLICY, inventory_digest="a", tasks_digest="b", snapshot=SNAPSHOT, settled=False, steps=(STEP,),
     expected={"h": EXPECTED}, frozen=True, unseen=("u",), demand_spreads=(UNEVEN,), tasks_left_alone={"o": "f"}, overuses=(OVERUSE,),
-    shortages=(SHORTAGE,),
+    shortages=(SHORTAGE,), certificate=CERTIFICATE,
 )  # fmt: skip
 VALUES = [
     LINK, TASK, INTERFACE, DEVICE, CPU_USE, MEMORY_USE, HOST, PLACEMENT, MANAGER, SNAPSHOT, WEIGHTS, POLICY, REJECTION, TERMS, RANKED, COST, DECISION,
-    STEP, EXPECTED, PLAN, MEASURED, RHO, UNEVEN, OTHER, OVERUSE, SHORTAGE,
+    STEP, EXPECTED, PLAN, MEASURED, RHO, UNEVEN, OTHER, OVERUSE, SHORTAGE, CERTIFICATE,
 ]  # fmt: skip
 
 

@@ -1,0 +1,275 @@
+"""The best plan by three levels, one after the other (ADR 71): tasks placed, by priority; fewest and cheapest
+moves; sum of utilities. Pure: the solver is given.
+"""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import ceil, inf
+
+from edgectl.model.assignment import Certificate
+from edgectl.model.task import Task
+from edgectl.scheduler.integer_program import Solver
+from edgectl.scheduler.ledger import NO_FREE_SHARE
+from edgectl.scheduler.move_cost import HandoffHistory
+from edgectl.scheduler.packing import Packing, Shares
+from edgectl.scheduler.placement_model import (
+    PlacementItem,
+    PlacementProblem,
+    Requirements,
+    bound_alone,
+    build_model,
+    count_moves,
+    count_placed_tasks,
+    sum_utilities,
+)
+from edgectl.scheduler.repair import UnrepairedPlan, build_search, rate_plan
+from edgectl.scheduler.utility import EPSILON
+
+# Differences of a sum of utilities below this are rounding.
+TOLERANCE = 1e-6
+# Shares of the time that is left, for the first two levels and for the third.
+_FIRST_SHARE, _LAST_SHARE = 0.5, 1.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bounds:
+    """Bounds on all plans: tasks placed, moves, and the sum of utilities with at most ``most_moves``."""
+
+    placed: int
+    moves: int
+    utility: float | None
+    most_moves: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Optimum:
+    """The best places that were found, and what no plan exceeds."""
+
+    places: Mapping[str, int]
+    bounds: Bounds
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlanValue:
+    """The value of a plan, in the order in which plans are compared.
+
+    ``placed``: tasks with a place by priority, the highest first. ``moves``: running tasks that make room.
+    """
+
+    placed: tuple[int, ...]
+    moves: int
+    utility: float
+
+    def is_better_than(self, other: "PlanValue") -> bool:
+        """Whether it is better by more than rounding."""
+        mine, others = (self.placed, -self.moves), (other.placed, -other.moves)
+        return mine > others or (mine == others and self.utility > other.utility + TOLERANCE)
+
+
+def value_plan(plan: UnrepairedPlan, plain: UnrepairedPlan) -> PlanValue:
+    """The value of ``plan``; moves are counted from the places of ``plain``, the plan without repair."""
+    priorities = sorted({task.priority for task in plan.order}, reverse=True)
+    placed = Counter(task.priority for task in plan.order if task.name in plan.placed)
+    homes = {name: place for name, (place, _) in plain.placed.items() if name in plain.initial.running}
+    moves = sum(name not in plan.placed or plan.placed[name][0] != home for name, home in homes.items())
+    return PlanValue(placed=tuple(placed[each] for each in priorities), moves=moves, utility=rate_plan(plan))
+
+
+def is_overload_kept(plan: UnrepairedPlan, known: UnrepairedPlan) -> bool:
+    """Whether each place that ``plan`` overloads has no other tasks than in ``known``."""
+    here, there = ({(name, place) for name, (place, _) in each.placed.items()} for each in (plan, known))
+    rows = [*plan.ledger.free.values(), *plan.ledger.free_links.values()]
+    return not any(row[place] < -EPSILON for _, place in here - there for row in rows if place < len(row))
+
+
+def find_optimum(plain: UnrepairedPlan, known: UnrepairedPlan, solve: Solver) -> Optimum:
+    """The best places by all three levels, as far as the solver has the time.
+
+    ``plain``: the settled plan without repair, from which moves are counted. ``known``: the best plan so far.
+    """
+    everything = {name: place for name, (place, _) in known.placed.items()}
+    problem = build_problem(plain, everything)
+    names = {item.name for item in problem.items}
+    places = {name: place for name, place in everything.items() if name in names}
+    places, placed = _place_by_priority(problem, places, plain.moves_left, solve)
+    reached = {priority: low for priority, (low, _) in placed.items()}
+    places, moves, least = _reduce_moves(problem, places, Requirements(placed=reached), solve)
+    required = Requirements(placed=reached, most_moves=moves)
+    places, utility = _raise_utility(problem, places, required, solve)
+    most = sum(high for _, high in placed.values())
+    places |= {name: place for name, place in everything.items() if name not in names}
+    return Optimum(places=places, bounds=Bounds(placed=most, moves=least, utility=utility, most_moves=moves))
+
+
+def certify(found: PlanValue, wanted: int, optimum: Optimum) -> Certificate:
+    """The certificate of a plan."""
+    bounds = optimum.bounds
+    as_many = sum(found.placed) >= len(optimum.places)  # else no bound is of plans that place so few
+    bound = bounds.utility if as_many and found.moves <= bounds.most_moves else None
+    return Certificate(
+        wanted=wanted,
+        placed=sum(found.placed),
+        placed_bound=max(bounds.placed, sum(found.placed)),
+        moves=found.moves,
+        moves_bound=min(bounds.moves, found.moves) if as_many else 0,
+        utility_sum=found.utility,
+        utility_sum_bound=None if bound is None else max(bound, found.utility),
+    )
+
+
+def build_problem(plain: UnrepairedPlan, places: Mapping[str, int]) -> PlacementProblem:
+    """The tasks that ``plain`` places, and those that lack room. ``places``: of a known plan.
+
+    A running task may move only for one of its priority or more.
+    """
+    packing, links = build_search(plain)
+    tasks = {task.name: task for task in plain.order if task.name in packing.items}
+    wanted = [task.priority for name, task in tasks.items() if name not in packing.at]
+    most = max(wanted, default=-inf)
+    free = [row.copy() for row in packing.free]
+    for name, place in packing.at.items():
+        _add_shares(free[place], packing.measure(packing.items[name], place), 1.0)
+    limits = [row.copy() for row in free]
+    for known in (packing.at, places):
+        left = [row.copy() for row in free]
+        for name, place in known.items():
+            if name not in packing.items:
+                continue
+            _add_shares(left[place], packing.measure(packing.items[name], place), -1.0)
+        for row, mine, others in zip(limits, left, free, strict=True):
+            row[:] = [max(a, whole - rest) for a, rest, whole in zip(row, mine, others, strict=True)]
+    items = [_build_item(plain, packing, task, links, limits, places, most) for task in tasks.values()]
+    return PlacementProblem(
+        items=items,
+        free=free,
+        limits=limits,
+        edges=plain.context.fleet.edges,
+        weights=plain.context.policy.weights,
+        located={name: place for name, place in plain.initial.located.items() if name not in tasks},
+    )
+
+
+def _add_shares(row: list[float], shares: Shares, sign: float) -> None:
+    for column, share in shares.items():
+        row[column] += sign * share
+
+
+def _build_item(
+    plain: UnrepairedPlan,
+    packing: Packing,
+    task: Task,
+    links: Mapping[str, Sequence[int]],
+    limits: Sequence[Sequence[float]],
+    places: Mapping[str, int],
+    most: float,
+) -> PlacementItem:
+    item = packing.items[task.name]
+    home = packing.at.get(task.name) if task.name in plain.initial.running else None
+    fixed = home is not None and (not item.movable or task.priority > most)
+    known = {place for place in (packing.at.get(task.name), places.get(task.name)) if place is not None}
+    allowed = known if fixed else known | set(item.places)
+    shares = {
+        place: packing.measure(item, place)
+        for place in sorted(allowed)
+        if place in known or _fits_alone(packing.measure(item, place), limits[place])
+    }
+    return PlacementItem(
+        name=task.name,
+        shares=shares,
+        priority=task.priority,
+        home=home,
+        move_cost=_estimate_downtime(plain.context.handoffs, task),
+        needs=[need.task for need in task.needs if need.task in packing.items],
+        near=[need.task for need in task.needs],
+        links=links[task.name],
+    )
+
+
+def _fits_alone(shares: Shares, limits: Sequence[float]) -> bool:
+    return all(share <= limits[column] + EPSILON for column, share in shares.items())
+
+
+def _estimate_downtime(handoffs: HandoffHistory, task: Task) -> float:
+    """The price of a move of ``task`` as far as it was measured."""
+    known = handoffs.downtimes.get(task.name)
+    return max(known.values()) * task.downtime_cost if known else 0.0
+
+
+def _place_by_priority(
+    problem: PlacementProblem, places: Mapping[str, int], most_moves: int | None, solve: Solver
+) -> tuple[dict[str, int], dict[float, tuple[int, int]]]:
+    """Level 1: the places, and by priority how many tasks have one and how many can at most."""
+    counts: dict[float, tuple[int, int]] = {}
+    found = dict(places)
+    for priority in sorted({item.priority for item in problem.items}, reverse=True):
+        names = [item.name for item in problem.items if item.priority == priority]
+        low, high = sum(name in found for name in names), len(names)
+        if low < high:
+            required = Requirements(
+                placed={each: count for each, (count, _) in counts.items()}, most_moves=most_moves
+            )
+            model = build_model(problem, required)
+            count_placed_tasks(model, priority)
+            model.start_from(found)
+            solution = solve(model.program, _FIRST_SHARE)
+            high = min(high, int(solution.bound + TOLERANCE)) if abs(solution.bound) < inf else high
+            if solution.values is not None:
+                other = model.read_places(solution.values)
+                if sum(name in other for name in names) > low:
+                    found = other
+                    low = sum(name in found for name in names)
+        counts[priority] = low, max(low, high)
+    return found, counts
+
+
+def _reduce_moves(
+    problem: PlacementProblem, places: dict[str, int], required: Requirements, solve: Solver
+) -> tuple[dict[str, int], int, int]:
+    """Level 2: the places, their moves, and how many moves are needed at least."""
+    moves = _count_moves(problem, places)
+    if moves == 0:
+        return places, 0, 0
+    model = build_model(problem, required)
+    count_moves(model)
+    model.start_from(places)
+    solution = solve(model.program, _FIRST_SHARE)
+    least = 0
+    if abs(solution.bound) < inf:
+        least = max(0, ceil(-(solution.bound + model.constant) - 0.5 - TOLERANCE))
+    if solution.values is not None:
+        other = model.read_places(solution.values)
+        if _count_moves(problem, other) <= moves:
+            places, moves = other, _count_moves(problem, other)
+    return places, moves, min(least, moves)
+
+
+def _count_moves(problem: PlacementProblem, places: Mapping[str, int]) -> int:
+    return sum(item.home is not None and places.get(item.name) != item.home for item in problem.items)
+
+
+def _raise_utility(
+    problem: PlacementProblem, places: dict[str, int], required: Requirements, solve: Solver
+) -> tuple[dict[str, int], float | None]:
+    """Level 3: the places, and a bound on the sum of utilities with so many tasks placed and moves."""
+    charged = (
+        (place, column) for item in problem.items for place, row in item.shares.items() for column in row
+    )
+    if any(problem.free[place][column] < NO_FREE_SHARE / 2 for place, column in charged):
+        return places, None  # a host or link without capacity: its share is no number to add up
+    spreading = all(weight >= 0.0 for weight in problem.weights.values())
+    if not spreading and any(len(item.links) > 1 for item in problem.items):
+        return places, None  # the program counts the first link; the worst may be the better one here
+    bound = bound_alone(problem) if spreading else inf  # else other tasks make a host better
+    model = build_model(problem, required)
+    if not sum_utilities(model):
+        return places, _keep_finite(bound)
+    model.start_from(places)
+    solution = solve(model.program, _LAST_SHARE)
+    if solution.values is not None:
+        places = model.read_places(solution.values)
+    return places, _keep_finite(min(bound, solution.bound))
+
+
+def _keep_finite(bound: float) -> float | None:
+    return bound if abs(bound) < inf else None

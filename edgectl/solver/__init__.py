@@ -1,0 +1,1 @@
+"""The solver behind ``plan --optimal``. Needs the extra opt, so nothing imports this room at start."""
