@@ -21,6 +21,8 @@ _MAX_READINGS = 2
 _MIN_BYTES_PER_S = 1.0
 # A link that carries this share of its reading without being the limit carries more than the reading says.
 _REFUTED_SHARE = 0.9
+# A reading of this share of the upper bound is the bound, seen as exactly as links can be read.
+_BOUND_SHARE = 0.9
 # One probe of an idle link takes at most SAMPLE_S, and no host takes part in more than 1 % of the time.
 SAMPLE_S = 0.09
 _SAMPLE_EVERY_S = 100 * SAMPLE_S
@@ -98,15 +100,16 @@ def apply_live_capacities(
 def compute_live_link(link: LinkSample, known: LinkHistory, radio: float | None, now: float) -> LinkSample:
     """The link with its live capacity: the mean of its last readings, and not above the radio's rate.
 
-    The declared or assumed capacity is the upper bound; one that ``probe --bandwidth`` measured is itself a
-    reading, and the newer counts. A link that is down stays down.
+    The declared or assumed capacity is the upper bound, and holds where the readings are at most 10 % lower;
+    one that ``probe --bandwidth`` measured is itself a reading, and the newer counts. A link that is down
+    stays down.
     """
     nominal = link.capacity_bytes_per_s
     if not nominal:
         return link
     recent = _select_recent(known, now)
     live, source, age = nominal, link.capacity_source, 0.0
-    if recent and (source is CapacitySource.MEASURED or _average(recent) < nominal):
+    if recent and (source is CapacitySource.MEASURED or _average(recent) < _BOUND_SHARE * nominal):
         live, source, age = _average(recent), recent[-1].source, round(now - recent[-1].at, 3)
     if radio and radio < live:
         live, source, age = max(radio, _MIN_BYTES_PER_S), CapacitySource.RADIO, 0.0

@@ -83,7 +83,7 @@ CASES = [
         hint="write robot1: {host: 192.168.1.20}",
         mended="  robot1: {host: 192.168.1.20, onboard: true}\n  robot2: {host: 192.168.1.21}"),
     BrokenFile(name="shared namespace", old="  robot2:", new="  edge1:", at="edge1: {host: 192.168.1.22}", code="EC032",
-        message="edge1 is an edge already", hint="rename one of the two", mended="  robot2:"),
+        message="edge1 is already an edge", hint="rename one of the two", mended="  robot2:"),
     BrokenFile(name="name with a capital", old="  robot2:", new="  Robot 2:", at="Robot 2", code="EC014",
         message="'Robot 2' cannot be the name of a robot", hint="write robot-2", mended="  robot-2:"),
     BrokenFile(name="literal password", old="{host: 192.168.1.22}", new="{host: 192.168.1.22, password: s3cret}", at="password", code="EC018",

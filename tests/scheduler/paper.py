@@ -102,6 +102,7 @@ def compute_naively(
             fitting,
             key=lambda e: (
                 round(table[e][4], 9),
+                round(sum(table[e][:3]), 9),
                 -sum(where[t] == e for t in where if t not in placed),
                 -int(e[-1]),
             ),

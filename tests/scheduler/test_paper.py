@@ -21,9 +21,9 @@ ONBOARD = {f"slam-{robot}": robot for robot in ROBOTS} | {"map-merge": "robot1"}
 STATIC = {"slam-robot1": "edge1", "slam-robot2": "edge2", "slam-robot3": "edge3", "map-merge": "edge1"}
 # Edge numbers of detection 1-3, then navigation 1-3.
 EXPECTED = {
-    (1, "cpu"): "231 231", (1, "memory"): "123 123", (1, "network"): "123 211", (1, "task"): "123 123", (1, "all"): "231 322",
+    (1, "cpu"): "231 231", (1, "memory"): "231 321", (1, "network"): "231 322", (1, "task"): "231 322", (1, "all"): "231 322",
     (1, "resources"): "231 322",
-    (2, "cpu"): "231 232", (2, "memory"): "231 232", (2, "network"): "231 322", (2, "task"): "123 123", (2, "all"): "231 123",
+    (2, "cpu"): "231 232", (2, "memory"): "231 322", (2, "network"): "231 322", (2, "task"): "231 123", (2, "all"): "231 123",
     (2, "resources"): "231 322",
 }  # fmt: skip
 

@@ -84,7 +84,7 @@ def test_agent_key_is_found_by_its_public_half(lab: Lab, tmp_path: Path) -> None
         assert can_log_in(lab.host("edge1"))
         assert "Failed publickey" not in lab["edge1"].log.split("Connection from")[-1]
         use_agent(lab, path)
-        with pytest.raises(AuthError, match="hung up after"):
+        with pytest.raises(AuthError, match="closed the connection after"):
             can_log_in(lab.host("edge1"))
 
 
