@@ -1,0 +1,188 @@
+"""Passes until a plan stands: repetition, groups, room made for tasks, and better plans on request."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import NamedTuple
+
+from edgectl.model.assignment import Certificate
+from edgectl.scheduler.choice import Choice
+from edgectl.scheduler.groups import MAX_ROUNDS, withhold_incomplete_groups
+from edgectl.scheduler.initial_state import InitialState
+from edgectl.scheduler.integer_program import Solver, keep_bounds
+from edgectl.scheduler.ledger import compute_demand_usage
+from edgectl.scheduler.optimum import certify, find_optimum, is_overload_kept, value_plan
+from edgectl.scheduler.placement_rules import NO_RULES, build_placement_rules
+from edgectl.scheduler.repair import (
+    UnrepairedPlan,
+    choose_places,
+    list_wanted,
+    rate_plan,
+    rebalance_plan,
+    repair_plan,
+)
+from edgectl.scheduler.single_pass import (
+    PassResult,
+    PlacementPass,
+    collect_prior_moves,
+    count_moves_left,
+    run_pass,
+    state_from_pass,
+)
+
+# Passes that are tried before a plan counts as one that does not settle (ADR 0010).
+MAX_PASSES = 5
+
+
+class SettledPlan(NamedTuple):
+    """A plan, whether its repetition leaves it as it is, and the moves of the passes before it."""
+
+    outcome: PassResult
+    settled: bool
+    prior_moves: Mapping[str, Choice]
+
+
+def run_with_groups(
+    how: PlacementPass, initial: InitialState, solve: Solver | None
+) -> tuple[SettledPlan, Certificate | None]:
+    """A plan in which no group is started in part (ADR 73): made again without each that is incomplete."""
+    plain, found = _run_until_settled(how, optimal=solve is not None)
+    groups, tasks = how.context.placement_rules.groups, {task.name: task for task in how.order}
+    for round_ in range(MAX_ROUNDS + len(groups) if groups else 0):
+        withheld = withhold_incomplete_groups(
+            groups, tasks, found.outcome.decisions, how.initial.running, every=round_ >= MAX_ROUNDS
+        )
+        if not withheld:
+            break
+        state = replace(how.initial, fixed={**how.initial.fixed, **withheld})
+        rules = build_placement_rules(how.order, how.context.fleet, state)
+        how = replace(how, initial=state, context=replace(how.context, placement_rules=rules))
+        plain, found = _run_until_settled(how, optimal=solve is not None)
+    if solve is None:
+        return found, None
+    return _optimise(how, plain, found, solve, withheld=len(how.initial.fixed.keys() - initial.fixed.keys()))
+
+
+def _run_until_settled(how: PlacementPass, *, optimal: bool) -> tuple[SettledPlan, SettledPlan]:
+    """A plan that its repetition does not change; and it with room made for tasks that found none (ADR 64),
+    and with a greater sum of utilities where that is asked for.
+    """
+    plain = _settle(how, how.initial, {})
+    found = _make_room(how, plain)
+    if optimal:
+        known = _build_unrepaired(how, found)
+        changed = rebalance_plan(known, started_only=True)
+        return plain, _take_better(how, _build_unrepaired(how, plain), found, changed)
+    if found.settled and how.context.policy.rebalance:
+        found = _rebalance(how, found)
+    return plain, found
+
+
+def _make_room(how: PlacementPass, plain: SettledPlan) -> SettledPlan:
+    """The plan with room made for tasks that found none (ADR 64)."""
+    changed = repair_plan(_build_unrepaired(how, plain))
+    return _settle_changed(how, plain, changed) if changed else plain
+
+
+def _rebalance(how: PlacementPass, found: SettledPlan) -> SettledPlan:
+    """A settled plan with a greater sum of utilities and as many tasks placed, else the same one (ADR 66)."""
+    before = _build_unrepaired(how, found)
+    changed = rebalance_plan(before)
+    if not changed:
+        return found
+    other = _settle_changed(how, found, changed)
+    gains = rate_plan(_build_unrepaired(how, other)) > rate_plan(before)
+    placed_before = found.outcome.placed.keys()
+    return other if other.settled and gains and other.outcome.placed.keys() >= placed_before else found
+
+
+def _optimise(
+    how: PlacementPass, plain: SettledPlan, known: SettledPlan, solve: Solver, withheld: int
+) -> tuple[SettledPlan, Certificate]:
+    """The better one of the known plan and of what the solver finds; both are settled and valued by the same
+    rules.
+
+    With rules between tasks the solver only bounds: it does not know them, and its places may break them.
+    """
+    relaxed = how.context.placement_rules is not NO_RULES
+    origin, before = _build_unrepaired(how, plain), _build_unrepaired(how, known)
+    optimum = find_optimum(origin, before, keep_bounds(solve) if relaxed else solve)
+    best = _take_better(how, origin, known, choose_places(before, optimum.places))
+    value = value_plan(_build_unrepaired(how, best), origin)
+    wanted = len({*origin.placed, *(task.name for task in list_wanted(origin))})
+    return best, replace(certify(value, wanted, optimum), relaxed=relaxed, withheld=withheld)
+
+
+def _take_better(
+    how: PlacementPass, origin: UnrepairedPlan, best: SettledPlan, changed: Mapping[str, Choice]
+) -> SettledPlan:
+    """The plan with ``changed``, settled again, if that makes it better and overloads no host anew."""
+    if not changed:
+        return best
+    other = _settle_changed(how, best, changed)
+    plan, known = _build_unrepaired(how, other), _build_unrepaired(how, best)
+    better = value_plan(plan, origin).is_better_than(value_plan(known, origin))
+    return other if other.settled and better and is_overload_kept(plan, known) else best
+
+
+def _settle_changed(how: PlacementPass, plan: SettledPlan, changed: Mapping[str, Choice]) -> SettledPlan:
+    other = _change_choices(how, plan.outcome, changed)
+    moves = collect_prior_moves(other, plan.prior_moves, how.initial)
+    return _settle(how, state_from_pass(how.initial, other, how.initial), moves)
+
+
+def _settle(how: PlacementPass, start: InitialState, prior_moves: Mapping[str, Choice]) -> SettledPlan:
+    """The first of five passes that its repetition does not change; else one without voluntary moves.
+
+    The first pass is recorded at once, because most plans stand at once; a later one only when it is known to
+    be the one.
+    """
+    recorded = replace(how, record=True)
+    state, moves = start, prior_moves
+    outcome = run_pass(recorded, state, moves)
+    for _ in range(MAX_PASSES):
+        put = collect_prior_moves(outcome, moves, how.initial)
+        next_state = state_from_pass(state, outcome, how.initial)
+        repeated = run_pass(how, next_state, put)
+        if repeated.places == outcome.places:
+            last = outcome if state is start else run_pass(recorded, state, moves)
+            return SettledPlan(last, settled=True, prior_moves=moves)
+        state, moves, outcome = next_state, put, repeated
+    last = run_pass(replace(recorded, voluntary=False), start, prior_moves)
+    return SettledPlan(last, settled=False, prior_moves=prior_moves)
+
+
+def _build_unrepaired(how: PlacementPass, plan: SettledPlan) -> UnrepairedPlan:
+    outcome = plan.outcome
+    left = count_moves_left(how, collect_prior_moves(outcome, plan.prior_moves, how.initial))
+    return UnrepairedPlan(
+        context=how.context,
+        order=how.order,
+        initial=how.initial,
+        choices=outcome.choices,
+        placed=outcome.placed,
+        ledger=outcome.ledger,
+        moves_left=None if left is None else max(0, left),
+    )
+
+
+def _change_choices(how: PlacementPass, outcome: PassResult, changed: Mapping[str, Choice]) -> PassResult:
+    """``outcome`` with other choices for some tasks, and gamma in step with them."""
+    ledger, placed = outcome.ledger.copy(), dict(outcome.placed)
+    for name in changed:
+        if name in placed:
+            ledger.release(*placed.pop(name))
+    for task in how.order:
+        choice = changed.get(task.name)
+        if choice is not None and choice.place is not None:
+            use = compute_demand_usage(ledger.fleet, task, choice.place)
+            ledger.charge(choice.place, use)
+            placed[task.name] = choice.place, use
+    return replace(outcome, choices={**outcome.choices, **changed}, placed=placed, ledger=ledger)
+
+
+def run_once(how: PlacementPass, initial: InitialState) -> tuple[PassResult, bool]:
+    """One pass, and whether its repetition would change it."""
+    outcome = run_pass(replace(how, record=True), initial, {})
+    return outcome, run_pass(
+        how, state_from_pass(initial, outcome, initial), collect_prior_moves(outcome, {}, initial)
+    ).places == outcome.places

@@ -1,0 +1,331 @@
+"""One pass over the sequence: each task is weighed on all places and put on the best one."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+
+from edgectl.model.assignment import Decision, Reason, Rejection, Verdict
+from edgectl.model.task import Task
+from edgectl.scheduler.candidates import (
+    AssignmentContext,
+    gather_candidates,
+    weigh_candidates,
+)
+from edgectl.scheduler.choice import Choice, MoveConstraints
+from edgectl.scheduler.company import Company, follows_unit, list_reservations, weigh_in_company
+from edgectl.scheduler.decisions import (
+    build_decision,
+    explain_replacement,
+    rebase_on_initial,
+    unplaced_decision,
+)
+from edgectl.scheduler.initial_state import InitialState, RunningTask
+from edgectl.scheduler.lazy_ranking import LoadChange, LoadHistory, RankingRequest
+from edgectl.scheduler.ledger import Ledger, compute_demand_usage
+from edgectl.scheduler.peaks import LoadPeaks, stays_in_place
+from edgectl.scheduler.placement_rules import NO_RULES
+from edgectl.scheduler.policies import SchedulingPolicy
+from edgectl.scheduler.sequence import is_need_met
+from edgectl.scheduler.task_usage import TaskUsage
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PassResult:
+    """Result of one pass: the choice and place of each task that it decides, with its load (d), and gamma
+    afterwards.
+    """
+
+    choices: Mapping[str, Choice]
+    placed: Mapping[str, tuple[int, TaskUsage]]
+    ledger: Ledger
+    decisions: tuple[Decision, ...] = ()
+
+    @property
+    def places(self) -> dict[str, int | None]:
+        """The place of each task, None where unplaced: what a repetition must not change."""
+        return {name: choice.place for name, choice in self.choices.items()}
+
+
+@dataclass(slots=True, kw_only=True)
+class _PassState:
+    """State of a pass under way. ``history``: its changes of gamma, where rankings are asked for.
+
+    ``open``: the tasks that it decides, where rules between tasks need them. ``reserved``: room kept for
+    tasks that will share the host of another.
+    """
+
+    ledger: Ledger
+    history: LoadHistory | None
+    peaks: LoadPeaks = field(default_factory=LoadPeaks)
+    located: dict[str, int]
+    open: Mapping[str, Task]
+    placed: dict[int, int] = field(default_factory=dict)
+    uses: dict[str, tuple[int, TaskUsage]] = field(default_factory=dict)
+    reserved: dict[str, tuple[int, TaskUsage]] = field(default_factory=dict)
+    choices: dict[str, Choice] = field(default_factory=dict)
+    decisions: list[Decision] = field(default_factory=list)
+    moves_left: int | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlacementPass:
+    """One way over the sequence.
+
+    ``initial``: the state before the plan, by which moves are counted and recorded. ``record``: keep the
+    rankings.
+    """
+
+    context: AssignmentContext
+    order: Sequence[Task]
+    rules: SchedulingPolicy
+    initial: InitialState
+    voluntary: bool = True
+    record: bool = False
+
+
+def run_pass(how: PlacementPass, state: InitialState, prior_moves: Mapping[str, Choice]) -> PassResult:
+    """Place every task of the sequence once.
+
+    ``prior_moves``: moves that earlier passes of this plan have made.
+    """
+    progress = _PassState(
+        ledger=state.ledger.copy(),
+        history=LoadHistory(start=state.ledger) if how.record else None,
+        located=dict(state.located),
+        open={task.name: task for task in how.order if task.name not in state.fixed}
+        if how.context.placement_rules is not NO_RULES
+        else {},
+        moves_left=count_moves_left(how, prior_moves),
+    )
+    if how.context.arrays is not None:
+        how.context.arrays.mirror(progress.ledger)
+    for task in how.order:
+        fixed = state.fixed.get(task.name)
+        if fixed is None:
+            _decide_task(how, state, prior_moves, progress, task)
+        else:
+            progress.decisions.append(fixed)
+    return PassResult(
+        choices=progress.choices,
+        placed=progress.uses,
+        ledger=progress.ledger,
+        decisions=tuple(progress.decisions),
+    )
+
+
+def state_from_pass(state: InitialState, outcome: PassResult, initial: InitialState) -> InitialState:
+    """The expected outcome as a state: each placed task runs where it was put and uses its d."""
+    running = {
+        name: _build_running_task(name, outcome, initial)
+        for name, choice in outcome.choices.items()
+        if choice.place is not None
+    }
+    unplaced = {name for name, choice in outcome.choices.items() if choice.place is None}
+    located = {name: place for name, place in state.located.items() if name not in unplaced}
+    located |= {name: there.place for name, there in running.items()}
+    return replace(state, ledger=outcome.ledger, running=running, located=located)
+
+
+def _build_running_task(name: str, outcome: PassResult, initial: InitialState) -> RunningTask:
+    place, use = outcome.placed[name]
+    before = initial.running.get(name)
+    return RunningTask(
+        place=place, use=use, since=before.since if before is not None and before.place == place else None
+    )
+
+
+def collect_prior_moves(
+    outcome: PassResult, prior_moves: Mapping[str, Choice], initial: InitialState
+) -> dict[str, Choice]:
+    """The choices that moved tasks away from their initial places, by task."""
+    moves = {
+        **prior_moves,
+        **{
+            name: choice
+            for name, choice in outcome.choices.items()
+            if choice.verdict is Verdict.PLACED or choice.reason is Reason.PREEMPTED
+        },
+    }
+    return {name: choice for name, choice in moves.items() if choice.place != _find_place(initial, name)}
+
+
+def _find_place(state: InitialState, name: str) -> int | None:
+    running = state.running.get(name)
+    return running.place if running is not None else None
+
+
+def count_moves_left(how: PlacementPass, prior_moves: Mapping[str, Choice]) -> int | None:
+    """How many more voluntary moves the policy allows after ``prior_moves``; None for any number."""
+    policy = how.context.policy
+    if policy.attended or policy.max_moves is None:
+        return None
+    return policy.max_moves - sum(choice.counted for choice in prior_moves.values())
+
+
+def _decide_task(
+    how: PlacementPass,
+    state: InitialState,
+    prior_moves: Mapping[str, Choice],
+    progress: _PassState,
+    task: Task,
+) -> None:
+    """One task: its reservation leaves gamma, every place is weighed, and d is charged where it is put."""
+    running = state.running.get(task.name)
+    if task.name in progress.reserved:
+        _change_reservation(progress, *progress.reserved.pop(task.name), is_charge=False)
+    if running is not None and not how.rules.strict_paper:
+        progress.ledger.release(running.place, running.use)
+        if progress.history is not None:
+            progress.history.changes.append(LoadChange(running.place, running.use, is_charge=False))
+    missing = _find_missing_predecessor(task, progress.located, state.completed) if running is None else None
+    if missing is not None:
+        reason = Reason.PREDECESSOR_INCOMPLETE if missing in progress.located else Reason.PREDECESSOR_MISSING
+        choice = Choice(verdict=Verdict.UNPLACED, reason=reason, subject=missing)
+        told = rebase_on_initial(choice, _find_place(how.initial, task.name), prior_moves.get(task.name))
+        progress.decisions.append(
+            explain_replacement(unplaced_decision(task, told), how.initial.replaced.get(task.name))
+        )
+    else:
+        choice = _choose_place(how, state, prior_moves, progress, task)
+    progress.choices[task.name] = choice
+    if choice.place is not None:
+        _charge_demand(progress, task, choice.place)
+        _reserve_for_unit(how, state, progress, task, choice.place)
+    else:
+        progress.located.pop(task.name, None)  # it ran on a host that counts as gone
+    if progress.moves_left is not None and choice.counted and task.name not in prior_moves:
+        progress.moves_left -= 1
+
+
+def _choose_place(
+    how: PlacementPass,
+    state: InitialState,
+    prior_moves: Mapping[str, Choice],
+    progress: _PassState,
+    task: Task,
+) -> Choice:
+    running = state.running.get(task.name)
+    incumbent = running.place if running is not None else None
+    known = state.located if how.rules.strict_paper else progress.located
+    predecessors = {need.task: known[need.task] for need in task.needs if need.task in known}
+    gather = partial(
+        gather_candidates,
+        how.context,
+        progress.ledger,
+        task,
+        incumbent=incumbent,
+        predecessors=predecessors,
+        placed=progress.placed,
+    )
+    company = _build_company(how, state, progress, task)
+    barred: Mapping[int, Rejection] = {}
+    if company is not None:
+        candidates, barred = weigh_in_company(
+            company, task, incumbent, lambda barred=None: weigh_candidates(gather(barred=barred))
+        )
+    else:
+        candidates = gather()
+        if how.rules.settles and not how.record and stays_in_place(candidates, progress.peaks):
+            return Choice(verdict=Verdict.KEPT, reason=Reason.STILL_BEST, place=incumbent)
+        candidates = weigh_candidates(candidates)
+    choice = how.rules.choose(candidates, _build_move_constraints(how, progress, task, running, company))
+    initial_place = _find_place(how.initial, task.name)
+    if initial_place is None and incumbent is not None and choice.verdict is Verdict.PLACED:
+        # Another place than that of an earlier pass: the task runs nowhere yet, so nothing moves.
+        choice = Choice(verdict=Verdict.PLACED, reason=Reason.BEST, place=choice.place)
+    progress.peaks.valid = progress.peaks.valid and incumbent in (None, choice.place)
+    if progress.history is not None:
+        waived = choice.place in candidates.denied and choice.place == incumbent
+        if waived:
+            candidates = weigh_candidates(gather(stays=True, barred=barred))
+        told = rebase_on_initial(choice, initial_place, prior_moves.get(task.name))
+        ranking = RankingRequest(
+            context=how.context,
+            history=progress.history,
+            step=len(progress.history.changes),
+            task=task,
+            incumbent=incumbent,
+            predecessors=predecessors,
+            stays=waived,
+            chosen=told.place,
+            barred=barred,
+        )
+        decision = build_decision(candidates, told, initial_place, ranking)
+        progress.decisions.append(explain_replacement(decision, how.initial.replaced.get(task.name)))
+    return choice
+
+
+def _build_move_constraints(
+    how: PlacementPass,
+    progress: _PassState,
+    task: Task,
+    running: RunningTask | None,
+    company: Company | None,
+) -> MoveConstraints:
+    """The constraints of this pass. ``max_moves`` is about tasks that run before the plan.
+
+    Tasks that share a host have been there as long as the last of them.
+    """
+    since = running.since if running is not None else None
+    if company is not None:
+        runs = [company.running[mate] for mate in company.list_mates(task.name) if mate in company.running]
+        since = max([since, *(run.since for run in runs if run.since is not None)]) if since else since
+    return MoveConstraints(
+        frozen=how.initial.frozen,
+        voluntary=how.voluntary,
+        dwell_s=how.context.now - since if since is not None else None,
+        moves_left=progress.moves_left if task.name in how.initial.running else None,
+        follows=company is not None and follows_unit(company, task.name),
+        in_unit=company is not None and bool(company.list_mates(task.name)),
+    )
+
+
+def _build_company(
+    how: PlacementPass, state: InitialState, progress: _PassState, task: Task
+) -> Company | None:
+    """The tasks that rules between tasks join ``task`` with; None: no rule concerns it."""
+    if not how.context.placement_rules.concern(task.name):
+        return None
+    return Company(
+        context=how.context,
+        ledger=progress.ledger,
+        open=progress.open,
+        running=state.running,
+        decided=progress.choices,
+        located=progress.located,
+    )
+
+
+def _reserve_for_unit(
+    how: PlacementPass, state: InitialState, progress: _PassState, task: Task, place: int
+) -> None:
+    """Keep the room that the tasks need which share this host and come later."""
+    company = _build_company(how, state, progress, task)
+    for mate, use in list_reservations(company, task.name, place) if company is not None else ():
+        if mate not in progress.reserved:
+            _change_reservation(progress, place, use, is_charge=True)
+            progress.reserved[mate] = place, use
+
+
+def _change_reservation(progress: _PassState, place: int, use: TaskUsage, *, is_charge: bool) -> None:
+    (progress.ledger.charge if is_charge else progress.ledger.release)(place, use)
+    progress.peaks.valid = False
+    if progress.history is not None:
+        progress.history.changes.append(LoadChange(place, use, is_charge=is_charge, counts=False))
+
+
+def _charge_demand(progress: _PassState, task: Task, place: int) -> None:
+    use = compute_demand_usage(progress.ledger.fleet, task, place)
+    progress.ledger.charge(place, use)
+    if progress.history is not None:
+        progress.history.changes.append(LoadChange(place, use, is_charge=True))
+    progress.uses[task.name] = (place, use)
+    progress.located[task.name] = place
+    progress.placed[place] = progress.placed.get(place, 0) + 1
+
+
+def _find_missing_predecessor(
+    task: Task, located: Mapping[str, int], completed: frozenset[str]
+) -> str | None:
+    """The first predecessor that is not as far as ``task`` needs it."""
+    return next((need.task for need in task.needs if not is_need_met(need, located, completed)), None)
