@@ -165,7 +165,7 @@ def test_cordon_asks_first() -> None:
         await until(pilot, view, "edge1 cordoned")
         assert bench.asked == ["cordon edge1"]
         bench.next(view, a_frame(frozenset({"edge1"})))
-        await until(pilot, view, "cordoned")
+        await until(pilot, view, "edge1   cordoned")  # the row; the note stands there already
         await pilot.press("c")
         await until(pilot, view, "Uncordon edge1?")
         await pilot.press("y")
