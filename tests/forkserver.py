@@ -142,10 +142,11 @@ def run_edgectl(
 def start_server() -> socket.socket:
     """Start the server of this test process; it ends with this process."""
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    path = {name: value for name, value in os.environ.items() if name == "PYTHONPATH"}
     server = subprocess.Popen(
         [sys.executable, "-m", "tests.forkserver", str(theirs.fileno())],
         cwd=Path(__file__).parent.parent,
-        env={"PATH": os.defpath, "LC_ALL": "C.UTF-8"},
+        env={"PATH": os.defpath, "LC_ALL": "C.UTF-8", **path},
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         pass_fds=[theirs.fileno()],
@@ -166,7 +167,7 @@ def serve(connection: socket.socket) -> None:
     for room in _ROOMS:
         package = importlib.import_module(f"edgectl.{room}")
         for module in pkgutil.iter_modules(package.__path__, f"edgectl.{room}."):
-            importlib.import_module(module.name)
+            _import_if_installed(module.name)
     gc.freeze()
     while True:
         data, files, _, _ = socket.recv_fds(connection, _MAX_REQUEST_BYTES, 4)
@@ -177,6 +178,15 @@ def serve(connection: socket.socket) -> None:
             _run_and_report(json.loads(data), files)
         for file in files:
             os.close(file)
+
+
+def _import_if_installed(module: str) -> None:
+    """Import a module, unless it belongs to an extra that is not installed: ``make demo`` installs none."""
+    try:
+        importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        if error.name is None or error.name.split(".")[0] in ("edgectl", "tests"):
+            raise
 
 
 def _reap_children() -> None:
