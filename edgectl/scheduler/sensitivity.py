@@ -27,7 +27,7 @@ class LinearFunction:
 
     def solve_for(self, level: float) -> float | None:
         """The x at which the line reaches ``level``; None where it never does."""
-        return (level - self.at) / self.slope if self.slope else None
+        return (level - self.at) / self.slope + 0.0 if self.slope else None  # never -0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

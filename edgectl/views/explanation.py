@@ -205,7 +205,9 @@ def _describe_flip_condition(flip: Flip, amount: float) -> str:
         else f"the {flip.term} load of {flip.host}"
     )
     verb = "rose" if flip.change is ChangeKind.LOAD_RISES else "fell"
-    return f"{what} {verb} by more than {RESOURCES_BY_NAME[flip.term].unit.format_exact(amount)}"
+    format_amount = RESOURCES_BY_NAME[flip.term].unit.format_exact
+    nothing = format_amount(amount) == format_amount(0.0)
+    return f"{what} {verb} " + ("at all" if nothing else f"by more than {format_amount(amount)}")
 
 
 def _encode_flip(flip: Flip) -> Document:

@@ -34,8 +34,9 @@ edge2 would win if the cpu load of edge1 rose by more than 1.000 cores.
 """
 
 
-def taken_apart() -> tuple[Step, Explanation]:
-    world = a_snapshot(edge1=a_sample(used=1.0), edge2=a_sample(used=2.0))
+def taken_apart(used: float = 2.0) -> tuple[Step, Explanation]:
+    """``used``: cores of edge2 that are in use; 1 is as many as of edge1."""
+    world = a_snapshot(edge1=a_sample(used=1.0), edge2=a_sample(used=used))
     tasks = some_tasks(a_task(cpu=0.4))
     assignment: Assignment = assign(INVENTORY, tasks, world, ManagerState(), POLICY, NOW)
     noise = {"edge1": TermNoise(cpu=0.2), "edge2": TermNoise(cpu=0.2)}
@@ -50,6 +51,13 @@ def test_the_table_says_what_each_term_adds_and_what_would_flip_it() -> None:
     fragile = "fragile: it would change 0.188 below, and the measurements alone vary by 0.212.\n"
     assert ExplanationView(step, found).table() == TEXT + fragile
     assert max(map(len, ExplanationView(step, found).table(RenderOptions(width=60)).splitlines())) <= 60
+
+
+def test_equal_hosts_have_no_threshold() -> None:
+    text = ExplanationView(*taken_apart(used=1.0)).wide()
+    assert "edge2 would win if the cpu load of edge1 rose at all.\n" in text
+    assert " by more than 0" not in text
+    assert " by more than -" not in text
 
 
 def test_wide_lists_every_change() -> None:
