@@ -9,6 +9,7 @@ from math import ceil, inf
 
 from edgectl.model.assignment import Certificate
 from edgectl.model.task import Task
+from edgectl.scheduler.decided_plan import DecidedPlan, build_search, rate_plan
 from edgectl.scheduler.integer_program import Solver
 from edgectl.scheduler.ledger import NO_FREE_SHARE
 from edgectl.scheduler.move_cost import HandoffHistory
@@ -23,7 +24,6 @@ from edgectl.scheduler.placement_model import (
     count_placed_tasks,
     sum_utilities,
 )
-from edgectl.scheduler.repair import UnrepairedPlan, build_search, rate_plan
 from edgectl.scheduler.utility import EPSILON
 
 # Differences of a sum of utilities below this are rounding.
@@ -67,7 +67,7 @@ class PlanValue:
         return mine > others or (mine == others and self.utility > other.utility + TOLERANCE)
 
 
-def value_plan(plan: UnrepairedPlan, plain: UnrepairedPlan) -> PlanValue:
+def value_plan(plan: DecidedPlan, plain: DecidedPlan) -> PlanValue:
     """The value of ``plan``; moves are counted from the places of ``plain``, the plan without repair."""
     priorities = sorted({task.priority for task in plan.order}, reverse=True)
     placed = Counter(task.priority for task in plan.order if task.name in plan.placed)
@@ -76,14 +76,14 @@ def value_plan(plan: UnrepairedPlan, plain: UnrepairedPlan) -> PlanValue:
     return PlanValue(placed=tuple(placed[each] for each in priorities), moves=moves, utility=rate_plan(plan))
 
 
-def is_overload_kept(plan: UnrepairedPlan, known: UnrepairedPlan) -> bool:
+def is_overload_kept(plan: DecidedPlan, known: DecidedPlan) -> bool:
     """Whether each place that ``plan`` overloads has no other tasks than in ``known``."""
     here, there = ({(name, place) for name, (place, _) in each.placed.items()} for each in (plan, known))
     rows = [*plan.ledger.free.values(), *plan.ledger.free_links.values()]
     return not any(row[place] < -EPSILON for _, place in here - there for row in rows if place < len(row))
 
 
-def find_optimum(plain: UnrepairedPlan, known: UnrepairedPlan, solve: Solver) -> Optimum:
+def find_optimum(plain: DecidedPlan, known: DecidedPlan, solve: Solver) -> Optimum:
     """The best places by all three levels, as far as the solver has the time.
 
     ``plain``: the settled plan without repair, from which moves are counted. ``known``: the best plan so far.
@@ -118,7 +118,7 @@ def certify(found: PlanValue, wanted: int, optimum: Optimum) -> Certificate:
     )
 
 
-def build_problem(plain: UnrepairedPlan, places: Mapping[str, int]) -> PlacementProblem:
+def build_problem(plain: DecidedPlan, places: Mapping[str, int]) -> PlacementProblem:
     """The tasks that ``plain`` places, and those that lack room. ``places``: of a known plan.
 
     A running task may move only for one of its priority or more.
@@ -156,7 +156,7 @@ def _add_shares(row: list[float], shares: Shares, sign: float) -> None:
 
 
 def _build_item(
-    plain: UnrepairedPlan,
+    plain: DecidedPlan,
     packing: Packing,
     task: Task,
     links: Mapping[str, Sequence[int]],

@@ -6,20 +6,20 @@ from typing import NamedTuple
 
 from edgectl.model.assignment import Certificate
 from edgectl.scheduler.choice import Choice
+from edgectl.scheduler.decided_plan import (
+    DecidedPlan,
+    choose_places,
+    list_wanted,
+    rate_plan,
+    rebalance_plan,
+)
 from edgectl.scheduler.groups import MAX_ROUNDS, withhold_incomplete_groups
 from edgectl.scheduler.initial_state import InitialState
 from edgectl.scheduler.integer_program import Solver, keep_bounds
 from edgectl.scheduler.ledger import compute_demand_usage
 from edgectl.scheduler.optimum import certify, find_optimum, is_overload_kept, value_plan
 from edgectl.scheduler.placement_rules import NO_RULES, build_placement_rules
-from edgectl.scheduler.repair import (
-    UnrepairedPlan,
-    choose_places,
-    list_wanted,
-    rate_plan,
-    rebalance_plan,
-    repair_plan,
-)
+from edgectl.scheduler.repair import repair_plan
 from edgectl.scheduler.single_pass import (
     PassResult,
     PlacementPass,
@@ -69,9 +69,9 @@ def _run_until_settled(how: PlacementPass, *, optimal: bool) -> tuple[SettledPla
     plain = _settle(how, how.initial, {})
     found = _make_room(how, plain)
     if optimal:
-        known = _build_unrepaired(how, found)
+        known = _build_decided_plan(how, found)
         changed = rebalance_plan(known, started_only=True)
-        return plain, _take_better(how, _build_unrepaired(how, plain), found, changed)
+        return plain, _take_better(how, _build_decided_plan(how, plain), found, changed)
     if found.settled and how.context.policy.rebalance:
         found = _rebalance(how, found)
     return plain, found
@@ -79,18 +79,18 @@ def _run_until_settled(how: PlacementPass, *, optimal: bool) -> tuple[SettledPla
 
 def _make_room(how: PlacementPass, plain: SettledPlan) -> SettledPlan:
     """The plan with room made for tasks that found none (ADR 64)."""
-    changed = repair_plan(_build_unrepaired(how, plain))
+    changed = repair_plan(_build_decided_plan(how, plain))
     return _settle_changed(how, plain, changed) if changed else plain
 
 
 def _rebalance(how: PlacementPass, found: SettledPlan) -> SettledPlan:
     """A settled plan with a greater sum of utilities and as many tasks placed, else the same one (ADR 66)."""
-    before = _build_unrepaired(how, found)
+    before = _build_decided_plan(how, found)
     changed = rebalance_plan(before)
     if not changed:
         return found
     other = _settle_changed(how, found, changed)
-    gains = rate_plan(_build_unrepaired(how, other)) > rate_plan(before)
+    gains = rate_plan(_build_decided_plan(how, other)) > rate_plan(before)
     placed_before = found.outcome.placed.keys()
     return other if other.settled and gains and other.outcome.placed.keys() >= placed_before else found
 
@@ -104,22 +104,22 @@ def _optimise(
     With rules between tasks the solver only bounds: it does not know them, and its places may break them.
     """
     relaxed = how.context.placement_rules is not NO_RULES
-    origin, before = _build_unrepaired(how, plain), _build_unrepaired(how, known)
+    origin, before = _build_decided_plan(how, plain), _build_decided_plan(how, known)
     optimum = find_optimum(origin, before, keep_bounds(solve) if relaxed else solve)
     best = _take_better(how, origin, known, choose_places(before, optimum.places))
-    value = value_plan(_build_unrepaired(how, best), origin)
+    value = value_plan(_build_decided_plan(how, best), origin)
     wanted = len({*origin.placed, *(task.name for task in list_wanted(origin))})
     return best, replace(certify(value, wanted, optimum), relaxed=relaxed, withheld=withheld)
 
 
 def _take_better(
-    how: PlacementPass, origin: UnrepairedPlan, best: SettledPlan, changed: Mapping[str, Choice]
+    how: PlacementPass, origin: DecidedPlan, best: SettledPlan, changed: Mapping[str, Choice]
 ) -> SettledPlan:
     """The plan with ``changed``, settled again, if that makes it better and overloads no host anew."""
     if not changed:
         return best
     other = _settle_changed(how, best, changed)
-    plan, known = _build_unrepaired(how, other), _build_unrepaired(how, best)
+    plan, known = _build_decided_plan(how, other), _build_decided_plan(how, best)
     better = value_plan(plan, origin).is_better_than(value_plan(known, origin))
     return other if other.settled and better and is_overload_kept(plan, known) else best
 
@@ -151,10 +151,10 @@ def _settle(how: PlacementPass, start: InitialState, prior_moves: Mapping[str, C
     return SettledPlan(last, settled=False, prior_moves=prior_moves)
 
 
-def _build_unrepaired(how: PlacementPass, plan: SettledPlan) -> UnrepairedPlan:
+def _build_decided_plan(how: PlacementPass, plan: SettledPlan) -> DecidedPlan:
     outcome = plan.outcome
     left = count_moves_left(how, collect_prior_moves(outcome, plan.prior_moves, how.initial))
-    return UnrepairedPlan(
+    return DecidedPlan(
         context=how.context,
         order=how.order,
         initial=how.initial,

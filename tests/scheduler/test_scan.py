@@ -10,7 +10,13 @@ from edgectl.model.assignment import Reason
 from edgectl.model.manager_state import ManagerState, MeasuredDemand
 from edgectl.model.policy import Policy
 from edgectl.model.resource import Usage
-from edgectl.scheduler.candidates import AssignmentContext, CandidateSet, evaluate_candidates, terms_at
+from edgectl.scheduler.candidates import (
+    AssignmentContext,
+    CandidateSet,
+    gather_candidates,
+    terms_at,
+    weigh_candidates,
+)
 from edgectl.scheduler.capacities import build_capacities
 from edgectl.scheduler.demand import add_measured_demands
 from edgectl.scheduler.ledger import build_measured_ledger
@@ -80,9 +86,10 @@ def a_view(seed: int) -> CandidateSet:
         handoffs=collect_handoff_history(ManagerState()),
     )
     places = {"a": dice.randrange(30), "b": dice.randrange(30)}
-    return evaluate_candidates(
+    found = gather_candidates(
         setting, build_measured_ledger(fleet), task, incumbent=None, predecessors=places, placed={}
     )
+    return weigh_candidates(found)
 
 
 @pytest.mark.parametrize("seed", range(40))
