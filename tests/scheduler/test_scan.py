@@ -51,7 +51,7 @@ def a_view(seed: int) -> CandidateSet:
     samples = {
         f"edge{n}": a_sample(
             cores=dice.choice([2.0, 4.0, 8.0]), used=dice.uniform(0, 5), used_memory=dice.uniform(0, 5) * GI, age=dice.choice([0.0, 0.0, 99.0]),
-            links={robot: a_link(dice.choice([0.0, 8e6, 9e6]), dice.uniform(0, 9e6)) for robot in dice.sample(robots, dice.randint(1, 2))},
+            links={robot: replace(a_link(dice.choice([0.0, 8e6, 9e6]), dice.uniform(0, 9e6)), nominal=dice.choice([None, 10e6])) for robot in dice.sample(robots, dice.randint(1, 2))},
         ) if dice.random() < 0.9 else silent()
         for n in range(30)
     }  # fmt: skip
