@@ -89,7 +89,8 @@ class Explanation:
     ``runner_up``: the best other feasible host. ``slack``: by how much the chosen host's total may fall
     before the choice changes, None where no fall changes it. ``noise``: standard deviation of the difference
     of the two totals over the last samples, None where too few are known. ``flips``: smallest first, at most
-    one per change, term and host. ``linear``: whether eq. (4) is linear in the load of each link, which it is
+    one per change, term and host; ``weighed``: whether they were looked for, because the totals decided.
+    ``linear``: whether eq. (4) is linear in the load of each link, which it is
     not for a task of several robots. ``tie``: hosts that are equal. ``pin``: the host that the task file
     pins it to.
     """
@@ -101,6 +102,7 @@ class Explanation:
     slack: float | None = None
     noise: float | None = None
     flips: tuple[Flip, ...] = ()
+    weighed: bool = False
     linear: bool = True
     tie: Tie | None = None
     pin: str | None = None

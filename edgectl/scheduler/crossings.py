@@ -4,7 +4,7 @@
 another task may move before that and change what is left.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 
@@ -19,10 +19,16 @@ from edgectl.scheduler.assign import assign
 
 # Beside a crossing, as a share of the capacity or of the whole weight: totals differ by more than EPSILON.
 STEP = 1e-6
-# Halvings that find where the plan changes first, to less than STEP.
+# Halvings that find where the plan changes, to some STEP.
 MAX_HALVINGS = 24
-# Pairs of task and host that may be weighed for one explanation: some 2 s; at least so many plans.
-MAX_PAIRS, MIN_PLANS = 400_000, 60
+# Parts of the way to a crossing after each of which the fleet is planned: up to the first move, and from
+# there on, when tasks may move to and fro.
+PARTS_BEFORE, PARTS_AFTER = 4, 16
+# Where it is planned beyond a crossing at which the task stays: shares of the capacity, or of the weight.
+FURTHER = (0.02, 0.05, 0.1, 0.25, 0.5, 1.0)
+# Pairs of task and host that may be weighed for one explanation: some 2 s; at least so many plans. The
+# last change is looked into whatever it takes.
+MAX_PAIRS, MIN_PLANS = 400_000, 40
 
 Places = Mapping[str, str | None]
 
@@ -49,43 +55,60 @@ def check_flips(
     base = plan_after(flips[0], 0.0) if flips else {}
     checked: list[Flip] = []
     for flip in flips:
-        if left < 2 * MAX_HALVINGS:
+        if left <= 0:
             break
         checked += _check_flip(flip, task, base, partial(plan_after, flip))
     return tuple(sorted(checked, key=lambda flip: flip.size))
 
 
 def _check_flip(flip: Flip, task: str, base: Places, plan_after: Callable[[float], Places]) -> Iterator[Flip]:
-    before, after = plan_after(max(0.0, flip.size - STEP)), plan_after(flip.size + STEP)
-    if before == base and after.get(task) == flip.winner != base.get(task):
-        yield flip
+    def moves(size: float) -> bool:
+        return plan_after(size).get(task) != base.get(task)
+
+    here = (max(0.0, flip.size - STEP), flip.size + STEP)
+    start = _find_change((*_divide(0.0, here[0], PARTS_BEFORE), *here), lambda size: plan_after(size) != base)
+    if start is None:
         return
-    if before == base == after:
-        return
-    end = flip.size + STEP if after != base else max(0.0, flip.size - STEP)
-    start = _find_change(end, lambda size: plan_after(size) != base)
     moved = plan_after(start)
     if moved.get(task) != base.get(task):
-        yield resize_flip(flip, start, winner=moved.get(task))
+        alone = start == here[1] and moved.get(task) == flip.winner
+        yield flip if alone else resize_flip(flip, start, winner=moved.get(task))
         return
     name = next(name for name, place in moved.items() if place != base.get(name))
     first = FirstMove(task=name, host=moved[name], amount=resize_flip(flip, start).amount)
-    if after.get(task) == base.get(task):
+    further = (flip.size + more for more in FURTHER)
+    own = _find_change((*_divide(start, here[1], PARTS_AFTER), here[1], *further), moves, start)
+    if own is None:
         yield replace(flip, winner=base.get(task), first=first)
-        return
-    own = _find_change(flip.size + STEP, lambda size: plan_after(size).get(task) != base.get(task), start)
-    yield replace(resize_flip(flip, own, winner=plan_after(own).get(task)), first=first)
+    else:
+        yield replace(resize_flip(flip, own, winner=plan_after(own).get(task)), first=first)
 
 
-def _find_change(end: float, changed: Callable[[float], bool], start: float = 0.0) -> float:
-    """A size up to ``end`` at which ``changed`` holds, and just below which it does not; it holds at
-    ``end``.
+def _divide(start: float, end: float, parts: int) -> list[float]:
+    """The points between ``start`` and ``end`` that divide the way into equal parts."""
+    return [start + (end - start) * number / parts for number in range(1, parts)]
+
+
+def _find_change(
+    points: Iterable[float], changed: Callable[[float], bool], start: float = 0.0
+) -> float | None:
+    """A size up to the first of ``points`` at which ``changed`` holds, and just below which it does not.
+
+    None: it holds at none of them. It does not hold at ``start``.
     """
-    low, high = start, end
+    low = start
+    for point in points:
+        if changed(point):
+            return _halve(low, point, changed)
+        low = point
+    return None
+
+
+def _halve(low: float, high: float, changed: Callable[[float], bool]) -> float:
     for _ in range(MAX_HALVINGS):
-        middle = (low + high) / 2
-        if high - low <= STEP / 2:
+        if high - low <= 2.0 * STEP:
             break
+        middle = (low + high) / 2
         low, high = (low, middle) if changed(middle) else (middle, high)
     return high
 

@@ -128,6 +128,7 @@ def explain_decision(
         plain,
         slack=_compute_slack(case),
         noise=lead_noise,
+        weighed=True,
         flips=tuple(sorted(_find_flips(case), key=lambda flip: flip.size)),
     )
 

@@ -25,6 +25,8 @@ _RULES_BETWEEN_TASKS = {
     RejectionRule.TOGETHER: "Its files keep it with {other} (together), which leaves out {hosts}.",
     RejectionRule.SPREAD: "Its files spread its entry evenly: {hosts} has its part, such as {other}.",
 }
+_NO_CHANGE_FOUND = "No single change of a load or a weight was found that would change this."
+_NOT_BY_TOTALS = "The totals alone did not decide this, so no change of a load or a weight is named."
 _WEIGHT_CHANGES = (ChangeKind.WEIGHT_RISES, ChangeKind.WEIGHT_FALLS)
 
 
@@ -147,7 +149,7 @@ def _list_sentences(value: Explanation, *, every: bool, complete: bool) -> Itera
         among = "" if complete else " of those that answer"
         yield f"No other host{among} fits (edgectl plan -o wide shows what each lacks)."
     if not value.flips and value.pin is None:
-        yield "No single change of a load or a weight would change this."
+        yield _NO_CHANGE_FOUND if value.weighed else _NOT_BY_TOTALS
     if not value.linear:
         yield (
             "Changes of a link's load are left out: with several robots the worst link counts, "

@@ -3,11 +3,11 @@
 import json
 
 from edgectl.executor.diff import diff_assignment, plan_from_assignment
-from edgectl.model.assignment import Assignment
+from edgectl.model.assignment import Assignment, Reason
 from edgectl.model.explanation import Explanation
 from edgectl.model.inventory import Inventory
 from edgectl.model.manager_state import ManagerState
-from edgectl.model.plan import Step
+from edgectl.model.plan import Action, Step
 from edgectl.model.policy import Policy, Weights
 from edgectl.scheduler.assign import assign
 from edgectl.scheduler.explain import TermNoise, explain_decision
@@ -15,7 +15,7 @@ from edgectl.views.explanation import ExplanationView
 from edgectl.views.output import render_view
 from edgectl.views.output_format import OutputFormat
 from edgectl.views.text import RenderOptions
-from tests.builders import NOW, a_sample, a_snapshot, a_task, an_edge, an_inventory, some_tasks
+from tests.builders import NOW, a_run, a_sample, a_snapshot, a_task, an_edge, an_inventory, some_tasks
 
 INVENTORY: Inventory = an_inventory(an_edge("edge1"), an_edge("edge2"))
 POLICY = Policy(weights=Weights(cpu=0.75, memory=0.25, network=0.0, task=0.0))
@@ -97,3 +97,16 @@ def test_rules_between_tasks_are_said_in_words() -> None:
     assert "Its files keep it off edge1, where a is (apart)." in show("b")
     assert "start: together with a" in show("c")
     assert "keep it with a (together), which leaves out edge2 and edge3." in show("c")
+
+
+def test_what_the_totals_did_not_decide_is_said() -> None:
+    """Its dwell keeps it; a load that leaves it no memory would still move it."""
+    run = a_run(started_at=NOW - 30.0)
+    world = a_snapshot(edge1=a_sample(used=3.0, tasks={"slam": run}), edge2=a_sample())
+    tasks = some_tasks(a_task(cpu=0.4))
+    assignment = assign(INVENTORY, tasks, world, ManagerState(), POLICY, NOW)
+    (decision,) = assignment.decisions
+    found = explain_decision(INVENTORY, tasks.tasks["slam"], world, decision, assignment.policy)
+    text = ExplanationView(Step(decision=decision, action=Action.KEEP), found).wide()
+    assert decision.reason is Reason.DWELL
+    assert "The totals alone did not decide this, so no change of a load or a weight is named." in text
