@@ -14,9 +14,10 @@ from edgectl.scheduler.initial_state import InitialState
 from edgectl.scheduler.ledger import Ledger, compute_demand_usage
 from edgectl.scheduler.packing import Item, Packing, Shares, combine_items
 from edgectl.scheduler.placement_rules import OccupancyLimit
-from edgectl.scheduler.rebalance import Objective, rebalance_packing
+from edgectl.scheduler.rebalance import rebalance_packing
 from edgectl.scheduler.sequence import is_need_met
 from edgectl.scheduler.task_usage import TaskUsage
+from edgectl.scheduler.utility_sum import Objective
 
 PlaceSorter = Callable[[tuple[int, ...]], tuple[int, ...]]
 
