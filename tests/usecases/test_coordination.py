@@ -301,8 +301,14 @@ def test_a_frozen_manager_sends_nothing_after_its_lease(site: Site, short_lease:
     assert site.hosts.placed == {}
 
 
-def test_a_damaged_state_in_etcd_is_refused_and_nothing_is_changed(site: Site, etcd: EtcdCluster) -> None:
+def test_a_damaged_state_in_etcd_is_refused_and_nothing_is_changed(
+    site: Site, etcd: EtcdCluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
     apply(site.manager("ana", tasks=TASKS[:1]))
+    with monkeypatch.context() as patch:
+        patch.setattr("edgectl.state.shared_state._MAX_DOCUMENT_BYTES", 100)  # a small state unpacks to more
+        with pytest.raises(StateError, match="state of this fleet in etcd cannot be read"):
+            apply(site.manager("ben"))
     for junk in (b"", b"x\x9cjunk", bytes(1000)):
         lease = etcd_lease.take_fleet(
             EtcdClient(etcd.place),
