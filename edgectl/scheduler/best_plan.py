@@ -7,13 +7,13 @@ from dataclasses import replace
 
 from edgectl.model.assignment import Certificate, Decision, Reason, Verdict
 from edgectl.scheduler.choice import Choice
+from edgectl.scheduler.decided_plan import DecidedPlan, choose_places, list_wanted
 from edgectl.scheduler.integer_program import Solver
 from edgectl.scheduler.optimum import certify, find_optimum, value_plan
-from edgectl.scheduler.repair import UnrepairedPlan, choose_places, list_wanted
 from edgectl.scheduler.settle import (
     GroupedPlan,
     SettledPlan,
-    build_unrepaired,
+    build_decided_plan,
     find_incomplete_groups,
     take_better,
     withhold_tasks,
@@ -29,7 +29,7 @@ def find_best_plan(
     ``whole``: the pass that withholds no group, so the solver may place those that ``known`` leaves out.
     """
     origin = _return_withheld_tasks(whole, known)
-    before = build_unrepaired(known.how, known.found)
+    before = build_decided_plan(known.how, known.found)
     wanted = {task.name for task in list_wanted(origin)}
     left_out = _list_hopeless_members(origin, wanted)
     optimum = find_optimum(origin, before, solve, left_out)
@@ -37,13 +37,13 @@ def find_best_plan(
     best = take_better(how, origin, known.found, choose_places(before, optimum.places))
     if best is not known.found and find_incomplete_groups(how, best):
         best = known.found
-    value = value_plan(build_unrepaired(how, best), origin)
+    value = value_plan(build_decided_plan(how, best), origin)
     return best, certify(value, len(origin.placed.keys() | wanted - left_out), optimum, len(left_out))
 
 
-def _return_withheld_tasks(whole: PlacementPass, known: GroupedPlan) -> UnrepairedPlan:
+def _return_withheld_tasks(whole: PlacementPass, known: GroupedPlan) -> DecidedPlan:
     """The plain plan, with the tasks of incomplete groups as tasks that lack room."""
-    origin = build_unrepaired(known.how, known.plain)
+    origin = build_decided_plan(known.how, known.plain)
     fixed = known.how.initial.fixed
     withheld = {name: _describe_lack(fixed[name]) for name in fixed.keys() - whole.initial.fixed.keys()}
     return replace(origin, context=whole.context, choices={**origin.choices, **withheld})
@@ -54,7 +54,7 @@ def _describe_lack(decision: Decision) -> Choice:
     return Choice(verdict=Verdict.UNPLACED, reason=reason, subject=decision.subject)
 
 
-def _list_hopeless_members(origin: UnrepairedPlan, wanted: Collection[str]) -> set[str]:
+def _list_hopeless_members(origin: DecidedPlan, wanted: Collection[str]) -> set[str]:
     """Tasks that cannot start because another one of their group has no place for more than want of room."""
     found: set[str] = set()
     for members in origin.context.placement_rules.groups.values():
@@ -63,7 +63,7 @@ def _list_hopeless_members(origin: UnrepairedPlan, wanted: Collection[str]) -> s
     return found
 
 
-def _is_out_of_reach(origin: UnrepairedPlan, name: str, wanted: Collection[str]) -> bool:
+def _is_out_of_reach(origin: DecidedPlan, name: str, wanted: Collection[str]) -> bool:
     """Whether a task counts as missing in its group, whatever the room."""
     if name in origin.placed or name in wanted:
         return False

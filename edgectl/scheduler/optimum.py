@@ -9,6 +9,7 @@ from math import ceil, inf
 
 from edgectl.model.assignment import Certificate
 from edgectl.model.task import Task
+from edgectl.scheduler.decided_plan import DecidedPlan, build_search, rate_plan
 from edgectl.scheduler.integer_program import IntegerProgram, Solution, Solver
 from edgectl.scheduler.ledger import NO_FREE_SHARE
 from edgectl.scheduler.move_cost import HandoffHistory
@@ -22,7 +23,6 @@ from edgectl.scheduler.placement_model import (
 )
 from edgectl.scheduler.placement_problem import PlacementItem, PlacementProblem, Requirements
 from edgectl.scheduler.placement_rules import list_breaches
-from edgectl.scheduler.repair import UnrepairedPlan, build_search, rate_plan
 from edgectl.scheduler.utility import EPSILON
 
 # Differences of a sum of utilities below this are rounding.
@@ -70,7 +70,7 @@ class PlanValue:
         return mine > others or (mine == others and self.utility > other.utility + TOLERANCE)
 
 
-def value_plan(plan: UnrepairedPlan, plain: UnrepairedPlan) -> PlanValue:
+def value_plan(plan: DecidedPlan, plain: DecidedPlan) -> PlanValue:
     """The value of ``plan``; moves are counted from the places of ``plain``, the plan without repair."""
     priorities = sorted({task.priority for task in plan.order}, reverse=True)
     placed = Counter(task.priority for task in plan.order if task.name in plan.placed)
@@ -79,32 +79,32 @@ def value_plan(plan: UnrepairedPlan, plain: UnrepairedPlan) -> PlanValue:
     return PlanValue(placed=tuple(placed[each] for each in priorities), moves=moves, utility=rate_plan(plan))
 
 
-def is_overload_kept(plan: UnrepairedPlan, known: UnrepairedPlan) -> bool:
+def is_overload_kept(plan: DecidedPlan, known: DecidedPlan) -> bool:
     """Whether each place that ``plan`` overloads has no other tasks than in ``known``."""
     here, there = ({(name, place) for name, (place, _) in each.placed.items()} for each in (plan, known))
     rows = [*plan.ledger.free.values(), *plan.ledger.free_links.values()]
     return not any(row[place] < -EPSILON for _, place in here - there for row in rows if place < len(row))
 
 
-def breaks_no_more_rules(plan: UnrepairedPlan, known: UnrepairedPlan) -> bool:
+def breaks_no_more_rules(plan: DecidedPlan, known: DecidedPlan) -> bool:
     """Whether each rule between tasks that ``plan`` breaks is broken in ``known`` by the same task there."""
     return list_breaches(plan.context.placement_rules, _locate_all(plan)) <= list_breaches(
         plan.context.placement_rules, _locate_all(known)
     )
 
 
-def _locate_all(plan: UnrepairedPlan) -> dict[str, int]:
+def _locate_all(plan: DecidedPlan) -> dict[str, int]:
     """The places of all tasks that count for rules between tasks."""
     return _find_fixed_places(plan) | {name: place for name, (place, _) in plan.placed.items()}
 
 
-def _find_fixed_places(plan: UnrepairedPlan) -> dict[str, int]:
+def _find_fixed_places(plan: DecidedPlan) -> dict[str, int]:
     """The places of tasks that the plan does not decide."""
     return {name: place for name, place in plan.initial.located.items() if name not in plan.choices}
 
 
 def find_optimum(
-    plain: UnrepairedPlan, known: UnrepairedPlan, solve: Solver, left_out: Collection[str] = ()
+    plain: DecidedPlan, known: DecidedPlan, solve: Solver, left_out: Collection[str] = ()
 ) -> Optimum:
     """The best places by all three levels, as far as the solver has the time.
 
@@ -152,7 +152,7 @@ def certify(found: PlanValue, wanted: int, optimum: Optimum, withheld: int) -> C
 
 
 def build_problem(
-    plain: UnrepairedPlan, places: Mapping[str, int], left_out: Collection[str] = ()
+    plain: DecidedPlan, places: Mapping[str, int], left_out: Collection[str] = ()
 ) -> PlacementProblem:
     """The tasks that ``plain`` places, and those that lack room but for ``left_out``. ``places``: of a known
     plan.
@@ -199,7 +199,7 @@ def _add_shares(row: list[float], shares: Shares, sign: float) -> None:
 
 
 def _build_item(
-    plain: UnrepairedPlan,
+    plain: DecidedPlan,
     packing: Packing,
     task: Task,
     links: Mapping[str, Sequence[int]],

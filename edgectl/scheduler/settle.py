@@ -6,12 +6,13 @@ from typing import NamedTuple
 
 from edgectl.model.assignment import Decision
 from edgectl.scheduler.choice import Choice
+from edgectl.scheduler.decided_plan import DecidedPlan, rate_plan, rebalance_plan
 from edgectl.scheduler.groups import MAX_ROUNDS, withhold_incomplete_groups
 from edgectl.scheduler.initial_state import InitialState
 from edgectl.scheduler.ledger import compute_demand_usage
 from edgectl.scheduler.optimum import breaks_no_more_rules, is_overload_kept, value_plan
 from edgectl.scheduler.placement_rules import build_placement_rules
-from edgectl.scheduler.repair import UnrepairedPlan, rate_plan, rebalance_plan, repair_plan
+from edgectl.scheduler.repair import repair_plan
 from edgectl.scheduler.single_pass import (
     PassResult,
     PlacementPass,
@@ -84,9 +85,9 @@ def _run_until_settled(how: PlacementPass, *, optimal: bool) -> tuple[SettledPla
     plain = _settle(how, how.initial, {})
     found = _make_room(how, plain)
     if optimal:
-        known = build_unrepaired(how, found)
+        known = build_decided_plan(how, found)
         changed = rebalance_plan(known, started_only=True)
-        return plain, take_better(how, build_unrepaired(how, plain), found, changed)
+        return plain, take_better(how, build_decided_plan(how, plain), found, changed)
     if found.settled and how.context.policy.rebalance:
         found = _rebalance(how, found)
     return plain, found
@@ -94,24 +95,24 @@ def _run_until_settled(how: PlacementPass, *, optimal: bool) -> tuple[SettledPla
 
 def _make_room(how: PlacementPass, plain: SettledPlan) -> SettledPlan:
     """The plan with room made for tasks that found none (ADR 64)."""
-    changed = repair_plan(build_unrepaired(how, plain))
+    changed = repair_plan(build_decided_plan(how, plain))
     return _settle_changed(how, plain, changed) if changed else plain
 
 
 def _rebalance(how: PlacementPass, found: SettledPlan) -> SettledPlan:
     """A settled plan with a greater sum of utilities and as many tasks placed, else the same one (ADR 66)."""
-    before = build_unrepaired(how, found)
+    before = build_decided_plan(how, found)
     changed = rebalance_plan(before)
     if not changed:
         return found
     other = _settle_changed(how, found, changed)
-    gains = rate_plan(build_unrepaired(how, other)) > rate_plan(before)
+    gains = rate_plan(build_decided_plan(how, other)) > rate_plan(before)
     placed_before = found.outcome.placed.keys()
     return other if other.settled and gains and other.outcome.placed.keys() >= placed_before else found
 
 
 def take_better(
-    how: PlacementPass, origin: UnrepairedPlan, best: SettledPlan, changed: Mapping[str, Choice]
+    how: PlacementPass, origin: DecidedPlan, best: SettledPlan, changed: Mapping[str, Choice]
 ) -> SettledPlan:
     """The plan with ``changed``, settled again, if that makes it better, overloads no host anew, and breaks
     no rule between tasks anew.
@@ -119,7 +120,7 @@ def take_better(
     if not changed:
         return best
     other = _settle_changed(how, best, changed)
-    plan, known = build_unrepaired(how, other), build_unrepaired(how, best)
+    plan, known = build_decided_plan(how, other), build_decided_plan(how, best)
     better = other.settled and value_plan(plan, origin).is_better_than(value_plan(known, origin))
     return other if better and is_overload_kept(plan, known) and breaks_no_more_rules(plan, known) else best
 
@@ -151,11 +152,11 @@ def _settle(how: PlacementPass, start: InitialState, prior_moves: Mapping[str, C
     return SettledPlan(last, settled=False, prior_moves=prior_moves)
 
 
-def build_unrepaired(how: PlacementPass, plan: SettledPlan) -> UnrepairedPlan:
+def build_decided_plan(how: PlacementPass, plan: SettledPlan) -> DecidedPlan:
     """What repair, rebalancing and the solver need to know of ``plan``."""
     outcome = plan.outcome
     left = count_moves_left(how, collect_prior_moves(outcome, plan.prior_moves, how.initial))
-    return UnrepairedPlan(
+    return DecidedPlan(
         context=how.context,
         order=how.order,
         initial=how.initial,

@@ -9,8 +9,16 @@ from edgectl.gateway.fanout import fan_out
 from edgectl.gateway.host_facts import HostFactsOptions, collect_host_facts
 from edgectl.gateway.host_probe import ProbeOptions
 from edgectl.model.assignment import Shortage
-from edgectl.model.diagnosis import Diagnosis, Disk, FactsByHost, HostFacts, ManagerFacts, UnreachableHost
-from edgectl.model.inventory import Connection, Host
+from edgectl.model.diagnosis import (
+    Diagnosis,
+    Disk,
+    EtcdEndpoint,
+    FactsByHost,
+    HostFacts,
+    ManagerFacts,
+    UnreachableHost,
+)
+from edgectl.model.inventory import Connection, Coordination, Host
 from edgectl.names import check_known_names
 from edgectl.state.manager_state import load_link_capacities
 from edgectl.transport.connections import BackoffTransport, SessionPool
@@ -34,7 +42,7 @@ def run_doctor(fleet: Fleet, state: Disk, names: Sequence[str] = (), *, timeout:
     hosts = [
         host for host in fleet.inventory.hosts.values() if host.probe and (not names or host.name in names)
     ]
-    manager = _collect_manager_facts(hosts, state)
+    manager = _collect_manager_facts(hosts, state, fleet.inventory.coordination)
     with SessionPool(fleet.transport) as pool:
         near = dataclasses.replace(fleet, transport=BackoffTransport(pool))
         answers = _collect_answers(near, hosts, state, timeout)
@@ -50,7 +58,9 @@ def _find_shortages(fleet: Fleet, answers: FactsByHost, timeout: float) -> tuple
     return find_fleet_shortages(fleet, probe_fleet(fleet, ProbeOptions(timeout=timeout)))
 
 
-def _collect_manager_facts(hosts: Sequence[Host], state: Disk) -> ManagerFacts:
+def _collect_manager_facts(
+    hosts: Sequence[Host], state: Disk, coordination: Coordination | None
+) -> ManagerFacts:
     """Collect the facts of this machine; ``ssh -G`` costs one process per host, so all run at once."""
     remote = [host for host in hosts if host.connection is not Connection.LOCAL]
     files = [found for _, found in fan_out(list_known_hosts_files, remote, workers=_WORKERS)]
@@ -58,6 +68,20 @@ def _collect_manager_facts(hosts: Sequence[Host], state: Disk) -> ManagerFacts:
         state=state,
         known_hosts={path: why for found in files for path, why in sorted(found.items())},
         ssh=has_ssh_program(),
+        etcd=() if coordination is None else _ask_etcd(coordination),
+    )
+
+
+def _ask_etcd(coordination: Coordination) -> tuple[EtcdEndpoint, ...]:
+    """Ask each endpoint alone for a value, which takes a majority of the members."""
+    from edgectl.transport.etcd_client import EtcdClient, format_endpoint
+
+    return tuple(
+        EtcdEndpoint(
+            address=format_endpoint(endpoint),
+            **{"version" if isinstance(found, str) else "error": str(found)},
+        )
+        for endpoint, found in EtcdClient(coordination).read_versions().items()
     )
 
 
