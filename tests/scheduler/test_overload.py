@@ -1,22 +1,16 @@
 """Moves forced by load: slack, dwell and max_moves (ADR 0061); fleets without room (ADR 0062)."""
 
-import random
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import pytest
 
 from edgectl.config.weights import parse_weights
-from edgectl.gateway.smoothing import smooth_snapshot
 from edgectl.model.assignment import Decision, Reason, Verdict
-from edgectl.model.inventory import Inventory
-from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.policy import Policy
 from edgectl.model.resource import CPU as CPU_RESOURCE
 from edgectl.model.resource import MEMORY as MEMORY_RESOURCE
 from edgectl.model.resource import Usage
-from edgectl.model.snapshot import Snapshot
-from edgectl.model.task import Tasks
-from edgectl.rules.slack import MAX_READINGS, compute_slack, estimate_noise
+from edgectl.rules.slack import compute_slack, estimate_noise
 from tests.builders import (
     GI,
     NOW,
@@ -30,6 +24,7 @@ from tests.builders import (
     an_inventory,
     some_tasks,
 )
+from tests.scheduler.closed_loop import ClosedLoop, build_saturated_loop, build_tight_loop
 from tests.scheduler.fleets import NO_MEMORY, decisions_by_task, run_assign
 
 TWO = an_inventory(an_edge("edge1"), an_edge("edge2"), a_robot())
@@ -145,76 +140,6 @@ def test_relief_waits_for_the_dwell_and_counts_as_a_move() -> None:
     assert run_assign(TWO, tasks, snapshot, policy=rested).decisions[0].reason is Reason.MAX_MOVES
 
 
-# --- a closed loop: two equal edges, readings with noise, cycles of 10 s
-
-
-@dataclass(slots=True)
-class ClosedLoop:
-    """Tasks that use 85 % of their demand in truth, on edges whose readings are off by a share of 4 cores.
-
-    ``every`` (s): one cycle. ``readings``: of half a second each, of which a measurement is the mean.
-    ``known``: the noise is measured.
-    """
-
-    demands: dict[str, float]
-    base: dict[str, float]
-    where: dict[str, str]
-    noise: float
-    smooth: bool
-    seed: int = 1
-    use: float = 0.85
-    since: dict[str, float] = field(default_factory=dict)
-    moves: int = 0
-    every: float = 10.0
-    readings: int = 1
-    known: bool = False
-    history: dict[str, list[float]] = field(default_factory=dict)
-
-    def run(self, cycles: int = 360) -> int:
-        """Return the moves in ``cycles``: an hour."""
-        dice, before = random.Random(self.seed), None
-        inventory = an_inventory(*map(an_edge, self.base))
-        tasks = some_tasks(*(a_task(name, cpu=demand) for name, demand in self.demands.items()))
-        self.since = dict.fromkeys(self.where, -3600.0)
-        for cycle in range(cycles):
-            now = cycle * self.every
-            snapshot = self._measure(dice, now)
-            before = smooth_snapshot(before, snapshot, period=10.0) if self.smooth else snapshot
-            self._decide(inventory, tasks, before, now)
-        return self.moves
-
-    def _measure(self, dice: random.Random, now: float) -> Snapshot:
-        samples = {}
-        for edge, base in self.base.items():
-            here = [name for name, host in self.where.items() if host == edge]
-            used = base + sum(self.use * self.demands[name] for name in here)
-            errors = [dice.uniform(-self.noise, self.noise) for _ in range(self.readings)]
-            error = 4.0 * sum(errors) / self.readings
-            self.history.setdefault(edge, []).append(max(0.0, used + error) / 4.0)
-            runs = {
-                name: a_run(
-                    used=Usage(cpu=self.use * self.demands[name]), started_at=self.since[name], instance=name
-                )
-                for name in here
-            }
-            samples[edge] = a_sample(used=max(0.0, used + error), tasks=runs)
-        return a_snapshot(samples, taken_at=now)
-
-    def _decide(self, inventory: Inventory, tasks: Tasks, snapshot: Snapshot, now: float) -> None:
-        placements = {n: Placement(host=h, since=self.since[n]) for n, h in self.where.items()}
-        noise = {
-            edge: {"cpu": estimate_noise(shares[-MAX_READINGS:])} for edge, shares in self.history.items()
-        }
-        memory = ManagerState(managed=True, placements=placements, noise=noise if self.known else {})
-        policy = Policy(attended=False)
-        for decision in run_assign(
-            inventory, tasks, snapshot, memory=memory, policy=policy, now=now
-        ).decisions:
-            if decision.host is not None and decision.host != self.where[decision.task]:
-                self.moves += 1
-                self.where[decision.task], self.since[decision.task] = decision.host, now
-
-
 @pytest.mark.parametrize(
     ("spare", "noise", "smooth", "most"),
     [
@@ -228,9 +153,7 @@ def test_a_task_that_just_fits_is_not_moved_to_and_fro(
     spare: float, noise: float, smooth: bool, most: int
 ) -> None:
     """Both edges are filled but for ``spare`` of their capacity; the reading of the load of others is noisy."""
-    base = 4.0 * (1.0 - spare) - 2.0
-    loop = ClosedLoop({"slam": 2.0}, {"edge1": base, "edge2": base}, {"slam": "edge1"}, noise, smooth)
-    assert loop.run() <= most
+    assert build_tight_loop(spare, noise, smooth=smooth).run() <= most
 
 
 def test_a_noisy_host_has_the_slack_of_its_own_noise() -> None:
@@ -292,17 +215,7 @@ def test_a_day_of_cron_moves_nothing_after_five_seconds_of_noise() -> None:
 @pytest.mark.parametrize("smooth", [True, False])
 def test_a_saturated_fleet_is_left_as_it_is(smooth: bool) -> None:
     """All tasks use four times what they declare: every host is above its capacity, and no place is better."""
-    names = [f"task{n}" for n in range(6)]
-    edges = ("edge1", "edge2", "edge3")
-    loop = ClosedLoop(
-        dict.fromkeys(names, 0.4),
-        dict.fromkeys(edges, 1.2),
-        {name: edges[n % 3] for n, name in enumerate(names)},
-        noise=0.02,
-        smooth=smooth,
-        use=4.0,
-    )
-    assert loop.run(cycles=120) == 0
+    assert build_saturated_loop(smooth=smooth).run(cycles=120) == 0
 
 
 def test_an_overload_that_a_move_relieves_is_relieved_once() -> None:
