@@ -211,7 +211,7 @@ class _Reader:
 
     def read_remap(self, element: Element, scope: _Scope) -> None:
         pair = (self.graph_name(element, "from", scope), self.graph_name(element, "to", scope))
-        scope.remaps = (*scope.remaps, pair)
+        scope.remaps = (*(each for each in scope.remaps if each[0] != pair[0]), pair)
 
     def note_clear_params(self, element: Element, scope: _Scope) -> None:
         if self.boolean(element, "clear_params", scope):
@@ -400,7 +400,8 @@ class _Reader:
             elif child.tag == "remap":
                 self.read_remap(child, inner)
             elif child.tag == "param":
-                node.parameters |= self.read_value(child, inner)
+                values = self.read_value(child, inner)
+                node.parameters |= {name.removeprefix("~"): value for name, value in values.items()}
             else:
                 self.load_rosparam(child, inner, node)
 

@@ -96,7 +96,11 @@ def _evaluate(
     text: str, mark: Mark, arguments: Mapping[str, str], functions: Mapping[str, SubstitutionFunction]
 ) -> str:
     def as_function(name: str) -> Callable[..., Any]:
-        return lambda *words: infer_value(functions[name]([str(word) for word in words], mark))
+        def call(*words: object) -> object:
+            text = functions[name]([str(word) for word in words], mark)
+            return infer_value(text) if name == "arg" else text
+
+        return call
 
     names = {name: infer_value(value) for name, value in arguments.items()}
     callables = {name: as_function(name) for name in functions if name != "eval"}
@@ -109,12 +113,16 @@ def _evaluate(
             f"the expression {error}",
             "simplify it, or give the value as an arg",
         ) from error
-    return str(value).lower() if isinstance(value, bool) else str(value)
+    return str(value)
 
 
 def infer_value(text: str) -> str | int | float | bool:
-    """The value of a text by the rule of roslaunch: int, float, bool, else text."""
+    """The value of a text by the rule of roslaunch: float if it has a point, int, bool, else text."""
     try:
-        return float(text) if "." in text or "e" in text.lower() else int(text)
+        if "." in text:
+            return float(text)
+        if "_" not in text:
+            return int(text)
     except ValueError:
-        return text.lower() == "true" if text.lower() in ("true", "false") else text
+        pass
+    return text.lower() == "true" if text.lower() in ("true", "false") else text

@@ -6,8 +6,7 @@ import shlex
 from collections.abc import Iterable
 
 from edgectl.importers.launch_values import PACKAGE_MARK, RosNode
-from edgectl.importers.ros1_substitution import infer_value
-from edgectl.importers.ros_parameters import flatten_parameters, parse_yaml_scalar
+from edgectl.importers.ros_parameters import flatten_parameters, is_plain_text
 
 _WORD = re.compile(r"[A-Za-z_/][\w/.-]*")
 _FINDERS = {
@@ -84,7 +83,7 @@ def _is_simple(value: object) -> bool:
     """Whether a parameter on the command line gets its type from roscpp and from rospy alike."""
     if isinstance(value, str):
         text = PACKAGE_MARK.sub("/", value)
-        return bool(_WORD.fullmatch(text)) and infer_value(text) == text and parse_yaml_scalar(text) == text
+        return bool(_WORD.fullmatch(text)) and is_plain_text(text)
     return isinstance(value, bool | int | float)
 
 
@@ -124,7 +123,7 @@ def format_ros_value(value: object) -> str:
     plain = (
         re.fullmatch(r"[A-Za-z_/.][\w/.: -]*", text) and ": " not in text and not text.endswith((":", " "))
     )
-    return value if plain and parse_yaml_scalar(text) == text else format_json(value)
+    return value if plain and is_plain_text(text) else format_json(value)
 
 
 def format_json(value: object) -> str:

@@ -4,6 +4,7 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import lru_cache
 
 from edgectl.config.node import Node
 from edgectl.config.problems import Mark, ProblemCode, Problems, Source
@@ -12,8 +13,17 @@ from edgectl.importers.expression import ExpressionError, evaluate_expression
 from edgectl.importers.fault import ImportFaultError
 from edgectl.importers.ros1_substitution import infer_value
 
-# Words that the YAML 1.1 of ROS reads as truth values, besides those of YAML 1.2.
-_TRUE, _FALSE = {"yes", "on"}, {"no", "off"}
+# Plain scalars of YAML 1.1, as PyYAML reads them for ROS; times in base 60 are left as texts.
+_INTEGER = re.compile(r"[-+]?(?:0b[0-1_]+|0[0-7_]+|0|[1-9][0-9_]*|0x[0-9a-fA-F_]+)")
+_FLOAT = re.compile(r"[-+]?[0-9][0-9_]*\.[0-9_]*(?:[eE][-+][0-9]+)?|\.[0-9][0-9_]*(?:[eE][-+][0-9]+)?")
+_OCTAL = re.compile(r"[-+]?0[0-7]+")
+_KEYWORDS: dict[str, bool | None] = {
+    "": None,
+    "~": None,
+    **dict.fromkeys(("null", "Null", "NULL")),
+    **{form: True for word in ("yes", "true", "on") for form in (word, word.title(), word.upper())},
+    **{form: False for word in ("no", "false", "off") for form in (word, word.title(), word.upper())},
+}
 _ANGLE = re.compile(r"(deg|rad)\(([^()]*)\)")
 _TYPES = ("auto", "bool", "boolean", "double", "float", "int", "str", "string", "yaml")
 
@@ -24,7 +34,7 @@ def parse_parameter_value(text: str, kind: str, mark: Mark) -> object:
     Raises:
         ImportFaultError: the type is unknown, or the text is not of it.
     """
-    kind = kind or "auto"
+    kind = kind.lower() or "auto"
     if kind not in _TYPES:
         message = f"unknown type {kind}"
         raise ImportFaultError(mark, ProblemCode.WORD, message, f"write one of {', '.join(_TYPES)}")
@@ -78,37 +88,53 @@ def read_parameter_text(
 
 
 def read_parameter_node(node: Node) -> object:
-    """The value of a node as ROS reads it: ``on`` is true, ``deg(90)`` are radians."""
+    """The value of a node as ROS reads it: by YAML 1.1, and ``deg(90)`` are radians."""
     if isinstance(node.value, dict):
         return {key: read_parameter_node(inner) for key, inner in node.value.items()}
     if isinstance(node.value, list):
         return [read_parameter_node(inner) for inner in node.value]
-    if not isinstance(node.value, str) or _is_quoted(node):
-        return node.value
-    return _read_plain_text(node.value)
+    return node.value if _is_quoted(node) else parse_yaml_scalar(node.text)
 
 
 def parse_yaml_scalar(text: str) -> object:
-    """The value of a plain text by YAML as ROS reads it."""
-    value = resolve_scalar(text.strip())
-    return _read_plain_text(value) if isinstance(value, str) else value
+    """The value of a plain text by YAML 1.1: ``on`` is true, ``010`` is 8, ``1e3`` is a text."""
+    text = text.strip()
+    plain = text.replace("_", "")
+    if text in _KEYWORDS:
+        return _KEYWORDS[text]
+    if _INTEGER.fullmatch(text):
+        return int(plain, 8 if _OCTAL.fullmatch(plain) else 0)
+    if _FLOAT.fullmatch(text):
+        return float(plain)
+    return _read_angle(text) if _ANGLE.fullmatch(text) else text
 
 
-def _read_plain_text(text: str) -> object:
-    if text.lower() in _TRUE | _FALSE:
-        return text.lower() in _TRUE
-    if found := _ANGLE.fullmatch(text):
-        try:
-            angle = float(evaluate_expression(found[2], {}, {}))
-        except (ExpressionError, TypeError, ValueError):
-            return text
-        return math.radians(angle) if found[1] == "deg" else angle
-    return text
+def is_plain_text(text: str) -> bool:
+    """Whether it is a text by YAML 1.1, by YAML 1.2 and by the rule of roslaunch."""
+    return all(isinstance(read(text), str) for read in (parse_yaml_scalar, resolve_scalar, infer_value))
+
+
+def _read_angle(text: str) -> object:
+    found = _ANGLE.fullmatch(text)
+    if found is None:
+        return text
+    try:
+        angle = float(evaluate_expression(found[2], {}, {}))
+    except (ExpressionError, TypeError, ValueError):
+        return text
+    return math.radians(angle) if found[1] == "deg" else angle
 
 
 def _is_quoted(node: Node) -> bool:
-    line = node.mark.source.line(node.mark.line)
+    lines = _split_lines(node.mark.source.text)
+    line = lines[node.mark.line - 1] if node.mark.line <= len(lines) else ""
     return line[node.mark.column - 1 : node.mark.column] in ("'", '"', "|", ">")
+
+
+@lru_cache(maxsize=4)
+def _split_lines(text: str) -> tuple[str, ...]:
+    """The lines of what was parsed, which may be a part of a file."""
+    return tuple(text.splitlines())
 
 
 def flatten_parameters(value: object, prefix: str = "", separator: str = "/") -> dict[str, object]:

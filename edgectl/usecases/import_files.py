@@ -67,6 +67,20 @@ def import_ros(
     Raises:
         InputError: everything that is wrong with the files.
     """
+    launch = read_launch_files(paths, arguments, package_path, by_file=by_file)
+    name = to_host_name(Path(paths[0]).name.partition(".")[0])
+    made = build_files(launch, ", ".join(Path(path).name for path in paths), name_fleet(name))
+    return _finish(name, render_file(made.inventory), render_file(made.tasks), launch.notes)
+
+
+def read_launch_files(
+    paths: Sequence[str], arguments: Mapping[str, str], package_path: Sequence[str], *, by_file: bool
+) -> Launch:
+    """What launch files start, with at least one node.
+
+    Raises:
+        InputError: everything that is wrong with the files.
+    """
     launch = Launch(problems=Problems())
     packages = _PackageIndex(package_path)
     workspace = Workspace(
@@ -90,9 +104,7 @@ def import_ros(
             "check the conditions and args of its nodes",
         )
     launch.problems.check()
-    name = to_host_name(Path(paths[0]).name.partition(".")[0])
-    made = build_files(launch, ", ".join(Path(path).name for path in paths), name_fleet(name))
-    return _finish(name, render_file(made.inventory), render_file(made.tasks), launch.notes)
+    return launch
 
 
 def import_paper(path: str) -> Imported:
