@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from edgectl.model.resource import TERMS
 from tests.cli.conftest import Run
 
 PLAN = ("plan", "--snapshot", "snap.json")
@@ -102,7 +103,7 @@ def test_policy_and_weights_stand_in_the_plan(run: Run, site: Path) -> None:
         ).out
     )
     assert document["policy"] == "paper"
-    assert document["weights"] == {"cpu": 0.25, "memory": 0, "network": 0.75, "task": 0}
+    assert document["weights"] == dict.fromkeys(TERMS, 0) | {"cpu": 0.25, "network": 0.75}
     assert document["options"]["best_effort"] is True
 
 

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from tests import forkserver
+from tests.compiled_agent import give_key
 from tests.faults import failpoint_runner, oracle, scan
 from tests.faults.command_result import WORST_S, CommandResult, ExpectationError
 from tests.faults.hosts import Host, start_loopback_hosts
@@ -68,6 +69,7 @@ class FaultFleet:
     bystanders: list[scan.Bystander] = field(default_factory=list)
     keys: dict[str, str] = field(default_factory=dict)
     overlap_allowed: set[str] = field(default_factory=set)
+    coordination: str = ""
     code: Path | None = None
     connection: str = "ssh"
     sample: bool = False
@@ -88,6 +90,7 @@ class FaultFleet:
                 "capacity": {"cpu": 4, "memory": "8Gi"},
                 **({"runtime": "systemd"} if self.hosts[name].kind == "systemd" else {}),
             }
+        give_key(self.state, FLEET)
         self.write_files()
 
     # Hosts, by the order of their start
@@ -145,9 +148,15 @@ class FaultFleet:
     def state(self) -> Path:
         return self.directory / "state"
 
+    @property
+    def inventory_head(self) -> dict[str, object]:
+        """What an inventory of this fleet states besides its hosts."""
+        shared = {"coordination": self.coordination} if self.coordination else {}
+        return {"version": 1, "fleet": FLEET, **shared}
+
     def write_files(self) -> None:
         """Write the files of edgectl and ssh."""
-        inventory = {"version": 1, "fleet": FLEET, "edges": self.inventory}
+        inventory = {**self.inventory_head, "edges": self.inventory}
         (self.directory / "inventory.yaml").write_text(format_yaml(inventory))
         # The default of ``up`` would cost each start 3 s.
         tasks = {name: {"up": "300ms", **task} for name, task in self.tasks.items()}
