@@ -49,8 +49,8 @@ class RosNode:
 
     ``version``: 1 or 2, the generation of ROS. ``package`` is empty for a plain program, which ``executable``
     names. ``parameters`` are the node's private ones; ``parameter_files`` are (file on the host, namespace).
-    ``respawn`` is None where the file does not say. ``order`` counts the nodes; ``needs`` holds (order,
-    state).
+    ``respawn`` is None where the file does not say. ``computed``: private parameters that the output of
+    a command on the host gives. ``order`` counts the nodes; ``needs`` holds (order, state).
     """
 
     version: int
@@ -69,6 +69,7 @@ class RosNode:
     respawn: bool | None = None
     prefix: str = ""
     workdir: str = ""
+    computed: dict[str, tuple[str, ...]] = field(default_factory=dict)
     needs: tuple[tuple[int, str], ...] = ()
     order: int = 0
 
@@ -80,12 +81,16 @@ class RosNode:
 
 @dataclass(slots=True, kw_only=True)
 class Launch:
-    """Everything read from launch files so far. ``parameters``: global ones by full name."""
+    """Everything read from launch files so far.
+
+    ``parameters``: global ones by full name; ``computed``: those whose value is the output of a command.
+    """
 
     problems: Problems
     nodes: list[RosNode] = field(default_factory=list)
     machines: dict[str, Machine] = field(default_factory=dict)
     parameters: dict[str, object] = field(default_factory=dict)
+    computed: dict[str, tuple[str, ...]] = field(default_factory=dict)
     notes: list[Problem] = field(default_factory=list)
     includes: int = 0
 

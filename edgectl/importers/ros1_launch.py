@@ -400,8 +400,9 @@ class _Reader:
             elif child.tag == "remap":
                 self.read_remap(child, inner)
             elif child.tag == "param":
-                values = self.read_value(child, inner)
+                values, computed = self.read_value(child, inner)
                 node.parameters |= {name.removeprefix("~"): value for name, value in values.items()}
+                node.computed |= {name.removeprefix("~"): words for name, words in computed.items()}
             else:
                 self.load_rosparam(child, inner, node)
 
@@ -423,36 +424,44 @@ class _Reader:
             )
 
     def read_param(self, element: Element, scope: _Scope) -> None:
-        for name, value in self.read_value(element, scope).items():
+        values, computed = self.read_value(element, scope)
+        for name, value in values.items():
             if name.startswith("~"):
                 scope.local[name[1:]] = value
             else:
                 self.launch.parameters[join_names(scope.namespace, name)] = value
+        for name, words in computed.items():
+            if name.startswith("~"):
+                self.launch.note(element.mark, f"param {name} is not imported", "put it into its nodes")
+            else:
+                self.launch.computed[join_names(scope.namespace, name)] = words
 
-    def read_value(self, element: Element, scope: _Scope) -> dict[str, object]:
-        """The parameter that an element sets, by its name as written; empty if it cannot be had here."""
+    def read_value(
+        self, element: Element, scope: _Scope
+    ) -> tuple[dict[str, object], dict[str, tuple[str, ...]]]:
+        """The parameter that an element sets, by its name: its value, or the command that prints it.
+
+        Both are empty if it cannot be had.
+        """
         name = self.graph_name(element, "name", scope)
         given = [key for key in ("value", "textfile", "binfile", "command") if key in element.attributes]
         if len(given) != 1:
             message = f"param {name} needs one of value, textfile and command, and has {len(given)}"
             raise ImportFaultError(element.mark, ProblemCode.MISSING, message, 'add value=".."')
+        kind = self.text(element, "type", scope)
         if given[0] == "value":
             mark = element.attributes["value"].mark
-            return {
-                name: parse_parameter_value(
-                    self.text(element, "value", scope), self.text(element, "type", scope), mark
-                )
-            }
+            return {name: parse_parameter_value(self.text(element, "value", scope), kind, mark)}, {}
         if given[0] == "textfile":
             path = self.find_file(element, "textfile", scope)
             mark = element.attributes["textfile"].mark
-            return {name: read_referred_file(path, self.workspace, mark).text}
-        reason = (
-            "its command is not run" if given[0] == "command" else "its bytes cannot stand in a task file"
-        )
+            return {name: read_referred_file(path, self.workspace, mark).text}, {}
+        if given[0] == "command" and kind in ("", "auto", "str", "string"):
+            return {}, {name: self.words(element, "command", scope)}
+        reason = f"the output of its command is of type {kind}" if given[0] == "command" else "it is binary"
         hint = f"write it before the command of the task: rosparam set {name} .."
         self.launch.note(element.mark, f"param {name} is not imported: {reason}", hint)
-        return {}
+        return {}, {}
 
     def read_rosparam(self, element: Element, scope: _Scope) -> None:
         self.load_rosparam(element, scope, None)

@@ -24,7 +24,21 @@ def build_command(node: RosNode) -> str:
     words = [*(["env", *env] if env else []), *words]
     line = join_words(words, node.version)
     steps = [join_words(step, node.version) for step in before]
+    steps += [build_computed_step(f"{node.full_name}/{name}", each) for name, each in node.computed.items()]
     return " && ".join([*steps, f"exec {line}"]) if steps else line
+
+
+def build_computed_step(name: str, words: Iterable[str]) -> str:
+    """A step that sets the parameter ``name`` of ROS 1 to what a command prints on the host.
+
+    ``rosparam set`` would read the text as YAML, so it is made JSON first, by the Python that edgectl needs.
+    """
+    namespace, _, last = name.rpartition("/")
+    program = f"import json, sys; print(json.dumps({{{json.dumps(last)}: sys.stdin.read()}}))"
+    return (
+        f'text=$({join_words(words, 1)}) && printf %s "$text" | python3 -c {shlex.quote(program)}'
+        f" | rosparam load - {namespace or '/'}"
+    )
 
 
 def list_plain_env(node: RosNode) -> dict[str, str]:

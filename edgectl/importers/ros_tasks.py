@@ -7,7 +7,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from edgectl.importers.launch_values import Launch, Machine, RosNode
-from edgectl.importers.ros_command import build_command, format_json, join_words, list_plain_env
+from edgectl.importers.ros_command import (
+    build_command,
+    build_computed_step,
+    format_json,
+    join_words,
+    list_plain_env,
+)
 from edgectl.importers.yaml_text import FileEntry, FileText
 
 _NAME = re.compile(r"[a-z0-9][a-z0-9._-]{0,40}")
@@ -47,7 +53,7 @@ def build_files(launch: Launch, title: str, fleet: str) -> ImportedFiles:
     master = to_host_name(edges[0].name) if edges else EMPTY_EDGE
     has_ros1 = any(node.version == 1 for node in launch.nodes)
     entries = _build_service_entries(launch, master) if has_ros1 else []
-    entries += [_build_entry(group, groups, bool(launch.parameters)) for group in groups]
+    entries += [_build_entry(group, groups, bool(launch.parameters or launch.computed)) for group in groups]
     about = f"Imported from {title}."
     tasks = FileText(comments=(about,), keys={"version": 1}, sections={"tasks": entries})
     return ImportedFiles(
@@ -203,11 +209,13 @@ def _build_service_entries(launch: Launch, master: str) -> list[FileEntry]:
             "stop": "ros",
         },
     )
-    if not launch.parameters:
+    if not launch.parameters and not launch.computed:
         return [core]
     words = ["rosparam", "set", "/", format_parameter_tree(launch.parameters)]
+    steps = [join_words(words, 1)] if launch.parameters else []
+    steps += [build_computed_step(name, each) for name, each in launch.computed.items()]
     values = {
-        "command": join_words(words, 1),
+        "command": " && ".join(steps),
         "demand": "measured",
         "kind": "job",
         "needs": [ROSCORE],

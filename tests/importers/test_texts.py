@@ -1,5 +1,6 @@
 """Texts that are written reach their readers unchanged: YAML of task files, and words of a command line."""
 
+import json
 import os
 import subprocess
 from pathlib import Path
@@ -12,7 +13,7 @@ from edgectl.config.node import value_from_node
 from edgectl.config.problems import Problems, Source
 from edgectl.config.yaml_parser import parse_yaml
 from edgectl.importers.expression import ExpressionError, evaluate_expression
-from edgectl.importers.ros_command import join_words
+from edgectl.importers.ros_command import build_computed_step, join_words
 from edgectl.importers.yaml_text import FileEntry, FileText, render_file
 
 # What YAML allows in a file, and texts that look like something else.
@@ -54,6 +55,24 @@ def test_words_reach_the_program_through_the_shell(tmp_path: Path) -> None:
         )
         expected = [*words[:-2], '/opt/ros/share/maps/a $b`c`"\\.yaml', "x:=/opt/ros/share/maps"]
         assert done.stdout.split("\0")[:-1] == expected
+
+
+def test_the_output_of_a_command_becomes_a_parameter(tmp_path: Path) -> None:
+    """``rosparam load -`` reads YAML: a file of a robot with colons and quotes in it must stay one text."""
+    (tmp_path / "rosparam").write_text('#!/bin/sh\necho "$*"; cat\n')
+    (tmp_path / "rosparam").chmod(0o755)
+    text = "<robot name='a: b # c'>\n  \"x\" $HOME \\n\n</robot>"
+    (tmp_path / "a b.xacro").write_text(text + "\n")
+    env = {**os.environ, "PATH": f"{tmp_path}:{os.environ['PATH']}"}
+
+    def run(*words: str) -> subprocess.CompletedProcess[str]:
+        step = build_computed_step("/lab/robot_description", words)
+        return subprocess.run(["bash", "-c", step], env=env, capture_output=True, text=True, check=False)
+
+    done = run("cat", str(tmp_path / "a b.xacro"))
+    first, _, rest = done.stdout.partition("\n")
+    assert (first, json.loads(rest)) == ("load - /lab", {"robot_description": text})
+    assert run("cat", str(tmp_path / "missing")).returncode != 0
 
 
 @pytest.mark.parametrize(
