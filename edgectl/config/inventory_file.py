@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from edgectl.config.coordination import read_coordination
 from edgectl.config.fields import (
     Fields,
     keep_node,
@@ -144,6 +145,7 @@ INVENTORY_KEYS: Mapping[str, NodeReader] = {
     "version": read_version,
     "fleet": read_name,
     "probe_links": read_bool,
+    "coordination": read_coordination,
     "defaults": keep_node,
     "edges": keep_node,
     "robots": keep_node,
@@ -160,7 +162,7 @@ def build_inventory_schema() -> Schema:
         edges=build_mapping_schema(NAME_PATTERN.pattern, build_object_schema(EDGE_KEYS)),
         robots=build_mapping_schema(NAME_PATTERN.pattern, build_object_schema(ROBOT_KEYS)),
         links={"type": "array", "items": build_object_schema(LINK_KEYS, tuple(LINK_KEYS))},
-    )
+    ) | {"dependentRequired": {"coordination": ["fleet"]}}
     return build_file_schema(
         "inventory", schema | {"anyOf": [{"required": ["edges"]}, {"required": ["robots"]}]}
     )
@@ -187,12 +189,20 @@ def read_inventory(node: Node, problems: Problems) -> Inventory:
     ordered = {key: hosts[key] for key in sorted(hosts, key=natural_key)}
     links = _read_link_entries(top.at("links"), ordered, problems) if "links" in top else {}
     fleet = top.values.get("fleet") or derive_fleet_name(Path(node.mark.source.file))
+    if "coordination" in top and "fleet" not in top:
+        problems.add(
+            node.key_mark("coordination"),
+            ProblemCode.MISSING,
+            "coordination needs fleet: every machine must know the fleet by the same name",
+            f"add fleet: {fleet}",
+        )
     stated = Inventory(
         hosts=ordered,
         links=links,
         fleet=fleet,
         is_fleet_named="fleet" in top.values,
         probe_links=top.values.get("probe_links", True),
+        coordination=top.values.get("coordination"),
     )
     # The digest is of the file alone: no path and no home of a user may change it.
     return replace(

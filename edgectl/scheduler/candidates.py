@@ -21,13 +21,14 @@ from edgectl.scheduler.scan import (
     compute_resource_totals,
     is_feasible_total,
 )
-from edgectl.scheduler.slack import get_slack
 from edgectl.scheduler.utility import EPSILON, compute_affinity, total_utility
 
 if TYPE_CHECKING:  # NumPy is imported only where it pays
     from edgectl.scheduler.array_scan import ArrayScan, ArrayTotals
 
 Totals: TypeAlias = "ListTotals | ArrayTotals"
+# All terms of one place, the total, and what is lacking there.
+ReferenceTerms: TypeAlias = tuple[UtilityTerms, float | None, tuple[Rejection, ...]]
 
 # These close a host to new work only: what runs there may stay.
 _NEW_WORK_ONLY = (RejectionRule.CORDONED, RejectionRule.STALE)
@@ -114,7 +115,8 @@ class CandidateSet:
     candidate. ``predecessors`` are those with a place, ``located`` their places; ``utilities`` is UT_task by
     reward. ``placed`` counts the tasks that this pass has put on each place. ``waived`` is the rejection of
     an incumbent that is weighed all the same, because nothing else is left. ``tolerated``: the incumbent
-    counts as feasible although its load exceeds it, within the slack.
+    counts as feasible although its load exceeds it, within the slack. ``terms``: those of the places that
+    were asked for.
     """
 
     context: AssignmentContext
@@ -131,39 +133,11 @@ class CandidateSet:
     totals: Totals = field(default_factory=ListTotals)
     waived: Rejection | None = None
     tolerated: bool = False
+    terms: dict[int, ReferenceTerms] = field(default_factory=dict, init=False)
 
     def name(self, place: int) -> str:
         """The name of a place."""
         return self.context.fleet.places[place].name
-
-
-def evaluate_candidates(
-    context: AssignmentContext,
-    ledger: Ledger,
-    task: Task,
-    *,
-    incumbent: int | None,
-    predecessors: Mapping[str, int],
-    placed: Mapping[int, int],
-    stays: bool = False,
-    barred: Mapping[int, Rejection] | None = None,
-) -> CandidateSet:
-    """``task`` against the present ledger; its own use must already be taken out.
-
-    ``stays``: weigh the incumbent even if it is denied. ``barred``: places that rules between tasks exclude.
-    """
-    return weigh_candidates(
-        gather_candidates(
-            context,
-            ledger,
-            task,
-            incumbent=incumbent,
-            predecessors=predecessors,
-            placed=placed,
-            stays=stays,
-            barred=barred,
-        )
-    )
 
 
 def gather_candidates(
@@ -177,7 +151,10 @@ def gather_candidates(
     stays: bool = False,
     barred: Mapping[int, Rejection] | None = None,
 ) -> CandidateSet:
-    """As ``evaluate_candidates``, without the totals."""
+    """``task`` against the present ledger, without the totals; its own use must already be taken out.
+
+    ``stays``: weigh the incumbent even if it is denied. ``barred``: places that rules between tasks exclude.
+    """
     located = tuple(predecessors.values())
     robots = _list_robot_places(context, task, incumbent)
     listed, denied = _list_candidates(context, task, incumbent, robots)
@@ -187,7 +164,7 @@ def gather_candidates(
     if waived is not None:
         denied = {place: rejection for place, rejection in denied.items() if place != incumbent}
     near = {place for place in located if place in listed and place not in denied}
-    far = any(place not in denied and place not in near for place in listed)
+    far = len(denied) + len(near) < len(listed)
     rewards = _collect_affinities(located, near, far=far)
     utilities = context.rules.rate_affinity(rewards, len(located))
     return CandidateSet(
@@ -227,17 +204,23 @@ def _is_tolerated(candidates: CandidateSet) -> bool:
 def find_excess(candidates: CandidateSet, place: int) -> list[Resource]:
     """The resources of which the task lacks more at ``place`` than the slack, or which are missing there."""
     terms, _ = compute_resource_terms(candidates.ledger, candidates.task, place)
+    get_slack = candidates.context.fleet.get_slack
     return [
         resource
         for resource in RESOURCES
-        if (term := terms[resource.name]) is None or term < -get_slack(resource) - EPSILON
+        if (term := terms[resource.name]) is None or term < -get_slack(resource, place) - EPSILON
     ]
 
 
-def terms_at(
-    candidates: CandidateSet, place: int
-) -> tuple[UtilityTerms, float | None, tuple[Rejection, ...]]:
+def terms_at(candidates: CandidateSet, place: int) -> ReferenceTerms:
     """The reference computation of all terms, the total and what is lacking at one candidate."""
+    found = candidates.terms.get(place)
+    if found is None:
+        found = candidates.terms[place] = _compute_reference_terms(candidates, place)
+    return found
+
+
+def _compute_reference_terms(candidates: CandidateSet, place: int) -> ReferenceTerms:
     values, rejections = compute_resource_terms(candidates.ledger, candidates.task, place)
     values[AFFINITY] = candidates.utilities[compute_affinity(candidates.located, place)]
     terms = UtilityTerms.from_complete(values)
@@ -255,7 +238,9 @@ def _list_robot_places(context: AssignmentContext, task: Task, incumbent: int | 
     """The robots that a ranking lists: the one that may host the task, and the one that the task runs on."""
     own = context.rules.robot_of(context.fleet, task)
     present = incumbent if incumbent is not None and incumbent >= context.fleet.edges else None
-    return sorted({place for place in (own, present) if place is not None})
+    if own is None or present is None or own == present:
+        return [place for place in (own if present is None else present,) if place is not None]
+    return sorted((own, present))
 
 
 def _list_candidates(

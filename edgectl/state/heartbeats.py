@@ -106,6 +106,30 @@ def record_orphans(fleet_dir: Path, seen: Mapping[str, tuple[str, ...]]) -> Hear
     return _update_heartbeats(fleet_dir, merge)
 
 
+def replace_marks(
+    fleet_dir: Path,
+    *,
+    fenced: frozenset[str],
+    orphans: Mapping[str, tuple[str, ...]],
+    heard: Mapping[str, Uptime],
+) -> Heartbeats:
+    """Replace fences by those of another machine, add its orphans, and record ``heard`` as contacts. Either
+    machine may have seen an orphan last; which ones are left is known once their host answers.
+
+    Raises:
+        StateError: the disk does not take it.
+    """
+
+    def change(known: Heartbeats) -> Heartbeats:
+        both = {
+            host: tuple(sorted({*known.orphans.get(host, ()), *orphans.get(host, ())}))
+            for host in known.orphans.keys() | orphans.keys()
+        }
+        return replace(_merge_heartbeats(known, heard), fenced=fenced, orphans=both)
+
+    return _update_heartbeats(fleet_dir, change)
+
+
 def _merge_heartbeats(known: Heartbeats, heard: Mapping[str, Uptime]) -> Heartbeats:
     later = {host: at for host, at in heard.items() if _is_later(at, known.last.get(host))}
     return replace(known, last={**known.last, **later}, fenced=known.fenced - heard.keys())

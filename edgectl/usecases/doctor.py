@@ -1,25 +1,39 @@
 """Diagnose this machine and the hosts. Nothing is changed."""
 
 import contextlib
+import dataclasses
 from collections.abc import Sequence
 
 from edgectl.doctor.diagnosis import diagnose_fleet
 from edgectl.gateway.fanout import fan_out
 from edgectl.gateway.host_facts import HostFactsOptions, collect_host_facts
-from edgectl.model.diagnosis import Diagnosis, Disk, FactsByHost, ManagerFacts, UnreachableHost
-from edgectl.model.inventory import Connection, Host
+from edgectl.gateway.host_probe import ProbeOptions
+from edgectl.model.assignment import Shortage
+from edgectl.model.diagnosis import (
+    Diagnosis,
+    Disk,
+    EtcdEndpoint,
+    FactsByHost,
+    HostFacts,
+    ManagerFacts,
+    UnreachableHost,
+)
+from edgectl.model.inventory import Connection, Coordination, Host
 from edgectl.names import check_known_names
 from edgectl.state.manager_state import load_link_capacities
+from edgectl.transport.connections import BackoffTransport, SessionPool
 from edgectl.transport.preflight import has_ssh_program, list_known_hosts_files
 from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.heartbeat import track_heartbeats
+from edgectl.usecases.plan import find_fleet_shortages
+from edgectl.usecases.probe import probe_fleet
 
 _WORKERS = 16
 
 
 def run_doctor(fleet: Fleet, state: Disk, names: Sequence[str] = (), *, timeout: float = 15.0) -> Diagnosis:
     """Examine this machine and every host, or only those of ``names``. ``state`` is the condition of the
-    fleet's state directory.
+    fleet's state directory. Of all hosts also what the edges lack for the tasks of the files.
 
     Raises:
         UsageError: a host is unknown.
@@ -28,12 +42,25 @@ def run_doctor(fleet: Fleet, state: Disk, names: Sequence[str] = (), *, timeout:
     hosts = [
         host for host in fleet.inventory.hosts.values() if host.probe and (not names or host.name in names)
     ]
-    return diagnose_fleet(
-        fleet.inventory, _collect_manager_facts(hosts, state), _collect_answers(fleet, hosts, state, timeout)
-    )
+    manager = _collect_manager_facts(hosts, state, fleet.inventory.coordination)
+    with SessionPool(fleet.transport) as pool:
+        near = dataclasses.replace(fleet, transport=BackoffTransport(pool))
+        answers = _collect_answers(near, hosts, state, timeout)
+        whole = not names and bool(fleet.tasks.tasks) and not state.obstacle
+        shortages = _find_shortages(near, answers, timeout) if whole else None
+    return diagnose_fleet(fleet.inventory, manager, answers, shortages)
 
 
-def _collect_manager_facts(hosts: Sequence[Host], state: Disk) -> ManagerFacts:
+def _find_shortages(fleet: Fleet, answers: FactsByHost, timeout: float) -> tuple[Shortage, ...] | None:
+    """What the edges that answer lack, by a probe; None if none does. Silent hosts are not asked again."""
+    if not any(isinstance(answers.get(edge.name), HostFacts) for edge in fleet.inventory.edges):
+        return None
+    return find_fleet_shortages(fleet, probe_fleet(fleet, ProbeOptions(timeout=timeout)))
+
+
+def _collect_manager_facts(
+    hosts: Sequence[Host], state: Disk, coordination: Coordination | None
+) -> ManagerFacts:
     """Collect the facts of this machine; ``ssh -G`` costs one process per host, so all run at once."""
     remote = [host for host in hosts if host.connection is not Connection.LOCAL]
     files = [found for _, found in fan_out(list_known_hosts_files, remote, workers=_WORKERS)]
@@ -41,6 +68,20 @@ def _collect_manager_facts(hosts: Sequence[Host], state: Disk) -> ManagerFacts:
         state=state,
         known_hosts={path: why for found in files for path, why in sorted(found.items())},
         ssh=has_ssh_program(),
+        etcd=() if coordination is None else _ask_etcd(coordination),
+    )
+
+
+def _ask_etcd(coordination: Coordination) -> tuple[EtcdEndpoint, ...]:
+    """Ask each endpoint alone for a value, which takes a majority of the members."""
+    from edgectl.transport.etcd_client import EtcdClient, format_endpoint
+
+    return tuple(
+        EtcdEndpoint(
+            address=format_endpoint(endpoint),
+            **{"version" if isinstance(found, str) else "error": str(found)},
+        )
+        for endpoint, found in EtcdClient(coordination).read_versions().items()
     )
 
 

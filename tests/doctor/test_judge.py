@@ -7,9 +7,11 @@ import pytest
 
 from edgectl.doctor.diagnosis import diagnose_fleet, diagnose_no_answer
 from edgectl.doctor.ssh_command import format_ssh_command
+from edgectl.model.assignment import Shortage
 from edgectl.model.diagnosis import (
     NOT_A_DIRECTORY,
     Diagnosis,
+    EtcdEndpoint,
     Finding,
     HostFacts,
     ManagerFacts,
@@ -18,6 +20,7 @@ from edgectl.model.diagnosis import (
     UnreachableHost,
 )
 from edgectl.model.inventory import Connection, Host
+from edgectl.model.resource import CPU, MEMORY
 from edgectl.model.snapshot import CapacitySource
 from tests.builders import a_robot, an_edge, an_inventory
 from tests.doctor.facts import DISK, FACTS, GI, LINK, LOGIND, MANAGER, ros_facts
@@ -49,6 +52,20 @@ def test_all_is_well() -> None:
         "disk",
         "known_hosts",
     ]
+
+
+def test_each_endpoint_of_etcd_is_judged() -> None:
+    endpoints = (
+        EtcdEndpoint(address="a:2379", version="3.4.23"),
+        EtcdEndpoint(address="b:1", error="connection refused"),
+    )
+    diagnosis = diagnose_answer(FACTS, manager=replace(MANAGER, etcd=endpoints))
+    good, bad = (finding for finding in diagnosis.findings if finding.check == "etcd")
+    assert (good.level, good.message) == (OK, "a:2379 serves requests, version 3.4.23")
+    assert (bad.level, bad.message) == (WARNING, "b:1: connection refused")
+    alone = diagnose_answer(FACTS, manager=replace(MANAGER, etcd=endpoints[1:]))
+    assert find_only(alone, "etcd", None).level is FAILED
+    assert "systemctl status etcd" in bad.remedy
 
 
 CASES: list[tuple[str, dict[str, Any], Severity, str, str]] = [
@@ -321,3 +338,17 @@ def test_lines_to_paste_have_port_key_and_jump() -> None:
     assert any(f"ssh -vvv {words} true" in mend for mend in mends)
     refused = diagnose_answer(UnreachableHost(kind="connect", error="connection refused"), host)
     assert "sshd runs there on port 22911" in find_only(refused, "reachability").remedy
+
+
+def test_what_the_edges_lack_is_a_warning_for_each_resource() -> None:
+    fleet = an_inventory(EDGE, ROBOT)
+    short = (Shortage(resource=CPU, amount=1.3), Shortage(resource=MEMORY, amount=GI))
+    found = [f for f in diagnose_fleet(fleet, MANAGER, {"edge1": FACTS}, short).findings if f.check == "room"]
+    assert [(f.host, f.level, f.message) for f in found] == [
+        (None, WARNING, "the edges are short of 1.30 cores of cpu: the least that would help"),
+        (None, WARNING, "the edges are short of 1.0Gi of memory: the least that would help"),
+    ]
+    assert all("edgectl plan -o wide" in f.remedy for f in found)
+    enough = find_only(diagnose_fleet(fleet, MANAGER, {"edge1": FACTS}, ()), "room", None)
+    assert (enough.level, enough.remedy) == (OK, "")
+    assert not [f for f in diagnose_fleet(fleet, MANAGER, {"edge1": FACTS}).findings if f.check == "room"]
