@@ -53,6 +53,7 @@ class ProblemCode(StrEnum):
     EXPOSED = "EC104"
     NO_IDENTITY_FILE = "EC105"
     BACKGROUND = "EC106"
+    ROS = "EC107"
     JSON = "EC201"
     DOCUMENT = "EC202"
 
@@ -63,6 +64,7 @@ _ONCE_PER_PLACE = (
     ProblemCode.PLACEHOLDER,
     ProblemCode.NEVER_ANSWERED,
     ProblemCode.BACKGROUND,
+    ProblemCode.ROS,
     ProblemCode.CYCLE,
     ProblemCode.NAME,
 )

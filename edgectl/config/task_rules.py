@@ -63,6 +63,14 @@ def _check_managed(template: TaskTemplate, problems: Problems) -> None:
         problems.add(
             fields.node.key_mark("restart"), ProblemCode.CONTRADICTION, message, "write restart: on-failure"
         )
+    if "on_unhealthy" in fields and "alive" not in fields:
+        message = "on_unhealthy without alive: nothing asks whether the task is alive"
+        problems.add(
+            fields.node.key_mark("on_unhealthy"),
+            ProblemCode.CONTRADICTION,
+            message,
+            "add alive: {ros_node: /NAME}",
+        )
     _check_self_fence(fields, problems)
     _check_foreground(fields, problems)
 
@@ -113,6 +121,13 @@ def _check_unmanaged(template: TaskTemplate, problems: Problems) -> None:
             ProblemCode.CONTRADICTION,
             message,
             "remove command, or remove managed: false",
+        )
+    if "alive" in fields:
+        problems.add(
+            fields.node.key_mark("alive"),
+            ProblemCode.CONTRADICTION,
+            "alive is asked by the supervisor of a task, and a task with managed: false has none",
+            "remove alive, or remove managed: false",
         )
     if "detect" not in fields:
         message = f"task {template.name} has managed: false, so it needs detect"
@@ -201,7 +216,7 @@ def _check_placeholders(draft: TaskDraft, problems: Problems) -> None:
     if len(draft.robots) == 1:
         return
     fields = draft.template.fields
-    for key in ("command", "env", "workdir", "ready", "done_when", "handoff", "detect"):
+    for key in ("command", "env", "workdir", "ready", "alive", "done_when", "handoff", "detect"):
         if has_placeholder(fields.values.get(key)):
             message = (
                 "{robot} and {robot_host} need exactly one robot, "

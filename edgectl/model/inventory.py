@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 from edgectl.model.resource import HOST_RESOURCES, MEASURED_HOST_RESOURCES, ResourceMap
+from edgectl.model.ros import RosSettings
 
 # Fleet of hosts that no inventory file states.
 UNNAMED_FLEET = "unnamed"
@@ -68,7 +69,7 @@ class Host:
     the host a slice: its load is ``base`` plus its own process trees. ``onboard`` (robots) makes the robot a
     candidate for its own tasks; ``probe: false`` means that it is never contacted. ``password_command`` is an
     argument vector whose first line of output is the password; ``env_command`` one that prints secrets for
-    the environment as lines NAME=value.
+    the environment as lines NAME=value. ``ros``: None where nothing is known of it.
     """
 
     name: str
@@ -88,6 +89,7 @@ class Host:
     env_command: tuple[str, ...] = ()
     prelude: str = ""
     runtime: Runtime = Runtime.AUTO
+    ros: RosSettings | None = None
     onboard: bool = False
     probe: bool = True
     fleet: str = UNNAMED_FLEET

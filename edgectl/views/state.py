@@ -81,6 +81,7 @@ TASK_STATE_STYLES = {
     TaskState.READY: "good",
     TaskState.RUNNING: "good",
     TaskState.STARTING: "warn",
+    TaskState.UNHEALTHY: "bad",
     TaskState.COMPLETED: "dim",
     TaskState.FAILED: "bad",
     TaskState.CRASHLOOP: "bad",
@@ -145,4 +146,6 @@ def describe_attention(sample: TaskSample) -> str:
         return format_task_state(sample) + (f": {sample.log_tail[-1]}" if sample.log_tail else "")
     if sample.orphaned:
         return _ORPHAN_REMARK
+    if sample.state is TaskState.UNHEALTHY:
+        return format_task_state(sample)
     return f"limits: {sample.limits}" if sample.limits.startswith("not") and sample.state.alive else ""

@@ -15,6 +15,8 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Mapping
 
+    from ..supervise.spec_check import RunningCheck
+
 _MAX_WINDOW_S = 30.0
 _MIN_CONNECT_S = 0.02
 
@@ -154,19 +156,13 @@ class _RunningChecks:
     def __init__(self, rules: "list[Document]", alive: "Mapping[str, object]") -> None:
         """``alive``: tasks that live, by truth value; checks of others run only with ``always``."""
         due = [rule for rule in rules if rule.get("always") or alive.get(str(rule["task"]))]
-        self._commands: "dict[str, shell.ShellCommand]" = {}
+        self._running: "dict[str, RunningCheck]" = {}
         if not due:
             return
-        from ..supervise import shell
+        from ..ros.question import start_rules
 
-        shell.install_deadline_handlers()
-        self._commands = {
-            str(rule["task"]): shell.ShellCommand(
-                rule["command"], rule.get("prelude", ""), rule.get("env"), float(rule.get("timeout_s", 10.0))
-            )
-            for rule in due
-        }
+        self._running = start_rules(due)
 
     def results(self) -> "dict[str, Document]":
         """Wait for the checks, each up to its own timeout: task -> result."""
-        return {task: command.result() for task, command in self._commands.items()}
+        return {task: check.result() for task, check in self._running.items()}

@@ -43,9 +43,14 @@ def take_over_task(request: Document) -> Document:
             "edgectl restart " + task,
         )
     heartbeat.record_heartbeat(host)
+    spec = request["spec"]
+    if spec.get("ros"):
+        from ..ros.local import fill_request
+
+        spec = fill_request(spec)
     lock = lockfile.take_lock(record.folder)
     try:
-        report = launch_takeover(record, lock, guard, request["spec"])
+        report = launch_takeover(record, lock, guard, spec)
     finally:
         _close_lock(lock)
         _close_lock(guard)
