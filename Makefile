@@ -33,7 +33,7 @@ test-fast: setup
 	@.ci/need-promtool
 	@$(PY) -m tests.suite $(PURE:%=tests/%) -m "not slow" -n 2 --dist loadfile --no-loadscope-reorder
 
-# On a real ROS 1, out of Debian's packages, which are installed where they are missing; without them this fails.
+# On a real ROS 1, out of Debian's packages, and rclpy of ROS 2, which are installed where they are missing; without them this fails.
 ros: setup
 	@.ci/need-ros
 	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.suite tests/ros
@@ -71,4 +71,4 @@ experiment: setup
 	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.experiments.lab --repetitions $(or $(REPETITIONS),3)
 
 clean:
-	rm -rf .venv .pytest_cache .mypy_cache .ruff_cache .hypothesis dist build
+	rm -rf .venv .venv-ros2 .pytest_cache .mypy_cache .ruff_cache .hypothesis dist build

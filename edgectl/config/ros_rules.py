@@ -92,9 +92,6 @@ def _check_questions(
 
 def _find_question_fault(check: Check, task: Task, host: Host) -> tuple[str, str] | None:
     version = host.ros.version if host.ros is not None else 1
-    if version == 2:
-        hint = "write a command, such as ros2 node list | grep -x /slam"
-        return "and that of ROS 2 is not answered yet", hint
     if check.ros is not None and check.ros.lifecycle and version == 1:
         return "whose ROS 1 has no lifecycle", "remove ros_lifecycle"
     if version == 1 and not _get_variable("ROS_MASTER_URI", task, host):

@@ -63,13 +63,13 @@ class Host:
     """One edge or robot.
 
     ``fleet`` is the owner of what this inventory runs there: requests carry it, and the host keeps the tasks
-    of different fleets apart.
+    of different fleets apart. ``ros``: what its nodes need to find others; None where nothing is known of it.
 
     ``host`` is an address or an ssh_config alias. A declared ``capacity`` of what is measured otherwise makes
     the host a slice: its load is ``base`` plus its own process trees. ``onboard`` (robots) makes the robot a
     candidate for its own tasks; ``probe: false`` means that it is never contacted. ``password_command`` is an
     argument vector whose first line of output is the password; ``env_command`` one that prints secrets for
-    the environment as lines NAME=value. ``ros``: None where nothing is known of it.
+    the environment as lines NAME=value.
     """
 
     name: str
@@ -89,9 +89,9 @@ class Host:
     env_command: tuple[str, ...] = ()
     prelude: str = ""
     runtime: Runtime = Runtime.AUTO
-    ros: RosSettings | None = None
     onboard: bool = False
     probe: bool = True
+    ros: RosSettings | None = None
     fleet: str = UNNAMED_FLEET
 
     @property

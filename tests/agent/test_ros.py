@@ -140,6 +140,7 @@ def test_a_restarted_master_makes_its_nodes_unhealthy(host: AgentHost, master: M
     assert after["instance"] == before["instance"]
     assert host.until("talker", "ready")["pid"] != before["pid"]
     assert "not alive: node /talker is not registered" in str(host.ask("logs", task="talker", tail=9))
+    host.stop("talker")
 
 
 def test_a_name_that_is_used_twice(host: AgentHost, master: Master) -> None:
@@ -149,6 +150,7 @@ def test_a_name_that_is_used_twice(host: AgentHost, master: Master) -> None:
     with subprocess.Popen([sys.executable, "-S", ros1_peer.__file__, master.uri, "/talker"]) as thief:
         sick = host.until("talker", "unhealthy")
         thief.kill()
+    host.stop("talker")
     assert sick["detail"] == (
         f"node /talker is process {thief.pid} of this host, and not of this task: its name is used twice"
     )

@@ -37,4 +37,7 @@ def hear(name: str, path: str) -> None:
 
 
 if __name__ == "__main__":
-    {"talk": talk, "hear": hear}[sys.argv[1]](*sys.argv[2:])
+    if sys.argv[1] == "talk":
+        talk(sys.argv[2])
+    else:
+        hear(sys.argv[2], sys.argv[3])

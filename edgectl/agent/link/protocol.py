@@ -168,6 +168,9 @@ ALIVE_STATES = (STARTING, RUNNING, READY, UNHEALTHY)
 FAILED_STATES = (FAILED, CRASHLOOP)
 FINAL_STATES = (COMPLETED, FAILED, CRASHLOOP, STOPPED)
 
+# ``exit`` in the reply to OP_CHECK where the ROS graph was to be asked and nobody could be.
+UNKNOWN_EXIT = 2
+
 # States of the replies to OP_START, OP_STOP and OP_PROFILER_*.
 STARTED = "started"
 TAKEN_OVER = "taken-over"

@@ -95,6 +95,7 @@ def _read_profiler(request: Document) -> "tuple[Document, _RunningChecks] | None
     return (
         found,
         _RunningChecks(
+            request["host"],
             request.get("checks", []),
             {name: each["state"] in protocol.ALIVE_STATES for name, each in found["tasks"].items()},
         ),
@@ -107,7 +108,7 @@ def _measure_window(request: Document) -> "tuple[Document, _RunningChecks]":
     addresses = network.resolve_robots(request.get("links", []))
     peers = network.resolve_robots(request.get("peers", []))
     tasks = TaskMeter(request["host"], request.get("detect", []))
-    checks = _RunningChecks(request.get("checks", []), tasks.before)
+    checks = _RunningChecks(request["host"], request.get("checks", []), tasks.before)
     traffic, totals = network.TrafficMeter(dict(addresses, **peers)), network.read_interface_bytes()
     cpu, started = device.CpuMeter(), time.monotonic()
     probes = network.ConnectProbes(addresses)
@@ -153,7 +154,7 @@ def _list_generations(hosts: "list[str]", measured: "dict[str, Document]") -> "d
 class _RunningChecks:
     """The checks that are due, running beside the sample window."""
 
-    def __init__(self, rules: "list[Document]", alive: "Mapping[str, object]") -> None:
+    def __init__(self, host: str, rules: "list[Document]", alive: "Mapping[str, object]") -> None:
         """``alive``: tasks that live, by truth value; checks of others run only with ``always``."""
         due = [rule for rule in rules if rule.get("always") or alive.get(str(rule["task"]))]
         self._running: "dict[str, RunningCheck]" = {}
@@ -161,7 +162,7 @@ class _RunningChecks:
             return
         from ..ros.question import start_rules
 
-        self._running = start_rules(due)
+        self._running = start_rules(due, host)
 
     def results(self) -> "dict[str, Document]":
         """Wait for the checks, each up to its own timeout: task -> result."""

@@ -4,14 +4,17 @@ import _signal as signal
 import os
 import time
 
+from ..link import protocol
 from ..link.errors import RefusalError
 from ..link.fast_json import Document
 from ..supervise import shell, spawn
-from .local import fill_request
+from .local import fill_request, list_setup_files
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Callable, Mapping, NoReturn
+
+    FindFault = Callable[[Document, Mapping[str, str], float, list[str]], str]
 
 _KEPT_BYTES = 2048
 # Beyond the time in which a message must come.
@@ -28,8 +31,7 @@ class GraphQuestion:
         seconds = max(timeout_s, float(topic["within_s"]) + _MARGIN_S) if topic else timeout_s
         self.deadline = time.monotonic() + seconds
         # Imported here and not in the child: what the agent has compiled is cached on the host.
-        from .graph1 import find_fault
-
+        find_fault = _load_graph(asked)
         self.pipe, end = os.pipe()
         self.pid = os.fork()
         if self.pid == 0:
@@ -71,7 +73,9 @@ class GraphQuestion:
 
 
 def _answer(find_fault: "Callable[[], str]", end: int) -> "NoReturn":
-    """In the child: exit with 0 where all holds, else with 1 and the reason."""
+    """In the child: exit with 0 where all holds, with 1 and the reason where it does not, and with
+    ``UNKNOWN_EXIT`` where nothing could be learnt.
+    """
     code = 1
     try:
         signal.set_wakeup_fd(-1)
@@ -81,9 +85,36 @@ def _answer(find_fault: "Callable[[], str]", end: int) -> "NoReturn":
         code = 1 if fault else 0
         os.write(end, fault.encode("utf-8", "replace")[:_KEPT_BYTES])
     except Exception as error:  # noqa: BLE001 - the pipe is the only channel
-        os.write(end, ("%s: %s" % (type(error).__name__, error)).encode("utf-8", "replace")[:_KEPT_BYTES])
+        code = protocol.UNKNOWN_EXIT
+        os.write(end, _describe_error(error).encode("utf-8", "replace")[:_KEPT_BYTES])
     finally:
         os._exit(code)
+
+
+def _describe_error(error: Exception) -> str:
+    """Describe why nothing could be learnt: in the words of this package, else with the kind of error."""
+    own = type(error).__name__ == "NoHelperError"
+    return str(error) if own else "%s: %s" % (type(error).__name__, error)
+
+
+def _load_graph(asked: Document) -> "FindFault":
+    """Load the function that answers questions to this version of ROS."""
+    if asked.get("version") == 2:
+        from .graph2 import find_fault as of_ros2
+
+        return of_ros2
+    from .graph1 import find_fault as of_ros1
+
+    return of_ros1
+
+
+def start_helpers(request: Document, host: str) -> None:
+    """Start the helper that the questions of a request need, where they are to ROS 2."""
+    questions = [request, request.get("ready") or {}, request.get("alive") or {}]
+    if any((each.get("graph") or {}).get("version") == 2 for each in questions):
+        from .graph2 import ensure_helper
+
+        ensure_helper(host, request.get("env") or {}, list_setup_files(request))
 
 
 def run_check(request: Document) -> Document:
@@ -94,10 +125,11 @@ def run_check(request: Document) -> Document:
     """
     shell.install_deadline_handlers()
     request = fill_request(request)
+    start_helpers(request, request["host"])
     return start_question(request, request, request.get("env") or {}, float(request["timeout_s"])).result()
 
 
-def start_rules(rules: "list[Document]") -> "dict[str, shell.ShellCommand | GraphQuestion]":
+def start_rules(rules: "list[Document]", host: str) -> "dict[str, shell.ShellCommand | GraphQuestion]":
     """Start the checks of a probe: task -> check. One whose placeholders have no value here is left out."""
     shell.install_deadline_handlers()
     started = {}
@@ -106,6 +138,7 @@ def start_rules(rules: "list[Document]") -> "dict[str, shell.ShellCommand | Grap
             filled = fill_request(rule)
         except RefusalError:
             continue
+        start_helpers(filled, host)
         started[str(rule["task"])] = start_question(
             filled, filled, filled.get("env") or {}, float(rule.get("timeout_s", 10.0))
         )
@@ -123,7 +156,7 @@ def start_question(
 
     ``request`` holds what surrounds it: prelude and set-up files.
     """
-    setup = list((request.get("ros") or {}).get("setup") or [])
+    setup = list_setup_files(request)
     if question.get("graph"):
         return GraphQuestion(question["graph"], env, timeout_s, setup)
     return shell.ShellCommand(question["command"], request.get("prelude") or "", env, timeout_s, cwd, setup)

@@ -2,6 +2,7 @@
 
 import time
 
+from ..link import protocol
 from ..link.fast_json import Document
 from . import spec_check
 
@@ -50,6 +51,9 @@ class AliveCheck:
         if result["exit"] == 0:
             self._since = None
             return ""
+        if self._rule.get("graph") and result["exit"] == protocol.UNKNOWN_EXIT:
+            # Nobody could be asked: that says nothing of the task.
+            return None
         now = time.monotonic()
         self._since = now if self._since is None else self._since
         return (

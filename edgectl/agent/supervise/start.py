@@ -80,8 +80,10 @@ def _launch_task(folder: str, lock: int, request: Document, task_scope: scope.Sc
     spec = request["spec"]
     if spec.get("ros"):
         from ..ros.local import fill_request
+        from ..ros.question import start_helpers
 
         spec = fill_request(spec)
+        start_helpers(spec, request["host"])
     generation = {"generation": int(request["generation"])}
     records.write_record(os.path.join(folder, "generation"), generation, durable=True)
     records.write_record(os.path.join(folder, "mark"), {})

@@ -46,8 +46,10 @@ def take_over_task(request: Document) -> Document:
     spec = request["spec"]
     if spec.get("ros"):
         from ..ros.local import fill_request
+        from ..ros.question import start_helpers
 
         spec = fill_request(spec)
+        start_helpers(spec, host)
     lock = lockfile.take_lock(record.folder)
     try:
         report = launch_takeover(record, lock, guard, spec)
