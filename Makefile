@@ -25,12 +25,14 @@ WORKERS ?= 6
 test: check
 	@.ci/need-faults
 	@.ci/need-promtool
+	@.ci/need-etcd
 	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.suite tests --ignore=tests/benchmarks --ignore=tests/ros -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 
 # Tests without real hosts: rules, files, documents, views, and simulated fleets.
 PURE := config doctor experiments executor export formats fuzz gateway model rules scheduler simulation state tui usecases views test_rooms.py
 test-fast: setup
 	@.ci/need-promtool
+	@.ci/need-etcd
 	@$(PY) -m tests.suite $(PURE:%=tests/%) -m "not slow" -n 2 --dist loadfile --no-loadscope-reorder
 
 # On a real ROS 1, out of Debian's packages, and rclpy of ROS 2, which are installed where they are missing; without them this fails.
@@ -50,8 +52,10 @@ quality: setup
 # Then a death of the manager at each failpoint, and a hundred random lives, over simulated hosts.
 faults: setup
 	@.ci/need-faults
+	@.ci/need-etcd
 	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.faults --seed $(or $(SEED),1)
 	@$(PY) -m tests.simulation.two_managers --seed $(or $(SEED),1)
+	@$(PY) -m tests.simulation.split_managers --seed $(or $(SEED),1)
 	@$(PY) -m tests.suite --whole tests/usecases/test_recovery.py tests/usecases/test_interrupted_commands.py tests/usecases/test_random_events.py -n 2 --dist load
 
 # At least 100,000 damaged inputs to every decoder together; make fuzz SEED=7 damages them otherwise.

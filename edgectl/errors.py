@@ -7,6 +7,7 @@
     ├── StateError                  the manager's own state is damaged or of a newer version (exit 1)
     ├── LockBusyError               another edgectl holds the lock or the fleet (exit 75)
     │   └── WatchedError            another watch looks after the fleet (exit 75)
+    ├── CoordinationError           the etcd of the fleet does not answer, or no longer grants it (exit 75)
     ├── StalePlanError              the fleet changed since the plan was made (exit 75)
     ├── UnansweredError             the answer depends on a host that did not answer (exit 4)
     ├── FleetBusyError              the fleet is not free for an experiment (exit 75)
@@ -112,6 +113,12 @@ class LockBusyError(EdgectlError):
 
 class WatchedError(LockBusyError):
     """Another watch looks after this fleet; ``--take-over`` replaces it."""
+
+
+class CoordinationError(EdgectlError):
+    """The etcd that coordinates the managers of this fleet does not answer, or no longer grants the fleet."""
+
+    exit_code = ExitCode.TRY_AGAIN
 
 
 class StalePlanError(EdgectlError):

@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
+from tests.etcd import EtcdCluster, running_etcd
 from tests.pace import pace
 from tests.sshd import Lab, running_lab
 
@@ -209,6 +210,13 @@ def short_up_time() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("edgectl.executor.action_phases.DEFAULT_UP_S", 0.3)
         yield
+
+
+@pytest.fixture(scope="session")
+def etcd(tmp_path_factory: pytest.TempPathFactory) -> Iterator[EtcdCluster]:
+    """A real etcd of one member; tests use different fleets."""
+    with running_etcd(tmp_path_factory.mktemp("etcd")) as cluster:
+        yield cluster
 
 
 @pytest.fixture(scope="module")

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from edgectl.config.coordination import read_coordination
 from edgectl.config.fields import (
     Fields,
     keep_node,
@@ -147,6 +148,7 @@ INVENTORY_KEYS: Mapping[str, NodeReader] = {
     "version": read_version,
     "fleet": read_name,
     "probe_links": read_bool,
+    "coordination": read_coordination,
     "defaults": keep_node,
     "edges": keep_node,
     "robots": keep_node,
@@ -204,6 +206,7 @@ def read_inventory(node: Node, problems: Problems) -> Inventory:
         fleet=fleet,
         is_fleet_named="fleet" in top.values,
         probe_links=top.values.get("probe_links", True),
+        coordination=top.values.get("coordination"),
     )
     # The digest is of the file alone: no path and no home of a user may change it.
     return replace(

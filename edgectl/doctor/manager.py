@@ -3,13 +3,13 @@
 from shlex import quote
 
 from edgectl.doctor.disk import diagnose_disk
-from edgectl.model.diagnosis import Finding, ManagerFacts, Severity
+from edgectl.model.diagnosis import EtcdEndpoint, Finding, ManagerFacts, Severity
 from edgectl.model.inventory import Connection, Inventory
 
 
 def diagnose_manager(inventory: Inventory, facts: ManagerFacts) -> list[Finding]:
     """State directory, known_hosts and the ssh program, the last two only where a host needs them; the fleet
-    only if the inventory does not name it.
+    only if the inventory does not name it; each endpoint of etcd where the inventory names one.
     """
     connections = {host.connection for host in inventory.hosts.values() if host.probe}
     findings = [diagnose_disk(None, facts.state)]
@@ -19,7 +19,25 @@ def diagnose_manager(inventory: Inventory, facts: ManagerFacts) -> list[Finding]
         findings += _diagnose_known_hosts(facts)
     if Connection.OPENSSH in connections:
         findings.append(_diagnose_ssh_program(facts))
-    return findings
+    return findings + [_diagnose_etcd(endpoint) for endpoint in facts.etcd]
+
+
+def _diagnose_etcd(endpoint: EtcdEndpoint) -> Finding:
+    """An etcd that answers requests, which takes a majority of its members, is at least of version 3.4."""
+    if endpoint.error:
+        return Finding(
+            host=None,
+            check="etcd",
+            level=Severity.FAILED,
+            message=f"{endpoint.address}: {endpoint.error}",
+            remedy="there: systemctl status etcd; or correct coordination: in the inventory",
+        )
+    return Finding(
+        host=None,
+        check="etcd",
+        level=Severity.OK,
+        message=f"{endpoint.address} serves requests, version {endpoint.version}",
+    )
 
 
 def _build_unnamed_fleet_finding(fleet: str) -> Finding:

@@ -29,6 +29,7 @@ from edgectl.model.snapshot import Snapshot
 from edgectl.state.lock import FleetLock
 from edgectl.state.manager_state import load_manager_state
 from edgectl.usecases.control import Control
+from edgectl.usecases.coordination import hold_in_etcd
 from edgectl.usecases.fleet import Fleet
 
 # Load is measured over this window, and again if it is too high: processes may still be ending after a trial.
@@ -62,10 +63,16 @@ def run_experiment(fleet: Fleet, experiment: Experiment, options: ExperimentOpti
         UsageError: the directory holds a run of other files.
         FleetBusyError: the fleet is not idle: tasks run, a host's CPU is in use, or a host does not answer.
         LockBusyError: another edgectl is changing this fleet.
+        CoordinationError: the etcd of the fleet does not answer.
     """
     digest = digest_experiment(experiment, fleet.inventory, fleet.tasks)
     known = _load_matching_run(options.directory, digest, fleet)
-    with FleetLock(fleet.state, verb="experiment", timeout=options.lock_timeout, clock=fleet.clock):
+    with (
+        FleetLock(fleet.state, verb="experiment", timeout=options.lock_timeout, clock=fleet.clock),
+        hold_in_etcd(fleet, "experiment", patience_s=options.lock_timeout),
+    ):
+        # Trials have a state of their own, which no other machine takes over.
+        fleet = replace(fleet, inventory=replace(fleet.inventory, coordination=None))
         clean_up_trials(fleet)
         missing = _order_missing_trials(experiment, known)
         snapshot = (

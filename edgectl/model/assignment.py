@@ -296,8 +296,8 @@ class Certificate:
     many can have one, the higher priority first. ``moves``: running tasks that make room;
     ``moves_bound``: so many must. ``utility_sum``: sum of all totals at the loads after the plan;
     ``utility_sum_bound``: its maximum with so many tasks placed and moves, None where it is not known.
-    ``relaxed``: there are rules between tasks, and the bounds are those without them. ``withheld``: tasks of
-    incomplete groups, which all figures leave out.
+    ``withheld``: tasks of incomplete groups that no room would help, which all figures leave out.
+    ``timed_out``: the time was up before all was proven, so another run may find another plan.
     """
 
     wanted: int
@@ -307,16 +307,21 @@ class Certificate:
     moves_bound: int
     utility_sum: Signed
     utility_sum_bound: Signed | None = field(default=None, metadata=_WRITTEN)
-    relaxed: bool = False
     withheld: int = 0
+    timed_out: bool = False
 
     def describe(self) -> str:
         """What was reached, and what is proven, in one line."""
         parts = [self._describe_placed(), self._describe_moves(), self._describe_sum()]
         if self.withheld:
-            parts.append(f"without {self.withheld} tasks of incomplete groups")
-        if self.relaxed:
-            parts.append("all bounds are without the rules between tasks")
+            tasks = (
+                "1 task of an incomplete group"
+                if self.withheld == 1
+                else f"{self.withheld} tasks of incomplete groups"
+            )
+            parts.append(f"without {tasks}")
+        if self.timed_out:
+            parts.append("the time was up: another run may find another plan")
         return "; ".join(part for part in parts if part)
 
     def _describe_placed(self) -> str:
@@ -326,7 +331,8 @@ class Certificate:
             return f"{self.placed} of {self.wanted} tasks are placed; whether all fit was not found in time"
         none = f"no placement of all {self.wanted} tasks exists (proven)"
         if self.placed == self.placed_bound:
-            return f"{none}: {self.placed} are placed, by priority as many as can be"
+            are = "is" if self.placed == 1 else "are"
+            return f"{none}: {self.placed} {are} placed, by priority as many as can be"
         return f"{none}: {self.placed} are placed, at most {self.placed_bound} can be"
 
     def _describe_moves(self) -> str:

@@ -154,16 +154,26 @@ class UnreachableHost:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class EtcdEndpoint:
+    """One endpoint of an etcd: its version, or the ``error`` for which it serves no request."""
+
+    address: str
+    version: str = ""
+    error: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ManagerFacts:
     """The machine on which edgectl runs.
 
     ``known_hosts``: files that hold host keys, each with why it cannot be read (empty: it can). ``ssh``:
-    whether there is an ssh program.
+    whether there is an ssh program. ``etcd``: the endpoints of ``coordination``.
     """
 
     state: Disk
     known_hosts: Mapping[str, str] = field(default_factory=dict)
     ssh: bool = True
+    etcd: tuple[EtcdEndpoint, ...] = ()
 
 
 FactsByHost = Mapping[str, HostFacts | UnreachableHost]

@@ -116,12 +116,31 @@ class Host:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Coordination:
+    """The etcd that grants the fleet to one manager and keeps the manager's state (ADR 0080).
+
+    ``endpoints``: (host, port), tried in turn. ``tls``: connect by TLS, with the PEM files ``ca``, ``cert``
+    and ``key`` where they are stated. ``password_command``: an argument vector whose first line of output is
+    the password of ``user``.
+    """
+
+    endpoints: tuple[tuple[str, int], ...]
+    tls: bool = False
+    ca: str = ""
+    cert: str = ""
+    key: str = ""
+    user: str = ""
+    password_command: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Inventory:
     """The fleet.
 
     ``hosts`` in natural order of names; ``links`` holds declared throughput in bytes/s by (edge, robot).
     ``fleet`` is the stated name, else one derived from the path of the file (``is_fleet_named`` tells which).
-    ``probe_links``: idle links may be probed by sending for a moment (ADR 0077).
+    ``probe_links``: idle links may be probed by sending for a moment (ADR 0077). ``coordination``: None where
+    the hosts alone grant the fleet.
     """
 
     hosts: Mapping[str, Host]
@@ -130,6 +149,7 @@ class Inventory:
     fleet: str = UNNAMED_FLEET
     is_fleet_named: bool = False
     probe_links: bool = True
+    coordination: Coordination | None = None
 
     @property
     def edges(self) -> tuple[Host, ...]:

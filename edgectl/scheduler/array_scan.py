@@ -4,7 +4,7 @@ Every operation is that of ``scan``, element by element and in the same order, s
 same to the last bit. Imported only where it pays and where NumPy is installed.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import inf
 
@@ -35,6 +35,7 @@ class ArrayShares:
     raw: dict[str, Array]
     usable: dict[str, Array]
     links: dict[str, Array]
+    nominal_links: dict[str, Array]
     kinds: tuple[str, ...]
     kind_of: NDArray[np.intp]
     rows: dict[object, Array] = field(default_factory=dict)
@@ -65,17 +66,26 @@ class ArrayShares:
         key = (robot, key)
         row = self.rows.get(key)
         if row is None:
-            row = self._keep(key, self._build_link_row(task, quantities, capacity))
+            row = self._keep(key, self._build_link_row(task, robot, quantities, capacity))
         floor = self.fleet.floors.get(task.name)
         if floor is None or robot not in floor.links:
             return row
         return _raise(row, floor.links[robot], capacity)
 
-    def _build_link_row(self, task: Task, quantities: Sequence[tuple[float, bool]], capacity: Array) -> Array:
+    def _build_link_row(
+        self, task: Task, robot: str, quantities: Sequence[tuple[float, bool]], capacity: Array
+    ) -> Array:
         if task.name in self.fleet.demands:
-            return _divide(self._list_amounts(quantities, capacity), capacity)
+            return _divide(self._list_amounts(quantities, self.nominal_links[robot]), capacity)
         value, relative = quantities[0]
-        return value * (np.ones(len(capacity)) if relative else _divide(np.ones(len(capacity)), capacity))
+        per_byte = _divide(np.ones(len(capacity)), capacity)
+        return value * (self._list_per_nominal(robot, per_byte) if relative else per_byte)
+
+    def _list_per_nominal(self, robot: str, per_byte: Array) -> Array:
+        """The nominal capacity of every edge's link to ``robot`` as a share of what it carries now."""
+        if self.fleet.nominal_links[robot] == self.fleet.links[robot]:
+            return np.ones(self.fleet.edges)
+        return self.nominal_links[robot] * per_byte
 
     def _find_quantities(self, task: Task, resource: str) -> tuple[object, list[tuple[float, bool]]]:
         """Value of rho, and whether it is a share, by class of hosts; the same everywhere if there is one."""
@@ -125,10 +135,15 @@ def build_array_shares(fleet: Capacities) -> ArrayShares:
         fleet=fleet,
         raw={name: np.array(row[:edges]) for name, row in fleet.raw.items()},
         usable={name: np.array(row[:edges]) for name, row in fleet.usable.items()},
-        links={robot: np.array([each or 0.0 for each in row]) for robot, row in fleet.links.items()},
+        links=_build_link_arrays(fleet.links),
+        nominal_links=_build_link_arrays(fleet.nominal_links),
         kinds=kinds,
         kind_of=np.array([places[kind] for kind in fleet.classes[:edges]] or [0] * edges, dtype=np.intp),
     )
+
+
+def _build_link_arrays(links: Mapping[str, Sequence[float | None]]) -> dict[str, Array]:
+    return {robot: np.array([each or 0.0 for each in row]) for robot, row in links.items()}
 
 
 @dataclass(slots=True, kw_only=True)

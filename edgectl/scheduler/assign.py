@@ -12,6 +12,7 @@ from edgectl.model.manager_state import ManagerState
 from edgectl.model.policy import Policy
 from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Tasks
+from edgectl.scheduler.best_plan import find_best_plan
 from edgectl.scheduler.candidates import AssignmentContext
 from edgectl.scheduler.capacities import Capacities, build_capacities
 from edgectl.scheduler.demand import add_measured_demands
@@ -83,7 +84,10 @@ def assign(
     if not rules.settles:
         outcome, settled = run_once(how, state)
     else:
-        found, certificate = run_with_groups(how, state, solve)
+        known = run_with_groups(how, optimal=solve is not None)
+        found = known.found
+        if solve is not None:
+            found, certificate = find_best_plan(how, known, solve)
         outcome, settled = found.outcome, found.settled
     return Assignment(
         policy=used,

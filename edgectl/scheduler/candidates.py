@@ -137,35 +137,6 @@ class CandidateSet:
         return self.context.fleet.places[place].name
 
 
-def evaluate_candidates(
-    context: AssignmentContext,
-    ledger: Ledger,
-    task: Task,
-    *,
-    incumbent: int | None,
-    predecessors: Mapping[str, int],
-    placed: Mapping[int, int],
-    stays: bool = False,
-    barred: Mapping[int, Rejection] | None = None,
-) -> CandidateSet:
-    """``task`` against the present ledger; its own use must already be taken out.
-
-    ``stays``: weigh the incumbent even if it is denied. ``barred``: places that rules between tasks exclude.
-    """
-    return weigh_candidates(
-        gather_candidates(
-            context,
-            ledger,
-            task,
-            incumbent=incumbent,
-            predecessors=predecessors,
-            placed=placed,
-            stays=stays,
-            barred=barred,
-        )
-    )
-
-
 def gather_candidates(
     context: AssignmentContext,
     ledger: Ledger,
@@ -177,7 +148,10 @@ def gather_candidates(
     stays: bool = False,
     barred: Mapping[int, Rejection] | None = None,
 ) -> CandidateSet:
-    """As ``evaluate_candidates``, without the totals."""
+    """``task`` against the present ledger, without the totals; its own use must already be taken out.
+
+    ``stays``: weigh the incumbent even if it is denied. ``barred``: places that rules between tasks exclude.
+    """
     located = tuple(predecessors.values())
     robots = _list_robot_places(context, task, incumbent)
     listed, denied = _list_candidates(context, task, incumbent, robots)
@@ -187,7 +161,7 @@ def gather_candidates(
     if waived is not None:
         denied = {place: rejection for place, rejection in denied.items() if place != incumbent}
     near = {place for place in located if place in listed and place not in denied}
-    far = any(place not in denied and place not in near for place in listed)
+    far = len(denied) + len(near) < len(listed)
     rewards = _collect_affinities(located, near, far=far)
     utilities = context.rules.rate_affinity(rewards, len(located))
     return CandidateSet(

@@ -1,7 +1,7 @@
 """Mixed integer linear programs, and what a solver says of one. Pure: no solver is imported here."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from math import inf
 from typing import NamedTuple
 
@@ -45,19 +45,14 @@ class Solution:
     """What a solver found before its deadline.
 
     ``values``: of all variables, None without a solution. ``bound``: no solution has a greater objective
-    (-inf: there is no solution, inf: nothing is known).
+    (-inf: there is no solution, inf: nothing is known). ``timed_out``: it might have found more with more
+    time, so another run may.
     """
 
     values: Sequence[float] | None
     bound: float
+    timed_out: bool = False
 
 
 # Solves a program within a share (0..1) of the time that it has left.
 Solver = Callable[[IntegerProgram, float], Solution]
-
-
-def keep_bounds(solve: Solver) -> Solver:
-    """A solver that tells only the bounds of ``solve``: they hold also for programs that lack rows, whose
-    solutions may break them.
-    """
-    return lambda program, share: replace(solve(program, share), values=None)

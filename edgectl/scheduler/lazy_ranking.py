@@ -6,7 +6,7 @@ from typing import NamedTuple, overload
 
 from edgectl.model.assignment import RankedHost, Rejection
 from edgectl.model.task import Task
-from edgectl.scheduler.candidates import AssignmentContext, evaluate_candidates
+from edgectl.scheduler.candidates import AssignmentContext, gather_candidates, weigh_candidates
 from edgectl.scheduler.ledger import Ledger
 from edgectl.scheduler.ranking import rank_hosts
 from edgectl.scheduler.task_usage import TaskUsage
@@ -66,7 +66,7 @@ class LoadHistory:
 class RankingRequest:
     """Whatever the ranking of one task is made of. ``step``: the changes of gamma before it.
 
-    ``chosen``, ``stays``, ``barred``: as for ``rank_hosts`` and ``evaluate_candidates``.
+    ``chosen``, ``stays``, ``barred``: as for ``rank_hosts`` and ``gather_candidates``.
     """
 
     context: AssignmentContext
@@ -84,7 +84,7 @@ class RankingRequest:
         """The ranking, and how many hosts it leaves out by rule; made once."""
         if self.made is None:
             moment = self.history.take_moment(self.step)
-            candidates = evaluate_candidates(
+            candidates = gather_candidates(
                 self.context,
                 moment.ledger,
                 self.task,
@@ -94,7 +94,7 @@ class RankingRequest:
                 stays=self.stays,
                 barred=self.barred,
             )
-            self.made = rank_hosts(candidates, self.chosen)
+            self.made = rank_hosts(weigh_candidates(candidates), self.chosen)
             self.history.moments.append(moment)
         return self.made
 

@@ -3,27 +3,26 @@ moves; sum of utilities. Pure: the solver is given.
 """
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from math import ceil, inf
 
 from edgectl.model.assignment import Certificate
 from edgectl.model.task import Task
-from edgectl.scheduler.integer_program import Solver
+from edgectl.scheduler.decided_plan import DecidedPlan, build_search, rate_plan
+from edgectl.scheduler.integer_program import IntegerProgram, Solution, Solver
 from edgectl.scheduler.ledger import NO_FREE_SHARE
 from edgectl.scheduler.move_cost import HandoffHistory
 from edgectl.scheduler.packing import Packing, Shares
 from edgectl.scheduler.placement_model import (
-    PlacementItem,
-    PlacementProblem,
-    Requirements,
     bound_alone,
     build_model,
     count_moves,
     count_placed_tasks,
     sum_utilities,
 )
-from edgectl.scheduler.repair import UnrepairedPlan, build_search, rate_plan
+from edgectl.scheduler.placement_problem import PlacementItem, PlacementProblem, Requirements
+from edgectl.scheduler.placement_rules import list_breaches
 from edgectl.scheduler.utility import EPSILON
 
 # Differences of a sum of utilities below this are rounding.
@@ -44,10 +43,14 @@ class Bounds:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Optimum:
-    """The best places that were found, and what no plan exceeds."""
+    """The best places that were found, and what no plan exceeds.
+
+    ``timed_out``: another run may find other places, and closer bounds.
+    """
 
     places: Mapping[str, int]
     bounds: Bounds
+    timed_out: bool
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,7 +70,7 @@ class PlanValue:
         return mine > others or (mine == others and self.utility > other.utility + TOLERANCE)
 
 
-def value_plan(plan: UnrepairedPlan, plain: UnrepairedPlan) -> PlanValue:
+def value_plan(plan: DecidedPlan, plain: DecidedPlan) -> PlanValue:
     """The value of ``plan``; moves are counted from the places of ``plain``, the plan without repair."""
     priorities = sorted({task.priority for task in plan.order}, reverse=True)
     placed = Counter(task.priority for task in plan.order if task.name in plan.placed)
@@ -76,34 +79,62 @@ def value_plan(plan: UnrepairedPlan, plain: UnrepairedPlan) -> PlanValue:
     return PlanValue(placed=tuple(placed[each] for each in priorities), moves=moves, utility=rate_plan(plan))
 
 
-def is_overload_kept(plan: UnrepairedPlan, known: UnrepairedPlan) -> bool:
+def is_overload_kept(plan: DecidedPlan, known: DecidedPlan) -> bool:
     """Whether each place that ``plan`` overloads has no other tasks than in ``known``."""
     here, there = ({(name, place) for name, (place, _) in each.placed.items()} for each in (plan, known))
     rows = [*plan.ledger.free.values(), *plan.ledger.free_links.values()]
     return not any(row[place] < -EPSILON for _, place in here - there for row in rows if place < len(row))
 
 
-def find_optimum(plain: UnrepairedPlan, known: UnrepairedPlan, solve: Solver) -> Optimum:
+def breaks_no_more_rules(plan: DecidedPlan, known: DecidedPlan) -> bool:
+    """Whether each rule between tasks that ``plan`` breaks is broken in ``known`` by the same task there."""
+    return list_breaches(plan.context.placement_rules, _locate_all(plan)) <= list_breaches(
+        plan.context.placement_rules, _locate_all(known)
+    )
+
+
+def _locate_all(plan: DecidedPlan) -> dict[str, int]:
+    """The places of all tasks that count for rules between tasks."""
+    return _find_fixed_places(plan) | {name: place for name, (place, _) in plan.placed.items()}
+
+
+def _find_fixed_places(plan: DecidedPlan) -> dict[str, int]:
+    """The places of tasks that the plan does not decide."""
+    return {name: place for name, place in plan.initial.located.items() if name not in plan.choices}
+
+
+def find_optimum(
+    plain: DecidedPlan, known: DecidedPlan, solve: Solver, left_out: Collection[str] = ()
+) -> Optimum:
     """The best places by all three levels, as far as the solver has the time.
 
     ``plain``: the settled plan without repair, from which moves are counted. ``known``: the best plan so far.
+    ``left_out``: tasks that must have no place.
     """
     everything = {name: place for name, (place, _) in known.placed.items()}
-    problem = build_problem(plain, everything)
+    problem = build_problem(plain, everything, left_out)
     names = {item.name for item in problem.items}
     places = {name: place for name, place in everything.items() if name in names}
-    places, placed = _place_by_priority(problem, places, plain.moves_left, solve)
+    late: list[bool] = []
+
+    def solve_level(program: IntegerProgram, share: float) -> Solution:
+        solution = solve(program, share)
+        late.append(solution.timed_out)
+        return solution
+
+    places, placed = _place_by_priority(problem, places, solve_level)
     reached = {priority: low for priority, (low, _) in placed.items()}
-    places, moves, least = _reduce_moves(problem, places, Requirements(placed=reached), solve)
+    places, moves, least = _reduce_moves(problem, places, Requirements(placed=reached), solve_level)
     required = Requirements(placed=reached, most_moves=moves)
-    places, utility = _raise_utility(problem, places, required, solve)
+    places, utility = _raise_utility(problem, places, required, solve_level)
     most = sum(high for _, high in placed.values())
     places |= {name: place for name, place in everything.items() if name not in names}
-    return Optimum(places=places, bounds=Bounds(placed=most, moves=least, utility=utility, most_moves=moves))
+    bounds = Bounds(placed=most, moves=least, utility=utility, most_moves=moves)
+    return Optimum(places=places, bounds=bounds, timed_out=any(late))
 
 
-def certify(found: PlanValue, wanted: int, optimum: Optimum) -> Certificate:
-    """The certificate of a plan."""
+def certify(found: PlanValue, wanted: int, optimum: Optimum, withheld: int) -> Certificate:
+    """The certificate of a plan. ``withheld``: tasks that it leaves out of all figures."""
     bounds = optimum.bounds
     as_many = sum(found.placed) >= len(optimum.places)  # else no bound is of plans that place so few
     bound = bounds.utility if as_many and found.moves <= bounds.most_moves else None
@@ -115,16 +146,23 @@ def certify(found: PlanValue, wanted: int, optimum: Optimum) -> Certificate:
         moves_bound=min(bounds.moves, found.moves) if as_many else 0,
         utility_sum=found.utility,
         utility_sum_bound=None if bound is None else max(bound, found.utility),
+        withheld=withheld,
+        timed_out=optimum.timed_out,
     )
 
 
-def build_problem(plain: UnrepairedPlan, places: Mapping[str, int]) -> PlacementProblem:
-    """The tasks that ``plain`` places, and those that lack room. ``places``: of a known plan.
+def build_problem(
+    plain: DecidedPlan, places: Mapping[str, int], left_out: Collection[str] = ()
+) -> PlacementProblem:
+    """The tasks that ``plain`` places, and those that lack room but for ``left_out``. ``places``: of a known
+    plan.
 
     A running task may move only for one of its priority or more.
     """
     packing, links = build_search(plain)
-    tasks = {task.name: task for task in plain.order if task.name in packing.items}
+    tasks = {
+        task.name: task for task in plain.order if task.name in packing.items and task.name not in left_out
+    }
     wanted = [task.priority for name, task in tasks.items() if name not in packing.at]
     most = max(wanted, default=-inf)
     free = [row.copy() for row in packing.free]
@@ -147,6 +185,11 @@ def build_problem(plain: UnrepairedPlan, places: Mapping[str, int]) -> Placement
         edges=plain.context.fleet.edges,
         weights=plain.context.policy.weights,
         located={name: place for name, place in plain.initial.located.items() if name not in tasks},
+        most_handoffs=plain.moves_left,
+        rules=plain.context.placement_rules,
+        fixed=_find_fixed_places(plain),
+        known=(packing.at, places),
+        runs=plain.initial.running.keys(),
     )
 
 
@@ -156,7 +199,7 @@ def _add_shares(row: list[float], shares: Shares, sign: float) -> None:
 
 
 def _build_item(
-    plain: UnrepairedPlan,
+    plain: DecidedPlan,
     packing: Packing,
     task: Task,
     links: Mapping[str, Sequence[int]],
@@ -197,7 +240,7 @@ def _estimate_downtime(handoffs: HandoffHistory, task: Task) -> float:
 
 
 def _place_by_priority(
-    problem: PlacementProblem, places: Mapping[str, int], most_moves: int | None, solve: Solver
+    problem: PlacementProblem, places: Mapping[str, int], solve: Solver
 ) -> tuple[dict[str, int], dict[float, tuple[int, int]]]:
     """Level 1: the places, and by priority how many tasks have one and how many can at most."""
     counts: dict[float, tuple[int, int]] = {}
@@ -206,10 +249,8 @@ def _place_by_priority(
         names = [item.name for item in problem.items if item.priority == priority]
         low, high = sum(name in found for name in names), len(names)
         if low < high:
-            required = Requirements(
-                placed={each: count for each, (count, _) in counts.items()}, most_moves=most_moves
-            )
-            model = build_model(problem, required)
+            required = {each: count for each, (count, _) in counts.items()}
+            model = build_model(problem, Requirements(placed=required))
             count_placed_tasks(model, priority)
             model.start_from(found)
             solution = solve(model.program, _FIRST_SHARE)

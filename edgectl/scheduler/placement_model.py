@@ -5,115 +5,30 @@ their names. Every row is one that each admissible plan satisfies, so that the b
 """
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Sequence
 from math import inf
 
-from edgectl.model.policy import Weights
 from edgectl.model.resource import AFFINITY, HOST_RESOURCES, NETWORK
 from edgectl.scheduler.integer_program import IntegerProgram
-from edgectl.scheduler.packing import Shares
+from edgectl.scheduler.placement_problem import (
+    Kind,
+    PlacementItem,
+    PlacementModel,
+    PlacementProblem,
+    Requirements,
+    list_kinds,
+)
+from edgectl.scheduler.rule_rows import add_rule_rows
 from edgectl.scheduler.utility import EPSILON
 
 # Above this many variables the sum of utilities is not bounded by a program.
 MAX_UTILITY_VARIABLES = 60_000
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PlacementItem:
-    """One task that the plan places.
-
-    ``shares``: of capacity by column, for each place that may take it. ``home``: where it runs unless it
-    makes room; None: this plan starts it, so it may be left unplaced. ``move_cost``: of leaving the home,
-    0..1, between plans of equally many moves. ``needs``: tasks that must be placed with it. ``near``: its
-    predecessors, for the affinity. ``links``: columns of its links.
-    """
-
-    name: str
-    shares: Mapping[int, Shares]
-    priority: float = 0.0
-    home: int | None = None
-    move_cost: float = 0.0
-    needs: Sequence[str] = ()
-    near: Sequence[str] = ()
-    links: Sequence[int] = ()
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PlacementProblem:
-    """``free``: free shares by place and column without the items, negative where others overload it; at
-    least as much as the present plan takes. ``edges``: places from here on have no links. ``located``: places
-    of predecessors that the plan does not decide.
-    """
-
-    items: Sequence[PlacementItem]
-    free: Sequence[Sequence[float]]
-    limits: Sequence[Sequence[float]]
-    edges: int
-    weights: Weights
-    located: Mapping[str, int]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Requirements:
-    """What earlier levels have fixed: placed tasks by priority, at least, and moves, at most."""
-
-    placed: Mapping[float, int] = field(default_factory=dict)
-    most_moves: int | None = None
-
-
-@dataclass(slots=True, kw_only=True)
-class _Kind:
-    """Tasks that differ in name and home only; ``at``: the variable that counts them, by place."""
-
-    members: list[PlacementItem]
-    at: dict[int, int] = field(default_factory=dict)
-
-    @property
-    def first(self) -> PlacementItem:
-        return self.members[0]
-
-
-@dataclass(slots=True, kw_only=True)
-class PlacementModel:
-    """A program, and what its variables mean. ``stays``: variables that count tasks at their homes."""
-
-    problem: PlacementProblem
-    program: IntegerProgram
-    kinds: list[_Kind]
-    stays: dict[int, float] = field(default_factory=dict)
-    constant: float = 0.0
-
-    def read_places(self, values: Sequence[float]) -> dict[str, int]:
-        """The place of each placed task in a solution; tasks stay at their homes where they may."""
-        places: dict[str, int] = {}
-        for kind in self.kinds:
-            room = {place: round(values[variable]) for place, variable in kind.at.items()}
-            away = []
-            for item in kind.members:
-                if item.home is not None and room.get(item.home, 0) > 0:
-                    places[item.name] = item.home
-                    room[item.home] -= 1
-                else:
-                    away.append(item)
-            slots = [place for place, count in room.items() for _ in range(count)]
-            away.sort(key=lambda item: item.home is None)  # those that run must have a place
-            places |= {item.name: place for item, place in zip(away, slots, strict=False)}
-        return places
-
-    def start_from(self, places: Mapping[str, int]) -> None:
-        """Let the solver begin with these places."""
-        for kind in self.kinds:
-            found = Counter(places[item.name] for item in kind.members if item.name in places)
-            self.program.start |= {
-                variable: float(found.get(place, 0)) for place, variable in kind.at.items()
-            }
-
-
 def build_model(problem: PlacementProblem, required: Requirements) -> PlacementModel:
     """The program of all placements that fit and meet ``required``, without an objective."""
     program = IntegerProgram()
-    kinds = _list_kinds(problem)
+    kinds = list_kinds(problem)
     model = PlacementModel(problem=problem, program=program, kinds=kinds)
     for kind in kinds:
         kind.at = {place: program.add_variable(upper=float(len(kind.members))) for place in kind.first.shares}
@@ -123,12 +38,15 @@ def build_model(problem: PlacementProblem, required: Requirements) -> PlacementM
         )
     _add_capacity_rows(model)
     _add_need_rows(model)
+    add_rule_rows(model)
     for priority, count in required.placed.items():
         program.add_row(dict.fromkeys(_list_variables(model, priority), 1.0), lower=float(count))
     if required.most_moves is not None:
         running = sum(item.home is not None for item in problem.items)
         _add_stays(model)
         program.add_row(dict.fromkeys(model.stays, 1.0), lower=float(running - required.most_moves))
+    if problem.most_handoffs is not None:
+        _add_handoff_row(model, problem.most_handoffs)
     return model
 
 
@@ -198,20 +116,6 @@ def bound_alone(problem: PlacementProblem) -> float:
     return total
 
 
-def _list_kinds(problem: PlacementProblem) -> list[_Kind]:
-    related = {name for item in problem.items for name in (*item.needs, *item.near)}
-    kinds: dict[object, _Kind] = {}
-    for item in problem.items:
-        apart = item.name if item.needs or item.near or item.name in related else None
-        shares = tuple((place, tuple(row.items())) for place, row in item.shares.items())
-        key = apart, shares, item.priority, item.move_cost, tuple(item.links)
-        if key in kinds:
-            kinds[key].members.append(item)
-        else:
-            kinds[key] = _Kind(members=[item])
-    return list(kinds.values())
-
-
 def _list_variables(model: PlacementModel, priority: float) -> list[int]:
     return [
         variable for kind in model.kinds if kind.first.priority == priority for variable in kind.at.values()
@@ -254,6 +158,25 @@ def _add_stays(model: PlacementModel) -> None:
                 model.program.add_row({stay: 1.0, variable: -1.0}, upper=0.0)
                 variable = stay
             model.stays[variable] = kind.first.move_cost
+            kind.stays.append(variable)
+
+
+def _add_handoff_row(model: PlacementModel, most: int) -> None:
+    """At most so many handoffs. Tasks of one unit move as one: those of one kind count for all of them."""
+    _add_stays(model)
+    seen: set[tuple[str, ...]] = set()
+    terms: dict[int, float] = {}
+    total = 0
+    for kind in model.kinds:
+        running = sum(item.home is not None for item in kind.members)
+        unit = model.problem.rules.units.get(kind.first.name)
+        if not running or unit in seen:
+            continue
+        if unit is not None:
+            seen.add(unit)
+        terms |= dict.fromkeys(kind.stays, 1.0 if unit is None else 1.0 / running)
+        total += running if unit is None else 1
+    model.program.add_row(terms, lower=float(total - most))
 
 
 def _has_links(problem: PlacementProblem, item: PlacementItem, place: int) -> bool:
@@ -282,7 +205,7 @@ def _list_groups(model: PlacementModel) -> list[tuple[list[_Member], float, int]
         ]
         base = sum(weights[each.name] * row[column] for column, each in _HOST)
         groups.append(_build_group(problem, place, hosts, base))
-        by_link: dict[int, list[tuple[_Kind, float]]] = {}
+        by_link: dict[int, list[tuple[Kind, float]]] = {}
         for kind in here:
             if _has_links(problem, kind.first, place):
                 column = kind.first.links[0]
@@ -297,13 +220,13 @@ _HOST = tuple(enumerate(HOST_RESOURCES))
 
 
 def _build_group(
-    problem: PlacementProblem, place: int, members: Sequence[tuple[_Kind, float]], base: float
+    problem: PlacementProblem, place: int, members: Sequence[tuple[Kind, float]], base: float
 ) -> tuple[list[_Member], float, int]:
     most = _count_most(problem, place, [kind for kind, _ in members])
     return [(kind.at[place], len(kind.members), rate) for kind, rate in members], base, most
 
 
-def _count_most(problem: PlacementProblem, place: int, kinds: Iterable[_Kind]) -> int:
+def _count_most(problem: PlacementProblem, place: int, kinds: Iterable[Kind]) -> int:
     """How many of the tasks fit at most: the smallest first, by each resource alone."""
     found = [(kind.first.shares[place], len(kind.members)) for kind in kinds]
     most = sum(count for _, count in found)
@@ -337,7 +260,7 @@ def _add_group(program: IntegerProgram, members: Sequence[_Member], base: float,
         program.add_row(counted[number] | {chosen[number]: -float(number)}, lower=0.0, upper=0.0)
 
 
-def _add_affinity(model: PlacementModel, kind: _Kind) -> None:
+def _add_affinity(model: PlacementModel, kind: Kind) -> None:
     """UT_task: 0.5 without predecessors; else at most 1 beside one, and 0 elsewhere."""
     program, weight, item = model.program, model.problem.weights[AFFINITY], kind.first
     by_name = {other.first.name: other for other in model.kinds}

@@ -128,6 +128,22 @@ def _build_spread_limit(siblings: Sequence[Task], fleet: Capacities, state: Init
     )
 
 
+def list_breaches(rules: PlacementRules, located: Mapping[str, int]) -> set[tuple[str, int]]:
+    """The tasks that break a rule at their places ``located``, with these places."""
+    found = {
+        (name, located[name])
+        for name, limits in rules.limits.items()
+        if name in located
+        for limit in limits
+        if limit.find_excess(name, located[name], located)[0] > 0
+    }
+    for unit in set(rules.units.values()):
+        there = {(name, located[name]) for name in unit if name in located}
+        if len({place for _, place in there}) > 1:
+            found |= there
+    return found
+
+
 def bar_by_limits(
     limits: Sequence[OccupancyLimit],
     name: str,

@@ -4,22 +4,15 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
-from edgectl.model.assignment import Certificate
+from edgectl.model.assignment import Decision
 from edgectl.scheduler.choice import Choice
+from edgectl.scheduler.decided_plan import DecidedPlan, rate_plan, rebalance_plan
 from edgectl.scheduler.groups import MAX_ROUNDS, withhold_incomplete_groups
 from edgectl.scheduler.initial_state import InitialState
-from edgectl.scheduler.integer_program import Solver, keep_bounds
 from edgectl.scheduler.ledger import compute_demand_usage
-from edgectl.scheduler.optimum import certify, find_optimum, is_overload_kept, value_plan
-from edgectl.scheduler.placement_rules import NO_RULES, build_placement_rules
-from edgectl.scheduler.repair import (
-    UnrepairedPlan,
-    choose_places,
-    list_wanted,
-    rate_plan,
-    rebalance_plan,
-    repair_plan,
-)
+from edgectl.scheduler.optimum import breaks_no_more_rules, is_overload_kept, value_plan
+from edgectl.scheduler.placement_rules import build_placement_rules
+from edgectl.scheduler.repair import repair_plan
 from edgectl.scheduler.single_pass import (
     PassResult,
     PlacementPass,
@@ -41,25 +34,48 @@ class SettledPlan(NamedTuple):
     prior_moves: Mapping[str, Choice]
 
 
-def run_with_groups(
-    how: PlacementPass, initial: InitialState, solve: Solver | None
-) -> tuple[SettledPlan, Certificate | None]:
-    """A plan in which no group is started in part (ADR 73): made again without each that is incomplete."""
-    plain, found = _run_until_settled(how, optimal=solve is not None)
-    groups, tasks = how.context.placement_rules.groups, {task.name: task for task in how.order}
+class GroupedPlan(NamedTuple):
+    """A plan in which no group is started in part, and ``plain``, the same without room made for tasks.
+
+    ``how``: the pass that makes them, in which the tasks of incomplete groups are withheld.
+    """
+
+    how: PlacementPass
+    plain: SettledPlan
+    found: SettledPlan
+
+
+def run_with_groups(how: PlacementPass, *, optimal: bool) -> GroupedPlan:
+    """A plan in which no group is started in part (ADR 73): made again without each that is incomplete.
+
+    ``optimal``: start from it to look for the best plan.
+    """
+    plain, found = _run_until_settled(how, optimal=optimal)
+    groups = how.context.placement_rules.groups
     for round_ in range(MAX_ROUNDS + len(groups) if groups else 0):
-        withheld = withhold_incomplete_groups(
-            groups, tasks, found.outcome.decisions, how.initial.running, every=round_ >= MAX_ROUNDS
-        )
+        withheld = find_incomplete_groups(how, found, every=round_ >= MAX_ROUNDS)
         if not withheld:
             break
-        state = replace(how.initial, fixed={**how.initial.fixed, **withheld})
-        rules = build_placement_rules(how.order, how.context.fleet, state)
-        how = replace(how, initial=state, context=replace(how.context, placement_rules=rules))
-        plain, found = _run_until_settled(how, optimal=solve is not None)
-    if solve is None:
-        return found, None
-    return _optimise(how, plain, found, solve, withheld=len(how.initial.fixed.keys() - initial.fixed.keys()))
+        how = withhold_tasks(how, withheld)
+        plain, found = _run_until_settled(how, optimal=optimal)
+    return GroupedPlan(how, plain, found)
+
+
+def find_incomplete_groups(
+    how: PlacementPass, found: SettledPlan, *, every: bool = False
+) -> dict[str, Decision]:
+    """The decisions that withhold an incomplete group of ``found``; ``every``: all of them."""
+    tasks = {task.name: task for task in how.order}
+    return withhold_incomplete_groups(
+        how.context.placement_rules.groups, tasks, found.outcome.decisions, how.initial.running, every=every
+    )
+
+
+def withhold_tasks(how: PlacementPass, withheld: Mapping[str, Decision]) -> PlacementPass:
+    """The pass that takes these decisions as they are."""
+    state = replace(how.initial, fixed={**how.initial.fixed, **withheld})
+    rules = build_placement_rules(how.order, how.context.fleet, state)
+    return replace(how, initial=state, context=replace(how.context, placement_rules=rules))
 
 
 def _run_until_settled(how: PlacementPass, *, optimal: bool) -> tuple[SettledPlan, SettledPlan]:
@@ -69,9 +85,9 @@ def _run_until_settled(how: PlacementPass, *, optimal: bool) -> tuple[SettledPla
     plain = _settle(how, how.initial, {})
     found = _make_room(how, plain)
     if optimal:
-        known = _build_unrepaired(how, found)
+        known = build_decided_plan(how, found)
         changed = rebalance_plan(known, started_only=True)
-        return plain, _take_better(how, _build_unrepaired(how, plain), found, changed)
+        return plain, take_better(how, build_decided_plan(how, plain), found, changed)
     if found.settled and how.context.policy.rebalance:
         found = _rebalance(how, found)
     return plain, found
@@ -79,49 +95,34 @@ def _run_until_settled(how: PlacementPass, *, optimal: bool) -> tuple[SettledPla
 
 def _make_room(how: PlacementPass, plain: SettledPlan) -> SettledPlan:
     """The plan with room made for tasks that found none (ADR 64)."""
-    changed = repair_plan(_build_unrepaired(how, plain))
+    changed = repair_plan(build_decided_plan(how, plain))
     return _settle_changed(how, plain, changed) if changed else plain
 
 
 def _rebalance(how: PlacementPass, found: SettledPlan) -> SettledPlan:
     """A settled plan with a greater sum of utilities and as many tasks placed, else the same one (ADR 66)."""
-    before = _build_unrepaired(how, found)
+    before = build_decided_plan(how, found)
     changed = rebalance_plan(before)
     if not changed:
         return found
     other = _settle_changed(how, found, changed)
-    gains = rate_plan(_build_unrepaired(how, other)) > rate_plan(before)
+    gains = rate_plan(build_decided_plan(how, other)) > rate_plan(before)
     placed_before = found.outcome.placed.keys()
     return other if other.settled and gains and other.outcome.placed.keys() >= placed_before else found
 
 
-def _optimise(
-    how: PlacementPass, plain: SettledPlan, known: SettledPlan, solve: Solver, withheld: int
-) -> tuple[SettledPlan, Certificate]:
-    """The better one of the known plan and of what the solver finds; both are settled and valued by the same
-    rules.
-
-    With rules between tasks the solver only bounds: it does not know them, and its places may break them.
-    """
-    relaxed = how.context.placement_rules is not NO_RULES
-    origin, before = _build_unrepaired(how, plain), _build_unrepaired(how, known)
-    optimum = find_optimum(origin, before, keep_bounds(solve) if relaxed else solve)
-    best = _take_better(how, origin, known, choose_places(before, optimum.places))
-    value = value_plan(_build_unrepaired(how, best), origin)
-    wanted = len({*origin.placed, *(task.name for task in list_wanted(origin))})
-    return best, replace(certify(value, wanted, optimum), relaxed=relaxed, withheld=withheld)
-
-
-def _take_better(
-    how: PlacementPass, origin: UnrepairedPlan, best: SettledPlan, changed: Mapping[str, Choice]
+def take_better(
+    how: PlacementPass, origin: DecidedPlan, best: SettledPlan, changed: Mapping[str, Choice]
 ) -> SettledPlan:
-    """The plan with ``changed``, settled again, if that makes it better and overloads no host anew."""
+    """The plan with ``changed``, settled again, if that makes it better, overloads no host anew, and breaks
+    no rule between tasks anew.
+    """
     if not changed:
         return best
     other = _settle_changed(how, best, changed)
-    plan, known = _build_unrepaired(how, other), _build_unrepaired(how, best)
-    better = value_plan(plan, origin).is_better_than(value_plan(known, origin))
-    return other if other.settled and better and is_overload_kept(plan, known) else best
+    plan, known = build_decided_plan(how, other), build_decided_plan(how, best)
+    better = other.settled and value_plan(plan, origin).is_better_than(value_plan(known, origin))
+    return other if better and is_overload_kept(plan, known) and breaks_no_more_rules(plan, known) else best
 
 
 def _settle_changed(how: PlacementPass, plan: SettledPlan, changed: Mapping[str, Choice]) -> SettledPlan:
@@ -151,10 +152,11 @@ def _settle(how: PlacementPass, start: InitialState, prior_moves: Mapping[str, C
     return SettledPlan(last, settled=False, prior_moves=prior_moves)
 
 
-def _build_unrepaired(how: PlacementPass, plan: SettledPlan) -> UnrepairedPlan:
+def build_decided_plan(how: PlacementPass, plan: SettledPlan) -> DecidedPlan:
+    """What repair, rebalancing and the solver need to know of ``plan``."""
     outcome = plan.outcome
     left = count_moves_left(how, collect_prior_moves(outcome, plan.prior_moves, how.initial))
-    return UnrepairedPlan(
+    return DecidedPlan(
         context=how.context,
         order=how.order,
         initial=how.initial,

@@ -30,7 +30,7 @@ def make_solver(deadline_s: float = DEADLINE_S) -> Solver:
     def solve(program: IntegerProgram, share: float) -> Solution:
         left = (end - time.monotonic()) * share
         if left <= 0.0:
-            return Solution(values=None, bound=inf)
+            return Solution(values=None, bound=inf, timed_out=True)
         return solve_program(program, left)
 
     return solve
@@ -57,7 +57,9 @@ def solve_program(program: IntegerProgram, deadline_s: float) -> Solution:
     values = tuple(solver.getSolution().col_value) if has_solution else None
     is_optimal = status == highspy.HighsModelStatus.kOptimal
     return Solution(
-        values=values, bound=found.objective_function_value if is_optimal else found.mip_dual_bound
+        values=values,
+        bound=found.objective_function_value if is_optimal else found.mip_dual_bound,
+        timed_out=not is_optimal,
     )
 
 

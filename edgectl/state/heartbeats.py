@@ -106,6 +106,25 @@ def record_orphans(fleet_dir: Path, seen: Mapping[str, tuple[str, ...]]) -> Hear
     return _update_heartbeats(fleet_dir, merge)
 
 
+def replace_marks(
+    fleet_dir: Path,
+    *,
+    fenced: frozenset[str],
+    orphans: Mapping[str, tuple[str, ...]],
+    heard: Mapping[str, Uptime],
+) -> Heartbeats:
+    """Replace fences and orphans by those of another machine, and record ``heard`` as contacts.
+
+    Raises:
+        StateError: the disk does not take it.
+    """
+
+    def change(known: Heartbeats) -> Heartbeats:
+        return replace(_merge_heartbeats(known, heard), fenced=fenced, orphans=orphans)
+
+    return _update_heartbeats(fleet_dir, change)
+
+
 def _merge_heartbeats(known: Heartbeats, heard: Mapping[str, Uptime]) -> Heartbeats:
     later = {host: at for host, at in heard.items() if _is_later(at, known.last.get(host))}
     return replace(known, last={**known.last, **later}, fenced=known.fenced - heard.keys())

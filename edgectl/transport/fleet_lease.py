@@ -8,13 +8,14 @@ import math
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Protocol
 
 from edgectl.errors import RefusedError, ReplyError
 
 LEASE_S = 30.0
 # How long a manager waits for hosts that another one took at the same moment and gives back at once.
 CONTENTION_S = 3.0
-_MAX_EPOCH, _MAX_SECONDS, _MAX_TEXT = 2**53, 1e9, 80
+_MAX_EPOCH, _MAX_REVISION, _MAX_SECONDS, _MAX_TEXT = 2**53, 2**63, 1e9, 80
 Document = dict[str, object]
 
 
@@ -22,6 +23,22 @@ class LeaseLostError(RefusedError):
     """The fleet is not held on a host (any more): nothing was sent."""
 
     kind = "lease"
+
+
+class Term(Protocol):
+    """The lease of the fleet outside of the hosts, in etcd; its ``revision`` grows from holder to holder."""
+
+    revision: int
+
+    def is_over(self) -> bool:
+        """Whether it has run out by the manager's own clock, or was lost."""
+
+    def save_state(self, state: bytes) -> int:
+        """Replace the shared state of the fleet, if this run still holds it; the revision of the new one.
+
+        Raises:
+            CoordinationError: etcd does not answer, or the fleet was lost.
+        """
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,7 +56,8 @@ class LeaseRefusal:
     """Reason for which a host did not grant the fleet. ``watched``: it has another watch; else it is held.
 
     ``age_s`` since the holder took it (or was seen), ``left_s`` until its lease ends unless it is renewed.
-    ``every_s``: the cycle of the watch of the fleet, 0 without one.
+    ``every_s``: the cycle of the watch of the fleet, 0 without one. ``revision``: of etcd, above the claimed
+    one where the host refuses for that reason.
     """
 
     who: str
@@ -48,6 +66,7 @@ class LeaseRefusal:
     left_s: float
     every_s: float
     watched: bool = False
+    revision: int = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,7 +80,8 @@ class FleetLease:
 
     ``holder`` names the manager, ``session`` this hold. ``clock``: s, monotonic, time asleep included.
     ``patience_s``: how long to wait for another manager; None: for one cycle of a watch. ``hosts``: those
-    on which this manager may place tasks, which others are told (docs/adr/0068).
+    on which this manager may place tasks, which others are told (docs/adr/0068). ``term``: the lease in etcd;
+    then ``holder`` names all managers that share it, and ``manager`` this one (docs/adr/0080).
     """
 
     def __init__(
@@ -77,10 +97,15 @@ class FleetLease:
         patience_s: float | None = None,
         ttl_s: float = LEASE_S,
         hosts: tuple[str, ...] = (),
+        manager: str = "",
+        term: Term | None = None,
     ) -> None:
         self._identity: Document = {"holder": holder, "session": session}
+        self._manager, self.term = manager or holder, term
         self._claim: Document = {
             **self._identity,
+            "manager": self._manager,
+            "revision": 0 if term is None else term.revision,
             "who": who,
             "verb": verb,
             "ttl_s": ttl_s,
@@ -133,6 +158,12 @@ class FleetLease:
         Raises:
             LeaseLostError: the host did not grant the fleet, or a lease has run out.
         """
+        if self.term is not None and self.term.is_over():
+            raise LeaseLostError(
+                "the lease of the fleet in etcd has run out: nothing was sent",
+                hint="apply again, which takes the fleet anew",
+                host=host,
+            )
         now = self._clock()
         with self._lock:
             grant = self._grants.get(host)
@@ -159,7 +190,7 @@ class FleetLease:
         """The signature that gives ``host`` back; epoch 0 where it was given back before."""
         with self._lock:
             grant = self._grants.pop(host, None)
-        return {**self._identity, "epoch": 0 if grant is None else grant.epoch}
+        return {**self._identity, "manager": self._manager, "epoch": 0 if grant is None else grant.epoch}
 
     def note_silent(self, host: str) -> None:
         """Note that ``host`` did not answer a heartbeat."""
@@ -194,6 +225,7 @@ def _read_refusal(document: Document) -> LeaseRefusal:
         left_s=_read_number(document, "left_s", _MAX_SECONDS),
         every_s=_read_number(document, "every_s", _MAX_SECONDS),
         watched=document.get("state") == "watched",
+        revision=int(_read_number(document, "revision", _MAX_REVISION)),
     )
 
 

@@ -47,9 +47,18 @@ def run_password_command(host: Host) -> str:
     Raises:
         AuthError: it fails, prints nothing or does not end.
     """
+    return run_password_program(host.password_command, host.name)
+
+
+def run_password_program(command: tuple[str, ...], host: str = "") -> str:
+    """First line that ``command`` prints; ``host`` is named by the error.
+
+    Raises:
+        AuthError: it fails, prints nothing or does not end.
+    """
     try:
         ran = subprocess.run(
-            list(host.password_command),
+            list(command),
             stdin=subprocess.DEVNULL,
             capture_output=True,
             timeout=PASSWORD_COMMAND_TIMEOUT_S,
@@ -57,13 +66,13 @@ def run_password_command(host: Host) -> str:
         )
     except (OSError, subprocess.TimeoutExpired) as error:
         raise AuthError(
-            f"password_command failed: {type(error).__name__}", hint="run it by hand", host=host.name
+            f"password_command failed: {type(error).__name__}", hint="run it by hand", host=host
         ) from error
     lines = ran.stdout.decode(errors="replace").splitlines()
     if ran.returncode != 0 or not lines:
         raise AuthError(
             f"password_command printed no password (exit code {ran.returncode})",
             hint="run it by hand",
-            host=host.name,
+            host=host,
         )
     return lines[0]

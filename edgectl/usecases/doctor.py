@@ -6,8 +6,15 @@ from collections.abc import Sequence
 from edgectl.doctor.diagnosis import diagnose_fleet
 from edgectl.gateway.fanout import fan_out
 from edgectl.gateway.host_facts import HostFactsOptions, collect_host_facts
-from edgectl.model.diagnosis import Diagnosis, Disk, FactsByHost, ManagerFacts, UnreachableHost
-from edgectl.model.inventory import Connection, Host
+from edgectl.model.diagnosis import (
+    Diagnosis,
+    Disk,
+    EtcdEndpoint,
+    FactsByHost,
+    ManagerFacts,
+    UnreachableHost,
+)
+from edgectl.model.inventory import Connection, Coordination, Host
 from edgectl.names import check_known_names
 from edgectl.rules.ros import list_ros_packages
 from edgectl.state.manager_state import load_link_capacities
@@ -30,11 +37,15 @@ def run_doctor(fleet: Fleet, state: Disk, names: Sequence[str] = (), *, timeout:
         host for host in fleet.inventory.hosts.values() if host.probe and (not names or host.name in names)
     ]
     return diagnose_fleet(
-        fleet.inventory, _collect_manager_facts(hosts, state), _collect_answers(fleet, hosts, state, timeout)
+        fleet.inventory,
+        _collect_manager_facts(hosts, state, fleet.inventory.coordination),
+        _collect_answers(fleet, hosts, state, timeout),
     )
 
 
-def _collect_manager_facts(hosts: Sequence[Host], state: Disk) -> ManagerFacts:
+def _collect_manager_facts(
+    hosts: Sequence[Host], state: Disk, coordination: Coordination | None
+) -> ManagerFacts:
     """Collect the facts of this machine; ``ssh -G`` costs one process per host, so all run at once."""
     remote = [host for host in hosts if host.connection is not Connection.LOCAL]
     files = [found for _, found in fan_out(list_known_hosts_files, remote, workers=_WORKERS)]
@@ -42,6 +53,20 @@ def _collect_manager_facts(hosts: Sequence[Host], state: Disk) -> ManagerFacts:
         state=state,
         known_hosts={path: why for found in files for path, why in sorted(found.items())},
         ssh=has_ssh_program(),
+        etcd=() if coordination is None else _ask_etcd(coordination),
+    )
+
+
+def _ask_etcd(coordination: Coordination) -> tuple[EtcdEndpoint, ...]:
+    """Ask each endpoint alone for a value, which takes a majority of the members."""
+    from edgectl.transport.etcd_client import EtcdClient, format_endpoint
+
+    return tuple(
+        EtcdEndpoint(
+            address=format_endpoint(endpoint),
+            **{"version" if isinstance(found, str) else "error": str(found)},
+        )
+        for endpoint, found in EtcdClient(coordination).read_versions().items()
     )
 
 

@@ -13,6 +13,7 @@ from edgectl.model.result import Outcome
 from edgectl.model.snapshot import Snapshot
 from edgectl.names import check_known_names
 from edgectl.state.manager_state import load_manager_state, save_manager_state
+from edgectl.usecases.coordination import share_state
 from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.plan import make_plan
 from edgectl.usecases.plan_execution import (
@@ -130,6 +131,8 @@ def _mark_draining(fleet: Fleet, names: Sequence[str]) -> bool:
             manager, cordons=manager.cordons | set(names), draining=manager.draining | set(names)
         ),
     )
+    if fleet.lease is not None:
+        share_state(fleet, fleet.lease.term)
     return True
 
 

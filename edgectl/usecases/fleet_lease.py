@@ -3,22 +3,22 @@
 import contextlib
 import dataclasses
 import secrets
-import socket
 import time
 from collections.abc import Callable, Iterator
 
 from edgectl.agent.link import protocol
-from edgectl.errors import HostError, LockBusyError, WatchedError
+from edgectl.errors import CoordinationError, HostError, LockBusyError, WatchedError
 from edgectl.gateway.fanout import fan_out
 from edgectl.model.inventory import Host, Role
 from edgectl.model.snapshot import Snapshot
 from edgectl.names import natural_key
 from edgectl.state.failpoints import hit_failpoint
-from edgectl.state.lock import get_user_name
+from edgectl.state.lock import describe_manager
 from edgectl.state.manager_identity import load_manager_id
 from edgectl.transport.agent_client import ask_host
 from edgectl.transport.fleet_lease import CONTENTION_S, FleetLease, LeaseRefusal, WatchNote
 from edgectl.units import format_duration
+from edgectl.usecases.coordination import find_holder_id, hold_in_etcd
 from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.heartbeat import send_heartbeats
 
@@ -39,31 +39,39 @@ def hold_fleet(
     take_over: bool = False,
 ) -> Iterator[Fleet]:
     """The fleet with a lease: its first probe claims every host that answers; no other manager changes it
-    then.
+    then. With ``coordination`` the lease is first taken in etcd.
 
     ``patience_s``: how long to wait for another manager; None: for one cycle of a watch, at most a minute,
     else not at all.
     ``watch``: the note to leave on the hosts; ``take_over`` replaces that of another watch.
+
+    Raises:
+        LockBusyError: another manager holds the fleet in etcd.
+        CoordinationError: etcd does not answer.
     """
-    lease = FleetLease(
-        holder=load_manager_id(fleet.state),
-        session=secrets.token_hex(8),
-        who=f"{get_user_name()}@{socket.gethostname()}",
-        verb=verb,
-        clock=lambda: fleet.uptime().seconds,
-        watch=watch,
-        take_over=take_over,
-        patience_s=patience_s,
-        hosts=tuple(
-            host.name for host in fleet.inventory.hosts.values() if host.role is Role.EDGE or host.onboard
-        ),
-    )
-    held = dataclasses.replace(fleet, lease=lease)
-    try:
-        with send_heartbeats(held, lease.list_granted):
-            yield held
-    finally:
-        release_fleet(held, lease.list_granted())
+    manager, every_s = load_manager_id(fleet.state), 0.0 if watch is None else watch.every_s
+    with hold_in_etcd(fleet, verb, patience_s=patience_s, every_s=every_s) as term:
+        lease = FleetLease(
+            holder=find_holder_id(fleet),
+            session=secrets.token_hex(8),
+            who=describe_manager(),
+            verb=verb,
+            clock=lambda: fleet.uptime().seconds,
+            watch=watch,
+            take_over=take_over,
+            patience_s=patience_s,
+            hosts=tuple(
+                host.name for host in fleet.inventory.hosts.values() if host.role is Role.EDGE or host.onboard
+            ),
+            manager=manager,
+            term=term,
+        )
+        held = dataclasses.replace(fleet, lease=lease)
+        try:
+            with send_heartbeats(held, lease.list_granted):
+                yield held
+        finally:
+            release_fleet(held, lease.list_granted())
 
 
 def probe_within_lease(fleet: Fleet, probe: Callable[[], Snapshot]) -> Snapshot:
@@ -75,11 +83,13 @@ def probe_within_lease(fleet: Fleet, probe: Callable[[], Snapshot]) -> Snapshot:
     Raises:
         LockBusyError: another manager holds the fleet on a host.
         WatchedError: another watch looks after the fleet.
+        CoordinationError: the lease in etcd has run out.
     """
-    snapshot, lease = probe(), fleet.lease
+    lease = fleet.lease
     if lease is None:
-        return snapshot
-    began = time.monotonic()
+        return probe()
+    _check_term(lease)
+    snapshot, began = probe(), time.monotonic()
     while lease.refusals:
         leads = _leads(lease)
         patience = max(CONTENTION_S if leads else 0.0, _get_patience_s(lease))
@@ -91,9 +101,18 @@ def probe_within_lease(fleet: Fleet, probe: Callable[[], Snapshot]) -> Snapshot:
         if not leads:
             release_fleet(fleet, lease.list_granted())
         time.sleep(_PAUSE_S)
+        _check_term(lease)
         snapshot = probe()
     hit_failpoint("fleet claimed")
     return snapshot
+
+
+def _check_term(lease: FleetLease) -> None:
+    if lease.term is not None and lease.term.is_over():
+        raise CoordinationError(
+            "the lease of the fleet in etcd has run out: nothing was sent",
+            hint="apply again, which takes the fleet anew",
+        )
 
 
 def compute_files_digest(fleet: Fleet) -> str:
@@ -152,6 +171,13 @@ def _build_busy_error(lease: FleetLease) -> LockBusyError:
             hint="stop that watch, or pass --take-over",
         )
     hosts = sorted(lease.refusals, key=natural_key)
+    later = lease.refusals[hosts[0]].revision
+    if lease.term is not None and later > lease.term.revision:
+        return LockBusyError(
+            f"{hosts[0]} granted this fleet at revision {later} of etcd, which is now at "
+            f"{lease.term.revision}",
+            hint="if etcd was restored from a backup: etcdctl del --prefix edgectl/FLEET/",
+        )
     return LockBusyError(
         f"{_describe_holder(lease.refusals[hosts[0]])} holds this fleet on {', '.join(hosts)}",
         hint="wait for it, or pass --lock-timeout 60s",

@@ -1,7 +1,8 @@
 """Marks that operators set on tasks and hosts (done, cordon, fence), changed under the fleet's lock."""
 
+import contextlib
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from edgectl.gateway.task_lookup import list_ended_instances
 from edgectl.model.manager_state import ManagerState
@@ -15,10 +16,27 @@ from edgectl.state.manager_state import (
     save_ignored_instances,
     save_manager_state,
 )
+from edgectl.usecases.coordination import hold_in_etcd, share_state
 from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.heartbeat import track_heartbeats
 
 _TIMEOUT_S = 15.0
+
+
+@contextlib.contextmanager
+def _change_marks(fleet: Fleet, verb: str) -> Iterator[None]:
+    """The lock of the fleet, and with ``coordination`` its lease in etcd, where the marks are saved, too.
+
+    Raises:
+        LockBusyError: another edgectl is changing this fleet.
+        CoordinationError: etcd does not answer: nothing is changed, or it is changed on this machine only.
+    """
+    with (
+        FleetLock(fleet.state, verb=verb, timeout=None, clock=fleet.clock),
+        hold_in_etcd(fleet, verb) as lease,
+    ):
+        yield
+        share_state(fleet, lease)
 
 
 def mark_tasks_done(fleet: Fleet, names: Sequence[str]) -> ManagerState:
@@ -26,7 +44,7 @@ def mark_tasks_done(fleet: Fleet, names: Sequence[str]) -> ManagerState:
     spec.
     """
     check_known_names(names, fleet.tasks.tasks, "task")
-    with FleetLock(fleet.state, verb="done", timeout=None, clock=fleet.clock):
+    with _change_marks(fleet, "done"):
         manager = load_manager_state(fleet.state, fleet.warn)
         marked = {name: fleet.tasks.tasks[name].spec_hash for name in names}
         return _save_and_return(fleet, dataclasses.replace(manager, done={**manager.done, **marked}))
@@ -37,7 +55,7 @@ def reopen_tasks(fleet: Fleet, names: Sequence[str]) -> frozenset[str]:
     that did not answer, where one may be recorded still.
     """
     check_known_names(names, fleet.tasks.tasks, "task")
-    with FleetLock(fleet.state, verb="reopen", timeout=None, clock=fleet.clock):
+    with _change_marks(fleet, "reopen"):
         unanswered = _ignore_ended_instances(fleet, names)
         manager = load_manager_state(fleet.state, fleet.warn)
         kept = {name: spec for name, spec in manager.done.items() if name not in names}
@@ -65,7 +83,7 @@ def _ignore_ended_instances(fleet: Fleet, names: Sequence[str]) -> frozenset[str
 def cordon_hosts(fleet: Fleet, names: Sequence[str], *, drain: bool = False) -> ManagerState:
     """Mark hosts as unschedulable; with ``drain`` their tasks move away at the next apply."""
     check_known_names(names, fleet.inventory.hosts, "host")
-    with FleetLock(fleet.state, verb="cordon", timeout=None, clock=fleet.clock):
+    with _change_marks(fleet, "cordon"):
         manager = load_manager_state(fleet.state, fleet.warn)
         draining = manager.draining | set(names) if drain else manager.draining
         return _save_and_return(
@@ -76,7 +94,7 @@ def cordon_hosts(fleet: Fleet, names: Sequence[str], *, drain: bool = False) -> 
 def uncordon_hosts(fleet: Fleet, names: Sequence[str]) -> ManagerState:
     """Mark hosts as schedulable."""
     check_known_names(names, fleet.inventory.hosts, "host")
-    with FleetLock(fleet.state, verb="uncordon", timeout=None, clock=fleet.clock):
+    with _change_marks(fleet, "uncordon"):
         manager = load_manager_state(fleet.state, fleet.warn)
         return _save_and_return(
             fleet,
@@ -95,7 +113,7 @@ def fence_hosts(fleet: Fleet, names: Sequence[str]) -> frozenset[str]:
     manager = load_manager_state(fleet.state, fleet.warn)
     check_known_names(names, list_fenceable_hosts(fleet, manager), "host")
     marks = {mark for name in names for mark in list_fence_marks(name, fleet.inventory, manager)}
-    with FleetLock(fleet.state, verb="fence", timeout=None, clock=fleet.clock):
+    with _change_marks(fleet, "fence"):
         return heartbeats.add_fences(fleet.state, marks).fenced
 
 
@@ -109,7 +127,7 @@ def unfence_hosts(fleet: Fleet, names: Sequence[str]) -> frozenset[str]:
     """Clear the fence of hosts. Returns all hosts that are still fenced."""
     fenced = heartbeats.load_heartbeats(fleet.state, fleet.warn).fenced
     check_known_names(names, [*fleet.inventory.hosts, *sorted(fenced)], "host")
-    with FleetLock(fleet.state, verb="unfence", timeout=None, clock=fleet.clock):
+    with _change_marks(fleet, "unfence"):
         return heartbeats.remove_fences(fleet.state, names).fenced
 
 

@@ -24,6 +24,7 @@ from edgectl.transport.connections import SessionPool
 from edgectl.transport.fleet_lease import WatchNote
 from edgectl.transport.silence import SilenceTransport, SilentHosts
 from edgectl.units import format_duration
+from edgectl.usecases.coordination import announce_starts, load_pending_starts, share_results
 from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.fleet_lease import compute_files_digest, hold_fleet
 from edgectl.usecases.heartbeat import track_heartbeats
@@ -106,7 +107,10 @@ def confirm_and_execute(
         _save_manager_state(fleet, plan, manager, _NO_RESULTS, {})
         _recover_interrupted_apply(fleet, cut_off, silent)
         return ApplyResult(plan=plan)
-    used = compute_next_generations(manager, plan.snapshot, plan.steps, fleet.clock(), cut_off.generations)
+    used = compute_next_generations(
+        manager, plan.snapshot, plan.steps, fleet.clock(), _list_used_generations(fleet, cut_off)
+    )
+    announce_starts(fleet, fleet.lease.term if fleet.lease is not None else None, plan.steps, used)
     with Journal.open(fleet.state, clock=fleet.clock, warn=fleet.warn) as journal:
         identity = RunIdentity(
             plan_id=name or compute_plan_id(plan),
@@ -136,6 +140,14 @@ def confirm_and_execute(
     if fleet.lease is not None and fleet.lease.watched_by is not None and verb != "watch":
         fleet.warn(_describe_watch(fleet, fleet.lease.watched_by))
     return ApplyResult(plan=plan, results=results, doubled=_look_for_doubled(fleet, plan, silent))
+
+
+def _list_used_generations(fleet: Fleet, cut_off: JournalSummary) -> dict[str, int]:
+    """The highest generation that a start of each task may have used, by this machine or another one."""
+    used = dict(cut_off.generations)
+    for task, start in load_pending_starts(fleet).items():
+        used[task] = max(used.get(task, 0), start.generation + 1)
+    return used
 
 
 def _look_for_doubled(fleet: Fleet, plan: Plan, silent: SilentHosts) -> dict[str, tuple[str, ...]]:
@@ -240,4 +252,6 @@ def _save_manager_state(
     after = update_manager_state(manager, plan, fleet.tasks, results, used, fleet.clock())
     if select_saved_fields(after) != load_manager_state(fleet.state):
         save_manager_state(fleet.state, after)
+    if fleet.lease is not None:
+        share_results(fleet, fleet.lease.term)
     return after

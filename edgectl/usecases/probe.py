@@ -10,13 +10,13 @@ from edgectl.model.snapshot import BandwidthMeasurement, HostSample, Snapshot
 from edgectl.state.heartbeats import load_heartbeats, record_orphans
 from edgectl.state.journal import JOURNAL_FILE_NAME
 from edgectl.state.journal_reader import read_journal_cached
-from edgectl.state.manager_identity import find_manager_id
 from edgectl.state.manager_state import (
     load_ignored_instances,
     load_link_capacities,
     load_manager_state,
     save_link_capacities,
 )
+from edgectl.usecases.coordination import find_holder_id, load_pending_starts, refresh_state
 from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.fleet_lease import probe_within_lease
 from edgectl.usecases.heartbeat import load_state_with_heartbeats, track_heartbeats
@@ -31,7 +31,10 @@ def probe_fleet(fleet: Fleet, options: ProbeOptions | None = None) -> Snapshot:
 
     Raises:
         LockBusyError: the fleet has a lease to claim (``fleet.lease``), and another manager holds it.
+        CoordinationError: the lease in etcd has run out.
     """
+    if fleet.lease is None:
+        refresh_state(fleet)
     measured = load_link_capacities(fleet.state, fleet.warn)
     reopened = frozenset(load_ignored_instances(fleet.state, fleet.warn))
     options = options or ProbeOptions()
@@ -43,7 +46,7 @@ def probe_fleet(fleet: Fleet, options: ProbeOptions | None = None) -> Snapshot:
         reopened=reopened,
         known_tasks=lambda: _list_known_tasks(fleet),
         former_hosts=_list_former_hosts(fleet),
-        manager_id=find_manager_id(fleet.state),
+        manager_id=find_holder_id(fleet),
     )
     fenced = load_heartbeats(fleet.state, fleet.warn).fenced
     with track_heartbeats(fleet) as tracked:
@@ -95,15 +98,19 @@ def _record_orphans(fleet: Fleet, snapshot: Snapshot) -> None:
 
 
 def _add_journaled_starts(fleet: Fleet, manager: ManagerState, snapshot: Snapshot) -> ManagerState:
-    """The manager's state with starts that only the journal records, on hosts that are unreachable now or
-    show that very start.
+    """The manager's state with starts that only the journal or etcd records, on hosts that are unreachable
+    now or show that very start.
 
-    An edgectl that was killed before it saved its state may have started them; without them such a task would
-    be started a second time elsewhere.
+    An edgectl that was killed before it saved its state may have started them, here or on another machine;
+    without them such a task would be started a second time elsewhere.
     """
+    begun = {task: (start.host, start.generation) for task, start in load_pending_starts(fleet).items()}
+    for task, (host, generation) in read_journal_cached(fleet.state / JOURNAL_FILE_NAME).located.items():
+        if task not in begun or begun[task][1] < generation:
+            begun[task] = (host, generation)
     started = {
         task: Placement(host=host, since=_find_start(snapshot, host, task), generation=generation)
-        for task, (host, generation) in read_journal_cached(fleet.state / JOURNAL_FILE_NAME).located.items()
+        for task, (host, generation) in begun.items()
         if host not in snapshot.hosts or _may_have_started(snapshot.hosts[host], task, generation)
         if task not in manager.placements or manager.placements[task].generation < generation
     }

@@ -7,7 +7,7 @@ from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass, field
 from typing import Self
 
-from edgectl.errors import EdgectlError, LockBusyError, WatchedError
+from edgectl.errors import CoordinationError, EdgectlError, LockBusyError, WatchedError
 from edgectl.executor.dependencies import add_dependent_starts
 from edgectl.gateway.host_probe import ProbeOptions
 from edgectl.gateway.smoothing import smooth_snapshot
@@ -205,10 +205,11 @@ class _WatchLoop:
                 draft.put(results=self._apply(fleet, plan))
 
     @contextlib.contextmanager
-    def _hold(self, *, paused: bool) -> Iterator[tuple[Fleet, LockBusyError | None]]:
+    def _hold(self, *, paused: bool) -> Iterator[tuple[Fleet, EdgectlError | None]]:
         """The fleet to sample: held from its probe to the end of the actions where this watch applies plans.
 
-        With the error where another edgectl of this machine is changing the fleet; then it is only sampled.
+        With the error where another edgectl of this machine is changing the fleet, or where it cannot be had
+        in etcd; then it is only sampled.
         """
         if paused or not self._options.apply:
             yield self._fleet, None
@@ -225,9 +226,13 @@ class _WatchLoop:
             return
         with contextlib.ExitStack() as stack:
             stack.push(lock)
-            held = stack.enter_context(
-                hold_fleet(self._fleet, "watch", patience_s=0.0, watch=note, take_over=self._take_over)
-            )
+            try:
+                held = stack.enter_context(
+                    hold_fleet(self._fleet, "watch", patience_s=0.0, watch=note, take_over=self._take_over)
+                )
+            except (LockBusyError, CoordinationError) as error:
+                yield self._fleet, error
+                return
             yield held, None
 
     def _refresh(self) -> None:

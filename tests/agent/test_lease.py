@@ -180,3 +180,34 @@ def test_a_host_tells_which_hosts_other_managers_have_and_its_names_there(host: 
 
 def test_a_list_of_hosts_that_is_too_long_does_not_keep_a_manager_from_the_fleet(host: AgentHost) -> None:
     assert claim(host, name="e0", hosts=[f"edge{number}" for number in range(500)])["state"] == "granted"
+
+
+def test_of_managers_that_share_an_etcd_the_later_revision_wins_at_once_and_for_ever(host: AgentHost) -> None:
+    """Both are one holder; the first one is frozen, or on its way to this host for longer than its lease."""
+    assert claim(host, "shared", "a1", manager="ana", revision=5)["epoch"] == 1
+    assert claim(host, "shared", "b1", manager="ben", revision=9)["epoch"] == 2
+    with pytest.raises(RefusedError, match="has taken the fleet"):
+        start(host, signature(1, "shared", "a1"))
+    told = claim(host, "shared", "a2", manager="ana", revision=8)
+    assert (told["state"], told["who"], told["revision"]) == ("held", "shared@lab", 9)
+    # One without etcd is another holder to them, and they to it.
+    assert claim(host, "eva", "e1")["state"] == "held"
+    host.ask("lease", action="release", lease=signature(2, "shared", "b1"), end_watch=False)
+    assert claim(host, "eva", "e1")["epoch"] == 3
+    assert claim(host, "shared", "b2", manager="ben", revision=12)["state"] == "held"
+    host.ask("lease", action="release", lease=signature(3, "eva", "e1"), end_watch=False)
+    # What was seen before it is not forgotten, and epochs go on; an etcd that was set up anew begins at 1.
+    assert claim(host, "shared", "a3", manager="ana", revision=8)["revision"] == 9
+    assert claim(host, "shared", "b2", manager="ben", revision=12)["epoch"] == 4
+    host.ask("lease", action="release", lease=signature(4, "shared", "b2"), end_watch=False)
+    assert claim(host, "new", "c1", manager="ana", revision=1)["epoch"] == 5
+
+
+def test_two_watches_that_share_an_etcd_are_told_apart(host: AgentHost) -> None:
+    watch = {"every_s": 10.0, "digest": "abc"}
+    claim(host, "shared", "a1", manager="ana", revision=1, watch=watch)
+    assert claim(host, "shared", "b1", manager="ben", revision=2, watch=watch)["state"] == "watched"
+    assert claim(host, "shared", "a2", manager="ana", revision=3, watch=watch)["state"] == "granted"
+    signed = {**signature(2, "shared", "a2"), "manager": "ana"}
+    host.ask("lease", action="release", lease=signed, end_watch=True)
+    assert claim(host, "shared", "b1", manager="ben", revision=4, watch=watch)["state"] == "granted"

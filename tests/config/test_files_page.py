@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from edgectl.config import demand_readers, inventory_file, ros_settings, task_file, task_readers
+from edgectl.config import coordination, demand_readers, inventory_file, ros_settings, task_file, task_readers
 from edgectl.config import fields as config_fields
 from edgectl.config.load import load_inventory_and_tasks
 from edgectl.config.problems import ProblemCode
@@ -29,6 +29,7 @@ TABLES: Mapping[str, tuple[Mapping[str, object], ...]] = {
         inventory_file.EDGE_KEYS,
         {key: None for key in inventory_file.ROBOT_KEYS if key not in inventory_file.EDGE_KEYS},
     ),
+    "### Coordination": (coordination.COORDINATION_KEYS,),
     "### ROS of a host": (ros_settings.ROS_KEYS,),
     "### Limits of a host": (inventory_file.LIMITS_KEYS,),
     "### Capacity": (inventory_file.CAPACITY_KEYS,),

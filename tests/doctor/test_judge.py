@@ -10,6 +10,7 @@ from edgectl.doctor.ssh_command import format_ssh_command
 from edgectl.model.diagnosis import (
     NOT_A_DIRECTORY,
     Diagnosis,
+    EtcdEndpoint,
     Finding,
     HostFacts,
     ManagerFacts,
@@ -51,6 +52,18 @@ def test_all_is_well() -> None:
         "disk",
         "known_hosts",
     ]
+
+
+def test_each_endpoint_of_etcd_is_judged() -> None:
+    endpoints = (
+        EtcdEndpoint(address="a:2379", version="3.4.23"),
+        EtcdEndpoint(address="b:1", error="connection refused"),
+    )
+    diagnosis = diagnose_answer(FACTS, manager=replace(MANAGER, etcd=endpoints))
+    good, bad = (finding for finding in diagnosis.findings if finding.check == "etcd")
+    assert (good.level, good.message) == (OK, "a:2379 serves requests, version 3.4.23")
+    assert (bad.level, bad.message) == (FAILED, "b:1: connection refused")
+    assert "systemctl status etcd" in bad.remedy
 
 
 CASES: list[tuple[str, dict[str, Any], Severity, str, str]] = [

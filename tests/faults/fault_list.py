@@ -1,6 +1,7 @@
 """All faults, in the order of the table."""
 
 from tests.faults import (
+    faults_etcd,
     faults_failpoints,
     faults_host,
     faults_inventory,
@@ -21,6 +22,7 @@ MODULES = (
     faults_link,
     faults_manager,
     faults_two_managers,
+    faults_etcd,
     faults_ownership,
     faults_task,
     faults_noise,

@@ -68,6 +68,7 @@ class FaultFleet:
     bystanders: list[scan.Bystander] = field(default_factory=list)
     keys: dict[str, str] = field(default_factory=dict)
     overlap_allowed: set[str] = field(default_factory=set)
+    coordination: str = ""
     code: Path | None = None
     connection: str = "ssh"
     sample: bool = False
@@ -145,9 +146,15 @@ class FaultFleet:
     def state(self) -> Path:
         return self.directory / "state"
 
+    @property
+    def inventory_head(self) -> dict[str, object]:
+        """What an inventory of this fleet states besides its hosts."""
+        shared = {"coordination": self.coordination} if self.coordination else {}
+        return {"version": 1, "fleet": FLEET, **shared}
+
     def write_files(self) -> None:
         """Write the files of edgectl and ssh."""
-        inventory = {"version": 1, "fleet": FLEET, "edges": self.inventory}
+        inventory = {**self.inventory_head, "edges": self.inventory}
         (self.directory / "inventory.yaml").write_text(format_yaml(inventory))
         # The default of ``up`` would cost each start 3 s.
         tasks = {name: {"up": "300ms", **task} for name, task in self.tasks.items()}

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tests.faults.command_result import CommandResult
-from tests.faults.fleet import FLEET, FaultFleet, format_yaml
+from tests.faults.fleet import FaultFleet, format_yaml
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,8 +62,8 @@ class Manager:
     def _write_inventory(self) -> Path:
         fleet, path = self.fleet, self.fleet.directory / f"inventory-{self.name}.yaml"
         edges = {name: host for name, host in fleet.inventory.items() if name not in self.lacks}
-        name = self.name if self.own_fleet else FLEET
-        path.write_text(format_yaml({"version": 1, "fleet": name, "edges": edges}))
+        own = {"fleet": self.name} if self.own_fleet else {}
+        path.write_text(format_yaml({**fleet.inventory_head, **own, "edges": edges}))
         return path
 
     def run(self, *words: str) -> CommandResult:

@@ -115,8 +115,8 @@ CERTIFICATE = Certificate(
     moves_bound=1,
     utility_sum=1.5,
     utility_sum_bound=1.75,
-    relaxed=True,
     withheld=2,
+    timed_out=True,
 )
 UNEVEN = DemandSpread(task="t", resource=MEMORY, share=0.25, least=1.5, most=3.0, hosts=("a", "b"))
 RANKED = RankedHost(

@@ -6,7 +6,7 @@ from random import Random
 from edgectl.formats.codec import encode
 from edgectl.model.assignment import Assignment, Verdict
 from edgectl.model.policy import Policy
-from edgectl.scheduler.candidates import CandidateSet, evaluate_candidates, gather_candidates
+from edgectl.scheduler.candidates import CandidateSet, gather_candidates, weigh_candidates
 from edgectl.scheduler.choice import MoveConstraints, choose_by_utility
 from edgectl.scheduler.ledger import compute_demand_usage
 from edgectl.scheduler.peaks import LoadPeaks, stays_in_place
@@ -74,14 +74,7 @@ def test_a_task_that_stays_by_the_bounds_stays_by_the_rule() -> None:
         if not stays_in_place(view, LoadPeaks()):
             continue
         stayed += 1
-        weighed = evaluate_candidates(
-            view.context,
-            view.ledger,
-            view.task,
-            incumbent=view.incumbent,
-            predecessors=view.predecessors,
-            placed={},
-        )
+        weighed = weigh_candidates(view)
         choice = choose_by_utility(weighed, MoveConstraints())
         assert (choice.verdict, choice.place) == (Verdict.KEPT, view.incumbent)
         assert rank_hosts(weighed, choice.place)[0]

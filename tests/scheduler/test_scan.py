@@ -10,7 +10,13 @@ from edgectl.model.assignment import Reason
 from edgectl.model.manager_state import ManagerState, MeasuredDemand
 from edgectl.model.policy import Policy
 from edgectl.model.resource import Usage
-from edgectl.scheduler.candidates import AssignmentContext, CandidateSet, evaluate_candidates, terms_at
+from edgectl.scheduler.candidates import (
+    AssignmentContext,
+    CandidateSet,
+    gather_candidates,
+    terms_at,
+    weigh_candidates,
+)
 from edgectl.scheduler.capacities import build_capacities
 from edgectl.scheduler.demand import add_measured_demands
 from edgectl.scheduler.ledger import build_measured_ledger
@@ -45,7 +51,7 @@ def a_view(seed: int) -> CandidateSet:
     samples = {
         f"edge{n}": a_sample(
             cores=dice.choice([2.0, 4.0, 8.0]), used=dice.uniform(0, 5), used_memory=dice.uniform(0, 5) * GI, age=dice.choice([0.0, 0.0, 99.0]),
-            links={robot: a_link(dice.choice([0.0, 8e6, 9e6]), dice.uniform(0, 9e6)) for robot in dice.sample(robots, dice.randint(1, 2))},
+            links={robot: replace(a_link(dice.choice([0.0, 8e6, 9e6]), dice.uniform(0, 9e6)), nominal=dice.choice([None, 10e6])) for robot in dice.sample(robots, dice.randint(1, 2))},
         ) if dice.random() < 0.9 else silent()
         for n in range(30)
     }  # fmt: skip
@@ -80,9 +86,10 @@ def a_view(seed: int) -> CandidateSet:
         handoffs=collect_handoff_history(ManagerState()),
     )
     places = {"a": dice.randrange(30), "b": dice.randrange(30)}
-    return evaluate_candidates(
+    found = gather_candidates(
         setting, build_measured_ledger(fleet), task, incumbent=None, predecessors=places, placed={}
     )
+    return weigh_candidates(found)
 
 
 @pytest.mark.parametrize("seed", range(40))

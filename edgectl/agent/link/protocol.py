@@ -36,7 +36,7 @@ CHANGING_OPS = (OP_START, OP_STOP, OP_MARK, OP_CHECK, OP_TAKE_OVER)
 SIGNATURE_KEYS = ("holder", "session", "epoch")
 # Name of the record of the lease in the directory of the fleet.
 LEASE_FILE = "lease"
-CLAIM_KEYS = ("holder", "session", "who", "verb", "ttl_s", "watch", "take_over")
+CLAIM_KEYS = ("holder", "session", "manager", "revision", "who", "verb", "ttl_s", "watch", "take_over")
 
 # Keys of a request besides ``op``, ``fleet`` and ``host``; OP_PROFILER_RUN and OP_SUPERVISE are requests of
 # the agent to itself.

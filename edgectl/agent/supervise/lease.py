@@ -56,7 +56,7 @@ def _answer_claim(base: str, claim: Document, *, write: bool = False) -> "tuple[
     granted = lease_rules.build_grant(record, claim, now, boot)
     new = granted["epoch"] != record.get("epoch")
     if write or not new:
-        durable = granted["holder"] != record.get("holder")
+        durable = any(granted[key] != record.get(key) for key in ("holder", "manager"))
         records.write_record(os.path.join(base, _RECORD), granted, durable=durable)
         if claim.get("watch"):
             records.write_record(os.path.join(base, _NOTE), lease_rules.build_note(claim, now, boot))
@@ -162,7 +162,7 @@ def _release_lease(base: str, request: Document) -> None:
     record, signature, note = _read_newest(_RECORD), request["lease"], _read_newest(_NOTE)
     if all(record.get(key) == signature.get(key) for key in ("holder", "session", "epoch")):
         records.write_record(os.path.join(base, _RECORD), dict(record, until=0.0))
-    if request.get("end_watch") and note.get("holder") == signature["holder"]:
+    if request.get("end_watch") and note.get("holder") == lease_rules.get_manager(signature):
         records.write_record(os.path.join(base, _NOTE), {})
 
 

@@ -1,7 +1,8 @@
 """Rules of the lease of a fleet on one host, on documents and seconds of this host alone. Pure.
 
 Record: ``holder`` (a manager), ``session`` (one hold of it), ``epoch`` (counts the sessions, for ever),
-``other_epoch`` (the last one of a manager other than the holder),
+``other_epoch`` (the last one of a manager other than the holder), ``manager`` (the machine of the holder:
+managers that share one etcd are one holder), ``term`` (a holder and the last revision of its etcd),
 ``who`` and ``verb`` for messages, ``since`` and ``until`` (uptime, s), ``ttl_s`` and ``boot_id``. Note: the
 watch of the fleet, with ``every_s`` and ``digest`` of its files, last seen ``at`` an uptime.
 Listing: the ``hosts`` in the inventory of one ``holder``, and the ``names`` that this machine has there.
@@ -46,13 +47,14 @@ def find_refusal(
     record: Document, note: Document, claim: Document, now: float, boot: str
 ) -> "Document | None":
     """The reply to a claim that is declined; None where it is granted."""
-    other = is_fresh(note, now, boot) and note.get("holder") != claim["holder"]
+    other = is_fresh(note, now, boot) and note.get("holder") != get_manager(claim)
     if claim.get("watch") and other and not claim.get("take_over"):
         return dict(describe_watch(note, now, boot), state="watched")
     left = compute_left_s(record, now, boot)
-    if left > 0.0 and record.get("holder") != claim["holder"]:
+    later = find_revision(record, claim["holder"])
+    if left > 0.0 and record.get("holder") != claim["holder"] or int(claim.get("revision", 0)) < later:
         live = record.get("boot_id") == boot
-        age = now - float(record["since"]) if live else now
+        age = now - float(record.get("since", 0.0)) if live else now
         return {
             "state": "held",
             "who": record.get("who", ""),
@@ -60,6 +62,7 @@ def find_refusal(
             "age_s": round(age, 3),
             "left_s": round(left, 3),
             "every_s": describe_watch(note, now, boot).get("every_s", 0.0),
+            "revision": later,
         }
     return None
 
@@ -83,6 +86,8 @@ def build_grant(record: Document, claim: Document, now: float, boot: str) -> Doc
     return {
         "holder": _truncate_text(claim["holder"]),
         "session": _truncate_text(claim["session"]),
+        "manager": _truncate_text(get_manager(claim)),
+        "term": _build_term(record, claim),
         "epoch": int(record.get("epoch", 0)) + (0 if again else 1),
         "other_epoch": find_other_epoch(record, claim["holder"]),
         "who": _truncate_text(claim.get("who", "")),
@@ -92,6 +97,26 @@ def build_grant(record: Document, claim: Document, now: float, boot: str) -> Doc
         "ttl_s": ttl,
         "boot_id": boot,
     }
+
+
+def get_manager(document: Document) -> object:
+    """The machine that claims or signs; without etcd it is the holder itself."""
+    return document.get("manager", document["holder"])
+
+
+def find_revision(record: Document, holder: object) -> int:
+    """The last revision of its etcd with which ``holder`` was granted the fleet; 0 without one.
+
+    It stays while others hold the fleet in between.
+    """
+    term = record.get("term") or ["", 0]
+    return int(term[1]) if term[0] == holder else 0
+
+
+def _build_term(record: Document, claim: Document) -> "list[object]":
+    if claim.get("revision"):
+        return [_truncate_text(claim["holder"]), int(claim["revision"])]
+    return record.get("term") or ["", 0]
 
 
 def build_listing(listing: Document, claim: Document) -> Document:
@@ -118,7 +143,7 @@ def build_note(claim: Document, now: float, boot: str) -> Document:
     """The note of the watch that claims the fleet."""
     watch = claim["watch"]
     return {
-        "holder": _truncate_text(claim["holder"]),
+        "holder": _truncate_text(get_manager(claim)),
         "who": _truncate_text(claim.get("who", "")),
         "every_s": min(86400.0, max(0.0, float(watch["every_s"]))),
         "digest": _truncate_text(watch.get("digest", "")),

@@ -1,0 +1,93 @@
+"""The best plan: solved with all rules, settled as every plan, and taken if it is better (ADR 71, ADR 82).
+Pure: the solver is given.
+"""
+
+from collections.abc import Collection, Mapping
+from dataclasses import replace
+
+from edgectl.model.assignment import Certificate, Decision, Reason, Verdict
+from edgectl.scheduler.choice import Choice
+from edgectl.scheduler.decided_plan import DecidedPlan, choose_places, list_wanted
+from edgectl.scheduler.integer_program import Solver
+from edgectl.scheduler.optimum import certify, find_optimum, value_plan
+from edgectl.scheduler.settle import (
+    GroupedPlan,
+    SettledPlan,
+    build_decided_plan,
+    find_incomplete_groups,
+    take_better,
+    withhold_tasks,
+)
+from edgectl.scheduler.single_pass import PlacementPass
+
+
+def find_best_plan(
+    whole: PlacementPass, known: GroupedPlan, solve: Solver
+) -> tuple[SettledPlan, Certificate]:
+    """The better one of the ``known`` plan and of what the solver finds, and its certificate.
+
+    ``whole``: the pass that withholds no group, so the solver may place those that ``known`` leaves out.
+    """
+    origin = _return_withheld_tasks(whole, known)
+    before = build_decided_plan(known.how, known.found)
+    wanted = {task.name for task in list_wanted(origin)}
+    left_out = _list_hopeless_members(origin, wanted)
+    optimum = find_optimum(origin, before, solve, left_out)
+    how = withhold_tasks(whole, _withhold_unplaced_groups(whole, known, optimum.places))
+    best = take_better(how, origin, known.found, choose_places(before, optimum.places))
+    if best is not known.found and find_incomplete_groups(how, best):
+        best = known.found
+    value = value_plan(build_decided_plan(how, best), origin)
+    return best, certify(value, len(origin.placed.keys() | wanted - left_out), optimum, len(left_out))
+
+
+def _return_withheld_tasks(whole: PlacementPass, known: GroupedPlan) -> DecidedPlan:
+    """The plain plan, with the tasks of incomplete groups as tasks that lack room."""
+    origin = build_decided_plan(known.how, known.plain)
+    fixed = known.how.initial.fixed
+    withheld = {name: _describe_lack(fixed[name]) for name in fixed.keys() - whole.initial.fixed.keys()}
+    return replace(origin, context=whole.context, choices={**origin.choices, **withheld})
+
+
+def _describe_lack(decision: Decision) -> Choice:
+    reason = Reason.NO_FEASIBLE_HOST if decision.reason is Reason.GROUP else decision.reason
+    return Choice(verdict=Verdict.UNPLACED, reason=reason, subject=decision.subject)
+
+
+def _list_hopeless_members(origin: DecidedPlan, wanted: Collection[str]) -> set[str]:
+    """Tasks that cannot start because another one of their group has no place for more than want of room."""
+    found: set[str] = set()
+    for members in origin.context.placement_rules.groups.values():
+        if any(_is_out_of_reach(origin, name, wanted) for name in members):
+            found.update(name for name in members if name in wanted and name not in origin.initial.running)
+    return found
+
+
+def _is_out_of_reach(origin: DecidedPlan, name: str, wanted: Collection[str]) -> bool:
+    """Whether a task counts as missing in its group, whatever the room."""
+    if name in origin.placed or name in wanted:
+        return False
+    known = origin.choices.get(name) or origin.initial.fixed[name]
+    return known.verdict is Verdict.UNPLACED and known.reason is not Reason.PREDECESSOR_INCOMPLETE
+
+
+def _withhold_unplaced_groups(
+    whole: PlacementPass, known: GroupedPlan, places: Mapping[str, int]
+) -> dict[str, Decision]:
+    """The decisions that withhold the groups of which ``places`` starts no task."""
+    told = {decision.task: decision for decision in known.found.outcome.decisions}
+    withheld: dict[str, Decision] = {}
+    for members in whole.context.placement_rules.groups.values():
+        new = [
+            name for name in members if name not in whole.initial.fixed and name not in whole.initial.running
+        ]
+        if len(new) < 2 or any(name in places for name in new):
+            continue
+        for name in new:
+            other = new[1] if name == new[0] else new[0]
+            withheld[name] = (
+                told[name]
+                if told[name].verdict is Verdict.UNPLACED
+                else Decision(task=name, verdict=Verdict.UNPLACED, reason=Reason.GROUP, subject=other)
+            )
+    return withheld
