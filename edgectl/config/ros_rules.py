@@ -3,7 +3,7 @@ should meet, one node name twice, questions to a graph that no host has.
 """
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 
 from edgectl.config.problems import ProblemCode, Problems
 from edgectl.config.task_file import TaskDraft
@@ -22,16 +22,49 @@ def check_ros(
     """Note what is wrong, at the name of the task that it concerns."""
     if not any(host.ros for host in inventory.hosts.values()) and not any(map(_list_checks, tasks.values())):
         return
+    places = _Places(inventory)
     for name, task in tasks.items():
-        hosts = _list_hosts(task, inventory)
-        _check_meeting(task, hosts, inventory, drafts[name], problems)
-        _check_questions(task, hosts, inventory, drafts[name], problems)
-    _check_node_names(tasks, drafts, inventory, problems)
+        _check_meeting(task, places, drafts[name], problems)
+        _check_questions(task, places, drafts[name], problems)
+    _check_node_names(tasks, drafts, places, problems)
 
 
-def _list_hosts(task: Task, inventory: Inventory) -> list[Host]:
-    """The edges that may run the task."""
-    return [host for host in inventory.edges if task.managed and task.hosts.allow(host.name, host.labels)]
+class _Places:
+    """The edges that may run a task, and what they state: looked up once for equal rules of tasks."""
+
+    def __init__(self, inventory: Inventory) -> None:
+        self.hosts = inventory.hosts
+        self._edges = inventory.edges
+        self._allowed: dict[object, list[Host]] = {}
+        self._values: dict[object, dict[str, str]] = {}
+
+    def list_hosts(self, task: Task) -> list[Host]:
+        """The edges that may run the task."""
+        key = self._build_key(task)
+        if key not in self._allowed:
+            self._allowed[key] = [
+                host for host in self._edges if task.managed and task.hosts.allow(host.name, host.labels)
+            ]
+        return self._allowed[key]
+
+    def list_values(self, variable: str, task: Task) -> dict[str, str]:
+        """Each value of a variable on the hosts of the task, with the first host that states it."""
+        if variable in task.env:
+            return {str(task.env[variable]): host.name for host in self.list_hosts(task)[:1]}
+        key = (variable, self._build_key(task))
+        if key not in self._values:
+            found: dict[str, str] = {}
+            for host in self.list_hosts(task):
+                value = _get_variable(variable, None, host)
+                if value is not None:
+                    found.setdefault(value, host.name)
+            self._values[key] = found
+        return self._values[key]
+
+    @staticmethod
+    def _build_key(task: Task) -> object:
+        rules = task.hosts
+        return task.managed, rules.only, rules.never, rules.pin, tuple(sorted(rules.labels.items()))
 
 
 def _get_variable(name: str, task: Task | None, host: Host) -> str | None:
@@ -41,24 +74,21 @@ def _get_variable(name: str, task: Task | None, host: Host) -> str | None:
     return None if value is None else str(value)
 
 
-def _check_meeting(
-    task: Task, hosts: Iterable[Host], inventory: Inventory, draft: TaskDraft, problems: Problems
-) -> None:
-    robots = [inventory.hosts[name] for name in task.robots]
+def _check_meeting(task: Task, places: _Places, draft: TaskDraft, problems: Problems) -> None:
+    robots = [places.hosts[name] for name in task.robots]
     for variable in _MEETING_VARIABLES:
-        seen = {host.name: _get_variable(variable, task, host) for host in hosts}
-        seen |= {
-            robot.name: _get_variable(variable, None, robot) for robot in robots if robot.ros is not None
-        }
-        stated = {name: value for name, value in seen.items() if value is not None}
-        if len(set(stated.values())) < 2:
+        found = dict(places.list_values(variable, task))
+        for robot in robots:
+            value = _get_variable(variable, None, robot) if robot.ros is not None else None
+            if value is not None:
+                found.setdefault(value, robot.name)
+        if len(found) < 2:
             continue
-        first = next(iter(stated))
-        other = next(name for name, value in stated.items() if value != stated[first])
+        (value, first), (other, second) = list(found.items())[:2]
         problems.add(
             draft.template.named_at,
             ProblemCode.ROS,
-            f"{variable} of {draft.name} is {stated[first]} on {first} and {stated[other]} on {other}: "
+            f"{variable} of {draft.name} is {value} on {first} and {other} on {second}: "
             "their nodes never meet",
             "state the same ros: for both in the inventory, or the variable in the env of the task",
             warning=True,
@@ -72,11 +102,10 @@ def _list_checks(task: Task) -> list[Check]:
     return [check for check in found if check is not None and check.ros is not None]
 
 
-def _check_questions(
-    task: Task, hosts: list[Host], inventory: Inventory, draft: TaskDraft, problems: Problems
-) -> None:
+def _check_questions(task: Task, places: _Places, draft: TaskDraft, problems: Problems) -> None:
     for check in _list_checks(task):
-        asked = [inventory.hosts[name] for name in task.robots] if check.on is CheckLocation.ROBOT else hosts
+        on_robot = check.on is CheckLocation.ROBOT
+        asked = [places.hosts[name] for name in task.robots] if on_robot else places.list_hosts(task)
         for host in asked:
             fault = _find_question_fault(check, task, host)
             if fault:
@@ -114,17 +143,14 @@ def _list_node_names(task: Task) -> Iterator[str]:
 
 
 def _check_node_names(
-    tasks: Mapping[str, Task], drafts: Mapping[str, TaskDraft], inventory: Inventory, problems: Problems
+    tasks: Mapping[str, Task], drafts: Mapping[str, TaskDraft], places: _Places, problems: Problems
 ) -> None:
     """Note each node name that two tasks of one graph have."""
     owners: dict[tuple[str, ...], str] = {}
     for name, task in tasks.items():
         if not task.managed:
             continue
-        hosts = _list_hosts(task, inventory) or list(inventory.edges)
-        graph = tuple(
-            (_get_variable(each, task, hosts[0]) or "") if hosts else "" for each in _MEETING_VARIABLES
-        )
+        graph = tuple(next(iter(places.list_values(each, task)), "") for each in _MEETING_VARIABLES)
         for node in dict.fromkeys(_list_node_names(task)):
             other = owners.setdefault((node, *graph), name)
             if other != name:

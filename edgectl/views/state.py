@@ -59,6 +59,16 @@ def find_failed_tasks(tasks: Tasks, value: Snapshot) -> dict[str, tuple[str, Tas
     return failed
 
 
+def list_unhealthy_tasks(value: Snapshot) -> list[str]:
+    """The tasks that run and are not alive, each with its host."""
+    return [
+        f"{name} on {host}"
+        for host, each in value.hosts.items()
+        for name, sample in each.tasks.items()
+        if sample.state is TaskState.UNHEALTHY
+    ]
+
+
 def list_failed_needs(task: Task | None, failed: Collection[str]) -> list[str]:
     """The tasks that ``task`` needs and that have failed."""
     return [need.task for need in task.needs if need.task in failed] if task is not None else []

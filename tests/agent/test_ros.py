@@ -19,6 +19,7 @@ import pytest
 
 from edgectl.agent.link.errors import RefusalError
 from edgectl.agent.ros import local
+from edgectl.agent.supervise.alive import AliveCheck
 from tests import ros1_peer
 from tests.agent.conftest import AgentHost, eventually, is_running
 from tests.ros1_peer import Master
@@ -196,3 +197,12 @@ def test_the_address_towards_a_robot_is_not_the_loopback_one() -> None:
     assert local.find_own_address(["127.0.0.1"]) == "127.0.0.1"
     outside = local.find_address_towards("192.0.2.1")
     assert local.find_own_address(["192.0.2.7", "127.0.0.1"]) == (outside or "127.0.0.1")
+
+
+def test_a_node_that_is_started_again_and_again_is_not_alive() -> None:
+    """A launcher that respawns it hides that somebody else throws it out each time."""
+    check = AliveCheck({"alive": {"command": "", "graph": a_question(node="/slam"), "after_s": 10.0}}, {})
+    answers = [{"exit": 0, "timed_out": False, "output": str(pid)} for pid in (1, 1, 2, 3, 3, 4)]
+    judged = [check._judge(answer) for answer in answers]
+    assert judged[:5] == [""] * 5
+    assert judged[5] == "node /slam was started 3 times within 60 s: is its name used twice?"

@@ -152,15 +152,15 @@ def test_answers_of_the_graph_are_true_and_cheap(bench: Bench, master: str) -> N
     bench = bench.using(a_core(master), replace(a_talker(), restart=RestartPolicy.NEVER))
     bench.apply()
     env, asked = {"ROS_MASTER_URI": master}, {"node": "/talker", "service": "/talker/get_loggers"}
-    seconds = []
+    seconds, pid = [], str(bench.sample("talker").pid)
     for _ in range(9):
         began = time.monotonic()
-        assert graph1.find_fault(asked, env, began + 10.0, []) == ""
+        assert graph1.find_fault(asked, env, began + 10.0, []) == ("", pid)
         seconds.append(time.monotonic() - began)
     print(f"median of an answer: {sorted(seconds)[4] * 1e3:.1f} ms")
     assert sorted(seconds)[4] < patience(0.1)
     os.kill(bench.sample("talker").pid, signal.SIGKILL)
-    fault = graph1.find_fault({"node": "/talker"}, env, time.monotonic() + 10.0, [])
+    fault, _ = graph1.find_fault({"node": "/talker"}, env, time.monotonic() + 10.0, [])
     assert fault.startswith("node /talker is registered at http://")
     assert "does not answer" in fault
 
@@ -183,3 +183,24 @@ def test_a_node_name_that_is_used_twice_is_said(bench: Bench, master: str) -> No
         detail
         == f"node /talker is process {thief.pid} of this host, and not of this task: its name is used twice"
     )
+
+
+def test_respawn_on_both_sides_is_said(bench: Bench, master: str) -> None:
+    """Two launchers start a node of one name again and again, and each start throws the other out: both live,
+    and neither is any good.
+    """
+    again = f"while :; do /usr/bin/python3 {COUNTING} talk talker; done"
+    respawns = replace(
+        a_talker(), command=again, alive=AliveRule(check=Check(ros=RosCheck(node="/talker")), after=20.0)
+    )
+    bench = bench.using(a_core(master), respawns)
+    bench.apply()
+    env = {**os.environ, "ROS_MASTER_URI": master, "ROS_IP": "127.0.0.1"}
+    with subprocess.Popen(["bash", "-c", again], env=env, start_new_session=True) as rival:
+        try:
+            wait_until(lambda: bench.sample("talker").state is TaskState.UNHEALTHY, 90.0)
+            detail = bench.sample("talker").detail
+        finally:
+            os.killpg(rival.pid, signal.SIGKILL)
+    assert "name" in detail
+    assert "used twice" in detail

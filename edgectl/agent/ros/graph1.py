@@ -23,24 +23,26 @@ _MAX_HEADER_BYTES = 1 << 16
 _LISTEN = "0A"
 
 
-def find_fault(asked: Document, env: "Mapping[str, str]", deadline: float, _setup: "list[str]") -> str:
-    """Find the first condition of ``asked`` that does not hold, as text; empty where all do.
+def find_fault(
+    asked: Document, env: "Mapping[str, str]", deadline: float, _setup: "list[str]"
+) -> "tuple[str, str]":
+    """Find (the first condition of ``asked`` that does not hold, the process of the node).
 
-    ``env`` is that of the task: its master, and the mark of its processes.
+    The fault is empty where all hold. ``env`` is that of the task: its master, and the mark of its processes.
     """
-    master = env.get("ROS_MASTER_URI") or ""
+    master, process = env.get("ROS_MASTER_URI") or "", ""
     if not master:
-        return "no ROS_MASTER_URI: state ros: {master: ..} in the inventory"
+        return "no ROS_MASTER_URI: state ros: {master: ..} in the inventory", ""
     try:
         if asked.get("node"):
-            _check_node(asked["node"], master, env, deadline)
+            process = str(_check_node(asked["node"], master, env, deadline))
         if asked.get("topic"):
             _check_topic(asked["topic"]["name"], float(asked["topic"]["within_s"]), master, deadline)
         if asked.get("service"):
             _check_service(asked["service"], master, deadline)
     except CallError as error:
-        return str(error)
-    return ""
+        return str(error), process
+    return "", process
 
 
 def _ask_master(master: str, method: str, params: "list[str]", deadline: float) -> "object":
@@ -51,7 +53,8 @@ def _ask_master(master: str, method: str, params: "list[str]", deadline: float) 
         raise CallError("master %s: %s" % (master, error)) from error
 
 
-def _check_node(node: str, master: str, env: "Mapping[str, str]", deadline: float) -> None:
+def _check_node(node: str, master: str, env: "Mapping[str, str]", deadline: float) -> "object":
+    """Check that the node lives, and is one of the task; returns its process id."""
     try:
         uri = str(_ask_master(master, "lookupNode", [node], deadline))
     except CallError as error:
@@ -65,6 +68,7 @@ def _check_node(node: str, master: str, env: "Mapping[str, str]", deadline: floa
     mark = env.get("EDGECTL_TASK_DIR")
     if mark and isinstance(pid, int):
         _check_owner(node, uri, pid, mark)
+    return pid
 
 
 def _check_owner(node: str, uri: str, pid: int, mark: str) -> None:

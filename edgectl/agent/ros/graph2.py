@@ -51,8 +51,12 @@ def build_helper_name(env: "Mapping[str, str]", setup: "list[str]") -> str:
     return "edgectl-ros2-%d-%s" % (os.geteuid(), boot.compute_sha256("\0".join(parts).encode())[:16])
 
 
-def find_fault(asked: Document, env: "Mapping[str, str]", deadline: float, setup: "list[str]") -> str:
-    """Find the first condition of ``asked`` that does not hold, as text; empty where all do.
+def find_fault(
+    asked: Document, env: "Mapping[str, str]", deadline: float, setup: "list[str]"
+) -> "tuple[str, str]":
+    """Find (the first condition of ``asked`` that does not hold, nothing): the process is not known.
+
+    The fault is empty where all hold.
 
     Raises:
         NoHelperError: there is no helper, or none that answers.
@@ -73,7 +77,7 @@ def find_fault(asked: Document, env: "Mapping[str, str]", deadline: float, setup
         made.close()
     if not answer.startswith(b"="):
         raise NoHelperError("the helper for ROS 2 ended")
-    return answer[1:].decode("utf-8", "replace")
+    return answer[1:].decode("utf-8", "replace"), ""
 
 
 def _connect(name: str, deadline: float) -> "socket.socket":

@@ -134,8 +134,10 @@ def is_loopback(address: str) -> bool:
 
 def is_own_address(address: str) -> bool:
     """Whether ``address`` is one of this host: a socket can be bound to it."""
-    family = socket.AF_INET6 if ":" in address else socket.AF_INET
-    probe = socket.socket(family, socket.SOCK_DGRAM)
+    try:
+        probe = socket.socket(socket.AF_INET6 if ":" in address else socket.AF_INET, socket.SOCK_DGRAM)
+    except OSError:
+        return False
     try:
         probe.bind((address, 0))
     except OSError:

@@ -14,7 +14,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Callable, Mapping, NoReturn
 
-    FindFault = Callable[[Document, Mapping[str, str], float, list[str]], str]
+    FindFault = Callable[[Document, Mapping[str, str], float, list[str]], tuple[str, str]]
 
 _KEPT_BYTES = 2048
 # Beyond the time in which a message must come.
@@ -72,18 +72,18 @@ class GraphQuestion:
             time.sleep(0.005)
 
 
-def _answer(find_fault: "Callable[[], str]", end: int) -> "NoReturn":
-    """In the child: exit with 0 where all holds, with 1 and the reason where it does not, and with
-    ``UNKNOWN_EXIT`` where nothing could be learnt.
+def _answer(find_fault: "Callable[[], tuple[str, str]]", end: int) -> "NoReturn":
+    """In the child: exit with 0 and the process of the node where all holds, with 1 and the reason where it
+    does not, and with ``UNKNOWN_EXIT`` where nothing could be learnt.
     """
     code = 1
     try:
         signal.set_wakeup_fd(-1)
         spawn.reset_signals()
         spawn.close_other_fds({0, 1, 2, end})
-        fault = find_fault()
+        fault, process = find_fault()
         code = 1 if fault else 0
-        os.write(end, fault.encode("utf-8", "replace")[:_KEPT_BYTES])
+        os.write(end, (fault or process).encode("utf-8", "replace")[:_KEPT_BYTES])
     except Exception as error:  # noqa: BLE001 - the pipe is the only channel
         code = protocol.UNKNOWN_EXIT
         os.write(end, _describe_error(error).encode("utf-8", "replace")[:_KEPT_BYTES])

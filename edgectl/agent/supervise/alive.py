@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 _PAUSE_S, _MAX_TRY_S = 3.0, 10.0
 # Nothing tells the end of a question; so often it is looked for.
 _POLL_S = 0.5
+# Starts of the node within so long, under one command, that are no accident.
+_MOST_CHANGES, _UNREST_S = 3, 60
 
 
 class AliveCheck:
@@ -25,6 +27,8 @@ class AliveCheck:
         self._running: "spec_check.RunningCheck | None" = None
         self._next: "float | None" = None
         self._since: "float | None" = None
+        self._process = ""
+        self._changes: "list[float]" = []
 
     def begin(self) -> None:
         """Ask from now on; without effect where it is asked already."""
@@ -50,7 +54,7 @@ class AliveCheck:
     def _judge(self, result: Document) -> "str | None":
         if result["exit"] == 0:
             self._since = None
-            return ""
+            return self._find_unrest(str(result["output"])) if self._rule.get("graph") else ""
         if self._rule.get("graph") and result["exit"] == protocol.UNKNOWN_EXIT:
             # Nobody could be asked: that says nothing of the task.
             return None
@@ -60,6 +64,21 @@ class AliveCheck:
             spec_check.describe_fault(self._rule, result)
             if now - self._since >= self._get_after_s()
             else None
+        )
+
+    def _find_unrest(self, process: str) -> str:
+        """Find whether the node is started again and again, which a launcher that respawns it hides."""
+        now = time.monotonic()
+        if self._process and process != self._process:
+            self._changes.append(now)
+        self._process = process
+        self._changes = [each for each in self._changes if now - each < _UNREST_S]
+        if len(self._changes) < _MOST_CHANGES:
+            return ""
+        return "node %s was started %d times within %d s: is its name used twice?" % (
+            self._rule["graph"]["node"],
+            len(self._changes),
+            _UNREST_S,
         )
 
     def _get_after_s(self) -> float:
@@ -78,6 +97,7 @@ class AliveCheck:
     def cancel(self) -> None:
         """Give up a running question and ask no other until `begin`."""
         self._next = self._since = None
+        self._process, self._changes = "", []
         if self._running is not None:
             self._running.end()
             self._running = None

@@ -28,6 +28,7 @@ class ReadyCheck:
     def begin(self) -> None:
         """Check from now on, anew for each start of the command."""
         self._next, self._pause_s = time.monotonic() if self._spec.get("ready") else None, _FIRST_PAUSE_S
+        self.fault = ""
 
     def poll(self) -> bool:
         """Whether the check has just succeeded. Starts it where it is due."""
@@ -62,7 +63,7 @@ class ReadyCheck:
 
     def cancel(self) -> None:
         """Kill a running check and start no other."""
-        self._next = None
+        self._next, self.fault = None, ""
         if self._running is not None:
             self._running.end()
             self._running = None
