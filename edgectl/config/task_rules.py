@@ -14,6 +14,7 @@ from edgectl.model.task import (
     CheckLocation,
     Demand,
     OnboardRule,
+    OnUnhealthy,
     RestartPolicy,
     TaskKind,
     UnreachablePolicy,
@@ -63,6 +64,12 @@ def _check_managed(template: TaskTemplate, problems: Problems) -> None:
         problems.add(
             fields.node.key_mark("restart"), ProblemCode.CONTRADICTION, message, "write restart: on-failure"
         )
+    _check_on_unhealthy(fields, problems)
+    _check_self_fence(fields, problems)
+    _check_foreground(fields, problems)
+
+
+def _check_on_unhealthy(fields: Fields, problems: Problems) -> None:
     if "on_unhealthy" in fields and "alive" not in fields:
         message = "on_unhealthy without alive: nothing asks whether the task is alive"
         problems.add(
@@ -71,8 +78,14 @@ def _check_managed(template: TaskTemplate, problems: Problems) -> None:
             message,
             "add alive: {ros_node: /NAME}",
         )
-    _check_self_fence(fields, problems)
-    _check_foreground(fields, problems)
+    never = fields.values.get("restart") is RestartPolicy.NEVER
+    if fields.values.get("on_unhealthy") is OnUnhealthy.RESTART and never:
+        problems.add(
+            fields.node.key_mark("on_unhealthy"),
+            ProblemCode.CONTRADICTION,
+            "on_unhealthy: restart and restart: never do not go together",
+            "write on_unhealthy: report, or restart: on-failure",
+        )
 
 
 def _check_foreground(fields: Fields, problems: Problems) -> None:

@@ -153,7 +153,20 @@ def _diagnose_ros_host(host: Host, ros: RosSettings, facts: HostFacts) -> list[F
         )
         for package in seen.missing_packages
     ]
-    return [*found, *(_diagnose_dds(host, ros, facts) if ros.version == 2 else ())]
+    return [*found, *(_diagnose_dds if ros.version == 2 else _diagnose_addresses)(host, ros, facts)]
+
+
+def _diagnose_addresses(host: Host, _ros: RosSettings, facts: HostFacts) -> list[Finding]:
+    """A node of ROS 1 announces one address; robots on two networks need two."""
+    ways: dict[str, str] = {}
+    for robot, address in facts.ros.addresses.items():
+        ways.setdefault(address, robot)
+    if len(ways) < 2:
+        return []
+    shown = ", ".join(f"{address} to {robot}" for address, robot in ways.items())
+    message = f"has several addresses on its ways to the robots ({shown}), and a node of ROS 1 announces one"
+    remedy = "give each task one robot, or state ROS_IP in its env; else join the robots to one network"
+    return [_build_failure(host, message, remedy, Severity.WARNING)]
 
 
 def _build_failure(host: Host, message: str, remedy: str, level: Severity = Severity.FAILED) -> Finding:

@@ -108,6 +108,11 @@ def test_questions_to_the_graph(tmp_path: Path) -> None:
         ("ready", "{ros_node: 'a b'}", "'a b' is no name in the ROS graph"),
         ("alive", "{ros_node: /n, on: robot}", "unknown key on in alive"),
         ("on_unhealthy", "restart", "on_unhealthy without alive: nothing asks whether the task is alive"),
+        (
+            "restart",
+            "never\n    alive: x\n    on_unhealthy: restart",
+            "on_unhealthy: restart and restart: never do not go together",
+        ),
         ("handoff", "{hold: {ros_node: /n}}", "unknown key ros_node in a hook"),
     ],
 )

@@ -346,7 +346,9 @@ DDS_READY = RosFacts(interfaces=("wlan0",), receive_bytes=8.0 * 2**20, fragment_
     ("ros", "seen", "expected"),
     [
         (ROS2, DDS_READY, []),
-        (RosSettings(version=1), RosFacts(interfaces=("eth0", "wlan0")), []),
+        (RosSettings(version=1), RosFacts(interfaces=("eth0", "wlan0"), addresses={"r1": "10.0.0.1", "r2": "10.0.0.1"}), []),
+        (RosSettings(version=1), RosFacts(addresses={"r1": "10.0.0.1", "r2": "10.9.0.1"}),
+         [(WARNING, "has several addresses on its ways to the robots (10.0.0.1 to r1, 10.9.0.1 to r2)")]),
         (ROS2, replace(DDS_READY, missing_files=("/opt/ros/setup.bash",)), [(FAILED, "set-up file /opt/ros/setup.bash cannot be read")]),
         (ROS2, replace(DDS_READY, missing_packages=("slam",)), [(FAILED, "package slam, which a task runs, is not found")]),
         (ROS2, replace(DDS_READY, interfaces=("eth0", "wlan0")), [(WARNING, "DDS announces 2 interfaces: eth0, wlan0")]),

@@ -30,7 +30,7 @@ def find_fault(
 
     The fault is empty where all hold. ``env`` is that of the task: its master, and the mark of its processes.
     """
-    master, process = env.get("ROS_MASTER_URI") or "", ""
+    master, process = env.get("ROS_MASTER_URI") or os.environ.get("ROS_MASTER_URI", ""), ""
     if not master:
         return "no ROS_MASTER_URI: state ros: {master: ..} in the inventory", ""
     try:

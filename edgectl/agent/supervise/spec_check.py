@@ -12,6 +12,10 @@ if TYPE_CHECKING:
     RunningCheck = Union[shell.ShellCommand, GraphQuestion]
 
 
+# It has room in the record of a status.
+_MAX_FAULT = 300
+
+
 def start_check(check: Document, spec: Document, env: "Mapping[str, str]", most_s: float) -> "RunningCheck":
     """Start a check, for at most ``most_s`` and its own timeout."""
     limit = min(most_s, float(check.get("timeout_s") or most_s))
@@ -24,7 +28,7 @@ def start_check(check: Document, spec: Document, env: "Mapping[str, str]", most_
 def describe_fault(check: Document, result: Document) -> str:
     """Describe why a check failed: the words of the graph, or the end of a command."""
     if check.get("graph"):
-        return str(result["output"])
+        return str(result["output"])[:_MAX_FAULT]
     if result["timed_out"]:
         return "its check did not end in time"
     return "its check ended with %s" % result["exit"]
