@@ -1,5 +1,6 @@
 """``ros`` of hosts and questions to the ROS graph: what is read, what follows from it, what is warned of."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -171,3 +172,13 @@ def test_a_question_without_a_graph_and_a_loopback_address(tmp_path: Path) -> No
         "ROS_IP of edge1 is 127.0.0.1, which means another machine on each host",
         "t asks the ROS graph on edge1, which has no ROS master",
     ]
+
+
+def test_the_example_of_the_chapter_is_right(tmp_path: Path) -> None:
+    page = (Path(__file__).parents[2] / "docs/ros.md").read_text()
+    inventory, tasks = re.findall(r"^```yaml\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
+    (tmp_path / "i.yaml").write_text(inventory)
+    (tmp_path / "t.yaml").write_text(tasks)
+    loaded = load_inventory_and_tasks(tmp_path / "i.yaml", tmp_path / "t.yaml")
+    assert set(loaded[1].tasks) == {"roscore", "slam-robot1", "camera-robot1"}
+    assert loaded[2] == ()
