@@ -22,6 +22,7 @@ from edgectl.agent.ros import local
 from edgectl.agent.supervise.alive import AliveCheck
 from tests import ros1_peer
 from tests.agent.conftest import AgentHost, eventually, is_running
+from tests.pace import patience
 from tests.ros1_peer import Master
 
 NODE = f"exec {shlex.quote(sys.executable)} -S {shlex.quote(ros1_peer.__file__)} $ROS_MASTER_URI"
@@ -142,6 +143,17 @@ def test_a_restarted_master_makes_its_nodes_unhealthy(host: AgentHost, master: M
     assert host.until("talker", "ready")["pid"] != before["pid"]
     assert "not alive: node /talker is not registered" in str(host.ask("logs", task="talker", tail=9))
     host.stop("talker")
+
+
+def test_a_stop_does_not_wait_for_a_question(host: AgentHost, master: Master) -> None:
+    """The node hangs, so the question that is under way would end seconds later."""
+    pid = start_talker(host, master, restart=False)["pid"]
+    host.until("talker", "ready")
+    os.kill(pid, signal.SIGSTOP)
+    assert "does not answer" in host.until("talker", "unhealthy")["detail"]
+    began = time.monotonic()
+    assert host.stop("talker")["state"] == "stopped"
+    assert time.monotonic() - began < patience(2.5)
 
 
 def test_a_name_that_is_used_twice(host: AgentHost, master: Master) -> None:

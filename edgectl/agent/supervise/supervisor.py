@@ -163,12 +163,12 @@ class Supervisor:
                 self._copy_output()
             else:
                 _drain_fd(fd)
+        # Before the children are reaped: the process of a check that has ended stands in their way.
         self._ask_readiness()
+        self._ask_health()
         ended = self._reap_children()
         if ended is not None:
             self._handle_end(ended)
-        else:
-            self._ask_health()
         due = self.next_start is not None and time.monotonic() >= self.next_start
         if self.fence_s and (due or time.monotonic() >= self.next_look):
             # Before a restart: during a suspension another host may have taken over the task.
@@ -238,6 +238,8 @@ class Supervisor:
 
     def _ask_health(self) -> None:
         """Record whether the task is alive; restart it where its spec says so."""
+        if self.stopping:
+            self.alive.cancel()
         if not self.pid or self.stopping or self.status["state"] == protocol.STARTING:
             return
         self.alive.begin()
