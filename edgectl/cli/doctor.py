@@ -26,8 +26,8 @@ def doctor_command(
     output: options.ItemOutput = OutputFormat.TABLE,
     timeout: options.TimeoutOption = "15s",
 ) -> None:
-    """Diagnose this machine, the hosts and the links between them, with a fix for each finding. Nothing is
-    changed.
+    """Diagnose this machine, the hosts, the links between them, and what the edges lack for the tasks, with a
+    fix for each finding. Nothing is changed.
 
     Exit code 1 if a check failed; warnings alone exit with 0.
 

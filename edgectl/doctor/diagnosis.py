@@ -1,9 +1,13 @@
 """Diagnosis of a fleet: this machine, hosts that answered, hosts that did not."""
 
+from collections.abc import Sequence
+
 from edgectl.doctor.host import diagnose_host
 from edgectl.doctor.manager import diagnose_manager
 from edgectl.doctor.ros import diagnose_ros
+from edgectl.doctor.shortage import diagnose_shortages
 from edgectl.doctor.ssh_command import format_copy_id_command, format_ssh_command
+from edgectl.model.assignment import Shortage
 from edgectl.model.diagnosis import (
     Diagnosis,
     FactsByHost,
@@ -61,12 +65,18 @@ def _suggest_fix(host: Host, answer: UnreachableHost) -> str:
     )
 
 
-def diagnose_fleet(inventory: Inventory, manager: ManagerFacts, answers: FactsByHost) -> Diagnosis:
-    """Findings about this machine, then host by host in the order of the inventory.
+def diagnose_fleet(
+    inventory: Inventory,
+    manager: ManagerFacts,
+    answers: FactsByHost,
+    shortages: Sequence[Shortage] | None = None,
+) -> Diagnosis:
+    """Findings about this machine and the fleet as a whole, then host by host in the order of the inventory.
 
-    ``answers``: the hosts that were asked.
+    ``answers``: the hosts that were asked. ``shortages``: what the edges lack, None where it is not known.
     """
     findings = diagnose_manager(inventory, manager)
+    findings += [] if shortages is None else diagnose_shortages(shortages)
     facts = {name: answer for name, answer in answers.items() if isinstance(answer, HostFacts)}
     ros = diagnose_ros(inventory, facts)
     for name, host in inventory.hosts.items():

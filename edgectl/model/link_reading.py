@@ -1,4 +1,4 @@
-"""What was seen of a link, and the readings of its live capacity (ADR 0077)."""
+"""Observations of a link, and the readings of its live capacity (ADR 0077)."""
 
 from dataclasses import dataclass, field
 

@@ -54,7 +54,8 @@ class ManagerState:
     is not. ``deferred``: tasks whose last action was put off with nothing touched, and why. ``measured``: by
     task and class of host, of the tasks whose demand is not all declared. ``orphans``: by host, the tasks
     that had no supervisor there when it last answered. ``synced``: by host, the number of its grant when this
-    manager last saw all hosts and noted what runs where.
+    manager last saw all hosts and noted what runs where. ``noise``: standard deviation of the readings by
+    host and resource, as a share of the capacity, where it is high enough to widen the slack.
     """
 
     managed: bool = field(default=False, metadata=_WRITTEN)
@@ -76,3 +77,4 @@ class ManagerState:
     )
     orphans: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     synced: Mapping[str, int] = field(default_factory=dict)
+    noise: Mapping[str, Mapping[str, float]] = field(default_factory=dict)

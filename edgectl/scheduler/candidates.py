@@ -21,7 +21,6 @@ from edgectl.scheduler.scan import (
     compute_resource_totals,
     is_feasible_total,
 )
-from edgectl.scheduler.slack import get_slack
 from edgectl.scheduler.utility import EPSILON, compute_affinity, total_utility
 
 if TYPE_CHECKING:  # NumPy is imported only where it pays
@@ -201,10 +200,11 @@ def _is_tolerated(candidates: CandidateSet) -> bool:
 def find_excess(candidates: CandidateSet, place: int) -> list[Resource]:
     """The resources of which the task lacks more at ``place`` than the slack, or which are missing there."""
     terms, _ = compute_resource_terms(candidates.ledger, candidates.task, place)
+    get_slack = candidates.context.fleet.get_slack
     return [
         resource
         for resource in RESOURCES
-        if (term := terms[resource.name]) is None or term < -get_slack(resource) - EPSILON
+        if (term := terms[resource.name]) is None or term < -get_slack(resource, place) - EPSILON
     ]
 
 

@@ -11,6 +11,7 @@ from edgectl.model.resource import HOST_RESOURCES, Resource
 from edgectl.model.snapshot import HostSample, Snapshot
 from edgectl.model.task import Demand
 from edgectl.names import natural_key
+from edgectl.rules.slack import compute_slack
 from edgectl.scheduler.task_usage import TaskUsage
 
 # Readings older than this are not trusted with new work.
@@ -29,7 +30,8 @@ class Capacities:
     there (drained, or left out by a what-if question). ``classes`` names the class of each place (ADR 0025),
     ``demands`` holds rho by task and class, of tasks whose history decides it, "" for a class without enough;
     ``history`` is what was measured. ``floors``: by running task, the measured usage below which its demand
-    does not count at any place (ADR 0060).
+    does not count at any place (ADR 0060). ``noise``: of the readings by host and resource, as shares of the
+    capacity, where it widens the slack.
     """
 
     places: tuple[Host, ...]
@@ -47,6 +49,12 @@ class Capacities:
     demands: Mapping[str, Mapping[str, Demand]] = field(default_factory=dict)
     history: Mapping[tuple[str, str], MeasuredDemand] = field(default_factory=dict)
     floors: Mapping[str, TaskUsage] = field(default_factory=dict)
+    noise: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+
+    def get_slack(self, resource: Resource, place: int) -> float:
+        """The share of Delta by which ``resource`` may be exceeded at ``place`` (ADR 61, ADR 83)."""
+        noise = self.noise.get(self.places[place].name, {})
+        return compute_slack(resource, noise.get(resource.name, 0.0))
 
     def is_unreachable(self, place: int) -> bool:
         """True where the host of ``place`` should have answered and did not."""
@@ -106,6 +114,7 @@ def build_capacities(
             for place, host in enumerate(places)
             if host.name in manager.draining or host.name in without
         ),
+        noise=manager.noise,
     )
 
 

@@ -24,7 +24,6 @@ from edgectl.scheduler.move_cost import HandoffHistory, collect_handoff_history,
 from edgectl.scheduler.policies import POLICIES
 from edgectl.scheduler.preference import sign_weights
 from edgectl.scheduler.sensitivity import Contender, LinearFunction, find_first_change, find_winner
-from edgectl.scheduler.slack import get_slack
 from edgectl.scheduler.utility import EPSILON
 
 # A weight is changed within 0..1; where it is 1 already the others have no shares to grow by. At the very
@@ -274,7 +273,9 @@ def _build_contender(
         terms=terms,
         needed=case.needed[entry.host],
         slacks=tuple(
-            get_slack(resource) if entry.host == case.decision.previous_host else 0.0
+            case.fleet.get_slack(resource, case.fleet.index[entry.host])
+            if entry.host == case.decision.previous_host
+            else 0.0
             for resource in RESOURCES
         ),
     )

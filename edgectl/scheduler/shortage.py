@@ -14,7 +14,6 @@ from edgectl.scheduler.demand import add_measured_demands
 from edgectl.scheduler.feasibility import find_own_robot
 from edgectl.scheduler.initial_state import InitialState, build_initial_state
 from edgectl.scheduler.reservation import reserve_running_tasks
-from edgectl.scheduler.slack import get_slack
 from edgectl.scheduler.utility import EPSILON
 
 
@@ -51,7 +50,8 @@ def compute_shortages(state: InitialState, tasks: Tasks) -> tuple[Shortage, ...]
         smallest = min(fleet.raw[resource.name][edge] for edge in edges)
         wanted = fsum(_compute_least_demand(fleet, task, resource, smallest) for task in waiting)
         amount = load + wanted - capacity
-        if amount > (EPSILON if wanted else get_slack(resource) * capacity):
+        slack = fsum(fleet.get_slack(resource, edge) * fleet.usable[resource.name][edge] for edge in edges)
+        if amount > (EPSILON if wanted else slack):
             found.append(Shortage(resource=resource, amount=amount))
     return tuple(found)
 

@@ -26,10 +26,10 @@ def load_manager_state(fleet_dir: Path, warn: Warn = ignore_warning) -> ManagerS
 
 
 def select_saved_fields(manager: ManagerState) -> ManagerState:
-    """The part that this file keeps: heartbeats and fences have a file of their own, measured demands stand
-    in the history.
+    """The part that this file keeps: heartbeats and fences have a file of their own, measured demands and
+    noise stand in the history.
     """
-    return dataclasses.replace(manager, contact={}, fenced=frozenset(), measured={})
+    return dataclasses.replace(manager, contact={}, fenced=frozenset(), measured={}, noise={})
 
 
 def save_manager_state(fleet_dir: Path, manager: ManagerState) -> None:

@@ -15,6 +15,7 @@ from edgectl.model.event import Event
 from edgectl.model.plan import Plan
 from edgectl.model.point import HandoffPoint, HostPoint, LinkPoint, TaskPoint
 from edgectl.model.profile import UsageSample
+from edgectl.model.resource import NETWORK
 from edgectl.model.result import Results
 from edgectl.model.snapshot import Snapshot
 from edgectl.state import store_action_events, store_events, store_prune, store_write
@@ -188,6 +189,27 @@ class Store:
                         connection.execute(rows.USAGE_QUERY, (start, min_age_s, limit - len(found))),
                     )
             return tuple(found)
+
+        return self._file.run(read, ())
+
+    def used_shares(self, host: str, *, limit: int) -> tuple[tuple[str, tuple[float, ...]], ...]:
+        """The newest ``limit`` readings of ``host`` and of each of its links, as shares of the capacity: the
+        name of the resource, and the readings, oldest first.
+        """
+
+        def read(connection: sqlite3.Connection) -> tuple[tuple[str, tuple[float, ...]], ...]:
+            links = connection.execute("SELECT link FROM links WHERE edge = ?", (host,)).fetchall()
+            asked = [(name, sql, host) for name, sql in rows.HOST_SHARE_QUERIES.items()]
+            asked += [(NETWORK.name, rows.LINK_SHARE_QUERY, link) for (link,) in links]
+            return tuple(
+                (
+                    name,
+                    tuple(rows.decode_real(share) for (share,) in connection.execute(sql, (key, limit)))[
+                        ::-1
+                    ],
+                )
+                for name, sql, key in asked
+            )
 
         return self._file.run(read, ())
 

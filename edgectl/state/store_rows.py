@@ -18,7 +18,7 @@ from edgectl.model.point import (
     get_columns,
 )
 from edgectl.model.profile import UsageSample
-from edgectl.model.resource import HOST_RESOURCES, TASK_RESOURCES, Usage
+from edgectl.model.resource import HOST_RESOURCES, MEASURED_HOST_RESOURCES, TASK_RESOURCES, Usage
 from edgectl.model.result import ActionResult, Outcome
 from edgectl.model.snapshot import (
     HostSample,
@@ -164,6 +164,16 @@ METRICS = RowMapper(
 USAGE_QUERY = (
     f"SELECT at, {', '.join(TASK_AMOUNT_COLUMNS)}, links FROM uses "  # noqa: S608
     "WHERE start = ? AND state IN ('running', 'ready') AND age_s >= ? ORDER BY at DESC LIMIT ?"
+)
+# Readings as shares of the capacity by resource of a host, newest first; and those of a link.
+HOST_SHARE_QUERIES = {
+    resource.name: f"SELECT {resource.used_key} / {resource.capacity_key} FROM host_samples "  # noqa: S608
+    f"WHERE host = ? AND {resource.used_key} >= 0 AND {resource.capacity_key} > 0 ORDER BY at DESC LIMIT ?"
+    for resource in MEASURED_HOST_RESOURCES
+}
+LINK_SHARE_QUERY = (
+    "SELECT used_bytes_per_s / capacity_bytes_per_s FROM loads "
+    "WHERE link = ? AND capacity_bytes_per_s > 0 ORDER BY at DESC LIMIT ?"
 )
 
 

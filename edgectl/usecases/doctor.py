@@ -1,16 +1,20 @@
 """Diagnose this machine and the hosts. Nothing is changed."""
 
 import contextlib
+import dataclasses
 from collections.abc import Sequence
 
 from edgectl.doctor.diagnosis import diagnose_fleet
 from edgectl.gateway.fanout import fan_out
 from edgectl.gateway.host_facts import HostFactsOptions, collect_host_facts
+from edgectl.gateway.host_probe import ProbeOptions
+from edgectl.model.assignment import Shortage
 from edgectl.model.diagnosis import (
     Diagnosis,
     Disk,
     EtcdEndpoint,
     FactsByHost,
+    HostFacts,
     ManagerFacts,
     UnreachableHost,
 )
@@ -18,16 +22,19 @@ from edgectl.model.inventory import Connection, Coordination, Host
 from edgectl.names import check_known_names
 from edgectl.rules.ros import list_ros_packages
 from edgectl.state.manager_state import load_link_capacities
+from edgectl.transport.connections import BackoffTransport, SessionPool
 from edgectl.transport.preflight import has_ssh_program, list_known_hosts_files
 from edgectl.usecases.fleet import Fleet
 from edgectl.usecases.heartbeat import track_heartbeats
+from edgectl.usecases.plan import find_fleet_shortages
+from edgectl.usecases.probe import probe_fleet
 
 _WORKERS = 16
 
 
 def run_doctor(fleet: Fleet, state: Disk, names: Sequence[str] = (), *, timeout: float = 15.0) -> Diagnosis:
     """Examine this machine and every host, or only those of ``names``. ``state`` is the condition of the
-    fleet's state directory.
+    fleet's state directory. Of all hosts also what the edges lack for the tasks of the files.
 
     Raises:
         UsageError: a host is unknown.
@@ -36,11 +43,20 @@ def run_doctor(fleet: Fleet, state: Disk, names: Sequence[str] = (), *, timeout:
     hosts = [
         host for host in fleet.inventory.hosts.values() if host.probe and (not names or host.name in names)
     ]
-    return diagnose_fleet(
-        fleet.inventory,
-        _collect_manager_facts(hosts, state, fleet.inventory.coordination),
-        _collect_answers(fleet, hosts, state, timeout),
-    )
+    manager = _collect_manager_facts(hosts, state, fleet.inventory.coordination)
+    with SessionPool(fleet.transport) as pool:
+        near = dataclasses.replace(fleet, transport=BackoffTransport(pool))
+        answers = _collect_answers(near, hosts, state, timeout)
+        whole = not names and bool(fleet.tasks.tasks) and not state.obstacle
+        shortages = _find_shortages(near, answers, timeout) if whole else None
+    return diagnose_fleet(fleet.inventory, manager, answers, shortages)
+
+
+def _find_shortages(fleet: Fleet, answers: FactsByHost, timeout: float) -> tuple[Shortage, ...] | None:
+    """What the edges that answer lack, by a probe; None if none does. Silent hosts are not asked again."""
+    if not any(isinstance(answers.get(edge.name), HostFacts) for edge in fleet.inventory.edges):
+        return None
+    return find_fleet_shortages(fleet, probe_fleet(fleet, ProbeOptions(timeout=timeout)))
 
 
 def _collect_manager_facts(

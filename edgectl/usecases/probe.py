@@ -22,6 +22,7 @@ from edgectl.usecases.fleet_lease import probe_within_lease
 from edgectl.usecases.heartbeat import load_state_with_heartbeats, track_heartbeats
 from edgectl.usecases.live_links import measure_live_links
 from edgectl.usecases.measured_demand import load_measured_demands
+from edgectl.usecases.reading_noise import load_reading_noise
 from edgectl.usecases.record import pin_task_starts, record_snapshot
 
 
@@ -69,7 +70,9 @@ def probe_fleet(fleet: Fleet, options: ProbeOptions | None = None) -> Snapshot:
     snapshot = pin_task_starts(fleet, snapshot)
     record_snapshot(fleet, snapshot)
     manager = dataclasses.replace(
-        _add_journaled_starts(fleet, manager, snapshot), measured=load_measured_demands(fleet, snapshot)
+        _add_journaled_starts(fleet, manager, snapshot),
+        measured=load_measured_demands(fleet, snapshot),
+        noise=load_reading_noise(fleet, snapshot),
     )
     return dataclasses.replace(snapshot, manager=manager)
 

@@ -100,8 +100,12 @@ def render_reservations(value: Plan, look: RenderOptions = PLAIN) -> str:
     """By host: its load now, and what its tasks reserve and demand after the plan."""
     rows: list[Row] = [
         (
-            "HOST",
-            *(f"{resource.name.upper()} {word}" for resource in MEASURED_HOST_RESOURCES for word in _AMOUNTS),
+            *head("host"),
+            *(
+                Cell(f"{resource.name.upper()} {word}", "head")
+                for resource in MEASURED_HOST_RESOURCES
+                for word in _AMOUNTS
+            ),
         )
     ]
     for name in value.expected:

@@ -6,11 +6,12 @@ from collections.abc import Collection, Iterable
 from edgectl.model.assignment import ExpectedLoad, Overuse
 from edgectl.model.manager_state import ManagerState
 from edgectl.model.plan import Action, Plan
-from edgectl.model.resource import HOST_RESOURCES
+from edgectl.model.resource import HOST_RESOURCES, RESOURCES_BY_NAME
 from edgectl.model.snapshot import HostSample, LinkSample, Snapshot, find_doubled_tasks
 from edgectl.names import natural_key
 from edgectl.rules.lost_places import describe_lost_place, list_lost_tasks
 from edgectl.rules.other_managers import describe_unlisted_host, list_tasks_on_unlisted_hosts
+from edgectl.rules.slack import compute_slack
 from edgectl.units import format_instant, format_rate
 from edgectl.views.demands import list_demand_notes
 from edgectl.views.glossary import head_of_resource, list_shown_weights
@@ -153,8 +154,25 @@ def list_link_notes(snapshot: Snapshot) -> list[str]:
 
 
 def list_load_notes(value: Plan) -> list[str]:
-    """Tasks that use more than they declare, and what the fleet lacks."""
-    return [*(found.describe() for found in value.shortages), *map(describe_overuse, value.overuses)]
+    """Tasks that use more than they declare, what the fleet lacks, and how far noisy hosts are overloaded."""
+    return [
+        *(found.describe() for found in value.shortages),
+        *map(describe_overuse, value.overuses),
+        *_list_slack_notes(value),
+    ]
+
+
+def _list_slack_notes(value: Plan) -> list[str]:
+    """The slack of each host that is over capacity and whose noise widens it (ADR 83)."""
+    known = value.snapshot.manager.noise if value.snapshot.manager is not None else {}
+    over = dict.fromkeys(step.decision.host for step in value.steps if step.decision.overcommitted)
+    return [
+        f"{host} may be up to {compute_slack(RESOURCES_BY_NAME[name], noise):.1%} above its {name} capacity "
+        f"before a task leaves: its readings vary by {noise:.1%}"
+        for host in sorted((host for host in over if host is not None), key=natural_key)
+        for name, noise in known.get(host, {}).items()
+        if name in RESOURCES_BY_NAME
+    ]
 
 
 def describe_overuse(found: Overuse) -> str:

@@ -139,13 +139,23 @@ def _select_cells(row: list[Cell], columns: Sequence[int]) -> list[Cell]:
     return [row[column] for column in columns if column < len(row)]
 
 
-def compute_remaining_width(rows: Iterable[Row], look: RenderOptions, gap: str = "  ") -> int:
+def compute_remaining_width(
+    rows: Iterable[Row], look: RenderOptions, gap: str = "  ", *, wrap_headings: bool = False
+) -> int:
     """Columns that are left on the terminal for one more column; without a terminal, none."""
-    return (
-        0
-        if look.width is None
-        else max(0, look.width - sum(width + len(gap) for width in measure_column_widths(rows)))
-    )
+    if look.width is None:
+        return 0
+    widths = _measure_widths_below_headings(rows) if wrap_headings else measure_column_widths(rows)
+    return max(0, look.width - sum(width + len(gap) for width in widths))
+
+
+def _measure_widths_below_headings(rows: Iterable[Row]) -> list[int]:
+    """Width of each column where its heading stands on as many lines as it has words."""
+    cells = [[_to_safe_cell(field) for field in row] for row in rows]
+    return [
+        _measure_narrowest(_select_column(cells, column), may_wrap=False)
+        for column in _list_kept_columns(cells)
+    ]
 
 
 def is_within_width(rows: Iterable[Row], look: RenderOptions, gap: str = "  ") -> bool:

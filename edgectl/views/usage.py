@@ -119,13 +119,16 @@ def render_with_sparklines(
 ) -> str:
     """The rows (the first has the headings) with a sparkline each: its values, and the value of its top.
 
-    Beside the table where there is room, else below its row; none without a terminal.
+    Beside the table where there is room, for the shortest one also by wrapped headings; else below its row.
+    None without a terminal.
     """
     longest = min(SPARKLINE_SAMPLES, max((len(values) for values, _ in histories), default=0))
     if look.width is None or not longest:
         return render_columns(rows, look, right=right, wrap=_WRAPPED_COLUMNS)
-    room = compute_remaining_width(rows, look)
-    beside = room >= min(longest, _MIN_SPARKLINE_WIDTH)
+    shortest, room = min(longest, _MIN_SPARKLINE_WIDTH), compute_remaining_width(rows, look)
+    if room < shortest:
+        room = min(shortest, compute_remaining_width(rows, look, wrap_headings=True))
+    beside = room >= shortest
     width = min(longest, room if beside else look.width - _SPARKLINE_INDENT)
     lines = [render_sparkline(values[-width:], top, width, unicode=look.unicode) for values, top in histories]
     title = f"CPU, LAST {width} SAMPLES"

@@ -7,6 +7,7 @@ import pytest
 
 from edgectl.doctor.diagnosis import diagnose_fleet, diagnose_no_answer
 from edgectl.doctor.ssh_command import format_ssh_command
+from edgectl.model.assignment import Shortage
 from edgectl.model.diagnosis import (
     NOT_A_DIRECTORY,
     Diagnosis,
@@ -20,6 +21,7 @@ from edgectl.model.diagnosis import (
     UnreachableHost,
 )
 from edgectl.model.inventory import Connection, Host
+from edgectl.model.resource import CPU, MEMORY
 from edgectl.model.ros import RosSettings
 from edgectl.model.snapshot import CapacitySource
 from tests.builders import a_robot, an_edge, an_inventory
@@ -367,3 +369,17 @@ def test_what_a_host_lacks_of_its_ros(
     assert [level for level, _ in said] == [level for level, _ in expected]
     for (_, message), (_, begin) in zip(said, expected, strict=True):
         assert message.startswith(begin)
+
+
+def test_what_the_edges_lack_is_a_warning_for_each_resource() -> None:
+    fleet = an_inventory(EDGE, ROBOT)
+    short = (Shortage(resource=CPU, amount=1.3), Shortage(resource=MEMORY, amount=GI))
+    found = [f for f in diagnose_fleet(fleet, MANAGER, {"edge1": FACTS}, short).findings if f.check == "room"]
+    assert [(f.host, f.level, f.message) for f in found] == [
+        (None, WARNING, "the edges are short of 1.30 cores of cpu: the least that would help"),
+        (None, WARNING, "the edges are short of 1.0Gi of memory: the least that would help"),
+    ]
+    assert all("edgectl plan -o wide" in f.remedy for f in found)
+    enough = find_only(diagnose_fleet(fleet, MANAGER, {"edge1": FACTS}, ()), "room", None)
+    assert (enough.level, enough.remedy) == (OK, "")
+    assert not [f for f in diagnose_fleet(fleet, MANAGER, {"edge1": FACTS}).findings if f.check == "room"]

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from edgectl.model.diagnosis import Diagnosis, Disk, Finding, Severity
-from edgectl.model.inventory import Connection, Host, Inventory, Role
+from edgectl.model.inventory import Capacity, Connection, Host, Inventory, Role
+from edgectl.model.resource import CPU, MEMORY
 from edgectl.model.task import Tasks
 from edgectl.state.heartbeats import load_heartbeats
 from edgectl.state.state_dir_check import inspect_state_dir
@@ -16,7 +17,7 @@ from edgectl.transport.fleet_transport import FleetTransport
 from edgectl.usecases.doctor import run_doctor
 from edgectl.usecases.fleet import Fleet
 from tests.agent.conftest import shared_memory
-from tests.builders import a_robot, a_task, an_inventory, some_tasks
+from tests.builders import GI, a_robot, a_task, an_inventory, some_tasks
 from tests.pace import patience
 from tests.sshd import Lab
 
@@ -89,8 +90,27 @@ def test_a_fleet_on_which_all_is_well(
     assert load_heartbeats(Path(state.path)).last
 
 
+def test_what_the_edges_that_answer_lack_for_the_tasks_of_the_files(
+    lab: Lab, inventory: Inventory, state: Disk
+) -> None:
+    """Of two edges of 2 GiB one is silent, so a task of 5 GiB lacks 3."""
+    lab["edge2"].stop()
+    diagnosis = diagnose_named(slices(inventory), state, tasks=some_tasks(a_task("huge", memory=5 * GI)))
+    (found,) = (finding for finding in diagnosis.findings if finding.check == "room")
+    assert (found.host, found.level) == (None, Severity.WARNING)
+    assert found.message == "the edges are short of 3.0Gi of memory: the least that would help"
+
+
+def slices(inventory: Inventory) -> Inventory:
+    """``inventory`` with edges of 2 GiB each, whatever this machine has."""
+    capacity = Capacity({CPU.name: 4.0, MEMORY.name: 2 * GI})
+    return replace_hosts(inventory, *(replace(edge, capacity=capacity) for edge in inventory.edges))
+
+
 def test_one_host_alone_can_be_asked(inventory: Inventory, state: Disk) -> None:
-    assert {finding.host for finding in diagnose_named(inventory, state, "edge2").findings} == {None, "edge2"}
+    found = diagnose_named(inventory, state, "edge2", tasks=some_tasks(a_task())).findings
+    assert {finding.host for finding in found} == {None, "edge2"}
+    assert "room" not in {finding.check for finding in found}
 
 
 def test_hosts_that_cannot_be_asked_cost_no_other_host_its_answer(

@@ -182,6 +182,7 @@ memories = st.builds(
         max_size=2,
     ),
     synced=dictionaries_of(counts),
+    noise=dictionaries_of(dictionaries_of(amounts)),
 )
 snapshots = st.builds(
     Snapshot, taken_at=instants, hosts=dictionaries_of(hosts), manager=optional_of(memories)

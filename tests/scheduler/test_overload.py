@@ -1,7 +1,7 @@
 """Moves forced by load: slack, dwell and max_moves (ADR 0061); fleets without room (ADR 0062)."""
 
 import random
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import pytest
 
@@ -11,9 +11,12 @@ from edgectl.model.assignment import Decision, Reason, Verdict
 from edgectl.model.inventory import Inventory
 from edgectl.model.manager_state import ManagerState, Placement
 from edgectl.model.policy import Policy
+from edgectl.model.resource import CPU as CPU_RESOURCE
+from edgectl.model.resource import MEMORY as MEMORY_RESOURCE
 from edgectl.model.resource import Usage
 from edgectl.model.snapshot import Snapshot
 from edgectl.model.task import Tasks
+from edgectl.rules.slack import MAX_READINGS, compute_slack, estimate_noise
 from tests.builders import (
     GI,
     NOW,
@@ -150,6 +153,7 @@ class ClosedLoop:
     """Tasks that use 85 % of their demand in truth, on edges whose readings are off by a share of 4 cores.
 
     ``every`` (s): one cycle. ``readings``: of half a second each, of which a measurement is the mean.
+    ``known``: the noise is measured.
     """
 
     demands: dict[str, float]
@@ -163,6 +167,8 @@ class ClosedLoop:
     moves: int = 0
     every: float = 10.0
     readings: int = 1
+    known: bool = False
+    history: dict[str, list[float]] = field(default_factory=dict)
 
     def run(self, cycles: int = 360) -> int:
         """Return the moves in ``cycles``: an hour."""
@@ -184,6 +190,7 @@ class ClosedLoop:
             used = base + sum(self.use * self.demands[name] for name in here)
             errors = [dice.uniform(-self.noise, self.noise) for _ in range(self.readings)]
             error = 4.0 * sum(errors) / self.readings
+            self.history.setdefault(edge, []).append(max(0.0, used + error) / 4.0)
             runs = {
                 name: a_run(
                     used=Usage(cpu=self.use * self.demands[name]), started_at=self.since[name], instance=name
@@ -195,7 +202,10 @@ class ClosedLoop:
 
     def _decide(self, inventory: Inventory, tasks: Tasks, snapshot: Snapshot, now: float) -> None:
         placements = {n: Placement(host=h, since=self.since[n]) for n, h in self.where.items()}
-        memory = ManagerState(managed=True, placements=placements)
+        noise = {
+            edge: {"cpu": estimate_noise(shares[-MAX_READINGS:])} for edge, shares in self.history.items()
+        }
+        memory = ManagerState(managed=True, placements=placements, noise=noise if self.known else {})
         policy = Policy(attended=False)
         for decision in run_assign(
             inventory, tasks, snapshot, memory=memory, policy=policy, now=now
@@ -221,6 +231,49 @@ def test_a_task_that_just_fits_is_not_moved_to_and_fro(
     base = 4.0 * (1.0 - spare) - 2.0
     loop = ClosedLoop({"slam": 2.0}, {"edge1": base, "edge2": base}, {"slam": "edge1"}, noise, smooth)
     assert loop.run() <= most
+
+
+def test_a_noisy_host_has_the_slack_of_its_own_noise() -> None:
+    """Raw readings with a standard deviation of 5 % of the host, and a task that just fits: no move in an hour."""
+    moves = {}
+    for known, cycles in ((False, 60), (True, 360)):
+        loop = ClosedLoop(
+            {"slam": 2.0}, {"edge1": 1.98, "edge2": 1.98}, {"slam": "edge1"}, noise=0.05 * 3**0.5,
+            smooth=False, known=known,
+        )  # fmt: skip
+        loop.run(cycles=20)  # until enough is measured
+        loop.moves = 0
+        moves[known] = loop.run(cycles)
+    assert moves[False] > 0
+    assert moves[True] == 0
+
+
+def test_a_step_of_the_load_is_no_noise_and_the_slack_has_an_end() -> None:
+    assert estimate_noise([0.5] * 15 + [0.9] * 15) == 0.0
+    assert estimate_noise([0.1, 0.9] * 4) == 0.0  # too few
+    assert compute_slack(CPU_RESOURCE, estimate_noise([0.1, 0.9] * 15)) == pytest.approx(0.15)
+    assert (compute_slack(CPU_RESOURCE, 0.04), compute_slack(MEMORY_RESOURCE, 0.9)) == pytest.approx(
+        (0.08, 0.06)
+    )
+
+
+@pytest.mark.parametrize(
+    ("used", "cpu", "reason"),
+    [
+        (2.35, 0.05, Reason.BELOW_MARGIN),  # (4 - 2.35 - 2) / 4 = -.0875: twice the noise is .1
+        (2.45, 0.05, Reason.FORCED_INFEASIBLE),  # -.1125
+        (2.35, 0.02, Reason.FORCED_INFEASIBLE),  # twice the noise is less than 5 %
+        (2.61, 0.5, Reason.FORCED_INFEASIBLE),  # -.1525: three times the slack is the end
+    ],
+)
+def test_the_slack_is_twice_the_noise(used: float, cpu: float, reason: Reason) -> None:
+    runs = {"slam": a_run(started_at=LONG_AGO)}
+    snapshot = a_snapshot(edge1=a_sample(used=used, tasks=runs), edge2=a_sample())
+    memory = replace(NO_MEMORY, noise={"edge1": {"cpu": cpu}})
+    (decision,) = run_assign(
+        TWO, some_tasks(a_task(cpu=2.0)), snapshot, memory=memory, policy=TIGHT
+    ).decisions
+    assert decision.reason is reason
 
 
 def test_a_day_of_cron_moves_nothing_after_five_seconds_of_noise() -> None:

@@ -12,7 +12,7 @@ from edgectl.model.profile import ClassProfile, UsagePercentiles, UsageProfile
 from edgectl.model.resource import Usage
 from edgectl.model.task import Quantity
 from edgectl.scheduler.assign import assign
-from edgectl.views.demands import render_demands
+from edgectl.views.demands import render_demands, render_reservations
 from edgectl.views.output import render_view
 from edgectl.views.output_format import OutputFormat
 from edgectl.views.plan import PlanView
@@ -105,6 +105,17 @@ def test_long_lists_are_cut_and_fit_the_terminal() -> None:
     text = show(PlanView(many), look=RenderOptions(width=80))
     assert "and 5 more" in " ".join(text.split())
     assert max(map(len, text.splitlines())) <= 80
+
+
+def test_reservations_have_one_line_for_each_host_on_a_narrow_terminal() -> None:
+    section = render_reservations(a_plan(), RenderOptions(width=80)).splitlines()
+    assert [line.split() for line in section[1:]] == [
+        ["HOST", "CPU", "NOW", "CPU", "CPU", "DEMAND", "MEMORY", "NOW", "MEMORY", "MEMORY", "DEMAND"],
+        ["RESERVED", "RESERVED"],
+        ["edge1", "0m", "2.41", "2.41", "0B", "1.1Gi", "1.1Gi"],
+        ["edge2", "0m", "0m", "0m", "6.0Gi", "0B", "0B"],
+    ]
+    assert max(map(len, section)) <= 80
 
 
 def test_status_sets_the_measured_demand_beside_the_use() -> None:

@@ -1,4 +1,4 @@
-"""What a link carries now, by the kernel's account of a connection that the network limits.
+"""Present capacity of a link, by the kernel's account of a connection that the network limits.
 
 A sender that always has data to send learns what the path carries. tcp_info says when that is so: its
 delivery rate with the flag that the application was the limit (Linux 4.9), and the time during which data was
