@@ -53,7 +53,7 @@ class ProblemCode(StrEnum):
     EXPOSED = "EC104"
     NO_IDENTITY_FILE = "EC105"
     BACKGROUND = "EC106"
-    ROS = "EC107"
+    ROS = "EC108"
     JSON = "EC201"
     DOCUMENT = "EC202"
 

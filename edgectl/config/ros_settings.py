@@ -1,9 +1,9 @@
 """``ros`` of a host in the inventory: its keys, the rules between them, and the master that a name means."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
-from urllib.parse import urlsplit
 
 from edgectl.config.fields import Fields, list_reader, read_fields
 from edgectl.config.node import Node
@@ -15,6 +15,8 @@ from edgectl.model.ros import MASTER_PORT, RosSettings
 
 _VERSION_OF_KEY = {"master": 1, "domain": 2, "rmw": 2, "discovery_server": 2}
 _read_address = address_reader()
+# Of the characters of an address alone: it reaches shells, as {master}.
+_MASTER_URI = re.compile(r"http://[A-Za-z0-9._:%\[\]-]+:[0-9]{1,5}/?")
 
 
 @describe_as(lambda: {"type": "string", "pattern": r"^(~/|/)[^\0]*$"})
@@ -38,12 +40,7 @@ def _read_master(node: Node, problems: Problems) -> Any:  # noqa: ANN401
     text = read_text(node, problems)
     if not isinstance(text, str) or "://" not in text:
         return text if text is INVALID else _read_address(node, problems)
-    try:
-        parts = urlsplit(text)
-        complete = parts.scheme == "http" and parts.hostname and parts.port
-    except ValueError:
-        complete = None
-    if complete:
+    if _MASTER_URI.fullmatch(text):
         return text
     problems.add(
         node.mark,

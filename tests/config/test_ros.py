@@ -41,7 +41,7 @@ def a_task_text(name: str, **keys: str) -> str:
 
 
 def list_warnings(tmp_path: Path, tasks: str, inventory: str = INVENTORY) -> list[str]:
-    return [each.message for each in load(tmp_path, tasks, inventory)[2] if each.code == "EC107"]
+    return [each.message for each in load(tmp_path, tasks, inventory)[2] if each.code == "EC108"]
 
 
 def test_settings_are_merged_key_by_key(tmp_path: Path) -> None:
@@ -130,6 +130,7 @@ def test_wrong_questions(tmp_path: Path, key: str, value: str, message: str) -> 
         ("{setup: [/s]}", "ros needs version"),
         ("{version: 1, setup: [s.bash]}", "'s.bash' is no absolute path"),
         ("{version: 1, master: 'https://a:1'}", "'https://a:1' is no URI of a ROS master"),
+        ("{version: 1, master: 'http://a$(x):1'}", "'http://a$(x):1' is no URI of a ROS master"),
     ],
 )
 def test_wrong_settings(tmp_path: Path, ros: str, message: str) -> None:
