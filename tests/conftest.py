@@ -7,9 +7,10 @@ ended, and the longest files are distributed test by test.
 import gc
 import os
 import signal
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -17,6 +18,7 @@ from hypothesis import HealthCheck, settings
 from tests.etcd import EtcdCluster, running_etcd
 from tests.pace import pace
 from tests.sshd import Lab, running_lab
+from tests.workers import start_server
 
 # The same examples in every run, without a deadline: a failure is repeatable, and a stalled machine causes none.
 _UNHURRIED = settings(
@@ -119,6 +121,15 @@ FORKED = b"\0tests.forkserver\0"
 
 
 @pytest.hookimpl(optionalhook=True)
+def pytest_xdist_setupnodes(config: pytest.Config, specs: Sequence[Any]) -> None:
+    """Fork the workers from one process: only that has to import all test modules."""
+    if len(specs) > 1:
+        command = start_server(config.invocation_params.args)
+        for spec in specs:
+            spec.python = command
+
+
+@pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
     """Distribute whole files, except for the longest."""
     from xdist.scheduler import LoadFileScheduling
@@ -133,7 +144,7 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
 
 def pytest_unconfigure(config: pytest.Config) -> None:
     """End what an interrupted session left running: its workers had no time to clean up."""
-    if not hasattr(config, "workerinput"):
+    if not hasattr(config, "workerinput") and not config.getoption("collectonly"):
         factory: pytest.TempPathFactory = vars(config)["_tmp_path_factory"]
         end_started_in([factory.getbasetemp()])
 

@@ -26,15 +26,13 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat, PublicFormat
 
 from edgectl.model.inventory import Host, Role
+from tests.compiled_agent import give_agent
 from tests.pace import patience
 
 PRIVSEP = Path("/run/sshd")
 MARK = "EDGECTL_TEST_SSHD"
 # The interpreter of the tests without its virtual environment: a host has a python3 and nothing of edgectl.
 PATH = f"{sys.base_prefix}/bin:/usr/local/bin:/usr/bin:/bin"
-# Addresses of this process alone: no other process that searches a free port takes ours while a server
-# restarts.
-FIRST = ipaddress.IPv4Address(f"127.{20 + os.getpid() // 250 % 80}.{os.getpid() % 250}.11")
 # Time-out in seconds for the start of a server, on a machine that may be busy or stall.
 STARTS_S = patience(60.0)
 
@@ -46,6 +44,13 @@ def find_program(name: str) -> str:
     found = shutil.which(name, path=f"{os.environ.get('PATH', '')}:/usr/sbin:/sbin")
     assert found, f"{name} is missing; install it: sudo apt-get install openssh-server"
     return found
+
+
+def get_first_address() -> ipaddress.IPv4Address:
+    """Return the first address of this process alone: no other process that searches a free port takes ours while a
+    server restarts.
+    """
+    return ipaddress.IPv4Address(f"127.{20 + os.getpid() // 250 % 80}.{os.getpid() % 250}.11")
 
 
 def make_key(path: Path, comment: str = "edgectl-test") -> str:
@@ -237,7 +242,8 @@ class Lab:
         directory = self.directory / name
         home = directory / "home"
         home.mkdir(parents=True)
-        address = address or str(FIRST + len(self.servers))
+        give_agent(home / "state" / "edgectl")
+        address = address or str(get_first_address() + len(self.servers))
         key = make_key(directory / "host_key")
         server = Server(
             name=name,

@@ -120,11 +120,27 @@ def test_everything_else_fails(tmp_path: Path, tests: str, options: tuple[str, .
     assert "PASSED ALONE" not in said
 
 
+def test_workers_find_the_modules_of_the_tests_imported(tmp_path: Path) -> None:
+    tests = "assert runs('imports') == 1, __name__\ndef test_one(): runs('one')\ndef test_other(): runs('other')\n"
+    options = ("-p", "tests.conftest", "-p", "xdist", "-n", "2", "--dist", "load")
+    code, said = run_suite(tmp_path, tests, *options)
+    assert (code, "2 passed" in said) == (0, True), said
+    assert [(tmp_path / name).read_text() for name in ("imports", "one", "other")] == ["x"] * 3
+
+
+def test_a_worker_that_dies_is_told_and_its_tests_go_on_in_another(tmp_path: Path) -> None:
+    tests = "def test_dies(): os._exit(3)\ndef test_two(): pass\ndef test_three(): pass\n"
+    options = ("-p", "tests.conftest", "-p", "xdist", "-n", "2", "--dist", "load")
+    code, said = run_suite(tmp_path, tests, *options)
+    assert (code, "1 failed, 2 passed" in said) == (1, True), said
+    assert "crashed while running 'test_it.py::test_dies'" in said
+
+
 def test_the_files_that_are_begun_first_are_there() -> None:
     assert [name for name in LONGEST if not (ROOT / "tests" / name).exists()] == []
 
 
-@pytest.mark.parametrize("options", [(), ("-p", "xdist", "-n", "1")], ids=["here", "in a worker"])
+@pytest.mark.parametrize("options", [(), ("-p", "xdist", "-n", "2")], ids=["here", "in a worker"])
 def test_ctrl_c_reaches_what_tests_start(tmp_path: Path, options: tuple[str, ...]) -> None:
     tests = """
 import signal, subprocess, sys

@@ -19,16 +19,17 @@ def diagnose_manager(inventory: Inventory, facts: ManagerFacts) -> list[Finding]
         findings += _diagnose_known_hosts(facts)
     if Connection.OPENSSH in connections:
         findings.append(_diagnose_ssh_program(facts))
-    return findings + [_diagnose_etcd(endpoint) for endpoint in facts.etcd]
+    serves = any(not endpoint.error for endpoint in facts.etcd)
+    return findings + [_diagnose_etcd(endpoint, serves=serves) for endpoint in facts.etcd]
 
 
-def _diagnose_etcd(endpoint: EtcdEndpoint) -> Finding:
-    """An etcd that answers requests, which takes a majority of its members, is at least of version 3.4."""
+def _diagnose_etcd(endpoint: EtcdEndpoint, *, serves: bool) -> Finding:
+    """An endpoint that fails is a warning while another one ``serves`` requests: a majority is left."""
     if endpoint.error:
         return Finding(
             host=None,
             check="etcd",
-            level=Severity.FAILED,
+            level=Severity.WARNING if serves else Severity.FAILED,
             message=f"{endpoint.address}: {endpoint.error}",
             remedy="there: systemctl status etcd; or correct coordination: in the inventory",
         )

@@ -27,6 +27,8 @@ if TYPE_CHECKING:  # NumPy is imported only where it pays
     from edgectl.scheduler.array_scan import ArrayScan, ArrayTotals
 
 Totals: TypeAlias = "ListTotals | ArrayTotals"
+# All terms of one place, the total, and what is lacking there.
+ReferenceTerms: TypeAlias = tuple[UtilityTerms, float | None, tuple[Rejection, ...]]
 
 # These close a host to new work only: what runs there may stay.
 _NEW_WORK_ONLY = (RejectionRule.CORDONED, RejectionRule.STALE)
@@ -113,7 +115,8 @@ class CandidateSet:
     candidate. ``predecessors`` are those with a place, ``located`` their places; ``utilities`` is UT_task by
     reward. ``placed`` counts the tasks that this pass has put on each place. ``waived`` is the rejection of
     an incumbent that is weighed all the same, because nothing else is left. ``tolerated``: the incumbent
-    counts as feasible although its load exceeds it, within the slack.
+    counts as feasible although its load exceeds it, within the slack. ``terms``: those of the places that
+    were asked for.
     """
 
     context: AssignmentContext
@@ -130,6 +133,7 @@ class CandidateSet:
     totals: Totals = field(default_factory=ListTotals)
     waived: Rejection | None = None
     tolerated: bool = False
+    terms: dict[int, ReferenceTerms] = field(default_factory=dict, init=False)
 
     def name(self, place: int) -> str:
         """The name of a place."""
@@ -208,10 +212,15 @@ def find_excess(candidates: CandidateSet, place: int) -> list[Resource]:
     ]
 
 
-def terms_at(
-    candidates: CandidateSet, place: int
-) -> tuple[UtilityTerms, float | None, tuple[Rejection, ...]]:
+def terms_at(candidates: CandidateSet, place: int) -> ReferenceTerms:
     """The reference computation of all terms, the total and what is lacking at one candidate."""
+    found = candidates.terms.get(place)
+    if found is None:
+        found = candidates.terms[place] = _compute_reference_terms(candidates, place)
+    return found
+
+
+def _compute_reference_terms(candidates: CandidateSet, place: int) -> ReferenceTerms:
     values, rejections = compute_resource_terms(candidates.ledger, candidates.task, place)
     values[AFFINITY] = candidates.utilities[compute_affinity(candidates.located, place)]
     terms = UtilityTerms.from_complete(values)
@@ -229,7 +238,9 @@ def _list_robot_places(context: AssignmentContext, task: Task, incumbent: int | 
     """The robots that a ranking lists: the one that may host the task, and the one that the task runs on."""
     own = context.rules.robot_of(context.fleet, task)
     present = incumbent if incumbent is not None and incumbent >= context.fleet.edges else None
-    return sorted({place for place in (own, present) if place is not None})
+    if own is None or present is None or own == present:
+        return [place for place in (own if present is None else present,) if place is not None]
+    return sorted((own, present))
 
 
 def _list_candidates(

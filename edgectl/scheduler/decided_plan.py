@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import cache
 from math import inf
 
 from edgectl.model.assignment import Reason, Verdict
@@ -17,6 +17,9 @@ from edgectl.scheduler.placement_rules import OccupancyLimit
 from edgectl.scheduler.rebalance import Objective, rebalance_packing
 from edgectl.scheduler.sequence import is_need_met
 from edgectl.scheduler.task_usage import TaskUsage
+
+# Up to so many edges the shares of a task are computed for all of them at once.
+MAX_ROWS = 64
 
 PlaceSorter = Callable[[tuple[int, ...]], tuple[int, ...]]
 
@@ -130,7 +133,7 @@ def build_item(
         name=task.name,
         tasks=(task.name,),
         places=places if not mates or place is not None else [each for each in places if each == mates[0]],
-        measure=partial(_measure_shares, plan, columns, task),
+        measure=_build_measure(plan, columns, task),
         priority=task.priority,
         runs=runs,
         movable=task.hosts.pin is None and not held and not mates,
@@ -168,6 +171,43 @@ def _is_held_in_place(plan: DecidedPlan, task: Task) -> bool:
 def list_link_columns(plan: DecidedPlan) -> dict[str, int]:
     """The column of the link to each robot."""
     return {robot: len(HOST_RESOURCES) + index for index, robot in enumerate(plan.ledger.free_links)}
+
+
+def _build_measure(plan: DecidedPlan, columns: Mapping[str, int], task: Task) -> Callable[[int], Shares]:
+    """Load / Delta of ``task`` by place, each computed once: from the rows of the scan where they exist, as
+    fleets of few hosts have them.
+    """
+    fleet = plan.context.fleet
+    rows = _list_share_rows(plan, columns, task)
+    capacities = [*fleet.usable.values(), *(fleet.links[robot] for robot in task.robots if rows)]
+    here = plan.placed[task.name][0] if task.name in plan.placed else None
+    known: dict[int, Shares] = {}
+
+    def measure(place: int) -> Shares:
+        found = known.get(place)
+        if found is None:
+            exact = not rows or place == here or place >= fleet.edges
+            if exact or not all(row[place] for row in capacities):
+                found = _measure_shares(plan, columns, task, place)
+            else:
+                found = {column: row[place] for column, row in rows.items()}
+            known[place] = found
+        return found
+
+    return measure
+
+
+def _list_share_rows(plan: DecidedPlan, columns: Mapping[str, int], task: Task) -> dict[int, Sequence[float]]:
+    """Load / Delta of ``task`` at every edge, by column; empty where the fleet has many edges, or the task
+    links that its robots do not say.
+    """
+    fleet, shares = plan.context.fleet, plan.context.shares
+    floor = fleet.floors.get(task.name)
+    links = {*task.robots, *(floor.links if floor is not None else ())}
+    if fleet.edges > MAX_ROWS or len(links) > len(task.robots) or not links <= columns.keys():
+        return {}
+    hosts = {column: shares.of_host(task, each.name) for column, each in enumerate(HOST_RESOURCES)}
+    return {**hosts, **{columns[robot]: shares.of_link(task, robot) for robot in task.robots}}
 
 
 def _measure_shares(plan: DecidedPlan, columns: Mapping[str, int], task: Task, place: int) -> Shares:

@@ -53,51 +53,50 @@ def compute_resource_terms(
     fleet = ledger.fleet
     use = compute_demand_usage(fleet, task, place)
     terms: dict[str, float | None] = {}
-    rejections: tuple[Rejection, ...] = ()
+    rejections: list[Rejection] = []
     for resource in RESOURCES:
         name = resource.name
-        if resource.per_link:
-            term, lacking = _compute_network_term(ledger, task, place, use.links)
-        else:
-            term, lacking = _compute_term(
-                resource, fleet.usable[name][place], ledger.used[name][place], use.used[name]
+        terms[name] = (
+            _compute_network_term(ledger, task, place, use.links, rejections)
+            if resource.per_link
+            else _compute_term(
+                resource, fleet.usable[name][place], ledger.used[name][place], use.used[name], rejections
             )
-        terms[name] = term
-        rejections += lacking
-    return terms, rejections
+        )
+    return terms, tuple(rejections)
 
 
 def _compute_term(
-    resource: Resource, capacity: float, used: float, demand: float, robot: str | None = None
-) -> tuple[float | None, tuple[Rejection, ...]]:
+    resource: Resource,
+    capacity: float,
+    used: float,
+    demand: float,
+    rejections: list[Rejection],
+    robot: str | None = None,
+) -> float | None:
+    """One term; a shortage is added to ``rejections``."""
     utility = resource_utility(capacity, used, demand) if capacity > 0 else None
-    if utility is not None and utility >= -EPSILON:
-        return utility, ()
-    rule = RejectionRule.NO_CAPACITY if utility is None else RejectionRule.INSUFFICIENT
-    return utility, (
-        Rejection(rule=rule, resource=resource, robot=robot, demand=demand, used=used, capacity=capacity),
-    )
+    if utility is None or utility < -EPSILON:
+        rule = RejectionRule.NO_CAPACITY if utility is None else RejectionRule.INSUFFICIENT
+        rejections.append(
+            Rejection(rule=rule, resource=resource, robot=robot, demand=demand, used=used, capacity=capacity)
+        )
+    return utility
 
 
 def _compute_network_term(
-    ledger: Ledger, task: Task, place: int, rates: Mapping[str, float]
-) -> tuple[float | None, tuple[Rejection, ...]]:
+    ledger: Ledger, task: Task, place: int, rates: Mapping[str, float], rejections: list[Rejection]
+) -> float | None:
     """UT_net, eq. (3): the worst of the task's links; 1 onboard or without a robot."""
-    if place >= ledger.fleet.edges:
-        return 1.0, ()
     worst: float | None = 1.0
-    rejections: tuple[Rejection, ...] = ()
-    for robot in task.robots:
-        term, lack = _compute_link_term(ledger, robot, place, rates.get(robot, 0.0))
+    for robot in task.robots if place < ledger.fleet.edges else ():
+        row = ledger.fleet.links.get(robot)
+        capacity = None if row is None else row[place]
+        if capacity is None:
+            rejections.append(Rejection(rule=RejectionRule.NO_LINK, resource=NETWORK, robot=robot))
+            worst = None
+            continue
+        used, rate = ledger.links[robot][place], rates.get(robot, 0.0)
+        term = _compute_term(NETWORK, capacity, used, rate, rejections, robot)
         worst = None if worst is None or term is None else min(worst, term)
-        rejections += lack
-    return worst, rejections
-
-
-def _compute_link_term(
-    ledger: Ledger, robot: str, place: int, rate: float
-) -> tuple[float | None, tuple[Rejection, ...]]:
-    capacity = ledger.fleet.links[robot][place] if robot in ledger.fleet.links else None
-    if capacity is None:
-        return None, (Rejection(rule=RejectionRule.NO_LINK, resource=NETWORK, robot=robot),)
-    return _compute_term(NETWORK, capacity, ledger.links[robot][place], rate, robot)
+    return worst

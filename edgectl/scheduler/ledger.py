@@ -181,10 +181,11 @@ def compute_demand_usage(fleet: Capacities, task: Task, place: int) -> TaskUsage
 def compute_stated_usage(fleet: Capacities, task: Task, place: int) -> TaskUsage:
     """Demand (rho) of ``task`` at ``place``, whatever it was measured to use."""
     demand = demand_at(fleet, task, place)
-    return TaskUsage(
-        used={name: (demand[name] or ZERO).of(row[place]) for name, row in fleet.raw.items()},
-        links=_compute_link_rates(fleet, task.robots, place, demand[NETWORK.name] or ZERO),
-    )
+    used = {}
+    for name, row in fleet.raw.items():
+        quantity = demand[name]
+        used[name] = 0.0 if quantity is None else quantity.of(row[place])
+    return TaskUsage(used=used, links=_compute_link_rates(fleet, task.robots, place, demand[NETWORK.name]))
 
 
 def _select_present_links(fleet: Capacities, rates: Mapping[str, float], place: int) -> dict[str, float]:
@@ -194,12 +195,15 @@ def _select_present_links(fleet: Capacities, rates: Mapping[str, float], place: 
 
 
 def _compute_link_rates(
-    fleet: Capacities, robots: tuple[str, ...], place: int, throughput: Quantity
+    fleet: Capacities, robots: tuple[str, ...], place: int, throughput: Quantity | None
 ) -> dict[str, float]:
-    if place >= fleet.edges:
-        return {}
-    capacities = ((robot, fleet.nominal_links[robot][place]) for robot in robots if robot in fleet.links)
-    return {robot: throughput.of(capacity) for robot, capacity in capacities if capacity is not None}
+    rates: dict[str, float] = {}
+    for robot in robots if place < fleet.edges else ():
+        row = fleet.nominal_links.get(robot)
+        capacity = None if row is None else row[place]
+        if capacity is not None:
+            rates[robot] = 0.0 if throughput is None else throughput.of(capacity)
+    return rates
 
 
 def compute_measured_usage(fleet: Capacities, sample: TaskSample, task: Task | None, place: int) -> TaskUsage:

@@ -7,9 +7,10 @@ demand of 0: nothing is added to a host that is overcommitted already.
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import combinations
-from math import inf
-from operator import itemgetter
+from functools import cache
+from math import comb, inf
+from operator import ge, itemgetter, sub
+from typing import NamedTuple
 
 from edgectl.scheduler.placement_rules import OccupancyLimit
 from edgectl.scheduler.utility import EPSILON
@@ -18,6 +19,8 @@ from edgectl.scheduler.utility import EPSILON
 Shares = Mapping[int, float]
 # Tasks that give way to one insertion, and insertions that are tried for one task at each level.
 MAX_EJECTED, MAX_STEPS = 3, 400
+# Tasks that give way in one chain; in the ejection pool longer ones cost more than they find.
+MAX_CHAIN, POOL_CHAIN = 9, 1
 # Relocations by chance after an ejection: they keep the search from going round in a circle.
 SHAKES = 8
 
@@ -45,13 +48,13 @@ class Item:
 def combine_items(name: str, items: Sequence[Item]) -> Item:
     """One item of tasks that share a place."""
     if len(items) == 1:
-        return replace(items[0], name=name)
+        return items[0] if items[0].name == name else replace(items[0], name=name)
     first, *rest = items
     return Item(
         name=name,
         tasks=tuple(task for item in items for task in item.tasks),
         places=[place for place in first.places if all(place in item.places for item in rest)],
-        measure=lambda place: _add_shares([item.measure(place) for item in items]),
+        measure=cache(lambda place: _add_shares([item.measure(place) for item in items])),
         priority=max(item.priority for item in items),
         runs=any(item.runs for item in items),
         movable=all(item.movable for item in items),
@@ -85,16 +88,11 @@ class Packing:
     moves_left: int | None = None
     tight: bool = False
     fixed: Mapping[str, int] = field(default_factory=dict)
-    shares: dict[tuple[str, int], Shares] = field(default_factory=dict)
     chance: int = 1
 
     def measure(self, item: Item, place: int) -> Shares:
-        """The shares of ``item`` at ``place``, computed once."""
-        key = item.name, place
-        found = self.shares.get(key)
-        if found is None:
-            found = self.shares[key] = item.measure(place)
-        return found
+        """The shares of ``item`` at ``place``."""
+        return item.measure(place)
 
     def put(self, item: Item, place: int) -> None:
         """Charge ``item`` to ``place``."""
@@ -113,11 +111,6 @@ class Packing:
             row[column] += share
         self.on[place].remove(item.name)
         return place
-
-    def forget(self, item: Item) -> None:
-        """Compute the shares of the items of this name anew."""
-        for place in range(len(self.free)):
-            self.shares.pop((item.name, place), None)
 
     def draw(self, below: int) -> int:
         """A number in 0..``below`` - 1: the same series in every run."""
@@ -146,23 +139,36 @@ def place_item(packing: Packing, item: Item) -> bool:
     First where it fits; then with tasks put elsewhere that this plan starts, then also with running ones,
     last also with tasks of higher priority that this plan starts.
     """
+    if _insert(packing, item):
+        return True
+    levels = _list_movable(packing, item)
+    if any(_shift_chain(packing, item, movable, longest=1) for movable in levels):
+        return True
+    if any(_shift_chain(packing, item, movable) for movable in levels):
+        return True
+    work = packing.work
+    for packing.tight in (False, True):
+        packing.work = work // 2
+        if any(_empty_pool(packing, item, movable) for movable in levels):
+            break
+    packing.tight = False
+    return item.name in packing.at
+
+
+def _list_movable(packing: Packing, item: Item) -> list[frozenset[str]]:
+    """The items that may make room for ``item``, by level; only levels that allow more than those before."""
     levels = (
         Permission(priority=item.priority, running=False),
         Permission(priority=item.priority, running=True),
         Permission(priority=item.priority, running=True, above=True),
     )
-    if _insert(packing, item):
-        return True
-    if any(_displace_one(packing, item, level) for level in levels):
-        return True
-    useful = [level for level in levels if _is_new_level(packing, level)]
-    work = packing.work
-    for packing.tight in (False, True):
-        packing.work = work // 2
-        if any(_empty_pool(packing, item, level) for level in useful):
-            break
-    packing.tight = False
-    return item.name in packing.at
+    others = [packing.items[name] for name in packing.at]
+    found: list[frozenset[str]] = []
+    for level in levels:
+        names = frozenset(other.name for other in (*others, item) if level.allows(other))
+        if len(names) > (len(found[-1]) if found else 0):
+            found.append(names)
+    return found
 
 
 def preempt_for_item(packing: Packing, item: Item) -> bool:
@@ -193,14 +199,6 @@ def _list_victims(packing: Packing, item: Item, place: int) -> list[Item]:
     return [other for other in others if other.evictable and other.priority < item.priority]
 
 
-def _is_new_level(packing: Packing, level: Permission) -> bool:
-    """Whether ``level`` allows more than the levels before it."""
-    items = packing.items.values()
-    if level.above:
-        return any(not item.runs and item.movable and item.priority > level.priority for item in items)
-    return any(level.allows(item) and item.runs == level.running for item in items)
-
-
 def restore_homes(packing: Packing) -> None:
     """Put items back to their homes where they fit again, running ones first."""
     away = [name for name, home in packing.home.items() if packing.at.get(name, home) != home]
@@ -214,7 +212,7 @@ def fits(packing: Packing, item: Item, place: int) -> bool:
     """Whether ``item`` has room at ``place``, and may be beside what is there."""
     packing.work -= 1
     row = packing.free[place]
-    for column, share in (packing.shares.get((item.name, place)) or packing.measure(item, place)).items():
+    for column, share in item.measure(place).items():
         if row[column] - share < -EPSILON:
             return False
     return not item.limits or not _list_conflicts(packing, item, place)
@@ -227,12 +225,10 @@ def extend_item(packing: Packing, item: Item) -> bool:
     old, place = packing.items[item.name], packing.at[item.name]
     may_go = may_leave(packing, old)
     packing.take(old)
-    packing.forget(item)
     stays = place in item.places and place_item(packing, replace(item, places=(place,)))
     if stays or (may_go and place_item(packing, item)):
         packing.items[item.name] = item
         return True
-    packing.forget(item)
     packing.put(old, place)
     return False
 
@@ -275,37 +271,106 @@ def _insert(packing: Packing, item: Item) -> bool:
     return place is not None
 
 
-def _find_place(packing: Packing, item: Item, *, besides: int | None = None) -> int | None:
+def _find_place(packing: Packing, item: Item, besides: Collection[int] = ()) -> int | None:
     """Where the most is left (``tight``: the least), of what will be scarcest there; None: nowhere."""
     best, most = None, -inf
     for place in item.places:
-        if place != besides and fits(packing, item, place):
-            row = packing.free[place]
-            left = [row[column] - share for column, share in packing.measure(item, place).items()]
-            value = -sum(left) if packing.tight else min(left, default=0.0)
-            if value > most:
+        if place in besides:
+            continue
+        packing.work -= 1
+        row = packing.free[place]
+        least, total = inf, 0.0
+        for column, share in item.measure(place).items():
+            left = row[column] - share
+            if left < -EPSILON:
+                break
+            least = left if left < least else least
+            total += left
+        else:
+            value = -total if packing.tight else least
+            if value > most and not _list_conflicts(packing, item, place):
                 best, most = place, value
     return best
 
 
-def _displace_one(packing: Packing, item: Item, level: Permission) -> bool:
-    """Put ``item`` where one other gives way that fits somewhere else at once."""
-    for place in item.places:
-        if packing.work <= 0:
+class _Link(NamedTuple):
+    """One item of a chain: it leaves ``place`` to the item at index ``before``; ``left``: all places left so
+    far.
+    """
+
+    item: Item
+    place: int
+    before: int
+    left: tuple[int, ...]
+
+
+def _shift_chain(packing: Packing, item: Item, movable: Collection[str], longest: int = MAX_CHAIN) -> bool:
+    """Put ``item`` where one other gives way, which goes where a further one gives way, and so on until one
+    fits somewhere: the shortest such chain, of at most ``longest`` others.
+    """
+    chain = [_Link(item, -1, -1, ())]
+    seen = {item.name}
+    for index, link in enumerate(chain):  # which grows
+        if packing.work <= 0 or len(link.left) >= longest:
             return False
-        lacking = _find_lacking(packing, item, place)
-        conflicts = _list_conflicts(packing, item, place)
-        for other in _list_ejectable(packing, place, level):
-            if (
-                _covers(packing.measure(other, place), lacking)
-                and _solves([other.name], conflicts)
-                and _has_budget(packing, [other])
-                and (goal := _find_place(packing, other, besides=place)) is not None
-            ):
-                packing.take(other)
-                packing.put(other, goal)
-                packing.put(item, place)
-                return True
+        for place in link.item.places:
+            if place in link.left:
+                continue
+            for other in _list_giving_way(packing, link.item, place, movable, seen):
+                seen.add(other.name)
+                step = _Link(other, place, index, (*link.left, place))
+                goal = _find_place(packing, other, step.left)
+                if goal is not None and _shift(packing, chain, step, goal):
+                    return True
+                chain.append(step)
+    return False
+
+
+def _list_giving_way(
+    packing: Packing, item: Item, place: int, movable: Collection[str], besides: Collection[str]
+) -> Iterator[Item]:
+    """Items at ``place`` of which each alone makes room for ``item`` there by leaving."""
+    lacking = _find_lacking(packing, item, place)
+    conflicts = _list_conflicts(packing, item, place)
+    for name in packing.on[place]:
+        if name not in movable or name in besides:
+            continue
+        other = packing.items[name]
+        released = other.measure(place)
+        for column, need in lacking.items():
+            if released.get(column, 0.0) < need - EPSILON:
+                break
+        else:
+            if not conflicts or _solves([name], conflicts):
+                yield other
+
+
+def _shift(packing: Packing, chain: Sequence[_Link], last: _Link, goal: int) -> bool:
+    """Put the last item of a chain to ``goal`` and each before it where the next one was; False, with
+    everything as it was, where the budget or a limit forbids it.
+    """
+    steps = [last]
+    while steps[-1].before > 0:
+        steps.append(chain[steps[-1].before])
+    if not _has_budget(packing, [step.item for step in steps]):
+        return False
+    for done, step in enumerate(steps):
+        packing.take(step.item)
+        if not fits(packing, step.item, goal):
+            packing.put(step.item, step.place)
+            for other in reversed(steps[:done]):
+                packing.take(other.item)
+                packing.put(other.item, other.place)
+            return False
+        packing.put(step.item, goal)
+        goal = step.place
+    first = chain[0].item
+    if fits(packing, first, goal):
+        packing.put(first, goal)
+        return True
+    for other in reversed(steps):
+        packing.take(other.item)
+        packing.put(other.item, other.place)
     return False
 
 
@@ -315,21 +380,13 @@ def _find_lacking(packing: Packing, item: Item, place: int) -> Shares:
     row = packing.free[place]
     return {
         column: lack
-        for column, share in packing.measure(item, place).items()
+        for column, share in item.measure(place).items()
         if (lack := share - row[column]) > EPSILON
     }
 
 
-def _covers(released: Shares, lacking: Shares) -> bool:
-    """Whether what one item releases is enough."""
-    for column, need in lacking.items():  # noqa: SIM110 - a loop: this is half of the search
-        if released.get(column, 0.0) < need - EPSILON:
-            return False
-    return True
-
-
-def _list_ejectable(packing: Packing, place: int, level: Permission) -> list[Item]:
-    return [item for name in packing.on[place] if level.allows(item := packing.items[name])]
+def _list_movable_at(packing: Packing, place: int, movable: Collection[str]) -> list[Item]:
+    return [packing.items[name] for name in packing.on[place] if name in movable]
 
 
 def _has_budget(packing: Packing, leaving: Iterable[Item]) -> bool:
@@ -345,9 +402,10 @@ def _has_budget(packing: Packing, leaving: Iterable[Item]) -> bool:
     return len(gone) <= packing.moves_left
 
 
-def _empty_pool(packing: Packing, item: Item, level: Permission) -> bool:
+def _empty_pool(packing: Packing, item: Item, movable: Collection[str]) -> bool:
     """Insert ``item``, and again and again those that were ejected for it, the hardest to place last."""
     before = dict(packing.at), [row.copy() for row in packing.free], [names.copy() for names in packing.on]
+    shaken = [name for name in packing.at if name in movable and _may_shake(packing, packing.items[name])]
     penalties: dict[str, int] = {}
     pool = [item]
     for _ in range(MAX_STEPS):
@@ -356,10 +414,10 @@ def _empty_pool(packing: Packing, item: Item, level: Permission) -> bool:
         if packing.work <= 0:
             break
         current = pool.pop()
-        if _insert(packing, current) or _displace_one(packing, current, level):
+        if _insert(packing, current) or _shift_chain(packing, current, movable, longest=POOL_CHAIN):
             continue
         penalties[current.name] = penalties.get(current.name, 1) + 1
-        found = _find_ejection(packing, current, level, penalties)
+        found = _find_ejection(packing, current, movable, penalties)
         if found is None:
             break
         place, ejected = found
@@ -367,34 +425,38 @@ def _empty_pool(packing: Packing, item: Item, level: Permission) -> bool:
             packing.take(other)
         packing.put(current, place)
         pool += ejected
-        _shake(packing, level)
+        _shake(packing, shaken)
     if not pool:
         return True
     packing.at, packing.free, packing.on = before
     return False
 
 
+def _may_shake(packing: Packing, item: Item) -> bool:
+    return len(item.places) > 1 and (packing.moves_left is None or not item.runs)
+
+
 def _find_ejection(
-    packing: Packing, item: Item, level: Permission, penalties: dict[str, int]
+    packing: Packing, item: Item, movable: Collection[str], penalties: Mapping[str, int]
 ) -> tuple[int, list[Item]] | None:
     """The place and the at most three items that give way there with the least sum of penalties."""
     best: tuple[int, int, int, list[Item]] | None = None
     for place in item.places:
-        for ejected in _list_ejections(packing, item, place, _list_ejectable(packing, place, level)):
-            cost = sum(penalties.get(other.name, 1) for other in ejected)
+        for ejected in _list_ejections(packing, item, place, _list_movable_at(packing, place, movable)):
+            cost = sum([penalties.get(other.name, 1) for other in ejected])
             if (best is None or cost <= best[0]) and _has_budget(packing, ejected):
                 candidate = (cost, packing.draw(1000), place, ejected)
                 best = candidate if best is None else min(best, candidate, key=itemgetter(0, 1))
-    return _find_large_ejection(packing, item, level, penalties) if best is None else (best[2], best[3])
+    return _find_large_ejection(packing, item, movable, penalties) if best is None else (best[2], best[3])
 
 
 def _find_large_ejection(
-    packing: Packing, item: Item, level: Permission, penalties: dict[str, int]
+    packing: Packing, item: Item, movable: Collection[str], penalties: Mapping[str, int]
 ) -> tuple[int, list[Item]] | None:
     """As ``_find_ejection``, for an item that more must give way to: the least penalised first."""
     best: tuple[int, int, list[Item]] | None = None
     for place in item.places:
-        others = _list_ejectable(packing, place, level)
+        others = _list_movable_at(packing, place, movable)
         conflicting = set().union(*(there for _, there in _list_conflicts(packing, item, place)))
         others.sort(key=lambda other: (other.name not in conflicting, penalties.get(other.name, 1)))
         ejected: list[Item] = []
@@ -410,53 +472,49 @@ def _find_large_ejection(
     return None if best is None else best[1:]
 
 
-def _list_ejections(packing: Packing, item: Item, place: int, others: Sequence[Item]) -> Iterator[list[Item]]:
+def _list_ejections(packing: Packing, item: Item, place: int, others: Sequence[Item]) -> list[list[Item]]:
     """The smallest sets of the items ``others`` at ``place`` without which ``item`` fits there."""
     lacking = _find_lacking(packing, item, place)
     conflicts = _list_conflicts(packing, item, place)
     needs = [need - EPSILON for need in lacking.values()]
-    gains = []
-    for other in others:
-        released = packing.measure(other, place)
-        gains.append((other, [released.get(column, 0.0) for column in lacking]))
-    for count in range(1, MAX_EJECTED + 1):
-        some = False
-        for chosen in combinations(gains, count):
-            packing.work -= 1
-            if _cover_together([gain for _, gain in chosen], needs) and (
-                not conflicts or _solves([other.name for other, _ in chosen], conflicts)
-            ):
-                some = True
-                yield [other for other, _ in chosen]
-        if some:
-            return
-
-
-def _cover_together(released: Sequence[Sequence[float]], needs: Sequence[float]) -> bool:
-    """Whether what several items release is enough, by lacking column."""
-    for column, need in enumerate(needs):
-        total = 0.0
-        for gain in released:
-            total += gain[column]
-        if total < need:
-            return False
-    return True
-
-
-def _shake(packing: Packing, level: Permission) -> None:
-    """Move a few items that are placed to other places where they fit."""
-    names = [
-        name
-        for name in packing.at
-        if level.allows(packing.items[name])
-        and not (packing.moves_left is not None and packing.items[name].runs)
+    gains = [
+        [released.get(column, 0.0) for column in lacking]
+        for released in (each.measure(place) for each in others)
     ]
+    if any(sum(column) < need for column, need in zip(zip(*gains, strict=True), needs, strict=False)):
+        return []
+    for count in range(1, MAX_EJECTED + 1):
+        found = [[others[index] for index in chosen] for chosen in _list_covers(gains, needs, count)]
+        packing.work -= comb(len(others), count)
+        if conflicts:
+            found = [each for each in found if _solves([other.name for other in each], conflicts)]
+        if found:
+            return found
+    return []
+
+
+def _list_covers(
+    gains: Sequence[Sequence[float]], needs: Sequence[float], count: int, start: int = 0
+) -> Iterator[tuple[int, ...]]:
+    """Indices of ``count`` rows of ``gains``, from ``start`` on, that add up to ``needs`` in every column."""
+    if count == 1:
+        for index in range(start, len(gains)):
+            if all(map(ge, gains[index], needs)):
+                yield (index,)
+        return
+    for index in range(start, len(gains) - count + 1):
+        rest = list(map(sub, needs, gains[index]))
+        for others in _list_covers(gains, rest, count - 1, index + 1):
+            yield (index, *others)
+
+
+def _shake(packing: Packing, names: Sequence[str]) -> None:
+    """Move a few of the items ``names`` that are placed to other places where they fit."""
     for _ in range(SHAKES if names else 0):
-        item = packing.items[names[packing.draw(len(names))]]
-        if len(item.places) < 2:
-            continue
+        name = names[packing.draw(len(names))]
+        here, item = packing.at.get(name), packing.items[name]
         place = item.places[packing.draw(len(item.places))]
-        if place == packing.at[item.name] or not fits(packing, item, place):
+        if here is None or place == here or not fits(packing, item, place):
             continue
         packing.take(item)
         packing.put(item, place)

@@ -6,7 +6,7 @@ A pass that repeats a plan asks this for every task, and nearly always the answe
 from dataclasses import dataclass, field
 
 from edgectl.model.policy import Preference
-from edgectl.model.resource import AFFINITY, NETWORK, RESOURCES
+from edgectl.model.resource import AFFINITY, NETWORK
 from edgectl.scheduler.candidates import CandidateSet, terms_at
 from edgectl.scheduler.ledger import NO_FREE_SHARE
 from edgectl.scheduler.utility import compute_affinity
@@ -29,7 +29,8 @@ def stays_in_place(candidates: CandidateSet, peaks: LoadPeaks) -> bool:
     """Whether the task is certain to stay by policy utility: its host is feasible, and no other total can be
     greater by more than ``move_margin``.
 
-    ``candidates`` need no totals. False says nothing.
+    ``candidates`` need no totals, and their ledger still holds the task's own load: then the free shares of
+    its host are its terms. False says nothing.
     """
     here, context = candidates.incumbent, candidates.context
     if (
@@ -40,14 +41,28 @@ def stays_in_place(candidates: CandidateSet, peaks: LoadPeaks) -> bool:
         or candidates.task.name in context.handoffs.downtimes
     ):
         return False
-    terms, total, rejections = terms_at(candidates, here)
-    if total is None or rejections or min(terms[resource.name] or 0.0 for resource in RESOURCES) < 0.0:
-        return False
-    return _bound_best_total(candidates, peaks, here) - total <= context.policy.move_margin
+    total = _compute_present_total(candidates, here)
+    return (
+        total is not None and _bound_best_total(candidates, peaks, here) - total <= context.policy.move_margin
+    )
+
+
+def _compute_present_total(candidates: CandidateSet, here: int) -> float | None:
+    """Eq. (4) at ``here``, which holds the task's load; None where something is lacking there."""
+    context, ledger = candidates.context, candidates.ledger
+    weights = context.policy.weights
+    link = 1.0
+    if here < context.fleet.edges:
+        rows = (ledger.free_links.get(robot) for robot in candidates.task.robots)
+        link = min((NO_FREE_SHARE if row is None else row[here] for row in rows), default=1.0)
+    if link < 0.0 or any(row[here] < 0.0 for row in ledger.free.values()):
+        return None
+    utility = candidates.utilities[compute_affinity(candidates.located, here)]
+    return ledger.weigh_free(weights)[here] + weights[NETWORK.name] * link + weights[AFFINITY] * utility
 
 
 def _bound_best_total(candidates: CandidateSet, peaks: LoadPeaks, here: int) -> float:
-    """No total of a place besides ``here`` is greater: the demand is left out, which only lowers it."""
+    """No total of a place besides ``here`` is greater: the demand is left out there, which only lowers it."""
     context, ledger = candidates.context, candidates.ledger
     weights, edges = context.policy.weights, context.fleet.edges
     free = ledger.weigh_free(weights)

@@ -59,10 +59,33 @@ def find_challenger(candidates: CandidateSet, chosen: int | None) -> ScoredPlace
     if chosen is not None and is_feasible_total(candidates.totals[chosen]):
         near.append(chosen)
     near.sort()
-    shown = near if _is_full(candidates) else _keep_best(candidates, near, chosen)
-    weighed = [score_place(candidates, place) for place in sorted(shown)]
+    shown = near if _is_full(candidates) else sorted(_keep_best(candidates, near, chosen))
+    first = _find_first_tied(candidates, shown, chosen)
+    if first is not None and not first.rejections:
+        return first
+    weighed = [score_place(candidates, place) for place in shown]
     feasible = _sort_by_total(candidates, [host for host in weighed if not host.rejections])
     return next((host for host in feasible if host.place != chosen), None)
+
+
+def _find_first_tied(
+    candidates: CandidateSet, places: Sequence[int], chosen: int | None
+) -> ScoredPlace | None:
+    """The first of ``places`` besides ``chosen``, where their totals are so close that only the tie rule
+    orders them; ``chosen`` may be far above them. None: that is not certain.
+    """
+    totals = [candidates.totals[place] for place in places if place != chosen]
+    least, most = min(totals), max(totals)
+    tied, gap = list(places), 0.0
+    if len(totals) < len(places) and chosen is not None:
+        gap = candidates.totals[chosen] - least
+        if gap > 2 * EPSILON:
+            tied.remove(chosen)
+    if most - least > EPSILON / 2 or EPSILON / 2 < gap <= 2 * EPSILON:
+        return None
+    return score_place(
+        candidates, next(place for place in order_tied_places(candidates, tied) if place != chosen)
+    )
 
 
 def exclude_places(candidates: CandidateSet, places: Sequence[int]) -> Totals:

@@ -171,6 +171,13 @@ def _decide_task(
 ) -> None:
     """One task: its reservation leaves gamma, every place is weighed, and d is charged where it is put."""
     running = state.running.get(task.name)
+    if running is not None and _stays_at_a_glance(how, state, progress, task, running):
+        progress.choices[task.name] = Choice(
+            verdict=Verdict.KEPT, reason=Reason.STILL_BEST, place=running.place
+        )
+        progress.uses[task.name] = running.place, running.use
+        progress.placed[running.place] = progress.placed.get(running.place, 0) + 1
+        return
     if task.name in progress.reserved:
         _change_reservation(progress, *progress.reserved.pop(task.name), is_charge=False)
     if running is not None and not how.rules.strict_paper:
@@ -197,6 +204,25 @@ def _decide_task(
         progress.moves_left -= 1
 
 
+def _stays_at_a_glance(
+    how: PlacementPass, state: InitialState, progress: _PassState, task: Task, running: RunningTask
+) -> bool:
+    """Whether a pass that only repeats may leave ``task`` where it is, without a look at every host."""
+    if how.record or not how.rules.settles or not progress.peaks.valid:
+        return False
+    if how.context.placement_rules.concern(task.name):
+        return False
+    candidates = gather_candidates(
+        how.context,
+        progress.ledger,
+        task,
+        incumbent=running.place,
+        predecessors=_find_predecessors(how, state, progress, task),
+        placed=progress.placed,
+    )
+    return stays_in_place(candidates, progress.peaks)
+
+
 def _choose_place(
     how: PlacementPass,
     state: InitialState,
@@ -206,8 +232,7 @@ def _choose_place(
 ) -> Choice:
     running = state.running.get(task.name)
     incumbent = running.place if running is not None else None
-    known = state.located if how.rules.strict_paper else progress.located
-    predecessors = {need.task: known[need.task] for need in task.needs if need.task in known}
+    predecessors = _find_predecessors(how, state, progress, task)
     gather = partial(
         gather_candidates,
         how.context,
@@ -224,10 +249,7 @@ def _choose_place(
             company, task, incumbent, lambda barred=None: weigh_candidates(gather(barred=barred))
         )
     else:
-        candidates = gather()
-        if how.rules.settles and not how.record and stays_in_place(candidates, progress.peaks):
-            return Choice(verdict=Verdict.KEPT, reason=Reason.STILL_BEST, place=incumbent)
-        candidates = weigh_candidates(candidates)
+        candidates = weigh_candidates(gather())
     choice = how.rules.choose(candidates, _build_move_constraints(how, progress, task, running, company))
     initial_place = _find_place(how.initial, task.name)
     if initial_place is None and incumbent is not None and choice.verdict is Verdict.PLACED:
@@ -253,6 +275,14 @@ def _choose_place(
         decision = build_decision(candidates, told, initial_place, ranking)
         progress.decisions.append(explain_replacement(decision, how.initial.replaced.get(task.name)))
     return choice
+
+
+def _find_predecessors(
+    how: PlacementPass, state: InitialState, progress: _PassState, task: Task
+) -> dict[str, int]:
+    """The places of those that ``task`` needs."""
+    known = state.located if how.rules.strict_paper else progress.located
+    return {need.task: known[need.task] for need in task.needs if need.task in known}
 
 
 def _build_move_constraints(

@@ -113,14 +113,19 @@ def replace_marks(
     orphans: Mapping[str, tuple[str, ...]],
     heard: Mapping[str, Uptime],
 ) -> Heartbeats:
-    """Replace fences and orphans by those of another machine, and record ``heard`` as contacts.
+    """Replace fences by those of another machine, add its orphans, and record ``heard`` as contacts. Either
+    machine may have seen an orphan last; which ones are left is known once their host answers.
 
     Raises:
         StateError: the disk does not take it.
     """
 
     def change(known: Heartbeats) -> Heartbeats:
-        return replace(_merge_heartbeats(known, heard), fenced=fenced, orphans=orphans)
+        both = {
+            host: tuple(sorted({*known.orphans.get(host, ()), *orphans.get(host, ())}))
+            for host in known.orphans.keys() | orphans.keys()
+        }
+        return replace(_merge_heartbeats(known, heard), fenced=fenced, orphans=both)
 
     return _update_heartbeats(fleet_dir, change)
 

@@ -2,6 +2,7 @@
 
 import time
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 
 from edgectl.model.encoding import in_document
@@ -23,11 +24,16 @@ class Uptime:
 def read_uptime() -> Uptime:
     """Now."""
     clock = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)
+    return Uptime(boot=_read_boot_id(), seconds=time.clock_gettime(clock))
+
+
+@cache
+def _read_boot_id() -> str:
+    """Empty where it cannot be read. Read once, for each request needs it and it takes 50 us."""
     try:
-        boot = _BOOT_ID.read_text().strip()
+        return _BOOT_ID.read_text().strip()
     except OSError:
-        boot = ""
-    return Uptime(boot=boot, seconds=time.clock_gettime(clock))
+        return ""
 
 
 def compute_elapsed_s(since: Uptime, now: Uptime) -> float:

@@ -8,7 +8,7 @@ import time
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
-from edgectl.errors import CoordinationError, EdgectlError, LockBusyError, StateError
+from edgectl.errors import CoordinationError, EdgectlError, LockBusyError, StateError, WatchedError
 from edgectl.model.plan import Step
 from edgectl.state.failpoints import hit_failpoint
 from edgectl.state.lock import FleetLock, describe_manager
@@ -41,15 +41,21 @@ _MAX_CYCLE_S, _CYCLE_MARGIN_S = 60.0, 15.0
 
 @contextlib.contextmanager
 def hold_in_etcd(
-    fleet: Fleet, verb: str, *, patience_s: float | None = None, every_s: float = 0.0
+    fleet: Fleet,
+    verb: str,
+    *,
+    patience_s: float | None = None,
+    every_s: float = 0.0,
+    take_over: bool = False,
 ) -> Iterator[Term | None]:
     """The lease of the fleet in etcd, with the shared state on this machine; None without ``coordination``.
 
     Call it within the fleet's lock. ``patience_s``: how long to wait for another manager; None: for one cycle
-    of a watch, else not at all. ``every_s``: the cycle of this watch.
+    of a watch, else not at all. ``every_s``: the cycle of this watch; ``take_over``: it may replace another.
 
     Raises:
         LockBusyError: another manager holds the fleet.
+        WatchedError: it is a watch, as this one is.
         CoordinationError: etcd does not answer.
     """
     if fleet.inventory.coordination is None:
@@ -66,7 +72,7 @@ def hold_in_etcd(
         every_s=every_s,
     )
     client = EtcdClient(fleet.inventory.coordination)
-    lease = _wait_for_fleet(fleet, client, holder, patience_s)
+    lease = _wait_for_fleet(fleet, client, holder, patience_s, take_over=take_over)
     with lease.keep_alive():
         hit_failpoint("fleet taken in etcd")
         if not install_newer_state(fleet, lease.keys):
@@ -75,7 +81,7 @@ def hold_in_etcd(
 
 
 def _wait_for_fleet(
-    fleet: Fleet, client: "EtcdClient", holder: "Holder", patience_s: float | None
+    fleet: Fleet, client: "EtcdClient", holder: "Holder", patience_s: float | None, *, take_over: bool
 ) -> "EtcdLease":
     from edgectl.transport import etcd_lease
 
@@ -90,6 +96,11 @@ def _wait_for_fleet(
         )
         if isinstance(taken, etcd_lease.EtcdLease):
             return taken
+        if holder.every_s and taken.every_s and not take_over:
+            raise WatchedError(
+                f"{taken.who} watches this fleet every {format_duration(taken.every_s)}",
+                hint="stop that watch, or pass --take-over",
+            )
         if time.monotonic() - began >= _get_patience_s(taken, patience_s):
             raise LockBusyError(
                 f"{taken.who} ({taken.verb}, free in {format_duration(taken.left_s)} unless renewed) "

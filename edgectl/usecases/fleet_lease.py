@@ -47,10 +47,11 @@ def hold_fleet(
 
     Raises:
         LockBusyError: another manager holds the fleet in etcd.
+        WatchedError: another watch does, and this is one.
         CoordinationError: etcd does not answer.
     """
     manager, every_s = load_manager_id(fleet.state), 0.0 if watch is None else watch.every_s
-    with hold_in_etcd(fleet, verb, patience_s=patience_s, every_s=every_s) as term:
+    with hold_in_etcd(fleet, verb, patience_s=patience_s, every_s=every_s, take_over=take_over) as term:
         lease = FleetLease(
             holder=find_holder_id(fleet),
             session=secrets.token_hex(8),

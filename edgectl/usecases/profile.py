@@ -12,7 +12,7 @@ from edgectl.config.source import read_source
 from edgectl.config.task_file_edit import edit_demand
 from edgectl.errors import EdgectlError, FileError
 from edgectl.model.profile import ClassProfile
-from edgectl.model.resource import RESOURCES, Resource
+from edgectl.model.resource import RESOURCES, TASK_RESOURCES, Resource
 from edgectl.model.task import Demand, Quantity, Task, Tasks
 from edgectl.rules.measured_demand import MIN_SAMPLES, MIN_SPAN_S
 from edgectl.units import format_duration
@@ -105,7 +105,7 @@ def _format_p95_amounts(entry: str, found: Iterable[ClassProfile]) -> dict[str, 
         raise EdgectlError(f"{entry} has {so_far}: too few to write a demand", hint=hint)
     return {
         resource.demand_key: resource.unit.format_for_file(max(values))
-        for resource in RESOURCES
+        for resource in TASK_RESOURCES
         if (values := _list_p95(trusted, resource))
     }
 

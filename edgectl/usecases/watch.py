@@ -230,6 +230,8 @@ class _WatchLoop:
                 held = stack.enter_context(
                     hold_fleet(self._fleet, "watch", patience_s=0.0, watch=note, take_over=self._take_over)
                 )
+            except WatchedError:
+                raise
             except (LockBusyError, CoordinationError) as error:
                 yield self._fleet, error
                 return

@@ -1,5 +1,6 @@
 """Fleets on one host and login: each has tasks of its own; what the first release left has one owner."""
 
+import fcntl
 import os
 import signal
 import subprocess
@@ -97,6 +98,17 @@ def test_a_probe_lists_what_else_lives_on_the_machine(host: AgentHost, other: Ag
     finally:
         other.end()
         end_unowned(host, "web", pid)
+
+
+def test_a_task_that_another_fleet_begins_to_start_is_no_task_yet(host: AgentHost, other: AgentHost) -> None:
+    """Its directory is made and locked before its record is written."""
+    other.start("once", "exit 0")
+    (once,) = host.state.glob("**/hall/hosts/edge1/tasks/once")
+    begun = once.with_name("begun")
+    begun.mkdir(mode=0o700)
+    with (begun / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        assert "begun" not in [each["task"] for each in others(host)]
 
 
 @pytest.mark.parametrize("fleet", [None, "", "../lab", "Lab"])

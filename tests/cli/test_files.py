@@ -14,6 +14,7 @@ from edgectl.config.load import load_inventory_and_tasks
 from edgectl.scaffold.write import SCAFFOLD_FILES
 from tests.cli.conftest import Run
 from tests.forkserver import run_edgectl
+from tests.pace import patience
 from tests.views.fixtures import ROOT
 
 
@@ -74,7 +75,7 @@ def test_a_wheel_holds_the_files_themselves(tmp_path: Path) -> None:
         str(tmp_path),
         str(ROOT),
     ]
-    subprocess.run(command, check=True, capture_output=True, timeout=110)
+    subprocess.run(command, check=True, capture_output=True, timeout=patience(110))
     with zipfile.ZipFile(next(tmp_path.glob("*.whl"))) as wheel:
         for name in SCAFFOLD_FILES[1:]:
             assert wheel.read(f"edgectl/scaffold/{name}") == (ROOT / name).read_bytes()

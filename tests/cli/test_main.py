@@ -90,7 +90,11 @@ def test_a_bug_is_one_line_with_a_way_to_see_more(run: Run, monkeypatch: pytest.
 def test_a_full_disk_is_no_bug_of_ours(site: Path) -> None:
     script = '"$@" plan --snapshot snap.json >/dev/full'
     said = subprocess.run(
-        ["sh", "-c", script, "sh", *EDGECTL], capture_output=True, text=True, timeout=120, check=False
+        ["sh", "-c", script, "sh", *EDGECTL],
+        capture_output=True,
+        text=True,
+        timeout=patience(120),
+        check=False,
     )
     assert said.returncode == 1
     assert (
@@ -109,7 +113,7 @@ def test_closed_streams_do_no_harm(site: Path, closed: str, code: int) -> None:
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=patience(60),
         check=False,
     )
     assert said.returncode == code

@@ -3,6 +3,7 @@
 import pytest
 
 from edgectl import __version__
+from edgectl.model.resource import TERMS
 from edgectl.transport.trust import get_public_key_path
 from tests.cli.conftest import Run
 
@@ -53,5 +54,5 @@ def test_a_semicolon_in_a_value_does_not_cut_the_message(run: Run) -> None:
         "plan", "-i", "inventories/local.yaml", "-t", "tasks/demo.yaml", "--weights", "cpu=1; rm"
     ).err == (
         "error: --weights: weight cpu must be a number, got '1; rm'\n"
-        "hint: write one of cpu, memory, network, task, all, resources, or weights such as cpu=.5,network=.5\n"
+        f"hint: write one of {', '.join(TERMS)}, all, resources, or weights such as cpu=.5,network=.5\n"
     )

@@ -89,12 +89,12 @@ def make_tasks_idle(site: Path) -> None:
 def stopped(site: Path, env: Mapping[str, str]) -> Iterator[None]:
     """Finally stop everything that was started in ``site``, and check that it is gone.
 
-    Local hosts keep their state in the same directory as the manager: if it does not exist, nothing was started.
+    Local hosts keep what they started in the state directory of the manager.
     """
     try:
         yield
     finally:
-        if Path(env["EDGECTL_STATE_DIR"]).exists():
+        if (Path(env["EDGECTL_STATE_DIR"]) / "agent-state").exists():
             for words in (["stop", "--all", "--yes"], ["profilers", "stop"]):
                 edgectl(words, site, env)
             left = edgectl(["status", "-o", "name"], site, env)

@@ -16,6 +16,7 @@ import yaml
 from edgectl.config.load import load_inventory_and_tasks
 from edgectl.scaffold.write import write_scaffold
 from tests.cli.inprocess import edgectl
+from tests.compiled_agent import give_agent, give_key
 from tests.docs.blocks import Block, blocks, environment, make_tasks_idle, stopped
 from tests.pace import patience
 from tests.views.fixtures import ROOT, SNAPSHOT
@@ -45,6 +46,8 @@ def test_every_block_runs(page: Path, tmp_path: Path) -> None:
     site, env = tmp_path / "site", environment(tmp_path / "state")
     write_scaffold(site)
     make_tasks_idle(site)
+    give_agent(tmp_path / "state")
+    give_key(tmp_path / "state", "demo")
     (site / "docs").symlink_to(ROOT / "docs")
     here = site
     with stopped(site, env):

@@ -64,7 +64,9 @@ def test_each_endpoint_of_etcd_is_judged() -> None:
     diagnosis = diagnose_answer(FACTS, manager=replace(MANAGER, etcd=endpoints))
     good, bad = (finding for finding in diagnosis.findings if finding.check == "etcd")
     assert (good.level, good.message) == (OK, "a:2379 serves requests, version 3.4.23")
-    assert (bad.level, bad.message) == (FAILED, "b:1: connection refused")
+    assert (bad.level, bad.message) == (WARNING, "b:1: connection refused")
+    alone = diagnose_answer(FACTS, manager=replace(MANAGER, etcd=endpoints[1:]))
+    assert find_only(alone, "etcd", None).level is FAILED
     assert "systemctl status etcd" in bad.remedy
 
 

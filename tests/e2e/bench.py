@@ -15,6 +15,7 @@ from edgectl.model.plan import Action, Plan
 from edgectl.model.policy import Policy, Weights
 from edgectl.model.snapshot import Snapshot, TaskSample
 from edgectl.model.task import StopRule, Task, Tasks
+from edgectl.state.paths import get_state_root
 from edgectl.transport.fleet_transport import FleetTransport
 from edgectl.usecases.apply import ApplyOptions, ApplyResult, plan_and_apply
 from edgectl.usecases.fleet import Fleet
@@ -22,6 +23,7 @@ from edgectl.usecases.plan import make_plan
 from edgectl.usecases.probe import probe_fleet
 from edgectl.usecases.stop import stop_tasks
 from tests.builders import a_task, some_tasks
+from tests.compiled_agent import give_agent
 from tests.pace import patience
 
 QUICK = ProbeOptions(window=0.2, timeout=patience(10.0))
@@ -126,6 +128,7 @@ def open_bench(
 ) -> Iterator[Bench]:
     """Open a manager of ``inventory``; stop everything that it started at the end."""
     state.mkdir(mode=0o700)
+    give_agent(get_state_root())
     said: list[str] = []
     bench = Bench(
         Fleet(

@@ -14,10 +14,12 @@ import urllib.parse
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from tempfile import TemporaryFile
 
 import pytest
 
 from tests.e2e.bench import a_mark, list_sleepers, wait_for_sleepers
+from tests.forkserver import EDGECTL, ForkedProcess
 from tests.pace import patience
 from tests.sshd import Lab
 from tests.transport.test_ssh_auth import run_password_server
@@ -149,18 +151,34 @@ class SecretStage:
         text = json.dumps({"version": 1, "tasks": {"uplink": {**task, **fields}}}, ensure_ascii=False)
         (self.directory / "tasks.yaml").write_text(text)
 
-    def run(self, *words: str, program: tuple[str, ...] = ("-m", "edgectl")) -> int:
-        command = [sys.executable, *program, *words, "-i", "inventory.yaml", "-t", "tasks.yaml"]
+    def run(self, *words: str, program: str = EDGECTL) -> int:
+        files = ("-i", "inventory.yaml", "-t", "tasks.yaml")
+        with TemporaryFile() as out, watch_processes(self):
+            process = ForkedProcess(
+                [*words, *files], program=program, cwd=self.directory, stdout=out, stderr=out
+            )
+            try:
+                code = process.wait(patience(60))
+            finally:
+                process.end()
+            out.seek(0)
+            self.outputs.append(out.read())
+        return code
+
+    def run_started(self, *words: str) -> int:
+        """Run a process of its own, whose command line and environment are searched too."""
+        command = [sys.executable, "-m", "edgectl", *words, "-i", "inventory.yaml", "-t", "tasks.yaml"]
         with watch_processes(self):
             done = subprocess.run(
                 command,
                 cwd=self.directory,
-                capture_output=True,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
                 check=False,
                 timeout=patience(60),
                 stdin=subprocess.DEVNULL,
             )
-        self.outputs.append(done.stdout + done.stderr)
+        self.outputs.append(done.stdout)
         return done.returncode
 
     def searched(self) -> Iterator[Path]:
@@ -239,7 +257,7 @@ def test_a_secret_is_nowhere_but_in_the_environment_of_the_task(stage: SecretSta
     for form in ("table", "json", "yaml"):
         assert stage.run("apply", "--dry-run", "-o", form) == 0
         assert b"***" in stage.outputs[-1]
-    assert stage.run("apply", lenient, "saved.plan") == 0
+    assert stage.run_started("apply", lenient, "saved.plan") == 0
     expected = {
         "TASK": "task",
         "HOST": "host",
@@ -261,7 +279,7 @@ def test_a_secret_is_nowhere_but_in_the_environment_of_the_task(stage: SecretSta
     stage.write_tasks(env={"TASK": {"value": CANARIES["task"], "secret": True}, "MORE": "x"}, workdir="/")
     assert stage.run("plan", lenient) == 0
     assert b"env and workdir changed" in stage.outputs[-1]
-    assert stage.run("apply", "--yes", lenient, program=("-c", DRIVER)) == 1
+    assert stage.run("apply", "--yes", lenient, program=DRIVER) == 1
     assert b"Traceback" in stage.outputs[-1]
     stage.write_tasks(workdir="/nowhere")
     assert stage.run("apply", "--yes", lenient) == 4

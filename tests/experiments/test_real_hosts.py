@@ -3,7 +3,6 @@
 import json
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -20,6 +19,7 @@ from edgectl.model.policy import Policy, PolicyName
 from edgectl.model.task import Need, NeedCondition, TaskKind
 from tests.builders import a_robot, a_task, an_edge, an_inventory
 from tests.e2e.bench import Bench, a_local, a_mark, a_sleeper, list_sleepers, open_bench
+from tests.forkserver import ForkedProcess
 from tests.pace import patience
 from tests.sshd import Lab
 
@@ -115,14 +115,8 @@ idle: 100%
 """
 
 
-def command(site: Path, *words: str) -> "subprocess.Popen[str]":
-    return subprocess.Popen(
-        [sys.executable, "-m", "edgectl", "experiment", *words],
-        cwd=site,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+def command(site: Path, *words: str) -> ForkedProcess:
+    return ForkedProcess(["experiment", *words], cwd=site, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
 
 
 def until(condition: Callable[[], object]) -> None:

@@ -6,7 +6,7 @@ New tasks, which run nowhere, come in every round: without etcd they would be st
 import signal
 
 from tests.etcd import EtcdCluster, running_etcd
-from tests.faults.faults_two_managers import check_nothing_doubled, finish
+from tests.faults.faults_two_managers import check_nothing_doubled, finish, watch_twice
 from tests.faults.fleet import APPLY, FaultFleet
 from tests.faults.manager import Manager, signal_manager
 from tests.faults.registry import fault
@@ -17,13 +17,19 @@ PAST_THE_LEASE_S = 17.0
 NEW_TASKS = 3
 
 
-def open_halves(fleet: FaultFleet) -> tuple[EtcdCluster, Manager, Manager]:
-    """A real etcd, and two managers; the first one sees the first host only, the other one all others."""
+def open_etcd(fleet: FaultFleet) -> EtcdCluster:
+    """A real etcd that the inventory names from now on."""
     directory = fleet.directory / "etcd"
     directory.mkdir()
     cluster = fleet.stack.enter_context(running_etcd(directory))
     fleet.coordination = cluster.address
     fleet.write_files()
+    return cluster
+
+
+def open_halves(fleet: FaultFleet) -> tuple[EtcdCluster, Manager, Manager]:
+    """A real etcd, and two managers; the first one sees the first host only, the other one all others."""
+    cluster = open_etcd(fleet)
     ana, ben = Manager(fleet=fleet, name="ana"), Manager(fleet=fleet, name="ben")
     ana.hide(*fleet.edges[1:])
     ben.hide(fleet.first)
@@ -109,3 +115,13 @@ def lose_etcd(fleet: FaultFleet) -> None:
         if code == 75:
             ana.run(*PATIENT).expect_exit(4)
         check_nothing_doubled(fleet)
+
+
+@fault(
+    "two managers with etcd: two watches, and a person's command between",
+    kinds=("loopback",),
+    full=2,
+)
+def watch_twice_with_etcd(fleet: FaultFleet) -> None:
+    open_etcd(fleet)
+    watch_twice(fleet)

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from tests import forkserver
+from tests.compiled_agent import give_key
 from tests.faults import failpoint_runner, oracle, scan
 from tests.faults.command_result import WORST_S, CommandResult, ExpectationError
 from tests.faults.hosts import Host, start_loopback_hosts
@@ -89,6 +90,7 @@ class FaultFleet:
                 "capacity": {"cpu": 4, "memory": "8Gi"},
                 **({"runtime": "systemd"} if self.hosts[name].kind == "systemd" else {}),
             }
+        give_key(self.state, FLEET)
         self.write_files()
 
     # Hosts, by the order of their start

@@ -13,6 +13,7 @@ from edgectl.model.policy import Policy
 from edgectl.model.resource import Usage
 from edgectl.model.snapshot import HostSample, Snapshot
 from edgectl.model.task import ZERO, Task, Tasks
+from edgectl.scheduler.packing import Item, Packing, place_item
 from tests.builders import (
     NOW,
     a_link,
@@ -222,3 +223,25 @@ def test_names_do_not_decide_who_is_placed() -> None:
         }
         other = replace(fleet, tasks=replace(fleet.tasks, tasks=renamed))
         assert count_unplaced(fleet.assign()) == count_unplaced(other.assign()) == 0
+
+
+def an_item(name: str, share: float, *places: int) -> Item:
+    return Item(name=name, tasks=(name,), places=places, measure=lambda _: {0: share})
+
+
+@pytest.mark.parametrize(("work", "found"), [(20, True), (6, False)])
+def test_a_chain_of_tasks_makes_room_within_few_looks(work: int, found: bool) -> None:
+    # Each place but the last is full: big needs place 0, from where a can only go to 1, b from there only to 2,
+    # and c from there only to 3. x and y could leave too, but would lead nowhere.
+    a, b, c = an_item("a", 0.5, 0, 1), an_item("b", 0.5, 1, 2), an_item("c", 0.5, 2, 3)
+    fixed = [an_item(f"x{place}", 0.5, place) for place in range(4)]
+    packing = Packing(
+        free=[[1.0] for _ in range(4)], items={}, at={}, home={}, on=[[] for _ in range(4)], work=work
+    )
+    for item, place in [(a, 0), (b, 1), (c, 2), *zip(fixed, range(4), strict=True)]:
+        packing.put(item, place)
+    before = dict(packing.at)
+    assert place_item(packing, an_item("big", 0.5, 0)) is found
+    moved = {name: place for name, place in packing.at.items() if before.get(name) != place}
+    assert moved == ({"a": 1, "b": 2, "c": 3, "big": 0} if found else {})
+    assert all(row[0] >= 0.0 for row in packing.free)

@@ -26,7 +26,7 @@ from edgectl.transport.sockets import MAX_LOGIN_BYTES, Allowance, TunedSocket
 from edgectl.transport.ssh import SshTransport, _BoundedTransport
 from tests.hostile_sshd import ATTACKS
 from tests.pace import patience
-from tests.sshd import FIRST, make_key
+from tests.sshd import get_first_address, make_key
 
 TIMEOUT_S = patience(2.0)
 # Of the manager's memory for one host, MiB; and of its processor for all attacks together, s.
@@ -81,12 +81,12 @@ def measure_attacks(address: str, ports: list[int], key: str, timeout: float) ->
 
 
 @contextmanager
-def serving_attacks(directory: Path) -> Iterator[tuple[list[int], dict[str, str]]]:
-    """The ports of the server, and the environment in which its key is known."""
+def serving_attacks(directory: Path, address: str) -> Iterator[tuple[list[int], dict[str, str]]]:
+    """The ports of the server at ``address``, and the environment in which its key is known."""
     public = make_key(directory / "host_key")
     make_key(directory / "user_key")
     with subprocess.Popen(
-        [sys.executable, "-m", "tests.hostile_sshd", str(directory / "host_key"), str(FIRST)],
+        [sys.executable, "-m", "tests.hostile_sshd", str(directory / "host_key"), address],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
@@ -94,7 +94,7 @@ def serving_attacks(directory: Path) -> Iterator[tuple[list[int], dict[str, str]
         try:
             assert server.stdout is not None
             ports = [int(word) for word in server.stdout.readline().split()]
-            (directory / "known_hosts").write_text(f"[{FIRST}]:{ports[0]} {public}\n")
+            (directory / "known_hosts").write_text(f"[{address}]:{ports[0]} {public}\n")
             (directory / "ssh_config").write_text(
                 f"Host *\n  UserKnownHostsFile {directory / 'known_hosts'}\n  GlobalKnownHostsFile none\n"
                 "  IdentitiesOnly yes\n  IdentityAgent none\n"
@@ -105,10 +105,11 @@ def serving_attacks(directory: Path) -> Iterator[tuple[list[int], dict[str, str]
 
 
 def test_a_hostile_server_costs_its_own_call_and_little_else(tmp_path: Path) -> None:
-    with serving_attacks(tmp_path) as (ports, environment):
+    address = str(get_first_address())
+    with serving_attacks(tmp_path, address) as (ports, environment):
         program = (
             "from tests.transport.test_hostile_servers import measure_attacks\n"
-            f"measure_attacks({str(FIRST)!r}, {ports!r}, {str(tmp_path / 'user_key')!r}, {TIMEOUT_S})"
+            f"measure_attacks({address!r}, {ports!r}, {str(tmp_path / 'user_key')!r}, {TIMEOUT_S})"
         )
         done = subprocess.run(
             [sys.executable, "-c", program],

@@ -10,13 +10,13 @@ from pathlib import Path
 
 import pytest
 
-from edgectl.errors import CoordinationError, LockBusyError, StateError
+from edgectl.errors import CoordinationError, LockBusyError, StateError, WatchedError
 from edgectl.model.inventory import Coordination
 from edgectl.model.plan import Action
 from edgectl.model.policy import Policy
 from edgectl.model.task import Task
 from edgectl.state import failpoints
-from edgectl.state.heartbeats import load_heartbeats, record_heartbeats
+from edgectl.state.heartbeats import load_heartbeats, record_heartbeats, record_orphans
 from edgectl.state.manager_state import load_manager_state
 from edgectl.state.uptime import Uptime, read_uptime
 from edgectl.transport import etcd_lease
@@ -131,9 +131,12 @@ def test_silence_counts_from_the_take_over(site: Site) -> None:
     old = Uptime(boot=read_uptime().boot, seconds=read_uptime().seconds - 1000.0)
     ben = site.manager("ben", "edge1", "edge2")
     record_heartbeats(ben.state, {"edge1": old})
+    record_orphans(ben.state, {"edge1": ("t0",)})
     began = read_uptime().seconds
     make_plan(ben, Policy())
-    assert load_heartbeats(ben.state).last["edge1"].seconds >= began
+    known = load_heartbeats(ben.state)
+    assert known.last["edge1"].seconds >= began
+    assert known.orphans == {"edge1": ("t0",)}  # ana may not have seen it
 
 
 @pytest.fixture
@@ -188,6 +191,20 @@ def test_the_next_run_of_the_same_machine_replaces_a_killed_one_at_once(site: Si
         os._exit(0)
     assert os.WIFSIGNALED(os.waitpid(pid, 0)[1])
     assert apply(site.manager("ana"), ApplyOptions(lock_timeout=0.0)).results is not None
+
+
+def test_a_second_watch_is_told_of_the_first_one(site: Site, etcd: EtcdCluster) -> None:
+    first = etcd_lease.Holder(manager="m", session="s", who="eva@lab", verb="watch", every_s=10.0)
+    lease = etcd_lease.take_fleet(EtcdClient(etcd.place), site.inventory.fleet, first, clock=time.monotonic)
+    assert isinstance(lease, etcd_lease.EtcdLease)
+    with lease.keep_alive():
+        with pytest.raises(WatchedError, match=r"eva@lab watches this fleet every 10s"):
+            list(watch_fleet(site.manager("ana"), WatchOptions(apply=True, cycles=1)))
+        later = WatchOptions(apply=True, cycles=1, take_over=True)
+        (cycle,) = watch_fleet(site.manager("ana"), later)
+        assert "holds this fleet in etcd" in cycle.busy  # until that cycle has ended
+    (cycle,) = watch_fleet(site.manager("ana"), later)
+    assert cycle.results is not None
 
 
 def test_without_etcd_nothing_is_changed_and_reading_goes_on(tmp_path: Path) -> None:
@@ -284,8 +301,14 @@ def test_a_frozen_manager_sends_nothing_after_its_lease(site: Site, short_lease:
     assert site.hosts.placed == {}
 
 
-def test_a_damaged_state_in_etcd_is_refused_and_nothing_is_changed(site: Site, etcd: EtcdCluster) -> None:
+def test_a_damaged_state_in_etcd_is_refused_and_nothing_is_changed(
+    site: Site, etcd: EtcdCluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
     apply(site.manager("ana", tasks=TASKS[:1]))
+    with monkeypatch.context() as patch:
+        patch.setattr("edgectl.state.shared_state._MAX_DOCUMENT_BYTES", 100)  # a small state unpacks to more
+        with pytest.raises(StateError, match="state of this fleet in etcd cannot be read"):
+            apply(site.manager("ben"))
     for junk in (b"", b"x\x9cjunk", bytes(1000)):
         lease = etcd_lease.take_fleet(
             EtcdClient(etcd.place),

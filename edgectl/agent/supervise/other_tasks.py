@@ -28,7 +28,8 @@ def list_other_tasks(host: str, table: "dict[int, proc.Process] | None" = None) 
             record = liveness.read_instance(folder)
             if not record.locked and table is None:
                 table = proc.read_process_table()
-            if liveness.is_alive(record, table):
+            # Its lock is held before its record is written, and after it is removed.
+            if record.instance and liveness.is_alive(record, table):
                 found.append(_build_other_entry(fleet, filed_under, record))
     found.sort(key=lambda each: (each["fleet"] != own, each["fleet"], each["host"], each["task"]))
     return found[:_MAX_ENTRIES]

@@ -39,6 +39,7 @@ _STYLE: dict[Any, Any] = {
     "axes.labelsize": TEXT_PT,
     "axes.titlesize": TEXT_PT,
     "axes.titlepad": 4.0,
+    "axes.titley": 1.0,
     "axes.linewidth": 0.5,
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -158,6 +159,8 @@ def create_panels(
     }
     axes = figure.subplots(rows, columns, sharex=x, sharey=True, squeeze=False, gridspec_kw=grid)
     for panel in figure.axes:
+        # Placed by hand, as the style says: to search a place for titles takes a tenth of the time.
+        panel.set_title("")
         # Only x axes that are not shared have a label: placing the empty ones takes a tenth of the time.
         panel.yaxis.set_label_coords(0.0, 0.0)
         if x:

@@ -1,0 +1,46 @@
+"""The agent on the hosts of tests, with its code compiled: as on any host that edgectl has asked before.
+
+To compile the code of an operation takes three times the CPU of a request, and every test has new hosts. What the first
+request to a new host does is tested in `tests/agent/test_boot.py`.
+"""
+
+import os
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from edgectl.transport.agent_client import _PROCESS_KEY, build_agent_zipapp, compute_agent_hash
+
+
+@cache
+def _create_shared_folder() -> "TemporaryDirectory[str]":
+    """The agent, and a directory for the code that any host compiles; removed with this process."""
+    shared = TemporaryDirectory(prefix="edgectl-agent-")
+    agent = Path(shared.name) / "agent.pyz"
+    agent.touch(mode=0o600)
+    agent.write_bytes(build_agent_zipapp())
+    (Path(shared.name) / "code").mkdir(mode=0o700)
+    return shared
+
+
+def give_agent(state: Path) -> None:
+    """Put the agent into ``state``, the state directory of a host, if there is none.
+
+    All hosts of this process share the code that one of them has compiled. It is sealed for requests of this process.
+    """
+    shared, agents = Path(_create_shared_folder().name), state / "agent"
+    if agents.exists():
+        return
+    state.mkdir(mode=0o700, parents=True, exist_ok=True)
+    agents.mkdir(mode=0o700)
+    os.link(shared / "agent.pyz", agents / f"{compute_agent_hash()}.pyz")
+    (agents / compute_agent_hash()).symlink_to(shared / "code")
+
+
+def give_key(state: Path, fleet: str) -> None:
+    """Let the manager with the state directory ``state`` seal code of ``fleet`` as this process does."""
+    for folder in (state, state / "fleets", state / "fleets" / fleet):
+        folder.mkdir(mode=0o700, exist_ok=True)
+    key = state / "fleets" / fleet / "agent-key"
+    key.touch(mode=0o600)
+    key.write_text(_PROCESS_KEY)
