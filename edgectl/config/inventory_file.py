@@ -162,7 +162,7 @@ def build_inventory_schema() -> Schema:
         edges=build_mapping_schema(NAME_PATTERN.pattern, build_object_schema(EDGE_KEYS)),
         robots=build_mapping_schema(NAME_PATTERN.pattern, build_object_schema(ROBOT_KEYS)),
         links={"type": "array", "items": build_object_schema(LINK_KEYS, tuple(LINK_KEYS))},
-    )
+    ) | {"dependentRequired": {"coordination": ["fleet"]}}
     return build_file_schema(
         "inventory", schema | {"anyOf": [{"required": ["edges"]}, {"required": ["robots"]}]}
     )
@@ -189,6 +189,13 @@ def read_inventory(node: Node, problems: Problems) -> Inventory:
     ordered = {key: hosts[key] for key in sorted(hosts, key=natural_key)}
     links = _read_link_entries(top.at("links"), ordered, problems) if "links" in top else {}
     fleet = top.values.get("fleet") or derive_fleet_name(Path(node.mark.source.file))
+    if "coordination" in top and "fleet" not in top:
+        problems.add(
+            node.key_mark("coordination"),
+            ProblemCode.MISSING,
+            "coordination needs fleet: every machine must know the fleet by the same name",
+            f"add fleet: {fleet}",
+        )
     stated = Inventory(
         hosts=ordered,
         links=links,
