@@ -97,6 +97,12 @@ COMMANDS = {
     "init": CommandEntry("cli.offline_commands", "Files", "Create an example fleet."),
     "validate": CommandEntry("cli.offline_commands", "Files", "Check inventory and task files offline."),
     "schema": CommandEntry("cli.schema", "Files", "Print the JSON Schema of a file or document."),
+    "import ros": CommandEntry("cli.import_", "Files", "Make tasks and an inventory of ROS launch files."),
+    "import ssh": CommandEntry("cli.import_", "Files", "Make an inventory of hosts in the ssh_config."),
+    "import ansible": CommandEntry("cli.import_", "Files", "Make an inventory of one of Ansible."),
+    "import paper": CommandEntry(
+        "cli.import_", "Files", "Make tasks of a requirement file of the paper's authors."
+    ),
     "export prometheus": CommandEntry(
         "cli.export", "Files", "Export measurements and decisions as Prometheus metrics."
     ),
@@ -116,6 +122,7 @@ GROUP_HELP: dict[str, str] = {
     "describe": "Show details of an edge, robot or task.",
     "top": "Show resource usage: of hosts by default (-w to refresh, -i for the full-screen view).",
     "profilers": "Manage resident profilers on the hosts.",
+    "import": "Import launch files and host lists of other tools.",
     "export": "Export for cron, systemd, Prometheus, CSV and others.",
     "experiment": "Compare schemes on real hosts.",
 }

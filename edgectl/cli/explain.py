@@ -38,7 +38,7 @@ def explain_command(
     from edgectl.usecases.explain import compute_noise_by_host, explain_placement
     from edgectl.usecases.plan import make_plan
     from edgectl.views.explanation import ExplanationView
-    from edgectl.views.plan_sections import list_lost_task_notes, list_unreachable_notes
+    from edgectl.views.plan_sections import list_lost_task_notes, list_slack_notes, list_unreachable_notes
 
     loaded = load_inputs(inventory, tasks)
     check_known_names([task], loaded.tasks.tasks, "task")
@@ -54,5 +54,5 @@ def explain_command(
     found = explain_placement(fleet, made, task, None if snapshot else compute_noise_by_host(fleet))
     step = next(step for step in made.steps if step.task == task)
     console.print_view(ExplanationView(step, found, list_unreachable_notes(made.snapshot)), output)
-    console.print_notes(list_lost_task_notes(made.snapshot, {task}))
+    console.print_notes(list_lost_task_notes(made.snapshot, {task}) + list_slack_notes(made, {task}))
     raise Exit(exit_codes.of_plan(made, detailed=False, allow_unreachable=allow_unreachable))

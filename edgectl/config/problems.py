@@ -47,12 +47,18 @@ class ProblemCode(StrEnum):
     CONTRADICTION = "EC033"
     TOO_MANY = "EC034"
     PLACEHOLDER = "EC035"
+    ELEMENT = "EC040"
+    SUBSTITUTION = "EC041"
+    INCLUDE = "EC042"
+    PYTHON = "EC043"
     NO_DEMAND = "EC101"
     NEVER_ANSWERED = "EC102"
     UNNAMED_FLEET = "EC103"
     EXPOSED = "EC104"
     NO_IDENTITY_FILE = "EC105"
     BACKGROUND = "EC106"
+    NOT_IMPORTED = "EC107"
+    ROS = "EC108"
     JSON = "EC201"
     DOCUMENT = "EC202"
 
@@ -63,6 +69,7 @@ _ONCE_PER_PLACE = (
     ProblemCode.PLACEHOLDER,
     ProblemCode.NEVER_ANSWERED,
     ProblemCode.BACKGROUND,
+    ProblemCode.ROS,
     ProblemCode.CYCLE,
     ProblemCode.NAME,
 )

@@ -30,8 +30,6 @@ from edgectl.scheduler.utility import EPSILON
 
 # Looks at one task at one place: some 0.2 s for a whole plan, and at least this many for each task.
 MAX_WORK, MIN_WORK = 300_000, 4_000
-# Rounds over the tasks without room: the last ones leave work for those that were given up before.
-MAX_ROUNDS = 3
 
 
 def repair_plan(plan: DecidedPlan) -> dict[str, Choice]:
@@ -49,20 +47,19 @@ def repair_plan(plan: DecidedPlan) -> dict[str, Choice]:
     causes: dict[str, str] = {}
     bounded = _has_absolute_demands(plan)
     located = find_located(plan)
-    for _ in range(MAX_ROUNDS):
-        missing = [task for task in wanted if task.name not in located]
-        for index, task in enumerate(missing):
-            joining = _list_joining(plan, task, wanted, located, leaders)
-            if work <= 0 or not joining:
-                continue
-            packing.work = share = min(work, max(MIN_WORK, work // (len(missing) - index)))
-            before = dict(packing.at)
-            possible = not bounded or all(_has_room_in_sum(plan, packing, each) for each in joining)
-            item = _build_joint_item(plan, joining, sort_places, leaders, packing)
-            if _place_joint_item(packing, item, possible=possible, preempt=any(e.preempt for e in joining)):
-                located.update(each.name for each in joining)
-                causes |= {name: task.name for name, place in before.items() if packing.at.get(name) != place}
-            work -= share - packing.work
+    # Twice: a task that found no room may find it among the others as they are in the end.
+    for index, task in enumerate([*wanted, *wanted]):
+        joining = _list_joining(plan, task, wanted, located, leaders)
+        if work <= 0 or not joining:
+            continue
+        packing.work = share = min(work, max(MIN_WORK, work // (len(wanted) - index % len(wanted))))
+        before = dict(packing.at)
+        possible = not bounded or all(_has_room_in_sum(plan, packing, each) for each in joining)
+        item = _build_joint_item(plan, joining, sort_places, leaders, packing)
+        if _place_joint_item(packing, item, possible=possible, preempt=any(each.preempt for each in joining)):
+            located.update(each.name for each in joining)
+            causes |= {name: task.name for name, place in before.items() if packing.at.get(name) != place}
+        work -= share - packing.work
     restore_homes(packing)
     return build_choices(plan, packing, causes)
 

@@ -68,7 +68,7 @@ def read_fleet_keys(client: EtcdClient, fleet: str) -> FleetKeys:
     Raises:
         CoordinationError: it does not answer.
     """
-    return _parse_keys(client.call("kv/range", _build_range(fleet)), fleet)
+    return parse_fleet_keys(client.call("kv/range", _build_range(fleet)), fleet)
 
 
 def _build_range(fleet: str) -> Document:
@@ -80,7 +80,12 @@ def _name_key(fleet: str, name: str) -> str:
     return f"edgectl/{fleet}/{name}"
 
 
-def _parse_keys(document: object, fleet: str) -> FleetKeys:
+def parse_fleet_keys(document: object, fleet: str) -> FleetKeys:
+    """The keys of ``fleet`` in the answer to a range.
+
+    Raises:
+        CoordinationError: it is not valid.
+    """
     pairs = {each.key: each for each in read_pairs(document)}
     name, holder, state = (pairs.get(_name_key(fleet, key)) for key in ("id", "holder", "state"))
     return FleetKeys(
@@ -224,7 +229,7 @@ def take_fleet(
     granted = client.call("lease/grant", {"TTL": str(ttl_s)})
     lease, ttl = read_integer(granted, "ID"), min(ttl_s, read_integer(granted, "TTL"))
     reply = client.call("kv/txn", _build_claim(fleet, holder, keys.holder_revision, lease))
-    keys = _parse_keys(
+    keys = parse_fleet_keys(
         read_responses(reply, 2 if reply.get("succeeded") is True else 1)[-1].get("response_range"), fleet
     )
     # A claim whose reply was lost has succeeded and is refused when it is repeated at another endpoint.

@@ -158,14 +158,14 @@ def list_load_notes(value: Plan) -> list[str]:
     return [
         *(found.describe() for found in value.shortages),
         *map(describe_overuse, value.overuses),
-        *_list_slack_notes(value),
+        *list_slack_notes(value, {step.task for step in value.steps}),
     ]
 
 
-def _list_slack_notes(value: Plan) -> list[str]:
-    """The slack of each host that is over capacity and whose noise widens it (ADR 83)."""
+def list_slack_notes(value: Plan, tasks: Collection[str]) -> list[str]:
+    """The slack of each host of ``tasks`` that is over capacity and whose noise widens it (ADR 83)."""
     known = value.snapshot.manager.noise if value.snapshot.manager is not None else {}
-    over = dict.fromkeys(step.decision.host for step in value.steps if step.decision.overcommitted)
+    over = {step.decision.host for step in value.steps if step.decision.overcommitted and step.task in tasks}
     return [
         f"{host} may be up to {compute_slack(RESOURCES_BY_NAME[name], noise):.1%} above its {name} capacity "
         f"before a task leaves: its readings vary by {noise:.1%}"

@@ -224,3 +224,14 @@ def test_without_the_extra_the_hint_installs_it(
     assert "this needs highspy, which is not installed" in ended.err
     assert "[opt]" in ended.err
     assert "Traceback" not in ended.err
+
+
+def test_plan_and_explain_say_how_far_a_noisy_host_may_be_overloaded(run: Run, site: Path) -> None:
+    document = json.loads((site / "snap.json").read_text())
+    document["hosts"]["edge1"]["cpu"]["used_cores"] = 0.4  # 0.058 of others; slam-robot1 fits nowhere else
+    document["manager"]["noise"] = {"edge1": {"cpu": 0.06}, "edge2": {"cpu": 0.06}}
+    (site / "snap.json").write_text(json.dumps(document))
+    note = "note: edge1 may be up to 12.0% above its cpu capacity before a task leaves: its readings vary by 6.0%"
+    assert note in " ".join(run(*PLAN).err.split())
+    assert note in " ".join(run("explain", "slam-robot1", "--snapshot", "snap.json").err.split())
+    assert "may be up to" not in run("explain", "slam-robot2", "--snapshot", "snap.json").err

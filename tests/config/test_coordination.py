@@ -54,6 +54,17 @@ def test_what_is_valid(tmp_path: Path, text: str, expected: Coordination | None)
     assert fits_schema(text)
 
 
+def test_a_fleet_that_is_named_by_the_path_of_its_file_cannot_be_coordinated(tmp_path: Path) -> None:
+    """Every machine would have a fleet of its own in etcd."""
+    path = tmp_path / "inventory.yaml"
+    path.write_text(text := "version: 1\nedges: {e1: {host: h}}\ncoordination: etcd://a\n")
+    with pytest.raises(InputError, match=r"inventory.yaml:3:1: coordination needs fleet") as told:
+        load_inventory(path)
+    assert told.value.problems[0].hint.startswith("add fleet: ")
+    schema = jsonschema.Draft202012Validator(build_inventory_schema())
+    assert not schema.is_valid(yaml.safe_load(text))
+
+
 @pytest.mark.parametrize(
     ("value", "column", "message", "hint"),
     [

@@ -5,6 +5,7 @@ import hashlib
 import json
 import random
 import re
+import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,10 +36,20 @@ from edgectl.scheduler.assign import assign
 from edgectl.scheduler.claims import describe_claims
 from edgectl.state import journal, journal_reader, store_rows
 from edgectl.state.manager_state import load_manager_state
+from edgectl.state.shared_state import (
+    PendingStart,
+    SharedState,
+    compute_state_digest,
+    decode_shared_state,
+    encode_shared_state,
+)
 from edgectl.state.store import Store
 from edgectl.state.store_file import HISTORY_FILE_NAME as HISTORY
 from edgectl.transport.agent_client import call_agent
 from edgectl.transport.base import Reply
+from edgectl.transport.etcd_client import encode_text
+from edgectl.transport.etcd_lease import parse_fleet_keys
+from edgectl.usecases.import_files import import_ansible, import_paper, import_ros
 from edgectl.views.output import render_view
 from edgectl.views.plan import PlanView
 from edgectl.views.snapshot import SnapshotView
@@ -65,11 +76,28 @@ from tests.fuzz.hostile_fleet import run_against_liar
 from tests.fuzz.mutate import damage_seed, mutate_seed
 from tests.gateway.test_decode import a_document, a_task
 from tests.gateway.test_facts import DOCUMENT as FACTS
+from tests.importers.test_commands import HOSTS_INI, REQUIREMENTS
+from tests.importers.test_launch_files import CORPUS
 
 Read = Callable[[bytes], object]
 SECRETS = INVENTORY.replace(
     'env: {ROS_DOMAIN_ID: "7"}', "env: {KEY: {value: x, secret: true}}, env_command: [vault, read]"
 )
+
+
+ETCD_ANSWER = {
+    "header": {"cluster_id": "1", "revision": "7"},
+    "kvs": [
+        {
+            "key": encode_text("edgectl/lab/holder"),
+            "mod_revision": "6",
+            "lease": "75",
+            "value": encode_text('{"who": "ana", "every_s": 2.0}'),
+        },
+        {"key": encode_text("edgectl/lab/id"), "mod_revision": "2", "value": encode_text("0" * 32)},
+        {"key": encode_text("edgectl/lab/state"), "mod_revision": "5", "value": encode_text("state")},
+    ],
+}
 
 
 @dataclass(frozen=True)
@@ -126,6 +154,8 @@ def build_targets(directory: Path) -> Iterator[list[Target]]:
             [json.dumps(MANAGER_STATE_KIND.encode(MANAGER)).encode()],
             _read_through_file(directory / "memory.json", _read_manager_state),
         ),
+        Target("state in etcd", [_encode_shared_state()], _read_as_shared_state),
+        Target("answer of etcd", [json.dumps(ETCD_ANSWER).encode()], _read_as_fleet_keys),
         Target(
             "run",
             [_write_run(directory / "run")],
@@ -166,7 +196,28 @@ def build_targets(directory: Path) -> Iterator[list[Target]]:
             [TASKS.encode()],
             _read_through_file(path, lambda file: load_inventory_and_tasks(good_inventory, file)),
         ),
+        *_build_import_targets(directory),
     ]
+
+
+def _build_import_targets(directory: Path) -> Iterator[Target]:
+    """Files of other tools; each is read under a name of its kind."""
+    for name, seeds in (
+        ("x.launch", ("robots.launch", "rosparam.launch", "eval.launch")),
+        ("x.launch.xml", ("params.launch.xml", "conditions.launch.xml")),
+        ("x.launch.yaml", ("full.launch.yaml",)),
+    ):
+        yield Target(
+            f"import of {name}",
+            [(CORPUS / seed).read_bytes() for seed in seeds],
+            _read_through_file(
+                directory / name, lambda file: import_ros([str(file)], {}, [str(CORPUS)], by_file=False)
+            ),
+        )
+    hosts = _read_through_file(directory / "hosts", lambda file: import_ansible(str(file)))
+    yield Target("import of Ansible", [HOSTS_INI.encode()], hosts)
+    paper = _read_through_file(directory / "task_req.yaml", lambda file: import_paper(str(file)))
+    yield Target("import of the paper", [REQUIREMENTS.encode()], paper)
 
 
 def _read_as_map(data: bytes) -> object:
@@ -425,6 +476,26 @@ def _write_trial(directory: Path) -> Path:
     save_trial(directory, TRIAL)
     (path,) = (directory / "trials").iterdir()
     return path
+
+
+def _encode_shared_state() -> bytes:
+    """The document in etcd, before it is compressed."""
+    starts = {"slam": PendingStart(host="edge1", generation=7)}
+    return zlib.decompress(encode_shared_state(SharedState(manager=MANAGER, ignored=("i1",), starts=starts)))
+
+
+def _read_as_shared_state(data: bytes) -> object:
+    """What is decoded can be installed."""
+    state = decode_shared_state(zlib.compress(data, 1))
+    return compute_state_digest(state), encode_shared_state(state)
+
+
+def _read_as_fleet_keys(data: bytes) -> object:
+    try:
+        document = json.loads(data)
+    except (ValueError, RecursionError) as error:
+        raise StateError("not the answer of an etcd") from error
+    return parse_fleet_keys(document, "lab")
 
 
 def _read_manager_state(path: Path) -> object:

@@ -1,0 +1,147 @@
+"""import ros, ssh, ansible and paper commands."""
+
+import os
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from typer import Argument, Option
+
+from edgectl.cli import console
+from edgectl.errors import UsageError
+
+if TYPE_CHECKING:
+    from edgectl.usecases.import_files import Imported
+
+_ASSIGNMENT = ":="
+
+
+class TaskUnit(StrEnum):
+    """What becomes one task."""
+
+    NODE = "node"
+    FILE = "file"
+
+
+_OutOption = Annotated[
+    Path | None,
+    Option("--out", metavar="DIR", help="Write inventories/ and tasks/ there, not to stdout."),
+]
+
+
+def import_ros_command(
+    *,
+    files: Annotated[
+        list[str],
+        Argument(metavar="FILE.. [ARG:=VALUE..]", help="Launch files, and their args.", show_default=False),
+    ],
+    group: Annotated[
+        TaskUnit, Option("--group", metavar="UNIT", help="One task per node or per file.")
+    ] = TaskUnit.NODE,
+    package_path: Annotated[
+        list[Path] | None,
+        Option("--package-path", metavar="DIR", help="Where packages are; $ROS_PACKAGE_PATH, too."),
+    ] = None,
+    out: _OutOption = None,
+) -> None:
+    """Make tasks and an inventory of ROS launch files: .launch, .launch.xml, .launch.yaml, .launch.py.
+
+    Nothing is started. A .launch.py is a program: it is run in a child process, without ROS. What is not
+    imported is named on stderr.
+
+    Examples:
+        edgectl import ros bringup.launch robot:=robot1
+        edgectl import ros bringup.launch.py --out lab
+        edgectl import ros bringup.launch --group file
+    """
+    from edgectl.usecases.import_files import import_ros
+
+    paths = [word for word in files if _ASSIGNMENT not in word]
+    if not paths:
+        raise UsageError(
+            "no launch file is named", hint="name it before the args: import ros FILE ARG:=VALUE"
+        )
+    arguments = dict(word.split(_ASSIGNMENT, 1) for word in files if _ASSIGNMENT in word)
+    given = [str(path) for path in package_path or []]
+    for variable in ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH"):
+        given += [part for part in os.environ.get(variable, "").split(os.pathsep) if part]
+    _put(import_ros(paths, arguments, given, by_file=group is TaskUnit.FILE), out)
+
+
+def import_ssh_command(
+    *,
+    patterns: Annotated[
+        list[str], Argument(metavar="PATTERN..", help="Aliases, such as 'jetson-*'.", show_default=False)
+    ],
+    out: _OutOption = None,
+) -> None:
+    """Make an inventory of hosts in the ssh_config, with the files that it includes.
+
+    The inventory names the aliases; what the ssh_config says of them stays there and counts.
+
+    Examples:
+        edgectl import ssh 'jetson-*'
+        edgectl import ssh edge1 edge2 --out lab
+    """
+    from edgectl.usecases.import_files import import_ssh
+
+    _put(import_ssh(patterns), out)
+
+
+def import_ansible_command(
+    *,
+    file: Annotated[Path, Argument(metavar="INVENTORY", help="INI or YAML.", show_default=False)],
+    out: _OutOption = None,
+) -> None:
+    """Make an inventory of one of Ansible: hosts, address, port, user and key; groups become labels.
+
+    Dynamic inventories are not run.
+
+    Examples:
+        edgectl import ansible hosts.ini
+        edgectl import ansible hosts.yaml --out lab
+    """
+    from edgectl.usecases.import_files import import_ansible
+
+    _put(import_ansible(str(file)), out)
+
+
+def import_paper_command(
+    *,
+    file: Annotated[Path, Argument(metavar="FILE", help="Such as task_req.yaml.", show_default=False)],
+    out: _OutOption = None,
+) -> None:
+    """Make tasks of a requirement file of the paper's authors: demands, predecessors, order and commands.
+
+    Examples:
+        edgectl import paper task_req.yaml
+        edgectl import paper task_req.yaml --out lab
+    """
+    from edgectl.usecases.import_files import import_paper
+
+    _put(import_paper(str(file)), out)
+
+
+def _put(made: "Imported", out: Path | None) -> None:
+    """Print the task file, or the inventory if there are no tasks; with ``out``, write all files."""
+    console.print_input_warnings(made.notes)
+    if out is None:
+        console.print_text(made.tasks or made.inventory)
+        if made.tasks:
+            console.print_message("note: the inventory is written with --out DIR")
+        return
+    from edgectl.cli.user_files import PUBLIC_FILE_MODE, make_directory, save_file
+
+    contents = {out / "inventories" / f"{made.name}.yaml": made.inventory}
+    if made.tasks:
+        contents[out / "tasks" / f"{made.name}.yaml"] = made.tasks
+    for path in contents:
+        if path.exists():
+            raise UsageError(f"{path} exists", hint="remove it, or name another directory")
+    for path, text in contents.items():
+        make_directory(path.parent)
+        save_file(path, text, mode=PUBLIC_FILE_MODE)
+        console.print_text(f"wrote {path}\n")
+    if made.tasks:
+        inventory, tasks = contents
+        console.print_message(f"next: edgectl validate -i {inventory} -t {tasks}")

@@ -1,0 +1,1 @@
+"""Import of launch files and host lists of other tools: text to tasks and hosts. Callers read the files."""

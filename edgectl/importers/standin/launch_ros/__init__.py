@@ -1,0 +1,1 @@
+"""Stand-in of the package launch_ros."""

@@ -1,0 +1,410 @@
+"""Imports of other tools' files; ``.launch.py`` runs in a child process, and the result is checked."""
+
+import contextlib
+import glob
+import json
+import os
+import re
+import secrets
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from edgectl.config.expansion import expand_templates
+from edgectl.config.inventory_file import read_inventory
+from edgectl.config.problems import Mark, ProblemCode, Problems, Source
+from edgectl.config.source import decode_source, read_source
+from edgectl.config.task_file import TaskTemplate, merge_policy, read_templates
+from edgectl.config.yaml_parser import parse_yaml
+from edgectl.errors import InputError, Problem, UsageError
+from edgectl.importers.ansible_inventory import read_ansible_hosts
+from edgectl.importers.host_lists import ImportedHost, build_inventory
+from edgectl.importers.launch_group import add_launch_file
+from edgectl.importers.launch_values import Launch, Workspace
+from edgectl.importers.paper_tasks import build_paper_files
+from edgectl.importers.python_launch import add_python_launch
+from edgectl.importers.ros1_launch import read_ros1_launch
+from edgectl.importers.ros2_launch import read_ros2_launch
+from edgectl.importers.ros_tasks import build_files, to_host_name
+from edgectl.importers.ssh_hosts import list_host_aliases, select_aliases
+from edgectl.importers.yaml_text import render_file
+from edgectl.transport.ssh_config import CONFIG_OVERRIDE_VARIABLE, SYSTEM_CONFIG, get_home_dir
+
+PYTHON_TIMEOUT_S = 20.0
+_MAX_RECORD_BYTES = 2**24
+_MAX_PACKAGE_DEPTH = 8
+_MAX_DIRECTORIES = 50_000
+_IGNORED_DIRECTORIES = {"build", "log", "node_modules", "__pycache__"}
+_IGNORE_FILES = ("CATKIN_IGNORE", "COLCON_IGNORE", "AMENT_IGNORE")
+_PACKAGE_NAME = re.compile(r"<name>\s*([\w.-]+)\s*</name>")
+_ROS1_NODE = re.compile(r"<(?:node|test)\b[^<>]*?\stype\s*=")
+_ROS2_NODE = re.compile(
+    r"<(?:node|executable|node_container|let|push[_-]ros[_-]namespace)\b[^<>]*?\s(?:exec|cmd|value|namespace)\s*="
+)
+_PASSWORD = re.compile(r"""(\b\w*pass(?:word)?\w*\s*[=:]\s*)("[^"]*"|'[^']*'|[^\s,}]+)""")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Imported:
+    """Texts of the new files, empty where there is none; ``name`` of both, and what is not in them."""
+
+    name: str
+    inventory: str
+    tasks: str
+    notes: tuple[Problem, ...]
+
+
+def import_ros(
+    paths: Sequence[str], arguments: Mapping[str, str], package_path: Sequence[str], *, by_file: bool
+) -> Imported:
+    """Make tasks and an inventory of launch files. ``by_file``: one task per file instead of one per node.
+
+    Raises:
+        InputError: everything that is wrong with the files.
+    """
+    launch = read_launch_files(paths, arguments, package_path, by_file=by_file)
+    name = to_host_name(Path(paths[0]).name.partition(".")[0])
+    made = build_files(launch, ", ".join(Path(path).name for path in paths), name_fleet(name))
+    return _finish(name, render_file(made.inventory), render_file(made.tasks), launch.notes)
+
+
+def read_launch_files(
+    paths: Sequence[str], arguments: Mapping[str, str], package_path: Sequence[str], *, by_file: bool
+) -> Launch:
+    """What launch files start, with at least one node.
+
+    Raises:
+        InputError: everything that is wrong with the files.
+    """
+    launch = Launch(problems=Problems())
+    packages = _PackageIndex(package_path)
+    workspace = Workspace(
+        read=_read_file, find_package=packages.find, find_owner=packages.find_owner, env=dict(os.environ)
+    )
+    for path in paths:
+        if by_file:
+            _add_whole_file(path, arguments, packages, launch)
+        elif path.endswith(".py"):
+            _run_python(path, arguments, packages, workspace, launch)
+        elif _detect_version(path) == 1:
+            read_ros1_launch(path, arguments, workspace, launch)
+        else:
+            read_ros2_launch(path, arguments, workspace, launch)
+    if not launch.nodes and not launch.problems.errors:
+        nowhere = Mark(Source(file=paths[0], text="", lines=()), 1, 1)
+        launch.problems.add(
+            nowhere,
+            ProblemCode.EMPTY,
+            "the file starts nothing",
+            "check the conditions and args of its nodes",
+        )
+    if launch.problems.errors:  # what was dropped may be the cause
+        raise InputError((*launch.problems.errors, *launch.notes))
+    return launch
+
+
+def import_paper(path: str) -> Imported:
+    """Make tasks and an inventory of the requirement file of the paper's authors.
+
+    Raises:
+        InputError: everything that is wrong with it.
+    """
+    problems = Problems()
+    launch = Launch(problems=problems)
+    source = _read_file(path, problems)
+    root = parse_yaml(source, problems) if source is not None else None
+    problems.check()
+    name = to_host_name(Path(path).name.partition(".")[0])
+    made = (
+        build_paper_files(root, Path(path).name, name_fleet(name), problems, launch)
+        if root is not None
+        else None
+    )
+    problems.check()
+    if made is None:
+        raise UsageError(f"{path} is empty")
+    return _finish(name, render_file(made.inventory), render_file(made.tasks), launch.notes)
+
+
+def import_ansible(path: str) -> Imported:
+    """Make an inventory of one of Ansible, in INI or YAML. Scripts are not run.
+
+    Raises:
+        InputError: everything that is wrong with it.
+    """
+    problems = Problems()
+    launch = Launch(problems=problems)
+    source = _read_file(path, problems)
+    if source is not None and source.text.startswith("#!"):
+        hint = f"save its output: {path} --list, converted to YAML by ansible-inventory --yaml --list"
+        problems.add(Mark(source, 1, 1), ProblemCode.SYNTAX, "this is a script, which is not run", hint)
+        source = None
+    hosts = read_ansible_hosts(source, problems, launch) if source is not None else []
+    problems.check()
+    return _finish_hosts(
+        hosts, Path(path).name, to_host_name(Path(path).name.partition(".")[0]), launch.notes
+    )
+
+
+def import_ssh(patterns: Sequence[str]) -> Imported:
+    """Make an inventory of the aliases in the user's ssh_config that a pattern matches.
+
+    The inventory names the alias alone: what ssh_config says of it stays there, and counts.
+
+    Raises:
+        UsageError: a pattern matches none.
+    """
+    aliases = list_ssh_aliases()
+    for pattern in patterns:
+        if not select_aliases(aliases, [pattern]):
+            known = f"its hosts: {', '.join(aliases[:12])}" if aliases else "it defines no host"
+            raise UsageError(f"no host of the ssh_config matches {pattern!r}", hint=known)
+    hosts = [ImportedHost(name=alias, address=alias) for alias in select_aliases(aliases, list(patterns))]
+    return _finish_hosts(hosts, "the ssh_config", "ssh", [])
+
+
+def list_ssh_aliases() -> list[str]:
+    """The aliases without wildcards of the files that ssh reads, with those that they include."""
+    override = os.environ.get(CONFIG_OVERRIDE_VARIABLE)
+    own = Path(get_home_dir()) / ".ssh"
+    roots = (
+        [(Path(override), own)]
+        if override
+        else [(own / "config", own), (SYSTEM_CONFIG, SYSTEM_CONFIG.parent)]
+    )
+
+    def read(path: str) -> str:
+        try:
+            return Path(path).read_text(errors="replace")
+        except OSError:
+            return ""
+
+    def expander(base: Path) -> Callable[[str], list[str]]:
+        def expand(pattern: str) -> list[str]:
+            return sorted(glob.glob(str(base / Path(pattern).expanduser())))  # noqa: PTH207 - the pattern may be absolute
+
+        return expand
+
+    return list(
+        dict.fromkeys(
+            alias for path, base in roots for alias in list_host_aliases(str(path), read, expander(base))
+        )
+    )
+
+
+def name_fleet(name: str) -> str:
+    """A fleet name that nobody else has on the same hosts."""
+    return f"{name}-{secrets.token_hex(3)}"
+
+
+def _finish_hosts(hosts: Sequence[ImportedHost], title: str, name: str, notes: Sequence[Problem]) -> Imported:
+    return _finish(name, render_file(build_inventory(hosts, title, name_fleet(name))), "", notes)
+
+
+def _finish(name: str, inventory: str, tasks: str, notes: Sequence[Problem]) -> Imported:
+    return Imported(
+        name=name, inventory=inventory, tasks=tasks, notes=(*notes, *_check_result(name, inventory, tasks))
+    )
+
+
+def _check_result(name: str, inventory: str, tasks: str) -> list[Problem]:
+    """What ``edgectl validate`` will refuse: only the user can say what is meant there."""
+    problems = Problems()
+    templates: dict[str, TaskTemplate] = {}
+    source = decode_source(f"inventories/{name}.yaml", inventory.encode(), problems)
+    node = parse_yaml(source, problems) if source is not None else None
+    fleet = read_inventory(node, problems) if node is not None else None
+    source = decode_source(f"tasks/{name}.yaml", tasks.encode(), problems) if tasks else None
+    node = parse_yaml(source, problems) if source is not None else None
+    if node is not None and fleet is not None:
+        merge_policy([read_templates(node, problems, templates, name)], problems)
+        expand_templates(templates, fleet, problems)
+    return [replace(problem, warning=True) for problem in problems.errors]
+
+
+def _read_file(path: str, problems: Problems) -> Source | None:
+    """The text of a file; passwords are hidden in the lines that messages show."""
+    source = read_source(Path(path), problems, maker="")
+    if source is None or "pass" not in source.text.lower():
+        return source
+    return replace(source, lines=tuple(_hide_passwords(line) for line in source.lines))
+
+
+def _hide_passwords(line: str) -> str:
+    return _PASSWORD.sub(lambda found: found[1] + "*" * len(found[2]), line)
+
+
+def _detect_version(path: str) -> int:
+    """The generation of ROS: by what the file holds, else by its name."""
+    if path.endswith((".yaml", ".yml")):
+        return 2
+    try:
+        text = Path(path).read_text(errors="replace")
+    except OSError:
+        text = ""
+    if bool(_ROS1_NODE.search(text)) != bool(_ROS2_NODE.search(text)):
+        return 1 if _ROS1_NODE.search(text) else 2
+    return 2 if path.endswith(".launch.xml") else 1
+
+
+def _add_whole_file(
+    path: str, arguments: Mapping[str, str], packages: "_PackageIndex", launch: Launch
+) -> None:
+    if _read_file(path, launch.problems) is not None:
+        version = 2 if path.endswith(".py") else _detect_version(path)
+        owner = packages.find_owner(path)
+        place = str(Path(path).absolute())
+        add_launch_file(place, version, owner[0] if owner else "", arguments, launch)
+
+
+class _PackageIndex:
+    """Directories of packages below the given ones, found when the first is asked for."""
+
+    def __init__(self, roots: Sequence[str]) -> None:
+        self.roots = roots
+        self.owners: dict[str, str] = {}
+        self._found: dict[str, str] | None = None
+
+    @property
+    def directories(self) -> dict[str, str]:
+        """Absolute directory of each package."""
+        if self._found is None:
+            self._found = {}
+            for root in self.roots:
+                for name, directory in _list_packages(Path(root)):
+                    self._found.setdefault(name, directory)
+        return {**self.owners, **self._found}
+
+    def find(self, package: str) -> str | None:
+        """The directory of a package, None if it is not here."""
+        return self.directories.get(package)
+
+    def find_owner(self, file: str) -> tuple[str, str] | None:
+        """The package that holds ``file``, and the path of the file in there."""
+        path = Path(os.path.abspath(file))  # noqa: PTH100 - links stay, and dots go
+        for directory in path.parents:
+            name = _read_package_name(directory)
+            if name:
+                self.owners[name] = str(directory)
+                return name, str(path.relative_to(directory))
+        return None
+
+
+def _list_packages(root: Path) -> "list[tuple[str, str]]":
+    found = []
+    start = len(root.absolute().parts)
+    for count, (where, inner, names) in enumerate(os.walk(root.absolute())):
+        directory = Path(where)
+        if count > _MAX_DIRECTORIES:
+            break
+        if any(name in names for name in _IGNORE_FILES):
+            inner.clear()
+            continue
+        if "package.xml" in names and (name := _read_package_name(directory)):
+            found.append((name, where))
+            inner.clear()
+        if len(directory.parts) - start >= _MAX_PACKAGE_DEPTH:
+            inner.clear()
+        inner[:] = sorted(
+            each for each in inner if each not in _IGNORED_DIRECTORIES and not each.startswith(".")
+        )
+    return found
+
+
+def _read_package_name(directory: Path) -> str:
+    try:
+        text = (directory / "package.xml").read_text(errors="replace")
+    except OSError:
+        return ""
+    found = _PACKAGE_NAME.search(text)
+    return found[1] if found else ""
+
+
+def _run_python(
+    path: str, arguments: Mapping[str, str], packages: _PackageIndex, workspace: Workspace, launch: Launch
+) -> None:
+    """Evaluate a ``.launch.py`` in a child process with bounded time and memory."""
+    if _read_file(path, launch.problems) is None:
+        return
+    packages.find_owner(path)
+    full = str(Path(path).absolute())
+    record = run_launch_program(full, arguments, packages.directories)
+    shown = _show_paths(record, full, path)
+    add_python_launch(shown, path, arguments, workspace, packages.directories, launch)
+
+
+def run_launch_program(
+    path: str,
+    arguments: Mapping[str, str],
+    packages: Mapping[str, str],
+    *,
+    timeout_s: float = PYTHON_TIMEOUT_S,
+) -> Mapping[str, Any]:
+    """The record of a child process that evaluates the file ``path`` (an absolute path).
+
+    It has the stand-ins of launch and launch_ros, at most 1 GiB of memory and ``timeout_s`` seconds. It is
+    the user's own program and has the user's own rights.
+    """
+    root = Path(str(files("edgectl"))).parent
+    request = {
+        "file": path,
+        "arguments": dict(arguments),
+        "packages": dict(packages),
+        "root": str(root),
+        "path": [part for part in os.environ.get("PYTHONPATH", "").split(os.pathsep) if part],
+    }
+    program = root / "edgectl" / "importers" / "standin" / "_edgectl_run.py"
+    child = subprocess.Popen(
+        [sys.executable, "-I", "-B", str(program)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    try:
+        reply, _ = child.communicate(json.dumps(request).encode(), timeout=timeout_s)
+    except subprocess.TimeoutExpired:
+        return _describe_fault(
+            path,
+            f"the file did not end within {timeout_s:g} s",
+            "remove what waits, or import with --group file",
+        )
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(child.pid, signal.SIGKILL)
+        child.wait()
+        for stream in (child.stdin, child.stdout):
+            if stream is not None:
+                with contextlib.suppress(OSError):
+                    stream.close()
+    try:
+        record: Mapping[str, Any] = json.loads(reply[: _MAX_RECORD_BYTES + 1])
+    except ValueError:
+        how = "was ended: it took too long" if child.returncode == -signal.SIGXCPU else "ended by itself"
+        return _describe_fault(
+            path, f"the file {how} before it returned a description", "import with --group file"
+        )
+    return record
+
+
+def _describe_fault(path: str, message: str, hint: str) -> Mapping[str, Any]:
+    return {"fault": {"file": path, "line": 1, "message": message, "hint": hint}}
+
+
+def _show_paths(value: Any, full: str, given: str) -> Any:  # noqa: ANN401 - any JSON
+    """The record with the launch file named as the user did, where it states places."""
+    if isinstance(value, Mapping):
+        return {
+            key: given
+            if key == "file" and each == full and value.get("kind") != "include"
+            else [given if place == full else place for place in each]
+            if key == "place"
+            else _show_paths(each, full, given)
+            for key, each in value.items()
+        }
+    return [_show_paths(each, full, given) for each in value] if isinstance(value, list) else value
