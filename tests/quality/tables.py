@@ -146,7 +146,7 @@ def _describe_shortfalls(found: Sequence[Shortfall]) -> Cells:
 # For the first two levels, which may take half of it each.
 DEADLINE_S = 2.0
 # Edges, tasks, number of fleets, least and greatest memory fill, newcomers.
-_PROOFS = ((5, 20, 6, 0.9, 0.9, 5), (50, 200, 20, 0.6, 0.85, 20))
+_PROOFS = ((5, 20, 6, 0.9, 0.9, 5), (50, 200, 100, 0.6, 0.85, 20))
 
 
 def _build_proofs() -> Table:
