@@ -29,7 +29,7 @@ test: check
 	@PATH="$$PATH:/usr/sbin:/sbin" $(PY) -m tests.suite tests --ignore=tests/benchmarks --ignore=tests/ros -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 
 # Tests without real hosts: rules, files, documents, views, and simulated fleets.
-PURE := config doctor experiments executor export formats fuzz gateway model rules scheduler simulation state tui usecases views test_rooms.py
+PURE := config doctor experiments executor export formats fuzz gateway importers model rules scheduler simulation state tui usecases views test_rooms.py
 test-fast: setup
 	@.ci/need-promtool
 	@.ci/need-etcd

@@ -12,7 +12,8 @@ from ..measure import proc
 from . import liveness, lockfile, logind, records, scope, state_dir, status
 from .liveness import InstanceRecord
 
-_TRIES, _TRY_S = 10, 0.03
+# A start on a busy host may take seconds.
+_TRIES, _TRY_S = 100, 0.05
 _MAX_FILE = 200
 _MAX_MANAGER_LENGTH = 100
 _MAX_NEEDED = 120
@@ -53,12 +54,13 @@ def _has_completed(record: InstanceRecord, instance: str) -> bool:
 
 
 def _wait_for_record(folder: str) -> InstanceRecord:
-    """Wait for the record of the concurrent start that took the lock."""
+    """Wait for the record of the concurrent start that took the lock, while it holds that."""
+    record = liveness.read_instance(folder)
     for _ in range(_TRIES):
-        record = liveness.read_instance(folder)
-        if record.status.get("pid"):
+        if record.status.get("pid") or not record.locked:
             break
         time.sleep(_TRY_S)
+        record = liveness.read_instance(folder)
     return record
 
 
