@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from edgectl.cli.user_files import refuse_exposed_files
 from edgectl.config.load import load_inventory_and_tasks
 from edgectl.usecases.import_files import Imported, import_ros
 
@@ -28,7 +29,9 @@ def import_from_corpus(name: str, *, by_file: bool = False) -> Imported:
     os.environ.pop("LAB_OUT", None)
     try:
         with contextlib.chdir(CORPUS):
-            return import_ros([name], ARGUMENTS.get(name, {}), ["."], by_file=by_file)
+            return import_ros(
+                [name], ARGUMENTS.get(name, {}), ["."], by_file=by_file, refuse_exposed=refuse_exposed_files
+            )
     finally:
         os.environ.clear()
         os.environ.update(before)
