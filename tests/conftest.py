@@ -9,6 +9,7 @@ import os
 import signal
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import suppress
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +51,7 @@ INHERITED = (
     "PYTHONDONTWRITEBYTECODE",
 )
 FAILED = pytest.StashKey[bool]()
+_homes = count()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -201,7 +203,9 @@ def end_started_in(places: list[Path]) -> list[int]:
 @pytest.fixture(autouse=True)
 def isolated(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An empty HOME with empty XDG directories, and an ssh_config that knows nobody; returns that home."""
-    home = tmp_path_factory.mktemp("home")
+    # mktemp would read the names of all homes of the session to find the next number.
+    home = tmp_path_factory.getbasetemp() / f"home{next(_homes)}"
+    home.mkdir(mode=0o700)
     for name in [*INHERITED, *(name for name in os.environ if name.startswith("EDGECTL_"))]:
         monkeypatch.delenv(name, raising=False)
     config = home / "ssh_config"

@@ -49,6 +49,13 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
         yield running
 
 
+@pytest.fixture
+def pair(tmp_path: Path) -> Iterator[Bench]:
+    """The edges alone: what needs no robot asks two hosts instead of three."""
+    with open_bench(an_inventory(*EDGES), tmp_path / "manager") as running:
+        yield running
+
+
 def test_probe_plan_apply_status_and_nothing_more_to_do(bench: Bench) -> None:
     slam, navigation = a_mark(), a_mark()
     ready = Check(command="true", timeout=patience(10.0))
@@ -73,9 +80,9 @@ def test_probe_plan_apply_status_and_nothing_more_to_do(bench: Bench) -> None:
     assert bench.where() == {}
 
 
-def test_what_is_killed_by_hand_is_started_by_the_next_apply(bench: Bench) -> None:
+def test_what_is_killed_by_hand_is_started_by_the_next_apply(pair: Bench) -> None:
     mark = a_mark()
-    bench = bench.using(a_sleeper("slam", mark, restart=a_task("x").restart.NEVER))
+    bench = pair.using(a_sleeper("slam", mark, restart=a_task("x").restart.NEVER))
     bench.apply()
     main = bench.sample("slam").pid
     supervisor = int(Path(f"/proc/{main}/stat").read_text().rpartition(")")[2].split()[1])
@@ -86,9 +93,9 @@ def test_what_is_killed_by_hand_is_started_by_the_next_apply(bench: Bench) -> No
     assert bench.actions() == {"slam": Action.KEEP}
 
 
-def test_what_failed_under_restart_never_is_started_on_a_word_only(bench: Bench) -> None:
+def test_what_failed_under_restart_never_is_started_on_a_word_only(pair: Bench) -> None:
     mark = a_mark()
-    bench = bench.using(a_sleeper("slam", mark, restart=a_task("x").restart.NEVER))
+    bench = pair.using(a_sleeper("slam", mark, restart=a_task("x").restart.NEVER))
     bench.apply()
     kill_processes([bench.sample("slam").pid, *wait_for_sleepers(mark)])
     for _ in range(2):
@@ -100,14 +107,14 @@ def test_what_failed_under_restart_never_is_started_on_a_word_only(bench: Bench)
     assert bench.actions() == {"slam": Action.KEEP}
 
 
-def test_a_load_that_rises_moves_a_task(bench: Bench) -> None:
+def test_a_load_that_rises_moves_a_task(pair: Bench) -> None:
     mark = a_mark()
     slam = a_sleeper("slam", mark, priority=1.0)  # decided first, with everything measured on edge1
-    bench.using(slam).apply(BY_CPU)
-    assert bench.where() == {"slam": "edge1"}
+    pair.using(slam).apply(BY_CPU)
+    assert pair.where() == {"slam": "edge1"}
     busy = f"{sys.executable} -c 'while True: pass'"
     burner = a_task("burner", command=f"{busy} & {busy} & wait", stop=GENTLE, pin="edge1")
-    loaded = bench.using(slam, burner)
+    loaded = pair.using(slam, burner)
     loaded.apply(BY_CPU)
     # On a busy machine Python takes its time to start, and one window may see little of it.
     deadline = time.monotonic() + patience(30)
@@ -141,9 +148,9 @@ def test_a_move_that_fails_restores_the_old_instance(bench: Bench, tmp_path: Pat
     assert (tmp_path / "hooks").read_text().split() == ["safe_when", "hold", "release"]
 
 
-def test_a_stale_plan_is_refused(bench: Bench) -> None:
+def test_a_stale_plan_is_refused(pair: Bench) -> None:
     mark = a_mark()
-    bench = bench.using(a_sleeper("slam", mark))
+    bench = pair.using(a_sleeper("slam", mark))
     bench.apply()
     made = PLAN_KIND.decode(
         PLAN_KIND.encode(bench.using(a_sleeper("slam", mark), a_sleeper("camera", a_mark())).plan())
@@ -157,8 +164,8 @@ def test_a_stale_plan_is_refused(bench: Bench) -> None:
         )
 
 
-def test_of_two_applies_at_once_one_is_told_to_come_again(bench: Bench) -> None:
-    bench = bench.using(a_sleeper("slam", a_mark()))
+def test_of_two_applies_at_once_one_is_told_to_come_again(pair: Bench) -> None:
+    bench = pair.using(a_sleeper("slam", a_mark()))
 
     def confirm(_plan: object) -> bool:
         with pytest.raises(LockBusyError) as caught:

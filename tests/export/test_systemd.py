@@ -235,6 +235,7 @@ edges:
 """
 
 
+@pytest.mark.slow
 def test_a_run_in_the_sandbox_reaches_its_hosts(
     manager: UserSystemd | None, lab: Lab, tmp_path: Path
 ) -> None:
