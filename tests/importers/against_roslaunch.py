@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 
+from edgectl.cli.user_files import refuse_exposed_files
 from edgectl.errors import InputError
 from edgectl.importers.launch_values import PACKAGE_MARK, Launch
 from edgectl.importers.ros_parameters import flatten_parameters
@@ -96,14 +97,20 @@ def test_the_corpus_reads_the_same(name: str, monkeypatch: pytest.MonkeyPatch) -
     given = ARGUMENTS.get(name, {})
     path = str(CORPUS / name)
     [theirs] = ask_roslaunch([",".join([path, *(f"{key}:={value}" for key, value in given.items())])])
-    ours = describe_launch(read_launch_files([path], given, [str(CORPUS)], by_file=False))
+    ours = describe_launch(
+        read_launch_files([path], given, [str(CORPUS)], by_file=False, refuse_exposed=refuse_exposed_files)
+    )
     assert ours == normalise(theirs)
 
 
 def read_or_refuse(path: Path) -> dict[str, Any]:
     """Our side, or our error."""
     try:
-        return describe_launch(read_launch_files([str(path)], {}, [str(CORPUS)], by_file=False))
+        return describe_launch(
+            read_launch_files(
+                [str(path)], {}, [str(CORPUS)], by_file=False, refuse_exposed=refuse_exposed_files
+            )
+        )
     except InputError as error:
         return {"error": str(error)}
 
